@@ -94,9 +94,11 @@ class ColorDetector:
         dark = cv2.inRange(hsv, (0, 0, 0), (180, 255, self._dark))
         found: list[Detection] = []
         for patch in self._patches(colored):
-            if region is not None and not _may_be_inside(patch, region, x0, y0, step):
+            if region is not None and not _may_reach(patch, region, x0, y0, step):
                 continue
             for piece, whole, shape in self._vehicles(patch, dark, colored):
+                if region is not None and not _may_be_inside(piece, region, x0, y0, step):
+                    continue
                 box = self._measure(image, whole, self._cover_tables(hsv, piece, whole), x0, y0)
                 if box is not None and (region is None or region.contains(*box.center)):
                     found.append(Detection(box, self._score(box, piece, shape, width, height)))
@@ -211,6 +213,13 @@ def _window(
     x0 = max(int(region.x0 - reach_px) // step * step, 0)
     y0 = max(int(region.y0 - reach_px) // step * step, 0)
     return x0, y0, min(int(region.x1 + reach_px) + 1, width), min(int(region.y1 + reach_px) + 1, height)
+
+
+def _may_reach(patch: Patch, region: Region, left: int, top: int, step: int) -> bool:
+    """Returns whether a part of the patch can have its centre in the region: it may be two vehicles that touch."""
+    x0, y0 = left + (patch.x - 0.5) * step, top + (patch.y - 0.5) * step
+    x1, y1 = x0 + patch.w * step, y0 + patch.h * step
+    return region.x0 < x1 and x0 < region.x1 and region.y0 < y1 and y0 < region.y1
 
 
 def _may_be_inside(patch: Patch, region: Region, left: int, top: int, step: int) -> bool:

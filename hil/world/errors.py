@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.rig.parts import Mount, Rig, RoleRig
+from flight.harness.errors import DepthError
 from path.camera.model import CameraModel
 from path.geometry.rotation import exp
 from path.geometry.transforms import Pose
@@ -135,10 +136,11 @@ class SensorErrors:
 
     def measured_mm(self, depth_mm: NDArray[np.uint16]) -> NDArray[np.uint16]:
         """A depth image with these errors; 0, where there is none, stays 0."""
-        if self.depth == 1.0 and self.depth_bias_m == 0.0:
-            return depth_mm
-        wrong = self.depth * depth_mm.astype(np.float32) + np.float32(1000.0 * self.depth_bias_m + 0.5)
-        return np.where(depth_mm > 0, wrong, 0.0).astype(np.uint16)
+        return self.depth_error.measured_mm(depth_mm)
+
+    @property
+    def depth_error(self) -> DepthError:
+        return DepthError(self.depth, self.depth_bias_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,16 +195,28 @@ def other_lens(camera: CameraModel, sizes: ErrorSizes, rng: Generator) -> Camera
     """The camera as it is: its lens bends rays a little differently, most in the corners, and two ways at once."""
     scale = 1.0 + sizes.focal * rng.standard_normal()
     u, v = (sizes.centre_px * rng.standard_normal(2)).tolist()
-    radius = 0.5 * math.hypot(camera.width / camera.fx, camera.height / camera.fy)
-    corner = sizes.distortion_px / camera.fx / math.sqrt(2.0)  # for each of two terms
-    draws = corner * rng.standard_normal(4)
+    bends = [size * draw for size, draw in zip(_bends(camera, sizes), rng.standard_normal(4).tolist(), strict=True)]
     k1, k2, p1, p2, k3 = camera.distortion
-    k1, k2 = k1 + draws[0] / radius**3, k2 + draws[1] / radius**5
-    p1, p2 = p1 + draws[2] / (3.0 * radius**2), p2 + draws[3] / (3.0 * radius**2)
     return replace(
         camera, fx=camera.fx * scale, fy=camera.fy * scale, cx=camera.cx + u, cy=camera.cy + v,
-        distortion=(k1, k2, p1, p2, k3),
+        distortion=(k1 + bends[0], k2 + bends[1], p1 + bends[2], p2 + bends[3], k3),
     )  # fmt: skip
+
+
+def doubted(camera: CameraModel, sizes: ErrorSizes) -> CameraModel:
+    """Returns a camera whose calibration states these sizes, as ``calibrate camera`` does; it is as it was."""
+    bends = _bends(camera, sizes)
+    sigmas = (sizes.centre_px, sizes.centre_px, *bends)
+    causes = [(sizes.focal * camera.fx, sizes.focal * camera.fy, *(0.0,) * 7)]
+    causes += [(*(0.0,) * (2 + k), sigma, *(0.0,) * (6 - k)) for k, sigma in enumerate(sigmas)]
+    return replace(camera, doubts=tuple(causes))
+
+
+def _bends(camera: CameraModel, sizes: ErrorSizes) -> tuple[float, float, float, float]:
+    """Standard deviations of ``(k1, k2, p1, p2)``: radially and tangentially two terms share the corner's error."""
+    radius = 0.5 * math.hypot(camera.width / camera.fx, camera.height / camera.fy)
+    corner = sizes.distortion_px / camera.fx / math.sqrt(2.0)
+    return corner / radius**3, corner / radius**5, corner / (3.0 * radius**2), corner / (3.0 * radius**2)
 
 
 def other_mount(T: Pose, sizes: ErrorSizes, rng: Generator) -> Pose:

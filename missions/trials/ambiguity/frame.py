@@ -13,10 +13,12 @@ import numpy as np
 from drivers.detectors.color import ColorDetector, ColorDetectorConfig
 from drivers.interfaces import Detector
 from drivers.perception.depth_mask import without_elsewhere
+from drivers.rig.parts import Rig
+from flight.harness.errors import TrialErrors
 from flight.harness.renderer import DepthNoise, FrameRenderer, Shot
-from missions.trials.ambiguity.path import BeliefErrors, PathAnswer, beliefs, run_path
+from missions.trials.ambiguity.path import PathAnswer, beliefs, run_path
 from missions.trials.ambiguity.score import Ballot
-from missions.trials.ambiguity.stage import MARKER_SIDE_M, DrawnStage, Wanted, draw, setup
+from missions.trials.ambiguity.stage import MARKER_SIDE_M, DrawnStage, Wanted, as_drawn, draw, setup
 from missions.trials.ambiguity.truth import TrueView, shirt_box
 from path.baselines.association import BaselineConfig, vote_each
 from path.baselines.features import Features, look_each
@@ -40,12 +42,14 @@ class FrameTask:
     """A frame to make, picklable.
 
     Attributes:
-        renderer: the class of the renderer.
+        renderer: the class of the renderer. ``errors``: of the table of errors, which is ``rig``'s.
         xfeat: weights, None without XFeat.
         orb_variants, xfeat_variants: what of the baselines is tried.
     """
 
     renderer: Any
+    errors: type[TrialErrors]
+    rig: Rig
     wanted: Wanted
     seed: tuple[int, ...]
     xfeat: Path | None
@@ -181,9 +185,13 @@ def judge(task: FrameTask) -> FrameResult:
 
 
 def path_on(task: FrameTask, pair: StagePair, *, depth2: bool = True) -> Owned:
-    """PATH on a pair of frames; what the drones believe is of the task's seed."""
+    """PATH on a pair of frames; what the drones believe is of the task's seed.
+
+    Every stage draws it anew, as if it were another pair of drones: otherwise all frames would share one error.
+    """
     rng = np.random.default_rng([*task.seed, pair.redraws, 1])
-    believed = beliefs(pair.scene, BeliefErrors(), rng)
+    table = task.errors(as_drawn(task.rig, pair.scene))
+    believed = beliefs(pair.scene, table.session(int(rng.integers(1 << 31))), rng)
     answer = run_path(believed, MethodConfig(), pair.shots, pair.box1, people_detector(), depth2=depth2)
     if answer.box is None:
         return Owned(answer, None)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.interfaces import Detector, Frame
 from drivers.perception.pixels import PixelView
+from drivers.rig.parts import Mount
+from flight.harness.errors import DepthError, DrawnErrors
 from flight.harness.renderer import Shot
-from missions.trials.ambiguity.stage import CAMERAS, DrawnStage, camera_mount, layout, marker_mount
+from missions.trials.ambiguity.stage import CAMERAS, DrawnStage, marker_mount
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.cycle.prior import Prior
@@ -31,21 +34,6 @@ REGION_ERROR_PX, REGION_MARGIN_PX = 10.0, 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class BeliefErrors:
-    """Standard deviations of what the drones believe wrongly; all but the noise are systematic.
-
-    Every stage draws them anew, as if it were another pair of drones: otherwise all frames would share one error.
-    """
-
-    printed_size: float = 0.005  # relative
-    focal: float = 0.002  # relative, each camera
-    mount_rad: float = math.radians(0.2)  # per axis, T_v_c1
-    mount_m: float = 0.002
-    attitude_bias_rad: float = math.radians(0.5)  # roll and pitch, each drone
-    attitude_noise_rad: float = math.radians(0.2)
-
-
-@dataclass(frozen=True, slots=True)
 class Beliefs:
     """The drones' beliefs."""
 
@@ -56,6 +44,7 @@ class Beliefs:
     gravity_v: Vec3
     gravity_c2: Vec3
     marker_region: Region  # where D2 expects D1's marker, from the frames before
+    depth: Mapping[Role, DepthError]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,21 +66,18 @@ class PathAnswer:
     mapped: Box | None = None
 
 
-def beliefs(scene: DrawnStage, errors: BeliefErrors, rng: np.random.Generator) -> Beliefs:
-    """The truth with errors drawn from their distributions."""
-    T_b_c, T_b_v = camera_mount(), marker_mount(scene.side)
-    T_v_c = T_b_v.inverse() @ T_b_c
-    mounted = Pose(rotation.exp(rng.normal(0.0, errors.mount_rad, 3)) @ T_v_c.R, T_v_c.t)
-    side_m = scene.wanted.marker_side_m
-    focal1, focal2 = 1.0 + rng.normal(0.0, errors.focal, 2)
+def beliefs(scene: DrawnStage, drawn: DrawnErrors, rng: np.random.Generator) -> Beliefs:
+    """The drones' beliefs with the errors that were drawn for this stage, and the noise of its attitudes."""
+    believed = Mount(drawn.T_b_c[Role.SENDER], drawn.T_b_v)
     return Beliefs(
-        _focused(CAMERAS[Role.SENDER], focal1),
-        _focused(CAMERAS[Role.RECEIVER], focal2),
-        layout(side_m * (1.0 + rng.normal(0.0, errors.printed_size))),
-        Pose(mounted.R, mounted.t + rng.normal(0.0, errors.mount_m, 3)),
-        _down(_attitude(scene, Role.SENDER, errors, rng) @ T_b_v.R),
-        _down(_attitude(scene, Role.RECEIVER, errors, rng) @ T_b_c.R),
-        _marker_region(scene, T_b_v, rng),
+        drawn.cameras[Role.SENDER],
+        drawn.cameras[Role.RECEIVER],
+        drawn.layout,
+        believed.T_v_c,
+        _down(_attitude(scene, Role.SENDER, drawn, rng) @ drawn.T_b_v.R),
+        _down(_attitude(scene, Role.RECEIVER, drawn, rng) @ drawn.T_b_c[Role.RECEIVER].R),
+        _marker_region(scene, marker_mount(scene.side), rng),
+        drawn.depth,
     )
 
 
@@ -112,7 +98,12 @@ def run_path(
     """
     one, two = (
         PixelView(
-            Frame(STAMP_NS, 1, shots[role].color, shots[role].depth_mm if role is Role.SENDER or depth2 else None),
+            Frame(
+                STAMP_NS,
+                1,
+                shots[role].color,
+                beliefs.depth[role].measured_mm(shots[role].depth_mm) if role is Role.SENDER or depth2 else None,
+            ),
             beliefs.camera1 if role is Role.SENDER else beliefs.camera2,
             beliefs.layout,
             detector,
@@ -154,14 +145,10 @@ def run_path(
     )
 
 
-def _focused(camera: CameraModel, factor: float) -> CameraModel:
-    return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
-
-
-def _attitude(scene: DrawnStage, role: Role, errors: BeliefErrors, rng: np.random.Generator) -> Matrix:
+def _attitude(scene: DrawnStage, role: Role, drawn: DrawnErrors, rng: np.random.Generator) -> Matrix:
     """``R_n_b`` as the drone's own estimate has it."""
     R_n_w = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-    tilt = rng.normal(0.0, errors.attitude_bias_rad, 2) + rng.normal(0.0, errors.attitude_noise_rad, 2)
+    tilt = np.array(drawn.tilt_bias_rad[role]) + rng.normal(0.0, drawn.tilt_noise_rad, 2)
     return rotation.exp(np.array([*tilt, 0.0])) @ R_n_w @ scene.stage.T_w_b[role].R
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from drivers.perception.depth_mask import STEP_M
+from flight.harness.errors import TrialErrors
 from missions.trials.ambiguity.frame import FrameResult, Owned
-from missions.trials.ambiguity.path import BeliefErrors
 from missions.trials.ambiguity.score import Ballot, FrameTally, Outcome, Rule, outcome
 from missions.trials.ambiguity.stage import FARTHEST_M, MARKER_SIDE_M, SEPARATION_M
 from missions.trials.shared.trial import TrialFinding, TrialTable, verdict
@@ -125,21 +124,9 @@ def chosen_box(ballot: Ballot, rule: Rule) -> int | None:
     return choose(ballot.votes[rule.variant], rule.min_inliers, rule.min_lead)
 
 
-def noise_table() -> TrialTable:
-    errors = BeliefErrors()
+def noise_table(errors: TrialErrors) -> TrialTable:
     rows = (
-        ("marker, printed size", f"{100 * errors.printed_size:g} %", "drawn for each frame"),
-        ("focal lengths, each camera", f"{100 * errors.focal:g} %", "drawn for each frame"),
-        (
-            "mounting of D1's camera to its marker",
-            f"{math.degrees(errors.mount_rad):.1f}° per axis, {1000 * errors.mount_m:g} mm per axis",
-            "drawn for each frame",
-        ),
-        (
-            "roll and pitch, each drone",
-            f"bias {math.degrees(errors.attitude_bias_rad):.1f}°, noise {math.degrees(errors.attitude_noise_rad):.1f}°",
-            "drawn for each frame",
-        ),
+        *((what, size, "drawn for each frame") for what, size, _ in errors.rows()),
         ("colour", "blur 0.6 px, read noise 1.2 grey levels, shot noise", "every pixel"),
         ("depth of both cameras", "5 mm at 1 m, growing with the square; holes along edges; 0.3 to 6 m", "every pixel"),
     )

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.rig.parts import Mount, Rig
 from flight.harness.renderer import RenderedInstant, RendererSetup, Thing
 from path.camera.model import CameraModel
 from path.geometry.rotation import R_from_rpy
@@ -119,12 +120,19 @@ def marker_mount(side: int) -> Pose:
 
 def layout(side_m: float) -> MarkerLayout:
     """The marker as it truly is."""
-    return single_marker(side_m, 0.005 * side_m)
+    return single_marker(side_m, 0.0025 * side_m)
 
 
 def setup(role: Role, side: int, marker_side_m: float) -> RendererSetup:
     """One drone's camera, and the marker on D1."""
     return RendererSetup(CAMERAS[role], camera_mount(), marker_mount(side), layout(marker_side_m))
+
+
+def as_drawn(rig: Rig, scene: DrawnStage) -> Rig:
+    """Returns the rig as it truly is on a stage: cameras, mounts and marker are the trial's."""
+    mount = Mount(camera_mount(), marker_mount(scene.side))
+    sender, receiver = (replace(rig.role(role), camera=CAMERAS[role], mount=mount) for role in Role)
+    return replace(rig, sender=sender, receiver=receiver, layout=layout(scene.wanted.marker_side_m))
 
 
 def draw(wanted: Wanted, rng: np.random.Generator) -> DrawnStage:

@@ -21,7 +21,7 @@ from path.baselines.association import BaselineConfig
 
 TITLE = "Visual ambiguity: which of six similar people is the target"
 PAPER = "Receiver-Side Target Acquisition under Visual Ambiguity"
-NEEDS = ("renderer",)
+NEEDS = ("renderer", "errors")
 
 FRAMES: dict[Case, int] = {"present": 317, "outside": 17, "hidden": 16}
 QUICK_FRAMES: dict[Case, int] = {"present": 4, "outside": 1, "hidden": 1}
@@ -52,7 +52,7 @@ def run(request: TrialRequest) -> TrialResult:
     return TrialResult(
         summary=_summary(judged, tallies, variants, rules, sweeps),
         findings=findings(tallies),
-        noise=noise_table(),
+        noise=noise_table(request.part("errors")(request.rig)),
         tables=(
             outcome_table(tallies, sentences),
             cause_table(judged, rules),
@@ -71,9 +71,9 @@ def _wanted(request: TrialRequest) -> list[Wanted]:
 
 
 def _tasks(request: TrialRequest, part: int, wanted: Sequence[Wanted], variants: Variants) -> list[FrameTask]:
-    renderer = request.part("renderer")
+    parts = request.part("renderer"), request.part("errors"), request.rig
     return [
-        FrameTask(renderer, each, (request.seed, part, number), request.xfeat, variants["orb"], variants["xfeat"])
+        FrameTask(*parts, each, (request.seed, part, number), request.xfeat, variants["orb"], variants["xfeat"])
         for number, each in enumerate(wanted)
     ]
 

@@ -1,13 +1,13 @@
 """The errors of D2's and the target's place from one sighting, by method, under errors of calibration, print, attitude.
 
-What a method is told (print, cameras, mounting, attitudes) is the truth with the errors of its session; it is never
-told the truth.
+What a method is told (print, cameras, mounts, attitudes) is the truth with the errors of its session, from the
+world's table; it is never told the truth.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -15,16 +15,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from missions.trials.static.shots import StaticMeasurement
-from missions.trials.static.stage import CAMERA, SIDE_M, STANDS, Mounts
+from flight.harness.errors import DepthError, DrawnErrors
+from missions.trials.static.shots import LAYOUT, StaticMeasurement
+from missions.trials.static.stage import CAMERA, STANDS, Mounts
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.geometry import rotation
 from path.geometry.rigid import rigid
 from path.geometry.transforms import Matrix, Pose, Vector
-from path.marker.layout import MarkerLayout, single_marker
+from path.marker.layout import MarkerLayout
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
-from path.messages import Vec3
+from path.messages import Role, Vec3
 from path.observations import MarkerDetection
 from path.target.place import locate
 
@@ -37,64 +38,57 @@ CORNERS: dict[Method, str] = {
     "gravity_photometric": "photometric",
 }
 
-SIDE_SIGMA, FOCAL_SIGMA = 0.005, 0.002  # relative
-MOUNT_SIGMA_RAD, MOUNT_SIGMA_M = math.radians(0.2), 0.0015  # root mean square of angle and length, of T_v_c1
-BIAS_SIGMA_RAD, NOISE_SIGMA_RAD = math.radians(0.5), math.radians(0.2)  # per axis, of each drone's roll and pitch
-SETTINGS = PoseSettings(focal_sigma=FOCAL_SIGMA)  # attitude sigmas as in flight
+SETTINGS = PoseSettings()  # as in flight
 NEVER_REFUSES = replace(SETTINGS, max_incidence_rad=math.pi, max_sigma_m=math.inf, max_ambiguity=1.0)
 FLIPPED_RAD = math.radians(10.0)
 SESSION_STREAM, FRAME_STREAM = 2, 3
 
-DEPTH_SIGMA_AT_1M_M = 0.005  # common to the whole target, in a comparison only; grows with the square of the depth
-
-Error = Literal["side", "focal", "mount", "bias", "noise", "depth", "wide"]
-ALL: tuple[Error, ...] = ("side", "focal", "mount", "bias", "noise")
-"""The errors of the trial: print, focal lengths, mounting, attitude biases, attitude noise. Beside them, for
-comparison: "depth", wrong over the whole target, and "wide", depth from a larger part of its box."""
+Error = Literal["side", "optics", "mount", "bias", "noise", "depth", "narrow"]
+ALL: tuple[Error, ...] = ("side", "optics", "mount", "bias", "noise", "depth")
+"""The errors of the trial: print, cameras, mounts, attitude biases, attitude noise, depth. Beside them, for comparison:
+"narrow", depth from a smaller part of the target's box."""
 
 
 @dataclass(frozen=True, slots=True)
 class MethodErrors:
-    """The errors of one measurement.
+    """The drones' beliefs in one measurement, and the errors of their sensors.
 
     Attributes:
-        side: of the marker's printed side, relative.
-        focal: of each camera's focal length, relative.
-        mount_rad, mount_m: of ``T_v_c1``.
-        attitude_rad: (2, 2): of each drone's roll and pitch.
-        depth_m: of the target's depth at 1 m.
-        wide: depth is taken from a larger part of the target's box.
+        attitude_rad: (2, 2): errors of each drone's roll and pitch.
+        depth: of D1's camera.
+        narrow: depth is taken from a smaller part of the target's box.
     """
 
-    side: float
-    focal: tuple[float, float]
-    mount_rad: Vector
-    mount_m: Vector
+    cameras: Mapping[Role, CameraModel]
+    mounts: Mounts
+    layout: MarkerLayout
     attitude_rad: Matrix
-    depth_m: float
-    wide: bool
+    depth: DepthError
+    narrow: bool = False
 
 
-def errors_of(seed: int, configuration: int, session: int, on: tuple[Error, ...]) -> MethodErrors:
+def session_seed(seed: int, session: int) -> int:
+    """Returns the seed of a session's errors, which are the same in all configurations."""
+    return int(np.random.SeedSequence([seed, SESSION_STREAM, session]).generate_state(1)[0])
+
+
+def errors_of(drawn: DrawnErrors, mounts: Mounts, frame: tuple[int, int, int], on: tuple[Error, ...]) -> MethodErrors:
     """The errors of a measurement; ``on`` names those that are switched on.
 
-    Print, focal lengths, mounting and attitude biases are those of the session, the same in all configurations.
+    Args:
+        drawn: the errors of its session; ``mounts`` the true ones.
+        frame: seed, configuration and session: of the noise of its attitudes.
     """
-    rng = np.random.default_rng([seed, SESSION_STREAM, session])
-    side, focal = SIDE_SIGMA * rng.normal(), FOCAL_SIGMA * rng.normal(size=2)
-    turned, moved = MOUNT_SIGMA_RAD * rng.normal(size=3), MOUNT_SIGMA_M * rng.normal(size=3)
-    turned, moved = turned / math.sqrt(3.0), moved / math.sqrt(3.0)
-    bias = BIAS_SIGMA_RAD * rng.normal(size=(2, 2))
-    frame = np.random.default_rng([seed, FRAME_STREAM, configuration, session])
-    noise = NOISE_SIGMA_RAD * frame.normal(size=(2, 2))
+    noise = drawn.tilt_noise_rad * np.random.default_rng([frame[0], FRAME_STREAM, *frame[1:]]).normal(size=(2, 2))
+    bias = np.array([drawn.tilt_bias_rad[role] for role in Role])
+    believed = Mounts(drawn.T_b_c[Role.SENDER], drawn.T_b_v, drawn.T_b_c[Role.RECEIVER])
     return MethodErrors(
-        float(side) * ("side" in on),
-        (float(focal[0]) * ("focal" in on), float(focal[1]) * ("focal" in on)),
-        turned * ("mount" in on),
-        moved * ("mount" in on),
+        drawn.cameras if "optics" in on else dict.fromkeys(Role, CAMERA),
+        believed if "mount" in on else mounts,
+        drawn.layout if "side" in on else LAYOUT,
         bias * ("bias" in on) + noise * ("noise" in on),
-        DEPTH_SIGMA_AT_1M_M * float(frame.normal()) * ("depth" in on),
-        "wide" in on,
+        drawn.depth[Role.SENDER] if "depth" in on else DepthError(),
+        "narrow" in on,
     )
 
 
@@ -130,10 +124,11 @@ class Results:
 
 @dataclass(frozen=True, slots=True)
 class Judging:
-    """A method, on some sightings, under some errors."""
+    """A method, on some sightings, under some errors; ``sessions`` are those of each session."""
 
     sightings: Sequence[StaticMeasurement]
     mounts: Mounts
+    sessions: Sequence[DrawnErrors]
     seed: int
     method: Method
     on: tuple[Error, ...] = ALL
@@ -144,7 +139,8 @@ def measure(judging: Judging) -> Results:
     sessions = 1 + max(sighting.session for sighting in judging.sightings)
     table = np.full((5, sessions, len(STANDS)), np.nan)
     for sighting in judging.sightings:
-        errors = errors_of(judging.seed, sighting.configuration, sighting.session, judging.on)
+        frame = judging.seed, sighting.configuration, sighting.session
+        errors = errors_of(judging.sessions[sighting.session], judging.mounts, frame, judging.on)
         outcome = judge(sighting, judging.mounts, judging.method, errors)
         table[:, sighting.session, sighting.configuration] = (
             outcome.d2_m, outcome.rotation_rad, outcome.target_m, outcome.sent_m, outcome.nees,
@@ -155,16 +151,16 @@ def measure(judging: Judging) -> Results:
 def judge(sighting: StaticMeasurement, mounts: Mounts, method: Method, errors: MethodErrors) -> MethodResult:
     """One method on one sighting, told what its session believes."""
     truth, found = sighting.T_c2_v, sighting.markers[CORNERS[method]]
-    sent_v, true_v = sent_point(sighting, mounts, errors), _true_point(sighting, mounts)
+    sent_v, true_v = sent_point(sighting, errors), _true_point(sighting, mounts)
     sent_m = math.nan if sent_v is None or true_v is None else float(np.linalg.norm(sent_v - true_v))
     refused = MethodResult(math.nan, math.nan, math.nan, sent_m, math.nan)
     if found is None:
         return refused
-    layout, camera, nees = believed_layout(errors), focused(CAMERA, errors.focal[1]), math.nan
+    nees = math.nan
     if method == "ippe":
-        pose = first_ippe(found, layout, camera)
+        pose = first_ippe(found, errors.layout, errors.cameras[Role.RECEIVER])
     else:
-        estimate = estimated(sighting, mounts, method, errors, found)
+        estimate = estimated(sighting, method, errors, found)
         if estimate is None:
             return refused
         pose = estimate.T_c_v
@@ -183,42 +179,27 @@ def _true_point(sighting: StaticMeasurement, mounts: Mounts) -> Vector | None:
 
 
 def estimated(
-    sighting: StaticMeasurement, mounts: Mounts, method: Method, errors: MethodErrors, found: MarkerDetection
+    sighting: StaticMeasurement, method: Method, errors: MethodErrors, found: MarkerDetection
 ) -> MarkerPose | None:
     """The project's pose, with or without gravity; None when it is refused."""
     down_v = down_c = None
     if method != "photometric":
-        down_v = _felt(sighting.gravity_b1, errors.attitude_rad[0], mounts.T_b_v)
-        down_c = _felt(sighting.gravity_b2, errors.attitude_rad[1], mounts.T_b_c2)
+        down_v = _felt(sighting.gravity_b1, errors.attitude_rad[0], errors.mounts.T_b_v)
+        down_c = _felt(sighting.gravity_b2, errors.attitude_rad[1], errors.mounts.T_b_c2)
     settings = NEVER_REFUSES if method == "photometric" else SETTINGS
-    layout, camera = believed_layout(errors), focused(CAMERA, errors.focal[1])
-    pose = estimate_pose((found,), layout, camera, down_v, down_c, settings)
+    pose = estimate_pose((found,), errors.layout, errors.cameras[Role.RECEIVER], down_v, down_c, settings)
     return pose if isinstance(pose, MarkerPose) else None
 
 
-def believed_layout(errors: MethodErrors) -> MarkerLayout:
-    """Returns the layout as the print is believed to be; ``side`` is by how much that is too large."""
-    return single_marker(SIDE_M * (1.0 + errors.side), SIDE_M * SIDE_SIGMA)
-
-
-def focused(camera: CameraModel, error: float) -> CameraModel:
-    return replace(camera, fx=camera.fx * (1.0 + error), fy=camera.fy * (1.0 + error))
-
-
-def believed_mounting(mounts: Mounts, errors: MethodErrors) -> Pose:
-    true = mounts.T_v_c1
-    return Pose(rotation.exp(errors.mount_rad) @ true.R, true.t + errors.mount_m)
-
-
-def sent_point(sighting: StaticMeasurement, mounts: Mounts, errors: MethodErrors) -> Vector | None:
+def sent_point(sighting: StaticMeasurement, errors: MethodErrors) -> Vector | None:
     """The target in ``v`` as D1 sends it (eqs. target_backprojection, target_virtual)."""
     seen = sighting.target
-    depth = None if seen is None else seen.wide_depth if errors.wide else seen.depth
+    depth = None if seen is None else seen.narrow_depth if errors.narrow else seen.depth
     if seen is None or depth is None:
         return None
-    measured = replace(depth, z_m=depth.z_m + errors.depth_m * depth.z_m**2)
-    camera, T_v_c1 = focused(CAMERA, errors.focal[0]), rigid(believed_mounting(mounts, errors))
-    return np.array(locate(camera, T_v_c1, seen.box, measured, MethodConfig()).point_v_m)
+    measured = replace(depth, z_m=errors.depth.measured_m(depth.z_m))
+    T_v_c1 = rigid(errors.mounts.T_v_c1)
+    return np.array(locate(errors.cameras[Role.SENDER], T_v_c1, seen.box, measured, MethodConfig()).point_v_m)
 
 
 def first_ippe(found: MarkerDetection, layout: MarkerLayout, camera: CameraModel) -> Pose:

@@ -10,23 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from flight.harness.errors import TrialErrors
 from missions.trials.shared.statistics import RESAMPLES, Interval, wilson
 from missions.trials.shared.trial import TrialFinding, TrialTable, verdict
-from missions.trials.static.methods import (
-    BIAS_SIGMA_RAD,
-    FLIPPED_RAD,
-    FOCAL_SIGMA,
-    METHODS,
-    MOUNT_SIGMA_M,
-    MOUNT_SIGMA_RAD,
-    NOISE_SIGMA_RAD,
-    SETTINGS,
-    SIDE_SIGMA,
-    Method,
-    Results,
-)
+from missions.trials.static.methods import FLIPPED_RAD, METHODS, SETTINGS, Method, Results
 from missions.trials.static.shots import DEPTH, METHOD
-from missions.trials.static.stage import CAMERA, CONFIGURATIONS, HOVER_M, HOVER_RAD, HOVER_YAW_RAD, SIDE_M
+from missions.trials.static.stage import CAMERA, CONFIGURATIONS, HOVER_M, HOVER_RAD, HOVER_YAW_RAD, SIDE_SIGMA_M
 
 Array = NDArray[np.float64]
 Statistic = Callable[[Array], Array]
@@ -273,24 +262,19 @@ def configurations_table(summary: Sequence[Mapping[str, Any]]) -> TrialTable:
     return TrialTable("The seven configurations", columns, rows, note)
 
 
-def noise_table() -> TrialTable:
+def noise_table(errors: TrialErrors) -> TrialTable:
     rows = (
-        ("printed side", f"{100 * SIDE_SIGMA} % of {1e3 * SIDE_M:.0f} mm", "session"),
-        ("focal length, each camera", f"{100 * FOCAL_SIGMA} %, fx and fy together", "session"),
-        ("mounting T_v_c1", f"{math.degrees(MOUNT_SIGMA_RAD):.1f}° and {1e3 * MOUNT_SIGMA_M:.1f} mm, root mean square "
-                            "of the whole angle and length", "session"),
-        ("attitude bias, each drone", f"{math.degrees(BIAS_SIGMA_RAD):.1f}° in roll and in pitch", "session"),
-        ("attitude noise, each drone", f"{math.degrees(NOISE_SIGMA_RAD):.1f}° in roll and in pitch", "frame"),
+        *errors.rows(),
         ("hover", f"{1e3 * HOVER_M:.0f} mm per axis, {math.degrees(HOVER_RAD):.1f}° roll and pitch, "
                   f"{math.degrees(HOVER_YAW_RAD):.0f}° yaw", "frame"),
         ("image", "blur 0.6 px; noise 1.2 grey levels and 0.015 grey levels² per grey level", "pixel"),
         ("depth", f"{1e3 * DEPTH.sigma_at_1m_m:.0f} mm at 1 m, quadratic, correlated over "
                   f"{DEPTH.correlation_px:.0f} px; holes at {100 * DEPTH.hole_rate:.0f} % of the edges", "pixel"),
         ("target", "a car of 0.32 m, turned any way, at three places", "frame"),
-        ("told to the estimator", f"side ± {100 * SIDE_SIGMA} %, focal length ± {100 * FOCAL_SIGMA} %, attitudes "
-                                  f"± {math.degrees(SETTINGS.attitude_v_sigma_rad):.1f}°, as in flight", "–"),
+        ("told to the estimator", f"side ± {1e3 * SIDE_SIGMA_M:g} mm, focal length ± {100 * SETTINGS.focal_sigma} %, "
+                                  f"attitudes ± {math.degrees(SETTINGS.attitude_v_sigma_rad):.1f}°, as in flight", "–"),
         ("camera", f"{CAMERA.width}×{CAMERA.height}, fx {CAMERA.fx:.0f} px, Brown–Conrady {CAMERA.distortion}, both "
-                   "drones; distortion and principal point are known exactly", "–"),
+                   "drones", "–"),
         ("depth of the target from", f"the middle {100 * METHOD.depth_center_fraction:.0f} % of its box, per side: it "
                                      "is 170 to 300 px wide", "–"),
     )  # fmt: skip

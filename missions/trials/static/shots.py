@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.detectors.color import ColorDetector, ColorDetectorConfig
 from flight.harness.renderer import DepthNoise, FrameRenderer, Imaging, RenderedInstant, RendererSetup, Shot
-from missions.trials.static.stage import CAMERA, SIDE_M, STANDS, Mounts, stage_of
+from missions.trials.static.stage import CAMERA, SIDE_M, SIDE_SIGMA_M, STANDS, Mounts, stage_of
 from path.config import MethodConfig
 from path.geometry.transforms import Pose, Vector
 from path.marker.detect import Refine, detect_markers
@@ -20,11 +20,12 @@ from path.messages import Role
 from path.observations import Box, Depth, MarkerDetection, Region
 from path.target.place import back_project, registered_depth
 
-LAYOUT = single_marker(SIDE_M)
+LAYOUT = single_marker(SIDE_M, SIDE_SIGMA_M)
 DEPTH = DepthNoise(sigma_at_1m_m=0.005, correlation_px=2.0)
 REFINES: tuple[Refine, ...] = ("subpix", "photometric")
 DETECTOR = ColorDetectorConfig(max_side_px=500.0)
-METHOD = MethodConfig(depth_center_fraction=0.08)  # of a target 170 to 300 px wide: a few stereo windows
+METHOD = MethodConfig()  # as it flies
+NARROW = MethodConfig(depth_center_fraction=0.08)  # of a target 170 to 300 px wide: a few stereo windows
 STREAM = 1  # first of the seeds of a stage; errors use others
 
 
@@ -52,13 +53,13 @@ class SenderObservation:
     """D1's observation of the target.
 
     Attributes:
-        depth: over the middle of its box; ``wide_depth`` over a larger part, the method's default.
+        depth: over the middle of its box, as in flight; ``narrow_depth`` over a smaller part.
         point_c1_m: the point of the surface that the box centre truly shows, in D1's camera.
     """
 
     box: Box
     depth: Depth
-    wide_depth: Depth | None
+    narrow_depth: Depth | None
     point_c1_m: Vector
 
 
@@ -151,5 +152,5 @@ def _target(shot: Shot, renderer: FrameRenderer, stage: RenderedInstant) -> Send
     true_m = renderer.true_depth_m(stage, Role.SENDER, u, v)
     if true_m is None:
         return None
-    wide = registered_depth(shot.depth_mm, found[0].box, MethodConfig())
-    return SenderObservation(found[0].box, depth, wide, np.array(back_project(CAMERA, u, v, true_m)))
+    narrow = registered_depth(shot.depth_mm, found[0].box, NARROW)
+    return SenderObservation(found[0].box, depth, narrow, np.array(back_project(CAMERA, u, v, true_m)))

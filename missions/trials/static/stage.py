@@ -7,7 +7,7 @@ straight behind D1 (positive to D1's left), elevation.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,11 +16,12 @@ from flight.harness.renderer import RenderedInstant, Thing
 from path.camera.model import CameraModel
 from path.geometry import rotation
 from path.geometry.transforms import Matrix, Pose, Vector
+from path.marker.layout import MarkerLayout
 from path.messages import Role
 
 CAMERA = CameraModel(1280, 720, 920.0, 919.0, 642.0, 358.0, (0.06, -0.12, 0.001, -0.0008, 0.0))
 """Of both drones, as it truly is: colour of a D415 at 720p."""
-SIDE_M = 0.040
+SIDE_M, SIDE_SIGMA_M = 0.040, 0.0001  # as the rigs state it
 
 HEIGHT_M = 0.9  # of D1: its target is about a metre from its camera, the paper's nominal depth
 PLACES_M = ((1.05, 0.0), (0.9, 0.3), (1.25, -0.3))  # of the target: ahead of D1, to its left
@@ -83,6 +84,12 @@ class Mounts:
 
     def T_b_c(self, role: Role) -> Pose:
         return self.T_b_c1 if role is Role.SENDER else self.T_b_c2
+
+
+def with_camera(rig: Rig, layout: MarkerLayout) -> Rig:
+    """Returns the rig as it is in the trial: both drones have its camera, and D1 its marker."""
+    sender, receiver = (replace(rig.role(role), camera=CAMERA) for role in Role)
+    return replace(rig, sender=sender, receiver=receiver, layout=layout)
 
 
 def mounts_of(rig: Rig) -> Mounts:

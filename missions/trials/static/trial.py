@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from flight.harness.errors import TrialErrors
 from flight.harness.renderer import REALISTIC, REALISTIC_VIDEO, Imaging
 from missions.trials.shared.trial import TrialPicture, TrialRequest, TrialResult, TrialTable
 from missions.trials.static.methods import (
@@ -26,6 +27,7 @@ from missions.trials.static.methods import (
     estimated,
     measure,
     sent_point,
+    session_seed,
 )
 from missions.trials.static.pictures import draw_configurations, draw_errors, draw_view, incidence
 from missions.trials.static.report import (
@@ -54,7 +56,7 @@ from missions.trials.static.shots import (
     shot_seed,
     stage_in,
 )
-from missions.trials.static.stage import CAMERA, CONFIGURATIONS, STANDS, Mounts, mounts_of, nominal
+from missions.trials.static.stage import CAMERA, CONFIGURATIONS, STANDS, Mounts, mounts_of, nominal, with_camera
 from path.camera.kernels import lens_of
 from path.config import MethodConfig
 from path.cycle.prior import Prior, predict
@@ -63,7 +65,7 @@ from path.messages import Role
 
 TITLE = "Static accuracy: where D2 and the target are, from one frame, by method"
 PAPER = "Receiver-View Projection Consistency"
-NEEDS = ("renderer",)
+NEEDS = ("renderer", "errors")
 
 SESSIONS = {"ideal": 60, "realistic": 60, "realistic_h264": 30}  # H.264 encodes a short stream for every image
 QUICK_SESSIONS = {"ideal": 2, "realistic": 1, "realistic_h264": 1}
@@ -80,12 +82,12 @@ BREAKDOWN: tuple[tuple[str, str, tuple[Error, ...]], ...] = (
     ("all", "all of the noise table", ALL),
     ("none", "none but image and depth noise", ()),
     ("side", "printed side alone", ("side",)),
-    ("focal", "focal lengths alone", ("focal",)),
-    ("mounting", "mounting alone", ("mount",)),
+    ("optics", "focal lengths, principal points and distortion alone", ("optics",)),
+    ("mounting", "mounts alone", ("mount",)),
     ("attitude_bias", "attitude bias alone", ("bias",)),
     ("attitude_noise", "attitude noise alone", ("noise",)),
-    ("depth_offset", "all, and depth 5 mm at 1 m wrong over the whole target", (*ALL, "depth")),
-    ("depth_wide", "all, and depth from the middle 20 % of the box (the method's default)", (*ALL, "wide")),
+    ("depth", "scale and bias of depth alone", ("depth",)),
+    ("depth_narrow", "all, and depth from the middle 8 % of the box, per side", (*ALL, "narrow")),
 )
 
 
@@ -103,7 +105,7 @@ def run(request: TrialRequest) -> TrialResult:
     return TrialResult(
         summary=_summary(figures, configurations, rows, square, sightings),
         findings=findings(figures, p95(square)),
-        noise=noise_table(),
+        noise=noise_table(_table(request)),
         tables=_tables(figures, configurations, rows),
         pictures=pictures,
         notes=_notes(figures, square, sightings),
@@ -123,13 +125,21 @@ def _shoot(request: TrialRequest, mounts: Mounts, pipeline: str) -> list[StaticM
     return [sighting for block in request.work.map(f"images, {pipeline}", shoot, items) for sighting in block]
 
 
+def _table(request: TrialRequest) -> TrialErrors:
+    """Returns who draws the sessions' errors, with the trial's camera and marker."""
+    table: TrialErrors = request.part("errors")(with_camera(request.rig, LAYOUT))
+    return table
+
+
 def _judge(
     request: TrialRequest, mounts: Mounts, sightings: dict[str, list[StaticMeasurement]]
 ) -> tuple[dict[str, dict[Method, Results]], list[tuple[str, str, Results]]]:
     """Every method on every pipeline's sightings, and the default method under each error alone."""
     names: list[tuple[str, Method]] = [(name, method) for name in sightings for method in METHODS]
-    items = [Judging(sightings[name], mounts, request.seed, method) for name, method in names]
-    items += [Judging(sightings["ideal"], mounts, request.seed, DEFAULT, on) for _, _, on in BREAKDOWN]
+    count, table = 1 + max(each.session for shots in sightings.values() for each in shots), _table(request)
+    drawn = [table.session(session_seed(request.seed, session)) for session in range(count)]
+    items = [Judging(sightings[name], mounts, drawn, request.seed, method) for name, method in names]
+    items += [Judging(sightings["ideal"], mounts, drawn, request.seed, DEFAULT, on) for _, _, on in BREAKDOWN]
     done = request.work.map("methods", measure, items)
     results: dict[str, dict[Method, Results]] = {name: {} for name in sightings}
     for (name, method), result in zip(names, done, strict=False):
@@ -217,9 +227,8 @@ def _notes(figures: ByPipeline, square: np.ndarray, sightings: dict[str, list[St
         "Along the marker's normal its tilt hardly shows, and what attitude is wrong by moves D2's place: from 1.5 m "
         f"{1e3 * float(mean(square)):.1f} mm on average, 95th percentile {1e3 * float(p95(square)):.1f} mm. None of "
         "the seven looks so from that far; a stand-off is better planned 15° or more beside the normal.",
-        "Depth noise averages out over the middle of the box; a stereo camera also errs over the whole target. The "
-        "breakdown shows what another 5 mm at 1 m, common to all its pixels, would do.",
-        "Not simulated: curled paper, rolling shutter, wrong distortion coefficients, vibration.",
+        "Depth noise averages out over the middle of the box; scale and bias of a stereo camera's depth do not.",
+        "Not simulated: curled paper, rolling shutter, vibration.",
         "Squared error of the default pose in units of its covariance (6 when that is right): "
         + ", ".join(f"{figures[name][DEFAULT].nees:.1f} {name}" for name in PIPELINES)
         + ".",
@@ -246,11 +255,12 @@ def _draw_view(request: TrialRequest, mounts: Mounts) -> bool:
     """The first session of one configuration; False when there is nothing to show."""
     shooting = StaticSeries(request.part("renderer"), mounts, IMAGING["ideal"], request.seed, SHOWN, (0,))
     (sighting,) = shoot(shooting)
-    errors = errors_of(request.seed, SHOWN, 0, ALL)
-    found, point_v = sighting.markers["photometric"], sent_point(sighting, mounts, errors)
+    drawn = _table(request).session(session_seed(request.seed, 0))
+    errors = errors_of(drawn, mounts, (request.seed, SHOWN, 0), ALL)
+    found, point_v = sighting.markers["photometric"], sent_point(sighting, errors)
     if found is None or point_v is None or sighting.target is None:
         return False
-    pose = estimated(sighting, mounts, DEFAULT, errors, found)
+    pose = estimated(sighting, DEFAULT, errors, found)
     if pose is None:
         return False
     x, y, z = point_v.tolist()

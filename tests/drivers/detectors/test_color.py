@@ -186,6 +186,14 @@ def test_two_that_touch_at_a_corner_are_told_apart() -> None:
     assert sorted(d.box.w for d in found) == pytest.approx([80.0, 80.0], abs=10.0)
 
 
+def test_one_of_two_that_touch_is_found_in_a_region_around_it_as_in_the_whole_image() -> None:
+    image = drawn((300, 200, 80, 60), (364, 256, 80, 60))
+    for whole in detector().detect(image, None):
+        u, v = whole.box.center
+        found = detector().detect(image, Region(u - 15.0, v - 15.0, u + 15.0, v + 15.0))
+        assert [iou(d.box, whole.box) for d in found] == pytest.approx([1.0], abs=0.05)
+
+
 def test_two_in_line_are_not_one_good_vehicle() -> None:
     found = detector().detect(drawn((300, 200, 200, 50)), None)
     assert all(d.score < 0.4 for d in found)

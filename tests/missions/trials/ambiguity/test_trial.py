@@ -11,9 +11,9 @@ from missions import rig_library
 from missions.trials.ambiguity import frame as ambiguity_frame
 from missions.trials.ambiguity import trial as ambiguity
 from missions.trials.ambiguity.frame import FrameTask, Owned, StagePair, ballot, path_on, renderer_for, shoot
-from missions.trials.ambiguity.path import BeliefErrors, PathAnswer, beliefs
+from missions.trials.ambiguity.path import Beliefs, PathAnswer, beliefs
 from missions.trials.ambiguity.report import of_path
-from missions.trials.ambiguity.stage import CAMERAS, MARKER_SIDE_M, Wanted
+from missions.trials.ambiguity.stage import CAMERAS, MARKER_SIDE_M, Wanted, as_drawn
 from missions.trials.ambiguity.truth import TrueView, shirt_box
 from missions.trials.ambiguity.variants import ORB_VARIANTS
 from missions.trials.shared.trial import TrialRequest, TrialResult, trial_part
@@ -26,7 +26,8 @@ RIG = rig_library.load("sim-rendered")
 
 
 def task(case: ambiguity.Case, *seed: int) -> FrameTask:
-    return FrameTask(trial_part(RIG, "renderer"), Wanted(case), seed, None, ORB_VARIANTS[:1], ())
+    parts = trial_part(RIG, "renderer"), trial_part(RIG, "errors"), RIG
+    return FrameTask(*parts, Wanted(case), seed, None, ORB_VARIANTS[:1], ())
 
 
 @pytest.fixture(scope="module")
@@ -127,8 +128,12 @@ def test_without_the_target_nothing_of_it_is_seen() -> None:
 
 def test_beliefs_are_wrong_by_the_errors_and_right_without(pair: StagePair) -> None:
     rng = np.random.default_rng(1)
-    wrong, none = beliefs(pair.scene, BeliefErrors(), rng), BeliefErrors(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    right = beliefs(pair.scene, none, rng)
+
+    def believed(level: str) -> Beliefs:
+        rig = replace(as_drawn(RIG, pair.scene), world={**RIG.world, "errors": {"level": level}})
+        return beliefs(pair.scene, trial_part(RIG, "errors")(rig).session(1), rng)
+
+    wrong, right = believed("careful"), believed("exact")
     assert right.layout.markers[0].side_m == MARKER_SIDE_M
     assert wrong.layout.markers[0].side_m != MARKER_SIDE_M
     assert wrong.camera2.fx != right.camera2.fx == CAMERAS[Role.RECEIVER].fx
