@@ -44,7 +44,7 @@ class Follower:
         return follow(view, T_n_c, self._camera, track)
 
     def _shown(self, view: HandoverView, T_n_c: Pose) -> Vec3 | MissReason:
-        """Where the target's own box shows it: what D1 follows has D1's errors in it."""
+        """The target's place by its own box: what D1 follows has D1's errors in it."""
         for detection in view.targets(None):
             if view.whose(detection.box) == TARGET and detection.score >= MIN_SCORE:
                 depth = view.depth(detection.box)

@@ -130,7 +130,7 @@ class WorldConfig:
         return self.sender_home if role is Role.SENDER else self.receiver_home
 
     def true_home(self, role: Role, seed: int) -> HomeConfig:
-        """Where a drone truly stands: the crew measured its place as well as it could."""
+        """The place where a drone truly stands: the crew measured its place as well as it could."""
         said = self.home(role)
         return replace(said, position_m=put_down(said.position_m, self.errors.sizes, seed, ROLES.index(role)))
 

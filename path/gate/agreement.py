@@ -95,7 +95,7 @@ def threshold(z_m: float, config: MethodConfig) -> float:
 
 
 class Comparison(NamedTuple):
-    """What comes of a box of D2, held against D1's target.
+    """The result of a box of D2 held against D1's target.
 
     Attributes:
         mapped: D2's box in D1's image; None when the target is behind a camera by this geometry.

@@ -1,4 +1,4 @@
-"""What is computed of a pair of boxes, compiled: one crossing each. ``path.gate.agreement`` says what it means.
+"""A pair's boxes compared, compiled: one crossing each. ``path.gate.agreement`` says what it means.
 
 ``views`` is the array of ``numbers_of``: D1's lens, D2's, and ``T_v_c1``. A box is ``(x, y, w, h)``; ``body`` is the
 span and height of the target in m, 0 where they are not stated. What there is not is NaN.
@@ -33,7 +33,7 @@ as_it_is(rigid_from_quat)
 
 
 def numbers_of(camera1: CameraModel, camera2: CameraModel, T_v_c1: Rigid) -> Array:
-    """What stays the same from pair to pair, as the kernels take it, shape (44,)."""
+    """The numbers that stay the same from pair to pair, as the kernels take it, shape (44,)."""
     return np.array([*lens_of(camera1), *lens_of(camera2), *T_v_c1], np.float64)
 
 
@@ -88,7 +88,7 @@ def mapped(views: Array, T_v_c2: Rigid, box2: Four, z1: float, z2: float, corner
 def offset(
     views: Array, body: Two, T_v_c2: Rigid, box2: Four, center: Two, z1: float, point_v: Vec3, gravity_v: Vec3
 ) -> Two:
-    """How far D2's box lies from where an object at a point has its own, in D1's image, m at its depth."""
+    """The distance of D2's box from where an object at a point has its own, in D1's image, m at its depth."""
     span_m, height_m = body
     x, y, w, h = box2
     if not span_m > 0.0:
