@@ -16,8 +16,9 @@ from drivers.mavlink.geodesy import LocalTangent
 from drivers.rig.parts import Origin
 from hil.autopilot.autopilot import AutopilotConfig
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
+from hil.world.config import AltitudeConfig, WorldConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
-from hil.world.world import AltitudeConfig, World, WorldConfig
+from hil.world.world import World
 from path.messages import Role
 from tests.free_ports import free_port
 from tests.steady_time import SteadyTime

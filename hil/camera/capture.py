@@ -15,8 +15,8 @@ from typing import Generic, Protocol, TypeVar
 
 from drivers.interfaces import CameraError, Clock
 from drivers.rig.parts import PartContext
+from hil.world.config import SceneName, scene_of
 from hil.world.errors import Built, SensorErrors, StampErrors
-from hil.world.scenes import SceneName, scene_of
 from hil.world.snapshot import Snapshot
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose

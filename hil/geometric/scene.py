@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from hil.geometric import kernels, targets
 from hil.render.kinds import BOXES
 from hil.render.scene import SOLID, Model, drone, marked_drone
-from hil.world.kinds import TargetKind
-from hil.world.snapshot import Snapshot
+from hil.world.snapshot import Snapshot, TargetKind
 from path.camera.kernels import lens_of
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose

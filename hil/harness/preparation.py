@@ -76,7 +76,8 @@ def _marker() -> None:
 
 
 def _physics() -> None:
-    from hil.world.world import World, WorldConfig  # noqa: PLC0415 (each process imports what it compiles)
+    from hil.world.config import WorldConfig  # noqa: PLC0415 (each process imports what it compiles)
+    from hil.world.world import World  # noqa: PLC0415
 
     world = World(WorldConfig(), seed=0)
     world.advance(0.1)

@@ -29,9 +29,9 @@ from hil.harness.relay_world import OTHER, OWN, PairView, RelayWorld
 from hil.link.faulty import MemoryHub
 from hil.monitors.relay import RelayMonitors
 from hil.monitors.watched_log import WatchedLog
+from hil.world.config import WorldConfig
 from hil.world.errors import Built, as_built
 from hil.world.faults import Fault
-from hil.world.world import WorldConfig
 from path.messages import Role
 
 

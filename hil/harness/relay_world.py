@@ -15,12 +15,13 @@ from flight.harness.fleet import NamedDrone, NamedTarget
 from hil.autopilot.autopilot import Autopilot
 from hil.autopilot.radio import CENTRED
 from hil.harness.inject import inject_in_world
+from hil.world.config import HomeConfig, WorldConfig
 from hil.world.dynamics import CONTACT
 from hil.world.fields import TargetField
 from hil.world.nearness import Nearness, nearness
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from hil.world.targets import Point
-from hil.world.world import STEP_HZ, Fleet, HomeConfig, SimDrone, WorldConfig, at_home
+from hil.world.world import STEP_HZ, Fleet, SimDrone, at_home
 from path.messages import Role
 
 OWN, OTHER = Role.RECEIVER, Role.SENDER

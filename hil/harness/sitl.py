@@ -23,9 +23,9 @@ from hil.harness.sim import LEG, mission_config
 from hil.monitors.monitors import Monitors
 from hil.vehicle.simulators.process import binary_of
 from hil.world.check import check_world
+from hil.world.config import WorldConfig
 from hil.world.errors import reported
 from hil.world.faults import Fault, FaultError, parse_faults
-from hil.world.world import WorldConfig
 from path.messages import Role
 
 RUN_LIMIT_S = 360.0  # besides what the mission allows for verifying and following

@@ -10,7 +10,7 @@ from drivers.interfaces import Log
 from drivers.log.topics import camera_record
 from drivers.rig.parts import Rig, RoleRig
 from hil.render.kinds import BOXES
-from hil.world.kinds import TargetKind
+from hil.world.snapshot import TargetKind
 from hil.world.world import World
 from path.geometry.rotation import quat_from_R
 from path.geometry.transforms import Pose

@@ -18,8 +18,7 @@ from hil.geometric.kernels import BOX_COLUMNS, EXTENT_COLUMNS, FRAME_COLUMNS, pl
 from hil.geometric.perception import GeometricView, Sensor
 from hil.geometric.scene import Placed, parts_of
 from hil.geometric.targets import SEEN_COLUMNS, SHARE, outlines
-from hil.world.kinds import TargetKind
-from hil.world.snapshot import DroneTruth, Snapshot
+from hil.world.snapshot import DroneTruth, Snapshot, TargetKind
 from path.compiled import kernel
 from path.geometry.transforms import Pose
 from path.messages import Role

@@ -21,7 +21,7 @@ from hil.geometric.scene import parts_of
 from hil.geometric.targets import TargetNoise
 from hil.montecarlo.faults import HandoverFaults, direction, draw_faults
 from hil.world.errors import Built, as_built, level_of, sizes_of
-from hil.world.kinds import TargetKind
+from hil.world.snapshot import TargetKind
 from hil.world.targets import CROSSING_PAST_M, LookAlikeConfig, TargetConfig
 from path.geometry.rotation import R_from_yaw, exp
 from path.geometry.transforms import Pose

@@ -22,7 +22,7 @@ from hil.montecarlo.motion import P_W_N, RECEIVER, SENDER, HandoverMotion, Hando
 from hil.montecarlo.perception import NOBODY, CameraPath, HandoverCamera, HandoverView
 from hil.montecarlo.scene import Believed, Drawn, Generator, draw
 from hil.world.errors import SensorErrors
-from hil.world.kinds import TargetKind
+from hil.world.snapshot import TargetKind
 from path.config import MethodConfig
 from path.geometry.transforms import Pose
 from path.messages import Role

@@ -10,7 +10,7 @@ from functools import cache
 
 from hil.render.people import PARTS, VARIANTS, person
 from hil.render.scene import CAR_BOXES, FRAME, GAP_M, MOTOR, ORANGE, Color, Model, box, car, model_of
-from hil.world.kinds import TargetKind
+from hil.world.snapshot import TargetKind
 
 Vec3 = tuple[float, float, float]
 Boxes = tuple[tuple[Vec3, Vec3, Color], ...]

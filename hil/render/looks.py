@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.render.sensor import SensorNoise
-from hil.world.scenes import SceneName
+from hil.world.config import SceneName
 
 Bgr = tuple[float, float, float]
 GroundKind = Literal["soil", "grass", "gravel", "tarmac", "concrete"]

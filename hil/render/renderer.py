@@ -21,7 +21,7 @@ from hil.render.overlay import Overlay
 from hil.render.scene import MARKER, drone, marked_drone
 from hil.render.sensor import SensorNoise
 from hil.render.textures import ground_pyramid
-from hil.world.scenes import SceneName
+from hil.world.config import SceneName
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.camera.model import CameraModel, sensor_of
 from path.geometry.transforms import Pose

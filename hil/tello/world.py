@@ -10,7 +10,8 @@ from drivers.tello.camera import TelloCameraConfig
 from drivers.tello.config import TelloVehicleConfig
 from hil.tello.emulator import TelloEmulator, TelloEmulatorConfig
 from hil.tello.video import TelloVideo, TelloVideoConfig
-from hil.world.world import SimDrone, WorldConfig
+from hil.world.config import WorldConfig
+from hil.world.world import SimDrone
 from path.messages import Role
 
 

@@ -23,8 +23,9 @@ from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.vehicle.simulators.followed_world import SimulatedVehicle
 from hil.vehicle.simulators.process import SimulatorBroken
 from hil.vehicle.simulators.relay import AUTOPILOT, MavlinkRelay
+from hil.world.config import WorldConfig
 from hil.world.dynamics import ATTITUDE, POSITION, VELOCITY
-from hil.world.world import World, WorldConfig
+from hil.world.world import World
 from path.messages import Quat, Role, Vec3
 
 STEP_S = 0.005

@@ -29,7 +29,8 @@ from drivers.rig.tables import decode_table
 from hil.beacons.pty import SerialCable
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.vehicle.simulators.wire import SERIAL
-from hil.world.world import SimDrone, World, WorldConfig
+from hil.world.config import WorldConfig
+from hil.world.world import SimDrone, World
 from path.messages import Role
 
 STEP_S = 0.005

@@ -7,7 +7,7 @@ import math
 from drivers.rig.parts import Rig
 from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
-from hil.world.world import WorldConfig
+from hil.world.config import WorldConfig
 
 DRAWN = "sim-rendered"
 CONFINES = "hil.harness.sitl:SitlHarness"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hil.world.kinds import TargetKind
+from hil.world.snapshot import TargetKind
 from hil.world.world import World
 from path.messages import Role
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from hil.world.detector import PERFECT, DetectorConfig
-from hil.world.kinds import TargetKind
 from path.geometry.transforms import Pose
 from path.messages import Role, Vec3
+
+TargetKind = Literal["car", "person", "drone"]
+"""What can be tracked: a robot car, a person who walks, a micro-UAV."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.world.kinds import TargetKind
-from hil.world.snapshot import ObjectTruth
+from hil.world.snapshot import ObjectTruth, TargetKind
 from path.bounds import Bounds
 
 Point = tuple[float, float]

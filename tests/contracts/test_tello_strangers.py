@@ -12,7 +12,8 @@ import tello_asyncio.tello as stranger  # type: ignore[import-untyped]
 from tello_asyncio import Direction, Vector
 
 from hil.tello.emulator import TelloEmulator, TelloEmulatorConfig
-from hil.world.world import SimDrone, World, WorldConfig
+from hil.world.config import WorldConfig
+from hil.world.world import SimDrone, World
 from path.messages import Role
 from tests.free_ports import free_host, free_port
 

@@ -32,7 +32,8 @@ from drivers.tello.vehicle import TelloVehicle
 from hil.harness.virtual_time import run_virtual
 from hil.tello.sim import SimTello, SimTelloConfig
 from hil.vehicle.sim_vehicle import SimVehicle, SimVehicleConfig
-from hil.world.world import SimDrone, World, WorldConfig
+from hil.world.config import WorldConfig
+from hil.world.world import SimDrone, World
 from path.messages import Role
 from tests.drivers.mavlink.mavsdk_bench import CONTEXT, QUICK, px4
 from tests.drivers.tello import tello_stand

@@ -18,7 +18,8 @@ from drivers.mavlink.guard_link import GuardMavlink, GuardMavlinkConfig
 from hil.autopilot.autopilot import Ack
 from hil.harness.guard import SimGuard, SimGuardConfig
 from hil.harness.virtual_time import run_virtual
-from hil.world.world import World, WorldConfig
+from hil.world.config import WorldConfig
+from hil.world.world import World
 from path.messages import Role
 from tests.drivers.mavlink.test_guard_link import BIND, CONTEXT
 from tests.guard_bench import bench

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from hil.tello.emulator import TelloEmulator, TelloEmulatorConfig
-from hil.world.world import World, WorldConfig
+from hil.world.config import WorldConfig
+from hil.world.world import World
 from path.messages import Role
 
 PAGE = (Path(__file__).parent.parent.parent / "docs" / "tello.md").read_text("utf-8")

@@ -14,7 +14,7 @@ from drivers.mavlink.guard_link import GuardMavlink, GuardMavlinkConfig
 from flight.config import GuardConfig, MissionConfig
 from flight.guard.rules import GuardStage
 from flight.guard.watch import GuardWatch, watch
-from hil.world.world import AltitudeConfig
+from hil.world.config import AltitudeConfig
 from tests.drivers.mavlink.test_guard_link import BIND, CONTEXT, seen
 from tests.guard_bench import LIMIT_S, SYSID, Bench, bench
 

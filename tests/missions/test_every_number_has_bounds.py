@@ -19,7 +19,7 @@ from drivers.rig.file import _Camera, _RigTable  # pyright: ignore[reportPrivate
 from drivers.rig.mounts import CameraMount, MarkerMount
 from flight.config import MissionConfig
 from flight.harness.fleet import RelayConfig, TeamConfig
-from hil.world.world import WorldConfig
+from hil.world.config import WorldConfig
 from missions import rig_library
 from missions.calibrate.mount import MeasuredMount
 from missions.rig_list import FOLDER

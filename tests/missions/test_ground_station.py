@@ -12,7 +12,8 @@ from drivers.interfaces import PartError
 from flight.harness.fleet import pair_of
 from hil.harness.realtime.parts import embedded_vehicle
 from hil.harness.realtime.relay_world import field_of
-from hil.world.world import World, WorldConfig
+from hil.world.config import WorldConfig
+from hil.world.world import World
 from missions import rig_library
 from missions.ground_station import name_ground_station
 from missions.options.flights import HandoffOptions, RelayOptions, TeamOptions

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.geometric.scene import parts_of
-from hil.world.kinds import TargetKind
+from hil.world.snapshot import TargetKind
 from missions import rig_library
 from missions.rig_list import FOLDER
 from path.config import EvidenceConfig

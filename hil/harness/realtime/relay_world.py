@@ -35,9 +35,9 @@ from hil.monitors.claims import in_world_time
 from hil.monitors.hindsight import HINDSIGHT_S, Hindsight
 from hil.monitors.monitors import LEASES
 from hil.monitors.relay import RelayMonitors
+from hil.world.config import WorldConfig
 from hil.world.errors import as_built
 from hil.world.snapshot import Snapshot
-from hil.world.world import WorldConfig
 
 VEHICLES_STEPS = 200
 TARGETS_STEPS = 40

@@ -28,7 +28,8 @@ from hil.vehicle.simulators.radio import SET_UP, SimulatedRadio
 from hil.vehicle.simulators.relay import MavlinkRelay
 from hil.vehicle.simulators.remote_autopilot import RemoteAutopilot
 from hil.vehicle.simulators.truth_follower import TruthFollower
-from hil.world.world import ROLES, SimDrone, World, WorldConfig, receiver_off
+from hil.world.config import WorldConfig
+from hil.world.world import ROLES, SimDrone, World, receiver_off
 from path.messages import Role
 
 POLL_S = 0.02

@@ -15,9 +15,10 @@ from drivers.mavlink.vehicle import MavsdkVehicle, MavsdkVehicleConfig
 from drivers.rig.parts import Mount, Origin, PartContext
 from hil.autopilot.autopilot import AutopilotConfig
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
+from hil.world.config import AltitudeConfig, HomeConfig, WorldConfig
 from hil.world.errors import ErrorsConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
-from hil.world.world import AltitudeConfig, HomeConfig, SimDrone, World, WorldConfig
+from hil.world.world import SimDrone, World
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.messages import Role

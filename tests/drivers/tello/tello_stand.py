@@ -16,7 +16,8 @@ from drivers.clock import SystemClock, SystemClockConfig
 from drivers.rig.parts import Mount, Origin, PartContext
 from hil.tello.emulator import TelloEmulator, TelloEmulatorConfig
 from hil.tello.video import TelloVideo, TelloVideoConfig
-from hil.world.world import SimDrone, World, WorldConfig
+from hil.world.config import WorldConfig
+from hil.world.world import SimDrone, World
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker

@@ -14,7 +14,8 @@ from drivers.rig.parts import PartSpec, Rig
 from drivers.rig.tables import RigError, decode_table
 from hil.beacons.pty import PtyBeaconsConfig, PtyHedge, frame_of, open_hedges
 from hil.camera.shared import RUN_VARIABLE
-from hil.world.world import World, WorldConfig
+from hil.world.config import WorldConfig
+from hil.world.world import World
 from missions import rig_library
 from path.geometry.rotation import R_from_rpy
 from path.messages import Role

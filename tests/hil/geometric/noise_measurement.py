@@ -21,8 +21,7 @@ from hil.geometric.perception import GeometricView, Sensor
 from hil.geometric.scene import Array, CameraSetup, outlines, place
 from hil.geometric.targets import CONTACT, DEPTH_CELLS, SHARE
 from hil.render.renderer import Renderer
-from hil.world.kinds import TargetKind
-from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
+from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot, TargetKind
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.gate.agreement import iou

@@ -11,7 +11,8 @@ import pytest
 
 from drivers.rig.tables import decode_table
 from hil.harness.realtime.world import RealTimeWorld
-from hil.world.world import World, WorldConfig
+from hil.world.config import WorldConfig
+from hil.world.world import World
 from missions import rig_library
 
 

@@ -7,8 +7,8 @@ import pytest
 from drivers.interfaces import FlightMode
 from drivers.rig.tables import decode_table
 from hil.harness.relay_world import PILOT_LANDS_S, THE_PILOTS, RelayWorld
+from hil.world.config import WorldConfig
 from hil.world.fields import NUMBERS
-from hil.world.world import WorldConfig
 from missions import rig_library
 from missions.team.config import team_of
 

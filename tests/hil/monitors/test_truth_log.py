@@ -12,7 +12,8 @@ from drivers.log.mcap_log import LogRecord, McapLog, read_log
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
 from hil.monitors.truth_log import TruthLog
-from hil.world.world import World, WorldConfig
+from hil.world.config import WorldConfig
+from hil.world.world import World
 from missions import rig_library
 from path.geometry.rotation import R_from_quat
 from path.messages import Role

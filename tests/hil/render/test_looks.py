@@ -16,7 +16,7 @@ from hil.render.overlay import AREA_M, patches
 from hil.render.renderer import Renderer
 from hil.render.sensor import NOISE_FREE
 from hil.world.check import check_world
-from hil.world.scenes import SCENES, SceneName, scene_of
+from hil.world.config import SCENES, SceneName, scene_of
 from hil.world.snapshot import Snapshot
 from missions import rig_library
 from path.camera.model import CameraModel

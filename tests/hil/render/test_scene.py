@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hil.render.kinds import BOXES, DRONE_HULL, DRONE_LIMBS, Boxes, model_of_kind
 from hil.render.scene import GAP_M, MARKER, PAPER, SOLID, Model, box, car, drone, marked_drone
 from hil.render.textures import GROUND_LEVELS, GROUND_SIZE, ground_pyramid
-from hil.world.kinds import TargetKind
+from hil.world.snapshot import TargetKind
 from path.marker.layout import single_marker
 from tests.hil.render.views import TAIL
 

@@ -12,7 +12,8 @@ import pytest
 
 from hil.tello.emulator import TelloEmulator, TelloEmulatorConfig
 from hil.tello.video import TelloVideo, TelloVideoConfig
-from hil.world.world import World, WorldConfig
+from hil.world.config import WorldConfig
+from hil.world.world import World
 from path.messages import Role
 from tests.free_ports import free_host
 

@@ -13,7 +13,8 @@ from drivers.interfaces import Capability, VelocitySetpoint
 from hil.camera.rendered import RenderedCameraConfig
 from hil.harness.virtual_time import run_virtual
 from hil.tello.sim import SimTello, SimTelloCamera, SimTelloConfig
-from hil.world.world import World, WorldConfig
+from hil.world.config import WorldConfig
+from hil.world.world import World
 from path.messages import Role
 from tests.hil.camera.test_rendered import StubHarness
 from tests.hil.camera.test_rendered import context as camera_context

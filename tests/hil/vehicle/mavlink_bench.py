@@ -11,9 +11,10 @@ from drivers.interfaces import FlightMode
 from drivers.mavlink.geodesy import LocalTangent
 from hil.autopilot.autopilot import AutopilotConfig
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
+from hil.world.config import HomeConfig, WorldConfig
 from hil.world.errors import ErrorsConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
-from hil.world.world import HomeConfig, World, WorldConfig
+from hil.world.world import World
 from path.messages import Role
 
 SYSID = 7

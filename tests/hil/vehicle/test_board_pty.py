@@ -23,9 +23,10 @@ from hil.vehicle.board_pty import BoardPty
 from hil.vehicle.simulators.followed_world import SimulatedVehicle, start_simulators
 from hil.vehicle.simulators.process import SimulatorBroken
 from hil.vehicle.simulators.wire import SerialWire
+from hil.world.config import HomeConfig, WorldConfig
 from hil.world.errors import ErrorsConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
-from hil.world.world import HomeConfig, SimDrone, World, WorldConfig
+from hil.world.world import SimDrone, World
 from missions import rig_library
 from path.messages import Role
 from tests.steady_time import SteadyTime

@@ -13,7 +13,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from drivers.interfaces import FlightMode
 from drivers.mavlink.geodesy import LocalTangent
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
-from hil.world.world import World, WorldConfig
+from hil.world.config import WorldConfig
+from hil.world.world import World
 from path.messages import Role
 from tests.free_ports import free_port
 

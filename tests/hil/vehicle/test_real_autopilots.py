@@ -16,8 +16,8 @@ from drivers.rig.tables import decode_table
 from hil.autopilot.simulator import Kind
 from hil.vehicle.simulators.followed_world import SimulatedVehicle, start_simulators
 from hil.vehicle.simulators.process import BINARY_VARIABLE
+from hil.world.config import WorldConfig
 from hil.world.dynamics import POSITION
-from hil.world.world import WorldConfig
 from missions import rig_library
 from path.messages import Role
 

@@ -29,8 +29,8 @@ from hil.autopilot.radio import STICKS_SLOT, Transmitter
 from hil.autopilot.simulator import Kind
 from hil.vehicle.simulators.followed_world import SimulatedVehicle, start_simulators
 from hil.vehicle.simulators.process import BINARY_VARIABLE
+from hil.world.config import PositionOffsetConfig, WorldConfig
 from hil.world.dynamics import POSITION
-from hil.world.world import PositionOffsetConfig, WorldConfig
 from missions import rig_library
 from missions.guard.command import as_flown, guard_of
 from path.messages import Role

@@ -13,7 +13,8 @@ from drivers.rig.parts import Mount, Origin, PartContext
 from hil.autopilot.autopilot import AutopilotConfig
 from hil.harness.virtual_time import run_virtual
 from hil.vehicle.sim_vehicle import SimVehicle
-from hil.world.world import TICK_S, World, WorldConfig
+from hil.world.config import WorldConfig
+from hil.world.world import TICK_S, World
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.marker.layout import Marker, MarkerLayout

@@ -7,10 +7,11 @@ import math
 import pytest
 
 from hil.world.clearance import DRONE_M, clearance
+from hil.world.config import WorldConfig
 from hil.world.dynamics import CONTACT
-from hil.world.kinds import TargetKind
+from hil.world.snapshot import TargetKind
 from hil.world.targets import TargetConfig
-from hil.world.world import World, WorldConfig
+from hil.world.world import World
 from path.messages import Role
 
 

@@ -12,9 +12,10 @@ import pytest
 from drivers.interfaces import FlightMode, VelocitySetpoint
 from drivers.rig.tables import RigError, decode_table
 from flight.guidance import subtract
+from hil.world.config import HomeConfig, PositionOffsetConfig, WorldConfig
 from hil.world.errors import ErrorsConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
-from hil.world.world import HomeConfig, PositionOffsetConfig, World, WorldConfig
+from hil.world.world import World
 from path.messages import Role
 
 STILL = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)

@@ -21,7 +21,8 @@ from drivers.rig.parts import Rig, create, part_context
 from hil.autopilot.autopilot import AutopilotConfig
 from hil.autopilot.radio import RadioConfig
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
-from hil.world.world import World, WorldConfig
+from hil.world.config import WorldConfig
+from hil.world.world import World
 from missions import rig_library
 from missions.doctor import command as doctor
 from missions.doctor import vehicle as doctor_vehicle

@@ -25,8 +25,8 @@ from hil.vehicle.simulators.link import OWN_SYSID, PREARM_CHECK, SimulatorLink
 from hil.vehicle.simulators.process import SimulatorBroken
 from hil.vehicle.simulators.truth_follower import TruthFollower
 from hil.vehicle.simulators.wire import UdpWire
+from hil.world.config import WorldConfig
 from hil.world.dynamics import CONTACT, POSITION, VELOCITY
-from hil.world.world import WorldConfig
 from missions import rig_library
 from path.messages import Role
 

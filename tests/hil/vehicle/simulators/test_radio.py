@@ -18,8 +18,8 @@ from hil.autopilot.radio import HIGH_US, MIDDLE_US, RadioConfig, Transmitter, ch
 from hil.autopilot.simulator import Kind
 from hil.harness.inject import need_radios
 from hil.vehicle.simulators.radio import FAIL, FIRST_PORT, PORTS_APART, SEND_S, SET_UP, SimulatedRadio
+from hil.world.config import WorldConfig
 from hil.world.faults import FaultError, parse_faults
-from hil.world.world import WorldConfig
 from missions import rig_library
 from path.messages import Role
 
