@@ -29,7 +29,7 @@ from hil.vehicle.simulators.relay import MavlinkRelay
 from hil.vehicle.simulators.remote_autopilot import RemoteAutopilot
 from hil.vehicle.simulators.truth_follower import TruthFollower
 from hil.world.config import WorldConfig
-from hil.world.world import ROLES, SimDrone, World, receiver_off
+from hil.world.world import SimDrone, World, receiver_off
 from path.messages import Role
 
 POLL_S = 0.02
@@ -57,7 +57,7 @@ class SimulatedVehicle:
         self.config = config
         origin, home = rig.origin, world.true_home(role, seed) if config.to_start else world.home(role)
         # All of the simulation is as much higher as its GPS says too much: what is true is reckoned from there.
-        altitude_m = origin.altitude_m + world.altitude.error_m(ROLES.index(role), 0.0)
+        altitude_m = origin.altitude_m + world.altitude.error_m(list(Role).index(role), 0.0)
         tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, altitude_m)
         east, north = home.position_m
         off_n_m = receiver_off(world.position_offset, seed) if role is Role.RECEIVER else (0.0, 0.0, 0.0)
@@ -194,10 +194,10 @@ class FollowedWorld(World):
 
     def __init__(self, config: WorldConfig, seed: int, vehicles: Mapping[Role, SimulatedVehicle]) -> None:
         super().__init__(config, seed)
-        self._vehicles = {role: vehicles[role] for role in ROLES}
+        self._vehicles = {role: vehicles[role] for role in Role}
         self._drones = {
             role: SimDrone(cast("Autopilot", RemoteAutopilot(each.relay, each.link, each.radio)), self._states[i])
-            for i, (role, each) in enumerate((role, vehicles[role]) for role in ROLES)
+            for i, (role, each) in enumerate((role, vehicles[role]) for role in Role)
         }
 
     def advance(self, to_s: float) -> None:
