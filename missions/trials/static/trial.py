@@ -89,6 +89,7 @@ BREAKDOWN: tuple[tuple[str, str, tuple[Error, ...]], ...] = (
     ("depth", "scale and bias of depth alone", ("depth",)),
     ("depth_narrow", "all, and depth from the middle 8 % of the box, per side", (*ALL, "narrow")),
 )
+ALONE = ("none", "side", "optics", "mounting", "attitude_bias", "attitude_noise", "depth")
 
 
 def run(request: TrialRequest) -> TrialResult:
@@ -104,7 +105,7 @@ def run(request: TrialRequest) -> TrialResult:
     pictures = _draw(request, mounts, results)
     return TrialResult(
         summary=_summary(figures, configurations, rows, square, sightings),
-        findings=findings(figures, p95(square)),
+        findings=findings(figures, p95(square), [(title, r) for key, title, r in rows if key in ALONE]),
         noise=noise_table(_table(request)),
         tables=_tables(figures, configurations, rows),
         pictures=pictures,

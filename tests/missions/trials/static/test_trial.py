@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -129,6 +130,8 @@ def test_the_default_is_better_than_the_raw_solution(result: TrialResult):
 def test_the_papers_numbers_stand_beside_ours_and_the_noise_is_told(result: TrialResult):
     assert {"47", "38", "54", "30"} <= {finding.paper for finding in result.findings}
     assert all(f.verdict == "measured" for f in result.findings if not f.goal)
+    (target,) = (f for f in result.findings if f.quantity.startswith("target's position, mean"))
+    assert re.match(r"mean error with mounts alone \d+\.\d, .* none but image and depth noise \d+\.\d", target.note)
     assert result.noise is not None
     stated = " ".join(" ".join(row) for row in result.noise.rows)
     for part in ("0.25 %", "0.2 %", "0.3° per axis", "0.5° in roll", "scale 1 %, bias 3 mm", "5 mm at 1 m"):
