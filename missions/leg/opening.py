@@ -12,6 +12,7 @@ import cv2
 from drivers.interfaces import Clock, Link, Log, Perception, Vehicle
 from drivers.mavlink.guard.interfaces import GuardLine
 from drivers.mavlink.guard.line import UdpGuardLine
+from drivers.resident import give_back
 from drivers.rig.parts import PartSpec, Rig, RoleRig, create, part_context
 from drivers.stages import Stages
 from flight.config import MissionConfig
@@ -47,6 +48,7 @@ async def open_session(
     if own.guard is not None:
         line = guard_line_of(own.guard, role, context.clock, harness)
         guard = UnderGuard(await stack.enter_async_context(line), context.clock, config.guard_process)
+    leave_opening(harness)
     parts = (context.clock, vehicle, perception, link)
     return RoleSession(rig, role, config, log, emit, stop, parts, entropy, guard, Stages() if harness is None else None)
 
@@ -54,6 +56,15 @@ async def open_session(
 def warm_up_for(own: RoleRig, harness: InProcess | None) -> None:
     """Compiles what a drone will need, or loads it: of images nothing where its perception has no camera."""
     warm_up(images=harness is None or "camera" in own.perception.options)
+
+
+def leave_opening(harness: InProcess | None) -> None:
+    """Gives back what only the opening needed: most of it is the library that loads kernels, which is LLVM.
+
+    In the world's own process others are still at it.
+    """
+    if harness is None:
+        give_back()
 
 
 def entropy_of(name: str, clock: Clock, harness: InProcess | None) -> random.Random:

@@ -6,6 +6,7 @@ import math
 from bisect import insort
 from collections import Counter
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import NamedTuple
 
 from path.camera.model import CameraModel
@@ -150,8 +151,11 @@ class SenderCycle:
         reason = self._no_evidence(candidate, capture_ns, now_ns)
         if reason is not None:
             return self._missed(Missed(reason, ignored=True))
-        order = self._order(candidate.sequence)
-        insort(self._pending, _Pending(order, capture_ns, candidate), key=lambda pending: pending.order)
+        pending = _Pending(self._order(candidate.sequence), capture_ns, candidate)
+        if self._pending:
+            insort(self._pending, pending, key=attrgetter("order"))
+        else:
+            self._pending.append(pending)
         return None
 
     def evaluate_ready(self, now_ns: int) -> list[PairVerdict]:
@@ -189,8 +193,9 @@ class SenderCycle:
             return MissReason.STALE
         if not _is_sound(candidate):
             return MissReason.NON_FINITE
-        if any(pending.candidate.sequence == candidate.sequence for pending in self._pending):
-            return MissReason.DUPLICATE
+        for pending in self._pending:
+            if pending.candidate.sequence == candidate.sequence:
+                return MissReason.DUPLICATE
         if capture_ns - now_ns > self._max_future_ns:
             return MissReason.CLOCK
         if now_ns - capture_ns > self._max_age_ns or len(self._pending) >= MAX_PENDING:

@@ -27,7 +27,7 @@ from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
 from flight.tracking.target_track import TargetTrack
-from missions.leg.opening import entropy_of, guard_line_of, warm_up_for
+from missions.leg.opening import entropy_of, guard_line_of, leave_opening, warm_up_for
 from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, may_manoeuvre
 from missions.relay.drone.battery import Gauge
@@ -90,6 +90,7 @@ class Aboard:
         if own.guard is not None:
             line = guard_line_of(own.guard, Role.RECEIVER, context.clock, self._harness)
             guard = UnderGuard(await stack.enter_async_context(line), context.clock, self._mission.guard_process)
+        leave_opening(self._harness)
         return Parts(context.clock, vehicle, perception, guard)
 
     @property
