@@ -18,7 +18,7 @@ from hil.harness.relay_field import VirtualField
 from hil.harness.sim import mission_config
 from hil.harness.virtual_time import run_virtual
 from hil.world.check import refuse_slow
-from hil.world.errors import reported
+from hil.world.estimator import reported
 from hil.world.faults import Fault, FaultError, parse_faults
 from path.messages import Role
 

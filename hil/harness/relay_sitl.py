@@ -32,7 +32,7 @@ from hil.harness.realtime.relay_world import run_of
 from hil.harness.realtime.run import Ending, RealTimeRun
 from hil.harness.realtime.world import world_command
 from hil.world.check import refuse_slow
-from hil.world.errors import reported
+from hil.world.estimator import reported
 from hil.world.faults import Fault, FaultError, parse_faults
 from path.messages import Role
 

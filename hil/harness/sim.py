@@ -34,7 +34,8 @@ from hil.monitors.watched_log import WatchedLog
 from hil.world.check import check_world
 from hil.world.clearance import clearance
 from hil.world.config import WorldConfig, scene_of
-from hil.world.errors import Built, as_built, reported
+from hil.world.errors import Built, as_built
+from hil.world.estimator import reported
 from hil.world.faults import Fault, FaultError, parse_faults
 from hil.world.world import World
 from path.messages import Role

@@ -24,7 +24,7 @@ from hil.monitors.monitors import Monitors
 from hil.vehicle.simulators.process import binary_of
 from hil.world.check import check_world
 from hil.world.config import WorldConfig
-from hil.world.errors import reported
+from hil.world.estimator import reported
 from hil.world.faults import Fault, FaultError, parse_faults
 from path.messages import Role
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -106,12 +106,6 @@ def sizes_of(level: ErrorLevel) -> ErrorSizes:
 def level_of(rig: Rig) -> ErrorLevel:
     """Returns the level of errors that the world of a rig is drawn with."""
     return rig.world.get("errors", {}).get("level", ErrorsConfig().level)
-
-
-def reported(rig: Rig) -> dict[str, str | float]:
-    """The level of a rig's errors and every size, as a run's report has them."""
-    level = level_of(rig)
-    return {"level": level, **asdict(sizes_of(level))}
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,13 +7,15 @@ tick for all drones. One row is one drone; the columns of ``drift`` are the slic
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.world.errors import ErrorSizes
+from drivers.rig.parts import Rig
+from drivers.rig.tables import decode_table
+from hil.world.errors import ErrorSizes, level_of, sizes_of
 from path.bounds import Bounds
 from path.compiled import kernel
 
@@ -80,6 +82,16 @@ class EstimatorConfig:
             tilt_noise_deg=sizes.attitude_noise * self.tilt_noise_deg,
             yaw_noise_deg=sizes.attitude_noise * self.yaw_noise_deg,
         )
+
+
+def reported(rig: Rig) -> dict[str, str | float]:
+    """The level of a rig's errors and every size, as a report has them, and of positions where the world draws them."""
+    level = level_of(rig)
+    sizes: dict[str, str | float] = {"level": level, **asdict(sizes_of(level))}
+    if "sender_simulator" in rig.world:
+        return sizes
+    own = decode_table(rig.world.get("estimator", {}), EstimatorConfig, rig.where("world.estimator"))
+    return {**sizes, "position_m": own.position_m, "height_m": own.height_m}
 
 
 @kernel

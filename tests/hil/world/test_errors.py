@@ -18,10 +18,9 @@ from hil.world.errors import (
     StampErrors,
     as_built,
     level_of,
-    reported,
     sizes_of,
 )
-from hil.world.estimator import EstimatorConfig
+from hil.world.estimator import EstimatorConfig, reported
 from missions import rig_library
 from path.geometry.transforms import Pose
 from path.messages import Role
@@ -44,6 +43,8 @@ def test_careful_is_the_default_and_every_size_says_where_it_comes_from(rig: Rig
     said = reported(rig)
     assert said["level"] == "careful"
     assert said["mount_deg"] == 0.3
+    assert (said["position_m"], said["height_m"]) == (0.5, 1.0)
+    assert reported(rig_library.load("relay-sim"))["height_m"] == 0.4
 
 
 def test_careless_is_three_times_careful_and_exact_is_none() -> None:
