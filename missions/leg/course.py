@@ -9,9 +9,8 @@ from flight.harness.flights import RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from missions.leg.beside import keep_up, log_cpu, log_state
-from missions.leg.ends import as_end
 from missions.leg.journal import setup_record
-from missions.leg.session import RoleSession
+from missions.leg.session import RoleSession, as_end
 
 Course = Callable[[], Awaitable[None]]
 Recovery = Callable[[MissionEnd | None], Awaitable[bool]]

@@ -1,4 +1,4 @@
-"""The opening of a role's parts, and the session that is made of them."""
+"""The opening of a role's parts, the session that is made of them, and the whole program of either role of a leg."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import AsyncExitStack
 
 import cv2
 
-from drivers.interfaces import Clock, Link, Log, Perception, Vehicle
+from drivers.interfaces import Clock, Link, Log, Perception, RecordStore, Vehicle
 from drivers.mavlink.guard.interfaces import GuardLine
 from drivers.mavlink.guard.line import UdpGuardLine
 from drivers.resident import give_back
@@ -17,8 +17,12 @@ from drivers.rig.parts import PartSpec, Rig, RoleRig, create, part_context
 from drivers.stages import Stages
 from flight.config import MissionConfig
 from flight.guard.under_guard import UnderGuard
-from flight.harness.flights import Emit, InProcess
+from flight.harness.flights import Emit, InProcess, RoleResult
+from missions.leg.course import fly_course
+from missions.leg.receiver import Receiver
+from missions.leg.sender import Sender
 from missions.leg.session import RoleSession
+from missions.rig_library import mission_of
 from path.marker.warm_up import warm_up
 from path.messages import Role
 
@@ -75,3 +79,17 @@ def entropy_of(name: str, clock: Clock, harness: InProcess | None) -> random.Ran
 def guard_line_of(guard: PartSpec, role: Role, clock: Clock, harness: InProcess | None) -> GuardLine:
     """A program's way to its role's guard."""
     return UdpGuardLine(str(guard.options.get("bind", "")), clock) if harness is None else harness.guard_line(role)
+
+
+async def fly(
+    rig: Rig, role: Role, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess | None, store: RecordStore
+) -> RoleResult:
+    """Flies a role from the opening of its parts to the vehicle on the ground. Raises PartError.
+
+    Args:
+        store: keeps what it has to know after a restart.
+    """
+    async with AsyncExitStack() as stack:
+        session = await open_session(stack, rig, role, mission_of(rig), log, emit, stop, harness)
+        flown = Sender(session, store) if role is Role.SENDER else Receiver(session, store)
+        return await fly_course(session, flown.course, flown.recover)

@@ -23,7 +23,7 @@ async def fly_role(
 
 def load_program() -> RoleMain:
     """Imports the roles' program, which takes a while: who only starts processes does without."""
-    from missions.leg.role import fly  # noqa: PLC0415
+    from missions.leg.opening import fly  # noqa: PLC0415
 
     return fly
 

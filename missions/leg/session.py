@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import random
+import sys
+import traceback
 from collections.abc import Callable, Coroutine
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
 
 from drivers.interfaces import (
+    CameraError,
     Clock,
     Link,
+    LinkError,
     Log,
     Perception,
     Received,
+    StateError,
+    TakenOver,
     Vehicle,
-)
+    VehicleError,
+)  # fmt: skip
 from drivers.rig.parts import Rig, RoleRig
 from drivers.stages import Stages
 from flight.clocks import ClockAlignment, answer
@@ -27,7 +34,6 @@ from flight.harness.flights import Emit, Progress
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
-from missions.leg.ends import as_end
 from missions.leg.frames import Frames
 from missions.leg.guarding import Guarding
 from missions.leg.link_alarm import LinkAlarm
@@ -39,6 +45,13 @@ from path.protocol.values import TakeResponsibility
 _NO_STAGE = nullcontext()
 _POLL_S = 0.05
 _PROGRESS_PERIOD_S = 0.2
+_ENDS = (
+    (CameraError, Outcome.CAMERA_LOST),
+    (TakenOver, Outcome.PILOT_OVERRIDE),  # before what it is a kind of
+    (VehicleError, Outcome.VEHICLE_REFUSED),
+    (LinkError, Outcome.PEER_LOST),
+    (StateError, Outcome.STATE_LOST),
+)
 
 
 def _ignore(_: object) -> None:
@@ -305,3 +318,14 @@ class RoleSession:
     async def stopped(self) -> None:
         await self.stop.wait()
         raise MissionEnd(Outcome.INTERRUPTED, "told to stop")
+
+
+def as_end(error: BaseException) -> MissionEnd:
+    """Any error as the named end it means. Errors nobody foresaw are printed: they are bugs."""
+    if isinstance(error, MissionEnd):
+        return error
+    for kind, outcome in _ENDS:
+        if isinstance(error, kind):
+            return MissionEnd(outcome, str(error))
+    traceback.print_exception(error, file=sys.stderr)
+    return MissionEnd(Outcome.CRASHED, f"{type(error).__name__}: {error}")

@@ -11,18 +11,15 @@ from flight.harness.fleet import RelayConfig
 from flight.harness.relay import RelayReport
 from missions import rig_library
 from missions.ground_station import name_ground_station
-from missions.live.start import live
 from missions.options.flights import RelayOptions
 from missions.relay.config import relay_of
 from missions.relay.drone.life import DroneFlight, program_of
-from missions.relay.ending import Showing, Values, leave
-from missions.relay.flying import fly_on_field, hours_of, judge, tell
+from missions.relay.ending import Showing, Values
+from missions.relay.flying import carry_out, fly_on_field, hours_of, judge
 from missions.relay.ground import Tell
 from missions.relay.legs import Base
 from missions.relay.process import processes_of
 from missions.relay.report import flown_record, leg_record, relay_rows, relay_table, summarize_relay
-from missions.run_folder import unless_refused
-from missions.shown import tell_line
 
 
 def run(options: RelayOptions) -> int:
@@ -30,23 +27,13 @@ def run(options: RelayOptions) -> int:
     rig = with_errors(rig_library.load(options.rig), options.errors)
     name_ground_station(rig, options.gcs)
     config = relay_of(rig, options.drones)
-    hours = hours_of(config, options)
-    with unless_refused(options.out) as folder:
-        tell_line(f"{options.drones} drones, {hours:g} h: {folder}")
-        with live(options.live, folder):
-            summary, record = fly_relay(rig, config, options, folder, tell)
-    draw = _draw if options.picture else None
-    return leave(summary, record, folder, Showing("relay", draw, _why, relay_rows, relay_table))
+    size = f"{options.drones} drones, {hours_of(config, options):g} h"
+    showing = Showing("relay", "missions.relay.picture:draw_relay", _why, relay_rows, relay_table)
+    return carry_out(options, showing, size, partial(fly_relay, rig, config, options))
 
 
 def _why(summary: Values) -> str:
     return f"{summary['legs_handed_over']} of {summary['legs']} legs handed over"
-
-
-def _draw(record: Values, summary: Values, path: Path) -> None:
-    from missions.relay.picture import draw_relay  # noqa: PLC0415 (matplotlib takes a second to import)
-
-    draw_relay(record, summary, path)
 
 
 def fly_relay(

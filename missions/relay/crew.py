@@ -11,7 +11,7 @@ from flight.harness.fleet import RelayConfig
 from flight.harness.flights import RoleResult
 from flight.harness.relay import DroneProgram, RelayField
 from flight.outcome import Outcome
-from missions.leg.ends import as_end
+from missions.leg.session import as_end
 from missions.relay.ground import Event, Leg, TakeOffOrder, Tell, What
 from path.messages import Role
 

@@ -12,6 +12,7 @@ from typing import Any
 from rich.console import RenderableType
 
 from drivers.log.mcap_log import parts
+from drivers.rig.parts import import_factory
 from flight.harness.relay import RelayReport
 from flight.outcome import Outcome, violated_outcome
 from missions.report.command import show
@@ -46,13 +47,13 @@ class Showing:
 
     Attributes:
         name: of its command, its record and its picture.
-        draw: draws the picture of a record and a summary; None: no picture.
+        draw: ``module:function`` that draws the picture of a record and a summary.
         why: says of a summary how well it went.
         rows, table: what the page and the terminal show of a summary.
     """
 
     name: str
-    draw: Callable[[Values, Values, Path], None] | None
+    draw: str
     why: Callable[[Values], str]
     rows: Callable[[Values], list[tuple[str, str]]]
     table: Callable[[Values], RenderableType]
@@ -72,15 +73,15 @@ class Showing:
         )
 
 
-def leave(summary: Values, record: Values, folder: Path, showing: Showing) -> int:
+def leave(summary: Values, record: Values, folder: Path, showing: Showing, picture_too: bool) -> int:
     """Writes what came of a run and shows it; returns the exit code, that of a full disk where it cannot be written."""
     exit_code = int(summary["exit_code"])
     record_file, picture = folder / f"{showing.name}.json", folder / f"{showing.name}.png"
     try:
         record_file.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
-        if showing.draw is not None:
-            showing.draw(record, summary, picture)
+        if picture_too:
+            import_factory(showing.draw, "the picture")(record, summary, picture)  # matplotlib takes a second
         logs = {name: by_topic(*parts(folder, name)) for name in drone_names(folder)}
         write_page(folder / PAGE, showing.page(summary, folder), logs)
         show(showing.table(summary), sys.stdout)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,12 @@ from flight.harness.flights import Emit
 from flight.harness.relay import DroneProcesses, DroneProgram, RelayField, RelayHarness, RelayReport, RelayRequest
 from flight.outcome import Outcome
 from missions.lateness import for_lateness
+from missions.live.start import live
 from missions.options.flights import HoursOptions
 from missions.relay.crew import Crew
-from missions.relay.ending import PAGE, SUMMARY, cause_of
-from missions.relay.ground import Event
-from missions.run_folder import RunKind, claimed
+from missions.relay.ending import PAGE, SUMMARY, Showing, Values, cause_of, leave
+from missions.relay.ground import Event, Tell
+from missions.run_folder import RunKind, claimed, unless_refused
 from missions.shown import tell_line
 
 
@@ -39,6 +40,22 @@ def faults_of(texts: Sequence[str]) -> dict[int, list[str]]:
             raise PartError(f"--fault {text}: {leg!r} is no number of a leg", "write it as 3:kill_receiver@approach")
         faults.setdefault(int(leg) if colon else 0, []).append(fault if colon else text)
     return faults
+
+
+def carry_out(
+    options: HoursOptions, showing: Showing, size: str, fly: Callable[[Path, Tell], tuple[Values, Values]]
+) -> int:
+    """A relay or a team from the first take-off to the last page; returns the exit code.
+
+    Args:
+        size: how much of what is flown, for a line to the crew.
+        fly: flies it; its logs are in the folder. Returns summary and record.
+    """
+    with unless_refused(options.out) as folder:
+        tell_line(f"{size}: {folder}")
+        with live(options.live, folder):
+            summary, record = fly(folder, tell)
+    return leave(summary, record, folder, showing, options.picture)
 
 
 def fly_on_field(

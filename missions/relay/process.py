@@ -15,6 +15,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from drivers.log.state_file import StateFile
 from drivers.rig.parts import Rig
 from drivers.stop_signals import stop_on_signals
 from flight.harness.fleet import NamedDrone, RelayConfig, pair_of
-from flight.harness.flights import Emit, Progress, RoleResult, encode_event, with_log
+from flight.harness.flights import Emit, InProcess, Progress, RoleResult, encode_event, with_log
 from flight.harness.relay import OFTEN, WATCHED, DroneProcesses
 from missions import rig_library
 from missions.guard.command import watch_vehicles
@@ -93,7 +94,7 @@ def _show(progress: Progress) -> None:
     print(encode_event(progress), flush=True)
 
 
-FarFlight = Callable[[FarBase, str, Log, Emit, asyncio.Event, RecordStore], DroneFlight]
+FarFlight = Callable[[FarBase, str, Log, Emit, asyncio.Event, InProcess | None, RecordStore], DroneFlight]
 
 
 async def _fly(flight: FarFlight, name: str, log: Log, store: StateFile) -> RoleResult:
@@ -119,7 +120,7 @@ async def _fly(flight: FarFlight, name: str, log: Log, store: StateFile) -> Role
         raise SystemExit(f"{name} was never told what for")
     cv2.setNumThreads(1)  # as any role in real time
     gc.freeze()
-    return await flight(base, name, log, _show, stop, store).run()
+    return await flight(base, name, log, _show, stop, None, store).run()
 
 
 def _drone(config: RelayConfig, name: str) -> NamedDrone:
@@ -158,11 +159,7 @@ def main(config_of: Callable[[Rig, str], tuple[RelayConfig, FarFlight]]) -> None
 
 def _of_a_relay(rig: Rig, drones: str) -> tuple[RelayConfig, FarFlight]:
     config = relay_of(rig, int(drones))
-
-    def flight(base: FarBase, name: str, log: Log, emit: Emit, stop: asyncio.Event, store: RecordStore) -> DroneFlight:
-        return DroneFlight(rig, config, base, name, log, emit, stop, None, store)
-
-    return config, flight
+    return config, partial(DroneFlight, rig, config)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +10,11 @@ from drivers.rig.parts import Rig, with_errors
 from flight.harness.fleet import TeamConfig
 from missions import rig_library
 from missions.ground_station import name_ground_station
-from missions.live.start import live
 from missions.options.flights import TeamOptions
 from missions.relay.drone.life import program_of
-from missions.relay.ending import Showing, Values, leave
-from missions.relay.flying import fly_on_field, hours_of, judge, tell
+from missions.relay.ending import Showing, Values
+from missions.relay.flying import carry_out, fly_on_field, hours_of, judge
 from missions.relay.ground import Tell
-from missions.run_folder import unless_refused
-from missions.shown import tell_line
 from missions.team.base import OwnGround, TeamBase
 from missions.team.config import fenced, team_of
 from missions.team.flight import TeamFlight
@@ -30,22 +28,13 @@ def run(options: TeamOptions) -> int:
     name_ground_station(rig, options.gcs)
     config = team_of(rig, options.drones, options.targets)
     rig, hours = fenced(rig, config), hours_of(config, options)
-    with unless_refused(options.out) as folder:
-        tell_line(f"{len(config.drones)} drones, {len(config.targets)} targets, {hours:g} h: {folder}")
-        with live(options.live, folder):
-            summary, record = fly_team(rig, config, options, folder, tell)
-    draw = _draw if options.picture else None
-    return leave(summary, record, folder, Showing("team", draw, _why, team_rows, team_table))
+    size = f"{len(config.drones)} drones, {len(config.targets)} targets, {hours:g} h"
+    showing = Showing("team", "missions.team.picture:draw_team", _why, team_rows, team_table)
+    return carry_out(options, showing, size, partial(fly_team, rig, config, options))
 
 
 def _why(summary: Values) -> str:
     return f"{summary['observed_percent']['all']:.2f} % of the time observed"
-
-
-def _draw(record: Values, summary: Values, path: Path) -> None:
-    from missions.team.picture import draw_team  # noqa: PLC0415 (matplotlib takes a second to import)
-
-    draw_team(record, summary, path)
 
 
 def fly_team(

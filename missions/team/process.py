@@ -8,15 +8,13 @@ As those of a relay (``missions.relay.process``), with what a team's ground says
 
 from __future__ import annotations
 
-import asyncio
+from functools import partial
 from pathlib import Path
 
-from drivers.interfaces import Log, RecordStore
 from drivers.rig.parts import Rig
 from flight.harness.fleet import TeamConfig
-from flight.harness.flights import Emit
 from flight.harness.relay import DroneProcesses
-from missions.relay.line import FarBase, team_hear, team_news_of
+from missions.relay.line import team_hear, team_news_of
 from missions.relay.process import FarFlight, commands, main
 from missions.team.base import OwnGround, TeamBase
 from missions.team.config import team_of
@@ -36,11 +34,7 @@ def processes_of(rig: Rig, config: TeamConfig, out: Path, base: TeamBase, whole_
 def _of_a_team(rig: Rig, size: str) -> tuple[TeamConfig, FarFlight]:
     drones, _, targets = size.partition("/")
     config = team_of(rig, int(drones), int(targets))
-
-    def flight(base: FarBase, name: str, log: Log, emit: Emit, stop: asyncio.Event, store: RecordStore) -> TeamFlight:
-        return TeamFlight(rig, config, base, name, log, emit, stop, None, store)
-
-    return config, flight
+    return config, partial(TeamFlight, rig, config)
 
 
 if __name__ == "__main__":

@@ -22,8 +22,7 @@ from flight.harness.flights import Emit, InProcess, RoleResult
 from flight.harness.relay import DroneProgram
 from flight.outcome import MissionEnd, Outcome
 from missions.leg.course import close_session, conclude, run_course, run_recovery
-from missions.leg.ends import as_end
-from missions.leg.session import RoleSession
+from missions.leg.session import RoleSession, as_end
 from missions.relay.drone.aboard import Aboard
 from missions.relay.drone.records import as_first, as_holder, as_relief, write
 from missions.relay.drone.stages import Holder, Nobody, Relief

@@ -16,7 +16,7 @@ from drivers.interfaces import CameraError, LinkError, PartError, VehicleError
 from flight.harness.flights import RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
-from missions.leg.ends import as_end
+from missions.leg.session import as_end
 from path.messages import Role, Status
 from path.protocol.values import TakeResponsibility
 from tests.missions.leg.session_bench import STATE, Bench, for_ever, virtual
