@@ -23,7 +23,8 @@ from hil.geometric.kernels import (
     uniform,
 )
 from path.compiled import inner, kernel
-from path.target.place import CORRELATED_PIXELS, MAD_TO_SIGMA, MEDIAN_TO_MEAN, OUTLIER_SIGMAS
+from path.target.kernels import MAD_TO_SIGMA, OUTLIER_SIGMAS
+from path.target.place import CORRELATED_PIXELS, MEDIAN_TO_MEAN
 
 
 class TargetNoise(NamedTuple):

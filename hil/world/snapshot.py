@@ -13,7 +13,7 @@ from path.geometry.transforms import Pose
 from path.messages import Role, Vec3
 
 TargetKind = Literal["car", "person", "drone"]
-"""What can be tracked: a robot car, a person who walks, a micro-UAV."""
+"""The things that can be tracked: a robot car, a person who walks, a micro-UAV."""
 
 
 @dataclass(frozen=True, slots=True)

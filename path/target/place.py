@@ -16,12 +16,11 @@ from path.config import MethodConfig
 from path.geometry.rigid import Rigid, transform
 from path.messages import Vec3
 from path.observations import Box, Depth
+from path.target.kernels import middle
 
 ENOUGH_PIXELS = 1024  # more are thinned out: neighbours share one stereo window and say the same
 CORRELATED_PIXELS = 49.0  # pixels of one stereo matching window, about 7 x 7
-MAD_TO_SIGMA = 1.4826
 MEDIAN_TO_MEAN = 1.2533  # standard error of a median against that of a mean
-OUTLIER_SIGMAS = 3.0
 
 
 def depth_sigma(z_m: float, config: MethodConfig) -> float:
@@ -45,18 +44,15 @@ def registered_depth(depth_mm: NDArray[np.uint16], box: Box, config: MethodConfi
     patch = _central_part(depth_mm, box, config.depth_center_fraction)
     if patch is None:
         return None
-    valid = patch[(patch >= config.min_depth_m * 1000.0) & (patch <= config.max_depth_m * 1000.0)].astype(np.float64)
-    if valid.size < max(config.min_depth_pixels, config.min_depth_valid * patch.size):
+    depths_mm = patch.flatten()
+    limits_mm = config.min_depth_m * 1000.0, config.max_depth_m * 1000.0
+    valid, spread, z_mm = middle(depths_mm, *limits_mm, config.depth_sigma_at_1m_m, np.empty(depths_mm.size))
+    if valid < max(config.min_depth_pixels, config.min_depth_valid * patch.size):
         return None
-    middle = float(np.median(valid))
-    distance = np.abs(valid - middle)
-    noise_mm = 1000.0 * depth_sigma(middle / 1000.0, config)
-    spread = max(MAD_TO_SIGMA * float(np.median(distance)), noise_mm)
     if spread > 1000.0 * config.max_depth_spread_m:
         return None
-    near = valid[distance <= OUTLIER_SIGMAS * spread]
-    z_m = float(np.median(near)) / 1000.0
-    asked = box.area * config.depth_center_fraction**2 * valid.size / patch.size
+    z_m = z_mm / 1000.0
+    asked = box.area * config.depth_center_fraction**2 * valid / patch.size
     independent = max(1.0, asked / CORRELATED_PIXELS)
     return Depth(z_m, math.hypot(depth_sigma(z_m, config), MEDIAN_TO_MEAN * spread / 1000.0 / math.sqrt(independent)))
 

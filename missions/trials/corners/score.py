@@ -12,7 +12,7 @@ import numpy as np
 from missions.trials.corners.shots import CornerShot
 from missions.trials.shared.statistics import RESAMPLES, Interval, wilson
 from path.geometry.transforms import Matrix, Vector
-from path.target.place import MAD_TO_SIGMA
+from path.target.kernels import MAD_TO_SIGMA
 
 SCORE_STREAM = 3
 

@@ -40,7 +40,7 @@ from missions.trials.shared.trajectory import (
 )
 from path.geometry.rotation import R_from_yaw
 from path.messages import Role
-from path.target.place import MAD_TO_SIGMA
+from path.target.kernels import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 

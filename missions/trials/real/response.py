@@ -21,7 +21,7 @@ from flight.harness.renderer import Imaging
 from missions.trials.real.board import BoardSeen, Photograph, SetSeen
 from missions.trials.real.set import RealSet
 from path.calibration.edges import FLAT_PX, LEAST_PIXELS, PLACES, SeenEdge, mean_edge, see_edge
-from path.target.place import MAD_TO_SIGMA
+from path.target.kernels import MAD_TO_SIGMA
 
 FEWEST_EDGES = 12
 PHASES, MODEL_REACH_PX = 16, 12  # of the modelled edge: places of it in a pixel; pixels each way

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
-from path.target.place import MAD_TO_SIGMA
+from path.target.kernels import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float]

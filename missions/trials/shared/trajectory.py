@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from path.geometry.rotation import exp
-from path.target.place import MAD_TO_SIGMA
+from path.target.kernels import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 Turn = Literal["vertical", "any"]

@@ -10,8 +10,9 @@ import numpy as np
 from path.cycle import kernels as prior, warm_up
 from path.gate import kernels as pair
 from path.observations import Box
+from path.target import kernels as depth
 
-compiled = (pair.judged, pair.located, pair.offset, pair.sized, prior.projected)
+compiled = (pair.judged, pair.located, pair.offset, pair.sized, prior.projected, depth.middle)
 warm_up.warm_up_cycles()
 assert all(len(each.signatures) == 1 for each in compiled)
 warm_up.BOX = Box(*np.array((60, 60, 40, 40), np.float32))

@@ -1,0 +1,71 @@
+"""The middle of a surface's depths, compiled; ``path.target.place`` says what it means."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from path.compiled import inner, kernel
+
+MAD_TO_SIGMA = 1.4826
+OUTLIER_SIGMAS = 3.0
+
+
+@inner
+def _median(values: NDArray[np.float64], n: int) -> float:
+    """The median of the first ``n`` values, which it puts into another order (Hoare's selection)."""
+    k, low, high = n // 2, 0, n - 1
+    while low < high:
+        pivot, i, j = values[(low + high) // 2], low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if k <= j:
+            high = j
+        elif k >= i:
+            low = i
+        else:
+            break
+    if n % 2 == 1:
+        return values[k]
+    below = values[0]
+    for i in range(1, k):
+        below = max(below, values[i])
+    return (below + values[k]) / 2.0
+
+
+@kernel
+def middle(
+    depths_mm: NDArray[np.uint16], least_mm: float, most_mm: float, sigma_at_1m_m: float, room: NDArray[np.float64]
+) -> tuple[int, float, float]:
+    """The number of depths within the limits, their spread, and the median of those near their median, mm.
+
+    Args:
+        depths_mm: shape (n,), contiguous.
+        sigma_at_1m_m: standard deviation of depth at 1 m, which grows with its square: the spread is never less.
+        room: for as many numbers.
+    """
+    count = 0
+    for depth in depths_mm:
+        if least_mm <= depth <= most_mm:
+            room[count] = depth
+            count += 1
+    if count == 0:
+        return 0, 0.0, 0.0
+    about = _median(room, count)
+    for i in range(count):
+        room[i] = abs(room[i] - about)
+    about_m = about / 1000.0
+    spread = max(MAD_TO_SIGMA * _median(room, count), 1000.0 * (sigma_at_1m_m * about_m * about_m))
+    near = 0
+    for depth in depths_mm:
+        if least_mm <= depth <= most_mm and abs(depth - about) <= OUTLIER_SIGMAS * spread:
+            room[near] = depth
+            near += 1
+    return count, spread, _median(room, near)
