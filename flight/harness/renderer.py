@@ -136,6 +136,8 @@ class Printing:
         black_spread: standard deviation of black over the cells, grey levels of the light.
         shadow: "none", "soft" (a gradient of light across the plate) or "hard" (an edge of shadow across it).
         blade: a rotor blade is before the plate, blurred by its own motion.
+        picture_px: pixels across the marker in the picture that was printed, in which every cell ends with a whole one
+            as OpenCV draws it; 0 for exact edges. The outer edges of the black frame are exact either way.
 
     Raises:
         ValueError: naming the field that cannot be right.
@@ -145,6 +147,7 @@ class Printing:
     black_spread: Annotated[float, Bounds(0.0, 255.0, "grey levels")] = 0.0
     shadow: Literal["none", "soft", "hard"] = "none"
     blade: bool = False
+    picture_px: Annotated[int, Bounds(0, 100_000)] = 0
 
     def __post_init__(self) -> None:
         for name, why in out_of_bounds(self):

@@ -45,16 +45,25 @@ def marker_print(
     per_cell = 4 * round(TEXELS / (PLATE_SCALE * n) / 4)  # edges of cells are edges of texels
     border = round(0.5 * (PLATE_SCALE - 1.0) * n * per_cell)
     texel_m = side_m / (n * per_cell)
-    white = np.pad(np.kron(cells, np.ones((per_cell, per_cell))), border, constant_values=1.0)
+    shown = _shown(n, per_cell, printing.picture_px)
+    white = np.pad(cells[np.ix_(shown, shown)], border, constant_values=1.0)
     black = np.full((n, n), INK[0] / PAPER[0])
     black += print_rng.normal(0.0, printing.black_spread / PAPER[0], (n, n))
-    ink = np.pad(np.kron(black.clip(0.0, 1.0), np.ones((per_cell, per_cell))), border, mode="edge")
+    ink = np.pad(black.clip(0.0, 1.0)[np.ix_(shown, shown)], border, mode="edge")
     cover = _spread(white.astype(np.uint8), printing.ink_spread_m / texel_m)
     shade = 1.0 + cover * (ink - 1.0)
     shade *= _light(len(shade), texel_m, side_m, printing, rng)
     if printing.blade:
         shade += _blade(len(shade), texel_m, side_m, rng) * (BLADE[0] / PAPER[0] - shade)
     return np.round(255.0 * shade).astype(np.uint8)
+
+
+def _shown(n: int, per_cell: int, picture_px: int) -> NDArray[np.intp]:
+    """The cell (0 .. n - 1) that each texel of a row shows."""
+    texels = np.arange(n * per_cell)
+    if picture_px == 0:
+        return texels // per_cell
+    return np.asarray((texels * picture_px // (n * per_cell)) * n // picture_px, np.intp)
 
 
 def _spread(white: NDArray[np.uint8], spread: float) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,6 +43,7 @@ POSE_STREAM = 1
 
 
 FLAWLESS = Printing()
+COARSE = Printing(picture_px=26)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +75,9 @@ CONDITIONS = {
     "hard_shadow": Condition("hard shadow", printing=Printing(shadow="hard")),
     "ink_spread": Condition("ink spread 0.1 mm", printing=Printing(ink_spread_m=PRINTED.ink_spread_m)),
     "uneven_black": Condition("uneven black", printing=Printing(black_spread=PRINTED.black_spread)),
+    "coarse_print": Condition("coarse print", printing=COARSE),
     "realistic": Condition("realistic", REALISTIC, PRINTED),
+    "realistic_coarse": Condition("realistic, coarse print", REALISTIC, replace(PRINTED, picture_px=COARSE.picture_px)),
     "realistic_video": Condition("realistic video", REALISTIC_VIDEO, PRINTED),
     "webcam": Condition("sharp webcam", WEBCAM, PRINTED),
 }

@@ -247,6 +247,7 @@ HOW: Mapping[str, str] = {
     "h264_crf": "third frame of a moving stream, x264 veryfast, zerolatency",
     "ink_spread_m": "m over every edge; truth is where the edges were meant to be",
     "black_spread": "grey levels of light, from cell to cell",
+    "picture_px": "pixels across the picture that was printed, in which cells end with whole ones",
     "shadow": "light falls to 45 %: over one side of the marker when soft, over 1.2 mm when hard",
     "blade": "8 mm wide, 55 % opaque: it moves",
 }

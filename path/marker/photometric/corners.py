@@ -19,6 +19,7 @@ from path.marker.kernels import Array
 from path.marker.photometric.kernels import START_BLUR_PX, Statistics, finish, robust_scale, statistics, step, tones
 from path.marker.photometric.misfit import (
     COARSE,
+    EDGE_SIGMA,
     FILTERED,
     GROUPS,
     SHADOW,
@@ -44,8 +45,10 @@ STRONG_MISFIT, STRONG_CORRELATED_MISFIT = 0.055, 0.035  # residual over contrast
 LARGE_PX = 42.0  # side from which on less than that is not worth it: a pose is as good as print and lens are known
 MISFIT, CORRELATED_MISFIT = 0.025, 0.011  # residual over contrast above which it is asked what is wrong
 SHADOW_MISFIT, SHADOW_LEFT = 0.022, 0.45  # correlated misfit above which a shadow is looked for; share it may leave
-COARSE_MISFIT, COARSE_LEFT = 0.013, 0.97  # the same for inner edges that are off; the share with outliers
-LEAST_CELL_PX = 3.5  # below which inner edges cannot be told from other things, such as a second marker close by
+LEAST_OFF, LEAST_OFF_PX = 0.025, 0.12  # in cells, and px: inner edges that are off by less may be exact
+COARSE_PASSES = 3  # with what is expected of inner edges, once that is known
+COARSE_SPREAD = 2.0  # times the residual that counts, for a first pass: edges that are off far seem to be outliers
+LEAST_CELL_PX = 2.8  # below which inner edges cannot be told from other things, such as a second marker close by
 LEAST_DEPTH = 0.1  # of a shadow
 LEAST_BLUR_PX, MOST_BLUR_PX = 0.5, 0.8  # of a lens and pixel; what is beyond it is left to the filter
 MAX_FILTERED, FILTERED_BLOCK = 1000, 2  # pixels, and in squares of so many doublings: they share their surroundings
@@ -102,6 +105,7 @@ class _FitState:
     pixels: Array
     extra: Array
     groups: Flags
+    edge_sigma: float = EDGE_SIGMA
     jacobian: Array = field(default_factory=lambda: np.empty((8, 8)))
     factor: Array = field(default_factory=lambda: np.empty((0, 0)))
     residuals: Array = field(default_factory=lambda: np.empty(0))
@@ -144,10 +148,10 @@ class _FitState:
         """Mean weight of the pixels that are not saturated, 0.88 when the residuals are normal."""
         return self.statistics[0] / max(np.count_nonzero(self.residuals), 1)
 
-    def loss(self, spread: float) -> float:
-        """Size of the residuals with outliers, those far beyond ``spread`` counted as that large."""
-        squares = self.residuals**2
-        return math.sqrt(float(np.mean(squares / (1.0 + squares / spread**2))))
+    @property
+    def edges_off(self) -> float:
+        """By how much the inner edges are off, rms in cells."""
+        return math.sqrt(float(np.mean(self.extra[TAPS:-SHADOW] ** 2)))
 
     @property
     def misfit(self) -> float:
@@ -281,12 +285,28 @@ def _fit_misfit(state: _FitState) -> _FitState:
         better = _tried(state, SHADOWED)
     if better is None or better.misfit > SHADOW_LEFT * state.misfit or better.noise > state.noise:
         better = _filtered_or_ideal(state)
-    large = better.area_px2 > (LEAST_CELL_PX * better.n) ** 2
-    if large and (better.correlated_misfit > COARSE_MISFIT or better.share_used < SHARE_USED):
-        coarse = _tried(better, COARSE)
-        if coarse is not None and coarse.loss(better.spread) < COARSE_LEFT * better.loss(better.spread):
-            return coarse
-    return better
+    return _of_coarse_print(better) or better
+
+
+def _of_coarse_print(state: _FitState) -> _FitState | None:
+    """The fit whose inner edges are free, None where they are not off by more than noise makes them.
+
+    They are found first, whatever they are; how far they are off together is what is then expected of each, the less
+    the more the residual is correlated: as many pixels as it seems do not tell an edge.
+    """
+    cell_px = math.sqrt(state.area_px2) / state.n
+    loose = _tried(state, COARSE) if cell_px > LEAST_CELL_PX else None
+    if loose is None or loose.edges_off < max(LEAST_OFF, LEAST_OFF_PX / cell_px):
+        return None
+    own, correlation = loose.copy(), loose.statistics[3]
+    own.edge_sigma = loose.edges_off * (1.0 - correlation) / (1.0 + correlation)
+    rays, at = _places(own)
+    for _ in range(COARSE_PASSES):
+        if not _misfit_pass(own, rays, at):
+            return loose
+        if own.moved < SETTLED_PX:
+            break
+    return own if own.moved < UNSETTLED_PX else loose
 
 
 def _filtered_or_ideal(state: _FitState) -> _FitState:
@@ -308,13 +328,15 @@ def _tried(state: _FitState, group: int) -> _FitState | None:
     if group == SHADOWED and not _look_for_shadow(own):
         return None
     own.groups[group] = True
-    if group != COARSE:  # a print needs no filter, which would only bend it
+    if group == COARSE:
+        own.spread *= COARSE_SPREAD
+    else:  # a print needs no filter, which would only bend it
         own.groups[FILTERED] = True
         own.theta[BLUR] = min(max(own.theta[BLUR], LEAST_BLUR_PX), MOST_BLUR_PX)
     much = group != FILTERED or state.misfit > STRONG_MISFIT
     if not own.gather(own.theta[BLUR] + FILTER_REACH_PX, MAX_PIXELS if much else MAX_FILTERED, FILTERED_BLOCK):
         return None
-    rays, at = stencil(own.pixels, own.frame, own.lens) if own.groups[FILTERED] else own_places(own.pixels)
+    rays, at = _places(own)
     for attempt in range(MAX_MORE_PASSES if much else MAX_FEW_PASSES):
         if not _misfit_pass(own, rays, at):
             return None
@@ -332,8 +354,12 @@ def _look_for_shadow(state: _FitState) -> bool:
     return beside > 0.0
 
 
+def _places(state: _FitState) -> tuple[Array, Indices]:
+    return stencil(state.pixels, state.frame, state.lens) if state.groups[FILTERED] else own_places(state.pixels)
+
+
 def _misfit_pass(state: _FitState, rays: Array, at: Indices) -> bool:
-    used, sigmas = used_unknowns(state.groups, state.n)
+    used, sigmas = used_unknowns(state.groups, state.n, state.edge_sigma)
     normal = np.empty((UNKNOWNS + len(used), UNKNOWNS + len(used) + 1))
     state.residuals = np.empty(len(state.pixels))
     rows = model(rays, state.theta, state.extra, state.groups, state.frame, state.cells, state.edges)

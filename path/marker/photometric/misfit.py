@@ -29,7 +29,7 @@ Places = NDArray[np.int64]
 GROUPS = 3
 FILTERED, COARSE, SHADOWED = 0, 1, 2
 TAPS, SHADOW = 6, 4
-FILTER_SIGMA, EDGE_SIGMA = 0.3, 0.02  # deviations expected: of taps, and in cells
+FILTER_SIGMA, EDGE_SIGMA = 0.3, 0.05  # deviations expected: of taps, and in cells
 
 _DU = np.array([1, 2, 0, 0, 1, 1])
 _DV = np.array([0, 0, 1, 2, 1, -1])
@@ -181,10 +181,13 @@ def accumulate_filtered(
     add_last(block, filled, normal)
 
 
-def used_unknowns(groups: Flags, cells: int) -> tuple[Places, Array]:
-    """Places in ``extra`` of the unknowns of some groups, in order, and the deviations expected of them (0: any)."""
+def used_unknowns(groups: Flags, cells: int, edge_sigma: float = EDGE_SIGMA) -> tuple[Places, Array]:
+    """Places in ``extra`` of the unknowns of some groups, in order, and the deviations expected of them (0: any).
+
+    ``edge_sigma`` is that of inner edges, in cells.
+    """
     offsets = 2 * (cells - 1)
-    counts, sigmas = (TAPS, offsets, SHADOW), (FILTER_SIGMA, EDGE_SIGMA, 0.0)
+    counts, sigmas = (TAPS, offsets, SHADOW), (FILTER_SIGMA, edge_sigma, 0.0)
     all_sigmas = np.repeat(sigmas, counts)
     used = np.flatnonzero(np.repeat(groups[: len(counts)], counts))
     return used, all_sigmas[used]

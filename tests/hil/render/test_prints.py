@@ -77,6 +77,18 @@ def test_black_differs_from_cell_to_cell_and_stays_with_the_print() -> None:
     assert np.mean(plates[0][middle, middle] == plates[1][middle, middle]) > 0.5  # everywhere but under the two blades
 
 
+def test_cells_of_a_picture_of_few_pixels_end_with_whole_ones_and_the_frame_stays() -> None:
+    """As OpenCV draws a marker of 16 pixels: six cells of 3, 3, 2, 3, 3 and 2 pixels."""
+    checked = (np.indices(CELLS.shape).sum(axis=0) % 2).astype(float)
+    exact, coarse = plate(Printing(), checked), plate(Printing(picture_px=16), checked)
+    border, per_cell = len(exact) // 6, len(exact) // 9
+    row = coarse[border + per_cell // 4, border:-border]
+    ends = (np.flatnonzero(np.diff(row)) + 1) / len(row) * 16.0
+    assert ends == pytest.approx([3.0, 6.0, 8.0, 11.0, 14.0], abs=0.03)
+    for shades in (exact, coarse):
+        assert np.all(shades[: border - 1] == 255.0) and np.all(shades[:, : border - 1] == 255.0)
+
+
 @pytest.mark.parametrize(("kind", "narrowest_m", "widest_m"), [("soft", 0.02, 0.045), ("hard", 0.0005, 0.0015)])
 def test_a_shadow_takes_light_away_over_its_own_width(kind: str, narrowest_m: float, widest_m: float) -> None:
     light = plate(Printing(shadow=kind), np.ones_like(CELLS)) / 255.0  # type: ignore[arg-type]

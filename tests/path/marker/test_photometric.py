@@ -16,7 +16,7 @@ from path.geometry import rotation
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.marker.photometric.corners import PhotometricFit, fit
-from path.marker.photometric.misfit import FILTERED, SHADOWED, TAPS, model
+from path.marker.photometric.misfit import COARSE, FILTERED, SHADOWED, TAPS, model
 from path.marker.photometric.pattern import UNKNOWNS
 from path.marker.photometric.texture import cells
 from tests.path.marker.scene import HD, VGA, Optics, random_view, region_around, render, true_corners
@@ -215,23 +215,37 @@ def test_the_edge_of_a_shadow_is_found():
             assert error < 0.5 * float(np.sqrt(np.mean((plain.corners_px - truth) ** 2)))
 
 
-def test_inner_edges_that_are_off_are_found_or_may_be_told():
-    """A picture of 46 pixels across was printed: cells of 8, 8, 7, 8, 8, 7 pixels."""
-    ends = np.ceil(np.arange(7.0) * 46.0 / 6.0 - 1e-9) * 6.0 / 46.0
+@pytest.mark.parametrize("picture_px", [26, 46])
+def test_inner_edges_that_are_off_are_found_or_may_be_told(picture_px: int):
+    """A picture of few pixels across was printed: of 46, cells of 8, 8, 7, 8, 8, 7 pixels."""
+    ends = np.ceil(np.arange(7.0) * picture_px / 6.0 - 1e-9) * 6.0 / picture_px
     told = np.stack([ends, ends])
-    found, plain, known = [], [], []
+    found, plain, known, surprise = [], [], [], []
     for seed in range(6):
         rng = np.random.default_rng(seed)
         image, truth = coarse_print(ends, rng)
         start = truth + rng.uniform(-0.4, 0.4, (4, 2))
-        fits = (fit(image, (0, 0), start, STRAIGHT, CELLS, edges, ideal=ideal) for edges, ideal in (
-            (None, False), (None, True), (told, True)))  # fmt: skip
+        fits = [fit(image, (0, 0), start, STRAIGHT, CELLS, edges, ideal=ideal) for edges, ideal in (
+            (None, False), (None, True), (told, True))]  # fmt: skip
         for errors, fitted in zip((found, plain, known), fits, strict=True):
             assert fitted is not None
             errors.append(fitted.corners_px - truth)
+        assert fits[0] is not None and fits[0].wrong == (False, True, False)
+        surprise.append(Sample(found[-1], 0.0, fits[0]).surprise)
     off = [float(np.sqrt(np.mean(np.square(errors)))) for errors in (found, plain, known)]
-    assert off[0] < 0.6 * off[1]
+    assert off[0] < min(0.02, 0.2 * off[1])
     assert off[2] < 0.03
+    assert np.mean(surprise) < 2.5
+
+
+def test_edges_that_are_exact_are_not_taken_for_a_coarse_print():
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        image, truth = coarse_print(np.arange(7.0), rng)
+        sharp = image + 1.0 * (image - cv2.GaussianBlur(image.astype(np.float64), (0, 0), 1.1))
+        grey = np.clip(np.rint(sharp), 0.0, 255.0).astype(np.uint8)
+        fitted = fit(grey, (0, 0), truth + rng.uniform(-0.4, 0.4, (4, 2)), STRAIGHT, CELLS)
+        assert fitted is not None and not fitted.wrong[COARSE]
 
 
 def coarse_print(ends: NDArray[np.float64], rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
