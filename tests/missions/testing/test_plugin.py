@@ -54,11 +54,13 @@ def test_no_such_fault(path_flights):
 def suite(pytester: pytest.Pytester) -> pytest.Pytester:
     pytester.makepyfile(hover=MISSION, clash=CLASH, test_field=TESTS)
     pytester.makeini("[pytest]\nfilterwarnings = error\n")
+    meet = 'name = "meet"\nlike = "sim"\n[world.estimator]\nposition_m = 0.05\n'  # two that fly to one place
+    (pytester.path / "meet.toml").write_text(meet, "utf-8")
     return pytester
 
 
 def test_a_monitor_fails_a_test_and_only_failed_runs_are_kept_and_named(suite: pytest.Pytester) -> None:
-    result = suite.runpytest_subprocess("-p", PLUGIN, "--path-rig", "sim", "--path-runs", "kept")
+    result = suite.runpytest_subprocess("-p", PLUGIN, "--path-rig", "meet.toml", "--path-runs", "kept")
     result.assert_outcomes(passed=2, failed=3)
     result.stdout.fnmatch_lines_random([
         "*a safety monitor was violated*", "*S9 at * separation *", "*kept/test_field.py_test_too_near/run-1*",
