@@ -14,13 +14,11 @@ from drivers.rig.parts import Rig
 from flight.config import MissionConfig
 from flight.rendezvous.marker_view import MarkerFix, VehicleMotions
 from flight.tracking.association import Sighting
-from path.camera.model import CameraModel
 from path.cycle.prior import Prior
 from path.cycle.sender import PairVerdict
 from path.gate.agreement import Agreed
 from path.gate.identity import nearest_rival
 from path.gate.window import Evidence, Gate
-from path.geometry.rigid import transform_back
 from path.geometry.rotation import quat_from_R
 from path.geometry.transforms import Matrix, Pose
 from path.messages import Candidate, Role, Target
@@ -218,16 +216,10 @@ def motion_record(
     }
 
 
-def candidate_record(
-    candidate: Candidate, prior: Prior | Missed, camera: CameraModel, found: Sequence[Detection]
-) -> dict[str, Any]:
+def candidate_record(candidate: Candidate, prior: Prior | Missed, found: Sequence[Detection]) -> dict[str, Any]:
     """``/candidate``: what D2 answered for one frame."""
     looked = isinstance(prior, Prior)
     region = prior.region if looked else None
-    point_v_m = None
-    if looked:
-        x, y = camera.ray(*prior.pixel)
-        point_v_m = transform_back(prior.T_c2_v, (x * prior.depth_m, y * prior.depth_m, prior.depth_m))
     return {
         "epoch": candidate.epoch,
         "sequence": candidate.sequence,
@@ -238,7 +230,7 @@ def candidate_record(
         "position_v_m": candidate.position_v_m,
         "rotation_v_c2": candidate.rotation_v_c2,
         "sigma_m": candidate.sigma_m,
-        "point_v_m": point_v_m,
+        "point_v_m": prior.point_v_m if looked else None,
         "prior_px": prior.pixel if looked else None,
         "region": [region.x0, region.y0, region.x1, region.y1] if region else None,
         "found": [{"box": box_record(each.box), "score": each.score} for each in found],

@@ -286,7 +286,7 @@ class Receiver:
         with session.stage("link"):
             session.link.send(candidate)
         with session.stage("log"):
-            session.log.write("/candidate", stamp_ns, candidate_record(candidate, prior, self._camera, found))
+            session.log.write("/candidate", stamp_ns, candidate_record(candidate, prior, found))
         if candidate.box is not None and isinstance(prior, Prior):
             with session.stage("depth"):
                 self._note_found(view, T_n_c, candidate, prior)

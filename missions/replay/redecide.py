@@ -210,7 +210,6 @@ class _ReceiverReplay:
 
     def __init__(self, setup: Record, method: MethodConfig, perceiver: ReceiverPerceiver | None) -> None:
         self._setup, self._method, self._perceiver = setup, method, perceiver
-        self._camera = camera_of(setup["camera"])
         self._cycle: ReceiverCycle | None = None
         self._newest: dict[str, Record] = {}
 
@@ -235,7 +234,7 @@ class _ReceiverReplay:
         setup = self._setup
         x, y, z = pose_of(setup["T_v_c1"]).t.tolist()
         self._cycle = ReceiverCycle(
-            self._camera,
+            camera_of(setup["camera"]),
             self._method,
             handoff_id=attempt["handoff_id"],
             epoch=attempt["epoch"],
@@ -253,7 +252,7 @@ class _ReceiverReplay:
         candidate = cycle.candidate(self._newest["/frame"]["frame_id"], stamp_ns, found, prior)
         if isinstance(candidate, Missed):
             return None
-        return as_logged(candidate_record(candidate, prior, self._camera, found))
+        return as_logged(candidate_record(candidate, prior, found))
 
     def _fix(self) -> tuple[Pose, Matrix] | Missed:
         """The marker's pose in the newest frame as logged, with its covariance."""

@@ -39,6 +39,7 @@ class Prior(NamedTuple):
         target_sequence: the newest Target message it rests on.
         T_c2_v: the pose it was made with.
         pose_sigma_m: standard deviation per axis of D2's position in ``v``.
+        point_v_m: the target's point then.
     """
 
     pixel: tuple[float, float]
@@ -48,6 +49,7 @@ class Prior(NamedTuple):
     target_sequence: int
     T_c2_v: Rigid
     pose_sigma_m: float
+    point_v_m: Vec3
 
     def distance2(self, u: float, v: float) -> float:
         """Squared Mahalanobis distance of a pixel from the prior."""
@@ -116,4 +118,4 @@ def predict(
     half_v = max(half_v + 0.5 * box_size_at_1m_px[1] / z_m, config.min_search_px)
     reach_m = TARGET_REACH_M + config.search_sigmas * math.hypot(range_sigma_m, point_sigma_m)
     region = Region(u - half_u, v - half_v, u + half_u, v + half_v, max(0.0, z_m - reach_m), z_m + reach_m)
-    return Prior((u, v), z_m, (uu, uv, vv), region, target_sequence, T_c2_v, pose_sigma_m)
+    return Prior((u, v), z_m, (uu, uv, vv), region, target_sequence, T_c2_v, pose_sigma_m, point_v)

@@ -175,7 +175,7 @@ class FilmedReceiver:
         candidate = cycle.candidate(view.frame_id, stamp_ns, found, prior)
         if isinstance(candidate, Missed):
             return None
-        log.write("/candidate", stamp_ns, candidate_record(candidate, prior, self._rig.receiver.camera, found))
+        log.write("/candidate", stamp_ns, candidate_record(candidate, prior, found))
         return candidate
 
     def _motion(self, stamp_ns: int) -> VehicleMotions:

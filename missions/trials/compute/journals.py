@@ -19,7 +19,6 @@ from missions.leg.journal import (
     motion_record,
     target_record,
 )
-from path.camera.model import CameraModel
 from path.cycle.prior import Prior
 from path.cycle.sender import PairVerdict
 from path.gate.evidence import Gate
@@ -34,8 +33,8 @@ TARGET_ID = 1
 class Journals:
     """The logs of a pair of drones that verify."""
 
-    def __init__(self, logs: Mapping[Role, Log], needed: int, camera2: CameraModel) -> None:
-        self._logs, self._needed, self._camera2 = logs, needed, camera2
+    def __init__(self, logs: Mapping[Role, Log], needed: int) -> None:
+        self._logs, self._needed = logs, needed
 
     def sender(
         self,
@@ -81,4 +80,4 @@ class Journals:
         marker = marker_record(stamp_ns, position, rotation, sigma_m, fix.side_px, fix.detections[0])
         log.write("/marker", stamp_ns, marker)
         log.write("/motion", stamp_ns, motion_record(motion, *attitudes, fix))
-        log.write("/candidate", stamp_ns, candidate_record(candidate, prior, self._camera2, found))
+        log.write("/candidate", stamp_ns, candidate_record(candidate, prior, found))

@@ -58,7 +58,7 @@ class PathPair:
 
     def __init__(self, rig: Rig, mission: MissionConfig, film: Film, seed: int, logs: Mapping[Role, Log]) -> None:
         self._rig, self._film = rig, film
-        self._journals = Journals(logs, rig.method.needed_pairs, film.cameras[Role.RECEIVER])
+        self._journals = Journals(logs, rig.method.needed_pairs)
         self._motion: VehicleMotions | None = None
         self._pairs: Sequence[PairVerdict] = ()
         self._mounts = {role: rig.role(role).mount for role in Role}

@@ -263,7 +263,7 @@ def test_the_targets_place_is_kept_for_the_heading() -> None:
     assert watch.view.target_n_m is None
     pixel = CAMERA.project_point((0.3, 0.4, 2.0))
     region = Region(0.0, 0.0, 1.0, 1.0)
-    watch.view.note_target(Prior(pixel, 2.0, (1.0, 0.0, 1.0), region, 1, rigid(NEAR), 0.01), R_N_C)
+    watch.view.note_target(Prior(pixel, 2.0, (1.0, 0.0, 1.0), region, 1, rigid(NEAR), 0.01, (0.0, 0.0, 1.0)), R_N_C)
     assert watch.view.target_n_m == pytest.approx(tuple((R_N_C @ (0.3, 0.4, 2.0)).tolist()), abs=1e-6)
 
 

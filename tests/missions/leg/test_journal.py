@@ -25,7 +25,7 @@ from path.cycle.prior import Prior
 from path.cycle.sender import PairVerdict
 from path.gate.agreement import Agreed
 from path.gate.window import Evidence
-from path.geometry.rigid import rigid
+from path.geometry.rigid import rigid, transform_back
 from path.geometry.rotation import R_from_rpy
 from path.geometry.transforms import Pose
 from path.messages import Candidate, Target
@@ -39,7 +39,14 @@ NONE = Candidate(1, 2, 3, 6, 77, 457, None, MissReason.NO_CANDIDATE, (0.0, 0.1, 
 MISSED = Missed(MissReason.NO_MARKER)
 POSE = Pose(R_from_rpy(0.2, -0.4, 1.0), np.array([0.3, -0.1, 1.4]))
 PRIOR = Prior(
-    CAMERA.project_point((0.2, 0.1, 2.0)), 2.0, (4.0, 0.0, 4.0), Region(1.0, 2.0, 3.0, 4.0), 77, rigid(POSE), 0.01
+    CAMERA.project_point((0.2, 0.1, 2.0)),
+    2.0,
+    (4.0, 0.0, 4.0),
+    Region(1.0, 2.0, 3.0, 4.0),
+    77,
+    rigid(POSE),
+    0.01,
+    transform_back(rigid(POSE), (0.2, 0.1, 2.0)),
 )
 
 
@@ -104,7 +111,7 @@ def test_a_gap_in_the_answers_has_no_candidate() -> None:
 
 
 def test_a_candidate_with_its_prior() -> None:
-    record = candidate_record(FOUND, PRIOR, CAMERA, [Detection(BOX, 0.9)])
+    record = candidate_record(FOUND, PRIOR, [Detection(BOX, 0.9)])
     check("/candidate", record)
     assert record["region"] == [1.0, 2.0, 3.0, 4.0]
     assert record["box"] == [10.0, 20.0, 30.0, 40.0]
@@ -113,7 +120,7 @@ def test_a_candidate_with_its_prior() -> None:
 
 
 def test_a_candidate_without_a_prior_says_why() -> None:
-    record = candidate_record(NONE, MISSED, CAMERA, [])
+    record = candidate_record(NONE, MISSED, [])
     check("/candidate", record)
     assert (record["reason"], record["box"]) == ("no_candidate", None)
     assert (record["prior_px"], record["region"], record["point_v_m"]) == (None, None, None)
@@ -137,7 +144,7 @@ def test_the_records_survive_the_log(tmp_path: Path) -> None:
     found = MarkerDetection(0, np.arange(8.0).reshape(4, 2), np.eye(8))
     with McapLog(tmp_path / "x.mcap") as log:
         log.write("/marker", 5, marker_record(5, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), 0.01, 24.0, found))
-        log.write("/candidate", 6, candidate_record(FOUND, PRIOR, CAMERA, [Detection(BOX, 0.9)]))
+        log.write("/candidate", 6, candidate_record(FOUND, PRIOR, [Detection(BOX, 0.9)]))
         assert log.failed is None
     marker, candidate = read_log(tmp_path / "x.mcap")
     assert marker.record["corners_px"][6:] == [6.0, 7.0]
