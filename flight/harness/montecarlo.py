@@ -186,13 +186,15 @@ class Telling:
     """Tells a gate what D1's cycle would have told it, from a series that grows. One instance for one gate.
 
     Attributes:
-        done: the entry with which the gate was complete for the first time; None until then. Nothing is told after it.
+        done: the pair with which the gate was complete for the first time; None until then. Nothing is told after it.
+            By the same frame D1 may have judged entries after it that changed nothing, such as a miss.
     """
 
     def __init__(self, gate: Gate, method: MethodConfig) -> None:
         self.gate, self._method = gate, method
         self._told = 0
         self._judged_ns: int | None = None
+        self._agreed: int | None = None  # the newest pair that the gate counted
         self.done: int | None = None
 
     def on(self, series: Series) -> int | None:
@@ -211,7 +213,7 @@ class Telling:
         for k, (kind, now_ns, sequence, capture_ns, own, iou, z_m, sigma_m, agreed) in enumerate(entries, first):
             # D1 looks once it has judged all that came in by a frame
             if now_ns != self._judged_ns and gate.complete:
-                self.done = k - 1
+                self.done = self._agreed
                 return self.done
             self._judged_ns = now_ns
             if kind == OWN_MISS:
@@ -222,17 +224,18 @@ class Telling:
                 frames = (own[0], own[1]), (own[2], own[3])
                 offsets, oversize = series.offsets.get(k), series.oversize.get(k, 0.0)
                 pair = FramePair(sequence, capture_ns, frames, offsets, oversize, series.placed_iou.get(k))
-                gate.agree(pair, iou, threshold(z_m, method))
+                if gate.agree(pair, iou, threshold(z_m, method)) is None:
+                    self._agreed = k
             else:
                 compared = kind == PAIR and sigma_m <= method.pose_sigma_limit_m
                 gate.disagree(sequence, capture_ns, strength(iou, threshold(z_m, method)) if compared else None)
         if gate.complete:
-            self.done = len(series) - 1
+            self.done = self._agreed
         return self.done
 
 
 def tell(series: Series, gate: Gate, method: MethodConfig) -> int | None:
-    """Tell a gate what D1's cycle would have told it; the entry with which it was complete, None when it never was."""
+    """Tell a gate what D1's cycle would have told it; the pair with which it was complete, None when it never was."""
     return Telling(gate, method).on(series)
 
 

@@ -31,7 +31,7 @@ from path.config import BoxMapping, MethodConfig
 from path.cycle.prior import Prior
 from path.cycle.receiver import ReceiverCycle
 from path.cycle.sender import PairVerdict, SenderCycle
-from path.gate.agreement import TwoViews, depth_in, iou, map_box
+from path.gate.agreement import Agreed, TwoViews, depth_in, iou, map_box
 from path.gate.window import AgreementWindow, Offsets
 from path.geometry.rigid import rigid, rigid_from_quat
 from path.geometry.rotation import normalized
@@ -49,7 +49,7 @@ BOTH: tuple[BoxMapping, BoxMapping] = ("center", "corner")
 class CyclesRun:
     """The entries that D1's window was given, and the time that was run.
 
-    ``done``: the entry with which it was complete for the first time; None when it never was.
+    ``done``: the pair with which it was complete for the first time; None when it never was.
     """
 
     series: Series
@@ -123,7 +123,7 @@ class _Cycles:
             if kind == SENDER_FRAME:
                 self._sender_frame(which, now_ns)
                 if self.done is None and self._window.complete:
-                    self.done = len(self.record) - 1
+                    self.done = self.record.agreed
                 if self.done is not None and not whole:
                     return True
             elif kind == RECEIVER_FRAME:
@@ -188,11 +188,13 @@ class _Record:
     """The gate's input as a series: scores are those of both mappings, whatever the verdict.
 
     ``whose``: object of D2's box by sequence; ``own_whose``: of D1's by frame.
+    ``agreed``: the newest pair that the gate counted.
     """
 
     def __init__(self, views: TwoViews, mapping: BoxMapping) -> None:
         self.whose: dict[int, int] = {}
         self.own_whose: dict[int, int] = {}
+        self.agreed: int | None = None
         self._views = views
         self._other: BoxMapping = BOTH[1 - BOTH.index(mapping)]
         self._rows: list[tuple[int, ...]] = []  # that are in no array yet
@@ -228,6 +230,8 @@ class _Record:
         if pair.offsets is not None:
             self._offsets[len(self) - 1] = pair.offsets
         self._oversize[len(self) - 1] = pair.oversize
+        if isinstance(verdict, Agreed):
+            self.agreed = len(self) - 1
         if pair.placed_iou is not None:
             self._placed_iou[len(self) - 1] = pair.placed_iou
 

@@ -118,16 +118,18 @@ def _decide(kind, usable, now, sequence, capture, own, iou, z, right, settings, 
         mapping, low, high, z0 = int(settings[row, 0]), settings[row, 1], settings[row, 2], settings[row, 3]
         window[:] = 0
         window[_PEER] = window[_OWN] = window[_FLOOR] = NEVER
+        newest = False  # whether the newest pair that counted is right
         for k in range(kind.size):
             if k > 0 and now[k] != now[k - 1]:  # D1 looks once it has judged what came in
-                _look(window, frames, hold, right[k - 1], commit[row])
+                _look(window, frames, hold, newest, commit[row])
             if kind[k] == OWN_MISS:
                 window[_COUNT], window[_FLOOR] = 0, max(window[_FLOOR], capture[k])
                 continue
             tau = low + (high - low) * min(1.0, (z0 / z[k]) ** 2) if usable[k] else np.inf
-            _tell(window, iou[k, mapping] >= tau, sequence[k], capture[k], own[k], max_gap)
+            if _tell(window, iou[k, mapping] >= tau, sequence[k], capture[k], own[k], max_gap):
+                newest = right[k]
         if kind.size:
-            _look(window, frames, hold, right[-1], commit[row])
+            _look(window, frames, hold, newest, commit[row])
 
 
 @njit(cache=True, nogil=True)
@@ -140,23 +142,24 @@ def _look(window, frames, hold, right, commit):
 
 @njit(cache=True, nogil=True)
 def _tell(window, agrees, sequence, capture, own, max_gap):
-    """A frame of D2: ``AgreementWindow.expire``, then ``agree`` or ``disagree``."""
+    """A frame of D2: ``AgreementWindow.expire``, then ``agree`` or ``disagree``. Returns whether it counts."""
     if window[_COUNT] > 0 and capture - window[_LAST] > max_gap:
         window[_COUNT] = 0
     number = sequence
     if window[_PEER] != NEVER:
         number = window[_PEER] + (sequence - window[_PEER] + SERIAL // 2) % SERIAL - SERIAL // 2
     if number <= window[_PEER]:
-        return
+        return False
     window[_PEER] = number
     if not agrees:
         window[_COUNT], window[_FLOOR] = 0, max(window[_FLOOR], capture)
-        return
+        return False
     first = 0 if own[0] > window[_OWN] else 2
     if capture <= window[_FLOOR] or own[first] <= window[_OWN]:
-        return
+        return False
     window[_OWN], window[_FLOOR] = own[first], capture
     window[_LAST], window[_LAST + 1] = capture, own[first + 1]
     if window[_COUNT] == 0:
         window[_FIRST], window[_FIRST + 1] = window[_LAST], window[_LAST + 1]
     window[_COUNT] += 1
+    return True

@@ -37,7 +37,7 @@ from missions.trials.recall.handovers import (
 )
 from missions.trials.shared.trial import TrialRequest, trial_part
 from missions.work import open_work
-from path.config import MethodConfig
+from path.config import GateKind, MethodConfig
 from path.gate.evidence import make_gate
 from path.gate.window import Offsets
 from path.observations import MissReason
@@ -154,6 +154,21 @@ def test_a_growing_series_is_told_as_the_whole_one() -> None:
         assert telling.done == tell(seen, make_gate(own), own)
         # offsets were not told: the gate "evidence" knows nothing of the object
         assert (telling.done is None) == (kind == "evidence")
+
+
+@pytest.mark.parametrize("kind", GATES)
+def test_an_entry_that_says_nothing_does_not_decide_because_it_is_judged_with_the_pair_that_does(
+    kind: GateKind,
+) -> None:
+    """One frame of D1 lets it judge both. A miss costs no evidence, and the count ignores a frame that comes again."""
+    own = replace(METHOD, gate=kind, hold_frames=40, hold_s=0.5)
+    series = replace(series_of(200), right=np.ones(200, bool), offsets={k: Offsets((0.01, 0.0)) for k in range(200)})
+    done = tell(series, make_gate(own), own)
+    assert done is not None
+    series.kind[done + 1], series.right[done + 1], series.now_ns[done] = MISS, False, series.now_ns[done + 1]
+    if kind == "count":
+        series.sequence[done + 1] = series.sequence[done]
+    assert tell(series, make_gate(own), own) == done
 
 
 def first(series: Series, count: int) -> Series:
