@@ -86,14 +86,7 @@ async def one_leg(run: RealTimeRun) -> None:
     for name in ENDS:
         await run.start_guard(name)
     run.legs.open_leg(LEG, *ENDS)
-    flights = [asyncio.ensure_future(run.fly(name)) for name in ENDS]
-    try:
-        await asyncio.gather(*flights)
-    finally:  # a program that had just begun has ended, too, before this has
-        for flight in flights:
-            if not flight.cancelling():
-                flight.cancel()
-        await asyncio.gather(*flights, return_exceptions=True)
+    await asyncio.gather(*(run.fly(name) for name in ENDS))
 
 
 def orders_of(request: FlightRequest, shares: Mapping[str, CpuShare]) -> Orders:

@@ -125,6 +125,7 @@ class LivePrograms:
         self.children: list[Child] = []
         self.world: Child
         self._awaited = set(orders.awaited)
+        self._beginning: set[asyncio.Task[Any]] = set()
         self._coming: set[asyncio.Task[Any]] = set()
 
     async def fly(self, name: str) -> RoleResult | None:
@@ -176,15 +177,24 @@ class LivePrograms:
         return last_words(self._orders.out / f"{name}.stderr.txt")
 
     async def close(self) -> None:
-        for task in self._coming:
-            task.cancel()
-        await asyncio.gather(*self._coming, return_exceptions=True)
+        begun = [*self._coming, *self._beginning]
+        for task in begun:
+            if not task.cancelling():  # twice would not let it end the process that it has just started
+                task.cancel()
+        await asyncio.gather(*begun, return_exceptions=True)
         await end(self.children)
 
     # --- what is heard and told ---
 
     async def spawn(self, command: Command, name: str, shares: str = "") -> Child:
-        child = await spawn(command, self._orders.out / f"{name}.stderr.txt", shares)
+        """Starts a process; the run is not over before whoever is at it."""
+        task = asyncio.current_task()
+        assert task is not None
+        self._beginning.add(task)
+        try:
+            child = await spawn(command, self._orders.out / f"{name}.stderr.txt", shares)
+        finally:
+            self._beginning.discard(task)
         self.children.append(child)
         return child
 

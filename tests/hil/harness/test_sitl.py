@@ -266,6 +266,35 @@ def test_a_world_that_dies_in_flight_is_the_harness_s_failure(stage: Stage) -> N
     assert all(process.returncode is not None for process in stage.processes)
 
 
+def test_a_program_that_begins_while_the_world_dies_has_ended_when_the_run_has(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[asyncio.subprocess.Process] = []
+    spawn, both_begin = children.spawn, stage.out / "both begin"
+    dies = f"import os, time\nwhile not os.path.exists({str(both_begin)!r}): time.sleep(0.001)\nraise SystemExit(1)"
+
+    async def slowly(command: Sequence[str], errors: Path, run: str = "") -> asyncio.subprocess.Process:
+        made.append(child := await spawn(command, errors, run))
+        if child is made[0]:
+            return child
+        if len(made) == 3:
+            both_begin.touch()
+        try:
+            await asyncio.Event().wait()
+        except asyncio.CancelledError:
+            for _ in range(1000 * (len(made) - 2) if child is made[-1] else 0):  # turns: it ends after the other one
+                await asyncio.sleep(0.0)
+            child.kill()
+            await child.wait()
+            raise
+        raise AssertionError
+
+    monkeypatch.setattr("hil.harness.realtime.programs.spawn", slowly)
+    stage.fly(dict.fromkeys(Role, UNTIL_STDIN_ENDS), world=dies)
+    assert "world.stderr.txt" in stage.ending.failure
+    assert len(made) == 3 and all(process.returncode is not None for process in made)
+
+
 def test_a_signal_stops_the_roles_gently(stage: Stage) -> None:
     """They may land: what they say after it is still heard."""
     lands = """
