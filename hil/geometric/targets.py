@@ -23,7 +23,7 @@ from hil.geometric.kernels import (
     uniform,
 )
 from path.compiled import inner, kernel
-from path.target.kernels import MAD_TO_SIGMA, OUTLIER_SIGMAS
+from path.target.kernels import MAD_TO_SIGMA, OUTLIER_SIGMAS, median
 from path.target.place import CORRELATED_PIXELS, MEDIAN_TO_MEAN
 
 
@@ -275,20 +275,6 @@ def _shift(edges, lens, noise, spread, draws):
 DEPTH_CELLS = 10  # rays across the asked part of a box
 
 
-@inner
-def _median(values, count):
-    """Of the first ``count`` values, at least one. Few enough to be sorted by insertion."""
-    ordered = np.empty(count)
-    for k in range(count):
-        at = k
-        while at > 0 and ordered[at - 1] > values[k]:
-            ordered[at] = ordered[at - 1]
-            at -= 1
-        ordered[at] = values[k]
-    half = count // 2
-    return ordered[half] if count % 2 else 0.5 * (ordered[half - 1] + ordered[half])
-
-
 @kernel
 def depth_over(boxes, extents, per_car, frame, lens, hidden, box, settings, noise, key):
     """Returns a registered depth camera's value over the middle of a box, as ``path.target.place`` has it, on rays.
@@ -329,10 +315,10 @@ def depth_over(boxes, extents, per_car, frame, lens, hidden, box, settings, nois
     valid = asked * count / (n * n)
     if count == 0 or valid < max(settings.min_pixels, settings.min_valid * asked):
         return -1.0, -1.0
-    middle = _median(found, count)
+    middle = median(found, count)
     for k in range(count):
         off[k] = abs(found[k] - middle)
-    spread = max(MAD_TO_SIGMA * _median(off, count), sigma_1m * middle * middle)
+    spread = max(MAD_TO_SIGMA * median(off, count), sigma_1m * middle * middle)
     if spread > settings.max_spread_m:
         return -1.0, -1.0
     kept = 0
@@ -340,7 +326,7 @@ def depth_over(boxes, extents, per_car, frame, lens, hidden, box, settings, nois
         if abs(found[k] - middle) <= OUTLIER_SIGMAS * spread:
             found[kept] = found[k]
             kept += 1
-    z = _median(found, kept)
+    z = median(found, kept)
     independent = max(1.0, valid / CORRELATED_PIXELS)
     sigma = math.hypot(sigma_1m * z * z, MEDIAN_TO_MEAN * spread / math.sqrt(independent))
     return z + noise[1] * z * z * draws[n * n], sigma

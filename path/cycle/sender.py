@@ -13,14 +13,13 @@ from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.gate.agreement import Agreed, Comparer, TwoViews, Verdict, plain_box, threshold
 from path.gate.evidence import make_gate, strength
-from path.gate.kernels import located
 from path.gate.window import FramePair, Gate, Offset, Offsets, serial_difference
 from path.geometry.rigid import rigid, rigid_from_quat
 from path.geometry.rotation import normalized
 from path.geometry.transforms import Pose
 from path.messages import Candidate, Target, Vec3
 from path.observations import Box, Depth, Missed, MissReason
-from path.target.place import TargetPoint, point_sigma
+from path.target.place import TargetPoint, locate
 from path.target.rivals import Rival, Rivals
 from path.target.size import FITS, Sizes
 from path.timeline import Between, Sample, Track, Values
@@ -181,12 +180,11 @@ class SenderCycle:
         config = self._config
         if depth is None or not (config.min_depth_m <= depth.z_m <= config.max_depth_m and depth.sigma_m >= 0.0):
             return Missed(MissReason.NO_DEPTH)
-        point_v_m, distance_m = located(self._views.numbers, *box.center, depth.z_m)
-        sigma_m = point_sigma(self._views.camera1, distance_m, depth, config)
+        point = locate(self._views, box, depth, config)
         norm = math.hypot(*gravity_v)
-        if not (math.isfinite(sum(point_v_m) + sigma_m) and abs(norm - 1.0) < UNIT_TOLERANCE):
+        if not (math.isfinite(sum(point.point_v_m) + point.sigma_m) and abs(norm - 1.0) < UNIT_TOLERANCE):
             return Missed(MissReason.NON_FINITE)
-        return TargetPoint(point_v_m, depth.z_m, sigma_m)
+        return point
 
     def _no_evidence(self, candidate: Candidate, capture_ns: int, now_ns: int) -> MissReason | None:
         if (candidate.handoff_id, candidate.epoch, candidate.target_id) != self._identity:

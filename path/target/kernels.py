@@ -12,7 +12,7 @@ OUTLIER_SIGMAS = 3.0
 
 
 @inner
-def _median(values: NDArray[np.float64], n: int) -> float:
+def median(values: NDArray[np.float64], n: int) -> float:
     """The median of the first ``n`` values, which it puts into another order (Hoare's selection)."""
     k, low, high = n // 2, 0, n - 1
     while low < high:
@@ -58,14 +58,14 @@ def middle(
             count += 1
     if count == 0:
         return 0, 0.0, 0.0
-    about = _median(room, count)
+    about = median(room, count)
     for i in range(count):
         room[i] = abs(room[i] - about)
     about_m = about / 1000.0
-    spread = max(MAD_TO_SIGMA * _median(room, count), 1000.0 * (sigma_at_1m_m * about_m * about_m))
+    spread = max(MAD_TO_SIGMA * median(room, count), 1000.0 * (sigma_at_1m_m * about_m * about_m))
     near = 0
     for depth in depths_mm:
         if least_mm <= depth <= most_mm and abs(depth - about) <= OUTLIER_SIGMAS * spread:
             room[near] = depth
             near += 1
-    return count, spread, _median(room, near)
+    return count, spread, median(room, near)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.geometry.rigid import Rigid, transform
+from path.gate.agreement import TwoViews
+from path.gate.kernels import located
 from path.messages import Vec3
 from path.observations import Box, Depth
 from path.target.kernels import middle
@@ -86,12 +87,10 @@ def back_project(camera: CameraModel, u: float, v: float, z_m: float) -> Vec3:
     return z_m * x, z_m * y, z_m
 
 
-def locate(camera: CameraModel, T_v_c1: Rigid, box: Box, depth: Depth, config: MethodConfig) -> TargetPoint:
-    """The target's point in ``v`` (eq. target_virtual) from its box and depth; NaN when the pixel has no ray."""
-    u, v = box.center
-    x, y, z = back_project(camera, u, v, depth.z_m)
-    distance_m = math.sqrt(x * x + y * y + z * z)
-    return TargetPoint(transform(T_v_c1, (x, y, z)), z, point_sigma(camera, distance_m, depth, config))
+def locate(views: TwoViews, box: Box, depth: Depth, config: MethodConfig) -> TargetPoint:
+    """The target's point in ``v`` (eq. target_virtual) from its box, of plain floats, and depth; NaN off the lens."""
+    point_v_m, distance_m = located(views.numbers, *box.center, depth.z_m)
+    return TargetPoint(point_v_m, depth.z_m, _point_sigma(views.camera1, distance_m, depth, config))
 
 
 def across_sigma(camera: CameraModel, distance_m: float, config: MethodConfig) -> float:
@@ -100,7 +99,7 @@ def across_sigma(camera: CameraModel, distance_m: float, config: MethodConfig) -
     return distance_m * math.hypot(pixels, math.radians(config.mount_sigma_deg))
 
 
-def point_sigma(camera: CameraModel, distance_m: float, depth: Depth, config: MethodConfig) -> float:
+def _point_sigma(camera: CameraModel, distance_m: float, depth: Depth, config: MethodConfig) -> float:
     """Standard deviation in m of the point in ``v`` in its least certain direction.
 
     Along the ray there is depth noise, across it pixel noise and the mounting's angle with the target as its lever,

@@ -116,7 +116,7 @@ class Rivals:
         views, config = self._views, self._config
         depth = rival.depth
         if depth is not None and config.min_depth_m <= depth.z_m <= config.max_depth_m:
-            found = locate(views.camera1, views.T_v_c1, rival.box, depth, config)
+            found = locate(views, plain_box(rival.box), depth, config)
             return (found.point_v_m, depth.z_m) if math.isfinite(sum(found.point_v_m)) else None
         ray_c = back_project(views.camera1, *rival.box.center, 1.0)
         if not math.isfinite(ray_c[0] + ray_c[1]):

@@ -20,6 +20,7 @@ from missions.trials.static.shots import LAYOUT, StaticMeasurement
 from missions.trials.static.stage import CAMERA, STANDS, Mounts
 from path.camera.model import CameraModel
 from path.config import MethodConfig
+from path.gate.agreement import TwoViews
 from path.geometry import rotation
 from path.geometry.rigid import rigid
 from path.geometry.transforms import Matrix, Pose, Vector
@@ -198,8 +199,8 @@ def sent_point(sighting: StaticMeasurement, errors: MethodErrors) -> Vector | No
     if seen is None or depth is None:
         return None
     measured = replace(depth, z_m=errors.depth.measured_m(depth.z_m))
-    T_v_c1 = rigid(errors.mounts.T_v_c1)
-    return np.array(locate(errors.cameras[Role.SENDER], T_v_c1, seen.box, measured, MethodConfig()).point_v_m)
+    views = TwoViews(errors.cameras[Role.SENDER], errors.cameras[Role.RECEIVER], rigid(errors.mounts.T_v_c1))
+    return np.array(locate(views, seen.box, measured, MethodConfig()).point_v_m)
 
 
 def first_ippe(found: MarkerDetection, layout: MarkerLayout, camera: CameraModel) -> Pose:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from path.camera.model import CameraModel
 from path.config import MethodConfig
+from path.gate.agreement import TwoViews
 from path.geometry.rigid import rigid
 from path.geometry.rotation import exp
 from path.geometry.transforms import Pose
@@ -99,7 +100,9 @@ def test_the_targets_point_in_the_marker_frame() -> None:
     T_v_c1 = Pose(exp(np.array([0.3, -2.0, 0.4])), np.array([0.1, -0.05, -0.2]))
     point_c = (0.2, -0.1, 2.0)
     u, v = CAMERA.project_point(point_c)
-    found = locate(CAMERA, rigid(T_v_c1), Box(u - 30.0, v - 20.0, 60.0, 40.0), Depth(2.0, 0.02), CONFIG)
+    found = locate(
+        TwoViews(CAMERA, CAMERA, rigid(T_v_c1)), Box(u - 30.0, v - 20.0, 60.0, 40.0), Depth(2.0, 0.02), CONFIG
+    )
     assert found.point_v_m == pytest.approx(T_v_c1.apply(np.array(point_c)).tolist(), abs=1e-9)
     assert found.z_m == 2.0
 
@@ -109,7 +112,9 @@ def test_sigma_covers_the_worst_direction_of_simulated_errors() -> None:
     T_v_c1 = Pose(exp(np.array([0.3, -2.0, 0.4])), np.array([0.1, -0.05, -0.2]))
     point_c, depth_sigma, n = (0.2, -0.1, 2.0), 0.02, 4000
     u, v = CAMERA.project_point(point_c)
-    stated = locate(CAMERA, rigid(T_v_c1), Box(u - 30.0, v - 20.0, 60.0, 40.0), Depth(2.0, depth_sigma), CONFIG).sigma_m
+    stated = locate(
+        TwoViews(CAMERA, CAMERA, rigid(T_v_c1)), Box(u - 30.0, v - 20.0, 60.0, 40.0), Depth(2.0, depth_sigma), CONFIG
+    ).sigma_m
     found = np.empty((n, 3))
     for i in range(n):
         du, dv = rng.normal(0.0, CONFIG.pixel_sigma_px, 2)
