@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -14,21 +15,17 @@ from pymavlink.dialects.v20 import common as mavlink
 from drivers.interfaces import FlightMode, VelocitySetpoint
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.rig.parts import Origin
-from hil.autopilot.autopilot import AutopilotConfig
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
-from hil.world.config import AltitudeConfig, WorldConfig
-from hil.world.estimator import EstimatorConfig, WindConfig
-from hil.world.world import World
+from hil.world.config import AltitudeConfig
 from path.messages import Role
+from tests.exact_world import QUICK, exact_world
 from tests.free_ports import free_port
 from tests.steady_time import SteadyTime
 
 SYSID = 1
 ORIGIN = Origin(47.3977, 8.5456, 488.0)
 # Its own failsafe for setpoints is as good as off: whatever happens is the guard's doing.
-QUICK = AutopilotConfig(
-    settle_s=0.2, spool_s=0.1, climb_mps=1.5, land_mps=1.0, touchdown_mps=0.8, land_disarm_s=0.2, offboard_loss_s=300.0
-)
+SLOW_TO_GIVE_UP = replace(QUICK, offboard_loss_s=300.0)
 LIMIT_S = 60.0
 STEP_S = 0.005
 SETPOINT_STEPS = 10  # 20 Hz
@@ -47,9 +44,7 @@ class Bench:
         altitude: AltitudeConfig = RIGHT,
     ) -> None:
         self._speed = speed
-        exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
-        calm = WindConfig(0.0, gust_mps=0.0)
-        self.world = World(WorldConfig(wind=calm, estimator=exact, autopilot=QUICK, altitude=altitude), seed=1)
+        self.world = exact_world(SLOW_TO_GIVE_UP, altitude=altitude)
         self.flown = FORWARD
         self.drone = self.world.drone(Role.SENDER)
         self.lock = threading.Lock()

@@ -14,7 +14,7 @@ from typing import Annotated, Self
 
 from drivers.interfaces import CameraError, Frame
 from drivers.perception.stamp_clock import Domain, StampConfig
-from drivers.realsense.library import DeviceIdentity, Filter, Streams
+from drivers.realsense.sdk import DeviceIdentity, Filter, Streams
 from drivers.realsense.sources import DeviceSource, RecordingSource, UsbSource
 from drivers.realsense.stream import PairStream, StreamConfig, StreamCounters
 from drivers.rig.part_check import Finding

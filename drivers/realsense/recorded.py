@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError
 from drivers.perception.stamp_clock import Domain
-from drivers.realsense.library import (
+from drivers.realsense.sdk import (
     Kind,
     RawImage,
     extrinsics_of,
@@ -29,7 +29,7 @@ from drivers.realsense.library import (
     mid_exposure_ns,
     serial_of,
 )
-from drivers.realsense.library_import import import_realsense
+from drivers.realsense.sdk_import import import_realsense
 from drivers.realsense.stream import Pairing, Taken
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose

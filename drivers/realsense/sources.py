@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from drivers.interfaces import CameraError
-from drivers.realsense.library import connected, load_recording, serial_of
+from drivers.realsense.sdk import connected, load_recording, serial_of
 
 
 class DeviceSource(Protocol):

@@ -19,7 +19,8 @@ import numpy as np
 from drivers.clock import busy_ns, wall_offset_ns
 from drivers.interfaces import CameraError, Clock, Frame
 from drivers.perception.stamp_clock import Domain, StampClock, StampConfig, StampLine, StampRefused
-from drivers.realsense.library import (
+from drivers.realsense.registration import DepthRegistration, warm_up
+from drivers.realsense.sdk import (
     QUEUE_FRAMES,
     DeviceIdentity,
     Kind,
@@ -28,7 +29,6 @@ from drivers.realsense.library import (
     Streams,
     identity_of,
 )
-from drivers.realsense.registration import DepthRegistration, warm_up
 from drivers.realsense.sources import DeviceSource
 from path.camera.model import CameraModel
 

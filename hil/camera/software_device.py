@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from drivers.clock import wall_offset_ns
 from drivers.perception.stamp_clock import WRAP_NS, Domain
-from drivers.realsense.library import FORMATS, Kind
-from drivers.realsense.library_import import import_realsense
+from drivers.realsense.sdk import FORMATS, Kind
+from drivers.realsense.sdk_import import import_realsense
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TextIO
 
 from drivers.interfaces import PartError
-from drivers.realsense.library_import import import_realsense
+from drivers.realsense.sdk_import import import_realsense
 from drivers.rig.check import local_ports
 from drivers.rig.computer_check import clock_finding, write_finding
 from drivers.rig.part_check import Finding

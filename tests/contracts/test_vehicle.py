@@ -35,8 +35,9 @@ from hil.vehicle.sim_vehicle import SimVehicle, SimVehicleConfig
 from hil.world.config import WorldConfig
 from hil.world.world import SimDrone, World
 from path.messages import Role
-from tests.drivers.mavlink.mavsdk_bench import CONTEXT, QUICK, px4
+from tests.drivers.mavlink.mavsdk_bench import CONTEXT, px4
 from tests.drivers.tello import tello_stand
+from tests.exact_world import QUICK
 from tests.hil.vehicle.test_sim_vehicle import Harness
 from tests.hil.vehicle.test_sim_vehicle import context as sim_context
 

@@ -37,9 +37,10 @@ from missions.leg.steps import bring_down, take_off
 from path.geometry.rotation import yaw_of
 from path.messages import Role
 from tests.drivers.link.link_ends import STATUS, Cable, introduce, serial_links
-from tests.drivers.mavlink.mavsdk_bench import CONTEXT, QUICK, SYSID, px4
+from tests.drivers.mavlink.mavsdk_bench import CONTEXT, SYSID, px4
 from tests.drivers.realsense import software_d415
 from tests.drivers.tello import tello_stand
+from tests.exact_world import QUICK
 from tests.missions.leg.session_bench import Recorder
 from tests.pauses import undisturbed
 

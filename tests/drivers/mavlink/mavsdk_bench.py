@@ -15,13 +15,12 @@ from drivers.mavlink.vehicle import MavsdkVehicle, MavsdkVehicleConfig
 from drivers.rig.parts import Mount, Origin, PartContext
 from hil.autopilot.autopilot import AutopilotConfig
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
-from hil.world.config import AltitudeConfig, HomeConfig, WorldConfig
-from hil.world.errors import ErrorsConfig
-from hil.world.estimator import EstimatorConfig, WindConfig
+from hil.world.config import AltitudeConfig, HomeConfig
 from hil.world.world import SimDrone, World
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.messages import Role
+from tests.exact_world import QUICK, exact_world
 from tests.free_ports import free_port
 from tests.steady_time import SteadyTime
 
@@ -29,7 +28,6 @@ SYSID = 7
 HOME = HomeConfig(position_m=(-2.0, 3.0))  # east, north: not the mission's origin
 ORIGIN = Origin(47.4, 8.5, 480.0)
 TANGENT = LocalTangent(ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.altitude_m)
-QUICK = AutopilotConfig(settle_s=0.2, spool_s=0.1, climb_mps=1.5, land_mps=1.0, touchdown_mps=0.8, land_disarm_s=0.2)
 HEIGHT_M = 0.8
 STILL = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
 LIMIT_S = 60.0
@@ -134,20 +132,7 @@ def px4(
 
     ``gps_off_m``: of the altitude that it tells.
     """
-    exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
-    calm = WindConfig(0.0, gust_mps=0.0)
-    altitude = AltitudeConfig(offset_m=gps_off_m)
-    world = World(
-        WorldConfig(
-            errors=ErrorsConfig("exact"),
-            wind=calm,
-            estimator=exact,
-            autopilot=config,
-            sender_home=HOME,
-            altitude=altitude,
-        ),
-        seed=1,
-    )
+    world = exact_world(config, sender_home=HOME, altitude=AltitudeConfig(offset_m=gps_off_m))
     wire, port, drone = Wire(), port or free_port(), world.drone(Role.SENDER)
     endpoint = MavlinkVehicle(MavlinkVehicleConfig(SYSID, ("127.0.0.1", port)), drone, TANGENT)
     endpoint.tap = wire.tap

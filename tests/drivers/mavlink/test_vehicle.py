@@ -31,7 +31,6 @@ from path.geometry.rotation import yaw_of
 from tests.drivers.mavlink.mavsdk_bench import (
     HEIGHT_M,
     LIMIT_S,
-    QUICK,
     STILL,
     SYSID,
     Bench,
@@ -42,6 +41,7 @@ from tests.drivers.mavlink.mavsdk_bench import (
     until,
     vehicle_at,
 )
+from tests.exact_world import QUICK
 from tests.free_ports import free_port
 
 SPEED = 3.0

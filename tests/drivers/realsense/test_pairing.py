@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.perception.stamp_clock import Domain
-from drivers.realsense.library import Kind, RawImage
+from drivers.realsense.sdk import Kind, RawImage
 from drivers.realsense.stream import Pairing, Taken
 
 MS = 1_000_000

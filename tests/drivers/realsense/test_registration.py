@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.realsense.library_import import import_realsense
 from drivers.realsense.registration import DepthRegistration
+from drivers.realsense.sdk_import import import_realsense
 from hil.camera.d415 import T_COLOR_DEPTH, depth_camera
 from hil.camera.software_device import SoftwareDevice
 from path.camera.model import CameraModel

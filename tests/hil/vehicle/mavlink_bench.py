@@ -11,16 +11,13 @@ from drivers.interfaces import FlightMode
 from drivers.mavlink.geodesy import LocalTangent
 from hil.autopilot.autopilot import AutopilotConfig
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
-from hil.world.config import HomeConfig, WorldConfig
-from hil.world.errors import ErrorsConfig
-from hil.world.estimator import EstimatorConfig, WindConfig
-from hil.world.world import World
+from hil.world.config import HomeConfig
 from path.messages import Role
+from tests.exact_world import QUICK, exact_world
 
 SYSID = 7
 START = (3.0, -2.0, -0.1)  # not the mission's origin: local and mission frames must not be mixed up
 HOME = HomeConfig(position_m=(START[1], START[0]))
-QUICK = AutopilotConfig(settle_s=0.2, spool_s=0.1, climb_mps=1.5, land_mps=1.0, touchdown_mps=0.8, land_disarm_s=0.2)
 TANGENT = LocalTangent(47.4, 8.5, 480.0)
 STEP_S = 0.005
 
@@ -32,17 +29,7 @@ class Bench:
         self.ground = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.ground.bind(("127.0.0.1", 0))
         self.ground.settimeout(0.0)
-        exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
-        self.world = World(
-            WorldConfig(
-                errors=ErrorsConfig("exact"),
-                wind=WindConfig(0.0, gust_mps=0.0),
-                estimator=exact,
-                autopilot=config,
-                sender_home=HOME,
-            ),
-            seed=1,
-        )
+        self.world = exact_world(config, sender_home=HOME)
         self.drone = self.world.drone(Role.SENDER)
         on_wire = MavlinkVehicleConfig(SYSID, self.ground.getsockname())
         self.vehicle = MavlinkVehicle(on_wire, self.drone, TANGENT, arrived)

@@ -17,21 +17,18 @@ from drivers.interfaces import FlightMode, PartError, Vehicle, VehicleError, Vel
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.rig.parts import Rig, create, part_context
 from drivers.rig.tables import decode_table
-from hil.autopilot.autopilot import AutopilotConfig
 from hil.autopilot.simulator import SimulatorConfig
 from hil.vehicle.board_pty import BoardPty
 from hil.vehicle.simulators.followed_world import SimulatedVehicle, start_simulators
 from hil.vehicle.simulators.process import SimulatorBroken
 from hil.vehicle.simulators.wire import SerialWire
 from hil.world.config import HomeConfig, WorldConfig
-from hil.world.errors import ErrorsConfig
-from hil.world.estimator import EstimatorConfig, WindConfig
-from hil.world.world import SimDrone, World
+from hil.world.world import SimDrone
 from missions import rig_library
 from path.messages import Role
+from tests.exact_world import exact_world
 from tests.steady_time import SteadyTime
 
-QUICK = AutopilotConfig(settle_s=0.2, spool_s=0.1, climb_mps=1.5, land_mps=1.0, touchdown_mps=0.8, land_disarm_s=0.2)
 HEIGHT_M, LIMIT_S = 0.5, 60.0
 
 
@@ -54,17 +51,7 @@ def on_ports(rig: Rig, folder: Path) -> tuple[Rig, SimulatorConfig]:
 @contextmanager
 def board(rig: Rig, folder: Path, home: HomeConfig) -> Generator[tuple[SimDrone, Callable[[], None]]]:
     """The board in a thread; gives its drone, and what pulls its cables."""
-    exact = EstimatorConfig(**dict.fromkeys(EstimatorConfig.__slots__, 0.0))
-    world = World(
-        WorldConfig(
-            errors=ErrorsConfig("exact"),
-            wind=WindConfig(0.0, gust_mps=0.0),
-            estimator=exact,
-            autopilot=QUICK,
-            sender_home=home,
-        ),
-        seed=1,
-    )
+    world = exact_world(sender_home=home)
     tangent = LocalTangent(rig.origin.latitude_deg, rig.origin.longitude_deg, rig.origin.altitude_m)
     drone, leg_m = world.drone(Role.SENDER), world.config.airframe.leg_m
     sysid = int(rig.sender.vehicle.options["sysid"])

@@ -10,7 +10,8 @@ from drivers.interfaces import FlightMode
 from hil.monitors.monitors import Monitors
 from path.config import MethodConfig
 from path.messages import Role
-from tests.hil.vehicle.mavlink_bench import QUICK, Bench
+from tests.exact_world import QUICK
+from tests.hil.vehicle.mavlink_bench import Bench
 
 STILL = (0.0, 0.0, 0.0)
 TOLERANCE_S = 1e-6

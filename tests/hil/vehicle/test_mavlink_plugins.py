@@ -15,7 +15,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.mavlink.modes import powered
 from hil.autopilot.radio import STICKS_SLOT
-from tests.hil.vehicle.mavlink_bench import QUICK, START, SYSID, Bench
+from tests.exact_world import QUICK
+from tests.hil.vehicle.mavlink_bench import START, SYSID, Bench
 from tests.steady_time import SteadyTime
 
 

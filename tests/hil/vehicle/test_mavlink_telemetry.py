@@ -11,7 +11,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from drivers.interfaces import FlightMode
 from hil.vehicle.arrival import Address
 from hil.vehicle.channel import UdpChannel
-from tests.hil.vehicle.mavlink_bench import QUICK, START, STEP_S, SYSID, TANGENT, Bench
+from tests.exact_world import QUICK
+from tests.hil.vehicle.mavlink_bench import START, STEP_S, SYSID, TANGENT, Bench
 
 
 def test_streams_come_at_the_rates_asked_for_and_stop_when_told(bench: Bench) -> None:

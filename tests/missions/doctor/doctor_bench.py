@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.realsense.library_import import import_realsense
+from drivers.realsense.sdk_import import import_realsense
 from drivers.rig.parts import PartContext
 from tests.drivers.realsense.software_d415 import DEPTH, DEPTH_MM, Feed
 

@@ -12,7 +12,7 @@ import pytest
 from drivers.interfaces import PartError
 from drivers.log.mcap_log import McapLog
 from drivers.realsense import recorded
-from drivers.realsense.library import RealSenseDevice, Streams
+from drivers.realsense.sdk import RealSenseDevice, Streams
 from drivers.recordings.recording import RecordingError, RecordingOptions, open_recording
 from drivers.rig.calibration_file import read_camera
 from missions.logs.export import run

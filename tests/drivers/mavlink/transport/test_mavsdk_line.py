@@ -21,7 +21,6 @@ from drivers.mavlink.transport.signing import SignatureCheck, Signer
 from drivers.mavlink.vehicle import MavsdkVehicleConfig
 from tests.drivers.mavlink.mavsdk_bench import (
     LIMIT_S,
-    QUICK,
     STILL,
     SYSID,
     Bench,
@@ -30,6 +29,7 @@ from tests.drivers.mavlink.mavsdk_bench import (
     until,
     vehicle_at,
 )
+from tests.exact_world import QUICK
 from tests.free_ports import free_port
 
 KEY = bytes(range(32))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError
 from drivers.perception.stamp_clock import Domain
-from drivers.realsense.library_import import import_realsense
+from drivers.realsense.sdk_import import import_realsense
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 

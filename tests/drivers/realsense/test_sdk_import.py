@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from drivers.interfaces import CameraError
-from drivers.realsense import library_import as realsense_import
+from drivers.realsense import sdk_import as realsense_import
 
 WITHOUT_SYSTEM_LIBRARY = f"""
 import ctypes
@@ -19,7 +19,7 @@ def without_system_library(name, *args, **kwargs):
         raise OSError(name)
     return load(name, *args, **kwargs)
 ctypes.CDLL = without_system_library
-from drivers.realsense.library_import import import_realsense
+from drivers.realsense.sdk_import import import_realsense
 print(import_realsense().context.__name__)
 """
 
