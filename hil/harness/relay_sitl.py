@@ -27,7 +27,7 @@ from flight.harness.relay import (
 )
 from flight.outcome import Outcome
 from hil.harness.realtime.children import run_name
-from hil.harness.realtime.programs import Command, Orders
+from hil.harness.realtime.orders import Command, Orders
 from hil.harness.realtime.relay_world import run_of
 from hil.harness.realtime.run import Ending, RealTimeRun
 from hil.harness.realtime.world import world_command
@@ -179,7 +179,7 @@ def report_of(request: RelayRequest, run: RealTimeRun, ending: Ending) -> RelayR
     failed = [drone.result.log_failure for drone in run.drones.values() if drone.result is not None]
     return RelayReport(
         violations=finished.get("violations", {}),
-        notes=tuple(finished.get("notes", ())),
+        notes=(*finished.get("notes", ()), *run.missed),
         gaps_s={int(leg): gap_s for leg, gap_s in finished.get("gaps_s", {}).items()},
         flown=msgspec.convert(finished.get("flown", []), list[FlightTruth]),
         samples=msgspec.convert(finished.get("samples", []), list[FieldSample]),

@@ -15,8 +15,8 @@ from drivers.rig.tables import decode_table
 from flight.harness.flights import FlightReport, FlightRequest
 from hil.harness.inject import need_radios
 from hil.harness.preparation import prepare
+from hil.harness.realtime.orders import Command, Orders
 from hil.harness.realtime.pace import frame_age_s, overload_of
-from hil.harness.realtime.programs import Command, Orders
 from hil.harness.realtime.run import Ending, RealTimeRun
 from hil.harness.realtime.world import world_command
 from hil.harness.sim import LEG, mission_config
@@ -170,6 +170,7 @@ def report_of(request: FlightRequest, run: RealTimeRun, ending: Ending) -> Fligh
         ),
         notes=[
             *monitors.details,
+            *run.missed,
             *finished.get("details", []),
             *(f"the {name}'s program died. {run.died(name)}" for name in dead),
         ],

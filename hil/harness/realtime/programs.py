@@ -10,12 +10,11 @@ import contextlib
 import json
 import signal
 import time
-from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from collections.abc import Awaitable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-from flight.harness.flights import Emit, Progress, RoleResult, decode_event
+from flight.harness.flights import Progress, RoleResult, decode_event
 from hil.harness.leg_faults import LegFaults
 from hil.harness.realtime.children import (
     Child,
@@ -26,11 +25,11 @@ from hil.harness.realtime.children import (
     go_on,
     kill_after,
     last_words,
-    run_name,
     send_signal,
     spawn,
     write,
 )
+from hil.harness.realtime.orders import Command, Orders
 from hil.world.faults import Fault
 from path.messages import Role
 
@@ -40,43 +39,6 @@ PROGRAM_END_S = 90.0  # from being told to stop until it has landed
 RECORD = b'{"event":"record"'
 """The beginning of a line that the world's monitors are to judge."""
 
-Command = Sequence[str]
-
-
-def no_news(name: str) -> Mapping[str, Any]:
-    """The news of a program that was told everything when it was started."""
-    del name
-    return {}
-
-
-@dataclass(frozen=True, slots=True)
-class Orders:
-    """The commands of a run, and who hears of it.
-
-    Attributes:
-        world, program, guard: commands; the guard's is None for a drone without one.
-        out: the run's folder.
-        emit: shown the progress of every program.
-        shares: the name of what a drone's program shares with the world.
-        news: what a drone's program has to know at present; it is told on its stdin whenever that changes.
-        heard: takes any other line of JSON that a program prints.
-        attack: the command of a program that floods the link with so many packets a second, once the world said where.
-        begun: takes the process number of a drone's program that has just been started.
-        awaited: the world's traffic stands until the programs of all these drones have reported.
-    """
-
-    world: Command
-    program: Callable[[str], Command]
-    guard: Callable[[str], Command | None]
-    out: Path
-    emit: Emit
-    shares: Callable[[str], str] = lambda _: run_name()
-    news: Callable[[str], Mapping[str, Any]] = no_news
-    heard: Callable[[str, Mapping[str, Any]], None] = lambda _name, _word: None
-    attack: Callable[[float, Mapping[str, Any]], Command] = lambda _rate, _ready: ()
-    begun: Callable[[str, int], None] = lambda _name, _pid: None
-    awaited: frozenset[str] = frozenset()
-
 
 @dataclass(slots=True)
 class LiveDrone:
@@ -85,6 +47,7 @@ class LiveDrone:
     Attributes:
         guard_ends: the end of the guard of the flight before.
         killed, restart_s: by a fault; and after how long its program is started again.
+        begins: its program is being started; ``due``: faults that strike once it has begun, with their legs.
         told: the news that its program knows.
         result: what its newest program said in the end; None: it died, or still flies.
     """
@@ -95,6 +58,8 @@ class LiveDrone:
     guard_ends: asyncio.Future[None] | None = None
     killed: bool = False
     restart_s: float | None = None
+    begins: bool = False
+    due: list[tuple[int, Fault]] = field(default_factory=list[tuple[int, Fault]])
     told: Mapping[str, Any] = field(default_factory=dict[str, Any])
     result: RoleResult | None = None
 
@@ -113,6 +78,7 @@ class LivePrograms:
     Attributes:
         stop: tells the mission to land everybody; ``interrupted``: whether it was told.
         said: the newest event of each kind that the world said.
+        missed: the faults that had nothing to strike, and why, for the report.
     """
 
     def __init__(self, orders: Orders, names: Sequence[str], faults: Mapping[int, Sequence[Fault]]) -> None:
@@ -122,6 +88,7 @@ class LivePrograms:
         self.stop = asyncio.Event()
         self.interrupted = False
         self.said: dict[str, dict[str, Any]] = {}
+        self.missed: list[str] = []
         self.children: list[Child] = []
         self.world: Child
         self._awaited = set(orders.awaited)
@@ -136,10 +103,8 @@ class LivePrograms:
         drone = self.drones[name]
         while True:
             drone.killed, drone.told, drone.restart_s, drone.result = False, {}, None, None
-            drone.program = await self.spawn(self._orders.program(name), name, self._orders.shares(name))
-            self._orders.begun(name, drone.program.pid)
-            if self.stop.is_set():
-                send_signal(drone.program, signal.SIGTERM)
+            await self._begin(drone)
+            assert drone.program is not None
             await self._listen(drone, drone.program)
             if drone.result is not None or drone.restart_s is None:
                 return drone.result
@@ -147,6 +112,20 @@ class LivePrograms:
                 await asyncio.wait_for(self.stop.wait(), drone.restart_s)
             if self.stop.is_set():
                 return None
+
+    async def _begin(self, drone: LiveDrone) -> None:
+        """Starts its program; what was to happen to it meanwhile happens now."""
+        name, drone.begins = drone.name, True
+        try:
+            drone.program = await self.spawn(self._orders.program(name), name, self._orders.shares(name))
+        finally:
+            drone.begins = False
+        self._orders.begun(name, drone.program.pid)
+        if self.stop.is_set():
+            self._end_gently(drone.program)
+        due, drone.due = drone.due, []
+        for leg, fault in due:
+            self._inject(leg, fault)
 
     async def start_guard(self, name: str) -> None:
         """Beside the programs of one flight, in a rig with guards; that of the flight before has ended by then."""
@@ -169,8 +148,12 @@ class LivePrograms:
         for drone in self.drones.values():
             drone.restart_s = None
             if drone.program is not None:
-                send_signal(drone.program, signal.SIGTERM)
-                self._later(kill_after(drone.program, PROGRAM_END_S))
+                self._end_gently(drone.program)
+
+    def _end_gently(self, program: Child) -> None:
+        """It lands, and is ended when that takes far too long."""
+        send_signal(program, signal.SIGTERM)
+        self._later(kill_after(program, PROGRAM_END_S))
 
     def died(self, name: str) -> str:
         """Returns the last words of a drone's program that died."""
@@ -182,6 +165,9 @@ class LivePrograms:
             if not task.cancelling():  # twice would not let it end the process that it has just started
                 task.cancel()
         await asyncio.gather(*begun, return_exceptions=True)
+        for drone in self.drones.values():
+            for _, fault in drone.due:
+                self._miss(fault, f"the {drone.name}'s program was not started any more")
         await end(self.children)
 
     # --- what is heard and told ---
@@ -272,23 +258,35 @@ class LivePrograms:
         """A fault at the drone that has, or had, its role in the leg; the world is told when it began."""
         role, at_ns = fault.kind.role, time.monotonic_ns()
         name = None if role is None else self.legs.end_of(leg, role)
-        if name is not None:
-            self._hit(self.drones[name], fault)
-        elif fault.name == "attack":
+        if name is not None and not self._hit(leg, self.drones[name], fault):
+            return
+        if fault.name == "attack":
             self._later(self.spawn(self._orders.attack(fault.value or 0.0, self.said["ready"]), "attack"))
         ends = [self.legs.end_of(leg, each) for each in (Role.SENDER, Role.RECEIVER)]
         self.tell_world(
             {"fault": fault.name, "leg": leg, "ends": ends, "drone": name, "value": fault.value, "at_ns": at_ns}
         )
 
-    def _hit(self, drone: LiveDrone, fault: Fault) -> None:
-        program = drone.program
-        if program is not None and program.returncode is None:
-            if fault.kills is not None:
-                drone.killed, drone.restart_s = True, None if self.stop.is_set() else fault.value
-                program.kill()
-            elif fault.stops is not None:
-                send_signal(program, signal.SIGSTOP)
-                self._later(go_on(program, fault.value))
-        if fault.name == "guard_death" and drone.guard is not None:
-            send_signal(drone.guard, signal.SIGKILL)
+    def _hit(self, leg: int, drone: LiveDrone, fault: Fault) -> bool:
+        """False for a fault of a program or guard that is not there: it waits until it is, or is missed."""
+        at_guard = fault.name == "guard_death"
+        if not at_guard and fault.kills is None and fault.stops is None:
+            return True
+        struck = drone.guard if at_guard else drone.program
+        if drone.begins and not at_guard:
+            drone.due.append((leg, fault))
+            return False
+        if struck is None or struck.returncode is not None:
+            self._miss(fault, f"the {drone.name} has no guard" if at_guard else f"the {drone.name}'s program had ended")
+            return False
+        if fault.stops is not None:
+            send_signal(struck, signal.SIGSTOP)
+            self._later(go_on(struck, fault.value))
+            return True
+        if not at_guard:
+            drone.killed, drone.restart_s = True, None if self.stop.is_set() else fault.value
+        struck.kill()
+        return True
+
+    def _miss(self, fault: Fault, why: str) -> None:
+        self.missed.append(f"fault {fault.name} had nothing to strike: {why}")

@@ -19,7 +19,8 @@ from typing import Any
 from drivers.stop_signals import leave_signals, stop_on_signals
 from hil.harness.preparation import starting
 from hil.harness.realtime.children import HarnessFailure, WorldTooSlow, finish_world, read_world, until_ready
-from hil.harness.realtime.programs import PROGRAM_END_S, LivePrograms, no_news
+from hil.harness.realtime.orders import no_news
+from hil.harness.realtime.programs import PROGRAM_END_S, LivePrograms
 from path.messages import Role
 
 

@@ -196,6 +196,59 @@ def test_a_program_is_started_again_after_its_death(stage: Stage) -> None:
     assert stage.told() == [("kill_sender", "sender", 0.05)]
 
 
+@pytest.mark.parametrize("again", [False, True])
+def test_a_fault_that_is_due_while_its_program_is_being_started_strikes_once_it_has_begun(
+    stage: Stage, again: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other drone's count makes it due, and of this one's program nothing is known here yet."""
+    begun: list[asyncio.subprocess.Process] = []
+
+    async def spawn(command: Sequence[str], errors: Path, run: str = "") -> asyncio.subprocess.Process:
+        process = await children.spawn(command, errors, run)
+        if errors.name == "receiver.stderr.txt":
+            begun.append(process)
+            if len(begun) == 1 + again:
+                (stage.out / "begins").touch()
+                async with asyncio.timeout(60.0):
+                    while Role.SENDER not in [shown.role for shown in stage.shown]:  # noqa: ASYNC110 (another process's)
+                        await asyncio.sleep(0.001)
+        return process
+
+    monkeypatch.setattr("hil.harness.realtime.programs.spawn", spawn)
+    waits = f"import os, time\nwhile not os.path.exists({str(stage.out / 'begins')!r}): time.sleep(0.001)\n"
+    receiver = saying(replace(progress(Role.RECEIVER), phase="waiting"), then="import time; time.sleep(600)")
+    programs = {
+        Role.SENDER: waits + saying(progress(Role.SENDER, AT_COUNT), result(Role.SENDER)),
+        Role.RECEIVER: [receiver] * (1 + again),
+    }
+    faults = ["kill_receiver=0@waiting"] * again + ["kill_receiver"]
+    run = stage.fly(programs, faults, limit_s=60.0)
+    assert set(results(run)) == {Role.SENDER}
+    assert [process.returncode for process in begun] == [-signal.SIGKILL] * len(faults)
+    assert stage.told()[-1] == ("kill_receiver", "receiver", None) and len(stage.told()) == len(faults)
+    assert run.missed == []
+
+
+def test_a_fault_of_a_program_that_has_ended_is_told_as_missed_in_the_report(stage: Stage) -> None:
+    pid = stage.out / "pid"
+    waits = f"""
+        import os, time
+        while not os.path.exists({str(pid)!r}) or os.path.exists("/proc/" + open({str(pid)!r}).read()):
+            time.sleep(0.001)
+    """
+    writes = f"import os; open('{pid}.new', 'w').write(str(os.getpid())); os.rename('{pid}.new', {str(pid)!r})"
+    programs = {
+        Role.SENDER: textwrap.dedent(waits) + saying(progress(Role.SENDER, AT_COUNT), result(Role.SENDER)),
+        Role.RECEIVER: saying(result(Role.RECEIVER), then=writes),
+    }
+    run = stage.fly(programs, ["kill_receiver", "guard_death", "marker_hidden"])
+    assert stage.told() == [("marker_hidden", "sender", None)]
+    assert sitl.report_of(stage.request, run, stage.ending).notes[-2:] == [
+        "fault kill_receiver had nothing to strike: the receiver's program had ended",
+        "fault guard_death had nothing to strike: the sender has no guard",
+    ]
+
+
 @pytest.mark.parametrize("late_s", [0.0, 0.3])
 def test_a_record_that_is_written_down_is_a_moment_too(
     stage: Stage, late_s: float, monkeypatch: pytest.MonkeyPatch
