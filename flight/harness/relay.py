@@ -31,12 +31,14 @@ WATCHED: Mapping[str, float] = {
 """The topics that the monitors read of a drone's log, and the least seconds between two of a kind."""
 
 
-class DroneProgram(Protocol):
-    """The program of one drone, from opening its parts to the vehicle on the ground."""
+class OneFlight(Protocol):
+    """One flight of a drone, from opening its parts to the vehicle on the ground."""
 
-    def __call__(
-        self, name: str, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess, store: RecordStore
-    ) -> Awaitable[RoleResult]: ...
+    async def run(self) -> RoleResult: ...
+
+
+DroneProgram = Callable[[str, Log, Emit, asyncio.Event, InProcess, RecordStore], OneFlight]
+"""The program of any drone, which makes the flight of the one that is named."""
 
 
 class RelayField(Protocol):

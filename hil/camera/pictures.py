@@ -21,11 +21,10 @@ from flight.harness.renderer import (
     Thing,
 )
 from hil.camera.pipeline import develop, is_plain
-from hil.render.bodies import Body, flying, lying, standing
 from hil.render.people import person
 from hil.render.prints import marker_print
 from hil.render.renderer import Renderer
-from hil.render.scene import ROTOR, Model, car, drone, marked_drone, printed_board
+from hil.render.scene import ROTOR, Body, Model, car, drone, flying, lying, marked_drone, printed_board, standing
 from hil.render.sensor import SensorNoise, mixed
 from path.geometry.transforms import Pose
 from path.marker.photometric.texture import cells

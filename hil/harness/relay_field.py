@@ -162,7 +162,7 @@ class VirtualField:
     def _start(self, drone: VirtualDrone, program: DroneProgram) -> Started:
         log = WatchedLog(drone.log, drone.name, self.monitors.on_record, drone.offset_ns, self._request.whole_log)
         emit, stop, disk = self._emit_of(drone), self.programs.stop, self.programs.disk(drone.name)
-        return Started(log, program(drone.name, log, emit, stop, drone.harness, disk))
+        return Started(log, program(drone.name, log, emit, stop, drone.harness, disk).run())
 
     def _died(self, name: str) -> None:
         self.monitors.on_death(name)

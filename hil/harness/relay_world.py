@@ -16,9 +16,9 @@ from hil.autopilot.autopilot import Autopilot
 from hil.autopilot.radio import CENTRED
 from hil.harness.inject import inject_in_world
 from hil.world.config import HomeConfig, WorldConfig
+from hil.world.distances import Nearness, nearness
 from hil.world.dynamics import CONTACT
 from hil.world.fields import TargetField
-from hil.world.nearness import Nearness, nearness
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from hil.world.targets import Point
 from hil.world.world import STEP_HZ, Fleet, SimDrone, at_home

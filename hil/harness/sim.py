@@ -32,8 +32,8 @@ from hil.monitors.scripts import vehicles_of
 from hil.monitors.truth_log import TruthLog
 from hil.monitors.watched_log import WatchedLog
 from hil.world.check import check_world
-from hil.world.clearance import clearance
 from hil.world.config import WorldConfig, scene_of
+from hil.world.distances import clearance
 from hil.world.errors import Built, as_built
 from hil.world.estimator import reported
 from hil.world.faults import Fault, FaultError, parse_faults

@@ -17,7 +17,7 @@ from hil.monitors.agreed_pairs import AgreedPairs
 from hil.monitors.claims import Claims
 from hil.monitors.leases import LeaseMonitor
 from hil.monitors.scripts import ScriptMonitor
-from hil.world.clearance import LEAST_M
+from hil.world.distances import LEAST_M
 from path.config import MethodConfig
 from path.messages import Role
 

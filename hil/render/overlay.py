@@ -13,9 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.render.bodies import Body
 from hil.render.looks import Look
-from hil.render.scene import ROTOR
+from hil.render.scene import ROTOR, Body
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 

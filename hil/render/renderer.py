@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from hil.render import edges as edge_pass
 from hil.render import kernels, primitives, sensor
-from hil.render.bodies import Body, flying, standing
 from hil.render.ground import SCRATCH_ROWS, draw_ground, ground_plane
 from hil.render.kinds import model_of_kind
 from hil.render.looks import LOOKS
 from hil.render.overlay import Overlay
-from hil.render.scene import MARKER, drone, marked_drone
+from hil.render.scene import MARKER, Body, drone, flying, marked_drone, standing
 from hil.render.sensor import SensorNoise
 from hil.render.textures import ground_pyramid
 from hil.world.config import SceneName

@@ -1,4 +1,4 @@
-"""The bodies that synthetic cameras see, as flat rectangles in the frames of the bodies they belong to.
+"""The bodies that synthetic cameras see: flat rectangles in the frames of the bodies, and bodies at poses in the world.
 
 Geometry is in metres. Faces that lie on each other keep at least 1 mm apart. Only what can be a target is saturated
 orange.
@@ -6,6 +6,7 @@ orange.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -15,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from path.geometry.rotation import R_from_yaw
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.marker.photometric.texture import cells as marker_cells
@@ -35,6 +37,7 @@ SHELL: Color = (108.0, 88.0, 74.0)
 MOTOR: Color = (88.0, 86.0, 84.0)
 BLADE: Color = (46.0, 46.0, 48.0)
 GAP_M = 0.001
+STILL = np.array([1.0, 0.0, 0.0])
 
 CAR_BOXES: tuple[tuple[tuple[float, float, float], tuple[float, float, float], Color], ...] = (
     # centre, size (x forward, y left, z up), colour
@@ -208,3 +211,38 @@ def model_of(faces: Sequence[Face], cells: Sequence[NDArray[np.uint8]] = ()) -> 
         seconds=np.array([face.second for face in faces]),
         shades=tuple(np.ascontiguousarray(face.shades) for face in faces if face.shades is not None),
     )
+
+
+# --- in the world ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """A model at its pose in the world.
+
+    Attributes:
+        motion: (3,): cosine and sine of the blades' angle, 1 when they turn.
+        target: it is of the kind that is tracked: depth may be missing over it.
+    """
+
+    model: Model
+    T_w_body: Pose
+    motion: Array
+    target: bool
+
+
+def flying(model: Model, T_w_b: Pose, rotor_phase_rad: float, turning: bool) -> Body:
+    """A drone."""
+    return Body(
+        model, T_w_b, np.array([math.cos(rotor_phase_rad), math.sin(rotor_phase_rad), float(turning)]), target=False
+    )
+
+
+def lying(model: Model, T_w_o: Pose) -> Body:
+    """Something that neither moves nor is tracked, at any pose."""
+    return Body(model, T_w_o, STILL, target=False)
+
+
+def standing(model: Model, position_w_m: tuple[float, float, float], yaw_rad: float) -> Body:
+    """A car or a person, upright. ``yaw_rad``: counter-clockwise from east."""
+    return Body(model, Pose(R_from_yaw(yaw_rad), np.array(position_w_m)), STILL, target=True)

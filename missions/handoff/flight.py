@@ -12,11 +12,11 @@ from drivers.rig.parts import Rig, import_factory, with_errors, with_scene, with
 from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, RoleMain, RoleResult
 from flight.outcome import Outcome, violated_outcome
 from missions import rig_library
+from missions.handoff.right_object import fly_watched
 from missions.handoff.served import waiting_for
 from missions.lateness import for_lateness
 from missions.leg.process import fly_role, load_program
 from missions.report.records import RUN, RunFacts, write_facts
-from missions.report.right_object import fly_watched
 from missions.run_folder import claimed
 from missions.shown import say_unwritten
 from path.messages import Role

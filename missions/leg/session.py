@@ -24,6 +24,7 @@ from drivers.interfaces import (
     Vehicle,
     VehicleError,
 )  # fmt: skip
+from drivers.link.flood import LinkAlarm
 from drivers.rig.parts import Rig, RoleRig
 from drivers.stages import Stages
 from flight.clocks import ClockAlignment, answer
@@ -36,7 +37,6 @@ from flight.phases import Phase
 from flight.pilot import Pilot
 from missions.leg.frames import Frames
 from missions.leg.guarding import Guarding
-from missions.leg.link_alarm import LinkAlarm
 from path.gate.window import Evidence
 from path.geometry.rotation import yaw_of
 from path.messages import Ping, Pong, Role, Status

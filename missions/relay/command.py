@@ -13,7 +13,7 @@ from missions import rig_library
 from missions.ground_station import name_ground_station
 from missions.options.flights import RelayOptions
 from missions.relay.config import relay_of
-from missions.relay.drone.life import DroneFlight, program_of
+from missions.relay.drone.life import DroneFlight
 from missions.relay.ending import Showing, Values
 from missions.relay.flying import carry_out, fly_on_field, hours_of, judge
 from missions.relay.ground import Tell
@@ -41,7 +41,7 @@ def fly_relay(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """One relay to its end; its logs are in ``out``. Returns summary and record."""
     base = Base(config, say, hours_of(config, options))
-    program = program_of(partial(DroneFlight, rig, config, base))
+    program = partial(DroneFlight, rig, config, base)
     processes = processes_of(rig, config, out, base, options.logs)
     report = fly_on_field("relay", rig, base, options, out, program, processes)
     outcome, detail = judge(base, report)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from drivers.link.flood import foreign_packets
 from drivers.log.mcap_log import LogRecord
-from missions.leg.link_alarm import foreign_packets
 from path.messages import Role
 
 LEAST_S = 2.0

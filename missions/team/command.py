@@ -11,7 +11,6 @@ from flight.harness.fleet import TeamConfig
 from missions import rig_library
 from missions.ground_station import name_ground_station
 from missions.options.flights import TeamOptions
-from missions.relay.drone.life import program_of
 from missions.relay.ending import Showing, Values
 from missions.relay.flying import carry_out, fly_on_field, hours_of, judge
 from missions.relay.ground import Tell
@@ -47,7 +46,7 @@ def fly_team(
         return TeamFlight(rig, config, OwnGround(base, name), name, *parts)
 
     processes = processes_of(rig, config, out, base, options.logs)
-    report = fly_on_field("team", rig, base, options, out, program_of(flight), processes, config.targets)
+    report = fly_on_field("team", rig, base, options, out, flight, processes, config.targets)
     outcome, detail = judge(base, report)
     summary = summarize_team(rig, config, options, base, report, outcome, detail)
     return summary, {"outcome": outcome.label, **record_of(config, base, report)}

@@ -39,8 +39,8 @@ from hil.tello.emulator import TelloEmulator
 from hil.tello.video import TelloVideo
 from hil.tello.world import is_tello, tello_of
 from hil.vehicle.simulators.followed_world import FollowedWorld, SimulatedVehicle, start_simulators
-from hil.world.clearance import clearance
 from hil.world.config import WorldConfig
+from hil.world.distances import clearance
 from hil.world.errors import as_built
 from hil.world.snapshot import Snapshot
 from hil.world.world import World

@@ -19,10 +19,10 @@ from missions import rig_library
 from missions.assurance.campaign.plan import seed_of
 from missions.assurance.campaign.results import RunLine
 from missions.handoff.flight import harness_of, judge
+from missions.handoff.right_object import fly_watched
 from missions.leg.process import fly_role
 from missions.options.words import LevelName
 from missions.report.records import RUN
-from missions.report.right_object import fly_watched
 from missions.run_folder import claimed
 from path.messages import Role
 

@@ -8,20 +8,13 @@ before the receiver's machine is let go of, so that at any instant one record sa
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from contextlib import AsyncExitStack
 from functools import partial
 
-from drivers.interfaces import (
-    Log,
-    PartError,
-    RecordStore,
-    StateError,
-)
-from flight.harness.flights import Emit, InProcess, RoleResult
-from flight.harness.relay import DroneProgram
+from drivers.interfaces import PartError, StateError
+from flight.harness.flights import RoleResult
 from flight.outcome import MissionEnd, Outcome
-from missions.leg.course import close_session, conclude, run_course, run_recovery
+from missions.leg.course import Course, close_session, conclude, run_course, run_recovery
 from missions.leg.session import RoleSession, as_end
 from missions.relay.drone.aboard import Aboard
 from missions.relay.drone.records import as_first, as_holder, as_relief, write
@@ -50,15 +43,17 @@ class DroneFlight(Aboard):
                     return await self._find()
                 return await self._relieve()
             except _TurnsBack as again:
-                return await self._find_again(again.session, again.holder)
-
-    # --- what a drone takes off for ---
+                return await self._look_for(again.session, again.holder, again.holder.find_again)
 
     async def _find(self) -> RoleResult:
         await write(self._store, as_first(self._store.load()))
         session = self._session(Role.SENDER, None, Nobody())
         holder = Holder(session, self._store, self, None)
-        end = await run_course(session, holder.find)
+        return await self._look_for(session, holder, holder.find)
+
+    async def _look_for(self, session: RoleSession, holder: Holder, course: Course) -> RoleResult:
+        """Finds its target: for the first time, or once more instead of coming home, when nobody has it any more."""
+        end = await run_course(session, course)
         if end is not None:
             return await self._end(session, holder, end)
         return await self._change_role(session, holder)
@@ -125,13 +120,6 @@ class DroneFlight(Aboard):
             end = await run_course(session, flown.resume)
             return await self._end(session, flown, end)
 
-    async def _find_again(self, session: RoleSession, holder: Holder) -> RoleResult:
-        """Finds the target, which nobody has any more, instead of coming home. Once in a flight."""
-        end = await run_course(session, holder.find_again)
-        if end is not None:
-            return await self._end(session, holder, end)
-        return await self._change_role(session, holder)
-
     async def _end(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd | None) -> RoleResult:
         """Raises _TurnsBack for a drone that is not to come home."""
         landed, flies_on = False, False
@@ -159,17 +147,3 @@ class _TurnsBack(Exception):
     def __init__(self, session: RoleSession, holder: Holder) -> None:
         super().__init__()
         self.session, self.holder = session, holder
-
-
-FlightOf = Callable[[str, Log, Emit, asyncio.Event, InProcess | None, RecordStore], DroneFlight]
-
-
-def program_of(flight: FlightOf) -> DroneProgram:
-    """The program of every drone (``flight.harness.relay.DroneProgram``): its flight, from begin to end."""
-
-    async def fly(
-        name: str, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess, store: RecordStore
-    ) -> RoleResult:
-        return await flight(name, log, emit, stop, harness, store).run()
-
-    return fly

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from drivers.interfaces import LinkCounters
-from missions.leg.link_alarm import FLOOD_HZ, LinkAlarm
+from drivers.link.flood import FLOOD_HZ, LinkAlarm
 
 SECOND_NS = 10**9
 

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from hil.world.clearance import DRONE_M, clearance
 from hil.world.config import WorldConfig
+from hil.world.distances import DRONE_M, clearance
 from hil.world.dynamics import CONTACT
 from hil.world.snapshot import TargetKind
 from hil.world.targets import TargetConfig

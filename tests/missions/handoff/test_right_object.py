@@ -15,10 +15,10 @@ import missions.handoff.flight
 from flight.outcome import exit_code_of_runs
 from missions.assurance.campaign import run as campaign
 from missions.assurance.campaign.results import RunLine
+from missions.handoff.right_object import watch_object
 from missions.options.flights import HandoffOptions
 from missions.options.proofs import CampaignOptions
 from missions.report.records import FACTS, WORLD_LOG
-from missions.report.right_object import watch_object
 from missions.trials.run import exit_code
 from missions.trials.shared.trial import TrialResult
 from tests.missions.replayed import REPORT, Replayed

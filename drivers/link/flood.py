@@ -1,4 +1,4 @@
-"""The crew's alarms about packets that are not the other drone's: a flood, and its end."""
+"""Alarms about packets on a link that are not the other drone's: a flood, and its end."""
 
 from __future__ import annotations
 
