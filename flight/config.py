@@ -188,6 +188,9 @@ class MissionConfig:
     search_hz: Annotated[float, Bounds(0.5, 100.0)] = 10.0  # looks at the whole image for the marker
     # of either vehicle's roll and pitch, for the gravity prior
     attitude_sigma_deg: Annotated[float, Bounds(0.01, 20.0)] = 0.6
+    # of the sender's height above the ground that the target stands on: it betters a range that is only estimated, by
+    # where the target's ray meets its height; 0: not stated
+    height_sigma_m: Annotated[float, Bounds(0.0, 10.0)] = 0.0
     # how much more either attitude errs at one time than at another
     attitude_wander_deg: Annotated[float, Bounds(0.0, 20.0)] = 0.25
     target: TargetDesignation = field(default_factory=TargetDesignation)

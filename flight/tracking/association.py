@@ -12,6 +12,7 @@ from drivers.interfaces import View
 from flight.config import Designated
 from flight.guidance import Vec3, norm, subtract
 from flight.tracking.objects import CUT_SCORE, MIN_SCORE, ImageObject, Pixel, by_distance, is_cut
+from flight.tracking.ranging import MIN_DESCENT
 from flight.tracking.target_track import TargetTrack
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
@@ -25,7 +26,6 @@ _OUTSIDE_PX = 60.0  # so far outside the image an object's middle may be, and a 
 AMBIGUITY = 0.6
 _CLEARLY_NEARER = 1.5
 _ROUND = 16  # places on the rim of where a designated object can be
-MIN_DESCENT = 0.2  # per metre along the optical axis
 DEPTH_FLOOR_M, DEPTH_SIGMAS = 0.2, 3.0  # how far a depth may put the object from its prediction
 _SIDE_PX = 3.0  # noise of a box's side
 # For so long after it was seen whole an object is taken to be in a box that is so much larger than its own was; then
@@ -160,7 +160,20 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     )
     if measured is not None:
         track.update(measured, view.stamp_ns)
-    return Sighting(box, depth, _beside(view, box, ranked[1:], px_per_m))
+    return _over_ground(Sighting(box, depth, _beside(view, box, ranked[1:], px_per_m)), camera, T_n_c, track)
+
+
+def _over_ground(seen: Sighting, camera: CameraModel, T_n_c: Pose, track: TargetTrack) -> Sighting:
+    """The sighting with what the height of the drone says of ranges, where that is stated: all stand on one ground."""
+    known, down_m = track.over_ground, track.position_n_m[2]
+    if known is None:
+        return seen
+
+    def bettered(box: Box, depth: Depth | None) -> Depth | None:
+        return None if depth is None else known.bettered(depth, box, camera, T_n_c, down_m)
+
+    beside = tuple(Rival(each.box, bettered(each.box, each.depth)) for each in seen.beside)
+    return Sighting(seen.box, bettered(seen.box, seen.depth), beside)
 
 
 def _bound(track: TargetTrack, pixel: Pixel, camera: CameraModel, T_n_c: Pose, stamp_ns: int) -> None:

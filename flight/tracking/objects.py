@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 from path.camera.model import CameraModel
 from path.observations import Box, Detection
+from path.target.pieces import whole_of
 
 Pixel = tuple[float, float]
 
 MIN_SCORE = 0.3
 CUT_SCORE = 0.1  # of a box that the image's border cuts, which detectors score low: it is an object, not its box
 _BORDER_PX = 1.5
-_PIECES = 0.1  # by so much of its side two pieces together may differ from the object when it was last whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,31 +51,16 @@ def by_distance(
 
 
 def _joined(ranked: list[ImageObject], expected: Pixel, side_px: tuple[float, float]) -> list[ImageObject]:
-    """The objects with the first one in one piece: detectors at times show one object as two boxes, for a frame.
-
-    Two boxes that together are as large as the object was, and more nearly so than the first alone, are the object:
-    two that look alike take more room than one.
-    """
+    """The objects with the first one in one piece: detectors at times show one object as two boxes, for a frame."""
     first, *others = ranked
     if first.cut:
         return ranked
     for other in others:
-        both = _around(first.box, other.box)
-        off = _odds(both, side_px)
-        if not other.cut and off < _PIECES and off < _odds(first.box, side_px):
+        both = None if other.cut else whole_of(first.box, other.box, side_px)
+        if both is not None:
             whole = ImageObject(both, both.center, math.dist(both.center, expected), cut=False)
             return [whole, *(each for each in others if each is not other)]
     return ranked
-
-
-def _around(a: Box, b: Box) -> Box:
-    x, y = min(a.x, b.x), min(a.y, b.y)
-    return Box(x, y, max(a.x + a.w, b.x + b.w) - x, max(a.y + a.h, b.y + b.h) - y)
-
-
-def _odds(box: Box, side_px: tuple[float, float]) -> float:
-    """Returns by what share a box's sides differ from what is expected; the worse of the two."""
-    return max(abs(box.w / side_px[0] - 1.0), abs(box.h / side_px[1] - 1.0))
 
 
 def is_cut(box: Box, camera: CameraModel) -> bool:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import Self
 
+from flight.config import MissionConfig
 from flight.guidance import Vec3, add, scale, subtract
+from flight.tracking.ranging import OverGround
 from path.target.size import RunningSize
 
 MEASUREMENT_SIGMA_M = 0.05
@@ -23,13 +26,21 @@ class TargetTrack:
     """Position and velocity of one object in ``n``; the same filter on each axis (Kalman, constant velocity).
 
     ``accel_mps2``: how hard it may be expected to speed up, brake and turn. ``flies``: it moves up and down too; of one
-    that does not, what seems to is its box.
+    that does not, what seems to is its box. ``over_ground``: how well the height from which it is seen is known, where
+    it stands on the ground and that is stated.
     """
 
     def __init__(
-        self, position_n_m: Vec3, stamp_ns: int, accel_mps2: float = ACCELERATION_SIGMA_MPS2, *, flies: bool = False
+        self,
+        position_n_m: Vec3,
+        stamp_ns: int,
+        accel_mps2: float = ACCELERATION_SIGMA_MPS2,
+        *,
+        flies: bool = False,
+        over_ground: OverGround | None = None,
     ) -> None:
         self.position_n_m = position_n_m
+        self.over_ground = over_ground
         self.velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
         self.stamp_ns = stamp_ns
         self.seen_ns = stamp_ns
@@ -43,6 +54,12 @@ class TargetTrack:
         self._vv = 0.5**2
         self.size_m: tuple[float, float] | None = None  # of its box, where it was last seen whole
         self.whole_ns = stamp_ns
+
+    @classmethod
+    def of(cls, mission: MissionConfig, position_n_m: Vec3, stamp_ns: int) -> Self:
+        """The track of the mission's target, first seen there."""
+        accel_mps2, flies = mission.follow.target_accel_mps2, mission.target.flies
+        return cls(position_n_m, stamp_ns, accel_mps2, flies=flies, over_ground=OverGround.of(mission))
 
     def predict(self, stamp_ns: int) -> tuple[Vec3, float]:
         """Position (m) and its standard deviation per axis at a stamp, the filter left as it is."""

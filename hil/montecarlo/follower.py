@@ -60,8 +60,7 @@ class Follower:
         north, east, down = place_n_m
         places = [(north + n, east + e, down) for n, e in (moved - moved[-1]).tolist()]
         stamps = [stamp_ns + round(1e9 * each) for each in before_s.tolist()]
-        accel_mps2, flies = self._mission.follow.target_accel_mps2, self._mission.target.flies
-        track = TargetTrack(places[0], stamps[0], accel_mps2, flies=flies)
+        track = TargetTrack.of(self._mission, places[0], stamps[0])
         for each, at_ns in zip(places[1:], stamps[1:], strict=False):
             track.update(each, at_ns)
         return track

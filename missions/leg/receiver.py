@@ -326,9 +326,7 @@ class Receiver:
         depth = view.depth(candidate.box) or Depth(prior.depth_m, 0.0)
         position = place(candidate.box, depth, self._camera, T_n_c, -self._config.target.height_m)
         if self._track is None:
-            self._track = TargetTrack(
-                position, view.stamp_ns, self._config.follow.target_accel_mps2, flies=self._config.target.flies
-            )
+            self._track = TargetTrack.of(self._config, position, view.stamp_ns)
         else:
             self._track.update(position, view.stamp_ns)
 

@@ -266,9 +266,7 @@ class Sender:
         T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
         position = self._acquisition.look(view, T_n_c, self._designated(view.stamp_ns))
         if position is not None:
-            self._track = TargetTrack(
-                position, view.stamp_ns, self._config.follow.target_accel_mps2, flies=self._config.target.flies
-            )
+            self._track = TargetTrack.of(self._config, position, view.stamp_ns)
 
     def _designated(self, stamp_ns: int) -> Designated:
         """The ground on which the object that the operator pointed at can be by a stamp."""

@@ -88,9 +88,7 @@ class SenderPerceiver:
         designated = self._mission.target.at((stamp_ns - self._begun_ns) * 1e-9, self._off_m)
         position = self._acquisition.look(view, T_n_c, designated)
         if position is not None:
-            self._track = TargetTrack(
-                position, stamp_ns, self._mission.follow.target_accel_mps2, flies=self._mission.target.flies
-            )
+            self._track = TargetTrack.of(self._mission, position, stamp_ns)
 
     @property
     def seen(self) -> tuple[Sighting | MissReason, Vec3] | None:

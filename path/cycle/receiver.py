@@ -18,6 +18,7 @@ from path.geometry.rotation import IDENTITY
 from path.geometry.transforms import Matrix, Pose
 from path.messages import Candidate, Target, Vec3
 from path.observations import Detection, Missed, MissReason
+from path.target.pieces import whole_of
 from path.target.place import across_sigma
 from path.timeline import Sample, Track
 
@@ -189,11 +190,26 @@ class ReceiverCycle:
         near.sort(key=itemgetter(0))
         if not near:
             return Missed(MissReason.NO_CANDIDATE)
+        near = self._joined(near, prior)
         nearest, best = near[0]
         for distance2, other in near[1:]:
             if distance2 - nearest < self._config.ambiguity_margin and iou(best.box, other.box) < SAME_OBJECT_IOU:
                 return Missed(MissReason.AMBIGUOUS_TARGET)
         return best
+
+    def _joined(self, near: list[tuple[float, Detection]], prior: Prior) -> list[tuple[float, Detection]]:
+        """The nearest one in one piece, where its detector shows it as two boxes that overlap."""
+        (_, best), others = near[0], near[1:]
+        w, h = self._box_size_at_1m_px
+        if not w * h > 0.0:
+            return near
+        for other in others:
+            box, score = other[1].box, max(best.score, other[1].score)
+            whole = whole_of(best.box, box, (w / prior.depth_m, h / prior.depth_m))
+            if whole is not None and iou(best.box, box) > 0.0:
+                rest = [each for each in others if each is not other]
+                return [(prior.distance2(*whole.center), Detection(whole, score)), *rest]
+        return near
 
     def _unusable(self, target: Target, capture_ns: int, now_ns: int) -> MissReason | None:
         if (target.handoff_id, target.epoch, target.target_id) != self._identity:

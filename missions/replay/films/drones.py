@@ -124,9 +124,7 @@ class FilmedSender:
             depth = view.depth(box)
             if depth is not None:
                 position = to_local(point_in_camera(box, depth.z_m, camera), T_n_c)
-                return TargetTrack(
-                    position, view.stamp_ns, self._config.follow.target_accel_mps2, flies=self._config.target.flies
-                )
+                return TargetTrack.of(self._config, position, view.stamp_ns)
         if view.stamp_ns - self._films.target_ns > PICK_S * 1e9:
             at = "" if pixel is None else f" at ({pixel[0]:g}, {pixel[1]:g})"
             what = "without depth" if picked else f"not there{at}; {_places(boxes)}"

@@ -211,6 +211,25 @@ def test_one_object_found_twice_is_not_ambiguous() -> None:
     assert answer(receiver, 1, twice, prior).box == twice[0].box
 
 
+def test_one_object_in_two_boxes_is_that_object_and_two_objects_are_not() -> None:
+    """As a colour detector showed a car for single frames of video (handoff --rig sim-tello --seed 12015)."""
+    receiver = primed()
+    prior = sound_prior(receiver)
+    u, v = prior.pixel
+    left, top, right, bottom = u - 40.0, v - 25.0, u + 40.0, v + 25.0
+    pieces = [
+        Detection(Box(left, top + 8.0, 60.0, bottom - top - 8.0), 0.2),
+        Detection(Box(left + 22.0, top, right - left - 22.0, 44.0), 0.9),
+    ]
+    assert answer(receiver, 1, pieces, prior).reason is MissReason.AMBIGUOUS_TARGET  # how large it is nobody knows yet
+    answer(receiver, 2, [detection(u, v, w=80.0, h=50.0)], prior)
+    assert answer(receiver, 3, pieces, prior).box == Box(left, top, 80.0, 50.0)
+    apart = [detection(u - 20.0, v, w=38.0, h=50.0), detection(u + 20.0, v, w=40.0, h=50.0)]
+    assert answer(receiver, 4, apart, prior).reason is MissReason.AMBIGUOUS_TARGET
+    two = [detection(u - 24.0, v, w=60.0, h=50.0), detection(u + 24.0, v, w=60.0, h=50.0)]
+    assert answer(receiver, 5, two, prior).reason is MissReason.AMBIGUOUS_TARGET
+
+
 @pytest.mark.parametrize("box", [Box(math.nan, 200.0, 60.0, 40.0), Box(320.0, 240.0, 0.0, 0.0)])
 def test_a_detection_that_is_none_is_never_picked(box: Box) -> None:
     receiver = primed()

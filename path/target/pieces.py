@@ -1,0 +1,24 @@
+"""One object that a detector shows as two boxes, for a frame.
+
+Two boxes that together are as large as the object was, and more nearly so than the first alone, are the object: two
+that look alike take more room than one.
+"""
+
+from __future__ import annotations
+
+from path.observations import Box
+
+_PIECES = 0.1  # by so much of its side two pieces together may differ from the object when it was last whole
+
+
+def whole_of(first: Box, other: Box, side_px: tuple[float, float]) -> Box | None:
+    """The box around two that are the object with those sides; None where they are not."""
+    x, y = min(first.x, other.x), min(first.y, other.y)
+    both = Box(x, y, max(first.x + first.w, other.x + other.w) - x, max(first.y + first.h, other.y + other.h) - y)
+    off = _odds(both, side_px)
+    return both if off < _PIECES and off < _odds(first, side_px) else None
+
+
+def _odds(box: Box, side_px: tuple[float, float]) -> float:
+    """Returns by what share a box's sides differ from what is expected; the worse of the two."""
+    return max(abs(box.w / side_px[0] - 1.0), abs(box.h / side_px[1] - 1.0))
