@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import tomllib
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TextIO
 
 from flight.command_end import CommandEnd
 from missions.options.field import RigsOptions
@@ -25,7 +25,7 @@ def run(options: RigsOptions, out: TextIO | None = None) -> int:
         return check(options.check, out or sys.stdout)
     tables = [(file.stem, tomllib.loads(file.read_text("utf-8"))) for file in FOLDER.glob("*.toml")]
     width = max((len(name) for name, _ in tables), default=0)
-    for name, table in sorted(tables, key=_by_level):
+    for name, table in sorted(tables, key=lambda rig: (LEVELS.index(rig[1]["level"]), rig[0])):
         level = "" if table["level"] == name else f"level {table['level']}: "
         (out or sys.stdout).write(f"{name:<{width}}  {level}{table.get('description', '')}\n")
     return 0
@@ -47,7 +47,3 @@ def check(name: str, stream: TextIO) -> int:
         return CommandEnd.NOT_FIT.exit_code
     stream.write(f"{file}: level {rig.level}, nothing wrong with it\n")
     return CommandEnd.DONE.exit_code
-
-
-def _by_level(rig: tuple[str, dict[str, Any]]) -> tuple[int, str]:
-    return LEVELS.index(rig[1]["level"]), rig[0]

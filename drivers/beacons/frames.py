@@ -11,6 +11,7 @@ import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 from path.messages import Vec3
 
@@ -192,37 +193,14 @@ def _decoded(frame: bytes) -> tuple[Packet, int]:
     return packet, code
 
 
-def _position_cm(body: bytes) -> MobilePosition:
-    stamp_ms, x, y, z, flags, address, angle, age_ms = struct.unpack_from("<IhhhBBHH", body)
-    return _position(address, stamp_ms, 32, age_ms, (0.01 * x, 0.01 * y, 0.01 * z), flags, angle)
-
-
-def _position_mm(body: bytes) -> MobilePosition:
-    stamp_ms, x, y, z, flags, address, angle, age_ms = struct.unpack_from("<IiiiBBHH", body)
-    return _position(address, stamp_ms, 32, age_ms, (1e-3 * x, 1e-3 * y, 1e-3 * z), flags, angle)
-
-
-def _position_nt(body: bytes) -> MobilePosition:
-    stamp_ms, x, y, z, flags, address, angle, age_ms = struct.unpack_from("<QiiiBBHH", body)
-    return _position(address, stamp_ms, 64, age_ms, (1e-3 * x, 1e-3 * y, 1e-3 * z), flags, angle)
-
-
-def _position(
-    address: int, stamp_ms: int, bits: int, age_ms: int, position_m: Vec3, flags: int, angle: int
-) -> MobilePosition:
+def _position(layout: str, unit_m: float, stamp_bits: int, body: bytes) -> MobilePosition:
+    stamp_ms, x, y, z, flags, address, angle, age_ms = struct.unpack_from(layout, body)
+    position_m = None if flags & UNAVAILABLE else (unit_m * x, unit_m * y, unit_m * z)
     orientation_rad = None if angle & NO_ANGLE else math.radians(0.1 * (angle & ANGLE_MASK))
-    return MobilePosition(address, stamp_ms, bits, age_ms, None if flags & UNAVAILABLE else position_m, orientation_rad)
+    return MobilePosition(address, stamp_ms, stamp_bits, age_ms, position_m, orientation_rad)
 
 
-def _stationary_cm(body: bytes) -> StationaryPositions | None:
-    return _stationary(body, "<Bhhhx", 0.01)
-
-
-def _stationary_mm(body: bytes) -> StationaryPositions | None:
-    return _stationary(body, "<Biiix", 1e-3)
-
-
-def _stationary(body: bytes, layout: str, unit_m: float) -> StationaryPositions | None:
+def _stationary(layout: str, unit_m: float, body: bytes) -> StationaryPositions | None:
     each = struct.calcsize(layout)
     if len(body) != 1 + body[0] * each:
         return None
@@ -240,11 +218,11 @@ def _power(body: bytes) -> Power:
 
 
 DECODERS: dict[int, Callable[[bytes], Packet | None]] = {
-    POSITION_CM: _position_cm,
-    POSITION_MM: _position_mm,
-    POSITION_NT: _position_nt,
-    STATIONARY_CM: _stationary_cm,
-    STATIONARY_MM: _stationary_mm,
+    POSITION_CM: partial(_position, "<IhhhBBHH", 0.01, 32),
+    POSITION_MM: partial(_position, "<IiiiBBHH", 1e-3, 32),
+    POSITION_NT: partial(_position, "<QiiiBBHH", 1e-3, 64),
+    STATIONARY_CM: partial(_stationary, "<Bhhhx", 0.01),
+    STATIONARY_MM: partial(_stationary, "<Biiix", 1e-3),
     QUALITY: _rating,
     TELEMETRY: _power,
 }

@@ -87,7 +87,7 @@ class StateFile:
     def save(self, record: SenderRecord | ReceiverRecord) -> None:
         content = {
             "format": FORMAT,
-            "role": _role_of(record).value,
+            "role": (Role.SENDER if isinstance(record, SenderRecord) else Role.RECEIVER).value,
             "boot": self._boot,
             "record": msgspec.to_builtins(record),
         }
@@ -130,10 +130,6 @@ class StateFile:
             f"{self._path} is damaged: {why}",
             f"land both drones; then delete {self._path} and the other drone's state file, so that both begin anew",
         )
-
-
-def _role_of(record: SenderRecord | ReceiverRecord) -> Role:
-    return Role.SENDER if isinstance(record, SenderRecord) else Role.RECEIVER
 
 
 def boot_id() -> str:

@@ -201,16 +201,13 @@ class RecordedLog:
     def __init__(self, file: Path, topic: str) -> None:
         self.name = str(file)
         self._file = file
-        topics = self._topics()
+        topics = sorted({r.topic for r in islice(self._records(), SEARCHED) if r.record.get("format") == "jpeg"})
         if not topics:
             raise RecordingError(f"{file}: there are no images in this log", REMEDY)
         if topic not in topics and (topic or len(topics) > 1):
             found = f"images at '{topic}'" if topic else "one kind of images"
             raise RecordingError(f"{file}: expected {found}, found {', '.join(topics)}", "name one as topic")
         self._topic = topic or topics[0]
-
-    def _topics(self) -> list[str]:
-        return sorted({r.topic for r in islice(self._records(), SEARCHED) if r.record.get("format") == "jpeg"})
 
     def _records(self) -> Iterator[LogRecord]:
         try:

@@ -199,11 +199,7 @@ def with_errors(rig: Rig, level: str | None) -> Rig:
 
     Raises RigError for a rig that flies in the real world.
     """
-    if level is None:
-        return rig
-    if rig.harness is None:
-        raise RigError([f"rig {rig.name} has no world of its own to be drawn with errors"], "leave out --errors")
-    return dataclasses.replace(rig, world={**rig.world, "errors": {"level": level}})
+    return _with_world(rig, "errors", level and {"level": level}, "world of its own to be drawn with errors")
 
 
 def with_scene(rig: Rig, name: str | None) -> Rig:
@@ -211,11 +207,7 @@ def with_scene(rig: Rig, name: str | None) -> Rig:
 
     Raises RigError for a rig that flies in the real world.
     """
-    if name is None:
-        return rig
-    if rig.harness is None:
-        raise RigError([f"rig {rig.name} has no world of its own that could look otherwise"], "leave out --scene")
-    return dataclasses.replace(rig, world={**rig.world, "scene": {"name": name}})
+    return _with_world(rig, "scene", name and {"name": name}, "world of its own that could look otherwise")
 
 
 def with_slow(rig: Rig, share: float | None) -> Rig:
@@ -223,11 +215,15 @@ def with_slow(rig: Rig, share: float | None) -> Rig:
 
     Raises RigError for a rig whose programs nobody starts but their crews.
     """
-    if share is None:
+    return _with_world(rig, "slow", share, "harness that could slow its programs down")
+
+
+def _with_world(rig: Rig, key: str, value: object, needed: str) -> Rig:
+    if value is None:
         return rig
     if rig.harness is None:
-        raise RigError([f"rig {rig.name} has no harness that could slow its programs down"], "leave out --slow")
-    return dataclasses.replace(rig, world={**rig.world, "slow": share})
+        raise RigError([f"rig {rig.name} has no {needed}"], f"leave out --{key}")
+    return dataclasses.replace(rig, world={**rig.world, key: value})
 
 
 def import_factory(factory: str, where: str) -> Any:

@@ -99,19 +99,25 @@ class InProcess(Protocol):
         ...
 
 
-class RoleMain(Protocol):
-    """One role's whole program, from opening its parts to the vehicle on the ground."""
+@dataclass(frozen=True, slots=True)
+class ProgramContext:
+    """Everything that a drone's program is given by whoever starts it.
 
-    def __call__(
-        self,
-        rig: Rig,
-        role: Role,
-        log: Log,
-        emit: Emit,
-        stop: asyncio.Event,
-        harness: InProcess | None,
-        store: RecordStore,
-    ) -> Awaitable[RoleResult]: ...
+    Attributes:
+        stop: tells it to land.
+        harness: None where the program has a process of its own.
+        store: keeps what it has to know after a restart.
+    """
+
+    log: Log
+    emit: Emit
+    stop: asyncio.Event
+    harness: InProcess | None
+    store: RecordStore
+
+
+RoleMain = Callable[[Rig, Role, ProgramContext], Awaitable[RoleResult]]
+"""One role's whole program, from opening its parts to the vehicle on the ground. Raises PartError."""
 
 
 @dataclass(frozen=True, slots=True)

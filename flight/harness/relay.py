@@ -12,10 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from drivers.interfaces import Log, RecordStore
 from drivers.rig.parts import Rig
 from flight.harness.fleet import NamedTarget, RelayConfig
-from flight.harness.flights import Emit, InProcess, RoleResult
+from flight.harness.flights import Emit, ProgramContext, RoleResult
 
 POINTING_M = 0.1  # standard deviation, on each axis, of where a person points
 
@@ -37,7 +36,7 @@ class OneFlight(Protocol):
     async def run(self) -> RoleResult: ...
 
 
-DroneProgram = Callable[[str, Log, Emit, asyncio.Event, InProcess, RecordStore], OneFlight]
+DroneProgram = Callable[[str, ProgramContext], OneFlight]
 """The program of any drone, which makes the flight of the one that is named."""
 
 

@@ -197,7 +197,7 @@ class GeometricView:
         found = np.empty((len(seen), DETECTION_COLUMNS))
         keys = self._key(TARGETS), self._key(SLOW_TARGETS, SLOW_FRAMES)
         count = detections(seen, sensor.setup.lens, _row(region), boxes, *keys, found)
-        rows = sorted(found[:count].tolist(), key=_minus_score)
+        rows = sorted(found[:count].tolist(), key=lambda row: -row[4])
         detected = [Detection(Box(x, y, w, h), score) for x, y, w, h, score in rows]
         invented = self._invented
         if invented is not None and (region is None or region.contains(*invented.box.center)):
@@ -273,10 +273,6 @@ def warm_up() -> None:
     view.targets(None)
     view.markers(None)
     view.depth(Box(20.0, 12.0, 24.0, 24.0))
-
-
-def _minus_score(row: list[float]) -> float:
-    return -row[4]
 
 
 def _row(region: Region | None) -> Array:

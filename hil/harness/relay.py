@@ -12,7 +12,7 @@ from typing import Any
 from drivers.collector import collector_off
 from drivers.stop_signals import stop_on_signals
 from flight.harness.relay import RelayReport, RelayRequest
-from hil.harness.drone import present_s
+from hil.harness.drone import present_s, until
 from hil.harness.preparation import prepare, starting
 from hil.harness.relay_field import VirtualField
 from hil.harness.sim import mission_config
@@ -71,7 +71,7 @@ class _RelayFlight:
         try:
             await self._request.main(field, field.programs.stop, self._request.emit)
         finally:
-            await self._until_landed()
+            await until(lambda: all(field.landed(name) for name in field.world.on), LANDING_LIMIT_S)
             watching.cancel()
             field.close()
         return self._findings()
@@ -91,11 +91,6 @@ class _RelayFlight:
                 sample_s = now_s + SAMPLE_S
                 monitors.sample(now_s, world.batteries, world.airborne)
             await asyncio.sleep(NEAR_PERIOD_S if len(world.airborne) > 1 else PERIOD_S)
-
-    async def _until_landed(self) -> None:
-        end_s, field = present_s() + LANDING_LIMIT_S, self._field
-        while present_s() < end_s and not all(field.landed(name) for name in field.world.on):  # noqa: ASYNC110 (polls truth)
-            await asyncio.sleep(0.1)
 
     def _findings(self) -> dict[str, Any]:
         field = self._field

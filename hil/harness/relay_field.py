@@ -18,7 +18,7 @@ from drivers.rig.parts import RoleRig, part_context
 from drivers.rig.tables import decode_table
 from flight.config import MissionConfig
 from flight.harness.fleet import pair_of
-from flight.harness.flights import Progress, RoleResult
+from flight.harness.flights import ProgramContext, Progress, RoleResult
 from flight.harness.relay import POINTING_M, DroneProgram, Pointed, RelayRequest
 from hil.harness.drone import Disk, DroneHarness, present_s
 from hil.harness.guard import MemoryBeatLine, keep_watch
@@ -161,8 +161,9 @@ class VirtualField:
 
     def _start(self, drone: VirtualDrone, program: DroneProgram) -> Started:
         log = WatchedLog(drone.log, drone.name, self.monitors.on_record, drone.offset_ns, self._request.whole_log)
-        emit, stop, disk = self._emit_of(drone), self.programs.stop, self.programs.disk(drone.name)
-        return Started(log, program(drone.name, log, emit, stop, drone.harness, disk).run())
+        disk = self.programs.disk(drone.name)
+        given = ProgramContext(log, self._emit_of(drone), self.programs.stop, drone.harness, disk)
+        return Started(log, program(drone.name, given).run())
 
     def _died(self, name: str) -> None:
         self.monitors.on_death(name)

@@ -17,8 +17,8 @@ from drivers.rig.parts import Rig, part_context
 from drivers.rig.tables import decode_table
 from drivers.stop_signals import stop_on_signals
 from flight.config import MissionConfig
-from flight.harness.flights import FlightReport, FlightRequest, Progress, RoleResult, with_log
-from hil.harness.drone import Disk, DroneHarness
+from flight.harness.flights import FlightReport, FlightRequest, ProgramContext, Progress, RoleResult, with_log
+from hil.harness.drone import Disk, DroneHarness, until
 from hil.harness.guard import MemoryBeatLine, keep_watch
 from hil.harness.inject import inject_at_drone, inject_in_world, inject_on_link
 from hil.harness.leg_faults import LegFaults
@@ -105,7 +105,7 @@ class _Flight:
             self._faults.open_leg(LEG, Role.SENDER.value, Role.RECEIVER.value)
             watching = asyncio.create_task(self._watch_truth(truth))
             results = await self._fly_roles()
-            await self._until_landed()
+            await until(lambda: all(self._world.landed(role) for role in Role), LANDING_LIMIT_S)
             for task in (watching, *guarding):
                 task.cancel()
             await asyncio.gather(watching, *guarding, return_exceptions=True)
@@ -154,10 +154,9 @@ class _Flight:
         log = virtual_log(new_part(request.out, role.value), role.value, offset_ns)
         self._logs.append(log)
         watched = WatchedLog(log, role, self._monitors.on_record, offset_ns)
-        stop, drone = self._programs.stop, self._drones[role]
         disk = self._programs.disk(role.value)
-        result = request.role_main(self._rig, role, watched, self._emit, stop, drone, disk)
-        return Started(watched, _with_log(result, log))
+        given = ProgramContext(watched, self._emit, self._programs.stop, self._drones[role], disk)
+        return Started(watched, _with_log(request.role_main(self._rig, role, given), log))
 
     def _died(self, name: str) -> None:
         self._monitors.on_death(Role(name))
@@ -202,14 +201,6 @@ class _Flight:
             if ticks % VEHICLES_EVERY == 0:
                 self._monitors.scripts.on_truth(world.time_s, vehicles_of(world, self._true_rig))
             await asyncio.sleep(TRUTH_PERIOD_S if world.both_in_air else GROUND_PERIOD_S)
-
-    async def _until_landed(self) -> None:
-        loop = asyncio.get_running_loop()
-        end_s = loop.time() + LANDING_LIMIT_S
-        while loop.time() < end_s:
-            if all(self._world.landed(role) for role in Role):
-                return
-            await asyncio.sleep(0.1)
 
     def _findings(self, truth: TruthLog, results: dict[Role, RoleResult | None]) -> dict[str, Any]:
         for role in Role:

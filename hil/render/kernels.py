@@ -93,19 +93,21 @@ def marker_is_white(table, side, u, v):
 
 
 @inner
-def _marker_pixel(primitive, table, side, x, y, pixel):
-    """Colour of the plate at a ray when it is one over the whole pixel: 1 white, 0 black; -1 when it is not."""
-    z = 1.0 / (primitive[INVERSE_Z] * x + primitive[INVERSE_Z + 1] * y + primitive[INVERSE_Z + 2])
+def _under_pixel(primitive, x, y, pixel):
+    """The place where a ray meets a face, (u, v), and how far its pixel reaches from there over u and v."""
+    over_x, over_y = primitive[INVERSE_Z], primitive[INVERSE_Z + 1]
+    z = 1.0 / (over_x * x + over_y * y + primitive[INVERSE_Z + 2])
     u = (primitive[OVER_U] * x + primitive[OVER_U + 1] * y + primitive[OVER_U + 2]) * z
     v = (primitive[OVER_V] * x + primitive[OVER_V + 1] * y + primitive[OVER_V + 2]) * z
-    reach_u = abs(primitive[OVER_U] - u * primitive[INVERSE_Z]) + abs(
-        primitive[OVER_U + 1] - u * primitive[INVERSE_Z + 1]
-    )
-    reach_v = abs(primitive[OVER_V] - v * primitive[INVERSE_Z]) + abs(
-        primitive[OVER_V + 1] - v * primitive[INVERSE_Z + 1]
-    )
-    reach_u *= 0.51 * z * pixel
-    reach_v *= 0.51 * z * pixel
+    reach_u = (abs(primitive[OVER_U] - u * over_x) + abs(primitive[OVER_U + 1] - u * over_y)) * (0.51 * z * pixel)
+    reach_v = (abs(primitive[OVER_V] - v * over_x) + abs(primitive[OVER_V + 1] - v * over_y)) * (0.51 * z * pixel)
+    return u, v, reach_u, reach_v
+
+
+@inner
+def _marker_pixel(primitive, table, side, x, y, pixel):
+    """Colour of the plate at a ray when it is one over the whole pixel: 1 white, 0 black; -1 when it is not."""
+    u, v, reach_u, reach_v = _under_pixel(primitive, x, y, pixel)
     if max(reach_u, reach_v) * PLATE_SCALE * side > 0.5:
         border = 0.5 + 0.5 / PLATE_SCALE
         outside = abs(u - 0.5) - reach_u > border - 0.5 or abs(v - 0.5) - reach_v > border - 0.5
@@ -130,17 +132,7 @@ def shade_at(shades, table, u, v):
 @inner
 def _shaded_pixel(primitive, shades, table, x, y, pixel):
     """Shade of a pattern at a ray when it is one over the whole pixel; -1 when it is not."""
-    z = 1.0 / (primitive[INVERSE_Z] * x + primitive[INVERSE_Z + 1] * y + primitive[INVERSE_Z + 2])
-    u = (primitive[OVER_U] * x + primitive[OVER_U + 1] * y + primitive[OVER_U + 2]) * z
-    v = (primitive[OVER_V] * x + primitive[OVER_V + 1] * y + primitive[OVER_V + 2]) * z
-    reach_u = abs(primitive[OVER_U] - u * primitive[INVERSE_Z]) + abs(
-        primitive[OVER_U + 1] - u * primitive[INVERSE_Z + 1]
-    )
-    reach_v = abs(primitive[OVER_V] - v * primitive[INVERSE_Z]) + abs(
-        primitive[OVER_V + 1] - v * primitive[INVERSE_Z + 1]
-    )
-    reach_u *= 0.51 * z * pixel
-    reach_v *= 0.51 * z * pixel
+    u, v, reach_u, reach_v = _under_pixel(primitive, x, y, pixel)
     if reach_u * table[TABLE_COLUMNS] > 0.5 or reach_v * table[ROWS] > 0.5:
         return -1
     shade = shade_at(shades, table, u - reach_u, v - reach_v)

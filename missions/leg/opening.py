@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 import gc
 import random
 from contextlib import AsyncExitStack
 
 import cv2
 
-from drivers.interfaces import Clock, Link, Log, Perception, RecordStore, Vehicle
+from drivers.interfaces import Clock, Link, Perception, Vehicle
 from drivers.mavlink.guard.interfaces import GuardLine
 from drivers.mavlink.guard.line import UdpGuardLine
 from drivers.resident import give_back
@@ -17,7 +16,7 @@ from drivers.rig.parts import PartSpec, Rig, RoleRig, create, part_context
 from drivers.stages import Stages
 from flight.config import MissionConfig
 from flight.guard.under_guard import UnderGuard
-from flight.harness.flights import Emit, InProcess, RoleResult
+from flight.harness.flights import InProcess, ProgramContext, RoleResult
 from missions.leg.course import fly_course
 from missions.leg.receiver import Receiver
 from missions.leg.sender import Sender
@@ -28,16 +27,10 @@ from path.messages import Role
 
 
 async def open_session(
-    stack: AsyncExitStack,
-    rig: Rig,
-    role: Role,
-    config: MissionConfig,
-    log: Log,
-    emit: Emit,
-    stop: asyncio.Event,
-    harness: InProcess | None,
+    stack: AsyncExitStack, rig: Rig, role: Role, config: MissionConfig, given: ProgramContext
 ) -> RoleSession:
     """Make and open a role's parts, closed again by ``stack``; nothing is compiled any more after. Raises PartError."""
+    harness = given.harness
     cv2.setNumThreads(1)  # frames are small: more threads cost more than they gain, and take the other processes' cores
     warm_up_for(rig.role(role), harness)
     if harness is None:
@@ -54,7 +47,8 @@ async def open_session(
         guard = UnderGuard(await stack.enter_async_context(line), context.clock, config.guard_process)
     leave_opening(harness)
     parts = (context.clock, vehicle, perception, link)
-    return RoleSession(rig, role, config, log, emit, stop, parts, entropy, guard, Stages() if harness is None else None)
+    stages = Stages() if harness is None else None
+    return RoleSession(rig, role, config, given.log, given.emit, given.stop, parts, entropy, guard, stages)
 
 
 def warm_up_for(own: RoleRig, harness: InProcess | None) -> None:
@@ -81,15 +75,9 @@ def guard_line_of(guard: PartSpec, role: Role, clock: Clock, harness: InProcess 
     return UdpGuardLine(str(guard.options.get("bind", "")), clock) if harness is None else harness.guard_line(role)
 
 
-async def fly(
-    rig: Rig, role: Role, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess | None, store: RecordStore
-) -> RoleResult:
-    """Flies a role from the opening of its parts to the vehicle on the ground. Raises PartError.
-
-    Args:
-        store: keeps what it has to know after a restart.
-    """
+async def fly(rig: Rig, role: Role, given: ProgramContext) -> RoleResult:
+    """Flies a role from the opening of its parts to the vehicle on the ground. Raises PartError."""
     async with AsyncExitStack() as stack:
-        session = await open_session(stack, rig, role, mission_of(rig), log, emit, stop, harness)
-        flown = Sender(session, store) if role is Role.SENDER else Receiver(session, store)
+        session = await open_session(stack, rig, role, mission_of(rig), given)
+        flown = Sender(session, given.store) if role is Role.SENDER else Receiver(session, given.store)
         return await fly_course(session, flown.course, flown.recover)

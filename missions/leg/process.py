@@ -5,20 +5,17 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
-from drivers.interfaces import Log, RecordStore
 from drivers.log.mcap_log import McapLog, new_part
 from drivers.log.state_file import StateFile
 from drivers.rig.parts import Rig
 from drivers.stop_signals import stop_at_end_of_input, stop_on_signals
-from flight.harness.flights import Emit, InProcess, Progress, RoleMain, RoleResult, encode_event, with_log
+from flight.harness.flights import Emit, ProgramContext, Progress, RoleMain, RoleResult, encode_event, with_log
 from path.messages import Role
 
 
-async def fly_role(
-    rig: Rig, role: Role, log: Log, emit: Emit, stop: asyncio.Event, harness: InProcess | None, store: RecordStore
-) -> RoleResult:
+async def fly_role(rig: Rig, role: Role, given: ProgramContext) -> RoleResult:
     """The program of either role in the world's own process (``flight.harness.flights.RoleMain``)."""
-    return await load_program()(rig, role, log, emit, stop, harness, store)
+    return await load_program()(rig, role, given)
 
 
 def load_program() -> RoleMain:
@@ -41,8 +38,8 @@ def run_role(
     """
     load_program()
     with McapLog(new_part(out, role.value), role.value) as log:
-        store, told = StateFile(state, role), _to_parent if parent else emit
-        result = asyncio.run(_run(rig, role, log, store, told, parent, main))
+        given = ProgramContext(log, _to_parent if parent else emit, asyncio.Event(), None, StateFile(state, role))
+        result = asyncio.run(_run(rig, role, given, parent, main))
         result = with_log(result, log.failed)
         if parent:
             print(encode_event(result), flush=True)
@@ -53,11 +50,8 @@ def _to_parent(progress: Progress) -> None:
     print(encode_event(progress), flush=True)
 
 
-async def _run(
-    rig: Rig, role: Role, log: McapLog, store: StateFile, emit: Emit, parent: bool, main: RoleMain
-) -> RoleResult:
-    stop = asyncio.Event()
-    stop_on_signals(stop.set)
+async def _run(rig: Rig, role: Role, given: ProgramContext, parent: bool, main: RoleMain) -> RoleResult:
+    stop_on_signals(given.stop.set)
     if parent:
-        stop_at_end_of_input(stop.set)
-    return await main(rig, role, log, emit, stop, None, store)
+        stop_at_end_of_input(given.stop.set)
+    return await main(rig, role, given)

@@ -58,10 +58,6 @@ def _ignore(_: object) -> None:
     pass
 
 
-def _no_instance() -> int:
-    return 0
-
-
 @dataclass(slots=True)
 class ConsoleLine:
     """The console's view of the handshake; the role keeps it current."""
@@ -109,7 +105,7 @@ class RoleSession:
         self.peer: Status | None = None
         self.peer_heard_ns = 0
         self.claim: TakeResponsibility | None = None
-        self.instance: Callable[[], int] = _no_instance  # what a Status of this drone names
+        self.instance: Callable[[], int] = int  # what a Status of this drone names
         self.observing = False
         self.off_n_m: Vec3 = (0.0, 0.0, 0.0)  # of this drone's own position, as it was at home
         self.on_message: Callable[[Received], None] = _ignore

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Mapping
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 
-from drivers.interfaces import Log, RecordStore
 from drivers.rig.parts import Rig
 from flight.guidance import Anchor
-from flight.harness.flights import Emit, InProcess, RoleResult
+from flight.harness.flights import ProgramContext, RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from missions.leg.course import fly_course
@@ -30,22 +28,13 @@ class OwnMission:
 
     missions: Mapping[Role, Mission]
 
-    async def __call__(
-        self,
-        rig: Rig,
-        role: Role,
-        log: Log,
-        emit: Emit,
-        stop: asyncio.Event,
-        harness: InProcess | None,
-        store: RecordStore,
-    ) -> RoleResult:
+    async def __call__(self, rig: Rig, role: Role, given: ProgramContext) -> RoleResult:
         """Flies the mission.
 
         Nothing is kept in the store: a program that is started again in the air lands. Raises PartError.
         """
         async with AsyncExitStack() as stack:
-            session = await open_session(stack, rig, role, mission_of(rig), log, emit, stop, harness)
+            session = await open_session(stack, rig, role, mission_of(rig), given)
             return await fly_course(
                 session,
                 lambda: _course(session, self.missions[role]),

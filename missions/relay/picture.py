@@ -10,7 +10,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from missions.report.palette import DIM, FAULT
+from missions.report.palette import DIM, FAULT, tidy
 
 COLOURS = ("#1f6fb4", "#c8620a", "#3a8f4d", "#7a4fb5", "#b0487a", "#5f6b76")
 HOUR_S, MINUTE_S = 3600.0, 60.0
@@ -52,7 +52,7 @@ def _draw_flights(axes: Axes, record: Mapping[str, Any], unit_s: float) -> None:
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.4, -0.9)
     axes.set_title("responsible for the target (thin: in the air)", loc="left", fontsize=10)
-    tidy(axes)
+    tidy(axes, DIM)
 
 
 def draw_batteries(axes: Axes, record: Mapping[str, Any], unit_s: float) -> None:
@@ -67,7 +67,7 @@ def draw_batteries(axes: Axes, record: Mapping[str, Any], unit_s: float) -> None
     axes.set_ylabel("battery, %", fontsize=9)
     if len(names) <= MANY:
         axes.legend(fontsize=8, loc="lower left", ncols=8, framealpha=0.9)
-    tidy(axes)
+    tidy(axes, DIM)
 
 
 def _draw_gaps(axes: Axes, record: Mapping[str, Any], bound_s: float, unit_s: float) -> None:
@@ -78,7 +78,7 @@ def _draw_gaps(axes: Axes, record: Mapping[str, Any], bound_s: float, unit_s: fl
     axes.set_ylim(5e-4, 4.0)
     axes.set_ylabel("nobody, s", fontsize=9)
     axes.legend(fontsize=8, loc="center right", framealpha=0.9)
-    tidy(axes)
+    tidy(axes, DIM)
 
 
 def _spans(samples: Sequence[Any], column: int, name: str, unit_s: float) -> list[tuple[float, float]]:
@@ -88,10 +88,3 @@ def _spans(samples: Sequence[Any], column: int, name: str, unit_s: float) -> lis
         if name in sample[column]:
             spans.append((sample[0] / unit_s, (following[0] - sample[0]) / unit_s))
     return spans
-
-
-def tidy(axes: Axes) -> None:
-    """Small grey numbers, and no frame but two axes."""
-    axes.tick_params(labelsize=8, colors=DIM)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)

@@ -22,14 +22,14 @@ from typing import Any
 import cv2
 import msgspec
 
-from drivers.interfaces import Frame, FrameLog, Log, RecordStore
+from drivers.interfaces import Frame, FrameLog, Log
 from drivers.log.json_lines import JsonLines
 from drivers.log.mcap_log import McapLog, encode_other, new_part
 from drivers.log.state_file import StateFile
 from drivers.rig.parts import Rig
 from drivers.stop_signals import stop_on_signals
 from flight.harness.fleet import NamedDrone, RelayConfig, pair_of
-from flight.harness.flights import Emit, InProcess, Progress, RoleResult, encode_event, with_log
+from flight.harness.flights import ProgramContext, Progress, RoleResult, encode_event, with_log
 from flight.harness.relay import OFTEN, WATCHED, DroneProcesses
 from missions import rig_library
 from missions.guard.command import watch_vehicles
@@ -94,7 +94,7 @@ def _show(progress: Progress) -> None:
     print(encode_event(progress), flush=True)
 
 
-FarFlight = Callable[[FarBase, str, Log, Emit, asyncio.Event, InProcess | None, RecordStore], DroneFlight]
+FarFlight = Callable[[FarBase, str, ProgramContext], DroneFlight]
 
 
 async def _fly(flight: FarFlight, name: str, log: Log, store: StateFile) -> RoleResult:
@@ -120,7 +120,7 @@ async def _fly(flight: FarFlight, name: str, log: Log, store: StateFile) -> Role
         raise SystemExit(f"{name} was never told what for")
     cv2.setNumThreads(1)  # as any role in real time
     gc.freeze()
-    return await flight(base, name, log, _show, stop, None, store).run()
+    return await flight(base, name, ProgramContext(log, _show, stop, None, store)).run()
 
 
 def _drone(config: RelayConfig, name: str) -> NamedDrone:

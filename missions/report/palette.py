@@ -1,8 +1,13 @@
-"""Colours of the picture of a run."""
+"""Colours of the picture of a run, and the plain axes of all pictures."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from path.messages import Role
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 ROLE = {Role.SENDER: "#1f6fb4", Role.RECEIVER: "#c8620a"}
 COUNT = "#7a4fb5"
@@ -29,3 +34,10 @@ PHASES = {
     "land": "#b4d8b4",
     "done": "#eeeeee",
 }
+
+
+def tidy(axes: Axes, numbers: str = "black") -> None:
+    """Small numbers, of a colour, and no frame but two axes."""
+    axes.tick_params(labelsize=8, colors=numbers)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)

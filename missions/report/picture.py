@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from drivers.log.mcap_log import LogRecord
 from missions.report.camera_views import draw_view
 from missions.report.following import following_of
-from missions.report.palette import COUNT, DIM, FAULT, NEEDED, PHASES, ROLE
+from missions.report.palette import COUNT, DIM, FAULT, NEEDED, PHASES, ROLE, tidy
 from missions.report.records import RunRecords, judged_pairs, last
 from missions.report.summary import start_ns
 from missions.report.truth import Truth, truth_of
@@ -91,7 +91,7 @@ def _draw_phases(axes: Axes, run: RunRecords, seconds: Clock) -> None:
     axes.set_ylim(1.55, -0.45)
     axes.set_yticks([0, 1], [role.value for role in Role])
     axes.set_xlabel("s    (line below a bar: responsible for the target)", fontsize=8, color=DIM)
-    _tidy(axes)
+    tidy(axes)
     axes.tick_params(axis="y", length=0, labelsize=10)
     axes.spines["left"].set_visible(False)
 
@@ -114,7 +114,7 @@ def _draw_agreement(axes: Axes, run: RunRecords, seconds: Clock) -> None:
     axes.set_title("agreement of the two views", loc="left", fontsize=10)
     axes.set_ylabel("IoU", fontsize=9)
     axes.set_ylim(0.0, 1.02)
-    _tidy(axes)
+    tidy(axes)
     if not pairs:
         _empty(axes, "no pair was judged")
         return
@@ -148,7 +148,7 @@ def _draw_separation(
     """Between the drones: true where there is a world, and as D2 measured it by the marker."""
     axes.set_title("separation", loc="left", fontsize=10)
     axes.set_ylabel("m", fontsize=9)
-    _tidy(axes)
+    tidy(axes)
     measured = [r for r in run.receiver.get("/marker", ()) if r.record["position_v_m"]]
     if truth is None and not measured:
         _empty(axes, "nothing is known")
@@ -171,7 +171,7 @@ def _draw_following(axes: Axes, run: RunRecords, truth: Truth | None, seconds: C
     """D1 from its place behind the target, in truth."""
     axes.set_title("D1 from its place behind the target", loc="left", fontsize=10)
     axes.set_ylabel("m", fontsize=9)
-    _tidy(axes)
+    tidy(axes)
     followed = following_of(run, truth)
     if followed is None or truth is None:
         _empty(axes, "it did not follow, or nothing is known")
@@ -206,9 +206,3 @@ def _mark_commit(axes: Axes, run: RunRecords, seconds: Clock) -> None:
 
 def _empty(axes: Axes, text: str) -> None:
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=DIM)
-
-
-def _tidy(axes: Axes) -> None:
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    axes.tick_params(labelsize=8)

@@ -8,6 +8,7 @@ from typing import Any
 
 from drivers.rig.parts import Rig, with_errors
 from flight.harness.fleet import TeamConfig
+from flight.harness.flights import ProgramContext
 from missions import rig_library
 from missions.ground_station import name_ground_station
 from missions.options.flights import TeamOptions
@@ -42,8 +43,8 @@ def fly_team(
     """A team's flights to their end; the logs are in ``out``. Returns summary and record."""
     base = TeamBase(config, say, hours_of(config, options))
 
-    def flight(name: str, *parts: Any) -> TeamFlight:
-        return TeamFlight(rig, config, OwnGround(base, name), name, *parts)
+    def flight(name: str, given: ProgramContext) -> TeamFlight:
+        return TeamFlight(rig, config, OwnGround(base, name), name, given)
 
     processes = processes_of(rig, config, out, base, options.logs)
     report = fly_on_field("team", rig, base, options, out, flight, processes, config.targets)

@@ -7,12 +7,12 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from drivers.interfaces import Log, RecordStore, VehicleState, VelocitySetpoint
+from drivers.interfaces import VehicleState, VelocitySetpoint
 from drivers.rig.parts import Rig
 from flight.config import MissionConfig
 from flight.guidance import Anchor, Vec3, bearing, close_in, subtract
 from flight.harness.fleet import TeamConfig
-from flight.harness.flights import Emit, InProcess
+from flight.harness.flights import ProgramContext
 from flight.harness.relay import Pointed
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
@@ -36,11 +36,8 @@ _WAITS_S = 60.0  # for the way back to a target: a pilot may be landing there
 class TeamFlight(DroneFlight):
     """A drone's program. ``run`` is the whole of it."""
 
-    def __init__(
-        self, rig: Rig, team: TeamConfig, ground: TeamGround, name: str, log: Log, emit: Emit, stop: asyncio.Event,
-        harness: InProcess | None, store: RecordStore,
-    ) -> None:  # fmt: skip
-        super().__init__(rig, team, ground, name, log, emit, stop, harness, store)
+    def __init__(self, rig: Rig, team: TeamConfig, ground: TeamGround, name: str, given: ProgramContext) -> None:
+        super().__init__(rig, team, ground, name, given)
         self._team, self._ground = team, ground
         self._mission = mission_on(self._mission, ground.sent_to(name))
         self._pointed: Pointed | None = None

@@ -9,8 +9,8 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from missions.relay.picture import COLOURS, HOUR_S, MANY, MINUTE_S, draw_batteries, tidy
-from missions.report.palette import FAULT
+from missions.relay.picture import COLOURS, HOUR_S, MANY, MINUTE_S, draw_batteries
+from missions.report.palette import DIM, FAULT, tidy
 
 
 def draw_team(record: Mapping[str, Any], summary: Mapping[str, Any], path: Path) -> None:
@@ -51,4 +51,4 @@ def _draw_targets(axes: Axes, record: Mapping[str, Any], end_s: float, unit_s: f
     axes.set_yticks(range(len(rows)) if few else [], list(rows) if few else [])
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.set_title("who has which target (red above: nobody truly looked at it)", loc="left", fontsize=10)
-    tidy(axes)
+    tidy(axes, DIM)

@@ -152,18 +152,6 @@ class CameraModel:
         xd, yd = distort(x / z, y / z, self.distortion)
         return self.fx * xd + self.cx, self.fy * yd + self.cy
 
-    def project_point_jacobian(self, point_c: Point3) -> tuple[float, float, float, float, float, float]:
-        """``(du/dX, du/dY, du/dZ, dv/dX, dv/dY, dv/dZ)`` in px/m at one point with z > 0; NaN otherwise."""
-        x, y, z = point_c
-        if not z > 0.0:
-            return math.nan, math.nan, math.nan, math.nan, math.nan, math.nan
-        inverse_z = 1.0 / z
-        x *= inverse_z
-        y *= inverse_z
-        xx, xy, yy = distort_jacobian(x, y, self.distortion)
-        fx, fy = self.fx * inverse_z, self.fy * inverse_z
-        return fx * xx, fx * xy, -fx * (x * xx + y * xy), fy * xy, fy * yy, -fy * (x * xy + y * yy)
-
     def project(self, points_c: Array) -> Array:
         """Pixels, shape (n, 2), of points (n, 3) in the camera frame in metres; NaN rows at or behind the camera."""
         z = np.where(points_c[:, 2] > 0.0, points_c[:, 2], np.nan)

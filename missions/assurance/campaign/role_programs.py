@@ -20,16 +20,20 @@ FREE_S = 5.0  # a sender that begins anew waits as long for the receiver to hold
 DOWN, UPRIGHT = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0)
 
 
-class _Sender(SenderHandover):
+class _AsWritten:
+    """Goes on when the session says that a record is on the disk."""
+
+    _session: Any
+
     def _when_written(self, saved: Future[None], go_on: Callable[[], None]) -> Any:
-        cast(Any, self._session).when_written(saved, go_on)
+        self._session.when_written(saved, go_on)
         return True
 
 
-class _Receiver(ReceiverHandover):
-    def _when_written(self, saved: Future[None], go_on: Callable[[], None]) -> Any:
-        cast(Any, self._session).when_written(saved, go_on)
-        return True
+class _Sender(_AsWritten, SenderHandover): ...
+
+
+class _Receiver(_AsWritten, ReceiverHandover): ...
 
 
 class SenderProgram(Program):

@@ -7,22 +7,13 @@ from collections.abc import Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass, replace
 
-from drivers.interfaces import (
-    Clock,
-    Link,
-    Log,
-    Perception,
-    RecordStore,
-    Vehicle,
-    VehicleState,
-    VelocitySetpoint,
-)
+from drivers.interfaces import Clock, Link, Perception, Vehicle, VehicleState, VelocitySetpoint
 from drivers.rig.parts import PartContext, Rig, create, part_context
 from flight.config import MissionConfig
 from flight.guard.under_guard import UnderGuard
 from flight.guidance import Anchor, Vec3
 from flight.harness.fleet import NamedDrone, RelayConfig, pair_of
-from flight.harness.flights import Emit, InProcess
+from flight.harness.flights import ProgramContext
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
@@ -61,12 +52,9 @@ class Aboard:
 
     _parts: Parts  # once they are open
 
-    def __init__(
-        self, rig: Rig, relay: RelayConfig, base: Ground, name: str, log: Log, emit: Emit, stop: asyncio.Event,
-        harness: InProcess | None, store: RecordStore,
-    ) -> None:  # fmt: skip
+    def __init__(self, rig: Rig, relay: RelayConfig, base: Ground, name: str, given: ProgramContext) -> None:
         self._rig, self._relay, self._base, self._name = rig, relay, base, name
-        self._log, self._emit, self._stop, self._harness, self._store = log, emit, stop, harness, store
+        self._given, self._harness, self._store = given, given.harness, given.store
         self._me: NamedDrone = next(drone for drone in relay.drones if drone.name == name)
         mission = mission_of(rig)  # of a pair, whose homes are not those of these drones
         self._mission = replace(mission, rendezvous=replace(mission.rendezvous, home_m=()))
@@ -108,9 +96,9 @@ class Aboard:
         rig = self._alone if leg is None else pair_of(self._rig, drones[leg.sender], drones[leg.receiver])
         number = 1 if leg is None else 1 + (leg.number - 1) % 65535
         config: MissionConfig = replace(self._mission, handoff_id=number, follow_after_s=self._relay.follow_s)
-        parts = self._parts
+        parts, given = self._parts, self._given
         made = (parts.clock, parts.vehicle, parts.perception, link)
-        return RoleSession(rig, role, config, self._log, self._emit, self._stop, made, self._entropy, parts.guard)
+        return RoleSession(rig, role, config, given.log, given.emit, given.stop, made, self._entropy, parts.guard)
 
     async def _go_on(
         self, before: RoleSession, leg: Leg | None, link: Link, track: TargetTrack | None

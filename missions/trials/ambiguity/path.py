@@ -11,6 +11,7 @@ import numpy as np
 from drivers.interfaces import Detector, Frame
 from drivers.perception.pixels import PixelView
 from drivers.rig.parts import Mount
+from flight.camera_pose import gravity_in
 from flight.harness.errors import DepthError, DrawnErrors
 from flight.harness.renderer import Shot
 from missions.trials.ambiguity.stage import CAMERAS, DrawnStage, marker_mount
@@ -74,8 +75,8 @@ def beliefs(scene: DrawnStage, drawn: DrawnErrors, rng: np.random.Generator) -> 
         drawn.cameras[Role.RECEIVER],
         drawn.layout,
         believed.T_v_c,
-        _down(_attitude(scene, Role.SENDER, drawn, rng) @ drawn.T_b_v.R),
-        _down(_attitude(scene, Role.RECEIVER, drawn, rng) @ drawn.T_b_c[Role.RECEIVER].R),
+        gravity_in(_attitude(scene, Role.SENDER, drawn, rng) @ drawn.T_b_v.R),
+        gravity_in(_attitude(scene, Role.RECEIVER, drawn, rng) @ drawn.T_b_c[Role.RECEIVER].R),
         _marker_region(scene, marker_mount(scene.side), rng),
         drawn.depth,
     )
@@ -150,11 +151,6 @@ def _attitude(scene: DrawnStage, role: Role, drawn: DrawnErrors, rng: np.random.
     R_n_w = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     tilt = np.array(drawn.tilt_bias_rad[role]) + rng.normal(0.0, drawn.tilt_noise_rad, 2)
     return rotation.exp(np.array([*tilt, 0.0])) @ R_n_w @ scene.stage.T_w_b[role].R
-
-
-def _down(R_n_x: Matrix) -> Vec3:
-    x, y, z = R_n_x[2].tolist()
-    return x, y, z
 
 
 def _marker_region(scene: DrawnStage, T_b_v: Pose, rng: np.random.Generator) -> Region:

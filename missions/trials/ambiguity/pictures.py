@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch, Rectangle
 
-from missions.report.palette import COUNT, DIM, FAULT, OWN_BOX, PRIOR, ROLE
+from missions.report.palette import COUNT, DIM, FAULT, OWN_BOX, PRIOR, ROLE, tidy
 from missions.trials.ambiguity.score import OUTCOMES, FrameTally, Outcome
 from path.baselines.features import Image
 from path.messages import Role
@@ -85,7 +85,7 @@ def draw_outcomes(tallies: Mapping[str, FrameTally], titles: Mapping[str, str], 
     axes.set_yticks(range(len(tallies)), [titles[name] for name in tallies], fontsize=10)
     axes.invert_yaxis()
     axes.set_xlabel("frames", fontsize=9)
-    _tidy(axes)
+    tidy(axes)
     figure.legend(loc="outside upper left", ncols=4, fontsize=9, frameon=False)
     figure.savefig(path, format="png", metadata={"Software": None})
 
@@ -108,7 +108,7 @@ def draw_sweeps(sweeps: Sequence[tuple[str, Sequence[float], Sequence[SweepCurve
         axes.set_xlabel(title, fontsize=9)
         axes.set_ylabel("frames with the right answer, %" if column == 0 else "", fontsize=9)
         axes.grid(axis="y", color="#e6e6e6", lw=0.7)
-        _tidy(axes)
+        tidy(axes)
         if column == 0:
             axes.legend(fontsize=9, loc="lower right", framealpha=0.9)
     figure.savefig(path, format="png", metadata={"Software": None})
@@ -163,12 +163,6 @@ def _show(axes: Axes, image: Image, title: str) -> None:
 
 def _frame(axes: Axes, box: Box, colour: str, width: float, style: str = "-") -> None:
     axes.add_patch(Rectangle((box.x, box.y), box.w, box.h, fill=False, ec=colour, lw=width, ls=style))
-
-
-def _tidy(axes: Axes) -> None:
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    axes.tick_params(labelsize=8)
 
 
 assert set(ORDER) == set(OUTCOMES)

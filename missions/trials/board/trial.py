@@ -14,7 +14,7 @@ from missions.trials.board.file import BoardPhotograph
 from missions.trials.board.measure import Left, measure
 from missions.trials.corners.methods import OPENCV, PIXEL_CENTRE, TITLES
 from missions.trials.corners.score import calibration_text
-from missions.trials.shared.statistics import Array, Interval, bootstrap, mean, robust_sigma
+from missions.trials.shared.statistics import Array, Interval, bootstrap, mean, robust_sigma, whitened
 from missions.trials.shared.trial import TrialTable
 from path.geometry.transforms import Matrix
 from path.marker.detect import refine_corners
@@ -140,7 +140,7 @@ def _score(board: BoardPhotograph, found: Corners, seed: int) -> OnBoard:
     centres = np.stack([board.centres_m[i] for i in ids])
     left = measure(corners, centres, board.file.side_m, board.camera)
     rng = np.random.default_rng([seed, BOARD_STREAM])
-    squares = [_whitened(e, c) for e, i in zip(left.errors_px, ids, strict=True) if (c := found[i][1]) is not None]
+    squares = [whitened(e, c) for e, i in zip(left.errors_px, ids, strict=True) if (c := found[i][1]) is not None]
     own = OnBoard(
         left,
         tuple(ids),
@@ -160,11 +160,6 @@ def _score(board: BoardPhotograph, found: Corners, seed: int) -> OnBoard:
         calibration_interval=bootstrap(calibration, mean, rng),
         stated_px=float(np.median(sigmas)),
     )
-
-
-def _whitened(error_px: Matrix, covariance_px2: Matrix) -> float:
-    e = error_px.ravel()
-    return float(e @ np.linalg.solve(covariance_px2, e)) / len(e)
 
 
 def board_table(board: BoardPhotograph, scores: Mapping[str, OnBoard]) -> TrialTable:

@@ -12,6 +12,7 @@ from drivers.interfaces import Frame, Log
 from drivers.link.wire import KEY_LENGTH, Codec, introduce
 from drivers.perception.pixels import PixelView
 from drivers.rig.parts import Rig
+from flight.camera_pose import gravity_in
 from flight.config import MissionConfig
 from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
 from missions.trials.compute.film import BETWEEN_NS, HEADINGS_RAD, PERIOD_NS, Film, Moment, SceneError
@@ -128,7 +129,7 @@ class PathPair:
         return PixelView(frame, self._film.cameras[role], self._rig.layout, self._detector, self._rig.method)
 
     def _target(self, moment: Moment, depth: Depth | None, watch: Stopwatch) -> Target:
-        gravity_v = _down(moment.R_n_b[Role.SENDER] @ self._mounts[Role.SENDER].T_b_v.R)
+        gravity_v = gravity_in(moment.R_n_b[Role.SENDER] @ self._mounts[Role.SENDER].T_b_v.R)
         stamp_ns = self._frame * PERIOD_NS
         target = watch("d1_target", self._sender.observe, self._frame, stamp_ns, moment.box1, depth, gravity_v)
         if not isinstance(target, Target):
@@ -142,7 +143,7 @@ class PathPair:
 
     def _fix(self, moment: Moment, view: TimedView, gravity_v: Vec3 | None, watch: Stopwatch) -> MarkerFix:
         R_n_c = moment.R_n_b[Role.RECEIVER] @ self._mounts[Role.RECEIVER].T_b_c.R
-        gravity_c = _down(R_n_c)
+        gravity_c = gravity_in(R_n_c)
         motion = VehicleMotions(
             view.stamp_ns, moment.velocity_n_mps[Role.RECEIVER],
             view.stamp_ns, moment.velocity_n_mps[Role.SENDER], HEADINGS_RAD[Role.SENDER],
@@ -230,8 +231,3 @@ def _around(box: Box) -> Region:
     """Returns the region in which a drone that tracks a box looks for it in the next frame."""
     u, v = box.center
     return Region(u - box.w, v - box.w, u + box.w, v + box.w)
-
-
-def _down(R_n_x: Matrix) -> Vec3:
-    x, y, z = R_n_x[2].tolist()
-    return x, y, z

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from missions.trials.corners.shots import CornerShot
-from missions.trials.shared.statistics import RESAMPLES, Interval, wilson
+from missions.trials.shared.statistics import RESAMPLES, Interval, whitened, wilson
 from path.geometry.transforms import Matrix, Vector
 from path.target.kernels import MAD_TO_SIGMA
 
@@ -78,8 +78,8 @@ def score(samples: Sequence[CornerShot], method: str, seed: int) -> Score | None
     picks = rng.integers(0, len(pairs), (RESAMPLES, len(pairs)))
     calibration = interval = None
     if all(covariance is not None for covariance in covariances):
-        whitened = np.array([_whitened(e, c) for e, c in zip(errors, covariances, strict=True) if c is not None])
-        calibration, interval = float(whitened.mean()), _between(whitened[picks].mean(axis=1))
+        honest = np.array([whitened(e, c) for e, c in zip(errors, covariances, strict=True) if c is not None])
+        calibration, interval = float(honest.mean()), _between(honest[picks].mean(axis=1))
     low, high = _between(squares[picks].mean(axis=1))
     return Score(
         len(samples),
@@ -98,11 +98,6 @@ def _between(resampled: Vector) -> Interval:
     """95 % of a statistic, from its values over resampled views (all at once: there are hundreds of scores)."""
     low, high = np.percentile(resampled, (2.5, 97.5))
     return float(low), float(high)
-
-
-def _whitened(error_px: Matrix, covariance_px2: Matrix) -> float:
-    e = error_px.ravel()
-    return float(e @ np.linalg.solve(covariance_px2, e)) / len(e)
 
 
 def _radial(error_px: Matrix, true_px: Matrix) -> float:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from drivers.link.dialect import path_dialect as dialect
 from drivers.link.wire import UDP_IP_OVERHEAD
 from missions import rig_library
-from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
+from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE, tidy
 from missions.trials.link.cost import PACKETS, Times, measure_costs
 from missions.trials.link.traffic import LinkTraffic, TappedPacket, flow
 from missions.trials.shared.statistics import bootstrap, median
@@ -241,7 +241,7 @@ def _draw_rates(axes: Axes, traffic: Sequence[LinkTraffic]) -> None:
     axes.set_ylim(0.0, 18.0)
     axes.set_ylabel("kB/s, both ways, with UDP/IP", fontsize=9)
     axes.legend(fontsize=8, loc="center left")
-    _tidy(axes)
+    tidy(axes)
 
 
 def _draw_sizes(axes: Axes, sizes: dict[str, dict[str, int]]) -> None:
@@ -259,10 +259,4 @@ def _draw_sizes(axes: Axes, sizes: dict[str, dict[str, int]]) -> None:
     axes.axvline(LIMIT_PACKET_B, color=NEEDED, lw=1.0, ls="--")
     axes.set_xlabel("B on the wire    (dashed: 128 B)", fontsize=9)
     axes.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, frameon=False)
-    _tidy(axes)
-
-
-def _tidy(axes: Axes) -> None:
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    axes.tick_params(labelsize=8)
+    tidy(axes)

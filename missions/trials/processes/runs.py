@@ -22,7 +22,8 @@ from path.messages import Role
 
 SIM, LIVE = "sim", "sitl-light"
 
-LINKS: tuple[tuple[str, tuple[str, ...]], ...] = (
+Kinds = Sequence[tuple[str, tuple[str, ...]]]
+LINKS: Kinds = (
     ("no loss", ()),
     ("10 % lost", ("link_loss=0.1",)),
     ("30 % lost", ("link_loss=0.3",)),
@@ -33,7 +34,7 @@ LINKS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("10 % lost, 10 % damaged, half twice, 50 ms jitter",
      ("link_loss=0.1", "link_corrupt=0.1", "link_duplicate=0.5", "link_jitter=0.05")),
 )  # fmt: skip
-ATTACKS = (
+ATTACKS: Kinds = (
     ("nobody attacks", ()),
     ("2,000 packets a second", ("attack=2000",)),
     ("2,000 a second, and 20 % lost", ("attack=2000", "link_loss=0.2")),
@@ -93,18 +94,18 @@ def signed_rig(name: str, folder: Path) -> str:
 
 def links(rig: str, seeds: Sequence[int], out: Path) -> list[ProcessRun]:
     """Whole handoffs on links of every badness."""
-    return [
-        ProcessRun(rig, seed, what, faults, out / f"link-{number}-{seed}")
-        for number, (what, faults) in enumerate(LINKS)
-        for seed in seeds
-    ]
+    return _each(LINKS, rig, seeds, out / "link")
 
 
 def attacks(rig: str, seeds: Sequence[int], out: Path) -> list[ProcessRun]:
     """Whole handoffs beside a third process that floods both roles, and the same without it."""
+    return _each(ATTACKS, rig, seeds, out / "attack")
+
+
+def _each(kinds: Kinds, rig: str, seeds: Sequence[int], out: Path) -> list[ProcessRun]:
     return [
-        ProcessRun(rig, seed, what, faults, out / f"attack-{number}-{seed}")
-        for number, (what, faults) in enumerate(ATTACKS)
+        ProcessRun(rig, seed, what, faults, out.with_name(f"{out.name}-{number}-{seed}"))
+        for number, (what, faults) in enumerate(kinds)
         for seed in seeds
     ]
 

@@ -107,3 +107,9 @@ def blocks_interval(values: Array, groups: NDArray[np.int64], rng: np.random.Gen
     draws = rng.integers(0, len(sums), (RESAMPLES, len(sums)))
     low, high = np.percentile(sums[draws].sum(axis=1) / counts[draws].sum(axis=1), (2.5, 97.5))
     return float(low), float(high)
+
+
+def whitened(error: Array, covariance: Array) -> float:
+    """Squared error (any shape) over its stated covariance (n, n), by the number of its components: 1 when honest."""
+    e = error.ravel()
+    return float(e @ np.linalg.solve(covariance, e)) / len(e)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Rectangle
 from numpy.typing import NDArray
 
-from missions.report.palette import COUNT, DIM, FAULT, MARKER, NEEDED, PRIOR, ROLE
+from missions.report.palette import COUNT, DIM, FAULT, MARKER, NEEDED, PRIOR, ROLE, tidy
 from missions.trials.static.methods import METHODS, Method, Results
 from missions.trials.static.report import GOAL_MEAN_M, METHOD_TITLES, SEVEN
 from missions.trials.static.stage import CONFIGURATIONS, HEIGHT_M, PLACES_M, Mounts, nominal
@@ -66,7 +66,7 @@ def draw_configurations(mounts: Mounts, path: Path) -> None:
         axes.set_aspect("equal")
         axes.set_title(title, loc="left", fontsize=10)
         axes.set_xlabel("ahead of D1, m", fontsize=8)
-        _tidy(axes)
+        tidy(axes)
         axes.margins(0.12)
     above.set_ylabel("to D1's left, m", fontsize=8)
     side.set_ylabel("height, m", fontsize=8)
@@ -89,7 +89,7 @@ def draw_errors(results: Mapping[str, Mapping[Method, Results]], path: Path) -> 
         axis.set_ylim(0.0, 1.0)
         axis.set_title(f"{title}, error in mm (line: goal of the mean)", loc="left", fontsize=10)
         axis.grid(alpha=0.25, which="both", lw=0.4)
-        _tidy(axis)
+        tidy(axis)
     axes[0].set_ylabel("share of measurements\nsolid: ideal, dotted: realistic camera", fontsize=8)
     axes[1].legend(fontsize=8, loc="lower right")
     _save(figure, path)
@@ -151,12 +151,6 @@ def incidence(T_c2_v: Pose) -> float:
 def _figure(width_in: float, height_in: float) -> Figure:
     figure = Figure(figsize=(width_in, height_in), dpi=110, layout="constrained")
     return figure
-
-
-def _tidy(axes: Axes) -> None:
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    axes.tick_params(labelsize=8)
 
 
 def _save(figure: Figure, path: Path) -> None:

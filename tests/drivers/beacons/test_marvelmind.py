@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from drivers.beacons.marvelmind import Marvelmind, MarvelmindConfig
-from drivers.beacons.record import BeaconRecorder, RecordedBeacons, RecordedBeaconsConfig, replay
+from drivers.beacons.record import BeaconRecorder, read_any, replay
 from drivers.beacons.stream import ClockMap, MarvelmindStream
-from drivers.interfaces import BeaconError, BeaconFix, Beacons
+from drivers.interfaces import BeaconError, BeaconFix
 from hil.beacons import marvelmind_bytes as sent
 from hil.beacons.pty import SerialCable
 from path.messages import Role
@@ -203,17 +203,10 @@ def test_a_record_gives_what_came_live(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["beacons.mcap", "beacons.csv"])
-def test_records_are_read_through_the_same_protocol(tmp_path: Path, name: str) -> None:
-    async def test() -> None:
-        live = recorded(tmp_path / "beacons.mcap")
-        write_beacons(tmp_path / "beacons.csv", live)
-        beacons: Beacons = RecordedBeacons(RecordedBeaconsConfig(tmp_path / name), CONTEXT)
-        async with beacons:
-            got = [await beacons.read(1.0) for _ in live]
-            assert [fix and fix.stamp_ns for fix in got] == [fix.stamp_ns for fix in live]
-            assert await beacons.read(1.0) is None
-
-    run(test())
+def test_a_record_and_a_list_of_positions_are_read_alike(tmp_path: Path, name: str) -> None:
+    live = recorded(tmp_path / "beacons.mcap")
+    write_beacons(tmp_path / "beacons.csv", live)
+    assert [fix.stamp_ns for fix in read_any(tmp_path / name)] == [fix.stamp_ns for fix in live]
 
 
 @pytest.mark.parametrize("content", [b"", b"no log", b"\x89MCAP0\r\n"])

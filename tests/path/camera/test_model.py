@@ -36,7 +36,6 @@ def test_projection_is_opencvs(camera: CameraModel, point: tuple[float, float, f
     np.testing.assert_allclose(camera.project(np.array([point])), expected[:, 0], atol=1e-9)
     # OpenCV's derivative by translation is the derivative by the point
     np.testing.assert_allclose(camera.jacobian(np.array([point]))[0], derivatives[:, 3:6], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(camera.project_point_jacobian(point), derivatives[:, 3:6].ravel(), rtol=1e-9, atol=1e-9)
 
 
 @given(cameras, points)
@@ -56,7 +55,6 @@ def test_projection_undoes_ray(camera: CameraModel, u: float, v: float) -> None:
 def test_behind_the_camera_there_is_no_pixel() -> None:
     assert math.isnan(PLAIN.project_point((0.1, 0.1, 0.0))[0])
     assert np.isnan(PLAIN.project(np.array([[0.1, 0.1, -1.0]]))).all()
-    assert math.isnan(PLAIN.project_point_jacobian((0.0, 0.0, -1.0))[0])
     assert not PLAIN.sees((0.0, 0.0, -1.0))
 
 
