@@ -55,54 +55,65 @@ def ray(lens, u, v):
 
 
 @inner
-def _place_box(R, t, centre, half, axes, lens, box, extent):
-    """One box of a body with pose R, t (body to camera): fills its row and widens the body's extent."""
+def _place_box(R, t, parts, part, lens, boxes, k, extents, body):
+    """Box ``part`` of a body with pose R, t (body to camera): fills its row ``k`` and widens the body's extent."""
     for i in range(3):  # box coordinates = axes^T R^T (p_c - t) - axes^T centre
         for j in range(3):
-            box[TURN + 3 * i + j] = R[j, 0] * axes[0, i] + R[j, 1] * axes[1, i] + R[j, 2] * axes[2, i]
-        along = axes[0, i] * centre[0] + axes[1, i] * centre[1] + axes[2, i] * centre[2]
-        turned = box[TURN + 3 * i] * t[0] + box[TURN + 3 * i + 1] * t[1] + box[TURN + 3 * i + 2] * t[2]
-        box[CENTRE + i] = -turned - along
-        box[HALF + i] = half[i]
+            boxes[k, TURN + 3 * i + j] = (
+                R[j, 0] * parts[part, 6 + i] + R[j, 1] * parts[part, 9 + i] + R[j, 2] * parts[part, 12 + i]
+            )
+        along = (
+            parts[part, 6 + i] * parts[part, 0] + parts[part, 9 + i] * parts[part, 1]
+            + parts[part, 12 + i] * parts[part, 2]
+        )  # fmt: skip
+        turned = (
+            boxes[k, TURN + 3 * i] * t[0] + boxes[k, TURN + 3 * i + 1] * t[1] + boxes[k, TURN + 3 * i + 2] * t[2]
+        )
+        boxes[k, CENTRE + i] = -turned - along
+        boxes[k, HALF + i] = parts[part, 3 + i]
+    xx, xy, xz = boxes[k, TURN], boxes[k, TURN + 1], boxes[k, TURN + 2]
+    yx, yy, yz = boxes[k, TURN + 3], boxes[k, TURN + 4], boxes[k, TURN + 5]
+    zx, zy, zz = boxes[k, TURN + 6], boxes[k, TURN + 7], boxes[k, TURN + 8]
+    ex, ey, ez = boxes[k, CENTRE], boxes[k, CENTRE + 1], boxes[k, CENTRE + 2]
+    half_x, half_y, half_z = parts[part, 3], parts[part, 4], parts[part, 5]
+    near, widest = extents[body, NEAR], lens[11] * lens[11]
     x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
     for corner in range(8):
-        a = half[0] if corner & 1 else -half[0]
-        b = half[1] if corner & 2 else -half[1]
-        c = half[2] if corner & 4 else -half[2]
-        p, q, r = a - box[CENTRE], b - box[CENTRE + 1], c - box[CENTRE + 2]
-        z = box[TURN + 2] * p + box[TURN + 5] * q + box[TURN + 8] * r
+        p = (half_x if corner & 1 else -half_x) - ex
+        q = (half_y if corner & 2 else -half_y) - ey
+        r = (half_z if corner & 4 else -half_z) - ez
+        z = xz * p + yz * q + zz * r
         if z < NEAREST_M:
-            extent[DRAWN] = 0.0
+            extents[body, NEAR], extents[body, DRAWN] = near, 0.0
             return
-        x = (box[TURN] * p + box[TURN + 3] * q + box[TURN + 6] * r) / z
-        y = (box[TURN + 1] * p + box[TURN + 4] * q + box[TURN + 7] * r) / z
-        if x * x + y * y > lens[11] * lens[11]:
-            extent[DRAWN] = 0.0
+        x = (xx * p + yx * q + zx * r) / z
+        y = (xy * p + yy * q + zy * r) / z
+        if x * x + y * y > widest:
+            extents[body, NEAR], extents[body, DRAWN] = near, 0.0
             return
         u, v = distorted(lens, x, y)
         x0, y0, x1, y1 = min(x0, u), min(y0, v), max(x1, u), max(y1, v)
-        extent[NEAR] = min(extent[NEAR], z)
-    extent[X0], extent[Y0] = min(extent[X0], x0), min(extent[Y0], y0)
-    extent[X1], extent[Y1] = max(extent[X1], x1), max(extent[Y1], y1)
-    box[RECT], box[RECT + 1] = x0 - MARGIN_PX, y0 - MARGIN_PX
-    box[RECT + 2], box[RECT + 3] = x1 + MARGIN_PX, y1 + MARGIN_PX
+        near = min(near, z)
+    extents[body, NEAR] = near
+    extents[body, X0], extents[body, Y0] = min(extents[body, X0], x0), min(extents[body, Y0], y0)
+    extents[body, X1], extents[body, Y1] = max(extents[body, X1], x1), max(extents[body, Y1], y1)
+    boxes[k, RECT], boxes[k, RECT + 1] = x0 - MARGIN_PX, y0 - MARGIN_PX
+    boxes[k, RECT + 2], boxes[k, RECT + 3] = x1 + MARGIN_PX, y1 + MARGIN_PX
 
 
 @inner
-def _place_body(R_c_w, eye, R_w, at, parts, lens, boxes, extent):
-    """The boxes of one body with orientation R_w and position ``at`` in the world."""
-    extent[X0] = extent[Y0] = extent[NEAR] = np.inf
-    extent[X1] = extent[Y1] = -np.inf
-    extent[DRAWN] = 1.0 if parts.shape[0] > 0 else 0.0
-    R, t = np.empty((3, 3)), np.empty(3)
+def _place_body(R_c_w, eye, R_w, at, row, parts, lens, boxes, first, extents, body, R, t):
+    """The boxes of one body with orientation R_w and position ``at[row]`` in the world; its pose R, t is worked out."""
+    extents[body, X0] = extents[body, Y0] = extents[body, NEAR] = np.inf
+    extents[body, X1] = extents[body, Y1] = -np.inf
+    extents[body, DRAWN] = 1.0 if parts.shape[0] > 0 else 0.0
     for i in range(3):
         t[i] = 0.0
         for j in range(3):
             R[i, j] = R_c_w[i, 0] * R_w[0, j] + R_c_w[i, 1] * R_w[1, j] + R_c_w[i, 2] * R_w[2, j]
-            t[i] += R_c_w[i, j] * (at[j] - eye[j])
-    for k in range(parts.shape[0]):
-        part = parts[k]
-        _place_box(R, t, part[0:3], part[3:6], part[6:15].reshape(3, 3), lens, boxes[k], extent)
+            t[i] += R_c_w[i, j] * (at[row, j] - eye[j])
+    for part in range(parts.shape[0]):
+        _place_box(R, t, parts, part, lens, boxes, first + part, extents, body)
 
 
 @kernel
@@ -123,16 +134,17 @@ def place(R_w_b, t_w_b, R_b_c, t_b_c, lens, things, car, other_R, other_t, drone
             frame[3 * i + j] = R_c_w[i, j]
         eye[i] = R_w_b[i, 0] * t_b_c[0] + R_w_b[i, 1] * t_b_c[1] + R_w_b[i, 2] * t_b_c[2] + t_w_b[i]
         frame[EYE + i] = eye[i]
-    turn = np.zeros((3, 3))
+    turn, R, t = np.zeros((3, 3)), np.empty((3, 3)), np.empty(3)
     turn[2, 2] = 1.0
     cars, per_car = things.shape[0], car.shape[0]
     for body in range(cars):
         turn[0, 0] = turn[1, 1] = math.cos(things[body, 3])
         turn[1, 0] = math.sin(things[body, 3])
         turn[0, 1] = -turn[1, 0]
-        rows = boxes[body * per_car : (body + 1) * per_car]
-        _place_body(R_c_w, eye, turn, things[body], car, lens, rows, extents[body])
-    _place_body(R_c_w, eye, other_R, other_t, drone, lens, boxes[cars * per_car :], extents[cars])
+        _place_body(R_c_w, eye, turn, things, body, car, lens, boxes, body * per_car, extents, body, R, t)
+    _place_body(
+        R_c_w, eye, other_R, other_t.reshape(1, 3), 0, drone, lens, boxes, cars * per_car, extents, cars, R, t
+    )  # fmt: skip
 
 
 @inner
