@@ -66,9 +66,7 @@ def _place_box(R, t, parts, part, lens, boxes, k, extents, body):
             parts[part, 6 + i] * parts[part, 0] + parts[part, 9 + i] * parts[part, 1]
             + parts[part, 12 + i] * parts[part, 2]
         )  # fmt: skip
-        turned = (
-            boxes[k, TURN + 3 * i] * t[0] + boxes[k, TURN + 3 * i + 1] * t[1] + boxes[k, TURN + 3 * i + 2] * t[2]
-        )
+        turned = boxes[k, TURN + 3 * i] * t[0] + boxes[k, TURN + 3 * i + 1] * t[1] + boxes[k, TURN + 3 * i + 2] * t[2]
         boxes[k, CENTRE + i] = -turned - along
         boxes[k, HALF + i] = parts[part, 3 + i]
     xx, xy, xz = boxes[k, TURN], boxes[k, TURN + 1], boxes[k, TURN + 2]

@@ -15,8 +15,8 @@ from drivers.rig.parts import Rig
 from flight.harness.flights import Progress
 from path.messages import Role
 
-RENDERED = ("renderer", "physics", "depth", "pose"), ("marker",)
-FROM_GEOMETRY = ("geometry", "physics"), ("pose",)
+RENDERED = ("renderer", "depth", "relative", "cycles", "physics"), ("marker", "pose")
+FROM_GEOMETRY = ("geometry", "cycles", "physics"), ("pose", "relative")
 """Parts that this process compiles, and that another one does meanwhile: about as much."""
 HELP_WITHIN_S = 600.0  # then what the other process has not compiled is compiled here
 
@@ -69,6 +69,18 @@ def _pose() -> None:
     warm_up_pose()
 
 
+def _relative() -> None:
+    from path.marker.warm_up import warm_up_relative  # noqa: PLC0415
+
+    warm_up_relative()
+
+
+def _cycles() -> None:
+    from path.cycle.warm_up import warm_up_cycles  # noqa: PLC0415
+
+    warm_up_cycles()
+
+
 def _marker() -> None:
     from path.marker.warm_up import warm_up_image  # noqa: PLC0415
 
@@ -106,6 +118,8 @@ def _depth() -> None:
 
 PARTS: Mapping[str, Callable[[], None]] = {
     "pose": _pose,
+    "relative": _relative,
+    "cycles": _cycles,
     "marker": _marker,
     "physics": _physics,
     "geometry": _geometry,

@@ -21,7 +21,7 @@ from path.marker.track import recognise
 from path.observations import MarkerDetection
 from path.relative_pose.filter import RelativeFilter
 
-EYE = np.eye(3)
+EYE, EYE_6 = np.eye(3), np.eye(6)
 CAMERA = CameraModel(
     160, 160, 600.0, 600.0, 80.0, 80.0, doubts=((1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),)
 )  # of a calibration's file
@@ -38,6 +38,8 @@ def warm_up(images: bool = True) -> None:
         RuntimeError: when the drawn marker gives no pose: the installation is broken.
     """
     warm_up_pose()
+    warm_up_relative()
+    warm_up_cycles()
     if images:
         warm_up_image()
 
@@ -65,10 +67,7 @@ def warm_up_image() -> None:
 
 
 def warm_up_pose() -> None:
-    """Compiles what turns a marker's corners into a pose, keeps it, and compares boxes by it.
-
-    Raises RuntimeError when there is none.
-    """
+    """Compiles what turns a marker's corners into a pose. Raises RuntimeError when there is none."""
     layout, camera, T_c_v = single_marker(), CAMERA, POSE
     marker = layout.markers[0]
     corners = camera.project(T_c_v.apply(marker.corners_v))
@@ -80,11 +79,14 @@ def warm_up_pose() -> None:
         raise RuntimeError(f"a drawn marker gave no pose ({pose.reason.value}): reinstall numba and OpenCV")
     extent(lens_of(camera), marker.corners_v, 0.0)
     camera.ray(*corners[0].tolist())
+
+
+def warm_up_relative() -> None:
+    """Compiles what keeps a marker's pose from one frame to the next."""
     relative = RelativeFilter()
     for stamp_ns in (0, 20_000_000):
-        relative.update(stamp_ns, pose.T_c_v, pose.covariance, EYE, EYE)
+        relative.update(stamp_ns, POSE, 1e-4 * EYE_6, EYE, EYE)
         relative.predict(stamp_ns, EYE, EYE)
-    warm_up_cycles()
 
 
 def is_compiled() -> bool:
