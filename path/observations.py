@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -32,7 +32,9 @@ class Box:
 class Region:
     """A part of an image in px: ``x0 <= x < x1``, ``y0 <= y < y1``. May reach beyond the image.
 
-    ``near_m, far_m``: how far away along the optical axis what is looked for can be, where the camera has depth.
+    ``near_m, far_m``: how far away along the optical axis what is looked for can be.
+    ``longest_px``: the longest side that the box of one such object can have there, for a detector that can tell apart
+    what touches.
     """
 
     x0: float
@@ -41,6 +43,7 @@ class Region:
     y1: float
     near_m: float = 0.0
     far_m: float = math.inf
+    longest_px: float = math.inf
 
     @property
     def any_depth(self) -> bool:
@@ -50,7 +53,7 @@ class Region:
         """The part inside a ``width`` x ``height`` image, or None when nothing is left."""
         x0, y0 = max(self.x0, 0.0), max(self.y0, 0.0)
         x1, y1 = min(self.x1, float(width)), min(self.y1, float(height))
-        return Region(x0, y0, x1, y1, self.near_m, self.far_m) if x1 > x0 and y1 > y0 else None
+        return replace(self, x0=x0, y0=y0, x1=x1, y1=y1) if x1 > x0 and y1 > y0 else None
 
     def contains(self, u: float, v: float) -> bool:
         return self.x0 <= u < self.x1 and self.y0 <= v < self.y1

@@ -7,6 +7,7 @@ way between object and surroundings.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -15,7 +16,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.detectors.color_patches import CROSS, Image, Patch, Shape, components, join, shape_of, split, with_dark
+from drivers.detectors.color_patches import (
+    CROSS,
+    Image,
+    Patch,
+    Shape,
+    components,
+    divide,
+    join,
+    shape_of,
+    split,
+    with_dark,
+)
 from path.bounds import Bounds
 from path.observations import Box, Detection, Region
 
@@ -76,7 +88,8 @@ class ColorDetector:
 
         Args:
             image: (h, w, 3) uint8 BGR.
-            region: only objects whose box centre is inside; None for the whole image.
+            region: only objects whose box centre is inside; None for the whole image. What is longer than
+                ``longest_px`` is cut into those that touch in it, where it has a dent.
         """
         height, width = image.shape[:2]
         step = self._config.coarse_step
@@ -93,10 +106,11 @@ class ColorDetector:
         colored = self._colored(hsv)
         dark = cv2.inRange(hsv, (0, 0, 0), (180, 255, self._dark))
         found: list[Detection] = []
+        longest = math.inf if region is None else region.longest_px / step
         for patch in self._patches(colored):
             if region is not None and not _may_reach(patch, region, x0, y0, step):
                 continue
-            for piece, whole, shape in self._vehicles(patch, dark, colored):
+            for piece, whole, shape in self._vehicles(patch, dark, colored, longest):
                 if region is not None and not _may_be_inside(piece, region, x0, y0, step):
                     continue
                 box = self._measure(image, whole, self._cover_tables(hsv, piece, whole), x0, y0)
@@ -118,9 +132,13 @@ class ColorDetector:
         smallest = 0.5 * self._config.min_side_px / self._config.coarse_step
         return [p for p in patches if max(p.w, p.h) >= smallest]
 
-    def _vehicles(self, patch: Patch, dark: Image, colored: Image) -> list[tuple[Patch, Patch, Shape]]:
-        """Coloured part, whole with dark parts, and shape of the whole: of one vehicle, or of two that touch."""
+    def _vehicles(self, patch: Patch, dark: Image, colored: Image, longest: float) -> list[tuple[Patch, Patch, Shape]]:
+        """Coloured part, whole with dark parts, and shape of the whole: of one vehicle, or of those that touch."""
         reach = self._config.dark_reach
+        pieces = divide(patch, longest)
+        if len(pieces) > 1:
+            wholes = [(piece, with_dark(piece, dark, colored, reach)) for piece in pieces]
+            return [(piece, w, shape_of(w.mask)) for piece, w in wholes]
         whole = with_dark(patch, dark, colored, reach)
         shape = shape_of(whole.mask)
         if shape.solidity >= self._config.split_solidity:

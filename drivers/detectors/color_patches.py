@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,9 @@ Image = NDArray[Any]  # uint8; OpenCV's own annotation is wider
 
 SHALLOWEST_DENT = 0.06  # of the size of a patch: what can be a waist
 SMALLEST_PIECE = 0.45  # of the size of a patch: what can be one of two vehicles
+SMALLEST_CUT_OFF, LONGEST_CUT = 0.2, 1.3  # share of a patch cut off, and a cut's length over the size of that
+SMALLEST_SLIVER = 0.3  # of the size of a patch: what is left by a cut and is no piece
+CUTS, WITHIN = 12, 0.9  # tried of each dent; share of a cut within the outline
 CROSS = np.ones((3, 3), np.uint8)
 
 
@@ -147,16 +151,80 @@ def shape_of(mask: Image) -> Shape:
 
 def split(patch: Patch) -> list[Patch]:
     """Cut a patch at its waist, between the two deepest dents of its outline; the patch itself when it has none."""
-    outline = max(_outlines(patch.mask), key=len).reshape(-1, 2)  # OpenCV 4 and 5 differ in the shape
-    hull = np.sort(cv2.convexHull(outline, returnPoints=False), axis=0)[::-1]  # OpenCV may start in the middle
-    defects = cv2.convexityDefects(outline, hull) if len(hull) > 3 else None
-    if defects is None or len(defects) < 2:
+    outline = _longest_outline(patch.mask)
+    dents = _dents(outline, SHALLOWEST_DENT * patch.size)
+    if len(dents) < 2:
         return [patch]
-    _, _, at, depth = defects.astype(np.int64).reshape(-1, 4).T
-    second, first = (int(i) for i in np.argsort(depth)[-2:])
-    if depth[second] / 256.0 < SHALLOWEST_DENT * patch.size:
-        return [patch]
-    ends = outline[at[first]].tolist(), outline[at[second]].tolist()
+    ends = outline[dents[0]].tolist(), outline[dents[1]].tolist()
     pieces = components(cv2.line(patch.mask.copy(), *ends, (0,), 1, cv2.LINE_4))
     pieces = [p for p in pieces if p.size > SMALLEST_PIECE * patch.size]
     return [Patch(p.x + patch.x, p.y + patch.y, p.mask) for p in pieces] if len(pieces) == 2 else [patch]
+
+
+def divide(patch: Patch, longest: float) -> list[Patch]:
+    """Cut a patch that is longer than one object can be, in coarse pixels, into those that touch in it.
+
+    Where two touch there may be one dent alone, between their heads, and a straight outline at their feet. So a cut may
+    begin at any dent and end anywhere; of all it is the one that is shortest for what it cuts off. What has no such cut
+    stays whole: it is too large, but it is one.
+    """
+    if max(patch.w, patch.h) <= longest:
+        return [patch]
+    outline = _longest_outline(patch.mask)
+    filled = np.zeros(patch.mask.shape, np.uint8)
+    cv2.drawContours(filled, [outline], -1, (255,), cv2.FILLED)
+    ends = _shortest_cut(outline, filled, _dents(outline, SHALLOWEST_DENT * patch.size))
+    if ends is None:
+        return [patch]
+    count, sides = cv2.connectedComponents(cv2.line(filled, *ends, (0,), 1, cv2.LINE_4), connectivity=4)
+    pieces = [_only(patch, sides == side) for side in range(1, count)]
+    pieces = [each for each in pieces if each is not None and each.size > SMALLEST_SLIVER * patch.size]
+    return [each for piece in pieces for each in divide(piece, longest)] if len(pieces) > 1 else [patch]
+
+
+def _only(patch: Patch, where: NDArray[np.bool_]) -> Patch | None:
+    """The pixels of a patch that are somewhere; None when there are none."""
+    mask = np.where(where, patch.mask, np.uint8(0))
+    x, y, w, h = cv2.boundingRect(mask)
+    return Patch(patch.x + x, patch.y + y, mask[y : y + h, x : x + w].copy()) if w * h > 0 else None
+
+
+def _longest_outline(mask: Image) -> Image:
+    """Corners of the longest outline of a mask, (n, 2)."""
+    return max(_outlines(mask), key=len).reshape(-1, 2)  # OpenCV 4 and 5 differ in the shape
+
+
+def _dents(outline: Image, least: float) -> list[int]:
+    """Returns where an outline's dents are deepest, those at least so deep, the deepest first."""
+    hull = np.sort(cv2.convexHull(outline, returnPoints=False), axis=0)[::-1]  # OpenCV may start in the middle
+    defects = cv2.convexityDefects(outline, hull) if len(hull) > 3 else None
+    if defects is None:
+        return []
+    _, _, at, depth = defects.astype(np.int64).reshape(-1, 4).T
+    return [int(at[i]) for i in np.argsort(depth)[::-1] if depth[i] / 256.0 >= least]
+
+
+def _shortest_cut(
+    outline: Image, filled: Image, dents: Sequence[int]
+) -> tuple[tuple[int, int], tuple[int, int]] | None:
+    """Ends of the cut from a dent that is shortest for the smaller part's size, within the outline; None: none is."""
+    points = outline.astype(np.float64)
+    x, y = points.T
+    swept = np.concatenate([[0.0], np.cumsum(x * np.roll(y, -1) - y * np.roll(x, -1))])
+    area, index = 0.5 * abs(swept[-1]), np.arange(len(points))
+    best, ends = LONGEST_CUT, None
+    for dent in dents:
+        low, high = np.minimum(dent, index), np.maximum(dent, index)
+        part = 0.5 * np.abs(swept[high] - swept[low] + x[high] * y[low] - y[high] * x[low])
+        smaller = np.minimum(part, area - part)
+        length = np.hypot(x - x[dent], y - y[dent]) + 1.0
+        worth = np.where(smaller >= SMALLEST_CUT_OFF * area, length / np.sqrt(np.maximum(smaller, 1.0)), np.inf)
+        for end in np.argsort(worth)[:CUTS].tolist():
+            if worth[end] >= best:
+                break
+            a, b = (int(x[dent]), int(y[dent])), (int(x[end]), int(y[end]))
+            line = cv2.line(np.zeros_like(filled), a, b, (255,), 1)
+            if cv2.countNonZero(cv2.bitwise_and(line, filled)) >= WITHIN * cv2.countNonZero(line):
+                best, ends = float(worth[end]), (a, b)
+                break
+    return ends

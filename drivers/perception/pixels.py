@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Annotated, Literal, Self
 
@@ -31,7 +31,6 @@ from path.target.monocular import TargetSize, monocular_range
 from path.target.place import depth_sigma, registered_depth
 
 Corners = Literal["photometric", "subpix"]
-Ranging = Callable[[Box], Depth | None]
 DEPTH_SIGMAS = 2.0  # of the depth camera's own noise
 _TURNS = 3  # of the event loop before a frame that waits already: a setpoint takes as many from its timer to the wire
 RANGE_SIGMAS = 3.0  # of a range by the target's size
@@ -68,8 +67,6 @@ class PixelPerception:
         self._detector: Detector = create(config.detector, context)
         self._layout = context.layout
         self._calibrated_serial = context.camera_serial
-        size = config.target
-        self._ranging = None if size is None else partial(monocular_range, camera=context.camera, size=size)
         self._freshness = Freshness(config.max_old_frames)
 
     @property
@@ -85,7 +82,7 @@ class PixelPerception:
     def lacks(self) -> frozenset[Capability]:
         """The abilities that the camera lacks, but for ranges that the target's size gives."""
         of_camera = lacking(self._camera)
-        return of_camera if self._ranging is None else of_camera - {Capability.RANGE}
+        return of_camera if self._config.target is None else of_camera - {Capability.RANGE}
 
     @property
     def rate_hz(self) -> float | None:
@@ -139,13 +136,13 @@ class PixelPerception:
         """The view of a frame, whoever has it; the camera need not be open. Raises CameraError for another size."""
         _check_size(frame, self.model)
         config = self._config
-        return PixelView(frame, self.model, self._layout, self._detector, config.method, config.corners, self._ranging)
+        return PixelView(frame, self.model, self._layout, self._detector, config.method, config.corners, config.target)
 
 
 class PixelView:
     """Implements ``drivers.interfaces.View`` on one frame. Every question is answered from the pixels when asked."""
 
-    __slots__ = ("_corners", "_detector", "_frame", "_layout", "_method", "_model", "_ranging")
+    __slots__ = ("_corners", "_detector", "_frame", "_layout", "_method", "_model", "_size")
 
     def __init__(
         self,
@@ -155,12 +152,12 @@ class PixelView:
         detector: Detector,
         method: MethodConfig,
         corners: Corners = "photometric",
-        ranging: Ranging | None = None,
+        size: TargetSize | None = None,
     ) -> None:
         self._frame, self._model, self._layout = frame, model, layout
         self._detector, self._method = detector, method
         self._corners: Corners = corners
-        self._ranging = ranging  # in place of a depth stream
+        self._size = size  # of the target, in place of a depth stream
 
     @property
     def stamp_ns(self) -> int:
@@ -180,7 +177,7 @@ class PixelView:
         if region is None or region.any_depth:
             return detector.detect(frame.color, region)
         if frame.depth_mm is None:
-            return [each for each in detector.detect(frame.color, region) if self._may_be_within(region, each.box)]
+            return self._by_size(region)
         near_m = region.near_m - DEPTH_SIGMAS * depth_sigma(region.near_m, self._method)
         far_m = region.far_m + DEPTH_SIGMAS * depth_sigma(region.far_m, self._method)
         if getattr(detector, "whole_image", False):
@@ -206,7 +203,7 @@ class PixelView:
         depth_mm = self._frame.depth_mm
         if depth_mm is not None:
             return registered_depth(depth_mm, box, self._method)
-        return None if self._ranging is None else self._ranging(box)
+        return None if self._size is None else monocular_range(box, self._model, self._size)
 
     def image(self) -> NDArray[np.uint8]:
         return self._frame.color
@@ -215,11 +212,20 @@ class PixelView:
     def frame(self) -> Frame:
         return self._frame
 
+    def _by_size(self, region: Region) -> Sequence[Detection]:
+        """Those that can be as far away as the region says, by the target's size; all where that is not known."""
+        size = self._size
+        if size is not None and size.longest_m > 0.0 and region.far_m < math.inf:
+            z_m, focal_px = 0.5 * (region.near_m + region.far_m), max(self._model.fx, self._model.fy)
+            region = replace(region, longest_px=size.longest_m * focal_px / z_m)
+        found = self._detector.detect(self._frame.color, region)
+        return [each for each in found if self._may_be_within(region, each.box)]
+
     def _may_be_within(self, region: Region, box: Box) -> bool:
         """Returns whether a target in this box can be as far away as the region says; yes where that is not known."""
-        depth = None if self._ranging is None else self._ranging(box)
-        if depth is None:
-            return True
+        depth = None if self._size is None else monocular_range(box, self._model, self._size)
+        if depth is None:  # also where the image's border cuts the box: the object is at least as large
+            return max(box.w, box.h) <= region.longest_px
         reach_m = RANGE_SIGMAS * depth.sigma_m
         return region.near_m - reach_m <= depth.z_m <= region.far_m + reach_m
 

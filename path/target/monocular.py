@@ -27,11 +27,14 @@ class TargetSize:
         apparent_m: geometric mean of the sides of its box, in m: measured box times distance over focal length.
         sigma: relative standard deviation of that, over its headings and the heights from which it is seen.
         pixel_sigma_px: of a box's width and height.
+        longest_m: the longest side that its box can have, likewise in m; a longer one is of several that touch. 0: not
+            known.
     """
 
     apparent_m: Annotated[float, Bounds(0.02, 20.0)]
     sigma: Annotated[float, Bounds(0.001, 1.0, "of 1")] = 0.10
     pixel_sigma_px: Annotated[float, Bounds(0.01, 100.0)] = 2.0
+    longest_m: Annotated[float, Bounds(0.0, 50.0)] = 0.0
 
     def __post_init__(self) -> None:
         for name in ("apparent_m", "sigma", "pixel_sigma_px"):

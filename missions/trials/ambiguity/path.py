@@ -27,10 +27,10 @@ from path.marker.layout import MarkerLayout
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
 from path.messages import Role, Target, Vec3
 from path.observations import Box, Missed, MissReason, Region
+from path.target.monocular import TargetSize
 
 STAMP_NS = 1_000_000_000
-BODY_M, DEPTH_SIGMAS = 0.3, 2.0  # how far a person's surfaces are from the point D1 measured, and depth noise of D2
-MEDIAN_PX, GREY = 5, 110
+SHIRT = TargetSize(0.65, 0.13, longest_m=0.95)  # of clean boxes at known distances, any heading: for D2 without depth
 REGION_ERROR_PX, REGION_MARGIN_PX = 10.0, 60.0
 
 
@@ -109,6 +109,7 @@ def run_path(
             beliefs.layout,
             detector,
             config,
+            size=SHIRT,
         )
         for role in (Role.SENDER, Role.RECEIVER)
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -192,6 +193,24 @@ def test_one_of_two_that_touch_is_found_in_a_region_around_it_as_in_the_whole_im
         u, v = whole.box.center
         found = detector().detect(image, Region(u - 15.0, v - 15.0, u + 15.0, v + 15.0))
         assert [iou(d.box, whole.box) for d in found] == pytest.approx([1.0], abs=0.05)
+
+
+STEP = drawn((200, 120, 60, 90), (260, 150, 60, 60))  # one dent alone, above; the feet stand in line
+EVERYWHERE = Region(0.0, 0.0, 640.0, 480.0)
+
+
+def test_two_that_touch_and_are_longer_than_one_can_be_are_told_apart_at_one_dent() -> None:
+    (one,) = detector().detect(STEP, EVERYWHERE)
+    assert one.box.w == pytest.approx(120.0, abs=1.0)
+    found = detector().detect(STEP, replace(EVERYWHERE, longest_px=100.0))
+    left, right = sorted((each.box for each in found), key=lambda box: box.x)
+    assert iou(left, Box(199.5, 119.5, 60.0, 90.0)) > 0.85
+    assert iou(right, Box(259.5, 149.5, 60.0, 60.0)) > 0.7  # the cut is not quite upright
+
+
+def test_what_is_too_long_and_has_no_dent_stays_whole() -> None:
+    nearer = drawn((200, 120, 160, 120))
+    assert detector().detect(nearer, replace(EVERYWHERE, longest_px=100.0)) == detector().detect(nearer, EVERYWHERE)
 
 
 def test_two_in_line_are_not_one_good_vehicle() -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -24,7 +24,7 @@ from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 from path.observations import Box, Detection, Region
-from path.target.monocular import TargetSize, monocular_range
+from path.target.monocular import TargetSize
 
 CAMERA = CameraModel(160, 120, 200.0, 200.0, 79.5, 59.5)
 LEVEL = Pose(np.eye(3), np.zeros(3))
@@ -342,6 +342,7 @@ def camera_frame_depth(view: PixelView) -> NDArray[np.uint16]:
 
 
 SIZE = TargetSize(apparent_m=0.3, sigma=0.1)
+told: list[Any] = []  # regions that the detector was asked about
 
 
 class NoDepth(StubCamera):
@@ -351,12 +352,12 @@ class NoDepth(StubCamera):
 def flat_view(boxes: Sequence[Box], size: TargetSize | None) -> PixelView:
     class Finding(StubDetector):
         def detect(self, image: NDArray[np.uint8], region: Region | None) -> Sequence[Detection]:
+            told.append(region)
             return [Detection(box, 0.9) for box in boxes]
 
     image = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
     finding = Finding(StubConfig(), CONTEXT)
-    ranging = None if size is None else partial(monocular_range, camera=CAMERA, size=size)
-    return PixelView(Frame(1, 1, image, None), CAMERA, single_marker(), finding, MethodConfig(), ranging=ranging)
+    return PixelView(Frame(1, 1, image, None), CAMERA, single_marker(), finding, MethodConfig(), size=size)
 
 
 def test_without_depth_the_target_s_size_gives_the_range() -> None:
@@ -374,6 +375,16 @@ def test_what_can_only_be_elsewhere_by_its_size_is_left_out() -> None:
     assert [each.box for each in view.targets(asked)] == [near]
     assert [each.box for each in view.targets(Region(0.0, 0.0, 160.0, 120.0))] == [near, far]
     assert [each.box for each in flat_view([near, far], None).targets(asked)] == [near, far]
+
+
+def test_without_depth_the_detector_is_told_how_long_a_target_can_be_there() -> None:
+    cut, box = Box(-0.5, 20.0, 60.0, 40.0), Box(70.0, 20.0, 30.0, 30.0)
+    view = flat_view([cut, box], replace(SIZE, longest_m=0.4))
+    asked = Region(0.0, 0.0, 160.0, 120.0, near_m=1.5, far_m=2.5)
+    assert [each.box for each in view.targets(asked)] == [box]  # what the border cuts is longer than 0.4 m already
+    assert [each.box for each in flat_view([cut, box], SIZE).targets(asked)] == [cut, box]
+    assert told[-2].longest_px == pytest.approx(0.4 * CAMERA.fx / 2.0)
+    assert told[-1].longest_px == math.inf
 
 
 @pytest.mark.parametrize(("size", "lacks"), [(None, {Capability.RANGE}), (SIZE, set[Capability]())])
