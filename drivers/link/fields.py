@@ -6,7 +6,8 @@ Every number is checked both ways; ``drivers.link.units`` has the units and what
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections import namedtuple
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from drivers.link.dialect import path_dialect as dialect
@@ -51,6 +52,8 @@ from path.messages import (
 )
 from path.observations import MissReason
 
+Numbers = tuple[int, ...]
+
 _MILLI = 1000.0
 _CENTI = 100.0
 _YAW = 10000.0
@@ -66,10 +69,10 @@ _ROLE_CODE = {Role.SENDER: dialect.PATH_ROLE_SENDER, Role.RECEIVER: dialect.PATH
 _ROLE = {code: role for role, code in _ROLE_CODE.items()}
 
 
-def _target_to(m: Target) -> Any:
+def _target_to(m: Target) -> Numbers:
     mm, parts = point_to("point_v_m", m.point_v_m)
     low, high = instant_to("capture_ns", m.capture_ns)
-    return dialect.MAVLink_path_target_message(
+    return (
         low,
         *mm,
         whole("handoff_id", m.handoff_id, U16),
@@ -106,11 +109,11 @@ def _miss_to(m: Candidate) -> int:
     return _MISS_CODE[m.reason]
 
 
-def _candidate_to(m: Candidate) -> Any:
+def _candidate_to(m: Candidate) -> Numbers:
     miss = _miss_to(m)
     mm, parts = point_to("position_v_m", m.position_v_m)
     low, high = instant_to("capture_ns", m.capture_ns)
-    return dialect.MAVLink_path_candidate_message(
+    return (
         low,
         *mm,
         *rotation_to("rotation_v_c2", m.rotation_v_c2),
@@ -161,13 +164,13 @@ def _three(name: str, values: Vec3, scale: float, limit: int) -> tuple[int, int,
     )
 
 
-def _status_to(m: Status) -> Any:
+def _status_to(m: Status) -> Numbers:
     if not math.isfinite(m.yaw_rad):
         raise OutOfRange(f"yaw_rad = {m.yaw_rad} is not finite")
     flags = dialect.PATH_FLAG_RESPONSIBLE * m.responsible | dialect.PATH_FLAG_OBSERVING * m.observing
     low, high = instant_to("stamp_ns", m.stamp_ns)
     instance_high, instance_low = divmod(whole("instance", m.instance, U24), 1 << 16)
-    return dialect.MAVLink_path_status_message(
+    return (
         low,
         *_three("position_n_m", m.position_n_m, _MILLI, I32),
         *_three("velocity_n_mps", m.velocity_n_mps, _CENTI, I16),
@@ -200,12 +203,12 @@ def _status_from(p: Any) -> Status:
     )
 
 
-def _ping_to(m: Ping) -> Any:
-    return dialect.MAVLink_path_ping_message(whole("sent_ns", m.sent_ns, U64), whole("nonce", m.nonce, U32))
+def _ping_to(m: Ping) -> Numbers:
+    return whole("sent_ns", m.sent_ns, U64), whole("nonce", m.nonce, U32)
 
 
-def _pong_to(m: Pong) -> Any:
-    return dialect.MAVLink_path_pong_message(
+def _pong_to(m: Pong) -> Numbers:
+    return (
         whole("ping_sent_ns", m.ping_sent_ns, U64),
         whole("received_ns", m.received_ns, U64),
         whole("sent_ns", m.sent_ns, U64),
@@ -213,8 +216,8 @@ def _pong_to(m: Pong) -> Any:
     )
 
 
-def _commit_to(m: Commit) -> Any:
-    return dialect.MAVLink_path_commit_message(whole("lease_end_ns", m.lease_end_ns, U64), *_answer_fields(m))
+def _commit_to(m: Commit) -> Numbers:
+    return whole("lease_end_ns", m.lease_end_ns, U64), *_answer_fields(m)
 
 
 def _answer_fields(m: Commit | Accept | Confirm) -> tuple[int, int, int, int, int, int]:
@@ -228,8 +231,8 @@ def _answer_fields(m: Commit | Accept | Confirm) -> tuple[int, int, int, int, in
     )
 
 
-def _abort_to(m: Abort) -> Any:
-    return dialect.MAVLink_path_abort_message(
+def _abort_to(m: Abort) -> Numbers:
+    return (
         whole("stamp_ns", m.stamp_ns, U64),
         whole("instance", m.instance, U24),
         whole("handoff_id", m.handoff_id, U16),
@@ -251,17 +254,35 @@ def _instance(p: Any) -> int:
     return int(p.instance)
 
 
-TO_WIRE: dict[type[Message], Callable[[Any], Any]] = {
+TO_WIRE: dict[type[Message], Callable[[Any], Numbers]] = {
     Target: _target_to,
     Candidate: _candidate_to,
     Status: _status_to,
     Ping: _ping_to,
     Pong: _pong_to,
     Commit: _commit_to,
-    Accept: lambda m: dialect.MAVLink_path_accept_message(*_answer_fields(m)),
-    Confirm: lambda m: dialect.MAVLink_path_confirm_message(*_answer_fields(m)),
+    Accept: _answer_fields,
+    Confirm: _answer_fields,
     Abort: _abort_to,
 }
+"""A message's numbers, in the order in which they are sent."""
+
+KINDS: dict[type[Message], type[Any]] = {
+    Target: dialect.MAVLink_path_target_message,
+    Candidate: dialect.MAVLink_path_candidate_message,
+    Status: dialect.MAVLink_path_status_message,
+    Ping: dialect.MAVLink_path_ping_message,
+    Pong: dialect.MAVLink_path_pong_message,
+    Commit: dialect.MAVLink_path_commit_message,
+    Accept: dialect.MAVLink_path_accept_message,
+    Confirm: dialect.MAVLink_path_confirm_message,
+    Abort: dialect.MAVLink_path_abort_message,
+}
+NAMED: dict[type[Any], Callable[[Iterable[int]], Any]] = {
+    kind: namedtuple(kind.__name__, kind.ordered_fieldnames)._make  # pyright: ignore[reportUntypedNamedTuple]
+    for kind in KINDS.values()
+}
+"""Gives numbers that came, in the order in which they were sent, the dialect's names, as ``FROM_WIRE`` takes them."""
 
 FROM_WIRE: dict[type[Any], Callable[[Any], Message]] = {
     dialect.MAVLink_path_target_message: _target_from,

@@ -74,7 +74,8 @@ def instant_from(low: int, high: int) -> int:
 def point_to(name: str, point: Vec3) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
     """Whole millimetres, rounded down, and what is left in 1/256 mm, of each coordinate in m."""
     x, y, z = point
-    a, b, c = (scaled(name, value, _PER_METRE, _LEAST, _MOST) for value in (x, y, z))
+    a, b = scaled(name, x, _PER_METRE, _LEAST, _MOST), scaled(name, y, _PER_METRE, _LEAST, _MOST)
+    c = scaled(name, z, _PER_METRE, _LEAST, _MOST)
     return (a // _PARTS, b // _PARTS, c // _PARTS), (a % _PARTS, b % _PARTS, c % _PARTS)
 
 
@@ -169,6 +170,6 @@ def _folded(a: float, b: float) -> tuple[float, float]:
 
 
 def _length(name: str, values: tuple[float, ...], tolerance: float) -> None:
-    length = math.sqrt(sum(value * value for value in values))
+    length = math.sqrt(sum([value * value for value in values]))
     if not abs(length - 1.0) <= tolerance:
         raise OutOfRange(f"{name} = {values} has length {length}, not 1")

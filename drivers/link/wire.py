@@ -19,10 +19,9 @@ import hmac
 from collections import deque
 from collections.abc import Callable
 from enum import Enum
-from typing import Any
 
 from drivers.link.dialect import path_dialect as dialect
-from drivers.link.fields import FROM_WIRE, TO_WIRE
+from drivers.link.fields import FROM_WIRE, KINDS, NAMED, TO_WIRE
 from drivers.link.units import OutOfRange
 from path.messages import Message, Ping, Pong, Role
 
@@ -98,16 +97,16 @@ class Codec:
 
     def encode(self, message: Message) -> bytes:
         """The packet of a message. Raises EncodeError when a number does not fit."""
+        kind = KINDS[type(message)]
         try:
-            packet = TO_WIRE[type(message)](message)
+            numbers = TO_WIRE[type(message)](message)
         except OutOfRange as error:
             raise EncodeError(f"{type(message).__name__}: {error}") from error
-        values = [getattr(packet, name) for name in packet.ordered_fieldnames]
-        payload = packet.unpacker.pack(*values).rstrip(b"\0") or b"\0"
+        payload = kind.unpacker.pack(*numbers).rstrip(b"\0") or b"\0"
         flags = _SIGNED if self._signed else 0
         header = bytes((_MARKER[0], len(payload), flags, 0, self._sequence, self._system, COMPONENT_ID))
-        data = header + packet.id.to_bytes(3, "little") + payload
-        data += _crc(data[1:], packet.crc_extra).to_bytes(_CRC, "little")
+        data = header + kind.id.to_bytes(3, "little") + payload
+        data += _crc(data[1:], kind.crc_extra).to_bytes(_CRC, "little")
         self._sequence = (self._sequence + 1) % 256
         if isinstance(message, Ping):
             self._asked.append((message.nonce, message.sent_ns))
@@ -145,9 +144,8 @@ class Codec:
                 return fault
         kind = dialect.mavlink_map[int.from_bytes(data[7:HEADER_LENGTH], "little")]
         values = kind.unpacker.unpack(data[HEADER_LENGTH : HEADER_LENGTH + data[1]].ljust(kind.unpacker.size, b"\0"))
-        packet: Any = kind(*[values[place] for place in kind.orders])
         try:
-            message = FROM_WIRE[kind](packet)
+            message = FROM_WIRE[kind](NAMED[kind](values))
         except OutOfRange:
             return Drop.OUT_OF_RANGE
         if self._signed and data[-_SIGNATURE] not in self._proven:
@@ -226,9 +224,7 @@ def _stamp_of(data: bytes) -> int:
 
 def _crc(data: bytes, extra: int) -> int:
     """Returns the checksum of everything after the marker, and a byte that stands for the message's layout."""
-    crc = dialect.x25crc(data)
-    crc.accumulate(bytes((extra,)))
-    return crc.crc
+    return dialect.x25crc(data + bytes((extra,))).crc
 
 
 def _whole_length(header: bytes) -> int:

@@ -226,6 +226,12 @@ def fold(key, value):
 
 
 @kernel
+def fold_both(key, value, other):
+    """Mixes one value into a key, and then another."""
+    return np.int64(mix(np.int64(mix(key, value) >> np.uint64(1)), other) >> np.uint64(1))
+
+
+@kernel
 def uniform(state):
     """Returns a number in (0, 1) from a mixed state."""
     return (float(state >> np.uint64(11)) + 0.5) / 9007199254740992.0

@@ -19,7 +19,7 @@ from drivers.interfaces import CameraError
 from drivers.perception.freshness import Freshness
 from drivers.rig.parts import PartContext
 from hil.camera.capture import Capture, CaptureTicker, CaptureTiming, SensorHarness, timing_of, true_camera
-from hil.geometric.kernels import fold
+from hil.geometric.kernels import fold, fold_both
 from hil.geometric.markers import LARGEST_SCALE, marker
 from hil.geometric.noise import ObservationNoise
 from hil.geometric.scene import Array, CameraSetup, Placed, outlines, place
@@ -112,6 +112,9 @@ class GeometricPerception:
         return GeometricView(await self._freshness.next(self._ticker.next, timeout_s), self._sensor)
 
 
+EYE_8 = np.eye(8)
+
+
 def _keep(snapshot: Snapshot, frame_id: int) -> Snapshot:
     del frame_id
     return snapshot
@@ -183,7 +186,7 @@ class GeometricView:
 
     def _key(self, question: int, frames: int = 1) -> int:
         """A key for random numbers that stay the same for so many frames."""
-        return int(fold(fold(self._sensor.seed, self.frame_id // frames), question))
+        return fold_both(self._sensor.seed, self.frame_id // frames, question)
 
     def targets(self, region: Region | None) -> Sequence[Detection]:
         """The cars a detector would find, with box centre in ``region``, best score first."""
@@ -232,14 +235,14 @@ class GeometricView:
                 fold(slow_key, marker_id),
                 found,
             ):
-                detected.append(MarkerDetection(marker_id, found[:8].reshape(4, 2), found[8] ** 2 * np.eye(8)))
+                detected.append(MarkerDetection(marker_id, found[:8].reshape(4, 2), found[8] ** 2 * EYE_8))
         return detected
 
     def depth(self, box: Box) -> Depth | None:
         """Returns the depth that ``path.target.place.registered_depth`` would make of the depth image."""
         sensor, placed = self._sensor, self._placed_for_depth
         setup, errors = sensor.setup, sensor.errors
-        key = fold(fold(self._key(DEPTH), int(16.0 * box.x)), int(16.0 * box.y))
+        key = fold_both(self._key(DEPTH), int(16.0 * box.x), int(16.0 * box.y))
         z_m, sigma_m = depth_over(
             placed.boxes,
             placed.extents,

@@ -91,6 +91,8 @@ class HandoverCamera:
         setup, shape, most = sensor.setup, parts_of(kind), flown.things.shape[1]
         self._sensor, self._flown, self._shape = sensor, flown, shape
         self._kind: TargetKind = kind
+        # of a camera that looks for no marker
+        self._alone = [Snapshot(0.0, {}, (), depth_holes=holes, kind=kind) for holes in (False, True)]
         self._boxes = np.empty((BLOCK, most * len(shape) + len(setup.other), BOX_COLUMNS))
         self._extents, self._frames = np.empty((BLOCK, most + 1, EXTENT_COLUMNS)), np.empty((BLOCK, FRAME_COLUMNS))
         self._seen, self._ids = np.empty((BLOCK, most, SEEN_COLUMNS)), np.empty((BLOCK, most), np.int64)
@@ -105,8 +107,11 @@ class HandoverCamera:
         count, per_object = int(self._counts[row]), len(self._shape)
         boxes = self._boxes[row, : count * per_object + len(self._sensor.setup.other)]
         placed = Placed(boxes, self._extents[row, : count + 1], self._frames[row], per_object)
-        sender = DroneTruth(Pose(flown.other_R[k], flown.other_t[k]), (0.0, 0.0, 0.0), 0.0, armed=True)
-        snapshot = Snapshot(0.0, {Role.SENDER: sender}, (), marker_hidden, depth_holes, kind=self._kind)
+        if self._sensor.markers:
+            sender = DroneTruth(Pose(flown.other_R[k], flown.other_t[k]), (0.0, 0.0, 0.0), 0.0, armed=True)
+            snapshot = Snapshot(0.0, {Role.SENDER: sender}, (), marker_hidden, depth_holes, kind=self._kind)
+        else:
+            snapshot = self._alone[depth_holes]
         capture = Capture(stamp_ns, int(flown.frame[k]), snapshot)
         return HandoverView(capture, self._sensor, placed, self._seen[row, :count], self._ids[row, :count])
 

@@ -108,6 +108,7 @@ class RoleSession:
         self.instance: Callable[[], int] = int  # what a Status of this drone names
         self.observing = False
         self.off_n_m: Vec3 = (0.0, 0.0, 0.0)  # of this drone's own position, as it was at home
+        self._here: tuple[Status, Status] | None = None  # as it came, and in this drone's frame
         self.on_message: Callable[[Received], None] = _ignore
         self.on_status: Callable[[Status], None] = _ignore
         self.ended: asyncio.Future[MissionEnd] = asyncio.get_running_loop().create_future()
@@ -124,12 +125,14 @@ class RoleSession:
     def note_home(self, home_m: tuple[float, ...] | None) -> None:
         """Takes what this drone's position is off, where it stands, for what it will be off."""
         north, east = off_from(home_m, self.vehicle.state.position_n_m)
-        self.off_n_m = north, east, 0.0
+        self.off_n_m, self._here = (north, east, 0.0), None
         self.log.write("/home", self.now_ns(), {"off_m": (north, east)})
 
     def here(self, peer: Status) -> Status:
         """The other drone's Status, its position in this drone's own frame: each tells it without what it is off."""
-        return replace(peer, position_n_m=add(peer.position_n_m, self.off_n_m))
+        if self._here is None or self._here[0] is not peer:  # it is asked many times for each Status
+            self._here = peer, replace(peer, position_n_m=add(peer.position_n_m, self.off_n_m))
+        return self._here[1]
 
     def peer_silence_s(self) -> float:
         return (self.now_ns() - self.peer_heard_ns) * 1e-9

@@ -71,13 +71,12 @@ def slerp(a: Quat, b: Quat, fraction: float) -> Quat:
 def R_from_quat(q: Quat) -> Matrix:
     """Rotation matrix, shape (3, 3). Raises ValueError when ``q`` is zero or not finite."""
     w, x, y, z = normalized(q)
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+    entries = (
+        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y),
+    )  # fmt: skip
+    return np.array(entries).reshape(3, 3)
 
 
 def quat_from_R(R: Matrix) -> Quat:

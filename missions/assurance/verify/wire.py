@@ -21,8 +21,7 @@ from typing import Any, TextIO
 from rich.table import Table
 
 from drivers.clock import busy_ns
-from drivers.link.dialect import path_dialect as dialect
-from drivers.link.fields import FROM_WIRE, TO_WIRE
+from drivers.link.fields import FROM_WIRE, KINDS, TO_WIRE
 from drivers.link.units import OutOfRange
 from drivers.link.wire import KEY_LENGTH, Codec, Drop
 from missions.assurance.verify.forger import HASH, HEADER, SIGNATURE, Forger, framed, sign
@@ -43,11 +42,6 @@ PAGE_KIB = os.sysconf("SC_PAGE_SIZE") / 1024.0
 TRIES = 40  # for a number that means nothing
 SMALL = {"role": 3, "battery": 201, "miss": 19, "reason": 9, "instance": 1 << 24}
 """Fields that few of all numbers mean something in, and how many do."""
-WIRE_OF = {
-    Candidate: dialect.MAVLink_path_candidate_message,
-    Target: dialect.MAVLink_path_target_message,
-}
-
 MakeCodec = Callable[[Role, bytes, Callable[[], int]], Codec]
 
 
@@ -214,7 +208,7 @@ class _Exchange:
 def a_message(role: Role, rng: Random) -> Message:
     """One that a role might send, of each type as likely; any numbers in it that the wire can carry."""
     never = Candidate if role is Role.SENDER else Target
-    wanted = rng.choice([kind for kind in FROM_WIRE if kind is not WIRE_OF[never]])
+    wanted = rng.choice([kind for kind in FROM_WIRE if kind is not KINDS[never]])
     while True:
         values = _values(wanted, rng)
         for name, most in SMALL.items():
@@ -229,13 +223,14 @@ def a_message(role: Role, rng: Random) -> Message:
 
 def nonsense(message: Message, rng: Random) -> bytes | None:
     """The payload of a message with one number in it that means nothing; None where every number means something."""
-    packet = TO_WIRE[type(message)](message)
-    values = {name: getattr(packet, name) for name in packet.fieldnames}
+    kind = KINDS[type(message)]
+    values = dict(zip(kind.ordered_fieldnames, TO_WIRE[type(message)](message), strict=True))
     for _ in range(TRIES):
-        name = rng.choice(packet.fieldnames)
-        altered = values | {name: _values(type(packet), rng)[name]}
-        if _meaning(type(packet), altered) is None:
-            return packet.unpacker.pack(*[altered[each] for each in packet.ordered_fieldnames])
+        name = rng.choice(kind.fieldnames)
+        altered = values | {name: _values(kind, rng)[name]}
+        if _meaning(kind, altered) is None:
+            packed: bytes = kind.unpacker.pack(*[altered[each] for each in kind.ordered_fieldnames])
+            return packed
     return None
 
 
