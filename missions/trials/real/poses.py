@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,8 @@ from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
 from path.messages import Vec3
 from path.observations import MarkerDetection, Missed
 
-POSE_STREAM = 1
+POSE_STREAM, NOISE_STREAM = 1, 3
+KNOWN_DEG = 0.01  # gravity that is known
 FLIPPED_RAD = math.radians(10.0)
 PERFECT_PX = 0.01  # stated deviation of corners that are the board's own
 PLATE_SIDES = 3.5  # farthest apart that two markers of a plate are, in sides
@@ -30,6 +32,8 @@ TO_BOARD = np.array([1.0, 1.0, -1.0])  # heights are against the board's z
 BOARD_TO_MARKER = np.diag([1.0, -1.0, -1.0])  # the board's y is down and its z away from the viewer
 
 Array = NDArray[np.float64]
+Gravity = Literal["stated", "known", "none"]
+"""How well gravity is known: as the set says, exactly, or not at all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,21 +107,37 @@ def plate_tasks(own: RealSet, seen: SetSeen, measured: MethodPoses, *, squared: 
     return tasks
 
 
+def as_stated(camera: CameraModel, tasks: Sequence[PoseTask], seed: int) -> list[PoseTask]:
+    """The same with corners that err by what is stated of them and nothing else: print, paper and motion are right."""
+    rng = np.random.default_rng([seed, NOISE_STREAM])
+    drawn: list[PoseTask] = []
+    for task in tasks:
+        places = {marker.id: camera.project(task.T_c_v.apply(marker.corners_v)) for marker in task.layout.markers}
+        found = tuple(
+            replace(
+                one, corners_px=rng.multivariate_normal(places[one.marker_id].ravel(), one.covariance_px2).reshape(4, 2)
+            )
+            for one in task.seen
+        )
+        drawn.append(replace(task, seen=found))
+    return drawn
+
+
 def estimate_all(
-    own: RealSet, camera: CameraModel, tasks: Sequence[PoseTask], seed: int, *, gravity: bool = True,
+    own: RealSet, camera: CameraModel, tasks: Sequence[PoseTask], seed: int, *, gravity: Gravity = "stated",
     shapely: bool = False,
 ) -> Poses:  # fmt: skip
     """Estimate every pose; gravity has an error of its own in each. ``shapely``: no marker is too wide or skewed."""
     rng = np.random.default_rng([seed, POSE_STREAM])
-    sigma = math.radians(own.file.gravity_sigma_deg)
+    sigma = math.radians(own.file.gravity_sigma_deg if gravity != "known" else KNOWN_DEG)
     errors: list[PoseError] = []
     refused: dict[str, int] = {}
     for task in tasks:
         down_v = np.array(own.file.down) / np.linalg.norm(own.file.down)
         down_c = rotation.exp(sigma * rng.standard_normal(3)) @ task.T_c_v.R @ down_v
         settings = PoseSettings(sigma / math.sqrt(2.0), sigma / math.sqrt(2.0), focal_sigma=0.0)
-        known = (_vec3(down_v), _vec3(down_c)) if gravity else (None, None)
-        if not gravity:
+        known = (None, None) if gravity == "none" else (_vec3(down_v), _vec3(down_c))
+        if gravity == "none":
             settings = PoseSettings(focal_sigma=0.0, max_ambiguity=1.0, max_sigma_m=math.inf)
         settings = replace(settings, shape_sigma=0.0) if shapely else settings
         pose = estimate_pose(task.seen, task.layout, camera, *known, settings)

@@ -17,7 +17,7 @@ from flight.harness.renderer import FrameRenderer
 from missions.trials.real.board import SetSeen, look_at_set
 from missions.trials.real.corners import METHODS, corners_by
 from missions.trials.real.errors import MethodPoses, measure_set
-from missions.trials.real.poses import Poses, estimate_all, plate_tasks, single_tasks
+from missions.trials.real.poses import Gravity, Poses, PoseTask, as_stated, estimate_all, plate_tasks, single_tasks
 from missions.trials.real.results import CornerScore, Figure95, PoseScore, SetScore, TwinScore
 from missions.trials.real.set import RealSet, read_set
 from missions.trials.real.shutter import held_still
@@ -28,6 +28,7 @@ SCORE_STREAM = 2
 QUICK_IMAGES = 4
 MEDIAN_OF = {8: 0.918, 6: 0.891}  # median of chi-square over its degrees of freedom, by these
 THUMBNAIL_PX = 480
+SHAPELY = ("perfect_corners", "as_stated", "as_stated_plate")  # poses of corners whose print is known
 
 Array = NDArray[np.float64]
 Groups = NDArray[np.int64]
@@ -143,22 +144,27 @@ def _pose_scores(
     own: RealSet, seen: SetSeen, measured: MethodPoses, still: tuple[SetSeen, MethodPoses] | None, seed: int,
     rng: np.random.Generator,
 ) -> dict[str, PoseScore]:  # fmt: skip
-    singles = single_tasks(own, seen, measured)
-    found = {
-        "single": estimate_all(own, seen.camera, singles, seed),
-        "without_gravity": estimate_all(own, seen.camera, singles, seed, gravity=False),
-        "perfect_corners": estimate_all(
-            own, seen.camera, single_tasks(own, seen, measured, perfect=True), seed, shapely=True
-        ),
-        "plate": estimate_all(own, seen.camera, plate_tasks(own, seen, measured), seed),
-        "squared": estimate_all(own, seen.camera, single_tasks(own, seen, measured, squared=True), seed),
-        "squared_plate": estimate_all(own, seen.camera, plate_tasks(own, seen, measured, squared=True), seed),
+    singles, plates = single_tasks(own, seen, measured), plate_tasks(own, seen, measured)
+    kinds: dict[str, list[PoseTask]] = {
+        "single": singles,
+        "plate": plates,
+        "squared": single_tasks(own, seen, measured, squared=True),
+        "squared_plate": plate_tasks(own, seen, measured, squared=True),
+        "as_stated": as_stated(seen.camera, singles, seed),
+        "as_stated_plate": as_stated(seen.camera, plates, seed),
+        "perfect_corners": single_tasks(own, seen, measured, perfect=True),
     }
     if still is not None:
-        seen, measured = still
-        found["still"] = estimate_all(own, seen.camera, single_tasks(own, seen, measured, squared=True), seed)
-        found["still_plate"] = estimate_all(own, seen.camera, plate_tasks(own, seen, measured, squared=True), seed)
-    return {name: _pose_score(poses, rng) for name, poses in found.items() if poses.errors}
+        kinds["still"] = single_tasks(own, *still, squared=True)
+        kinds["still_plate"] = plate_tasks(own, *still, squared=True)
+
+    def poses(name: str, gravity: Gravity) -> Poses:
+        return estimate_all(own, seen.camera, kinds[name], seed, gravity=gravity, shapely=name in SHAPELY)
+
+    found = {name: poses(name, "stated") for name in kinds}
+    found["without_gravity"] = poses("single", "none")
+    found |= {f"{name}_known_gravity": poses(name, "known") for name in kinds if name != "perfect_corners"}
+    return {name: _pose_score(some, rng) for name, some in found.items() if some.errors}
 
 
 def _pose_score(poses: Poses, rng: np.random.Generator) -> PoseScore:

@@ -29,7 +29,7 @@ TWIN_TITLES = {
     "chi2_pose": ("honesty of poses", 2, 1.0),
 }
 """Of each figure that is compared: its title, digits and scale."""
-POSE_TITLES = {
+_TITLES = {
     "single": "one marker, gravity",
     "without_gravity": "one marker, no gravity",
     "plate": "two markers, gravity",
@@ -37,7 +37,14 @@ POSE_TITLES = {
     "squared_plate": "two markers, printed square, gravity",
     "still": "one marker, printed square and held still, gravity",
     "still_plate": "two markers, printed square and held still, gravity",
+    "as_stated": "one marker whose corners err as stated, gravity",
+    "as_stated_plate": "two markers whose corners err as stated, gravity",
     "perfect_corners": "the board's own corners, gravity",
+}
+POSE_TITLES = _TITLES | {
+    f"{name}_known_gravity": f"{title.removesuffix(', gravity')}, gravity known"
+    for name, title in _TITLES.items()
+    if name not in ("without_gravity", "perfect_corners")
 }
 
 
@@ -69,7 +76,9 @@ def run(request: TrialRequest) -> TrialResult:
             "error of its corners. The row of the board's own corners is the floor: what gravity, print, and a board "
             "that is not flat leave when the corners are as the whole board says. Printed square: the same photographs "
             "with corners moved by what the print is off a square, as a marker drawn with exact edges would have them. "
-            "Held still: also without the shear of each view, which is what moves while rows are read, and more.",
+            "Held still: also without the shear of each view, which is what moves while rows are read, and more. "
+            "Corners that err as stated: drawn with the covariance that its fit states, print, paper and motion right: "
+            "what is left is camera and gravity. Gravity known: its error taken out, so that each has its share.",
             "Of a camera that leaves out pixels, so that those it keeps are not evenly spaced, every method's corners "
             "are put where they are in an evenly spaced image.",
             "Intervals are 95 %, views drawn together. Honesty is the median chi-square per number over what it is "

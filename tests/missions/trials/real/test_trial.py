@@ -15,7 +15,7 @@ from missions.options.proofs import TrialOptions
 from missions.trials.real.board import look_at_set, see_board
 from missions.trials.real.corners import METHODS, FoundMarker, corners_by
 from missions.trials.real.errors import measure_set
-from missions.trials.real.poses import estimate_all, plate_tasks, single_tasks
+from missions.trials.real.poses import as_stated, estimate_all, plate_tasks, single_tasks
 from missions.trials.real.score import SetScore, SetTask, score_set
 from missions.trials.real.set import read_set
 from missions.trials.real.shutter import held_still
@@ -210,6 +210,27 @@ def test_poses_of_noisy_corners_are_honest_when_their_noise_is_stated(file: Path
     assert 0.7 < float(np.median([e.chi2 for e in singles.errors])) / 0.891 < 1.4
     plates = estimate_all(own, seen.camera, plate_tasks(own, many, measured), 0)
     assert np.mean([e.d2_m for e in plates.errors]) < np.mean([e.d2_m for e in singles.errors])
+
+
+def test_corners_that_err_as_stated_leave_what_camera_and_gravity_do(file: Path) -> None:
+    """A board that is off where no view tells it has poses that corners as stated have not; gravity adds its own."""
+    own = read_set(file)
+    seen = look_at_set(own, own.images)
+    rng, sigma_px = np.random.default_rng(4), 0.05
+    found = [
+        {
+            i: FoundMarker(board.pixels(m.corners_o) + 0.3 * rng.standard_normal((4, 2)), sigma_px**2 * np.eye(8))
+            for i, m in own.markers.items()
+        }
+        for board in seen.boards
+    ]
+    tasks = single_tasks(own, seen, measure_set(own, seen, found))
+    drawn = as_stated(seen.camera, tasks, 0)
+    off, stated = (estimate_all(own, seen.camera, some, 0, shapely=True) for some in (tasks, drawn))
+    known = estimate_all(own, seen.camera, drawn, 0, gravity="known", shapely=True)
+    means = [float(np.mean([e.d2_m for e in poses.errors])) for poses in (off, stated, known)]
+    assert means[0] > 2.0 * means[1] and means[1] > 1.2 * means[2]
+    assert 0.7 < float(np.median([e.chi2 for e in stated.errors])) / 0.891 < 1.4
 
 
 def test_the_command_writes_summary_and_page(file: Path, tmp_path: Path) -> None:
