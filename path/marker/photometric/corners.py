@@ -41,13 +41,16 @@ from path.marker.photometric.shadow import cell_light, find_shadow
 MAX_PASSES = 8
 FIRST_PIXELS = 600  # for the first pass from a near start, which only leads nearer
 MAX_MORE_PASSES, MAX_FEW_PASSES = 6, 2  # with what may be wrong: a shadow or much, or little
+MAX_COARSE_PASSES = 8  # with inner edges that may be off far
 STRONG_MISFIT, STRONG_CORRELATED_MISFIT = 0.055, 0.035  # residual over contrast that is worth all pixels and passes
 LARGE_PX = 42.0  # side from which on less than that is not worth it: a pose is as good as print and lens are known
 MISFIT, CORRELATED_MISFIT = 0.025, 0.011  # residual over contrast above which it is asked what is wrong
 SHADOW_MISFIT, SHADOW_LEFT = 0.022, 0.45  # correlated misfit above which a shadow is looked for; share it may leave
 LEAST_OFF, LEAST_OFF_PX = 0.025, 0.12  # in cells, and px: inner edges that are off by less may be exact
 COARSE_PASSES = 3  # with what is expected of inner edges, once that is known
-COARSE_SPREAD = 2.0  # times the residual that counts, for a first pass: edges that are off far seem to be outliers
+COARSE_SPREAD = 2.0  # times the residual that counts, for a first pass: edges that are off seem to be outliers
+WIDE_SPREAD = 4.0  # the same for all passes: edges that are off far
+WIDE_LEFT = 0.80  # of the residual with outliers, that it may leave
 LEAST_CELL_PX = 2.8  # below which inner edges cannot be told from other things, such as a second marker close by
 LEAST_DEPTH = 0.1  # of a shadow
 LEAST_BLUR_PX, MOST_BLUR_PX = 0.5, 0.8  # of a lens and pixel; what is beyond it is left to the filter
@@ -147,6 +150,11 @@ class _FitState:
     def share_used(self) -> float:
         """Mean weight of the pixels that are not saturated, 0.88 when the residuals are normal."""
         return self.statistics[0] / max(np.count_nonzero(self.residuals), 1)
+
+    def loss(self, spread: float) -> float:
+        """Size of the residuals, those far beyond ``spread`` counted as that large."""
+        squares = self.residuals**2
+        return math.sqrt(float(np.mean(squares / (1.0 + squares / spread**2))))
 
     @property
     def edges_off(self) -> float:
@@ -295,8 +303,11 @@ def _of_coarse_print(state: _FitState) -> _FitState | None:
     the more the residual is correlated: as many pixels as it seems do not tell an edge.
     """
     cell_px = math.sqrt(state.area_px2) / state.n
-    loose = _tried(state, COARSE) if cell_px > LEAST_CELL_PX else None
-    if loose is None or loose.edges_off < max(LEAST_OFF, LEAST_OFF_PX / cell_px):
+    least = max(LEAST_OFF, LEAST_OFF_PX / cell_px)
+    loose = _tried(state, COARSE, WIDE_SPREAD) if cell_px > LEAST_CELL_PX else None
+    if loose is not None and loose.edges_off > least and not _leaves_less(loose, state):
+        loose = _tried(state, COARSE)  # what lies across a print moves edges too, and leaves as much as before
+    if loose is None or loose.edges_off < least:
         return None
     own, correlation = loose.copy(), loose.statistics[3]
     own.edge_sigma = loose.edges_off * (1.0 - correlation) / (1.0 + correlation)
@@ -307,6 +318,11 @@ def _of_coarse_print(state: _FitState) -> _FitState | None:
         if own.moved < SETTLED_PX:
             break
     return own if own.moved < UNSETTLED_PX else loose
+
+
+def _leaves_less(wide: _FitState, state: _FitState) -> bool:
+    spread = min(wide.spread, state.spread)
+    return wide.loss(spread) < WIDE_LEFT * state.loss(spread)
 
 
 def _filtered_or_ideal(state: _FitState) -> _FitState:
@@ -322,14 +338,17 @@ def _filtered_or_ideal(state: _FitState) -> _FitState:
     return state
 
 
-def _tried(state: _FitState, group: int) -> _FitState | None:
-    """A fit with one group more, from where another one is; None when it leads nowhere."""
+def _tried(state: _FitState, group: int, wider: float = 1.0) -> _FitState | None:
+    """A fit with one group more, from where another one is; None when it leads nowhere.
+
+    ``wider``: times the residual that counts in every pass.
+    """
     own = state.copy()
     if group == SHADOWED and not _look_for_shadow(own):
         return None
     own.groups[group] = True
     if group == COARSE:
-        own.spread *= COARSE_SPREAD
+        own.spread *= max(COARSE_SPREAD, wider)
     else:  # a print needs no filter, which would only bend it
         own.groups[FILTERED] = True
         own.theta[BLUR] = min(max(own.theta[BLUR], LEAST_BLUR_PX), MOST_BLUR_PX)
@@ -337,9 +356,11 @@ def _tried(state: _FitState, group: int) -> _FitState | None:
     if not own.gather(own.theta[BLUR] + FILTER_REACH_PX, MAX_PIXELS if much else MAX_FILTERED, FILTERED_BLOCK):
         return None
     rays, at = _places(own)
-    for attempt in range(MAX_MORE_PASSES if much else MAX_FEW_PASSES):
+    most = MAX_COARSE_PASSES if group == COARSE else MAX_MORE_PASSES if much else MAX_FEW_PASSES
+    for attempt in range(most):
         if not _misfit_pass(own, rays, at):
             return None
+        own.spread *= wider
         if attempt > 0 and (own.moved < SETTLED_PX or (group == SHADOWED and own.extra[-SHADOW] < LEAST_DEPTH)):
             break
     return own if own.moved < UNSETTLED_PX else None

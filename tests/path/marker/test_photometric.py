@@ -248,21 +248,34 @@ def test_edges_that_are_exact_are_not_taken_for_a_coarse_print():
         assert fitted is not None and not fitted.wrong[COARSE]
 
 
-def coarse_print(ends: NDArray[np.float64], rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+def test_inner_edges_that_are_off_far_do_not_pull_the_frame_of_a_large_marker_along():
+    """Of 60 px: half a pixel of the picture that was printed is 1.2 px, as far as outliers are."""
+    ends = np.ceil(np.arange(7.0) * 26.0 / 6.0 - 1e-9) * 6.0 / 26.0
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        image, truth = coarse_print(ends, rng, 60.0)
+        fitted = fit(image, (0, 0), truth + rng.uniform(-1.0, 1.0, (4, 2)), STRAIGHT, CELLS)
+        assert fitted is not None and fitted.wrong[COARSE]
+        assert float(np.sqrt(np.mean((fitted.corners_px - truth) ** 2))) < 0.05
+
+
+def coarse_print(
+    ends: NDArray[np.float64], rng: np.random.Generator, side_px: float = 40.0
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
     """A frontal marker of some 40 px, whose cells end at ``ends``, and its true corners."""
-    side, zoom = 40.0 + rng.uniform(0.0, 3.0), 16
-    corner = np.array([30.0, 30.0]) + rng.uniform(0.0, 1.0, 2)
+    side, zoom, size = side_px + rng.uniform(0.0, 3.0), 8, round(2.75 * side_px)
+    corner = np.array([0.75, 0.75]) * side_px + rng.uniform(0.0, 1.0, 2)
     angle = rng.uniform(0.1, 0.7)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    grid = (np.arange(110 * zoom) + 0.5) / zoom - 0.5
+    grid = (np.arange(size * zoom) + 0.5) / zoom - 0.5
     u, v = np.meshgrid(grid, grid)
-    x, y = np.tensordot(turn.T, np.stack([u - corner[0] - 20.0, v - corner[1]]), axes=1) * 6.0 / side
+    x, y = np.tensordot(turn.T, np.stack([u - corner[0] - 0.5 * side_px, v - corner[1]]), axes=1) * 6.0 / side
     places = [np.searchsorted(ends, axis, side="right") for axis in (x, y)]
     light = 40.0 + 150.0 * CELLS[places[1], places[0]]
-    light = cv2.GaussianBlur(light, (0, 0), 0.6 * zoom).reshape(110, zoom, 110, zoom).mean(axis=(1, 3))
+    light = cv2.GaussianBlur(light, (0, 0), 0.6 * zoom).reshape(size, zoom, size, zoom).mean(axis=(1, 3))
     noisy = np.rint(light + rng.normal(0.0, 1.5, light.shape))
     square = np.array([[0.0, 0.0], [side, 0.0], [side, side], [0.0, side]])
-    return np.clip(noisy, 0, 255).astype(np.uint8), square @ turn.T + corner + np.array([20.0, 0.0])
+    return np.clip(noisy, 0, 255).astype(np.uint8), square @ turn.T + corner + np.array([0.5 * side_px, 0.0])
 
 
 @pytest.mark.parametrize("degrees", [26.57, 63.43])
