@@ -63,8 +63,8 @@ class Base(Crew[RelayConfig, CalledDrone, RelayField]):
         self._call(self.drones[self.config.drones[0].name], TakeOffOrder.FIND)
 
     def _step(self, time_is_over: bool) -> None:
-        self.over = time_is_over
         self._look_after_the_ground()
+        self.over = time_is_over and self._is_alone_up(self.holder or self.config.drones[0].name)
         if self._leg is None and not self.over:
             self._relieve()
 
@@ -94,7 +94,7 @@ class Base(Crew[RelayConfig, CalledDrone, RelayField]):
         if not ready or wait_s < self.config.least_s:
             self._alarm(name, wait_s)
             return
-        if any(not self._field.landed(other) for other in self.drones if other != name):
+        if not self._is_alone_up(name):
             return
         relief = ready[0][1]
         self._leg = Leg(len(self.legs) + 1, name, relief, self._now_s(), battery)
@@ -102,6 +102,10 @@ class Base(Crew[RelayConfig, CalledDrone, RelayField]):
         self._field.open_leg(self._leg.number, name, relief)
         self._say(relief, "call", f"leg {self._leg.number}: relieves {name}, whose battery is at {100 * battery:.0f} %")
         self._call(self.drones[relief], TakeOffOrder.RELIEVE)
+
+    def _is_alone_up(self, name: str) -> bool:
+        """Returns whether nobody else is in the air: ways home are flown at one height."""
+        return all(self._field.landed(other) for other in self.drones if other != name)
 
     def _alarm(self, name: str, wait_s: float) -> None:
         if not self._alarmed:
