@@ -86,7 +86,7 @@ def leg_record(leg: Leg, report: RelayReport) -> dict[str, Any]:
 
 
 def flown_record(events: Sequence[Event], report: RelayReport) -> dict[str, Any]:
-    """Every flight, every word to the crew, the batteries now and then, and what the monitors found, in a record."""
+    """Every flight, every word to the crew, the batteries now and then, and notes on what went wrong, in a record."""
     return {
         "flights": [
             {"drone": f.drone, "began_s": round(f.began_s, 2), "ended_s": round(f.ended_s, 2),
@@ -95,7 +95,7 @@ def flown_record(events: Sequence[Event], report: RelayReport) -> dict[str, Any]
         ],
         "events": [{"time_s": e.time_s, "drone": e.drone, "what": e.what, "text": e.text} for e in events],
         "samples": [[s.time_s, list(s.responsible), list(s.battery), list(s.airborne)] for s in report.samples],
-        "violations": list(report.notes),
+        "notes": list(report.notes),
     }  # fmt: skip
 
 
