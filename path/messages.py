@@ -19,6 +19,8 @@ class Role(Enum):
     SENDER = "sender"
     RECEIVER = "receiver"
 
+    __hash__ = object.__hash__  # Enum's own is a call of Python's for each look into a table
+
 
 @dataclass(frozen=True, slots=True)
 class Target:

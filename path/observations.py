@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
@@ -53,7 +53,9 @@ class Region:
         """The part inside a ``width`` x ``height`` image, or None when nothing is left."""
         x0, y0 = max(self.x0, 0.0), max(self.y0, 0.0)
         x1, y1 = min(self.x1, float(width)), min(self.y1, float(height))
-        return replace(self, x0=x0, y0=y0, x1=x1, y1=y1) if x1 > x0 and y1 > y0 else None
+        if not (x1 > x0 and y1 > y0):
+            return None
+        return Region(x0, y0, x1, y1, self.near_m, self.far_m, self.longest_px)
 
     def contains(self, u: float, v: float) -> bool:
         return self.x0 <= u < self.x1 and self.y0 <= v < self.y1

@@ -31,6 +31,7 @@ from foxglove.messages import (
     Point3,
     PointsAnnotation,
     PointsAnnotationType,
+    Pose,
     Quaternion,
     SceneEntity,
     SceneUpdate,
@@ -44,6 +45,7 @@ from drivers.log import foxglove_primitives as draw
 from drivers.log.foxglove_primitives import Message, Record
 from drivers.log.topics import blank
 from path.geometry.rotation import rotate
+from path.messages import Vec3
 
 Standard = tuple[str, Message]
 
@@ -78,6 +80,7 @@ class Standards:
         self._name = name
         self._setup: Record | None = None
         self._scene: Record | None = None
+        self._parts: list[tuple[Vec3, Vector3]] = []  # middle and size of each box of an object
         self._said_ns: dict[str, int] = {}
         self._newest: dict[str, tuple[int, Record]] = {}
         self._of: dict[str, Callable[[int, Record], Iterable[Standard]]] = {
@@ -97,7 +100,10 @@ class Standards:
         told_in = OF_A_FRAME.get(topic)
         if told_in is not None:
             self._newest[topic] = stamp_ns, record
-            if not any(self._is_due(each, stamp_ns) for each in told_in):
+            for each in told_in:
+                if self._is_due(each, stamp_ns):
+                    break
+            else:
                 return ()
         if topic in _LINES:
             return (self._line(topic, stamp_ns, {**blank(topic), **record}),)
@@ -282,6 +288,7 @@ class Standards:
     def _on_scene(self, stamp_ns: int, record: Record) -> Iterable[Standard]:
         del stamp_ns
         self._scene = record
+        self._parts = [(part["c"], draw.vector(part["s"])) for part in record["boxes"]]
         return ()
 
     def _on_truth(self, stamp_ns: int, record: Record) -> Iterator[Standard]:
@@ -296,9 +303,11 @@ class Standards:
             color = draw.GREEN if each["id"] == self._scene["target_id"] else draw.GREY
             half = each["yaw"] / 2.0
             turn = (math.cos(half), 0.0, 0.0, math.sin(half))
-            for part in self._scene["boxes"]:
-                center = [at + off for at, off in zip(each["t"], rotate(turn, part["c"]), strict=True)]
-                cubes.append(CubePrimitive(pose=draw.pose(center, turn), size=draw.vector(part["s"]), color=color))
+            (x, y, z), orientation = each["t"], draw.quaternion(turn)
+            for center, size in self._parts:
+                dx, dy, dz = rotate(turn, center)
+                pose = Pose(position=Vector3(x=x + dx, y=y + dy, z=z + dz), orientation=orientation)
+                cubes.append(CubePrimitive(pose=pose, size=size, color=color))
         yield "/3d", SceneUpdate(entities=[self._entity(stamp_ns, "world", "truth", cubes=cubes)])
 
 

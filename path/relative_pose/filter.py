@@ -150,21 +150,11 @@ class RelativeFilter:
         if state is None or stamp_ns - state.stamp_ns > self._settings.coast_s * 1e9:
             return None
         own, peer = self._own.reports, self._peer.reports
-        p, t_c, R_c_v, covariance = predicted(
+        p, moving, sigma_m, t_c, R_c_v, covariance = predicted(
             state, stamp_ns, state.R_n_c if R_n_c is None else np.ascontiguousarray(R_n_c),
             UPRIGHT if R_n_v is None else np.ascontiguousarray(R_n_v), R_n_v is not None, own, peer, self._drift,
         )  # fmt: skip
-        north, east, down = p.tolist()
-        vx, vy, vz = velocity(own, peer, max(stamp_ns, state.stamp_ns))
-        ex, ey, ez = state.e.tolist()
-        xx, yy, zz, *_ = covariance.diagonal().tolist()
-        return Relative(
-            (north, east, down),
-            (vx + ex, vy + ey, vz + ez),
-            math.sqrt((xx + yy + zz) / 3.0),
-            Pose(R_c_v, t_c),
-            covariance,
-        )
+        return Relative(p, moving, sigma_m, Pose(R_c_v, t_c), covariance)
 
     def update(
         self, stamp_ns: int, T_c_v: Pose, covariance: Matrix, R_n_c: Matrix, R_n_v: Matrix | None = None

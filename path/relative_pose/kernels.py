@@ -159,8 +159,13 @@ def carried(
 @kernel
 def predicted(
     state: State, stamp_ns: int, R_n_c: Array, R_n_v: Array, levelled: bool, own: Reports, peer: Reports, drift: Drift
-) -> tuple[Array, Array, Array, Array]:
-    """A state at a later instant: position in ``n``, and in the camera translation, rotation and covariance (6, 6)."""
+) -> tuple[Vec3, Vec3, float, Array, Array, Array]:
+    """A state at a later instant.
+
+    Returns:
+        Position, velocity and standard deviation of the position in ``n``, and in the camera translation, rotation and
+        covariance (6, 6).
+    """
     p, R, P = carried(state, stamp_ns, R_n_c, R_n_v, levelled, own, peer, drift)
     R_c_n, spread = np.empty((3, 3)), np.empty((6, 6))
     for i in range(3):
@@ -170,7 +175,10 @@ def predicted(
         for j in range(6):
             spread[i, j] = P[i, j] + state.persistent[i, j]
     t_c, R_c_v, covariance = placed(R_c_n, p, R, spread)
-    return p, t_c, R_c_v, covariance
+    vx, vy, vz = velocity(own, peer, max(stamp_ns, state.stamp_ns))
+    moving = vx + state.e[0], vy + state.e[1], vz + state.e[2]
+    sigma_m = math.sqrt((covariance[0, 0] + covariance[1, 1] + covariance[2, 2]) / 3.0)
+    return (p[0], p[1], p[2]), moving, sigma_m, t_c, R_c_v, covariance
 
 
 @kernel
