@@ -1,7 +1,7 @@
 """A set's print as its photographs show it: where its ink lies on the board, so that a twin can be drawn alike.
 
-Three things move it: what all views agree on of the squares' corners and of the markers' corners, which is the print's,
-and in each view what lens, motion and paper do beyond a flat board's pose (``BoardSeen.bend``).
+Three things move it: what all views agree on of the squares' corners and of the markers' corners and cells, which is
+the print's, and in each view what lens, motion and paper do beyond a flat board's pose (``BoardSeen.bend``).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from missions.trials.real.board import BoardSeen, SetSeen, robust_solution
+from missions.trials.real.cells import inner_edges
 from missions.trials.real.errors import FEWEST_VIEWS, MethodPoses, printed
 from missions.trials.real.set import RealSet
 
@@ -49,14 +50,16 @@ class InkMoves:
     Attributes:
         squares: places (n, 2) of the squares' corners on the board, and by how much they are off, metres.
         markers: of each marker its corners as meant (4, 2) and by how much they are off (4, 2), metres.
+        inner: of each marker (2, n - 1), by how much the lines between its columns and its rows are off, in cells.
     """
 
     squares: tuple[Array, Array]
     markers: tuple[tuple[Array, Array], ...]
+    inner: tuple[Array, ...] = ()
 
 
 def ink_moves(own: RealSet, seen: SetSeen, measured: MethodPoses | None) -> InkMoves:
-    """The moves that all views agree on, of squares and of markers."""
+    """The moves that all views agree on, of squares, of markers and of the edges inside them."""
     markers = () if measured is None else tuple(
         (
             own.markers[i].corners_o[:, :2],
@@ -74,7 +77,9 @@ def ink_moves(own: RealSet, seen: SetSeen, measured: MethodPoses | None) -> InkM
         robust_solution(np.concatenate([slope for _, slope in some]), np.concatenate([error for error, _ in some]))
         for some in told.values()
     ]
-    return InkMoves((np.array(list(told)).reshape(-1, 2), np.array(off).reshape(-1, 2)), markers)
+    inner = {} if measured is None else inner_edges(own, seen, measured)
+    squares = np.array(list(told)).reshape(-1, 2), np.array(off).reshape(-1, 2)
+    return InkMoves(squares, markers, tuple(inner[i] for i in sorted(inner)))
 
 
 def as_seen(flat: Print, moves: InkMoves, board: BoardSeen) -> Print:
@@ -83,8 +88,10 @@ def as_seen(flat: Print, moves: InkMoves, board: BoardSeen) -> Print:
     x = flat.corner_o[0] + (np.arange(columns) + 0.5) * flat.cell_m
     y = flat.corner_o[1] + (np.arange(rows) + 0.5) * flat.cell_m
     moved = _of_squares(moves.squares, x, y) + np.zeros((rows, columns, 2))
-    for corners, off in moves.markers:
+    for k, (corners, off) in enumerate(moves.markers):
         _move_marker(moved, corners, off, x, y)
+        if moves.inner:
+            _move_inside(moved, corners, moves.inner[k], x, y)
     moved += _bent(board, x, y)
     place = (np.stack(np.meshgrid(x, y), axis=-1) - moved - flat.corner_o) / flat.cell_m - 0.5
     u, v = (np.ascontiguousarray(place[..., axis], np.float32) for axis in (0, 1))
@@ -125,6 +132,20 @@ def _move_marker(moved: Array, corners: Array, off: Array, x: Array, y: Array) -
         (np.where(a > 0.5, s, 1.0 - s) * np.where(b > 0.5, t, 1.0 - t))[..., None] * own
         for (a, b), own in zip(share, off, strict=True)
     )
+
+
+def _move_inside(moved: Array, corners: Array, inner: Array, x: Array, y: Array) -> None:
+    """Lines between cells are where they are seen; ink between them is stretched."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    n = inner.shape[1] + 1
+    cell_m = (high - low) / n
+    inside = [slice(*np.searchsorted(places, (low[axis], high[axis]))) for axis, places in enumerate((x, y))]
+    along = [
+        np.interp((places[some] - low[axis]) / cell_m[axis], np.arange(n + 1) + ends, ends) * cell_m[axis]
+        for axis, (places, some, ends) in enumerate(zip((x, y), inside, np.pad(inner, ((0, 0), (1, 1))), strict=True))
+    ]
+    moved[inside[1], inside[0], 0] += along[0][None, :]
+    moved[inside[1], inside[0], 1] += along[1][:, None]
 
 
 def _bent(board: BoardSeen, x: Array, y: Array) -> Array:

@@ -107,18 +107,18 @@ def plate_tasks(own: RealSet, seen: SetSeen, measured: MethodPoses, *, squared: 
     return tasks
 
 
-def as_stated(camera: CameraModel, tasks: Sequence[PoseTask], seed: int) -> list[PoseTask]:
-    """The same with corners that err by what is stated of them and nothing else: print, paper and motion are right."""
+def as_stated(camera: CameraModel, tasks: Sequence[PoseTask], seed: int, share: float = 1.0) -> list[PoseTask]:
+    """The same with corners that err by what is stated of them and nothing else: print, paper and motion are right.
+
+    ``share``: of the stated deviations, of corners that are better.
+    """
     rng = np.random.default_rng([seed, NOISE_STREAM])
     drawn: list[PoseTask] = []
     for task in tasks:
         places = {marker.id: camera.project(task.T_c_v.apply(marker.corners_v)) for marker in task.layout.markers}
-        found = tuple(
-            replace(
-                one, corners_px=rng.multivariate_normal(places[one.marker_id].ravel(), one.covariance_px2).reshape(4, 2)
-            )
-            for one in task.seen
-        )
+        stated = [replace(one, covariance_px2=share**2 * one.covariance_px2) for one in task.seen]
+        draws = [rng.multivariate_normal(places[one.marker_id].ravel(), one.covariance_px2) for one in stated]
+        found = tuple(replace(one, corners_px=px.reshape(4, 2)) for one, px in zip(stated, draws, strict=True))
         drawn.append(replace(task, seen=found))
     return drawn
 

@@ -26,6 +26,8 @@ from path.target.kernels import MAD_TO_SIGMA
 FEWEST_EDGES = 12
 PHASES, MODEL_REACH_PX = 16, 12  # of the modelled edge: places of it in a pixel; pixels each way
 BLUR_REACH = 3.3  # deviations
+STEEP_PX, FEWEST_ALIKE = 1.0, 6  # from an edge, where compression shows; edges of a photograph that look alike
+FINEST, QUALITIES = 95, (5, 99)  # of JPEG
 STANDARD_FIRST = 16.0  # first entry of JPEG's luminance table at quality 50
 TOP = 255.0
 
@@ -166,12 +168,41 @@ def _slope_of_light(level: float, gamma: float) -> float:
     return gamma * (max(level, 1.0) / TOP) ** (gamma - 1.0)
 
 
+def scatter_at(photographs: Sequence[Sequence[SeenEdge]]) -> float:
+    """Robust deviation of the light at edges from the mean edge of their photograph and direction, over the contrast.
+
+    Noise of the sensor is as large beside edges as at them; what compression, a mosaic and uneven ink make is at them.
+    """
+    left: list[Array] = []
+    for edges, axis in ((edges, axis) for edges in photographs for axis in (0, 1)):
+        alike = [edge for edge in edges if abs(edge.normal[axis]) > abs(edge.normal[1 - axis])]
+        if len(alike) < FEWEST_ALIKE:
+            continue
+        mean = mean_edge(alike)
+        there = ~np.isnan(mean)
+        slope = np.gradient(mean[there], PLACES[there])
+        for edge in alike:
+            off = (edge.levels - edge.black) / (edge.white - edge.black)
+            off -= np.interp(edge.across_px, PLACES[there], mean[there])
+            steep = np.interp(edge.across_px, PLACES[there], slope)
+            steep /= max(float(np.linalg.norm(steep)), 1e-9)
+            left.append((off - steep * float(steep @ off))[np.abs(edge.across_px) < STEEP_PX])
+    return MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(left)))) if left else 0.0
+
+
 def with_noise(imaging: Imaging, levels: tuple[float, float], sigmas: Sequence[float]) -> Imaging:
     """The same with noise of the light that has these deviations at two grey levels, black and white."""
     dark, bright = (TOP * (level / TOP) ** imaging.gamma for level in levels)
     gain = max(0.0, (sigmas[1] ** 2 - sigmas[0] ** 2) / (bright - dark))
     read = math.sqrt(max(0.0, sigmas[0] ** 2 - gain * dark))
     return replace(imaging, read_sigma=read, shot_gain=gain)
+
+
+def coarser(quality: int | None, times: float) -> int:
+    """A JPEG quality with a table of so many times the steps; none is taken for the finest that compresses at all."""
+    of = FINEST if quality is None else quality
+    steps = (5000.0 / of if of < 50 else 200.0 - 2.0 * of) * times
+    return round(float(np.clip(5000.0 / steps if steps > 100.0 else 100.0 - 0.5 * steps, *QUALITIES)))
 
 
 def jpeg_quality(file: Path) -> int | None:

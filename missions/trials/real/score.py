@@ -28,7 +28,11 @@ SCORE_STREAM = 2
 QUICK_IMAGES = 4
 MEDIAN_OF = {8: 0.918, 6: 0.891}  # median of chi-square over its degrees of freedom, by these
 THUMBNAIL_PX = 480
-SHAPELY = ("perfect_corners", "as_stated", "as_stated_plate")  # poses of corners whose print is known
+SHARES = {"as_stated": 1.0, "as_stated_half": 0.5, "as_stated_quarter": 0.25}
+"""Of the stated deviations of corners: the better ones tell how good corners would have to be."""
+KNOWN_GRAVITY = ("single", "plate", "still", "still_plate", "as_stated", "as_stated_plate")
+"""Poses that are estimated once more with gravity known."""
+SHAPELY = ("perfect_corners", "as_stated")  # poses of corners whose print is known
 
 Array = NDArray[np.float64]
 Groups = NDArray[np.int64]
@@ -150,20 +154,21 @@ def _pose_scores(
         "plate": plates,
         "squared": single_tasks(own, seen, measured, squared=True),
         "squared_plate": plate_tasks(own, seen, measured, squared=True),
-        "as_stated": as_stated(seen.camera, singles, seed),
-        "as_stated_plate": as_stated(seen.camera, plates, seed),
         "perfect_corners": single_tasks(own, seen, measured, perfect=True),
     }
+    for name, share in SHARES.items():
+        kinds[name] = as_stated(seen.camera, singles, seed, share)
+        kinds[f"{name}_plate"] = as_stated(seen.camera, plates, seed, share)
     if still is not None:
         kinds["still"] = single_tasks(own, *still, squared=True)
         kinds["still_plate"] = plate_tasks(own, *still, squared=True)
 
     def poses(name: str, gravity: Gravity) -> Poses:
-        return estimate_all(own, seen.camera, kinds[name], seed, gravity=gravity, shapely=name in SHAPELY)
+        return estimate_all(own, seen.camera, kinds[name], seed, gravity=gravity, shapely=name.startswith(SHAPELY))
 
     found = {name: poses(name, "stated") for name in kinds}
     found["without_gravity"] = poses("single", "none")
-    found |= {f"{name}_known_gravity": poses(name, "known") for name in kinds if name != "perfect_corners"}
+    found |= {f"{name}_known_gravity": poses(name, "known") for name in KNOWN_GRAVITY if name in kinds}
     return {name: _pose_score(some, rng) for name, some in found.items() if some.errors}
 
 

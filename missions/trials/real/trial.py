@@ -8,7 +8,7 @@ from drivers.interfaces import PartError
 from missions.trials.real.corners import METHOD_TITLES, METHODS
 from missions.trials.real.pictures import draw_sets
 from missions.trials.real.results import Figure95, SetScore, TwinScore
-from missions.trials.real.score import SetTask, score_set
+from missions.trials.real.score import KNOWN_GRAVITY, SetTask, score_set
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 
 NEEDS = ("renderer",)
@@ -39,12 +39,16 @@ _TITLES = {
     "still_plate": "two markers, printed square and held still, gravity",
     "as_stated": "one marker whose corners err as stated, gravity",
     "as_stated_plate": "two markers whose corners err as stated, gravity",
+    "as_stated_half": "one marker whose corners err half as much, gravity",
+    "as_stated_half_plate": "two markers whose corners err half as much, gravity",
+    "as_stated_quarter": "one marker whose corners err a quarter as much, gravity",
+    "as_stated_quarter_plate": "two markers whose corners err a quarter as much, gravity",
     "perfect_corners": "the board's own corners, gravity",
 }
 POSE_TITLES = _TITLES | {
     f"{name}_known_gravity": f"{title.removesuffix(', gravity')}, gravity known"
     for name, title in _TITLES.items()
-    if name not in ("without_gravity", "perfect_corners")
+    if name in KNOWN_GRAVITY
 }
 
 

@@ -230,6 +230,8 @@ def test_corners_that_err_as_stated_leave_what_camera_and_gravity_do(file: Path)
     known = estimate_all(own, seen.camera, drawn, 0, gravity="known", shapely=True)
     means = [float(np.mean([e.d2_m for e in poses.errors])) for poses in (off, stated, known)]
     assert means[0] > 2.0 * means[1] and means[1] > 1.2 * means[2]
+    better = estimate_all(own, seen.camera, as_stated(seen.camera, tasks, 0, 0.25), 0, shapely=True)
+    assert float(np.mean([e.d2_m for e in better.errors])) < 0.7 * means[1]
     assert 0.7 < float(np.median([e.chi2 for e in stated.errors])) / 0.891 < 1.4
 
 

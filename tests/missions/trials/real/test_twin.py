@@ -15,9 +15,20 @@ from hil.camera.pictures import CameraRenderer
 from missions.options.proofs import TrialOptions
 from missions.trials.calibration.views import HERE, T_W_C, grey
 from missions.trials.real.board import SetSeen, look_at_set
-from missions.trials.real.corners import by_photometry, starts
+from missions.trials.real.cells import inner_edges, off_by
+from missions.trials.real.corners import FoundMarker, by_photometry, starts
+from missions.trials.real.errors import MethodPoses, SeenMarker
 from missions.trials.real.paper import InkMoves, Print, as_seen
-from missions.trials.real.response import edge_of, jpeg_quality, levels_of, mean_edge, measure_response, see_edges
+from missions.trials.real.response import (
+    coarser,
+    edge_of,
+    jpeg_quality,
+    levels_of,
+    mean_edge,
+    measure_response,
+    scatter_at,
+    see_edges,
+)
 from missions.trials.real.set import RealSet, read_set
 from missions.trials.real.twin import render_twin
 from missions.trials.run import run
@@ -100,6 +111,60 @@ def test_ink_lies_where_the_photographs_show_it(seen: tuple[RealSet, SetSeen]) -
     }
     assert 5 in errors and len(errors) > 10
     assert max(float(np.sqrt(np.mean(error**2))) for error in errors.values()) < 0.08
+
+
+def test_cells_that_are_printed_off_are_seen_and_drawn(seen: tuple[RealSet, SetSeen]) -> None:
+    own, views = seen
+    nothing = np.zeros((4, 2))
+    off = {i: 0.08 * np.random.default_rng(i).standard_normal((2, 5)) for i in sorted(own.markers)}
+    moves = InkMoves(
+        (np.empty((0, 2)), np.empty((0, 2))),
+        tuple((own.markers[i].corners_o[:, :2], nothing) for i in off),
+        tuple(off.values()),
+    )
+    shades, cell_m = print_cells(PRINTED)
+    flat = Print(shades, cell_m, np.full(2, -PRINTED.square_m)).finer(2e-4)
+    camera = CameraRenderer(RendererSetup(views.camera, HERE, HERE, single_marker()), 1)
+    shots = []
+    for number, (shot, board) in enumerate(zip(views.photographs, views.boards, strict=True)):
+        place = T_W_C @ board.T_c_o @ Pose(np.eye(3), np.array([*flat.corner_o, 0.0]))
+        placed = PlacedBoard(place, flat.cell_m, as_seen(flat, moves, replace(board, bend=0.0 * board.bend)).shades)
+        drawn = camera.shoot(RenderedInstant({Role.SENDER: T_W_C}, boards=(placed,)), Role.SENDER, number).color
+        shots.append(replace(shot, grey=grey(drawn)))
+    again = replace(
+        views,
+        photographs=tuple(shots),
+        boards=tuple(replace(board, bend=0.0 * board.bend) for board in views.boards),
+    )
+    exact = {i: np.zeros((4, 3)) for i in off}
+    everywhere = tuple(_seen_at(view, i) for view in range(len(shots)) for i in off)
+    told = inner_edges(own, again, MethodPoses(everywhere, 0.0, exact))
+    left, there = (np.stack([one[i] for i in off]) for one in ({i: told[i] - off[i] for i in off}, told))
+    assert np.mean(there != 0.0) > 0.9  # a line between rows that are alike cannot be seen
+    assert float(np.sqrt(np.mean(left[there != 0.0] ** 2))) < 0.02 < 0.4 * off_by(off)
+
+
+def _seen_at(view: int, marker_id: int) -> SeenMarker:
+    none = np.zeros((4, 2))
+    return SeenMarker(view, marker_id, FoundMarker(none), none, none, np.zeros((4, 2, 2)), none)
+
+
+def test_a_photograph_that_was_compressed_before_its_file_scatters_more_at_edges(
+    seen: tuple[RealSet, SetSeen],
+) -> None:
+    own, views = seen
+    pairs = list(zip(views.photographs, views.boards, strict=True))
+
+    def scatter(quality: int) -> float:
+        packed = [cv2.imencode(".jpg", shot.grey, (cv2.IMWRITE_JPEG_QUALITY, quality))[1] for shot, _ in pairs]
+        images = [np.asarray(cv2.imdecode(one, cv2.IMREAD_GRAYSCALE), np.uint8) for one in packed]
+        return scatter_at(
+            [[e.seen for e in see_edges(own, replace(shot, grey=image), board)]
+             for image, (shot, board) in zip(images, pairs, strict=True)]
+        )  # fmt: skip
+
+    assert 1.2 * scatter(90) < scatter(40) < 0.9 * scatter(15)
+    assert coarser(90, 5.0) == 50 and coarser(50, 2.0) == 25 and coarser(25, 0.5) == 50 and coarser(None, 10.0) == 50
 
 
 def test_what_shows_no_edges_has_no_twin(seen: tuple[RealSet, SetSeen], tmp_path: Path) -> None:
