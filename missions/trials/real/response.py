@@ -27,6 +27,7 @@ FEWEST_EDGES = 12
 PHASES, MODEL_REACH_PX = 16, 12  # of the modelled edge: places of it in a pixel; pixels each way
 BLUR_REACH = 3.3  # deviations
 STEEP_PX, FEWEST_ALIKE = 1.0, 6  # from an edge, where compression shows; edges of a photograph that look alike
+SEEN = 0.5  # share of the mean edge that they show
 FINEST, QUALITIES = 95, (5, 99)  # of JPEG
 STANDARD_FIRST = 16.0  # first entry of JPEG's luminance table at quality 50
 TOP = 255.0
@@ -180,6 +181,8 @@ def scatter_at(photographs: Sequence[Sequence[SeenEdge]]) -> float:
             continue
         mean = mean_edge(alike)
         there = ~np.isnan(mean)
+        if np.mean(there) < SEEN:
+            continue
         slope = np.gradient(mean[there], PLACES[there])
         for edge in alike:
             off = (edge.levels - edge.black) / (edge.white - edge.black)

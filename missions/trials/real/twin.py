@@ -183,7 +183,8 @@ def _like_it(drawing: _Drawing, seen: SetSeen, response: CameraResponse) -> Imag
         nearing = nearing and off < NEARER * least
         if nearing:
             least, best = off, imaging
-        more = scatter / max(scatter_at(views), 1e-3)
+        scattered = scatter_at(views)
+        more = scatter / scattered if scattered > 0.0 else 1.0
         noisy = max(abs(w / max(g, 0.1) - 1.0) for w, g in zip(response.noise, got, strict=True))
         if not nearing and off < least / NEARER and more < CLEARLY and noisy < ALIKE:
             break
