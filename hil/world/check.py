@@ -8,8 +8,9 @@ from drivers.rig.parts import Rig
 from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
 from hil.world.config import WorldConfig
+from hil.world.detector import MEASURED
 
-DRAWN = "sim-rendered"
+DRAWN, FROM_GEOMETRY = "sim-rendered", "sim"
 CONFINES = "hil.harness.sitl:SitlHarness"
 
 
@@ -30,8 +31,13 @@ def check_world(rig: Rig) -> None:
     if config.slow is not None and rig.harness != CONFINES:
         what = f"{rig.name} does not fly each role as a process in real time: leave it out, or fly --rig sitl"
         problems.add(rig.where("world.slow"), what)
-    if config.scene.name != "plain" and rig.level != DRAWN:
+    kind, scene = config.target.kind, config.scene.name
+    if scene != "plain" and rig.level not in (DRAWN, FROM_GEOMETRY):
         what = f"scenes are drawn at level {DRAWN}, and {rig.name} is of level {rig.level}: leave it out"
+        problems.add(rig.where("world.scene"), what)
+    if rig.level == FROM_GEOMETRY and config.detector is None and (kind, scene) not in MEASURED:
+        known = ", ".join(name for of, name in MEASURED if of == kind)
+        what = f"no detector was measured on a {kind} in {scene!r}: state [world.detector], or take one of {known}"
         problems.add(rig.where("world.scene"), what)
     problems.raise_any()
 

@@ -94,7 +94,7 @@ class WorldConfig:
     altitude: AltitudeConfig = field(default_factory=AltitudeConfig)
     airframe: AirframeConfig = field(default_factory=AirframeConfig)
     autopilot: AutopilotConfig = field(default_factory=AutopilotConfig)
-    detector: DetectorConfig = field(default_factory=DetectorConfig)
+    detector: DetectorConfig | None = None  # as one was measured on such targets in this scene
     target: TargetConfig = field(default_factory=TargetConfig)
     look_alikes: LookAlikeConfig = field(default_factory=LookAlikeConfig)
     sender_home: HomeConfig = field(default_factory=HomeConfig)

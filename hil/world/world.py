@@ -18,6 +18,7 @@ import numpy as np
 from drivers.interfaces import FlightMode
 from hil.autopilot.autopilot import Autopilot, Estimate
 from hil.world.config import HomeConfig, PositionOffsetConfig, WorldConfig
+from hil.world.detector import measured_on
 from hil.world.dynamics import (
     COMMAND_SIZE,
     CONTACT,
@@ -153,7 +154,7 @@ class Fleet(Generic[Name]):
         self._commanded_step = -1
         self._marker_hidden = False
         self._depth_holes = False
-        self.detector = config.detector
+        self.detector = config.detector or measured_on(config.target.kind, config.scene.name)
         self.time_s = 0.0
         self._sense()
 

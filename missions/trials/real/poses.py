@@ -33,7 +33,7 @@ BOARD_TO_MARKER = np.diag([1.0, -1.0, -1.0])  # the board's y is down and its z 
 
 Array = NDArray[np.float64]
 Gravity = Literal["stated", "known", "none"]
-"""How well gravity is known: as the set says, exactly, or not at all."""
+"""The knowledge of gravity: as the set says, exact, or none at all."""
 
 
 @dataclass(frozen=True, slots=True)
