@@ -18,6 +18,7 @@ from hil.harness.inject import inject_in_world
 from hil.world.config import HomeConfig, WorldConfig
 from hil.world.distances import Nearness, nearness
 from hil.world.dynamics import CONTACT
+from hil.world.errors import put_down
 from hil.world.fields import TargetField
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from hil.world.targets import Point
@@ -38,7 +39,11 @@ class RelayWorld(Fleet[str]):
     ) -> None:
         """``targets``: none for the one of ``config``. Raises ValueError when the objects do not fit."""
         self._targets = targets
-        self._homes = {drone.name: HomeConfig(drone.home_m, drone.heading_deg) for drone in drones}
+        sizes = config.errors.sizes
+        self._homes = {
+            drone.name: HomeConfig(put_down(drone.home_m, sizes, seed, k), drone.heading_deg)
+            for k, drone in enumerate(drones)
+        }
         self._seeds = np.random.SeedSequence([seed, 0x52454C]).spawn(len(drones))
         self._boots = dict.fromkeys(self._homes, 0)
         self.on: set[str] = set()

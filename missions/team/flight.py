@@ -10,7 +10,7 @@ from dataclasses import replace
 from drivers.interfaces import VehicleState, VelocitySetpoint
 from drivers.rig.parts import Rig
 from flight.config import MissionConfig
-from flight.guidance import Anchor, Vec3, bearing, close_in, subtract
+from flight.guidance import Anchor, Vec3, add, bearing, close_in, subtract
 from flight.harness.fleet import TeamConfig
 from flight.harness.flights import ProgramContext
 from flight.harness.relay import Pointed
@@ -52,14 +52,14 @@ class TeamFlight(DroneFlight):
         now_s = asyncio.get_running_loop().time()
         if self._pointed is None or now_s - self._pointed.time_s > _TOLD_S:
             self._pointed = self._ground.pointed_at(self._name)
-        north, east, _ = self._pointed.at(now_s)
+        north, east, _ = add(self._pointed.at(now_s), self.off_n_m)
         return north, east, -self._mission.target.height_m
 
     def _tell_place(self, holder: Holder) -> None:
         now_s = asyncio.get_running_loop().time()
         if holder.track is not None and now_s - self._told_s >= _TOLD_S:
             self._told_s = now_s
-            self._ground.follows(self._name, holder.track.position_n_m)
+            self._ground.follows(self._name, subtract(holder.track.position_n_m, self.off_n_m))
 
     async def _give_up(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd) -> None:
         """Gives up what this drone was responsible for, by its record too: the target will be found anew."""
@@ -107,8 +107,7 @@ class TeamFlight(DroneFlight):
 
     async def come_home(self, session: RoleSession, end: MissionEnd | None, aside: Anchor) -> bool:
         """Out of the others' way, up, home above everything, and down; where that cannot be flown, down."""
-        east, north = self._me.home_m
-        *climb, home = way_home(aside, (north, east, -self._team.return_height_m))
+        *climb, home = way_home(aside, self.above_home(self._team.return_height_m))
         if may_manoeuvre(session, end):
             session.enter(Phase.DEPART, "on its way home")
         for anchor in climb:

@@ -11,7 +11,7 @@ from drivers.interfaces import Clock, Link, Perception, Vehicle, VehicleState, V
 from drivers.rig.parts import PartContext, Rig, create, part_context
 from flight.config import MissionConfig
 from flight.guard.under_guard import UnderGuard
-from flight.guidance import Anchor, Vec3
+from flight.guidance import Anchor, Vec3, add
 from flight.harness.fleet import NamedDrone, RelayConfig, pair_of
 from flight.harness.flights import ProgramContext
 from flight.outcome import MissionEnd, Outcome
@@ -56,8 +56,8 @@ class Aboard:
         self._rig, self._relay, self._base, self._name = rig, relay, base, name
         self._given, self._harness, self._store = given, given.harness, given.store
         self._me: NamedDrone = next(drone for drone in relay.drones if drone.name == name)
-        mission = mission_of(rig)  # of a pair, whose homes are not those of these drones
-        self._mission = replace(mission, rendezvous=replace(mission.rendezvous, home_m=()))
+        self._mission = from_home(mission_of(rig), self._me)
+        self._flying: RoleSession | None = None
         deadlines = self._mission.deadlines
         self._leg_s = deadlines.peer_s + deadlines.receiver_ready_s + deadlines.verify_s
         self._gauge = Gauge(relay.endurance_s, relay.reserve)
@@ -82,6 +82,11 @@ class Aboard:
         return Parts(context.clock, vehicle, perception, guard)
 
     @property
+    def off_n_m(self) -> Vec3:
+        """What this drone's own position is off, as it was at its home."""
+        return (0.0, 0.0, 0.0) if self._flying is None else self._flying.off_n_m
+
+    @property
     def _alone(self) -> Rig:
         return pair_of(self._rig, self._me, self._me)
 
@@ -98,7 +103,9 @@ class Aboard:
         config: MissionConfig = replace(self._mission, handoff_id=number, follow_after_s=self._relay.follow_s)
         parts, given = self._parts, self._given
         made = (parts.clock, parts.vehicle, parts.perception, link)
-        return RoleSession(rig, role, config, given.log, given.emit, given.stop, made, self._entropy, parts.guard)
+        session = RoleSession(rig, role, config, given.log, given.emit, given.stop, made, self._entropy, parts.guard)
+        self._flying = session
+        return session
 
     async def _go_on(
         self, before: RoleSession, leg: Leg | None, link: Link, track: TargetTrack | None
@@ -112,6 +119,7 @@ class Aboard:
         session = self._session(Role.SENDER, leg, link)
         pilot: Pilot = before.pilot
         script = before.guarding.script
+        session.off_n_m = before.off_n_m
         holder = Holder(session, self._store, self, track)  # responsible by its record, or nothing has changed
         await before.cancel_spawned()
         session.pilot, session.guarding.script = pilot, script
@@ -172,8 +180,7 @@ class Aboard:
 
     async def come_home(self, session: RoleSession, end: MissionEnd | None, aside: Anchor) -> bool:
         """Out of the others' way, up, home, and down; where that cannot be flown, down."""
-        east, north = self._me.home_m
-        *way, above = way_home(aside, (north, east, -self._relay.return_height_m))
+        *way, above = way_home(aside, self.above_home(self._relay.return_height_m))
         if may_manoeuvre(session, end):
             session.enter(Phase.DEPART, "on its way home")
         for anchor in way:
@@ -181,6 +188,11 @@ class Aboard:
                 break
             await self._fly_to(session, anchor)
         return await bring_down(session, end, above)
+
+    def above_home(self, height_m: float) -> Vec3:
+        """Its home, in its own coordinates."""
+        east, north = self._me.home_m
+        return add((north, east, -height_m), self.off_n_m)
 
     async def _fly_to(
         self, session: RoleSession, anchor: Anchor, speed_mps: float = 1.2, until: Callable[[], bool] = lambda: False
@@ -194,3 +206,12 @@ class Aboard:
             if max(abs(north - n), abs(east - e), abs(down - d)) < _THERE_M:
                 return
             await asyncio.sleep(0.1)
+
+
+def from_home(mission: MissionConfig, drone: NamedDrone) -> MissionConfig:
+    """The mission of a pair, by a drone that is put down at a home of its own."""
+    east, north = drone.home_m
+    target, rendezvous = mission.target, mission.rendezvous
+    return replace(
+        mission, target=replace(target, home_m=(north, east)), rendezvous=replace(rendezvous, home_m=(north, east))
+    )

@@ -103,7 +103,7 @@ class DroneFlight(Aboard):
         peer = session.peer
         if peer is not None:
             until_s = asyncio.get_running_loop().time() + self._relay.clear_s
-            self._failed_at = peer.position_n_m, until_s
+            self._failed_at = session.here(peer).position_n_m, until_s
         await holder.give_up_leg(end)
         self._base.leg_failed(self._name, end)
 

@@ -95,6 +95,7 @@ class Holder(Sender):
         session = self._session
         await self._handover.resume()
         await check_own(session)
+        session.note_home(self._config.target.home_m)
         await take_off(session, self._config.take_off_height_m)
         await self.find_again()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from drivers.interfaces import FlightMode
@@ -36,6 +38,16 @@ def test_depth_holes_are_of_a_leg_s_two_cameras(world: RelayWorld) -> None:
     assert [world.view(name, None).depth_holes for name in world.names] == [True, True, False, False]
     world.close_leg("D1", "D2")
     assert not any(world.view(name, None).depth_holes for name in world.names)
+
+
+def test_drones_stand_where_a_crew_has_measured_and_not_quite(world: RelayWorld) -> None:
+    team = team_of(rig_library.load("team-sim"), 4, 2)
+    offs = [
+        part - said
+        for drone in team.drones
+        for part, said in zip(world.drone(drone.name).true_position_n_m, reversed(drone.home_m), strict=False)
+    ]
+    assert len(set(offs)) == 8 and 0.01 < math.sqrt(sum(off * off for off in offs) / 8) < 0.15
 
 
 def test_what_is_done_to_a_drone_is_over_with_its_swap(world: RelayWorld) -> None:
