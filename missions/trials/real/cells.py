@@ -59,6 +59,8 @@ def inner_edges(own: RealSet, seen: SetSeen, measured: MethodPoses) -> dict[int,
 
     All are taken to be off by less where much of what is found may be the noise of what was read.
     """
+    if not measured.print_m:
+        return {}
     edges = {i: _edges_of(own.markers[i].pattern[1:-1, 1:-1] > 0.5) for i in measured.print_m}
     corners = {i: printed(own, measured.growth, i)[:, :2] + off[:, :2] for i, off in measured.print_m.items()}
     lines = {i: 2 * (len(own.markers[i].pattern) - 3) for i in edges}

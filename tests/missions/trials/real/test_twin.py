@@ -138,6 +138,7 @@ def test_cells_that_are_printed_off_are_seen_and_drawn(seen: tuple[RealSet, SetS
     )
     exact = {i: np.zeros((4, 3)) for i in off}
     everywhere = tuple(_seen_at(view, i) for view in range(len(shots)) for i in off)
+    assert not inner_edges(own, again, MethodPoses(everywhere, 0.0, {}))  # too few views tell no print
     told = inner_edges(own, again, MethodPoses(everywhere, 0.0, exact))
     left, there = (np.stack([one[i] for i in off]) for one in ({i: told[i] - off[i] for i in off}, told))
     assert np.mean(there != 0.0) > 0.9  # a line between rows that are alike cannot be seen
