@@ -46,7 +46,7 @@ class CellEdges:
     rising: NDArray[np.bool_]
 
     def places(self, off: Array) -> Array:
-        """Where light is read (k, along, across, 2), in shares of the marker, with the lines off by so many cells."""
+        """Places (k, along, across, 2) of what is read, in shares of the marker, with lines off by so many cells."""
         along, across = np.meshgrid(ALONG, ACROSS, indexing="ij")
         reach = np.stack([np.stack((across, along), axis=-1), np.stack((along, across), axis=-1)])[self.axis]
         moved = self.middles.copy()
