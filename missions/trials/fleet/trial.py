@@ -198,6 +198,6 @@ def _draw(teams: Sequence[TeamCost], path: Path) -> None:
     axes.set_xticks(drones, [f"{number}" for number in drones])
     axes.minorticks_off()
     axes.set(xlabel="drones, two for each target", ylabel="processor time, s", ylim=(0.0, None))
-    axes.legend(fontsize=8, frameon=False)
+    axes.legend(fontsize=8, frameon=False, loc="lower right")
     axes.grid(alpha=0.3, color=DIM)
     figure.savefig(path, format="png", metadata={"Software": None})
