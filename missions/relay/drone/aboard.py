@@ -83,7 +83,7 @@ class Aboard:
 
     @property
     def off_n_m(self) -> Vec3:
-        """What this drone's own position is off, as it was at its home."""
+        """The error of this drone's own position, as it was at its home."""
         return (0.0, 0.0, 0.0) if self._flying is None else self._flying.off_n_m
 
     @property
