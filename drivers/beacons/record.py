@@ -6,14 +6,17 @@ The file is a log (``drivers.log.mcap_log``): topic ``/serial``, stamp of arriva
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 from drivers.beacons.dashboard_log import is_dashboard_log, read_dashboard_log
 from drivers.beacons.log import read_beacons
 from drivers.beacons.stream import MarvelmindStream
 from drivers.interfaces import BeaconError, BeaconFix
 from drivers.log.mcap_log import McapLog, read_log, virtual_log
+from drivers.rig.parts import PartContext
 
 
 class BeaconRecorder:
@@ -67,3 +70,39 @@ def read_any(file: Path) -> list[BeaconFix]:
     if file.suffix == ".mcap":
         return list(replay(file))
     return read_dashboard_log(file) if is_dashboard_log(file) else read_beacons(file)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedBeaconsConfig:
+    """``file``: a record of ports (``.mcap``), a list of positions or the Dashboard's own log (``.csv``)."""
+
+    file: Path
+
+
+class RecordedBeacons:
+    """Implements ``drivers.interfaces.Beacons`` from a file, as fast as it is read."""
+
+    Config = RecordedBeaconsConfig
+
+    def __init__(self, config: RecordedBeaconsConfig, context: PartContext) -> None:
+        del context
+        self._file = config.file
+        self._fixes: Iterable[BeaconFix] | None = None
+
+    async def __aenter__(self) -> Self:
+        """Raises BeaconError for a file that cannot be read."""
+        try:
+            self._fixes = iter(read_any(self._file))
+        except OSError as error:
+            raise BeaconError(f"{self._file}: {error.strerror}", "name the file of a session") from error
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._fixes = None
+
+    async def read(self, timeout_s: float) -> BeaconFix | None:
+        """The next position; None after the last."""
+        del timeout_s
+        if self._fixes is None:
+            raise BeaconError("the beacons are not open", "enter them with `async with` first")
+        return next(iter(self._fixes), None)
