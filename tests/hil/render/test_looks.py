@@ -90,8 +90,17 @@ def test_a_name_that_is_none_is_refused_with_those_that_are() -> None:
     assert with_scene(rig, None) is rig
 
 
+def test_where_boxes_come_from_geometry_a_scene_is_one_in_which_a_detector_was_measured() -> None:
+    rig = rig_library.load("sim-person")
+    check_world(with_scene(rig, "overcast"))
+    with pytest.raises(RigError, match="on a person in 'dusk': state .*, or take one of plain, overcast, hall"):
+        check_world(with_scene(rig, "dusk"))
+    stated = replace(rig, world={**rig.world, "detector": {"recall": 0.5}})
+    check_world(with_scene(stated, "dusk"))
+
+
 def test_a_scene_that_nobody_draws_is_refused() -> None:
     with pytest.raises(RigError, match="drawn at level sim-rendered"):
-        check_world(with_scene(rig_library.load("sim"), "dusk"))
+        check_world(with_scene(rig_library.load("sitl"), "dusk"))
     with pytest.raises(RigError, match="no world of its own"):
         with_scene(replace(rig_library.load("sim"), harness=None), "dusk")
