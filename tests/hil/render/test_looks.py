@@ -93,7 +93,7 @@ def test_a_name_that_is_none_is_refused_with_those_that_are() -> None:
 def test_where_boxes_come_from_geometry_a_scene_is_one_in_which_a_detector_was_measured() -> None:
     rig = rig_library.load("sim-person")
     check_world(with_scene(rig, "overcast"))
-    with pytest.raises(RigError, match="on a person in 'dusk': state .*, or take one of plain, overcast, hall"):
+    with pytest.raises(RigError, match=r"on a person in 'dusk': state .*, or take one of plain, overcast, hall"):
         check_world(with_scene(rig, "dusk"))
     stated = replace(rig, world={**rig.world, "detector": {"recall": 0.5}})
     check_world(with_scene(stated, "dusk"))
