@@ -17,6 +17,7 @@ GATE_MOST_M = 0.45  # a track that knows no better does not know which object it
 GATE_LEAST_M = 0.05
 RIVAL_SHARE = 0.4  # of the way to the nearest other object: where that is known to be, the gate ends before it
 RIVAL_S = 3.0  # for so long an object that was seen beside the target is taken to be there still
+FASTEST_SIGMAS = 2.0
 UNSEEN_REACH_M = 2.0  # no object is looked for farther off
 _CUT_SIGMA_M = 0.15  # of the place that such a box gives
 _GROWTH_SIGMA, _GROWN = 0.08, 4.0  # of the logarithm of a box's side, and how many of them are of something else
@@ -89,6 +90,12 @@ class TargetTrack:
         driven_s = dt * known * (math.atan(braked) / braked if braked > 1e-6 else 1.0)
         share = known / (1.0 + braked * braked)
         return add(self.position_n_m, scale(self.velocity_n_mps, driven_s)), scale(self.velocity_n_mps, share)
+
+    def fastest_mps(self, stamp_ns: int) -> float:
+        """The speed along the ground that the object may have at a stamp: to keep out of its way, not to fly by."""
+        dt = max(0.0, (stamp_ns - self.stamp_ns) * 1e-9)
+        north, east, _ = self.velocity_n_mps
+        return math.hypot(north, east) + FASTEST_SIGMAS * math.sqrt(self._vv + (self._accel_mps2 * dt) ** 2)
 
     def gate_m(self, sigma_m: float, stamp_ns: int) -> float:
         """The farthest from its prediction, with this standard deviation, that the object may be found at a stamp."""

@@ -170,10 +170,11 @@ class Sender:
     def _out_of_targets_reach(self, track: TargetTrack, place_n_m: Vec3, along_n: Vec3) -> float:
         """Returns how far to go that way so that the target, as fast as it is, cannot be there before the landing."""
         config = self._config
-        target, (north, east, _) = track.believed(self._session.now_ns())
+        now_ns = self._session.now_ns()
+        target, _ = track.believed(now_ns)
         landing_s = config.depart_m / config.follow.max_speed_mps + max(0.0, -place_n_m[2]) / _LANDING_MPS
         least_m = config.separation.minimum_m + config.target.half_size_m
-        return way_until_away(subtract(place_n_m, target), along_n, least_m + math.hypot(north, east) * landing_s)
+        return way_until_away(subtract(place_n_m, target), along_n, least_m + track.fastest_mps(now_ns) * landing_s)
 
     def _side_of_receiver(self, state: VehicleState) -> float:
         """-1 left, 1 right; by both drones' own positions until it was measured on the marker."""

@@ -478,3 +478,12 @@ def test_only_what_flies_goes_up(flies: bool) -> None:
         track.update((PLACE[0], PLACE[1], PLACE[2] - 0.6 * k / 50), k * SECOND // 50)
     (_, _, down), _ = track.predict(3 * SECOND)
     assert (down < PLACE[2] - 1.5) == flies
+
+
+def test_what_was_out_of_sight_may_be_as_fast_as_it_was_and_faster() -> None:
+    track = TargetTrack(PLACE, 0)
+    for k in range(1, 51):
+        track.update((PLACE[0] + 0.3 * k / 50.0, PLACE[1], PLACE[2]), k * SECOND // 50)
+    later = track.stamp_ns + SECOND // 2
+    assert math.hypot(*track.believed(later)[1]) < 0.2
+    assert 0.3 < track.fastest_mps(track.stamp_ns) < track.fastest_mps(later) < 2.0
