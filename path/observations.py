@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -26,6 +27,12 @@ class Box:
     @property
     def area(self) -> float:
         return self.w * self.h
+
+
+def around(boxes: Sequence[Box]) -> Box:
+    """The smallest box that holds them all; at least one."""
+    x, y = min(each.x for each in boxes), min(each.y for each in boxes)
+    return Box(x, y, max(each.x + each.w for each in boxes) - x, max(each.y + each.h for each in boxes) - y)
 
 
 @dataclass(frozen=True, slots=True)

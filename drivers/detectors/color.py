@@ -136,15 +136,14 @@ class ColorDetector:
         """Coloured part, whole with dark parts, and shape of the whole: of one vehicle, or of those that touch."""
         reach = self._config.dark_reach
         pieces = divide(patch, longest)
-        if len(pieces) > 1:
-            wholes = [(piece, with_dark(piece, dark, colored, reach)) for piece in pieces]
-            return [(piece, w, shape_of(w.mask)) for piece, w in wholes]
-        whole = with_dark(patch, dark, colored, reach)
-        shape = shape_of(whole.mask)
-        if shape.solidity >= self._config.split_solidity:
-            return [(patch, whole, shape)]
-        wholes = [(piece, with_dark(piece, dark, colored, reach)) for piece in split(patch)]
-        return [(piece, w, shape_of(w.mask)) for piece, w in wholes] if len(wholes) == 2 else [(patch, whole, shape)]
+        if len(pieces) == 1:
+            whole = with_dark(patch, dark, colored, reach)
+            shape = shape_of(whole.mask)
+            pieces = [patch] if shape.solidity >= self._config.split_solidity else split(patch)
+            if len(pieces) == 1:
+                return [(patch, whole, shape)]
+        wholes = [(piece, with_dark(piece, dark, colored, reach)) for piece in pieces]
+        return [(piece, w, shape_of(w.mask)) for piece, w in wholes]
 
     def _cover_tables(self, hsv: Image, piece: Patch, whole: Patch) -> tuple[Image, Image]:
         """Tables from a pixel's saturation, and from its value, to how much of it (0..255) the vehicle covers.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.perception.depth_mask import step_limit_m
-from path.observations import Box, Detection
+from path.observations import Box, Detection, around
 
 SAME_LAP = 0.2  # of the smaller box lies in the other: pieces of one thing, when they are equally far away
 OWN_SHARE = 0.25  # of a box is at a depth that is asked for: what it shows is there
@@ -51,7 +51,7 @@ class DepthSlice:
             whole = rest.pop(0)
             while parts := [each for each in rest if self._is_one(whole.box, each.box)]:
                 rest = [each for each in rest if each not in parts]
-                whole = Detection(_around([whole.box, *(each.box for each in parts)]), max(whole.score, parts[0].score))
+                whole = Detection(around([whole.box, *(each.box for each in parts)]), max(whole.score, parts[0].score))
             found.append(whole)
         return found
 
@@ -74,8 +74,3 @@ def _overlap(a: Box, b: Box) -> float:
     w = min(a.x + a.w, b.x + b.w) - max(a.x, b.x)
     h = min(a.y + a.h, b.y + b.h) - max(a.y, b.y)
     return max(0.0, w) * max(0.0, h)
-
-
-def _around(boxes: Sequence[Box]) -> Box:
-    x, y = min(each.x for each in boxes), min(each.y for each in boxes)
-    return Box(x, y, max(each.x + each.w for each in boxes) - x, max(each.y + each.h for each in boxes) - y)

@@ -39,6 +39,7 @@ from path.observations import Box, Depth, Detection, MarkerDetection, Region
 
 EVERYWHERE = Region(-math.inf, -math.inf, math.inf, math.inf)
 TARGETS, MARKERS, DEPTH, SLOW_TARGETS, SLOW_MARKERS = 1, 2, 3, 4, 5  # questions, for the random numbers
+ALIKE = np.eye(8)  # covariance of corners that err alike, in squares of their error
 SLOW_FRAMES = 10  # for so many frames lasts what goes wrong for a while
 
 
@@ -110,9 +111,6 @@ class GeometricPerception:
         if not self._open:
             raise CameraError("the geometric perception is not open", "open it with `async with`")
         return GeometricView(await self._freshness.next(self._ticker.next, timeout_s), self._sensor)
-
-
-EYE_8 = np.eye(8)
 
 
 def _keep(snapshot: Snapshot, frame_id: int) -> Snapshot:
@@ -235,7 +233,7 @@ class GeometricView:
                 fold(slow_key, marker_id),
                 found,
             ):
-                detected.append(MarkerDetection(marker_id, found[:8].reshape(4, 2), found[8] ** 2 * EYE_8))
+                detected.append(MarkerDetection(marker_id, found[:8].reshape(4, 2), found[8] ** 2 * ALIKE))
         return detected
 
     def depth(self, box: Box) -> Depth | None:

@@ -6,15 +6,14 @@ that look alike take more room than one.
 
 from __future__ import annotations
 
-from path.observations import Box
+from path.observations import Box, around
 
 _PIECES = 0.1  # by so much of its side two pieces together may differ from the object when it was last whole
 
 
 def whole_of(first: Box, other: Box, side_px: tuple[float, float]) -> Box | None:
     """The box around two that are the object with those sides; None where they are not."""
-    x, y = min(first.x, other.x), min(first.y, other.y)
-    both = Box(x, y, max(first.x + first.w, other.x + other.w) - x, max(first.y + first.h, other.y + other.h) - y)
+    both = around((first, other))
     off = _odds(both, side_px)
     return both if off < _PIECES and off < _odds(first, side_px) else None
 

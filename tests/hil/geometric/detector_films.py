@@ -30,8 +30,8 @@ from path.geometry.rotation import R_from_rpy
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
-from path.observations import Box
-from tests.hil.geometric.noise_measurement import CAMERA, NED_TO_ENU, T_B_C, T_B_V, Array, setup
+from path.observations import Box, around
+from tests.hil.geometric.noise_measurement import CAMERA, NED_TO_ENU, T_B_C, T_B_V, Array, edges_off, setup
 
 RATE_HZ, CAMERAS_HZ = 25.0, 50.0  # of a film, and of the cameras whose frames a spell is counted in
 PLACES_M: dict[TargetKind, tuple[float, float]] = {"car": (1.55, 1.5), "person": (2.2, 3.5), "drone": (1.45, 2.2)}
@@ -55,7 +55,7 @@ class FilmFrame:
     """
 
     found: bool
-    edges_px: tuple[float, float, float, float] | None
+    edges_px: Sequence[float] | None
     inventions: int
     contact: float = 0.0
     joined: bool = False
@@ -112,26 +112,16 @@ def watched(
         inventions = sum(all(iou(box, thing) < NOTHING_IOU for thing in things) for box in boxes)
         contact, beside = float(seen[0, CONTACT]), int(seen[0, TOUCHED])
         alone = found and seen[0, SHARE] >= 1.0 and beside < 0 and _inside(target)
-        both = None if beside < 0 else around(target, things_by[beside])
+        both = None if beside < 0 else around((target, things_by[beside]))
         joined = both is not None and best is not None and iou(best, both) > max(iou(best, target), FOUND_IOU)
-        edges = _edges(best, target) if alone and best is not None else None
+        edges = edges_off(best, target) if alone and best is not None else None
         frames.append(FilmFrame(found or joined, edges, inventions, contact, joined))
     return frames
-
-
-def around(a: Box, b: Box) -> Box:
-    x, y = min(a.x, b.x), min(a.y, b.y)
-    return Box(x, y, max(a.x + a.w, b.x + b.w) - x, max(a.y + a.h, b.y + b.h) - y)
 
 
 def _inside(box: Box) -> bool:
     right, bottom = box.x + box.w, box.y + box.h
     return min(box.x, box.y) > BORDER_PX and right < CAMERA.width - 2 and bottom < CAMERA.height - 2
-
-
-def _edges(box: Box, true: Box) -> tuple[float, float, float, float]:
-    right, bottom = box.x + box.w - true.x - true.w, box.y + box.h - true.y - true.h
-    return box.x - true.x, box.y - true.y, right, bottom
 
 
 def spells(frames: Sequence[FilmFrame]) -> list[int]:

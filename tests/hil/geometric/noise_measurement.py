@@ -137,6 +137,12 @@ class Residuals:
     no_depth: int = 0
 
 
+def edges_off(box: Box, true: Box) -> list[float]:
+    """Left, top, right, bottom of a box against the true outline, px."""
+    right, bottom = box.x + box.w - true.x - true.w, box.y + box.h - true.y - true.h
+    return [box.x - true.x, box.y - true.y, right, bottom]
+
+
 def collect(perceive: Perceive, moments: Iterator[Snapshot]) -> Residuals:
     """Ask for cars, depth and markers in every moment, for both drones."""
     residuals, exact = Residuals(), geometric(0, EXACT)
@@ -168,7 +174,7 @@ def _collect_cars(residuals: Residuals, view: View, truth: View, boxes: list[Box
         best = max(detections, key=lambda d: iou(d.box, box), default=None)
         if best is not None and iou(best.box, box) > SAME_IOU:
             a = best.box
-            residuals.edges_px.append([a.x - box.x, a.y - box.y, a.x + a.w - box.x - box.w, a.y + a.h - box.y - box.h])
+            residuals.edges_px.append(edges_off(a, box))
             residuals.scores.append(best.score)
         depth, right = view.depth(box), truth.depth(box)
         if right is not None and depth is not None:
