@@ -52,7 +52,7 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
     summaries.sort(key=lambda summary: summary["seed"])
     if options.junit is not None:
         write_junit(options.junit, f"handoff {rig.name}", [junit_case(options, summary) for summary in summaries])
-    series = summarize_many(summaries)
+    series = summarize_many(summaries, f"{_command(options, options.seed)} --seeds {options.seeds}")
     (folder / SUMMARY).write_text(json.dumps(series, indent=2) + "\n", "utf-8")
     show(series_table(series), sys.stdout)
     sys.stdout.write(f"\n{folder}: {SUMMARY}, and a folder for each seed\n")
@@ -61,15 +61,20 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
 
 def junit_case(options: HandoffOptions, summary: Mapping[str, Any]) -> JUnitCase:
     """One run of many as a test case: it fails unless it committed."""
+    outcome = str(summary["outcome"])
+    failures = () if summary["exit_code"] == 0 else (summary["detail"] or outcome, *summary["notes"])
+    replay = _command(options, summary["seed"])
+    return JUnitCase(f"seed {summary['seed']}", outcome, replay, failures, summary["wall_s"] or 0.0)
+
+
+def _command(options: HandoffOptions, seed: int) -> str:
+    """The command that flies one of the runs by itself."""
     errors = [] if options.errors is None else ["--errors", options.errors]
     scene = [] if options.scene is None else ["--scene", options.scene]
     slow = [] if options.slow is None else ["--slow", f"{options.slow:g}"]
     faults = [word for fault in options.fault for word in ("--fault", fault)]
-    asked = ["--rig", options.rig, "--seed", str(summary["seed"]), *errors, *scene, *slow, *faults]
-    outcome = str(summary["outcome"])
-    failures = () if summary["exit_code"] == 0 else (summary["detail"] or outcome, *summary["notes"])
-    replay = f"path-handoff handoff {shlex.join(asked)}"
-    return JUnitCase(f"seed {summary['seed']}", outcome, replay, failures, summary["wall_s"] or 0.0)
+    asked = ["--rig", options.rig, "--seed", str(seed), *errors, *scene, *slow, *faults]
+    return f"path-handoff handoff {shlex.join(asked)}"
 
 
 def _leave_signals_to_the_parent() -> None:

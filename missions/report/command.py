@@ -242,8 +242,14 @@ def _counts(counts: Mapping[str, int]) -> str:
 # --- many runs -------------------------------------------------------------------------------------------------
 
 
-def summarize_many(summaries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Figures over the summaries of several runs; quantiles over the runs that have the figure."""
+def summarize_many(summaries: Sequence[Mapping[str, Any]], command: str) -> dict[str, Any]:
+    """Figures over the summaries of several runs; quantiles over the runs that have the figure.
+
+    Args:
+        command: what flies the same runs again.
+    """
+    from scipy.stats import binomtest  # noqa: PLC0415 (takes most of a second to import)
+
     outcomes: dict[str, int] = {}
     misses: dict[str, int] = {}
     monitors: dict[str, int] = {}
@@ -255,10 +261,14 @@ def summarize_many(summaries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         *("t_commit_s", "agreement_s", "iou_median", "min_separation_m", "d2_error_m", "target_error_m"),
         *("follow_overshoot_m", "follow_error_m", "follow_error_p95_m", "target_unseen_s"),
     )
+    committed = outcomes.get("committed", 0)
+    between = binomtest(committed, len(summaries)).proportion_ci(method="wilson")
     return {
+        "command": command,
         "runs": len(summaries),
         "outcomes": outcomes,
-        "commit_rate": round(outcomes.get("committed", 0) / max(1, len(summaries)), 4),
+        "commit_rate": round(committed / len(summaries), 4),
+        "commit_rate_interval": [round(between.low, 4), round(between.high, 4)],
         "wrong_handovers": sum(summary["wrong_handover"] is True for summary in summaries),
         "monitors": monitors,
         "misses": misses,
@@ -273,7 +283,9 @@ def series_table(series: Mapping[str, Any]) -> RenderableType:
     """Returns the table of several runs for a person."""
     counts = Table.grid(padding=(0, 3))
     counts.add_row(Text("runs", "dim"), f"{series['runs']}: {_counts(series['outcomes'])}")
-    counts.add_row(Text("committed", "dim"), f"{series['commit_rate'] * 100:.1f} %")
+    low, high = (100 * end for end in series["commit_rate_interval"])
+    between = f"{low:.1f} to {high:.1f} with 95 % confidence"
+    counts.add_row(Text("committed", "dim"), f"{series['commit_rate'] * 100:.1f} % ({between})")
     counts.add_row(Text("wrong object handed over", "dim"), str(series["wrong_handovers"]))
     counts.add_row(Text("monitors", "dim"), violations(series["monitors"]))
     counts.add_row(Text("misses", "dim"), _counts(series["misses"]))

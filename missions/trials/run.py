@@ -88,7 +88,7 @@ def run(options: TrialOptions) -> int:
             if result is not None and options.quick:
                 result = short_form(result)
             if result is not None:
-                _write_json(own / SUMMARY, _summary(options, name, wall_s, result))
+                _write_json(own / SUMMARY, _summary(options, name, trial.TITLE, wall_s, result))
                 show(findings_table(result.findings), sys.stdout)
                 if options.quick:
                     sys.stdout.write(f"{SHORT}\n")
@@ -163,9 +163,11 @@ def findings_table(findings: Sequence[TrialFinding]) -> Table:
     return table
 
 
-def _summary(options: TrialOptions, name: str, wall_s: float, result: TrialResult) -> dict[str, Any]:
+def _summary(options: TrialOptions, name: str, title: str, wall_s: float, result: TrialResult) -> dict[str, Any]:
     return {
         "trial": name,
+        "title": title,
+        "command": command(options, name),
         "seed": options.seed,
         "quick": options.quick,
         "errors": options.errors,

@@ -182,7 +182,9 @@ def test_many_runs_are_summed_up(make_run: MakeRun) -> None:
         "wrong_handover": True,
         "agreement_s": None,
     }
-    series = summarize_many([good, bad])
+    series = summarize_many([good, bad], "path-handoff handoff --seed 7 --seeds 2")
+    assert series["command"].endswith("--seeds 2")
+    assert series["commit_rate_interval"] == pytest.approx([0.0945, 0.9055], abs=1e-4)  # Wilson's, of 1 in 2
     assert series["outcomes"] == {"committed": 1, "monitor_violated": 1}
     assert series["commit_rate"] == 0.5
     assert series["wrong_handovers"] == 1
@@ -193,7 +195,7 @@ def test_many_runs_are_summed_up(make_run: MakeRun) -> None:
     shown = io.StringIO()
     show(series_table(series), shown)
     assert "8 monitor_violated" in shown.getvalue()
-    assert "50.0 %" in shown.getvalue()
+    assert "50.0 % (9.4 to 90.5" in shown.getvalue()
 
 
 def test_a_run_that_ended_before_any_log_is_shown_with_its_own_outcome(tmp_path: Path) -> None:

@@ -36,6 +36,7 @@ def test_a_trial_leaves_its_page_and_its_numbers(
     assert command.run(TrialOptions("static", out=tmp_path / "a", seed=3, jobs=1)) == 0
     summary = json.loads((tmp_path / "a" / "summary.json").read_text())
     assert (summary["trial"], summary["seed"], summary["quick"]) == ("static", 3, False)
+    assert (summary["title"], summary["command"]) == ("The static trial", "path-handoff trial static --seed 3")
     assert (summary["d2_mean_m"], summary["values"]) == (0.25, [1.5, None])
     assert "The static trial" in (tmp_path / "a" / "index.html").read_text()
     assert "0.25 m" in capsys.readouterr().out
