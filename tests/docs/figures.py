@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[2]
 QUOTE = re.compile(r"\{([\w/-]+): ([^{},]+)(?:, ([^{}]+))?\}")
 BLOCK = re.compile(r"(<!-- figures: ([\w-]+) -->\n).*?(<!-- end of figures -->)", re.DOTALL)
 DIFFERS = re.compile(r" --(?:seeds?|runs|jobs|out) \S+")  # from one run to the next
-OF_ALL = ("command", "commit", "source")
+OF_ALL = ("command", "commit")
 
 
 class FigureError(Exception):
@@ -31,10 +31,6 @@ class KeptFigures:
     command: str
     commit: str = ""
     values: Mapping[str, Any] = field(default_factory=dict[str, Any])
-
-    @property
-    def source(self) -> str:
-        return f"`{self.command}`" + (f" at {self.commit}" if self.commit else ", not run yet")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +63,8 @@ class FigureFolder:
     def render(self, table: str) -> str:
         def told(quote: re.Match[str]) -> str:
             kept = self.kept(quote[1])
-            return getattr(kept, quote[2]) if quote[2] in OF_ALL else as_text(kept.values.get(quote[2]), quote[3] or "")
+            said = {"command": kept.command, "commit": kept.commit or "not run yet"}
+            return said.get(quote[2]) or as_text(kept.values.get(quote[2]), quote[3] or "")
 
         return QUOTE.sub(told, self.table(table))
 
@@ -123,13 +120,13 @@ def value_at(summary: Any, path: str) -> Any:
 def as_text(value: Any, form: str) -> str:
     """Returns a value as a page shows it: ``form`` is one of those of docs/figures/README.md."""
     if value is None:
-        return "–"
+        return "| – | | | | | |" if form == "findings" else "–"
     if form == "counts":
         return ", ".join(f"{count} `{what}`" for what, count in value.items() if what != "committed") or "none"
     if form == "findings":
         said = {"met": "met", "short": "falls short", "measured": ""}
-        rows = [(*(f[key] for key in ("quantity", "ours", "interval", "paper", "goal")), said[f["verdict"]]) for f in value]
-        return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+        row = "| {quantity} | {ours} | {interval} | {paper} | {goal} |"
+        return "\n".join(f"{row.format(**finding)} {said[finding['verdict']]} |" for finding in value)
     if isinstance(value, list):
         return " to ".join(as_text(end, form) for end in value)
     if isinstance(value, str):
