@@ -16,6 +16,11 @@ def test_the_index_of_decisions_has_every_one_by_its_title() -> None:
     assert listed == [(file.name[:4], file.name, title) for file, title in zip(files, titles, strict=True)]
 
 
+def test_a_decision_keeps_to_a_page() -> None:
+    lines = {file.name: len(file.read_text("utf-8").splitlines()) for file in (DOCS / "decisions").glob("0*.md")}
+    assert {name: count for name, count in lines.items() if count > 50} == {}
+
+
 def test_what_the_glossary_names_is_there() -> None:
     root = DOCS.parent
     page = (DOCS / "glossary.md").read_text("utf-8")
