@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import shlex
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -42,11 +41,9 @@ class FigureFolder:
     def pages(self) -> list[Path]:
         return [*self.docs.parent.glob("README.md"), *sorted(self.docs.glob("*.md"))]
 
-    def names(self) -> list[str]:
-        return _stems(self.docs / "figures" / "kept", ".json")
-
-    def tables(self) -> list[str]:
-        return _stems(self.docs / "figures" / "tables", ".md")
+    def names(self, of: str = "kept") -> list[str]:
+        folder = self.docs / "figures" / of
+        return sorted(file.relative_to(folder).with_suffix("").as_posix() for file in folder.rglob("*.*"))
 
     def kept(self, name: str) -> KeptFigures:
         return KeptFigures(**json.loads(_text(self.docs / "figures" / "kept" / f"{name}.json")))
@@ -56,7 +53,7 @@ class FigureFolder:
 
     def quotes(self) -> Iterator[tuple[str, str]]:
         """Yields what is kept and a path in it, for all that tables quote."""
-        for table in self.tables():
+        for table in self.names("tables"):
             for name, path, _ in QUOTE.findall(self.table(table)):
                 yield name, path
 
@@ -75,25 +72,26 @@ class FigureFolder:
     def keep(self, name: str, summary: Mapping[str, Any], commit: str) -> None:
         """Keeps what tables quote of a summary. Raises FigureError for another command's, or a short run's."""
         before = self.kept(name).command
-        command = str(summary.get("command") or before)  # a campaign's or a team's summary names none
+        command = str(summary.get("command") or _as_run(before, summary))
         if DIFFERS.sub("", command) != DIFFERS.sub("", before):
             raise FigureError(f"{name} is of `{before}`, and this of `{command}`")
-        if "seed" in summary and str(summary["seed"]) not in shlex.split(command):
-            raise FigureError(f"seed {summary['seed']} is not that of `{command}`")
         if any(summary.get(key) for key in ("quick", "short", "unfinished")):
             raise FigureError("a short or unfinished run gives no figures")
         wanted = sorted({path for kept, path in self.quotes() if kept == name} - {*OF_ALL})
         now = KeptFigures(command, commit, {path: value_at(summary, path) for path in wanted})
-        text = json.dumps(asdict(now), indent=2, ensure_ascii=False) + "\n"
-        (self.docs / "figures" / "kept" / f"{name}.json").write_text(text, "utf-8")
+        file = self.docs / "figures" / "kept" / f"{name}.json"
+        file.write_text(json.dumps(asdict(now), indent=2, ensure_ascii=False) + "\n", "utf-8")
 
     def write(self) -> None:
         for page in self.pages():
             page.write_text(self.written(_text(page)), "utf-8")
 
 
-def _stems(folder: Path, ending: str) -> list[str]:
-    return sorted(file.relative_to(folder).as_posix().removesuffix(ending) for file in folder.rglob(f"*{ending}"))
+def _as_run(command: str, summary: Mapping[str, Any]) -> str:
+    """Returns the command with what a summary that names none says of it."""
+    for key in ("rig", "seed", "runs", "hours", "drones"):
+        command = re.sub(rf"--{key} \S+", f"--{key} {as_text(summary.get(key), 'g')}", command)
+    return command
 
 
 def _text(file: Path) -> str:
@@ -135,13 +133,8 @@ def as_text(value: Any, form: str) -> str:
     return format(value * int(times or 1), plain or (",d" if isinstance(value, int) else "g"))
 
 
-def _commit_here() -> str:
-    def git(*words: str) -> str:
-        return subprocess.run(("git", *words), cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
-
-    if git("status", "--porcelain", "--", "*.py", "*.toml"):
-        raise FigureError("the code here is not what was committed: commit it, or say --commit")
-    return git("rev-parse", "--short=8", "HEAD")
+def _git(*words: str) -> str:
+    return subprocess.run(("git", *words), cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
 
 
 def main(folder: FigureFolder, words: list[str]) -> int:
@@ -158,7 +151,10 @@ def main(folder: FigureFolder, words: list[str]) -> int:
                 sys.stdout.write(f"{name:<30}{kept.commit or 'not run yet':<13}{kept.command}\n")
             return 0
         if asked.does == "keep":
-            folder.keep(asked.name, json.loads(_text(asked.run / "summary.json")), asked.commit or _commit_here())
+            if not asked.commit and _git("status", "--porcelain", "--", "*.py", "*.toml"):
+                raise FigureError("the code here is not what was committed: commit it, or say --commit")
+            commit = asked.commit or _git("rev-parse", "--short=8", "HEAD")
+            folder.keep(asked.name, json.loads(_text(asked.run / "summary.json")), commit)
         folder.write()
     except FigureError as error:
         sys.stderr.write(f"error: {error}\n")

@@ -12,12 +12,9 @@ from missions import cli
 from tests.docs.figures import BLOCK, OF_ALL, ROOT, FigureError, FigureFolder, as_text, value_at
 
 HERE = FigureFolder(ROOT / "docs")
-SERIES = {
-    "command": "path-handoff handoff --rig sim --seed 5 --seeds 50",
-    "runs": 50,
-    "outcomes": {"committed": 48, "no_agreement": 2},
-    "commit_rate_interval": [0.8654, 0.989],
-}
+FLOWN = "path-handoff handoff --rig sim --seed 5 --seeds 50"
+ENDS = {"committed": 48, "no_agreement": 2}
+SERIES = {"command": FLOWN, "runs": 50, "outcomes": ENDS, "commit_rate_interval": [0.8654, 0.989]}
 ROW = (
     "| {sim: outcomes.committed} of {sim: runs} | {sim: commit_rate_interval, 100 * .1f} | {sim: outcomes, counts} |\n"
 )
@@ -43,7 +40,7 @@ def test_the_tables_of_the_pages_are_what_was_kept() -> None:
 def test_every_table_is_on_a_page_and_everything_kept_in_a_table() -> None:
     text = "".join(page.read_text("utf-8") for page in HERE.pages())
     shown = [block[2] for block in BLOCK.finditer(text)]
-    assert sorted({*shown}) == HERE.tables()
+    assert sorted({*shown}) == HERE.names("tables")
     assert len(re.findall("<!-- (?:figures: |end of figures)", text)) == 2 * len(shown)
     quoted = set(HERE.quotes())
     assert sorted({name for name, _ in quoted}) == HERE.names()
@@ -67,26 +64,30 @@ def test_a_run_is_kept_and_shown(folder: FigureFolder) -> None:
     assert folder.written(page.replace("48 of 50", "50 of 50")) == page  # a number that somebody changed by hand
 
 
-@pytest.mark.parametrize(
-    ("changed", "said"),
-    [
-        ({"command": "path-handoff handoff --rig sim-drone --seed 5"}, "sim-drone"),
-        ({"seed": 6}, "seed 6"),
-        ({"quick": True}, "short"),
-        ({"outcomes": {}}, "committed"),
-    ],
-)
-def test_another_run_is_not_kept(folder: FigureFolder, changed: dict[str, object], said: str) -> None:
-    with pytest.raises(FigureError, match=said):
-        folder.keep("sim", {**SERIES, **changed}, "1234abcd")
+def test_another_run_is_not_kept(folder: FigureFolder) -> None:
+    others = {"sim-drone": {"command": "path-handoff handoff --rig sim-drone --seed 5"}, "short": {"quick": True}}
+    for said, changed in (*others.items(), ("committed", {"outcomes": {}})):
+        with pytest.raises(FigureError, match=said):
+            folder.keep("sim", {**SERIES, **changed}, "1234abcd")
     assert not folder.kept("sim").values
 
 
-@pytest.mark.parametrize(("page", "said"), [("{gone: runs}", "gone"), ("", "none")])
-def test_a_page_names_what_there_is(folder: FigureFolder, page: str, said: str) -> None:
-    (folder.docs / "figures" / "tables" / "flights.md").write_text(page)
-    with pytest.raises(FigureError, match=said):
-        folder.written(f"<!-- figures: {'flights' if page else 'none'} -->\n<!-- end of figures -->\n")
+def test_a_summary_that_names_no_command_says_how_it_was_run(folder: FigureFolder) -> None:
+    kept = folder.docs / "figures" / "kept" / "sim.json"
+    kept.write_text('{"command": "path-handoff relay --hours 8 --seed 0"}')
+    summary = {**SERIES, "command": None, "seed": 3, "hours": 8.0}
+    folder.keep("sim", summary, "1234abcd")
+    assert folder.kept("sim").command == "path-handoff relay --hours 8 --seed 3"
+    with pytest.raises(FigureError, match="hours 2 "):
+        folder.keep("sim", {**summary, "hours": 2.0}, "1234abcd")
+
+
+def test_a_page_names_what_there_is(folder: FigureFolder) -> None:
+    with pytest.raises(FigureError, match="tables/none"):
+        folder.written("<!-- figures: none -->\n<!-- end of figures -->\n")
+    (folder.docs / "figures" / "tables" / "flights.md").write_text("{gone: runs}")
+    with pytest.raises(FigureError, match="kept/gone"):
+        folder.render("flights")
 
 
 def test_values_are_found_by_their_path_and_told_by_their_form() -> None:
