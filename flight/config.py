@@ -191,6 +191,8 @@ class MissionConfig:
     # of the sender's height above the ground that the target stands on: it betters a range that is only estimated, by
     # where the target's ray meets its height; 0: not stated
     height_sigma_m: Annotated[float, Bounds(0.0, 10.0)] = 0.0
+    # the ground at the target is as high as at the homes: what the target's measured height is off, the drone's own is
+    level_ground: bool = False
     # how much more either attitude errs at one time than at another
     attitude_wander_deg: Annotated[float, Bounds(0.0, 20.0)] = 0.25
     target: TargetDesignation = field(default_factory=TargetDesignation)

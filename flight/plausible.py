@@ -30,7 +30,9 @@ def check_plausible(rig: Rig) -> None:
     """Raises RigError with everything in a rig's ``[mission]``, ``[method]`` and ``[relay]`` that cannot be flown."""
     mission = decode_table(rig.mission, MissionConfig, rig.where("mission"))
     problems = Problems()
-    checks: tuple[Callable[[Rig, MissionConfig], Found], ...] = (_fence, _ranges, _viewpoint, _distances, _waits, _ages)
+    checks: tuple[Callable[[Rig, MissionConfig], Found], ...] = (
+        _fence, _ground, _ranges, _viewpoint, _distances, _waits, _ages,
+    )  # fmt: skip
     for check in checks:
         for where, what in check(rig, mission):
             problems.add(rig.where(where), what)
@@ -62,6 +64,16 @@ def _fence(rig: Rig, mission: MissionConfig) -> Found:
     ):
         if height_m > guard.fence_height_m:
             yield f"mission.{key}", f"{height_m:g} m; mission.guard.fence_height_m is {guard.fence_height_m:g} m"
+
+
+def _ground(rig: Rig, mission: MissionConfig) -> Found:
+    """A height is told over the target's ground only where the target stands on it."""
+    del rig
+    if mission.level_ground and mission.target.flies:
+        yield (
+            "mission.level_ground",
+            "a drone cannot tell its height by a target that flies: leave out this or mission.target.flies",
+        )
 
 
 def _ranges(rig: Rig, mission: MissionConfig) -> Found:

@@ -278,6 +278,8 @@ class Sender:
         session = self._session
         with session.stage("target"):
             seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
+        if self._config.level_ground and isinstance(seen, Sighting):
+            session.note_height(track.position_n_m[2] + self._config.target.height_m)
         unseen_s, deadlines = (view.stamp_ns - track.seen_ns) * 1e-9, self._config.deadlines
         bearable_s = deadlines.target_coast_s
         if session.phase is not Phase.VERIFY:

@@ -107,7 +107,7 @@ class RoleSession:
         self.claim: TakeResponsibility | None = None
         self.instance: Callable[[], int] = int  # what a Status of this drone names
         self.observing = False
-        self.off_n_m: Vec3 = (0.0, 0.0, 0.0)  # of this drone's own position, as it was at home
+        self.off_n_m: Vec3 = (0.0, 0.0, 0.0)  # of this drone's own position, as at home; its height as it is now
         self._here: tuple[Status, Status] | None = None  # as it came, and in this drone's frame
         self.on_message: Callable[[Received], None] = _ignore
         self.on_status: Callable[[Status], None] = _ignore
@@ -127,6 +127,11 @@ class RoleSession:
         north, east = off_from(home_m, self.vehicle.state.position_n_m)
         self.off_n_m, self._here = (north, east, 0.0), None
         self.log.write("/home", self.now_ns(), {"off_m": (north, east)})
+
+    def note_height(self, off_down_m: float) -> None:
+        """Takes what a target that stands on level ground is too low by for what this drone is too low by itself."""
+        north, east, _ = self.off_n_m
+        self.off_n_m, self._here = (north, east, off_down_m), None
 
     def here(self, peer: Status) -> Status:
         """The other drone's Status, its position in this drone's own frame: each tells it without what it is off."""

@@ -53,7 +53,7 @@ class TeamFlight(DroneFlight):
         if self._pointed is None or now_s - self._pointed.time_s > _TOLD_S:
             self._pointed = self._ground.pointed_at(self._name)
         north, east, _ = add(self._pointed.at(now_s), self.off_n_m)
-        return north, east, -self._mission.target.height_m
+        return north, east, self.off_n_m[2] - self._mission.target.height_m
 
     def _tell_place(self, holder: Holder) -> None:
         now_s = asyncio.get_running_loop().time()

@@ -75,6 +75,7 @@ RIGS: tuple[tuple[str, str], ...] = (
     ("[mission.target]\nnorth_m = 40", "mission.target: 40 m from the origin; mission.guard.fence_radius_m is 25 m"),
     ("[mission.target]\nnorth_m = 20\neast_m = -20", "mission.target: 28.2843 m from the origin"),
     ("[mission]\ntake_off_height_m = 7", "mission.take_off_height_m: 7 m; mission.guard.fence_height_m is 6 m"),
+    ("[mission]\nlevel_ground = true\n[mission.target]\nflies = true", "mission.level_ground: a drone cannot tell its height by a target that flies"),
     ("[mission.follow]\nheight_m = 6.5", "mission.follow.height_m: 6.5 m; mission.guard.fence_height_m is 6 m"),
     ("[mission.guard]\nfence_height_m = 2", "mission.receiver_take_off_height_m: 2.2 m; mission.guard.fence_height_m is 2 m"),
     ("[mission.guard]\nfence_radius_m = 3", "from the origin; mission.guard.fence_radius_m is 3 m"),
