@@ -22,6 +22,7 @@ from path.geometry.transforms import Pose
 from path.messages import Message, Vec3
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
 from path.protocol.values import ReceiverRecord, SenderRecord
+from path.values import value
 
 
 class PartError(Exception):
@@ -146,7 +147,7 @@ class FlightMode(Enum):
 SURE = 2  # messages in a row: then a mode, or that a vehicle is not armed, is more than one packet's word
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class VehicleState:
     """The newest telemetry of a vehicle, one value.
 
@@ -175,7 +176,7 @@ class VehicleState:
     armed_told: int = SURE
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class VelocitySetpoint:
     """Fly this velocity (NED, m/s) with the nose at this yaw (rad, 0 = north, clockwise)."""
 
@@ -325,7 +326,7 @@ class Detector(Protocol):
 # --- link ------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Received:
     message: Message
     arrival_ns: int  # role clock

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from drivers.interfaces import VehicleState, VelocitySetpoint
+from path.values import value
 
 Vec3 = tuple[float, float, float]
 
@@ -72,7 +73,7 @@ def close_in(error_n_m: Vec3, feed_forward_n_mps: Vec3, gain_per_s: float, max_s
     return add(feed_forward_n_mps, limit(scale(error_n_m, gain_per_s), max_speed_mps))
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Answer:
     """The limits within which a vehicle is flown towards a moving point.
 

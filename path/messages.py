@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from path.observations import Box, MissReason
+from path.values import value
 
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]  # wxyz
@@ -22,7 +23,7 @@ class Role(Enum):
     __hash__ = object.__hash__  # Enum's own is a call of Python's for each look into a table
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Target:
     """D1 -> D2: where the target is, in the marker frame (eq. target_virtual)."""
 
@@ -36,7 +37,7 @@ class Target:
     sigma_m: float  # standard deviation of the point
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Candidate:
     """D2 -> D1: the box D2's own detector found (eq. d2_candidate), and the pose it used; or why there is none."""
 
@@ -53,7 +54,7 @@ class Candidate:
     sigma_m: float  # position standard deviation of T_v_c2
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Status:
     """A drone's state for coarse rendezvous, feed-forward and the console, sent both ways, a few times a second."""
 
@@ -69,7 +70,7 @@ class Status:
     instance: int = 0  # of a receiver its own; of a sender that of the receiver it committed to, 0 for none
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Ping:
     """Clock exchange, first half."""
 
@@ -77,7 +78,7 @@ class Ping:
     sent_ns: int
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Pong:
     """Clock exchange, second half: echoes the ping."""
 

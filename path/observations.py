@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from path.values import value
 
-@dataclass(frozen=True, slots=True)
+
+@value
 class Box:
     """An axis-aligned box ``(x, y, w, h)`` in px; ``x, y`` is the top-left corner, floats allowed."""
 
@@ -35,7 +36,7 @@ def around(boxes: Sequence[Box]) -> Box:
     return Box(x, y, max(each.x + each.w for each in boxes) - x, max(each.y + each.h for each in boxes) - y)
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Region:
     """A part of an image in px: ``x0 <= x < x1``, ``y0 <= y < y1``. May reach beyond the image.
 
@@ -68,7 +69,7 @@ class Region:
         return self.x0 <= u < self.x1 and self.y0 <= v < self.y1
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Detection:
     """A target-like object found in an image. ``score`` in 0..1."""
 
@@ -76,7 +77,7 @@ class Detection:
     score: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class MarkerDetection:
     """One fiducial found in an image.
 
@@ -92,7 +93,7 @@ class MarkerDetection:
     covariance_px2: NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Depth:
     """Robust registered depth over a box. ``z_m`` along the optical axis, ``sigma_m`` its standard deviation."""
 
@@ -126,7 +127,7 @@ class MissReason(Enum):
     NON_FINITE = "non_finite"
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Missed:
     """A frame, or a pair of frames, that does not count, and why.
 

@@ -15,6 +15,7 @@ from typing import Annotated
 from drivers.interfaces import SURE, FlightMode
 from drivers.mavlink.guard.interfaces import GuardView, Hand, Script, Vec3
 from path.bounds import Bounds
+from path.values import value
 
 _FLOWN = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF, FlightMode.HOLD})
 _MOVING = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF})
@@ -78,7 +79,7 @@ class Limits:
     separation_m: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class ProgramBeat:
     """The newest of the role's program; stamps are arrivals on the guard's clock.
 
@@ -120,7 +121,7 @@ _HANDS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class GuardState:
     """The state of the guard.
 

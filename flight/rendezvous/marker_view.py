@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from path.marker.layout import MarkerLayout
 from path.marker.pose import PoseSettings, estimate_pose
 from path.observations import MarkerDetection, Missed, MissReason, Region
 from path.relative_pose.filter import Relative, RelativeFilter, RelativeSettings
+from path.values import value
 
 _ROOM_M, _TURN_RAD = 0.012, 0.1  # around the markers' corners; a plate that is turned by so much more
 _NEAREST_M = 0.1  # a corner that would be nearer is none
@@ -28,7 +28,7 @@ _FIXED_NS = 500_000_000  # fixes older than this do not count towards "seen"
 _EXPECTED_S = 0.15  # after a fix a marker is expected at one place; later it must be searched for
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class MarkerFix:
     """A pose good enough to use, and the corners it came from."""
 
@@ -38,7 +38,7 @@ class MarkerFix:
     detections: Sequence[MarkerDetection]
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class VehicleMotions:
     """The motion of both vehicles as they report it. Stamps are of the receiver's clock."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.observations import Box, Depth, MissReason, Region
 from path.target.rivals import MOST, Rival
+from path.values import value
 
 RIVAL_REACH_M = 0.6
 _BESIDE_M = 1.0  # around the object, what else is told of
@@ -34,7 +34,7 @@ _HELD_S, _LARGER = 5.0, 1.3
 _COARSE_M = 0.12  # a range that is no better is estimated, not measured
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Sighting:
     """The tracked object in one frame.
 

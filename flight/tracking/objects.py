@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from path.camera.model import CameraModel
 from path.observations import Box, Detection
 from path.target.pieces import whole_of
+from path.values import value
 
 Pixel = tuple[float, float]
 
@@ -17,7 +17,7 @@ CUT_SCORE = 0.1  # of a box that the image's border cuts, which detectors score 
 _BORDER_PX = 1.5
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class ImageObject:
     """An object in an image. ``cut``: by the border; ``pixel`` is where its middle must be, and may be outside."""
 

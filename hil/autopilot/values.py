@@ -11,6 +11,7 @@ from drivers.interfaces import FlightMode
 from hil.autopilot.radio import RadioConfig
 from path.bounds import Bounds
 from path.messages import Quat, Vec3
+from path.values import value
 
 HOLD_AT_FENCE, RETURN_AT_FENCE, LAND_AT_FENCE = 2, 3, 5
 
@@ -67,7 +68,7 @@ class AutopilotConfig:
     fence: FenceConfig = field(default_factory=FenceConfig)
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Estimate:
     """The estimator's output. Position (N, E, D) from the mission origin, velocity NED, attitude wxyz body to NED."""
 
@@ -77,7 +78,7 @@ class Estimate:
     q_n_b: Quat
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class RateCommand:
     """A command to the velocity loop.
 

@@ -22,6 +22,7 @@ from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Role
+from path.values import value
 
 T = TypeVar("T")
 
@@ -111,7 +112,7 @@ def timing_of(role: Role, rate_hz: float, phase_s: float | None, latency_s: floa
     return CaptureTiming(rate_hz, phase_s, latency_s)
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Capture(Generic[T]):
     """One picture: when (role clock), which (its index since the loop's time 0), and what came of it."""
 

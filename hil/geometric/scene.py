@@ -17,6 +17,7 @@ from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Role
+from path.values import value
 
 Array = NDArray[np.float64]
 FACES_OF_A_BOX = 6
@@ -66,7 +67,7 @@ NO_DRONE = np.empty((0, 15))
 STILL = Pose(np.eye(3), np.zeros(3))
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Placed:
     """The bodies of one instant before one camera; columns as in ``hil.geometric.kernels``. The other drone is last.
 

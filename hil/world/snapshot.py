@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -11,12 +11,13 @@ import numpy as np
 from hil.world.detector import PERFECT, DetectorConfig
 from path.geometry.transforms import Pose
 from path.messages import Role, Vec3
+from path.values import value
 
 TargetKind = Literal["car", "person", "drone"]
 """The things that can be tracked: a robot car, a person who walks, a micro-UAV."""
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class DroneTruth:
     """``T_w_b``: body FRD to world ENU. ``rotor_phase_rad`` turns the drawn blades."""
 
@@ -30,7 +31,7 @@ class DroneTruth:
         return Pose(self.T_w_b.R, self.T_w_b.t + by_s * np.array(self.velocity_w_mps))
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class ObjectTruth:
     """The target (``object_id`` 0) or a look-alike.
 
@@ -49,7 +50,7 @@ class ObjectTruth:
         return x + by_m * math.cos(self.yaw_rad), y + by_m * math.sin(self.yaw_rad), z + by_s * self.climb_mps
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Snapshot:
     """Everything at one instant. ``kind``: of all objects."""
 

@@ -83,6 +83,7 @@ class CameraModel:
     doubts: tuple[Nine, ...] = ()
     thinning: Thinning | None = None
     max_radius: float = field(init=False, repr=False, compare=False)
+    _hash: int = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
@@ -104,7 +105,12 @@ class CameraModel:
             raise ValueError("doubts: each is nine finite numbers, of fx, fy, cx, cy, k1, k2, p1, p2, k3")
         object.__setattr__(self, "distortion", coefficients)
         object.__setattr__(self, "max_radius", _one_to_one_radius(coefficients))
+        lens = self.width, self.height, self.fx, self.fy, self.cx, self.cy, coefficients, self.doubts
+        object.__setattr__(self, "_hash", hash(lens))
         self._check_invertible()
+
+    def __hash__(self) -> int:
+        return self._hash  # what is made of a camera is looked up by it several times a frame
 
     def _check_invertible(self) -> None:
         if not any(self.distortion):

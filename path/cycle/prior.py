@@ -9,7 +9,6 @@ The pose covariance is (6, 6), translation first (m), then rotation (rad), of ``
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +19,7 @@ from path.geometry.rigid import Rigid
 from path.geometry.transforms import Matrix
 from path.messages import Vec3
 from path.observations import Missed, MissReason, Region
+from path.values import value
 
 TARGET_REACH_M = 0.3
 """From the point that D1 measured, on the side of the target that it sees, to what D2 sees of it, along D2's axis."""
@@ -58,7 +58,7 @@ class Prior(NamedTuple):
         return (vv * du * du - 2.0 * uv * du * dv + uu * dv * dv) / (uu * vv - uv * uv)
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Ray:
     """D1's line of sight to the target: along it the range is uncertain, across it the target is better known.
 

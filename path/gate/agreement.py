@@ -17,9 +17,10 @@ from path.geometry.rigid import Rigid, transform_back
 from path.messages import Candidate, Vec3
 from path.observations import Box, Missed
 from path.timeline import Values
+from path.values import value
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Agreed:
     """A frame pair whose boxes overlap enough.
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
+
+from path.values import value
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Pose:
     """A rigid transform ``T_a_b``: maps coordinates in frame ``b`` to frame ``a``, ``p_a = R p_b + t``.
 

@@ -28,6 +28,7 @@ from path.marker.layout import Marker, MarkerLayout
 from path.marker.pose_kernels import PoseProblem, facing, fit, of_layout
 from path.messages import Vec3
 from path.observations import MarkerDetection, Missed, MissReason
+from path.values import value
 
 Array = NDArray[np.float64]
 
@@ -63,7 +64,7 @@ class PoseSettings:
     max_ambiguity: float = 0.01
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class PoseCandidate:
     """One of the two poses a planar marker may have.
 
@@ -78,7 +79,7 @@ class PoseCandidate:
     likelihood: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class MarkerPose:
     """The pose of ``v`` in the camera.
 

@@ -8,6 +8,7 @@ from enum import Enum
 from typing import Literal
 
 from path.messages import Abort, AbortReason, Accept, Candidate, Commit, Confirm, Message, Target
+from path.values import value
 
 LAST_EPOCH = 65535
 
@@ -136,7 +137,7 @@ class Tick:
     """Time has passed. Due at ``wake_ns`` of a machine at the latest."""
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Heard:
     """A message of the other drone, except Commit and Status (``CommitHeard``, ``PeerStatus``)."""
 
@@ -150,7 +151,7 @@ class AbortRequested:
     reason: AbortReason
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class PeerStatus:
     """The other drone's Status, of a proved stream and while the clocks are aligned.
 
@@ -277,7 +278,7 @@ class Persist:
     record: SenderRecord | ReceiverRecord
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class TakeResponsibility:
     """Responsible from now on: until an instant of the own clock, or for good when there is none.
 

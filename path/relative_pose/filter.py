@@ -22,6 +22,7 @@ from path.geometry.transforms import Matrix, Pose, Vector
 from path.messages import Vec3
 from path.observations import Missed, MissReason
 from path.relative_pose.kernels import Drift, Reports, State, fused, known_by, predicted, velocity
+from path.values import value
 
 FREE_SPEED_MPS, FREE_WALK_MPS = 0.7, 1.0  # of an unreported velocity: its deviation, and its change in a second
 FREE_TURN_RAD = math.radians(5.0)  # of an unreported attitude, in ``wander_s``
@@ -58,7 +59,7 @@ class RelativeSettings:
     coast_s: float = 1.0
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Relative:
     """The marker at an instant.
 

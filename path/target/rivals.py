@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from path.config import MethodConfig
 from path.gate.agreement import TwoViews, plain_box
@@ -22,6 +22,7 @@ from path.messages import Vec3
 from path.observations import Box, Depth
 from path.target.place import back_project, locate
 from path.timeline import Values
+from path.values import value
 
 SAME_M = 0.15
 """Two sightings that are nearer to each other than that are of one object."""
@@ -32,7 +33,7 @@ SEEN_TIMES = 3
 _LEAST_DESCENT = 0.1  # of a line of sight towards the target's level, per metre of depth
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Rival:
     """Another object that looks like the target, as D1 sees it.
 
@@ -43,7 +44,7 @@ class Rival:
     depth: Depth | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class _Beside:
     """One of them against the target in the same frame: pixels of the centre, depth and place in ``v``, in m."""
 

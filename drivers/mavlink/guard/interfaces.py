@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
 from drivers.interfaces import SURE, FlightMode, Part
+from path.values import value
 
 Vec3 = tuple[float, float, float]
 NOWHERE: Vec3 = (math.nan, math.nan, math.nan)
@@ -32,7 +32,7 @@ class Script(Enum):
         return self in (Script.CLIMB, Script.CONTROL, Script.LANDING)
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Beat:
     """One sign of life of a role's program.
 
@@ -57,7 +57,7 @@ class Hand(Enum):
     OTHER = 3  # a pilot, another ground station or the autopilot itself took it: the guard does nothing any more
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class GuardAnswer:
     """The guard's answer to a beat.
 
@@ -73,7 +73,7 @@ class GuardAnswer:
     alarm: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class GuardView:
     """The newest of a vehicle on the guard's own link; stamps are arrivals on the guard's clock.
 
