@@ -71,7 +71,7 @@ class Attempt:
         roll_deg: by which D2's camera is turned about its optical axis on its mount, as both drones know.
         limit_s: after so long without a commit it is a timeout.
         whole: go on until the limit, whatever D1's window says. Otherwise it ends with the commit, or as soon as
-            there can be none any more.
+            there can be none any more, unless more is asked for.
     """
 
     seed: int
@@ -150,7 +150,7 @@ class MonteCarloHandover:
         commit_s: when D1's window was complete; None when it never was.
         right: whether the box that completed the window is of the right object; None without a commit.
         same: whether it is of the object that D1's box was of.
-        misses: number of entries by reason.
+        misses: number of entries by reason, until D1's window had decided.
         simulated_s: how much time was run.
         series: what D1's window was told.
     """
@@ -249,7 +249,8 @@ class HandoverRunner(Protocol):
     def run(self, attempt: Attempt, until: Callable[[Series], bool] | None = None) -> MonteCarloHandover:
         """Through the method itself: ``MarkerView``, ``ReceiverCycle`` and ``SenderCycle``.
 
-        ``until``: asked now and then with the series so far; True ends the attempt.
+        ``until``: asked now and then with the series so far; True ends the attempt. Of one that is not ``whole`` it
+        is asked once D1's window has decided.
         """
         ...
 

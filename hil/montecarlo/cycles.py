@@ -49,10 +49,13 @@ BOTH: tuple[BoxMapping, BoxMapping] = ("center", "corner")
 class CyclesRun:
     """The entries that D1's window was given, and the time that was run.
 
-    ``done``: the pair with which it was complete for the first time; None when it never was.
+    Attributes:
+        decided: how many entries there were when the window had nothing more to decide.
+        done: the pair with which it was complete for the first time; None when it never was.
     """
 
     series: Series
+    decided: int
     done: int | None
     simulated_s: float
 
@@ -67,25 +70,28 @@ def run_cycles(
     """Both cycles from the attempt's beginning until it is decided, or over.
 
     Args:
-        until: asked four times a second with what the gate was told so far; True ends the attempt.
+        until: asked some times a second with what the gate was told so far; True ends the attempt. Of one that is not
+            ``whole`` it is asked once D1's window has decided.
     """
     cycles = _Cycles(setup, believed, method)
     kinds, which, now = setup.events
     events = list(zip(kinds.tolist(), which.tolist(), now.tolist(), strict=True))
     limit_ns, until_s, first = _ns(attempt.limit_s), 0.0, 0
-    step_s = BLOCK_S if until is None else 0.5 * BLOCK_S
+    step_s = 0.5 * BLOCK_S if attempt.whole else BLOCK_S
+    counts, decided = not attempt.whole, 0
     while first < len(events) and until_s < attempt.limit_s:
         until_s = min(until_s + step_s, attempt.limit_s)
         setup.reach(until_s)
         last = int(np.searchsorted(now, _ns(until_s)))
-        if cycles.run(events[first:last], attempt.whole):
+        first += cycles.run(events[first:last], counts)
+        if counts and (cycles.done is not None or cycles.hopeless(_ns(until_s), limit_ns)):
+            counts, decided = False, len(cycles.record)
+            if until is None or until(cycles.record.series):
+                break
+            first += cycles.run(events[first:last], counts)
+        if not counts and until is not None and len(cycles.record) and until(cycles.record.series):
             break
-        if not attempt.whole and cycles.hopeless(_ns(until_s), limit_ns):
-            break
-        if until is not None and len(cycles.record) and until(cycles.record.series):
-            break
-        first = last
-    return CyclesRun(cycles.record.series, cycles.done, until_s)
+    return CyclesRun(cycles.record.series, decided or len(cycles.record), cycles.done, until_s)
 
 
 def _ns(time_s: float) -> int:
@@ -116,16 +122,16 @@ class _Cycles:
         self.record = _Record(TwoViews(camera_1, camera_2, rigid(mount)), method.box_mapping)
         self.done: int | None = None
 
-    def run(self, events: Sequence[tuple[int, int, int]], whole: bool) -> bool:
-        """Runs these events in order. Returns True when the window is complete and nothing after it is asked for."""
+    def run(self, events: Sequence[tuple[int, int, int]], to_done: bool) -> int:
+        """Runs these events in order, ``to_done`` up to the one that completes the window. Returns how many it ran."""
         setup = self._setup
-        for kind, which, now_ns in events:
+        for many, (kind, which, now_ns) in enumerate(events, 1):
             if kind == SENDER_FRAME:
                 self._sender_frame(which, now_ns)
                 if self.done is None and self._window.complete:
                     self.done = self.record.agreed
-                if self.done is not None and not whole:
-                    return True
+                if self.done is not None and to_done:
+                    return many
             elif kind == RECEIVER_FRAME:
                 self._receiver_frame(which)
             elif kind == CANDIDATE_HEARD:
@@ -133,7 +139,7 @@ class _Cycles:
                 self._sender.offer(candidate, candidate.capture_ns, now_ns)
             elif which in self._targets:
                 self._receiver.on_target(self._targets[which], int(setup.seen.stamp_1[which]), now_ns + setup.clock_ns)
-        return False
+        return len(events)
 
     def hopeless(self, now_ns: int, limit_ns: int) -> bool:
         """Returns whether no run can be long enough before the limit: not even one that goes on, or begins now."""

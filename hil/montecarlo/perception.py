@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.camera.capture import Capture
-from hil.geometric.kernels import BOX_COLUMNS, EXTENT_COLUMNS, FRAME_COLUMNS, place
+from hil.geometric.kernels import BOX_COLUMNS, EXTENT_COLUMNS, FRAME_COLUMNS, X0, X1, Y0, Y1, place
 from hil.geometric.perception import GeometricView, Sensor
 from hil.geometric.scene import Placed, parts_of
 from hil.geometric.targets import SEEN_COLUMNS, SHARE, outlines
@@ -65,6 +65,17 @@ def place_frames(first, last, R_b_c, t_b_c, lens, target, drone, flown, boxes, e
         outlines(bodies, bounds, target.shape[0], lens, seen[row, :count])
 
 
+@kernel
+def nearest_outline(seen, ids, u, v):
+    """Returns whose outline has its middle the nearest to a pixel, of those that are visible; NOBODY for none."""
+    best, who = np.inf, NOBODY
+    for k in range(seen.shape[0]):
+        off = math.hypot(0.5 * (seen[k, X0] + seen[k, X1]) - u, 0.5 * (seen[k, Y0] + seen[k, Y1]) - v)
+        if seen[k, SHARE] > 0.0 and off < best:
+            best, who = off, ids[k]
+    return who
+
+
 class HandoverView(GeometricView):
     """A view whose bodies have been placed."""
 
@@ -75,13 +86,7 @@ class HandoverView(GeometricView):
 
     def whose(self, box: Box) -> int:
         """The thing that a box is of: that whose outline is the nearest."""
-        u, v = box.center
-        best, who = math.inf, NOBODY
-        for row, thing in zip(self._outlines.tolist(), self._ids.tolist(), strict=True):
-            off = math.hypot(0.5 * (row[0] + row[2]) - u, 0.5 * (row[1] + row[3]) - v)
-            if row[SHARE] > 0.0 and off < best:
-                best, who = off, thing
-        return who
+        return nearest_outline(self._outlines, self._ids, *box.center)
 
 
 class HandoverCamera:

@@ -54,9 +54,9 @@ class MonteCarloHandovers:
 def _result(attempt: Attempt, setup: HandoverSetup, ran: CyclesRun, method: MethodConfig) -> MonteCarloHandover:
     """Returns the result of an attempt by the paper's gate."""
     series, done = ran.series, ran.done
-    agrees = agreeing(series, method)
-    misses = Counter(REASONS[code].value for code in series.reason[series.kind != PAIR].tolist())
-    low = int(np.sum((series.kind == PAIR) & ~agrees))
+    agrees, pairs = agreeing(series, method)[: ran.decided], series.kind[: ran.decided] == PAIR
+    misses = Counter(REASONS[code].value for code in series.reason[: ran.decided][~pairs].tolist())
+    low = int(np.sum(pairs & ~agrees))
     if low:
         misses[MissReason.LOW_IOU.value] += low
     first = int(np.argmax(agrees)) if agrees.any() else None

@@ -19,6 +19,7 @@ from path.marker.layout import MarkerLayout
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
 from path.messages import Vec3
 from path.observations import MarkerDetection, Missed, MissReason, Region
+from path.values import value
 
 REGION_SIDES = 1.0  # a region around a previous pose reaches this many sides of the markers' outline beyond it
 
@@ -52,7 +53,7 @@ class Gravity:
         return x / length, y / length, z / length
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class LocatedMarker(MarkerPose):
     """A pose, and the markers in the image that it was made from."""
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from missions.report.palette import COUNT, DIM, NEEDED, ROLE
 from missions.trials.handshake.flights import FlightResult
-from missions.trials.handshake.handovers import FAULT_NAMES, GATES, LIMIT_S, HandshakeAttempt
+from missions.trials.handshake.handovers import FAULT_NAMES, GATES, LIMIT_S, HandshakeAttempt, judged_by
 from missions.trials.shared.statistics import wilson
 from path.config import GateKind
 from path.messages import Role
@@ -24,15 +24,15 @@ PAPER_S = (7.20, 7.95)
 def draw_times(
     flown: Mapping[GateKind, Sequence[FlightResult]],
     times: Mapping[GateKind, Sequence[float]],
-    attempts: int,
+    attempts: Mapping[GateKind, int],
     path: Path,
 ) -> None:
-    """``times``: of the commits in so many ``attempts``. Raises OSError when it cannot be written."""
+    """``times``: of the commits in so many ``attempts`` of each gate. Raises OSError when it cannot be written."""
     figure = Figure(figsize=(11.0, 4.2), dpi=110, layout="constrained")
     left, right = figure.subplots(1, 2)
     _missions(left, [each.seconds for each in flown["count"] if each.seconds is not None])
     for gate in GATES:
-        _shares(right, times[gate], attempts, COLOURS[gate], f"Monte-Carlo hand-overs, {NAMES[gate]}")
+        _shares(right, times[gate], attempts[gate], COLOURS[gate], f"Monte-Carlo hand-overs, {NAMES[gate]}")
         own = [each.seconds for each in flown[gate] if each.seconds is not None]
         _shares(right, own, len(flown[gate]), COLOURS[gate], f"missions, {NAMES[gate]}", dashed=True)
     right.set(xlabel="time from the first agreeing pair, s", ylabel="share of all attempts", xlim=(0.0, LIMIT_S))
@@ -70,7 +70,7 @@ def draw_faults(tried: Sequence[HandshakeAttempt], path: Path) -> None:
     axes = figure.subplots()
     rows = np.arange(len(FAULT_NAMES))
     for k, gate in enumerate(GATES):
-        of_fault = [[each.judged[k] for each in tried if each.fault == name] for name in FAULT_NAMES]
+        of_fault = [judged_by([each for each in tried if each.fault == name], gate) for name in FAULT_NAMES]
         counts = [(sum(j.committed for j in judged), len(judged)) for judged in of_fault]
         share = np.array([done / total if total else 0.0 for done, total in counts])
         ends = np.array([wilson(done, total) for done, total in counts])

@@ -96,11 +96,13 @@ def test_what_an_attempt_came_to_is_what_both_gates_say_of_all_of_it() -> None:
         for gate, judged in zip(GATES, tried.judged, strict=True):
             method = replace(METHOD, gate=gate)
             done = tell(series, make_gate(method), method)
+            assert judged is not None
             assert judged.committed == (done is not None)
             if done is not None:
                 first_ns = series.capture_ns[np.argmax(agreeing(series, method))]
                 assert judged.seconds == pytest.approx((series.now_ns[done] - first_ns) * 1e-9, abs=1e-6)
                 assert judged.right == series.right[done]
+        assert tried.judged[0] is not None
         assert (tried.reason == "") == tried.judged[0].committed
 
 
