@@ -73,6 +73,8 @@ class FollowConfig:
     # until the vehicle has answered to 63 % of a new velocity (docs/conformance.md)
     response_s: Annotated[float, Bounds(0.1, 5.0)] = 1.0
     target_accel_mps2: Annotated[float, Bounds(0.0, 10.0)] = 0.6  # how hard the target speeds up, brakes and turns
+    # for so long after the detector found it a target that stands out from what is behind it is followed by its depth
+    carry_s: Annotated[float, Bounds(0.0, 60.0)] = 6.0
 
     def answer(self, accel_mps2: float) -> Answer:
         """Returns the way to fly there with setpoints of that acceleration."""

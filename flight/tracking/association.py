@@ -13,6 +13,7 @@ from flight.config import Designated
 from flight.guidance import Vec3, norm, subtract
 from flight.tracking.objects import CUT_SCORE, MIN_SCORE, ImageObject, Pixel, by_distance, is_cut
 from flight.tracking.ranging import MIN_DESCENT
+from flight.tracking.standing_out import COARSE_M, standing_out
 from flight.tracking.target_track import TargetTrack
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
@@ -31,7 +32,6 @@ _SIDE_PX = 3.0  # noise of a box's side
 # For so long after it was seen whole an object is taken to be in a box that is so much larger than its own was; then
 # what is there may be anything.
 _HELD_S, _LARGER = 5.0, 1.3
-_COARSE_M = 0.12  # a range that is no better is estimated, not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +116,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     A box that the image's border cuts is not the object's: it keeps the track, and the frame is a miss.
     Two boxes that are the object's size together are the object, and not something beside it. A box that has suddenly
     grown has something else in it as well: the object is somewhere in there, and the frame is a miss too.
+    Where no box is, what stands out there by its depth carries the track for a while: a miss all the same.
     """
     predicted_n, sigma_m = track.predict(view.stamp_ns)
     x, y, z = T_n_c.inverse().apply(np.asarray(predicted_n)).tolist()
@@ -132,9 +133,12 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     if not ranked or ranked[0].off_px > px_per_m * gate_m:
         lately = view.stamp_ns - track.whole_ns <= _HELD_S * 1e9
         holder = _holder(ranked, (u, v), side_px) if lately and side_px is not None else None
-        if holder is not None:
-            _bound(track, holder, camera, T_n_c, view.stamp_ns)
-        return MissReason.NO_TARGET if holder is None else MissReason.AMBIGUOUS_TARGET
+        if holder is None:
+            if side_px is not None and track.carriable(view.stamp_ns):
+                _carry(view, T_n_c, camera, track, (u, v), z, side_px, px_per_m * gate_m, ranked)
+            return MissReason.NO_TARGET
+        _bound(track, holder, camera, T_n_c, view.stamp_ns)
+        return MissReason.AMBIGUOUS_TARGET
     chosen = ranked[0]
     if len(ranked) > 1:
         track.note_rival(_nearest_m(ranked, px_per_m), view.stamp_ns)
@@ -176,6 +180,29 @@ def _over_ground(seen: Sighting, camera: CameraModel, T_n_c: Pose, track: Target
     return Sighting(seen.box, bettered(seen.box, seen.depth), beside)
 
 
+def _carry(
+    view: View,
+    T_n_c: Pose,
+    camera: CameraModel,
+    track: TargetTrack,
+    expected: Pixel,
+    z_m: float,
+    side_px: tuple[float, float],
+    reach_px: float,
+    others: Sequence[ImageObject],
+) -> None:
+    """Keeps the track by the depth of what stands where the object is expected, if that is nothing else that is seen."""
+    body = standing_out(view, expected, z_m, side_px, reach_px)
+    if body is None:
+        return
+    (u, v), depth_m = body
+    for box in (each.box for each in others):
+        if box.x <= u <= box.x + box.w and box.y <= v <= box.y + box.h:
+            return
+    x, y = camera.ray(u, v)
+    track.carry(to_local((x * depth_m, y * depth_m, depth_m), T_n_c), view.stamp_ns)
+
+
 def _bound(track: TargetTrack, pixel: Pixel, camera: CameraModel, T_n_c: Pose, stamp_ns: int) -> None:
     """Keeps the track by where the object about is, as high as it was; the velocity learns nothing."""
     bounded = _at_height(pixel, camera, T_n_c, track.position_n_m[2])
@@ -214,7 +241,7 @@ def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: floa
     Args:
         down_m: of the object, when it stands on the ground that the drone measures its own height from.
     """
-    if depth.sigma_m > _COARSE_M:
+    if depth.sigma_m > COARSE_M:
         on_ground = _at_height(box.center, camera, T_n_c, down_m)
         if on_ground is not None:
             return on_ground

@@ -340,7 +340,7 @@ class Receiver:
             session.pilot.guidance = self._follow_target
             self._following = True
         seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
-        unseen_s = (view.stamp_ns - track.seen_ns) * 1e-9
+        unseen_s = (view.stamp_ns - track.stamp_ns) * 1e-9
         session.log.write("/track", view.stamp_ns, track_record(seen))
         if unseen_s > self._config.deadlines.target_coast_s and session.phase is Phase.FOLLOW:
             raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
