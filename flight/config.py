@@ -75,6 +75,10 @@ class FollowConfig:
     target_accel_mps2: Annotated[float, Bounds(0.0, 10.0)] = 0.6  # how hard the target speeds up, brakes and turns
     # for so long after the detector found it a target that stands out from what is behind it is followed by its depth
     carry_s: Annotated[float, Bounds(0.0, 60.0)] = 6.0
+    # after so long without an agreement the sender comes nearer, to this share of its distance: errors of angles then
+    # put the two views less far apart; 1: it does not
+    nearer_after_s: Annotated[float, Bounds(0.0, 600.0)] = 5.0
+    nearer: Annotated[float, Bounds(0.3, 1.0, "of 1")] = 1.0
 
     def answer(self, accel_mps2: float) -> Answer:
         """Returns the way to fly there with setpoints of that acceleration."""
