@@ -131,11 +131,14 @@ class Rendezvous:
 
     def note_seen(self, state: VehicleState, marker_n_m: Vec3) -> None:
         """The marker, from the camera: from here on the sender is where this says, and not where it reports to be."""
+        self._shift_n_m = subtract(marker_n_m, self._reported(state, (0.0, 0.0, 0.0)))
+
+    def _reported(self, state: VehicleState, shift_n_m: Vec3) -> Vec3:
+        """The way from the camera to the marker by reported positions, with the sender's shifted."""
         peer = self._peer()
-        own = from_heading(_vec3(self._mount.T_b_c.t), yaw_of(state.q_n_b))
-        lever = from_heading(_vec3(self._mount.T_b_v.t), peer.yaw_rad)
-        there = subtract(add(add(state.position_n_m, own), marker_n_m), lever)
-        self._shift_n_m = subtract(there, peer.position_n_m)
+        own = add(state.position_n_m, from_heading(_vec3(self._mount.T_b_c.t), yaw_of(state.q_n_b)))
+        marker = add(peer.position_n_m, from_heading(_vec3(self._mount.T_b_v.t), peer.yaw_rad))
+        return subtract(add(marker, shift_n_m), own)
 
     @property
     def stand_off_m(self) -> float:
@@ -176,10 +179,15 @@ class Rendezvous:
     # --- approach: by the marker alone -----------------------------------------------------------------------------
 
     def to_viewpoint(self, state: VehicleState) -> VelocitySetpoint:
-        """Close in on the planned place; when the marker was not seen for too long, back off to see it again."""
+        """Close in on the planned place; when the marker was not seen for too long, back off to see it again.
+
+        Then it looks to where the marker is by both reported positions, as far as the marker told what they are worth.
+        """
         relative, peer = self._marker.predict(self._now_ns()), self._peer()
         if relative is None:
-            heading = yaw_of(state.q_n_b)
+            heading = (
+                yaw_of(state.q_n_b) if self._shift_n_m is None else bearing(self._reported(state, self._shift_n_m))
+            )
             away = from_heading((-_BACK_OFF_MPS, 0.0, 0.0), heading)
             return VelocitySetpoint(add(peer.velocity_n_mps, away), heading)
         rendezvous = self._config.rendezvous

@@ -131,14 +131,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     ranked = by_distance(found, (u, v), camera, track.size_m, z)
     side_px = None if track.size_m is None else (px_per_m * track.size_m[0], px_per_m * track.size_m[1])
     if not ranked or ranked[0].off_px > px_per_m * gate_m:
-        lately = view.stamp_ns - track.whole_ns <= _HELD_S * 1e9
-        holder = _holder(ranked, (u, v), side_px) if lately and side_px is not None else None
-        if holder is None:
-            if side_px is not None and track.carriable(view.stamp_ns):
-                _carry(view, T_n_c, camera, track, (u, v), z, side_px, px_per_m * gate_m, ranked)
-            return MissReason.NO_TARGET
-        _bound(track, holder, camera, T_n_c, view.stamp_ns)
-        return MissReason.AMBIGUOUS_TARGET
+        return _unfound(view, T_n_c, camera, track, ranked, ((u, v), z), px_per_m * gate_m)
     chosen = ranked[0]
     if len(ranked) > 1:
         track.note_rival(_nearest_m(ranked, px_per_m), view.stamp_ns)
@@ -180,27 +173,38 @@ def _over_ground(seen: Sighting, camera: CameraModel, T_n_c: Pose, track: Target
     return Sighting(seen.box, bettered(seen.box, seen.depth), beside)
 
 
-def _carry(
+def _unfound(
     view: View,
     T_n_c: Pose,
     camera: CameraModel,
     track: TargetTrack,
-    expected: Pixel,
-    z_m: float,
-    side_px: tuple[float, float],
+    ranked: Sequence[ImageObject],
+    expected: tuple[Pixel, float],
     reach_px: float,
-    others: Sequence[ImageObject],
-) -> None:
-    """Keeps the track by the depth of what stands where the object is expected, if that is nothing else that is seen."""
-    body = standing_out(view, expected, z_m, side_px, reach_px)
-    if body is None:
-        return
-    (u, v), depth_m = body
-    for box in (each.box for each in others):
-        if box.x <= u <= box.x + box.w and box.y <= v <= box.y + box.h:
-            return
-    x, y = camera.ray(u, v)
-    track.carry(to_local((x * depth_m, y * depth_m, depth_m), T_n_c), view.stamp_ns)
+) -> MissReason:
+    """Keeps the track, where there is no box of the object's own, by a box around it, or by what stands out there.
+
+    Args:
+        expected: pixel and depth of the object. reach_px: how far from there it may be.
+    """
+    (pixel, z_m), size_m = expected, track.size_m
+    if size_m is None:
+        return MissReason.NO_TARGET
+    side_px = camera.fx / z_m * size_m[0], camera.fx / z_m * size_m[1]
+    lately = view.stamp_ns - track.whole_ns <= _HELD_S * 1e9
+    holder = _holder(ranked, pixel, side_px) if lately else None
+    if holder is not None:
+        _bound(track, holder, camera, T_n_c, view.stamp_ns)
+        return MissReason.AMBIGUOUS_TARGET
+    body = standing_out(view, pixel, z_m, side_px, reach_px) if track.carriable(view.stamp_ns) else None
+    if body is not None and not any(_is_in(body[0], each.box) for each in ranked):  # else it is what has that box
+        (x, y), depth_m = camera.ray(*body[0]), body[1]
+        track.carry(to_local((x * depth_m, y * depth_m, depth_m), T_n_c), view.stamp_ns)
+    return MissReason.NO_TARGET
+
+
+def _is_in(pixel: Pixel, box: Box) -> bool:
+    return box.x <= pixel[0] <= box.x + box.w and box.y <= pixel[1] <= box.y + box.h
 
 
 def _bound(track: TargetTrack, pixel: Pixel, camera: CameraModel, T_n_c: Pose, stamp_ns: int) -> None:
@@ -212,11 +216,9 @@ def _bound(track: TargetTrack, pixel: Pixel, camera: CameraModel, T_n_c: Pose, s
 
 def _holder(ranked: Sequence[ImageObject], expected: Pixel, side_px: tuple[float, float]) -> Pixel | None:
     """The place of the object in a box that it no longer has to itself: one around where it is expected, and larger."""
-    u, v = expected
     for each in ranked:
         box = each.box
-        around = box.x <= u <= box.x + box.w and box.y <= v <= box.y + box.h
-        if around and not each.cut and max(box.w / side_px[0], box.h / side_px[1]) > _LARGER:
+        if _is_in(expected, box) and not each.cut and max(box.w / side_px[0], box.h / side_px[1]) > _LARGER:
             return _within(box, expected, side_px)
     return None
 

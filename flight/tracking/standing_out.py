@@ -1,8 +1,8 @@
 """A body that stands out from what is behind it, by depth alone: it is still there when a detector misses it.
 
 Depth says that something as wide as the tracked object is where that is expected, alone, with nothing at its depth or
-nearer on either side. It does not say what it is: this carries a track between detections, and is no sighting. What lies
-on the ground does not stand out: the ground beside it is as far.
+nearer on either side. It does not say what it is: this carries a track between detections, and is no sighting.
+What lies on the ground does not stand out: the ground beside it is as far.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ STEPS = 5  # samples across the body
 LEAST_PX = 20.0  # side of a box that is asked for depth
 _NARROWEST, _WIDEST = 0.25, 1.4  # of its box's width: a body that is narrower one way than the other turns
 _AROUND = 2  # samples on either side, beyond where the body may be
-
 
 
 def standing_out(
@@ -51,7 +50,7 @@ def standing_out(
     if not body:
         return None
     first, last = body[0], body[-1]
-    alone = len(body) == last - first + 1 and 0 < first and last < len(depths) - 1
+    alone = len(body) == last - first + 1 and first > 0 and last < len(depths) - 1
     middle = 0.5 * (columns[first] + columns[last])
     if not (alone and _NARROWEST <= len(body) * step / wide <= _WIDEST and abs(middle - expected[0]) <= reach_px):
         return None

@@ -59,7 +59,7 @@ _ABLE_S = 0.5
 _REPLAN_S = 0.5
 _PEER_POLL_S = 0.25
 _LOOK_S = 0.05
-_FINDING = (Phase.STAND_OFF, Phase.SEARCH, Phase.APPROACH)
+_RELATIVE = (Phase.STAND_OFF, Phase.SEARCH, Phase.APPROACH, Phase.VERIFY)
 
 
 class Receiver:
@@ -314,7 +314,7 @@ class Receiver:
             distance_m = norm(relative.marker_n_m)
             session.note_separation(distance_m)
             check_separation(distance_m, self._config.separation.minimum_m)
-            if session.phase in _FINDING:
+            if session.phase in _RELATIVE:
                 self._rendezvous.note_seen(session.vehicle.state, relative.marker_n_m)
         unseen_s = self._marker.unseen_s(stamp_ns)
         if session.phase is Phase.VERIFY and unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:
