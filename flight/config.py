@@ -77,7 +77,7 @@ class FollowConfig:
     carry_s: Annotated[float, Bounds(0.0, 60.0)] = 6.0
     # after so long without an agreement the sender comes nearer, to this share of its distance: errors of angles then
     # put the two views less far apart; 1: it does not
-    nearer_after_s: Annotated[float, Bounds(0.0, 600.0)] = 2.0
+    nearer_after_s: Annotated[float, Bounds(0.0, 600.0)] = 0.5
     nearer: Annotated[float, Bounds(0.3, 1.0, "of 1")] = 1.0
 
     def answer(self, accel_mps2: float) -> Answer:

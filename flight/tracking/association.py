@@ -13,7 +13,7 @@ from flight.config import Designated
 from flight.guidance import Vec3, norm, subtract
 from flight.tracking.objects import CUT_SCORE, MIN_SCORE, ImageObject, Pixel, by_distance, is_cut
 from flight.tracking.ranging import MIN_DESCENT
-from flight.tracking.standing_out import COARSE_M, standing_out
+from flight.tracking.standing_out import standing_out
 from flight.tracking.target_track import TargetTrack
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
@@ -32,6 +32,7 @@ _SIDE_PX = 3.0  # noise of a box's side
 # For so long after it was seen whole an object is taken to be in a box that is so much larger than its own was; then
 # what is there may be anything.
 _HELD_S, _LARGER = 5.0, 1.3
+_COARSE_M = 0.12  # a range that is no better is estimated, not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +244,7 @@ def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: floa
     Args:
         down_m: of the object, when it stands on the ground that the drone measures its own height from.
     """
-    if depth.sigma_m > COARSE_M:
+    if depth.sigma_m > _COARSE_M:
         on_ground = _at_height(box.center, camera, T_n_c, down_m)
         if on_ground is not None:
             return on_ground

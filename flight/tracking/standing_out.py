@@ -15,7 +15,7 @@ from flight.tracking.objects import Pixel
 from path.observations import Box
 
 NEAR_M = 0.4  # of the expected depth: the body's, which leans across the depths of a view from above
-COARSE_M = 0.12  # a range that is no better is estimated, not measured
+ESTIMATED_M = 0.3  # a depth that is no better is of a size, and of nothing at the sample
 ABOVE = 0.15  # of the body's height in the image, above its middle: there a person is in one piece, and wide
 STEPS = 5  # samples across the body
 LEAST_PX = 20.0  # side of a box that is asked for depth
@@ -60,4 +60,4 @@ def standing_out(
 def _depth(view: View, box: Box) -> float:
     """The depth of a sample; infinity where the camera gives none, as of what is far."""
     depth = view.depth(box)
-    return math.inf if depth is None or depth.sigma_m > COARSE_M else depth.z_m
+    return math.inf if depth is None or depth.sigma_m > ESTIMATED_M else depth.z_m

@@ -50,7 +50,7 @@ from path.observations import Missed, MissReason
 
 _PEER_POLL_S = 0.25
 _WIDER = 1.4  # times the distance, to see it again
-_NEARER_PER_S = 0.15  # of the distance
+_NEARER_PER_S = 0.25  # of the distance
 _LANDING_MPS = 0.5  # so slowly it may come down
 _FARTHEST = 2.0  # times the usual way out, for a target that could come there
 
