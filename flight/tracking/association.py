@@ -13,7 +13,7 @@ from flight.config import Designated
 from flight.guidance import Vec3, norm, subtract
 from flight.tracking.objects import CUT_SCORE, MIN_SCORE, ImageObject, Pixel, by_distance, is_cut
 from flight.tracking.ranging import MIN_DESCENT
-from flight.tracking.standing_out import standing_out
+from flight.tracking.standing_out import ABOVE, standing_out
 from flight.tracking.target_track import TargetTrack
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
@@ -197,11 +197,24 @@ def _unfound(
     if holder is not None:
         _bound(track, holder, camera, T_n_c, view.stamp_ns)
         return MissReason.AMBIGUOUS_TARGET
-    body = standing_out(view, pixel, z_m, side_px, reach_px) if track.carriable(view.stamp_ns) else None
+    body = None
+    if track.carriable(view.stamp_ns):
+        row = pixel[1] - ABOVE * side_px[1]
+        (x, y), (x_row, y_row) = camera.ray(*pixel), camera.ray(pixel[0], row)
+        # an upright body is as far along the ground in the row above its middle, and not as deep in a view from above
+        along, along_row = _level(T_n_c, (x, y, 1.0)), _level(T_n_c, (x_row, y_row, 1.0))
+        if along_row > MIN_DESCENT:
+            body = standing_out(view, (pixel[0], row), z_m * along / along_row, side_px[0], reach_px)
     if body is not None and not any(_is_in(body[0], each.box) for each in ranked):  # else it is what has that box
         (x, y), depth_m = camera.ray(*body[0]), body[1]
         track.carry(to_local((x * depth_m, y * depth_m, depth_m), T_n_c), view.stamp_ns)
     return MissReason.NO_TARGET
+
+
+def _level(T_n_c: Pose, ray_c: Vec3) -> float:
+    """The part of a ray that is along the ground."""
+    north, east, _ = (T_n_c.R @ ray_c).tolist()
+    return math.hypot(north, east)
 
 
 def _is_in(pixel: Pixel, box: Box) -> bool:

@@ -23,23 +23,20 @@ _NARROWEST, _WIDEST = 0.25, 1.4  # of its box's width: a body that is narrower o
 _AROUND = 2  # samples on either side, beyond where the body may be
 
 
-def standing_out(
-    view: View, expected: Pixel, z_m: float, sides_px: tuple[float, float], reach_px: float
-) -> tuple[Pixel, float] | None:
-    """A pixel of the one body near an expected pixel, in its middle from left to right, and the depth there.
+def standing_out(view: View, expected: Pixel, z_m: float, wide: float, reach_px: float) -> tuple[Pixel, float] | None:
+    """A pixel of the one body in the row of an expected pixel, in its middle from left to right, and the depth there.
 
     None where there is none, or another one near it, or it is not as wide, or what is beside it is not behind it.
 
     Args:
         z_m: depth at which it is expected.
-        sides_px: width and height of its box, when it was seen.
+        wide: width of its box in px, when it was seen.
         reach_px: how far it may be from where it is expected.
     """
-    wide, high = sides_px
     step = wide / STEPS
     if not step > 1.0:
         return None
-    row = expected[1] - ABOVE * high
+    row = expected[1]
     beyond = int((0.5 * wide + reach_px) / step) + _AROUND
     side = max(LEAST_PX, 2.0 * step)
     columns = [expected[0] + k * step for k in range(-beyond, beyond + 1)]

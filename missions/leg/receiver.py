@@ -121,6 +121,8 @@ class Receiver:
 
         session.enter(Phase.FOLLOW, "responsible for the target")
         await asyncio.sleep(config.follow_after_s)
+        unseen = "the target was not seen again"
+        await session.until(self._in_view, deadlines.target_regain_s, Outcome.TARGET_LOST, unseen)
 
     async def _rise(self) -> None:
         """From the ground to where the rendezvous begins."""
@@ -342,7 +344,8 @@ class Receiver:
         seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
         unseen_s = (view.stamp_ns - track.stamp_ns) * 1e-9
         session.log.write("/track", view.stamp_ns, track_record(seen))
-        if unseen_s > self._config.deadlines.target_coast_s and session.phase is Phase.FOLLOW:
+        deadlines = self._config.deadlines
+        if unseen_s > deadlines.target_coast_s + deadlines.target_regain_s and session.phase is Phase.FOLLOW:
             raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
 
     # --- messages ------------------------------------------------------------------------------------------------
@@ -378,6 +381,11 @@ class Receiver:
         session.log.write("/heard_target", now_ns, heard_target_record(target, capture_ns))
         if missed is None:
             self._newest = target
+
+    def _in_view(self) -> bool:
+        """Returns whether the target that it follows was seen within the time that may be coasted."""
+        coast_s, track = self._config.deadlines.target_coast_s, self._track
+        return track is not None and (self._session.now_ns() - track.seen_ns) * 1e-9 <= coast_s
 
     def _able(self) -> bool:
         """Returns whether the target was seen lately, by this drone itself."""

@@ -50,7 +50,6 @@ from path.observations import Missed, MissReason
 
 _PEER_POLL_S = 0.25
 _WIDER = 1.4  # times the distance, to see it again
-_NEARER_PER_S = 0.25  # of the distance
 _LANDING_MPS = 0.5  # so slowly it may come down
 _FARTHEST = 2.0  # times the usual way out, for a target that could come there
 
@@ -76,7 +75,6 @@ class Sender:
         self._cycle: SenderCycle | None = None
         self._receiver_side: float | None = None  # as measured on the marker: -1 left of D1, 1 right
         self._candidates = 0
-        self._verify_ns: int | None = None
         self._way_out: Anchor | None = None
         session.on_message = self._on_message
         session.on_status = self._handover.on_status
@@ -122,7 +120,6 @@ class Sender:
         )
 
         session.enter(Phase.VERIFY)
-        self._verify_ns = session.now_ns()
         await self._handover.until_decided(deadlines.verify_s, self._begin_attempt)
         session.say("handed over")
         session.pilot.guidance = self._leave_watching  # not behind the target: a receiver that died hangs beside it
@@ -203,14 +200,6 @@ class Sender:
             return False
         return (self._session.now_ns() - track.stamp_ns) * 1e-9 > 0.5 * self._config.deadlines.target_coast_s
 
-    def _nearer(self) -> float:
-        """The share of its distance that it keeps: all of it, unless the views have not agreed for long."""
-        keep, begun_ns = self._config.follow, self._verify_ns
-        if begun_ns is None:
-            return 1.0
-        waited_s = (self._session.now_ns() - begun_ns) * 1e-9 - keep.nearer_after_s
-        return max(keep.nearer, 1.0 - _NEARER_PER_S * max(0.0, waited_s))
-
     def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
         """Leads to where the designated place is in view."""
         place = self._view_of(self._designated(self._session.now_ns()).place_n_m)
@@ -226,9 +215,9 @@ class Sender:
 
         However far up a target seems to be, it is below the fence.
         """
-        keep, share = self._config.follow, _WIDER if self._regaining() else self._nearer()
-        below_m = share * (keep.height_m - self._config.target.height_m)
-        place = add(target_n_m, from_heading((-share * keep.behind_m, 0.0, -below_m), self._heading_rad))
+        keep, wider = self._config.follow, _WIDER if self._regaining() else 1.0
+        below_m = wider * (keep.height_m - self._config.target.height_m)
+        place = add(target_n_m, from_heading((-wider * keep.behind_m, 0.0, -below_m), self._heading_rad))
         place = add(place, self._tilt.aim(self._axis_b, self._heading_rad, below_m))
         return within_fence(place, math.inf, self._config.guard.fence_height_m - BELOW_FENCE_M)
 
@@ -292,9 +281,7 @@ class Sender:
         if self._config.level_ground and isinstance(seen, Sighting):
             session.note_height(track.position_n_m[2] + self._config.target.height_m)
         unseen_s, deadlines = (view.stamp_ns - track.stamp_ns) * 1e-9, self._config.deadlines
-        bearable_s = deadlines.target_coast_s
-        if session.phase is not Phase.VERIFY:
-            bearable_s += deadlines.target_regain_s
+        bearable_s = deadlines.target_coast_s + deadlines.target_regain_s
         if unseen_s > bearable_s and not self._handover.handed_over:
             raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
         cycle = self._cycle

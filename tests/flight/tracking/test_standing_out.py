@@ -127,7 +127,7 @@ def test_what_flies_is_not_carried() -> None:
         Upright([walked(1.0, 0.65)]),
         Upright([PLACE], before_m=1.5),
         Upright([]),
-        Upright([PLACE], behind_m=3.7),
+        Upright([PLACE], behind_m=3.4),
         Upright([PLACE, PLACE], [1]),
     ],
     ids=[
@@ -156,8 +156,8 @@ def test_a_range_that_is_only_estimated_shows_nothing() -> None:
             depth = super().depth(box)
             return None if depth is None else Depth(depth.z_m, 0.5)
 
-    sides = CAMERA.fx * WIDE / 3.4, CAMERA.fy * HIGH / 3.4
+    wide = CAMERA.fx * WIDE / 3.4
     (_, z_m) = Upright([PLACE]).boxes()[0]
     expected = Upright([PLACE]).boxes()[0][0].center
-    assert standing_out(Upright([PLACE]), expected, z_m, sides, 60.0) is not None
-    assert standing_out(Estimated([PLACE]), expected, z_m, sides, 60.0) is None
+    assert standing_out(Upright([PLACE]), expected, z_m, wide, 60.0) is not None
+    assert standing_out(Estimated([PLACE]), expected, z_m, wide, 60.0) is None
