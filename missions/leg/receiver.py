@@ -121,8 +121,7 @@ class Receiver:
 
         session.enter(Phase.FOLLOW, "responsible for the target")
         await asyncio.sleep(config.follow_after_s)
-        unseen = "the target was not seen again"
-        await session.until(self._in_view, deadlines.target_regain_s, Outcome.TARGET_LOST, unseen)
+        await session.until(self._in_view, deadlines.target_regain_s, Outcome.TARGET_LOST, "the target was not seen")
 
     async def _rise(self) -> None:
         """From the ground to where the rendezvous begins."""
