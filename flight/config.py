@@ -73,6 +73,8 @@ class FollowConfig:
     # until the vehicle has answered to 63 % of a new velocity (docs/conformance.md)
     response_s: Annotated[float, Bounds(0.1, 5.0)] = 1.0
     target_accel_mps2: Annotated[float, Bounds(0.0, 10.0)] = 0.6  # how hard the target speeds up, brakes and turns
+    # for so long after the detector found it a target that stands out from what is behind it is followed by its depth
+    carry_s: Annotated[float, Bounds(0.0, 60.0)] = 6.0
 
     def answer(self, accel_mps2: float) -> Answer:
         """Returns the way to fly there with setpoints of that acceleration."""
@@ -156,7 +158,9 @@ class Deadlines:
     approach_s: Annotated[float, Bounds(0.1, 3600.0)] = 30.0
     verify_s: Annotated[float, Bounds(0.1, 3600.0)] = 60.0
     target_coast_s: Annotated[float, Bounds(0.0, 60.0)] = 2.0
-    target_regain_s: Annotated[float, Bounds(0.0, 60.0)] = 4.0  # after it, of a sender that nobody verifies with yet
+    target_regain_s: Annotated[float, Bounds(0.0, 60.0)] = (
+        4.0  # after it, to be seen again; nothing is handed over before
+    )
     marker_coast_s: Annotated[float, Bounds(0.0, 60.0)] = 1.0
     marker_regain_s: Annotated[float, Bounds(0.0, 60.0)] = 4.0
     depart_s: Annotated[float, Bounds(0.1, 3600.0)] = 20.0

@@ -26,7 +26,7 @@ _TOO_NEAR_M = 0.15  # above the smallest separation
 _RUSHING_MPS = 0.4  # above the speed of an approach
 _UNCERTAIN = 2.0  # times the largest uncertainty to close in with
 _UNSURE_SHARE = 0.3  # of the speed, while the marker's pose is uncertain
-_BACK_OFF_MPS = 0.25
+_BACK_OFF_MPS, _CLIMB_MPS = 0.25, 0.4
 _SETTLE_S = 1.5  # where it came in to, before it starts to slide
 _COME_IN_MPS = 0.3
 _FINDABLE_PX = 14.0  # of a marker's side: found in nearly every image, at a slant too
@@ -70,6 +70,7 @@ class Rendezvous:
         self._viewpoint: Viewpoint | None = None
         self._search_began_ns = 0
         self._shift_n_m: Vec3 | None = None  # of the sender's reported position, once its marker was measured
+        self._steepness_rad = math.asin(float(mount.T_b_c.R[2, 2]))  # how far below the horizon the camera looks
         self.tilt = Tilt()
 
     @property
@@ -131,11 +132,14 @@ class Rendezvous:
 
     def note_seen(self, state: VehicleState, marker_n_m: Vec3) -> None:
         """The marker, from the camera: from here on the sender is where this says, and not where it reports to be."""
+        self._shift_n_m = subtract(marker_n_m, self._reported(state, (0.0, 0.0, 0.0)))
+
+    def _reported(self, state: VehicleState, shift_n_m: Vec3) -> Vec3:
+        """The way from the camera to the marker by reported positions, with the sender's shifted."""
         peer = self._peer()
-        own = from_heading(_vec3(self._mount.T_b_c.t), yaw_of(state.q_n_b))
-        lever = from_heading(_vec3(self._mount.T_b_v.t), peer.yaw_rad)
-        there = subtract(add(add(state.position_n_m, own), marker_n_m), lever)
-        self._shift_n_m = subtract(there, peer.position_n_m)
+        own = add(state.position_n_m, from_heading(_vec3(self._mount.T_b_c.t), yaw_of(state.q_n_b)))
+        marker = add(peer.position_n_m, from_heading(_vec3(self._mount.T_b_v.t), peer.yaw_rad))
+        return subtract(add(marker, shift_n_m), own)
 
     @property
     def stand_off_m(self) -> float:
@@ -153,7 +157,7 @@ class Rendezvous:
     def _facing_marker(self, distance_m: float) -> tuple[Vec3, float]:
         """The place from which the marker is this far along the camera's axis, and the yaw there."""
         peer = self._peer()
-        steepness = math.asin(float(self._mount.T_b_c.R[2, 2]))  # how far below the horizon the camera looks
+        steepness = self._steepness_rad
         level_m, height_m = distance_m * math.cos(steepness), distance_m * math.sin(steepness)
         normal_b = self._mount.T_b_v.R[:, 2]  # of the plate, in D1's body
         facing = math.hypot(float(normal_b[0]), float(normal_b[1]))
@@ -179,15 +183,31 @@ class Rendezvous:
         """Close in on the planned place; when the marker was not seen for too long, back off to see it again."""
         relative, peer = self._marker.predict(self._now_ns()), self._peer()
         if relative is None:
-            heading = yaw_of(state.q_n_b)
-            away = from_heading((-_BACK_OFF_MPS, 0.0, 0.0), heading)
-            return VelocitySetpoint(add(peer.velocity_n_mps, away), heading)
+            velocity, yaw = self._back_off(state)
+            return VelocitySetpoint(add(peer.velocity_n_mps, velocity), yaw)
         rendezvous = self._config.rendezvous
         sure = relative.sigma_m <= rendezvous.max_position_sigma_m
         speed = rendezvous.max_speed_mps * (1.0 if sure else _UNSURE_SHARE)
         error = self._off_viewpoint(relative.marker_n_m)
         velocity = close_in(error, peer.velocity_n_mps, rendezvous.gain_per_s, speed)
         return VelocitySetpoint(velocity, self._yaw_between(relative.marker_n_m))
+
+    def _back_off(self, state: VehicleState) -> tuple[Vec3, float]:
+        """Away from the sender, relative to it, and the yaw.
+
+        Where the marker has told what reported positions are worth, they say where it is: D2 turns to it, and climbs
+        as long as that is above what its camera has in the middle of the image. It never sinks: that could lead nearer.
+        """
+        heading, climb_mps = yaw_of(state.q_n_b), 0.0
+        if self._shift_n_m is not None:
+            way = self._reported(state, self._shift_n_m)
+            heading = bearing(way)
+            level_m = math.hypot(way[0], way[1])
+            missing_m = level_m * math.tan(self._steepness_rad) - way[2]
+            north, east, down = state.position_n_m
+            room_m = down - self._within_fence((north, east, down - max(0.0, missing_m)))[2]
+            climb_mps = min(_CLIMB_MPS, max(0.0, self._config.rendezvous.gain_per_s * room_m))
+        return from_heading((-_BACK_OFF_MPS, 0.0, -climb_mps), heading), heading
 
     def at_viewpoint(self) -> bool:
         """Returns whether the camera is at the viewpoint, and slow."""

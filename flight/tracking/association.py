@@ -12,6 +12,7 @@ from flight.config import Designated
 from flight.guidance import Vec3, norm, subtract
 from flight.tracking.objects import CUT_SCORE, MIN_SCORE, ImageObject, Pixel, by_distance, is_cut
 from flight.tracking.ranging import MIN_DESCENT
+from flight.tracking.standing_out import ABOVE, standing_out
 from flight.tracking.target_track import TargetTrack
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
@@ -116,6 +117,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     A box that the image's border cuts is not the object's: it keeps the track, and the frame is a miss.
     Two boxes that are the object's size together are the object, and not something beside it. A box that has suddenly
     grown has something else in it as well: the object is somewhere in there, and the frame is a miss too.
+    Where no box is, what stands out there by its depth carries the track for a while: a miss all the same.
     """
     predicted_n, sigma_m = track.predict(view.stamp_ns)
     x, y, z = T_n_c.inverse().apply(np.asarray(predicted_n)).tolist()
@@ -130,11 +132,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     ranked = by_distance(found, (u, v), camera, track.size_m, z)
     side_px = None if track.size_m is None else (px_per_m * track.size_m[0], px_per_m * track.size_m[1])
     if not ranked or ranked[0].off_px > px_per_m * gate_m:
-        lately = view.stamp_ns - track.whole_ns <= _HELD_S * 1e9
-        holder = _holder(ranked, (u, v), side_px) if lately and side_px is not None else None
-        if holder is not None:
-            _bound(track, holder, camera, T_n_c, view.stamp_ns)
-        return MissReason.NO_TARGET if holder is None else MissReason.AMBIGUOUS_TARGET
+        return _unfound(view, T_n_c, camera, track, ranked, ((u, v), z), px_per_m * gate_m)
     chosen = ranked[0]
     if len(ranked) > 1:
         track.note_rival(_nearest_m(ranked, px_per_m), view.stamp_ns)
@@ -176,6 +174,53 @@ def _over_ground(seen: Sighting, camera: CameraModel, T_n_c: Pose, track: Target
     return Sighting(seen.box, bettered(seen.box, seen.depth), beside)
 
 
+def _unfound(
+    view: View,
+    T_n_c: Pose,
+    camera: CameraModel,
+    track: TargetTrack,
+    ranked: Sequence[ImageObject],
+    expected: tuple[Pixel, float],
+    reach_px: float,
+) -> MissReason:
+    """Keeps the track, where there is no box of the object's own, by a box around it, or by what stands out there.
+
+    Args:
+        expected: pixel and depth of the object. reach_px: how far from there it may be.
+    """
+    (pixel, z_m), size_m = expected, track.size_m
+    if size_m is None:
+        return MissReason.NO_TARGET
+    side_px = camera.fx / z_m * size_m[0], camera.fx / z_m * size_m[1]
+    lately = view.stamp_ns - track.whole_ns <= _HELD_S * 1e9
+    holder = _holder(ranked, pixel, side_px) if lately else None
+    if holder is not None:
+        _bound(track, holder, camera, T_n_c, view.stamp_ns)
+        return MissReason.AMBIGUOUS_TARGET
+    body = None
+    if track.carriable(view.stamp_ns):
+        row = pixel[1] - ABOVE * side_px[1]
+        (x, y), (x_row, y_row) = camera.ray(*pixel), camera.ray(pixel[0], row)
+        # an upright body is as far along the ground in the row above its middle, and not as deep in a view from above
+        along, along_row = _level(T_n_c, (x, y, 1.0)), _level(T_n_c, (x_row, y_row, 1.0))
+        if along_row > MIN_DESCENT:
+            body = standing_out(view, (pixel[0], row), z_m * along / along_row, side_px[0], reach_px)
+    if body is not None and not any(_is_in(body[0], each.box) for each in ranked):  # else it is what has that box
+        (x, y), depth_m = camera.ray(*body[0]), body[1]
+        track.carry(to_local((x * depth_m, y * depth_m, depth_m), T_n_c), view.stamp_ns)
+    return MissReason.NO_TARGET
+
+
+def _level(T_n_c: Pose, ray_c: Vec3) -> float:
+    """The part of a ray that is along the ground."""
+    north, east, _ = (T_n_c.R @ ray_c).tolist()
+    return math.hypot(north, east)
+
+
+def _is_in(pixel: Pixel, box: Box) -> bool:
+    return box.x <= pixel[0] <= box.x + box.w and box.y <= pixel[1] <= box.y + box.h
+
+
 def _bound(track: TargetTrack, pixel: Pixel, camera: CameraModel, T_n_c: Pose, stamp_ns: int) -> None:
     """Keeps the track by where the object about is, as high as it was; the velocity learns nothing."""
     bounded = _at_height(pixel, camera, T_n_c, track.position_n_m[2])
@@ -185,11 +230,9 @@ def _bound(track: TargetTrack, pixel: Pixel, camera: CameraModel, T_n_c: Pose, s
 
 def _holder(ranked: Sequence[ImageObject], expected: Pixel, side_px: tuple[float, float]) -> Pixel | None:
     """The place of the object in a box that it no longer has to itself: one around where it is expected, and larger."""
-    u, v = expected
     for each in ranked:
         box = each.box
-        around = box.x <= u <= box.x + box.w and box.y <= v <= box.y + box.h
-        if around and not each.cut and max(box.w / side_px[0], box.h / side_px[1]) > _LARGER:
+        if _is_in(expected, box) and not each.cut and max(box.w / side_px[0], box.h / side_px[1]) > _LARGER:
             return _within(box, expected, side_px)
     return None
 

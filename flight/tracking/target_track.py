@@ -20,6 +20,7 @@ RIVAL_S = 3.0  # for so long an object that was seen beside the target is taken 
 FASTEST_SIGMAS = 2.0
 UNSEEN_REACH_M = 2.0  # no object is looked for farther off
 _CUT_SIGMA_M = 0.15  # of the place that such a box gives
+_CARRIED_SIGMA_M = 0.25  # of the place by depth alone: 0.05 m, the same for as long as a miss lasts
 _GROWTH_SIGMA, _GROWN = 0.08, 4.0  # of the logarithm of a box's side, and how many of them are of something else
 
 
@@ -28,7 +29,8 @@ class TargetTrack:
 
     ``accel_mps2``: how hard it may be expected to speed up, brake and turn. ``flies``: it moves up and down too; of one
     that does not, what seems to is its box. ``over_ground``: how well the height from which it is seen is known, where
-    it stands on the ground and that is stated.
+    it stands on the ground and that is stated. ``carry_s``: for so long after it was seen its depth alone carries it.
+    ``stamp_ns`` is of what the track rests on, ``seen_ns`` of the last box.
     """
 
     def __init__(
@@ -39,6 +41,7 @@ class TargetTrack:
         *,
         flies: bool = False,
         over_ground: OverGround | None = None,
+        carry_s: float = 0.0,
     ) -> None:
         self.position_n_m = position_n_m
         self.over_ground = over_ground
@@ -49,6 +52,7 @@ class TargetTrack:
         self.rival_ns = stamp_ns
         self._accel_mps2 = accel_mps2
         self._flies = flies
+        self._carry_ns = round(carry_s * 1e9)
         self._sizes = RunningSize(sure_s=0.0)
         self._pp = 0.3**2
         self._pv = 0.0
@@ -60,7 +64,8 @@ class TargetTrack:
     def of(cls, mission: MissionConfig, position_n_m: Vec3, stamp_ns: int) -> Self:
         """The track of the mission's target, first seen there."""
         accel_mps2, flies = mission.follow.target_accel_mps2, mission.target.flies
-        return cls(position_n_m, stamp_ns, accel_mps2, flies=flies, over_ground=OverGround.of(mission))
+        over_ground, carry_s = OverGround.of(mission), mission.follow.carry_s
+        return cls(position_n_m, stamp_ns, accel_mps2, flies=flies, over_ground=over_ground, carry_s=carry_s)
 
     def predict(self, stamp_ns: int) -> tuple[Vec3, float]:
         """Position (m) and its standard deviation per axis at a stamp, the filter left as it is."""
@@ -121,25 +126,40 @@ class TargetTrack:
     def _rival_known(self, stamp_ns: int) -> bool:
         return stamp_ns - self.rival_ns <= RIVAL_S * 1e9
 
+    def carriable(self, stamp_ns: int) -> bool:
+        """Returns whether depth alone may carry the track at a stamp: its box's size is known, and was seen lately.
+
+        One that flies is not carried: depth along one row of the image does not say how high it is.
+        """
+        return self.size_m is not None and not self._flies and stamp_ns - self.seen_ns <= self._carry_ns
+
     def update(self, measured_n_m: Vec3, stamp_ns: int, *, cut: bool = False) -> None:
         """Fuse one measured position; older stamps than the newest are ignored.
 
         ``cut``: from a box that the image's border cuts, or that has more in it; it bounds the position, and says
         nothing of the velocity.
         """
+        if stamp_ns >= self.stamp_ns:
+            self._fuse(measured_n_m, stamp_ns, _CUT_SIGMA_M if cut else MEASUREMENT_SIGMA_M, moves=not cut)
+            self.seen_ns = stamp_ns
+
+    def carry(self, measured_n_m: Vec3, stamp_ns: int) -> None:
+        """Fuse where the object's depth is, along the ground: it was not seen."""
+        north, east, _ = measured_n_m
+        self._fuse((north, east, self.position_n_m[2]), stamp_ns, _CARRIED_SIGMA_M, moves=True)
+
+    def _fuse(self, measured_n_m: Vec3, stamp_ns: int, sigma_m: float, *, moves: bool) -> None:
         dt = (stamp_ns - self.stamp_ns) * 1e-9
-        if dt < 0.0:
-            return
         q = self._accel_mps2**2
         position = add(self.position_n_m, scale(self.velocity_n_mps, dt))
         pp = self._pp + 2.0 * dt * self._pv + dt * dt * self._vv + q * dt**4 / 4.0
         pv = self._pv + dt * self._vv + q * dt**3 / 2.0
         vv = self._vv + q * dt * dt
-        noise = (_CUT_SIGMA_M if cut else MEASUREMENT_SIGMA_M) ** 2
-        gain_p, gain_v = pp / (pp + noise), 0.0 if cut else pv / (pp + noise)
+        noise = sigma_m**2
+        gain_p, gain_v = pp / (pp + noise), pv / (pp + noise) if moves else 0.0
         innovation = subtract(measured_n_m, position)
         self.position_n_m = add(position, scale(innovation, gain_p))
         north, east, down = add(self.velocity_n_mps, scale(innovation, gain_v))
         self.velocity_n_mps = north, east, down if self._flies else 0.0
         self._pp, self._pv, self._vv = (1.0 - gain_p) * pp, (1.0 - gain_p) * pv, vv - gain_v * pv
-        self.stamp_ns = self.seen_ns = stamp_ns
+        self.stamp_ns = stamp_ns

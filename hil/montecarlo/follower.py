@@ -39,7 +39,7 @@ class Follower:
             if isinstance(found, MissReason):
                 return found
             track = self._track = self._followed(found, view.stamp_ns, time_s)
-        if view.stamp_ns - track.seen_ns > 1e9 * self._mission.deadlines.target_coast_s:
+        if view.stamp_ns - track.stamp_ns > 1e9 * self._mission.deadlines.target_coast_s:
             return MissReason.NO_TARGET  # given up
         return follow(view, T_n_c, self._camera, track)
 

@@ -59,7 +59,7 @@ _ABLE_S = 0.5
 _REPLAN_S = 0.5
 _PEER_POLL_S = 0.25
 _LOOK_S = 0.05
-_FINDING = (Phase.STAND_OFF, Phase.SEARCH, Phase.APPROACH)
+_RELATIVE = (Phase.STAND_OFF, Phase.SEARCH, Phase.APPROACH, Phase.VERIFY)
 
 
 class Receiver:
@@ -121,6 +121,7 @@ class Receiver:
 
         session.enter(Phase.FOLLOW, "responsible for the target")
         await asyncio.sleep(config.follow_after_s)
+        await session.until(self._in_view, deadlines.target_regain_s, Outcome.TARGET_LOST, "the target was not seen")
 
     async def _rise(self) -> None:
         """From the ground to where the rendezvous begins."""
@@ -314,7 +315,7 @@ class Receiver:
             distance_m = norm(relative.marker_n_m)
             session.note_separation(distance_m)
             check_separation(distance_m, self._config.separation.minimum_m)
-            if session.phase in _FINDING:
+            if session.phase in _RELATIVE:
                 self._rendezvous.note_seen(session.vehicle.state, relative.marker_n_m)
         unseen_s = self._marker.unseen_s(stamp_ns)
         if session.phase is Phase.VERIFY and unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:
@@ -340,9 +341,10 @@ class Receiver:
             session.pilot.guidance = self._follow_target
             self._following = True
         seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
-        unseen_s = (view.stamp_ns - track.seen_ns) * 1e-9
+        unseen_s = (view.stamp_ns - track.stamp_ns) * 1e-9
         session.log.write("/track", view.stamp_ns, track_record(seen))
-        if unseen_s > self._config.deadlines.target_coast_s and session.phase is Phase.FOLLOW:
+        deadlines = self._config.deadlines
+        if unseen_s > deadlines.target_coast_s + deadlines.target_regain_s and session.phase is Phase.FOLLOW:
             raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
 
     # --- messages ------------------------------------------------------------------------------------------------
@@ -378,6 +380,11 @@ class Receiver:
         session.log.write("/heard_target", now_ns, heard_target_record(target, capture_ns))
         if missed is None:
             self._newest = target
+
+    def _in_view(self) -> bool:
+        """Returns whether the target that it follows was seen within the time that may be coasted."""
+        coast_s, track = self._config.deadlines.target_coast_s, self._track
+        return track is not None and (self._session.now_ns() - track.seen_ns) * 1e-9 <= coast_s
 
     def _able(self) -> bool:
         """Returns whether the target was seen lately, by this drone itself."""

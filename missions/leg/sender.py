@@ -198,7 +198,7 @@ class Sender:
         track = self._track
         if track is None or not self._may_regain():
             return False
-        return (self._session.now_ns() - track.seen_ns) * 1e-9 > 0.5 * self._config.deadlines.target_coast_s
+        return (self._session.now_ns() - track.stamp_ns) * 1e-9 > 0.5 * self._config.deadlines.target_coast_s
 
     def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
         """Leads to where the designated place is in view."""
@@ -280,10 +280,8 @@ class Sender:
             seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
         if self._config.level_ground and isinstance(seen, Sighting):
             session.note_height(track.position_n_m[2] + self._config.target.height_m)
-        unseen_s, deadlines = (view.stamp_ns - track.seen_ns) * 1e-9, self._config.deadlines
-        bearable_s = deadlines.target_coast_s
-        if session.phase is not Phase.VERIFY:
-            bearable_s += deadlines.target_regain_s
+        unseen_s, deadlines = (view.stamp_ns - track.stamp_ns) * 1e-9, self._config.deadlines
+        bearable_s = deadlines.target_coast_s + deadlines.target_regain_s
         if unseen_s > bearable_s and not self._handover.handed_over:
             raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
         cycle = self._cycle

@@ -78,8 +78,8 @@ class Seen:
         return []
 
     def depth(self, box: Box) -> Depth | None:
-        z_m = next(z for d, z in self.found if d.box == box)
-        return Depth(z_m + float(self.rng.normal(0.0, 0.005)), 0.01)
+        z_m = next((z for d, z in self.found if d.box == box), None)
+        return None if z_m is None else Depth(z_m + float(self.rng.normal(0.0, 0.005)), 0.01)
 
     def image(self) -> NDArray[np.uint8] | None:
         return None

@@ -142,3 +142,24 @@ def test_wherever_the_sender_is_the_receiver_looks_for_it_from_within_the_fence(
         farthest_m, highest_m = max(farthest_m, math.hypot(place[0], place[1])), max(highest_m, -place[2])
     assert farthest_m <= radius_m + 1e-6 and highest_m <= height_m + 1e-6
     assert farthest_m > radius_m - 0.05 or highest_m > height_m - 0.05  # it would have gone farther
+
+
+def test_a_lost_marker_is_looked_for_where_positions_have_it_and_from_as_far_above_as_the_camera_looks_down() -> None:
+    seen = Seen(marker_n_m=(0.6, 0.8, 0.3))
+    guide = rendezvous(MissionConfig(), seen)
+    own = state((-1.0, 0.5, -2.0))
+    before = guide._back_off(own)
+    assert before == (pytest.approx((-0.25, 0.0, 0.0)), pytest.approx(0.0))  # ahead is all it knows
+    guide.note_seen(own, seen.marker_n_m)
+    seen.known = False
+    setpoint = guide.to_viewpoint(own)
+    away, east, down = setpoint.velocity_n_mps
+    assert setpoint.yaw_rad == pytest.approx(math.atan2(0.8, 0.6))
+    assert (away, east) == pytest.approx((-0.25 * 0.6, -0.25 * 0.8))
+    assert -0.4 <= down < -0.3  # 1 m away, and only 0.3 m above the marker
+    seen.marker_n_m = (0.6, 0.8, 1.4)
+    guide.note_seen(own, seen.marker_n_m)
+    assert guide.to_viewpoint(own).velocity_n_mps[2] == 0.0  # never down
+    high = state((-1.0, 0.5, -5.5))
+    guide.note_seen(high, (0.6, 0.8, 0.3))
+    assert guide.to_viewpoint(high).velocity_n_mps[2] == 0.0  # nor through its fence
