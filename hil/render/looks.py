@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from flight.harness.renderer import Imaging
 from hil.render.sensor import SensorNoise
 from hil.world.config import SceneName
 
@@ -82,6 +83,11 @@ class Look:
             depth_sigma_at_1m_m=own.depth_sigma_at_1m_m * self.depth_times,
             depth_hole_rate=min(1.0, own.depth_hole_rate * self.holes_times),
         )
+
+    def imaging(self, own: Imaging) -> Imaging:
+        """The imaging of a camera in this light: its noise."""
+        read, shot = own.read_sigma * self.read_times, own.shot_gain * self.shot_times
+        return replace(own, read_sigma=read, shot_gain=shot)
 
 
 def _sun(azimuth_deg: float, elevation_deg: float, strength: float) -> tuple[float, float, float]:

@@ -11,11 +11,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from flight.harness.measured import MEASURED
+from flight.harness.renderer import Imaging
 from hil.render import edges as edge_pass
 from hil.render import kernels, primitives, sensor
 from hil.render.ground import SCRATCH_ROWS, draw_ground, ground_plane
 from hil.render.kinds import model_of_kind
 from hil.render.looks import LOOKS
+from hil.render.mosaic import MosaicSensor
 from hil.render.overlay import Overlay
 from hil.render.scene import MARKER, Body, drone, flying, marked_drone, standing
 from hil.render.sensor import SensorNoise
@@ -68,10 +71,12 @@ class Renderer:
         noise: SensorNoise | None = None,
         seed: int = 0,
         scene: SceneName = "plain",
+        imaging: Imaging | None = None,
     ) -> None:
         """``T_b_c``: mount of this camera on its drone; ``T_b_v``, ``layout``: the markers on the sender.
 
-        The seed is of the noise, and of what lies about in the scene.
+        The seed is of the noise, and of what lies about in the scene. ``imaging``: one that ``MosaicSensor`` does,
+        instead of the colour's blur and noise in ``noise``.
 
         Raises:
             ValueError: the camera has pixels without a ray.
@@ -80,7 +85,11 @@ class Renderer:
         noise = look.noise(SensorNoise() if noise is None else noise)
         self._kept = None
         if camera.thinning is not None:
-            noise = replace(noise, blur_sigma_px=noise.blur_sigma_px * camera.thinning.of / camera.thinning.kept)
+            finer = camera.thinning.of / camera.thinning.kept
+            noise = replace(noise, blur_sigma_px=noise.blur_sigma_px * finer)
+            imaging = imaging and replace(
+                imaging, blur_sigma_px=imaging.blur_sigma_px * finer, sharpen_sigma_px=imaging.sharpen_sigma_px * finer
+            )
             rows, columns = (camera.thinning.sensor_pixels(n, k) for n, k in ((camera.height, 1), (camera.width, 0)))
             self._kept = np.ix_(rows, columns)
             camera = sensor_of(camera)
@@ -97,6 +106,7 @@ class Renderer:
         rng = np.random.default_rng(sensor.mixed(seed))
         self._color_pool = sensor.noise_pool(rng, height, width, 0.0)
         self._depth_pool = sensor.noise_pool(rng, height, width, noise.depth_correlation_px)
+        self._sensor = None if imaging is None else MosaicSensor(look.imaging(imaging), height, width, self._color_pool)
         self._image = np.empty((3, height, width), np.uint8)
         self._exposed = np.empty((3, height, width), np.uint8)
         self._inverse_z = np.empty((height, width), np.float32)
@@ -170,6 +180,8 @@ class Renderer:
 
     def expose(self, light: NDArray[np.uint8], key: int) -> NDArray[np.uint8]:
         """The camera's image, shape (h, w, 3), BGR, of what ``draw`` gave."""
+        if self._sensor is not None:
+            return self.thinned(self._sensor.image(light, key))
         noise = self.noise
         sensor.expose(
             light,
@@ -314,12 +326,15 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
     camera = CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5)
     down = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
     level = Pose(np.eye(3), np.zeros(3))
-    renderer = Renderer(camera, level, level, single_marker())
+    renderer = Renderer(camera, level, level, single_marker(), imaging=MEASURED)
     drones = {role: DroneTruth(down, (0.0, 0.0, 0.0), 0.0, True) for role in Role}
     snapshot = Snapshot(0.0, drones, (ObjectTruth(0, (0.0, 0.0, 0.0), 0.0, 0.0),))
     for number, stage in enumerate(renderer.stages(snapshot, Role.RECEIVER, 0), 1):
         if progress is not None:
             progress(stage, number, STAGES)
+    Renderer(camera, level, level, single_marker()).render_color(
+        snapshot, Role.RECEIVER, 0
+    )  # an ideal sensor's exposure
 
 
 @lru_cache(maxsize=3)

@@ -98,7 +98,7 @@ def mixed(*values: int) -> int:
 
 
 @inner
-def _blur_row(plane, r, taps, padded, out):
+def blur_row(plane, r, taps, padded, out):
     """One row of a plane, blurred both ways; the image's edge is repeated. ``padded``: float32 (w + 2 reach,)."""
     height, width = plane.shape
     reach = taps.size - 1
@@ -135,7 +135,7 @@ def expose(image, taps, read_sigma, shot_gain, pool, offset_row, offset_column, 
         first_row = (offset_row + k * CHANNEL_STEP) % POOL_MARGIN
         first_column = (offset_column + k * CHANNEL_STEP) % POOL_MARGIN
         for r in range(height):
-            _blur_row(image[k], r, taps, padded, blurred)
+            blur_row(image[k], r, taps, padded, blurred)
             noise = pool[first_row + r, first_column : first_column + width]
             out = exposed[k, r]
             for c in range(width):
