@@ -23,6 +23,7 @@ from hil.camera.pipeline import develop
 from hil.render.mosaic import is_quick
 from hil.render.renderer import Renderer
 from hil.render.sensor import SensorNoise
+from hil.render.shutter import shutter_of
 from hil.world.snapshot import Snapshot
 from path.bounds import Bounds
 from path.camera.model import CameraModel
@@ -69,7 +70,15 @@ class RenderedCamera:
         imaging = config.imaging or true.imaging
         quick = imaging if imaging is not None and is_quick(imaging) else None
         self._renderer = Renderer(
-            true.camera, true.T_b_c, true.T_b_v, true.layout, config.noise, harness.seed, true.scene, quick
+            true.camera,
+            true.T_b_c,
+            true.T_b_v,
+            true.layout,
+            config.noise,
+            harness.seed,
+            true.scene,
+            quick,
+            shutter_of(true.errors),
         )
         self._imaging = None if quick is not None else imaging
         name = f"the {context.role.value}'s rendered camera"

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from flight.harness.renderer import Imaging
 from hil.render.sensor import POOL_MARGIN, POOL_UNIT, blur_row, blur_taps
+from hil.render.shutter import LONGEST_PX, blurred_px
 from path.compiled import kernel
 
 Image = NDArray[np.uint8]
@@ -41,24 +42,30 @@ class MosaicSensor:
         if not is_quick(imaging):
             raise ValueError(f"imaging: {imaging!r} takes more than this sensor does")
         self._imaging, self._pool = imaging, pool
-        self._taps = blur_taps(imaging.blur_sigma_px)
-        self._rows = np.empty((3, width + 2 * self._taps.size), np.float32)
+        most = blur_taps(blurred_px(imaging.blur_sigma_px, LONGEST_PX)).size
+        self._rows = np.empty((3, width + 2 * most), np.float32)
         self._raw = np.empty((height, width), np.uint8)
 
-    def image(self, light: Image, key: int) -> Image:
-        """The image (h, w, 3), BGR, of light (3, h, w) in the order B, G, R; ``key`` selects its noise."""
+    def image(self, light: Image, key: int, smear_px: tuple[float, float] = (0.0, 0.0)) -> Image:
+        """The image (h, w, 3), BGR, of light (3, h, w) in the order B, G, R.
+
+        Args:
+            key: selects its noise.
+            smear_px: motion during the exposure, at most ``LONGEST_PX``: it widens the blur along each axis.
+        """
         own = self._imaging
+        taps, down = (blur_taps(blurred_px(own.blur_sigma_px, length)) for length in smear_px)
         row, column = ((key >> shift) % POOL_MARGIN for shift in (16, 24))
-        mosaic(light, self._taps, own.read_sigma, own.shot_gain, self._pool, row, column, self._rows, self._raw)
+        mosaic(light, taps, down, own.read_sigma, own.shot_gain, self._pool, row, column, self._rows, self._raw)
         color = cv2.demosaicing(self._raw, cv2.COLOR_BayerBG2BGR_EA)  # OpenCV names the pattern by its second row
         return as_yuyv(np.asarray(color, np.uint8), own.sharpen, own.sharpen_sigma_px)
 
 
 @kernel
-def mosaic(light, taps, read_sigma, shot_gain, pool, offset_row, offset_column, rows, raw):
+def mosaic(light, taps, down, read_sigma, shot_gain, pool, offset_row, offset_column, rows, raw):
     """Blurred light with noise, one colour a pixel: R G / G B from the top left corner, into ``raw`` (h, w).
 
-    rows: float32 scratch (3, w + 2 reach or more).
+    taps, down: as in ``blur_row``. rows: float32 scratch (3, w + 2 reach or more).
     """
     height, width = raw.shape
     read2, gain = F(read_sigma * read_sigma / POOL_UNIT**2), F(shot_gain / POOL_UNIT**2)
@@ -66,8 +73,8 @@ def mosaic(light, taps, read_sigma, shot_gain, pool, offset_row, offset_column, 
     top = F(255.0)
     for r in range(height):
         first = 2 if r % 2 == 0 else 1
-        blur_row(light[first], r, taps, padded, even)
-        blur_row(light[first - 1], r, taps, padded, odd)
+        blur_row(light[first], r, taps, down, padded, even)
+        blur_row(light[first - 1], r, taps, down, padded, odd)
         for c in range(width):
             even[c] = odd[c] if c & 1 else even[c]
         noise = pool[offset_row + r, offset_column : offset_column + width]
