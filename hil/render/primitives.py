@@ -128,7 +128,7 @@ def _fill(p0, e1, e2, determinant, pixel, primitive):
 
 @inner
 def _swept(point, sweep):
-    """Where a point (camera frame) is when the row that shows it is read. sweep: see ``add_body``."""
+    """The place of a point (camera frame) when the row that shows it is read. sweep: as in ``add_body``."""
     x, y, z = point
     for _ in range(2):  # its row is where it is by then
         down, radius2 = y / max(z, NEAR_M), (x * x + y * y) / max(z * z, NEAR_M * NEAR_M)

@@ -1,4 +1,4 @@
-"""What moves while a picture is taken: its rows are read one after another, and each is exposed for a while.
+"""The motion while a picture is taken: its rows are read one after another, and each is exposed for a while.
 
 A frame's instant is the middle of the exposure of its middle row. Every corner of a body is drawn where it is when its
 own row is read, straight on with its velocity and turn, and what lies between corners in between. The ground is drawn
