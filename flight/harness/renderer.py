@@ -80,7 +80,7 @@ class Imaging:
     """A camera's imaging of the light it gets. The default is a sensor that is linear and uncompressed.
 
     What is done comes in this order: blur, motion, exposure, mosaic, noise, interpolation of the mosaic, gamma,
-    sharpening, 8 bit, compression.
+    sharpening, 8 bit, YUYV, compression.
 
     Attributes:
         blur_sigma_px: Gaussian blur of the optics.
@@ -92,6 +92,8 @@ class Imaging:
         sharpen, sharpen_sigma_px: unsharp mask: share of the difference to the blurred image that is added.
         jpeg_quality: 1..100, None for no JPEG.
         h264_crf: 0..51 constant rate factor, None for no H.264.
+        yuyv: delivered as YUYV, colour at half the width, as USB cameras do without compression; the sharpening is of
+            brightness alone.
 
     Raises:
         ValueError: naming the field that cannot be right.
@@ -108,6 +110,7 @@ class Imaging:
     sharpen_sigma_px: Annotated[float, Bounds(1e-3, 20.0)] = 1.0
     jpeg_quality: Annotated[int | None, Bounds(1, 100, "(a quality)")] = None
     h264_crf: Annotated[int | None, Bounds(0, 51, "(a rate factor)")] = None
+    yuyv: bool = False
 
     def __post_init__(self) -> None:
         for name, why in out_of_bounds(self):

@@ -15,7 +15,8 @@ from typing import Generic, Protocol, TypeVar
 
 from drivers.interfaces import CameraError, Clock
 from drivers.rig.parts import PartContext
-from hil.world.config import SceneName, scene_of
+from flight.harness.renderer import Imaging
+from hil.world.config import SceneName, imaging_of, scene_of
 from hil.world.errors import Built, SensorErrors, StampErrors
 from hil.world.snapshot import Snapshot
 from path.camera.model import CameraModel
@@ -64,7 +65,7 @@ class SensorHarness(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class TrueCamera:
-    """A role's camera and what it looks at, as they truly are."""
+    """A role's camera and what it looks at, as they truly are. ``imaging``: None for an ideal sensor."""
 
     camera: CameraModel
     T_b_c: Pose
@@ -72,6 +73,7 @@ class TrueCamera:
     layout: MarkerLayout
     errors: SensorErrors
     scene: SceneName = "plain"
+    imaging: Imaging | None = None
 
 
 def true_camera(context: PartContext, built: Built | None) -> TrueCamera:
@@ -81,7 +83,8 @@ def true_camera(context: PartContext, built: Built | None) -> TrueCamera:
         return TrueCamera(context.camera, mount.T_b_c, mount.T_b_v, context.layout, SensorErrors())
     own = built.rig.role(context.role)
     mounts, sensors = own.mount, built.sensors[context.role]
-    return TrueCamera(own.camera, mounts.T_b_c, mounts.T_b_v, built.rig.layout, sensors, scene_of(built.rig))
+    scene, imaging = scene_of(built.rig), imaging_of(built.rig)
+    return TrueCamera(own.camera, mounts.T_b_c, mounts.T_b_v, built.rig.layout, sensors, scene, imaging)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from flight.harness.renderer import (
     Thing,
 )
 from hil.camera.pipeline import develop, is_plain
+from hil.render.mosaic import is_quick
 from hil.render.people import person
 from hil.render.prints import marker_print
 from hil.render.renderer import Renderer
@@ -48,7 +49,9 @@ class CameraRenderer:
         self._setup = setup
         self._seed = seed
         noise = _sensor_noise(setup.imaging, setup.depth)
-        self._renderer = Renderer(setup.camera, setup.T_b_c, setup.T_b_v, setup.layout, noise, seed)
+        quick = setup.imaging if is_quick(setup.imaging) else None
+        self._direct = quick is not None or is_plain(setup.imaging)
+        self._renderer = Renderer(setup.camera, setup.T_b_c, setup.T_b_v, setup.layout, noise, seed, imaging=quick)
         self._blank = marked_drone(setup.T_b_v, setup.layout, hidden=True)
         self._marked: dict[int, Model] = {}
 
@@ -57,7 +60,7 @@ class CameraRenderer:
         key = self._renderer.key(role, shot_seed)
         light, depth = self._renderer.draw(stage.T_w_b[role], self._bodies(stage, role, key % LIGHTS), key)
         kept = self._renderer.thinned(depth)
-        if is_plain(self._setup.imaging):
+        if self._direct:
             return Shot(self._renderer.expose(light, key), kept)
         return Shot(self._renderer.thinned(develop(light, self._setup.imaging, np.random.default_rng(key))), kept)
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flight.harness.renderer import Imaging
+from hil.render.mosaic import as_yuyv
 
 Light = NDArray[np.float32]  # (h, w, 3) in the order B, G, R
 Image = NDArray[np.uint8]  # (h, w, 3) BGR
@@ -106,10 +107,13 @@ def _interpolated(raw: Light) -> Light:
 
 
 def process(measured: Light, imaging: Imaging) -> Image:
-    """Gamma, sharpening and 8 bit, of 0..255."""
+    """Gamma, sharpening, 8 bit and YUYV, of 0..255."""
     image = measured
     if imaging.gamma != 1.0:
         image = np.float32(255.0) * cv2.pow(image / np.float32(255.0), 1.0 / imaging.gamma)
+    if imaging.yuyv:
+        plain = (image + np.float32(0.5)).astype(np.uint8)
+        return as_yuyv(plain, imaging.sharpen, imaging.sharpen_sigma_px)
     if imaging.sharpen == 0.0:
         return (image + np.float32(0.5)).astype(np.uint8)
     blurred = cv2.GaussianBlur(image, (0, 0), imaging.sharpen_sigma_px, borderType=cv2.BORDER_REPLICATE)

@@ -20,8 +20,10 @@ from drivers.rig.parts import PartContext
 from flight.harness.renderer import Imaging
 from hil.camera.capture import CaptureTicker, CaptureTiming, SensorHarness, timing_of, true_camera
 from hil.camera.pipeline import develop
+from hil.render.mosaic import is_quick
 from hil.render.renderer import Renderer
 from hil.render.sensor import SensorNoise
+from hil.render.shutter import shutter_of
 from hil.world.snapshot import Snapshot
 from path.bounds import Bounds
 from path.camera.model import CameraModel
@@ -34,7 +36,7 @@ class RenderedCameraConfig:
     """The timing of frames (see ``hil.camera.capture.timing_of``), and the noise of the sensor.
 
     Attributes:
-        imaging: of a measured camera (docs/real.md), instead of the blur and noise of the sensor's colour.
+        imaging: of another camera (docs/real.md) than the world's (``[world.imaging]``).
     """
 
     rate_hz: Annotated[float, Bounds(1.0, 300.0)] = 30.0
@@ -65,10 +67,20 @@ class RenderedCamera:
         self._role = context.role
         true = true_camera(context, harness.built)
         self._errors = true.errors
+        imaging = config.imaging or true.imaging
+        quick = imaging if imaging is not None and is_quick(imaging) else None
         self._renderer = Renderer(
-            true.camera, true.T_b_c, true.T_b_v, true.layout, config.noise, harness.seed, true.scene
+            true.camera,
+            true.T_b_c,
+            true.T_b_v,
+            true.layout,
+            config.noise,
+            harness.seed,
+            true.scene,
+            quick,
+            shutter_of(true.errors),
         )
-        self._imaging = config.imaging
+        self._imaging = None if quick is not None else imaging
         name = f"the {context.role.value}'s rendered camera"
         self._ticker: CaptureTicker[Future[_Image]] = CaptureTicker(
             name, config.timing(context), context.role, context.clock, harness, self._draw

@@ -1,6 +1,6 @@
 """The noise of level ``sim``: how what the real perception gives differs from the geometry, in numbers.
 
-They were measured on rendered frames (640x480, fx 615, the default sensor noise, ``ColorDetector`` and the photometric
+They were measured on rendered frames (640x480, fx 615, the measured camera, ``ColorDetector`` and the photometric
 marker finder as they are by default) by tests/hil/geometric/noise_measurement.py, and a test holds them to that. The
 rare things (an edge that is off, an odd shape, a marker missed, two cars taken for one) last for some frames: on
 rendered frames they go with the geometry, and come back in half to none of the frames when bodies move by 2 mm to 1 cm.
@@ -16,16 +16,16 @@ from hil.geometric.markers import MarkerNoise
 from hil.geometric.targets import TargetNoise
 
 TARGET_NOISE = TargetNoise(
-    bias_left_px=0.14,
-    bias_top_px=0.0,
-    bias_right_px=-0.14,
-    bias_bottom_px=-0.44,
-    edge_sigma_px=0.22,
-    outlier_rate=0.016,
-    outlier_sigma_px=5.6,
+    bias_left_px=0.10,
+    bias_top_px=-0.08,
+    bias_right_px=-0.16,
+    bias_bottom_px=-0.41,
+    edge_sigma_px=0.35,
+    outlier_rate=0.024,
+    outlier_sigma_px=4.9,
     miss_rate=0.0,
-    score=0.887,
-    score_sigma=0.023,
+    score=0.893,
+    score_sigma=0.021,
     odd_rate=0.0005,
     odd_score=0.3,
     merge_contact=0.55,
@@ -40,16 +40,16 @@ TARGET_NOISE = TargetNoise(
 )
 
 DRONE_NOISE = TARGET_NOISE._replace(
-    bias_left_px=-2.57,
-    bias_top_px=-0.56,
-    bias_right_px=1.68,
-    bias_bottom_px=-0.03,
-    edge_sigma_px=1.69,
-    outlier_rate=0.033,
-    outlier_sigma_px=15.3,
-    score=0.896,
-    score_sigma=0.040,
-    odd_rate=0.018,
+    bias_left_px=-3.8,
+    bias_top_px=-1.6,
+    bias_right_px=2.3,
+    bias_bottom_px=0.09,
+    edge_sigma_px=2.2,
+    outlier_rate=0.018,
+    outlier_sigma_px=17.3,
+    score=0.894,
+    score_sigma=0.045,
+    odd_rate=0.032,
 )
 """Of the hull of a micro-UAV. A motor or an arm in its box makes the edge wander, and now and then puts it far off."""
 
@@ -69,14 +69,14 @@ PERSON_NOISE = TARGET_NOISE._replace(
 By tests/hil/geometric/detector_films.py."""
 
 MARKER_NOISE = MarkerNoise(
-    half_side_px=8.0,
-    half_side_per_scale_px=0.66,
-    side_slope_per_px=3.0,
+    half_side_px=10.8,
+    half_side_per_scale_px=0.38,
+    side_slope_per_px=1.27,
     lapse_rate=0.0014,
-    corner_sigma_px2=0.26,
+    corner_sigma_px2=0.80,
     corner_floor_px=0.0,
-    corner_spread=0.31,
-    claimed_factor=1.53,
+    corner_spread=0.15,
+    claimed_factor=0.95,
     coarse_rate=0.001,
     coarse_sigma_px=0.5,
     max_incidence_cos=0.17,

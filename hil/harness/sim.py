@@ -32,7 +32,7 @@ from hil.monitors.scripts import vehicles_of
 from hil.monitors.truth_log import TruthLog
 from hil.monitors.watched_log import WatchedLog
 from hil.world.check import check_world
-from hil.world.config import WorldConfig, scene_of
+from hil.world.config import WorldConfig, drawn_imaging, scene_of
 from hil.world.distances import clearance
 from hil.world.errors import Built, as_built
 from hil.world.estimator import reported
@@ -222,7 +222,7 @@ class _Flight:
             "beyond": tuple(self._monitors.beyond),
             "broken": tuple(self._monitors.broken),
             "figures": self._monitors.leases.figures,
-            "errors": reported(self._rig),
+            "errors": reported(self._rig) | drawn_imaging(self._rig),
             "scene": "" if (scene := scene_of(self._rig)) == "plain" else scene,
         }
 

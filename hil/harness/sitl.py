@@ -23,7 +23,7 @@ from hil.harness.sim import LEG, mission_config
 from hil.monitors.monitors import Monitors
 from hil.vehicle.simulators.process import binary_of
 from hil.world.check import check_world
-from hil.world.config import WorldConfig
+from hil.world.config import WorldConfig, drawn_imaging
 from hil.world.estimator import reported
 from hil.world.faults import Fault, FaultError, parse_faults
 from path.messages import Role
@@ -174,5 +174,5 @@ def report_of(request: FlightRequest, run: RealTimeRun, ending: Ending) -> Fligh
             *finished.get("details", []),
             *(f"the {name}'s program died. {run.died(name)}" for name in dead),
         ],
-        errors=reported(request.rig),
+        errors=reported(request.rig) | drawn_imaging(request.rig),
     )

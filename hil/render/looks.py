@@ -13,8 +13,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from flight.harness.renderer import Imaging
 from hil.render.sensor import SensorNoise
+from hil.render.shutter import Shutter
 from hil.world.config import SceneName
+from hil.world.errors import LONGEST_S
 
 Bgr = tuple[float, float, float]
 GroundKind = Literal["soil", "grass", "gravel", "tarmac", "concrete"]
@@ -50,6 +53,7 @@ class Look:
         veil: grey levels of glare towards the sun; it falls with the angle from it.
         lamps: lamps above, whose reflections the floor shows.
         litter: what lies about, ``pieces`` of it, at places drawn by the seed.
+        exposure_times: exposures as times the camera's.
         read_times, shot_times, depth_times, holes_times: the sensor's noise as times the rig's.
     """
 
@@ -63,6 +67,7 @@ class Look:
     lamps: bool = False
     litter: Litter = "none"
     pieces: int = 0
+    exposure_times: float = 1.0
     read_times: float = 1.0
     shot_times: float = 1.0
     depth_times: float = 1.0
@@ -82,6 +87,15 @@ class Look:
             depth_sigma_at_1m_m=own.depth_sigma_at_1m_m * self.depth_times,
             depth_hole_rate=min(1.0, own.depth_hole_rate * self.holes_times),
         )
+
+    def shutter(self, own: Shutter) -> Shutter:
+        """The exposure that this light asks for."""
+        return replace(own, exposure_s=min(LONGEST_S, own.exposure_s * self.exposure_times))
+
+    def imaging(self, own: Imaging) -> Imaging:
+        """The imaging of a camera in this light: its noise."""
+        read, shot = own.read_sigma * self.read_times, own.shot_gain * self.shot_times
+        return replace(own, read_sigma=read, shot_gain=shot)
 
 
 def _sun(azimuth_deg: float, elevation_deg: float, strength: float) -> tuple[float, float, float]:
@@ -104,7 +118,7 @@ LOOKS: Mapping[SceneName, Look] = {
     "plain": Look(),
     "outdoor-sun": Look(
         _sun(150.0, 55.0, 1.45), "grass", _GRASS, shadow=0.58, penumbra_px=0.8, litter="leaves", pieces=160,
-        depth_times=1.3, holes_times=1.5,
+        exposure_times=0.4, depth_times=1.3, holes_times=1.5,
     ),
     "overcast": Look(
         _sun(0.0, 90.0, 0.55), "gravel", _GRAVEL, (0.92, 0.90, 0.88), shadow=0.12, penumbra_px=9.0, litter="stones",
@@ -116,10 +130,10 @@ LOOKS: Mapping[SceneName, Look] = {
     ),
     "dusk": Look(
         _sun(270.0, 40.0, 0.45), "gravel", _DUSK, (0.42, 0.34, 0.31), shadow=0.10, penumbra_px=12.0, litter="stones",
-        pieces=80, read_times=3.5, shot_times=5.0,
+        pieces=80, exposure_times=2.0, read_times=3.5, shot_times=5.0,
     ),
     "hall": Look(
         _sun(0.0, 90.0, 0.7), "concrete", _HALL, (0.86, 0.92, 0.94), shadow=0.28, penumbra_px=7.0, lamps=True,
-        litter="lines", read_times=1.5, shot_times=1.5,
+        litter="lines", exposure_times=1.5, read_times=1.5, shot_times=1.5,
     ),
 }  # fmt: skip

@@ -126,14 +126,40 @@ def _fill(p0, e1, e2, determinant, pixel, primitive):
             primitive[first + k] *= scale
 
 
+@inner
+def _swept(point, sweep):
+    """The place of a point (camera frame) when the row that shows it is read. sweep: as in ``add_body``."""
+    x, y, z = point
+    for _ in range(2):  # its row is where it is by then
+        down, radius2 = y / max(z, NEAR_M), (x * x + y * y) / max(z * z, NEAR_M * NEAR_M)
+        late = sweep[6] + sweep[7] * down * (1.0 + radius2 * (sweep[9] + radius2 * sweep[10]))
+        late = min(max(late, -sweep[8]), sweep[8])
+        x = point[0] + late * (sweep[0] + sweep[4] * point[2] - sweep[5] * point[1])
+        y = point[1] + late * (sweep[1] + sweep[5] * point[0] - sweep[3] * point[2])
+        z = point[2] + late * (sweep[2] + sweep[3] * point[1] - sweep[4] * point[0])
+    return x, y, z
+
+
+@inner
+def _apart(a, b):
+    return (b[0] - a[0], b[1] - a[1], b[2] - a[2])
+
+
+@inner
+def _sum(a, b):
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
 @kernel
-def add_body(corners, looks, first_table, R, t, sun_c, motion, vehicle, view, primitives, tags, count):
+def add_body(corners, looks, first_table, R, t, sun_c, motion, sweep, vehicle, view, primitives, tags, count):
     """Append the rectangles of one body that may be seen; returns the new count.
 
     corners (n, 9), looks (colors (n, 3), seconds (n, 3), kinds (n,)): as in ``scene.Model``. first_table: index of the
     first table of shades of this body. R (3, 3), t (3,): T_c_body. sun_c (3,): towards the sun. motion (3,): cosine and
-    sine of the blades' angle, and 1 when they turn. vehicle: 1 for what is tracked. view: ``column_x`` (2, w),
-    ``row_y`` (2, h), and the largest size of a pixel on the plane z = 1.
+    sine of the blades' angle, and 1 when they turn. sweep (11,): velocity and rates of the body's points in the camera
+    frame, and when what lies in a direction is read: s from the frame's instant, s for each of y / z, at most so far
+    from it, and the lens's k1 and k2. Each rectangle's corners are where they are then. vehicle: 1 for what is tracked.
+    view: ``column_x`` (2, w), ``row_y`` (2, h), and the largest size of a pixel on the plane z = 1.
     """
     column_x, row_y, pixel = view
     colors, seconds, kinds = looks
@@ -147,6 +173,10 @@ def add_body(corners, looks, first_table, R, t, sun_c, motion, vehicle, view, pr
         p0 = _turned(R, corners, i, 0)
         p0 = (p0[0] + t[0], p0[1] + t[1], p0[2] + t[2])
         e1, e2 = _turned(R, corners, i, 3), _turned(R, corners, i, 6)
+        if sweep[8] > 0.0:
+            right, below = _swept(_sum(p0, e1), sweep), _swept(_sum(p0, e2), sweep)
+            p0 = _swept(p0, sweep)
+            e1, e2 = _apart(p0, right), _apart(p0, below)
         normal = _cross(e1, e2, 1.0)  # away from the viewer
         determinant = p0[0] * normal[0] + p0[1] * normal[1] + p0[2] * normal[2]
         length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)

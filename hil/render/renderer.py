@@ -11,14 +11,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from flight.harness.measured import MEASURED
+from flight.harness.renderer import Imaging
 from hil.render import edges as edge_pass
 from hil.render import kernels, primitives, sensor
 from hil.render.ground import SCRATCH_ROWS, draw_ground, ground_plane
 from hil.render.kinds import model_of_kind
 from hil.render.looks import LOOKS
+from hil.render.mosaic import MosaicSensor
 from hil.render.overlay import Overlay
 from hil.render.scene import MARKER, Body, drone, flying, marked_drone, standing
 from hil.render.sensor import SensorNoise
+from hil.render.shutter import NO_SWEEP, CameraMotion, Shutter, carried, smear_px, sweep
 from hil.render.textures import ground_pyramid
 from hil.world.config import SceneName
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
@@ -68,10 +72,13 @@ class Renderer:
         noise: SensorNoise | None = None,
         seed: int = 0,
         scene: SceneName = "plain",
+        imaging: Imaging | None = None,
+        shutter: Shutter | None = None,
     ) -> None:
         """``T_b_c``: mount of this camera on its drone; ``T_b_v``, ``layout``: the markers on the sender.
 
-        The seed is of the noise, and of what lies about in the scene.
+        The seed is of the noise, and of what lies about in the scene. ``imaging``: one that ``MosaicSensor`` does,
+        instead of the colour's blur and noise in ``noise``. ``shutter``: by default all is taken in one instant.
 
         Raises:
             ValueError: the camera has pixels without a ray.
@@ -80,12 +87,18 @@ class Renderer:
         noise = look.noise(SensorNoise() if noise is None else noise)
         self._kept = None
         if camera.thinning is not None:
-            noise = replace(noise, blur_sigma_px=noise.blur_sigma_px * camera.thinning.of / camera.thinning.kept)
+            finer = camera.thinning.of / camera.thinning.kept
+            noise = replace(noise, blur_sigma_px=noise.blur_sigma_px * finer)
+            imaging = imaging and replace(
+                imaging, blur_sigma_px=imaging.blur_sigma_px * finer, sharpen_sigma_px=imaging.sharpen_sigma_px * finer
+            )
             rows, columns = (camera.thinning.sensor_pixels(n, k) for n, k in ((camera.height, 1), (camera.width, 0)))
             self._kept = np.ix_(rows, columns)
             camera = sensor_of(camera)
         height, width = camera.height, camera.width
-        self._T_b_c = T_b_c
+        self._T_b_c, self._camera = T_b_c, camera
+        self._shutter = None if shutter is None else look.shutter(shutter)
+        self._smear = 0.0, 0.0
         self.seed = seed
         self.noise = noise
         self._lens = lens_of(camera)
@@ -97,6 +110,7 @@ class Renderer:
         rng = np.random.default_rng(sensor.mixed(seed))
         self._color_pool = sensor.noise_pool(rng, height, width, 0.0)
         self._depth_pool = sensor.noise_pool(rng, height, width, noise.depth_correlation_px)
+        self._sensor = None if imaging is None else MosaicSensor(look.imaging(imaging), height, width, self._color_pool)
         self._image = np.empty((3, height, width), np.uint8)
         self._exposed = np.empty((3, height, width), np.uint8)
         self._inverse_z = np.empty((height, width), np.float32)
@@ -118,13 +132,11 @@ class Renderer:
             Colour, shape (h, w, 3), BGR, and depth, shape (h, w), z in millimetres, 0 where there is none.
         """
         key = self.key(role, frame_seed)
-        light, depth = self.draw(
-            snapshot.drones[role].T_w_b,
-            self.bodies(snapshot, role),
-            key,
-            depth_holes=snapshot.depth_holes,
-            unseen=self._unseen(snapshot, role),
-        )
+        bodies, depth = self.bodies(snapshot, role), np.empty(self._inverse_z.shape, np.uint16)
+        seen, unseen = self._motion(snapshot, role), self._unseen(snapshot, role)
+        for _ in self._stages(seen, bodies, key, depth, snapshot.depth_holes, unseen):
+            pass
+        light = self._image
         image = self.expose(light, key) if exposed is None else self.thinned(exposed(light, key))
         return image, self.thinned(depth)
 
@@ -132,7 +144,7 @@ class Renderer:
         """The colour of ``render`` alone."""
         key = self.key(role, frame_seed)
         bodies, unseen = self.bodies(snapshot, role), self._unseen(snapshot, role)
-        for _ in self._stages(self.T_w_c(snapshot, role), bodies, key, None, False, unseen):
+        for _ in self._stages(self._motion(snapshot, role), bodies, key, None, False, unseen):
             pass
         return self.expose(self._image, key)
 
@@ -140,11 +152,16 @@ class Renderer:
         """Returns the pose of the camera of ``role``."""
         return snapshot.drones[role].T_w_b @ self._T_b_c
 
+    def _motion(self, snapshot: Snapshot, role: Role) -> CameraMotion:
+        own = snapshot.drones[role]
+        rates_w = own.T_w_b.R @ np.array(own.rates_b_radps)
+        return carried(own.T_w_b, self._T_b_c, np.array(own.velocity_w_mps), rates_w)
+
     def stages(self, snapshot: Snapshot, role: Role, frame_seed: int) -> Iterator[str]:
         """Do the work of one image, naming every stage before it starts."""
         key, depth = self.key(role, frame_seed), np.empty(self._inverse_z.shape, np.uint16)
-        T_w_c = self.T_w_c(snapshot, role)
-        yield from self._stages(T_w_c, self.bodies(snapshot, role), key, depth, snapshot.depth_holes)
+        seen = self._motion(snapshot, role)
+        yield from self._stages(seen, self.bodies(snapshot, role), key, depth, snapshot.depth_holes)
         yield "exposure"
         self.expose(self._image, key)
 
@@ -164,12 +181,14 @@ class Renderer:
             with its noise. Both have the sensor's size, where the camera leaves out pixels of it: ``thinned``.
         """
         depth = np.empty(self._inverse_z.shape, np.uint16)
-        for _ in self._stages(T_w_b @ self._T_b_c, bodies, key, depth, depth_holes, unseen):
+        for _ in self._stages(CameraMotion(T_w_b @ self._T_b_c), bodies, key, depth, depth_holes, unseen):
             pass
         return self._image, depth
 
     def expose(self, light: NDArray[np.uint8], key: int) -> NDArray[np.uint8]:
         """The camera's image, shape (h, w, 3), BGR, of what ``draw`` gave."""
+        if self._sensor is not None:
+            return self.thinned(self._sensor.image(light, key, self._smear))
         noise = self.noise
         sensor.expose(
             light,
@@ -190,7 +209,7 @@ class Renderer:
 
     def _stages(
         self,
-        T_w_c: Pose,
+        seen: CameraMotion,
         bodies: Sequence[Body],
         key: int,
         depth: NDArray[np.uint16] | None,
@@ -200,6 +219,7 @@ class Renderer:
         """Draw, naming every stage before it starts; leaves the light in ``_image``. No depth where it is None."""
         rays, view, pixel = self._lens.rays, self._lens.view, self._lens.pixel
         x, y, inverse_z, owner, edges, image = *rays[:2], self._inverse_z, self._owner, self._edges, self._image
+        T_w_c = seen.T_w_c
         sun_c = T_w_c.R.T @ self._sun_w
         owner.fill(-1)
         edges.fill(kernels.INTERIOR)
@@ -210,7 +230,11 @@ class Renderer:
         if self._overlay is not None:
             self._overlay.on_ground(T_w_c, [*bodies, *unseen], image)
         yield "primitives"
-        faces, tags, count, looks = set_up(bodies, T_w_c.inverse(), sun_c, view)
+        sweeps = None
+        if self._shutter is not None:
+            sweeps = [sweep(body, seen, self._camera, self._shutter) for body in bodies]
+            self._smear = smear_px(bodies, seen, self._camera, self._shutter)
+        faces, tags, count, looks = set_up(bodies, T_w_c.inverse(), sun_c, view, sweeps)
         order = np.empty(count, np.int64)
         rotors = kernels.order_rotors(faces, tags, count, order)
         yield "visibility"
@@ -239,12 +263,19 @@ class Renderer:
         """Everything that the camera of ``role`` may see: all but its own drone."""
         marked = self._marked[snapshot.marker_hidden]
         drones = [
-            flying(marked if other is Role.SENDER else self._plain, truth.T_w_b, truth.rotor_phase_rad, truth.armed)
-            for other, truth in snapshot.drones.items()
+            replace(
+                flying(marked if other is Role.SENDER else self._plain, own.T_w_b, own.rotor_phase_rad, own.armed),
+                velocity_w=np.array(own.velocity_w_mps),
+                rates_w=own.T_w_b.R @ np.array(own.rates_b_radps),
+            )
+            for other, own in snapshot.drones.items()
             if other is not role
         ]
         return drones + [
-            standing(model_of_kind(snapshot.kind, thing.object_id), thing.position_w_m, thing.yaw_rad)
+            replace(
+                standing(model_of_kind(snapshot.kind, thing.object_id), thing.position_w_m, thing.yaw_rad),
+                velocity_w=np.array(thing.velocity_w_mps),
+            )
             for thing in snapshot.objects
         ]
 
@@ -273,26 +304,34 @@ def pool_offset(key: int, number: int) -> int:
 
 
 def set_up(
-    bodies: Sequence[Body], T_c_w: Pose, sun_c: Array, view: tuple[Array, Array, float]
+    bodies: Sequence[Body],
+    T_c_w: Pose,
+    sun_c: Array,
+    view: tuple[Array, Array, float],
+    sweeps: Sequence[Array] | None = None,
 ) -> tuple[Array, NDArray[np.int64], int, _Looks]:
-    """Primitives of the bodies, nearest body first, and the cells and shades that they show."""
-    placed = [(body, T_c_w @ body.T_w_body) for body in bodies]
+    """Primitives of the bodies, nearest body first, and the cells and shades that they show.
+
+    sweeps: of each body, as ``hil.render.shutter.sweep`` gives it; nothing moves by default.
+    """
+    swept = [NO_SWEEP] * len(bodies) if sweeps is None else sweeps
+    placed = [(body, T_c_w @ body.T_w_body, moved) for body, moved in zip(bodies, swept, strict=True)]
     placed.sort(key=lambda pair: float(pair[1].t @ pair[1].t))
     total = sum(len(body.model.kinds) for body in bodies)
     faces = np.empty((total, primitives.COLUMNS))
     tags = np.empty((total, primitives.TAGS), np.int64)
     count, tables = 0, 0
-    for body, pose in placed:
+    for body, pose, moved in placed:
         model = body.model
         R, t = np.ascontiguousarray(pose.R), np.ascontiguousarray(pose.t)
         looks = model.colors, model.seconds, model.kinds
         count = primitives.add_body(
-            model.corners, looks, tables, R, t, sun_c, body.motion, body.target, view, faces, tags, count
+            model.corners, looks, tables, R, t, sun_c, body.motion, moved, body.target, view, faces, tags, count
         )
         tables += len(model.shades)
     marked = (body.model for body in bodies if np.any(body.model.kinds == MARKER))
     cells, sides = next(((model.cells, model.cells_per_side) for model in marked), _NO_CELLS)
-    shades = _joined([table for body, _ in placed for table in body.model.shades])
+    shades = _joined([table for body, _, _ in placed for table in body.model.shades])
     return faces, tags, int(count), (cells, sides, *shades)
 
 
@@ -314,12 +353,15 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
     camera = CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5)
     down = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
     level = Pose(np.eye(3), np.zeros(3))
-    renderer = Renderer(camera, level, level, single_marker())
+    renderer = Renderer(camera, level, level, single_marker(), imaging=MEASURED)
     drones = {role: DroneTruth(down, (0.0, 0.0, 0.0), 0.0, True) for role in Role}
     snapshot = Snapshot(0.0, drones, (ObjectTruth(0, (0.0, 0.0, 0.0), 0.0, 0.0),))
     for number, stage in enumerate(renderer.stages(snapshot, Role.RECEIVER, 0), 1):
         if progress is not None:
             progress(stage, number, STAGES)
+    Renderer(camera, level, level, single_marker()).render_color(
+        snapshot, Role.RECEIVER, 0
+    )  # an ideal sensor's exposure
 
 
 @lru_cache(maxsize=3)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from itertools import product
 from typing import NamedTuple
@@ -223,12 +223,15 @@ class Body:
     Attributes:
         motion: (3,): cosine and sine of the blades' angle, 1 when they turn.
         target: it is of the kind that is tracked: depth may be missing over it.
+        velocity_w, rates_w: (3,) of its frame's origin, m/s, and about the world's axes, rad/s.
     """
 
     model: Model
     T_w_body: Pose
     motion: Array
     target: bool
+    velocity_w: Array = field(default_factory=lambda: np.zeros(3))
+    rates_w: Array = field(default_factory=lambda: np.zeros(3))
 
 
 def flying(model: Model, T_w_b: Pose, rotor_phase_rad: float, turning: bool) -> Body:

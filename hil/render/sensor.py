@@ -98,16 +98,19 @@ def mixed(*values: int) -> int:
 
 
 @inner
-def _blur_row(plane, r, taps, padded, out):
-    """One row of a plane, blurred both ways; the image's edge is repeated. ``padded``: float32 (w + 2 reach,)."""
+def blur_row(plane, r, taps, down, padded, out):
+    """One row of a plane, blurred both ways; the image's edge is repeated.
+
+    taps, down: along rows and along columns. padded: float32 (w + 2 reach,), of ``taps``.
+    """
     height, width = plane.shape
     reach = taps.size - 1
     middle = padded[reach : reach + width]
-    row, weight = plane[r], taps[0]
+    row, weight = plane[r], down[0]
     for c in range(width):
         middle[c] = weight * F(row[c])
-    for k in range(1, taps.size):
-        above, below, weight = plane[max(r - k, 0)], plane[min(r + k, height - 1)], taps[k]
+    for k in range(1, down.size):
+        above, below, weight = plane[max(r - k, 0)], plane[min(r + k, height - 1)], down[k]
         for c in range(width):
             middle[c] += weight * (F(above[c]) + F(below[c]))
     padded[:reach] = middle[0]
@@ -135,7 +138,7 @@ def expose(image, taps, read_sigma, shot_gain, pool, offset_row, offset_column, 
         first_row = (offset_row + k * CHANNEL_STEP) % POOL_MARGIN
         first_column = (offset_column + k * CHANNEL_STEP) % POOL_MARGIN
         for r in range(height):
-            _blur_row(image[k], r, taps, padded, blurred)
+            blur_row(image[k], r, taps, taps, padded, blurred)
             noise = pool[first_row + r, first_column : first_column + width]
             out = exposed[k, r]
             for c in range(width):

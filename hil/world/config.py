@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, get_args
 
 from drivers.rig.parts import Rig
+from flight.harness.measured import MEASURED
+from flight.harness.renderer import Imaging
 from hil.autopilot.autopilot import AutopilotConfig
 from hil.autopilot.simulator import SimulatorConfig
 from hil.world.detector import DetectorConfig
@@ -19,6 +21,7 @@ from path.messages import Role
 
 SceneName = Literal["plain", "outdoor-sun", "overcast", "low-sun", "dusk", "hall"]
 SCENES: tuple[SceneName, ...] = get_args(SceneName)
+ImagingName = Literal["measured", "ideal"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +84,18 @@ class SceneConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class ImagingConfig:
+    """The ``[world.imaging]`` table of a rig, for levels that draw frames.
+
+    Attributes:
+        name: how the drones' colour cameras make an image: as the one of the D415's family that was measured
+            (``flight.harness.measured``), or as an ideal sensor, with blur and noise alone.
+    """
+
+    name: ImagingName = "measured"
+
+
+@dataclass(frozen=True, slots=True)
 class WorldConfig:
     """The ``[world]`` table of a rig."""
 
@@ -88,6 +103,7 @@ class WorldConfig:
     slow: Annotated[float | None, Bounds(0.02, 1.0, "of a core")] = None
     errors: ErrorsConfig = field(default_factory=ErrorsConfig)
     scene: SceneConfig = field(default_factory=SceneConfig)
+    imaging: ImagingConfig = field(default_factory=ImagingConfig)
     wind: WindConfig = field(default_factory=WindConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     position_offset: PositionOffsetConfig = field(default_factory=PositionOffsetConfig)
@@ -123,3 +139,14 @@ class WorldConfig:
 def scene_of(rig: Rig) -> SceneName:
     """The scene that the cameras of a rig's world see."""
     return rig.world.get("scene", {}).get("name", SceneConfig().name)
+
+
+def imaging_of(rig: Rig) -> Imaging | None:
+    """The imaging of the colour cameras of a rig's world; None for an ideal sensor."""
+    return MEASURED if rig.world.get("imaging", {}).get("name", ImagingConfig().name) == "measured" else None
+
+
+def drawn_imaging(rig: Rig) -> dict[str, str]:
+    """The same as a report has it, beside the errors; nothing where no frames are drawn."""
+    drawn = any("camera" in rig.role(role).perception.options for role in Role)
+    return {"imaging": "ideal" if imaging_of(rig) is None else "measured"} if drawn else {}

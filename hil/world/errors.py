@@ -28,6 +28,7 @@ Generator = np.random.Generator
 
 ErrorLevel = Literal["exact", "careful", "careless"]
 TIMES: Mapping[ErrorLevel, float] = {"exact": 0.0, "careful": 1.0, "careless": 3.0}
+LONGEST_S = 0.02  # of an exposure and of reading a picture out: a period of 50 frames a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +47,9 @@ class ErrorSizes:
         attitude_stamp_s: of a frame's stamp against those of the attitude.
         stamp_jitter_s: of a frame's stamp, new in every frame.
         edge_px: of each edge of a detector's boxes (at level ``sim``; elsewhere there are real detectors).
+        exposure_s, readout_s: of a colour camera, none of them standard deviations: an exposure is drawn evenly from a
+            third to five thirds of it, what lies between first and last row from two thirds to four thirds; neither
+            is longer than ``LONGEST_S``.
         home_m: of the place where a drone was put down, from where the rig says it stands, per axis.
     """
 
@@ -64,6 +68,8 @@ class ErrorSizes:
     attitude_stamp_s: float = 0.005
     stamp_jitter_s: float = 0.002
     edge_px: float = 1.5
+    exposure_s: float = 0.006
+    readout_s: float = 0.015
     home_m: float = 0.05
 
 
@@ -83,6 +89,8 @@ SOURCES: Mapping[str, str] = {
     "attitude_stamp_s": "assumed",
     "stamp_jitter_s": "assumed",
     "edge_px": "assumed: where detectors put an edge is a matter of their training",
+    "exposure_s": "assumed: 2 to 10 ms, from a bright day to a lit room",
+    "readout_s": "assumed: 10 to 20 ms, most of a period of 50 frames a second; three times that is cut to all of it",
     "home_m": "assumed: measured with a tape from where the target's place was measured",
 }
 
@@ -117,6 +125,8 @@ class SensorErrors:
         depth_late_s: the depth is of an instant this much after that of colour.
         stamp_late_s, stamp_jitter_s: a frame's stamp less the instant at which it was taken, and how that varies.
         edges_px: on the left, top, right and bottom edge of the detector's boxes.
+        exposure_s: of a frame; ``readout_s``: from its first row to its last. A frame's instant is the middle of the
+            exposure of its middle row.
         seed: of what is new in every frame.
     """
 
@@ -126,6 +136,8 @@ class SensorErrors:
     stamp_late_s: float = 0.0
     stamp_jitter_s: float = 0.0
     edges_px: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    exposure_s: float = 0.0
+    readout_s: float = 0.0
     seed: int = 0
 
     def measured_mm(self, depth_mm: NDArray[np.uint16]) -> NDArray[np.uint16]:
@@ -233,6 +245,8 @@ def draw_sensor(sizes: ErrorSizes, rng: Generator) -> SensorErrors:
     """Returns the errors of one camera, its depth and its detector for a whole flight."""
     depth, bias, depth_late, stamp_late, *edges = rng.standard_normal(8).tolist()
     left, top, right, bottom = (sizes.edge_px * edge for edge in edges)
+    seed = int(rng.integers(1 << 62))
+    exposure, readout = rng.uniform(-1.0, 1.0, 2).tolist()
     return SensorErrors(
         depth=1.0 + sizes.depth * depth,
         depth_bias_m=sizes.depth_bias_m * bias,
@@ -240,5 +254,7 @@ def draw_sensor(sizes: ErrorSizes, rng: Generator) -> SensorErrors:
         stamp_late_s=sizes.attitude_stamp_s * stamp_late,
         stamp_jitter_s=sizes.stamp_jitter_s,
         edges_px=(left, top, right, bottom),
-        seed=int(rng.integers(1 << 62)),
+        exposure_s=min(LONGEST_S, sizes.exposure_s * (1.0 + 2.0 / 3.0 * exposure)),
+        readout_s=min(LONGEST_S, sizes.readout_s * (1.0 + readout / 3.0)),
+        seed=seed,
     )

@@ -19,12 +19,13 @@ TargetKind = Literal["car", "person", "drone"]
 
 @value
 class DroneTruth:
-    """``T_w_b``: body FRD to world ENU. ``rotor_phase_rad`` turns the drawn blades."""
+    """``T_w_b``: body FRD to world ENU. ``rotor_phase_rad`` turns the drawn blades. ``rates_b_radps``: its turn."""
 
     T_w_b: Pose
     velocity_w_mps: tuple[float, float, float]
     rotor_phase_rad: float
     armed: bool
+    rates_b_radps: Vec3 = (0.0, 0.0, 0.0)
 
     def T_w_b_after(self, by_s: float) -> Pose:
         """Returns the pose some time later or earlier: it moves on with its velocity."""
@@ -46,8 +47,12 @@ class ObjectTruth:
 
     def position_after(self, by_s: float) -> Vec3:
         """Returns the position in ``w`` some time later or earlier: it moves on with its velocity."""
-        (x, y, z), by_m = self.position_w_m, by_s * self.speed_mps
-        return x + by_m * math.cos(self.yaw_rad), y + by_m * math.sin(self.yaw_rad), z + by_s * self.climb_mps
+        (x, y, z), (east, north, up) = self.position_w_m, self.velocity_w_mps
+        return x + by_s * east, y + by_s * north, z + by_s * up
+
+    @property
+    def velocity_w_mps(self) -> Vec3:
+        return self.speed_mps * math.cos(self.yaw_rad), self.speed_mps * math.sin(self.yaw_rad), self.climb_mps
 
 
 @value

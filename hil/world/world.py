@@ -221,7 +221,7 @@ class Fleet(Generic[Name]):
         return [
             DroneTruth(
                 Pose(pose[:9].reshape(3, 3), pose[9:]), (row[4], row[3], -row[5]), row[ROTOR_PHASE],
-                drone.autopilot.armed,
+                drone.autopilot.armed, (row[10], row[11], row[12]),
             )
             for drone, row, pose in zip(drones, states.tolist(), poses, strict=True)
         ]  # fmt: skip

@@ -22,9 +22,11 @@ from hil.camera.shared import SharedCameraWriter
 from hil.link.faulty import ProxySide
 from hil.render.depth import DepthRenderer
 from hil.render.renderer import Renderer
+from hil.render.shutter import shutter_of
 from hil.tello.video import TelloVideo
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.vehicle.messages import MavlinkDrone
+from hil.world.config import imaging_of
 from hil.world.errors import Built, StampErrors
 from hil.world.snapshot import Snapshot
 from path.messages import Role
@@ -54,7 +56,11 @@ class CameraView:
         own = rig.role(role)
         self.errors = built.sensors[role]
         self.role = role
-        self._renderer = Renderer(own.camera, own.mount.T_b_c, own.mount.T_b_v, rig.layout, seed=seed)
+        mount, imaging = own.mount, imaging_of(rig)
+        self._renderer = Renderer(
+            own.camera, mount.T_b_c, mount.T_b_v, rig.layout, seed=seed, imaging=imaging,
+            shutter=shutter_of(self.errors),
+        )  # fmt: skip
         self._depth: DepthRenderer | None = None
         if depth:
             self._depth = DepthRenderer(self._renderer, depth_camera(*depth_size(rig, role)), T_COLOR_DEPTH)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from missions.report.palette import COUNT, DIM, FAULT, MARKER, NEEDED, PRIOR, ROLE, tidy
 from missions.trials.static.methods import METHODS, Method, Results
-from missions.trials.static.report import GOAL_MEAN_M, METHOD_TITLES, SEVEN
+from missions.trials.static.report import GOAL_MEAN_M, HEADLINE, METHOD_TITLES, SEVEN
 from missions.trials.static.stage import CONFIGURATIONS, HEIGHT_M, PLACES_M, Mounts, nominal
 from path.cycle.prior import Prior
 from path.geometry.transforms import Pose
@@ -74,14 +74,14 @@ def draw_configurations(mounts: Mounts, path: Path) -> None:
 
 
 def draw_errors(results: Mapping[str, Mapping[Method, Results]], path: Path) -> None:
-    """Share of the measurements with at most a given error: D2 and target, ideal and realistic camera."""
+    """Share of the measurements with at most a given error: D2 and target, measured and ideal camera."""
     figure = _figure(11.0, 4.6)
     axes = figure.subplots(1, 2, sharey=True)
     for axis, title, field in zip(axes, ("D2's position", "target's position"), ("d2_m", "target_m"), strict=True):
         for method in METHODS:
-            for pipeline, line in (("ideal", "-"), ("realistic", ":")):
+            for pipeline, line in ((HEADLINE, "-"), ("ideal", ":")):
                 errors = getattr(results[pipeline][method], field)[:, SEVEN]
-                label = METHOD_TITLES[method] if pipeline == "ideal" else None
+                label = METHOD_TITLES[method] if pipeline == HEADLINE else None
                 _shares(axis, errors, COLOURS[method], line, label)
         axis.axvline(1e3 * GOAL_MEAN_M, color=DIM, lw=0.8, ls="--")
         axis.set_xscale("log")
@@ -90,7 +90,7 @@ def draw_errors(results: Mapping[str, Mapping[Method, Results]], path: Path) -> 
         axis.set_title(f"{title}, error in mm (line: goal of the mean)", loc="left", fontsize=10)
         axis.grid(alpha=0.25, which="both", lw=0.4)
         tidy(axis)
-    axes[0].set_ylabel("share of measurements\nsolid: ideal, dotted: realistic camera", fontsize=8)
+    axes[0].set_ylabel("share of measurements\nsolid: measured, dotted: ideal camera", fontsize=8)
     axes[1].legend(fontsize=8, loc="lower right")
     _save(figure, path)
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from flight.harness.errors import TrialErrors
+from flight.harness.measured import MEASURED
 from flight.harness.renderer import REALISTIC, REALISTIC_VIDEO, Imaging
 from missions.trials.shared.trial import TrialPicture, TrialRequest, TrialResult, TrialTable
 from missions.trials.static.methods import (
@@ -32,6 +33,7 @@ from missions.trials.static.methods import (
 from missions.trials.static.pictures import draw_configurations, draw_errors, draw_view, incidence
 from missions.trials.static.report import (
     DEFAULT,
+    HEADLINE,
     PIPELINES,
     SEVEN,
     Figures,
@@ -67,10 +69,16 @@ TITLE = "Static accuracy: where D2 and the target are, from one frame, by method
 PAPER = "Receiver-View Projection Consistency"
 NEEDS = ("renderer", "errors")
 
-SESSIONS = {"ideal": 60, "realistic": 60, "realistic_h264": 30}  # H.264 encodes a short stream for every image
-QUICK_SESSIONS = {"ideal": 2, "realistic": 1, "realistic_h264": 1}
+SESSIONS = {
+    "measured": 60,
+    "ideal": 60,
+    "realistic": 60,
+    "realistic_h264": 30,
+}  # H.264 encodes a short stream for every image
+QUICK_SESSIONS = {"measured": 2, "ideal": 1, "realistic": 1, "realistic_h264": 1}
 BLOCK = 10  # sessions of one piece of work
 IMAGING: dict[str, dict[Role, Imaging]] = {
+    HEADLINE: {Role.SENDER: MEASURED, Role.RECEIVER: MEASURED},
     "ideal": {Role.SENDER: Imaging(), Role.RECEIVER: Imaging()},
     "realistic": {Role.SENDER: REALISTIC, Role.RECEIVER: REALISTIC},
     "realistic_h264": {Role.SENDER: REALISTIC, Role.RECEIVER: REALISTIC_VIDEO},  # D1's depth camera is on board
@@ -100,8 +108,8 @@ def run(request: TrialRequest) -> TrialResult:
         name: {method: figures_of(result, request.seed) for method, result in by_method.items()}
         for name, by_method in results.items()
     }
-    configurations = configurations_summary(results["ideal"], *_geometry(mounts, sightings["ideal"]))
-    square = results["ideal"][DEFAULT].d2_m[:, len(CONFIGURATIONS)]
+    configurations = configurations_summary(results[HEADLINE], *_geometry(mounts, sightings[HEADLINE]))
+    square = results[HEADLINE][DEFAULT].d2_m[:, len(CONFIGURATIONS)]
     pictures = _draw(request, mounts, results)
     return TrialResult(
         summary=_summary(figures, configurations, rows, square, sightings),
@@ -114,9 +122,9 @@ def run(request: TrialRequest) -> TrialResult:
 
 
 def _shoot(request: TrialRequest, mounts: Mounts, pipeline: str) -> list[StaticMeasurement]:
-    """All measurements with one camera pipeline; the view beside the seven only with the ideal one."""
+    """All measurements with one camera pipeline; the view beside the seven only with the headline's."""
     sessions = (QUICK_SESSIONS if request.quick else SESSIONS)[pipeline]
-    stands = STANDS if pipeline == "ideal" else CONFIGURATIONS
+    stands = STANDS if pipeline == HEADLINE else CONFIGURATIONS
     renderer = request.part("renderer")
     items = [
         StaticSeries(renderer, mounts, IMAGING[pipeline], request.seed, k, tuple(range(s, min(s + BLOCK, sessions))))
@@ -140,7 +148,7 @@ def _judge(
     count, table = 1 + max(each.session for shots in sightings.values() for each in shots), _table(request)
     drawn = [table.session(session_seed(request.seed, session)) for session in range(count)]
     items = [Judging(sightings[name], mounts, drawn, request.seed, method) for name, method in names]
-    items += [Judging(sightings["ideal"], mounts, drawn, request.seed, DEFAULT, on) for _, _, on in BREAKDOWN]
+    items += [Judging(sightings[HEADLINE], mounts, drawn, request.seed, DEFAULT, on) for _, _, on in BREAKDOWN]
     done = request.work.map("methods", measure, items)
     results: dict[str, dict[Method, Results]] = {name: {} for name in sightings}
     for (name, method), result in zip(names, done, strict=False):
@@ -178,12 +186,13 @@ def _summary(
     }
     return {
         "configurations": configurations,
-        "methods": tables["ideal"]["methods"],
+        "methods": tables[HEADLINE]["methods"],
+        "ideal": tables["ideal"],
         "realistic": tables["realistic"],
         "realistic_h264": tables["realistic_h264"],
         "pipelines": PIPELINES,
         "seen": seen,
-        "sessions": figures["ideal"][DEFAULT].summary()["measurements"] // len(CONFIGURATIONS),
+        "sessions": figures[HEADLINE][DEFAULT].summary()["measurements"] // len(CONFIGURATIONS),
         "sent_mean_m": plain_number(mean(rows[0][2].sent_m[:, SEVEN].ravel())),
         "breakdown": {
             key: {
@@ -254,7 +263,7 @@ def _draw(request: TrialRequest, mounts: Mounts, results: dict[str, dict[Method,
 
 def _draw_view(request: TrialRequest, mounts: Mounts) -> bool:
     """The first session of one configuration; False when there is nothing to show."""
-    shooting = StaticSeries(request.part("renderer"), mounts, IMAGING["ideal"], request.seed, SHOWN, (0,))
+    shooting = StaticSeries(request.part("renderer"), mounts, IMAGING[HEADLINE], request.seed, SHOWN, (0,))
     (sighting,) = shoot(shooting)
     drawn = _table(request).session(session_seed(request.seed, 0))
     errors = errors_of(drawn, mounts, (request.seed, SHOWN, 0), ALL)

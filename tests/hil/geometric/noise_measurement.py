@@ -15,6 +15,7 @@ import numpy as np
 from drivers.detectors.color import ColorDetector, ColorDetectorConfig
 from drivers.interfaces import Frame, View
 from drivers.perception.pixels import PixelView
+from flight.harness.measured import MEASURED
 from hil.camera.capture import Capture
 from hil.geometric.noise import EXACT, ObservationNoise
 from hil.geometric.perception import GeometricView, Sensor
@@ -88,7 +89,7 @@ Perceive = Callable[[Snapshot, Role, int], View]
 def rendered(seed: int, method: MethodConfig | None = None) -> Perceive:
     """The whole perception on rendered frames."""
     detector, method, layout = ColorDetector(ColorDetectorConfig()), method or MethodConfig(), single_marker()
-    renderers = {role: Renderer(CAMERA, T_B_C, T_B_V, layout, seed=seed) for role in Role}
+    renderers = {role: Renderer(CAMERA, T_B_C, T_B_V, layout, seed=seed, imaging=MEASURED) for role in Role}
 
     def perceive(snapshot: Snapshot, role: Role, frame_id: int) -> View:
         color, depth_mm = renderers[role].render(snapshot, role, frame_id)

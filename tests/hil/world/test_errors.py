@@ -11,6 +11,7 @@ import pytest
 from drivers.rig.parts import Rig, with_errors
 from drivers.rig.tables import RigError
 from hil.world.errors import (
+    LONGEST_S,
     SOURCES,
     TIMES,
     ErrorSizes,
@@ -64,6 +65,7 @@ def test_an_exact_world_is_built_as_the_rig_says(rig: Rig) -> None:
         assert np.allclose(true.mount.T_b_c.R, said.mount.T_b_c.R, atol=1e-15)
         sensor = built.sensors[role]
         assert (sensor.depth, sensor.depth_bias_m, sensor.depth_late_s, sensor.stamp_jitter_s) == (1.0, 0.0, 0.0, 0.0)
+        assert (sensor.exposure_s, sensor.readout_s) == (0.0, 0.0)
         assert StampErrors(sensor, 50.0).next_ns() == 0
     assert built.rig.layout.markers[0].side_m == rig.layout.markers[0].side_m
 
@@ -103,6 +105,17 @@ def test_what_is_drawn_has_the_sizes_of_the_table(rig: Rig, level: str) -> None:
     assert spread([each.depth - 1.0 for each in depths]) == pytest.approx(sizes.depth, rel=0.3)
     assert spread([each.depth_bias_m for each in depths]) == pytest.approx(sizes.depth_bias_m, rel=0.3)
     assert spread([each.edges_px for each in depths]) == pytest.approx(sizes.edge_px, rel=0.2)
+
+
+def test_exposure_and_read_out_are_within_their_bounds_and_no_longer_than_a_period(rig: Rig) -> None:
+    for level, exposures_s, readouts_s in (
+        ("careful", (0.002, 0.010), (0.010, 0.020)),
+        ("careless", (0.006, LONGEST_S), (LONGEST_S, LONGEST_S)),
+    ):
+        drawn = [as_built(with_errors(rig, level), seed).sensors[Role.RECEIVER] for seed in SEEDS]
+        assert all(exposures_s[0] <= each.exposure_s <= exposures_s[1] for each in drawn)
+        assert all(readouts_s[0] <= each.readout_s <= readouts_s[1] for each in drawn)
+        assert len({each.exposure_s for each in drawn}) > 3
 
 
 def test_a_lens_is_off_by_as_much_as_the_table_says_in_the_corner(rig: Rig) -> None:
