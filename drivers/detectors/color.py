@@ -107,7 +107,7 @@ class ColorDetector:
         dark = cv2.inRange(hsv, (0, 0, 0), (180, 255, self._dark))
         found: list[Detection] = []
         longest = math.inf if region is None else region.longest_px / step
-        for patch in self._patches(colored):
+        for patch in self._patches(colored, longest):
             if region is not None and not _may_reach(patch, region, x0, y0, step):
                 continue
             for piece, whole, shape in self._vehicles(patch, dark, colored, longest):
@@ -126,9 +126,9 @@ class ColorDetector:
             mask = cv2.bitwise_or(mask, cv2.inRange(hsv, low, high))
         return mask
 
-    def _patches(self, colored: Image) -> list[Patch]:
+    def _patches(self, colored: Image, longest: float) -> list[Patch]:
         """Patches of the wanted colour, the parts of one vehicle joined."""
-        patches = join(components(colored), self._config.merge_gap)
+        patches = join(components(colored), self._config.merge_gap, longest)
         smallest = 0.5 * self._config.min_side_px / self._config.coarse_step
         return [p for p in patches if max(p.w, p.h) >= smallest]
 

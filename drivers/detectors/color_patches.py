@@ -17,6 +17,7 @@ SHALLOWEST_DENT = 0.06  # of the size of a patch: what can be a waist
 SMALLEST_PIECE = 0.45  # of the size of a patch: what can be one of two vehicles
 SMALLEST_CUT_OFF, LONGEST_CUT = 0.2, 1.3  # share of a patch cut off, and a cut's length over the size of that
 SMALLEST_SLIVER = 0.3  # of the size of a patch: what is left by a cut and is no piece
+SOLID, STOCKY = 0.9, 1.5  # share of its convex hull, and length over width, of a patch that is of one vehicle
 CUTS, WITHIN = 12, 0.9  # tried of each dent; share of a cut within the outline
 CROSS = np.ones((3, 3), np.uint8)
 
@@ -67,16 +68,18 @@ def components(mask: Image) -> list[Patch]:
     return patches
 
 
-def join(patches: list[Patch], gap: float) -> list[Patch]:
-    """Join patches whose pixels are closer than ``gap`` times the size of the larger one."""
+def join(patches: list[Patch], gap: float, longest: float = math.inf) -> list[Patch]:
+    """Join patches whose pixels are closer than ``gap`` times the size of the larger one.
+
+    Those that are longer together than one object can be, in coarse pixels, are several.
+    """
     patches = sorted(patches, key=lambda p: -p.size)
     joined: list[Patch] = []
     while patches:
         whole = patches.pop(0)
         rest: list[Patch] = []
         for other in patches:
-            near = _distance(whole, other) <= max(1.5, gap * whole.size)
-            if near:
+            if _longest_side(whole, other) <= longest and _distance(whole, other) <= max(1.5, gap * whole.size):
                 whole = _union(whole, other)
             else:
                 rest.append(other)
@@ -125,6 +128,12 @@ def _distance(a: Patch, b: Patch) -> float:
     return float(np.sqrt(((pa[:, None] - pb[None]) ** 2).sum(axis=2).min())) - 1.0
 
 
+def _longest_side(a: Patch, b: Patch) -> int:
+    """The longer side of the box around two patches."""
+    w = max(a.x + a.w, b.x + b.w) - min(a.x, b.x)
+    return max(w, max(a.y + a.h, b.y + b.h) - min(a.y, b.y))
+
+
 def _union(a: Patch, b: Patch) -> Patch:
     x0, y0 = min(a.x, b.x), min(a.y, b.y)
     x1, y1 = max(a.x + a.w, b.x + b.w), max(a.y + a.h, b.y + b.h)
@@ -166,9 +175,13 @@ def divide(patch: Patch, longest: float) -> list[Patch]:
 
     Where two touch there may be one dent alone, between their heads, and a straight outline at their feet. So a cut may
     begin at any dent and end anywhere; of all it is the one that is shortest for what it cuts off. What has no such cut
-    stays whole: it is too large, but it is one.
+    stays whole: it is too large, but it is one. So does what fills its convex hull and is about as wide as long: one that
+    is nearer.
     """
     if max(patch.w, patch.h) <= longest:
+        return [patch]
+    shape = shape_of(patch.mask)
+    if shape.solidity >= SOLID and shape.aspect <= STOCKY:
         return [patch]
     outline = _longest_outline(patch.mask)
     filled = np.zeros(patch.mask.shape, np.uint8)

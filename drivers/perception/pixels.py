@@ -223,9 +223,11 @@ class PixelView:
 
     def _may_be_within(self, region: Region, box: Box) -> bool:
         """Returns whether a target in this box can be as far away as the region says; yes where that is not known."""
+        if max(box.w, box.h) > region.longest_px:
+            return False
         depth = None if self._size is None else monocular_range(box, self._model, self._size)
-        if depth is None:  # also where the image's border cuts the box: the object is at least as large
-            return max(box.w, box.h) <= region.longest_px
+        if depth is None:  # the image's border cuts the box: the object is at least as large
+            return True
         reach_m = RANGE_SIGMAS * depth.sigma_m
         return region.near_m - reach_m <= depth.z_m <= region.far_m + reach_m
 
