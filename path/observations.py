@@ -37,12 +37,27 @@ def around(boxes: Sequence[Box]) -> Box:
 
 
 @value
+class Extent:
+    """The size that the box of one object has at some distance, in px.
+
+    ``usual_px``, ``most_px``: of the geometric mean of its sides, as a rule and at most; ``longest_px``: of its longer
+    side, at most.
+    """
+
+    usual_px: float = 0.0
+    most_px: float = math.inf
+    longest_px: float = math.inf
+
+
+UNKNOWN = Extent()
+
+
+@value
 class Region:
     """A part of an image in px: ``x0 <= x < x1``, ``y0 <= y < y1``. May reach beyond the image.
 
     ``near_m, far_m``: how far away along the optical axis what is looked for can be.
-    ``longest_px``: the longest side that the box of one such object can have there, for a detector that can tell apart
-    what touches.
+    ``extent``: the size that the box of one such object has there, for a detector that can tell apart what touches.
     """
 
     x0: float
@@ -51,7 +66,7 @@ class Region:
     y1: float
     near_m: float = 0.0
     far_m: float = math.inf
-    longest_px: float = math.inf
+    extent: Extent = UNKNOWN
 
     @property
     def any_depth(self) -> bool:
@@ -63,7 +78,7 @@ class Region:
         x1, y1 = min(self.x1, float(width)), min(self.y1, float(height))
         if not (x1 > x0 and y1 > y0):
             return None
-        return Region(x0, y0, x1, y1, self.near_m, self.far_m, self.longest_px)
+        return Region(x0, y0, x1, y1, self.near_m, self.far_m, self.extent)
 
     def contains(self, u: float, v: float) -> bool:
         return self.x0 <= u < self.x1 and self.y0 <= v < self.y1

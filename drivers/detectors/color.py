@@ -23,13 +23,14 @@ from drivers.detectors.color_patches import (
     Shape,
     components,
     divide,
+    in_pixels_of,
     join,
     shape_of,
     split,
     with_dark,
 )
 from path.bounds import Bounds
-from path.observations import Box, Detection, Region
+from path.observations import UNKNOWN, Box, Detection, Extent, Region
 
 RAGGED = 0.25  # solidity that an outline may lose to coarse pixels, times the patch's size in them
 
@@ -88,8 +89,8 @@ class ColorDetector:
 
         Args:
             image: (h, w, 3) uint8 BGR.
-            region: only objects whose box centre is inside; None for the whole image. What is longer than
-                ``longest_px`` is cut into those that touch in it, where it has a dent.
+            region: only objects whose box centre is inside; None for the whole image. What is larger than its
+                ``extent`` is cut into those that touch in it, where it has a dent; what is smaller is one.
         """
         height, width = image.shape[:2]
         step = self._config.coarse_step
@@ -106,11 +107,11 @@ class ColorDetector:
         colored = self._colored(hsv)
         dark = cv2.inRange(hsv, (0, 0, 0), (180, 255, self._dark))
         found: list[Detection] = []
-        longest = math.inf if region is None else region.longest_px / step
-        for patch in self._patches(colored):
+        extent = UNKNOWN if region is None else in_pixels_of(step, region.extent)
+        for patch in self._patches(colored, extent.longest_px):
             if region is not None and not _may_reach(patch, region, x0, y0, step):
                 continue
-            for piece, whole, shape in self._vehicles(patch, dark, colored, longest):
+            for piece, whole, shape in self._vehicles(patch, dark, colored, extent):
                 if region is not None and not _may_be_inside(piece, region, x0, y0, step):
                     continue
                 box = self._measure(image, whole, self._cover_tables(hsv, piece, whole), x0, y0)
@@ -126,24 +127,29 @@ class ColorDetector:
             mask = cv2.bitwise_or(mask, cv2.inRange(hsv, low, high))
         return mask
 
-    def _patches(self, colored: Image) -> list[Patch]:
+    def _patches(self, colored: Image, longest: float) -> list[Patch]:
         """Patches of the wanted colour, the parts of one vehicle joined."""
-        patches = join(components(colored), self._config.merge_gap)
+        patches = join(components(colored), self._config.merge_gap, longest)
         smallest = 0.5 * self._config.min_side_px / self._config.coarse_step
         return [p for p in patches if max(p.w, p.h) >= smallest]
 
-    def _vehicles(self, patch: Patch, dark: Image, colored: Image, longest: float) -> list[tuple[Patch, Patch, Shape]]:
+    def _vehicles(self, patch: Patch, dark: Image, colored: Image, extent: Extent) -> list[tuple[Patch, Patch, Shape]]:
         """Coloured part, whole with dark parts, and shape of the whole: of one vehicle, or of those that touch."""
-        reach = self._config.dark_reach
-        pieces = divide(patch, longest)
+        pieces = divide(patch, extent)
         if len(pieces) == 1:
-            whole = with_dark(patch, dark, colored, reach)
+            whole = self._with_dark(patch, dark, colored, extent)
             shape = shape_of(whole.mask)
-            pieces = [patch] if shape.solidity >= self._config.split_solidity else split(patch)
+            small = math.sqrt(patch.w * patch.h) < extent.usual_px
+            pieces = [patch] if small or shape.solidity >= self._config.split_solidity else split(patch)
             if len(pieces) == 1:
                 return [(patch, whole, shape)]
-        wholes = [(piece, with_dark(piece, dark, colored, reach)) for piece in pieces]
+        wholes = [(piece, self._with_dark(piece, dark, colored, extent)) for piece in pieces]
         return [(piece, w, shape_of(w.mask)) for piece, w in wholes]
+
+    def _with_dark(self, piece: Patch, dark: Image, colored: Image, extent: Extent) -> Patch:
+        """A coloured part with the dark ones that touch it, unless those make it longer than one vehicle can be."""
+        whole = with_dark(piece, dark, colored, self._config.dark_reach)
+        return whole if max(whole.w, whole.h) <= extent.longest_px else piece
 
     def _cover_tables(self, hsv: Image, piece: Patch, whole: Patch) -> tuple[Image, Image]:
         """Tables from a pixel's saturation, and from its value, to how much of it (0..255) the vehicle covers.

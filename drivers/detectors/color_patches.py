@@ -11,12 +11,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from path.observations import Extent
+
 Image = NDArray[Any]  # uint8; OpenCV's own annotation is wider
 
 SHALLOWEST_DENT = 0.06  # of the size of a patch: what can be a waist
 SMALLEST_PIECE = 0.45  # of the size of a patch: what can be one of two vehicles
-SMALLEST_CUT_OFF, LONGEST_CUT = 0.2, 1.3  # share of a patch cut off, and a cut's length over the size of that
+SMALLEST_CUT_OFF, LONGEST_CUT = 0.1, 1.3  # share of a patch cut off, and a cut's length over the size of that
 SMALLEST_SLIVER = 0.3  # of the size of a patch: what is left by a cut and is no piece
+SOLID = 0.9  # share of its convex hull that one vehicle fills, and two that touch hardly ever
 CUTS, WITHIN = 12, 0.9  # tried of each dent; share of a cut within the outline
 CROSS = np.ones((3, 3), np.uint8)
 
@@ -56,6 +59,11 @@ def _labels(mask: Image) -> tuple[int, Image, Image, Image]:
     return cv2.connectedComponentsWithStatsWithAlgorithm(mask, 8, cv2.CV_16U, cv2.CCL_SPAGHETTI)
 
 
+def in_pixels_of(step: int, extent: Extent) -> Extent:
+    """An extent in coarse pixels."""
+    return Extent(extent.usual_px / step, extent.most_px / step, extent.longest_px / step)
+
+
 def components(mask: Image) -> list[Patch]:
     count, labels, stats, _ = _labels(mask)
     patches: list[Patch] = []
@@ -67,16 +75,18 @@ def components(mask: Image) -> list[Patch]:
     return patches
 
 
-def join(patches: list[Patch], gap: float) -> list[Patch]:
-    """Join patches whose pixels are closer than ``gap`` times the size of the larger one."""
+def join(patches: list[Patch], gap: float, longest: float = math.inf) -> list[Patch]:
+    """Join patches whose pixels are closer than ``gap`` times the size of the larger one.
+
+    Those that are longer together than one object can be, in coarse pixels, are several.
+    """
     patches = sorted(patches, key=lambda p: -p.size)
     joined: list[Patch] = []
     while patches:
         whole = patches.pop(0)
         rest: list[Patch] = []
         for other in patches:
-            near = _distance(whole, other) <= max(1.5, gap * whole.size)
-            if near:
+            if _longest_side(whole, other) <= longest and _distance(whole, other) <= max(1.5, gap * whole.size):
                 whole = _union(whole, other)
             else:
                 rest.append(other)
@@ -125,6 +135,12 @@ def _distance(a: Patch, b: Patch) -> float:
     return float(np.sqrt(((pa[:, None] - pb[None]) ** 2).sum(axis=2).min())) - 1.0
 
 
+def _longest_side(a: Patch, b: Patch) -> int:
+    """The longer side of the box around two patches."""
+    w = max(a.x + a.w, b.x + b.w) - min(a.x, b.x)
+    return max(w, max(a.y + a.h, b.y + b.h) - min(a.y, b.y))
+
+
 def _union(a: Patch, b: Patch) -> Patch:
     x0, y0 = min(a.x, b.x), min(a.y, b.y)
     x1, y1 = max(a.x + a.w, b.x + b.w), max(a.y + a.h, b.y + b.h)
@@ -161,14 +177,17 @@ def split(patch: Patch) -> list[Patch]:
     return [Patch(p.x + patch.x, p.y + patch.y, p.mask) for p in pieces] if len(pieces) == 2 else [patch]
 
 
-def divide(patch: Patch, longest: float) -> list[Patch]:
-    """Cut a patch that is longer than one object can be, in coarse pixels, into those that touch in it.
+def divide(patch: Patch, extent: Extent) -> list[Patch]:
+    """Cut a patch that is larger than one object can be, in coarse pixels, into those that touch in it.
 
     Where two touch there may be one dent alone, between their heads, and a straight outline at their feet. So a cut may
     begin at any dent and end anywhere; of all it is the one that is shortest for what it cuts off. What has no such cut
-    stays whole: it is too large, but it is one.
+    stays whole: it is too large, but it is one. So does what fills its convex hull and is too large in both directions:
+    those that touch are so in one, and this is nearer.
     """
-    if max(patch.w, patch.h) <= longest:
+    if max(patch.w, patch.h) <= extent.longest_px and math.sqrt(patch.w * patch.h) <= extent.most_px:
+        return [patch]
+    if min(patch.w, patch.h) > extent.most_px and shape_of(patch.mask).solidity >= SOLID:
         return [patch]
     outline = _longest_outline(patch.mask)
     filled = np.zeros(patch.mask.shape, np.uint8)
@@ -179,7 +198,7 @@ def divide(patch: Patch, longest: float) -> list[Patch]:
     count, sides = cv2.connectedComponents(cv2.line(filled, *ends, (0,), 1, cv2.LINE_4), connectivity=4)
     pieces = [_only(patch, sides == side) for side in range(1, count)]
     pieces = [each for each in pieces if each is not None and each.size > SMALLEST_SLIVER * patch.size]
-    return [each for piece in pieces for each in divide(piece, longest)] if len(pieces) > 1 else [patch]
+    return [each for piece in pieces for each in divide(piece, extent)] if len(pieces) > 1 else [patch]
 
 
 def _only(patch: Patch, where: NDArray[np.bool_]) -> Patch | None:

@@ -27,7 +27,7 @@ from path.geometry.transforms import Pose
 from path.marker.detect import detect_markers
 from path.marker.layout import MarkerLayout
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
-from path.target.monocular import TargetSize, monocular_range
+from path.target.monocular import TargetSize, extent_at, monocular_range
 from path.target.place import depth_sigma, registered_depth
 
 Corners = Literal["photometric", "subpix"]
@@ -217,15 +217,17 @@ class PixelView:
         size = self._size
         if size is not None and size.longest_m > 0.0 and region.far_m < math.inf:
             z_m, focal_px = 0.5 * (region.near_m + region.far_m), max(self._model.fx, self._model.fy)
-            region = replace(region, longest_px=size.longest_m * focal_px / z_m)
+            region = replace(region, extent=extent_at(z_m, focal_px, size))
         found = self._detector.detect(self._frame.color, region)
         return [each for each in found if self._may_be_within(region, each.box)]
 
     def _may_be_within(self, region: Region, box: Box) -> bool:
         """Returns whether a target in this box can be as far away as the region says; yes where that is not known."""
+        if max(box.w, box.h) > region.extent.longest_px:
+            return False
         depth = None if self._size is None else monocular_range(box, self._model, self._size)
-        if depth is None:  # also where the image's border cuts the box: the object is at least as large
-            return max(box.w, box.h) <= region.longest_px
+        if depth is None:  # the image's border cuts the box: the object is at least as large
+            return True
         reach_m = RANGE_SIGMAS * depth.sigma_m
         return region.near_m - reach_m <= depth.z_m <= region.far_m + reach_m
 

@@ -14,9 +14,10 @@ from typing import Annotated
 
 from path.bounds import Bounds
 from path.camera.model import CameraModel
-from path.observations import Box, Depth
+from path.observations import Box, Depth, Extent
 
 _LEAST_PX = 4.0
+_MOST_SIGMAS = 2.0  # above its mean, the apparent size is rather that of several that touch
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +41,13 @@ class TargetSize:
         for name in ("apparent_m", "sigma", "pixel_sigma_px"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise ValueError(f"{name}: {getattr(self, name)!r} is not above 0")
+
+
+def extent_at(z_m: float, focal_px: float, size: TargetSize) -> Extent:
+    """The size in px that the box of a target of known size has at a depth."""
+    usual_px = size.apparent_m * focal_px / z_m
+    most_px = usual_px * (1.0 + _MOST_SIGMAS * size.sigma)
+    return Extent(usual_px, most_px, size.longest_m * focal_px / z_m)
 
 
 def monocular_range(box: Box, camera: CameraModel, size: TargetSize) -> Depth | None:

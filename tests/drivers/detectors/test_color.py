@@ -22,7 +22,7 @@ from path.geometry.rotation import R_from_rpy, R_from_yaw
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
-from path.observations import Box, Region
+from path.observations import Box, Extent, Region
 
 CAMERA = CameraModel(640, 480, 615.0, 613.0, 318.5, 241.0, (0.08, -0.18, 0.0005, -0.0007, 0.0))
 NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -197,20 +197,56 @@ def test_one_of_two_that_touch_is_found_in_a_region_around_it_as_in_the_whole_im
 
 STEP = drawn((200, 120, 60, 90), (260, 150, 60, 60))  # one dent alone, above; the feet stand in line
 EVERYWHERE = Region(0.0, 0.0, 640.0, 480.0)
+SMALLER = replace(EVERYWHERE, extent=Extent(longest_px=100.0))
+CORNERED = (300, 200, 80, 60), (364, 256, 80, 60)
+
+
+def boxes(image: NDArray[np.uint8], region: Region) -> list[Box]:
+    """Boxes found, from left to right."""
+    return sorted((each.box for each in detector().detect(image, region)), key=lambda box: box.x)
 
 
 def test_two_that_touch_and_are_longer_than_one_can_be_are_told_apart_at_one_dent() -> None:
-    (one,) = detector().detect(STEP, EVERYWHERE)
-    assert one.box.w == pytest.approx(120.0, abs=1.0)
-    found = detector().detect(STEP, replace(EVERYWHERE, longest_px=100.0))
-    left, right = sorted((each.box for each in found), key=lambda box: box.x)
+    (one,) = boxes(STEP, EVERYWHERE)
+    assert one.w == pytest.approx(120.0, abs=1.0)
+    left, right = boxes(STEP, SMALLER)
     assert iou(left, Box(199.5, 119.5, 60.0, 90.0)) > 0.85
     assert iou(right, Box(259.5, 149.5, 60.0, 60.0)) > 0.7  # the cut is not quite upright
 
 
+def test_two_that_touch_and_are_larger_than_one_can_be_are_told_apart_too() -> None:
+    assert len(boxes(STEP, replace(EVERYWHERE, extent=Extent(70.0, 96.0, 200.0)))) == 2
+    assert len(boxes(STEP, replace(EVERYWHERE, extent=Extent(100.0, 120.0, 200.0)))) == 1
+
+
 def test_what_is_too_long_and_has_no_dent_stays_whole() -> None:
     nearer = drawn((200, 120, 160, 120))
-    assert detector().detect(nearer, replace(EVERYWHERE, longest_px=100.0)) == detector().detect(nearer, EVERYWHERE)
+    assert boxes(nearer, SMALLER) == boxes(nearer, EVERYWHERE)
+
+
+def test_one_that_is_nearer_is_not_cut_at_a_dent() -> None:
+    dented = drawn((200, 120, 160, 130), (215, 110, 50, 10), (295, 110, 50, 10))  # as a neck between shoulders
+    (one,) = boxes(dented, replace(EVERYWHERE, extent=Extent(70.0, 90.0, 100.0)))
+    assert one.w == pytest.approx(160.0, abs=1.0)
+
+
+def test_parts_are_joined_no_further_than_one_object_reaches() -> None:
+    image = drawn((300, 200, 80, 60), (300, 264, 80, 60))
+    (one,) = boxes(image, EVERYWHERE)
+    assert one.h == pytest.approx(124.0, abs=1.0)
+    assert [box.h for box in boxes(image, SMALLER)] == pytest.approx([60.0, 60.0], abs=8.0)
+
+
+def test_something_dark_that_makes_it_longer_than_one_can_be_is_not_part_of_it() -> None:
+    image = drawn((300, 200, 80, 60))
+    image[220:240, 380:400] = 30
+    (with_dark,), (alone,) = boxes(image, EVERYWHERE), boxes(image, replace(EVERYWHERE, extent=Extent(longest_px=92.0)))
+    assert (with_dark.w, alone.w) == pytest.approx((100.0, 80.0), abs=4.0)
+
+
+def test_what_is_smaller_than_one_object_is_not_two_that_touch() -> None:
+    assert len(boxes(drawn(*CORNERED), EVERYWHERE)) == 2
+    assert len(boxes(drawn(*CORNERED), replace(EVERYWHERE, extent=Extent(150.0, 180.0, 200.0)))) == 1
 
 
 def test_two_in_line_are_not_one_good_vehicle() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -23,7 +22,7 @@ from path.config import MethodConfig
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
-from path.observations import Box, Detection, Region
+from path.observations import UNKNOWN, Box, Detection, Region
 from path.target.monocular import TargetSize
 
 CAMERA = CameraModel(160, 120, 200.0, 200.0, 79.5, 59.5)
@@ -383,8 +382,15 @@ def test_without_depth_the_detector_is_told_how_long_a_target_can_be_there() -> 
     asked = Region(0.0, 0.0, 160.0, 120.0, near_m=1.5, far_m=2.5)
     assert [each.box for each in view.targets(asked)] == [box]  # what the border cuts is longer than 0.4 m already
     assert [each.box for each in flat_view([cut, box], SIZE).targets(asked)] == [cut, box]
-    assert told[-2].longest_px == pytest.approx(0.4 * CAMERA.fx / 2.0)
-    assert told[-1].longest_px == math.inf
+    assert told[-2].extent.longest_px == pytest.approx(0.4 * CAMERA.fx / 2.0)
+    assert told[-1].extent == UNKNOWN
+
+
+def test_a_box_that_is_longer_than_a_target_can_be_there_is_not_its_box() -> None:
+    long, box = Box(20.0, 20.0, 60.0, 12.0), Box(90.0, 60.0, 30.0, 30.0)  # of sizes that go with 2.2 m and 2 m
+    asked = Region(0.0, 0.0, 160.0, 120.0, near_m=1.5, far_m=2.5)
+    assert [each.box for each in flat_view([long, box], SIZE).targets(asked)] == [long, box]
+    assert [each.box for each in flat_view([long, box], replace(SIZE, longest_m=0.4)).targets(asked)] == [box]
 
 
 @pytest.mark.parametrize(("size", "lacks"), [(None, {Capability.RANGE}), (SIZE, set[Capability]())])

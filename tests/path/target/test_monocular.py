@@ -6,7 +6,7 @@ import pytest
 
 from path.camera.model import CameraModel
 from path.observations import Box
-from path.target.monocular import TargetSize, monocular_range
+from path.target.monocular import TargetSize, extent_at, monocular_range
 
 CAMERA = CameraModel(960, 720, 920.0, 918.0, 480.0, 360.0)
 SIZE = TargetSize(0.30, 0.10)
@@ -59,3 +59,8 @@ def test_a_box_that_is_cut_or_none_has_no_range(box: Box) -> None:
 def test_sizes_that_cannot_be(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
         TargetSize(**{"apparent_m": 0.3, name: value})
+
+
+def test_the_size_of_a_box_at_a_depth_is_told_in_pixels() -> None:
+    extent = extent_at(2.0, 600.0, TargetSize(0.4, 0.1, longest_m=0.6))
+    assert (extent.usual_px, extent.most_px, extent.longest_px) == pytest.approx((120.0, 144.0, 180.0))
