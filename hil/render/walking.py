@@ -114,8 +114,7 @@ def walking(variant: int, strides: float, speed_mps: float) -> Model:
         speed_mps: negative, when they walk backward; standing, feet are side by side.
     """
     body = walker(variant)
-    feet = foot_at(strides, speed_mps), foot_at(strides + 0.5, speed_mps)
-    turn, shift = _posture(body.build, feet, reach_m(speed_mps), math.cos(2.0 * math.pi * strides))
+    turn, shift = _now(body.build, strides, speed_mps)
     points = np.einsum("nij,nkj->nki", turn[body.limbs], body.points)
     points[:, 0] += shift[body.limbs]
     return replace(body.model, corners=points.reshape(-1, 9))
@@ -142,6 +141,22 @@ def boxes_around_a_walker(speed_mps: float) -> tuple[tuple[Vec3, Vec3, Color], .
         middle, sides = 0.5 * (low + high), high - low
         boxes.append((_tuple(middle), _tuple(sides), color))
     return tuple(boxes)
+
+
+def boxes_of_a_walker(strides: float, speed_mps: float) -> Array:
+    """Boxes around each limb in its place, (b, 15): centre, half sides, axes by columns; as ``walking``."""
+    turn, shift = _now(np.ones(3), strides, speed_mps)
+    rows = [
+        np.concatenate((turn[limb] @ center + shift[limb], 0.5 * size, turn[limb].ravel()))
+        for limb, center, size, _ in _boxes()
+    ]
+    return np.array(rows)
+
+
+def _now(scale: Array, strides: float, speed_mps: float) -> tuple[Array, Array]:
+    """Returns how each limb is turned and moved, as ``_posture``."""
+    feet = foot_at(strides, speed_mps), foot_at(strides + 0.5, speed_mps)
+    return _posture(scale, feet, reach_m(speed_mps), math.cos(2.0 * math.pi * strides))
 
 
 def _boxes() -> Iterator[tuple[int, Array, Array, Color]]:

@@ -57,6 +57,15 @@ class ObjectTruth:
     def velocity_w_mps(self) -> Vec3:
         return self.speed_mps * math.cos(self.yaw_rad), self.speed_mps * math.sin(self.yaw_rad), self.climb_mps
 
+    def strides_after(self, by_s: float) -> float:
+        """Returns the strides that a person has made some time later or earlier."""
+        return self.strides + strides_of(by_s * self.speed_mps, self.speed_mps)
+
+    def carried_on(self, by_s: float, kind: TargetKind) -> ObjectTruth:
+        """Returns the same thing some time later or earlier: it moves on with its velocity."""
+        strides = self.strides_after(by_s) if kind == "person" else self.strides
+        return replace(self, position_w_m=self.position_after(by_s), strides=strides)
+
 
 @value
 class Snapshot:
@@ -73,9 +82,5 @@ class Snapshot:
     def carried_on(self, by_s: float) -> Snapshot:
         """Returns the snapshot some milliseconds later or earlier: everything moves on with its velocity."""
         drones = {role: replace(drone, T_w_b=drone.T_w_b_after(by_s)) for role, drone in self.drones.items()}
-        objects = tuple(self._carried(thing, by_s) for thing in self.objects)
+        objects = tuple(thing.carried_on(by_s, self.kind) for thing in self.objects)
         return replace(self, time_s=self.time_s + by_s, drones=drones, objects=objects)
-
-    def _carried(self, thing: ObjectTruth, by_s: float) -> ObjectTruth:
-        walked = strides_of(by_s * thing.speed_mps, thing.speed_mps) if self.kind == "person" else 0.0
-        return replace(thing, position_w_m=thing.position_after(by_s), strides=thing.strides + walked)

@@ -7,7 +7,7 @@ import pytest
 
 from hil.render.kinds import BOXES, WALKING_MPS, model_of_thing
 from hil.render.people import person
-from hil.render.walking import ARM, SHIN, SHOE, THIGH, walker, walking
+from hil.render.walking import ARM, SHIN, SHOE, SIGNS, THIGH, boxes_of_a_walker, walker, walking
 from hil.world.gait import STANCE, step_m, strides_of
 from hil.world.snapshot import ObjectTruth
 from tests.hil.render.test_scene import Array, vertices
@@ -73,6 +73,18 @@ def test_the_boxes_of_the_geometry_hold_all_of_a_walk() -> None:
             assert np.all(points <= high + 0.02)
             widest = np.maximum(widest, np.ptp(points, axis=0))
     assert widest == pytest.approx(high - low, rel=0.1)  # and hardly more
+
+
+@pytest.mark.parametrize("speed_mps", SPEEDS)
+def test_the_boxes_of_one_moment_are_around_the_drawn_limbs(speed_mps: float) -> None:
+    for strides in np.linspace(0.0, 1.0, 9):
+        rows = boxes_of_a_walker(strides, speed_mps)
+        corners = [row[:3] + (row[3:6] * SIGNS) @ row[6:].reshape(3, 3).T for row in rows]
+        whole = np.concatenate(corners)
+        points = vertices(walking(5, strides, speed_mps)) / walker(5).build
+        assert np.abs(whole.min(axis=0) - points.min(axis=0)).max() < 0.03  # a tall person's step is no longer
+        assert np.abs(whole.max(axis=0) - points.max(axis=0)).max() < 0.03
+        assert len(rows) == len(BOXES["person"])
 
 
 def test_the_same_moment_is_the_same_posture_and_nobody_walks_in_step() -> None:
