@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ REMEDY = (
     "github.com/Megvii-BaseDetection/YOLOX, or export one with classes of your own"
 )
 
+BELIEVED = 0.3  # the score from which on a whole object is one to the flight (``flight.tracking.objects``)
 MODEL_VARIABLE = "PATH_YOLOX"
 NAME_ONE = (
     "name one: --model yolox_nano.onnx, PATH_YOLOX=yolox_nano.onnx in the environment, or `model` in the rig's table "
@@ -40,7 +42,8 @@ class YoloxDetectorConfig:
         model: the ONNX file, relative to the rig; None: the one that PATH_YOLOX names.
         classes: names of what is looked for; empty: everything.
         names: file with the names of the model's classes, one a line; None: the 80 of COCO.
-        min_score: objectness times class, below it nothing is found.
+        min_score: objectness times class, below it nothing is found; what is found is told of with scores on a scale on
+            which this is ``BELIEVED``.
         max_iou: of two boxes of one class that overlap more, the better one stays.
         max_side_px: how large an object can be in the image; with a search region, the image is cut so far around it.
         max_zoom: a cut-out is enlarged at most so much to fill the network's input.
@@ -93,6 +96,7 @@ class YoloxDetector:
         self._height, self._width, count = _checked(self._model, file)
         self._cells, self._steps = grid(self._height, self._width)
         self._scored = _scored(config, file, count)
+        self._power = math.log(BELIEVED) / math.log(config.min_score)
 
     def detect(self, image: NDArray[np.uint8], region: Region | None) -> Sequence[Detection]:
         """Boxes of the classes looked for, best score first.
@@ -117,7 +121,7 @@ class YoloxDetector:
             left, top = (x - 0.5 * w) / across + x0 - 0.5, (y - 0.5 * h) / down + y0 - 0.5
             box = Box(left, top, w / across, h / down)
             if region is None or region.contains(*box.center):
-                found.append(Detection(box, min(1.0, score)))
+                found.append(Detection(box, min(1.0, score) ** self._power))
         return found
 
     def _letterboxed(self, part: NDArray[np.uint8]) -> tuple[NDArray[np.float32], float, float]:
