@@ -21,6 +21,7 @@ def test_a_network_in_one_thread_sees_the_same_again(tmp_path: Path, monkeypatch
     rig = replace(rig, mission={**rig.mission, "deadlines": deadlines})  # long enough to find, and to follow a while
     logs: list[bytes] = []
     for name in ("one", "again"):
+        (tmp_path / name).mkdir()
         fly_once(rig, 5, (), tmp_path / name, lambda _: None)
         logs.append((tmp_path / name / "sender.mcap").read_bytes())
     assert logs[0] == logs[1]
