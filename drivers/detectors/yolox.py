@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,22 +27,30 @@ REMEDY = (
     "github.com/Megvii-BaseDetection/YOLOX, or export one with classes of your own"
 )
 
+BELIEVED = 0.3  # the score from which on a whole object is one to the flight (``flight.tracking.objects``)
+MODEL_VARIABLE = "PATH_YOLOX"
+NAME_ONE = (
+    "name one: --model yolox_nano.onnx, PATH_YOLOX=yolox_nano.onnx in the environment, or `model` in the rig's table "
+    "of the detector (docs/detectors.md says what it has to be)"
+)
+
 
 @dataclass(frozen=True, slots=True)
 class YoloxDetectorConfig:
     """
     Attributes:
-        model: the ONNX file, relative to the rig.
+        model: the ONNX file, relative to the rig; None: the one that PATH_YOLOX names.
         classes: names of what is looked for; empty: everything.
         names: file with the names of the model's classes, one a line; None: the 80 of COCO.
-        min_score: objectness times class, below it nothing is found.
+        min_score: objectness times class, below it nothing is found; what is found is told of with scores on a scale on
+            which this is ``BELIEVED``.
         max_iou: of two boxes of one class that overlap more, the better one stays.
         max_side_px: how large an object can be in the image; with a search region, the image is cut so far around it.
         max_zoom: a cut-out is enlarged at most so much to fill the network's input.
         threads: of onnxruntime.
     """
 
-    model: Path
+    model: Path | None = None
     classes: tuple[str, ...] = ()
     names: Path | None = None
     min_score: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.3
@@ -56,6 +66,20 @@ class YoloxDetectorConfig:
         if self.max_side_px <= 0.0 or self.max_zoom < 1.0 or self.threads < 0:
             raise ValueError("max_side_px must be positive, max_zoom at least 1, threads not negative")
 
+    def check_ready(self) -> None:
+        """Raises ModelError when no model is named, or there is no such file."""
+        self.weights()
+
+    def weights(self) -> Path:
+        """Returns the ONNX file. Raises ModelError when none is named, or there is no such file."""
+        named = os.environ.get(MODEL_VARIABLE, "")
+        if self.model is None and not named:
+            raise ModelError("YOLOX finds nothing without a model file, and none was named", NAME_ONE)
+        file = Path(named) if self.model is None else self.model
+        if not file.is_file():
+            raise ModelError(f"{file}: there is no such file; expected a network in ONNX", REMEDY)
+        return file
+
 
 class YoloxDetector:
     """Implements ``drivers.interfaces.Detector``. Stateless between calls."""
@@ -67,10 +91,12 @@ class YoloxDetector:
         """Raises ModelError (a missing file, or expected and found), PartError (a class that the model has not)."""
         del context  # made like every part of a rig, but needs nothing of the role
         self._config = config
-        self._model = OnnxModel(config.model, config.threads, REMEDY)
-        self._height, self._width, count = _checked(self._model, config.model)
+        file = config.weights()
+        self._model = OnnxModel(file, config.threads, REMEDY)
+        self._height, self._width, count = _checked(self._model, file)
         self._cells, self._steps = grid(self._height, self._width)
-        self._scored = _scored(config, count)
+        self._scored = _scored(config, file, count)
+        self._power = math.log(BELIEVED) / math.log(config.min_score)
 
     def detect(self, image: NDArray[np.uint8], region: Region | None) -> Sequence[Detection]:
         """Boxes of the classes looked for, best score first.
@@ -95,7 +121,7 @@ class YoloxDetector:
             left, top = (x - 0.5 * w) / across + x0 - 0.5, (y - 0.5 * h) / down + y0 - 0.5
             box = Box(left, top, w / across, h / down)
             if region is None or region.contains(*box.center):
-                found.append(Detection(box, min(1.0, score)))
+                found.append(Detection(box, min(1.0, score) ** self._power))
         return found
 
     def _letterboxed(self, part: NDArray[np.uint8]) -> tuple[NDArray[np.float32], float, float]:
@@ -127,14 +153,14 @@ def _whole_cells(side: int | str) -> bool:
     return isinstance(side, int) and side > 0 and side % STRIDES[-1] == 0
 
 
-def _scored(config: YoloxDetectorConfig, count: int) -> NDArray[np.bool_]:
+def _scored(config: YoloxDetectorConfig, file: Path, count: int) -> NDArray[np.bool_]:
     """Returns which of the model's classes are looked for. Raises PartError."""
     names = COCO if config.names is None else _read_names(config.names)
     if not config.classes:
         return np.ones(count, np.bool_)
     if len(names) != count:
         source = "COCO has" if config.names is None else f"{config.names} names"
-        raise PartError(f"{config.model}: expected {count} names of classes, {source} {len(names)}",
+        raise PartError(f"{file}: expected {count} names of classes, {source} {len(names)}",
                         "name a file with one class a line: names = \"classes.txt\"")  # fmt: skip
     for name in config.classes:
         if name not in names:

@@ -37,6 +37,13 @@ def check_rig(rig: Rig, *, harness: bool = True) -> None:
     problems.raise_any()
 
 
+def check_ready(rig: Rig) -> None:
+    """Check what parts need besides their options, such as a model's file. Raises PartError, or RigError."""
+    for config in _decode_parts(rig, Problems()).values():
+        if hasattr(config, "check_ready"):
+            config.check_ready()
+
+
 def local_ports(rig: Rig) -> dict[int, str]:
     """The UDP ports that the rig's parts listen on, each with the option that names it."""
     ports: dict[int, str] = {}

@@ -120,7 +120,8 @@ def place(R_w_b, t_w_b, R_b_c, t_b_c, lens, things, car, other_R, other_t, drone
 
     Args:
         R_w_b, t_w_b, R_b_c, t_b_c: the camera's drone in the world, the camera on it.
-        things: (n, 4) position (m, world) and yaw of each car; car: (b, 15) centre, half sides, axes of its boxes.
+        things: (n, 4) position (m, world) and yaw of each car; car: (b, 15) centre, half sides, axes of its boxes, or
+            (n b, 15) when each has its own.
         other_R, other_t: the other drone in the world; drone: (d, 15) its boxes, none when there is no other drone.
         boxes: (n b + d, BOX_COLUMNS), extents: (n + 1, EXTENT_COLUMNS): filled, car by car, the other drone last.
         frame: (12,) filled: rotation world to camera by rows, the camera's centre in the world.
@@ -134,12 +135,16 @@ def place(R_w_b, t_w_b, R_b_c, t_b_c, lens, things, car, other_R, other_t, drone
         frame[EYE + i] = eye[i]
     turn, R, t = np.zeros((3, 3)), np.empty((3, 3)), np.empty(3)
     turn[2, 2] = 1.0
-    cars, per_car = things.shape[0], car.shape[0]
+    cars = things.shape[0]
+    per_car = (boxes.shape[0] - drone.shape[0]) // max(cars, 1)
     for body in range(cars):
         turn[0, 0] = turn[1, 1] = math.cos(things[body, 3])
         turn[1, 0] = math.sin(things[body, 3])
         turn[0, 1] = -turn[1, 0]
-        _place_body(R_c_w, eye, turn, things, body, car, lens, boxes, body * per_car, extents, body, R, t)
+        first = body * per_car
+        own = first if car.shape[0] > per_car else 0
+        shape = car[own : own + per_car]
+        _place_body(R_c_w, eye, turn, things, body, shape, lens, boxes, first, extents, body, R, t)
     _place_body(
         R_c_w, eye, other_R, other_t.reshape(1, 3), 0, drone, lens, boxes, cars * per_car, extents, cars, R, t
     )  # fmt: skip

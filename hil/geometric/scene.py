@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from hil.geometric import kernels, targets
 from hil.render.kinds import BOXES
 from hil.render.scene import SOLID, Model, drone, marked_drone
-from hil.world.snapshot import Snapshot, TargetKind
+from hil.render.walking import boxes_of_a_walker
+from hil.world.gait import OWN_PHASE
+from hil.world.snapshot import ObjectTruth, Snapshot, TargetKind
 from path.camera.kernels import lens_of
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
@@ -21,11 +23,15 @@ from path.values import value
 
 Array = NDArray[np.float64]
 FACES_OF_A_BOX = 6
+POSTURES, SPEED_STEP_MPS = 64, 0.02  # of a stride, as finely as the geometry tells people's postures apart
 
 
 @cache
 def parts_of(kind: TargetKind) -> Array:
-    """Boxes of an object, (b, 15): centre, half sides, axes. Shared: do not change them."""
+    """Boxes of an object, (b, 15): centre, half sides, axes. Shared: do not change them.
+
+    A person's are around a whole walk.
+    """
     rows = [[*centre, *(0.5 * side for side in size), *np.eye(3).ravel()] for centre, size, _ in BOXES[kind]]
     return np.array(rows, float)
 
@@ -91,15 +97,28 @@ def place(setup: CameraSetup, snapshot: Snapshot, later_s: float = 0.0) -> Place
         for thing in snapshot.objects
     ]
     things = np.array(rows, float).reshape(-1, 4)
-    count, shape = len(things), parts_of(snapshot.kind)
-    boxes = np.empty((count * len(shape) + len(parts), kernels.BOX_COLUMNS))
+    count, shape, per_object = len(things), parts_of(snapshot.kind), len(parts_of(snapshot.kind))
+    if snapshot.kind == "person" and count > 0:
+        shape = np.concatenate([_walking(thing, later_s) for thing in snapshot.objects])
+    boxes = np.empty((count * per_object + len(parts), kernels.BOX_COLUMNS))
     extents = np.empty((count + 1, kernels.EXTENT_COLUMNS))
     frame = np.empty(kernels.FRAME_COLUMNS)
     kernels.place(
         own.R, own.t, setup.T_b_c.R, setup.T_b_c.t, setup.lens, things, shape, other.R, other.t, parts,
         boxes, extents, frame,
     )  # fmt: skip
-    return Placed(boxes, extents, frame, len(shape))
+    return Placed(boxes, extents, frame, per_object)
+
+
+def _walking(thing: ObjectTruth, later_s: float) -> Array:
+    """Boxes of a person in their gait."""
+    strides = thing.strides_after(later_s) + OWN_PHASE * thing.object_id
+    return _posture(round(strides * POSTURES) % POSTURES, round(thing.speed_mps / SPEED_STEP_MPS))
+
+
+@lru_cache(2048)
+def _posture(number: int, speed: int) -> Array:
+    return boxes_of_a_walker(number / POSTURES, speed * SPEED_STEP_MPS)
 
 
 def outlines(setup: CameraSetup, placed: Placed) -> Array:

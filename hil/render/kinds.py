@@ -8,13 +8,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 
-from hil.render.people import PARTS, VARIANTS, person
+from hil.render.people import VARIANTS
 from hil.render.scene import CAR_BOXES, FRAME, GAP_M, MOTOR, ORANGE, Color, Model, box, car, model_of
-from hil.world.snapshot import TargetKind
+from hil.render.walking import boxes_around_a_walker, walking_as
+from hil.world.snapshot import ObjectTruth, TargetKind
 
 Vec3 = tuple[float, float, float]
 Boxes = tuple[tuple[Vec3, Vec3, Color], ...]
 
+WALKING_MPS = 0.3  # what the rigs' people walk at
 _ARM_M, _HULL_M = 0.12, (0.16, 0.11, 0.05)
 DRONE_HULL: Boxes = (
     # centre, size, colour
@@ -41,18 +43,23 @@ DRONE_LIMBS: Boxes = (
 
 BOXES: Mapping[TargetKind, Boxes] = {
     "car": CAR_BOXES,
-    "person": tuple((part.center, part.size, part.colors[0]) for part in PARTS),
+    "person": boxes_around_a_walker(WALKING_MPS),
     "drone": DRONE_HULL,
 }
 """The bodies that the geometry reckons with. A drone's arms and motors are not in it: they are of another colour than
-its hull, and the colour detector hardly ever has them in its box."""
+its hull, and the colour detector hardly ever has them in its box. A person's are around their limbs where their steps
+are longest: arms and legs that swing stay within them."""
+
+
+def model_of_thing(kind: TargetKind, thing: ObjectTruth) -> Model:
+    """The body that cameras see of an object now: people are not quite alike, and in their gait."""
+    if kind == "car":
+        return car()
+    if kind == "drone":
+        return _micro_uav()
+    return walking_as(thing.object_id, thing.object_id % VARIANTS, thing.strides, thing.speed_mps)
 
 
 @cache
-def model_of_kind(kind: TargetKind, number: int = 0) -> Model:
-    """The body that cameras see of the object with a number; people are not quite alike."""
-    if kind == "car":
-        return car()
-    if kind == "person":
-        return person(number % VARIANTS)
+def _micro_uav() -> Model:
     return model_of([face for center, size, color in (*DRONE_HULL, *DRONE_LIMBS) for face in box(center, size, color)])

@@ -59,13 +59,15 @@ PARTS: tuple[_Part, ...] = (
     _Part((-0.158, 0.0, 1.230), (0.002, 0.240, 0.240), LOGO, 0.030, 0.5),
 )
 
+SHOE_PARTS, LEG_PARTS, ARM_PARTS = (0, 1), (2, 3), (5, 6, 7, 8)  # left, right; of arms the sleeves, then the hands
+SWUNG_M = {5: 0.11, 6: -0.11, 7: 0.12, 8: -0.12}  # how far forward these are
+
 
 @cache
 def person(variant: int) -> Model:
     """A standing person: x forward, z up, origin on the ground between the feet. Variants are not quite alike."""
-    own = np.random.default_rng([SEED, 1, variant])
-    tall, wide, deep = own.uniform((0.96, 0.93, 0.95), (1.04, 1.07, 1.05))
-    scale = np.array([deep, wide, tall])
+    own = _own(variant)
+    scale = _build(own)
     faces: list[Face] = []
     for number, part in enumerate(PARTS):
         shade = own.uniform(0.92, 1.06)
@@ -78,6 +80,20 @@ def person(variant: int) -> Model:
             sides = list(_patterned(sides, second, part, common, own))
         faces += sides
     return model_of(faces)
+
+
+def build(variant: int) -> NDArray[np.float64]:
+    """Returns how much deeper (x), wider (y) and taller (z) a person is than ``PARTS``."""
+    return _build(_own(variant))
+
+
+def _own(variant: int) -> np.random.Generator:
+    return np.random.default_rng([SEED, 1, variant])
+
+
+def _build(own: np.random.Generator) -> NDArray[np.float64]:
+    tall, wide, deep = own.uniform((0.96, 0.93, 0.95), (1.04, 1.07, 1.05))
+    return np.array([deep, wide, tall])
 
 
 def _shaded(color: Color, shade: float) -> Color:

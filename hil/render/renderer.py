@@ -16,7 +16,7 @@ from flight.harness.renderer import Imaging
 from hil.render import edges as edge_pass
 from hil.render import kernels, primitives, sensor
 from hil.render.ground import SCRATCH_ROWS, draw_ground, ground_plane
-from hil.render.kinds import model_of_kind
+from hil.render.kinds import model_of_thing
 from hil.render.looks import LOOKS
 from hil.render.mosaic import MosaicSensor
 from hil.render.overlay import Overlay
@@ -273,7 +273,7 @@ class Renderer:
         ]
         return drones + [
             replace(
-                standing(model_of_kind(snapshot.kind, thing.object_id), thing.position_w_m, thing.yaw_rad),
+                standing(model_of_thing(snapshot.kind, thing), thing.position_w_m, thing.yaw_rad),
                 velocity_w=np.array(thing.velocity_w_mps),
             )
             for thing in snapshot.objects

@@ -106,6 +106,7 @@ def box(center: Sequence[float] | Array, size: Sequence[float], color: Color, ax
     return faces
 
 
+@cache
 def car() -> Model:
     """The target and its look-alikes: x forward, z up, origin on the ground below the middle."""
     return model_of([face for center, size, color in CAR_BOXES for face in box(center, size, color)])

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from hil.world.detector import PERFECT, DetectorConfig
+from hil.world.gait import strides_of
 from path.geometry.transforms import Pose
 from path.messages import Role, Vec3
 from path.values import value
@@ -36,7 +37,8 @@ class DroneTruth:
 class ObjectTruth:
     """The target (``object_id`` 0) or a look-alike.
 
-    Its frame: x forward, z up; on the ground below it, or in the middle of what flies.
+    Its frame: x forward, z up; on the ground below it, or in the middle of what flies. ``strides``: those that a person
+    has made, by which their limbs move.
     """
 
     object_id: int
@@ -44,6 +46,7 @@ class ObjectTruth:
     yaw_rad: float  # counter-clockwise from east
     speed_mps: float
     climb_mps: float = 0.0
+    strides: float = 0.0
 
     def position_after(self, by_s: float) -> Vec3:
         """Returns the position in ``w`` some time later or earlier: it moves on with its velocity."""
@@ -53,6 +56,15 @@ class ObjectTruth:
     @property
     def velocity_w_mps(self) -> Vec3:
         return self.speed_mps * math.cos(self.yaw_rad), self.speed_mps * math.sin(self.yaw_rad), self.climb_mps
+
+    def strides_after(self, by_s: float) -> float:
+        """Returns the strides that a person has made some time later or earlier."""
+        return self.strides + strides_of(by_s * self.speed_mps, self.speed_mps)
+
+    def carried_on(self, by_s: float, kind: TargetKind) -> ObjectTruth:
+        """Returns the same thing some time later or earlier: it moves on with its velocity."""
+        strides = self.strides_after(by_s) if kind == "person" else self.strides
+        return replace(self, position_w_m=self.position_after(by_s), strides=strides)
 
 
 @value
@@ -70,5 +82,5 @@ class Snapshot:
     def carried_on(self, by_s: float) -> Snapshot:
         """Returns the snapshot some milliseconds later or earlier: everything moves on with its velocity."""
         drones = {role: replace(drone, T_w_b=drone.T_w_b_after(by_s)) for role, drone in self.drones.items()}
-        objects = tuple(replace(thing, position_w_m=thing.position_after(by_s)) for thing in self.objects)
+        objects = tuple(thing.carried_on(by_s, self.kind) for thing in self.objects)
         return replace(self, time_s=self.time_s + by_s, drones=drones, objects=objects)

@@ -17,6 +17,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.world.gait import strides_of
 from hil.world.snapshot import ObjectTruth, TargetKind
 from path.bounds import Bounds
 
@@ -207,8 +208,9 @@ class GroundVehicles:
         """The target (first), its look-alikes, and those that are just passing."""
         along_m, speed = self._driven(time_s)
         z, climbing = self._risen(time_s)
+        strides = self._strides(along_m, self._config.speed_mps)
         on_loop = [
-            ObjectTruth(number, (x, y, z), yaw, speed, climbing)
+            ObjectTruth(number, (x, y, z), yaw, speed, climbing, strides)
             for number, (x, y, yaw) in enumerate(
                 (self._loop.at(along_m + apart) for apart in (0.0, *self._apart)), self._first_id
             )
@@ -225,8 +227,12 @@ class GroundVehicles:
         (ax, ay), (bx, by), (x, y, z) = crossing.along, crossing.beside, target.position_w_m
         vx = CROSSING_MPS * ax + target.speed_mps * math.cos(target.yaw_rad)
         vy = CROSSING_MPS * ay + target.speed_mps * math.sin(target.yaw_rad)
-        position = x + way * ax + bx, y + way * ay + by, z
-        return ObjectTruth(crossing.object_id, position, math.atan2(vy, vx), math.hypot(vx, vy), target.climb_mps)
+        position, speed = (x + way * ax + bx, y + way * ay + by, z), math.hypot(vx, vy)
+        strides = self._strides(speed * (time_s - crossing.start_s), speed)
+        return ObjectTruth(crossing.object_id, position, math.atan2(vy, vx), speed, target.climb_mps, strides)
+
+    def _strides(self, way_m: float, speed_mps: float) -> float:
+        return strides_of(way_m, speed_mps) if self._config.kind == "person" else 0.0
 
     def send_lookalike(self, now_s: float) -> None:
         """Drive one more look-alike across, ``CROSSING_PAST_M`` past the target; it is there for ``CROSSING_S``."""

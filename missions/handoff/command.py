@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 from drivers.interfaces import PartError
-from drivers.rig.check import check_rig
+from drivers.rig.check import check_ready, check_rig
 from drivers.rig.parts import Rig
 from missions.ground_station import name_ground_station
 from missions.handoff.flight import HANDOFF, fly_once, harness_of, rig_as_asked, unwritten
@@ -24,6 +25,7 @@ from missions.shown import say_unwritten
 def run(options: HandoffOptions) -> int:
     """``path-handoff handoff``; returns the run's exit code. Raises PartError for what was asked wrongly."""
     name_simulators(options)
+    name_model(options.model)
     rig = rig_as_asked(options.rig, options.errors, options.scene, options.slow)
     if options.slow is not None or options.scene is not None:
         check_rig(rig)
@@ -31,6 +33,7 @@ def run(options: HandoffOptions) -> int:
     name_ground_station(rig, options.gcs)
     if options.serve_world:
         check_served(rig, options)
+    check_ready(rig)
     refuse_too_slow(rig)
     with unless_refused(options.out) as folder:
         if options.seeds > 1:
@@ -59,6 +62,16 @@ def refuse_too_slow(rig: Rig) -> None:
         from missions.doctor.computer import refuse_share  # noqa: PLC0415  a flight does without the doctor
 
         refuse_share(rig, rig.world["slow"])
+
+
+def name_model(file: Path | None) -> None:
+    """Names the model of detectors whose rig names none, for the harness and its processes. Raises PartError."""
+    if file is not None:
+        if not file.is_file():
+            raise PartError(f"{file}: no such file", "name a YOLOX model in ONNX, or leave the option out")
+        from drivers.detectors.yolox import MODEL_VARIABLE  # noqa: PLC0415  it loads onnxruntime
+
+        os.environ[MODEL_VARIABLE] = str(file.resolve())
 
 
 def name_simulators(options: HandoffOptions | FlyOptions | ConformanceOptions) -> None:

@@ -72,8 +72,9 @@ def _command(options: HandoffOptions, seed: int) -> str:
     errors = [] if options.errors is None else ["--errors", options.errors]
     scene = [] if options.scene is None else ["--scene", options.scene]
     slow = [] if options.slow is None else ["--slow", f"{options.slow:g}"]
+    model = [] if options.model is None else ["--model", str(options.model)]
     faults = [word for fault in options.fault for word in ("--fault", fault)]
-    asked = ["--rig", options.rig, "--seed", str(seed), *errors, *scene, *slow, *faults]
+    asked = ["--rig", options.rig, "--seed", str(seed), *errors, *scene, *slow, *model, *faults]
     return f"path-handoff handoff {shlex.join(asked)}"
 
 

@@ -11,6 +11,7 @@ import tyro
 from missions.options.words import (
     AnyRig,
     ArduPilotBinary,
+    DetectorModel,
     ErrorLevel,
     Errors,
     Faults,
@@ -77,6 +78,8 @@ class HandoffOptions:
     px4: Px4Binary = None
 
     ardupilot: ArduPilotBinary = None
+
+    model: DetectorModel = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,3 +174,5 @@ class FlyOptions:
     px4: Px4Binary = None
 
     ardupilot: ArduPilotBinary = None
+
+    model: DetectorModel = None

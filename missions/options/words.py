@@ -41,6 +41,14 @@ ArduPilotBinary = Annotated[
         metavar="FILE", help="ArduCopter's SITL binary, for the rigs that fly it; PATH_ARDUPILOT names it too."
     ),
 ]
+DetectorModel = Annotated[
+    Path | None,
+    tyro.conf.arg(
+        metavar="FILE",
+        help="YOLOX model (ONNX) for rigs that look with one, such as sim-rendered-person (docs/detectors.md); "
+        "PATH_YOLOX names it too.",
+    ),
+]
 Live = Annotated[
     str | None,
     tyro.conf.arg(

@@ -11,12 +11,13 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from drivers.rig.check import check_ready
 from drivers.rig.parts import Rig, with_errors
 from flight.harness.flights import Emit
 from flight.outcome import Outcome
 from missions import rig_library
 from missions.ground_station import name_ground_station
-from missions.handoff.command import name_simulators
+from missions.handoff.command import name_model, name_simulators
 from missions.handoff.flight import FlightPrograms, fly_once, unwritten
 from missions.leg.command import fly_from_drone
 from missions.live.start import live
@@ -46,7 +47,9 @@ def run(options: FlyOptions) -> int:
         asked = RoleOptions(options.rig, options.out, options.console, options.state, options.guard, options.live)
         return fly_from_drone(asked, Role(options.drone), OwnMission(load_mission(options.mission)))
     name_simulators(options)
+    name_model(options.model)
     rig = with_errors(rig_library.load(options.rig), options.errors)
+    check_ready(rig)
     name_ground_station(rig, options.gcs)
     programs = programs_of(options.mission)
     with unless_refused(options.out) as folder, live(options.live, folder), open_console(sys.stdout) as console:

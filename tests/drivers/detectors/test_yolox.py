@@ -17,9 +17,10 @@ import pytest
 
 from drivers.detectors.coco import COCO
 from drivers.detectors.onnx_model import ModelError
-from drivers.detectors.yolox import YoloxDetector, YoloxDetectorConfig
+from drivers.detectors.yolox import BELIEVED, MODEL_VARIABLE, YoloxDetector, YoloxDetectorConfig
 from drivers.detectors.yolox_boxes import decode, grid, suppress
 from drivers.interfaces import PartError
+from flight.tracking.objects import MIN_SCORE
 from path.observations import Region
 from tests.drivers.detectors.onnx_graphs import bright_cells_network, identity_network
 
@@ -169,3 +170,29 @@ def test_the_real_network_answers_the_same_for_an_image_and_a_region_around_it()
     assert part.box.center == pytest.approx((400.0, 240.0), abs=8.0)
     assert detector.detect(image, Region(0.0, 0.0, 100.0, 100.0)) == []
     assert YoloxDetector(config(WEIGHTS[0], classes=("cat",))).detect(image, None) == []
+
+
+def test_the_model_may_be_named_outside_the_rig(
+    bright_cells: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(MODEL_VARIABLE, raising=False)
+    with pytest.raises(ModelError, match="none was named") as none:
+        YoloxDetector(YoloxDetectorConfig())
+    assert "--model" in none.value.remedy
+    monkeypatch.setenv(MODEL_VARIABLE, str(tmp_path / "gone.onnx"))
+    with pytest.raises(ModelError, match=r"gone\.onnx: there is no such file"):
+        YoloxDetectorConfig().check_ready()
+    monkeypatch.setenv(MODEL_VARIABLE, str(bright_cells))
+    assert len(YoloxDetector(YoloxDetectorConfig()).detect(scene(64, 64, 24, 8, 8), None)) == 1
+    with pytest.raises(ModelError, match=r"own\.onnx"):  # the rig's own comes first
+        YoloxDetectorConfig(tmp_path / "own.onnx").check_ready()
+
+
+def test_what_a_rig_lets_through_is_believed_in_flight(bright_cells: Path) -> None:
+    assert BELIEVED == MIN_SCORE
+    image = scene(64, 64, 24, 8, 8) // 255 * 180
+    scores = [
+        YoloxDetector(config(bright_cells, min_score=least)).detect(image, None)[0].score for least in (0.3, 0.1, 0.05)
+    ]
+    assert 0.3 <= scores[0] < scores[1] < scores[2] < 1.0
+    assert scores[1] == pytest.approx(scores[0] ** (math.log(0.3) / math.log(0.1)))

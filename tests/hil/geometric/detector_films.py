@@ -66,7 +66,7 @@ def detector_of(kind: TargetKind, model: Path | None) -> Detector:
     if kind != "person":
         return ColorDetector(ColorDetectorConfig())
     assert model is not None, "people need a model: --model yolox_nano.onnx"
-    return YoloxDetector(YoloxDetectorConfig(model, ("person",), min_score=0.1, max_side_px=WHOLE_PX))
+    return YoloxDetector(YoloxDetectorConfig(model, ("person",), min_score=0.05, max_side_px=WHOLE_PX))
 
 
 def film(kind: TargetKind, seed: int, seconds: float) -> Iterator[Snapshot]:
