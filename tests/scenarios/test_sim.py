@@ -157,7 +157,7 @@ def test_a_fault_ends_in_its_outcome_and_the_sender_keeps_the_target(tmp_path: P
         assert not last["receiver"]["in_air"]
 
 
-@pytest.mark.parametrize("seed", [0, 5])
+@pytest.mark.parametrize("seed", [1, 5])  # in which D2 has the marker in view while it falls
 def test_going_around_takes_until_the_drone_is_within_its_bounds_again(tmp_path: Path, seed: int) -> None:
     """Its pilot stops the motors as the approach begins; it falls, and is told only with a heartbeat a second."""
     (tmp_path / "rig.toml").write_text(

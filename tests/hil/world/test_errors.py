@@ -45,7 +45,7 @@ def test_careful_is_the_default_and_every_size_says_where_it_comes_from(rig: Rig
     assert said["level"] == "careful"
     assert said["mount_deg"] == 0.3
     assert (said["position_m"], said["height_m"]) == (0.5, 1.0)
-    assert reported(rig_library.load("relay-sim"))["height_m"] == 0.4
+    assert reported(rig_library.load("relay-sim"))["height_m"] == 1.0
 
 
 def test_careless_is_three_times_careful_and_exact_is_none() -> None:
