@@ -13,7 +13,7 @@ from hil.autopilot.autopilot import AutopilotConfig
 from hil.autopilot.simulator import SimulatorConfig
 from hil.world.detector import DetectorConfig
 from hil.world.dynamics import AirframeConfig
-from hil.world.errors import ErrorsConfig, put_down
+from hil.world.errors import ErrorsConfig, level_of, put_down
 from hil.world.estimator import EstimatorConfig, WindConfig
 from hil.world.targets import LookAlikeConfig, Point, TargetConfig
 from path.bounds import Bounds
@@ -89,10 +89,11 @@ class ImagingConfig:
 
     Attributes:
         name: how the drones' colour cameras make an image: as the one of the D415's family that was measured
-            (``flight.harness.measured``), or as an ideal sensor, with blur and noise alone.
+            (``flight.harness.measured``), or as an ideal sensor, with blur and noise alone; None: as measured, and
+            ideal where the errors are exact.
     """
 
-    name: ImagingName = "measured"
+    name: ImagingName | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +144,8 @@ def scene_of(rig: Rig) -> SceneName:
 
 def imaging_of(rig: Rig) -> Imaging | None:
     """The imaging of the colour cameras of a rig's world; None for an ideal sensor."""
-    return MEASURED if rig.world.get("imaging", {}).get("name", ImagingConfig().name) == "measured" else None
+    by_errors: ImagingName = "ideal" if level_of(rig) == "exact" else "measured"
+    return MEASURED if rig.world.get("imaging", {}).get("name", by_errors) == "measured" else None
 
 
 def drawn_imaging(rig: Rig) -> dict[str, str]:

@@ -62,7 +62,7 @@ def test_the_summary_is_complete_and_plausible(result: TrialResult) -> None:
         assert against["mean_interval_m"][0] < against["mean_m"] < against["mean_interval_m"][1]
         assert against["n"] > 30
     # of the mean nothing is said: it hangs on the few first views, from 2.4 m, where a pixel is worth centimetres
-    assert summary["ape_truth"]["d2"]["median_m"] < 0.004
+    assert summary["ape_truth"]["d2"]["median_m"] < 0.010  # with corners as noisy as a measured camera's
     assert summary["ape_truth"]["target"]["mean_m"] < 0.02
     assert summary["rpe"]["d2"]["s"]["n"] > 50
 
