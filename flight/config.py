@@ -75,6 +75,9 @@ class FollowConfig:
     target_accel_mps2: Annotated[float, Bounds(0.0, 10.0)] = 0.6  # how hard the target speeds up, brakes and turns
     # for so long after the detector found it a target that stands out from what is behind it is followed by its depth
     carry_s: Annotated[float, Bounds(0.0, 60.0)] = 6.0
+    # after so long at its first place without a target the sender goes round the designated place, and looks from other
+    # sides, until deadlines.acquire_s; 0: never
+    look_round_s: Annotated[float, Bounds(0.0, 3600.0)] = 3.0
 
     def answer(self, accel_mps2: float) -> Answer:
         """Returns the way to fly there with setpoints of that acceleration."""

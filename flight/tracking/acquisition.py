@@ -18,15 +18,20 @@ ROOM = 0.2  # of the image, at each side
 
 
 class Acquisition:
-    """Takes the object at the designated place for the target once it was seen there in several frames."""
+    """Takes the object at the designated place for the target once it was seen there in several frames.
+
+    ``ambiguous``: in the newest frame there were two that it can be.
+    """
 
     def __init__(self, camera: CameraModel) -> None:
         self._camera = camera
         self._steady: list[Vec3] = []
+        self.ambiguous = False
 
     def look(self, view: View, T_n_c: Pose, designated: Designated) -> Vec3 | None:
         """Returns the target's position in ``n`` when this frame makes it sure."""
         found = acquire(view, T_n_c, self._camera, designated)
+        self.ambiguous = found is MissReason.AMBIGUOUS_TARGET
         if isinstance(found, MissReason) or not self._well_inside(found[0].box):
             self._steady.clear()
             return None

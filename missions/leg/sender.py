@@ -27,6 +27,7 @@ from flight.phases import Phase
 from flight.tilt import Tilt
 from flight.tracking.acquisition import Acquisition
 from flight.tracking.association import Sighting, follow
+from flight.tracking.look_round import LookRound
 from flight.tracking.target_track import TargetTrack
 from missions.leg.handover import SenderHandover
 from missions.leg.journal import (
@@ -70,6 +71,7 @@ class Sender:
         self._begun_ns = session.now_ns()
         self._track: TargetTrack | None = None
         self._acquisition = Acquisition(self._camera)
+        self._look_round = LookRound(config)
         self._watching = True
         self._handover = SenderHandover(session, store)
         self._cycle: SenderCycle | None = None
@@ -201,9 +203,17 @@ class Sender:
         return (self._session.now_ns() - track.stamp_ns) * 1e-9 > 0.5 * self._config.deadlines.target_coast_s
 
     def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
-        """Leads to where the designated place is in view."""
-        place = self._view_of(self._designated(self._session.now_ns()).place_n_m)
-        return self._approach(place, (0.0, 0.0, 0.0), state)
+        """Leads to where the designated place is in view, and round it where nothing is found from there."""
+        session, look_round = self._session, self._look_round
+        now_ns, went = session.now_ns(), look_round.going
+        designated = self._designated(now_ns).place_n_m
+        if self._track is None:
+            look_round.step(now_ns, math.dist(self._view_of(designated), state.position_n_m), designated)
+            self._heading_rad = look_round.heading_rad
+        if look_round.going and not went:
+            session.say("nothing was found from here: looks from other sides")
+        way = self._approach(self._view_of(designated), look_round.velocity_n_mps, state)
+        return replace(way, yaw_rad=look_round.yaw_rad(state.position_n_m, designated))
 
     def _approach(self, place_n_m: Vec3, velocity_n_mps: Vec3, state: VehicleState) -> VelocitySetpoint:
         """To a moving place, and to rest there: past it the target would be below the image."""
@@ -230,7 +240,11 @@ class Sender:
             return VelocitySetpoint((0.0, 0.0, 0.0), self._heading_rad)
         target, (north, east, down) = self._track.believed(session.now_ns())
         moves = north, east, down if self._config.target.flies else 0.0
-        return self._approach(self._view_of(target), moves, state)
+        place = self._view_of(target)
+        self._look_round.settle(math.dist(place, state.position_n_m), math.dist(state.velocity_n_mps, moves))
+        return replace(
+            self._approach(place, moves, state), yaw_rad=self._look_round.yaw_rad(state.position_n_m, target)
+        )
 
     def _leave_watching(self, state: VehicleState) -> VelocitySetpoint:
         """Make room, the camera still on the target: nobody has it for sure until the hand-over is settled."""
@@ -266,8 +280,11 @@ class Sender:
     def _try_to_acquire(self, view: View, R_n_b: Matrix) -> None:
         T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
         position = self._acquisition.look(view, T_n_c, self._designated(view.stamp_ns))
+        if self._acquisition.ambiguous:
+            self._look_round.hold()
         if position is not None:
             self._track = TargetTrack.of(self._config, position, view.stamp_ns)
+            self._heading_rad = self._look_round.found(self._session.vehicle.state.position_n_m, position)
 
     def _designated(self, stamp_ns: int) -> Designated:
         """The ground on which the object that the operator pointed at can be by a stamp."""

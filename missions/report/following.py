@@ -24,7 +24,7 @@ class Following:
 
     Attributes:
         stamps_ns: of the world's clock.
-        off_m: (n, 2), ahead of its place and right of it, in the heading of the mission.
+        off_m: (n, 2), ahead of its place and right of it, in the heading it follows in.
         unseen_s: the longest time without a box of the target.
     """
 
@@ -60,12 +60,18 @@ def following_of(run: RunRecords, truth: Truth | None) -> Following | None:
     if not within.any():
         return None
     mission = setup["mission"]
-    heading = math.radians(mission["heading_deg"])
+    heading = _heading_rad(run.sender.get("/setpoint", ()), begin, math.radians(mission["heading_deg"]))
     forward = np.array([math.sin(heading), math.cos(heading)])  # east, north
     right = np.array([math.cos(heading), -math.sin(heading)])
     to_target = offset_m[within, :2]
     off_m = np.stack([mission["follow"]["behind_m"] - to_target @ forward, -(to_target @ right)], axis=1)
     return Following(stamps_ns[within], off_m, _unseen_s(run.sender.get("/target", ()), begin, end))
+
+
+def _heading_rad(told: Sequence[LogRecord], begin_ns: int, stated_rad: float) -> float:
+    """The heading it follows in: as it was last told before it began to, or as stated where it was told nothing."""
+    before = [r.record["yaw_rad"] for r in told if r.stamp_ns <= begin_ns]
+    return float(before[-1]) if before else stated_rad
 
 
 def _unseen_s(frames: Sequence[LogRecord], begin_ns: int, end_ns: int) -> float:

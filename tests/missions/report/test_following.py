@@ -76,6 +76,20 @@ def test_a_drone_past_its_place_has_overshot_in_any_heading(heading_deg: float) 
     assert sorted(set(followed.errors_m.round(6).tolist())) == [0.0, 0.2]
 
 
+def test_the_heading_is_the_one_it_was_told_before_it_followed() -> None:
+    """It found its target from another side than its mission names."""
+    sender = _sender(0.0)
+    told = [
+        _record("/setpoint", OFFSET_NS + round(at_s * 1e9), {"yaw_rad": yaw_rad})
+        for at_s, yaw_rad in ((4.9, 0.5 * math.pi), (15.1, 1.0))
+    ]
+    sender = {**sender, "/setpoint": told}
+    run = RunRecords(None, sender, {}, _world(lambda _: 2.4, 90.0))
+    followed = following_of(run, truth_of(run.world))
+    assert followed is not None
+    assert followed.errors_m == pytest.approx(0.1, abs=1e-6)
+
+
 def test_the_way_to_the_place_is_no_error_of_following() -> None:
     def along_m(at_s: float) -> float:  # acquired 1 m before its place
         return 1.5 if at_s < 7.0 else 2.4
