@@ -4,27 +4,33 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from drivers.interfaces import View
 from flight.config import Designated
 from flight.guidance import Vec3
-from flight.tracking.association import acquire
+from flight.tracking.association import Sighting, acquire, point_in_camera
 from path.camera.model import CameraModel
+from path.config import MethodConfig
+from path.geometry.rigid import rigid
 from path.geometry.transforms import Pose
 from path.observations import Box, MissReason
+from path.target.cylinder import reach_m
 
 STEADY_FRAMES = 5
 STEADY_M = 0.25
 ROOM = 0.2  # of the image, at each side
+_AT_THE_CAMERA = rigid(Pose(np.eye(3), np.zeros(3)))
 
 
 class Acquisition:
-    """Takes the object at the designated place for the target once it was seen there in several frames.
+    """Takes the object at the designated place for the target once it was seen there alone in several frames.
 
     ``ambiguous``: in the newest frame there were two that it can be.
     """
 
-    def __init__(self, camera: CameraModel) -> None:
-        self._camera = camera
+    def __init__(self, camera: CameraModel, method: MethodConfig) -> None:
+        self._camera, self._method = camera, method
         self._steady: list[Vec3] = []
         self.ambiguous = False
 
@@ -32,7 +38,7 @@ class Acquisition:
         """Returns the target's position in ``n`` when this frame makes it sure."""
         found = acquire(view, T_n_c, self._camera, designated)
         self.ambiguous = found is MissReason.AMBIGUOUS_TARGET
-        if isinstance(found, MissReason) or not self._well_inside(found[0].box):
+        if isinstance(found, MissReason) or not (self._well_inside(found[0].box) and self._alone(found[0], T_n_c)):
             self._steady.clear()
             return None
         position = found[1]
@@ -46,3 +52,19 @@ class Acquisition:
         u, v = box.center
         room_u, room_v = ROOM * self._camera.width, ROOM * self._camera.height
         return room_u <= u <= self._camera.width - room_u and room_v <= v <= self._camera.height - room_v
+
+    def _alone(self, seen: Sighting, T_n_c: Pose) -> bool:
+        """Returns whether the box is no larger than the target can be: two that are one behind the other are one box.
+
+        By the rule of ``path.target.size`` for what the target is, where that is stated.
+        """
+        own, box, depth = self._method.evidence, seen.box, seen.depth
+        if depth is None or not own.span_m > 0.0:
+            return True
+        gx, gy, gz = T_n_c.R[2].tolist()
+        place_c = point_in_camera(box, depth.z_m, self._camera)
+        wide_m, high_m = reach_m(_AT_THE_CAMERA, place_c, (gx, gy, gz), own.span_m, own.height_m)
+        larger = max(box.w * depth.z_m / self._camera.fx / wide_m, box.h * depth.z_m / self._camera.fy / high_m)
+        pixels = 2.0 * self._method.pixel_sigma_px / max(1.0, min(box.w, box.h))
+        sigma = math.hypot(pixels, depth.sigma_m / depth.z_m, own.size_sigma)
+        return math.log(max(larger, 1e-9)) <= own.size_sigmas * sigma

@@ -70,7 +70,7 @@ class Sender:
         self._heading_rad = math.radians(config.heading_deg)
         self._begun_ns = session.now_ns()
         self._track: TargetTrack | None = None
-        self._acquisition = Acquisition(self._camera)
+        self._acquisition = Acquisition(self._camera, rig.method)
         self._look_round = LookRound(config)
         self._watching = True
         self._handover = SenderHandover(session, store)

@@ -69,7 +69,7 @@ def perceiver_of(folder: Path, drone: str, change: PerceptionChange) -> Open:
         camera = camera_of(setup["camera"])
         views = RecordedViews(frames, perception_of(rig, role, camera, change).view_of)
         if role is Role.SENDER:
-            return SenderPerceiver(views, own, camera, mission, begun_ns)
+            return SenderPerceiver(views, own, camera, method, mission, begun_ns)
         return ReceiverPerceiver(views, own, camera, rig.layout, method, mission)
 
     return opened

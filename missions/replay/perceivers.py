@@ -53,7 +53,13 @@ class SenderPerceiver:
     """D1's: the target, from its acquisition on. ``missing``: frames that were not recorded."""
 
     def __init__(
-        self, views: RecordedViews, own: RoleRig, camera: CameraModel, mission: MissionConfig, begun_ns: int
+        self,
+        views: RecordedViews,
+        own: RoleRig,
+        camera: CameraModel,
+        method: MethodConfig,
+        mission: MissionConfig,
+        begun_ns: int,
     ) -> None:
         """``begun_ns``: when the drone's program started."""
         self.missing = 0
@@ -61,7 +67,7 @@ class SenderPerceiver:
         self._begun_ns = begun_ns
         self._off_m = (0.0, 0.0)
         self._track: TargetTrack | None = None
-        self._acquisition = Acquisition(camera)
+        self._acquisition = Acquisition(camera, method)
         self._seen: Sighting | MissReason | None = None
         self._gravity_v: Vec3 = (math.nan, math.nan, math.nan)
 

@@ -12,6 +12,7 @@ from flight.config import FollowConfig, GuardConfig, MissionConfig, TargetDesign
 from flight.guidance import Vec3, add, from_heading
 from flight.tracking.acquisition import Acquisition
 from flight.tracking.look_round import LookRound
+from path.config import MethodConfig
 from path.geometry.rotation import R_from_rpy
 from path.geometry.transforms import Pose
 from tests.flight.following_bench import CAMERA, MOUNT, Seen
@@ -76,7 +77,7 @@ def test_where_two_may_be_the_designated_one_it_goes_no_farther() -> None:
 def test_a_target_that_is_seen_from_one_side_only_is_found_from_there_and_the_heading_kept() -> None:
     """The detector knows it from within 25 degrees of the east alone; D1 came from the south."""
     config = MissionConfig(heading_deg=0.0)
-    look, acquisition = LookRound(config), Acquisition(CAMERA)
+    look, acquisition = LookRound(config), Acquisition(CAMERA, MethodConfig())
     rng, heading = np.random.default_rng(0), None
     for k in range(round(30.0 * 20)):
         look.step(k * TICK_NS, 0.0, PLACE)
