@@ -185,6 +185,8 @@ def _unfound(
 ) -> MissReason:
     """Keeps the track, where there is no box of the object's own, by a box around it, or by what stands out there.
 
+    A track that nothing kept for a while is not taken up again by depth.
+
     Args:
         expected: pixel and depth of the object. reach_px: how far from there it may be.
     """
@@ -198,7 +200,8 @@ def _unfound(
         _bound(track, holder, camera, T_n_c, view.stamp_ns)
         return MissReason.AMBIGUOUS_TARGET
     body = None
-    if track.carriable(view.stamp_ns):
+    unseen = view.stamp_ns - track.stamp_ns > UNSEEN_S * 1e9  # what stands there by now may be anything
+    if not unseen and track.carriable(view.stamp_ns):
         row = pixel[1] - ABOVE * side_px[1]
         (x, y), (x_row, y_row) = camera.ray(*pixel), camera.ray(pixel[0], row)
         # an upright body is as far along the ground in the row above its middle, and not as deep in a view from above

@@ -114,6 +114,15 @@ def test_depth_carries_for_so_long_as_is_stated() -> None:
     assert track.stamp_ns == track.seen_ns
 
 
+@pytest.mark.parametrize(("gap_s", "carried"), [(0.4, True), (0.6, False)])
+def test_depth_does_not_take_a_track_up_again_that_nothing_kept_for_a_while(gap_s: float, carried: bool) -> None:
+    """Another one may have come to the place of an object that was neither seen nor carried."""
+    track = settled()
+    seen_ns = track.stamp_ns
+    follow(Upright([PLACE], (), after(gap_s, track)), T_N_C, CAMERA, track)
+    assert (track.stamp_ns > seen_ns) is carried
+
+
 def test_what_flies_is_not_carried() -> None:
     track = settled(flies=True)
     follow(Upright([PLACE], (), after(0.02, track)), T_N_C, CAMERA, track)
