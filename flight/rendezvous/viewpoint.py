@@ -19,6 +19,7 @@ _DISTANCES_M = np.arange(0.80, 1.65, 0.05)
 _AZIMUTHS_RAD = np.radians(np.arange(-70.0, 71.0, 10.0))
 _ELEVATIONS_RAD = np.radians(np.arange(0.0, 61.0, 7.5))
 _YAW_SHARES = (0.35, 0.5, 0.65)
+_SAME_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +71,8 @@ def plan_viewpoint(
 
     Rules, in this order: separation ellipsoid, downwash cone of the upper drone, marker size in the image,
     incidence on the marker, range to the target, not too near to it, marker and target inside the image with margin,
-    D1's body not in front of the target. The best of the rest has the largest margin for its marker size.
+    D1's body not in front of the target. The best of the rest has the largest margin for its marker size. One that is
+    nearer to the marker than ``separation.marker_m`` is taken only where there is no other: two drones swing.
     """
     candidates = _candidates()
     distance = np.linalg.norm(candidates, axis=1)
@@ -111,6 +113,9 @@ def plan_viewpoint(
     # a wider margin is worth a smaller marker, up to what a drone swings in a gust
     score = np.minimum(margin, 150.0) + (2.0 * marker_px[alive] - 20.0 * incidence[alive])[:, None]
     score[margin < rendezvous.image_margin_px] = -np.inf
+    roomy = distance[alive] > separation.marker_m - _SAME_M
+    if np.isfinite(score[roomy]).any():
+        score[~roomy] = -np.inf
     index, share = np.unravel_index(int(np.argmax(score)), score.shape)
     if not np.isfinite(score[index, share]):
         return NoViewpoint({**rejected, "not both in view": len(places)})

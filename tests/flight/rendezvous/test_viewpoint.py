@@ -92,7 +92,7 @@ class Seen:
     def margins(self) -> list[float]:
         """From marker's and target's rims to the border, px."""
         margins: list[float] = []
-        for point, size in zip(self.points_c(), (self.view.marker_side_m, 0.25), strict=True):
+        for point, size in zip(self.points_c(), (self.view.marker_side_m, self.view.target_radius_m), strict=True):
             x, y, z = point.tolist()
             assert self.camera.sees((x, y, z))
             u, v = self.camera.project_point((x, y, z))
@@ -279,3 +279,22 @@ def test_it_keeps_away_from_the_target() -> None:
     refused = plan(near)
     assert isinstance(refused, NoViewpoint)
     assert refused.rejected["target too near"] > 0
+
+
+def person_from_the_side(right_m: float) -> ViewpointScene:
+    """A person seen from 3.5 m above, who is not straight ahead of D1: both fit best into an image from close by."""
+    return replace(scene(ahead_m=2.4, right_m=right_m, below_m=2.6), target_radius_m=0.6)
+
+
+@pytest.mark.parametrize("right_m", [-0.5, -0.25, 0.0, 0.25, 0.5])
+def test_the_marker_is_far_enough_for_two_drones_that_swing(right_m: float) -> None:
+    """An approach is broken off below 0.85 m, and D2 was seen to swing by 0.2 m."""
+    viewpoint = found(person_from_the_side(right_m))
+    assert math.hypot(*viewpoint.camera_h_m) >= APART.marker_m - 1e-9
+    check_rules(Seen(person_from_the_side(right_m), viewpoint))
+
+
+def test_a_viewpoint_that_is_nearer_to_the_marker_is_better_than_none() -> None:
+    """None of 20 px and more is as far as the second."""
+    unasked, far = replace(APART, marker_m=0.2), replace(APART, marker_m=1.5)
+    assert plan(scene(), apart=far) == plan(scene(), apart=unasked)
