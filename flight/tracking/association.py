@@ -10,7 +10,7 @@ import numpy as np
 from drivers.interfaces import View
 from flight.config import Designated
 from flight.guidance import Vec3, norm, subtract
-from flight.tracking.objects import CUT_SCORE, MIN_SCORE, ImageObject, Pixel, by_distance, is_cut
+from flight.tracking.objects import CUT_SCORE, MIN_SCORE, ImageObject, Pixel, by_distance, cut_sides, is_cut, is_larger
 from flight.tracking.ranging import MIN_DESCENT
 from flight.tracking.standing_out import ABOVE, standing_out
 from flight.tracking.target_track import TargetTrack
@@ -29,9 +29,7 @@ _CLEARLY_NEARER = 1.5
 _ROUND = 16  # places on the rim of where a designated object can be
 DEPTH_FLOOR_M, DEPTH_SIGMAS = 0.2, 3.0  # how far a depth may put the object from its prediction
 _SIDE_PX = 3.0  # noise of a box's side
-# For so long after it was seen whole an object is taken to be in a box that is so much larger than its own was; then
-# what is there may be anything.
-_HELD_S, _LARGER = 5.0, 1.3
+_HELD_S = 5.0  # after it was seen whole, an object is taken to be in a larger box; then what is there may be anything
 _COARSE_M = 0.12  # a range that is no better is estimated, not measured
 
 
@@ -131,7 +129,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     found = view.targets(Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px))
     ranked = by_distance(found, (u, v), camera, track.size_m, z)
     side_px = None if track.size_m is None else (px_per_m * track.size_m[0], px_per_m * track.size_m[1])
-    if not ranked or ranked[0].off_px > px_per_m * gate_m:
+    if not ranked or ranked[0].off_px > px_per_m * gate_m or ranked[0].more:
         return _unfound(view, T_n_c, camera, track, ranked, ((u, v), z), px_per_m * gate_m)
     chosen = ranked[0]
     if len(ranked) > 1:
@@ -144,7 +142,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     box = chosen.box
     sides_m = box.w * z / camera.fx, box.h * z / camera.fy
     if track.outgrown(sides_m, _SIDE_PX / max(1.0, min(box.w, box.h)), view.stamp_ns) and side_px is not None:
-        _bound(track, _within(box, (u, v), side_px), camera, T_n_c, view.stamp_ns)
+        _bound(track, _within(box, (u, v), side_px, camera), camera, T_n_c, view.stamp_ns)
         return MissReason.AMBIGUOUS_TARGET
     track.note_size(sides_m, view.stamp_ns)
     depth = view.depth(box)
@@ -195,23 +193,24 @@ def _unfound(
         return MissReason.NO_TARGET
     side_px = camera.fx / z_m * size_m[0], camera.fx / z_m * size_m[1]
     lately = view.stamp_ns - track.whole_ns <= _HELD_S * 1e9
-    holder = _holder(ranked, pixel, side_px) if lately else None
+    unseen = view.stamp_ns - track.stamp_ns > UNSEEN_S * 1e9  # what stands there by now may be anything
+    carriable = not unseen and track.carriable(view.stamp_ns)
+    holder = _holder(ranked, pixel, side_px, camera) if lately else None
     if holder is not None:
         _bound(track, holder, camera, T_n_c, view.stamp_ns)
-        return MissReason.AMBIGUOUS_TARGET
     body = None
-    unseen = view.stamp_ns - track.stamp_ns > UNSEEN_S * 1e9  # what stands there by now may be anything
-    if not unseen and track.carriable(view.stamp_ns):
+    if carriable:
         row = pixel[1] - ABOVE * side_px[1]
         (x, y), (x_row, y_row) = camera.ray(*pixel), camera.ray(pixel[0], row)
         # an upright body is as far along the ground in the row above its middle, and not as deep in a view from above
         along, along_row = _level(T_n_c, (x, y, 1.0)), _level(T_n_c, (x_row, y_row, 1.0))
         if along_row > MIN_DESCENT:
             body = standing_out(view, (pixel[0], row), z_m * along / along_row, side_px[0], reach_px)
-    if body is not None and not any(_is_in(body[0], each.box) for each in ranked):  # else it is what has that box
+    others = [each.box for each in ranked if holder is None or not is_larger(each.box, side_px)]
+    if body is not None and not any(_is_in(body[0], box) for box in others):  # else it is what has that box
         (x, y), depth_m = camera.ray(*body[0]), body[1]
         track.carry(to_local((x * depth_m, y * depth_m, depth_m), T_n_c), view.stamp_ns)
-    return MissReason.NO_TARGET
+    return MissReason.NO_TARGET if holder is None else MissReason.AMBIGUOUS_TARGET
 
 
 def _level(T_n_c: Pose, ray_c: Vec3) -> float:
@@ -231,20 +230,31 @@ def _bound(track: TargetTrack, pixel: Pixel, camera: CameraModel, T_n_c: Pose, s
         track.update(bounded, stamp_ns, cut=True)
 
 
-def _holder(ranked: Sequence[ImageObject], expected: Pixel, side_px: tuple[float, float]) -> Pixel | None:
+def _holder(
+    ranked: Sequence[ImageObject], expected: Pixel, side_px: tuple[float, float], camera: CameraModel
+) -> Pixel | None:
     """The place of the object in a box that it no longer has to itself: one around where it is expected, and larger."""
     for each in ranked:
-        box = each.box
-        if _is_in(expected, box) and not each.cut and max(box.w / side_px[0], box.h / side_px[1]) > _LARGER:
-            return _within(box, expected, side_px)
+        if _is_in(expected, each.box) and is_larger(each.box, side_px):
+            return _within(each.box, expected, side_px, camera)
     return None
 
 
-def _within(box: Box, expected: Pixel, side_px: tuple[float, float]) -> Pixel:
-    """The pixel nearest to the expected one around which an object with these sides is in the box."""
-    u, v = box.center
-    room_u, room_v = 0.5 * max(0.0, box.w - side_px[0]), 0.5 * max(0.0, box.h - side_px[1])
-    return max(u - room_u, min(u + room_u, expected[0])), max(v - room_v, min(v + room_v, expected[1]))
+def _within(box: Box, expected: Pixel, side_px: tuple[float, float], camera: CameraModel) -> Pixel:
+    """The pixel nearest to the expected one around which an object with these sides is in the box.
+
+    A side that the image's border cuts bounds nothing.
+    """
+    (u, v), (middle_u, middle_v) = expected, box.center
+    cut_u, cut_v = cut_sides(box.x, box.w, camera.width), cut_sides(box.y, box.h, camera.height)
+    return _nearest(u, middle_u, box.w - side_px[0], cut_u), _nearest(v, middle_v, box.h - side_px[1], cut_v)
+
+
+def _nearest(expected: float, middle: float, room: float, cut: tuple[bool, bool]) -> float:
+    """The place nearest to the expected one that is no farther from a middle than half the room, but past what is cut."""
+    room = room if any(cut) else max(0.0, room)
+    first, last = -math.inf if cut[0] else middle - 0.5 * room, math.inf if cut[1] else middle + 0.5 * room
+    return max(first, min(last, expected))
 
 
 def _beside(view: View, own: Box, others: Sequence[ImageObject], px_per_m: float) -> tuple[Rival, ...]:

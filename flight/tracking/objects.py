@@ -14,17 +14,22 @@ Pixel = tuple[float, float]
 
 MIN_SCORE = 0.3
 CUT_SCORE = 0.1  # of a box that the image's border cuts, which detectors score low: it is an object, not its box
+LARGER = 1.3  # than the object's own box was: there is more in it
 _BORDER_PX = 1.5
 
 
 @value
 class ImageObject:
-    """An object in an image. ``cut``: by the border; ``pixel`` is where its middle must be, and may be outside."""
+    """An object in an image. ``cut``: by the border; ``pixel`` is where its middle must be, and may be outside.
+
+    ``more``: what is left of the cut box is larger than the expected object is, which is not alone in it.
+    """
 
     box: Box
     pixel: Pixel
     off_px: float  # from where the tracked one is expected
     cut: bool
+    more: bool = False
 
 
 def by_distance(
@@ -37,17 +42,22 @@ def by_distance(
         z_m: its depth.
     """
     objects: list[ImageObject] = []
+    side_px = None if size_m is None else (size_m[0] * camera.fx / z_m, size_m[1] * camera.fy / z_m)
     for detection in found:
         box = detection.box
         cut = is_cut(box, camera)
         if detection.score < (CUT_SCORE if cut else MIN_SCORE):
             continue
         pixel = _middle(box, camera, size_m, z_m) if cut and size_m is not None else box.center
-        objects.append(ImageObject(box, pixel, math.dist(pixel, expected), cut))
+        more = cut and side_px is not None and is_larger(box, side_px)
+        objects.append(ImageObject(box, pixel, math.dist(pixel, expected), cut, more))
     objects.sort(key=lambda each: each.off_px)
-    if len(objects) < 2 or size_m is None:
-        return objects
-    return _joined(objects, expected, (size_m[0] * camera.fx / z_m, size_m[1] * camera.fy / z_m))
+    return objects if len(objects) < 2 or side_px is None else _joined(objects, expected, side_px)
+
+
+def is_larger(box: Box, side_px: tuple[float, float]) -> bool:
+    """True when a box is so much larger than the expected object's that it has more in it."""
+    return max(box.w / side_px[0], box.h / side_px[1]) > LARGER
 
 
 def _joined(ranked: list[ImageObject], expected: Pixel, side_px: tuple[float, float]) -> list[ImageObject]:
@@ -65,25 +75,27 @@ def _joined(ranked: list[ImageObject], expected: Pixel, side_px: tuple[float, fl
 
 def is_cut(box: Box, camera: CameraModel) -> bool:
     """True when the image's border cuts a box, or may: then it is not the whole object's."""
-    return (
-        min(box.x, box.y) < _BORDER_PX - 0.5
-        or box.x + box.w > camera.width - 0.5 - _BORDER_PX
-        or box.y + box.h > camera.height - 0.5 - _BORDER_PX
-    )
+    return any(cut_sides(box.x, box.w, camera.width)) or any(cut_sides(box.y, box.h, camera.height))
+
+
+def cut_sides(low: float, side: float, size: int) -> tuple[bool, bool]:
+    """Returns whether the border cuts a box's side where it begins, and where it ends, in an image of that size."""
+    return low < _BORDER_PX - 0.5, low + side > size - 0.5 - _BORDER_PX
 
 
 def _middle(box: Box, camera: CameraModel, size_m: tuple[float, float], z_m: float) -> Pixel:
     """The middle of an object that the border cuts, from its size when it was whole."""
     half_u, half_v = 0.5 * size_m[0] * camera.fx / z_m, 0.5 * size_m[1] * camera.fy / z_m
     return (
-        _whole_middle(box.x, box.x + box.w, half_u, camera.width),
-        _whole_middle(box.y, box.y + box.h, half_v, camera.height),
+        _whole_middle(box.x, box.w, half_u, camera.width),
+        _whole_middle(box.y, box.h, half_v, camera.height),
     )
 
 
-def _whole_middle(low: float, high: float, half: float, size: int) -> float:
-    if low < _BORDER_PX - 0.5:
+def _whole_middle(low: float, side: float, half: float, size: int) -> float:
+    high, (cut_low, cut_high) = low + side, cut_sides(low, side, size)
+    if cut_low:
         return min(high - half, 0.5 * (low + high))
-    if high > size - 0.5 - _BORDER_PX:
+    if cut_high:
         return max(low + half, 0.5 * (low + high))
     return 0.5 * (low + high)

@@ -1,0 +1,91 @@
+"""Two people one behind the other are one box to a detector: the track of one of them stays where that one is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import pytest
+
+from flight.guidance import Vec3, norm
+from flight.tracking.association import Sighting, follow
+from flight.tracking.objects import is_cut
+from flight.tracking.target_track import TargetTrack
+from path.observations import Box, Depth, Detection, MissReason, Region
+from tests.flight.tracking.test_standing_out import CAMERA, PLACE, SECOND, T_N_C, Upright, settled
+
+BEHIND: Vec3 = (PLACE[0] + 2.4, PLACE[1] + 0.3, PLACE[2])
+
+
+@dataclass
+class InOneBox(Upright):
+    """The first body and all behind it in one box, which the image's border cuts, and which is scored low for that.
+
+    ``shown``: whether depth shows the first one.
+    """
+
+    shown: bool = True
+
+    def targets(self, region: Region | None) -> Sequence[Detection]:
+        boxes = [box for box, _ in self.boxes()]
+        x0, y0 = min(box.x for box in boxes), max(0.0, min(box.y for box in boxes))
+        x1, y1 = max(box.x + box.w for box in boxes), max(box.y + box.h for box in boxes)
+        found = Detection(Box(x0, y0, x1 - x0, y1 - y0), 0.18)
+        return [found] if region is None or region.contains(*found.box.center) else []
+
+    def depth(self, box: Box) -> Depth | None:
+        return super().depth(box) if self.shown else None
+
+
+def kept(track: TargetTrack, seconds: float, place: Vec3 = PLACE, *, shown: bool = True) -> None:
+    """The target is at a place, or on its way to it, and one box is around it and another one behind it."""
+    begun_ns = track.stamp_ns
+    frames = round(50 * seconds)
+    for k in range(1, frames + 1):
+        north, east, down = (a + (b - a) * k / frames for a, b in zip(PLACE, place, strict=True))
+        view = InOneBox([(north, east, down), BEHIND], (), begun_ns + k * SECOND // 50, shown=shown)
+        (found,) = view.targets(None)
+        assert is_cut(found.box, CAMERA)
+        assert follow(view, T_N_C, CAMERA, track) is MissReason.AMBIGUOUS_TARGET  # no evidence for the other drone
+    assert track.stamp_ns == view.stamp_ns
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_a_box_around_two_that_the_border_cuts_does_not_move_the_track(shown: bool) -> None:
+    """The middle of what is in view of that box is half a metre farther on."""
+    track = settled()
+    kept(track, 3.0, shown=shown)
+    assert math.dist(track.position_n_m, PLACE) < 0.1
+    assert norm(track.velocity_n_mps) < 0.1
+    back = Upright([PLACE], [0], track.stamp_ns + SECOND // 50)
+    assert isinstance(follow(back, T_N_C, CAMERA, track), Sighting)
+    assert norm(track.velocity_n_mps) < 0.1  # D1 flies by it
+
+
+def test_depth_shows_where_in_such_a_box_the_target_goes() -> None:
+    track = settled()
+    aside = (PLACE[0] - 0.4, PLACE[1], PLACE[2])
+    kept(track, 2.0, aside)
+    assert math.dist(track.position_n_m, aside) < 0.2
+    assert math.dist(track.velocity_n_mps, (-0.2, 0.0, 0.0)) < 0.12
+
+
+def test_without_a_sighting_such_a_box_keeps_a_track_for_a_while_only() -> None:
+    track = settled()
+    begun_ns = track.whole_ns
+    for k in range(1, 400):
+        view = InOneBox([PLACE, BEHIND], (), begun_ns + k * SECOND // 50, shown=False)
+        follow(view, T_N_C, CAMERA, track)
+    assert 4.5 * SECOND < track.stamp_ns - begun_ns < 5.5 * SECOND
+
+
+def test_one_box_around_it_does_not_make_a_nearer_one_the_target() -> None:
+    """Another one comes before it, less than a metre away: what the depth shows then is not the target."""
+    track = settled()
+    begun_ns = track.stamp_ns
+    for k in range(1, 51):
+        nearer = (PLACE[0] - 0.9, PLACE[1] - 0.1 + 0.004 * k, PLACE[2])
+        view = InOneBox([PLACE, nearer, BEHIND], (), begun_ns + k * SECOND // 50)
+        follow(view, T_N_C, CAMERA, track)
+    assert math.dist(track.position_n_m, PLACE) < 0.15
