@@ -91,8 +91,8 @@ class SeparationConfig:
     horizontal_m: Annotated[float, Bounds(0.1, 20.0)] = 0.60
     vertical_m: Annotated[float, Bounds(0.1, 20.0)] = 0.45
     viewpoint_m: Annotated[float, Bounds(0.2, 20.0)] = 1.05  # between the two bodies, at the planned viewpoint
-    # between the receiver's camera and the marker there, where there is such a viewpoint: this is what is measured, and an
-    # approach that measures 0.15 m more than minimum_m goes around
+    # between the receiver's camera and the marker there, where there is such a viewpoint: that is what is measured, and
+    # an approach that measures no more than minimum_m + 0.15 m goes around
     marker_m: Annotated[float, Bounds(0.2, 20.0)] = 1.05
     minimum_m: Annotated[float, Bounds(0.2, 20.0)] = 0.70  # between the two bodies: the guard ends the mission below it
     downwash_half_angle_deg: Annotated[float, Bounds(0.0, 80.0)] = 30.0

@@ -251,7 +251,7 @@ def _within(box: Box, expected: Pixel, side_px: tuple[float, float], camera: Cam
 
 
 def _nearest(expected: float, middle: float, room: float, cut: tuple[bool, bool]) -> float:
-    """The place nearest to the expected one that is no farther from a middle than half the room, but past what is cut."""
+    """The place nearest to the expected one that is within half the room of a middle, and anywhere past a cut side."""
     room = room if any(cut) else max(0.0, room)
     first, last = -math.inf if cut[0] else middle - 0.5 * room, math.inf if cut[1] else middle + 0.5 * room
     return max(first, min(last, expected))
