@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from drivers.interfaces import View
 from flight.config import Designated
 from flight.guidance import Vec3
-from flight.tracking.association import Sighting, acquire, point_in_camera
+from flight.tracking.association import Sighting, acquire
+from flight.tracking.largest_box import LargestBox
 from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.geometry.rigid import rigid
 from path.geometry.transforms import Pose
 from path.observations import Box, MissReason
-from path.target.cylinder import reach_m
 
 STEADY_FRAMES = 5
 STEADY_M = 0.25
 ROOM = 0.2  # of the image, at each side
-_AT_THE_CAMERA = rigid(Pose(np.eye(3), np.zeros(3)))
 
 
 class Acquisition:
@@ -30,7 +26,7 @@ class Acquisition:
     """
 
     def __init__(self, camera: CameraModel, method: MethodConfig) -> None:
-        self._camera, self._method = camera, method
+        self._camera, self._largest = camera, LargestBox.of(camera, method)
         self._steady: list[Vec3] = []
         self.ambiguous = False
 
@@ -54,17 +50,6 @@ class Acquisition:
         return room_u <= u <= self._camera.width - room_u and room_v <= v <= self._camera.height - room_v
 
     def _alone(self, seen: Sighting, T_n_c: Pose) -> bool:
-        """Returns whether the box is no larger than the target can be: two that are one behind the other are one box.
-
-        By the rule of ``path.target.size`` for what the target is, where that is stated.
-        """
-        own, box, depth = self._method.evidence, seen.box, seen.depth
-        if depth is None or not own.span_m > 0.0:
-            return True
-        gx, gy, gz = T_n_c.R[2].tolist()
-        place_c = point_in_camera(box, depth.z_m, self._camera)
-        wide_m, high_m = reach_m(_AT_THE_CAMERA, place_c, (gx, gy, gz), own.span_m, own.height_m)
-        larger = max(box.w * depth.z_m / self._camera.fx / wide_m, box.h * depth.z_m / self._camera.fy / high_m)
-        pixels = 2.0 * self._method.pixel_sigma_px / max(1.0, min(box.w, box.h))
-        sigma = math.hypot(pixels, depth.sigma_m / depth.z_m, own.size_sigma)
-        return math.log(max(larger, 1e-9)) <= own.size_sigmas * sigma
+        """Returns whether the box is no larger than the target can be: two, one behind the other, are one box."""
+        depth, largest = seen.depth, self._largest
+        return depth is None or largest is None or largest.holds(seen.box, depth.z_m, depth.sigma_m, T_n_c)

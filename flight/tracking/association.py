@@ -129,8 +129,12 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     found = view.targets(Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px))
     ranked = by_distance(found, (u, v), camera, track.size_m, z)
     side_px = None if track.size_m is None else (px_per_m * track.size_m[0], px_per_m * track.size_m[1])
-    if not ranked or ranked[0].off_px > px_per_m * gate_m or ranked[0].more:
-        return _unfound(view, T_n_c, camera, track, ranked, ((u, v), z), px_per_m * gate_m)
+    if (
+        not ranked
+        or ranked[0].off_px > px_per_m * gate_m
+        or (ranked[0].more or _has_more(ranked[0].box, z, sigma_m, T_n_c, track))
+    ):
+        return _unfound(view, T_n_c, camera, track, ranked, ((u, v), z, sigma_m), px_per_m * gate_m)
     chosen = ranked[0]
     if len(ranked) > 1:
         track.note_rival(_nearest_m(ranked, px_per_m), view.stamp_ns)
@@ -178,7 +182,7 @@ def _unfound(
     camera: CameraModel,
     track: TargetTrack,
     ranked: Sequence[ImageObject],
-    expected: tuple[Pixel, float],
+    expected: tuple[Pixel, float, float],
     reach_px: float,
 ) -> MissReason:
     """Keeps the track, where there is no box of the object's own, by a box around it, or by what stands out there.
@@ -186,9 +190,9 @@ def _unfound(
     A track that nothing kept for a while is not taken up again by depth.
 
     Args:
-        expected: pixel and depth of the object. reach_px: how far from there it may be.
+        expected: pixel and depth of the object, and its standard deviation. reach_px: how far from there it may be.
     """
-    (pixel, z_m), size_m = expected, track.size_m
+    (pixel, z_m, sigma_m), size_m = expected, track.size_m
     if size_m is None:
         return MissReason.NO_TARGET
     side_px = camera.fx / z_m * size_m[0], camera.fx / z_m * size_m[1]
@@ -206,11 +210,23 @@ def _unfound(
         along, along_row = _level(T_n_c, (x, y, 1.0)), _level(T_n_c, (x_row, y_row, 1.0))
         if along_row > MIN_DESCENT:
             body = standing_out(view, (pixel[0], row), z_m * along / along_row, side_px[0], reach_px)
-    others = [each.box for each in ranked if holder is None or not is_larger(each.box, side_px)]
+    others = [
+        each.box
+        for each in ranked
+        if not (
+            _is_around(each.box, pixel, side_px)
+            and (holder is not None or _has_more(each.box, z_m, sigma_m, T_n_c, track))
+        )
+    ]
     if body is not None and not any(_is_in(body[0], box) for box in others):  # else it is what has that box
         (x, y), depth_m = camera.ray(*body[0]), body[1]
         track.carry(to_local((x * depth_m, y * depth_m, depth_m), T_n_c), view.stamp_ns)
     return MissReason.NO_TARGET if holder is None else MissReason.AMBIGUOUS_TARGET
+
+
+def _has_more(box: Box, z_m: float, sigma_m: float, T_n_c: Pose, track: TargetTrack) -> bool:
+    """Returns whether a box, if it is where the object is, has something else in it, however long it has been so."""
+    return track.largest is not None and not track.largest.holds(box, z_m, sigma_m, T_n_c)
 
 
 def _level(T_n_c: Pose, ray_c: Vec3) -> float:
@@ -235,9 +251,13 @@ def _holder(
 ) -> Pixel | None:
     """The place of the object in a box that it no longer has to itself: one around where it is expected, and larger."""
     for each in ranked:
-        if _is_in(expected, each.box) and is_larger(each.box, side_px):
+        if _is_around(each.box, expected, side_px):
             return _within(each.box, expected, side_px, camera)
     return None
+
+
+def _is_around(box: Box, expected: Pixel, side_px: tuple[float, float]) -> bool:
+    return _is_in(expected, box) and is_larger(box, side_px)
 
 
 def _within(box: Box, expected: Pixel, side_px: tuple[float, float], camera: CameraModel) -> Pixel:

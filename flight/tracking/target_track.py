@@ -7,6 +7,7 @@ from typing import Self
 
 from flight.config import MissionConfig
 from flight.guidance import Vec3, add, scale, subtract
+from flight.tracking.largest_box import LargestBox
 from flight.tracking.ranging import OverGround
 from path.target.size import RunningSize
 
@@ -29,7 +30,8 @@ class TargetTrack:
 
     ``accel_mps2``: how hard it may be expected to speed up, brake and turn. ``flies``: it moves up and down too; of one
     that does not, what seems to is its box. ``over_ground``: how well the height from which it is seen is known, where
-    it stands on the ground and that is stated. ``carry_s``: for so long after it was seen its depth alone carries it.
+    it stands on the ground and that is stated. ``largest``: the largest box that it can have, where that is stated.
+    ``carry_s``: for so long after it was seen its depth alone carries it.
     ``stamp_ns`` is of what the track rests on, ``seen_ns`` of the last box.
     """
 
@@ -41,9 +43,11 @@ class TargetTrack:
         *,
         flies: bool = False,
         over_ground: OverGround | None = None,
+        largest: LargestBox | None = None,
         carry_s: float = 0.0,
     ) -> None:
         self.position_n_m = position_n_m
+        self.largest = largest
         self.over_ground = over_ground
         self.velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
         self.stamp_ns = stamp_ns
@@ -61,11 +65,13 @@ class TargetTrack:
         self.whole_ns = stamp_ns
 
     @classmethod
-    def of(cls, mission: MissionConfig, position_n_m: Vec3, stamp_ns: int) -> Self:
+    def of(cls, mission: MissionConfig, position_n_m: Vec3, stamp_ns: int, largest: LargestBox | None = None) -> Self:
         """The track of the mission's target, first seen there."""
         accel_mps2, flies = mission.follow.target_accel_mps2, mission.target.flies
         over_ground, carry_s = OverGround.of(mission), mission.follow.carry_s
-        return cls(position_n_m, stamp_ns, accel_mps2, flies=flies, over_ground=over_ground, carry_s=carry_s)
+        return cls(
+            position_n_m, stamp_ns, accel_mps2, flies=flies, over_ground=over_ground, largest=largest, carry_s=carry_s
+        )
 
     def predict(self, stamp_ns: int) -> tuple[Vec3, float]:
         """Position (m) and its standard deviation per axis at a stamp, the filter left as it is."""

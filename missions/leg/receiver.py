@@ -29,6 +29,7 @@ from flight.rendezvous.course import Rendezvous
 from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
 from flight.rendezvous.viewpoint import NoViewpoint
 from flight.tracking.association import follow, place
+from flight.tracking.largest_box import LargestBox
 from flight.tracking.target_track import TargetTrack
 from missions.leg.handover import ReceiverHandover
 from missions.leg.journal import (
@@ -196,8 +197,7 @@ class Receiver:
 
     def _near(self) -> bool:
         """Returns whether the marker is already nearer than the stand-off, which reported positions put farther on."""
-        session = self._session
-        now_ns = session.now_ns()
+        now_ns = self._session.now_ns()
         relative = self._marker.predict(now_ns) if self._marker.fixes(now_ns) >= _FIXES_TO_APPROACH else None
         return relative is not None and norm(relative.marker_n_m) < self._rendezvous.stand_off_m
 
@@ -327,7 +327,8 @@ class Receiver:
         depth = view.depth(candidate.box) or Depth(prior.depth_m, 0.0)
         position = place(candidate.box, depth, self._camera, T_n_c, -self._config.target.height_m)
         if self._track is None:
-            self._track = TargetTrack.of(self._config, position, view.stamp_ns)
+            largest = LargestBox.of(self._camera, self._session.rig.method)
+            self._track = TargetTrack.of(self._config, position, view.stamp_ns, largest)
         else:
             self._track.update(position, view.stamp_ns)
 
@@ -341,9 +342,8 @@ class Receiver:
             session.pilot.guidance = self._follow_target
             self._following = True
         seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
-        unseen_s = (view.stamp_ns - track.stamp_ns) * 1e-9
+        unseen_s, deadlines = (view.stamp_ns - track.stamp_ns) * 1e-9, self._config.deadlines
         session.log.write("/track", view.stamp_ns, track_record(seen))
-        deadlines = self._config.deadlines
         if unseen_s > deadlines.target_coast_s + deadlines.target_regain_s and session.phase is Phase.FOLLOW:
             raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
 

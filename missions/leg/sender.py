@@ -27,6 +27,7 @@ from flight.phases import Phase
 from flight.tilt import Tilt
 from flight.tracking.acquisition import Acquisition
 from flight.tracking.association import Sighting, follow
+from flight.tracking.largest_box import LargestBox
 from flight.tracking.look_round import LookRound
 from flight.tracking.target_track import TargetTrack
 from missions.leg.handover import SenderHandover
@@ -71,6 +72,7 @@ class Sender:
         self._begun_ns = session.now_ns()
         self._track: TargetTrack | None = None
         self._acquisition = Acquisition(self._camera, rig.method)
+        self._largest = LargestBox.of(self._camera, rig.method)
         self._look_round = LookRound(config)
         self._watching = True
         self._handover = SenderHandover(session, store)
@@ -283,7 +285,7 @@ class Sender:
         if self._acquisition.ambiguous:
             self._look_round.hold()
         if position is not None:
-            self._track = TargetTrack.of(self._config, position, view.stamp_ns)
+            self._track = TargetTrack.of(self._config, position, view.stamp_ns, self._largest)
             self._heading_rad = self._look_round.found(self._session.vehicle.state.position_n_m, position)
 
     def _designated(self, stamp_ns: int) -> Designated:

@@ -18,6 +18,7 @@ from flight.guidance import Vec3
 from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
 from flight.tracking.acquisition import Acquisition
 from flight.tracking.association import Sighting, follow
+from flight.tracking.largest_box import LargestBox
 from flight.tracking.target_track import TargetTrack
 from missions.replay.logged import pose_of
 from path.camera.model import CameraModel
@@ -68,6 +69,7 @@ class SenderPerceiver:
         self._off_m = (0.0, 0.0)
         self._track: TargetTrack | None = None
         self._acquisition = Acquisition(camera, method)
+        self._largest = LargestBox.of(camera, method)
         self._seen: Sighting | MissReason | None = None
         self._gravity_v: Vec3 = (math.nan, math.nan, math.nan)
 
@@ -94,7 +96,7 @@ class SenderPerceiver:
         designated = self._mission.target.at((stamp_ns - self._begun_ns) * 1e-9, self._off_m)
         position = self._acquisition.look(view, T_n_c, designated)
         if position is not None:
-            self._track = TargetTrack.of(self._mission, position, stamp_ns)
+            self._track = TargetTrack.of(self._mission, position, stamp_ns, self._largest)
 
     @property
     def seen(self) -> tuple[Sighting | MissReason, Vec3] | None:

@@ -10,8 +10,10 @@ import pytest
 
 from flight.guidance import Vec3, norm
 from flight.tracking.association import Sighting, follow
+from flight.tracking.largest_box import LargestBox
 from flight.tracking.objects import is_cut
 from flight.tracking.target_track import TargetTrack
+from path.config import EvidenceConfig, MethodConfig
 from path.observations import Box, Depth, Detection, MissReason, Region
 from tests.flight.tracking.test_standing_out import CAMERA, PLACE, SECOND, T_N_C, Upright, settled
 
@@ -89,3 +91,25 @@ def test_one_box_around_it_does_not_make_a_nearer_one_the_target() -> None:
         view = InOneBox([PLACE, nearer, BEHIND], (), begun_ns + k * SECOND // 50)
         follow(view, T_N_C, CAMERA, track)
     assert math.dist(track.position_n_m, PLACE) < 0.15
+
+
+STATED = MethodConfig(evidence=EvidenceConfig(span_m=0.77, height_m=1.75))
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_box_larger_than_the_target_can_be_is_never_its_own(stated: bool) -> None:
+    """Where the size is not stated, what has looked so for 3 s is the target."""
+    track = TargetTrack(PLACE, 0, carry_s=6.0, largest=LargestBox.of(CAMERA, STATED if stated else MethodConfig()))
+    for k in range(1, 51):
+        assert isinstance(follow(Upright([PLACE], [0], k * SECOND // 50), T_N_C, CAMERA, track), Sighting)
+    own_m, taken = track.size_m, False
+    for k in range(51, 351):
+        view = Upright([PLACE], [], k * SECOND // 50)
+        box, _ = view.boxes()[0]
+        found = Detection(Box(box.x - 0.6 * box.w, box.y - 0.1 * box.h, 2.2 * box.w, 1.2 * box.h), 0.9)
+        view.targets = lambda region, found=found: [found]  # type: ignore[method-assign]
+        taken = taken or isinstance(follow(view, T_N_C, CAMERA, track), Sighting)
+    assert taken is not stated
+    assert (track.size_m == own_m) is stated
+    if stated:
+        assert math.dist(track.position_n_m, PLACE) < 0.1
