@@ -72,7 +72,8 @@ def plan_viewpoint(
     Rules, in this order: separation ellipsoid, downwash cone of the upper drone, marker size in the image,
     incidence on the marker, range to the target, not too near to it, marker and target inside the image with margin,
     D1's body not in front of the target. The best of the rest has the largest margin for its marker size. One that is
-    nearer to the marker than ``separation.marker_m`` is taken only where there is no other: two drones swing.
+    nearer to the marker than ``separation.marker_m`` is taken only where there is no other, and then the farthest: two
+    drones swing.
     """
     candidates = _candidates()
     distance = np.linalg.norm(candidates, axis=1)
@@ -113,9 +114,8 @@ def plan_viewpoint(
     # a wider margin is worth a smaller marker, up to what a drone swings in a gust
     score = np.minimum(margin, 150.0) + (2.0 * marker_px[alive] - 20.0 * incidence[alive])[:, None]
     score[margin < rendezvous.image_margin_px] = -np.inf
-    roomy = distance[alive] > separation.marker_m - _SAME_M
-    if np.isfinite(score[roomy]).any():
-        score[~roomy] = -np.inf
+    farthest_m = np.max(distance[alive], where=np.isfinite(score).any(axis=1), initial=0.0)
+    score[distance[alive] < min(separation.marker_m, farthest_m) - _SAME_M] = -np.inf
     index, share = np.unravel_index(int(np.argmax(score)), score.shape)
     if not np.isfinite(score[index, share]):
         return NoViewpoint({**rejected, "not both in view": len(places)})

@@ -295,6 +295,7 @@ def test_the_marker_is_far_enough_for_two_drones_that_swing(right_m: float) -> N
 
 
 def test_a_viewpoint_that_is_nearer_to_the_marker_is_better_than_none() -> None:
-    """None of 20 px and more is as far as the second."""
-    unasked, far = replace(APART, marker_m=0.2), replace(APART, marker_m=1.5)
-    assert plan(scene(), apart=far) == plan(scene(), apart=unasked)
+    """None of 20 px and more is as far as the first: the farthest is taken. Unasked it would be a nearer one."""
+    near, unasked = (plan(person_from_the_side(0.25), apart=replace(APART, marker_m=m)) for m in (1.5, 0.2))
+    assert isinstance(near, Viewpoint) and isinstance(unasked, Viewpoint)
+    assert 0.8 < math.hypot(*unasked.camera_h_m) < math.hypot(*near.camera_h_m) < 1.5
