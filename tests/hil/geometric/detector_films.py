@@ -95,7 +95,8 @@ class Walk:
         target = TargetConfig(kind=kind, start_time_s=0.0)
         self._traffic = GroundVehicles(target, alike, [(0.0, 0.0), (1.5, -3.0)], np.random.SeedSequence(seed))
         self._phase = np.random.default_rng(seed).uniform(0.0, 2.0 * math.pi, 8)
-        self._kind, self._seed = kind, seed
+        self._kind: TargetKind = kind
+        self._seed = seed
 
     def at(self, picture: int, late_s: float = 0.0) -> Snapshot:
         """The moment of a picture, or one shortly after or before it."""
@@ -245,8 +246,8 @@ def edge_noise(edges_px: Array) -> EdgeNoise:
     off = np.abs(whole - bias)
     far = off > FAR_OFF_PX
     rms = float(np.sqrt(np.mean(off[far] ** 2))) if far.any() else 0.0
-    cuts = [float(np.mean(left_out > least_px)) for least_px in (FAR_OFF_PX, 2.0 * FAR_OFF_PX)]
-    return EdgeNoise(bias, 0.5 * (high - low), *cuts, float(far.any(axis=1).mean()), rms)
+    cut, deep = (float(np.mean(left_out > least_px)) for least_px in (FAR_OFF_PX, 2.0 * FAR_OFF_PX))
+    return EdgeNoise(bias, 0.5 * (high - low), cut, deep, float(far.any(axis=1).mean()), rms)
 
 
 def measured(
