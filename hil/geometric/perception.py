@@ -21,7 +21,7 @@ from drivers.rig.parts import PartContext
 from hil.camera.capture import Capture, CaptureTicker, CaptureTiming, SensorHarness, timing_of, true_camera
 from hil.geometric.kernels import fold, fold_both
 from hil.geometric.markers import LARGEST_SCALE, marker
-from hil.geometric.noise import ObservationNoise
+from hil.geometric.noise import ObservationNoise, noise_in
 from hil.geometric.scene import Array, CameraSetup, Placed, outlines, place
 from hil.geometric.spells import Spells
 from hil.geometric.targets import DETECTION_COLUMNS, SHARE, DepthSettings, depth_over, detections
@@ -81,7 +81,7 @@ class GeometricPerception:
         true = true_camera(context, harness.built)
         setup = CameraSetup(context.role, true.camera, true.T_b_c, true.T_b_v, true.layout)
         self._model = context.camera
-        self._sensor = Sensor(setup, noise or ObservationNoise(), config.method, harness.seed, true.errors)
+        self._sensor = Sensor(setup, noise or noise_in(true.scene), config.method, harness.seed, true.errors)
         name = f"the {context.role.value}'s geometric perception"
         self._ticker: CaptureTicker[Snapshot] = CaptureTicker(
             name, config.timing(context.role), context.role, context.clock, harness, _keep

@@ -37,6 +37,8 @@ class TargetNoise(NamedTuple):
     edge_sigma_px: float
     outlier_rate: float
     outlier_sigma_px: float
+    cut_rate: float
+    cut_px: float
     miss_rate: float
     score: float
     score_sigma: float
@@ -228,6 +230,9 @@ def detections(seen, lens, region, noise, key, slow_key, found):
         if uniform(mix(slow, 103)) < noise.outlier_rate:
             gauss(slow, off)
             draws[int(4.0 * uniform(mix(slow, 104)))] = off[0] * noise.outlier_sigma_px / max(spread, 1e-9)
+        if uniform(mix(slow, 105)) < noise.cut_rate:
+            gauss(mix(slow, 105), off)
+            draws[1] = abs(off[0]) * noise.cut_px / max(spread, 1e-9)
         whole = _shift(edges, lens, noise, spread, draws)
         w, h = edges[2] - edges[0], edges[3] - edges[1]
         u, v = edges[0] + 0.5 * w, edges[1] + 0.5 * h

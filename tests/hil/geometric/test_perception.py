@@ -156,6 +156,17 @@ def test_two_that_touch_in_the_image_may_be_taken_for_one() -> None:
     assert all(len(look(apart, noise=ObservationNoise(), frame_id=k).targets(None)) == 2 for k in range(200))
 
 
+def test_boxes_leave_out_the_top_as_often_and_by_as_much_as_is_said() -> None:
+    cut = EXACT.targets._replace(edge_sigma_px=1e-6, cut_rate=0.3, cut_px=20.0)
+    snapshot = alone(moment(thing(0, 0.1, 0.0)), Role.SENDER)
+    ((x, y, w, h),) = [values(d.box) for d in look(snapshot).targets(None)]
+    boxes = [look(snapshot, Role.SENDER, replace(EXACT, targets=cut), 10 * k).targets(None)[0].box for k in range(400)]
+    assert all(values(b) == pytest.approx((x, b.y, w, y + h - b.y), abs=1e-4) for b in boxes)
+    tops = np.array([b.y - y for b in boxes])
+    assert np.mean(tops > 1e-3) == pytest.approx(0.3, abs=0.07)
+    assert np.mean(tops[tops > 1e-3]) == pytest.approx(20.0 * math.sqrt(2.0 / math.pi), rel=0.2)
+
+
 @pytest.mark.parametrize("role", Role)
 def test_placed_later_is_the_world_carried_on(role: Role) -> None:
     moving = replace(thing(0, 0.3, 0.2), speed_mps=0.4, climb_mps=0.1)
