@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from missions.trials.shared.statistics import bootstrap, mean, upper_bound, wilson
+from missions.trials.shared.statistics import bootstrap, means, upper_bound, wilson
 
 
 def test_wilson_matches_published_values() -> None:
@@ -39,7 +39,7 @@ def test_bootstrap_covers_the_mean_as_often_as_it_says() -> None:
     covered = 0
     for seed in range(60):
         rng = np.random.default_rng(seed)
-        low, high = bootstrap(rng.normal(1.0, 0.5, 60), mean, rng)
+        low, high = bootstrap(rng.normal(1.0, 0.5, 60), means, rng)
         covered += low <= 1.0 <= high
     assert 51 <= covered <= 60
 
@@ -48,7 +48,7 @@ def test_samples_that_share_an_error_are_not_counted_as_independent() -> None:
     rng = np.random.default_rng(5)
     groups = np.repeat(np.arange(8), 50)
     values = rng.normal(0.0, 1.0, 8)[groups] + rng.normal(0.0, 0.01, 400)
-    alone = bootstrap(values, mean, rng)
-    together = bootstrap(values, mean, rng, groups)
+    alone = bootstrap(values, means, rng)
+    together = bootstrap(values, means, rng, groups)
     assert together[1] - together[0] > 4.0 * (alone[1] - alone[0])
     assert together[1] - together[0] == pytest.approx(2.0 * 1.96 / math.sqrt(8), rel=0.5)
