@@ -73,8 +73,8 @@ def check_bounds(config: object) -> None:
 def out_of_bounds(config: object) -> list[tuple[str, str]]:
     """Every field of a dataclass with a number that is out of its bounds, and why it is not taken."""
     wrong: list[tuple[str, str]] = []
-    for name, hint in get_type_hints(type(config), include_extras=True).items():
-        value, bounds = getattr(config, name), bounds_of(hint)
+    for name, bounds in _bounds_by_field(type(config)).items():
+        value = getattr(config, name)
         if dataclasses.is_dataclass(value):
             wrong += out_of_bounds(value)
         wrong += [(name, refusal(name, each, bounds)) for each in numbers(value) if bounds and not bounds.holds(each)]
@@ -116,6 +116,11 @@ def bounded_fields(kind: type[Any]) -> dict[str, tuple[type[Any], Bounds]]:
         if bounds is not None and get_args(hints[each.name])[0] in (int, float):
             found[each.name] = get_args(hints[each.name])[0], bounds
     return found
+
+
+@cache
+def _bounds_by_field(kind: type[Any]) -> dict[str, Bounds | None]:
+    return {name: bounds_of(hint) for name, hint in get_type_hints(kind, include_extras=True).items()}
 
 
 def bounds_of(hint: Any) -> Bounds | None:

@@ -26,8 +26,10 @@ def test_it_is_handed_over(kind: str, tmp_path: Path) -> None:
 
 def test_the_follower_climbs_with_what_it_follows(tmp_path: Path) -> None:
     rig = rig_library.load("sim-drone")
-    # by count both verify for long enough to see it climb
-    rig = replace(rig, method=replace(rig.method, gate="count"), mission={**rig.mission, "follow_after_s": 0.5})
+    # by count both verify for long enough to see it climb, and then no longer
+    deadlines = {**rig.mission.get("deadlines", {}), "verify_s": 8.0}
+    mission = {**rig.mission, "follow_after_s": 0.5, "deadlines": deadlines}
+    rig = replace(rig, method=replace(rig.method, gate="count"), mission=mission)
     fly_once(rig, 2, (), tmp_path, lambda _: None)
     run = load_run(tmp_path)
     verify = [r.stamp_ns for r in run.sender["/phase"] if r.record["phase"] == "verify"]
@@ -38,6 +40,8 @@ def test_the_follower_climbs_with_what_it_follows(tmp_path: Path) -> None:
         for r in run.world["/truth"]
         if 24.0 < (r.stamp_ns - beginning) * 1e-9 < 32.0
     ]
+    ended = [r.stamp_ns for r in run.sender["/phase"] if r.record["phase"] == "depart"]
+    assert ended[0] - run.sender["/phase"][0].stamp_ns > 32e9
     above, height = np.array(told).T
     assert np.ptp(height) > 0.8
     assert above == pytest.approx(np.full(len(above), 1.4), abs=0.35)

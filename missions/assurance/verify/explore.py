@@ -20,6 +20,7 @@ from drivers.collector import collector_off
 from missions.assurance.verify.model import UNREAD, ModelWorld, Scope
 from missions.assurance.verify.moves import TICK, ModelStep, Moves
 
+ANY: frozenset[str] = frozenset()
 _ONES = 24  # bits for a number of crashes, aborts, attempts or ticks
 _RECORD = 16
 _COMPLEMENT = (1 << _RECORD) - 1
@@ -136,8 +137,9 @@ class Covering:
 class _Trail:
     """The worlds found so far, and how they were reached."""
 
-    def __init__(self, moves: Moves) -> None:
+    def __init__(self, moves: Moves, until_broken: frozenset[str] | None) -> None:
         self.moves = moves
+        self.until_broken, self.ended = until_broken, False
         self.came_from: dict[ModelWorld, tuple[ModelWorld, str] | None] = {}
         self.broken: Counter[str] = Counter()
         self.example: tuple[str, ...] = ()
@@ -155,6 +157,7 @@ class _Trail:
             if not self.broken:
                 self.example = (*self._way(world), f"{move.what}: breaks {move.broken}")
             self.broken[move.broken] += 1
+            self.ended = self.until_broken is not None and self.until_broken <= self.broken.keys()
 
     def _way(self, world: ModelWorld) -> tuple[str, ...]:
         steps: list[str] = []
@@ -170,7 +173,7 @@ def explore(
     limit: int = 1 << 62,
     advance: Callable[[int, int], None] | None = None,
     *,
-    until_broken: bool = False,
+    until_broken: frozenset[str] | None = None,
     seen: SeenWorlds | None = None,
     moves: Moves | None = None,
 ) -> Exploration:
@@ -179,23 +182,24 @@ def explore(
     Args:
         limit: worlds to enter at most, or a few more.
         advance: told now and then how many ticks and worlds it is in.
-        until_broken: stop at the first break of an invariant, for machines that are known to be wrong.
+        until_broken: stop once all of these invariants are broken, with ``ANY`` at the first break of whichever: for
+            what is known to be wrong. None goes through everything.
         seen: ``Exact()`` unless told.
         moves: of the same scope, to number its worlds as another exploration did.
     """
     seen = Exact() if seen is None else seen
     moves = moves or Moves(scope)
-    trail = _Trail(moves)
+    trail = _Trail(moves, until_broken)
     waiting = [moves.start(skew) for skew in range(-scope.uncertainty, scope.uncertainty + 1)]
     for world in waiting:
         seen.add(world)
         trail.came_from[world] = None
     depth = 0
     while waiting:
-        waiting = _one_instant(trail, seen, waiting, until_broken)
+        waiting = _one_instant(trail, seen, waiting)
         if advance is not None:
             advance(depth, trail.entered)
-        if trail.entered >= limit or (until_broken and trail.broken):
+        if trail.entered >= limit or trail.ended:
             break
         depth += bool(waiting)
     named: Counter[tuple[str, str]] = Counter()
@@ -206,7 +210,7 @@ def explore(
     )
 
 
-def _one_instant(trail: _Trail, seen: SeenWorlds, waiting: list[ModelWorld], until_broken: bool) -> list[ModelWorld]:
+def _one_instant(trail: _Trail, seen: SeenWorlds, waiting: list[ModelWorld]) -> list[ModelWorld]:
     """Everything that can happen before the next tick, and the worlds of that tick."""
     ticks: list[tuple[ModelWorld, ModelWorld]] = []
     for world in waiting:  # grows while it is walked through
@@ -220,7 +224,7 @@ def _one_instant(trail: _Trail, seen: SeenWorlds, waiting: list[ModelWorld], unt
             elif seen.add(move.world):
                 trail.came_from[move.world] = (world, move.what)
                 waiting.append(move.world)
-            if until_broken and trail.broken:
+            if trail.ended:
                 return []
     following: list[ModelWorld] = []
     for world, after in ticks:

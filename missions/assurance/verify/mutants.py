@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Any
 
-from missions.assurance.verify.explore import Covering, Exploration, explore
+from missions.assurance.verify.explore import ANY, Covering, Exploration, explore
 from missions.assurance.verify.model import Scope
 from path.protocol import receiver, sender
 from path.protocol.values import Persist, Refusal, Release, Send
@@ -54,7 +54,7 @@ def wrong(mutant: Mutant) -> Generator[None, None, None]:
 def caught(mutant: Mutant) -> Exploration | None:
     """The exploration that shows an invariant broken which the mutant's rule keeps; None when there is none."""
     with wrong(mutant):
-        found = explore(mutant.scope, until_broken=True, seen=Covering())
+        found = explore(mutant.scope, until_broken=ANY, seen=Covering())
     return found if set(found.broken) & set(mutant.breaks) else None
 
 

@@ -14,7 +14,7 @@ from missions.trials.board.file import BoardPhotograph
 from missions.trials.board.measure import Left, measure
 from missions.trials.corners.methods import OPENCV, PIXEL_CENTRE, TITLES
 from missions.trials.corners.score import calibration_text
-from missions.trials.shared.statistics import Array, Interval, bootstrap, mean, robust_sigma, whitened
+from missions.trials.shared.statistics import Array, Interval, bootstrap, means, robust_sigma, robust_sigmas, whitened
 from missions.trials.shared.trial import TrialTable
 from path.geometry.transforms import Matrix
 from path.marker.detect import refine_corners
@@ -147,7 +147,7 @@ def _score(board: BoardPhotograph, found: Corners, seed: int) -> OnBoard:
         corners,
         math.sqrt(float(np.mean(left.errors_px**2))),
         robust_sigma(left.errors_px),
-        bootstrap(left.errors_px, robust_sigma, rng),
+        bootstrap(left.errors_px, robust_sigmas, rng),
         robust_sigma(measure(corners, centres, board.file.side_m, board.camera, FINER_ORDER).errors_px),
     )
     if not squares:
@@ -157,7 +157,7 @@ def _score(board: BoardPhotograph, found: Corners, seed: int) -> OnBoard:
     return replace(
         own,
         calibration=float(calibration.mean()),
-        calibration_interval=bootstrap(calibration, mean, rng),
+        calibration_interval=bootstrap(calibration, means, rng),
         stated_px=float(np.median(sigmas)),
     )
 

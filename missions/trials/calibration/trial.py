@@ -13,7 +13,7 @@ from missions.calibrate.camera import BadViews, calibrate
 from missions.calibrate.collect import Collected, CollectedImage
 from missions.trials.calibration.kinds import KINDS, QUICK, calibrate_kind, kind_findings, kind_table
 from missions.trials.calibration.views import Held, board_poses, grey, photographs
-from missions.trials.shared.statistics import bootstrap, mean, rms
+from missions.trials.shared.statistics import bootstrap, means, rms
 from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, TrialTable, verdict
 from path.calibration.board import Board, BoardView, find_board, find_corners
 from path.calibration.intrinsics import left_by, solve_intrinsics
@@ -192,7 +192,7 @@ def _focal_findings(outcomes: Sequence[SetResult], groups: Groups) -> list[Trial
         )
     )
     squares = np.array([float((outcome.normalised**2).mean()) for outcome in outcomes])
-    low, high = bootstrap(squares, mean, np.random.default_rng(0))
+    low, high = bootstrap(squares, means, np.random.default_rng(0))
     findings.append(
         TrialFinding(
             "squared error of the parameters over the stated",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
 from missions.trials.compute.film import SIZES, shoot_film
 from missions.trials.compute.path import DETECTORS, GEOMETRY, MESSAGES, SUMS
 from missions.trials.compute.rounds import HOT, QUICK, Array, ComputePlan, Timings, time_all
-from missions.trials.shared.statistics import bootstrap, median
+from missions.trials.shared.statistics import Statistic, bootstrap, figure_of, medians, percentiles
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.messages import Role
 
@@ -104,21 +104,21 @@ def _ratios(timing: Timings, rng: np.random.Generator) -> dict[str, dict[str, fl
         for counted in COUNTED:
             ours, theirs = np.median(timing.us[counted], axis=1), np.median(timing.us[method], axis=1)
             blocks = np.column_stack((theirs, ours))
-            low, high = bootstrap(blocks, _ratio, rng)
-            found[f"{counted}_vs_{method}"] = {"ratio": _ratio(blocks), "low": low, "high": high}
+            low, high = bootstrap(blocks, _ratios_of, rng)
+            found[f"{counted}_vs_{method}"] = {"ratio": figure_of(_ratios_of, blocks), "low": low, "high": high}
     return found
 
 
-def _ratio(blocks: Array) -> float:
-    return float(np.median(blocks[:, 0]) / np.median(blocks[:, 1]))
+def _ratios_of(samples: Array) -> Array:
+    return np.asarray(np.median(samples[..., 0], axis=1) / np.median(samples[..., 1], axis=1), np.float64)
 
 
 def _budget_findings(timings: Mapping[str, Timings], rng: np.random.Generator) -> tuple[TrialFinding, ...]:
     findings: list[TrialFinding] = []
 
-    def add(size: str, quantity: str, name: str, statistic: Callable[[Array], float], goal_ms: float, why: str) -> None:
+    def add(size: str, quantity: str, name: str, statistic: Statistic, goal_ms: float, why: str) -> None:
         us = timings[size].us[name]
-        ours = statistic(us) / MS
+        ours = figure_of(statistic, us) / MS
         low, high = bootstrap(us, statistic, rng)
         interval, goal = f"{low / MS:.3f} to {high / MS:.3f}", f"≤ {goal_ms:g}"
         note = why if ours > goal_ms else ""
@@ -128,14 +128,14 @@ def _budget_findings(timings: Mapping[str, Timings], rng: np.random.Generator) -
 
     cold = "In the cycle its code and data must be fetched again after the images went through the cache."
     for size in timings:
-        add(size, "geometry of both sides, nothing between its stages, median", HOT, median, GEOMETRY_GOAL_MS, "")
-        add(size, "geometry of both sides, within a whole cycle, median", "geometry", median, GEOMETRY_GOAL_MS, cold)
+        add(size, "geometry of both sides, nothing between its stages, median", HOT, medians, GEOMETRY_GOAL_MS, "")
+        add(size, "geometry of both sides, within a whole cycle, median", "geometry", medians, GEOMETRY_GOAL_MS, cold)
     for size in timings:
-        add(size, "marker's pose while tracking, p99", "d2_marker", _p99, MARKER_GOALS_MS[size], "")
+        add(size, "marker's pose while tracking, p99", "d2_marker", _p99s, MARKER_GOALS_MS[size], "")
     for size in timings:
         for number in (1, 2):
             name = f"whole cycle of D{number} as flown, without its detector, p99"
-            add(size, name, f"d{number}_cycle", _p99, CYCLE_GOAL_MS, "")
+            add(size, name, f"d{number}_cycle", _p99s, CYCLE_GOAL_MS, "")
     findings += [_log_finding(timing, size, number) for size, timing in timings.items() for number in (1, 2)]
     return tuple(findings)
 
@@ -149,8 +149,8 @@ def _log_finding(timing: Timings, size: str, number: int) -> TrialFinding:
     )  # fmt: skip
 
 
-def _p99(values: Array) -> float:
-    return float(np.percentile(values, 99.0))
+def _p99s(samples: Array) -> Array:
+    return percentiles(samples, 99.0)
 
 
 def _ratio_findings(ratios: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[TrialFinding, ...]:

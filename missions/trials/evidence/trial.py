@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from flight.harness.montecarlo import Attempt, WrongAssociation
 from missions.report.palette import COUNT, DIM, FAULT, ROLE
 from missions.trials.evidence.blocks import LAGS, Batch, EvidenceAttempt, GateTime, run_batch
-from missions.trials.shared.statistics import Interval, bootstrap, upper_bound
+from missions.trials.shared.statistics import Interval, bootstrap, medians, upper_bound
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.config import MethodConfig
 from path.gate.evidence import evidence_needed, evidence_of, persistent_bound
@@ -89,10 +89,11 @@ def rate(told: Sequence[EvidenceAttempt], later: bool, seed: int) -> tuple[int, 
     if judged == 0:
         return 0, 0, (0.0, 1.0)
 
-    def share(picked: np.ndarray) -> float:
-        return float(picked[:, 0].sum() / max(1.0, picked[:, 1].sum()))
+    def shares(samples: np.ndarray) -> np.ndarray:
+        agreed, of = samples.sum(axis=1).T
+        return agreed / np.maximum(1.0, of)
 
-    low, high = bootstrap(counts, share, np.random.default_rng([seed, 7]))
+    low, high = bootstrap(counts, shares, np.random.default_rng([seed, 7]))
     return agreeing, judged, (low, max(high, upper_bound(agreeing, judged)))
 
 
@@ -119,7 +120,7 @@ def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
     first, later = rate(accident, False, seed), rate(near, True, seed)
     times = _times(true, papers=False)
     median = float(np.median(times))
-    interval = bootstrap(times, lambda v: float(np.median(v)), np.random.default_rng([seed, 8]))
+    interval = bootstrap(times, medians, np.random.default_rng([seed, 8]))
     papers = float(np.median(_times(true, papers=True)))
     fooled = wrongly([each.evidence for each in accident])
     lags = np.array([each.correlation for each in true])

@@ -18,7 +18,16 @@ from missions.trials.handshake.handovers import (
     judged_by,
 )
 from missions.trials.handshake.pictures import draw_faults, draw_times
-from missions.trials.shared.statistics import bootstrap, median, upper_bound, wilson
+from missions.trials.shared.statistics import (
+    Array,
+    Statistic,
+    bootstrap,
+    figure_of,
+    medians,
+    percentiles,
+    upper_bound,
+    wilson,
+)
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.config import GateKind
 
@@ -172,17 +181,17 @@ def _quantile(values: Series, percent: float) -> float | None:
     return float(np.percentile(values, percent)) if values else None
 
 
-def _p90(values: np.ndarray) -> float:
-    return float(np.percentile(values, 90.0))
+def _p90s(samples: Array) -> Array:
+    return percentiles(samples, 90.0)
 
 
-def _with_interval(values: Series, statistic: Any, rng: np.random.Generator) -> tuple[str, str]:
+def _with_interval(values: Series, statistic: Statistic, rng: np.random.Generator) -> tuple[str, str]:
     """A statistic in s and its bootstrap interval, as text."""
     if not values:
         return "none", ""
     array = np.array(values)
     low, high = bootstrap(array, statistic, rng)
-    return f"{statistic(array):.2f}", f"{low:.2f}-{high:.2f}"
+    return f"{figure_of(statistic, array):.2f}", f"{low:.2f}-{high:.2f}"
 
 
 # --- findings -----------------------------------------------------------------------------------------------------
@@ -193,8 +202,8 @@ def _flight_findings(flown: Sequence[FlightResult], rng: np.random.Generator) ->
     paper, evidence = by_gate["count"], by_gate["evidence"]
     seconds, wrong = _seconds(paper), sum(each.wrong for each in flown)
     low, high = wilson(len(seconds), len(paper))
-    middle, middle_in = _with_interval(seconds, median, rng)
-    p90, p90_in = _with_interval(seconds, _p90, rng)
+    middle, middle_in = _with_interval(seconds, medians, rng)
+    p90, p90_in = _with_interval(seconds, _p90s, rng)
     findings = [
         TrialFinding("whole missions of level sim: commits of attempts", f"{len(seconds)} of {len(paper)}",
                 f"{low:.0%}-{high:.0%}", f"{PAPER_COMMITS} of 45",
@@ -207,7 +216,7 @@ def _flight_findings(flown: Sequence[FlightResult], rng: np.random.Generator) ->
         TrialFinding("the same, 90th percentile", p90, p90_in, f"{PAPER_P90_S:.2f}"),
     ]  # fmt: skip
     if evidence:
-        quick, quick_in = _with_interval(_seconds(evidence), median, rng)
+        quick, quick_in = _with_interval(_seconds(evidence), medians, rng)
         met = bool(_seconds(evidence)) and float(quick) <= GOAL_MEDIAN_S
         findings.append(
             TrialFinding("missions with the evidence gate: the same time, s, median", quick, quick_in, "", "≤ 2",
@@ -221,8 +230,8 @@ def _handover_findings(
 ) -> tuple[TrialFinding, ...]:
     times, gates = _times(tried), summary["gates"]
     count, evidence = gates["count"], gates["evidence"]
-    middle, interval = _with_interval(times["evidence"], median, rng)
-    middle_paper, interval_paper = _with_interval(times["count"], median, rng)
+    middle, interval = _with_interval(times["evidence"], medians, rng)
+    middle_paper, interval_paper = _with_interval(times["count"], medians, rng)
     faults = handovers.wrong_by_fault(tried)
     near, beside = (_look_alikes(tried, within) for within in (NEAR_M, BESIDE_M))
     low, high = wilson(near, len(tried))
@@ -288,8 +297,8 @@ def _gate_table(tried: Sequence[HandshakeAttempt], rng: np.random.Generator) -> 
     for gate, seconds in _times(tried).items():
         judged = judged_by(tried, gate)
         low, high = wilson(len(seconds), len(judged))
-        middle, middle_in = _with_interval(seconds, median, rng)
-        p90, p90_in = _with_interval(seconds, _p90, rng)
+        middle, middle_in = _with_interval(seconds, medians, rng)
+        p90, p90_in = _with_interval(seconds, _p90s, rng)
         bound = upper_bound(_wrong(judged), len(judged))
         rows.append((gate, str(len(judged)), f"{len(seconds)} ({low:.1%}-{high:.1%})",
                      f"{middle} ({middle_in})", f"{p90} ({p90_in})", str(_wrong(judged)), f"{bound:.3%}"))  # fmt: skip

@@ -16,7 +16,7 @@ from missions import rig_library
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE, tidy
 from missions.trials.link.cost import PACKETS, Times, measure_costs
 from missions.trials.link.traffic import LinkTraffic, TappedPacket, flow
-from missions.trials.shared.statistics import bootstrap, median
+from missions.trials.shared.statistics import bootstrap, median, medians
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.messages import Role
 
@@ -134,11 +134,11 @@ def _size_findings(
 
 def _cost_findings(costs: dict[str, Times], rng: np.random.Generator) -> tuple[TrialFinding, ...]:
     def found(quantity: str, name: str) -> TrialFinding:
-        low, high = bootstrap(costs[name], median, rng)
+        low, high = bootstrap(costs[name], medians, rng)
         return TrialFinding(quantity, f"{median(costs[name]):.1f}", f"{low:.1f} to {high:.1f}")
 
     added = _both(costs, "signed") / _both(costs, "unsigned")
-    low, high = bootstrap(added, median, rng)
+    low, high = bootstrap(added, medians, rng)
     share = 100.0 * 60.0 * median(_both(costs, "signed")) * 1e-6
     return (
         found("encode and sign a packet, µs median", "encode_signed"),
@@ -197,7 +197,7 @@ def _rate_table(rates: dict[str, dict[str, float]]) -> TrialTable:
 def _cost_table(costs: dict[str, Times], rng: np.random.Generator) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for name, values in costs.items():
-        low, high = bootstrap(values, median, rng)
+        low, high = bootstrap(values, medians, rng)
         ends = f"{low:.1f} to {high:.1f}"
         rows.append((name.replace("_", ", "), f"{median(values):.1f}", ends, f"{np.percentile(values, 99):.1f}"))
     return TrialTable(

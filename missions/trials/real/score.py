@@ -22,7 +22,16 @@ from missions.trials.real.results import CornerScore, Figure95, PoseScore, SetSc
 from missions.trials.real.set import RealSet, read_set
 from missions.trials.real.shutter import held_still
 from missions.trials.real.twin import render_twin
-from missions.trials.shared.statistics import bootstrap, mean, median, p95, robust_sigma
+from missions.trials.shared.statistics import (
+    Statistic,
+    bootstrap,
+    figure_of,
+    means,
+    medians,
+    p95s,
+    robust_sigma,
+    robust_sigmas,
+)
 
 SCORE_STREAM = 2
 QUICK_IMAGES = 4
@@ -113,8 +122,8 @@ def _score(
 def _corner_score(measured: MethodPoses, rng: np.random.Generator) -> CornerScore:
     groups = np.array([marker.view for marker in measured.seen])
     errors = np.stack([marker.error_px for marker in measured.seen])
-    robust = _figure(errors, robust_sigma, groups, rng)
-    across = _figure(np.stack([marker.across_px for marker in measured.seen]), robust_sigma, groups, rng)
+    robust = _figure(errors, robust_sigmas, groups, rng)
+    across = _figure(np.stack([marker.across_px for marker in measured.seen]), robust_sigmas, groups, rng)
     nominal = robust_sigma(np.stack([marker.nominal_px for marker in measured.seen]))
     rms = math.sqrt(float(np.mean(errors**2)))
     chi2 = np.array([marker.chi2 for marker in measured.seen])
@@ -178,10 +187,10 @@ def _pose_score(poses: Poses, rng: np.random.Generator) -> PoseScore:
     turns = np.degrees([error.rotation_rad for error in poses.errors])
     return PoseScore(
         len(poses.errors),
-        _figure(d2, mean, groups, rng),
-        _figure(d2, median, groups, rng),
-        _figure(d2, p95, groups, rng),
-        _figure(turns, median, groups, rng),
+        _figure(d2, means, groups, rng),
+        _figure(d2, medians, groups, rng),
+        _figure(d2, p95s, groups, rng),
+        _figure(turns, medians, groups, rng),
         sum(error.flipped for error in poses.errors),
         poses.refused,
         _honesty(np.array([error.chi2 for error in poses.errors]), 6, groups, rng),
@@ -190,12 +199,12 @@ def _pose_score(poses: Poses, rng: np.random.Generator) -> PoseScore:
 
 def _honesty(chi2: Array, freedom: int, groups: Groups, rng: np.random.Generator) -> Figure95:
     """Median of chi-squares over their degrees of freedom, in units of what it is when the covariance is right."""
-    return _figure(chi2 / MEDIAN_OF[freedom], median, groups, rng)
+    return _figure(chi2 / MEDIAN_OF[freedom], medians, groups, rng)
 
 
-def _figure(values: Array, statistic: Any, groups: Groups, rng: np.random.Generator) -> Figure95:
+def _figure(values: Array, statistic: Statistic, groups: Groups, rng: np.random.Generator) -> Figure95:
     together = groups if len(np.unique(groups)) > 2 else None
-    return Figure95(statistic(values), bootstrap(values, statistic, rng, together))
+    return Figure95(figure_of(statistic, values), bootstrap(values, statistic, rng, together))
 
 
 def _thumbnail(seen: SetSeen) -> NDArray[np.uint8]:

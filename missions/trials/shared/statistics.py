@@ -13,9 +13,12 @@ from path.target.kernels import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float]
+Statistic = Callable[[Array], Array]
+"""A figure of each of several samples: of (k, n, ...) it makes (k,)."""
 
 Z95 = 1.959963984540054
 RESAMPLES = 2000
+AT_ONCE = 1_000_000  # numbers that are resampled together
 
 
 def wilson(successes: int, trials: int) -> Interval:
@@ -51,7 +54,7 @@ def upper_bound(events: int, trials: int, confidence: float = 0.95) -> float:
 
 def bootstrap(
     values: Array,
-    statistic: Callable[[Array], float],
+    statistic: Statistic,
     rng: np.random.Generator,
     groups: NDArray[np.int64] | None = None,
 ) -> Interval:
@@ -61,26 +64,55 @@ def bootstrap(
         groups: (n,) numbers of what was drawn together: samples that share an error are resampled together, otherwise
             the interval claims what repeating the same error cannot show.
     """
-    if groups is None:
-        picks = (rng.integers(0, len(values), len(values)) for _ in range(RESAMPLES))
-    else:
-        members = [np.flatnonzero(groups == group) for group in np.unique(groups)]
-        draws = (rng.integers(0, len(members), len(members)) for _ in range(RESAMPLES))
-        picks = (np.concatenate([members[i] for i in draw]) for draw in draws)
-    low, high = np.percentile([statistic(values[pick]) for pick in picks], (2.5, 97.5))
+    member = np.arange(len(values)) if groups is None else np.unique(groups, return_inverse=True)[1]
+    order, sizes = np.argsort(member, kind="stable"), np.bincount(member)
+    firsts = np.cumsum(sizes) - sizes
+    draws = rng.integers(0, len(sizes), (RESAMPLES, len(sizes)))
+    lengths = sizes[draws].sum(axis=1)
+    figures: list[Array] = []
+    for length in np.unique(lengths):  # samples that are equally long are computed at once, but for what memory holds
+        alike = draws[lengths == length]
+        for some in np.array_split(alike, math.ceil(len(alike) * length * values[0].size / AT_ONCE)):
+            parts = sizes[some.ravel()]
+            within = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+            picks = order[np.repeat(firsts[some.ravel()], parts) + within]
+            figures.append(statistic(values[picks].reshape(len(some), length, *values.shape[1:])))
+    low, high = np.percentile(np.concatenate(figures), (2.5, 97.5))
     return float(low), float(high)
 
 
-def mean(values: Array) -> float:
-    return float(np.mean(values))
+def means(samples: Array) -> Array:
+    return np.asarray(np.mean(_flat(samples), axis=1), np.float64)
+
+
+def medians(samples: Array) -> Array:
+    return np.asarray(np.median(_flat(samples), axis=1), np.float64)
+
+
+def percentiles(samples: Array, percent: float) -> Array:
+    return np.asarray(np.percentile(_flat(samples), percent, axis=1), np.float64)
+
+
+def p95s(samples: Array) -> Array:
+    return percentiles(samples, 95.0)
+
+
+def robust_sigmas(samples: Array) -> Array:
+    """Standard deviations by the median size of errors around zero."""
+    return MAD_TO_SIGMA * medians(np.abs(samples))
+
+
+def figure_of(statistic: Statistic, values: Array) -> float:
+    """The statistic of one sample (n, ...)."""
+    return float(statistic(values[None])[0])
+
+
+def _flat(samples: Array) -> Array:
+    return samples.reshape(len(samples), -1)
 
 
 def median(values: Array) -> float:
     return float(np.median(values))
-
-
-def p95(values: Array) -> float:
-    return float(np.percentile(values, 95.0))
 
 
 def rms(values: Array | Sequence[float]) -> float:

@@ -235,16 +235,12 @@ def test_corners_that_err_as_stated_leave_what_camera_and_gravity_do(file: Path)
     assert 0.7 < float(np.median([e.chi2 for e in stated.errors])) / 0.891 < 1.4
 
 
-def test_the_command_writes_summary_and_page(file: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    assert run(TrialOptions("real", out=out, set=((file,),), quick=True, jobs=1)) == 0
-    own = json.loads((out / "summary.json").read_text())["sets"]["rendered"]
+def test_the_summary_has_every_figure_with_its_interval(score: SetScore) -> None:
+    own = json.loads(json.dumps(score.summary(), allow_nan=False))
     for name in ("d2_mean_m", "d2_median_m", "d2_p95_m", "rotation_median_deg", "chi2_pose", "chi2_corners"):
         assert own[f"{name}_interval"][0] <= own[name] <= own[f"{name}_interval"][1]
     assert own["flips"] == 0
     assert own["corners"]["photometric"]["robust_px"] < own["corners"]["subpix"]["robust_px"]
-    assert (out / "real.png").read_bytes()[:4] == b"\x89PNG"
-    assert "--set" in (out / "index.html").read_text()
 
 
 def test_without_a_set_nothing_is_measured(tmp_path: Path) -> None:

@@ -185,12 +185,28 @@ def test_the_quality_of_a_jpeg_is_read_from_its_table(tmp_path: Path, quality: i
     assert jpeg_quality(tmp_path / "a.png") is None
 
 
-def test_page_and_summary_hold_the_twin_against_its_photographs(file: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    assert run(TrialOptions("real", out=out, set=((file,),), jobs=1)) == 0
+@pytest.fixture(scope="module")
+def out(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The files of the trial with this set."""
+    folder = tmp_path_factory.mktemp("out")
+    assert run(TrialOptions("real", out=folder, set=((file,),), quick=True, jobs=1)) == 0  # of four photographs all
+    return folder
+
+
+def test_page_and_summary_hold_the_twin_against_its_photographs(out: Path) -> None:
     own = json.loads((out / "summary.json").read_text())["sets"]["known"]["twin"]
     assert own["ratios"]["corners_px"] == pytest.approx(1.0, abs=0.3)
     assert own["ratios"]["d2_mean_m"] == pytest.approx(1.0, abs=0.35)
     assert own["imaging"]["jpeg_quality"] == pytest.approx(85, abs=1)
     assert "twin over photographs" in (out / "index.html").read_text()
     assert len(list((out / "twins" / "known").glob("*.png"))) == 4
+
+
+def test_the_command_writes_summary_and_page(out: Path) -> None:
+    own = json.loads((out / "summary.json").read_text())["sets"]["known"]
+    for name in ("d2_mean_m", "d2_median_m", "d2_p95_m", "rotation_median_deg", "chi2_pose", "chi2_corners"):
+        assert own[f"{name}_interval"][0] <= own[name] <= own[f"{name}_interval"][1]
+    assert own["flips"] == 0
+    assert own["corners"]["photometric"]["robust_px"] < own["corners"]["subpix"]["robust_px"]
+    assert (out / "real.png").read_bytes()[:4] == b"\x89PNG"
+    assert "--set" in (out / "index.html").read_text()

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from missions.trials.shared.statistics import bootstrap, mean, upper_bound, wilson
+from missions.trials.shared import statistics
+from missions.trials.shared.statistics import bootstrap, means, medians, upper_bound, wilson
 
 
 def test_wilson_matches_published_values() -> None:
@@ -39,7 +40,7 @@ def test_bootstrap_covers_the_mean_as_often_as_it_says() -> None:
     covered = 0
     for seed in range(60):
         rng = np.random.default_rng(seed)
-        low, high = bootstrap(rng.normal(1.0, 0.5, 60), mean, rng)
+        low, high = bootstrap(rng.normal(1.0, 0.5, 60), means, rng)
         covered += low <= 1.0 <= high
     assert 51 <= covered <= 60
 
@@ -48,7 +49,27 @@ def test_samples_that_share_an_error_are_not_counted_as_independent() -> None:
     rng = np.random.default_rng(5)
     groups = np.repeat(np.arange(8), 50)
     values = rng.normal(0.0, 1.0, 8)[groups] + rng.normal(0.0, 0.01, 400)
-    alone = bootstrap(values, mean, rng)
-    together = bootstrap(values, mean, rng, groups)
+    alone = bootstrap(values, means, rng)
+    together = bootstrap(values, means, rng, groups)
     assert together[1] - together[0] > 4.0 * (alone[1] - alone[0])
     assert together[1] - together[0] == pytest.approx(2.0 * 1.96 / math.sqrt(8), rel=0.5)
+
+
+@pytest.mark.parametrize("at_once", [1_000_000, 700])
+def test_samples_that_are_computed_at_once_are_those_that_are_drawn_one_by_one(
+    at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of groups that are not equally large, and in as many parts as memory asks for."""
+    monkeypatch.setattr(statistics, "AT_ONCE", at_once)
+    values = np.random.default_rng(2).normal(size=(40, 3))
+    for groups in (None, np.random.default_rng(3).integers(0, 6, 40)):
+        members = [np.array([k]) for k in range(40)] if groups is None else [
+            np.flatnonzero(groups == group) for group in range(6)
+        ]  # fmt: skip
+        rng = np.random.default_rng(4)
+        drawn = [
+            float(np.median(values[np.concatenate([members[i] for i in rng.integers(0, len(members), len(members))])]))
+            for _ in range(statistics.RESAMPLES)
+        ]
+        low, high = np.percentile(drawn, (2.5, 97.5))
+        assert bootstrap(values, medians, np.random.default_rng(4), groups) == (low, high)

@@ -15,7 +15,7 @@ from drivers.rig.parts import Rig
 from flight.harness.errors import DepthError, TrialErrors
 from hil.world.errors import sizes_of
 from missions import rig_library
-from missions.trials.shared.statistics import bootstrap
+from missions.trials.shared.statistics import bootstrap, means
 from missions.trials.shared.trial import TrialRequest, TrialResult, trial_part
 from missions.trials.static.methods import (
     ALL,
@@ -299,7 +299,7 @@ def test_intervals_resample_whole_sessions():
     shared = rng.normal(0.01, 0.002, (40, 1)) + rng.normal(0.0, 1e-4, (40, len(STANDS)))
     figures = figures_of(Results(*(shared for _ in range(5))), 9)
     low, high = figures.intervals["d2_mean_m"]
-    expected = bootstrap(shared[:, SEVEN], lambda drawn: float(np.mean(drawn)), np.random.default_rng(1))
+    expected = bootstrap(shared[:, SEVEN], means, np.random.default_rng(1))
     assert (low, high) == pytest.approx(expected, rel=0.02)
     assert high - low > 0.0009  # as if every measurement were drawn alone it would be 0.0005
 
