@@ -67,7 +67,6 @@ class RenderedCamera:
         self._model = context.camera
         self._role = context.role
         true = true_camera(context, harness.built)
-        self._errors = true.errors
         imaging = config.imaging or true.imaging
         quick = imaging if imaging is not None and is_quick(imaging) else None
         self._renderer = Renderer(
@@ -80,6 +79,7 @@ class RenderedCamera:
             true.scene,
             quick,
             shutter_of(true.errors),
+            true.errors.depth_error,
         )
         self._imaging = None if quick is not None else imaging
         name = f"the {context.role.value}'s rendered camera"
@@ -127,8 +127,7 @@ class RenderedCamera:
 
     def _draw(self, snapshot: Snapshot, frame_id: int) -> Images:
         exposed = None if self._imaging is None else partial(_developed, self._imaging)
-        color, depth_mm = self._renderer.render(snapshot, self._role, frame_id, exposed)
-        return color, self._errors.measured_mm(depth_mm)
+        return self._renderer.render(snapshot, self._role, frame_id, exposed)
 
 
 def _developed(imaging: Imaging, light: NDArray[np.uint8], key: int) -> NDArray[np.uint8]:
