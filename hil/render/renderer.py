@@ -16,8 +16,8 @@ from flight.harness.measured import MEASURED
 from flight.harness.renderer import Imaging
 from hil.render import edges as edge_pass
 from hil.render import kernels, primitives, sensor
+from hil.render.bodies.kinds import model_of_thing
 from hil.render.ground import SCRATCH_ROWS, draw_ground, ground_plane
-from hil.render.kinds import model_of_thing
 from hil.render.looks import LOOKS
 from hil.render.mosaic import MosaicSensor
 from hil.render.overlay import Overlay
