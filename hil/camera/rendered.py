@@ -21,7 +21,7 @@ from drivers.interfaces import CameraError, Frame
 from drivers.rig.parts import PartContext
 from flight.harness.renderer import Imaging
 from hil.camera.capture import CaptureTicker, CaptureTiming, SensorHarness, timing_of, true_camera
-from hil.camera.drawing import Drawing, DrawnFrame, Images
+from hil.camera.pending import DrawnFrame, Images, PendingPicture
 from hil.camera.pipeline import develop
 from hil.render.mosaic import is_quick
 from hil.render.renderer import Renderer
@@ -83,12 +83,12 @@ class RenderedCamera:
         )
         self._imaging = None if quick is not None else imaging
         name = f"the {context.role.value}'s rendered camera"
-        self._ticker: CaptureTicker[Drawing] = CaptureTicker(
+        self._ticker: CaptureTicker[PendingPicture] = CaptureTicker(
             name, config.timing(context), context.role, context.clock, harness, self._take
         )
         self._thread: ThreadPoolExecutor | None = None
         self._lock = Lock()
-        self._last: Drawing | None = None
+        self._last: PendingPicture | None = None
 
     @property
     def model(self) -> CameraModel:
@@ -118,12 +118,12 @@ class RenderedCamera:
         self._last = capture.content
         return DrawnFrame(capture.stamp_ns, capture.frame_id, capture.content, (self._model.width, self._model.height))
 
-    def _take(self, snapshot: Snapshot, frame_id: int) -> Drawing:
+    def _take(self, snapshot: Snapshot, frame_id: int) -> PendingPicture:
         assert self._thread is not None, "nothing is captured before somebody reads"
-        drawing = Drawing(partial(self._draw, snapshot, frame_id), self._lock)
+        picture = PendingPicture(partial(self._draw, snapshot, frame_id), self._lock)
         if self._ticker.awaited and (self._last is None or self._last.looked):
-            drawing.begin(self._thread)
-        return drawing
+            picture.begin(self._thread)
+        return picture
 
     def _draw(self, snapshot: Snapshot, frame_id: int) -> Images:
         exposed = None if self._imaging is None else partial(_developed, self._imaging)

@@ -15,7 +15,7 @@ from drivers.interfaces import CameraError, Frame
 from drivers.rig.parts import Mount, Origin, PartContext
 from flight.harness.renderer import Imaging
 from hil.camera.capture import CaptureTiming, Freeze
-from hil.camera.drawing import Images
+from hil.camera.pending import Images
 from hil.camera.rendered import RenderedCamera, RenderedCameraConfig
 from hil.harness.virtual_time import run_virtual
 from hil.render.renderer import Renderer

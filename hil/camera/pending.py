@@ -15,7 +15,7 @@ Images = tuple[NDArray[np.uint8], NDArray[np.uint16]]
 """Colour (h, w, 3) and depth (h, w) of one picture."""
 
 
-class Drawing:
+class PendingPicture:
     """One picture: drawn once, by whoever comes first. ``looked`` says whether anybody but the thread asked for it."""
 
     __slots__ = ("_draw", "_images", "_lock", "looked")
@@ -47,20 +47,20 @@ class Drawing:
 class DrawnFrame(Frame):
     """A frame of a picture that may not be drawn yet."""
 
-    __slots__ = ("_drawing", "_size")
+    __slots__ = ("_picture", "_size")
 
-    def __init__(self, stamp_ns: int, frame_id: int, drawing: Drawing, size: tuple[int, int]) -> None:
+    def __init__(self, stamp_ns: int, frame_id: int, picture: PendingPicture, size: tuple[int, int]) -> None:
         """``size``: width and height of both images."""
-        for name, told in (("stamp_ns", stamp_ns), ("frame_id", frame_id), ("_drawing", drawing), ("_size", size)):
+        for name, told in (("stamp_ns", stamp_ns), ("frame_id", frame_id), ("_picture", picture), ("_size", size)):
             object.__setattr__(self, name, told)
 
     @property
     def color(self) -> NDArray[np.uint8]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self._drawing.images()[0]
+        return self._picture.images()[0]
 
     @property
     def depth_mm(self) -> NDArray[np.uint16]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self._drawing.images()[1]
+        return self._picture.images()[1]
 
     @property
     def sizes(self) -> Mapping[str, tuple[int, int]]:
