@@ -249,6 +249,12 @@ class Frame:
     color: NDArray[np.uint8]
     depth_mm: NDArray[np.uint16] | None
 
+    @property
+    def sizes(self) -> Mapping[str, tuple[int, int]]:
+        """Width and height of each stream that there is; to ask for them is not to look at pixels."""
+        streams = {"colour": self.color, "depth": self.depth_mm}
+        return {kind: (image.shape[1], image.shape[0]) for kind, image in streams.items() if image is not None}
+
 
 class Camera(Part, Protocol):
     """A calibrated camera. ``read`` gives the newest frame not yet given, waiting at most ``timeout_s``.

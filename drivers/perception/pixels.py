@@ -239,6 +239,5 @@ def _whole_of(part: Detection, found: Sequence[Detection]) -> Detection | None:
 
 
 def _check_size(frame: Frame, model: CameraModel) -> None:
-    for kind, image in (("colour", frame.color), ("depth", frame.depth_mm)):
-        if image is not None:
-            check_size((model.width, model.height), (image.shape[1], image.shape[0]), f"{kind} stream")
+    for kind, size in frame.sizes.items():
+        check_size((model.width, model.height), size, f"{kind} stream")

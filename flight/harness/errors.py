@@ -33,8 +33,12 @@ class DepthError:
         """A depth image with this error; 0, where there is none, stays 0."""
         if self.factor == 1.0 and self.bias_m == 0.0:
             return depth_mm
-        wrong = self.factor * depth_mm.astype(np.float32) + np.float32(1000.0 * self.bias_m + 0.5)
-        return np.where(depth_mm > 0, wrong, 0.0).astype(np.uint16)
+        wrong = depth_mm.astype(np.float32)
+        wrong *= np.float32(self.factor)
+        wrong += np.float32(1000.0 * self.bias_m + 0.5)
+        measured = wrong.astype(np.uint16)
+        measured *= depth_mm > 0
+        return measured
 
 
 @dataclass(frozen=True, slots=True)

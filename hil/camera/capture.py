@@ -156,6 +156,11 @@ class CaptureTicker(Generic[T]):
         self._last_index = -(1 << 62)
         self.skipped = 0
 
+    @property
+    def awaited(self) -> bool:
+        """Returns whether somebody waits for a picture now."""
+        return self._waiting is not None
+
     async def next(self, timeout_s: float) -> Capture[T]:
         """The newest picture not yet given. Raises CameraError when none came in time."""
         loop = asyncio.get_running_loop()

@@ -21,9 +21,9 @@ from flight.harness.renderer import (
     Thing,
 )
 from hil.camera.pipeline import develop, is_plain
+from hil.render.bodies.people import person
+from hil.render.bodies.prints import marker_print
 from hil.render.mosaic import is_quick
-from hil.render.people import person
-from hil.render.prints import marker_print
 from hil.render.renderer import Renderer
 from hil.render.scene import ROTOR, Body, Model, car, drone, flying, lying, marked_drone, printed_board, standing
 from hil.render.sensor import SensorNoise, mixed

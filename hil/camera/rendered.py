@@ -1,16 +1,18 @@
 """The camera of level ``sim-rendered``: frames drawn by the renderer, in virtual time.
 
-The truth is looked at when the picture is taken; drawing it goes on in a thread while other events happen, and only
-the reader of the frame waits for it. So two cameras draw on two cores, and what they draw depends on nothing but the
-seed.
+The truth is looked at when the picture is taken. A picture that somebody waits for, of a camera whose last frame was
+looked at, is drawn in a thread while other events happen, and only who looks at it waits for it: so two cameras draw on
+two cores. Any other picture is drawn when it is looked at, and most of those never are. What is drawn depends on
+nothing but the seed.
 """
 
 from __future__ import annotations
 
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Annotated, Any, Self, cast
+from threading import Lock
+from typing import Annotated, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,7 @@ from drivers.interfaces import CameraError, Frame
 from drivers.rig.parts import PartContext
 from flight.harness.renderer import Imaging
 from hil.camera.capture import CaptureTicker, CaptureTiming, SensorHarness, timing_of, true_camera
+from hil.camera.pending import DrawnFrame, Images, PendingPicture
 from hil.camera.pipeline import develop
 from hil.render.mosaic import is_quick
 from hil.render.renderer import Renderer
@@ -27,8 +30,6 @@ from hil.render.shutter import shutter_of
 from hil.world.snapshot import Snapshot
 from path.bounds import Bounds
 from path.camera.model import CameraModel
-
-_Image = tuple[NDArray[np.uint8], NDArray[np.uint16]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +67,6 @@ class RenderedCamera:
         self._model = context.camera
         self._role = context.role
         true = true_camera(context, harness.built)
-        self._errors = true.errors
         imaging = config.imaging or true.imaging
         quick = imaging if imaging is not None and is_quick(imaging) else None
         self._renderer = Renderer(
@@ -79,13 +79,16 @@ class RenderedCamera:
             true.scene,
             quick,
             shutter_of(true.errors),
+            true.errors.depth_error,
         )
         self._imaging = None if quick is not None else imaging
         name = f"the {context.role.value}'s rendered camera"
-        self._ticker: CaptureTicker[Future[_Image]] = CaptureTicker(
-            name, config.timing(context), context.role, context.clock, harness, self._draw
+        self._ticker: CaptureTicker[PendingPicture] = CaptureTicker(
+            name, config.timing(context), context.role, context.clock, harness, self._take
         )
         self._thread: ThreadPoolExecutor | None = None
+        self._lock = Lock()
+        self._last: PendingPicture | None = None
 
     @property
     def model(self) -> CameraModel:
@@ -112,13 +115,19 @@ class RenderedCamera:
         if self._thread is None:
             raise CameraError("the rendered camera is not open", "open it with `async with`")
         capture = await self._ticker.next(timeout_s)
-        color, depth_mm = capture.content.result()
-        return Frame(capture.stamp_ns, capture.frame_id, color, self._errors.measured_mm(depth_mm))
+        self._last = capture.content
+        return DrawnFrame(capture.stamp_ns, capture.frame_id, capture.content, (self._model.width, self._model.height))
 
-    def _draw(self, snapshot: Snapshot, frame_id: int) -> Future[Any]:
+    def _take(self, snapshot: Snapshot, frame_id: int) -> PendingPicture:
         assert self._thread is not None, "nothing is captured before somebody reads"
+        picture = PendingPicture(partial(self._draw, snapshot, frame_id), self._lock)
+        if self._ticker.awaited and (self._last is None or self._last.looked):
+            picture.begin(self._thread)
+        return picture
+
+    def _draw(self, snapshot: Snapshot, frame_id: int) -> Images:
         exposed = None if self._imaging is None else partial(_developed, self._imaging)
-        return self._thread.submit(self._renderer.render, snapshot, self._role, frame_id, exposed)
+        return self._renderer.render(snapshot, self._role, frame_id, exposed)
 
 
 def _developed(imaging: Imaging, light: NDArray[np.uint8], key: int) -> NDArray[np.uint8]:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.geometric import kernels, targets
-from hil.render.kinds import BOXES
+from hil.render.bodies.kinds import BOXES
+from hil.render.bodies.walking import boxes_of_a_walker
 from hil.render.scene import SOLID, Model, drone, marked_drone
-from hil.render.walking import boxes_of_a_walker
 from hil.world.gait import OWN_PHASE
 from hil.world.snapshot import ObjectTruth, Snapshot, TargetKind
 from path.camera.kernels import lens_of

@@ -9,7 +9,7 @@ from typing import Any
 from drivers.interfaces import Log
 from drivers.log.topics import camera_record
 from drivers.rig.parts import Rig, RoleRig
-from hil.render.kinds import BOXES
+from hil.render.bodies.kinds import BOXES
 from hil.world.snapshot import TargetKind
 from hil.world.world import World
 from path.geometry.rotation import quat_from_R

@@ -65,8 +65,8 @@ def _detail(plane, x, y, u, v, z, pixel):
     a, b = plane[0, 0] - u * plane[2, 0], plane[0, 1] - u * plane[2, 1]
     c, d = plane[1, 0] - v * plane[2, 0], plane[1, 1] - v * plane[2, 1]
     texels = z * pixel * GROUND_SIZE
-    detail = 0.5 * np.log2(0.5 * (a * a + b * b + c * c + d * d) * texels * texels + 1e-12)
-    return min(max(detail, 0.0), GROUND_LEVELS - 1.001)
+    square = 0.5 * (a * a + b * b + c * c + d * d) * texels * texels + 1e-12
+    return min(0.5 * np.log2(square), GROUND_LEVELS - 1.001) if square > 1.0 else 0.0
 
 
 @inner
@@ -92,13 +92,15 @@ def _lookup(texture, level, scale, u, v, words, fraction_u, fraction_v, out):
 
 
 @inner
-def _stretch(texture, level, rows, words, c0, c1):
-    """Grey levels of the columns c0..c1, which share a mip level."""
+def _stretch(texture, level, finest, rows, words, c0, c1):
+    """Grey levels of the columns c0..c1, which share a mip level. ``finest``: they have no share in the next one."""
     u, v, share, fu, fv = rows[1, c0:c1], rows[2, c0:c1], rows[3, c0:c1], rows[4, c0:c1], rows[5, c0:c1]
     fine, next_fine, rough, words = rows[6, c0:c1], rows[7, c0:c1], rows[8, c0:c1], words[c0:c1]
     _lookup(texture, level, ONE, u, v, words, fu, fv, fine)
-    _lookup(texture, level + 1, ONE, u, v, words, fu, fv, next_fine)
     _lookup(texture, max(level + 1 - COARSE_FINER, 0), F(1.0 / COARSE), u, v, words, fu, fv, rough)
+    if finest:
+        return
+    _lookup(texture, level + 1, ONE, u, v, words, fu, fv, next_fine)
     for c in range(fine.size):
         fine[c] += share[c] * (next_fine[c] - fine[c])
 
@@ -114,18 +116,18 @@ def draw_ground(plane, light, pixel, ray_x, ray_y, texture, tints, rows, words, 
     lit = F(light)
     for r in range(height):
         _meet(plane, ray_x[r], ray_y[r], rows[0, :width], rows[1, :width], rows[2, :width], inverse_z[r])
-        start, current = 0, -1
+        start, current, finest = 0, -1, False
         for c0 in range(0, width, BLOCK):
             c1 = min(c0 + BLOCK, width)
             m = (c0 + c1) // 2
             detail = _detail(plane, ray_x[r, m], ray_y[r, m], rows[1, m], rows[2, m], rows[0, m], pixel)
             level = int(detail)
             rows[3, c0:c1] = F(detail - level)
-            if level != current:
+            if level != current or finest != (detail == 0.0):
                 if c0 > 0:
-                    _stretch(texture, current, rows, words, start, c0)
-                start, current = c0, level
-        _stretch(texture, current, rows, words, start, width)
+                    _stretch(texture, current, finest, rows, words, start, c0)
+                start, current, finest = c0, level, detail == 0.0
+        _stretch(texture, current, finest, rows, words, start, width)
         for k in range(3):
             base, fine, rough, sky = tints[0, k], tints[1, k], tints[2, k], tints[3, k]
             _tint(base, fine, rough, sky, lit, inverse_z[r], rows[6], rows[8], image[k, r])

@@ -9,6 +9,8 @@ for it: between its steps there are 8 bits.
 
 from __future__ import annotations
 
+from functools import cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,7 @@ Image = NDArray[np.uint8]
 F = np.float32
 U_OF, V_OF = F(56.0 / 255.0 / (1.0 - 0.114)), F(56.0 / 255.0 / (1.0 - 0.299))  # BT.601, for each of two pixels
 LIMITED = F(219.0 / 255.0)  # brightness is 16 to 235
+SCRATCH_PLANES = 7  # blue, green, red, brightness, that blurred, and YUYV in two
 
 
 def is_quick(imaging: Imaging) -> bool:
@@ -45,6 +48,7 @@ class MosaicSensor:
         most = blur_taps(blurred_px(imaging.blur_sigma_px, LONGEST_PX)).size
         self._rows = np.empty((3, width + 2 * most), np.float32)
         self._raw = np.empty((height, width), np.uint8)
+        self._scratch = np.empty((SCRATCH_PLANES, height, width), np.uint8)
 
     def image(self, light: Image, key: int, smear_px: tuple[float, float] = (0.0, 0.0)) -> Image:
         """The image (h, w, 3), BGR, of light (3, h, w) in the order B, G, R.
@@ -58,7 +62,7 @@ class MosaicSensor:
         row, column = ((key >> shift) % POOL_MARGIN for shift in (16, 24))
         mosaic(light, taps, down, own.read_sigma, own.shot_gain, self._pool, row, column, self._rows, self._raw)
         color = cv2.demosaicing(self._raw, cv2.COLOR_BayerBG2BGR_EA)  # OpenCV names the pattern by its second row
-        return as_yuyv(np.asarray(color, np.uint8), own.sharpen, own.sharpen_sigma_px)
+        return as_yuyv(np.asarray(color, np.uint8), own.sharpen, own.sharpen_sigma_px, self._scratch)
 
 
 @kernel
@@ -84,8 +88,10 @@ def mosaic(light, taps, down, read_sigma, shot_gain, pool, offset_row, offset_co
             out[c] = np.uint8(np.int32(min(max(level, F(0.0)), top) + F(0.5)))
 
 
-def as_yuyv(color: Image, sharpen: float, sigma_px: float) -> Image:
+def as_yuyv(color: Image, sharpen: float, sigma_px: float, scratch: Image | None = None) -> Image:
     """A picture (h, w, 3), BGR, as it comes through YUYV, its brightness sharpened before.
+
+    scratch: (SCRATCH_PLANES, h, w), written over. To have new memory for each picture takes as long as half the steps.
 
     Raises:
         ValueError: an odd width.
@@ -93,11 +99,30 @@ def as_yuyv(color: Image, sharpen: float, sigma_px: float) -> Image:
     height, width = color.shape[:2]
     if width % 2:
         raise ValueError(f"yuyv: an image of {width} px is odd in width")
-    grey = cv2.cvtColor(color, cv2.COLOR_BGR2GRAY)
-    blurred = cv2.GaussianBlur(grey, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE) if sharpen > 0.0 else grey
-    packed, rows = np.empty((height, width), np.uint16), np.empty((2, width + 2), np.float32)
-    pack(grey, blurred, cv2.extractChannel(color, 0), cv2.extractChannel(color, 2), sharpen, rows, packed)
+    planes = np.empty((SCRATCH_PLANES, height, width), np.uint8) if scratch is None else scratch
+    blue, green, red, grey, blurred = planes[:5]
+    cv2.split(color, (blue, green, red))
+    cv2.cvtColor(color, cv2.COLOR_BGR2GRAY, grey)
+    if sharpen > 0.0:
+        size = _blur_size(sigma_px)
+        cv2.GaussianBlur(grey, (size, size), sigma_px, blurred, borderType=cv2.BORDER_REPLICATE)
+    else:
+        blurred = grey
+    packed, rows = planes[5:7].reshape(-1).view(np.uint16).reshape(height, width), np.empty((2, width + 2), np.float32)
+    pack(grey, blurred, blue, red, sharpen, rows, packed)
     return np.asarray(cv2.cvtColor(packed.view(np.uint8).reshape(height, width, 2), cv2.COLOR_YUV2BGR_YUY2), np.uint8)
+
+
+@cache
+def _blur_size(sigma_px: float) -> int:
+    """The smallest kernel that blurs 8 bits as the one that OpenCV takes by itself: its outer weights may all be 0."""
+    line = np.zeros((1, 129), np.uint8)
+    line[0, 64] = 255  # shows each weight, of 256
+    whole = cv2.GaussianBlur(line, (0, 0), sigma_px)
+    for size in range(3, 129, 2):
+        if np.array_equal(cv2.GaussianBlur(line, (size, size), sigma_px), whole):
+            return size
+    return 0
 
 
 @kernel

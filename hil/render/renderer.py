@@ -11,12 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from flight.harness.errors import DepthError
 from flight.harness.measured import MEASURED
 from flight.harness.renderer import Imaging
 from hil.render import edges as edge_pass
 from hil.render import kernels, primitives, sensor
+from hil.render.bodies.kinds import model_of_thing
 from hil.render.ground import SCRATCH_ROWS, draw_ground, ground_plane
-from hil.render.kinds import model_of_thing
 from hil.render.looks import LOOKS
 from hil.render.mosaic import MosaicSensor
 from hil.render.overlay import Overlay
@@ -33,6 +34,7 @@ from path.messages import Role
 
 Array = NDArray[np.float64]
 
+EXACT_DEPTH = DepthError()
 SUN_W = LOOKS["plain"].sun_w
 SAMPLES = (edge_pass.hammersley(16), edge_pass.hammersley(64))
 STAGES = 8
@@ -74,11 +76,13 @@ class Renderer:
         scene: SceneName = "plain",
         imaging: Imaging | None = None,
         shutter: Shutter | None = None,
+        depth_error: DepthError = EXACT_DEPTH,
     ) -> None:
         """``T_b_c``: mount of this camera on its drone; ``T_b_v``, ``layout``: the markers on the sender.
 
         The seed is of the noise, and of what lies about in the scene. ``imaging``: one that ``MosaicSensor`` does,
         instead of the colour's blur and noise in ``noise``. ``shutter``: by default all is taken in one instant.
+        ``depth_error``: of what ``render`` and ``draw`` give as depth.
 
         Raises:
             ValueError: the camera has pixels without a ray.
@@ -99,6 +103,7 @@ class Renderer:
         self._T_b_c, self._camera = T_b_c, camera
         self._shutter = None if shutter is None else look.shutter(shutter)
         self._smear = 0.0, 0.0
+        self._depth_error = depth_error
         self.seed = seed
         self.noise = noise
         self._lens = lens_of(camera)
@@ -249,7 +254,8 @@ class Renderer:
             self._overlay.over_all(T_w_c, image)
         if depth is not None:
             yield "depth"
-            sense_depth(inverse_z, owner, tags, edges, depth_holes, self.noise, self._depth_pool, key, depth)
+            noise, pool, error = self.noise, self._depth_pool, self._depth_error
+            sense_depth(inverse_z, owner, tags, edges, depth_holes, noise, pool, key, depth, error)
 
     def _unseen(self, snapshot: Snapshot, role: Role) -> list[Body]:
         """The drone of ``role`` itself: its camera sees its shadow."""
@@ -290,11 +296,13 @@ def sense_depth(
     pool: NDArray[np.int8],
     key: int,
     depth: NDArray[np.uint16],
+    error: DepthError = EXACT_DEPTH,
 ) -> None:
-    """Fill ``depth`` with what a depth camera measures of 1/z: noise, limits, holes at steps."""
+    """Fill ``depth`` with what a depth camera measures of 1/z: noise, limits, holes at steps, and its own error."""
     sigma, near, far = noise.depth_sigma_at_1m_m, noise.min_depth_m, noise.max_depth_m
     row, column = pool_offset(key, 0), pool_offset(key, 1)
-    sensor.measure_depth(inverse_z, owner, tags, hide_targets, sigma, near, far, pool, row, column, depth)
+    off = error.factor, 1000.0 * error.bias_m
+    sensor.measure_depth(inverse_z, owner, tags, hide_targets, sigma, near, far, off, pool, row, column, depth)
     sensor.punch_holes(inverse_z, edges, noise.depth_hole_rate, key >> 1, depth)
 
 

@@ -147,14 +147,15 @@ def expose(image, taps, read_sigma, shot_gain, pool, offset_row, offset_column, 
 
 
 @kernel
-def measure_depth(inverse_z, owner, tags, hide_vehicles, sigma, near, far, pool, offset_row, offset_column, depth):
+def measure_depth(inverse_z, owner, tags, hide_vehicles, sigma, near, far, off, pool, offset_row, offset_column, depth):
     """z in whole millimetres with noise that grows with z^2; 0 out of range, and over cars when they are hidden.
 
-    sigma: standard deviation at 1 m in m; near, far in m.
+    sigma: standard deviation at 1 m in m; near, far in m. off: factor and mm by which what is measured is off then.
     """
     height, width = inverse_z.shape
     scale = F(sigma / 1000.0 / POOL_UNIT)  # of z^2 in mm^2
     near_mm, far_mm, thousand = F(near * 1000.0), F(far * 1000.0), F(1000.0)
+    factor, bias = F(off[0]), F(off[1] + 0.5)
     for r in range(height):
         w_row, out = inverse_z[r], depth[r]
         noise = pool[(offset_row % POOL_MARGIN) + r, offset_column % POOL_MARGIN : offset_column % POOL_MARGIN + width]
@@ -162,7 +163,8 @@ def measure_depth(inverse_z, owner, tags, hide_vehicles, sigma, near, far, pool,
             z = thousand / max(w_row[c], F(1e-3))
             z += scale * z * z * F(noise[c])
             inside = (z >= near_mm) & (z <= far_mm)
-            out[c] = np.uint16(np.int32(z + F(0.5))) if inside else np.uint16(0)
+            whole = np.int32(z + F(0.5)) if inside else np.int32(0)
+            out[c] = np.uint16(np.int32(factor * F(whole) + bias)) if whole > 0 else np.uint16(0)
         if hide_vehicles:
             for c in range(width):
                 if owner[r, c] >= 0 and tags[owner[r, c], VEHICLE] == 1:

@@ -6,6 +6,7 @@ import asyncio
 import math
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +15,10 @@ from drivers.interfaces import CameraError, Frame
 from drivers.rig.parts import Mount, Origin, PartContext
 from flight.harness.renderer import Imaging
 from hil.camera.capture import CaptureTiming, Freeze
+from hil.camera.pending import Images
 from hil.camera.rendered import RenderedCamera, RenderedCameraConfig
 from hil.harness.virtual_time import run_virtual
+from hil.render.renderer import Renderer
 from hil.world.errors import Built
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.camera.model import CameraModel
@@ -120,6 +123,30 @@ def test_frames_nobody_reads_are_neither_taken_nor_drawn() -> None:
 
     harness = with_camera(program, RenderedCameraConfig(rate_hz=50.0, latency_s=0.03))
     assert len(harness.world.looked) <= 12
+
+
+def test_what_is_read_and_not_looked_at_is_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[int] = []
+    render = Renderer.render
+
+    def counted(renderer: Renderer, snapshot: Snapshot, role: Role, frame_seed: int, *more: Any) -> Images:
+        drawn.append(frame_seed)
+        return render(renderer, snapshot, role, frame_seed, *more)
+
+    monkeypatch.setattr(Renderer, "render", counted)  # type: ignore[misc]
+    looked: list[Frame] = []
+
+    async def program(camera: RenderedCamera, _: StubHarness) -> None:
+        frames = [await camera.read(1.0) for _k in range(30)]
+        assert {frame.sizes["colour"] for frame in frames} == {(96, 72)}
+        for frame in frames[::10]:
+            assert frame.color.shape == (72, 96, 3)
+        looked.extend(frames[::10])
+
+    with_camera(program)
+    assert {frame.frame_id for frame in looked} <= set(drawn)
+    assert len(drawn) <= 6  # the first ones were drawn before anybody could look
+    assert looked[0].color is looked[0].color
 
 
 def test_a_slow_reader_gets_the_newest_and_the_rest_is_counted() -> None:

@@ -8,7 +8,7 @@ import pytest
 from drivers.detectors.color import ColorDetector, ColorDetectorConfig
 from flight.harness.renderer import Imaging, RenderedInstant, RendererSetup, Thing
 from hil.camera.pictures import CameraRenderer
-from hil.render.people import HEIGHT_M, PARTS, person
+from hil.render.bodies.people import HEIGHT_M, PARTS, person
 from hil.render.scene import GAP_M, PATTERN
 from path.camera.model import CameraModel
 from path.marker.layout import single_marker

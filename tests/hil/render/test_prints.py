@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from flight.harness.renderer import Imaging, Printing, RenderedInstant, RendererSetup
 from hil.camera.pictures import LIGHTS, CameraRenderer
-from hil.render.prints import SHADED, marker_print
+from hil.render.bodies.prints import SHADED, marker_print
 from hil.render.scene import INK, PAPER, PLATE_SCALE
 from path.marker.layout import single_marker
 from path.marker.photometric.texture import cells

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hil.render.kinds import BOXES, DRONE_HULL, DRONE_LIMBS, Boxes, model_of_thing
+from hil.render.bodies.kinds import BOXES, DRONE_HULL, DRONE_LIMBS, Boxes, model_of_thing
 from hil.render.scene import GAP_M, MARKER, PAPER, SOLID, Model, box, car, drone, marked_drone
 from hil.render.textures import GROUND_LEVELS, GROUND_SIZE, ground_pyramid
 from hil.world.snapshot import ObjectTruth, TargetKind

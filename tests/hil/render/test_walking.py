@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.render.kinds import BOXES, WALKING_MPS, model_of_thing
-from hil.render.people import person
-from hil.render.walking import ARM, SHIN, SHOE, SIGNS, THIGH, boxes_of_a_walker, walker, walking
+from hil.render.bodies.kinds import BOXES, WALKING_MPS, model_of_thing
+from hil.render.bodies.people import person
+from hil.render.bodies.walking import ARM, SHIN, SHOE, SIGNS, THIGH, boxes_of_a_walker, walker, walking
 from hil.world.gait import STANCE, step_m, strides_of
 from hil.world.snapshot import ObjectTruth
 from tests.hil.render.test_scene import Array, vertices

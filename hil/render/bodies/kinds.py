@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 
-from hil.render.people import VARIANTS
+from hil.render.bodies.people import VARIANTS
+from hil.render.bodies.walking import boxes_around_a_walker, walking_as
 from hil.render.scene import CAR_BOXES, FRAME, GAP_M, MOTOR, ORANGE, Color, Model, box, car, model_of
-from hil.render.walking import boxes_around_a_walker, walking_as
 from hil.world.snapshot import ObjectTruth, TargetKind
 
 Vec3 = tuple[float, float, float]

@@ -1,4 +1,4 @@
-"""People who walk: the body of ``hil.render.people`` with legs that bend at hip and knee, and arms that swing.
+"""People who walk: the body of ``hil.render.bodies.people`` with legs that bend at hip and knee, and arms that swing.
 
 Feet stay where they stand while the body passes over them (``hil.world.gait``), and each arm swings against its leg.
 A posture depends on nothing but who it is, how many strides they have made, and how fast they go.
@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.render.people import ARM_PARTS, LEG_PARTS, PARTS, SHOE_PARTS, SWUNG_M, build, person
+from hil.render.bodies.people import ARM_PARTS, LEG_PARTS, PARTS, SHOE_PARTS, SWUNG_M, build, person
 from hil.render.scene import SOLID, Color, Face, Model, model_of
 from hil.world.gait import OWN_PHASE, foot_at, reach_m
 
@@ -46,7 +46,7 @@ class Walker:
 
 @cache
 def walker(variant: int) -> Walker:
-    """The person that ``hil.render.people.person`` is. Shared: do not change it."""
+    """The person that ``hil.render.bodies.people.person`` is. Shared: do not change it."""
     scale = build(variant)
     faces: list[Face] = []
     limbs: list[int] = []  # of each face
