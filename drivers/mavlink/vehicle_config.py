@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from drivers.mavlink.preflight.pilot_rules import silenced
 from drivers.mavlink.transport.port import URL
 from drivers.rig.parts import PartSpec
-from path.bounds import AutopilotValues, Bounds
+from path.bounds import AutopilotValues, Bounds, check_bounds
 from path.messages import Vec3
 
 
@@ -32,10 +32,6 @@ class VisionConfig:
     zero_n_m: Annotated[Vec3, Bounds(-10000.0, 10000.0)] = (0.0, 0.0, 0.0)
     sigma_m: Annotated[float, Bounds(0.0, 10.0, above=True)] = 0.05
     least_quality: Annotated[float, Bounds(0.0, 100.0, "of 100")] = 50.0
-
-    def __post_init__(self) -> None:
-        if self.sigma_m <= 0.0 or not 0.0 <= self.least_quality <= 100.0:
-            raise ValueError("sigma_m must be positive, least_quality within 0..100")
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +87,7 @@ class MavsdkVehicleConfig:
     def __post_init__(self) -> None:
         if keeps_out := silenced(self.parameters):
             raise ValueError(f"parameters: {'; '.join(keeps_out)}")
-        for name in ("sysid", "own_sysid"):
-            if not 1 <= getattr(self, name) <= 255:
-                raise ValueError(f"{name} must be within 1..255")
+        check_bounds(self)
         if self.sysid == self.own_sysid:
             raise ValueError("sysid and own_sysid must differ")
         if self.key_file is not None and URL.fullmatch(self.url) is None:
