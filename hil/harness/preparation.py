@@ -63,7 +63,8 @@ def helped(names: Sequence[str]) -> Generator[None]:
             process.wait()
 
 
-def _physics() -> None:
+def physics() -> None:
+    """Compiles what steps a world."""
     from hil.world.config import WorldConfig  # noqa: PLC0415 (each process imports what it compiles)
     from hil.world.world import World  # noqa: PLC0415
 
@@ -77,7 +78,7 @@ PARTS: Mapping[str, Sequence[str]] = {
     "relative": ("path.marker.warm_up:warm_up_relative",),
     "cycles": ("path.cycle.warm_up:warm_up_cycles",),
     "marker": ("path.marker.warm_up:warm_up_image",),
-    "physics": (f"{__name__}:_physics",),
+    "physics": (f"{__name__}:physics",),
     "geometry": ("hil.geometric.perception:warm_up",),
     "renderer": ("hil.render.renderer:warm_up",),
     "depth": ("hil.render.depth:warm_up", "drivers.realsense.registration:warm_up"),
@@ -86,6 +87,7 @@ PARTS: Mapping[str, Sequence[str]] = {
 
 
 def compile_part(name: str) -> None:
+    """Compiles one part, or loads it compiled."""
     for function in PARTS[name]:
         import_factory(function, f"part {name}")()
 
