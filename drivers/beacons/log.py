@@ -32,10 +32,6 @@ class Mounted:
     address: Annotated[int, Bounds(0, 255, "(an address)")]
     lever_m: Annotated[Vec3, Bounds(-3.0, 3.0)]
 
-    def __post_init__(self) -> None:
-        if not 0 <= self.address <= 255:
-            raise ValueError(f"address: {self.address} is not within 0..255")
-
 
 @dataclass(frozen=True, slots=True)
 class BeaconTruth:

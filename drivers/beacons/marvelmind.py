@@ -16,7 +16,7 @@ from drivers.beacons.stream import MarvelmindStream, PortState
 from drivers.interfaces import BeaconError, BeaconFix, Clock
 from drivers.rig.part_check import Finding
 from drivers.rig.parts import PartContext
-from path.bounds import Bounds
+from path.bounds import Bounds, check_bounds
 
 READ_AT_ONCE = 4096
 REOPEN_S = 0.25
@@ -43,10 +43,7 @@ class MarvelmindConfig:
     def __post_init__(self) -> None:
         if not self.ports or len(set(self.ports)) < len(self.ports):
             raise ValueError("ports: name at least one port, and each once")
-        if self.baud < 4800:
-            raise ValueError(f"baud: {self.baud} is below 4800")
-        if not 0.0 <= self.latency_s < 1.0 or self.reopen_s < 0.0:
-            raise ValueError("latency_s must be within 0 and 1 s, reopen_s not negative")
+        check_bounds(self)
 
 
 @dataclass(slots=True)

@@ -18,7 +18,7 @@ from drivers.link.framing import PacketFramer
 from drivers.link.key import key_finding, signing_key, signing_time
 from drivers.link.wire import Codec
 from drivers.rig.part_check import Finding
-from path.bounds import Bounds
+from path.bounds import Bounds, check_bounds
 from path.messages import Message
 
 BITS_PER_BYTE = 10.0  # a start bit, eight, a stop bit
@@ -44,8 +44,7 @@ class SerialLinkConfig:
     allow_unsigned: bool = False
 
     def __post_init__(self) -> None:
-        if self.baud < 9600:
-            raise ValueError(f"baud: {self.baud} is below 9600")
+        check_bounds(self)
         if self.key_file is None and not self.allow_unsigned:
             raise ValueError("key_file: a radio can be heard by anyone, so it needs a key (or allow_unsigned = true)")
 

@@ -18,7 +18,7 @@ from drivers.mavlink.guard.interfaces import GuardView
 from drivers.mavlink.modes import CUSTOM_MODE_ENABLED, KINDS, PX4, SAFETY_ARMED, AutopilotKind, powered, stopped_by
 from drivers.mavlink.transport.port import URL, MavlinkPort
 from drivers.rig.parts import PartContext
-from path.bounds import Bounds
+from path.bounds import Bounds, check_bounds
 
 HEARTBEAT, SYS_STATUS, LOCAL_POSITION, GLOBAL_POSITION = 0, 1, 32, 33
 COMMAND_ACK, EXTENDED_SYS_STATE, STATUSTEXT, CURRENT_MODE = 77, 245, 253, 436
@@ -67,9 +67,7 @@ class GuardMavlinkConfig:
         host, _ = address_of(self.bind, "bind")
         if not host.startswith("127."):
             raise ValueError("bind: a guard listens on its own computer only, such as 127.0.0.1:14561")
-        for name in ("vehicle_sysid", "own_sysid", "own_compid"):
-            if not 1 <= getattr(self, name) <= 255:
-                raise ValueError(f"{name} must be within 1..255")
+        check_bounds(self)
         if self.vehicle_sysid == self.own_sysid:
             raise ValueError("vehicle_sysid and own_sysid must differ")
 

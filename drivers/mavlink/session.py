@@ -13,8 +13,6 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from mavsdk import logging as mavsdk_logging
@@ -30,6 +28,7 @@ from drivers.mavlink.preflight.parameters import ParameterAccess
 from drivers.mavlink.telemetry import AUTOPILOT_COMPONENT, TelemetrySlots
 from drivers.mavlink.transport.mavsdk_line import MavsdkLine, needs_line
 from drivers.mavlink.transport.port_lock import PortLock
+from drivers.mavlink.vehicle_config import MavsdkVehicleConfig
 
 POLL_S = 0.01
 LONGEST_POLL_S = 0.1  # a longer one is a program that stood still
@@ -45,25 +44,10 @@ _log = logging.getLogger("drivers.mavsdk")
 _logging: set[MavsdkSession] = set()  # the open ones; MAVSDK has one log for all, and prints it when nobody takes it
 
 
-@dataclass(frozen=True, slots=True)
-class SessionConfig:
-    """The two ends of a session with a vehicle, and how long anything may take."""
-
-    url: str
-    sysid: int
-    own_sysid: int
-    own_compid: int
-    autopilot: str
-    connect_timeout_s: float
-    command_timeout_s: float
-    heartbeat_timeout_s: float
-    key_file: Path | None = None
-
-
 class MavsdkSession:
     """Opened by ``open``, closed by ``close``. All methods belong to the event loop and raise VehicleError."""
 
-    def __init__(self, config: SessionConfig, telemetry: TelemetrySlots) -> None:
+    def __init__(self, config: MavsdkVehicleConfig, telemetry: TelemetrySlots) -> None:
         self._config = config
         self._clock = telemetry.clock
         self._telemetry = telemetry

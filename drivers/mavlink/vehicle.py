@@ -15,7 +15,7 @@ from drivers.mavlink.modes import ARDUPILOT, PX4
 from drivers.mavlink.preflight.before_arming import BeforeArming, access_of
 from drivers.mavlink.preflight.geofence import FencePlan, Geofence
 from drivers.mavlink.preflight.parameters import Difference, ParameterAccess, differences
-from drivers.mavlink.session import ACCEPTED, ARM_DISARM, MavsdkSession, SessionConfig
+from drivers.mavlink.session import ACCEPTED, ARM_DISARM, MavsdkSession
 from drivers.mavlink.telemetry import TelemetrySlots
 from drivers.mavlink.vehicle_config import MavsdkVehicleConfig
 from drivers.mavlink.vision import VisionFeed
@@ -52,19 +52,8 @@ class MavsdkVehicle:
         self._telemetry = TelemetrySlots(
             config.sysid, context.clock, tangent, config.height_from == "home", config.vision is not None
         )
-        session = SessionConfig(
-            url=config.url,
-            sysid=config.sysid,
-            own_sysid=config.own_sysid,
-            own_compid=config.own_compid,
-            autopilot=config.autopilot,
-            connect_timeout_s=config.connect_timeout_s,
-            command_timeout_s=config.command_timeout_s,
-            heartbeat_timeout_s=config.heartbeat_timeout_s,
-            key_file=config.key_file,
-        )
         self._clock = self._telemetry.clock
-        self._session = MavsdkSession(session, self._telemetry)
+        self._session = MavsdkSession(config, self._telemetry)
         self._manoeuvres = Manoeuvres(self._session, self._telemetry, config)
         self._before = BeforeArming(self._session, self._telemetry, config)
         self._vision = config.vision and VisionFeed(config.vision, context, self._session, self._telemetry)

@@ -8,8 +8,30 @@ from typing import Annotated, Literal
 
 from drivers.mavlink.preflight.pilot_rules import silenced
 from drivers.mavlink.transport.port import URL
-from drivers.mavlink.vision import VisionConfig
-from path.bounds import AutopilotValues, Bounds
+from drivers.rig.parts import PartSpec
+from path.bounds import AutopilotValues, Bounds, check_bounds
+from path.messages import Vec3
+
+
+@dataclass(frozen=True, slots=True)
+class VisionConfig:
+    """
+    Attributes:
+        beacons: who listens, a ``drivers.interfaces.Beacons``.
+        address: of the beacon on this drone; ``lever_b_m`` is where it sits in the body (FRD).
+        x_heading_deg: where the x axis of the beacons' frame points, clockwise from north.
+        zero_n_m: where its zero is, NED from the mission's origin.
+        sigma_m: per axis, told to the autopilot.
+        least_quality: positions that the system rates below this are not passed on.
+    """
+
+    beacons: PartSpec
+    address: Annotated[int, Bounds(0, 255, "(an address)")]
+    lever_b_m: Annotated[Vec3, Bounds(-3.0, 3.0)] = (0.0, 0.0, 0.0)
+    x_heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0
+    zero_n_m: Annotated[Vec3, Bounds(-10000.0, 10000.0)] = (0.0, 0.0, 0.0)
+    sigma_m: Annotated[float, Bounds(0.0, 10.0, above=True)] = 0.05
+    least_quality: Annotated[float, Bounds(0.0, 100.0, "of 100")] = 50.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +87,7 @@ class MavsdkVehicleConfig:
     def __post_init__(self) -> None:
         if keeps_out := silenced(self.parameters):
             raise ValueError(f"parameters: {'; '.join(keeps_out)}")
-        for name in ("sysid", "own_sysid"):
-            if not 1 <= getattr(self, name) <= 255:
-                raise ValueError(f"{name} must be within 1..255")
+        check_bounds(self)
         if self.sysid == self.own_sysid:
             raise ValueError("sysid and own_sysid must differ")
         if self.key_file is not None and URL.fullmatch(self.url) is None:

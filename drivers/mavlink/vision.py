@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
@@ -13,8 +11,8 @@ from drivers.interfaces import BeaconError, BeaconFix, Beacons
 from drivers.mavlink.modes import PX4, AutopilotKind
 from drivers.mavlink.session import MavsdkSession
 from drivers.mavlink.telemetry import TelemetrySlots
-from drivers.rig.parts import Origin, PartContext, PartSpec, create
-from path.bounds import Bounds
+from drivers.mavlink.vehicle_config import VisionConfig
+from drivers.rig.parts import Origin, PartContext, create
 from path.geometry.rotation import R_from_quat
 from path.messages import Vec3
 
@@ -24,31 +22,6 @@ COVARIANCES = 21  # the upper triangle of six by six, by rows
 POSITION_VARIANCES, ANGLE_VARIANCES = (0, 6, 11), (15, 18, 20)
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class VisionConfig:
-    """
-    Attributes:
-        beacons: who listens, a ``drivers.interfaces.Beacons``.
-        address: of the beacon on this drone; ``lever_b_m`` is where it sits in the body (FRD).
-        x_heading_deg: where the x axis of the beacons' frame points, clockwise from north.
-        zero_n_m: where its zero is, NED from the mission's origin.
-        sigma_m: per axis, told to the autopilot.
-        least_quality: positions that the system rates below this are not passed on.
-    """
-
-    beacons: PartSpec
-    address: Annotated[int, Bounds(0, 255, "(an address)")]
-    lever_b_m: Annotated[Vec3, Bounds(-3.0, 3.0)] = (0.0, 0.0, 0.0)
-    x_heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0
-    zero_n_m: Annotated[Vec3, Bounds(-10000.0, 10000.0)] = (0.0, 0.0, 0.0)
-    sigma_m: Annotated[float, Bounds(0.0, 10.0, above=True)] = 0.05
-    least_quality: Annotated[float, Bounds(0.0, 100.0, "of 100")] = 50.0
-
-    def __post_init__(self) -> None:
-        if self.sigma_m <= 0.0 or not 0.0 <= self.least_quality <= 100.0:
-            raise ValueError("sigma_m must be positive, least_quality within 0..100")
 
 
 def beacon_in_n(place_m: Vec3, config: VisionConfig) -> Vec3:

@@ -20,7 +20,7 @@ from drivers.realsense.stream import PairStream, StreamConfig, StreamCounters
 from drivers.rig.part_check import Finding
 from drivers.rig.parts import PartContext, PartSpec, create
 from drivers.wake import wake
-from path.bounds import Bounds
+from path.bounds import Bounds, check_bounds
 from path.camera.model import CameraModel
 
 CLOSE_S = 5.0
@@ -72,12 +72,7 @@ class RealSenseConfig:
             raise ValueError(f"max_depth_m: {self.max_depth_m!r} is not above min_depth_m and at most 65 m")
         if self.record is not None and self.recording is not None:
             raise ValueError("record: a recording is not recorded again")
-        for name in ("fps", "silence_s", "open_timeout_s"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: {getattr(self, name)!r} is not above 0")
-        for name in ("exposure_us", "latency_s", "reopen_s"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name}: {getattr(self, name)!r} is below 0")
+        check_bounds(self)
 
 
 class RealSense:

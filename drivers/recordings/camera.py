@@ -13,7 +13,7 @@ from drivers.interfaces import CameraError, Frame
 from drivers.recordings.recording import Loaded, RecordedFrame, Recording, RecordingOptions, open_recording
 from drivers.rig.calibration_file import check_size
 from drivers.rig.parts import PartContext
-from path.bounds import Bounds
+from path.bounds import Bounds, check_bounds
 from path.camera.model import CameraModel
 
 LOOP_GAP_NS = 33_000_000  # from the last frame to the first one again, where there is only one
@@ -47,8 +47,7 @@ class RecordedCameraConfig:
     topic: str = ""
 
     def __post_init__(self) -> None:
-        if not 0.01 <= self.speed <= 100.0:
-            raise ValueError(f"speed: {self.speed!r} is not within 0.01..100")
+        check_bounds(self)
         self.options()
 
     def options(self) -> RecordingOptions:

@@ -54,10 +54,6 @@ class CameraTable:
     thinning: Thinning | None = None
 
     def __post_init__(self) -> None:
-        if self.width <= 0 or self.height <= 0:
-            raise ValueError(f"the image size {self.width}x{self.height} must be positive")
-        if self.fx <= 0 or self.fy <= 0:
-            raise ValueError("fx and fy must be positive")
         if not (0 <= self.cx < self.width and 0 <= self.cy < self.height):
             raise ValueError(
                 f"the principal point ({self.cx:g}, {self.cy:g}) is outside {self.width}x{self.height}: "

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from drivers.tello.address import TelloAddress
 from drivers.tello.state import VelocityFrame
-from path.bounds import Bounds
+from path.bounds import Bounds, check_bounds
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +42,4 @@ class TelloVehicleConfig(TelloAddress):
 
     def __post_init__(self) -> None:
         TelloAddress.__post_init__(self)
-        for name in ("full_stick_mps", "full_stick_dps", "max_yaw_dps", "take_off_tolerance_m", "answer_s"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name}: {getattr(self, name)} is not above 0")
+        check_bounds(self)

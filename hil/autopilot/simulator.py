@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from path.bounds import AutopilotValues, Bounds
+from path.bounds import AutopilotValues, Bounds, check_bounds
 
 Kind = Literal["px4", "ardupilot"]
 
@@ -36,8 +36,7 @@ class SimulatorConfig:
             raise ValueError("a flight controller's companion link is the vehicle's url: leave this one out")
         if not self.on_board and bool(self.url) != bool(self.truth_url):
             raise ValueError("a simulator that runs already needs both url and truth_url")
-        if not (self.ready_s > 0.0 and 1.0 <= self.speedup <= 20.0):
-            raise ValueError("ready_s must be positive and speedup within 1..20")
+        check_bounds(self)
         if self.kind == "px4" and self.speedup != 1.0:
             raise ValueError("PX4's speed cannot be changed while it runs: leave speedup out")
         if self.on_board and (self.speedup != 1.0 or self.parameters):

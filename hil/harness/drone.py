@@ -12,22 +12,16 @@ from drivers.interfaces import Kept
 from drivers.log.state_file import MemoryStore
 from drivers.mavlink.guard.interfaces import GuardLine
 from hil.camera.capture import Freeze
-from hil.harness.guard import MemoryBeatLine
+from hil.harness.guard import GuardWorld, MemoryBeatLine
 from hil.link.faulty import MemoryHub
 from hil.world.errors import Built
 from hil.world.snapshot import Snapshot
-from hil.world.world import SimDrone
 from path.messages import Role
 from path.protocol.values import ReceiverRecord, SenderRecord
 
 
-class PairWorld(Protocol):
+class PairWorld(GuardWorld, Protocol):
     """The world as the parts of one drone know it: their own vehicle, and what a pair of cameras can see."""
-
-    @property
-    def time_s(self) -> float: ...
-
-    def drone(self, role: Role, /) -> SimDrone: ...
 
     def snapshot(self) -> Snapshot: ...
 

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 
-from drivers.rig.parts import Rig
+from drivers.rig.parts import Rig, import_factory
 from flight.harness.flights import Progress
 from path.messages import Role
 
@@ -41,7 +41,7 @@ def prepare(rig: Rig, say: Callable[[str], None]) -> None:
 def _carry_out(names: Sequence[str], first: bool, of: int, done: int, say: Callable[[str], None]) -> None:
     for number, name in enumerate(names, done):
         say(f"preparing: {'compiling' if first else 'loading'} kernels, {of - number} of {of} parts left ({name})")
-        PARTS[name]()
+        compile_part(name)
 
 
 @contextmanager
@@ -63,31 +63,8 @@ def helped(names: Sequence[str]) -> Generator[None]:
             process.wait()
 
 
-def _pose() -> None:
-    from path.marker.warm_up import warm_up_pose  # noqa: PLC0415
-
-    warm_up_pose()
-
-
-def _relative() -> None:
-    from path.marker.warm_up import warm_up_relative  # noqa: PLC0415
-
-    warm_up_relative()
-
-
-def _cycles() -> None:
-    from path.cycle.warm_up import warm_up_cycles  # noqa: PLC0415
-
-    warm_up_cycles()
-
-
-def _marker() -> None:
-    from path.marker.warm_up import warm_up_image  # noqa: PLC0415
-
-    warm_up_image()
-
-
-def _physics() -> None:
+def physics() -> None:
+    """Compiles what steps a world."""
     from hil.world.config import WorldConfig  # noqa: PLC0415 (each process imports what it compiles)
     from hil.world.world import World  # noqa: PLC0415
 
@@ -96,38 +73,25 @@ def _physics() -> None:
     world.snapshot()
 
 
-def _geometry() -> None:
-    from hil.geometric.perception import warm_up  # noqa: PLC0415 (rendered levels do without)
-
-    warm_up()
-
-
-def _renderer() -> None:
-    from hil.render.renderer import warm_up  # noqa: PLC0415 (sim does without)
-
-    warm_up()
-
-
-def _depth() -> None:
-    from drivers.realsense.registration import warm_up as warm_up_registration  # noqa: PLC0415 (sim does without)
-    from hil.render.depth import warm_up as warm_up_depth  # noqa: PLC0415
-
-    warm_up_depth()
-    warm_up_registration()
-
-
-PARTS: Mapping[str, Callable[[], None]] = {
-    "pose": _pose,
-    "relative": _relative,
-    "cycles": _cycles,
-    "marker": _marker,
-    "physics": _physics,
-    "geometry": _geometry,
-    "renderer": _renderer,
-    "depth": _depth,
+PARTS: Mapping[str, Sequence[str]] = {
+    "pose": ("path.marker.warm_up:warm_up_pose",),
+    "relative": ("path.marker.warm_up:warm_up_relative",),
+    "cycles": ("path.cycle.warm_up:warm_up_cycles",),
+    "marker": ("path.marker.warm_up:warm_up_image",),
+    "physics": (f"{__name__}:physics",),
+    "geometry": ("hil.geometric.perception:warm_up",),
+    "renderer": ("hil.render.renderer:warm_up",),
+    "depth": ("hil.render.depth:warm_up", "drivers.realsense.registration:warm_up"),
 }
+"""The functions that compile each part, named: each process imports what it compiles, and no more."""
+
+
+def compile_part(name: str) -> None:
+    """Compiles one part, or loads it compiled."""
+    for function in PARTS[name]:
+        import_factory(function, f"part {name}")()
 
 
 if __name__ == "__main__":
     for part in sys.argv[1:]:
-        PARTS[part]()
+        compile_part(part)

@@ -10,24 +10,19 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from contextvars import copy_context
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any
 
 from flight.harness.flights import RoleResult
 from hil.harness.drone import Disk, DroneHarness
 from hil.harness.stalls import PROGRAM, StallingLoop
-
-
-class EndingLog(Protocol):
-    """A program's log. Once ``ended``, what is written has not happened."""
-
-    ended: bool
+from hil.monitors.watched_log import WatchedLog
 
 
 @dataclass(frozen=True, slots=True)
 class Started:
     """A program that has begun."""
 
-    log: EndingLog
+    log: WatchedLog[Any]
     result: Awaitable[RoleResult]
 
 
@@ -39,7 +34,7 @@ class _Slot:
     harness: DroneHarness
     disk: Disk
     start: Callable[[], Started] | None = None
-    log: EndingLog | None = None
+    log: WatchedLog[Any] | None = None
     task: asyncio.Future[RoleResult] | None = None
     restart: asyncio.Task[None] | None = None
     killed: bool = False

@@ -23,8 +23,9 @@ from hil.autopilot.autopilot import Ack
 from hil.vehicle.answers import NOT_FOLLOWED, OLDER_REQUESTS, STICKS, answer, height_above_sea_m, is_meant, sticks_of
 from hil.vehicle.arrival import Address
 from hil.vehicle.channel import UdpChannel
-from hil.vehicle.messages import AUTO, AUTO_MODES, OFFBOARD, PILOT_MODES, STREAMS, FlightInstant, MavlinkDrone
+from hil.vehicle.messages import AUTO, AUTO_MODES, OFFBOARD, PILOT_MODES, STREAMS, FlightInstant
 from hil.vehicle.parameters import Parameters
+from hil.world.world import SimDrone
 from path.geometry.rotation import wrapped, yaw_of
 from path.messages import Vec3
 
@@ -85,7 +86,7 @@ class MavlinkVehicle:
     def __init__(
         self,
         config: MavlinkVehicleConfig,
-        drone: MavlinkDrone,
+        drone: SimDrone,
         tangent: LocalTangent,
         arrived: Callable[[float], float] | None = None,
     ) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
@@ -43,18 +43,6 @@ _CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
 )
 FULL_MV, EMPTY_MV = 16_800, 13_200  # four lithium cells
-
-
-class MavlinkDrone(Protocol):
-    """The part of a simulated drone that is seen on the wire: ``hil.world.world.SimDrone``."""
-
-    hears: Callable[[float], None] | None
-
-    @property
-    def autopilot(self) -> Autopilot: ...
-
-    @property
-    def estimate(self) -> Estimate: ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,10 +16,6 @@ class OffsetClockConfig:
 
     offset_s: Annotated[float, Bounds(0.0, 1e9)] = 0.0
 
-    def __post_init__(self) -> None:
-        if not self.offset_s >= 0.0:
-            raise ValueError(f"offset_s: {self.offset_s!r} is below 0")
-
 
 class OffsetClock:
     """The running loop's time, set apart by a constant."""

@@ -16,7 +16,7 @@ from hil.world.dynamics import AirframeConfig
 from hil.world.errors import ErrorsConfig, level_of, put_down
 from hil.world.estimator import EstimatorConfig, WindConfig
 from hil.world.targets import LookAlikeConfig, Point, TargetConfig
-from path.bounds import Bounds
+from path.bounds import Bounds, check_bounds
 from path.messages import Role
 
 SceneName = Literal["plain", "outdoor-sun", "overcast", "low-sun", "dusk", "hall"]
@@ -43,8 +43,7 @@ class PositionOffsetConfig:
     height_m: Annotated[float, Bounds(0.0, 50.0)] = 0.0
 
     def __post_init__(self) -> None:
-        if self.across_m < 0.0 or self.height_m < 0.0:
-            raise ValueError("across_m and height_m must not be negative")
+        check_bounds(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from path.bounds import Bounds
+from path.bounds import Bounds, check_bounds
 from path.compiled import inner, kernel
 from path.messages import Quat
 
@@ -64,8 +64,7 @@ class AirframeConfig:
     leg_m: Annotated[float, Bounds(0.0, 2.0)] = 0.1  # body origin above the ground when landed
 
     def __post_init__(self) -> None:
-        if not (self.leg_m >= 0.0 and self.thrust_lag_s > 0.0 and self.max_thrust_g > 1.0):
-            raise ValueError("leg_m must not be negative, thrust_lag_s be positive, max_thrust_g above 1")
+        check_bounds(self)
 
     def row(self) -> tuple[float, ...]:
         """The parameters as ``fly`` takes them."""

@@ -40,10 +40,6 @@ class WindConfig:
     gust_mps: Annotated[float, Bounds(0.0, 20.0)] = 0.4
     gust_time_s: Annotated[float, Bounds(0.0, 600.0, above=True)] = 2.0
 
-    def __post_init__(self) -> None:
-        if self.speed_mps < 0.0 or self.gust_mps < 0.0 or self.gust_time_s <= 0.0:
-            raise ValueError("wind speed and gusts must not be negative, gust_time_s must be positive")
-
     @property
     def mean_n_mps(self) -> tuple[float, float, float]:
         angle = math.radians(self.from_deg)
@@ -68,10 +64,6 @@ class EstimatorConfig:
     yaw_bias_deg: Annotated[float, Bounds(0.0, 90.0)] = 2.0
     yaw_noise_deg: Annotated[float, Bounds(0.0, 90.0)] = 0.3
     attitude_noise_time_s: Annotated[float, Bounds(0.0, 600.0)] = 0.5
-
-    def __post_init__(self) -> None:
-        if any(getattr(self, name) < 0.0 for name in self.__slots__):
-            raise ValueError("standard deviations and times must not be negative")
 
     def times(self, sizes: ErrorSizes) -> EstimatorConfig:
         """Returns the estimator with its attitude as much worse or better as the table of errors says."""

@@ -70,8 +70,6 @@ class TargetConfig:
     def __post_init__(self) -> None:
         if self.height_m + self.climb_m > HIGHEST_M:
             raise ValueError(f"height_m and climb_m together must not be above {HIGHEST_M:g} m")
-        if not (self.speed_mps >= 0.0 and self.radius_m >= 1.0 and min(self.start_time_s, self.to_and_fro_s) >= 0.0):
-            raise ValueError("speed_mps, start_time_s and to_and_fro_s must not be negative, radius_m at least 1")
 
 
 @dataclass(frozen=True, slots=True)

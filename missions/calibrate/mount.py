@@ -57,10 +57,6 @@ class MeasuredSigma:
     position_m: Annotated[float, Bounds(0.0, 1.0, above=True)]
     angle_deg: Annotated[float, Bounds(0.0, 90.0, above=True)]
 
-    def __post_init__(self) -> None:
-        if not (self.position_m > 0.0 and self.angle_deg > 0.0):
-            raise ValueError("position_m and angle_deg must be positive: nothing is measured exactly")
-
 
 @dataclass(frozen=True, slots=True)
 class MeasuredMount:

@@ -4,25 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
-from typing import Protocol
 
-from drivers.interfaces import Part
-from drivers.mavlink.guard.interfaces import GuardView
+from drivers.mavlink.guard.interfaces import Watched
 from drivers.rig.part_check import Finding
 
 WAIT_S, POLL_S = 5.0, 0.01
 
 
-class Watching(Part, Protocol):
-    """The part of a ``drivers.mavlink.guard.interfaces.Watched`` that the test needs."""
-
-    @property
-    def name(self) -> str: ...
-
-    def view(self) -> GuardView | None: ...
-
-
-async def check_guard(watched: Watching) -> AsyncIterator[Finding]:
+async def check_guard(watched: Watched) -> AsyncIterator[Finding]:
     """Open, wait for heartbeat and position, close. It is asked for its rates, and commanded nothing.
 
     Raises VehicleError when its port cannot be had.

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from drivers.interfaces import Clock, PartError, Vehicle, VehicleError, VehicleState
 from drivers.mavlink.preflight.geofence import FencePlan, Geofence
@@ -24,19 +24,6 @@ SET = "run doctor again with --vehicle ROLE --set-parameters, or set it from its
 SAMPLE_S, POLL_S, READY_S = 2.0, 0.005, 5.0
 OLD_S = 0.5  # telemetry: the mission's own guard lands the vehicle when it is older (telemetry_age_s)
 SLOWEST_HEARTBEAT_S = 1.5
-
-
-class ParameterFinding(Protocol):
-    """One parameter that is not as wanted; its text says all."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def wanted(self) -> float: ...
-
-    @property
-    def found(self) -> float | None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +123,7 @@ def condition(state: VehicleState, min_battery: float) -> Iterator[Finding]:
 
 
 async def _parameters(vehicle: Any) -> list[Finding]:
-    wrong: Sequence[ParameterFinding] = await vehicle.parameter_differences()
+    wrong: Sequence[Difference] = await vehicle.parameter_differences()
     if not wrong:
         return [Finding("ok", "parameters", "are as the rig wants them")]
     return [Finding("fault", "parameters", str(each), SET) for each in wrong]
@@ -170,7 +157,7 @@ async def _check(rig: Rig, role: Role, set_parameters: bool, folder: Path) -> li
     if not hasattr(vehicle, "parameter_differences"):
         return [Finding("ok", role.value, "this vehicle has no parameters to compare")]
     async with vehicle:
-        wrong: list[ParameterFinding] = list(await vehicle.parameter_differences())
+        wrong: list[Difference] = list(await vehicle.parameter_differences())
         besides = [replace(each, name=f"{role.value} {each.name}") for each in await _pilot_and_fence(vehicle, None)]
         if set_parameters:
             wrong += await _missing_fence(vehicle, fence_of(mission_of(rig)))
@@ -180,7 +167,7 @@ async def _check(rig: Rig, role: Role, set_parameters: bool, folder: Path) -> li
             return [*(Finding("fault", role.value, str(each), SET) for each in wrong), *besides]
         if vehicle.state.armed:
             raise VehicleError("the vehicle is armed: no parameter was set", "disarm it first")
-        changed: list[ParameterFinding] = []
+        changed: list[Difference] = []
         try:
             for each in wrong:
                 await vehicle.set_parameter(each)
@@ -197,7 +184,7 @@ def fence_of(config: MissionConfig) -> Geofence:
     return Geofence(config.guard.fence_radius_m, config.guard.fence_height_m)
 
 
-async def _missing_fence(vehicle: Any, fence: Geofence) -> list[ParameterFinding]:
+async def _missing_fence(vehicle: Any, fence: Geofence) -> list[Difference]:
     plan: FencePlan = await vehicle.plan_geofence(fence)
     if plan.problems:
         raise VehicleError("; ".join(plan.problems), "correct what is named")
@@ -205,7 +192,7 @@ async def _missing_fence(vehicle: Any, fence: Geofence) -> list[ParameterFinding
     return [Difference(name, value, before.get(name)) for name, value in plan.set_to.items()]
 
 
-def _record(folder: Path, rig: Rig, role: Role, changed: Sequence[ParameterFinding]) -> Path | None:
+def _record(folder: Path, rig: Rig, role: Role, changed: Sequence[Difference]) -> Path | None:
     """Records what each parameter was and is now, so that it can be undone."""
     if not changed:
         return None

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from rich.console import Group
-from rich.table import Table
 from rich.text import Text
 
 from drivers.rig.check import check_ready
@@ -29,6 +28,7 @@ from missions.report.command import figure, outcome_line, phase_table, show, vio
 from missions.report.progress import open_console
 from missions.report.records import SUMMARY, RunFacts, load_run
 from missions.report.summary import summarize
+from missions.report.tables import figures_grid
 from missions.run_folder import unless_refused
 from missions.shown import say_unwritten
 from path.messages import Role
@@ -78,13 +78,12 @@ def report(folder: Path, stream: TextIO) -> dict[str, Any]:
     whole = summarize(load_run(folder))
     summary = {key: whole[key] for key in KEPT}
     (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
-    figures = Table.grid(padding=(0, 3))
-    for name, value in (
+    rows = (
         ("smallest separation", figure(summary["min_separation_m"], "m", 2)),
         ("monitors", violations(summary["monitors"])),
         ("speed", f"{figure(summary['realtime_factor'], '', 1)} x real time ({figure(summary['wall_s'], 's', 1)})"),
-    ):
-        figures.add_row(Text(name, "dim"), value)
-    show(Group(Text(), *outcome_line(summary), Text(), phase_table(summary["phases"]), Text(), figures), stream)
+    )
+    phases = phase_table(summary["phases"])
+    show(Group(Text(), *outcome_line(summary), Text(), phases, Text(), figures_grid(rows)), stream)
     stream.write(f"\n{folder}: {SUMMARY}\n")
     return summary

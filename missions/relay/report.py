@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from drivers.rig.parts import Rig
@@ -19,6 +18,7 @@ from missions.options.flights import HoursOptions, RelayOptions
 from missions.relay.crew import Crew
 from missions.relay.ground import Event, Leg
 from missions.relay.legs import Base
+from missions.report.tables import counts_text, figures_grid, plain_table
 from path.protocol.bounds import gap_bound_s
 from path.protocol.values import ProtocolConfig
 
@@ -112,20 +112,10 @@ def heading(summary: Mapping[str, Any], size: str) -> list[RenderableType]:
     return parts
 
 
-def figures_grid(rows: Sequence[tuple[str, str]]) -> Table:
-    """The table of names and values."""
-    figures = Table.grid(padding=(0, 3))
-    for name, value in rows:
-        figures.add_row(Text(name, "dim"), value)
-    return figures
-
-
 def relay_table(summary: Mapping[str, Any]) -> RenderableType:
     """Returns the table of one relay for a person."""
     parts = heading(summary, f"{summary['drones']} drones")
-    landings = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
-    for title in ("", "flights", "battery at landing: min", "median", "max"):
-        landings.add_column(title, justify="left" if not title else "right")
+    landings = plain_table("", "flights", "battery at landing: min", "median", "max")
     for name, each in summary["landings"].items():
         cells = ("0", "-", "-", "-") if each is None else _cells(each)
         landings.add_row(name, *cells)
@@ -138,21 +128,29 @@ def _cells(each: Mapping[str, float]) -> tuple[str, ...]:
 
 def relay_rows(s: Mapping[str, Any]) -> list[tuple[str, str]]:
     """(name, value) of what a person wants to know."""
-    ended = ", ".join(f"{name} {count}" for name, count in s["legs_ended"].items()) or "none"
-    closest = "-" if s["closest_m"] is None else f"{s['closest_m']:.2f} m, {' and '.join(s['closest_pair'])}"
-    violated = ", ".join(f"{name} {count}" for name, count in s["violations"].items())
-    speed = f"{s['simulated_s'] / s['wall_s']:.0f} x real time ({s['wall_s']:.0f} s)" if s["wall_s"] > 0.0 else "-"
     return [
         ("simulated", _lasted(s["simulated_s"])),
-        ("legs", f"{s['legs']}: {ended}"),
+        ("legs", f"{s['legs']}: {counts_text(s['legs_ended'])}"),
         ("from the call to holding", spread_text(s["leg_s"], 1)),
         ("nobody responsible", f"{spread_text(s['gap_s'], 4)} (bound {s['gap_bound_s']:.2f} s)"),
         ("no relief ready, said", f"{s['alarms']} times"),
-        ("smallest separation", closest),
+        ("smallest separation", closest_text(s)),
         ("reserve", f"{100 * s['reserve']:.0f} %"),
-        ("monitors", violated or "no violation"),
-        ("speed", speed),
+        ("monitors", counts_text(s["violations"], "no violation")),
+        ("speed", speed_text(s, 0)),
     ]
+
+
+def closest_text(s: Mapping[str, Any]) -> str:
+    """The smallest separation, and between whom."""
+    return "-" if s["closest_m"] is None else f"{s['closest_m']:.2f} m, {' and '.join(s['closest_pair'])}"
+
+
+def speed_text(s: Mapping[str, Any], digits: int) -> str:
+    """The speed against real time."""
+    if s["wall_s"] <= 0.0:
+        return "-"
+    return f"{s['simulated_s'] / s['wall_s']:.{digits}f} x real time ({s['wall_s']:.0f} s)"
 
 
 def _lasted(seconds: float) -> str:

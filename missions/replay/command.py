@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from drivers.interfaces import PartError
@@ -22,6 +21,7 @@ from missions.replay.perceive import PerceptionChange, detector_settings, percei
 from missions.replay.redecide import Change, Complete, DecisionPair, Open, other_answers, redecide
 from missions.report.command import show
 from missions.report.records import REPLAY, drone_logs, load_facts
+from missions.report.tables import plain_table
 from path.config import MethodConfig
 from path.messages import Role
 
@@ -110,7 +110,7 @@ def run_many(options: ReplayOptions) -> int:
     """Decides many runs again; 1 when anything differs. Raises PartError for settings, or no folder."""
     if not options.folders or options != ReplayOptions(options.folders, picture=options.picture):
         raise PartError("other settings are for one run", "name one folder, or leave the settings out")
-    table = _table("run", "kind", "decisions", "differ")
+    table = plain_table("run", "kind", "decisions", "differ", left=("run", "kind"))
     decisions = differ = replayed = 0
     for folder in options.folders:
         try:
@@ -242,7 +242,7 @@ def _setting(text: str) -> tuple[list[str], Any]:
 
 
 def _same_table(replayed: Sequence[Replayed]) -> RenderableType:
-    table = _table("drone", "decisions", "decided again", "differ")
+    table = plain_table("drone", "decisions", "decided again", "differ", left=("drone",))
     for drone in replayed:
         for topic in dict.fromkeys(each.topic for each in drone.decided):
             of = [each for each in drone.decided if each.topic == topic]
@@ -253,19 +253,12 @@ def _same_table(replayed: Sequence[Replayed]) -> RenderableType:
 
 def _figures_table(columns: Mapping[str, Sequence[Replayed]]) -> RenderableType:
     first, *others = columns
-    table = _table("", first, *("otherwise" for _ in others))
+    table = plain_table("", first, *("otherwise" for _ in others))
     for drones in zip(*columns.values(), strict=True):
         rows = [_figures(drone) for drone in drones]
         for name in dict.fromkeys(name for row in rows for name in row):
             table.add_row(f"{drones[0].drone}: {name}", *(row.get(name, "-") for row in rows))
     return Group(Text(), table)
-
-
-def _table(*titles: str) -> Table:
-    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
-    for title in titles:
-        table.add_column(title, justify="left" if title in ("", "run", "kind", "drone") else "right")
-    return table
 
 
 def _figures(drone: Replayed) -> dict[str, str]:

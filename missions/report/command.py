@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TextIO
@@ -31,6 +32,7 @@ from missions.report.records import (
     load_run,
 )
 from missions.report.summary import summarize
+from missions.report.tables import counts_text, figures_grid, plain_table, sum_of
 from path.messages import Role
 
 Rows = list[tuple[str, str]]
@@ -117,7 +119,7 @@ def show(content: RenderableType, stream: TextIO) -> None:
 def summary_table(summary: Mapping[str, Any]) -> RenderableType:
     """Returns the table of one run for a person."""
     shown: list[RenderableType] = [Text(), *outcome_line(summary)]
-    shown += [Text(), phase_table(summary["phases"]), Text(), _figures(summary)]
+    shown += [Text(), phase_table(summary["phases"]), Text(), figures_grid(_figure_rows(summary))]
     return Group(*shown)
 
 
@@ -140,9 +142,7 @@ def outcome_line(summary: Mapping[str, Any]) -> list[Text]:
 
 def phase_table(phases: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table:
     """The phases of both drones, side by side."""
-    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
-    for title in ("sender", "from", "for", "receiver", "from", "for"):
-        table.add_column(title, justify="left" if title in ("sender", "receiver") else "right")
+    table = plain_table("sender", "from", "for", "receiver", "from", "for", left=("sender", "receiver"))
     columns = [[(p["phase"], p["start_s"], p["duration_s"]) for p in phases[role.value]] for role in Role]
     for k in range(max(len(column) for column in columns)):
         cells: list[str] = []
@@ -153,13 +153,6 @@ def phase_table(phases: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table:
             else:
                 cells += ["", "", ""]
         table.add_row(*cells)
-    return table
-
-
-def _figures(summary: Mapping[str, Any]) -> Table:
-    table = Table.grid(padding=(0, 3))
-    for name, value in _figure_rows(summary):
-        table.add_row(Text(name, "dim"), value)
     return table
 
 
@@ -177,7 +170,7 @@ def _figure_rows(s: Mapping[str, Any]) -> Rows:
         ("agreement took", figure(s["agreement_s"], "s", 2)),
         ("agreeing pairs", _pairs(s)),
         ("IoU, median", f"{figure(s['iou_median'], '', 3)} (needed {figure(s['tau_median'], '', 3)})"),
-        ("misses", _counts(s["misses"])),
+        ("misses", counts_text(s["misses"])),
         ("frames", "; ".join(frames)),
         *slow,
         *([("given up", "; ".join(shed))] if shed else []),
@@ -227,16 +220,12 @@ def _following(summary: Mapping[str, Any]) -> str:
 
 def violations(monitors: Mapping[str, int]) -> str:
     """Returns the monitors' violations in words."""
-    return _counts(monitors) if monitors else "no violation"
+    return counts_text(monitors, "no violation")
 
 
 def figure(value: float | None, unit: str, digits: int) -> str:
     """A number with its unit; a dash when it is not known."""
     return "-" if value is None else f"{value:.{digits}f} {unit}".rstrip()
-
-
-def _counts(counts: Mapping[str, int]) -> str:
-    return ", ".join(f"{name} {count}" for name, count in counts.items()) or "none"
 
 
 # --- many runs -------------------------------------------------------------------------------------------------
@@ -250,60 +239,47 @@ def summarize_many(summaries: Sequence[Mapping[str, Any]], command: str) -> dict
     """
     from scipy.stats import binomtest  # noqa: PLC0415 (takes most of a second to import)
 
-    outcomes: dict[str, int] = {}
-    misses: dict[str, int] = {}
-    monitors: dict[str, int] = {}
-    for summary in summaries:
-        _add(outcomes, {summary["outcome"]: 1})
-        _add(misses, summary["misses"])
-        _add(monitors, summary["monitors"])
+    outcomes = Counter(summary["outcome"] for summary in summaries)
+    misses, monitors = (sum_of(summary[name] for summary in summaries) for name in ("misses", "monitors"))
     names = (
         *("t_commit_s", "agreement_s", "iou_median", "min_separation_m", "d2_error_m", "target_error_m"),
         *("follow_overshoot_m", "follow_error_m", "follow_error_p95_m", "target_unseen_s"),
+        *("link_bytes_per_s", "realtime_factor"),
     )
-    committed = outcomes.get("committed", 0)
+    committed = outcomes["committed"]
     between = binomtest(committed, len(summaries)).proportion_ci(method="wilson")
     return {
         "command": command,
         "runs": len(summaries),
-        "outcomes": outcomes,
+        "outcomes": dict(outcomes),
         "commit_rate": round(committed / len(summaries), 4),
         "commit_rate_interval": [round(between.low, 4), round(between.high, 4)],
         "wrong_handovers": sum(summary["wrong_handover"] is True for summary in summaries),
-        "monitors": monitors,
-        "misses": misses,
+        "monitors": dict(monitors),
+        "misses": dict(misses),
         "failed_seeds": {str(s["seed"]): s["outcome"] for s in summaries if s["outcome"] != "committed"},
         **{name: _quantiles([s[name] for s in summaries if s[name] is not None]) for name in names},
-        "link_bytes_per_s": _quantiles([s["link_bytes_per_s"] for s in summaries if s["link_bytes_per_s"] is not None]),
-        "realtime_factor": _quantiles([s["realtime_factor"] for s in summaries if s["realtime_factor"] is not None]),
     }
 
 
 def series_table(series: Mapping[str, Any]) -> RenderableType:
     """Returns the table of several runs for a person."""
-    counts = Table.grid(padding=(0, 3))
-    counts.add_row(Text("runs", "dim"), f"{series['runs']}: {_counts(series['outcomes'])}")
     low, high = (100 * end for end in series["commit_rate_interval"])
     between = f"{low:.1f} to {high:.1f} with 95 % confidence"
-    counts.add_row(Text("committed", "dim"), f"{series['commit_rate'] * 100:.1f} % ({between})")
-    counts.add_row(Text("wrong object handed over", "dim"), str(series["wrong_handovers"]))
-    counts.add_row(Text("monitors", "dim"), violations(series["monitors"]))
-    counts.add_row(Text("misses", "dim"), _counts(series["misses"]))
+    rows = [
+        ("runs", f"{series['runs']}: {counts_text(series['outcomes'])}"),
+        ("committed", f"{series['commit_rate'] * 100:.1f} % ({between})"),
+        ("wrong object handed over", str(series["wrong_handovers"])),
+        ("monitors", violations(series["monitors"])),
+        ("misses", counts_text(series["misses"])),
+    ]
     if series["failed_seeds"]:
-        failed = ", ".join(f"{seed} {outcome}" for seed, outcome in series["failed_seeds"].items())
-        counts.add_row(Text("seeds without a commit", "dim"), failed)
-    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
-    for title in ("", "min", "median", "p95", "max"):
-        table.add_column(title, justify="left" if not title else "right")
+        rows.append(("seeds without a commit", counts_text(series["failed_seeds"])))
+    table = plain_table("", "min", "median", "p95", "max")
     for name, quantiles in series.items():
         if isinstance(quantiles, dict) and "median" in quantiles:
             table.add_row(name, *(f"{quantiles[key]:.4g}" for key in ("min", "median", "p95", "max")))
-    return Group(Text(), counts, Text(), table)
-
-
-def _add(total: dict[str, int], counts: Mapping[str, int]) -> None:
-    for name, count in counts.items():
-        total[name] = total.get(name, 0) + count
+    return Group(Text(), figures_grid(rows), Text(), table)
 
 
 def _quantiles(values: Sequence[float]) -> dict[str, float] | None:

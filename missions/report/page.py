@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from drivers.log.mcap_log import LogRecord
 from missions.report.advice import advice
-from missions.report.records import Records
+from missions.report.records import Records, phase_changes
+from missions.report.tables import counts_text
 
 MAX_IMAGES = 16  # of one drone: the page stays below some megabytes
 NEAR_S = 1.0  # an image is of a phase when it is no farther from its beginning
@@ -71,7 +71,7 @@ def _drone(name: str, records: Records) -> Iterator[str]:
     yield "<div class='phases'>"
     images = records.get("/image", ())
     shown = 0
-    for phase in _phases(records.get("/phase", ())):
+    for phase in phase_changes(records):
         image = min(images, key=lambda each: abs(each.stamp_ns - phase.stamp_ns), default=None)
         picture = ""
         if image is not None and abs(image.stamp_ns - phase.stamp_ns) < NEAR_S * 1e9 and shown < MAX_IMAGES:
@@ -84,20 +84,11 @@ def _drone(name: str, records: Records) -> Iterator[str]:
     yield _table(list(_link_and_load(records)))
 
 
-def _phases(records: Sequence[LogRecord]) -> Iterator[LogRecord]:
-    """Yields the records with which a phase begins."""
-    before = ""
-    for record in records:
-        if record.record["phase"] != before:
-            before = record.record["phase"]
-            yield record
-
-
 def _link_and_load(records: Records) -> Iterator[tuple[str, str]]:
     of = {topic: records.get(topic, ()) for topic in ("/link", "/cpu", "/frame")}
     if of["/link"]:
         end = of["/link"][-1].record
-        dropped = ", ".join(f"{reason} {count}" for reason, count in end["dropped"].items()) or "nothing"
+        dropped = counts_text(end["dropped"], "nothing")
         yield "link", f"{end['packets_sent']} packets sent, {end['packets_received']} received; dropped: {dropped}"
         known = [r.record for r in of["/link"] if r.record["clock_uncertainty_ns"] is not None]
         if known:

@@ -16,7 +16,7 @@ from drivers.log.mcap_log import LogRecord
 from missions.report.camera_views import draw_view
 from missions.report.following import following_of
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, PHASES, ROLE, tidy
-from missions.report.records import RunRecords, judged_pairs, last
+from missions.report.records import RunRecords, judged_pairs, last, phase_changes
 from missions.report.summary import start_ns
 from missions.report.truth import Truth, truth_of
 from path.messages import Role
@@ -72,8 +72,7 @@ def _draw_phases(axes: Axes, run: RunRecords, seconds: Clock) -> None:
     end_s = 0.0
     bars: list[tuple[float, float, int, str]] = []
     for row, role in enumerate(Role):
-        records = run.role(role).get("/phase", ())
-        changes = [r for k, r in enumerate(records) if k == 0 or r.record["phase"] != records[k - 1].record["phase"]]
+        changes = phase_changes(run.role(role))
         stamps = [seconds(role, r.stamp_ns) for r in changes]
         stamps.append(seconds(role, max((t[-1].stamp_ns for t in run.role(role).values()), default=0)))
         end_s = max(end_s, stamps[-1])

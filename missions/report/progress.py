@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Protocol, TextIO
 
@@ -16,6 +16,7 @@ from rich.text import Text
 
 from drivers.clock import stopwatch_ns
 from flight.harness.flights import Progress
+from missions.report.tables import counts_text
 from path.messages import Role
 
 LINE_PERIOD_S = 5.0
@@ -174,7 +175,7 @@ class LineTally:
         before, self._outcomes[outcome] = self._outcomes.total(), self._outcomes[outcome] + 1
         done = before + 1
         if done == self._total or done * 10 // self._total > before * 10 // self._total:
-            self._stream.write(f"{done}/{self._total} runs: {_counts(self._outcomes)}\n")
+            self._stream.write(f"{done}/{self._total} runs: {counts_text(dict(self._outcomes.most_common()))}\n")
             self._stream.flush()
 
 
@@ -190,9 +191,5 @@ class LiveTally:
         done = self._outcomes.total()
         table = Table.grid(padding=(0, 2))
         bar = ProgressBar(total=self._total, completed=done, width=3 * BAR_WIDTH)
-        table.add_row(bar, f"{done}/{self._total} runs", _counts(self._outcomes))
+        table.add_row(bar, f"{done}/{self._total} runs", counts_text(dict(self._outcomes.most_common())))
         return table
-
-
-def _counts(outcomes: Mapping[str, int]) -> str:
-    return ", ".join(f"{name} {count}" for name, count in sorted(outcomes.items(), key=lambda item: -item[1]))

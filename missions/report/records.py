@@ -166,6 +166,12 @@ def judged_pairs(run: RunRecords) -> list[LogRecord]:
     return [r for r in run.sender.get("/agreement", ()) if commit is None or r.stamp_ns <= commit.stamp_ns]
 
 
+def phase_changes(records: Records) -> list[LogRecord]:
+    """The records with which a phase begins."""
+    phases = records.get("/phase", ())
+    return [r for k, r in enumerate(phases) if k == 0 or r.record["phase"] != phases[k - 1].record["phase"]]
+
+
 def last(records: Records, topic: str) -> LogRecord | None:
     found = records.get(topic)
     return found[-1] if found else None

@@ -14,7 +14,8 @@ from drivers.log.mcap_log import LogRecord
 from missions.report.following import following_of
 from missions.report.in_a_row import longest_row
 from missions.report.link_shares import link_shares
-from missions.report.records import Records, RunRecords, judged_pairs, last
+from missions.report.records import Records, RunRecords, judged_pairs, last, phase_changes
+from missions.report.tables import sum_of
 from missions.report.truth import Truth, box_center, handed_over, truth_of
 from path.geometry.rotation import R_from_quat
 from path.geometry.transforms import Pose
@@ -80,8 +81,7 @@ def start_ns(run: RunRecords, role: Role) -> int:
 
 def phases(run: RunRecords, role: Role) -> list[dict[str, Any]]:
     """The phases of a role in order, times since its own start."""
-    records = run.role(role).get("/phase", ())
-    changes = [r for k, r in enumerate(records) if k == 0 or r.record["phase"] != records[k - 1].record["phase"]]
+    changes = phase_changes(run.role(role))
     begin_ns = start_ns(run, role)
     ends = [r.stamp_ns for r in changes[1:]] + [_end_ns(run.role(role))]
     return [
@@ -255,7 +255,7 @@ def _link(run: RunRecords, span: Verification | None) -> dict[str, Any]:
 def _dropped(records: Sequence[LogRecord]) -> dict[str, int]:
     """Returns packets dropped by reason, of all programs of a role: each counts from nothing."""
     ends = [*records[-1:], *(r for r, after in pairwise(records) if _anew(r, after))]
-    return dict(sum((Counter(r.record["dropped"]) for r in ends), Counter[str]()))
+    return dict(sum_of(r.record["dropped"] for r in ends))
 
 
 def _anew(before: LogRecord, after: LogRecord) -> bool:

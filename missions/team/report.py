@@ -13,7 +13,17 @@ from flight.harness.fleet import TeamConfig
 from flight.harness.relay import RelayReport, TargetWatch
 from flight.outcome import OBJECT_MONITOR, Outcome
 from missions.options.flights import TeamOptions
-from missions.relay.report import figures_grid, flown_record, heading, leg_record, spread, spread_text, summary_of
+from missions.relay.report import (
+    closest_text,
+    flown_record,
+    heading,
+    leg_record,
+    speed_text,
+    spread,
+    spread_text,
+    summary_of,
+)  # fmt: skip
+from missions.report.tables import counts_text, figures_grid
 from missions.team.base import TeamBase
 
 HOUR_S = 3600.0
@@ -102,27 +112,23 @@ def team_rows(s: Mapping[str, Any]) -> list[tuple[str, str]]:
     each = [(name, value) for name, value in observed.items() if name != "all"]
     worst = sorted(each, key=lambda pair: -1.0 if pair[1] is None else pair[1])[:6]
     shown = ", ".join(f"{name} {_share(value)}" for name, value in worst)
-    ended = ", ".join(f"{name} {count}" for name, count in s["legs_ended"].items()) or "none"
-    violated = ", ".join(f"{name} {count}" for name, count in s["monitors"].items())
-    closest = "-" if s["closest_m"] is None else f"{s['closest_m']:.2f} m, {' and '.join(s['closest_pair'])}"
-    speed = f"{s['simulated_s'] / s['wall_s']:.1f} x real time ({s['wall_s']:.0f} s)" if s["wall_s"] > 0.0 else "-"
     landing = s["battery_at_landing"]
     at_least = "-" if landing is None else f"{100 * landing['min']:.1f} % at least"
     return [
         ("simulated", f"{s['simulated_s'] / 60.0:.1f} min, {s['flown_h']:.2f} h in the air"),
         ("observed", f"{_share(observed['all'])} ({shown}{', ...' if len(each) > len(worst) else ''})"),
-        ("legs", f"{s['legs']}: {ended}"),
+        ("legs", f"{s['legs']}: {counts_text(s['legs_ended'])}"),
         ("wrong objects", str(s["wrong"])),
         ("targets lost, and pointed at again", str(s["lost"])),
         ("from the call to holding", spread_text(s["leg_s"], 1)),
         ("nobody responsible", f"{spread_text(s['gap_s'], 4)} (bound {s['gap_bound_s']:.2f} s)"),
         ("no drone ready, said", f"{s['alarms']} times"),
         ("battery at landing", f"{at_least} (reserve {100 * s['reserve']:.0f} %)"),
-        ("smallest separation", closest),
+        ("smallest separation", closest_text(s)),
         ("sent by a drone", f"{s['bytes_per_s_mean']:.0f} B/s in the mean"),
-        ("monitors", violated or "no violation"),
+        ("monitors", counts_text(s["monitors"], "no violation")),
         ("processor time", f"{_number(s['cpu_s_per_drone_hour'])} s a drone and simulated hour"),
-        ("speed", speed),
+        ("speed", speed_text(s, 1)),
     ]
 
 

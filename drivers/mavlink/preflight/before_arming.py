@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
 
 from drivers.interfaces import VehicleError
 from drivers.mavlink.preflight.geofence import FencePlan, Geofence, plan_fence
@@ -13,26 +12,8 @@ from drivers.mavlink.preflight.pilot_rules import kept_out
 from drivers.mavlink.preflight.pilot_rules import names_of as pilot_names
 from drivers.mavlink.session import MavsdkSession
 from drivers.mavlink.telemetry import TelemetrySlots
+from drivers.mavlink.vehicle_config import MavsdkVehicleConfig
 from drivers.rig.part_check import Finding
-
-
-class ArmingConfig(Protocol):
-    """The options of ``MavsdkVehicleConfig`` that count here."""
-
-    @property
-    def sysid(self) -> int: ...
-
-    @property
-    def url(self) -> str: ...
-
-    @property
-    def rc(self) -> str: ...
-
-    @property
-    def mode_timeout_s(self) -> float: ...
-
-    @property
-    def connect_timeout_s(self) -> float: ...
 
 
 def access_of(session: MavsdkSession, url: str) -> ParameterAccess:
@@ -46,7 +27,7 @@ def access_of(session: MavsdkSession, url: str) -> ParameterAccess:
 class BeforeArming:
     """The pilot and the fence of one vehicle that is open."""
 
-    def __init__(self, session: MavsdkSession, telemetry: TelemetrySlots, config: ArmingConfig) -> None:
+    def __init__(self, session: MavsdkSession, telemetry: TelemetrySlots, config: MavsdkVehicleConfig) -> None:
         self._session, self._telemetry, self._config = session, telemetry, config
 
     @property

@@ -25,10 +25,10 @@ from hil.render.renderer import Renderer
 from hil.render.shutter import shutter_of
 from hil.tello.video import TelloVideo
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
-from hil.vehicle.messages import MavlinkDrone
 from hil.world.config import imaging_of
 from hil.world.errors import Built, StampErrors
 from hil.world.snapshot import Snapshot
+from hil.world.world import SimDrone
 from path.messages import Role
 
 STEP_S = 0.005
@@ -153,7 +153,7 @@ GROUND = "PATH_GCS"
 """The variable of the environment that names where a ground station listens: ``path-handoff handoff --gcs``."""
 
 
-def embedded_vehicle(rig: Rig, own: RoleRig, drone: MavlinkDrone, arrived: Callable[[float], float]) -> MavlinkVehicle:
+def embedded_vehicle(rig: Rig, own: RoleRig, drone: SimDrone, arrived: Callable[[float], float]) -> MavlinkVehicle:
     """A drone's autopilot on the wire, where the role's driver listens, its guard's, and a ground station if any.
 
     ``arrived``: the world's time of an instant of the monotonic clock.

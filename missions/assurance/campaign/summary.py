@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from missions.assurance.campaign.levels import LEVELS
 from missions.assurance.campaign.results import OBSERVED_PERCENT, RunLine
+from missions.report.tables import counts_text
 
 SHOWN = 20  # failures printed
 BROKEN = {"clock": "a clock was set", "disk": "a disk lost a record", "stall": "a program stood still"}
@@ -112,13 +113,13 @@ def table(summary: dict[str, Any]) -> str:
                 f"{own['observed_well']} of {own['number']}, mean {own['mean_percent']:.2f} %, "
                 f"least {own['least_percent']:.2f} %"
             )
-    found = ", ".join(f"{name} {count}" for name, count in summary["violations_of"].items()) or "none"
+    found = counts_text(summary["violations_of"])
     lines += ["", f"{summary['runs']:,} runs, {summary['simulated_h']:,} h simulated; violations: {found}"]
     if summary["assumptions_broken"]:
         broken = ", ".join(f"{BROKEN[name]} in {count} runs" for name, count in summary["assumptions_broken"].items())
         lines.append(f"assumptions broken: {broken}")
     if summary["beyond_assumptions"]:
-        beyond = ", ".join(f"{name} {count}" for name, count in summary["beyond_assumptions"].items())
+        beyond = counts_text(summary["beyond_assumptions"])
         lines.append(f"after one of these, which the promises do not bear: {beyond}")
     for failure in summary["failures"][:SHOWN]:
         lines += [f"  {failure['violations'][0]}", f"    {failure['replay']}"]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from missions.report.records import RunRecords
+from missions.report.records import RunRecords, phase_changes
 from missions.trials.dynamic.judge import SUBJECTS, Compared, SessionErrors
 from missions.trials.dynamic.report import NAMES
 from missions.trials.shared.statistics import Interval, blocks_interval
@@ -64,8 +64,7 @@ def segments_of(run: RunRecords, measured: SessionErrors) -> list[SessionPart]:
     """The phases of the receiver in which there was something to compare, after the whole."""
     times = np.concatenate([measured.beacons[name].t for name in SUBJECTS])
     found = [SessionPart("all", float(times.min()), float(times.max()) + 1e-6)]
-    records = run.receiver.get("/phase", ())
-    changes = [r for k, r in enumerate(records) if k == 0 or r.record["phase"] != records[k - 1].record["phase"]]
+    changes = phase_changes(run.receiver)
     for begin, end in zip(changes, [*changes[1:], None], strict=True):
         start_s, end_s = begin.stamp_ns * 1e-9, math.inf if end is None else end.stamp_ns * 1e-9
         if np.count_nonzero((times >= start_s) & (times < end_s)) >= LEAST:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,11 +60,9 @@ class BoardFile:
     first_id: Annotated[int, Bounds(0, 1023, "(an id)")] = 0
 
     def __post_init__(self) -> None:
-        if self.rows < 1 or self.columns < 1 or self.rows * self.columns < 4:
+        if self.rows * self.columns < 4:
             raise ValueError(f"rows, columns: {self.rows} x {self.columns} are not at least four markers")
-        if self.first_id < 0:
-            raise ValueError(f"first_id: {self.first_id} is no id of a marker")
-        if not (0.0 < self.side_m < self.pitch_m and math.isfinite(self.pitch_m)):
+        if self.side_m >= self.pitch_m:
             raise ValueError(f"side_m, pitch_m: {self.side_m} and {self.pitch_m} leave no space between markers")
 
 

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from flight.outcome import Outcome
 from missions.options.flights import TeamOptions
 from missions.report.palette import DIM, NEEDED, ROLE
+from missions.report.tables import counts_text, sum_of
 from missions.run_folder import new_folder
 from missions.shown import tell_line
 from missions.team.command import fly_team
@@ -78,10 +79,7 @@ def run(request: TrialRequest) -> TrialResult:
     _draw(teams, request.out / PICTURE)
     fields = [] if request.quick else [_measured(request, FIELD)]
     costs = teams + fields
-    violations: dict[str, int] = {}
-    for cost in costs:
-        for name, count in cost.violations.items():
-            violations[name] = violations.get(name, 0) + count
+    violations = sum_of(cost.violations for cost in costs)
     return TrialResult(
         summary={"teams": [asdict(cost) for cost in costs], "off_the_middle": off_the_middle(teams)},
         findings=_findings(teams, fields, violations),
@@ -146,7 +144,6 @@ def _findings(
     off = off_the_middle(teams)
     least, most = teams[0].drones, teams[-1].drones
     each = ", ".join(f"{cost.cpu_s_per_drone_hour:.1f}" for cost in teams)
-    said = ", ".join(f"{name} {count}" for name, count in violations.items())
     return (
         TrialFinding(f"processor time of a drone and hour, {least} to {most} drones, s", each),
         TrialFinding(
@@ -161,7 +158,7 @@ def _findings(
             )
             for field in fields
         ),
-        TrialFinding("monitors violated", said or "0", goal="0", verdict=verdict(not violations)),
+        TrialFinding("monitors violated", counts_text(violations, "0"), goal="0", verdict=verdict(not violations)),
     )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
+from missions.report.tables import counts_text, sum_of
 from missions.run_folder import new_folder
 from missions.trials.processes import runs
 from missions.trials.processes.runs import LIVE, SIM, Came
@@ -86,7 +87,7 @@ def _figures(came: Runs) -> dict[str, Any]:
         "orphaned": sum(one.duty.orphaned for one in came),
         "not_landed": sum(not one.landed for one in came),
         "wrong": sum(one.wrong for one in came),
-        "violations": dict(sum((Counter(one.violations) for one in came), Counter[str]())),
+        "violations": dict(sum_of(one.violations for one in came)),
         "each": [_row(one) for one in came],
     }
 
@@ -108,7 +109,7 @@ def _findings(what: str, came: Runs) -> tuple[TrialFinding, ...]:
     two = max(one.duty.both_s for one in came)
     gap = max((one.duty.gap_s for one in came if not one.duty.orphaned), default=0.0)
     down = sum(one.landed for one in came)
-    broken = sum((Counter(one.violations) for one in came), Counter[str]())
+    broken = sum_of(one.violations for one in came)
     count, none_two = f"{len(came)} runs", verdict(two == 0.0)
     return (
         TrialFinding(f"{what}: longest time with two responsible, s", f"{two:.3f}", count, goal="0", verdict=none_two),
@@ -156,11 +157,8 @@ def _link_tables(title: str, came: Runs) -> tuple[TrialTable, ...]:
 
 
 def _dropped(came: Runs) -> str:
-    total: Counter[str] = Counter()
-    for one in came:
-        for reasons in one.dropped.values():
-            total.update(reasons)
-    return ", ".join(f"{name} {count}" for name, count in total.most_common()) or "none"
+    dropped = sum_of(reasons for one in came for reasons in one.dropped.values())
+    return counts_text(dict(dropped.most_common()))
 
 
 def _kill_tables(title: str, came: Runs) -> tuple[TrialTable, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -166,11 +167,7 @@ def separations_m(flown: Sequence[RendezvousResult]) -> list[float]:
 
 def reasons(flown: Sequence[RendezvousResult]) -> dict[str, int]:
     """Counts how those ended that did not hand over, the most frequent first."""
-    counts: dict[str, int] = {}
-    for one in flown:
-        if not one.committed:
-            counts[one.outcome] = counts.get(one.outcome, 0) + 1
-    return dict(sorted(counts.items(), key=lambda item: -item[1]))
+    return dict(Counter(one.outcome for one in flown if not one.committed).most_common())
 
 
 def as_summary(flown: Sequence[RendezvousResult]) -> dict[str, Any]:
