@@ -177,6 +177,8 @@ def other_size(grey: Image) -> tuple[int, int] | None:
     if not found:
         return None
     grid = np.asarray(corners, np.float64).reshape(*meta.shape[:2], 2)
+    if min(grid.shape[:2]) < 2:
+        return None  # a row of corners is no board
     points = grid.reshape(-1, 2)
     ways = np.stack((np.gradient(grid, axis=1), np.gradient(grid, axis=0)), axis=2).reshape(-1, 2, 2)
     steps = np.linalg.norm(ways, axis=2)

@@ -9,6 +9,7 @@ from drivers.interfaces import PartError
 from missions import rig_library
 from missions.report.records import RunRecords, load_run
 from missions.report.truth import truth_of
+from missions.run_folder import new_folder
 from missions.trials.beacon import report
 from missions.trials.beacon.session import BeaconSession, fly_session, load_session, record_session
 from missions.trials.dynamic.flight import heard_of, reference_of
@@ -21,6 +22,7 @@ PAPER = "Receiver-View Projection Consistency, dynamic part"
 RIG = "dynamic"
 QUICK_RIG = "dynamic-sim"
 ERRORS = "errors.csv"
+FLOWN = "session"  # the folder of a session that is flown here, in the trial's own
 
 
 def run(request: TrialRequest) -> TrialResult:
@@ -64,7 +66,7 @@ def run(request: TrialRequest) -> TrialResult:
 
 def _fly(order: tuple[TrialRequest, Path]) -> BeaconSession:
     request, rig_file = order
-    return fly_session(rig_library.load(str(rig_file)), request.seed, request.out)
+    return fly_session(rig_library.load(str(rig_file)), request.seed, new_folder(request.out / FLOWN))
 
 
 def _draw(session: BeaconSession, flown: RunRecords, measured: SessionErrors, out: Path) -> float | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -62,6 +63,13 @@ def test_another_chessboard_is_told_by_its_size() -> None:
     size = other_size(image)
     assert size is not None
     assert np.abs(np.sort(size) - [6, 9]).max() <= 1
+    assert other_size(np.full((48, 64), 128, np.uint8)) is None
+
+
+def test_a_single_row_of_corners_is_no_chessboard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As OpenCV found one at the edge of a view of another board."""
+    row = np.linspace((10.0, 20.0), (50.0, 20.0), 5, dtype=np.float32).reshape(-1, 1, 2)
+    monkeypatch.setattr(cv2, "findChessboardCornersSBWithMeta", lambda *_: (True, row, np.zeros((1, 5), np.uint8)))
     assert other_size(np.full((48, 64), 128, np.uint8)) is None
 
 
