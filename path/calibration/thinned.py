@@ -65,6 +65,8 @@ def pixel_offsets(edges: Sequence[SeenEdge], edge: Array, period: int) -> Array 
         edge: the mean edge, at ``path.calibration.edges.PLACES``.
     """
     there = ~np.isnan(edge)
+    if np.count_nonzero(there) < 2:
+        return None  # too few pixels for a mean edge
     slope = np.gradient(edge[there], PLACES[there])
     normal, pulls, count = np.zeros((2 * period, 2 * period)), np.zeros(2 * period), 0
     for one in edges:
