@@ -142,10 +142,15 @@ def open_work(jobs: int, stream: TextIO | None = None) -> Generator[Work, None, 
         work.close()
 
 
-def _quiet_worker() -> None:
-    """Ctrl-C is the parent's to handle; libraries shall not start threads on top of one process a core."""
+def belong_to_parent() -> None:
+    """In a process of a pool: Ctrl-C is the parent's to handle, and the process ends when its parent does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _quiet_worker() -> None:
+    """Libraries shall not start threads on top of one process a core."""
+    belong_to_parent()
     import cv2  # noqa: PLC0415 (only workers need it here)
 
     cv2.setNumThreads(1)

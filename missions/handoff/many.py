@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shlex
-import signal
 import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -23,6 +22,7 @@ from missions.report.progress import open_tally
 from missions.report.records import RUN, SUMMARY, load_run
 from missions.report.summary import summarize
 from missions.run_folder import claim_result, new_folder, refuse_foreign
+from missions.work import belong_to_parent
 
 
 def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
@@ -38,7 +38,7 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
     for seed in seeds:
         refuse_foreign(_folder_of(folder, seed), RUN)
     summaries: list[dict[str, Any]] = []
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_leave_signals_to_the_parent)
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=belong_to_parent)
     try:
         with open_tally(sys.stdout, len(seeds)) as tally:
             asked = str(rig.file), options.errors, options.scene, options.slow
@@ -76,10 +76,6 @@ def _command(options: HandoffOptions, seed: int) -> str:
     faults = [word for fault in options.fault for word in ("--fault", fault)]
     asked = ["--rig", options.rig, "--seed", str(seed), *errors, *scene, *slow, *model, *faults]
     return f"path-handoff handoff {shlex.join(asked)}"
-
-
-def _leave_signals_to_the_parent() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _folder_of(folder: Path, seed: int) -> Path:
