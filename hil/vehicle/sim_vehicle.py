@@ -17,7 +17,7 @@ from drivers.perception.history import StateHistory
 from drivers.rig.parts import PartContext
 from hil.autopilot.autopilot import Ack, Autopilot
 from hil.world.world import VehicleTelemetry, World
-from path.bounds import Bounds
+from path.bounds import Bounds, check_bounds
 from path.messages import Quat, Role
 
 POLL_S = 0.05
@@ -62,6 +62,9 @@ class SimVehicleConfig:
     heartbeat_timeout_s: Annotated[float, Bounds(0.2, 30.0)] = 1.5
     take_off_tolerance_m: Annotated[float, Bounds(0.01, 5.0)] = 0.3
     max_speed_mps: Annotated[float, Bounds(0.1, 50.0)] = 5.0
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
 
 
 class SimVehicle:

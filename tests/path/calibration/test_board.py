@@ -7,6 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from flight.harness.renderer import IDEAL, REALISTIC, Imaging
 from hil.camera.pictures import CameraRenderer
@@ -69,7 +70,11 @@ def test_another_chessboard_is_told_by_its_size() -> None:
 def test_a_single_row_of_corners_is_no_chessboard(monkeypatch: pytest.MonkeyPatch) -> None:
     """As OpenCV found one at the edge of a view of another board."""
     row = np.linspace((10.0, 20.0), (50.0, 20.0), 5, dtype=np.float32).reshape(-1, 1, 2)
-    monkeypatch.setattr(cv2, "findChessboardCornersSBWithMeta", lambda *_: (True, row, np.zeros((1, 5), np.uint8)))
+
+    def found(*_: object) -> tuple[bool, NDArray[np.float32], NDArray[np.uint8]]:
+        return True, row, np.zeros((1, 5), np.uint8)
+
+    monkeypatch.setattr(cv2, "findChessboardCornersSBWithMeta", found)
     assert other_size(np.full((48, 64), 128, np.uint8)) is None
 
 
