@@ -10,7 +10,17 @@ import numpy as np
 from drivers.interfaces import View
 from flight.config import Designated
 from flight.guidance import Vec3, norm, subtract
-from flight.tracking.objects import CUT_SCORE, MIN_SCORE, ImageObject, Pixel, by_distance, cut_sides, is_cut, is_larger
+from flight.tracking.objects import (
+    CUT_SCORE,
+    LARGER,
+    MIN_SCORE,
+    ImageObject,
+    Pixel,
+    by_distance,
+    cut_sides,
+    is_cut,
+    is_larger,
+)
 from flight.tracking.ranging import MIN_DESCENT
 from flight.tracking.standing_out import ABOVE, standing_out
 from flight.tracking.target_track import TargetTrack
@@ -108,7 +118,8 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
 
     The object must be where the track predicts it, and clearly nearer to there than anything that looks alike. Where
     such a thing was seen beside it, the gate does not reach it, however long the object is missed; and an object that
-    was out of sight for a while is taken again only when nothing else is as far as it can have come.
+    was out of sight for a while is taken again only when nothing else is as far as it can have come, nor lately was: a
+    detector misses objects. Nor is what is much smaller than the object was, whose box may have been around two.
     Without depth, or with a range that is only estimated, it is taken to be as high as it was: so the drone keeps
     following while the frame is a miss, and does not follow a range that changes with the target's heading. A depth
     that puts it elsewhere on its ray is of something else, such as the other drone in front of it: that is no depth.
@@ -128,6 +139,8 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     reach_px = px_per_m * max(track.reach_m(view.stamp_ns) if unseen else 0.0, gate_m / AMBIGUITY, RIVAL_REACH_M)
     found = view.targets(Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px))
     ranked = by_distance(found, (u, v), camera, track.size_m, z)
+    if unseen and len(ranked) > 1:
+        track.note_company(view.stamp_ns)
     side_px = None if track.size_m is None else (px_per_m * track.size_m[0], px_per_m * track.size_m[1])
     if (
         not ranked
@@ -135,11 +148,12 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
         or (ranked[0].more or _has_more(ranked[0].box, z, sigma_m, T_n_c, track))
     ):
         return _unfound(view, T_n_c, camera, track, ranked, ((u, v), z, sigma_m), px_per_m * gate_m)
-    chosen = ranked[0]
+    chosen, nearly = ranked[0], False
     if len(ranked) > 1:
         track.note_rival(_nearest_m(ranked, px_per_m), view.stamp_ns)
-        if unseen or _nearly_as_near(ranked):
-            return MissReason.AMBIGUOUS_TARGET
+        nearly = _nearly_as_near(ranked)
+    if nearly or (unseen and (track.accompanied(view.stamp_ns) or _is_part(chosen.box, side_px))):
+        return MissReason.AMBIGUOUS_TARGET
     if chosen.cut:
         _bound(track, chosen.pixel, camera, T_n_c, view.stamp_ns)
         return MissReason.NO_TARGET
@@ -254,6 +268,11 @@ def _holder(
         if _is_around(each.box, expected, side_px):
             return _within(each.box, expected, side_px, camera)
     return None
+
+
+def _is_part(box: Box, side_px: tuple[float, float] | None) -> bool:
+    """Returns whether a box is so much smaller than the object's own was, both ways, that the other may be of two."""
+    return side_px is not None and LARGER * box.w < side_px[0] and LARGER * box.h < side_px[1]
 
 
 def _is_around(box: Box, expected: Pixel, side_px: tuple[float, float]) -> bool:

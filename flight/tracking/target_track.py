@@ -54,6 +54,7 @@ class TargetTrack:
         self.seen_ns = stamp_ns
         self.rival_m = math.inf  # from the target to the nearest other object
         self.rival_ns = stamp_ns
+        self._company_ns: int | None = None  # when another one than the target was last as far as it can have come
         self._accel_mps2 = accel_mps2
         self._flies = flies
         self._carry_ns = round(carry_s * 1e9)
@@ -117,6 +118,14 @@ class TargetTrack:
         """Another object was seen that far from this one; a nearer one is remembered for a while."""
         if distance_m <= self.rival_m or not self._rival_known(stamp_ns):
             self.rival_m, self.rival_ns = distance_m, stamp_ns
+
+    def note_company(self, stamp_ns: int) -> None:
+        """While the target was out of sight, more than one object was as far as it can have come."""
+        self._company_ns = stamp_ns
+
+    def accompanied(self, stamp_ns: int) -> bool:
+        """Returns whether that is so, or lately was."""
+        return self._company_ns is not None and stamp_ns - self._company_ns <= RIVAL_S * 1e9
 
     def note_size(self, sides_m: tuple[float, float], stamp_ns: int) -> None:
         """The object was seen whole, and alone in its box."""
