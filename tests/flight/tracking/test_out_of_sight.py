@@ -1,0 +1,32 @@
+"""Who was out of sight is taken again only where nothing else can be taken for them, as a detector misses people."""
+
+from __future__ import annotations
+
+import pytest
+
+from flight.tracking.association import Sighting, follow
+from path.observations import MissReason
+from tests.flight.tracking.test_association import CAMERA, PLACE, SECOND, T_N_C, FakeView, beside, settled
+
+
+@pytest.mark.parametrize(("later_s", "found"), [(0.3, False), (2.8, False), (3.2, True)])
+def test_what_was_lately_seen_there_with_another_one_is_not_taken_when_it_is_alone(later_s: float, found: bool) -> None:
+    """A detector misses objects for half a second and more: that one is alone in a frame says little."""
+    track = settled(PLACE)
+    both_ns = track.stamp_ns + SECOND
+    both = FakeView([beside(PLACE, 0.5), beside(PLACE, -0.5)], both_ns)
+    assert isinstance(follow(both, T_N_C, CAMERA, track), MissReason)
+    alone = FakeView([beside(PLACE, 0.2)], both_ns + round(later_s * SECOND))
+    seen = follow(alone, T_N_C, CAMERA, track)
+    assert isinstance(seen, Sighting) if found else seen is MissReason.AMBIGUOUS_TARGET
+
+
+@pytest.mark.parametrize(("gap_s", "found"), [(0.3, True), (0.7, False)])
+def test_what_is_much_smaller_is_not_taken_for_a_target_that_was_out_of_sight(gap_s: float, found: bool) -> None:
+    """Its box was around two, and this is one of them: nobody knows which."""
+    track = settled(PLACE)
+    assert track.size_m is not None
+    wide_m, high_m = track.size_m
+    track.note_size((1.5 * wide_m, 1.5 * high_m), track.stamp_ns)
+    seen = follow(FakeView([PLACE], track.stamp_ns + round(gap_s * SECOND)), T_N_C, CAMERA, track)
+    assert isinstance(seen, Sighting) if found else seen is MissReason.AMBIGUOUS_TARGET
