@@ -135,7 +135,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     u, v = camera.project_point((x, y, z))
     gate_m = track.gate_m(sigma_m, view.stamp_ns)
     px_per_m = camera.fx / z
-    unseen = view.stamp_ns - track.stamp_ns > UNSEEN_S * 1e9
+    unseen = _unseen(track, view.stamp_ns)
     reach_px = px_per_m * max(track.reach_m(view.stamp_ns) if unseen else 0.0, gate_m / AMBIGUITY, RIVAL_REACH_M)
     found = view.targets(Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px))
     ranked = by_distance(found, (u, v), camera, track.size_m, z)
@@ -145,7 +145,8 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     if (
         not ranked
         or ranked[0].off_px > px_per_m * gate_m
-        or (ranked[0].more or _has_more(ranked[0].box, z, sigma_m, T_n_c, track))
+        or ranked[0].more
+        or _has_more(ranked[0].box, z, sigma_m, T_n_c, track)
     ):
         return _unfound(view, T_n_c, camera, track, ranked, ((u, v), z, sigma_m), px_per_m * gate_m)
     chosen, nearly = ranked[0], False
@@ -211,8 +212,7 @@ def _unfound(
         return MissReason.NO_TARGET
     side_px = camera.fx / z_m * size_m[0], camera.fx / z_m * size_m[1]
     lately = view.stamp_ns - track.whole_ns <= _HELD_S * 1e9
-    unseen = view.stamp_ns - track.stamp_ns > UNSEEN_S * 1e9  # what stands there by now may be anything
-    carriable = not unseen and track.carriable(view.stamp_ns)
+    carriable = not _unseen(track, view.stamp_ns) and track.carriable(view.stamp_ns)
     holder = _holder(ranked, pixel, side_px, camera) if lately else None
     if holder is not None:
         _bound(track, holder, camera, T_n_c, view.stamp_ns)
@@ -236,6 +236,11 @@ def _unfound(
         (x, y), depth_m = camera.ray(*body[0]), body[1]
         track.carry(to_local((x * depth_m, y * depth_m, depth_m), T_n_c), view.stamp_ns)
     return MissReason.NO_TARGET if holder is None else MissReason.AMBIGUOUS_TARGET
+
+
+def _unseen(track: TargetTrack, stamp_ns: int) -> bool:
+    """Returns whether nothing has kept a track for so long that what stands there by now may be anything."""
+    return stamp_ns - track.stamp_ns > UNSEEN_S * 1e9
 
 
 def _has_more(box: Box, z_m: float, sigma_m: float, T_n_c: Pose, track: TargetTrack) -> bool:
