@@ -119,7 +119,8 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     The object must be where the track predicts it, and clearly nearer to there than anything that looks alike. Where
     such a thing was seen beside it, the gate does not reach it, however long the object is missed; and an object that
     was out of sight for a while is taken again only when nothing else is as far as it can have come, nor lately was: a
-    detector misses objects. Nor is what is much smaller than the object was, whose box may have been around two.
+    detector misses objects. Nor is what is much smaller than the object was, whose box may have been around two. What
+    depth shows to be farther behind than the object can have come counts for none of this while another is in sight.
     Without depth, or with a range that is only estimated, it is taken to be as high as it was: so the drone keeps
     following while the frame is a miss, and does not follow a range that changes with the target's heading. A depth
     that puts it elsewhere on its ray is of something else, such as the other drone in front of it: that is no depth.
@@ -138,7 +139,8 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     unseen = _unseen(track, view.stamp_ns)
     reach_px = px_per_m * max(track.reach_m(view.stamp_ns) if unseen else 0.0, gate_m / AMBIGUITY, RIVAL_REACH_M)
     found = view.targets(Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px))
-    ranked = by_distance(found, (u, v), camera, track.size_m, z)
+    seen = by_distance(found, (u, v), camera, track.size_m, z)
+    ranked = seen if len(seen) < 2 else _not_behind(seen, view, z + track.reach_m(view.stamp_ns))
     if unseen and len(ranked) > 1:
         track.note_company(view.stamp_ns)
     side_px = None if track.size_m is None else (px_per_m * track.size_m[0], px_per_m * track.size_m[1])
@@ -148,7 +150,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
         or ranked[0].more
         or _has_more(ranked[0].box, z, sigma_m, T_n_c, track)
     ):
-        return _unfound(view, T_n_c, camera, track, ranked, ((u, v), z, sigma_m), px_per_m * gate_m)
+        return _unfound(view, T_n_c, camera, track, seen, ((u, v), z, sigma_m), px_per_m * gate_m)
     chosen, nearly = ranked[0], False
     if len(ranked) > 1:
         track.note_rival(_nearest_m(ranked, px_per_m), view.stamp_ns)
@@ -175,7 +177,8 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     )
     if measured is not None:
         track.update(measured, view.stamp_ns)
-    return _over_ground(Sighting(box, depth, _beside(view, box, ranked[1:], px_per_m)), camera, T_n_c, track)
+    others = [each for each in seen if each is not chosen]
+    return _over_ground(Sighting(box, depth, _beside(view, box, others, px_per_m)), camera, T_n_c, track)
 
 
 def _over_ground(seen: Sighting, camera: CameraModel, T_n_c: Pose, track: TargetTrack) -> Sighting:
@@ -241,6 +244,19 @@ def _unfound(
 def _unseen(track: TargetTrack, stamp_ns: int) -> bool:
     """Returns whether nothing has kept a track for so long that what stands there by now may be anything."""
     return stamp_ns - track.stamp_ns > UNSEEN_S * 1e9
+
+
+def _not_behind(seen: list[ImageObject], view: View, most_m: float) -> list[ImageObject]:
+    """The objects of several that may be no deeper than that, as far as depth tells; all of them if it tells of none.
+
+    A depth in front of it says nothing: it may be of what hides the object.
+    """
+    return [each for each in seen if each.cut or _least_m(view.depth(each.box)) <= most_m] or seen
+
+
+def _least_m(depth: Depth | None) -> float:
+    """The least that something is away by its depth; 0 when there is none."""
+    return 0.0 if depth is None else depth.z_m - DEPTH_FLOOR_M - DEPTH_SIGMAS * depth.sigma_m
 
 
 def _has_more(box: Box, z_m: float, sigma_m: float, T_n_c: Pose, track: TargetTrack) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from flight.tracking.association import Sighting, follow
@@ -29,4 +31,21 @@ def test_what_is_much_smaller_is_not_taken_for_a_target_that_was_out_of_sight(ga
     wide_m, high_m = track.size_m
     track.note_size((1.5 * wide_m, 1.5 * high_m), track.stamp_ns)
     seen = follow(FakeView([PLACE], track.stamp_ns + round(gap_s * SECOND)), T_N_C, CAMERA, track)
+    assert isinstance(seen, Sighting) if found else seen is MissReason.AMBIGUOUS_TARGET
+
+
+@pytest.mark.parametrize(
+    ("behind_m", "has_depth", "found"), [(1.6, True, True), (0.3, True, False), (-0.7, True, False), (1.6, False, False)]
+)
+def test_what_is_too_far_behind_is_not_taken_for_a_target_that_was_out_of_sight(
+    behind_m: float, has_depth: bool, found: bool
+) -> None:
+    """The target passed in front of another one. What is in front of it may hide it: that tells nothing."""
+    track = settled(PLACE)
+    north, east, down = PLACE
+    along = 1.0 + behind_m / math.dist(PLACE, T_N_C.t)
+    ray = north - T_N_C.t[0], east + 0.2 - T_N_C.t[1], down - T_N_C.t[2]
+    other = ray[0] * along + T_N_C.t[0], ray[1] * along + T_N_C.t[1], ray[2] * along + T_N_C.t[2]
+    view = FakeView([PLACE, other], track.stamp_ns + round(0.7 * SECOND), has_depth=has_depth)
+    seen = follow(view, T_N_C, CAMERA, track)
     assert isinstance(seen, Sighting) if found else seen is MissReason.AMBIGUOUS_TARGET
