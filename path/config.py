@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 from path.bounds import Bounds, check_bounds
@@ -25,6 +25,11 @@ class EvidenceConfig:
             agrees; and that a later one does, whatever those before it did.
         setback: what a later block that does not agree multiplies the evidence by; a larger one makes those that agree
             worth less.
+        patient_block_s: length of the blocks of a second test beside the first, for boxes that errors that last put far
+            apart all the time: longer blocks waver less, and may be weaker. 0: there is none.
+        patient_strength, patient_first_rate, patient_next_rate, patient_setback: as those above, of its blocks.
+        accident_share: of ``alpha``, what this test may spend on boxes that agree by accident; the second one takes
+            ``patient_share`` of that. Errors that last are drawn once, and asked for the same by both.
         max_gap_s: a run ends after so long without an agreeing pair.
         min_s, min_pairs: no run is accepted that is shorter, whatever its evidence.
         max_pose_sigma_m: as ``MethodConfig.max_pose_sigma_m``, for this gate: what bounds the persistent errors.
@@ -50,6 +55,13 @@ class EvidenceConfig:
     next_rate: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.35
     setback: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.05
     block_share: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.6
+    patient_block_s: Annotated[float, Bounds(0.0, 30.0)] = 0.0
+    patient_strength: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.12
+    patient_first_rate: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.07
+    patient_next_rate: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.4
+    patient_setback: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.2
+    patient_share: Annotated[float, Bounds(0.0, 0.999, "of 1", above=True)] = 0.2
+    accident_share: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 1.0
     max_gap_s: Annotated[float, Bounds(0.02, 60.0)] = 1.0
     min_s: Annotated[float, Bounds(0.05, 600.0)] = 1.0
     min_pairs: Annotated[int, Bounds(1, 100_000, "pairs")] = 30
@@ -71,6 +83,30 @@ class EvidenceConfig:
         check_bounds(self)
         if self.first_rate > self.next_rate:
             raise ValueError(f"first_rate: {self.first_rate!r} is above next_rate = {self.next_rate!r}")
+        if not self.patient_block_s:
+            return
+        if self.patient_block_s <= self.block_s:
+            raise ValueError(f"patient_block_s: {self.patient_block_s!r} is not above block_s = {self.block_s!r}")
+        if self.patient_first_rate > self.patient_next_rate:
+            above = f"{self.patient_first_rate!r} is above patient_next_rate = {self.patient_next_rate!r}"
+            raise ValueError(f"patient_first_rate: {above}")
+
+    @property
+    def paces(self) -> tuple[EvidenceConfig, ...]:
+        """The settings of each test that is to be made: they share ``accident_share``, and any of them decides."""
+        if not self.patient_block_s:
+            return (self,)
+        alone = replace(self, patient_block_s=0.0, accident_share=self.accident_share * (1.0 - self.patient_share))
+        patient = replace(
+            alone,
+            accident_share=self.accident_share * self.patient_share,
+            block_s=self.patient_block_s,
+            strength=self.patient_strength,
+            first_rate=self.patient_first_rate,
+            next_rate=self.patient_next_rate,
+            setback=self.patient_setback,
+        )
+        return alone, patient
 
 
 @dataclass(frozen=True, slots=True)

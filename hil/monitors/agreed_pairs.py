@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,37 @@ from path.gate.identity import REACH_M
 ROUNDING = 1e-9
 
 
+class PairsAtPaces:
+    """The runs of each test that the gate makes of the same pairs, any of which may decide; one, as a rule."""
+
+    def __init__(self, method: MethodConfig) -> None:
+        methods = [replace(method, evidence=own) for own in method.evidence.paces]
+        self._paces = [AgreedPairs(own, alone=len(methods) == 1) for own in methods]
+
+    @property
+    def about(self) -> tuple[int, int | None]:
+        """The target and the epoch that they are of."""
+        return self._paces[0].target_id, self._paces[0].epoch
+
+    @property
+    def full(self) -> bool:
+        """Returns whether one of them is enough for a commit."""
+        return any(pace.full for pace in self._paces)
+
+    def __str__(self) -> str:
+        return "; ".join(str(pace) for pace in self._paces)
+
+    def missed(self, record: Mapping[str, Any]) -> None:
+        """An answer that does not agree."""
+        for pace in self._paces:
+            pace.missed(record)
+
+    def agreed(self, record: Mapping[str, Any]) -> str | None:
+        """An agreeing pair that the role counted; what is wrong with that, None when it is right by one of them."""
+        wrong = [pace.agreed(record) for pace in self._paces]
+        return None if None in wrong else wrong[0]
+
+
 @dataclass(slots=True)
 class AgreedPairs:
     """The run of agreeing pairs, and its blocks when the gate goes by evidence (S5, S6).
@@ -25,6 +56,7 @@ class AgreedPairs:
     """
 
     method: MethodConfig
+    alone: bool = True  # no other test goes on beside it, so that the role's count is of this one
     pairs: int = 0
     first_ns: int = 0
     last_ns: int = -1
@@ -46,8 +78,9 @@ class AgreedPairs:
         """log10 of the evidence of the run under way; 0 without any."""
         if not self.pairs:
             return 0.0
-        # what an attempt's later runs need more is against accidents; errors that last are those of its first run
-        return min(self.logs, self._identified + math.log10(0.5 * self.runs * (self.runs + 1)))
+        # what later runs, and tests that share alpha, need more is against accidents; errors that last are drawn once
+        share = self.method.evidence.accident_share
+        return min(self.logs, self._identified + math.log10(0.5 * self.runs * (self.runs + 1) / share))
 
     @property
     def _identified(self) -> float:
@@ -76,7 +109,8 @@ class AgreedPairs:
         """Returns whether the run is enough for a commit, by the gate of the rig."""
         if self.method.gate == "evidence":
             own = self.method.evidence
-            needed = math.log10(self.runs * (self.runs + 1) / own.alpha) if self.runs else math.inf
+            spent = own.alpha * own.accident_share
+            needed = math.log10(self.runs * (self.runs + 1) / spent) if self.runs else math.inf
             enough = self.agrees and self.reached >= needed - ROUNDING
             return enough and self.pairs >= own.min_pairs and self.span_s >= own.min_s - ROUNDING
         return self.pairs >= self.method.hold_frames and self.span_s >= self.method.hold_s - ROUNDING
@@ -109,7 +143,7 @@ class AgreedPairs:
             self.epoch, self.runs, self.pairs = record["epoch"], 0, 0
         if (
             self.pairs == 0
-            or record["count"] == 1
+            or (self.alone and record["count"] == 1)
             or record["target_id"] != self.target_id
             or gap_ns > round(self.max_gap_s * 1e9)
         ):

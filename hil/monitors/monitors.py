@@ -13,7 +13,7 @@ from typing import Any
 
 from flight.config import GuardConfig
 from hil.autopilot.values import OffboardSession
-from hil.monitors.agreed_pairs import AgreedPairs
+from hil.monitors.agreed_pairs import PairsAtPaces
 from hil.monitors.claims import Claims
 from hil.monitors.leases import LeaseMonitor
 from hil.monitors.scripts import ScriptMonitor
@@ -53,14 +53,14 @@ class Monitors:
     _claims: Claims[Role] = field(default_factory=Claims[Role])
     _too_close: bool = False
     _too_close_to_target: bool = False
-    _agreed: AgreedPairs = field(init=False)
+    _agreed: PairsAtPaces = field(init=False)
     _committed: set[int] = field(default_factory=set[int])
 
     leases: LeaseMonitor = field(init=False)
     scripts: ScriptMonitor = field(init=False)
 
     def __post_init__(self) -> None:
-        self._agreed = AgreedPairs(self.method)
+        self._agreed = PairsAtPaces(self.method)
         self.leases = LeaseMonitor(self._violated)
         self.scripts = ScriptMonitor(self._violated, self.guard)
 
@@ -155,7 +155,6 @@ class Monitors:
             return
         self._committed.add(record["epoch"])
         agreed = self._agreed
-        same = (record["target_id"], record["epoch"]) == (agreed.target_id, agreed.epoch)
-        if not (same and agreed.full):
+        if not ((record["target_id"], record["epoch"]) == agreed.about and agreed.full):
             what = f"commit to target {record['target_id']} after {agreed}"
             self._violated("S5", stamp_w_ns * 1e-9, what)

@@ -34,6 +34,10 @@ Boxes are not carried on from other frames. After ``max_gap_s`` without an agree
 about something else. A box in the wrong place (a false positive) is a pair that disagrees: few of them cost nothing,
 many the block.
 
+Boxes that errors that last put far apart are weak in every block, and no less of one object. A second test may be made
+beside the first, in longer blocks, which waver less and so may be weaker (``TwoPaces``). Each has rates of its own and
+a share of ``alpha`` for accidents, so that both together stay below it.
+
 Rates, ``r0`` and the errors come from simulation with persistent errors, misses and look-alikes, see the decision
 records.
 """
@@ -52,7 +56,9 @@ from path.observations import MissReason
 
 def make_gate(config: MethodConfig) -> Gate:
     """The gate that the settings name, for one attempt."""
-    return EvidenceGate(config) if config.gate == "evidence" else AgreementWindow(config)
+    if config.gate == "count":
+        return AgreementWindow(config)
+    return TwoPaces(config) if config.evidence.patient_block_s else EvidenceGate(config)
 
 
 def strength(iou: float, tau: float) -> float:
@@ -76,9 +82,9 @@ def evidence_of(blocks: int, config: EvidenceConfig, setbacks: int = 0) -> float
 def evidence_needed(run: int, config: EvidenceConfig) -> float:
     """Returns the evidence that the ``run``-th run of an attempt needs (1, 2, ...).
 
-    Each later one may spend less of ``alpha``.
+    Each later one may spend less of what accidents may.
     """
-    return -math.log10(config.alpha / (run * (run + 1.0)))
+    return -math.log10(config.alpha * config.accident_share / (run * (run + 1.0)))
 
 
 def persistent_bound(distance_m: float, reach_m: float, sigma_m: float, measured: int) -> float:
@@ -126,6 +132,7 @@ class EvidenceGate:
             replace(config, hold_frames=own.min_pairs, hold_s=own.min_s, max_gap_s=own.max_gap_s)
         )
         self._block_ns = round(own.block_s * 1e9)
+        self._shared = -math.log10(own.accident_share)
         self._runs = 0
         self._blocks = self._setbacks = 0
         self._agreed = False  # the newest pair that was compared
@@ -154,8 +161,9 @@ class EvidenceGate:
         if counted != self._counted:
             self._counted, self._by_blocks = counted, evidence_of(counted[0], self._config, counted[1])
         blocks, later = self._by_blocks, 0.0 if self._runs <= 1 else evidence_needed(self._runs, self._config) - needed
-        # errors that last are drawn once: another run is another chance for an accident, not for them
-        return Evidence(min(blocks, self._identity.reached(self._config) + later), needed + later)
+        # errors that last are drawn once: another run or test is another chance for an accident, not for them
+        lasting = self._identity.reached(self._config) + later + self._shared
+        return Evidence(min(blocks, lasting), needed + later)
 
     @property
     def complete(self) -> bool:
@@ -216,3 +224,51 @@ class EvidenceGate:
             self._begin(capture_ns)
         else:
             self._run.restart(capture_ns)
+
+
+class TwoPaces:
+    """Two tests on the same pairs, in short and in long blocks; the first to be complete decides. One an attempt."""
+
+    def __init__(self, config: MethodConfig) -> None:
+        self.paces = [EvidenceGate(replace(config, evidence=own)) for own in config.evidence.paces]
+
+    @property
+    def count(self) -> int:
+        """Pairs of the run under way of the test that ``evidence`` is of."""
+        return self._foremost.count
+
+    @property
+    def span_s(self) -> float:
+        """The longer run's."""
+        return max(pace.span_s for pace in self.paces)
+
+    @property
+    def evidence(self) -> Evidence:
+        """Of the test that has most of what it needs."""
+        return self._foremost.evidence
+
+    @property
+    def complete(self) -> bool:
+        return any(pace.complete for pace in self.paces)
+
+    @property
+    def _foremost(self) -> EvidenceGate:
+        return max(self.paces, key=lambda pace: pace.evidence.reached / pace.evidence.needed)
+
+    def agree(self, pair: FramePair, iou: float, tau: float) -> MissReason | None:
+        answer, _ = (pace.agree(pair, iou, tau) for pace in self.paces)
+        return answer
+
+    def disagree(self, peer_sequence: int, capture_ns: int, by: float | None = None) -> MissReason | None:
+        answer, _ = (pace.disagree(peer_sequence, capture_ns, by) for pace in self.paces)
+        return answer
+
+    def restart(self, stamp_ns: int) -> None:
+        """D1 missed the target: that costs no evidence."""
+
+    def expire(self, instant_ns: int) -> bool:
+        short, patient = (pace.expire(instant_ns) for pace in self.paces)
+        return short or patient
+
+    def refusal(self, peer_sequence: int) -> MissReason | None:
+        return self.paces[0].refusal(peer_sequence)

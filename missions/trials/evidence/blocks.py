@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from drivers.rig.parts import Rig
 from flight.harness.montecarlo import PAIR, Attempt, HandoverRunner, Series, agreeing, tell
 from path.config import MethodConfig
-from path.gate.evidence import EvidenceGate
+from path.gate.evidence import EvidenceGate, make_gate
 from path.gate.window import AgreementWindow
 
 NEVER = 1e-300
@@ -51,6 +51,7 @@ class EvidenceAttempt:
 
     Attributes:
         strength: mean over all pairs, agreeing or not; NaN with too few of them.
+        blocks: for each test that the gate makes (``EvidenceConfig.paces``).
         correlation: (len(LAGS),) of the overlap in its series; NaN with too few pairs.
     """
 
@@ -58,7 +59,7 @@ class EvidenceAttempt:
     evidence: GateTime
     papers: GateTime
     strength: float
-    blocks: Blocks
+    blocks: tuple[Blocks, ...]
     correlation: NDArray[np.float64]
 
 
@@ -70,19 +71,24 @@ def run_batch(batch: Batch) -> list[EvidenceAttempt]:
 
 def _told(runner: HandoverRunner, method: MethodConfig, attempt: Attempt) -> EvidenceAttempt:
     series = runner.run(replace(attempt, whole=True)).series
-    never = EvidenceGate(replace(method, evidence=replace(method.evidence, alpha=NEVER)))
-    tell(series, never, method)
-    first, later = never.judged.first, never.judged.later
     agrees = agreeing(series, method)
     begin_ns = int(series.capture_ns[np.argmax(agrees)]) if agrees.any() else 0
     return EvidenceAttempt(
         attempt=attempt,
-        evidence=_decided(series, tell(series, EvidenceGate(method), method), begin_ns),
+        evidence=_decided(series, tell(series, make_gate(method), method), begin_ns),
         papers=_decided(series, tell(series, AgreementWindow(method), method), begin_ns),
         strength=mean_strength(series, method),
-        blocks=Blocks((first[0], first[1]), (later[0], later[1])),
+        blocks=tuple(_blocks(series, replace(method, evidence=own)) for own in method.evidence.paces),
         correlation=correlation(series.iou[series.kind == PAIR, 0]),
     )
+
+
+def _blocks(series: Series, method: MethodConfig) -> Blocks:
+    """Blocks of a test that goes on whatever it says."""
+    never = EvidenceGate(replace(method, evidence=replace(method.evidence, alpha=NEVER)))
+    tell(series, never, method)
+    first, later = never.judged.first, never.judged.later
+    return Blocks((first[0], first[1]), (later[0], later[1]))
 
 
 def _decided(series: Series, done: int | None, begin_ns: int) -> GateTime:

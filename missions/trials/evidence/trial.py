@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from missions.report.palette import COUNT, DIM, FAULT, ROLE
 from missions.trials.evidence.blocks import LAGS, Batch, EvidenceAttempt, GateTime, run_batch
 from missions.trials.shared.statistics import Interval, bootstrap, medians, upper_bound
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
-from path.config import MethodConfig
+from path.config import EvidenceConfig, MethodConfig
 from path.gate.evidence import evidence_needed, evidence_of, persistent_bound
 from path.messages import Role
 
@@ -30,6 +30,7 @@ TRUE_S, WRONG_S, FORCED_S = 10.0, 12.0, 12.0
 FAR_M, BESIDE_M = 1.0, 0.09  # of the wrong object that measures the rates: D1 is not disturbed by it
 ACCIDENT = 0.05  # mean strength up to which a wrong pair agrees by accident only
 NEAR_ACCIDENT = 0.2  # up to which later blocks are counted: few of the others have any; the rate is flat up to here
+BELOW = 0.05  # what blocks have to be, such attempts are at least
 SIGMA_M, MEASURED = 0.03, 148  # of the persistent error, per axis across the line of sight; from so many attempts
 SIDE_M, TAU = 0.33, 0.37  # mean of both boxes' sides on the target, and a usual threshold
 RATE_HZ = 50.0
@@ -81,10 +82,10 @@ FORCED_WAYS: dict[str, tuple[WrongAssociation, ...]] = {
 }
 
 
-def rate(told: Sequence[EvidenceAttempt], later: bool, seed: int) -> tuple[int, int, Interval]:
+def rate(told: Sequence[EvidenceAttempt], later: bool, seed: int, pace: int = 0) -> tuple[int, int, Interval]:
     """Agreeing of judged blocks, and a 95 % interval by attempts: its upper end by Clopper and Pearson if larger."""
-    agreeing, judged = _counted(told, later)
-    blocks = [each.blocks.later if later else each.blocks.first for each in told]
+    agreeing, judged = _counted(told, later, pace)
+    blocks = [each.blocks[pace].later if later else each.blocks[pace].first for each in told]
     counts = np.array([block[::-1] for block in blocks], float)
     if judged == 0:
         return 0, 0, (0.0, 1.0)
@@ -116,8 +117,7 @@ def _times(told: Sequence[EvidenceAttempt], papers: bool) -> np.ndarray:
 def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
     own, true, wrong = method.evidence, by_group["true"], by_group["wrong"]
     accident = [each for each in wrong if each.strength <= ACCIDENT]
-    near = [each for each in wrong if each.strength <= NEAR_ACCIDENT]
-    first, later = rate(accident, False, seed), rate(near, True, seed)
+    rates = [_rates(wrong, own, pace, seed) for pace, own in enumerate(own.paces)]
     times = _times(true, papers=False)
     median = float(np.median(times))
     interval = bootstrap(times, medians, np.random.default_rng([seed, 8]))
@@ -132,8 +132,8 @@ def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
         "true_attempts": len(true),
         "true_wrong": wrongly([each.evidence for each in true]),
         "alpha": own.alpha,
-        "first_rate": {"agreeing": first[0], "judged": first[1], "upper": first[2][1], "setting": own.first_rate},
-        "next_rate": {"agreeing": later[0], "judged": later[1], "upper": later[2][1], "setting": own.next_rate},
+        **rates[0].summary,
+        **({"patient": rates[1].summary} if rates[1:] else {}),
         "accident_attempts": len(accident),
         "accident_accepted": fooled,
         "iou_correlation": correlated,
@@ -155,16 +155,7 @@ def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
             f"{interval[0]:.2f} to {interval[1]:.2f}", "7.20", "<= 2", verdict(median <= 2.0),
             f"350 in a row on the same pairs: {papers:.2f} s; 95 % of the attempts: {summary['evidence_p95_s']:.2f} s",
         ),
-        TrialFinding(
-            "first block agrees, wrong object", _of(first), f"up to {first[2][1]:.4f}", goal=f"<= {own.first_rate:g}",
-            verdict=verdict(first[2][1] <= own.first_rate),
-            note=f"attempts whose mean strength is at most {ACCIDENT}; the upper end is what counts",
-        ),
-        TrialFinding(
-            "later block agrees after agreeing ones, wrong object", _of(later), f"up to {later[2][1]:.2f}",
-            goal=f"<= {own.next_rate:g}", verdict=verdict(later[2][1] <= own.next_rate),
-            note=f"attempts whose mean strength is at most {NEAR_ACCIDENT}: nearer ones than the bound is for",
-        ),
+        *(finding for each in rates for finding in each.findings),
         TrialFinding(
             "accepted although persistently wrong", f"{fooled} of {len(accident)} in {WRONG_S:.0f} s each",
             f"at most {upper_bound(fooled, len(accident)):.2%}", goal=f"alpha = {own.alpha:g}",
@@ -178,9 +169,42 @@ def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
     )  # fmt: skip
 
 
-def _counted(told: Sequence[EvidenceAttempt], later: bool) -> tuple[int, int]:
+@dataclass(frozen=True, slots=True)
+class _Rates:
+    """What was measured of the blocks of one test against what is set for it."""
+
+    summary: dict[str, dict[str, float]]
+    findings: tuple[TrialFinding, TrialFinding]
+
+
+def _rates(wrong: Sequence[EvidenceAttempt], own: EvidenceConfig, pace: int, seed: int) -> _Rates:
+    """``own``: the settings of the test that is the ``pace``-th of its gate."""
+    most = min(NEAR_ACCIDENT, max(ACCIDENT, own.strength - BELOW))
+    accident, near = ([each for each in wrong if each.strength <= limit] for limit in (ACCIDENT, most))
+    first, later = rate(accident, False, seed, pace), rate(near, True, seed, pace)
+    long = f", blocks of {own.block_s:g} s" if pace else ""
+    summary = {
+        "first_rate": {"agreeing": first[0], "judged": first[1], "upper": first[2][1], "setting": own.first_rate},
+        "next_rate": {"agreeing": later[0], "judged": later[1], "upper": later[2][1], "setting": own.next_rate},
+    }
+    findings = (
+        TrialFinding(
+            f"first block agrees, wrong object{long}", _of(first), f"up to {first[2][1]:.4f}",
+            goal=f"<= {own.first_rate:g}", verdict=verdict(first[2][1] <= own.first_rate),
+            note=f"attempts whose mean strength is at most {ACCIDENT}; the upper end is what counts",
+        ),
+        TrialFinding(
+            f"later block agrees after agreeing ones, wrong object{long}", _of(later), f"up to {later[2][1]:.2f}",
+            goal=f"<= {own.next_rate:g}", verdict=verdict(later[2][1] <= own.next_rate),
+            note=f"attempts whose mean strength is at most {most:.2g}: nearer ones than the bound is for",
+        ),
+    )  # fmt: skip
+    return _Rates(summary, findings)
+
+
+def _counted(told: Sequence[EvidenceAttempt], later: bool, pace: int = 0) -> tuple[int, int]:
     """Agreeing and judged blocks."""
-    blocks = [each.blocks.later if later else each.blocks.first for each in told]
+    blocks = [each.blocks[pace].later if later else each.blocks[pace].first for each in told]
     return sum(agreeing for _, agreeing in blocks), sum(judged for judged, _ in blocks)
 
 
@@ -292,7 +316,7 @@ def _draw(by_group: Groups, method: MethodConfig, path: Path) -> None:
     left.legend(fontsize=8)
     strengths = np.array([each.strength for each in by_group["wrong"]])
     for key, colour, label in (("first", FAULT, "first block"), ("later", ROLE[Role.RECEIVER], "later ones")):
-        counts = np.array([getattr(each.blocks, key) for each in by_group["wrong"]], float)
+        counts = np.array([getattr(each.blocks[0], key) for each in by_group["wrong"]], float)
         rows = [(strengths > a) & (strengths <= b) for a, b in pairwise(EDGES)]
         middles = [float(np.mean(strengths[row])) for row in rows if counts[row, 0].sum() > 0]
         shares = [float(counts[row, 1].sum() / counts[row, 0].sum()) for row in rows if counts[row, 0].sum() > 0]

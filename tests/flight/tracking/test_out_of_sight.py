@@ -35,7 +35,8 @@ def test_what_is_much_smaller_is_not_taken_for_a_target_that_was_out_of_sight(ga
 
 
 @pytest.mark.parametrize(
-    ("behind_m", "has_depth", "found"), [(1.6, True, True), (0.3, True, False), (-0.7, True, False), (1.6, False, False)]
+    ("behind_m", "has_depth", "found"),
+    [(1.6, True, True), (0.3, True, False), (-0.7, True, False), (1.6, False, False)],
 )
 def test_what_is_too_far_behind_is_not_taken_for_a_target_that_was_out_of_sight(
     behind_m: float, has_depth: bool, found: bool

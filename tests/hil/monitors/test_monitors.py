@@ -15,10 +15,10 @@ from drivers.interfaces import FlightMode
 from hil.autopilot.values import OffboardSession
 from hil.monitors.monitors import Monitors
 from hil.monitors.watched_log import WatchedLog
-from path.config import MethodConfig
-from path.gate.evidence import EvidenceGate
+from path.config import EvidenceConfig, MethodConfig
+from path.gate.evidence import EvidenceGate, evidence_needed, evidence_of, make_gate
 from path.gate.identity import nearest_rival
-from path.gate.window import FramePair, Offsets
+from path.gate.window import FramePair, Gate, Offsets
 from path.messages import Role
 from path.observations import MissReason
 
@@ -190,6 +190,7 @@ def test_a_count_that_begins_again_after_a_gap_is_right(monitors: Monitors) -> N
 # --- the gate "evidence" ----------------------------------------------------------------------------------------------
 
 EVIDENCE = MethodConfig(gate="evidence")
+PATIENT = MethodConfig(gate="evidence", evidence=EvidenceConfig(patient_block_s=1.0, patient_strength=0.1))
 BLOCK = 20  # pairs at 50 Hz
 
 
@@ -198,7 +199,7 @@ class Stream:
     """An evidence gate and what its sender logs of it, read by monitors."""
 
     monitors: Monitors = field(default_factory=lambda: Monitors(EVIDENCE, 0.7))
-    gate: EvidenceGate = field(default_factory=lambda: EvidenceGate(EVIDENCE))
+    gate: Gate = field(default_factory=lambda: EvidenceGate(EVIDENCE))
     epoch: int = 1
     offsets: Offsets = field(default_factory=lambda: Offsets((0.01, -0.005)))
     oversize: float = 0.0
@@ -209,7 +210,7 @@ class Stream:
         own = (index, capture_ns), (index + 1, capture_ns + 20_000_000)
         pair = FramePair(index, capture_ns, own, self.offsets, self.oversize, self.placed_iou)
         refusal = self.gate.agree(pair, iou, 0.4)
-        evidence = self.gate.evidence.reached
+        evidence = self.gate.evidence.reached if self.gate.evidence else None
         counted = refusal in (None, MissReason.AMBIGUOUS_TARGET)
         record = {"agreed": refusal is None, "counted": counted, "iou": iou, "tau": 0.4, "target_id": 1}
         record |= {"count": self.gate.count, "evidence": evidence, "epoch": self.epoch, "capture_ns": capture_ns}
@@ -284,6 +285,16 @@ def test_s6_a_box_too_large_for_the_target_that_counts() -> None:
     assert dict(stream.monitors.violations) == {"S6": 1}
 
 
+@pytest.mark.parametrize(("more", "violated"), [(1, {}), (0, {"S5": 1})])
+def test_s5_is_as_patient_as_the_gate(more: int, violated: dict[str, int]) -> None:
+    """Weak blocks all the time: nothing by the short ones, enough by the long ones, and not a pair sooner."""
+    stream, (_, patient) = Stream(Monitors(PATIENT, 0.7), make_gate(PATIENT)), PATIENT.evidence.paces
+    blocks = next(n for n in range(1, 100) if evidence_of(n, patient) >= evidence_needed(1, patient))
+    stream.pairs(0, 50 * blocks + more, 0.5)
+    assert stream.gate.complete == (not violated)
+    assert stream.commit() == violated
+
+
 def test_s5_a_commit_a_pair_too_soon() -> None:
     stream = Stream()
     stream.pairs(0, 4 * BLOCK)
@@ -343,9 +354,10 @@ def test_s6_a_role_that_claims_more_evidence_than_there_is() -> None:
 
 @given(st.lists(st.tuples(st.sampled_from("aaaaaaaaawmsg"), st.integers(1, 50), st.floats(0.4, 1.0)), max_size=12))
 @settings(max_examples=100)
-def test_gate_and_monitors_never_differ(script: list[tuple[str, int, float]]) -> None:
+@pytest.mark.parametrize("method", [EVIDENCE, PATIENT])
+def test_gate_and_monitors_never_differ(method: MethodConfig, script: list[tuple[str, int, float]]) -> None:
     """Whatever comes in, in whatever order: what the gate completes is full for the monitors, and nothing else."""
-    stream, index = Stream(), 0
+    stream, index = Stream(Monitors(method, 0.7), make_gate(method)), 0
     for kind, length, iou in script:
         if kind in "aw":
             for _ in range(length):

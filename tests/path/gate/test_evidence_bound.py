@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from path.config import EvidenceConfig, MethodConfig
 from path.gate.evidence import EvidenceGate, evidence_needed, evidence_of, persistent_bound
+from path.gate.window import Gate
 from path.observations import MissReason
 from tests.path.gate.fed_evidence import MS, TAU, pair_of
 
@@ -94,7 +95,7 @@ def events(draw: st.DrawFn) -> list[Event]:
     return made
 
 
-def play(gate: EvidenceGate, event: Event) -> MissReason | None:
+def play(gate: Gate, event: Event) -> MissReason | None:
     pair = pair_of(event.tick, TICK)
     if event.kind == "agree":
         return gate.agree(pair, event.iou, TAU)

@@ -51,7 +51,7 @@ def test_every_forced_way_is_in_the_table(result: TrialResult) -> None:
 
 def told(first: tuple[int, int], later: tuple[int, int]) -> EvidenceAttempt:
     nobody = GateTime(None, True)
-    return EvidenceAttempt(None, nobody, nobody, 0.0, Blocks(first, later), np.zeros(len(LAGS)))  # type: ignore[arg-type]
+    return EvidenceAttempt(None, nobody, nobody, 0.0, (Blocks(first, later),), np.zeros(len(LAGS)))  # type: ignore[arg-type]
 
 
 def test_a_rate_counts_blocks_and_resamples_attempts() -> None:
