@@ -171,7 +171,7 @@ def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
 
 @dataclass(frozen=True, slots=True)
 class _Rates:
-    """What was measured of the blocks of one test against what is set for it."""
+    """The measured rates of the blocks of one test, against those that are set for it."""
 
     summary: dict[str, dict[str, float]]
     findings: tuple[TrialFinding, TrialFinding]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -141,6 +142,6 @@ def test_the_bound_holds_for_both_together_with_the_rates_that_are_measured_of_e
         ({"patient_block_s": 1.0, "patient_share": 1.0}, "patient_share"),
     ],
 )
-def test_settings_that_cannot_be_right_are_named(changes: dict[str, float], named: str) -> None:
+def test_settings_that_cannot_be_right_are_named(changes: dict[str, Any], named: str) -> None:
     with pytest.raises(ValueError, match=f"^{named}: "):
         EvidenceConfig(**changes)
