@@ -55,6 +55,7 @@ class Look:
         litter: what lies about, ``pieces`` of it, at places drawn by the seed.
         exposure_times: exposures as times the camera's.
         read_times, shot_times, depth_times, holes_times: the sensor's noise as times the rig's.
+        dark_lost, gleam_lost: shares of black surfaces and of gleaming paint without depth (``hil.render.surfaces``).
     """
 
     sun: tuple[float, float, float] = PLAIN_SUN
@@ -72,6 +73,8 @@ class Look:
     shot_times: float = 1.0
     depth_times: float = 1.0
     holes_times: float = 1.0
+    dark_lost: float = 0.0
+    gleam_lost: float = 0.0
 
     @property
     def sun_w(self) -> NDArray[np.float64]:
@@ -86,6 +89,8 @@ class Look:
             shot_gain=min(1.0, own.shot_gain * self.shot_times),
             depth_sigma_at_1m_m=own.depth_sigma_at_1m_m * self.depth_times,
             depth_hole_rate=min(1.0, own.depth_hole_rate * self.holes_times),
+            depth_dark_lost=self.dark_lost,
+            depth_gleam_lost=self.gleam_lost,
         )
 
     def shutter(self, own: Shutter) -> Shutter:
@@ -118,22 +123,22 @@ LOOKS: Mapping[SceneName, Look] = {
     "plain": Look(),
     "outdoor-sun": Look(
         _sun(150.0, 55.0, 1.45), "grass", _GRASS, shadow=0.58, penumbra_px=0.8, litter="leaves", pieces=160,
-        exposure_times=0.4, depth_times=1.3, holes_times=1.5,
+        exposure_times=0.4, depth_times=1.3, holes_times=1.5, dark_lost=0.6, gleam_lost=0.8,
     ),
     "overcast": Look(
         _sun(0.0, 90.0, 0.55), "gravel", _GRAVEL, (0.92, 0.90, 0.88), shadow=0.12, penumbra_px=9.0, litter="stones",
-        pieces=120,
+        pieces=120, dark_lost=0.5,
     ),
     "low-sun": Look(
         _sun(15.0, 14.0, 1.7), "tarmac", _TARMAC, (0.86, 0.98, 1.06), shadow=0.62, penumbra_px=1.2, veil=95.0,
-        litter="leaves", pieces=60, depth_times=1.3, holes_times=1.5,
+        litter="leaves", pieces=60, depth_times=1.3, holes_times=1.5, dark_lost=0.6, gleam_lost=0.8,
     ),
     "dusk": Look(
         _sun(270.0, 40.0, 0.45), "gravel", _DUSK, (0.42, 0.34, 0.31), shadow=0.10, penumbra_px=12.0, litter="stones",
-        pieces=80, exposure_times=2.0, read_times=3.5, shot_times=5.0,
+        pieces=80, exposure_times=2.0, read_times=3.5, shot_times=5.0, dark_lost=0.5,
     ),
     "hall": Look(
         _sun(0.0, 90.0, 0.7), "concrete", _HALL, (0.86, 0.92, 0.94), shadow=0.28, penumbra_px=7.0, lamps=True,
-        litter="lines", exposure_times=1.5, read_times=1.5, shot_times=1.5,
+        litter="lines", exposure_times=1.5, read_times=1.5, shot_times=1.5, dark_lost=0.5,
     ),
 }  # fmt: skip

@@ -24,6 +24,7 @@ from hil.render.overlay import Overlay
 from hil.render.scene import MARKER, Body, drone, flying, marked_drone, standing
 from hil.render.sensor import SensorNoise
 from hil.render.shutter import NO_SWEEP, CameraMotion, Shutter, carried, smear_px, sweep
+from hil.render.surfaces import lost_shares
 from hil.render.textures import ground_pyramid
 from hil.world.config import SceneName
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
@@ -256,6 +257,9 @@ class Renderer:
             yield "depth"
             noise, pool, error = self.noise, self._depth_pool, self._depth_error
             sense_depth(inverse_z, owner, tags, edges, depth_holes, noise, pool, key, depth, error)
+            lost = lost_shares(faces, tags, count, sun_c, noise)
+            if lost is not None:
+                sensor.swallow(owner, lost, key >> 2, depth)
 
     def _unseen(self, snapshot: Snapshot, role: Role) -> list[Body]:
         """The drone of ``role`` itself: its camera sees its shadow."""

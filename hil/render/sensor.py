@@ -38,6 +38,8 @@ class SensorNoise:
         depth_correlation_px: how far the depth noise hangs together (standard deviation of its kernel).
         depth_hole_rate: share of the pixels at steps in depth around which there is a hole, 0..1.
         min_depth_m, max_depth_m: nearer and farther there is no depth.
+        depth_dark_lost, depth_gleam_lost: share of a black surface, and of paint that mirrors the sun into the camera,
+            of which there is no depth (``hil.render.surfaces``).
 
     Raises:
         ValueError: naming the field that cannot be right.
@@ -51,6 +53,8 @@ class SensorNoise:
     depth_hole_rate: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.25
     min_depth_m: Annotated[float, Bounds(0.0, 65.0)] = 0.3
     max_depth_m: Annotated[float, Bounds(0.05, 65.0)] = 6.0
+    depth_dark_lost: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.0
+    depth_gleam_lost: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -195,3 +199,14 @@ def punch_holes(inverse_z, edges, rate, seed, depth):
                     high = max(high, inverse_z[r + i, c + j])
             if high - low > JUMP * high and _random(seed, r * width + c) < rate:
                 depth[r - 1 : r + 2, c - 1 : c + 2] = 0
+
+
+@kernel
+def swallow(owner, lost, seed, depth):
+    """No depth in patches of 3 x 3 pixels on that share of each face's; lost: float32, of each face."""
+    height, width = owner.shape
+    for r in range(height):
+        for c in range(width):
+            face = owner[r, c]
+            if face >= 0 and lost[face] > F(0.0) and _random(seed, (r // 3) * width + c // 3) < lost[face]:
+                depth[r, c] = 0

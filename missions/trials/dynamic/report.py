@@ -183,10 +183,10 @@ def coasts(summary: Mapping[str, Any]) -> TrialTable:
     note = (
         "The measurements of the flights replayed through the relative-pose filter with gaps of a second in them. "
         "Error² / claimed is the normalised error squared per degree of freedom, 1 when sigmas are exactly right, less "
-        "when they are cautious. Print, lens and mounts differ from what the rig says (docs/errors.md); the claim allows "
-        "for print and focal length. A camera whose calibration states no doubts claims to know the centre of its lens: a "
-        "pixel there is 2 mm, more than all else that is claimed across the line of sight while the marker is in view. "
-        "The true pose is interpolated between 25 Hz: 0.3 mm and 0.03 deg are granted to it."
+        "when they are cautious. Print, lens and mounts differ from what the rig says (docs/errors.md); the claim "
+        "allows for print and focal length. A camera whose calibration states no doubts claims to know the centre of "
+        "its lens: a pixel there is 2 mm, more than all else that is claimed across the line of sight while the marker "
+        "is in view. The true pose is interpolated between 25 Hz: 0.3 mm and 0.03 deg are granted to it."
     )
     return TrialTable("Without a marker", columns, tuple(rows), note)
 
