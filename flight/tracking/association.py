@@ -139,7 +139,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     unseen = _unseen(track, view.stamp_ns)
     reach_px = px_per_m * max(track.reach_m(view.stamp_ns) if unseen else 0.0, gate_m / AMBIGUITY, RIVAL_REACH_M)
     found = view.targets(Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px))
-    seen = by_distance(found, (u, v), camera, track.size_m, z)
+    seen = by_distance(found, (u, v), camera, track.size_m, track.usual_m, z)
     ranked = seen if len(seen) < 2 else _not_behind(seen, view, z + track.reach_m(view.stamp_ns))
     if unseen and len(ranked) > 1:
         track.note_company(view.stamp_ns)

@@ -6,11 +6,12 @@ import math
 from collections.abc import Sequence
 
 from path.camera.model import CameraModel
-from path.observations import Box, Detection
+from path.observations import Box, Detection, around
 from path.target.pieces import whole_of
 from path.values import value
 
 Pixel = tuple[float, float]
+Sides = tuple[float, float]
 
 MIN_SCORE = 0.3
 CUT_SCORE = 0.1  # of a box that the image's border cuts, which detectors score low: it is an object, not its box
@@ -33,16 +34,21 @@ class ImageObject:
 
 
 def by_distance(
-    found: Sequence[Detection], expected: Pixel, camera: CameraModel, size_m: tuple[float, float] | None, z_m: float
-) -> list[ImageObject]:
+    found: Sequence[Detection], expected: Pixel, camera: CameraModel, size_m: Sides | None, usual_m: Sides | None,
+    z_m: float,
+) -> list[ImageObject]:  # fmt: skip
     """The objects of ``found``, the nearest to the expected pixel first and in one piece.
 
     Args:
-        size_m: width and height of the expected one's box where it is, when it was last seen whole.
+        size_m: width and height of the expected one's box where it is, when it was last seen whole; ``usual_m``: over
+            the last frames.
         z_m: its depth.
     """
     objects: list[ImageObject] = []
-    side_px = None if size_m is None else (size_m[0] * camera.fx / z_m, size_m[1] * camera.fy / z_m)
+    side_px, usual_px = (
+        None if sides_m is None else (sides_m[0] * camera.fx / z_m, sides_m[1] * camera.fy / z_m)
+        for sides_m in (size_m, usual_m)
+    )
     for detection in found:
         box = detection.box
         cut = is_cut(box, camera)
@@ -52,16 +58,21 @@ def by_distance(
         more = cut and side_px is not None and is_larger(box, side_px)
         objects.append(ImageObject(box, pixel, math.dist(pixel, expected), cut, more))
     objects.sort(key=lambda each: each.off_px)
-    return objects if len(objects) < 2 or side_px is None else _joined(objects, expected, side_px)
+    if len(objects) < 2 or side_px is None:
+        return objects
+    return _joined(objects, expected, side_px, side_px if usual_px is None else usual_px)
 
 
-def is_larger(box: Box, side_px: tuple[float, float]) -> bool:
+def is_larger(box: Box, side_px: Sides) -> bool:
     """True when a box is so much larger than the expected object's that it has more in it."""
     return max(box.w / side_px[0], box.h / side_px[1]) > LARGER
 
 
-def _joined(ranked: list[ImageObject], expected: Pixel, side_px: tuple[float, float]) -> list[ImageObject]:
-    """The objects with the first one in one piece: detectors at times show one object as two boxes, for a frame."""
+def _joined(ranked: list[ImageObject], expected: Pixel, side_px: Sides, usual_px: Sides) -> list[ImageObject]:
+    """The objects with the first one in one piece: detectors at times show one object as two boxes, for a frame.
+
+    What is of the first one besides its box is no other object.
+    """
     first, *others = ranked
     if first.cut:
         return ranked
@@ -70,7 +81,15 @@ def _joined(ranked: list[ImageObject], expected: Pixel, side_px: tuple[float, fl
         if both is not None:
             whole = ImageObject(both, both.center, math.dist(both.center, expected), cut=False)
             return [whole, *(each for each in others if each is not other)]
-    return ranked
+    return [first, *(each for each in others if each.cut or not _is_of(each.box, first.box, usual_px))]
+
+
+def _is_of(box: Box, whole: Box, side_px: Sides) -> bool:
+    """True for a box around a part of an object: it overlaps the whole's, and both are no larger than the object."""
+    low = max(box.x, whole.x), max(box.y, whole.y)
+    high = min(box.x + box.w, whole.x + whole.w), min(box.y + box.h, whole.y + whole.h)
+    part = min(box.w / side_px[0], box.h / side_px[1]) * LARGER < 1.0
+    return part and low[0] < high[0] and low[1] < high[1] and not is_larger(around((box, whole)), side_px)
 
 
 def is_cut(box: Box, camera: CameraModel) -> bool:

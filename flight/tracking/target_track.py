@@ -131,6 +131,11 @@ class TargetTrack:
         """The object was seen whole, and alone in its box."""
         self.size_m, self.whole_ns = sides_m, stamp_ns
 
+    @property
+    def usual_m(self) -> tuple[float, float] | None:
+        """Width and height of its box over the last frames: a detector at times gives a part of it."""
+        return self._sizes.sides_m
+
     def outgrown(self, sides_m: tuple[float, float], noise: float, stamp_ns: int) -> bool:
         """Returns whether a box is so much larger than the object's was a moment ago that there is more in it.
 

@@ -46,6 +46,11 @@ class RunningSize:
         self._mean: tuple[float, float] | None = None
         self._first_ns = self._stamp_ns = 0  # of the first and the newest box that fitted
 
+    @property
+    def sides_m(self) -> tuple[float, float] | None:
+        """Both sides, as they are in the mean; None before the first box."""
+        return None if self._mean is None else (math.exp(self._mean[0]), math.exp(self._mean[1]))
+
     def note(self, stamp_ns: int, sides_m: tuple[float, float], sigma: float, most_sigmas: float) -> float:
         """By how many standard deviations a box is larger than those before it; learns from it when it fits."""
         logs = math.log(sides_m[0]), math.log(sides_m[1])
