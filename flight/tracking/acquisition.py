@@ -9,6 +9,7 @@ from flight.config import Designated
 from flight.guidance import Vec3
 from flight.tracking.association import Sighting, acquire
 from flight.tracking.largest_box import LargestBox
+from flight.tracking.objects import MIN_SCORE
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.geometry.transforms import Pose
@@ -17,6 +18,7 @@ from path.observations import Box, MissReason
 STEADY_FRAMES = 5
 STEADY_M = 0.25
 ROOM = 0.2  # of the image, at each side
+INSIDE = 0.9  # of a box that is in another one
 
 
 class Acquisition:
@@ -34,7 +36,9 @@ class Acquisition:
         """Returns the target's position in ``n`` when this frame makes it sure."""
         found = acquire(view, T_n_c, self._camera, designated)
         self.ambiguous = found is MissReason.AMBIGUOUS_TARGET
-        if isinstance(found, MissReason) or not (self._well_inside(found[0].box) and self._alone(found[0], T_n_c)):
+        if isinstance(found, MissReason) or not (
+            self._well_inside(found[0].box) and self._alone(found[0], view, T_n_c)
+        ):
             self._steady.clear()
             return None
         position = found[1]
@@ -49,7 +53,23 @@ class Acquisition:
         room_u, room_v = ROOM * self._camera.width, ROOM * self._camera.height
         return room_u <= u <= self._camera.width - room_u and room_v <= v <= self._camera.height - room_v
 
-    def _alone(self, seen: Sighting, T_n_c: Pose) -> bool:
-        """Returns whether the box is no larger than the target can be: two, one behind the other, are one box."""
+    def _alone(self, seen: Sighting, view: View, T_n_c: Pose) -> bool:
+        """Returns whether the box is no larger than the target can be, and nothing nearer or farther off is in it.
+
+        Two, one behind the other, are one box; at times the detector gives one of them besides.
+        """
         depth, largest = seen.depth, self._largest
-        return depth is None or largest is None or largest.holds(seen.box, depth.z_m, depth.sigma_m, T_n_c)
+        if depth is None or largest is None:
+            return True
+        if not largest.holds(seen.box, depth.z_m, depth.sigma_m, T_n_c):
+            return False
+        others = [each.box for each in view.targets(None) if each.score >= MIN_SCORE and each.box != seen.box]
+        within = [view.depth(box) for box in others if _share_in(box, seen.box) >= INSIDE]
+        return not any(other is not None and largest.apart(depth, other) for other in within)
+
+
+def _share_in(box: Box, other: Box) -> float:
+    """The share of a box that is in another one."""
+    wide = min(box.x + box.w, other.x + other.w) - max(box.x, other.x)
+    high = min(box.y + box.h, other.y + other.h) - max(box.y, other.y)
+    return max(0.0, wide) * max(0.0, high) / box.area

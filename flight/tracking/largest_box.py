@@ -12,7 +12,7 @@ from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.geometry.rigid import rigid
 from path.geometry.transforms import Pose
-from path.observations import Box
+from path.observations import Box, Depth
 from path.target.cylinder import reach_m
 
 _AT_THE_CAMERA = rigid(Pose(np.eye(3), np.zeros(3)))
@@ -40,3 +40,9 @@ class LargestBox:
         pixels = 2.0 * self._method.pixel_sigma_px / max(1.0, min(box.w, box.h))
         sigma = math.hypot(pixels, sigma_m / z_m, own.size_sigma)
         return math.log(max(larger, 1e-9)) <= own.size_sigmas * sigma
+
+    def apart(self, one: Depth, other: Depth) -> bool:
+        """Returns whether two depths are farther apart than the middle of such a body is from any place on it."""
+        own = self._method.evidence
+        least_m = 0.5 * math.hypot(own.span_m, own.height_m)
+        return abs(one.z_m - other.z_m) > least_m + own.size_sigmas * math.hypot(one.sigma_m, other.sigma_m)

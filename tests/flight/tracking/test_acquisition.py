@@ -71,6 +71,30 @@ def test_two_in_one_box_are_not_taken() -> None:
     assert taken(PERSON, TWO_PX) == (None, False)
 
 
+@dataclass
+class BoxInABox(Boxes):
+    """The second box lies in the first, and is of something at another depth."""
+
+    behind_m: float = 0.0
+
+    def depth(self, box: Box) -> Depth | None:
+        return Depth(self.z_m + (self.behind_m if box is self.boxes[1] else 0.0), 0.01)
+
+
+@pytest.mark.parametrize(
+    ("behind_m", "inside", "sure"), [(1.7, True, False), (-1.2, True, False), (0.3, True, True), (1.7, False, True)]
+)
+def test_a_box_with_somebody_farther_off_in_it_is_of_two(behind_m: float, inside: bool, sure: bool) -> None:
+    """A detector gave one box around two and another around the one behind, in the upper right of the first."""
+    box, z_m = box_of(PLACE, ONE_PX)
+    other = Box(box.x + (0.4 if inside else 0.8) * box.w, box.y - 0.5, 0.58 * box.w, 0.5 * box.h)
+    acquisition, found = Acquisition(CAMERA, PERSON), None
+    for _ in range(STEADY_FRAMES):
+        view = cast("Any", BoxInABox([box, other], z_m, behind_m))
+        found = acquisition.look(cast("View", view), T_N_C, Designated(PLACE, 0.3, 0.0))
+    assert (found is not None) == sure
+
+
 def test_without_a_stated_size_any_box_is_the_objects() -> None:
     assert taken(MethodConfig(), TWO_PX)[0] is not None
 
