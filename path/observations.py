@@ -36,6 +36,12 @@ def around(boxes: Sequence[Box]) -> Box:
     return Box(x, y, max(each.x + each.w for each in boxes) - x, max(each.y + each.h for each in boxes) - y)
 
 
+def common_area(a: Box, b: Box) -> float:
+    """The area in px2 that two boxes share; 0 for those that only touch."""
+    wide, high = min(a.x + a.w, b.x + b.w) - max(a.x, b.x), min(a.y + a.h, b.y + b.h) - max(a.y, b.y)
+    return wide * high if wide > 0.0 and high > 0.0 else 0.0
+
+
 @value
 class Extent:
     """The size that the box of one object has at some distance, in px.

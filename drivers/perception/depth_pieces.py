@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.perception.depth_mask import step_limit_m
-from path.observations import Box, Detection, around
+from path.observations import Box, Detection, around, common_area
 
 SAME_LAP = 0.2  # of the smaller box lies in the other: pieces of one thing, when they are equally far away
 OWN_SHARE = 0.25  # of a box is at a depth that is asked for: what it shows is there
@@ -61,16 +61,9 @@ class DepthSlice:
         return narrow >= THINNEST * wide and piece.score >= RAREST_SCORE and self.inside(piece.box) is not None
 
     def _is_one(self, a: Box, b: Box) -> bool:
-        if _overlap(a, b) < SAME_LAP * min(a.area, b.area):
+        if common_area(a, b) < SAME_LAP * min(a.area, b.area):
             return False
         depth_a, depth_b = self.inside(a), self.inside(b)
         if depth_a is None or depth_b is None:
             return True
         return abs(depth_a - depth_b) <= step_limit_m(min(depth_a, depth_b), self.sigma_at_1m_m)
-
-
-def _overlap(a: Box, b: Box) -> float:
-    """Area (px^2) that two boxes share."""
-    w = min(a.x + a.w, b.x + b.w) - max(a.x, b.x)
-    h = min(a.y + a.h, b.y + b.h) - max(a.y, b.y)
-    return max(0.0, w) * max(0.0, h)

@@ -13,7 +13,7 @@ from flight.tracking.objects import MIN_SCORE
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.geometry.transforms import Pose
-from path.observations import Box, MissReason
+from path.observations import Box, MissReason, common_area
 
 STEADY_FRAMES = 5
 STEADY_M = 0.25
@@ -64,12 +64,5 @@ class Acquisition:
         if not largest.holds(seen.box, depth.z_m, depth.sigma_m, T_n_c):
             return False
         others = [each.box for each in view.targets(None) if each.score >= MIN_SCORE and each.box != seen.box]
-        within = [view.depth(box) for box in others if _share_in(box, seen.box) >= INSIDE]
+        within = [view.depth(box) for box in others if common_area(box, seen.box) >= INSIDE * box.area]
         return not any(other is not None and largest.apart(depth, other) for other in within)
-
-
-def _share_in(box: Box, other: Box) -> float:
-    """The share of a box that is in another one."""
-    wide = min(box.x + box.w, other.x + other.w) - max(box.x, other.x)
-    high = min(box.y + box.h, other.y + other.h) - max(box.y, other.y)
-    return max(0.0, wide) * max(0.0, high) / box.area

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from path.camera.model import CameraModel
-from path.observations import Box, Detection, around
+from path.observations import Box, Detection, around, common_area
 from path.target.pieces import whole_of
 from path.values import value
 
@@ -86,10 +86,8 @@ def _joined(ranked: list[ImageObject], expected: Pixel, side_px: Sides, usual_px
 
 def _is_of(box: Box, whole: Box, side_px: Sides) -> bool:
     """True for a box around a part of an object: it overlaps the whole's, and both are no larger than the object."""
-    low = max(box.x, whole.x), max(box.y, whole.y)
-    high = min(box.x + box.w, whole.x + whole.w), min(box.y + box.h, whole.y + whole.h)
     part = min(box.w / side_px[0], box.h / side_px[1]) * LARGER < 1.0
-    return part and low[0] < high[0] and low[1] < high[1] and not is_larger(around((box, whole)), side_px)
+    return part and common_area(box, whole) > 0.0 and not is_larger(around((box, whole)), side_px)
 
 
 def is_cut(box: Box, camera: CameraModel) -> bool:

@@ -17,7 +17,7 @@ from hil.render.sensor import SensorNoise
 
 Array = NDArray[np.float64]
 
-BLACK = 50.0  # mean of B, G and R under full light up to which a surface is black: tyres, rotors, not motors or shoes
+BLACK = 50.0  # mean of B, G and R under full light up to which a surface is black: tyres, not arms or shoes
 GLEAM_RAD = math.radians(15.0)  # from the mirrored sun, up to which paint gleams: that of models is not flat
 
 
