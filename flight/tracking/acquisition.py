@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from drivers.interfaces import View
 from flight.config import Designated
-from flight.guidance import Vec3
-from flight.tracking.association import Sighting, acquire
+from flight.guidance import Vec3, norm, subtract
+from flight.tracking.association import Sighting
 from flight.tracking.largest_box import LargestBox
-from flight.tracking.objects import MIN_SCORE
+from flight.tracking.objects import CUT_SCORE, MIN_SCORE, is_cut
+from flight.tracking.places import at_height, place
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.geometry.transforms import Pose
@@ -19,6 +22,8 @@ STEADY_FRAMES = 5
 STEADY_M = 0.25
 ROOM = 0.2  # of the image, at each side
 INSIDE = 0.9  # of a box that is in another one
+_CLEARLY_NEARER = 1.5
+_ROUND = 16  # places on the rim of where a designated object can be
 
 
 class Acquisition:
@@ -66,3 +71,48 @@ class Acquisition:
         others = [each.box for each in view.targets(None) if each.score >= MIN_SCORE and each.box != seen.box]
         within = [view.depth(box) for box in others if common_area(box, seen.box) >= INSIDE * box.area]
         return not any(other is not None and largest.apart(depth, other) for other in within)
+
+
+def acquire(view: View, T_n_c: Pose, camera: CameraModel, designated: Designated) -> tuple[Sighting, Vec3] | MissReason:
+    """The one object that the designated one can be, with its position in ``n``; or why there is none.
+
+    Two that it can be are never told apart by their distances: neither is taken, until one is left. Nor is one that is
+    hardly nearer than the next: the place may be off by more than was thought. When the object may have driven since
+    it was pointed at, one alone is taken only if it would be seen wherever it is.
+    """
+    place_n_m, radius_m = designated.place_n_m, designated.radius_m
+    seen: list[tuple[float, Sighting | None, Vec3]] = []
+    for detection in view.targets(None):
+        box = detection.box
+        cut = is_cut(box, camera)
+        if detection.score < (CUT_SCORE if cut else MIN_SCORE):
+            continue
+        depth = None if cut else view.depth(box)
+        position = (
+            at_height(box.center, camera, T_n_c, place_n_m[2])
+            if depth is None
+            else place(box, depth, camera, T_n_c, place_n_m[2])
+        )
+        if position is not None:
+            off_m = norm(subtract(position, place_n_m))
+            seen.append((off_m, None if depth is None else Sighting(box, depth), position))
+    seen.sort(key=lambda item: item[0])
+    if not seen or seen[0][0] > radius_m:
+        return MissReason.NO_TARGET
+    if len(seen) > 1 and seen[1][0] < max(radius_m, _CLEARLY_NEARER * seen[0][0]):
+        return MissReason.AMBIGUOUS_TARGET
+    _, sighting, position = seen[0]
+    if sighting is None:
+        return MissReason.NO_TARGET
+    if designated.drift_m > 0.0 and not _overlooks(T_n_c, camera, designated):
+        return MissReason.AMBIGUOUS_TARGET
+    return sighting, position
+
+
+def _overlooks(T_n_c: Pose, camera: CameraModel, designated: Designated) -> bool:
+    """Returns whether the camera sees everywhere that the object can have gone to."""
+    (north, east, down), radius_m = designated.place_n_m, designated.radius_m
+    turns = [2.0 * math.pi * k / _ROUND for k in range(_ROUND)]
+    rim = [(north + radius_m * math.cos(turn), east + radius_m * math.sin(turn), down) for turn in turns]
+    T_c_n = T_n_c.inverse()
+    return all(camera.sees((x, y, z)) for x, y, z in T_c_n.apply(np.array(rim)).tolist())

@@ -8,19 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.interfaces import View
-from flight.config import Designated
-from flight.guidance import Vec3, norm, subtract
+from flight.guidance import Vec3
 from flight.tracking.objects import (
-    CUT_SCORE,
     LARGER,
-    MIN_SCORE,
     ImageObject,
     Pixel,
     by_distance,
     cut_sides,
-    is_cut,
     is_larger,
 )
+from flight.tracking.places import at_height, place, point_in_camera, to_local
 from flight.tracking.ranging import MIN_DESCENT
 from flight.tracking.standing_out import ABOVE, standing_out
 from flight.tracking.target_track import TargetTrack
@@ -35,12 +32,9 @@ _BESIDE_M = 1.0  # around the object, what else is told of
 UNSEEN_S = 0.5  # after so long anything else that the object may have come to might as well be the object
 _OUTSIDE_PX = 60.0  # so far outside the image an object's middle may be, and a part of it inside
 AMBIGUITY = 0.6
-_CLEARLY_NEARER = 1.5
-_ROUND = 16  # places on the rim of where a designated object can be
 DEPTH_FLOOR_M, DEPTH_SIGMAS = 0.2, 3.0  # how far a depth may put the object from its prediction
 _SIDE_PX = 3.0  # noise of a box's side
 _HELD_S = 5.0  # after it was seen whole, an object is taken to be in a larger box; then what is there may be anything
-_COARSE_M = 0.12  # a range that is no better is estimated, not measured
 
 
 @value
@@ -54,63 +48,6 @@ class Sighting:
     box: Box
     depth: Depth | None
     beside: tuple[Rival, ...] = ()
-
-
-def point_in_camera(box: Box, z_m: float, camera: CameraModel) -> Vec3:
-    """The point at a box's centre and a depth, in the camera frame (eq. target_backprojection)."""
-    x, y = camera.ray(*box.center)
-    return x * z_m, y * z_m, z_m
-
-
-def to_local(point_c: Vec3, T_n_c: Pose) -> Vec3:
-    """Camera coordinates to local NED."""
-    north, east, down = T_n_c.apply(np.asarray(point_c)).tolist()
-    return north, east, down
-
-
-def acquire(view: View, T_n_c: Pose, camera: CameraModel, designated: Designated) -> tuple[Sighting, Vec3] | MissReason:
-    """The one object that the designated one can be, with its position in ``n``; or why there is none.
-
-    Two that it can be are never told apart by their distances: neither is taken, until one is left. Nor is one that is
-    hardly nearer than the next: the place may be off by more than was thought. When the object may have driven since
-    it was pointed at, one alone is taken only if it would be seen wherever it is.
-    """
-    place_n_m, radius_m = designated.place_n_m, designated.radius_m
-    seen: list[tuple[float, Sighting | None, Vec3]] = []
-    for detection in view.targets(None):
-        box = detection.box
-        cut = is_cut(box, camera)
-        if detection.score < (CUT_SCORE if cut else MIN_SCORE):
-            continue
-        depth = None if cut else view.depth(box)
-        position = (
-            _at_height(box.center, camera, T_n_c, place_n_m[2])
-            if depth is None
-            else place(box, depth, camera, T_n_c, place_n_m[2])
-        )
-        if position is not None:
-            off_m = norm(subtract(position, place_n_m))
-            seen.append((off_m, None if depth is None else Sighting(box, depth), position))
-    seen.sort(key=lambda item: item[0])
-    if not seen or seen[0][0] > radius_m:
-        return MissReason.NO_TARGET
-    if len(seen) > 1 and seen[1][0] < max(radius_m, _CLEARLY_NEARER * seen[0][0]):
-        return MissReason.AMBIGUOUS_TARGET
-    _, sighting, position = seen[0]
-    if sighting is None:
-        return MissReason.NO_TARGET
-    if designated.drift_m > 0.0 and not _overlooks(T_n_c, camera, designated):
-        return MissReason.AMBIGUOUS_TARGET
-    return sighting, position
-
-
-def _overlooks(T_n_c: Pose, camera: CameraModel, designated: Designated) -> bool:
-    """Returns whether the camera sees everywhere that the object can have gone to."""
-    (north, east, down), radius_m = designated.place_n_m, designated.radius_m
-    turns = [2.0 * math.pi * k / _ROUND for k in range(_ROUND)]
-    rim = [(north + radius_m * math.cos(turn), east + radius_m * math.sin(turn), down) for turn in turns]
-    T_c_n = T_n_c.inverse()
-    return all(camera.sees((x, y, z)) for x, y, z in T_c_n.apply(np.array(rim)).tolist())
 
 
 def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> Sighting | MissReason:
@@ -173,7 +110,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
         depth = depth if math.dist(shown, predicted_n) <= reach_m else None
     down_m = track.position_n_m[2]
     measured = (
-        _at_height(box.center, camera, T_n_c, down_m) if depth is None else place(box, depth, camera, T_n_c, down_m)
+        at_height(box.center, camera, T_n_c, down_m) if depth is None else place(box, depth, camera, T_n_c, down_m)
     )
     if measured is not None:
         track.update(measured, view.stamp_ns)
@@ -276,7 +213,7 @@ def _is_in(pixel: Pixel, box: Box) -> bool:
 
 def _bound(track: TargetTrack, pixel: Pixel, camera: CameraModel, T_n_c: Pose, stamp_ns: int) -> None:
     """Keeps the track by where the object about is, as high as it was; the velocity learns nothing."""
-    bounded = _at_height(pixel, camera, T_n_c, track.position_n_m[2])
+    bounded = at_height(pixel, camera, T_n_c, track.position_n_m[2])
     if bounded is not None:
         track.update(bounded, stamp_ns, cut=True)
 
@@ -322,29 +259,6 @@ def _beside(view: View, own: Box, others: Sequence[ImageObject], px_per_m: float
     near = [each.box for each in others if not each.cut and math.dist(each.pixel, own.center) <= px_per_m * _BESIDE_M]
     near.sort(key=lambda box: math.dist(box.center, own.center))
     return tuple(Rival(box, view.depth(box)) for box in near[:MOST])
-
-
-def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3:
-    """Returns the place of a box's object in ``n``: by its depth, or where its ray meets a height if that is better.
-
-    Args:
-        down_m: of the object, when it stands on the ground that the drone measures its own height from.
-    """
-    if depth.sigma_m > _COARSE_M:
-        on_ground = _at_height(box.center, camera, T_n_c, down_m)
-        if on_ground is not None:
-            return on_ground
-    return to_local(point_in_camera(box, depth.z_m, camera), T_n_c)
-
-
-def _at_height(pixel: Pixel, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3 | None:
-    """Returns the point at which a pixel's ray comes down to a height; None for a ray that hardly does."""
-    x, y = camera.ray(*pixel)
-    ray = T_n_c.R @ (x, y, 1.0)
-    if ray[2] < MIN_DESCENT:
-        return None
-    north, east, down = (T_n_c.t + (down_m - T_n_c.t[2]) / ray[2] * ray).tolist()
-    return north, east, down
 
 
 def _nearest_m(ranked: Sequence[ImageObject], px_per_m: float) -> float:

@@ -6,8 +6,9 @@ import numpy as np
 
 from flight.config import MissionConfig
 from flight.guidance import Vec3
-from flight.tracking.association import Sighting, follow, place
+from flight.tracking.association import Sighting, follow
 from flight.tracking.objects import MIN_SCORE
+from flight.tracking.places import place
 from flight.tracking.target_track import TargetTrack
 from hil.montecarlo.perception import HandoverView
 from hil.montecarlo.scene import Things

@@ -28,8 +28,9 @@ from flight.phases import Phase
 from flight.rendezvous.course import Rendezvous
 from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
 from flight.rendezvous.viewpoint import NoViewpoint
-from flight.tracking.association import follow, place
+from flight.tracking.association import follow
 from flight.tracking.largest_box import LargestBox
+from flight.tracking.places import place
 from flight.tracking.target_track import TargetTrack
 from missions.leg.handover import ReceiverHandover
 from missions.leg.journal import (

@@ -14,8 +14,8 @@ from flight.guidance import Anchor, Vec3, norm, subtract
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Guidance
-from flight.tracking.association import place
 from flight.tracking.objects import MIN_SCORE
+from flight.tracking.places import place
 from missions.leg.journal import frame_record
 from missions.leg.session import RoleSession
 from missions.leg.steps import take_off

@@ -9,7 +9,7 @@ import pytest
 
 from flight.config import Designated, TargetDesignation, off_from
 from flight.guidance import Vec3
-from flight.tracking.association import acquire
+from flight.tracking.acquisition import acquire
 from hil.world.targets import GroundVehicles, LookAlikeConfig, TargetConfig
 from path.geometry.transforms import Pose
 from path.observations import MissReason

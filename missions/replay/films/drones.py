@@ -13,8 +13,9 @@ from drivers.rig.parts import Mount
 from flight.config import MissionConfig
 from flight.guidance import Vec3
 from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
-from flight.tracking.association import Sighting, follow, point_in_camera, to_local
+from flight.tracking.association import Sighting, follow
 from flight.tracking.objects import MIN_SCORE, is_cut
+from flight.tracking.places import point_in_camera, to_local
 from flight.tracking.target_track import TargetTrack
 from missions.leg.journal import (
     agreement_record,

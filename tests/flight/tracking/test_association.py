@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from flight.config import Designated
 from flight.guidance import Vec3, norm, subtract
-from flight.tracking.association import Sighting, acquire, follow, place, point_in_camera, to_local
+from flight.tracking.acquisition import acquire
+from flight.tracking.association import Sighting, follow
 from flight.tracking.objects import MIN_SCORE, is_cut
+from flight.tracking.places import place, point_in_camera, to_local
 from flight.tracking.target_track import TargetTrack
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
