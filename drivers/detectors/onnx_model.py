@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from drivers.interfaces import PartError
 
 Floats = NDArray[np.float32]
 Shape = tuple[int | str, ...]
+FLOAT, HALF = "tensor(float)", "tensor(float16)"
 
 
 class ModelError(PartError):
@@ -23,6 +25,8 @@ def open_session(file: Path, threads: int, remedy: str) -> onnxruntime.Inference
     """A network on the CPU. Raises ModelError when there is none."""
     if not file.is_file():
         raise ModelError(f"{file}: there is no such file; expected a network in ONNX", remedy)
+    if (other := _other_weights(file)) is not None:
+        raise ModelError(f"{file}: expected a network in ONNX, found {other}", f"export it to ONNX: {remedy}")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
@@ -36,27 +40,53 @@ def open_session(file: Path, threads: int, remedy: str) -> onnxruntime.Inference
         ) from error
 
 
+def _other_weights(file: Path) -> str | None:
+    """Return what a model file of another program is; None when it may be ONNX."""
+    with file.open("rb") as opened:
+        begins = opened.read(8)
+    if begins[:4] == b"PK\x03\x04" or file.suffix.lower() in (".pt", ".pth"):
+        return "PyTorch's own weights"
+    if begins[4:8] == b"TFL3":
+        return "a network of TensorFlow Lite"
+    if begins[:4] == b"ftrt" or file.suffix.lower() in (".engine", ".trt"):
+        return "an engine of TensorRT, which is for one graphics card"
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class Tensor:
+    """An input or an output of a network. ``kind``: as onnxruntime says it, ``tensor(float)``."""
+
+    name: str
+    kind: str
+    shape: Shape
+
+    @property
+    def text(self) -> str:
+        kind = self.kind.removeprefix("tensor(").removesuffix(")")
+        return f"{self.name} {shown(self.shape)} {kind}"
+
+
 class OnnxModel:
-    """One float32 input, one float32 output."""
+    """A network with one input. What it computes with is float32 or float16; here it is float32."""
 
     def __init__(self, file: Path, threads: int, remedy: str) -> None:
-        """Raises ModelError: expected and found."""
+        """Raises ModelError when the file is no network."""
         self._session = open_session(file, threads, remedy)
-        inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
-        kinds = [node.type for node in (*inputs, *outputs)]
-        if (len(inputs), len(outputs)) != (1, 1) or set(kinds) != {"tensor(float)"}:
-            found = f"{len(inputs)} and {len(outputs)}, {', '.join(kinds)}"
-            raise ModelError(f"{file}: expected one input and one output of float32, found {found}", remedy)
-        self._name = inputs[0].name
-        self.input, self.output = _shape(inputs[0]), _shape(outputs[0])
+        self.inputs = tuple(_tensor(node) for node in self._session.get_inputs())
+        self.outputs = tuple(_tensor(node) for node in self._session.get_outputs())
 
     def run(self, tensor: Floats) -> Floats:
-        outputs: list[Any] = list(self._session.run(None, {self._name: tensor}))
+        """Return the first output for one input, as float32."""
+        only = self.inputs[0]
+        given = tensor.astype(np.float16) if only.kind == HALF else tensor
+        outputs: list[Any] = list(self._session.run(None, {only.name: given}))
         return np.asarray(outputs[0], np.float32)
 
 
-def _shape(node: Any) -> Shape:
-    return tuple(side if isinstance(side, int) else str(side) for side in node.shape)
+def _tensor(node: Any) -> Tensor:
+    shape = tuple(side if isinstance(side, int) else str(side) for side in node.shape)
+    return Tensor(str(node.name), str(node.type), shape)
 
 
 def shown(shape: Shape) -> str:

@@ -14,19 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.detectors.coco import COCO
-from drivers.detectors.onnx_model import ModelError, OnnxModel, shown
-from drivers.detectors.yolox_boxes import STRIDES, decode, grid, suppress
+from drivers.detectors.onnx_model import ModelError, OnnxModel
+from drivers.detectors.yolox_boxes import best_boxes, decode, grid, suppress
+from drivers.detectors.yolox_exports import EXPORT, identify
 from drivers.interfaces import PartError
 from drivers.rig.tables import suggestion
 from path.bounds import Bounds
 from path.observations import Box, Detection, Region
 
 FILL = 114.0  # grey level around an image that does not fill the input
-REMEDY = (
-    "name a YOLOX model exported to ONNX as its authors' tools/export_onnx.py does, without decoding in it: "
-    "github.com/Megvii-BaseDetection/YOLOX, or export one with classes of your own"
-)
-
 BELIEVED = 0.3  # the score from which on a whole object is one to the flight (``flight.tracking.objects``)
 MODEL_VARIABLE = "PATH_YOLOX"
 NAME_ONE = (
@@ -77,7 +73,7 @@ class YoloxDetectorConfig:
             raise ModelError("YOLOX finds nothing without a model file, and none was named", NAME_ONE)
         file = Path(named) if self.model is None else self.model
         if not file.is_file():
-            raise ModelError(f"{file}: there is no such file; expected a network in ONNX", REMEDY)
+            raise ModelError(f"{file}: there is no such file; expected a network in ONNX", EXPORT)
         return file
 
 
@@ -92,10 +88,12 @@ class YoloxDetector:
         del context  # made like every part of a rig, but needs nothing of the role
         self._config = config
         file = config.weights()
-        self._model = OnnxModel(file, config.threads, REMEDY)
-        self._height, self._width, count = _checked(self._model, file)
+        self._model = OnnxModel(file, config.threads, EXPORT)
+        export = identify(self._model, file)
+        self._height, self._width = export.height, export.width
         self._cells, self._steps = grid(self._height, self._width)
-        self._scored = _scored(config, file, count)
+        self._decoded = export.decoded
+        self._scored = _scored(config, file, export.classes)
         self._power = math.log(BELIEVED) / math.log(config.min_score)
 
     def detect(self, image: NDArray[np.uint8], region: Region | None) -> Sequence[Detection]:
@@ -112,8 +110,11 @@ class YoloxDetector:
             return ()
         x0, y0, x1, y1 = window
         tensor, across, down = self._letterboxed(image[y0:y1, x0:x1])
-        raw = self._model.run(tensor)[0]
-        boxes, scores, classes = decode(raw, self._cells, self._steps, self._scored, self._config.min_score)
+        raw, least = self._model.run(tensor)[0], self._config.min_score
+        if self._decoded:
+            boxes, scores, classes = best_boxes(raw, self._scored, least)
+        else:
+            boxes, scores, classes = decode(raw, self._cells, self._steps, self._scored, least)
         kept = suppress(boxes, scores, classes, self._config.max_iou)
         found: list[Detection] = []
         for (x, y, w, h), score in zip(boxes[kept].tolist(), scores[kept].tolist(), strict=True):
@@ -135,24 +136,6 @@ class YoloxDetector:
         return tensor, w / width, h / height
 
 
-def _checked(model: OnnxModel, file: Path) -> tuple[int, int, int]:
-    """Height and width of the input, number of classes. Raises ModelError."""
-    found = f"found {shown(model.input)} -> {shown(model.output)}"
-    sides = model.input[2:]
-    if len(model.input) != 4 or model.input[:2] != (1, 3) or not all(_whole_cells(side) for side in sides):
-        raise ModelError(f"{file}: expected an input of 1x3xHxW, H and W multiples of {STRIDES[-1]}, {found}", REMEDY)
-    height, width = (int(side) for side in sides)
-    cells = sum((height // stride) * (width // stride) for stride in STRIDES)
-    last = model.output[-1]
-    if len(model.output) != 3 or model.output[:2] != (1, cells) or not isinstance(last, int) or last < 6:
-        raise ModelError(f"{file}: expected an output of 1x{cells}x(5 + classes), {found}", REMEDY)
-    return height, width, last - 5
-
-
-def _whole_cells(side: int | str) -> bool:
-    return isinstance(side, int) and side > 0 and side % STRIDES[-1] == 0
-
-
 def _scored(config: YoloxDetectorConfig, file: Path, count: int) -> NDArray[np.bool_]:
     """Returns which of the model's classes are looked for. Raises PartError."""
     names = COCO if config.names is None else _read_names(config.names)
@@ -160,8 +143,12 @@ def _scored(config: YoloxDetectorConfig, file: Path, count: int) -> NDArray[np.b
         return np.ones(count, np.bool_)
     if len(names) != count:
         source = "COCO has" if config.names is None else f"{config.names} names"
-        raise PartError(f"{file}: expected {count} names of classes, {source} {len(names)}",
-                        "name a file with one class a line: names = \"classes.txt\"")  # fmt: skip
+        other = len(names) == count + 1
+        perhaps = " (is it an export without an objectness, as of YOLOv8 or YOLO11?)" if other else ""
+        raise PartError(
+            f"{file}: expected {count} names of classes, {source} {len(names)}{perhaps}",
+            'name a file with one class a line: names = "classes.txt"',
+        )
     for name in config.classes:
         if name not in names:
             raise PartError(f"classes: the model knows no '{name}'{suggestion(name, names)}",

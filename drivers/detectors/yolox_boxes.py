@@ -26,27 +26,48 @@ def grid(height: int, width: int, strides: tuple[int, ...] = STRIDES) -> tuple[F
 
 
 def decode(raw: Floats, cells: Floats, steps: Floats, scored: NDArray[np.bool_], least: float) -> tuple[Floats, ...]:
-    """Boxes that score at least ``least``.
+    """Boxes that score at least ``least``, of an output in cells.
 
     Args:
         raw: (n, 5 + classes): offset of the centre in cells, logarithm of the size in cells, objectness, classes.
         cells, steps: as ``grid`` gives them.
+        scored, least: as of ``best_boxes``, whose results these are.
+    """
+    keep, scores, best = _best(raw, scored, least)
+    part = raw[keep]
+    with np.errstate(over="ignore"):
+        boxes = np.concatenate(((part[:, :2] + cells[keep]) * steps[keep], np.exp(part[:, 2:4]) * steps[keep]), axis=1)
+    return _finite(boxes, scores, best)
+
+
+def best_boxes(raw: Floats, scored: NDArray[np.bool_], least: float) -> tuple[Floats, ...]:
+    """Boxes that score at least ``least``, of an output in pixels.
+
+    Args:
+        raw: (n, 5 + classes): centre and size in px of the input, objectness, classes.
         scored: (classes,), which of them are looked for.
 
     Returns:
         Centre and size (m, 4) as x, y, w, h in px of the input; scores (m,): objectness times the best class that is
         looked for; and that class (m,). What is not finite is left out.
     """
+    keep, scores, best = _best(raw, scored, least)
+    return _finite(raw[keep, :4], scores, best)
+
+
+def _best(raw: Floats, scored: NDArray[np.bool_], least: float) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """Return the rows that score enough, best first, their scores and their classes."""
     classes = np.flatnonzero(scored)
     best = classes[np.argmax(raw[:, 5:][:, classes], axis=1)]
     scores = raw[:, 4] * raw[np.arange(len(raw)), 5 + best]
     keep = np.flatnonzero(scores >= least)
     keep = keep[np.argsort(-scores[keep], kind="stable")][:MOST_KEPT]
-    part = raw[keep]
-    with np.errstate(over="ignore"):
-        boxes = np.concatenate(((part[:, :2] + cells[keep]) * steps[keep], np.exp(part[:, 2:4]) * steps[keep]), axis=1)
+    return keep, scores[keep], best[keep].astype(np.float32)
+
+
+def _finite(boxes: Floats, scores: Floats, classes: Floats) -> tuple[Floats, ...]:
     finite = np.isfinite(boxes).all(axis=1)
-    return boxes[finite], scores[keep][finite], best[keep][finite].astype(np.float32)
+    return boxes[finite], scores[finite], classes[finite]
 
 
 def suppress(boxes: Floats, scores: Floats, classes: Floats, most_iou: float) -> NDArray[np.int64]:

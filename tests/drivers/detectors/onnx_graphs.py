@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-FLOAT, INT64 = 1, 7
+FLOAT, UINT8, INT64, HALF = 1, 2, 7, 10
 INT_KIND, INTS_KIND = 2, 7
 
 
@@ -28,9 +28,10 @@ def field(number: int, content: bytes | int | str) -> bytes:
     return varint(number << 3 | 2) + varint(len(raw)) + raw
 
 
-def _value(name: str, shape: Sequence[int]) -> bytes:
-    sides = b"".join(field(1, field(1, side)) for side in shape)
-    return field(1, name) + field(2, field(1, field(1, FLOAT) + field(2, sides)))
+def _value(name: str, shape: Sequence[int | str], kind: int = FLOAT) -> bytes:
+    """``shape``: a side that may be of any size is given by its name."""
+    sides = b"".join(field(1, field(1 if isinstance(side, int) else 2, side)) for side in shape)
+    return field(1, name) + field(2, field(1, field(1, kind) + field(2, sides)))
 
 
 def _node(kind: str, inputs: Sequence[str], output: str, **attributes: int | Sequence[int]) -> bytes:
@@ -87,4 +88,23 @@ def bright_cells_network(file: Path, side: int, classes: int) -> Path:
     ]
     shapes = [_value("x", (1, 3, side, side))], [_value("y", (1, fine + coarse, numbers))]
     file.write_bytes(_model(nodes, constants, *shapes))
+    return file
+
+
+def fixed_network(
+    file: Path,
+    output: NDArray[np.float32],
+    *,
+    shape: Sequence[int | str] = (1, 3, 256, 256),
+    kind: int = FLOAT,
+    names: Sequence[str] = ("y",),
+) -> Path:
+    """A network that answers the same to every image: ``output``, by each of its names.
+
+    ``kind``: of input and output.
+    """
+    nodes = [_node("Identity" if kind == FLOAT else "Cast", ["c"], name, **({} if kind == FLOAT else {"to": kind}))
+             for name in names]  # fmt: skip
+    outputs = [_value(name, output.shape, kind) for name in names]
+    file.write_bytes(_model(nodes, [_constant("c", output)], [_value("x", shape, kind)], outputs))
     return file
