@@ -16,7 +16,8 @@ from typing import Any
 
 import pytest
 from hypothesis import settings
-from xdist.scheduler import LoadScopeScheduling
+
+from tests.scheduling import Groups, be_nice
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in missions, and before any test loads numpy
 
@@ -30,68 +31,6 @@ def _go_on(_number: int, _frame: object) -> None:
 for _ignored in (signal.SIGINT, signal.SIGHUP):
     if signal.getsignal(_ignored) is signal.SIG_IGN:
         signal.signal(_ignored, _go_on)
-
-# What has sockets, threads, processes and limits of its own: one at a time, and beside it what computes, and BESIDE.
-REAL_TIME = (
-    "contracts/",
-    "drivers/",
-    "flight/test_ceiling",
-    "hil/",
-    "missions/assurance/conformance/",
-    "missions/test_bad_inputs.py::test_a_signal",
-    "missions/test_cli",
-    "missions/doctor/",
-    "missions/guard/test_command",
-    "missions/leg/records/test_failing_disk",
-    "missions/leg/records/test_restart",
-    "missions/leg/test_session",
-    "missions/leg/records/test_slow_disk",
-    "missions/test_ground_station",
-    "missions/test_work",
-    "missions/trials/beacon/test_trial.py::test_a_listener_on",
-    "missions/trials/link/test_trial",
-    "missions/assurance/verify/test_attack",
-    "missions/assurance/verify/test_run",
-    "scenarios/test_guard_sitl",
-    "scenarios/test_own_sitl",
-    "scenarios/test_relay_sitl",
-    "scenarios/test_sitl",
-    "scenarios/test_unplugged",
-)
-# What of these only computes.
-COMPUTES = (
-    "contracts/test_log_for_strangers",
-    "drivers/detectors/",
-    "hil/autopilot/",
-    "hil/camera/test_pictures",
-    "hil/camera/test_pipeline",
-    "hil/geometric/",
-    "hil/monitors/",
-    "hil/montecarlo/",
-    "hil/render/",
-    "hil/vehicle/test_busy_world",
-    "hil/world/",
-)
-# What of it waits most of its time, and has no port that is not its own: beside the rest, in a worker of its own.
-BESIDE = (
-    "contracts/",
-    "drivers/mavlink/",
-    "flight/test_ceiling",
-    "hil/vehicle/",
-    "missions/guard/test_command",
-)
-IN_REAL_TIME, BESIDE_REAL_TIME = "real time", "real time, beside the rest"
-BEGUN = pytest.StashKey[bool]()
-APART = ("scenarios/test_sim",)  # long tests that share nothing
-# What takes longest of what computes. A worker is given up to three groups ahead: the last ones must be short.
-LONG = (
-    *APART,
-    "contracts/test_log_for_strangers",
-    "missions/assurance/campaign/",
-    "missions/assurance/verify/",
-    "missions/trials/",
-    "scenarios/",
-)
 
 settings.register_profile("steady", derandomize=True, deadline=None)
 settings.register_profile("explore", max_examples=1000, deadline=None)
@@ -110,46 +49,11 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """All tests on two cores: what is in real time waits in two workers, and two others compute meanwhile.
+    """All tests on two cores: after the flights, what waits is in two workers, and two others compute meanwhile.
 
     Some of the tests are run without workers, which take seconds to start and cannot show output.
     """
     return 4 if config.args_source is config.ArgsSource.TESTPATHS else 0
-
-
-class Groups(LoadScopeScheduling):
-    """Tests of one group stay in one worker: those in real time first, then long ones, then the largest group.
-
-    A group is one of the two in real time, or the tests of a module, which share fixtures.
-    """
-
-    _ordered = False
-
-    def _split_scope(self, nodeid: str) -> str:
-        return group_of(nodeid)
-
-    def _assign_work_unit(self, node: Any) -> None:
-        if not self._ordered:
-            self._ordered = True
-            for group in sorted(self.workqueue, key=urgency):
-                self.workqueue.move_to_end(group)
-        super()._assign_work_unit(node)
-
-
-def urgency(group: str) -> int:
-    """Returns which groups go first: the lower the sooner."""
-    if group in (IN_REAL_TIME, BESIDE_REAL_TIME):
-        return 0
-    return 1 if group.removeprefix("tests/").startswith(LONG) else 2
-
-
-def group_of(nodeid: str) -> str:
-    test = nodeid.removeprefix("tests/")
-    if test.startswith(APART):
-        return nodeid
-    if test.startswith(REAL_TIME) and not test.startswith(COMPUTES):
-        return BESIDE_REAL_TIME if test.startswith(BESIDE) else IN_REAL_TIME
-    return test.split("::", maxsplit=1)[0]
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Groups:
@@ -157,11 +61,9 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Groups:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """A worker that begins with what only computes lets the other go first whose limits are in seconds."""
-    if "PYTEST_XDIST_WORKER" in os.environ and not item.config.stash.get(BEGUN, False):
-        item.config.stash[BEGUN] = True
-        if urgency(group_of(item.nodeid)) > 0:
-            os.nice(15)  # two of them together take less than one at 10 would
+    """A worker lets the others go first while it only computes: their limits are in seconds."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        be_nice(item.nodeid)
 
 
 @pytest.fixture

@@ -1,0 +1,169 @@
+"""Which tests may run side by side, and in which order: the plan of the one command that runs them all.
+
+Used by ``tests/conftest.py``. A run has two phases. First flights in real time, one after another in one worker, while
+the other workers wait: what is measured then is the flight's, not that of whatever shared its two cores. Then
+everything else side by side. It is decided where tests are handed out, so that a worker that dies holds nobody up.
+
+A kernel that groups processes by session (autogroup) gives each of a flight's processes and all workers together equal
+shares of a core, whatever their nice: niceness alone never kept a computing worker off a flight.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from typing import Any
+
+from xdist.scheduler import LoadScopeScheduling
+
+# Programs, vehicles and links in real time, judged by what happens within fractions of a second.
+FLYING = (
+    "missions/assurance/conformance/test_suite",
+    "scenarios/test_guard_sitl",
+    "scenarios/test_own_sitl",
+    "scenarios/test_relay_sitl",
+    "scenarios/test_sitl",
+    "scenarios/test_unplugged",
+)
+# What has sockets, threads, processes and limits of its own: one at a time, and beside it what computes, and BESIDE.
+REAL_TIME = (
+    "contracts/",
+    "drivers/",
+    "flight/test_ceiling",
+    "hil/",
+    "missions/assurance/conformance/",
+    "missions/test_bad_inputs.py::test_a_signal",
+    "missions/test_cli",
+    "missions/doctor/",
+    "missions/guard/test_command",
+    "missions/leg/records/test_failing_disk",
+    "missions/leg/records/test_restart",
+    "missions/leg/test_session",
+    "missions/leg/records/test_slow_disk",
+    "missions/test_ground_station",
+    "missions/test_work",
+    "missions/trials/beacon/test_trial.py::test_a_listener_on",
+    "missions/trials/link/test_trial",
+    "missions/assurance/verify/test_attack",
+    "missions/assurance/verify/test_run",
+)
+# What of these only computes.
+COMPUTES = (
+    "contracts/test_log_for_strangers",
+    "drivers/detectors/",
+    "hil/autopilot/",
+    "hil/camera/test_pictures",
+    "hil/camera/test_pipeline",
+    "hil/geometric/",
+    "hil/monitors/",
+    "hil/montecarlo/",
+    "hil/render/",
+    "hil/vehicle/test_busy_world",
+    "hil/world/",
+)
+# What of it waits most of its time, and has no port that is not its own: beside the rest, in a worker of its own.
+BESIDE = (
+    "contracts/",
+    "drivers/mavlink/",
+    "flight/test_ceiling",
+    "hil/vehicle/",
+    "missions/guard/test_command",
+)
+FLIGHTS, IN_REAL_TIME, BESIDE_REAL_TIME = "flights", "real time", "real time, beside the rest"
+APART = ("scenarios/test_sim",)  # long tests that share nothing
+# What takes longest of what computes. A worker is given up to three groups ahead: the last ones must be short.
+LONG = (
+    *APART,
+    "contracts/test_log_for_strangers",
+    "missions/assurance/campaign/",
+    "missions/assurance/verify/",
+    "missions/trials/",
+    "scenarios/",
+)
+NICER = 15  # than the run itself: two computing workers together take less of a core than one at 10 would
+
+
+MOST = 19
+BEGAN = os.getpriority(os.PRIO_PROCESS, 0)
+
+
+def group_of(nodeid: str) -> str:
+    """The group of a test, which stays in one worker: flights, one of the two in real time, or its module."""
+    test = nodeid.removeprefix("tests/")
+    if test.startswith(FLYING):
+        return FLIGHTS
+    if test.startswith(APART):
+        return nodeid
+    if test.startswith(REAL_TIME) and not test.startswith(COMPUTES):
+        return BESIDE_REAL_TIME if test.startswith(BESIDE) else IN_REAL_TIME
+    return test.split("::", maxsplit=1)[0]
+
+
+def urgency(group: str) -> int:
+    """Returns which groups go first: the lower the sooner."""
+    if group == FLIGHTS:
+        return 0
+    if group in (IN_REAL_TIME, BESIDE_REAL_TIME):
+        return 1
+    return 2 if group.removeprefix("tests/").startswith(LONG) else 3
+
+
+def computes(nodeid: str) -> bool:
+    """Whether a test only computes, so that it may wait for those whose limits are in seconds."""
+    return urgency(group_of(nodeid)) > 1
+
+
+def be_nice(nodeid: str) -> None:
+    """Make this worker as urgent as the test that comes next.
+
+    Whoever may not become more urgent again (anybody but root) stays as nice as a computing test was: real-time groups
+    are handed out first.
+    """
+    wanted = min(MOST, BEGAN + NICER) if computes(nodeid) else BEGAN
+    if os.getpriority(os.PRIO_PROCESS, 0) != wanted:
+        with contextlib.suppress(PermissionError):
+            os.setpriority(os.PRIO_PROCESS, 0, wanted)
+
+
+class Groups(LoadScopeScheduling):
+    """Hands out flights first, to one worker and to nobody else anything; then the other groups, by their urgency."""
+
+    _ordered = False
+
+    def _split_scope(self, nodeid: str) -> str:
+        return group_of(nodeid)
+
+    def mark_test_complete(self, node: Any, item_index: int, duration: float = 0) -> None:
+        flew = self._flying()
+        super().mark_test_complete(node, item_index, duration)
+        if flew and not self._flying():
+            for _ in range(2):  # a worker runs its last test only when it has one to come
+                for each in self.nodes:
+                    self._reschedule(each)
+
+    def _assign_work_unit(self, node: Any) -> None:
+        self._order()
+        if self._may_have_more(node):
+            super()._assign_work_unit(node)
+
+    def _order(self) -> None:
+        """Once, and again when a worker that died has given its flights back."""
+        if self._ordered and FLIGHTS not in self.workqueue:
+            return
+        self._ordered = True
+        for group in sorted(self.workqueue, key=urgency):
+            self.workqueue.move_to_end(group)
+
+    def _may_have_more(self, node: Any) -> bool:
+        """While there are flights, only whoever has them, or may take them because nobody else has anything to do."""
+        if not self._flying() or FLIGHTS in self.assigned_work[node]:
+            return True
+        busy = any(self._pending_of(work) for work in self.assigned_work.values())
+        return FLIGHTS in self.workqueue and not busy
+
+    def _flying(self) -> bool:
+        """Whether a flight is still to come, or in the air."""
+        if FLIGHTS in self.workqueue:
+            return True
+        given = (work.get(FLIGHTS, {}) for work in self.assigned_work.values())
+        return any(not all(flights.values()) for flights in given)
