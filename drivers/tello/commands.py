@@ -3,8 +3,11 @@
 djitellopy does the sockets, the state packets and the video container. Its blocking commands are not used: they wait in
 ``time.sleep`` for seconds, resend motion, and take whatever answer comes next for their own, a late one included.
 
-Its two receiving threads and their sockets are the library's own: they are made with a process's first drone and live
-as long as the process.
+Its two receiving threads are made with a process's first drone and live as long as the process; what they run is ours
+(``receivers``). Their sockets are the library's own.
+
+A drone's command port also sends packets of its app's binary protocol. They are no answers, and neither is what has no
+letter or digit in it: both are passed over and counted, and the answer is waited for.
 """
 
 from __future__ import annotations
@@ -16,8 +19,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import djitellopy.tello  # type: ignore[import-untyped]
-
 from drivers.interfaces import Clock, VehicleError
 from drivers.mavlink.telemetry import ThreadClock
 from drivers.tello.address import (
@@ -28,6 +29,7 @@ from drivers.tello.address import (
     check_ports,
     check_route,
 )
+from drivers.tello.receivers import ended_receivers, install, library
 from drivers.tello.state import TelloReport, read_report
 
 POLL_S = 0.01
@@ -35,8 +37,9 @@ LATE_S = 7.0  # djitellopy's own patience: what was not answered by then is not 
 COMMAND_TRIES = 3  # of "command", which starts no motion
 COMMAND_S = 1.0
 STATE_S = 2.0
+DRAIN_S = 0.5  # for answers to the earlier ones of several "command"
+APP_PACKET = 0xCC  # first byte of the app's protocol
 
-library: Any = djitellopy.tello
 _log = logging.getLogger("drivers.tello.vehicle")
 _open: dict[str, TelloLink] = {}  # by host: camera and vehicle of a drone share one
 _state_port: list[int] = []  # that the library of this process listens on
@@ -54,6 +57,10 @@ class _TelloSlot(dict[str, Any]):
         super().__setitem__(key, value)
         if key == "state":
             self._link.on_state(value)
+
+    def count_unreadable(self) -> None:
+        """Count a state packet that is none, on the receiving thread."""
+        self._link.bad_reports += 1
 
 
 class _Answers(list[bytes]):
@@ -81,6 +88,7 @@ class TelloLink:
         report: the newest state packet; ``bad_reports`` counts those that could not be read.
         on_report: called with every state packet, on the library's thread.
         late: answers that came after their command had been given up, counted.
+        passed_over: packets on the command port that are no answers, counted.
     """
 
     def __init__(self, address: TelloAddress, clock: Clock) -> None:
@@ -89,6 +97,7 @@ class TelloLink:
         self.report: TelloReport | None = None
         self.bad_reports = 0
         self.late = 0
+        self.passed_over = 0
         self.on_report: Callable[[TelloReport], None] | None = None
         self.tello: Any = None
         self._slot: _TelloSlot | None = None
@@ -101,6 +110,11 @@ class TelloLink:
     def silent_s(self) -> float:
         """Since anything was sent to the drone."""
         return time.monotonic() - self._sent_s
+
+    @property
+    def deaf(self) -> str:
+        """Which receiving thread has ended, in words; empty while both run."""
+        return ", ".join(ended_receivers())
 
     def report_age_s(self) -> float:
         self.clock.follow()
@@ -138,7 +152,7 @@ class TelloLink:
                             self._note_late(data)
                         else:
                             answered = True
-                            return data.decode("utf-8", "replace").strip()
+                            return data.decode().strip()
                     await asyncio.sleep(POLL_S)
                 return None
             finally:
@@ -162,10 +176,14 @@ class TelloLink:
         _log.warning("%s: %r came too late, as the answer to %s", self.address.host, data, command)
 
     def _answers(self) -> list[bytes]:
-        return self._slot.answers.take() if self._slot is not None else []
+        """Return the answers that came since the last time, without what is none."""
+        came = self._slot.answers.take() if self._slot is not None else []
+        answers = [data for data in came if is_answer(data)]
+        self.passed_over += len(came) - len(answers)
+        return answers
 
     def on_state(self, fields: dict[str, Any]) -> None:
-        """Takes a state packet on the library's thread; must not raise there."""
+        """Take a state packet on the receiving thread; must not raise there."""
         report = read_report(fields, self.clock.now_ns())
         if report is None:
             self.bad_reports += 1
@@ -216,6 +234,7 @@ class TelloLink:
             raise
 
     def _make(self) -> Any:
+        install()
         address, tello = self.address, library.Tello
         tello.LOGGER.setLevel(logging.ERROR)  # it writes every setpoint to stderr
         tello.CONTROL_UDP_PORT = 0  # the drone answers to whatever port it was asked from
@@ -230,17 +249,22 @@ class TelloLink:
         return made
 
     async def _enter_sdk_mode(self) -> None:
+        """Say "command" until an "ok" to any of them comes: it moves nothing, and they all ask for the same."""
         host = self.address.host
-        for _ in range(COMMAND_TRIES):
+        for tried in range(COMMAND_TRIES):
+            self._owed.clear()
             answer = await self.ask("command", COMMAND_S, urgent=True)
             if answer is None:
                 continue
             if answer.lower() == "ok":
-                self._owed.clear()
+                if tried > 0:
+                    await asyncio.sleep(DRAIN_S)
+                    self._take_late()
                 return
             raise VehicleError(f"the drone at {host} refused SDK mode: it said {answer!r}", "restart the drone")
+        unread = f" but {self.passed_over} packets that are no answers" if self.passed_over else ""
         raise VehicleError(
-            f"no answer from {host}:{self.address.command_port} in {COMMAND_TRIES * COMMAND_S:g} s",
+            f"no answer from {host}:{self.address.command_port}{unread} in {COMMAND_TRIES * COMMAND_S:g} s",
             "is the drone on, and this computer in its Wi-Fi (docs/tello.md)?",
         )
 
@@ -278,6 +302,20 @@ class TelloLink:
                 f"the drone at {self.address.host} is {found or 'of unknown serial number'}, the rig says {wanted}",
                 "the two drones' Wi-Fi networks may be swapped",
             )
+
+
+def is_answer(data: bytes) -> bool:
+    """Return whether a packet from the command port is an answer in words.
+
+    The app's binary packets begin with 0xCC; a few of them are UTF-8 by chance, with control characters inside.
+    """
+    if not data or data[0] == APP_PACKET:
+        return False
+    try:
+        text = data.decode().strip()
+    except UnicodeDecodeError:
+        return False
+    return text.isprintable() and any(each.isalnum() for each in text)
 
 
 def said(answer: str | None) -> str:

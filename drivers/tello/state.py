@@ -9,11 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeGuard
 
 from path.messages import Quat, Vec3
 
-NEEDED = ("pitch", "roll", "yaw", "vgx", "vgy", "vgz", "tof", "h", "bat", "time")
+MOST: dict[str, tuple[float, float]] = {  # of each field that is needed, in its own unit: beyond is no measurement
+    "pitch": (-360.0, 360.0), "roll": (-360.0, 360.0), "yaw": (-360.0, 360.0),
+    "vgx": (-1e3, 1e3), "vgy": (-1e3, 1e3), "vgz": (-1e3, 1e3),
+    "tof": (-1e5, 1e5), "h": (-1e5, 1e5), "bat": (0.0, 100.0), "time": (0.0, 1e6),
+}  # fmt: skip
 TOF_FLOOR_M, TOF_CEILING_M = 0.11, 6.0  # 10 cm is what it says when it stands; beyond the other it sees nothing
 TOF_SHARE = 0.3  # of the difference between the rangefinder and the height reckoned, each packet
 TOF_JUMP_M = 0.35  # more than that at once is something below it, not its height
@@ -39,15 +43,16 @@ class TelloReport:
 
 
 def read_report(fields: Mapping[str, object], arrival_ns: int) -> TelloReport | None:
-    """A packet as djitellopy parsed it; None when what is needed is missing, no number or out of any range."""
+    """Return a packet that djitellopy parsed; None when what is needed is missing, no number or beyond any range.
+
+    Never raises: it runs on the one thread that receives for all drones.
+    """
     values: dict[str, float] = {}
-    for name in NEEDED:
+    for name, (least, most) in MOST.items():
         value = fields.get(name)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        if not _within(value, least, most):
             return None
         values[name] = float(value)
-    if max(abs(values[name]) for name in ("pitch", "roll", "yaw")) > 360.0 or not 0.0 <= values["bat"] <= 100.0:
-        return None
     hottest = fields.get("temph")
     return TelloReport(
         arrival_ns,
@@ -59,8 +64,13 @@ def read_report(fields: Mapping[str, object], arrival_ns: int) -> TelloReport | 
         0.01 * values["h"],
         0.01 * values["bat"],
         int(values["time"]),
-        float(hottest) if isinstance(hottest, (int, float)) else 0.0,
+        float(hottest) if _within(hottest, -300.0, 300.0) else 0.0,
     )
+
+
+def _within(value: object, least: float, most: float) -> TypeGuard[int | float]:
+    """Return whether this is a number within bounds; a comparison bears integers that are too long for a float."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and least <= value <= most
 
 
 def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quat:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from hil.autopilot.values import OffboardSession
 from hil.tello.flight import TelloFlight
@@ -51,13 +51,24 @@ class TelloEmulatorConfig:
 
 @dataclass(slots=True)
 class Faults:
-    """The faults while they are set. ``deaf``: commands are lost; ``mute``: they are carried out, but not answered."""
+    """The faults while they are set.
+
+    Attributes:
+        deaf: commands are lost.
+        mute: they are carried out, but not answered.
+        words: by a command's first word: it is carried out, and this is answered at once in place of its own answer.
+        beside: sent before every answer.
+        state: sent in place of every state packet.
+    """
 
     no_state: bool = False
     garbled_state: bool = False
     deaf: bool = False
     mute: bool = False
     late_s: float = 0.0  # every answer comes so much later
+    words: dict[str, bytes] = field(default_factory=dict[str, bytes])
+    beside: bytes = b""
+    state: bytes = b""
 
 
 class TelloEmulator:
@@ -174,7 +185,9 @@ class TelloEmulator:
             self._take_sticks(words[1:], at_s)
             return
         answer = self._execute(word, words[1:])
-        if answer is not None:
+        if word in self.faults.words:
+            self._put_answer(self.faults.words[word], sender)
+        elif answer is not None:
             self._answer(answer + ("\r\n" if word.endswith("?") else ""), sender)
         elif word != "emergency":
             self._waiting = (word, sender)
@@ -253,9 +266,15 @@ class TelloEmulator:
             self._answer(answer, sender)
 
     def _answer(self, text: str, to: Address) -> None:
-        if not self.faults.mute:
-            due_s = self._now_s + self.config.answer_s + self.faults.late_s
-            self._answers.append((due_s, text.encode(), to))
+        self._put_answer(text.encode(), to)
+
+    def _put_answer(self, data: bytes, to: Address) -> None:
+        if self.faults.mute:
+            return
+        due_s = self._now_s + self.config.answer_s + self.faults.late_s
+        if self.faults.beside:
+            self._answers.append((due_s, self.faults.beside, to))
+        self._answers.append((due_s, data, to))
 
     def _send_answers(self) -> None:
         due = [each for each in self._answers if each[0] <= self._now_s]
@@ -268,7 +287,7 @@ class TelloEmulator:
             return
         text = self._sensors.state_text()
         data = text.replace(":", "") if self.faults.garbled_state else text
-        self._send(data.encode(), (client, self._ports[0]))
+        self._send(self.faults.state or data.encode(), (client, self._ports[0]))
 
     def _send(self, data: bytes, to: Address) -> None:
         with contextlib.suppress(OSError):  # nobody listens any more, or a full buffer: lost, as by a radio

@@ -80,7 +80,9 @@ def test_a_second_drone_is_told_from_the_first() -> None:
 # --- refusals ----------------------------------------------------------------------------------------------------
 
 
-def test_a_refused_take_off_is_told_in_the_drone_s_words_and_not_said_again() -> None:
+def test_a_refused_take_off_is_told_in_the_drone_s_words_and_not_said_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.tello.vehicle.JUDGE_S", 0.5)
+
     async def refused(stand: Stand) -> None:
         async with vehicle(stand) as drone:
             await drone.arm()
@@ -97,20 +99,36 @@ def test_a_refused_take_off_is_told_in_the_drone_s_words_and_not_said_again() ->
         asyncio.run(refused(stand))
 
 
-def test_a_take_off_without_an_answer_is_said_once_and_may_be_landed() -> None:
+def test_a_take_off_and_a_landing_without_an_answer_are_taken_from_state_packets() -> None:
     async def unanswered(stand: Stand) -> None:
         async with vehicle(stand) as drone:
             await drone.arm()
             stand.emulator.faults.mute = True
-            with pytest.raises(VehicleError, match="no answer to the command to take off: it is in the air"):
-                await drone.take_off(1.0, 2.5)
+            await drone.take_off(1.0, 30.0)
             assert drone.state.armed
-            await drone.land(60.0)  # unanswered too: its state packets say that it is down
+            assert -drone.state.position_n_m[2] == pytest.approx(1.0, abs=0.2)
+            await drone.land(60.0)
             assert stand.drone.on_ground
         assert stand.count("takeoff") == 1
 
     with emulated(speed=4.0) as stand:
         asyncio.run(unanswered(stand))
+
+
+def test_a_take_off_that_is_lost_is_told_and_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.tello.vehicle.JUDGE_S", 0.5)
+
+    async def lost(stand: Stand) -> None:
+        async with vehicle(stand) as drone:
+            await drone.arm()
+            stand.emulator.faults.deaf = True
+            with pytest.raises(VehicleError, match="no answer to the command to take off: it seems to stand"):
+                await drone.take_off(1.0, 0.5)
+            assert not drone.state.armed
+        assert stand.count("takeoff") == 0
+
+    with emulated() as stand:
+        asyncio.run(lost(stand))
 
 
 def test_a_low_battery_is_not_armable() -> None:
