@@ -136,6 +136,7 @@ class MissReason(Enum):
     MARKER_TWICE = "marker_twice"
     MARKER_OBLIQUE = "marker_oblique"
     MARKER_FLIPPED = "marker_flipped"
+    MARKER_TURNED = "marker_turned"
     POSE_UNCERTAIN = "pose_uncertain"
     PRIOR_OUTSIDE = "prior_outside"
     NO_CANDIDATE = "no_candidate"
@@ -156,8 +157,10 @@ class Missed:
         iou: what the boxes gave, when it came to comparing them.
         ignored: the input was no new evidence at all (an old or repeated frame or packet, or a broken one): it leaves
             the count of consecutive agreements as it was, while every other miss restarts it.
+        cause: a sentence for the crew about what is likely wrong, where that can be told.
     """
 
     reason: MissReason
     iou: float | None = None
     ignored: bool = False
+    cause: str | None = None

@@ -109,6 +109,7 @@ HANDOVER: dict[str, Topic] = {
             "side_px": number("side of the marker in the image, px"),
             "corners_px": numbers("u, v of the four corners, px; the first marker of several"),
             "reason": reason("there is no pose"),
+            "cause": text("what is likely wrong then, for the crew, where that can be told"),
         },
     ),
     "/motion": Topic(

@@ -9,6 +9,7 @@ from drivers.interfaces import PartError
 from missions.options.calibrate import CalibrateMarkerOptions
 from path.marker.layout import DICTIONARIES, QUIET_CELLS
 from path.marker.photometric.texture import cells
+from path.marker.turned import OFFICIAL
 
 BORDER_CELLS = 1.5  # white around the outermost black frames; the outline is cut along
 RULER_MM, BELOW_MM = 50.0, 12.0
@@ -45,10 +46,18 @@ def draw_marker(options: CalibrateMarkerOptions, out: TextIO) -> int:
     out.write(
         f"{options.out}: print it at 100 %, see that its ruler is {RULER_MM:g} mm long, glue it to something flat and "
         "stiff, dull, cut along the outline.\n"
+        f"{_turned(options.dictionary)}"
         "Then measure the black frames with a calliper, and write what you measured into the rig:\n\n"
         f"{_tables(options)}"
     )
     return 0
+
+
+def _turned(dictionary: str) -> str:
+    """What to know of a family whose pictures exist twice, turned by half a turn."""
+    if "APRILTAG" not in dictionary:
+        return ""
+    return f"This drawing is the right way up for the rig; of other prints know that {OFFICIAL}.\n"
 
 
 def _drawing(options: CalibrateMarkerOptions, cell_mm: float) -> str:

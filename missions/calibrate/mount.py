@@ -40,12 +40,15 @@ from path.calibration.board import Board, find_board
 from path.calibration.intrinsics import NotSolvable
 from path.calibration.mount import MountPair, MountSolution, solve_mount
 from path.camera.model import CameraModel
+from path.geometry.rotation import R_from_quat, angle_between
 from path.geometry.transforms import Pose
 from path.marker.detect import detect_markers
+from path.marker.turned import OFFICIAL
 
 FEWEST_PAIRS = 5
 MOST_POSITION_SIGMA_M, MOST_ROTATION_SIGMA_DEG = 0.003, 0.5
 MOST_MISFIT = 16.0  # chi-square per number: of a pair that is left out, and of the whole that is refused
+TURNED_DEG = 20.0  # from the mounts in the rig, that nobody means
 MOST_LEFT_OUT = 0.25  # of the pairs
 SIDE_SIGMAS = 4.0
 
@@ -76,11 +79,24 @@ def calibrate_mount(options: CalibrateMountOptions, out: TextIO) -> int:
     calibration = _from_tape(options.measured, rig) if options.measured else _from_views(options, rig, out)
     write_calibration(options.out, calibration)
     _report(calibration, out)
+    out.write(_turned(calibration, rig))
     out.write(f'\n{options.out}: name it in the rig: [sender.mount.marker] calibration = "{options.out.name}"\n')
     position_m, angle_deg = calibration.largest_sigmas
     if position_m > rig.method.mount_sigma_m or angle_deg > rig.method.mount_sigma_deg:
         out.write(f"and in its [method]: mount_sigma_m = {_up(position_m):g}, mount_sigma_deg = {_up(angle_deg):g}\n")
     return 0
+
+
+def _turned(calibration: MountCalibration, rig: Rig) -> str:
+    """What to say of a marker that hangs far from how the rig has it: most such plates are the wrong way up."""
+    turned_deg = math.degrees(angle_between(R_from_quat(calibration.q_v_c), rig.sender.mount.T_v_c.R))
+    if turned_deg < TURNED_DEG:
+        return ""
+    official = f" {OFFICIAL}." if "APRILTAG" in rig.layout.dictionary else ""
+    return (
+        f"\nnote: that is turned by {turned_deg:.0f} degrees against the mounts in the rig. Is the plate the right way "
+        f"up?{official} If it stays as it is, this calibration holds; else turn it and calibrate again.\n"
+    )
 
 
 def _up(value: float) -> float:

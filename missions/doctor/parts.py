@@ -14,7 +14,7 @@ from drivers.rig.parts import PartSpec, Rig, create, decode_part, part_context
 from missions.doctor.beacons import check_beacons
 from missions.doctor.guard import check_guard
 from missions.doctor.link import check_link
-from missions.doctor.perception import check_detector, check_perception
+from missions.doctor.perception import WantedMarker, check_detector, check_perception
 from missions.doctor.vehicle import check_flyer, fence_of
 from missions.rig_library import mission_of
 from path.messages import Role
@@ -39,7 +39,7 @@ def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
     own, context = rig.role(role), part_context(rig, role)
     mission = mission_of(rig)
     min_battery, fence = mission.guard.min_battery, fence_of(mission)
-    layout = rig.layout if role is Role.RECEIVER else None
+    wanted = WantedMarker.of(rig) if role is Role.RECEIVER else None
 
     async def detector(spec: PartSpec, rate_hz: float | None) -> AsyncIterator[Finding]:
         made = create(spec, context)
@@ -50,7 +50,7 @@ def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
         return check_flyer(create(own.vehicle, context), context.clock, min_battery, fence)
 
     def perception() -> AsyncIterator[Finding]:
-        return check_perception(create(own.perception, context), context.clock, layout)
+        return check_perception(create(own.perception, context), context.clock, wanted)
 
     def link() -> AsyncIterator[Finding]:
         return check_link(create(own.link, context), context.clock, WAIT_S)

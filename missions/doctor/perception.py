@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections import deque
 from collections.abc import AsyncIterator, Iterator, Sequence
 from dataclasses import dataclass
@@ -12,9 +13,13 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import Capability, Clock, Detector, Perception, View, lacking
 from drivers.rig.part_check import Enough, Finding, examined, rate_finding, rate_of
+from drivers.rig.parts import Rig
 from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
-from path.observations import Box, MarkerDetection
+from path.marker.pose import PoseSettings, estimate_pose
+from path.messages import Vec3
+from path.observations import Box, MarkerDetection, Missed, MissReason
 
 SETTLE_S, SAMPLE_S, FRAME_S = 0.5, 2.0, 2.0
 KEPT = 6  # frames that are looked into
@@ -24,6 +29,8 @@ OLD_MS = 500.0
 DARK, BLACK, GLARING = 40.0, 8.0, 0.2  # mean grey level; share of pixels at their limit
 WHITE = 250
 SURE_PX, SMALLEST_PX = 20.0, 12.0  # side of a marker: always found; found two times in three
+HELD_RAD = math.radians(3.0)  # how level each drone stands, so that a turn of 45 degrees is beyond doubt
+LEVEL_FIX = "stand both drones level, and look again; then mend the plate, or the mounts in the rig"
 STREAM_FIX = "a USB 3 port and cable, no other load on this computer, more light if its exposure is long"
 
 
@@ -41,8 +48,27 @@ class FrameSample:
         return (self.stamps_ns[-1] - self.stamps_ns[0]) * 1e-9
 
 
-async def check_perception(perception: Perception, clock: Clock, layout: MarkerLayout | None) -> AsyncIterator[Finding]:
-    """Open, look, close. ``layout``: of the markers that this role must see; None when it needs none.
+@dataclass(frozen=True, slots=True)
+class WantedMarker:
+    """The markers that a role must see, and down in both frames while both drones stand level."""
+
+    layout: MarkerLayout
+    down_v: Vec3
+    down_c: Vec3
+
+    @classmethod
+    def of(cls, rig: Rig) -> WantedMarker:
+        """Return what the receiver of a rig must see."""
+        return cls(rig.layout, _down(rig.sender.mount.T_b_v), _down(rig.receiver.mount.T_b_c))
+
+
+def _down(T_b: Pose) -> Vec3:
+    x, y, z = T_b.R[2].tolist()
+    return x, y, z
+
+
+async def check_perception(perception: Perception, clock: Clock, wanted: WantedMarker | None) -> AsyncIterator[Finding]:
+    """Open, look, close. ``wanted``: the markers that this role must see; None when it needs none.
 
     Raises PartError for what ends the test.
     """
@@ -59,8 +85,12 @@ async def check_perception(perception: Perception, clock: Clock, layout: MarkerL
         for finding in _pictures(perception, sample):
             yield finding
         yield _targets(sample, rate_of(perception), clock)
-        if layout is not None:
-            yield markers([view.markers(None) for view in sample.last], layout)
+        if wanted is not None:
+            found = [view.markers(None) for view in sample.last]
+            yield markers(found, wanted.layout)
+            turned = marker_turned(found, wanted, perception.model)
+            if turned is not None:
+                yield turned
 
 
 async def _sampled(perception: Perception, clock: Clock) -> FrameSample:
@@ -166,6 +196,21 @@ def markers(found: Sequence[Sequence[MarkerDetection]], layout: MarkerLayout) ->
         return Finding("ok", "marker", detail)
     need = f"it is always found from {SURE_PX:.0f} px on, below {SMALLEST_PX:.0f} px mostly not: come nearer"
     return Finding("note", "marker", detail, need)
+
+
+def marker_turned(
+    found: Sequence[Sequence[MarkerDetection]], wanted: WantedMarker, camera: CameraModel
+) -> Finding | None:
+    """Return what is wrong with how the marker hangs, as far as gravity tells; None where nothing is.
+
+    Both drones are taken to stand level, or to be held so: only what is far off is told.
+    """
+    settings = PoseSettings(attitude_v_sigma_rad=HELD_RAD, attitude_c_sigma_rad=HELD_RAD)
+    for each in reversed(found):
+        pose = estimate_pose(each, wanted.layout, camera, wanted.down_v, wanted.down_c, settings)
+        if isinstance(pose, Missed) and pose.reason is MissReason.MARKER_TURNED:
+            return Finding("note", "marker turned", pose.cause or "", LEVEL_FIX)
+    return None
 
 
 def side_px(marker: MarkerDetection) -> float:

@@ -191,12 +191,19 @@ def marker_record(
         "side_px": side_px,
         "corners_px": found.corners_px.reshape(-1).tolist(),
         "reason": None,
+        "cause": None,
     }
 
 
 def marker_miss_record(capture_ns: int, missed: Missed) -> dict[str, Any]:
     """``/marker`` of a frame without a pose."""
-    return {"capture_ns": capture_ns, "position_v_m": None, "corners_px": None, "reason": missed.reason.value}
+    return {
+        "capture_ns": capture_ns,
+        "position_v_m": None,
+        "corners_px": None,
+        "reason": missed.reason.value,
+        "cause": missed.cause,
+    }
 
 
 def motion_record(

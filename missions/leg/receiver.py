@@ -51,7 +51,7 @@ from path.geometry.rigid import inverse_as_quat, rigid
 from path.geometry.rotation import yaw_of
 from path.geometry.transforms import Matrix, Pose
 from path.messages import Candidate, Status, Target
-from path.observations import Depth, Missed
+from path.observations import Depth, Missed, MissReason
 from path.protocol.values import Handoff
 
 _FIXES_TO_APPROACH = 5
@@ -88,6 +88,7 @@ class Receiver:
         self._seen: View | None = None
         self._track: TargetTrack | None = None
         self._keep_n_m: Vec3 = (0.0, 0.0, 0.0)
+        self._causes: dict[MissReason, str] = {}  # of looks at the marker that gave no pose, each told once
         session.on_message = self._on_message
         session.on_status = self._handover.on_status
 
@@ -150,8 +151,11 @@ class Receiver:
             lambda: self._marker.fixes(session.now_ns()) >= _FIXES_TO_APPROACH,
             deadlines.search_s,
             Outcome.MARKER_NOT_FOUND,
-            "the sender's marker was not seen",
+            self._marker_not_seen,
         )
+
+    def _marker_not_seen(self) -> str:
+        return "; ".join(["the sender's marker was not seen", *self._causes.values()])
 
     async def _approach(self) -> MissionEnd | None:
         """Flies to the planned viewpoint; returns what the mission would end with when something is out of its bounds.
@@ -270,6 +274,8 @@ class Receiver:
         self._marker.note_motion(motion)
         with session.stage("marker"):
             fix = self._look(view, T_n_c.R, gravity_v)
+        if isinstance(fix, Missed):
+            self._note_cause(fix)
         with session.stage("log"):
             session.log.write("/marker", stamp_ns, self._marker_record(stamp_ns, fix))
             session.log.write("/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, fix))
@@ -301,6 +307,12 @@ class Receiver:
         if self._marker.searched(view.stamp_ns):
             shedding.searched((session.now_ns() - began_ns) * 1e-9)
         return fix
+
+    def _note_cause(self, missed: Missed) -> None:
+        """Tell the crew what is likely wrong with the marker, once for each kind."""
+        if missed.cause is not None and missed.reason not in self._causes:
+            self._causes[missed.reason] = missed.cause
+            self._session.say(f"the sender's marker: {missed.cause}")
 
     def _motion(self) -> VehicleMotions:
         """Returns both vehicles' newest reports."""

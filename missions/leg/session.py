@@ -150,13 +150,19 @@ class RoleSession:
         if silence_s > limit_s:
             raise MissionEnd(Outcome.PEER_LOST, f"nothing heard from the other drone for {silence_s:.1f} s")
 
-    async def until(self, condition: Callable[[], bool], timeout_s: float, outcome: Outcome, detail: str) -> None:
-        """Wait for a condition; raises MissionEnd(outcome) when it did not come true in time."""
+    async def until(
+        self, condition: Callable[[], bool], timeout_s: float, outcome: Outcome, detail: str | Callable[[], str]
+    ) -> None:
+        """Wait for a condition; raises MissionEnd(outcome) when it did not come true in time.
+
+        ``detail``: what to say then, or what is asked for it then.
+        """
         loop = asyncio.get_running_loop()
         end_s = loop.time() + timeout_s
         while not condition():
             if loop.time() > end_s:
-                raise MissionEnd(outcome, f"{detail} within {timeout_s:.0f} s")
+                said = detail if isinstance(detail, str) else detail()
+                raise MissionEnd(outcome, f"{said} within {timeout_s:.0f} s")
             await asyncio.sleep(_POLL_S)
 
     async def skip_frames(self) -> None:

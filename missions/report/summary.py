@@ -112,11 +112,18 @@ def _outcome(run: RunRecords) -> dict[str, Any]:
         "level": facts.level if facts else None,
         "seed": facts.seed if facts else None,
         "faults": list(facts.faults) if facts else [],
-        "notes": list(facts.notes) if facts else [],
+        "notes": [*(facts.notes if facts else ()), *_marker_causes(run)],
         "errors": dict(facts.errors) if facts else {},
         "scene": facts.scene if facts else "",
         "roles": roles,
     }
+
+
+def _marker_causes(run: RunRecords) -> list[str]:
+    """What was likely wrong with the marker where the receiver got no pose of it, each kind once."""
+    missed = [r.record for r in run.receiver.get("/marker", ()) if r.record.get("cause")]
+    causes = {record["reason"]: record["cause"] for record in missed}
+    return [f"the sender's marker: {cause}" for cause in causes.values()]
 
 
 def _times(run: RunRecords, span: Verification | None) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from path.marker.doubt import widen
 from path.marker.kernels import finite, rays, whitening
 from path.marker.layout import Marker, MarkerLayout
 from path.marker.pose_kernels import PoseProblem, facing, fit, of_layout
+from path.marker.turned import likely_cause
 from path.messages import Vec3
 from path.observations import MarkerDetection, Missed, MissReason
 from path.values import value
@@ -37,6 +38,7 @@ MIN_GRAVITY_RAD = 1e-4  # of two directions together: better is known by none
 EYE = np.eye(3)
 NO_GRAVITY = np.zeros(6)
 WORST_PX, WORST_SHARE = 1.0, 0.06  # rms misfit of corners, px or share of the side, that no such marker has
+ABSURD = 25.0  # chi-square per degree of freedom of errors that are all five times as large as was stated
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +122,9 @@ def estimate_pose(
             nothing.
 
     Returns:
-        Missed NO_MARKER, WRONG_MARKER, MARKER_TWICE, NON_FINITE, MARKER_OBLIQUE, or POSE_UNCERTAIN (the two solutions
-        cannot be told apart, the corners do not fit, or the covariance is too large).
+        Missed NO_MARKER, WRONG_MARKER, MARKER_TWICE, NON_FINITE, MARKER_OBLIQUE, MARKER_TURNED (gravity contradicts
+        all that the corners allow), or POSE_UNCERTAIN (the two solutions cannot be told apart, the corners do not fit,
+        or the covariance is too large).
     """
     seen = _known(detections, layout)
     if isinstance(seen, Missed):
@@ -131,9 +134,14 @@ def estimate_pose(
     found, marker = seen[0]
     side_px = _side_px(found)
     whole = _seen(seen, camera, gravity_v, gravity_c, settings)
-    fitted = fit(*_ippe(found, marker, whole.lens), whole)
+    starts_R, starts_t = _ippe(found, marker, whole.lens)
+    fitted = fit(starts_R, starts_t, whole)
     if not math.isfinite(fitted.cost):
         return Missed(MissReason.POSE_UNCERTAIN)
+    if whole.weight > 0.0 and fitted.misfit > ABSURD:
+        cause = _contradicted(starts_R, starts_t, whole, layout, camera)
+        if cause is not None:
+            return Missed(MissReason.MARKER_TURNED, cause=cause)
     sigma_m = fitted.sigma_m
     if camera.doubts:
         sigma_m = widen(
@@ -158,6 +166,35 @@ def estimate_pose(
         other = Pose(fitted.other_R, fitted.other_t)
         candidates += (PoseCandidate(other, fitted.other_cost, min(1.0, likelihood)),)
     return MarkerPose(candidates[0].T_c_v, fitted.covariance, incidence, side_px, rms, ambiguity, candidates)
+
+
+def _contradicted(
+    starts_R: Array, starts_t: Array, whole: PoseProblem, layout: MarkerLayout, camera: CameraModel
+) -> str | None:
+    """Return the likely cause where gravity is against all that the corners alone allow; None where they bear it.
+
+    Corners that fit badly allow much: by how much they are off, and what the calibration does not know, is in the
+    covariance of the pose that they give alone.
+    """
+    corners = whole._replace(weight=0.0)
+    alone = fit(starts_R, starts_t, corners)
+    if not math.isfinite(alone.sigma_m):
+        return None
+    if camera.doubts:
+        widen(
+            alone.R, alone.t, corners.points, corners.pixels, corners.whitening, corners.lens, corners.down, 0.0,
+            _doubts(camera), alone.covariance,
+        )  # fmt: skip
+    poses_R = [alone.R]
+    if math.isfinite(alone.other_cost) and alone.other_cost - alone.cost < ABSURD * alone.misfit:
+        poses_R.append(alone.other_R)
+    down_v, down_c = whole.down[:3], whole.down[3:]
+    turn_rad2 = float(np.linalg.eigvalsh(alone.covariance[3:, 3:])[-1])
+    variance = 1.0 / whole.weight + turn_rad2
+    off2 = min(float(((R @ down_v - down_c) ** 2).sum()) for R in poses_R)
+    if off2 < 2.0 * ABSURD * variance:
+        return None
+    return likely_cause(poses_R, down_v.tolist(), down_c.tolist(), layout)
 
 
 def _seen(

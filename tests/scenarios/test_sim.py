@@ -9,13 +9,17 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.rig.parts import with_errors
+from hil.world import errors
 from missions import rig_library
 from missions.handoff.flight import fly_once
 from missions.report.records import RunFacts, load_run
 from missions.report.summary import summarize
+from path.geometry.rotation import exp
+from path.geometry.transforms import Pose
 from path.messages import Role
 
 LOGS = ("sender.mcap", "receiver.mcap", "world.mcap")
@@ -241,3 +245,25 @@ def test_what_a_link_does_to_packets_is_survived_together(tmp_path: Path) -> Non
     assert flown.facts.violations == {}
     assert flown.facts.outcome == "committed", flown.facts.detail
     assert flown.summary["link_dropped"]["sender"]["bad_crc"] > 10
+
+
+def test_a_plate_that_is_upside_down_is_never_flown_by_and_said_by_its_cause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a tag that was printed from AprilRobotics' own pictures, which OpenCV has turned by half a turn."""
+    rig = rig_with(tmp_path, ("[mission.target]", "[mission.deadlines]\nsearch_s = 8.0\n\n[mission.target]"))
+    as_said, usual = rig_library.load(rig).sender.mount.T_b_v, errors.other_mount
+    upside_down = Pose(exp(math.pi * np.array([0.0, 0.0, 1.0])), np.zeros(3))
+
+    def glued_on(mount: Pose, *given: Any) -> Pose:
+        return usual(mount @ upside_down if np.array_equal(mount.R, as_said.R) else mount, *given)
+
+    monkeypatch.setattr(errors, "other_mount", glued_on)
+    flown = fly(rig, tmp_path / "out")
+    assert flown.facts.outcome == "marker_not_found"
+    assert "is the plate the right way up" in flown.last_outcome(Role.RECEIVER)["detail"]
+    assert any("is the plate the right way up" in note for note in flown.summary["notes"])
+    (told,) = {r.record["reason"] for r in flown.run.receiver["/marker"] if r.record["cause"]}
+    assert told == "marker_turned"
+    notes = [r.record["note"] for r in flown.run.receiver["/note"]]
+    assert sum(note.startswith("the sender's marker: gravity contradicts") for note in notes) == 1

@@ -55,6 +55,7 @@ def test_a_detector_finds_what_the_rigs_tables_say(options: CalibrateMarkerOptio
     file = tmp_path / "marker.svg"
     options = CalibrateMarkerOptions(options.ids, options.side_m, options.gap_m, options.dictionary, file)
     said = drawn(options)
+    assert ("AprilTags are turned by 180 degrees" in said) == ("APRILTAG" in options.dictionary)
     rig = tomllib.loads(said.split("into the rig:\n\n")[1])
     assert rig.get("marker_dictionary", "DICT_4X4_50") == options.dictionary
     found, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(options.dictionary)).detectMarkers(printed(file))

@@ -227,6 +227,14 @@ def test_a_tape_measure_gives_the_mount_of_the_rig_with_its_errors(tmp_path: Pat
     lever_m = math.radians(1.0) * np.linalg.norm(true.t)
     assert written.position_sigma_m == pytest.approx(3 * (math.hypot(0.002, 0.002, lever_m),), rel=1e-3)
     assert "mount_sigma_m = " in said.getvalue()
+    assert "right way up" not in said.getvalue()
     tape.write_text(TAPE.replace("angle_deg", "angle"), "utf-8")
     with pytest.raises(CalibrationError, match="unknown key 'angle'"):
         run(CalibrateOptions(CalibrateMountOptions(rig="sim-rendered", measured=tape, out=out)), said)
+
+
+def test_a_marker_that_hangs_far_from_what_the_rig_says_is_told(tmp_path: Path) -> None:
+    tape, out, said = tmp_path / "tape.toml", tmp_path / "m.toml", io.StringIO()
+    tape.write_text(TAPE.replace("tilt_up_deg = 45.0", "tilt_up_deg = 90.0"), "utf-8")
+    assert run(CalibrateOptions(CalibrateMountOptions(rig="sim-rendered", measured=tape, out=out)), said) == 0
+    assert "turned by 45 degrees against the mounts in the rig. Is the plate the right way up?" in said.getvalue()

@@ -16,7 +16,15 @@ from drivers.perception.pixels import PixelPerception
 from drivers.rig.part_check import Finding
 from drivers.rig.parts import PartSpec, create
 from missions.doctor import perception as doctor_perception
-from missions.doctor.perception import FrameSample, age, brightness, check_detector, check_perception, rate
+from missions.doctor.perception import (
+    FrameSample,
+    WantedMarker,
+    age,
+    brightness,
+    check_detector,
+    check_perception,
+    rate,
+)
 from path.camera.model import CameraModel
 from path.marker.layout import single_marker
 from path.observations import Detection, Region
@@ -25,6 +33,7 @@ from tests.missions.doctor.doctor_bench import BENCHES, Bench
 from tests.missions.doctor.doctor_findings import found
 
 LAYOUT = single_marker()
+WANTED = WantedMarker(LAYOUT, (0.0, -1.0, 0.0), (0.0, 1.0, 0.0))  # a plate on a wall, a camera that looks ahead
 FED_HZ = 40.0
 TRIES = 5
 
@@ -58,7 +67,7 @@ def examined(bench: Bench, calibrated: str = "", model: CameraModel = COLOR) -> 
     here = replace(context(model), camera_serial=calibrated)
     perception: PixelPerception = create(PartSpec("drivers.perception.pixels:PixelPerception", options, "test"), here)
     with bench.running(FED_HZ):
-        every = found(check_perception(perception, here.clock, LAYOUT))
+        every = found(check_perception(perception, here.clock, WANTED))
     del BENCHES["d415"], perception
     gc.collect()  # librealsense's devices have files open until they are collected
     return every
@@ -79,6 +88,15 @@ def test_a_camera_that_is_well_has_figures_and_a_marker() -> None:
     assert every["range"].detail.startswith("1.50 m")
     assert every["stamped by"].detail == "global_time"
     assert every["marker"].detail.startswith("id 0 in 6 of 6 frames, side 30 px")
+
+
+def test_a_plate_that_is_the_wrong_way_up_is_told() -> None:
+    upside_down = np.ascontiguousarray(np.rot90(picture(marker_px=30), 2))
+    every = examined(Bench(upside_down))
+    assert every["marker"].state == "ok"
+    assert every["marker turned"].state == "note"
+    assert "is the plate the right way up" in every["marker turned"].detail
+    assert "stand both drones level" in every["marker turned"].fix
 
 
 def test_what_is_not_as_it_should_be_is_said_with_its_fix() -> None:

@@ -133,7 +133,7 @@ def test_markers_seen_and_missed() -> None:
     check("/marker", seen)
     assert seen["reason"] is None
     missed = marker_miss_record(6, MISSED)
-    assert missed == {"capture_ns": 6, "position_v_m": None, "corners_px": None, "reason": "no_marker"}
+    assert missed == {"capture_ns": 6, "position_v_m": None, "corners_px": None, "reason": "no_marker", "cause": None}
 
 
 def test_no_box_is_null() -> None:
