@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 from flight.outcome import OBJECT_MONITOR, Outcome
 
@@ -10,17 +11,30 @@ OF_TIME = frozenset(Outcome) - {
     Outcome.COMMITTED, Outcome.FLOWN, Outcome.PILOT_OVERRIDE, Outcome.ORPHANED, Outcome.STATE_LOST, Outcome.UNFIT,
     Outcome.INTERRUPTED, Outcome.CRASHED, Outcome.RESTARTED, Outcome.LOG_FAILED,
 }  # fmt: skip
-MONITORS_OF_TIME = frozenset({"S7", "S8", OBJECT_MONITOR, "L1", "L2"})
-"""Ends that a computer that does not keep up can be the cause of: they say nothing of the mission."""
+MONITORS_OF_TIME = frozenset({"S7", OBJECT_MONITOR, "L1", "L2"})
+"""Ends that a computer that does not keep up can be the cause of: they say nothing of the mission.
+
+S8 is none of them: a gap between setpoints has a time of its own, and so has what explains it.
+"""
 
 
-def for_lateness(overload: str, violations: Collection[str], outcome: Outcome, detail: str) -> tuple[Outcome, str]:
-    """The outcome of a run: ``overloaded`` where lateness can be the cause, and what it would have been.
+class JudgedReport(Protocol):
+    """A harness's report, as far as lateness is concerned: ``FlightReport``, ``RelayReport``."""
 
-    Args:
-        overload: what was late, and how late; empty when the computer kept up.
-        violations: the monitors that were violated.
-    """
-    if overload and outcome in OF_TIME and not set(violations) - MONITORS_OF_TIME:
+    @property
+    def overload(self) -> str: ...
+
+    @property
+    def explained(self) -> Sequence[str]: ...
+
+    @property
+    def violations(self) -> Mapping[str, int]: ...
+
+
+def for_lateness(report: JudgedReport, outcome: Outcome, detail: str) -> tuple[Outcome, str]:
+    """The outcome of a run: ``overloaded`` where lateness can be the cause, and what it would have been."""
+    overload = report.overload
+    others = set(report.violations) - MONITORS_OF_TIME - set(report.explained)
+    if overload and outcome in OF_TIME and not others:
         return Outcome.OVERLOADED, f"{overload} (and so {outcome.label}: {detail})"
     return outcome, detail

@@ -46,6 +46,16 @@ DRONE: dict[str, Topic] = {
         "processor time, once a second, in real time only",
         {"spent_ns": table("ns since the start by stage; thread: the main thread; program: all threads")},
     ),
+    "/late": Topic(
+        "the program was late, or was given no core; in real time only",
+        {
+            "since_ns": whole("until the record's stamp, ns: the time that it is of"),
+            "loop_ns": whole("its event loop woke so much later than it had asked for, whatever the reason, ns"),
+            "waited_ns": whole("its main thread was ready to run and had no core, ns"),
+            "beside_ns": whole("the longest that any other of its threads had none, ns"),
+            "stolen_ns": whole("the most that a virtual machine's host took from one core, ns"),
+        },
+    ),
     "/shed": Topic(
         "something is given up because the computer does not keep up, or taken up again; in real time only",
         {

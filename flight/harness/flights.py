@@ -154,6 +154,7 @@ class FlightReport:
         simulated_s, wall_s: duration of the run on the mission's clock and on the wall.
         failure: why the harness itself failed; empty when it did not.
         overload: what of a run in real time was late, and how late; empty when the computer kept up.
+        explained: the monitors of which this lateness explains every violation, by its own time.
         figures: what the monitors timed, in s by name: "commit_s", from COMMIT to the sender's decision, and "gap_s",
             the longest time with nobody responsible; without what did not happen.
         errors: what the world was drawn with: the level's name, and standard deviations by what they are of; empty in
@@ -173,6 +174,7 @@ class FlightReport:
     interrupted: bool = False
     failure: str = ""
     overload: str = ""
+    explained: Sequence[str] = ()
     notes: Sequence[str] = field(default_factory=tuple)
     figures: Mapping[str, float] = field(default_factory=dict[str, float])
     errors: Mapping[str, str | float] = field(default_factory=dict[str, str | float])

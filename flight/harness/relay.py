@@ -20,12 +20,13 @@ POINTING_M = 0.1  # standard deviation, on each axis, of where a person points
 
 OFTEN = frozenset({
     "/frame", "/target", "/track", "/setpoint", "/state", "/agreement", "/candidate", "/marker", "/motion", "/link",
-    "/guard_view",
+    "/guard_view", "/late",
 })  # fmt: skip
 """Topics logged many times a second: hours of them are left out unless they are asked for."""
 WATCHED: Mapping[str, float] = {
     "/phase": 0.0, "/responsibility": 0.0, "/epoch": 0.0, "/commit": 0.0, "/decision": 0.0, "/agreement": 0.0,
     "/frame": 0.2, "/target": 0.2, "/track": 0.2, "/link": 0.5,
+    "/late": 0.0,
 }  # fmt: skip
 """The topics that the monitors read of a drone's log, and the least seconds between two of a kind."""
 
@@ -186,8 +187,8 @@ class RelayReport:
 
     ``gaps_s``: by leg, the longest time with nobody responsible in its hand-over; ``errors``: as in ``FlightReport``;
     ``watched``: by target, in their order; ``bytes_sent``, ``aloft_s``: by drone, on its links and in the air;
-    ``cpu_s``: of this process; ``overload``: what of a relay in real time was late, and how late, as in
-    ``FlightReport``.
+    ``cpu_s``: of this process; ``overload``: what of a relay in real time was late, and how late, and ``explained``,
+    as in ``FlightReport``.
     """
 
     violations: Mapping[str, int]
@@ -208,6 +209,7 @@ class RelayReport:
     aloft_s: Mapping[str, float] = field(default_factory=dict[str, float])
     cpu_s: float = 0.0
     overload: str = ""
+    explained: Sequence[str] = ()
 
 
 class RelayHarness(Protocol):

@@ -258,8 +258,7 @@ class Autopilot:
 
     def _note_gap(self, now_s: float) -> None:
         if self.mode is FlightMode.OFFBOARD and self.armed:
-            session = self.offboard_sessions[-1]
-            session.max_gap_s = max(session.max_gap_s, now_s - self._setpoint_s)
+            self.offboard_sessions[-1].note_gap(self._setpoint_s, now_s)
 
     # --- the pilot's radio ---
 

@@ -14,6 +14,7 @@ from path.messages import Quat, Vec3
 from path.values import value
 
 HOLD_AT_FENCE, RETURN_AT_FENCE, LAND_AT_FENCE = 2, 3, 5
+MAX_SETPOINT_GAP_S = 0.2  # of a script that flies (S8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,9 +116,24 @@ class StatusText:
 
 @dataclass(slots=True)
 class OffboardSession:
-    """One stay in OFFBOARD. ``max_gap_s`` is the longest time between setpoints, the last open one included (S8)."""
+    """One stay in OFFBOARD, with the times between setpoints (S8); the last one counts while it is open.
+
+    Attributes:
+        max_gap_s: the longest.
+        long_gaps: from when to when each lasted that was longer than ``MAX_SETPOINT_GAP_S``.
+    """
 
     start_s: float
     max_gap_s: float = 0.0
     end_s: float | None = None
     ended_by: FlightMode | None = None
+    long_gaps: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
+
+    def note_gap(self, from_s: float, to_s: float) -> None:
+        """No setpoint came between these instants. An open gap may be noted again and again, as it grows."""
+        self.max_gap_s = max(self.max_gap_s, to_s - from_s)
+        if to_s - from_s <= MAX_SETPOINT_GAP_S:
+            return
+        if self.long_gaps and self.long_gaps[-1][0] == from_s:
+            self.long_gaps.pop()
+        self.long_gaps.append((from_s, to_s))

@@ -195,5 +195,6 @@ def report_of(request: RelayRequest, run: RealTimeRun, ending: Ending) -> RelayR
         log_failure=next(filter(None, failed), ""),
         errors=reported(request.rig),
         overload=ending.slow or finished.get("overload", ""),
+        explained=tuple(finished.get("explained", ())),
         failure=ending.failure or (f"not landed at the end: {', '.join(aloft)}" if aloft else ""),
     )

@@ -21,6 +21,7 @@ from hil.harness.realtime.run import Ending, RealTimeRun
 from hil.harness.realtime.world import world_command
 from hil.harness.sim import LEG, mission_config
 from hil.monitors.monitors import Monitors
+from hil.monitors.setpoints import LATE, Late, SetpointGap, all_explained, judged, late_of, told_with
 from hil.vehicle.simulators.process import binary_of
 from hil.world.check import check_world
 from hil.world.config import WorldConfig, drawn_imaging
@@ -141,15 +142,21 @@ def report_of(request: FlightRequest, run: RealTimeRun, ending: Ending) -> Fligh
     finished = ending.finished
     monitors = Monitors(request.rig.method, min_separation_m=0.0)
     ages_s: dict[str, list[float]] = {name: [] for name in ENDS}
+    late: dict[str, list[Late]] = {name: [] for name in ENDS}
+    start_ns = int(finished.get("start_ns", 0))
     for stamp_ns, role, record in sorted(_records(request.out), key=lambda entry: entry[0]):
         if record is None:
             monitors.on_death(role)
         else:
             monitors.on_record(role, record.topic, stamp_ns, record.record)
             ages_s[role.value] += frame_age_s(record.topic, record.record)
+            if record.topic == LATE:
+                late[role.value].append(late_of(record.record, (stamp_ns - start_ns) * 1e-9))
     violations = dict(monitors.violations)
     for name, count in finished.get("violations", {}).items():
         violations[name] = violations.get(name, 0) + count
+    stalls = finished.get("stalls", ())
+    gaps = [judged(gap, late[gap.who], stalls) for gap in (SetpointGap(**each) for each in finished.get("gaps", ()))]
     dead = [name for name, drone in run.drones.items() if drone.result is None]
     return FlightReport(
         results={role: run.drones[role.value].result for role in Role},
@@ -167,11 +174,13 @@ def report_of(request: FlightRequest, run: RealTimeRun, ending: Ending) -> Fligh
             finished.get("stood_s", 0.0),
             finished.get("stolen_s", 0.0),
             request.rig.world.get("slow"),
+            gaps,
         ),
+        explained=("S8",) if all_explained(violations, gaps) else (),
         notes=[
             *monitors.details,
             *run.missed,
-            *finished.get("details", []),
+            *told_with(finished.get("details", []), gaps),
             *(f"the {name}'s program died. {run.died(name)}" for name in dead),
         ],
         errors=reported(request.rig) | drawn_imaging(request.rig),

@@ -17,11 +17,11 @@ from hil.monitors.agreed_pairs import PairsAtPaces
 from hil.monitors.claims import Claims
 from hil.monitors.leases import LeaseMonitor
 from hil.monitors.scripts import ScriptMonitor
+from hil.monitors.setpoints import SetpointGap, detail_of
 from hil.world.distances import LEAST_M
 from path.config import MethodConfig
 from path.messages import Role
 
-MAX_SETPOINT_GAP_S = 0.2
 MAX_FAILSAFE_S = 1.0
 LEASES = frozenset({"/responsibility", "/commit", "/epoch", "/decision"})
 OF_THE_AWAKE = frozenset({"S7", "L1", "L2"})  # bounds in time, of programs that run
@@ -39,6 +39,7 @@ class Monitors:
         forgotten: a disk has lost a record that it said it had: what was promised of responsibility is since then not
             violated.
         beyond: what broke after one of these.
+        gaps: the gaps between setpoints that were violations of a script that nobody had cut off.
     """
 
     method: MethodConfig
@@ -50,6 +51,7 @@ class Monitors:
     stalls: bool = False
     forgotten: bool = False
     beyond: list[str] = field(default_factory=list[str])
+    gaps: list[SetpointGap] = field(default_factory=list[SetpointGap])
     _claims: Claims[Role] = field(default_factory=Claims[Role])
     _too_close: bool = False
     _too_close_to_target: bool = False
@@ -111,12 +113,24 @@ class Monitors:
         """
         for session in sessions:
             end_s = math.inf if session.end_s is None else session.end_s
+            gaps = [SetpointGap(role.value, *gap) for gap in session.long_gaps]
             cut_off = any(session.start_s <= at_s <= end_s for at_s in cut_off_s)
-            longest = MAX_FAILSAFE_S if cut_off else MAX_SETPOINT_GAP_S
-            if session.max_gap_s > longest:
-                self._violated("S8", session.start_s, f"{role.value}: {session.max_gap_s:.3f} s between setpoints")
-            elif cut_off and session.max_gap_s > MAX_SETPOINT_GAP_S and session.end_s is None:
-                self._violated("S8", session.start_s, f"{role.value}: no failsafe after the setpoints stopped")
+            if cut_off:
+                self._on_cut_off(gaps, session.end_s is None)
+                continue
+            for gap in gaps:
+                self.gaps.append(gap)
+                self._violated("S8", gap.from_s, detail_of(gap))
+
+    def _on_cut_off(self, gaps: Sequence[SetpointGap], goes_on: bool) -> None:
+        """The setpoints stopped through no fault of the script's: its vehicle is to hold and land in time."""
+        if not gaps:
+            return
+        longest = max(gaps, key=lambda gap: gap.long_s)
+        if longest.long_s > MAX_FAILSAFE_S:
+            self._violated("S8", longest.from_s, detail_of(longest))
+        elif goes_on:
+            self._violated("S8", longest.from_s, f"{longest.who}: no failsafe after the setpoints stopped")
 
     def on_forgotten(self, time_s: float, role: Role) -> None:
         """A program that is started again finds an older record than it had written, or none."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
@@ -26,6 +26,7 @@ from hil.monitors.leases import GAP_S
 from hil.monitors.monitors import Monitors
 from hil.monitors.observed import ObservedTime
 from hil.monitors.scripts import ScriptMonitor, VehicleTruth, pixel_of, vehicle_truth
+from hil.monitors.setpoints import SetpointGap
 from hil.world.fields import NUMBERS
 from hil.world.snapshot import DroneTruth, ObjectTruth
 from path.messages import Role
@@ -73,6 +74,7 @@ class RelayMonitors:
     claims: Claims[str] = field(default_factory=Claims[str])
     scripts: ScriptMonitor = field(init=False)
     members: Mapping[str, Enum] = field(init=False)
+    setpoint_gaps: list[SetpointGap] = field(default_factory=list[SetpointGap])
     seen: Callable[[float], Seen] | None = None
     targets: int = 1
     watched_until_s: float = math.inf  # the team is called home then
@@ -139,6 +141,7 @@ class RelayMonitors:
         """S8 of one flight, before its autopilot is started anew."""
         judge = Monitors(self.rig.method, 0.0)
         judge.on_offboard(Role.SENDER, self.world.drone(name).autopilot.offboard_sessions, cut_off_s)
+        self.setpoint_gaps += [replace(gap, who=name) for gap in judge.gaps]
         for detail in judge.details:
             self.violations["S8"] += 1
             self.details.append(detail.replace(Role.SENDER.value, name))

@@ -118,8 +118,7 @@ class TelloFlight:
         if autopilot.landed or autopilot.mode not in FLYING:
             return
         if self._by_rc:
-            session = self.sessions[-1]
-            session.max_gap_s = max(session.max_gap_s, at_s - self._rc_s)
+            self.sessions[-1].note_gap(self._rc_s, at_s)
         else:
             self._by_rc, self._yaw_goal = True, yaw_of(self._drone.estimate.q_n_b)
             self.sessions.append(OffboardSession(at_s))
@@ -180,6 +179,6 @@ class TelloFlight:
     def _end_session(self, mode: FlightMode) -> None:
         if self._by_rc:
             session = self.sessions[-1]
-            session.max_gap_s = max(session.max_gap_s, self._now_s - self._rc_s)
+            session.note_gap(self._rc_s, self._now_s)
             session.end_s, session.ended_by = self._now_s, mode
         self._by_rc = False

@@ -132,7 +132,7 @@ def unwritten(facts: RunFacts, error: OSError) -> RunFacts:
 def judge(report: FlightReport, good: Outcome = Outcome.COMMITTED) -> tuple[Outcome, str]:
     """The outcome of the whole run: what a computer that was too slow explains is blamed on nobody else."""
     outcome, detail = _cause(report, good)
-    return for_lateness(report.overload, report.violations, outcome, detail)
+    return for_lateness(report, outcome, detail)
 
 
 def _cause(report: FlightReport, good: Outcome) -> tuple[Outcome, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from drivers.interfaces import Wary
+from drivers.lateness import watch_lateness
 from flight.shedding import BEAT_S
 from missions.leg.session import RoleSession
 
@@ -45,6 +46,12 @@ async def log_cpu(session: RoleSession) -> None:
     while session.stages is not None:
         session.log.write("/cpu", session.now_ns(), {"spent_ns": session.stages.spent_ns()})
         await asyncio.sleep(_CPU_PERIOD_S)
+
+
+async def log_lateness(session: RoleSession) -> None:
+    """Log when this program was late, and for how long it had no core, for ever. In virtual time nothing is late."""
+    if session.stages is not None:
+        await watch_lateness(lambda record: session.log.write("/late", session.now_ns(), record))
 
 
 async def keep_up(session: RoleSession) -> None:

@@ -80,7 +80,7 @@ def fly_on_field(
 
 def judge(base: Crew[Any, Any, Any], report: RelayReport) -> tuple[Outcome, str]:
     """The outcome of the whole: what a computer that was too slow explains is blamed on nobody else."""
-    return for_lateness(report.overload, report.violations, *cause_of(report, base.outcome, base.detail))
+    return for_lateness(report, *cause_of(report, base.outcome, base.detail))
 
 
 def tell(event: Event) -> None:

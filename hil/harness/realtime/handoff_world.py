@@ -11,6 +11,7 @@ import os
 import time
 from collections.abc import Mapping
 from contextlib import AsyncExitStack
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -159,6 +160,9 @@ class SitlWorld(RealTimeWorld):
             "landed": {role.value: world.landed(role) for role in Role},
             "violations": dict(monitors.violations),
             "details": monitors.details,
+            "gaps": [asdict(gap) for gap in monitors.gaps],
+            "stalls": self.stalls,
+            "start_ns": round(self.start_s * 1e9),
         }
 
 

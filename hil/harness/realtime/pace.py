@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from hil.monitors.setpoints import JudgedGap, excuse_of
+
 LEFT_OUT = 0.5  # of the pictures
 OLD_S, OLD_SHARE = 0.25, 0.2  # of the frames, when a program took them up
 ENOUGH = 50  # frames
@@ -24,6 +26,7 @@ def overload_of(
     stood_s: float = 0.0,
     stolen_s: float = 0.0,
     share: float | None = None,
+    gaps: Sequence[JudgedGap] = (),
 ) -> str:
     """Returns what was late, and how late; empty when all kept up.
 
@@ -33,11 +36,14 @@ def overload_of(
         whose: how something of a drone is called.
         stood_s: for how long the world stood still at the most while drones flew.
         stolen_s: for how long this computer's own host took a core away at the most, at once, while drones flew.
+        gaps: between setpoints, that were too long.
         share: of a core that each program had. The kernel counts what the host took as what the program used.
     """
     late = [f"the world stood still for {stood_s:.1f} s"] if stood_s > STOOD_S else []
     if share is not None and stolen_s / share > STOPPED_S:
         late.append(f"this computer's host took a core for {stolen_s:.2f} s, {stolen_s / share:.1f} s of a share")
+    if excuse := excuse_of(gaps):
+        late.append(excuse)
     for name in dict.fromkeys((*ages_s, *pictures)):
         made, its = pictures.get(name, {}), whose.format(name)
         rendered, left_out = int(made.get("rendered", 0)), int(made.get("left_out", 0))

@@ -35,6 +35,7 @@ from hil.monitors.claims import in_world_time
 from hil.monitors.hindsight import HINDSIGHT_S, Hindsight
 from hil.monitors.monitors import LEASES
 from hil.monitors.relay import RelayMonitors
+from hil.monitors.setpoints import LATE, Late, all_explained, judged, late_of, told_with
 from hil.world.config import WorldConfig
 from hil.world.errors import as_built
 from hil.world.snapshot import Snapshot
@@ -71,6 +72,7 @@ class RelaySitlWorld(RealTimeWorld):
         self._ends: dict[int, tuple[str, str]] = {}  # of the legs that have a link
         self._others: dict[str, str] = {}  # who is in whose picture: the other drone of its leg
         self._landed: dict[str, bool] = {}
+        self._late: defaultdict[str, list[Late]] = defaultdict(list)
         self._ages_s: defaultdict[str, list[float]] = defaultdict(list)  # of some frames, when a program took them up
 
     @property
@@ -123,6 +125,9 @@ class RelaySitlWorld(RealTimeWorld):
         self._ages_s[name] += frame_age_s(topic, record)
         seen = in_world_time(record, epoch_ns) if topic in LEASES else record
         stamp_w_ns = stamp_ns - epoch_ns
+        if topic == LATE:
+            self._late[name].append(late_of(record, stamp_w_ns * 1e-9))
+            return
         self._hindsight.put(stamp_w_ns * 1e-9, "on_record", name, topic, stamp_w_ns, seen)
 
     async def obey(self, order: Mapping[str, Any]) -> None:
@@ -211,8 +216,12 @@ class RelaySitlWorld(RealTimeWorld):
         found = monitors.findings()
         many = {name: [asdict(each) for each in found[name]] for name in ("flown", "samples", "watched")}
         pictures = {name: drone.frames for name, drone in self.drones.items()}
-        late = overload_of(self._ages_s, pictures, stood_s=self.stood_s)
-        return {**found, **many, "simulated_s": now_s, "aloft": aloft, "overload": late}
+        gaps = [judged(gap, self._late[gap.who], self.stalls) for gap in monitors.setpoint_gaps]
+        late = overload_of(self._ages_s, pictures, stood_s=self.stood_s, gaps=gaps)
+        notes = told_with(found["notes"], gaps)
+        explained = ["S8"] if all_explained(found["violations"], gaps) else []
+        told = {"overload": late, "notes": notes, "explained": explained}
+        return {**found, **many, "simulated_s": now_s, "aloft": aloft, **told}
 
 
 def field_of(rig: Rig, drones: int, targets: int) -> RelayConfig:

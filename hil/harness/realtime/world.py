@@ -38,6 +38,7 @@ from hil.world.snapshot import Snapshot
 from hil.world.world import Fleet
 
 TRUTH_STEPS = 4
+STALL_S = 0.1  # between two steps: a hundredth of that is usual
 BETWEEN = "--"
 
 
@@ -96,6 +97,7 @@ class RealTimeWorld:
         self.frozen: set[str] = set()
         self.start_s = 0.0
         self.stood_s = 0.0  # the longest time between two steps while a drone flew: neither vehicles nor monitors lived
+        self.stalls: list[tuple[float, float]] = []  # from when to when it stood still, s of its own clock
         self.stolen = StolenTime()
         self.lock = threading.Lock()
         self._commands = JsonLines(sys.stdin.fileno())
@@ -174,7 +176,7 @@ class RealTimeWorld:
         now_s, fleet = self.now_s(), self.fleet
         with self.lock:
             if not self.landed():
-                self.stood_s = max(self.stood_s, now_s - fleet.time_s)
+                self._note_stall(fleet.time_s, now_s)
                 self.stolen.watch(now_s)
             fleet.advance(max(now_s, fleet.time_s))
             for drone in self.drones.values():
@@ -183,6 +185,11 @@ class RealTimeWorld:
             self.watch(steps, now_s)
         self.after_step(now_s)
         return self._finish_by_s is not None and (self.landed() or now_s > self._finish_by_s)
+
+    def _note_stall(self, stepped_s: float, now_s: float) -> None:
+        self.stood_s = max(self.stood_s, now_s - stepped_s)
+        if now_s - stepped_s > STALL_S:
+            self.stalls.append((stepped_s, now_s))
 
     async def _close(self) -> None:
         for drone in self.drones.values():

@@ -76,7 +76,7 @@ class FlightWatch:
     def on_setpoint(self, now_s: float) -> None:
         session = self._open
         if session is not None:
-            session.max_gap_s = max(session.max_gap_s, now_s - self.newest_setpoint_s)
+            session.note_gap(self.newest_setpoint_s, now_s)
         elif self.armed and self.mode is FlightMode.OFFBOARD and not (self._leaving or self._stopped):
             self.offboard_sessions.append(OffboardSession(now_s))
         self.newest_setpoint_s = now_s
@@ -98,7 +98,7 @@ class FlightWatch:
     def _end(self, now_s: float, mode: FlightMode) -> None:
         session = self._open
         if session is not None:
-            session.max_gap_s = max(session.max_gap_s, now_s - self.newest_setpoint_s)
+            session.note_gap(self.newest_setpoint_s, now_s)
             session.end_s, session.ended_by = now_s, mode
 
 

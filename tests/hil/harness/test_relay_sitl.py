@@ -15,6 +15,7 @@ from drivers.rig.parts import Rig, with_slow
 from drivers.rig.tables import RigError
 from flight.harness.flights import Progress
 from flight.harness.relay import OFTEN, WATCHED, DroneProcesses, RelayRequest
+from hil.autopilot.values import OffboardSession
 from hil.harness.leg_faults import LegFaults
 from hil.harness.realtime.children import end, spawn
 from hil.harness.realtime.programs import RECORD
@@ -79,6 +80,27 @@ def test_programs_that_take_their_frames_up_late_are_found_in_what_is_watched(mo
         for name, age_s in (("D1", 0.5), ("D2", 0.05)):
             world.record(name, "/frame", number, {"number": number, "age_ns": round(age_s * 1e9), "bytes": 1})
     assert world.findings()["overload"] == "D1's program: 60 of 60 frames were late, a tenth by 0.50 s"
+
+
+@pytest.mark.parametrize(("name", "explained"), [("D1", ["S8"]), ("D2", [])])
+def test_a_gap_is_explained_by_what_its_own_drones_program_was_watched_to_say(
+    monkeypatch: pytest.MonkeyPatch, name: str, explained: list[str]
+) -> None:
+    assert WATCHED["/late"] == 0.0 and "/late" in OFTEN
+    with Path(os.devnull).open() as nothing:
+        monkeypatch.setattr(sys, "stdin", nothing)
+        world = RelaySitlWorld(rig_library.load("team-sitl"), 0, "3", "2", "0.1")
+    session = OffboardSession(3.0)
+    session.note_gap(12.0, 12.244)
+    world._world.switch_on("D1")
+    world._world.drone("D1").autopilot.offboard_sessions.append(session)
+    late = {"since_ns": 230_000_000, "loop_ns": 190_000_000, "waited_ns": 180_000_000, "beside_ns": 0, "stolen_ns": 0}
+    world.record(name, "/late", 12_240_000_000, late)
+    found = world.findings()
+    assert (found["violations"], found["explained"]) == ({"S8": 1}, explained)
+    assert ("D1's program had no core for 0.18 s" in found["overload"]) is bool(explained)
+    (note,) = found["notes"]
+    assert note.startswith("S8 at 12.00 s: D1: 0.244 s between setpoints, until 12.24 s; ")
 
 
 def test_each_drone_is_its_own_on_the_wire(rig: Rig) -> None:

@@ -92,3 +92,52 @@ def test_a_world_without_findings_is_a_failure(stage: Stage, monkeypatch: pytest
     assert stage.ending.failure == "the world did not end"
     silent = report(stage, finished={}, failure=stage.ending.failure)
     assert silent.landed == dict.fromkeys(Role, False)
+
+
+START_NS = 7_000_000_000
+WITH_A_GAP = {
+    **FOUND,
+    "violations": {"S8": 1},
+    "details": ["S8 at 12.00 s: sender: 0.244 s between setpoints, until 12.24 s"],
+    "gaps": [{"who": "sender", "from_s": 12.0, "to_s": 12.244}],
+    "stalls": [[12.1, 12.5]],
+    "start_ns": START_NS,
+}
+
+
+def log_lateness(stage: Stage, role: Role, until_s: float, waited_s: float) -> None:
+    with McapLog(new_part(stage.out, role.value)) as log:
+        stamp_ns = START_NS + round(until_s * 1e9)
+        own = {"since_ns": 230_000_000, "loop_ns": 190_000_000, "waited_ns": round(waited_s * 1e9)}
+        log.write("/late", stamp_ns, {**own, "beside_ns": 0, "stolen_ns": 0})
+        log.write("/outcome", stamp_ns + 1, {"outcome": "committed"})
+
+
+def test_a_gap_while_its_own_program_had_no_core_is_the_computers_and_is_told_with_that(stage: Stage) -> None:
+    log_lateness(stage, Role.SENDER, 12.24, 0.18)
+    late = report(stage, WITH_A_GAP)
+    assert (late.violations, late.explained) == ({"S8": 1}, ("S8",))
+    assert late.overload == "sender's program had no core for 0.18 s of the 0.24 s without a setpoint at 12.00 s"
+    said = "then its program's loop was 0.19 s late and had no core for 0.18 s, the world stood still for 0.40 s"
+    assert list(late.notes) == [f"S8 at 12.00 s: sender: 0.244 s between setpoints, until 12.24 s; {said}"]
+
+
+@pytest.mark.parametrize(
+    ("role", "until_s", "waited_s"),
+    [
+        pytest.param(Role.SENDER, 12.24, 0.0, id="its loop was late by its own doing"),
+        pytest.param(Role.SENDER, 30.0, 0.18, id="at another time"),
+        pytest.param(Role.RECEIVER, 12.24, 0.18, id="the other drone's program"),
+    ],
+)
+def test_a_gap_that_nothing_explains_stays_a_violation(
+    stage: Stage, role: Role, until_s: float, waited_s: float
+) -> None:
+    log_lateness(stage, role, until_s, waited_s)
+    late = report(stage, WITH_A_GAP)
+    assert (late.violations, late.explained, late.overload) == ({"S8": 1}, (), "")
+
+
+def test_a_failsafe_that_did_not_come_is_not_explained_by_a_gap_that_is(stage: Stage) -> None:
+    log_lateness(stage, Role.SENDER, 12.24, 0.18)
+    assert report(stage, {**WITH_A_GAP, "violations": {"S8": 2}}).explained == ()

@@ -396,10 +396,24 @@ def test_s8_setpoint_gaps(
     monitors: Monitors, gap_s: float, ended_by: FlightMode | None, cut_off: bool, violated: bool
 ) -> None:
     end_s = None if ended_by is None else 9.0
-    sessions = [OffboardSession(1.0, 0.05, 2.0, FlightMode.LAND), OffboardSession(3.0, gap_s, end_s, ended_by)]
+    sessions = [OffboardSession(1.0, 0.05, 2.0, FlightMode.LAND), OffboardSession(3.0, 0.0, end_s, ended_by)]
+    sessions[1].note_gap(4.0, 4.0 + gap_s)
     monitors.on_offboard(Role.RECEIVER, sessions, [8.0] if cut_off else [])
     assert dict(monitors.violations) == ({"S8": 1} if violated else {})
     assert all("receiver" in detail for detail in monitors.details)
+
+
+def test_s8_is_told_with_the_gaps_own_time_and_each_gap_counts(monitors: Monitors) -> None:
+    """A session begins long before: its time said nothing of what else happened then."""
+    session = OffboardSession(3.0)
+    for from_s, to_s in ((4.0, 4.1), (12.0, 12.15), (12.0, 12.244), (20.0, 20.2), (31.5, 31.957)):
+        session.note_gap(from_s, to_s)
+    monitors.on_offboard(Role.SENDER, [session])
+    assert monitors.details == [
+        "S8 at 12.00 s: sender: 0.244 s between setpoints, until 12.24 s",
+        "S8 at 31.50 s: sender: 0.457 s between setpoints, until 31.96 s",
+    ]
+    assert [(gap.who, gap.from_s) for gap in monitors.gaps] == [("sender", 12.0), ("sender", 31.5)]
 
 
 # --- S9 ------------------------------------------------------------------------------------------------------------

@@ -116,10 +116,20 @@ def test_a_slow_computer_excuses_neither_two_responsible_nor_a_pilot_and_spoils_
     late = "the sender's program: 200 of 500 frames were late"
     good = (Outcome.COMMITTED, Outcome.COMMITTED)
     assert judge(report(*good, overload=late)) == (Outcome.COMMITTED, "")
-    assert judge(report(*good, overload=late, violations={"S1": 1, "S8": 4}))[0] is Outcome.MONITOR_VIOLATED
+    explained: dict[str, Any] = {"overload": late, "explained": ("S8",)}
+    assert judge(report(*good, **explained, violations={"S1": 1, "S8": 4}))[0] is Outcome.MONITOR_VIOLATED
     assert judge(report(*good, overload=late, violations={"S9": 1}))[0] is Outcome.MONITOR_VIOLATED
     assert judge(report(Outcome.PILOT_OVERRIDE, Outcome.PEER_LOST, overload=late))[0] is Outcome.PILOT_OVERRIDE
     assert judge(report(None, Outcome.PEER_LOST, overload=late))[0] is Outcome.CRASHED
+
+
+def test_setpoints_that_stopped_are_excused_by_what_the_computer_did_just_then_and_by_nothing_else() -> None:
+    late = "sender's program had no core for 0.19 s of the 0.24 s without a setpoint at 12.00 s"
+    good = (Outcome.COMMITTED, Outcome.COMMITTED)
+    assert judge(report(*good, overload=late, explained=("S8",), violations={"S8": 1}))[0] is Outcome.OVERLOADED
+    pictures = "the sender's pictures: 300 of 400 were not rendered in time"
+    assert judge(report(*good, overload=pictures, violations={"S8": 1}))[0] is Outcome.MONITOR_VIOLATED
+    assert judge(report(*good, overload=pictures, violations={"S8": 1, "S7": 1}))[0] is Outcome.MONITOR_VIOLATED
 
 
 def test_a_failed_harness_proves_nothing_about_the_mission() -> None:

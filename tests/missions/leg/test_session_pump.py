@@ -16,7 +16,7 @@ from flight.config import MissionConfig
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from hil.harness.virtual_time import run_virtual
-from missions.leg.beside import keep_up
+from missions.leg.beside import keep_up, log_lateness
 from path.messages import Message, Ping, Pong, Role, Status, Target
 from path.protocol.values import TakeResponsibility
 from tests.missions.leg.session_bench import STATE, Bench, for_ever, virtual
@@ -259,10 +259,27 @@ def test_a_program_that_is_always_at_work_says_what_it_gives_up(rig: Any) -> Non
     assert "gives up picture log" in bench.session.shown.note
 
 
+def test_a_program_whose_loop_stood_still_says_so_with_what_the_computer_took_of_that(rig: Any) -> None:
+    async def stand() -> Bench:
+        bench = Bench(rig, stages=Stages())
+        beside = asyncio.create_task(log_lateness(bench.session))
+        await asyncio.sleep(0.1)
+        time.sleep(0.3)  # noqa: ASYNC251 (that is what is tried)
+        await asyncio.sleep(0.1)
+        beside.cancel()
+        return bench
+
+    longest = max(asyncio.run(stand()).log.of("/late"), key=lambda record: record["loop_ns"])
+    assert longest["loop_ns"] >= 0.25e9
+    assert {"since_ns", "waited_ns", "beside_ns", "stolen_ns"} <= set(longest)
+
+
 def test_in_virtual_time_nothing_is_late(rig: Any) -> None:
     async def fly() -> Bench:
         bench = Bench(rig)
         await asyncio.wait_for(keep_up(bench.session), 1.0)  # returns at once
+        await asyncio.wait_for(log_lateness(bench.session), 1.0)
         return bench
 
-    assert run_virtual(fly()).log.of("/shed") == []
+    log = run_virtual(fly()).log
+    assert log.of("/shed") == log.of("/late") == []
