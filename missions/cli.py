@@ -18,7 +18,7 @@ import tyro
 from drivers.collector import collector_off
 from flight.command_end import CommandEnd
 from missions.kernel_cache import have_kernel_cache
-from missions.shown import drop, flush_or_drop, say_unwritten
+from missions.shown import FolderGone, drop, flush_or_drop, say_unwritten
 from path.bounds import out_of_bounds
 
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -102,14 +102,14 @@ def _carry_out(arguments: Sequence[str] | None) -> int:
         sys.stdout.write(f"path-handoff {version('path-handoff')}\n")
         sys.exit(0)
     try:
-        return run(_understood(_spelled_out(sys.argv[1:] if arguments is None else arguments)))
+        return _run_whole(_understood(_spelled_out(sys.argv[1:] if arguments is None else arguments)))
     except KeyboardInterrupt:
         return EXIT_CTRL_C
     except BrokenPipeError:  # as in `path-handoff --help | head`
         drop(sys.stdout)  # what is left is not written at exit either
         return EXIT_BROKEN_PIPE
     except OSError as error:
-        if error.errno not in UNWRITTEN:
+        if error.errno not in UNWRITTEN and not isinstance(error, FolderGone):
             raise
         if error.filename is None:
             drop(sys.stdout)
@@ -123,6 +123,19 @@ def _carry_out(arguments: Sequence[str] | None) -> int:
         with suppress(OSError):
             sys.stderr.write(error_text(str(error), error.remedy))
         return EXIT_REFUSED
+
+
+def _run_whole(command: object) -> int:
+    """Carry out a command whose exit code only it decides: no command calls ``sys.exit``, code of a rig may."""
+    try:
+        return run(command)
+    except SystemExit as error:
+        from flight.outcome import Outcome  # noqa: PLC0415 (as below)
+
+        what = f"the program was ended by code that it calls, with sys.exit({error.code!r})"
+        with suppress(OSError):
+            sys.stderr.write(error_text(what, "look for it in what the rig or the mission names"))
+        return Outcome.CRASHED.exit_code
 
 
 def _understood(arguments: list[str]) -> object:

@@ -14,12 +14,12 @@ import numpy as np
 
 from drivers.clock import busy_ns, stopwatch_ns
 from drivers.interfaces import Detector, PartError
-from drivers.recordings.recording import RecordedFrame, RecordingOptions, open_recording
+from drivers.recordings.recording import RecordedFrame, Recording, RecordingOptions, open_recording
 from drivers.rig.file import load_rig
 from drivers.rig.parts import PartContext, PartSpec, create, decode_part, part_context
 from missions.options.field import DetectOptions
 from missions.rig_list import FOLDER
-from missions.run_folder import claim_folder, new_folder
+from missions.run_folder import claim_folder, unless_refused
 from missions.work import Bars
 from path.messages import Role
 from path.observations import Detection
@@ -51,14 +51,19 @@ def run(options: DetectOptions, out: TextIO | None = None) -> int:
     stream = out or sys.stdout
     name, detector = _detector(options)
     recording = open_recording(options.frames, RecordingOptions(rate_hz=UNSTAMPED_HZ))
-    folder = None if options.out is None else new_folder(options.out)
-    if folder is not None:
+    if options.out is None:
+        return _look(name, detector, recording, None, stream)
+    with unless_refused(options.out) as folder:
         claim_folder(folder, BOXES, "frame,stamp_s")
         _write(folder / BOXES, ())  # whose folder it is, from now on
+        return _look(name, detector, recording, folder, stream)
+
+
+def _look(name: str, detector: Detector, recording: Recording, folder: Path | None, stream: TextIO) -> int:
     found: list[tuple[RecordedFrame, Sequence[Detection]]] = []
     wall_ms: list[float] = []
     busy: list[float] = []
-    with Bars(sys.stderr if out is None else out).bar("frames", recording.count or 0) as advance:
+    with Bars(sys.stderr if stream is sys.stdout else stream).bar("frames", recording.count or 0) as advance:
         for frame in recording.frames():
             color = frame.load().color
             begun, worked = stopwatch_ns(), busy_ns()

@@ -11,8 +11,11 @@ from datetime import datetime
 from pathlib import Path
 
 from drivers.interfaces import PartError
+from missions.held import held_folder
+from missions.shown import FolderGone
 
 REMEDY = "name another place with --out"
+MOST_SHOWN = 160
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,30 +42,77 @@ class RunKind:
 
 
 def new_folder(out: Path | None) -> Path:
-    """The folder of a run, made; ``runs/<time>`` by default. Raises PartError."""
+    """The folder of a run, made; ``runs/<time>`` by default, and no other run's. Raises PartError."""
     folder = out or Path("runs") / datetime.now().strftime("%Y%m%d-%H%M%S")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        if out is None:
+            return _next_free(folder)
+        folder.mkdir(exist_ok=True)
     except OSError as error:
-        raise PartError(f"cannot make {folder}: {error.strerror}", REMEDY) from error
+        raise PartError(f"cannot make {_shown(folder)}: {error.strerror}", REMEDY) from error
     return folder
 
 
-@contextmanager
-def unless_refused(out: Path | None) -> Generator[Path, None, None]:
-    """The folder of a run as by ``new_folder``: of one that was not there and is empty nothing is left after a refusal.
+def _next_free(folder: Path) -> Path:
+    """Make a folder that was not there: of runs that begin in the same second each has its own. Raises OSError."""
+    free = folder
+    number = 1
+    while True:
+        try:
+            free.mkdir()
+        except FileExistsError:
+            number += 1
+            free = folder.with_name(f"{folder.name}-{number}")
+        else:
+            return free
 
-    Raises PartError.
+
+def _shown(path: Path) -> str:
+    """A path as it can be shown: of one that is too long to be any, the ends."""
+    text = str(path)
+    return text if len(text) <= MOST_SHOWN else f"{text[:60]}...{text[-60:]} ({len(text)} characters)"
+
+
+@contextmanager
+def unless_refused(out: Path | None, *, beside: bool = False) -> Generator[Path, None, None]:
+    """The folder of a run, held against other programs while this one writes there.
+
+    Of one that was not there and is empty nothing is left after a refusal.
+
+    Args:
+        out: as of ``new_folder``.
+        beside: as of ``held_folder``.
+
+    Raises:
+        PartError: when it cannot be made, or another program writes there.
+        FolderGone: when it was taken away by the time that something was to be written there.
     """
-    wanted = out or Path("runs") / datetime.now().strftime("%Y%m%d-%H%M%S")
-    made = [each for each in (wanted, *wanted.parents) if not each.exists()]
+    made = [] if out is None else [each for each in (out, *out.parents) if not _there(each)]
+    had_runs = Path("runs").exists()
+    folder = new_folder(out)
+    if out is None:
+        made = [folder] if had_runs else [folder, folder.parent]
     try:
-        yield new_folder(wanted)
+        with held_folder(folder, beside=beside):
+            try:
+                yield folder
+            except FileNotFoundError as error:
+                if folder.exists():
+                    raise
+                raise FolderGone.of(folder) from error
     except PartError:
         for each in made:
             with suppress(OSError):
                 each.rmdir()
         raise
+
+
+def _there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # a name that is too long to be there
+        return False
 
 
 def refuse_foreign(folder: Path, kind: RunKind) -> None:
@@ -80,21 +130,23 @@ def claimed(folder: Path, kind: RunKind) -> Generator[None, None, None]:
     """A folder that is a new run's, from its marker on: nothing that an earlier one left may be taken for its own.
 
     Other files stay as they are. Raises PartError when the folder has files with the names of a run's and no marker
-    that says whose they are, or cannot be written to. A run that is refused leaves no marker.
+    that says whose they are, cannot be written to, or is another program's that writes there. A run that is refused
+    leaves no marker.
     """
     marker = folder / kind.marker
-    refuse_foreign(folder, kind)
-    try:
-        for file in kind.files(folder):
-            file.unlink()
-        marker.write_text(json.dumps({"outcome": "unfinished"}) + "\n", "utf-8")
-    except OSError as error:
-        raise PartError(f"cannot write to {folder}: {error.strerror}", REMEDY) from error
-    try:
-        yield
-    except PartError:
-        marker.unlink(missing_ok=True)
-        raise
+    with held_folder(folder):
+        refuse_foreign(folder, kind)
+        try:
+            for file in kind.files(folder):
+                file.unlink()
+            marker.write_text(json.dumps({"outcome": "unfinished"}) + "\n", "utf-8")
+        except OSError as error:
+            raise PartError(f"cannot write to {folder}: {error.strerror}", REMEDY) from error
+        try:
+            yield
+        except PartError:
+            marker.unlink(missing_ok=True)
+            raise
 
 
 def claim_result(file: Path, *signs: str) -> None:

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from contextlib import suppress
-from typing import TextIO
+from pathlib import Path
+from typing import Self, TextIO
+
+
+class FolderGone(OSError):
+    """The folder of a run was taken away while the run wrote into it."""
+
+    @classmethod
+    def of(cls, folder: Path) -> Self:
+        return cls(errno.ENOENT, "it was taken away while it was written to", str(folder))
 
 
 def tell_line(line: str) -> None:
@@ -18,11 +28,11 @@ def tell_line(line: str) -> None:
 def say_unwritten(error: OSError) -> None:
     """Name what could not be written or shown, and the fix."""
     what = f"{error.filename}: " if error.filename else "the output: "
+    fix = "free some space, or name another folder with --out; `path-handoff report DIR` makes the report of a flight again"
+    if isinstance(error, FolderGone):
+        fix = "leave the folder where it is until the command has ended; what was in it is lost"
     with suppress(OSError, ValueError):
-        sys.stderr.write(
-            f"error: {what}{error.strerror or error}\n  fix: free some space, or name another folder with --out; "
-            "`path-handoff report DIR` makes the report of a flight again\n"
-        )
+        sys.stderr.write(f"error: {what}{error.strerror or error}\n  fix: {fix}\n")
 
 
 def flush_or_drop(stream: TextIO) -> bool:

@@ -12,6 +12,7 @@ index (``drivers.log.index``). Nothing in the log of a run in virtual time depen
 from __future__ import annotations
 
 import dataclasses
+import errno
 import time
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
@@ -145,10 +146,13 @@ class McapLog:
         file, self._file = self._file, None
         if file is None:
             return
+        there = self._path.exists()
         try:
             file.close()
         except OSError as error:
             self._fail(error)
+        if not there:
+            self._fail(FileNotFoundError(errno.ENOENT, "it was taken away while it was written", str(self._path)))
         if self._recorder is not None:
             self._recorder.close()
 

@@ -231,11 +231,20 @@ def import_factory(factory: str, where: str) -> Any:
         module = importlib.import_module(module_name)
     except ImportError as error:
         raise RigError([f"{where}: cannot import {module_name}: {error}"]) from error
+    except SystemExit as error:
+        raise RigError([f"{where}: cannot import {module_name}: it {ended_by(error)}"]) from error
+    except Exception as error:
+        raise RigError([f"{where}: cannot import {module_name}: {type(error).__name__}: {error}"]) from error
     if not hasattr(module, class_name):
         classes = [name for name, value in vars(module).items() if hasattr(value, "Config")]
         hint = suggestion(class_name, classes)
         raise RigError([f"{where}: {module_name} has no {class_name}{hint}"])
     return getattr(module, class_name)
+
+
+def ended_by(error: SystemExit) -> str:
+    """Say that code of a rig or a mission ends the program. With 0 it would look like a flight that went well."""
+    return f"ends the program, by sys.exit({error.code!r}) or the like; let it raise an exception"
 
 
 def decode_part(spec: PartSpec) -> tuple[Any, Any]:
@@ -250,7 +259,10 @@ def decode_part(spec: PartSpec) -> tuple[Any, Any]:
 def create(spec: PartSpec, context: PartContext) -> Any:
     """Make the part a spec names. Entering it, with ``async with``, is what opens it. Raises RigError."""
     kind, config = decode_part(spec)
-    return kind(config, context)
+    try:
+        return kind(config, context)
+    except SystemExit as error:
+        raise RigError([f"{spec.where}.factory: {spec.factory} cannot be made: it {ended_by(error)}"]) from error
 
 
 class _NoClock:

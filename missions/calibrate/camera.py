@@ -28,6 +28,7 @@ from missions.calibrate.board import board_of, otherwise
 from missions.calibrate.collect import Collected, CollectedImage, from_camera, from_images, from_recording
 from missions.calibrate.diagnose import what_else
 from missions.calibrate.picture import draw_calibration
+from missions.held import held_file
 from missions.options.calibrate import CalibrateCameraOptions
 from missions.rig_list import FOLDER
 from missions.run_folder import REMEDY, claim_result
@@ -76,6 +77,11 @@ class Calibrated:
 def calibrate_camera(options: CalibrateCameraOptions, out: TextIO) -> int:
     """The command. Raises PartError: what was asked wrongly, or BadViews."""
     board = board_of(options)
+    with held_file(options.out):
+        return _calibrate_camera(options, board, out)
+
+
+def _calibrate_camera(options: CalibrateCameraOptions, board: Board, out: TextIO) -> int:
     picture = options.out.with_suffix(".png")
     claim_result(options.out, MADE_BY)
     claim_result(picture, MADE_BY)

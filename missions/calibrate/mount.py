@@ -31,6 +31,7 @@ from drivers.rig.parts import Rig
 from drivers.rig.tables import RigError, decode_table, read_toml
 from missions.calibrate.board import board_of
 from missions.calibrate.collect import image_files
+from missions.held import held_file
 from missions.options.calibrate import CalibrateMountOptions
 from missions.rig_list import FOLDER
 from missions.run_folder import claim_result
@@ -74,7 +75,12 @@ def calibrate_mount(options: CalibrateMountOptions, out: TextIO) -> int:
     """The command. Raises PartError with what is wrong and what to do."""
     if not options.rig:
         raise PartError("--rig is missing", "name the rig that has the markers and D1's camera")
-    claim_result(options.out, MADE_BY)
+    with held_file(options.out):
+        claim_result(options.out, MADE_BY)
+        return _calibrate_mount(options, out)
+
+
+def _calibrate_mount(options: CalibrateMountOptions, out: TextIO) -> int:
     rig = load_rig(options.rig, [FOLDER])
     calibration = _from_tape(options.measured, rig) if options.measured else _from_views(options, rig, out)
     write_calibration(options.out, calibration)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drivers.interfaces import Log, PartError
-from drivers.log.mcap_log import McapLog
+from drivers.log.mcap_log import McapLog, new_part
 from drivers.mavlink.guard.interfaces import Watched
 from drivers.mavlink.guard.line import UdpBeatLine
 from drivers.rig.parts import PartSpec, Rig, create, part_context
@@ -69,7 +69,7 @@ def run(options: GuardOptions) -> int:
     roles = tuple(Role) if options.role == "both" else (Role(options.role),)
     specs = {role: guard_of(rig, role) for role in roles}
     until_input_ends = options.console == "events"
-    with unless_refused(options.out) as folder, live(options.live, folder):
+    with unless_refused(options.out, beside=True) as folder, live(options.live, folder):
         logs = {role: folder / f"{role.value}.guard.mcap" for role in roles}
         return asyncio.run(
             watch_vehicles(
@@ -107,7 +107,8 @@ async def watch_vehicles(
             context = part_context(rig, role)
             vehicle: Watched = await stack.enter_async_context(create(as_flown(rig, role, spec), context))
             line = await stack.enter_async_context(UdpBeatLine(str(spec.options["bind"]), context.clock))
-            log: Log = stack.enter_context(McapLog(logs[role], role.value))
+            part = new_part(logs[role].parent, logs[role].stem)  # an earlier guard's log stays
+            log: Log = stack.enter_context(McapLog(part, role.value))
             tell = Teller(role)
             guards.append(GuardWatch(vehicle, line, context.clock, config, log, tell, tell.warn))
             vehicles.append(vehicle)

@@ -28,7 +28,7 @@ from missions.handoff.flight import fly_once
 from missions.options.field import GuardOptions
 from missions.report.command import show
 from missions.report.records import SUMMARY
-from missions.run_folder import claim_folder, new_folder
+from missions.run_folder import claim_folder, new_folder, unless_refused
 from path.messages import Role
 
 RADIO = ("rc_mode", "rc_sticks", "rc_kill", "rc_lost")
@@ -47,8 +47,12 @@ def measure(options: GuardOptions) -> int:
 
     A vehicle was not held within a second or did not land, or a script did not let go at once.
     """
-    folder = new_folder(options.out)
-    claim_folder(folder, SUMMARY, '"reactions"')
+    with unless_refused(options.out) as folder:
+        claim_folder(folder, SUMMARY, '"reactions"')
+        return _measure(options, folder)
+
+
+def _measure(options: GuardOptions, folder: Path) -> int:
     (folder / SUMMARY).write_text(json.dumps({"reactions": []}) + "\n", "utf-8")  # whose folder it is, from now on
     rig = with_patient_failsafe(rig_library.load(options.rig), folder)
     reactions: list[Reaction] = []

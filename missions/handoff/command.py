@@ -11,7 +11,7 @@ from drivers.interfaces import PartError
 from drivers.rig.check import check_ready, check_rig
 from drivers.rig.parts import Rig
 from missions.ground_station import name_ground_station
-from missions.handoff.flight import HANDOFF, fly_once, harness_of, rig_as_asked, unwritten
+from missions.handoff.flight import HANDOFF, fly_once, harness_of, reported, rig_as_asked
 from missions.handoff.served import check_served, tell_commands
 from missions.live.start import live
 from missions.options.flights import FlyOptions, HandoffOptions
@@ -19,7 +19,6 @@ from missions.options.proofs import ConformanceOptions
 from missions.report.command import make_report
 from missions.report.progress import open_console
 from missions.run_folder import unless_refused
-from missions.shown import say_unwritten
 
 
 def run(options: HandoffOptions) -> int:
@@ -48,12 +47,7 @@ def run(options: HandoffOptions) -> int:
                 tell_commands(rig, folder)
                 programs = replace(HANDOFF, elsewhere=True)
             facts = fly_once(rig, options.seed, options.fault, folder, console.show, programs)
-    try:
-        make_report(folder, options.picture, sys.stdout)
-    except OSError as error:
-        facts = unwritten(facts, error)
-        say_unwritten(error)
-    return facts.exit_code
+        return reported(facts, folder, lambda: make_report(folder, options.picture, sys.stdout))
 
 
 def refuse_too_slow(rig: Rig) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drivers.interfaces import PartError
-from drivers.rig.parts import Rig, import_factory, with_errors, with_scene, with_slow
+from drivers.rig.parts import Rig, ended_by, import_factory, with_errors, with_scene, with_slow
 from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, RoleMain, RoleResult
 from flight.outcome import Outcome, violated_outcome
 from missions import rig_library
@@ -16,9 +16,9 @@ from missions.handoff.right_object import fly_watched
 from missions.handoff.served import waiting_for
 from missions.lateness import for_lateness
 from missions.leg.process import fly_role, load_program
-from missions.report.records import RUN, RunFacts, write_facts
+from missions.report.records import RUN, RunFacts, RunFolderError, write_facts
 from missions.run_folder import claimed
-from missions.shown import say_unwritten
+from missions.shown import FolderGone, say_unwritten
 from path.messages import Role
 
 IN_PROCESS = ("sim", "sim-rendered")
@@ -40,8 +40,13 @@ def harness_of(rig: Rig) -> Harness:
             f"rig {rig.name} is flown from its drones: it has no harness",
             f"start `path-handoff sender --rig {named}` on D1 and `path-handoff receiver --rig {named}` on D2",
         )
+    kind = import_factory(rig.harness, rig.where("harness"))
     try:
-        harness = import_factory(rig.harness, rig.where("harness"))()
+        harness = kind()
+    except SystemExit as error:
+        raise PartError(
+            f"{rig.where('harness')}: {rig.harness} cannot be made: it {ended_by(error)}", _A_HARNESS
+        ) from error
     except TypeError as error:
         raise PartError(f"{rig.where('harness')}: {rig.harness} is no harness: {error}", _A_HARNESS) from error
     if not callable(getattr(harness, "fly", None)):
@@ -114,11 +119,29 @@ def fly_once(
         slow=dict(report.slow),
     )
     try:
+        if not (out / RUN.marker).exists():
+            raise FolderGone.of(out)  # its logs are gone too, whatever is there by now
         write_facts(out, facts)
     except OSError as error:
         say_unwritten(error)
         return unwritten(facts, error)
     return facts
+
+
+def reported(facts: RunFacts, folder: Path, report: Callable[[], object]) -> int:
+    """Make the report of a run that has been flown; returns the run's exit code, whatever becomes of the report."""
+    if not folder.exists():
+        return facts.exit_code  # which was told when the facts could not be written
+    try:
+        report()
+    except OSError as error:
+        say_unwritten(error)
+        return unwritten(facts, error).exit_code
+    except RunFolderError:
+        gone = FolderGone.of(folder)  # the logs that were written there are not there
+        say_unwritten(gone)
+        return unwritten(facts, gone).exit_code
+    return facts.exit_code
 
 
 def unwritten(facts: RunFacts, error: OSError) -> RunFacts:

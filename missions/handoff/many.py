@@ -19,9 +19,10 @@ from missions.options.flights import HandoffOptions
 from missions.report.command import series_table, show, summarize_many
 from missions.report.junit import JUnitCase, write_junit
 from missions.report.progress import open_tally
-from missions.report.records import RUN, SUMMARY, load_run
+from missions.report.records import RUN, SUMMARY, RunFolderError, load_run
 from missions.report.summary import summarize
-from missions.run_folder import claim_result, new_folder, refuse_foreign
+from missions.run_folder import claim_result, refuse_foreign, unless_refused
+from missions.shown import FolderGone
 from missions.work import belong_to_parent
 
 
@@ -92,9 +93,12 @@ def _fly_seed(
     folder: Path,
 ) -> dict[str, Any]:
     """One run of many, in a worker process."""
-    own = new_folder(_folder_of(folder, seed))
     rig = rig_as_asked(rig_file, errors, scene, slow)
-    fly_once(rig, seed, faults, own, lambda _: None)
-    summary = summarize(load_run(own))
-    (own / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
-    return summary
+    with unless_refused(_folder_of(folder, seed)) as own:
+        fly_once(rig, seed, faults, own, lambda _: None)
+        try:
+            summary = summarize(load_run(own))
+        except RunFolderError as error:  # what was flown there is not there
+            raise FolderGone.of(own) from error
+        (own / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
+        return summary

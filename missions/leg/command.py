@@ -24,7 +24,7 @@ def run(options: RoleOptions) -> int:
 def fly_from_drone(options: RoleOptions, role: Role, main: RoleMain) -> int:
     """The same with any program of a role."""
     rig = rig_library.load(options.rig, world=False)
-    with unless_refused(options.out) as folder:
+    with unless_refused(options.out, beside=True) as folder:
         rig = with_guard(rig, role, options.guard, folder)
         state = options.state or (options.out or folder.parent) / f"{role.value}.state.json"
         if options.console == "events":
@@ -32,5 +32,6 @@ def fly_from_drone(options: RoleOptions, role: Role, main: RoleMain) -> int:
         with live(options.live, folder), open_console(sys.stdout) as console:
             result = run_role(rig, role, folder, state, console.show, parent=False, main=main)
     sys.stdout.write(f"{role.value}: {result.outcome.label}: {result.detail or result.outcome.meaning}\n")
-    sys.stdout.write(f"log: {parts(folder, role.value)[-1]}\n")
+    for log in parts(folder, role.value)[-1:]:
+        sys.stdout.write(f"log: {log}\n")
     return result.outcome.exit_code

@@ -10,7 +10,7 @@ from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from missions.leg.beside import keep_up, log_cpu, log_lateness, log_state
 from missions.leg.journal import setup_record
-from missions.leg.session import RoleSession, as_end
+from missions.leg.session import RoleSession, as_end, unless_exit
 
 Course = Callable[[], Awaitable[None]]
 Recovery = Callable[[MissionEnd | None], Awaitable[bool]]
@@ -53,7 +53,7 @@ async def run_course(session: RoleSession, course: Course) -> MissionEnd | None:
         session.guarding.keep(),
     ):
         session.spawn(beside)
-    flown = asyncio.ensure_future(course())
+    flown = asyncio.ensure_future(unless_exit(course()))
     try:
         await asyncio.wait([flown, session.ended], return_when=asyncio.FIRST_COMPLETED)
         if flown.done():
@@ -74,7 +74,7 @@ async def run_course(session: RoleSession, course: Course) -> MissionEnd | None:
 async def run_recovery(session: RoleSession, recover: Recovery, end: MissionEnd | None) -> bool:
     """Brings the vehicle down, and returns whether the script landed it."""
     try:
-        return await recover(end)
+        return await unless_exit(recover(end))
     except Exception as error:
         as_end(error)  # prints what nobody foresaw
         session.say(f"not landed by the script: {error}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import random
 from contextlib import AsyncExitStack
+from typing import Any
 
 import cv2
 
@@ -12,7 +13,8 @@ from drivers.interfaces import Clock, Link, Perception, Vehicle
 from drivers.mavlink.guard.interfaces import GuardLine
 from drivers.mavlink.guard.line import UdpGuardLine
 from drivers.resident import give_back
-from drivers.rig.parts import PartSpec, Rig, RoleRig, create, part_context
+from drivers.rig.parts import PartContext, PartSpec, Rig, RoleRig, create, ended_by, part_context
+from drivers.rig.tables import RigError
 from drivers.stages import Stages
 from flight.config import MissionConfig
 from flight.guard.under_guard import UnderGuard
@@ -37,9 +39,9 @@ async def open_session(
         gc.freeze()  # what is loaded by now stays: collections in flight need not walk it, for 0.1 s each
     context = part_context(rig, role, harness)
     own = rig.role(role)
-    link: Link = await stack.enter_async_context(create(own.link, context))
-    perception: Perception = await stack.enter_async_context(create(own.perception, context))
-    vehicle: Vehicle = await stack.enter_async_context(create(own.vehicle, context))
+    link: Link = await _opened(stack, own.link, context)
+    perception: Perception = await _opened(stack, own.perception, context)
+    vehicle: Vehicle = await _opened(stack, own.vehicle, context)
     entropy = entropy_of(role.value, context.clock, harness)
     guard: UnderGuard | None = None
     if own.guard is not None:
@@ -49,6 +51,14 @@ async def open_session(
     parts = (context.clock, vehicle, perception, link)
     stages = Stages() if harness is None else None
     return RoleSession(rig, role, config, given.log, given.emit, given.stop, parts, entropy, guard, stages)
+
+
+async def _opened(stack: AsyncExitStack, spec: PartSpec, context: PartContext) -> Any:
+    """Make and open a part. Raises PartError, also for one whose opening ends the program."""
+    try:
+        return await stack.enter_async_context(create(spec, context))
+    except SystemExit as error:
+        raise RigError([f"{spec.where}.factory: {spec.factory} cannot be opened: it {ended_by(error)}"]) from error
 
 
 def warm_up_for(own: RoleRig, harness: InProcess | None) -> None:

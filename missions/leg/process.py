@@ -10,6 +10,7 @@ from drivers.log.state_file import StateFile
 from drivers.rig.parts import Rig
 from drivers.stop_signals import stop_at_end_of_input, stop_on_signals
 from flight.harness.flights import Emit, ProgramContext, Progress, RoleMain, RoleResult, encode_event, with_log
+from missions.held import held_file
 from path.messages import Role
 
 
@@ -37,7 +38,7 @@ def run_role(
         main: the role's program.
     """
     load_program()
-    with McapLog(new_part(out, role.value), role.value) as log:
+    with held_file(state), McapLog(new_part(out, role.value), role.value) as log:
         given = ProgramContext(log, _to_parent if parent else emit, asyncio.Event(), None, StateFile(state, role))
         result = asyncio.run(_run(rig, role, given, parent, main))
         result = with_log(result, log.failed)

@@ -6,10 +6,10 @@ import asyncio
 import random
 import sys
 import traceback
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from drivers.interfaces import (
     CameraError,
@@ -25,7 +25,7 @@ from drivers.interfaces import (
     VehicleError,
 )  # fmt: skip
 from drivers.link.flood import LinkAlarm
-from drivers.rig.parts import Rig, RoleRig
+from drivers.rig.parts import Rig, RoleRig, ended_by
 from drivers.stages import Stages
 from flight.clocks import ClockAlignment, answer
 from flight.config import MissionConfig, off_from
@@ -41,6 +41,8 @@ from path.gate.window import Evidence
 from path.geometry.rotation import yaw_of
 from path.messages import Ping, Pong, Role, Status
 from path.protocol.values import TakeResponsibility
+
+Result = TypeVar("Result")
 
 _NO_STAGE = nullcontext()
 _POLL_S = 0.05
@@ -310,7 +312,7 @@ class RoleSession:
 
     def spawn(self, task: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         """Run beside the course until the vehicle is down; an error in it ends the course."""
-        spawned = asyncio.create_task(task)
+        spawned = asyncio.create_task(unless_exit(task))
         self._spawned.append(spawned)
         spawned.add_done_callback(self._on_done)
         return spawned
@@ -328,6 +330,18 @@ class RoleSession:
     async def stopped(self) -> None:
         await self.stop.wait()
         raise MissionEnd(Outcome.INTERRUPTED, "told to stop")
+
+
+async def unless_exit(task: Awaitable[Result]) -> Result:
+    """Await what a program does, and turn a ``sys.exit`` in it into a named end.
+
+    asyncio lets SystemExit through at once: the program would be gone, with its drone in the air and exit code 0.
+    Raises MissionEnd.
+    """
+    try:
+        return await task
+    except SystemExit as error:
+        raise MissionEnd(Outcome.CRASHED, f"what this program calls {ended_by(error)}") from error
 
 
 def as_end(error: BaseException) -> MissionEnd:

@@ -24,6 +24,7 @@ from missions.logs.recording import export_recording
 from missions.options.runs import ExportOptions
 from missions.report.records import WORLD_LOG, RunRecords, drone_logs, load_run, read_parts
 from missions.report.truth import Truth, truth_of
+from missions.run_folder import unless_refused
 from path.geometry.rotation import quat_from_R
 from path.messages import Role
 
@@ -34,7 +35,8 @@ Row = tuple[int, Sequence[float], Sequence[float]]
 def run(options: ExportOptions) -> int:
     """``path-handoff export``. Raises PartError."""
     if options.folder.suffix.lower() in REALSENSE_SUFFIXES:
-        return export_recording(options)
+        with unless_refused(options.out or options.folder.with_suffix("")):
+            return export_recording(options)
     if options.calibration is not None:
         raise PartError("--calibration is of a RealSense recording", f"leave it out for the run {options.folder}")
     if not (options.tum or options.csv):
@@ -42,7 +44,13 @@ def run(options: ExportOptions) -> int:
     if not options.folder.is_dir():
         raise PartError(f"{options.folder} is no folder", "name the folder of a run, or a RealSense recording (.db3)")
     out = options.out or options.folder / "export"
-    out.mkdir(parents=True, exist_ok=True)
+    with unless_refused(out):
+        for path in _write_all(options, out):
+            sys.stdout.write(f"{path}\n")
+    return 0
+
+
+def _write_all(options: ExportOptions, out: Path) -> list[Path]:
     written: list[Path] = []
     if options.tum:
         written += [
@@ -50,9 +58,7 @@ def run(options: ExportOptions) -> int:
         ]
     if options.csv:
         written += [path for name, records in _logs(options.folder) for path in _write_csv(out, name, *records)]
-    for path in written:
-        sys.stdout.write(f"{path}\n")
-    return 0
+    return written
 
 
 def trajectories(folder: Path) -> dict[str, list[Row]]:

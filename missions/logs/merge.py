@@ -28,6 +28,7 @@ from drivers.log.mcap_log import (
     read_log,
 )
 from drivers.log.scan import LoggedMessage, messages
+from missions.held import held_file
 from missions.logs.fetch import fetched
 from missions.options.runs import MergeOptions
 from missions.report.records import MERGED
@@ -55,8 +56,9 @@ def run(options: MergeOptions) -> int:
     there = [fetched(each) for each in options.logs]
     logs = named_logs(there)
     out = options.out or (there[0] if there[0].is_dir() else there[0].parent) / MERGED
-    for each in merge(logs, out):
-        sys.stdout.write(f"{each.name}: {_told(each)}\n")
+    with held_file(out):
+        for each in merge(logs, out):
+            sys.stdout.write(f"{each.name}: {_told(each)}\n")
     sys.stdout.write(f"{out}\n")
     return 0
 

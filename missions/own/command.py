@@ -17,7 +17,7 @@ from flight.outcome import Outcome
 from missions import rig_library
 from missions.ground_station import name_ground_station
 from missions.handoff.command import name_model, name_simulators
-from missions.handoff.flight import FlightPrograms, fly_once, unwritten
+from missions.handoff.flight import FlightPrograms, fly_once, reported
 from missions.leg.command import fly_from_drone
 from missions.live.start import live
 from missions.options.field import RoleOptions
@@ -30,7 +30,6 @@ from missions.report.records import SUMMARY, RunFacts, load_run
 from missions.report.summary import summarize
 from missions.report.tables import figures_grid
 from missions.run_folder import unless_refused
-from missions.shown import say_unwritten
 from path.messages import Role
 
 KEPT = (
@@ -52,14 +51,10 @@ def run(options: FlyOptions) -> int:
     check_ready(rig)
     name_ground_station(rig, options.gcs)
     programs = programs_of(options.mission)
-    with unless_refused(options.out) as folder, live(options.live, folder), open_console(sys.stdout) as console:
-        facts = fly_once(rig, options.seed, options.fault, folder, console.show, programs)
-    try:
-        report(folder, sys.stdout)
-    except OSError as error:
-        facts = unwritten(facts, error)
-        say_unwritten(error)
-    return facts.exit_code
+    with unless_refused(options.out) as folder:
+        with live(options.live, folder), open_console(sys.stdout) as console:
+            facts = fly_once(rig, options.seed, options.fault, folder, console.show, programs)
+        return reported(facts, folder, lambda: report(folder, sys.stdout))
 
 
 def fly_mission(mission: Path, rig: Rig, seed: int, faults: tuple[str, ...], out: Path, emit: Emit) -> RunFacts:

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 from drivers.interfaces import PartError
+from drivers.rig.parts import ended_by
 from missions.own.drone import Drone
 from path.messages import Role
 
@@ -37,6 +38,8 @@ def _module(file: Path) -> ModuleType:
     sys.modules[MODULE] = module  # where its dataclasses look for themselves
     try:
         spec.loader.exec_module(module)
+    except SystemExit as error:
+        raise PartError(f"{file} cannot be loaded: it {ended_by(error)}", "mend the file") from error
     except Exception as error:
         raise PartError(f"{file} cannot be loaded: {type(error).__name__}: {error}", "mend the file") from error
     return module

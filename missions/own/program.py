@@ -50,7 +50,7 @@ async def _course(session: RoleSession, mission: Mission) -> None:
     session.enter(Phase.MISSION)
     try:
         await mission(Drone(session))
-    except (SystemExit, KeyboardInterrupt) as error:  # would end the program with its drone in the air
+    except KeyboardInterrupt as error:  # would end the program with its drone in the air
         raise MissionEnd(Outcome.CRASHED, f"the mission raised {type(error).__name__}") from error
 
 

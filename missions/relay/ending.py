@@ -17,8 +17,8 @@ from flight.harness.relay import RelayReport
 from flight.outcome import Outcome, violated_outcome
 from missions.report.command import show
 from missions.report.page import PageOf, write_page
-from missions.report.records import by_topic, drone_names
-from missions.shown import say_unwritten
+from missions.report.records import RunFolderError, by_topic, drone_names
+from missions.shown import FolderGone, say_unwritten
 
 Values = dict[str, Any]
 SUMMARY, PAGE = "summary.json", "run.html"
@@ -88,7 +88,7 @@ def leave(summary: Values, record: Values, folder: Path, showing: Showing, pictu
         names = (SUMMARY, record_file.name, picture.name, PAGE)
         sys.stdout.write(f"\n{folder}: {', '.join(name for name in names if (folder / name).exists())}\n")
         sys.stdout.flush()
-    except OSError as error:
-        say_unwritten(error)
+    except (OSError, RunFolderError) as error:
+        say_unwritten(error if isinstance(error, OSError) else FolderGone.of(folder))
         return Outcome.LOG_FAILED.exit_code if exit_code == Outcome.COMMITTED.exit_code else exit_code
     return exit_code

@@ -55,7 +55,7 @@ def carry_out(
         tell_line(f"{size}: {folder}")
         with live(options.live, folder):
             summary, record = fly(folder, tell)
-    return leave(summary, record, folder, showing, options.picture)
+        return leave(summary, record, folder, showing, options.picture)
 
 
 def fly_on_field(

@@ -138,7 +138,7 @@ def guard(rig: Rig, config: RelayConfig, name: str, out: Path) -> int:
     """Watch the drone's vehicle until stdin is closed."""
     own = pair_of(rig, _drone(config, name), _drone(config, name))
     assert own.receiver.guard is not None, f"{name} has no guard"
-    logs = {Role.RECEIVER: new_part(out, f"{name}.guard")}
+    logs = {Role.RECEIVER: out / f"{name}.guard.mcap"}
     return asyncio.run(
         watch_vehicles(
             own, rig_library.mission_of(rig), {Role.RECEIVER: own.receiver.guard}, logs,

@@ -7,10 +7,11 @@ import json
 import shlex
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
+from types import ModuleType
 from typing import Any, get_args
 
 import numpy as np
@@ -18,14 +19,14 @@ from rich.table import Table
 from rich.text import Text
 
 from drivers.interfaces import PartError
-from drivers.rig.parts import with_errors
+from drivers.rig.parts import Rig, with_errors
 from flight.command_end import CommandEnd
 from flight.outcome import exit_code_of_runs
 from missions import rig_library
 from missions.options.proofs import TrialName, TrialOptions
 from missions.report.command import show
 from missions.report.records import SUMMARY
-from missions.run_folder import claim_folder, new_folder
+from missions.run_folder import claim_folder, new_folder, unless_refused
 from missions.trials.shared.page import PAGE, Chapter, render_page
 from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, Verdict, trial_part
 from missions.work import open_work
@@ -62,15 +63,20 @@ def run(options: TrialOptions) -> int:
     for option, file in files:
         if file is not None and not file.is_file():
             raise PartError(f"{option} {file}: no such file", f"name a file that exists, or leave {option} out")
-    folder = new_folder(options.out or Path("trials") / f"{datetime.now():%Y%m%d-%H%M%S}-{options.name}")
-    claim_folder(folder, SUMMARY, '"findings"', '"trials"')
-    _write_json(folder / SUMMARY, {"trials": [], "unfinished": True})  # whose folder it is, from now on
+    with unless_refused(options.out or Path("trials") / f"{datetime.now():%Y%m%d-%H%M%S}-{options.name}") as folder:
+        claim_folder(folder, SUMMARY, '"findings"', '"trials"')
+        _write_json(folder / SUMMARY, {"trials": [], "unfinished": True})  # whose folder it is, from now on
+        return _run(options, rig, trials, folder)
+
+
+def _run(options: TrialOptions, rig: Rig, trials: Mapping[str, ModuleType], folder: Path) -> int:
+    whole = options.name == "all"
+    sets = sets_of(options)
     chapters: list[Chapter] = []
     with open_work(options.jobs, sys.stdout) as work:
-        for number, name in enumerate(names, 1):
+        for number, (name, trial) in enumerate(trials.items(), 1):
             own = new_folder(folder / name) if whole else folder
-            trial = trials[name]
-            sys.stdout.write(f"\n{f'[{number}/{len(names)}] ' if whole else ''}{trial.TITLE}\n")
+            sys.stdout.write(f"\n{f'[{number}/{len(trials)}] ' if whole else ''}{trial.TITLE}\n")
             sys.stdout.flush()
             request = TrialRequest(
                 rig, own, options.seed, options.quick or (whole and name in SHORT_IN_ALL), work, options.xfeat,
@@ -94,7 +100,7 @@ def run(options: TrialOptions) -> int:
                     sys.stdout.write(f"{SHORT}\n")
             chapters.append(Chapter(name, trial.TITLE, trial.PAPER, command(options, name), own, wall_s, result, error))
             # after each trial: whoever stops a long run keeps the page of what was done
-            (folder / PAGE).write_text(render_page(chapters, len(names)), "utf-8")
+            (folder / PAGE).write_text(render_page(chapters, len(trials)), "utf-8")
     if whole:
         _write_json(folder / SUMMARY, _overview(options, chapters))
     sys.stdout.write(f"\n{folder}: {PAGE}, {SUMMARY}{', and a folder for each trial' if whole else ''}\n")

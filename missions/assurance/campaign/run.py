@@ -24,7 +24,7 @@ from missions.assurance.campaign.summary import BROKEN, draw_outcomes, summarize
 from missions.options.proofs import CampaignOptions
 from missions.options.words import LevelName
 from missions.report.junit import JUnitCase, write_junit
-from missions.run_folder import claim_result
+from missions.run_folder import claim_result, unless_refused
 from missions.work import open_work
 
 SUMMARY, PICTURE = "summary.json", "outcomes.png"
@@ -80,7 +80,11 @@ def run(options: CampaignOptions) -> int:
     if options.runs < 1:
         raise PartError(f"--runs {options.runs}: nothing to do", "give a number of runs, such as --runs 1000")
     began = datetime.now().strftime("%Y%m%d-%H%M%S")
-    folder = options.out or Path("campaigns") / f"{began}-{options.program}"
+    with unless_refused(options.out or Path("campaigns") / f"{began}-{options.program}") as folder:
+        return _fly(options, levels, folder)
+
+
+def _fly(options: CampaignOptions, levels: Sequence[LevelName], folder: Path) -> int:
     asked: dict[str, Any] = {
         "program": options.program,
         "rig": options.rig,

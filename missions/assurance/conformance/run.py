@@ -21,7 +21,7 @@ from missions.handoff.command import name_simulators
 from missions.options.proofs import ConformanceOptions
 from missions.report.command import show
 from missions.rig_library import trial_part
-from missions.run_folder import claim_result, new_folder
+from missions.run_folder import claim_result, unless_refused
 
 RIGS = {"embedded": "sitl", "px4": "sitl-px4", "ardupilot": "sitl-ardupilot"}
 BINARY = {"px4": "PATH_PX4", "ardupilot": "PATH_ARDUPILOT"}
@@ -32,11 +32,15 @@ def run(options: ConformanceOptions) -> int:
     """``path-handoff conformance``; 0 when every flight came to its end, whatever it showed. Raises PartError."""
     name_simulators(options)
     flights = chosen(options.only)
-    folder = new_folder(options.out or Path("conformance") / f"{datetime.now():%Y%m%d-%H%M%S}")
-    for vehicle in VEHICLES:
-        claim_result(folder / f"{vehicle}.json", '"vehicle"')
-    if options.page is not None:
-        claim_result(options.page, WRITTEN_BY)
+    with unless_refused(options.out or Path("conformance") / f"{datetime.now():%Y%m%d-%H%M%S}") as folder:
+        for vehicle in VEHICLES:
+            claim_result(folder / f"{vehicle}.json", '"vehicle"')
+        if options.page is not None:
+            claim_result(options.page, WRITTEN_BY)
+        return _run(options, flights, folder)
+
+
+def _run(options: ConformanceOptions, flights: Sequence[SuiteFlight], folder: Path) -> int:
     failed = False
     for vehicle in _wanted(options):
         try:

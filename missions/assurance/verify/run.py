@@ -18,7 +18,7 @@ from missions.assurance.verify.explore import Covering, Exact, Exploration, expl
 from missions.assurance.verify.model import Scope
 from missions.assurance.verify.mutants import MUTANTS, SMALL, caught
 from missions.options.proofs import VerifyOptions
-from missions.run_folder import claim_result, new_folder
+from missions.run_folder import claim_result, unless_refused
 from missions.work import Work, open_work
 
 EXIT_BROKEN = CommandEnd.FAILED.exit_code
@@ -84,9 +84,12 @@ def run(options: VerifyOptions) -> int:
 
     Then every invariant holds in every world and every mutant was caught, or no forged packet was taken.
     """
-    folder = options.out or Path("verify") / datetime.now().strftime("%Y%m%d-%H%M%S")
-    new_folder(folder)
-    claim_result(folder / SUMMARY, '"holds"')
+    with unless_refused(options.out or Path("verify") / datetime.now().strftime("%Y%m%d-%H%M%S")) as folder:
+        claim_result(folder / SUMMARY, '"holds"')
+        return _run(options, folder)
+
+
+def _run(options: VerifyOptions, folder: Path) -> int:
     if options.mutants:
         return _run_mutants(options, folder)
     if options.wire:
