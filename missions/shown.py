@@ -28,9 +28,11 @@ def tell_line(line: str) -> None:
 def say_unwritten(error: OSError) -> None:
     """Name what could not be written or shown, and the fix."""
     what = f"{error.filename}: " if error.filename else "the output: "
-    fix = "free some space, or name another folder with --out; `path-handoff report DIR` makes the report of a flight again"
     if isinstance(error, FolderGone):
         fix = "leave the folder where it is until the command has ended; what was in it is lost"
+    else:
+        again = "`path-handoff report DIR` makes the report of a flight again"
+        fix = f"free some space, or name another folder with --out; {again}"
     with suppress(OSError, ValueError):
         sys.stderr.write(f"error: {what}{error.strerror or error}\n  fix: {fix}\n")
 

@@ -105,7 +105,7 @@ def test_one_seed_is_one_run(tmp_path: Path) -> None:
     [
         ("drone.fail('nothing to do')", Outcome.MISSION_FAILED, "nothing to do"),
         ("1 / 0", Outcome.CRASHED, "ZeroDivisionError"),
-        ("raise SystemExit", Outcome.CRASHED, "SystemExit"),
+        ("raise SystemExit", Outcome.CRASHED, "ends the program, by sys.exit"),
         ("await drone.fly_to(20.0, 0.0, 2.0, within_s=3.0)", Outcome.MISSION_FAILED, "not at north 20.0 m"),
         ("await drone.until(lambda: False, 2.0, 'nothing happened')", Outcome.MISSION_FAILED, "nothing happened"),
         ("await drone.take_off(2.0)", Outcome.MISSION_FAILED, "take_off in the air"),
