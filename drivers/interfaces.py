@@ -157,6 +157,9 @@ class VehicleState:
         velocity_n_mps: NED.
         q_n_b: attitude wxyz, body FRD to NED.
         heartbeat_ns: arrival of the newest heartbeat, role clock.
+        battery: 0..1, the newest that was told; NaN before the first.
+        battery_ns: when it was told, role clock; before the first, when the vehicle was first heard. None: with every
+            state.
         position_sigma_m: horizontal standard deviation per axis, where the driver itself has to reckon the position.
         mode_told, armed_told: how many messages in a row have said this mode, and whether it is armed.
     """
@@ -174,6 +177,7 @@ class VehicleState:
     position_sigma_m: float | None = None
     mode_told: int = SURE
     armed_told: int = SURE
+    battery_ns: int | None = None
 
 
 @value

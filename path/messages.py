@@ -66,7 +66,7 @@ class Status:
     phase: int  # index into flight phases
     responsible: bool
     observing: bool
-    battery: float  # 0..1
+    battery: float  # 0..1; NaN: the vehicle does not tell it
     instance: int = 0  # of a receiver its own; of a sender that of the receiver it committed to, 0 for none
 
 

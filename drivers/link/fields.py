@@ -58,6 +58,7 @@ _MILLI = 1000.0
 _CENTI = 100.0
 _YAW = 10000.0
 _BATTERY = 200.0
+_UNKNOWN_BATTERY = 255
 
 _MISS_CODE = {
     reason: code for reason in MissReason if (code := getattr(dialect, f"PATH_MISS_{reason.name}", None)) is not None
@@ -180,14 +181,15 @@ def _status_to(m: Status) -> Numbers:
         _ROLE_CODE[m.role],
         whole("phase", m.phase, U8),
         flags,
-        scaled("battery", m.battery, _BATTERY, 0, round(_BATTERY)),
+        _UNKNOWN_BATTERY if math.isnan(m.battery) else scaled("battery", m.battery, _BATTERY, 0, round(_BATTERY)),
         instance_high,
     )
 
 
 def _status_from(p: Any) -> Status:
     role = _ROLE.get(p.role)
-    if role is None or p.battery > _BATTERY or abs(p.yaw) > math.pi * _YAW + 1.0:
+    known = p.battery != _UNKNOWN_BATTERY
+    if role is None or (known and p.battery > _BATTERY) or abs(p.yaw) > math.pi * _YAW + 1.0:
         raise OutOfRange(f"role = {p.role}, battery = {p.battery}, yaw = {p.yaw}")
     return Status(
         role=role,
@@ -198,7 +200,7 @@ def _status_from(p: Any) -> Status:
         phase=p.phase,
         responsible=bool(p.flags & dialect.PATH_FLAG_RESPONSIBLE),
         observing=bool(p.flags & dialect.PATH_FLAG_OBSERVING),
-        battery=p.battery / _BATTERY,
+        battery=p.battery / _BATTERY if known else math.nan,
         instance=p.instance_low + (p.instance_high << 16),
     )
 

@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from drivers.interfaces import FlightMode
 from drivers.link.key import signing_key
 from drivers.link.udp import address_of
+from drivers.mavlink.battery import LOWEST_ID, FlightBattery
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.mavlink.guard.interfaces import GuardView
 from drivers.mavlink.modes import CUSTOM_MODE_ENABLED, KINDS, PX4, SAFETY_ARMED, AutopilotKind, powered, stopped_by
@@ -21,11 +22,12 @@ from drivers.rig.parts import PartContext
 from path.bounds import Bounds, check_bounds
 
 HEARTBEAT, SYS_STATUS, LOCAL_POSITION, GLOBAL_POSITION = 0, 1, 32, 33
-COMMAND_ACK, EXTENDED_SYS_STATE, STATUSTEXT, CURRENT_MODE = 77, 245, 253, 436
+COMMAND_ACK, BATTERY_STATUS, EXTENDED_SYS_STATE, STATUSTEXT, CURRENT_MODE = 77, 147, 245, 253, 436
 RATES_HZ = {
     **dict.fromkeys((HEARTBEAT, CURRENT_MODE, LOCAL_POSITION, GLOBAL_POSITION), 10.0),
     EXTENDED_SYS_STATE: 5.0,
     SYS_STATUS: 2.0,
+    BATTERY_STATUS: 1.0,
 }
 WANTED = frozenset({*RATES_HZ, COMMAND_ACK, STATUSTEXT})
 DO_SET_MODE, NAV_LAND, SET_MESSAGE_INTERVAL = 176, 21, 511
@@ -33,6 +35,7 @@ IN_PROGRESS = 5
 OWN_HEARTBEAT_S = 1.0
 ASK_AGAIN_S = 3.0
 STALE_S = 1.0
+MOST_ASKED = 5  # times for BATTERY_STATUS: a vehicle may not have it
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +50,7 @@ class GuardMavlinkConfig:
         key_file: of MAVLink 2's signatures, 32 bytes, mode 0600, the one that the autopilot was given
             (SETUP_SIGNING); then only what is rightly signed is believed, and all that is sent is signed.
         height_from: as of the vehicle that is flown, and taken from its table where this one does not say it.
+        battery_id: as of the vehicle that is flown, and taken from its table where this one does not say it.
         own_sysid, own_compid: who the guard is on MAVLink. Not the number that ArduPilot's MAV_GCS_SYSID or PX4's data
             link loss watches: a guard that lives must not hide that the role's program died.
     """
@@ -58,6 +62,7 @@ class GuardMavlinkConfig:
     own_compid: Annotated[int, Bounds(1, 255, "(an id)")] = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
     key_file: Path | None = None
     height_from: Literal["sea_level", "home"] = "sea_level"
+    battery_id: Annotated[int, Bounds(-1, 255, "(an id; -1: the lowest)")] = LOWEST_ID
 
     def __post_init__(self) -> None:
         if URL.fullmatch(self.url) is None:
@@ -88,10 +93,11 @@ class GuardMavlink:
         self._position: tuple[int, tuple[float, float, float]] = (0, (math.nan, math.nan, math.nan))
         self._stopped = False  # by a pilot's switch, as a text says
         self._in_air = True  # until it is told: nothing is done in the air that would be wrong on the ground
-        self._battery = math.nan
+        self._battery = FlightBattery(config.battery_id)
         self._commanded: int | None = None
         self._acked: bool | None = None
         self._asked_ns = 0
+        self._asked_battery = 0
         self._beat_ns = 0
 
     @property
@@ -127,7 +133,8 @@ class GuardMavlink:
             in_air=self._in_air,
             mode=self._mode,
             position_n_m=position_n_m,
-            battery=self._battery,
+            battery=self._battery.level,
+            battery_ns=self._battery.told_ns,
             acked=self._acked,
             mode_told=self._mode_told,
         )
@@ -169,22 +176,32 @@ class GuardMavlink:
             self._beat_ns = now_ns
             companion = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
             self._send(mavlink.MAVLink_heartbeat_message(*companion, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
+        if self._heartbeat is not None and (now_ns - self._asked_ns) * 1e-9 >= ASK_AGAIN_S:
+            self._ask(now_ns)
+
+    def _ask(self, now_ns: int) -> None:
+        """Ask for everything when positions are late, and a few times for the batteries while none is told of."""
         late = (now_ns - self._position[0]) * 1e-9 > STALE_S
-        if self._heartbeat is not None and late and (now_ns - self._asked_ns) * 1e-9 >= ASK_AGAIN_S:
-            self._asked_ns = now_ns
-            for message_id, rate_hz in RATES_HZ.items():
-                self._send_command(SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz)
+        wanted = RATES_HZ if late else {BATTERY_STATUS: RATES_HZ[BATTERY_STATUS]}
+        if not late and (self._battery.heard or self._asked_battery >= MOST_ASKED):
+            return
+        self._asked_ns = now_ns
+        self._asked_battery += 1
+        for message_id, rate_hz in wanted.items():
+            self._send_command(SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz)
 
     def _take(self, message: Any, now_ns: int) -> None:
         match message.get_msgId():
             case 0:  # HEARTBEAT
                 self._kind = next((kind for kind in KINDS if kind.mav_autopilot == message.autopilot), self._kind)
                 self._heartbeat = now_ns, message
+                self._battery.hear(now_ns)
                 self._stopped = self._stopped and bool(message.base_mode & SAFETY_ARMED)
                 self._note_mode(message.custom_mode)
             case 1:  # SYS_STATUS
-                if 0 <= message.battery_remaining <= 100:
-                    self._battery = message.battery_remaining / 100.0
+                self._battery.on_sys_status(message.battery_remaining, now_ns)
+            case 147 if message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:  # BATTERY_STATUS
+                self._battery.on_battery(message.id, message.battery_function, message.battery_remaining, now_ns)
             case 33:  # GLOBAL_POSITION_INT
                 self._position = now_ns, self._place(message)
             case 32:  # LOCAL_POSITION_NED

@@ -8,12 +8,13 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import wraps
 from typing import Any
 
 from drivers.interfaces import Clock, FlightMode, VehicleError, VehicleState
+from drivers.mavlink.battery import LOWEST_ID, FlightBattery
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.mavlink.modes import PX4, SAFETY_ARMED, AutopilotKind, powered, stopped_by
 from drivers.perception.history import StateHistory
@@ -115,6 +116,7 @@ class TelemetrySlots:
         tangent: LocalTangent,
         height_from_home: bool = False,
         without_gps: bool = False,
+        battery_id: int = LOWEST_ID,
     ) -> None:
         """``without_gps``: MAVSDK's word on the global position is the GPS's health, and not asked for."""
         self._without_gps = without_gps
@@ -134,7 +136,7 @@ class TelemetrySlots:
         self.attitude: Attitude | None = None
         self.health: dict[str, bool] = {}
         self.in_air = False
-        self.battery: float | None = None
+        self.battery = FlightBattery(battery_id)
         self.texts: tuple[Text, ...] = ()
         self.acks: dict[int, CommandAck] = {}
         self.parameter: Parameter | None = None
@@ -147,11 +149,11 @@ class TelemetrySlots:
         direct.subscribe_message("COMMAND_ACK", self._guarded(self._on_ack))
         direct.subscribe_message("PARAM_VALUE", self._guarded(self._on_parameter))
         direct.subscribe_message("SYS_STATUS", self._guarded(self._on_sys_status))
+        direct.subscribe_message("BATTERY_STATUS", self._guarded(self._on_battery))
         direct.subscribe_message("AUTOPILOT_VERSION", self._guarded(self._on_version))
         telemetry.subscribe_status_text(self._guarded(self._on_text))
         telemetry.subscribe_health(self._guarded(self._on_health))
         telemetry.subscribe_in_air(self._guarded(self._on_in_air))
-        telemetry.subscribe_battery(self._guarded(self._on_battery))
         telemetry.subscribe_position(self._guarded(self._on_position))
         telemetry.subscribe_position_velocity_ned(self._guarded(self._on_velocity))
         telemetry.subscribe_attitude_quaternion(self._guarded(self._on_attitude))
@@ -195,7 +197,8 @@ class TelemetrySlots:
             in_air=self.in_air,
             armable=not self.missing(),
             mode=self.mode,
-            battery=self.battery or 0.0,
+            battery=self.battery.level,
+            battery_ns=self.battery.told_ns,
             mode_told=self.mode_told,
             armed_told=heartbeat.told,
         )
@@ -252,6 +255,7 @@ class TelemetrySlots:
         if not self._of_autopilot(message):
             return
         fields, now_ns = json.loads(message.fields_json), self.clock.now_ns()
+        self.battery.hear(now_ns)
         self._note_mode(now_ns, int(fields["custom_mode"]))
         base_mode, before = int(fields["base_mode"]), self.heartbeat
         self._stopped = self._stopped and bool(base_mode & SAFETY_ARMED)
@@ -294,6 +298,7 @@ class TelemetrySlots:
         if self._of_autopilot(message):
             fields = json.loads(message.fields_json)
             parts = ("present", "enabled", "health")
+            self.battery.on_sys_status(_percent(fields), self.clock.now_ns())
             self.radio_heard = all(int(fields[f"onboard_control_sensors_{part}"]) & RC_RECEIVER for part in parts)
 
     def _on_text(self, text: Any) -> None:
@@ -306,9 +311,11 @@ class TelemetrySlots:
     def _on_in_air(self, in_air: Any) -> None:
         self.in_air = bool(in_air)
 
-    def _on_battery(self, battery: Any) -> None:
-        percent = float(battery.remaining_percent)
-        self.battery = min(max(percent / 100.0, 0.0), 1.0) if math.isfinite(percent) else None
+    def _on_battery(self, message: Any) -> None:
+        if self._of_autopilot(message):
+            fields = json.loads(message.fields_json)
+            number, function = int(fields["id"]), int(fields["battery_function"])
+            self.battery.on_battery(number, function, _percent(fields), self.clock.now_ns())
 
     def _on_position(self, position: Any) -> None:
         north, east, down = self._tangent.to_ned(
@@ -340,3 +347,9 @@ class TelemetrySlots:
         q_n_b = (float(quaternion.w), float(quaternion.x), float(quaternion.y), float(quaternion.z))
         self.attitude = Attitude(now_ns, q_n_b)
         self._history.add(now_ns, q_n_b)
+
+
+def _percent(fields: Mapping[str, Any]) -> float:
+    """Return ``battery_remaining`` of a message's fields, NaN where it is null."""
+    value = fields["battery_remaining"]
+    return math.nan if value is None else float(value)

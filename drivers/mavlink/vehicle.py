@@ -33,6 +33,7 @@ FRAME_LOCAL_NED = 1
 MASK_VELOCITY_YAW = 2503  # ignore position, acceleration and yaw rate (POSITION_TARGET_TYPEMASK)
 MODE_HZ = 20.0  # a pilot who takes the vehicle must not wait for the next heartbeat
 
+_NO_CHARGE = "set its capacity, or name the battery that flies with battery_id in the vehicle's table"
 _log = logging.getLogger(__name__)
 
 
@@ -50,7 +51,12 @@ class MavsdkVehicle:
         origin = context.origin
         tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
         self._telemetry = TelemetrySlots(
-            config.sysid, context.clock, tangent, config.height_from == "home", config.vision is not None
+            config.sysid,
+            context.clock,
+            tangent,
+            config.height_from == "home",
+            config.vision is not None,
+            config.battery_id,
         )
         self._clock = self._telemetry.clock
         self._session = MavsdkSession(config, self._telemetry)
@@ -162,19 +168,20 @@ class MavsdkVehicle:
         start_ns = self._clock.now_ns()
 
         def ready() -> bool:
-            return not telemetry.missing() and telemetry.battery is not None
+            return not telemetry.missing() and telemetry.battery.known
 
         if await self._session.until(ready, timeout_s):
             await self._before.check_pilot()
             self._check_ground()
             return
-        missing = telemetry.missing() + (["battery level"] if telemetry.battery is None else [])
+        battery = telemetry.battery.trouble
+        missing = telemetry.missing() + ([battery] if battery else [])
         texts = telemetry.texts_since(start_ns)[-3:]
         said = f"; the vehicle says: {' | '.join(texts)}" if texts else ""
         raise VehicleError(
             f"vehicle {self._config.sysid} not ready to arm after {timeout_s:g} s: waiting for "
             f"{', '.join(missing)}{said}",
-            "give it a clear sky and do what its ground station shows, then start again",
+            _NO_CHARGE if missing == [battery] else "give it a clear sky and do what its ground station shows",
         )
 
     def _check_ground(self) -> None:

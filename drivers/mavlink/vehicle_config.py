@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
+from drivers.mavlink.battery import LOWEST_ID
 from drivers.mavlink.preflight.pilot_rules import silenced
 from drivers.mavlink.transport.port import URL
 from drivers.rig.parts import PartSpec
@@ -60,6 +61,8 @@ class MavsdkVehicleConfig:
             of them may keep a pilot's radio out.
         rc: ``required``: nothing is armed unless a pilot's radio is heard and can take the vehicle. ``none``: there is
             none, and nobody can take it but by a ground station.
+        battery_id: of the battery that flies it, as its BATTERY_STATUS says; -1: the lowest of those that do not say
+            that they serve a payload or avionics.
         ground_within_m: of the origin's altitude, as far as the vehicle says with ``sea_level`` while it stands there.
     """
 
@@ -82,6 +85,7 @@ class MavsdkVehicleConfig:
     key_file: Path | None = None
     parameters: AutopilotValues = field(default_factory=dict[str, float])
     rc: Literal["required", "none"] = "required"
+    battery_id: Annotated[int, Bounds(-1, 255, "(an id; -1: the lowest)")] = LOWEST_ID
     ground_within_m: Annotated[float, Bounds(0.1, 100.0)] = 3.0
 
     def __post_init__(self) -> None:

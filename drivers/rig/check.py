@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.rig.calibration_file import CalibrationError, check_serial
-from drivers.rig.parts import PartSpec, Rig, decode_part, import_factory
+from drivers.rig.parts import SHARED_WITH_THE_VEHICLE, PartSpec, Rig, decode_part, import_factory
 from drivers.rig.tables import Problems, RigError
 from path.messages import Role
 
@@ -134,9 +134,10 @@ def _check_guards(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> N
         flown = getattr(configs.get(own.vehicle.where), "sysid", None)
         if own.guard and watched is not None and flown is not None and watched != flown:
             problems.add(f"{own.guard.where}.vehicle_sysid", f"{watched} is not the vehicle that is flown, {flown}")
-        height = own.vehicle.options.get("height_from")
-        if own.guard and own.guard.options.get("height_from", height) != height:
-            problems.add(f"{own.guard.where}.height_from", f"not the vehicle's, {height!r}: leave it out")
+        for name in SHARED_WITH_THE_VEHICLE:
+            theirs = own.vehicle.options.get(name)
+            if own.guard and own.guard.options.get(name, theirs) != theirs:
+                problems.add(f"{own.guard.where}.{name}", f"not the vehicle's, {theirs!r}: leave it out")
 
 
 def _check_mirrored(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> None:

@@ -34,6 +34,10 @@ _SUCH_AS = 'such as "drivers.mavlink.vehicle:MavsdkVehicle"'
 Level = Literal["sim", "sim-rendered", "sitl", "hitl", "field"]
 
 
+SHARED_WITH_THE_VEHICLE = ("height_from", "battery_id")
+"""Options of a guard that are those of the vehicle that it watches: its table gives them where the guard's does not."""
+
+
 @dataclass(frozen=True, slots=True)
 class PartSpec:
     """A part by name: ``factory`` is ``module:Class``; ``options`` are decoded as ``Class.Config``.

@@ -6,6 +6,7 @@ import math
 
 from drivers.interfaces import SURE, FlightMode, VehicleState
 from flight.config import GuardConfig
+from flight.guard.battery import battery_trouble
 from flight.outcome import MissionEnd, Outcome
 
 
@@ -32,8 +33,9 @@ def check_vehicle(state: VehicleState, now_ns: int, config: GuardConfig, command
     # written so that a NaN breaks a limit
     if not (math.hypot(north, east) <= config.fence_radius_m and -down <= config.fence_height_m):
         raise MissionEnd(Outcome.GUARD, f"outside the fence at ({north:.1f}, {east:.1f}) m, height {-down:.1f} m")
-    if not state.battery >= config.min_battery:
-        raise MissionEnd(Outcome.GUARD, f"battery at {100 * state.battery:.0f} %")
+    battery = battery_trouble(state.battery, state.battery_ns, now_ns, config.min_battery)
+    if battery:
+        raise MissionEnd(Outcome.GUARD, battery)
 
 
 def in_doubt(state: VehicleState, commanded: FlightMode) -> bool:

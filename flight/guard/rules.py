@@ -14,6 +14,7 @@ from typing import Annotated
 
 from drivers.interfaces import SURE, FlightMode
 from drivers.mavlink.guard.interfaces import GuardView, Hand, Script, Vec3
+from flight.guard.battery import battery_trouble
 from path.bounds import Bounds
 from path.values import value
 
@@ -242,12 +243,13 @@ def _since(before_ns: int | None, now_ns: int) -> int:
 
 
 def broken_limit(view: GuardView, heard: ProgramBeat, now_ns: int, rules: GuardRules, limits: Limits) -> str:
-    """The limit that is broken, in words; empty when none is. What is not known breaks none, but a NaN place does."""
+    """The limit that is broken, in words; empty when none is. A NaN place breaks one."""
     north, east, down = view.position_n_m
     if not (math.hypot(north, east) <= limits.fence_radius_m and -down <= limits.fence_height_m):
         return f"outside the fence at ({north:.1f}, {east:.1f}) m, height {-down:.1f} m"
-    if view.battery < limits.min_battery:
-        return f"battery at {100 * view.battery:.0f} %"
+    battery = battery_trouble(view.battery, view.battery_ns, now_ns, limits.min_battery)
+    if battery:
+        return battery
     if _s(now_ns - heard.separation_ns) <= rules.beat_age_s and heard.separation_m < limits.separation_m:
         return f"separation {heard.separation_m:.2f} m, as measured, is below {limits.separation_m:.2f} m"
     apart_m = math.dist(view.position_n_m, heard.peer_n_m)

@@ -112,14 +112,22 @@ def condition(state: VehicleState, min_battery: float) -> Iterator[Finding]:
         yield Finding("fault", "armed", "it is armed", "land it, disarm it, and look again")
     else:
         yield Finding("ok", "armed", "it is disarmed")
-    detail = f"{100.0 * state.battery:.0f} %, the mission ends at {100.0 * min_battery:.0f} %"
-    enough = state.battery > min_battery and math.isfinite(state.battery)
-    yield Finding("ok" if enough else "fault", "battery", detail, "" if enough else "charge or change it")
+    yield _charge(state.battery, min_battery)
     if state.armable:
         yield Finding("ok", "ready to arm", "yes")
     else:
         fix = "give it a clear sky and do what its ground station shows"
         yield Finding("fault", "ready to arm", f"not within {READY_S:g} s", fix)
+
+
+def _charge(level: float, min_battery: float) -> Finding:
+    if not math.isfinite(level):
+        fix = "set its capacity (PX4: BAT1_CAPACITY, ArduPilot: BATT_CAPACITY), or battery_id in the vehicle's table"
+        return Finding("fault", "battery", "the vehicle tells no percentage of the battery that flies it", fix)
+    detail = f"{100.0 * level:.0f} %, the mission ends at {100.0 * min_battery:.0f} %"
+    if level > min_battery:
+        return Finding("ok", "battery", detail)
+    return Finding("fault", "battery", detail, "charge or change it")
 
 
 async def _parameters(vehicle: Any) -> list[Finding]:

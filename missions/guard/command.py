@@ -17,7 +17,7 @@ from drivers.interfaces import Log, PartError
 from drivers.log.mcap_log import McapLog, new_part
 from drivers.mavlink.guard.interfaces import Watched
 from drivers.mavlink.guard.line import UdpBeatLine
-from drivers.rig.parts import PartSpec, Rig, create, part_context
+from drivers.rig.parts import SHARED_WITH_THE_VEHICLE, PartSpec, Rig, create, part_context
 from drivers.stop_signals import stop_at_end_of_input, stop_on_signals
 from flight.command_end import CommandEnd
 from flight.config import MissionConfig
@@ -88,9 +88,13 @@ def guard_of(rig: Rig, role: Role) -> PartSpec:
 
 
 def as_flown(rig: Rig, role: Role, spec: PartSpec) -> PartSpec:
-    """Returns the guard with the source of heights that the script's vehicle has: two of them would be two fences."""
-    height_from = rig.role(role).vehicle.options.get("height_from")
-    return spec if height_from is None else replace(spec, options={**spec.options, "height_from": height_from})
+    """Return the guard with what its vehicle's table says of heights and of the battery that flies.
+
+    Two sources of heights would be two fences, and two batteries two limits.
+    """
+    flown = rig.role(role).vehicle.options
+    shared = {name: flown[name] for name in SHARED_WITH_THE_VEHICLE if name in flown}
+    return replace(spec, options={**spec.options, **shared}) if shared else spec
 
 
 async def watch_vehicles(

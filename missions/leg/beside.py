@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import math
 
-from drivers.interfaces import Wary
+from drivers.interfaces import VehicleState, Wary
 from drivers.lateness import watch_lateness
+from flight.guard.battery import TELL_S, UNTOLD_S, untold_s
 from flight.shedding import BEAT_S
 from missions.leg.session import RoleSession
 
@@ -18,6 +20,7 @@ async def log_state(session: RoleSession) -> None:
     logged_ns = 0  # what no position was known at
     taken_back = 0
     wary = session.vehicle if isinstance(session.vehicle, Wary) else None
+    battery = BatteryNews(session)
     told: set[str] = set()  # kinds of what the crew was told not to be believed
     while True:
         if session.pilot.taken_back > taken_back:
@@ -27,6 +30,7 @@ async def log_state(session: RoleSession) -> None:
             told.add(what)
             session.say(f"ALARM: ignored {what}")
         state = session.vehicle.state
+        battery.look(state)
         if state.stamp_ns > logged_ns:
             logged_ns = state.stamp_ns
             record = {
@@ -35,10 +39,33 @@ async def log_state(session: RoleSession) -> None:
                 "q_n_b": state.q_n_b,
                 "mode": state.mode.value,
                 "armed": state.armed,
-                "battery": state.battery,
+                "battery": state.battery if math.isfinite(state.battery) else None,
             }
             session.log.write("/state", logged_ns, record)
         await asyncio.sleep(_STATE_PERIOD_S)
+
+
+class BatteryNews:
+    """Tells the crew when a flying vehicle has stopped telling its battery's level, and when it tells it again."""
+
+    def __init__(self, session: RoleSession) -> None:
+        self._session = session
+        self._kept = False
+
+    def look(self, state: VehicleState) -> None:
+        """Look at the newest state; each change is told once."""
+        silent_s = untold_s(state.battery_ns, self._session.now_ns())
+        kept = state.armed and silent_s > TELL_S
+        if kept == self._kept:
+            return
+        self._kept = kept
+        if not kept:
+            self._session.say("the battery's level is told again")
+            return
+        level = f"{100 * state.battery:.0f} %" if math.isfinite(state.battery) else "an unknown level"
+        self._session.say(
+            f"ALARM: the battery's level is not told any more: {level} is believed for {UNTOLD_S:.0f} s, then this ends"
+        )
 
 
 async def log_cpu(session: RoleSession) -> None:

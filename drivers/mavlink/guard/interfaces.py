@@ -79,7 +79,8 @@ class GuardView:
 
     Attributes:
         acked: whether the last command was accepted; None while there is no answer.
-        battery: 0..1, NaN until it was told.
+        battery: 0..1, the newest that was told; NaN before the first.
+        battery_ns: when it was told; None: with every view.
         mode_told: how many messages in a row have said this mode.
     """
 
@@ -92,6 +93,7 @@ class GuardView:
     battery: float
     acked: bool | None
     mode_told: int = SURE
+    battery_ns: int | None = None
 
 
 class GuardLine(Part, Protocol):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 STEP_S = 10.0
@@ -24,7 +25,9 @@ class Gauge:
         self._rates: deque[float] = deque(maxlen=STEPS)
 
     def note(self, now_s: float, battery: float) -> None:
-        """The charge, 0..1, while flying."""
+        """Take the charge, 0..1, while flying; one that is not known (NaN) changes nothing."""
+        if math.isnan(battery):
+            return
         self._newest = battery
         if self._begun is None:
             self._begun = now_s, battery

@@ -271,6 +271,12 @@ def test_a_header_that_says_more_than_its_message_holds_is_none_of_ours() -> Non
     assert expected_length(whole[:1] + bytes((size + 1,)) + whole[2:]) is None
 
 
+def test_a_battery_of_an_unknown_level_is_told_as_that() -> None:
+    sender, receiver = pair()
+    heard = receiver.decode(sender.encode(replace(STATUS, battery=math.nan)))
+    assert isinstance(heard, Status) and math.isnan(heard.battery)
+
+
 @pytest.mark.parametrize("battery", [0.0, 1.0])
 def test_a_battery_may_be_empty_or_full_and_nothing_beyond(battery: float) -> None:
     sender, receiver = pair()

@@ -9,8 +9,10 @@ from typing import Any
 import pytest
 
 from drivers.interfaces import FlightMode, VehicleState
+from drivers.mavlink.guard.interfaces import GuardView, Script
 from flight.config import GuardConfig
 from flight.guard.limits import check_separation, check_vehicle
+from flight.guard.rules import GuardRules, Limits, ProgramBeat, broken_limit
 from flight.outcome import MissionEnd, Outcome
 
 NOW_NS = 100_000_000_000
@@ -42,7 +44,10 @@ def ago(seconds: float) -> int:
         (Outcome.GUARD, {"battery": 0.19}, "battery at 19 %"),
         (Outcome.GUARD, {"position_n_m": (math.nan, 0.0, -1.0)}, "fence"),
         (Outcome.GUARD, {"position_n_m": (0.0, 0.0, math.nan)}, "fence"),
-        (Outcome.GUARD, {"battery": math.nan}, "battery"),
+        (Outcome.GUARD, {"battery": math.nan}, "battery of an unknown level"),
+        (Outcome.GUARD, {"battery": 0.9, "battery_ns": ago(10.1)}, "battery at 90 % when it was told last, 10 s ago"),
+        (Outcome.GUARD, {"battery": math.nan, "battery_ns": ago(10.1)}, "of a level that was never told, 10 s ago"),
+        (Outcome.GUARD, {"battery": 0.19, "battery_ns": ago(9.0)}, "battery at 19 %"),
     ],
 )
 def test_each_limit_ends_the_mission_by_its_name(outcome: Outcome, changes: dict[str, Any], seen: str) -> None:
@@ -60,6 +65,8 @@ def test_each_limit_ends_the_mission_by_its_name(outcome: Outcome, changes: dict
         {"position_n_m": (7.0, -7.0, -4.9)},
         {"position_n_m": (0.0, 0.0, 0.2)},  # the estimate may be below the ground
         {"battery": 0.2},
+        {"battery": 0.9, "battery_ns": ago(9.9)},  # the last level that was told counts for a while
+        {"battery": math.nan, "battery_ns": ago(0.3)},
     ],
 )
 def test_at_the_limits_the_mission_goes_on(changes: dict[str, Any]) -> None:
@@ -83,3 +90,21 @@ def test_too_near_has_a_name_of_its_own(distance_m: float) -> None:
 
 def test_far_enough_is_not() -> None:
     check_separation(0.70, 0.70)
+
+
+@pytest.mark.parametrize("level", [0.9, 0.2, 0.19, 0.0, math.nan])
+@pytest.mark.parametrize("silent_s", [None, 0.0, 0.3, 9.9, 10.1, 60.0])
+def test_script_and_guard_judge_a_battery_alike(level: float, silent_s: float | None) -> None:
+    told_ns = None if silent_s is None else ago(silent_s)
+    view = GuardView(
+        NOW_NS, NOW_NS, True, True, FlightMode.OFFBOARD, GOOD.position_n_m, level, None, battery_ns=told_ns
+    )
+    of_guard = broken_limit(
+        view, ProgramBeat(NOW_NS, Script.CONTROL, NOW_NS), NOW_NS, GuardRules(), Limits(10.0, 5.0, 0.2, 0.7)
+    )
+    try:
+        check(battery=level, battery_ns=told_ns)
+    except MissionEnd as end:
+        assert end.detail == of_guard
+    else:
+        assert of_guard == ""
