@@ -162,6 +162,7 @@ class VehicleState:
             state.
         position_sigma_m: horizontal standard deviation per axis, where the driver itself has to reckon the position.
         mode_told, armed_told: how many messages in a row have said this mode, and whether it is armed.
+        resets: the autopilot's own count of the steps of its estimate; None where it does not tell one.
     """
 
     stamp_ns: int
@@ -178,6 +179,7 @@ class VehicleState:
     mode_told: int = SURE
     armed_told: int = SURE
     battery_ns: int | None = None
+    resets: int | None = None
 
 
 @value

@@ -67,7 +67,7 @@ DRONE: dict[str, Topic] = {
     "/phase": Topic("a phase of the course begins", {"phase": text("its name"), "note": text("for the crew")}),
     "/note": Topic("a line for the crew", {"note": text("the line")}),
     "/state": Topic(
-        "where the vehicle believes to be, ten times a second",
+        "where the vehicle believes to be, ten times a second; what its estimator stepped by is taken out",
         {
             "position_n_m": numbers("north, east, down in m from the origin of the rig"),
             "velocity_n_mps": numbers("north, east, down in m/s"),
@@ -75,6 +75,15 @@ DRONE: dict[str, Topic] = {
             "mode": text("flight mode"),
             "armed": flag("motors may turn"),
             "battery": number("what is left, 0 to 1"),
+        },
+    ),
+    "/estimator_step": Topic(
+        "the vehicle's estimate stepped; the flight goes on without the step. Stamped with the first state after",
+        {
+            "before_ns": whole("stamp of the last state before, own clock"),
+            "shift_n_m": numbers("how much farther the place is than before: north, east, down in m"),
+            "turn_rad": number("how much farther clockwise the heading is than before, rad"),
+            "counted": flag("the autopilot's count of its resets changed too"),
         },
     ),
     "/home": Topic(

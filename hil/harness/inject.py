@@ -18,6 +18,7 @@ from hil.world.world import Fleet, Name
 
 SAGGED = 0.15
 RC = "rc_"
+STEP = "step_"
 GRABBED = (0.0, -0.6, 0.0, 0.0)  # the right stick pulled back: away from what is ahead
 
 _OF_LINK = {
@@ -36,6 +37,16 @@ _OF_DETECTOR = {
     "detector_false": "false_positives",
     "detector_bias": "edge_px",
 }
+
+
+def need_own_estimators(rig: Rig, faults: Sequence[Fault]) -> None:
+    """Raises FaultError when the estimator of another program is to step."""
+    for fault in faults:
+        if fault.name.startswith(STEP) and "sender_simulator" in rig.world:
+            raise FaultError(
+                f"fault {fault.name}: the estimators of {rig.where('world')} are the autopilots' own",
+                "use a rig with embedded vehicles: sim, sitl",
+            )
 
 
 def need_radios(rig: Rig, faults: Sequence[Fault]) -> None:
@@ -67,6 +78,8 @@ def inject_in_world(name: str, role: Name | None, world: Fleet[Name], value: flo
         case _ if role is not None and name.startswith(RC):
             away_until_s = world.time_s + (math.inf if value is None else value)
             _at_transmitter(name, world.drone(role).autopilot.radio.transmitter, away_until_s)
+        case _ if role is not None and name.startswith(STEP):
+            _step_estimator(name, role, world, value or 0.0)
         case "detector_recall" | "detector_miss_frames" | "detector_false" | "detector_bias":
             world.degrade_detectors(**{_OF_DETECTOR[name]: value or 0.0})
         case "no_failsafe":
@@ -77,6 +90,19 @@ def inject_in_world(name: str, role: Name | None, world: Fleet[Name], value: flo
             world.battery(role, SAGGED if value is None else value)
         case _:
             pass
+
+
+def _step_estimator(name: str, drone: Name, world: Fleet[Name], by: float) -> None:
+    """``by``: in metres north, east or up, or in degrees clockwise."""
+    match name.removeprefix(STEP).partition("_")[0]:
+        case "north":
+            world.step_estimator(drone, (by, 0.0, 0.0), 0.0)
+        case "east":
+            world.step_estimator(drone, (0.0, by, 0.0), 0.0)
+        case "height":
+            world.step_estimator(drone, (0.0, 0.0, -by), 0.0)
+        case _:
+            world.step_estimator(drone, (0.0, 0.0, 0.0), math.radians(by))
 
 
 def _at_transmitter(name: str, held: Transmitter, away_until_s: float) -> None:

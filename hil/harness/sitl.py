@@ -13,7 +13,7 @@ from drivers.log.mcap_log import LogRecord, parts, read_log
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
 from flight.harness.flights import FlightReport, FlightRequest
-from hil.harness.inject import need_radios
+from hil.harness.inject import need_own_estimators, need_radios
 from hil.harness.preparation import prepare
 from hil.harness.realtime.orders import Command, Orders
 from hil.harness.realtime.pace import frame_age_s, overload_of
@@ -53,6 +53,7 @@ class SitlHarness:
         if any(fault.name == "attack" for fault in faults):
             _need_keys(request.rig)
         need_radios(request.rig, faults)
+        need_own_estimators(request.rig, faults)
         with ExitStack() as stack:
             shares: dict[str, CpuShare] = {}
             if config.slow is not None:

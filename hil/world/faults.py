@@ -67,6 +67,12 @@ _RADIO_FAULTS: tuple[tuple[str, FaultValue, str], ...] = (
     ("rc_sticks", "no", "the {}'s pilot grabs the sticks"),
     ("rc_lost", "may", "the {}'s transmitter falls silent, for so many seconds"),
 )
+_ESTIMATOR_FAULTS: tuple[tuple[str, str, float], ...] = (
+    ("step_north", "the {}'s estimate of its place steps north by so many metres", 100.0),
+    ("step_east", "the {}'s estimate of its place steps east by so many metres", 100.0),
+    ("step_height", "the {}'s estimate of its height steps up by so many metres", 100.0),
+    ("step_yaw", "the {}'s estimate of its heading steps clockwise by so many degrees", 180.0),
+)
 FAULTS: dict[str, FaultKind] = {
     kind.name: kind
     for kind in (
@@ -137,6 +143,18 @@ FAULTS: dict[str, FaultKind] = {
         *(
             FaultKind(f"{name}_{role.value}", role, value, meaning.format(role.value), most=LONGEST_S)
             for name, value, meaning in _RADIO_FAULTS
+            for role in Role
+        ),
+        *(
+            FaultKind(
+                f"{name}_{role.value}",
+                role,
+                "must",
+                meaning.format(role.value),
+                most=most,
+                least=-most,
+            )
+            for name, meaning, most in _ESTIMATOR_FAULTS
             for role in Role
         ),
         FaultKind("battery_sag", Role.SENDER, "may", "the sender's battery drops to this share, or to 15 %"),

@@ -267,6 +267,15 @@ class Fleet(Generic[Name]):
         self._traffic.send_lookalike(self.traffic_s)
         self._changed()
 
+    def step_estimator(self, name: Name, shift_n_m: Vec3, turn_rad: float) -> None:
+        """Let a drone's estimate of its place and heading step, for good. The drone stays where it is.
+
+        Its autopilot goes on from there: a hold or a take-off under way is flown by the new place.
+        """
+        row = self.names.index(name)
+        self._sensors.position_bias[row] += shift_n_m
+        self._sensors.attitude_bias[row, 2] += turn_rad
+
     def battery(self, name: Name, fraction: float) -> None:
         """Set what is left of a drone's charge, 0..1."""
         self._drones[name].autopilot.set_battery(fraction)

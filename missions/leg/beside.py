@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 
-from drivers.interfaces import VehicleState, Wary
+from drivers.interfaces import VehicleState
 from drivers.lateness import watch_lateness
 from flight.guard.battery import TELL_S, UNTOLD_S, untold_s
 from flight.shedding import BEAT_S
@@ -19,16 +19,16 @@ async def log_state(session: RoleSession) -> None:
     """Log where the vehicle believes to be, for ever."""
     logged_ns = 0  # what no position was known at
     taken_back = 0
-    wary = session.vehicle if isinstance(session.vehicle, Wary) else None
     battery = BatteryNews(session)
     told: set[str] = set()  # kinds of what the crew was told not to be believed
     while True:
         if session.pilot.taken_back > taken_back:
             taken_back = session.pilot.taken_back
             session.say("ALARM: one message said that a pilot has the vehicle, the next took it back: who sends them?")
-        for what in () if wary is None else [each for each in wary.ignored if each not in told]:
+        for what in [each for each in session.vehicle.ignored if each not in told]:
             told.add(what)
             session.say(f"ALARM: ignored {what}")
+        session.note_steps()
         state = session.vehicle.state
         battery.look(state)
         if state.stamp_ns > logged_ns:

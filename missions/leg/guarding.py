@@ -50,7 +50,10 @@ class Guarding:
             script = Script.CONTROL
         measured_m, self._measured_m = self._measured_m, math.nan
         near = session.peer is not None and session.peer_silence_s() < _PEER_PLACE_S
-        place = session.here(session.peer).position_n_m if session.peer is not None and near else NOWHERE
+        place = NOWHERE
+        if session.peer is not None and near:
+            # The guard knows this drone's place from the autopilot alone, with all that its estimator stepped by.
+            place = session.vehicle.as_reported(session.here(session.peer).position_n_m)
         return Beat(script, session.pilot.setpoints, measured_m, place)
 
     async def confirm(self) -> None:

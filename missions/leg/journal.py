@@ -12,6 +12,7 @@ from drivers.interfaces import View
 from drivers.log.topics import camera_record
 from drivers.rig.parts import Rig
 from flight.config import MissionConfig
+from flight.estimator_steps import Step
 from flight.rendezvous.marker_view import MarkerFix, VehicleMotions
 from flight.tracking.association import Sighting
 from path.cycle.prior import Prior
@@ -48,6 +49,16 @@ def setup_record(rig: Rig, role: Role, config: MissionConfig) -> dict[str, Any]:
         "markers_v_m": np.concatenate([marker.corners_v.ravel() for marker in rig.layout.markers]),
         "origin": [origin.latitude_deg, origin.longitude_deg, origin.altitude_m],
         "fence_m": [config.guard.fence_radius_m, config.guard.fence_height_m],
+    }
+
+
+def estimator_step_record(step: Step) -> dict[str, Any]:
+    """``/estimator_step``: what a vehicle's estimate stepped by."""
+    return {
+        "before_ns": step.before_ns,
+        "shift_n_m": step.shift_n_m,
+        "turn_rad": step.turn_rad,
+        "counted": step.counted,
     }
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
 from flight.camera_pose import CameraPose
 from flight.config import Designated, MissionConfig
+from flight.estimator_steps import Step
 from flight.guidance import (
     BELOW_FENCE_M,
     Anchor,
@@ -82,6 +83,7 @@ class Sender:
         self._way_out: Anchor | None = None
         session.on_message = self._on_message
         session.on_status = self._handover.on_status
+        session.on_step = self._on_step
 
     # --- course --------------------------------------------------------------------------------------------------
 
@@ -263,6 +265,7 @@ class Sender:
             view = await session.frames.view(self._config.guard.frame_age_s)
             R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
             self._tilt.note(R_n_b)
+            session.note_steps()  # before what this frame shows is added to what others showed
             if self._track is None:
                 if session.frames.recorded:
                     self._log_view(view, R_n_b)
@@ -336,6 +339,10 @@ class Sender:
         if isinstance(message, Candidate):
             self._on_candidate(message)
         self._handover.on_message(received)
+
+    def _on_step(self, step: Step) -> None:
+        if self._cycle is not None:
+            self._cycle.begin_evidence_anew(step.stamp_ns)
 
     def _on_candidate(self, candidate: Candidate) -> None:
         session, cycle = self._session, self._cycle

@@ -29,14 +29,17 @@ from drivers.rig.parts import Rig, RoleRig, ended_by
 from drivers.stages import Stages
 from flight.clocks import ClockAlignment, answer
 from flight.config import MissionConfig, off_from
+from flight.estimator_steps import Step
 from flight.guard.under_guard import UnderGuard
 from flight.guidance import Vec3, add, subtract
 from flight.harness.flights import Emit, Progress
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
+from flight.steady_vehicle import SteadyVehicle
 from missions.leg.frames import Frames
 from missions.leg.guarding import Guarding
+from missions.leg.journal import estimator_step_record
 from path.gate.window import Evidence
 from path.geometry.rotation import yaw_of
 from path.messages import Ping, Pong, Role, Status
@@ -98,7 +101,8 @@ class RoleSession:
         self.stop = stop
         self.entropy = entropy
         self._link_alarm = LinkAlarm()
-        self.clock, self.vehicle, self.perception, self.link = parts
+        self.clock, vehicle, self.perception, self.link = parts
+        self.vehicle = SteadyVehicle.of(vehicle, config)
         self.frames = Frames(self.perception, self.clock, config, log)
         self.pilot = Pilot(self.vehicle, self.clock, config, log, guard)
         self.alignment = ClockAlignment()
@@ -113,7 +117,9 @@ class RoleSession:
         self._here: tuple[Status, Status] | None = None  # as it came, and in this drone's frame
         self.on_message: Callable[[Received], None] = _ignore
         self.on_status: Callable[[Status], None] = _ignore
+        self.on_step: Callable[[Step], None] = _ignore
         self.ended: asyncio.Future[MissionEnd] = asyncio.get_running_loop().create_future()
+        self._steps_told = len(self.vehicle.steps)
         self._spawned: list[asyncio.Task[None]] = []
         self._emit = emit
         self._pings = 0
@@ -134,6 +140,15 @@ class RoleSession:
         """Takes what a target that stands on level ground is too low by for what this drone is too low by itself."""
         north, east, _ = self.off_n_m
         self.off_n_m, self._here = (north, east, off_down_m), None
+
+    def note_steps(self) -> None:
+        """Tell what the estimator stepped by since the last time, to the log, the crew and the role."""
+        new = self.vehicle.steps[self._steps_told :]
+        self._steps_told += len(new)
+        for step in new:
+            self.log.write("/estimator_step", step.stamp_ns, estimator_step_record(step))
+            self.say(f"ALARM: the estimator stepped: {step}; the flight goes on as if it had not")
+            self.on_step(step)
 
     def here(self, peer: Status) -> Status:
         """The other drone's Status, its position in this drone's own frame: each tells it without what it is off."""

@@ -143,6 +143,8 @@ class _SenderReplay:
             self._begin(record)
         elif cycle is None:
             return
+        elif each.topic == "/estimator_step":
+            cycle.begin_evidence_anew(each.stamp_ns)
         elif each.topic == "/heard_candidate":
             otherwise = self._answers.get((record["epoch"], record["sequence"]), {})
             cycle.offer(candidate_of({**record, **otherwise}), record["capture_ns"], each.stamp_ns)

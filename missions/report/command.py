@@ -165,6 +165,7 @@ def _figure_rows(s: Mapping[str, Any]) -> Rows:
     wrong = {True: "YES", False: "no", None: "-"}[s["wrong_handover"]]
     slow = [("each role's share of a core", f"{s['slow']['share']:g}")] if s["slow"] else []
     shed = [f"{name}: {_seconds(gone)}" for name, gone in s["shed"].items() if gone]
+    stepped = [f"{name} {steps}" for name, steps in s["estimator_steps"].items() if steps]
     return [
         ("committed after", figure(s["t_commit_s"], "s", 2)),
         ("agreement took", figure(s["agreement_s"], "s", 2)),
@@ -174,6 +175,7 @@ def _figure_rows(s: Mapping[str, Any]) -> Rows:
         ("frames", "; ".join(frames)),
         *slow,
         *([("given up", "; ".join(shed))] if shed else []),
+        *([("estimator stepped", ", ".join(stepped))] if stepped else []),
         ("error of D2", _error(s, "d2_error")),
         ("error of target", _error(s, "target_error")),
         ("wrong object handed over", wrong),

@@ -43,6 +43,7 @@ def summarize(run: RunRecords) -> dict[str, Any]:
         "slow": dict(run.facts.slow) if run.facts else {},
         "shed": {role.value: shed_s(run.role(role)) for role in Role},
         "setpoint_gap_s": {r.record["role"]: _rounded(r.record["gap_s"]) for r in run.world.get("/setpoint_gap", ())},
+        "estimator_steps": {role.value: len(run.role(role).get("/estimator_step", ())) for role in Role},
         "monitors": dict(run.facts.violations) if run.facts else {},
         "phases": {role.value: phases(run, role) for role in Role},
     }

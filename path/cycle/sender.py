@@ -157,6 +157,10 @@ class SenderCycle:
             self._pending.append(pending)
         return None
 
+    def begin_evidence_anew(self, stamp_ns: int) -> None:
+        """D1's own reckoning was interrupted at that instant (D1's clock): nothing is added up across it."""
+        self.gate.end_run(stamp_ns)
+
     def evaluate_ready(self, now_ns: int) -> list[PairVerdict]:
         """Judge every candidate whose capture instant D1's own frames have passed, or that waited too long."""
         pairs: list[PairVerdict] = []

@@ -197,6 +197,10 @@ class EvidenceGate:
     def restart(self, stamp_ns: int) -> None:
         """D1 missed the target: that costs no evidence; the pairs around it cannot be compared."""
 
+    def end_run(self, stamp_ns: int) -> None:
+        """The next run is one more of this attempt, and may spend what that one may."""
+        self._run.restart(stamp_ns)
+
     def expire(self, instant_ns: int) -> bool:
         return self._run.expire(instant_ns)
 
@@ -265,6 +269,10 @@ class TwoPaces:
 
     def restart(self, stamp_ns: int) -> None:
         """D1 missed the target: that costs no evidence."""
+
+    def end_run(self, stamp_ns: int) -> None:
+        for pace in self.paces:
+            pace.end_run(stamp_ns)
 
     def expire(self, instant_ns: int) -> bool:
         short, patient = (pace.expire(instant_ns) for pace in self.paces)

@@ -115,6 +115,10 @@ class Gate(Protocol):
         """A frame of D1 at this instant (D1's clock) did not show the target."""
         ...
 
+    def end_run(self, stamp_ns: int) -> None:
+        """What was reckoned before this instant (D1's clock) does not go with what comes after: begin a new run."""
+        ...
+
     def expire(self, instant_ns: int) -> bool:
         """Restart when a pair captured at ``instant_ns`` would come too late for the run; True when that was so."""
         ...
@@ -201,6 +205,9 @@ class AgreementWindow:
         """No run may reach across it."""
         self._count = 0
         self._floor_ns = stamp_ns if self._floor_ns is None else max(self._floor_ns, stamp_ns)
+
+    def end_run(self, stamp_ns: int) -> None:
+        self.restart(stamp_ns)
 
     def expire(self, instant_ns: int) -> bool:
         if not self._count or instant_ns - self._last[0] <= self._max_gap_ns:

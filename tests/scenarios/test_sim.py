@@ -79,6 +79,7 @@ def commits_and_breaks_no_rule(out: Path, seed: int) -> None:
     assert flown.facts.violations == {}
     assert flown.summary["wrong_handover"] is False
     assert flown.summary["gate"] == "evidence"
+    assert flown.summary["estimator_steps"] == {"sender": 0, "receiver": 0}
     assert flown.summary["evidence_max"] > 3.3
     assert 1.5 < flown.summary["agreement_s"] < 3.0
     assert flown.summary["min_separation_m"] > 0.7

@@ -17,6 +17,7 @@ from flight.harness.flights import ProgramContext
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import Pilot
+from flight.steady_vehicle import SteadyVehicle
 from flight.tracking.target_track import TargetTrack
 from missions.leg.opening import entropy_of, guard_line_of, leave_opening, warm_up_for
 from missions.leg.session import RoleSession
@@ -79,7 +80,8 @@ class Aboard:
             line = guard_line_of(own.guard, Role.RECEIVER, context.clock, self._harness)
             guard = UnderGuard(await stack.enter_async_context(line), context.clock, self._mission.guard_process)
         leave_opening(self._harness)
-        return Parts(context.clock, vehicle, perception, guard)
+        steady = SteadyVehicle.of(vehicle, self._mission)  # one for all sessions: a step is taken out once
+        return Parts(context.clock, steady, perception, guard)
 
     @property
     def off_n_m(self) -> Vec3:

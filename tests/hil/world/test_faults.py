@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from flight.harness.flights import Progress
+from hil.harness.inject import inject_in_world, need_own_estimators
 from hil.link.faulty import LinkFaults
+from hil.world.config import WorldConfig
 from hil.world.faults import AT_COUNT, FAULTS, FaultError, FaultKind, FaultTrigger, parse_fault, parse_faults
+from hil.world.world import World
+from missions import rig_library
+from path.geometry.rotation import yaw_of
 from path.messages import Role
 
 
@@ -43,6 +50,42 @@ def test_every_fault_can_be_asked_for_by_its_name(kind: FaultKind) -> None:
 def test_when_it_begins_is_written_behind_it(text: str, value: float | None, moment: str, after_s: float) -> None:
     fault = parse_fault(text)
     assert (fault.value, fault.moment, fault.after_s) == (value, moment, after_s)
+
+
+def test_an_estimator_steps_either_way_and_only_where_it_is_simulated() -> None:
+    assert parse_fault("step_height_sender=-1.5@follow+2").value == -1.5
+    assert parse_fault("step_yaw_receiver=-40").kind.role is Role.RECEIVER
+    with pytest.raises(FaultError, match="-181 is not from -180 to 180"):
+        parse_fault("step_yaw_sender=-181")
+    faults = parse_faults(["step_north_sender=1"], "sitl")
+    need_own_estimators(rig_library.load("sitl"), faults)
+    with pytest.raises(FaultError, match=r"step_north_sender: the estimators of .* are the autopilots' own"):
+        need_own_estimators(rig_library.load("sitl-px4"), faults)
+
+
+@pytest.mark.parametrize("role", Role)
+@pytest.mark.parametrize(
+    ("name", "shift_n_m", "turn_rad"),
+    [
+        ("step_north", (2.0, 0.0, 0.0), 0.0),
+        ("step_east", (0.0, 2.0, 0.0), 0.0),
+        ("step_height", (0.0, 0.0, -2.0), 0.0),
+        ("step_yaw", (0.0, 0.0, 0.0), math.radians(2.0)),
+    ],
+)
+def test_a_step_comes_where_it_was_ordered(
+    name: str, shift_n_m: tuple[float, float, float], turn_rad: float, role: Role
+) -> None:
+    world, plain = World(WorldConfig(), 1), World(WorldConfig(), 1)
+    inject_in_world(f"{name}_{role.value}", role, world, 2.0)
+    for each in (world, plain):
+        each.advance(0.1)
+    for other in Role:
+        stepped, before = world.drone(other).estimate, plain.drone(other).estimate
+        moved = np.subtract(stepped.position_n_m, before.position_n_m)
+        turned = yaw_of(stepped.q_n_b) - yaw_of(before.q_n_b)
+        assert moved == pytest.approx(shift_n_m if other is role else (0.0, 0.0, 0.0))
+        assert turned == pytest.approx(turn_rad if other is role else 0.0, abs=0.002)
 
 
 def test_detectors_are_degraded_where_they_are_not_real() -> None:

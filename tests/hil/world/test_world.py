@@ -16,6 +16,7 @@ from hil.world.config import HomeConfig, PositionOffsetConfig, WorldConfig
 from hil.world.errors import ErrorsConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
 from hil.world.world import World
+from path.geometry.rotation import yaw_of
 from path.messages import Role
 
 STILL = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
@@ -233,6 +234,21 @@ def test_faults_of_the_world() -> None:
     world.battery(Role.SENDER, 0.05)
     assert world.drone(Role.SENDER).autopilot.battery == 0.05
     assert world.drone(Role.RECEIVER).autopilot.battery == 1.0
+
+
+def test_an_estimator_steps_and_the_drone_does_not() -> None:
+    world, plain = World(WorldConfig(), 1), World(WorldConfig(), 1)
+    for each in (world, plain):
+        each.advance(1.0)
+    world.step_estimator(Role.RECEIVER, (1.0, -0.5, -0.2), 0.3)
+    for each in (world, plain):
+        each.advance(1.1)
+    stepped, before = world.drone(Role.RECEIVER), plain.drone(Role.RECEIVER)
+    moved = np.subtract(stepped.estimate.position_n_m, before.estimate.position_n_m)
+    assert moved == pytest.approx((1.0, -0.5, -0.2))
+    assert yaw_of(stepped.estimate.q_n_b) - yaw_of(before.estimate.q_n_b) == pytest.approx(0.3, abs=0.01)
+    assert stepped.true_position_n_m == before.true_position_n_m
+    assert world.drone(Role.SENDER).estimate == plain.drone(Role.SENDER).estimate
 
 
 def test_time_does_not_go_back() -> None:

@@ -64,6 +64,7 @@ def decided(records: list[LogRecord]) -> list[DecisionPair]:
         ("sim", 3, ()),
         ("sim", 8, ("link_loss=0.3",)),
         ("sim", 5, ("kill_sender=2@verify+1",)),
+        ("sim", 6, ("step_east_sender=0.8@verify+1", "step_yaw_sender=20@verify+1")),
         (RECORDED, 2, ("kill_receiver@verify+3",)),
     ],
 )

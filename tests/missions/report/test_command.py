@@ -66,6 +66,7 @@ def test_times_counts_and_rates(make_run: MakeRun) -> None:
         "object_handed_over": 0,
         "monitors": {},
         "setpoint_gap_s": {"sender": 0.04},
+        "estimator_steps": {"sender": 0, "receiver": 0},
     }
     assert {key: summary[key] for key in expected} == expected
     assert summary["min_separation_m"] == pytest.approx(np.linalg.norm([0.5, 0.9, 0.5]), abs=1e-3)

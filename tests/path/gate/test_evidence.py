@@ -277,3 +277,16 @@ def test_a_run_without_setbacks_has_the_evidence_of_its_first_block() -> None:
     first = -math.log10(OWN.first_rate)
     assert (evidence_of(0, OWN), evidence_of(1, OWN)) == (0.0, pytest.approx(first))
     assert evidence_of(1, OWN, 1) == pytest.approx(first + math.log10(OWN.setback))
+
+
+def test_a_run_that_is_ended_is_followed_by_one_that_needs_more_and_what_was_captured_before_does_not_count() -> None:
+    gate = EvidenceGate(METHOD)
+    assert feed(gate, range(70)) is None
+    needed = gate.evidence.needed
+    gate.end_run(pair_of(75).capture_ns)
+    assert (gate.count, gate.evidence.reached) == (0, 0.0)
+    assert gate.agree(pair_of(74), CLEAR, TAU) is MissReason.STALE
+    completed = feed(gate, range(76, 1000))
+    assert completed is not None
+    assert completed >= 76 + 80
+    assert gate.evidence.needed == pytest.approx(needed + math.log10(3.0))  # the second run of its attempt

@@ -145,3 +145,10 @@ def test_the_bound_holds_for_both_together_with_the_rates_that_are_measured_of_e
 def test_settings_that_cannot_be_right_are_named(changes: dict[str, Any], named: str) -> None:
     with pytest.raises(ValueError, match=f"^{named}: "):
         EvidenceConfig(**changes)
+
+
+def test_a_run_that_is_ended_is_ended_at_both_paces() -> None:
+    gate = TwoPaces(PATIENT)
+    assert completed(gate, [STRONG] * 70) is None
+    gate.end_run(pair_of(70).capture_ns)
+    assert [pace.count for pace in gate.paces] == [0, 0]

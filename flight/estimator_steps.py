@@ -1,0 +1,191 @@
+"""Steps of an estimator: a place, height or heading that moved faster than the reported velocity and rate allow.
+
+An autopilot's estimate of its place, height or heading may step: it goes over to another estimator, or its GPS or its
+compass is believed again. The vehicle has not moved. ``StepWatch`` sees such a step in the states of one vehicle;
+``flight.steady_vehicle`` takes it out of them.
+
+A step is what the velocity and the heading's rate do not explain. Between two states dt apart a
+vehicle moves by the mean of its two velocities, but for what an acceleration g can add (g dt²/2), an
+error of the velocity as large as the speed that is flown (v dt), and stamps that are late. What the
+estimator's noise adds besides is learned in flight. An estimator that walks a glitch off is slower
+than all that: it is followed. Where the autopilot counts its resets, half of it is enough for a step
+shortly after the count has changed.
+"""
+
+from __future__ import annotations
+
+import math
+
+from drivers.interfaces import VehicleState
+from flight.guidance import Vec3, add, norm, scale, subtract
+from path.geometry.rotation import wrapped, yaw_of
+from path.values import value
+
+SIGMAS = 5.0
+COUNTED_SHARE = 0.5  # of that is enough, shortly after the autopilot's own count of its resets has changed
+COUNTED_NS = 500_000_000  # for so long: the count comes in another message than the place
+GRAVITY_MPS2 = 9.81
+TURN_RPS2 = 10.0  # no multicopter turns its nose harder
+LATE_S = 0.04  # what a state's stamp may be late by more than the one before
+LEAST_NS = 10_000_000  # states nearer to each other came in one burst: the older one is compared with the next
+LONGEST_TURN_NS = 300_000_000  # after so long the rate of before says nothing
+SETTLED_NS = 1_000_000_000  # after arming: the height is counted anew when a vehicle arms
+LEARNED = 20  # residuals, before one may be a step
+FORGET = 0.02  # of the noise, by each residual
+
+
+@value
+class Step:
+    """What an estimator stepped by.
+
+    Attributes:
+        before_ns, stamp_ns: of the last state before it and the first one after it, role clock.
+        shift_n_m: by how much the reported place is farther north, east and down since then.
+        turn_rad: by how much the reported heading is farther clockwise.
+        counted: the autopilot's count of its resets has changed too.
+    """
+
+    before_ns: int
+    stamp_ns: int
+    shift_n_m: Vec3
+    turn_rad: float
+    counted: bool
+
+    def __str__(self) -> str:
+        """Words for the crew."""
+        north, east, down = self.shift_n_m
+        said: list[str] = []
+        if north or east:
+            said.append(f"its place by {math.hypot(north, east):.2f} m")
+        if down:
+            said.append(f"its height by {-down:+.2f} m")
+        if self.turn_rad:
+            said.append(f"its heading by {math.degrees(self.turn_rad):+.0f} degrees")
+        return " and ".join(said)
+
+
+class _Noise:
+    """The usual size of what a quantity moves by beside its rate: the root of a mean square that forgets."""
+
+    def __init__(self) -> None:
+        self._square = 0.0
+        self._noted = 0
+
+    def is_step(self, residual: float, explained: float, share: float) -> bool:
+        """Returns whether a residual is a step: more than what explains it, and than noise.
+
+        One that is none is learned from. ``share``: of that which is enough.
+        """
+        if self._noted >= LEARNED and residual > share * (explained + SIGMAS * self._sigma):
+            return True
+        self._note(residual)
+        return False
+
+    @property
+    def _sigma(self) -> float:
+        return math.sqrt(self._square)
+
+    def _note(self, residual: float) -> None:
+        self._noted += 1
+        share = max(FORGET, 1.0 / self._noted)
+        self._square += share * (residual * residual - self._square)
+
+
+class StepWatch:
+    """Sees the steps in the states of one vehicle. Pure: states come in, steps go out.
+
+    A vehicle that was never armable is still finding its place: that is followed. So is the height
+    of one that stands on the ground, where autopilots begin to count it anew.
+
+    Args:
+        fastest_mps: the highest speed that is flown.
+    """
+
+    def __init__(self, fastest_mps: float) -> None:
+        self._fastest_mps = fastest_mps
+        self._before: VehicleState | None = None
+        self._rate_rps: float | None = None
+        self._across = _Noise()
+        self._height = _Noise()
+        self._turn = _Noise()
+        self._counted_ns: int | None = None
+        self._armed_ns: int | None = None
+        self._ready = False
+
+    @property
+    def counts_height(self) -> bool:
+        """Returns whether the newest state's height is one over a ground that stays."""
+        newest = self._before
+        if newest is None or self._armed_ns is None:
+            return False
+        return newest.in_air or newest.stamp_ns - self._armed_ns > SETTLED_NS
+
+    def look(self, state: VehicleState) -> Step | None:
+        """Return the step between the state that was looked at before and this one; None where there is none."""
+        before = self._before
+        if before is not None and state.stamp_ns - before.stamp_ns < LEAST_NS:
+            return None
+        self._before = state
+        self._ready = self._ready or state.armable or state.armed
+        self._note_arming(state)
+        if before is None or not (self._ready and _is_finite(before) and _is_finite(state)):
+            self._rate_rps = None
+            return None
+        self._note_count(before, state)
+        shift_n_m = self._shift(before, state)
+        turn_rad = self._turned(before, state)
+        if not (any(shift_n_m) or turn_rad):
+            return None
+        return Step(before.stamp_ns, state.stamp_ns, shift_n_m, turn_rad, self._counted(state))
+
+    def _note_arming(self, state: VehicleState) -> None:
+        if not state.armed:
+            self._armed_ns = None
+        elif self._armed_ns is None:
+            self._armed_ns = state.stamp_ns
+
+    def _note_count(self, before: VehicleState, state: VehicleState) -> None:
+        known = before.resets is not None and state.resets is not None
+        if known and before.resets != state.resets:
+            self._counted_ns = state.stamp_ns
+
+    def _counted(self, state: VehicleState) -> bool:
+        """Returns whether the autopilot said lately that it reset its estimate."""
+        return self._counted_ns is not None and state.stamp_ns - self._counted_ns <= COUNTED_NS
+
+    def _shift(self, before: VehicleState, state: VehicleState) -> Vec3:
+        dt_s = (state.stamp_ns - before.stamp_ns) * 1e-9
+        mean_mps = scale(add(before.velocity_n_mps, state.velocity_n_mps), 0.5)
+        moved_m = subtract(state.position_n_m, before.position_n_m)
+        north, east, down = subtract(moved_m, scale(mean_mps, dt_s))
+        explained_m = 0.5 * GRAVITY_MPS2 * dt_s * dt_s + self._fastest_mps * dt_s + norm(mean_mps) * LATE_S
+        share = COUNTED_SHARE if self._counted(state) else 1.0
+        across = self._across.is_step(math.hypot(north, east), explained_m, share)
+        high = self._height.is_step(abs(down), explained_m, share)
+        return (
+            north if across else 0.0,
+            east if across else 0.0,
+            down if high and self.counts_height else 0.0,
+        )
+
+    def _turned(self, before: VehicleState, state: VehicleState) -> float:
+        dt_ns = state.stamp_ns - before.stamp_ns
+        dt_s = dt_ns * 1e-9
+        turned_rad = wrapped(yaw_of(state.q_n_b) - yaw_of(before.q_n_b))
+        rate_rps = self._rate_rps
+        if dt_ns > LONGEST_TURN_NS:
+            self._rate_rps = None
+            return 0.0
+        self._rate_rps = turned_rad / dt_s
+        if rate_rps is None:
+            return 0.0
+        left_rad = wrapped(turned_rad - rate_rps * dt_s)
+        share = COUNTED_SHARE if self._counted(state) else 1.0
+        if not self._turn.is_step(abs(left_rad), TURN_RPS2 * dt_s * dt_s, share):
+            return 0.0
+        self._rate_rps = rate_rps
+        return left_rad
+
+
+def _is_finite(state: VehicleState) -> bool:
+    return math.isfinite(sum(state.position_n_m) + sum(state.velocity_n_mps) + sum(state.q_n_b))
