@@ -12,7 +12,7 @@ class CommandEnd(Enum):
     BUG = ("bug", 1, "a traceback: a fault of PATH itself, please report it")
     NOT_UNDERSTOOD = ("not_understood", 2, "the command line was not understood; usage is printed")
     REFUSED = ("refused", 3, "refused before anything moved: a rig, a part, a fault, a number, a folder")
-    NOT_FIT = ("not_fit", 4, "`doctor` or `rigs --check` found a fault")
+    NOT_FIT = ("not_fit", 4, "`doctor`, `plan` or `rigs --check` found a fault")
     GAVE_UP = ("gave_up", 5, "`guard`: a vehicle did not land, whatever it was told")
     OUTPUT_FAILED = ("output_failed", 6, "what there was to print or to write could not be: disk full?")
     FAILED = ("failed", 7, "`verify`, `trial`, `conformance`: a promise does not hold, or a part of the work failed")

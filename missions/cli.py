@@ -32,6 +32,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "doctor": ("field:DoctorOptions", "doctor.command"),
     "prepare": ("field:PrepareOptions", "prepare"),
     "rigs": ("field:RigsOptions", "rig_list"),
+    "plan": ("field:PlanOptions", "plan.command"),
     "report": ("runs:ReportOptions", "report.command"),
     "replay": ("runs:ReplayOptions", "replay.command"),
     "view": ("runs:ViewOptions", "view.command"),
@@ -64,6 +65,7 @@ examples:
   path-handoff replay runs/20261104-101500    what was decided, decided again from the logs
   path-handoff view runs/20261104-101500      the scene, both images, plots, words, in Rerun
   path-handoff fly mission.py --rig sim       a mission of your own (docs/own-missions.md)
+  path-handoff plan my-rig.toml               can these drones do it, and how?
   path-handoff doctor --rig my-rig.toml       is everything there, before anything moves?
   path-handoff prepare --rig my-rig.toml      compile its kernels now, so that no later start does
   path-handoff sender --rig my-rig.toml       one drone's side, as in the field

@@ -13,6 +13,8 @@ from drivers.rig.file import load_rig
 from drivers.rig.parts import Rig, import_factory
 from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
+from flight.plan.checks import check_plan
+from flight.plan.complete import complete
 from flight.plausible import check_plausible
 from missions.rig_list import FOLDER
 from missions.team.config import checked_team
@@ -24,7 +26,7 @@ def load(name_or_path: str, *, world: bool = True) -> Rig:
     Args:
         world: False for one drone's program, which knows nothing of a world or harness: they are not imported.
     """
-    rig = load_rig(name_or_path, [FOLDER])
+    rig = complete(load_rig(name_or_path, [FOLDER]))
     problems = Problems()
     for check in (partial(check_rig, harness=world), mission_of):
         try:
@@ -34,6 +36,7 @@ def load(name_or_path: str, *, world: bool = True) -> Rig:
             problems.absorb(error)
     problems.raise_any()
     check_plausible(rig)
+    check_plan(rig)
     if rig.team or rig.drones or rig.targets:
         checked_team(rig)
     return rig
@@ -46,7 +49,7 @@ def name_of(rig: Rig) -> str:
 
 def load_unchecked(name_or_path: str) -> Rig:
     """The same, read but not checked: nothing of what the rig names is imported. Raises RigError."""
-    return load_rig(name_or_path, [FOLDER])
+    return complete(load_rig(name_or_path, [FOLDER]))
 
 
 def mission_of(rig: Rig) -> MissionConfig:

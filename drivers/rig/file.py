@@ -13,6 +13,7 @@ harness = "hil.harness.sitl:Sitl"            # left out in the field
 [[drones]]                           # ... its drones by name: homes, parts, batteries
 [[targets]]                          # ... and the targets that it keeps observed
 [reference.sender], .receiver, .target   # beacons that trials measure against; [reference.beacons] is who listens
+[target], [drone], [site]            # what was measured: drivers.rig.facts; heights, distances, times follow from it
 [[markers]]                          # the marker layout on the sender, in frame v
 [sender.vehicle]                     # a part: its factory, and the options of its Config
 factory = "drivers.mavlink.vehicle:MavsdkVehicle"
@@ -38,6 +39,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from drivers.rig.calibration_file import CalibrationError, CameraTable, MountCalibration, read_camera
+from drivers.rig.facts import DroneFacts, SiteFacts, TargetFacts, without_derived
 from drivers.rig.mounts import CalibrationName, CameraMount, MarkerPlace, Vec3, axis_turn
 from drivers.rig.parts import Level, Mount, Origin, PartSpec, Reference, Rig, RoleRig
 from drivers.rig.tables import RigError, decode_table, read_toml, suggestion
@@ -144,6 +146,9 @@ class _RigTable:
     team: dict[str, Any] = field(default_factory=dict[str, Any])
     drones: tuple[dict[str, Any], ...] = ()
     targets: tuple[dict[str, Any], ...] = ()
+    target: TargetFacts | None = None
+    drone: DroneFacts | None = None
+    site: SiteFacts | None = None
 
     def __post_init__(self) -> None:
         self.layout()
@@ -216,7 +221,11 @@ def _read(path: Path, search: Sequence[Path], after: tuple[Path, ...]) -> dict[s
         raise RigError([f"{where}: {line}" for line in error.problems], error.remedy) from error
     if other.resolve() in (each.resolve() for each in (*after, path)):
         raise RigError([f"{where} = {like!r} leads back to {other.name}"], "let one of them stand on its own")
-    return _but_for(_read(other, search, (*after, path)), table)
+    base = _read(other, search, (*after, path))
+    if "target" in table:
+        # another target: what the other rig says of heights and distances is of its own
+        base = without_derived(base)
+    return _but_for(base, table)
 
 
 def _but_for(base: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
@@ -257,7 +266,27 @@ def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:
         drones=written.drones,
         targets=written.targets,
         folders=tuple(search),
+        target=written.target,
+        drone=written.drone,
+        site=written.site,
+        named=_named(table),
     )
+
+
+def _named(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of ``[method]`` and ``[mission]`` by dotted key."""
+    named: dict[str, Any] = {}
+
+    def note(within: Mapping[str, Any], prefix: str) -> None:
+        for key, value in within.items():
+            if isinstance(value, Mapping):
+                note(value, f"{prefix}{key}.")
+            else:
+                named[f"{prefix}{key}"] = value
+
+    for name in ("method", "mission"):
+        note(table.get(name, {}), f"{name}.")
+    return named
 
 
 def _role_rig(written: _SenderTable | _ReceiverTable, T_b_v: Pose) -> RoleRig:

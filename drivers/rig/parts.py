@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 
 from drivers.beacons.log import Mounted
 from drivers.interfaces import Clock
+from drivers.rig.facts import DroneFacts, SiteFacts, TargetFacts
 from drivers.rig.tables import RigError, decode_table, suggestion
 from path.bounds import Bounds
 from path.camera.model import CameraModel
@@ -162,6 +163,10 @@ class Rig:
 
     ``trials`` names what trials measure against, ``module:name`` by purpose; ``reference`` is None without beacons;
     ``folders`` are where a rig that this one is like was looked up by name.
+
+    ``target``, ``drone`` and ``site`` are what was measured (``drivers.rig.facts``); None where the rig
+    says what follows from it by itself. ``named`` are the values of ``[method]`` and ``[mission]`` that
+    the rig names, by dotted key.
     """
 
     name: str
@@ -183,6 +188,10 @@ class Rig:
     drones: tuple[Mapping[str, Any], ...] = ()
     targets: tuple[Mapping[str, Any], ...] = ()
     folders: tuple[Path, ...] = ()
+    target: TargetFacts | None = None
+    drone: DroneFacts | None = None
+    site: SiteFacts | None = None
+    named: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def role(self, role: Role) -> RoleRig:
         return self.sender if role is Role.SENDER else self.receiver

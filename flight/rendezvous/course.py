@@ -12,7 +12,14 @@ from drivers.rig.parts import Mount
 from flight.config import MissionConfig
 from flight.guidance import Vec3, add, bearing, close_in, from_heading, norm, scale, subtract, within_fence
 from flight.rendezvous.marker_view import MarkerView, levelled
-from flight.rendezvous.viewpoint import Floats, NoViewpoint, Viewpoint, ViewpointScene, plan_viewpoint
+from flight.rendezvous.viewpoint import (
+    Floats,
+    NoViewpoint,
+    Viewpoint,
+    ViewpointScene,
+    farthest_m,
+    plan_viewpoint,
+)
 from flight.tilt import Tilt
 from path.camera.model import CameraModel
 from path.geometry.rotation import wrapped, yaw_of
@@ -21,8 +28,7 @@ from path.messages import Status, Target
 
 _TRANSIT_MPS = 1.0
 _TURN, _SLIDE, _CLIMB = 1.1, 0.3, 0.19  # rad/s of the search's three swings: no two are in step for long
-_NEAR_M = 1.6  # where the bounds of an approach are narrow
-_TOO_NEAR_M = 0.15  # above the smallest separation
+_TOO_NEAR = 3.0 / 14.0  # of the smallest separation, above it
 _RUSHING_MPS = 0.4  # above the speed of an approach
 _UNCERTAIN = 2.0  # times the largest uncertainty to close in with
 _UNSURE_SHARE = 0.3  # of the speed, while the marker's pose is uncertain
@@ -86,6 +92,7 @@ class Rendezvous:
             marker_normal_h=R_h_v[:, 2],
             marker_side_m=self._side_m,
             body_h_m=R_h_v @ self._mount.T_b_v.inverse().t,
+            body_radius_m=0.5 * self._config.separation.horizontal_m,
             target_radius_m=self._config.target.half_size_m,
         )
         tilt_h = np.array(from_heading(self.tilt.down_n, -self._peer().yaw_rad))
@@ -226,9 +233,11 @@ class Rendezvous:
         way, velocity = relative.marker_n_m, relative.velocity_n_mps
         distance_m = norm(way)
         closing_mps = -sum(a * b for a, b in zip(way, velocity, strict=True)) / distance_m
-        if distance_m < self._config.separation.minimum_m + _TOO_NEAR_M:
+        separation = self._config.separation
+        if distance_m < (1.0 + _TOO_NEAR) * separation.minimum_m:
             return f"{distance_m:.2f} m from the marker"
-        if distance_m > _NEAR_M:
+        # farther off than any viewpoint the bounds of an approach are wide
+        if distance_m > farthest_m(separation):
             return ""
         if closing_mps > rendezvous.max_speed_mps + _RUSHING_MPS:
             return f"closing in at {closing_mps:.1f} m/s"

@@ -25,6 +25,7 @@ from path.values import value
 _ROOM_M, _TURN_RAD = 0.012, 0.1  # around the markers' corners; a plate that is turned by so much more
 _NEAREST_M = 0.1  # a corner that would be nearer is none
 _FIXED_NS = 500_000_000  # fixes older than this do not count towards "seen"
+_FIXED_FRAMES = 8
 _EXPECTED_S = 0.15  # after a fix a marker is expected at one place; later it must be searched for
 
 
@@ -75,6 +76,8 @@ class MarkerView:
         )
         self._motion: VehicleMotions | None = None
         self._fixes: list[int] = []
+        self._looked_ns = 0
+        self._frame_ns = 0  # between the two newest views
         self._searched_ns = 0
         self._search_period_ns = round(1e9 / mission.search_hz)
         self.search_every = 1  # times as rarely as the mission says, on a computer that does not keep up
@@ -83,8 +86,9 @@ class MarkerView:
         self.R_n_v: Matrix | None = None  # the marker's attitude at the newest look, as its drone reports it
 
     def fixes(self, now_ns: int) -> int:
-        """Poses found in the last half second."""
-        self._fixes = [stamp_ns for stamp_ns in self._fixes if now_ns - stamp_ns < _FIXED_NS]
+        """Return the number of poses found in the last half second, or in the last eight frames if that is longer."""
+        lately_ns = max(_FIXED_NS, _FIXED_FRAMES * self._frame_ns)
+        self._fixes = [stamp_ns for stamp_ns in self._fixes if now_ns - stamp_ns < lately_ns]
         return len(self._fixes)
 
     def note_motion(self, motion: VehicleMotions) -> None:
@@ -109,6 +113,9 @@ class MarkerView:
 
     def look(self, view: View, R_n_c: Matrix, gravity_v: Vec3 | None, gravity_c: Vec3) -> MarkerFix | Missed:
         """The pose of the marker in one view, or why there is none."""
+        if self._looked_ns:
+            self._frame_ns = view.stamp_ns - self._looked_ns
+        self._looked_ns = view.stamp_ns
         R_n_v = None
         if gravity_v is not None and self._motion is not None:
             R_n_v = levelled(gravity_v, self._R_b_v, self._motion.peer_yaw_rad)

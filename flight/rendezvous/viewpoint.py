@@ -15,7 +15,9 @@ from path.geometry.transforms import Pose
 
 Floats = NDArray[np.float64]
 
-_DISTANCES_M = np.arange(0.80, 1.65, 0.05)
+_DISTANCES = 17  # from the nearest to the farthest
+_NEAREST, _FARTHEST = 8.0 / 7.0, 16.0 / 7.0  # times the least separation
+_BEYOND = 1.18  # times the distance between the bodies that is asked for, where that is more
 _AZIMUTHS_RAD = np.radians(np.arange(-70.0, 71.0, 10.0))
 _ELEVATIONS_RAD = np.radians(np.arange(0.0, 61.0, 7.5))
 _YAW_SHARES = (0.35, 0.5, 0.65)
@@ -75,7 +77,7 @@ def plan_viewpoint(
     nearer to the marker than ``separation.marker_m`` is taken only where there is no other, and then the farthest: two
     drones swing.
     """
-    candidates = _candidates()
+    candidates = _candidates(separation)
     distance = np.linalg.norm(candidates, axis=1)
     to_marker = -candidates / distance[:, None]
     incidence = np.arccos(np.clip(-(to_marker @ scene.marker_normal_h), -1.0, 1.0))
@@ -114,8 +116,8 @@ def plan_viewpoint(
     # a wider margin is worth a smaller marker, up to what a drone swings in a gust
     score = np.minimum(margin, 150.0) + (2.0 * marker_px[alive] - 20.0 * incidence[alive])[:, None]
     score[margin < rendezvous.image_margin_px] = -np.inf
-    farthest_m = np.max(distance[alive], where=np.isfinite(score).any(axis=1), initial=0.0)
-    score[distance[alive] < min(separation.marker_m, farthest_m) - _SAME_M] = -np.inf
+    most_m = np.max(distance[alive], where=np.isfinite(score).any(axis=1), initial=0.0)
+    score[distance[alive] < min(separation.marker_m, most_m) - _SAME_M] = -np.inf
     index, share = np.unravel_index(int(np.argmax(score)), score.shape)
     if not np.isfinite(score[index, share]):
         return NoViewpoint({**rejected, "not both in view": len(places)})
@@ -129,9 +131,15 @@ def plan_viewpoint(
     )
 
 
-def _candidates() -> Floats:
-    """Places behind and above the marker, shape (n, 3) in ``h``."""
-    distance, azimuth, elevation = np.meshgrid(_DISTANCES_M, _AZIMUTHS_RAD, _ELEVATIONS_RAD, indexing="ij")
+def farthest_m(separation: SeparationConfig) -> float:
+    """Return the farthest from the marker that a viewpoint is looked for: it grows with the bodies."""
+    return max(_FARTHEST * separation.minimum_m, _BEYOND * separation.viewpoint_m)
+
+
+def _candidates(separation: SeparationConfig) -> Floats:
+    """Return places behind and above the marker, shape (n, 3) in ``h``."""
+    distances_m = np.linspace(_NEAREST * separation.minimum_m, farthest_m(separation), _DISTANCES)
+    distance, azimuth, elevation = np.meshgrid(distances_m, _AZIMUTHS_RAD, _ELEVATIONS_RAD, indexing="ij")
     level = distance * np.cos(elevation)
     places = np.stack([-level * np.cos(azimuth), level * np.sin(azimuth), -distance * np.sin(elevation)], axis=-1)
     return places.reshape(-1, 3)

@@ -115,6 +115,16 @@ class RigsOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class PlanOptions:
+    """Show what follows from what a rig measured: heights, distances, times, what limits them, what to expect."""
+
+    rig: Annotated[AnyRig, tyro.conf.Positional] = "sim"
+
+    out: OutFolder = None
+    """Folder for plan.png, both drones and the target to scale, and plan.json; nothing is written by default."""
+
+
+@dataclass(frozen=True, slots=True)
 class DetectOptions:
     """Try a detector on a recording: what it finds, and how long it takes."""
 

@@ -1,0 +1,124 @@
+"""What a crew measures or chooses, as a rig says it: the target, the drones, the site.
+
+From these tables ``flight.plan`` derives heights, distances, times and thresholds. A rig without
+``[target]`` says all of that by itself.
+
+[target]                     # the body, and what it can do
+length_m = 4.5
+width_m = 1.8
+height_m = 1.5
+max_speed_mps = 3.0
+
+[drone]                      # both drones
+diameter_m = 0.6             # over the tips of the propellers
+
+[site]
+wind_mps = 4.0               # the strongest mean wind to fly in
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from path.bounds import Bounds
+
+
+@dataclass(frozen=True, slots=True)
+class TargetFacts:
+    """The target's body and motion.
+
+    Attributes:
+        length_m, width_m, height_m: of a box around it and what sticks out of it; the same whichever way it heads.
+        max_speed_mps, max_accel_mps2: the most it may do in this mission, in any direction.
+        flies: it moves up and down too.
+    """
+
+    length_m: Annotated[float, Bounds(0.02, 50.0)]
+    width_m: Annotated[float, Bounds(0.02, 50.0)]
+    height_m: Annotated[float, Bounds(0.02, 50.0)]
+    max_speed_mps: Annotated[float, Bounds(0.0, 30.0)] = 0.5
+    max_accel_mps2: Annotated[float, Bounds(0.0, 20.0)] = 0.6
+    flies: bool = False
+
+    @property
+    def span_m(self) -> float:
+        """Return the diameter of the upright cylinder that it fits into, whichever way it heads."""
+        return math.hypot(self.length_m, self.width_m)
+
+
+@dataclass(frozen=True, slots=True)
+class DroneFacts:
+    """Both drones, as a data sheet and a test flight tell.
+
+    Attributes:
+        diameter_m: over the tips of the propellers.
+        hold_m: how far it wanders about a place that it is told to hold.
+        response_s: until it has answered to 63 % of a new velocity.
+        max_speed_mps: the fastest that the crew lets it fly.
+        max_tilt_deg: the most that its autopilot tilts it.
+        tilt_per_mps_deg: how much a metre a second of wind tilts it as it hovers.
+    """
+
+    diameter_m: Annotated[float, Bounds(0.05, 5.0)] = 0.6
+    hold_m: Annotated[float, Bounds(0.005, 5.0)] = 0.2
+    response_s: Annotated[float, Bounds(0.1, 5.0)] = 1.0
+    max_speed_mps: Annotated[float, Bounds(0.1, 30.0)] = 5.0
+    max_tilt_deg: Annotated[float, Bounds(2.0, 60.0)] = 20.0
+    tilt_per_mps_deg: Annotated[float, Bounds(0.0, 20.0, "deg s/m")] = 1.75
+
+
+@dataclass(frozen=True, slots=True)
+class SiteFacts:
+    """The weather that is flown in. ``wind_mps`` is its mean, ``gust_mps`` the standard deviation about it."""
+
+    wind_mps: Annotated[float, Bounds(0.0, 30.0)] = 1.5
+    gust_mps: Annotated[float, Bounds(0.0, 15.0)] = 0.4
+
+
+DERIVED = (
+    "mission.take_off_height_m",
+    "mission.receiver_take_off_height_m",
+    "mission.max_accel_mps2",
+    "mission.depart_m",
+    "mission.target.height_m",
+    "mission.target.half_size_m",
+    "mission.target.flies",
+    "mission.follow",
+    "mission.separation",
+    "mission.rendezvous.stand_off_m",
+    "mission.rendezvous.clearance_m",
+    "mission.rendezvous.stand_off_tolerance_m",
+    "mission.rendezvous.search_slide_m",
+    "mission.rendezvous.arrived_m",
+    "mission.rendezvous.arrived_speed_mps",
+    "mission.rendezvous.max_speed_mps",
+    "mission.rendezvous.max_position_sigma_m",
+    "mission.rendezvous.image_margin_px",
+    "mission.rendezvous.max_range_m",
+    "mission.deadlines",
+    "method.evidence",
+    "method.target_center_sigma_m",
+    "method.max_depth_spread_m",
+    "method.relative_speed_mps",
+    "method.relative_accel_mps2",
+)
+"""Keys and tables whose values follow from the target: they are of one target, and of no other."""
+
+
+def without_derived(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a rig's tables without what follows from its target."""
+    keys: list[list[str]] = [str(key).split(".") for key in DERIVED]
+    return _without(table, keys)
+
+
+def _without(table: Mapping[str, Any], keys: list[list[str]]) -> dict[str, Any]:
+    kept: dict[str, Any] = {}
+    for name, value in table.items():
+        below = [rest for first, *rest in keys if first == name]
+        if [] in below:
+            continue
+        kept[name] = _without(value, below) if isinstance(value, Mapping) else value
+    return kept

@@ -1,0 +1,370 @@
+"""What a rig cannot do, found before anything moves, each with the smallest change that makes it possible. Pure.
+
+A check takes facts and geometry and returns a Problem or None. The smallest change is found by asking the same check
+again with the fact changed, and halving what lies between what fails and what passes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+from drivers.rig.parts import Rig
+from drivers.rig.tables import Problems, decode_table
+from flight.config import MissionConfig
+from flight.plan.derive import GRAVITY_MPS2
+from flight.plan.errors import predict
+from flight.plan.facts import Eye, Facts, facts_of
+from flight.plan.geometry import (
+    Floats,
+    Layout,
+    apparent,
+    followed_at,
+    layout,
+    tilts,
+)
+from flight.rendezvous.viewpoint import NoViewpoint, Viewpoint
+from path.camera.model import CameraModel
+
+LEAST_TARGET_PX = 20.0  # of a box's shorter side: detectors lose objects below it (docs/detectors.md)
+MOST_OFFSET = 0.2  # of the target's box: boxes that lasting errors put farther apart do not overlap enough
+CATCH_UP = 1.15  # times the target's speed, to come closer at all
+IN_WIND = 0.5  # of the margin to D2's image border: the rest is what wind may take
+_HALVINGS = 24
+_FINE = 1.001
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Something that this rig cannot do. ``change``: the smallest that would do, "" when none was found."""
+
+    where: str
+    what: str
+    change: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.what}; {self.change}" if self.change else self.what
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """The facts and the geometry that a mission's settings have both drones fly."""
+
+    facts: Facts
+    mission: MissionConfig
+    placed: Layout
+
+    @property
+    def range_m(self) -> float:
+        """Return the distance from D1's camera to the target."""
+        return self.placed.range_m
+
+
+def flown(facts: Facts, mission: MissionConfig) -> Flown:
+    """Work out the geometry that a mission's settings lead to."""
+    return _at(facts, mission, followed_at(mission))
+
+
+def check_plan(rig: Rig) -> None:
+    """Raise RigError with everything that a rig's drones cannot do, each with the smallest change that would do."""
+    mission = decode_table(rig.mission, MissionConfig, rig.where("mission"))
+    found = Problems()
+    for problem in problems(flown(facts_of(rig, mission), mission)):
+        found.add(rig.where(problem.where), str(problem))
+    found.raise_any()
+
+
+def problems(of: Flown) -> Iterator[Problem]:
+    """Yield everything that cannot be done."""
+    for check in (_target_px, _fits, _depth, _viewpoint, _offset, _wind, _speed, _rate):
+        found = check(of)
+        if found is not None:
+            yield found
+
+
+def _at(facts: Facts, mission: MissionConfig, target_h: Floats) -> Flown:
+    return Flown(facts, mission, _placed(facts, mission, target_h))
+
+
+def _times(of: Flown, share: float) -> Floats:
+    """Return a place on the line from D1 to the target, so many times as far."""
+    return share * of.placed.target_h
+
+
+def _placed(
+    facts: Facts, mission: MissionConfig, target_h: Floats, *, share: float = 1.0, tilt_h: Floats | None = None
+) -> Layout:
+    """Plan D2's viewpoint. ``share``: of the margin to the image's border that is asked for."""
+    rendezvous = mission.rendezvous
+    margin_px = share * rendezvous.image_margin_px
+    return layout(
+        facts,
+        target_h,
+        mission.target.half_size_m,
+        mission.separation,
+        replace(rendezvous, image_margin_px=margin_px),
+        tilt_h=tilt_h,
+    )
+
+
+def _target_px(of: Flown) -> Problem | None:
+    seen = apparent(of.facts, of.range_m)
+    if seen.short_px >= LEAST_TARGET_PX:
+        return None
+    nearer_m = of.range_m * seen.short_px / LEAST_TARGET_PX
+    focal_px = of.facts.sender.camera.fx * LEAST_TARGET_PX / seen.short_px
+    return Problem(
+        "mission.follow",
+        f"the target is {seen.short_px:.0f} px at the {of.range_m:.1f} m that D1 follows it from;"
+        f" detectors need {LEAST_TARGET_PX:.0f}",
+        f"{nearer_m:.1f} m would do, or f {focal_px:.0f} px",
+    )
+
+
+def _fits(of: Flown) -> Problem | None:
+    """Check that the whole target is inside D1's image."""
+    camera, seen = of.facts.sender.camera, apparent(of.facts, of.range_m)
+    widest = max(seen.width_px / camera.width, seen.height_px / camera.height)
+    if widest <= 1.0:
+        return None
+    return Problem(
+        "mission.follow",
+        f"the target fills {100.0 * widest:.0f} % of D1's image from {of.range_m:.1f} m",
+        f"{of.range_m * widest * 1.15:.1f} m would do",
+    )
+
+
+def _depth(of: Flown) -> Problem | None:
+    """Check that D1's depth camera reaches the target."""
+    method, range_m = of.facts.method, of.range_m
+    if method.min_depth_m <= range_m <= method.max_depth_m:
+        return None
+    return Problem(
+        "mission.follow",
+        f"the target is {range_m:.1f} m from D1's camera; its depth is trusted from method.min_depth_m ="
+        f" {method.min_depth_m:g} m to method.max_depth_m = {method.max_depth_m:g} m",
+        f"{min(max(range_m, method.min_depth_m), method.max_depth_m):.1f} m would do",
+    )
+
+
+def _viewpoint(of: Flown) -> Problem | None:
+    """Check that there is a place for D2, level and in the wind."""
+    none = of.placed.viewpoint
+    if isinstance(none, Viewpoint):
+        return _viewpoint_in_wind(of)
+    said = f"no place for D2: {_main_reason(none)}"
+    side_m = _least(
+        of.facts.marker_side_m,
+        10.0,
+        lambda side_m: _has_viewpoint(replace(of, facts=of.facts.with_side(side_m))),
+    )
+    ways: list[str] = []
+    if side_m is not None:
+        ways.append(f"a plate of {_mm(side_m)} would do")
+    focal = _least(1.0, 10.0, lambda times: _has_viewpoint(replace(of, facts=_zoomed(of.facts, times))))
+    if focal is not None:
+        ways.append(f"f {of.facts.receiver.camera.fx * focal:.0f} px of D2's camera")
+    farther = _least(1.0, 10.0, lambda times: _has_viewpoint(_at(of.facts, of.mission, _times(of, times))))
+    if farther is not None:
+        ways.append(f"D1 {farther * of.range_m:.1f} m from the target")
+    return Problem("mission.rendezvous", said, ", or ".join(ways))
+
+
+def _main_reason(none: NoViewpoint) -> str:
+    name, count = max(none.rejected.items(), key=lambda each: each[1])
+    total = sum(none.rejected.values())
+    return f"{count} of {total} places are given up as '{name}'"
+
+
+def _viewpoint_in_wind(of: Flown) -> Problem | None:
+    """Check that a steady wind, from wherever, leaves D2 a viewpoint: it tilts D2 and its camera."""
+    wind_mps = of.facts.site.wind_mps
+    if _sees_both(of, wind_mps):
+        return None
+    borne_mps = _most(0.0, wind_mps, lambda speed_mps: _sees_both(of, speed_mps))
+    tilt_deg = of.facts.drone.tilt_per_mps_deg * wind_mps
+    return Problem(
+        "site.wind_mps",
+        f"a wind of {wind_mps:g} m/s tilts D2 by {tilt_deg:.0f} deg, and its fixed camera with it: from some"
+        " directions no place keeps marker and target in view",
+        f"{borne_mps:.1f} m/s can be borne" if borne_mps > 0.0 else "",
+    )
+
+
+def _sees_both(of: Flown, wind_mps: float) -> bool:
+    """Return whether D2 has a viewpoint in a wind from each of eight directions."""
+    angle = math.radians(of.facts.drone.tilt_per_mps_deg * wind_mps)
+    found = [_placed(of.facts, of.mission, of.placed.target_h, share=IN_WIND, tilt_h=tilt) for tilt in tilts(angle)]
+    return all(isinstance(each.viewpoint, Viewpoint) for each in found)
+
+
+def _offset(of: Flown) -> Problem | None:
+    """Check that errors that last leave both boxes over each other."""
+    if not isinstance(of.placed.viewpoint, Viewpoint) or _overlap(of):
+        return None
+    expected, most_m = predict(of.facts, of.placed), _most_offset_m(of)
+    worst = max(expected.sources, key=lambda source: source.sigma_m)
+    share = _most(0.0, 1.0, lambda share: _overlap(_at(of.facts, of.mission, _times(of, share))))
+    return Problem(
+        "method",
+        f"errors that last put D2's box {expected.offset_sigma_m:.2f} m off, most of it by {worst.name}"
+        f" ({worst.sigma}: {worst.sigma_m:.2f} m); the views of a target of this size agree up to {most_m:.2f} m",
+        f"{share * of.range_m:.1f} m from the target would do" if share > 0.0 else "",
+    )
+
+
+def _most_offset_m(of: Flown) -> float:
+    seen = apparent(of.facts, of.range_m)
+    return MOST_OFFSET * min(seen.width_m, seen.height_m)
+
+
+def _overlap(of: Flown) -> bool:
+    """Return whether there is a viewpoint from which lasting errors leave both boxes over each other."""
+    if not isinstance(of.placed.viewpoint, Viewpoint):
+        return False
+    return predict(of.facts, of.placed).offset_sigma_m <= _most_offset_m(of)
+
+
+def _wind(of: Flown) -> Problem | None:
+    """Check that wind and gusts leave the drones enough of their tilt to follow with."""
+    drone, site = of.facts.drone, of.facts.site
+    leans_deg = drone.tilt_per_mps_deg * (site.wind_mps + 2.0 * site.gust_mps)
+    corrects_deg = _corrects_deg(of)
+    if leans_deg + corrects_deg <= drone.max_tilt_deg:
+        return None
+    return Problem(
+        "site.wind_mps",
+        f"a wind of {site.wind_mps:g} m/s with gusts takes {leans_deg:.0f} deg of tilt and following"
+        f" {corrects_deg:.0f}; the drones tilt by drone.max_tilt_deg = {drone.max_tilt_deg:g} deg at most",
+        f"a wind of {_upright_wind_mps(of):.1f} m/s can be borne, or {leans_deg + corrects_deg:.0f} deg of tilt"
+        " would do",
+    )
+
+
+def _corrects_deg(of: Flown) -> float:
+    """Return the tilt that following takes."""
+    return math.degrees(math.atan(of.mission.max_accel_mps2 / GRAVITY_MPS2))
+
+
+def _upright_wind_mps(of: Flown) -> float:
+    """Return the mean wind in which gusts and following still leave the drones within their tilt."""
+    drone = of.facts.drone
+    if drone.tilt_per_mps_deg <= 0.0:
+        return math.inf
+    room_deg = max(0.0, drone.max_tilt_deg - _corrects_deg(of))
+    return max(0.0, room_deg / drone.tilt_per_mps_deg - 2.0 * of.facts.site.gust_mps)
+
+
+def most_wind_mps(of: Flown) -> float:
+    """Return the mean wind that can be borne: D2 sees marker and target, and both drones keep to their tilt."""
+    upright_mps = _upright_wind_mps(of)
+    if not isinstance(of.placed.viewpoint, Viewpoint) or math.isinf(upright_mps):
+        return upright_mps
+    if _sees_both(of, upright_mps):
+        return upright_mps
+    return _most(0.0, upright_mps, lambda speed_mps: _sees_both(of, speed_mps))
+
+
+def _speed(of: Flown) -> Problem | None:
+    """Check that D1 is faster than what it follows."""
+    needed_mps = CATCH_UP * of.facts.target.max_speed_mps
+    limit_mps = of.mission.follow.max_speed_mps
+    if limit_mps >= needed_mps:
+        return None
+    return Problem(
+        "mission.follow.max_speed_mps",
+        f"the target may move at {of.facts.target.max_speed_mps:g} m/s, D1 follows at {limit_mps:g} m/s",
+        f"{needed_mps:.1f} m/s would do",
+    )
+
+
+def _rate(of: Flown) -> Problem | None:
+    """Check that enough pairs come before the views have to agree."""
+    rates = [eye.rate_hz for eye in (of.facts.sender, of.facts.receiver) if eye.rate_hz is not None]
+    if not rates:
+        return None
+    takes_s = agreement_s(of.facts, min(rates))
+    wait_s = of.mission.deadlines.verify_s
+    if takes_s <= wait_s:
+        return None
+    return Problem(
+        "mission.deadlines.verify_s",
+        f"{of.facts.method.needed_pairs} pairs at {min(rates):g} frames a second take {takes_s:.0f} s;"
+        f" {wait_s:g} s are given",
+        f"{takes_s:.0f} s would do",
+    )
+
+
+def agreement_s(facts: Facts, rate_hz: float) -> float:
+    """Return how long the views must agree before the hand-over at a rate of frames, when nothing is missed."""
+    evidence = facts.method.evidence
+    least_s = evidence.min_s if facts.method.gate == "evidence" else facts.method.hold_s
+    return max(least_s, facts.method.needed_pairs / rate_hz) + 0.5
+
+
+def _has_viewpoint(of: Flown) -> bool:
+    return isinstance(_placed(of.facts, of.mission, of.placed.target_h).viewpoint, Viewpoint)
+
+
+def _zoomed(facts: Facts, times: float) -> Facts:
+    """Return facts with more focal length in D2's camera, and as many more pixels: the same field of view."""
+    lens = facts.receiver.camera
+    camera = CameraModel(
+        round(times * lens.width),
+        round(times * lens.height),
+        times * lens.fx,
+        times * lens.fy,
+        times * lens.cx,
+        times * lens.cy,
+        lens.distortion,
+    )
+    return replace(facts, receiver=Eye(camera, facts.receiver.mount, facts.receiver.rate_hz))
+
+
+def _least(fails: float, passes: float, holds: Callable[[float], bool]) -> float | None:
+    """Return the least value that holds between one that fails and a larger one; None when that fails too."""
+    if not holds(passes):
+        # what is too large may fail for another reason: try on the way up
+        value = fails
+        while value < passes and not holds(value):
+            value *= 1.25
+        if value >= passes:
+            return None
+        passes = value
+    for _ in range(_HALVINGS):
+        middle = math.sqrt(fails * passes)
+        if passes / fails < _FINE:
+            break
+        if holds(middle):
+            passes = middle
+        else:
+            fails = middle
+    return passes
+
+
+def _most(holds_at: float, fails: float, holds: Callable[[float], bool]) -> float:
+    """Return the largest value that holds between one that is taken to hold and one that fails."""
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (holds_at + fails)
+        if holds(middle):
+            holds_at = middle
+        else:
+            fails = middle
+    return holds_at
+
+
+def _mm(length_m: float) -> str:
+    return f"{math.ceil(1000.0 * length_m - 1e-6):d} mm"
+
+
+def nearest_told_apart_m(of: Flown) -> float:
+    """Return how near to the target a look-alike may be for the boxes to tell them apart, m; NaN without a viewpoint.
+
+    A likelihood ratio of 1 / alpha between an offset of 0 and one of d, with standard deviation s, asks for
+    d = s sqrt(2 ln(1 / alpha)).
+    """
+    if not isinstance(of.placed.viewpoint, Viewpoint):
+        return math.nan
+    sigma_m = predict(of.facts, of.placed).offset_sigma_m
+    return sigma_m * math.sqrt(2.0 * math.log(1.0 / of.facts.method.evidence.alpha))

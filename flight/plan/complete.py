@@ -1,0 +1,87 @@
+"""A rig completed by its plan: what its facts give takes the place of what nobody named.
+
+Called whenever a rig is loaded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from drivers.rig.parts import PartSpec, Rig, RoleRig
+from drivers.rig.tables import decode_table
+from flight.config import MissionConfig
+from flight.plan.derive import Derived, derive, derive_rates
+from flight.plan.facts import facts_of
+from path.config import MethodConfig
+
+DEPTH_KEYS = (
+    "min_depth_m",
+    "max_depth_m",
+    "depth_center_fraction",
+    "min_depth_valid",
+    "min_depth_pixels",
+    "max_depth_spread_m",
+    "depth_sigma_at_1m_m",
+)
+"""Settings of the method that a perception has a copy of."""
+
+
+def complete(rig: Rig) -> Rig:
+    """Return the rig with what its facts give filled in. Raises RigError.
+
+    Without ``[target]`` that is what follows from the rates of its cameras.
+    """
+    mission = {**rig.mission}
+    method = rig.method
+    for each in derived_of(rig):
+        table, _, key = each.key.partition(".")
+        if table == "mission":
+            mission = _with(mission, key, each.value)
+        else:
+            method = _method_with(method, key, each.value)
+    if mission == rig.mission and method == rig.method:
+        return rig
+    return replace(
+        rig,
+        mission=mission,
+        method=method,
+        sender=_with_depth(rig.sender, method),
+        receiver=_with_depth(rig.receiver, method),
+    )
+
+
+def derived_of(rig: Rig) -> tuple[Derived, ...]:
+    """Return what a rig's facts give, without what it names itself. Raises RigError."""
+    mission = decode_table(rig.mission, MissionConfig, rig.where("mission"))
+    facts = facts_of(rig, mission)
+    return derive_rates(facts, rig.named) if rig.target is None else derive(facts, rig.named)
+
+
+def _with(table: Mapping[str, Any], key: str, value: float) -> dict[str, Any]:
+    """Return a table with a value at a dotted key."""
+    first, _, rest = key.partition(".")
+    inner = table.get(first, {})
+    return {**table, first: _with(inner, rest, value) if rest else value}
+
+
+def _method_with(method: MethodConfig, key: str, value: float) -> MethodConfig:
+    first, _, rest = key.partition(".")
+    if rest:
+        return replace(method, evidence=replace(method.evidence, **{rest: value}))
+    return replace(method, **{first: value})
+
+
+def _with_depth(own: RoleRig, method: MethodConfig) -> RoleRig:
+    """Return a drone whose perception takes depth as the method does, where it does not say otherwise."""
+    options = own.perception.options
+    said = options.get("method", {})
+    usual = MethodConfig()
+    wanted = {key: getattr(method, key) for key in DEPTH_KEYS}
+    changed = {key: value for key, value in wanted.items() if value != getattr(usual, key)}
+    if not changed:
+        return own
+    perception = replace(own.perception, options={**options, "method": {**changed, **said}})
+    assert isinstance(perception, PartSpec)
+    return replace(own, perception=perception)

@@ -1,0 +1,266 @@
+"""From what was measured to what is flown: heights, distances, times, thresholds. Pure.
+
+Everything follows from the facts, and grows with them: bodies of twice the size are flown round at twice the distance.
+What stays as it is has its reason here: ``TILT_RAD`` is an angle, so the acceleration that it stands for contains
+gravity; a vehicle's response time is its own.
+
+The range R between D1's camera and the target is the least at which
+
+- the whole target, and what D1 sways by, is inside the image while D1 tilts as much as a correction tilts it:
+  (half the box + sway) / R + tan(tilt) <= EDGE * half the image / f, both ways;
+- D1's body stays clear of the target: R >= its radius + the least separation;
+- there is a viewpoint for D2 (``flight.rendezvous.viewpoint``): R grows until there is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from drivers.rig.facts import DroneFacts
+from flight.config import GuardConfig, RendezvousConfig, SeparationConfig
+from flight.plan.errors import predict
+from flight.plan.facts import Facts
+from flight.plan.geometry import apparent, depression_rad, layout, place_of_target, target_radius_m
+from flight.rendezvous.viewpoint import Viewpoint, farthest_m
+from path.config import MethodConfig
+
+GRAVITY_MPS2 = 9.81
+TILT_RAD = math.radians(4.7)  # of a correction; a camera that is fixed to the body tilts with it
+EDGE = 0.9  # of half the image: what a box keeps from the border
+WIDER = 1.05  # the next range to try
+MOST_WIDER = 40  # times: seven times the least range
+
+Named = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Derived:
+    """One derived value. ``why``: from what it follows; ``limit``: what would break if it were less, or more."""
+
+    key: str
+    value: float
+    unit: str
+    why: str
+    limit: str = ""
+
+
+def derive(facts: Facts, named: Named) -> tuple[Derived, ...]:
+    """Derive all that can be, in the order in which it is used.
+
+    Args:
+        named: values that the rig names itself, by dotted key: they are taken as they are, and what follows from them.
+    """
+    found = _Found(named)
+    _separation(facts.drone, found)
+    _following(facts, found)
+    _rendezvous(facts, found)
+    _method(facts, found)
+    _waits(found)
+    _rates(facts, found)
+    return tuple(found.values)
+
+
+def derive_rates(facts: Facts, named: Named) -> tuple[Derived, ...]:
+    """Derive what follows from the rate of frames alone, for a rig that says everything else itself."""
+    found = _Found(named)
+    _rates(facts, found)
+    return tuple(found.values)
+
+
+class _Found:
+    """What was derived so far; a value that the rig names stands instead of its own."""
+
+    def __init__(self, named: Named) -> None:
+        self._named = named
+        self.values: list[Derived] = []
+
+    def add(self, key: str, value: float, unit: str, why: str, limit: str = "") -> float:
+        """Note a value, and return what holds: the rig's own where it names one."""
+        if key in self._named:
+            said = self._named[key]
+            return float(said) if isinstance(said, int | float) else value
+        rounded = _rounded(value)
+        self.values.append(Derived(key, rounded, unit, why, limit))
+        return rounded
+
+    def __getitem__(self, key: str) -> float:
+        if key in self._named:
+            return float(self._named[key])
+        return next(each.value for each in self.values if each.key == key)
+
+
+def _rounded(value: float) -> float:
+    """Return a value to four figures: as a person would write it."""
+    return float(f"{value:.4g}")
+
+
+def _separation(drone: DroneFacts, found: _Found) -> None:
+    """Derive what keeps two drones apart, from their size and from how far they wander."""
+    size, hold = "drone.diameter_m", "drone.hold_m"
+    found.add("mission.separation.horizontal_m", drone.diameter_m, "m", size)
+    found.add("mission.separation.vertical_m", 0.75 * drone.diameter_m, "m", size)
+    least_m = drone.diameter_m + 0.5 * drone.hold_m
+    least_m = found.add("mission.separation.minimum_m", least_m, "m", f"{size}, and half of {hold}")
+    apart_m = least_m + 1.75 * drone.hold_m
+    found.add("mission.separation.viewpoint_m", apart_m, "m", f"the least, and 1.75 {hold}")
+    found.add("mission.separation.marker_m", apart_m, "m", "as between the bodies")
+
+
+def _following(facts: Facts, found: _Found) -> None:
+    """Derive where D1 follows from, and how fast."""
+    target, drone = facts.target, facts.drone
+    height_m = 0.0 if target.flies else 0.5 * target.height_m
+    height_m = found.add("mission.target.height_m", height_m, "m", "half of target.height_m")
+    found.add("mission.target.half_size_m", target_radius_m(facts), "m", "the target as D1 sees it")
+    accel_mps2 = max(GRAVITY_MPS2 * math.tan(TILT_RAD), 1.1 * target.max_accel_mps2)
+    found.add("mission.max_accel_mps2", accel_mps2, "m/s2", "a tilt of 4.7 deg, or target.max_accel_mps2")
+    found.add("mission.follow.target_accel_mps2", target.max_accel_mps2, "m/s2", "target.max_accel_mps2")
+    fastest_mps = 1.3 * target.max_speed_mps + 4.0 * drone.hold_m / drone.response_s
+    found.add(
+        "mission.follow.max_speed_mps",
+        min(fastest_mps, drone.max_speed_mps),
+        "m/s",
+        "1.3 target.max_speed_mps, and to catch up",
+        "drone.max_speed_mps",
+    )
+    found.add("mission.follow.response_s", drone.response_s, "s", "drone.response_s")
+    margin_px = facts.receiver.camera.height / 6.0
+    found.add("mission.rendezvous.image_margin_px", margin_px, "px", "a sixth of D2's image")
+    range_m, why = _range(facts, found)
+    angle = depression_rad(facts)
+    lever = facts.sender.mount.T_b_c.t
+    behind_m = range_m * math.cos(angle) + float(lever[0])
+    above_m = range_m * math.sin(angle) + float(lever[2])
+    found.add("mission.follow.behind_m", behind_m, "m", f"{range_m:.2f} m along the camera: {why}")
+    follow_m = found.add("mission.follow.height_m", height_m + above_m, "m", "the same range")
+    found.add("mission.take_off_height_m", follow_m, "m", "as high as D1 follows")
+    higher_m = follow_m + found["mission.separation.minimum_m"]
+    found.add("mission.receiver_take_off_height_m", higher_m, "m", "the least separation above D1")
+    found.add(
+        "mission.depart_m",
+        max(2.5 * found["mission.separation.viewpoint_m"], target.span_m),
+        "m",
+        "out of D2's way, and of the target's",
+    )
+
+
+def _range(facts: Facts, found: _Found) -> tuple[float, str]:
+    """Return the range between D1's camera and the target, and what decides it."""
+    fits_m = least_range_m(facts)
+    radius_m = found["mission.target.half_size_m"]
+    clear_m = radius_m + found["mission.separation.minimum_m"]
+    range_m, why = (fits_m, "the target fits the image") if fits_m >= clear_m else (clear_m, "clear of it")
+    separation = separation_of(found)
+    rendezvous = RendezvousConfig(image_margin_px=found["mission.rendezvous.image_margin_px"])
+    for _ in range(MOST_WIDER):
+        room = replace(rendezvous, max_range_m=range_m + 2.0 * farthest_m(separation))
+        placed = layout(facts, place_of_target(facts, range_m), radius_m, separation, room)
+        if isinstance(placed.viewpoint, Viewpoint):
+            return range_m, why
+        range_m, why = range_m * WIDER, "D2 sees marker and target from one place"
+    return fits_m, "no viewpoint at any range"
+
+
+def least_range_m(facts: Facts) -> float:
+    """Return the least range at which the whole target stays inside D1's image."""
+    camera, seen = facts.sender.camera, apparent(facts, 1.0)
+    sway_m = sway(facts)
+    ways = (
+        (0.5 * seen.width_m + sway_m, 0.5 * camera.width / camera.fx),
+        (0.5 * seen.height_m + sway_m, 0.5 * camera.height / camera.fy),
+    )
+    return max(size_m / max(1e-3, EDGE * half - math.tan(TILT_RAD)) for size_m, half in ways)
+
+
+def sway(facts: Facts) -> float:
+    """Return how far D1 is off its place beside a target that turns: what it does within D1's response, in m."""
+    turn_m = 0.5 * facts.target.max_accel_mps2 * facts.drone.response_s**2
+    return max(turn_m, facts.drone.hold_m)
+
+
+def separation_of(found: _Found) -> SeparationConfig:
+    """Return the separations that hold."""
+    keys = ("horizontal_m", "vertical_m", "viewpoint_m", "marker_m", "minimum_m")
+    return SeparationConfig(**{key: found[f"mission.separation.{key}"] for key in keys})
+
+
+def _rendezvous(facts: Facts, found: _Found) -> None:
+    """Derive D2's way in."""
+    hold_m = facts.drone.hold_m
+    separation = separation_of(found)
+    range_m = math.hypot(
+        found["mission.follow.behind_m"],
+        found["mission.follow.height_m"] - found["mission.target.height_m"],
+    )
+    stand_off_m = separation.viewpoint_m + 3.5 * hold_m
+    found.add("mission.rendezvous.stand_off_m", stand_off_m, "m", "the viewpoint, and 3.5 drone.hold_m")
+    found.add("mission.rendezvous.clearance_m", 1.5 * hold_m, "m", "1.5 drone.hold_m")
+    found.add("mission.rendezvous.stand_off_tolerance_m", 1.25 * hold_m, "m", "1.25 drone.hold_m")
+    found.add("mission.rendezvous.search_slide_m", 4.0 * hold_m, "m", "4 drone.hold_m")
+    found.add("mission.rendezvous.arrived_m", 0.6 * hold_m, "m", "0.6 drone.hold_m")
+    slow_mps = 1.25 * hold_m / facts.drone.response_s
+    found.add("mission.rendezvous.arrived_speed_mps", slow_mps, "m/s", "it wanders so fast")
+    found.add("mission.rendezvous.max_speed_mps", 2.0 * slow_mps, "m/s", "twice as fast as it wanders")
+    found.add("mission.rendezvous.max_position_sigma_m", 0.4 * hold_m, "m", "0.4 drone.hold_m")
+    most_m = range_m + 2.0 * farthest_m(separation)
+    found.add("mission.rendezvous.max_range_m", most_m, "m", "the farthest viewpoint")
+
+
+def _method(facts: Facts, found: _Found) -> None:
+    """Derive what the method takes for the target's size and for errors that last."""
+    span_m = facts.target.span_m
+    found.add("method.evidence.span_m", span_m, "m", "target.length_m and width_m")
+    found.add("method.evidence.height_m", facts.target.height_m, "m", "target.height_m")
+    found.add("method.target_center_sigma_m", 0.12 * span_m, "m", "an eighth of the target")
+    found.add("method.max_depth_spread_m", 0.8 * span_m, "m", "its own depth")
+    fastest_mps = facts.target.max_speed_mps + facts.drone.hold_m / facts.drone.response_s
+    found.add("method.relative_speed_mps", max(fastest_mps, 1e-3), "m/s", "target and drone")
+    accel_mps2 = 3.0 * found["mission.max_accel_mps2"]
+    found.add("method.relative_accel_mps2", accel_mps2, "m/s2", "target and both drones")
+    placed = layout(
+        facts,
+        place_of_target(facts, _range(facts, found)[0]),
+        found["mission.target.half_size_m"],
+        separation_of(found),
+        RendezvousConfig(
+            image_margin_px=found["mission.rendezvous.image_margin_px"],
+            max_range_m=found["mission.rendezvous.max_range_m"],
+        ),
+    )
+    if not isinstance(placed.viewpoint, Viewpoint):
+        return
+    offset_m = predict(facts, placed).offset_sigma_m
+    found.add("method.evidence.offset_sigma_m", offset_m, "m", "all errors that last, there")
+    found.add("method.evidence.apart_m", max(15.0 * offset_m, 1.25 * span_m), "m", "a track's reach")
+
+
+def _waits(found: _Found) -> None:
+    """Derive the waits that grow with the way to fly."""
+    high_m = found["mission.receiver_take_off_height_m"]
+    slow_mps = found["mission.rendezvous.max_speed_mps"]
+    way_m = found["mission.rendezvous.stand_off_m"] + high_m
+    found.add("mission.deadlines.take_off_s", 25.0 + 2.0 * high_m, "s", "the climb at 0.5 m/s")
+    found.add("mission.deadlines.land_s", 35.0 + 3.0 * high_m, "s", "the way down at 0.35 m/s")
+    found.add("mission.deadlines.approach_s", 20.0 + 3.0 * way_m / slow_mps, "s", "the way in, three times")
+    found.add("mission.deadlines.stand_off_s", 30.0 + 4.0 * way_m, "s", "the way there")
+
+
+def _rates(facts: Facts, found: _Found) -> None:
+    """Derive the gaps that are no loss where frames come slowly."""
+    rates = [eye.rate_hz for eye in (facts.sender, facts.receiver) if eye.rate_hz is not None]
+    if not rates:
+        return
+    every_s = 1.0 / min(rates)
+    usual = MethodConfig()
+    for key, usual_s, frames, why in (
+        ("method.max_gap_s", usual.max_gap_s, 3.0, "three frames"),
+        ("method.max_bracket_s", usual.max_bracket_s, 2.5, "two frames, and one lost"),
+        ("method.max_extrapolation_s", usual.max_extrapolation_s, 2.5, "two frames, and one lost"),
+        ("method.slope_span_s", usual.slope_span_s, 3.0, "three frames"),
+        ("mission.guard.frame_age_s", GuardConfig().frame_age_s, 4.0, "four frames"),
+    ):
+        if frames * every_s > usual_s:
+            found.add(key, frames * every_s, "s", why)

@@ -1,0 +1,135 @@
+"""What to expect of a hand-over at a planned geometry: pixels, errors, times, and what can be borne. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from flight.plan.checks import (
+    CATCH_UP,
+    Flown,
+    agreement_s,
+    most_wind_mps,
+    nearest_told_apart_m,
+)
+from flight.plan.errors import Predicted, predict
+from flight.plan.geometry import apparent
+from flight.rendezvous.viewpoint import Viewpoint
+
+MEDIAN = 0.89  # of the root mean square of three equal components: how large an error usually is
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """One expected figure: by key for a program, in words for a person. NaN: it cannot be told."""
+
+    key: str
+    what: str
+    value: float
+    said: str
+
+
+def predictions(of: Flown) -> tuple[Prediction, ...]:
+    """Predict all that can be told."""
+    return (*_sight(of), *_errors(of), *_limits(of))
+
+
+def _sight(of: Flown) -> list[Prediction]:
+    facts = of.facts
+    seen = apparent(facts, of.range_m)
+    found = [
+        Prediction(
+            "range_m",
+            "D1 follows from",
+            of.range_m,
+            f"{of.range_m:.2f} m, {of.mission.follow.height_m:.2f} m above the ground",
+        ),
+        Prediction(
+            "target_px",
+            "the target in D1's image",
+            seen.short_px,
+            f"{seen.width_px:.0f} x {seen.height_px:.0f} px",
+        ),
+    ]
+    viewpoint = of.placed.viewpoint
+    if not isinstance(viewpoint, Viewpoint):
+        return found
+    distance_m = math.hypot(*viewpoint.camera_h_m)
+    share = of.range_m / of.placed.receiver_range_m
+    zoom = facts.receiver.camera.fx / facts.sender.camera.fx
+    theirs_px = share * zoom * seen.short_px
+    return [
+        *found,
+        Prediction(
+            "marker_px",
+            "the plate in D2's image",
+            viewpoint.marker_px,
+            f"{viewpoint.marker_px:.0f} px, from {distance_m:.2f} m,"
+            f" {math.degrees(viewpoint.incidence_rad):.0f} deg aslant",
+        ),
+        Prediction(
+            "receiver_target_px",
+            "the target in D2's image",
+            theirs_px,
+            f"{theirs_px:.0f} px, from {of.placed.receiver_range_m:.2f} m",
+        ),
+        Prediction(
+            "margin_px",
+            "room to the border of D2's image",
+            viewpoint.margin_px,
+            f"{viewpoint.margin_px:.0f} px",
+        ),
+    ]
+
+
+def _errors(of: Flown) -> list[Prediction]:
+    if not isinstance(of.placed.viewpoint, Viewpoint):
+        return []
+    expected = predict(of.facts, of.placed)
+    apart_m = nearest_told_apart_m(of)
+    rates = [eye.rate_hz for eye in (of.facts.sender, of.facts.receiver) if eye.rate_hz is not None]
+    found = [
+        Prediction(
+            "receiver_error_m",
+            "error of D2",
+            MEDIAN * expected.receiver_m,
+            f"{1e3 * MEDIAN * expected.receiver_m:.0f} mm, median",
+        ),
+        Prediction(
+            "target_error_m",
+            "error of the target",
+            MEDIAN * expected.target_m,
+            f"{1e3 * MEDIAN * expected.target_m:.0f} mm, median",
+        ),
+        Prediction(
+            "offset_sigma_m",
+            "between both boxes",
+            expected.offset_sigma_m,
+            f"{1e3 * expected.offset_sigma_m:.0f} mm (one sigma), most of it: {_foremost(expected)}",
+        ),
+        Prediction(
+            "apart_m",
+            "nearest look-alike told apart",
+            apart_m,
+            f"{apart_m:.2f} m beside the target",
+        ),
+    ]
+    if rates:
+        takes_s = agreement_s(of.facts, min(rates))
+        said = f"{takes_s:.1f} s at {min(rates):g} frames a second, when nothing is missed"
+        found.append(Prediction("agreement_s", "time to agreement", takes_s, said))
+    return found
+
+
+def _foremost(expected: Predicted) -> str:
+    worst = sorted(expected.sources, key=lambda source: -source.sigma_m)[:2]
+    return ", ".join(f"{source.name} {1e3 * source.sigma_m:.0f} mm" for source in worst)
+
+
+def _limits(of: Flown) -> list[Prediction]:
+    speed_mps = of.mission.follow.max_speed_mps / CATCH_UP
+    wind_mps = most_wind_mps(of)
+    return [
+        Prediction("speed_mps", "fastest target that is followed", speed_mps, f"{speed_mps:.1f} m/s"),
+        Prediction("wind_mps", "wind that can be borne", wind_mps, f"{wind_mps:.1f} m/s"),
+    ]

@@ -1,0 +1,1 @@
+"""``path-handoff plan``: what follows from what a rig measured."""

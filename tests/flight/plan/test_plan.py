@@ -1,0 +1,268 @@
+"""A plan follows from a rig's facts: it grows with the bodies and refuses what cannot be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.rig.facts import TargetFacts
+from drivers.rig.parts import Mount, Rig
+from drivers.rig.tables import RigError
+from flight.plan.checks import Flown, flown, problems
+from flight.plan.complete import derived_of
+from flight.plan.derive import derive
+from flight.plan.errors import predict
+from flight.plan.facts import Eye, Facts, facts_of
+from flight.plan.geometry import apparent
+from flight.plan.predictions import predictions
+from flight.rendezvous.viewpoint import NoViewpoint
+from missions import rig_library
+from missions.rig_library import mission_of
+from path.geometry.transforms import Pose
+
+CAR = """
+[target]
+length_m = 0.32
+width_m = 0.22
+height_m = 0.16
+max_speed_mps = 0.3
+"""
+
+
+STRAIGHT = "distortion = [0.0, 0.0, 0.0, 0.0, 0.0]\n"
+RigOf = Callable[..., Rig]
+
+
+@pytest.fixture
+def rig_of(tmp_path: Path) -> RigOf:
+    def written(text: str, name: str = "own") -> Rig:
+        file = tmp_path / f"{name}.toml"
+        file.write_text(f'name = "{name}"\nlike = "sim"\nlevel = "sim"\n{text}')
+        return rig_library.load_unchecked(str(file))
+
+    return written
+
+
+def of(rig: Rig) -> Flown:
+    mission = mission_of(rig)
+    return flown(facts_of(rig, mission), mission)
+
+
+def values(rig: Rig) -> dict[str, float]:
+    return {each.key: each.value for each in derived_of(rig)}
+
+
+def test_a_car_of_the_shipped_size_is_flown_round_about_as_the_shipped_rig_does(rig_of: RigOf) -> None:
+    rig = rig_of(CAR)
+    follow, shipped = mission_of(rig).follow, mission_of(rig_library.load("sim")).follow
+    assert follow.height_m == pytest.approx(shipped.height_m, rel=0.1)
+    assert follow.behind_m == pytest.approx(shipped.behind_m, rel=0.1)
+    assert rig.method.evidence.offset_sigma_m == pytest.approx(0.03, rel=0.35)
+    assert list(problems(of(rig))) == []
+
+
+def test_a_rig_without_a_target_stays_as_it_is() -> None:
+    rig = rig_library.load("sim")
+    assert rig.target is None
+    assert values(rig) == {}
+
+
+def test_what_the_rig_names_is_not_derived(rig_of: RigOf) -> None:
+    rig = rig_of(CAR + "[mission.follow]\nheight_m = 2.4\n")
+    assert mission_of(rig).follow.height_m == 2.4
+    assert "mission.follow.height_m" not in values(rig)
+    assert mission_of(rig).take_off_height_m == 2.4  # as high as D1 follows
+
+
+def test_what_another_rig_says_of_its_own_target_is_not_taken(tmp_path: Path, rig_of: RigOf) -> None:
+    rig_of("[mission.follow]\nheight_m = 2.9\n[method.evidence]\nspan_m = 3.0\n", "base")
+    file = tmp_path / "child.toml"
+    file.write_text(f'name = "child"\nlike = "base.toml"\nlevel = "sim"\n{CAR}')
+    rig = rig_library.load_unchecked(str(file))
+    assert mission_of(rig).follow.height_m < 2.0
+    assert rig.method.evidence.span_m == pytest.approx(math.hypot(0.32, 0.22), rel=1e-3)
+
+
+# What does not grow with the world, and why: an acceleration of a tilt has gravity in it, and waits have the
+# times of take-off and landing, which are the vehicles' own.
+ABSOLUTE = ("mission.max_accel_mps2", "method.relative_accel_mps2", "mission.deadlines.", "_px", "response_s")
+
+
+def scaled(facts: Facts, k: float) -> Facts:
+    """Return facts of a world in which every length and speed is k times as large, and every time as it is."""
+
+    def grown(pose: Pose) -> Pose:
+        return Pose(pose.R, k * pose.t)
+
+    def eye(of: Eye) -> Eye:
+        return replace(of, mount=Mount(grown(of.mount.T_b_c), grown(of.mount.T_b_v)))
+
+    target, drone = facts.target, facts.drone
+    return replace(
+        facts,
+        sender=eye(facts.sender),
+        receiver=eye(facts.receiver),
+        marker_side_m=k * facts.marker_side_m,
+        target=TargetFacts(
+            k * target.length_m,
+            k * target.width_m,
+            k * target.height_m,
+            k * target.max_speed_mps,
+            k * target.max_accel_mps2,
+        ),
+        drone=replace(
+            drone,
+            diameter_m=k * drone.diameter_m,
+            hold_m=k * drone.hold_m,
+            max_speed_mps=k * drone.max_speed_mps,
+        ),
+        method=replace(facts.method, mount_sigma_m=k * facts.method.mount_sigma_m),
+    )
+
+
+@pytest.mark.parametrize("k", [0.2, 1.0, 5.0, 20.0])
+def test_lengths_and_speeds_grow_with_the_world(rig_of: RigOf, k: float) -> None:
+    facts = of(rig_of(CAR)).facts
+    base = {each.key: each.value for each in derive(facts, {})}
+    grown = {each.key: each.value for each in derive(scaled(facts, k), {})}
+    assert grown.keys() == base.keys()
+    for key, value in base.items():
+        if not any(word in key for word in ABSOLUTE):
+            # a depth camera's bias is what it is: it is the part of an offset that does not grow
+            near = 0.05 if "offset_sigma" in key or "apart" in key else 2e-3
+            assert grown[key] == pytest.approx(k * value, rel=near), key
+    assert len([key for key in base if not any(word in key for word in ABSOLUTE)]) > 20
+
+
+def test_more_pixels_change_no_distance(rig_of: RigOf) -> None:
+    def seen_by(times: float) -> dict[str, float]:
+        cameras = "".join(
+            f"[{role}.camera]\nwidth = {640 * times:.0f}\nheight = {480 * times:.0f}\nfx = {615.0 * times}\n"
+            f"fy = {615.0 * times}\ncx = {319.5 * times}\ncy = {239.5 * times}\n{STRAIGHT}"
+            for role in ("sender", "receiver")
+        )
+        return values(rig_of(CAR + cameras, f"px{times:g}"))
+
+    few, many = seen_by(1.0), seen_by(4.0)
+    for key in ("mission.follow.behind_m", "mission.follow.height_m", "mission.separation.viewpoint_m"):
+        assert many[key] == pytest.approx(few[key], rel=1e-3), key
+
+
+def test_ten_metres_above_a_small_car_are_refused_with_a_range_that_would_do(rig_of: RigOf) -> None:
+    rig = rig_of(
+        "[method]\nmax_depth_m = 20.0\n[mission]\ntake_off_height_m = 10.0\nreceiver_take_off_height_m = 11.0\n"
+        "[mission.guard]\nfence_height_m = 15.0\nfence_radius_m = 40.0\n[mission.follow]\nbehind_m = 9.9\n"
+        "height_m = 10.0\n[mission.rendezvous]\nmax_range_m = 16.0\n"
+    )
+    said = {problem.where: str(problem) for problem in problems(of(rig))}
+    assert "16 px" in said["mission.follow"]
+    assert "11.1 m would do" in said["mission.follow"]
+    assert "would do" in said["method"]
+    with pytest.raises(RigError, match="16 px"):
+        rig_library.load(str(rig.file))
+
+
+def test_a_plate_that_is_too_small_is_named_the_least_that_would_do(rig_of: RigOf) -> None:
+    camera = "width = 848\nheight = 480\nfx = 425.0\nfy = 425.0\ncx = 423.5\ncy = 239.5\n"
+    camera += STRAIGHT
+    small = rig_of(f"[sender.camera]\n{camera}[receiver.camera]\n{camera}")
+    (problem,) = problems(of(small))
+    assert "marker too small" in problem.what
+    side_mm = int(problem.change.split(" mm")[0].rsplit(" ", 1)[1])
+
+    def with_side(side_m: float) -> Flown:
+        plain = of(small)
+        return flown(plain.facts.with_side(side_m), plain.mission)
+
+    assert isinstance(with_side(1e-3 * (side_mm - 1)).placed.viewpoint, NoViewpoint)
+    assert not isinstance(with_side(1e-3 * side_mm).placed.viewpoint, NoViewpoint)
+
+
+def test_more_wind_than_the_drones_can_lean_against_is_refused_with_what_can_be_borne(rig_of: RigOf) -> None:
+    rig = rig_of("[site]\nwind_mps = 10.0\ngust_mps = 2.0\n")
+    said = [problem for problem in problems(of(rig)) if problem.where == "site.wind_mps"]
+    assert said
+    borne = min(float(each.change.split(" m/s can be borne")[0].split()[-1]) for each in said)
+    assert 1.0 < borne < 9.0
+    calm = rig_of(f"[site]\nwind_mps = {borne - 0.1:.2f}\ngust_mps = 2.0\n", "calm")
+    assert [each for each in problems(of(calm)) if each.where == "site.wind_mps"] == []
+
+
+def test_the_world_of_a_simulated_rig_has_the_wind_that_it_says(rig_of: RigOf) -> None:
+    rig = rig_of("[world.wind]\nspeed_mps = 10.0\ngust_mps = 2.0\n")
+    assert any(problem.where == "site.wind_mps" for problem in problems(of(rig)))
+
+
+def test_a_target_faster_than_what_follows_it_is_refused(rig_of: RigOf) -> None:
+    rig = rig_of(CAR.replace("0.3\n", "6.0\n"))
+    said = [str(problem) for problem in problems(of(rig)) if problem.where == "mission.follow.max_speed_mps"]
+    assert said
+    assert "6.9 m/s would do" in said[0]
+
+
+def test_frames_that_come_slowly_are_given_longer_gaps(rig_of: RigOf) -> None:
+    slow = rig_of("[sender.perception]\nrate_hz = 5.0\n[receiver.perception]\nrate_hz = 5.0\n")
+    assert slow.method.max_bracket_s == pytest.approx(0.5)
+    assert slow.method.max_gap_s == pytest.approx(0.6)
+    fast = rig_library.load("sim")
+    assert fast.method.max_bracket_s == 0.2
+
+
+def test_depth_over_a_large_target_may_spread_and_its_perception_knows(rig_of: RigOf) -> None:
+    rig = rig_of("[target]\nlength_m = 4.5\nwidth_m = 1.8\nheight_m = 1.5\n[method]\nmax_depth_m = 30.0\n")
+    assert rig.method.max_depth_spread_m > 3.0
+    for role in (rig.sender, rig.receiver):
+        assert role.perception.options["method"]["max_depth_m"] == 30.0
+        assert role.perception.options["method"]["max_depth_spread_m"] == rig.method.max_depth_spread_m
+
+
+def test_an_offset_is_what_its_sources_add_up_to_and_grows_with_each(rig_of: RigOf) -> None:
+    plain = of(rig_of(CAR))
+    expected = predict(plain.facts, plain.placed)
+    total = math.sqrt(sum(source.sigma_m**2 for source in expected.sources))
+    assert expected.offset_sigma_m == pytest.approx(total, rel=1e-9)
+    assert all(np.all(np.linalg.eigvalsh(source.adds) >= -1e-12) for source in expected.sources)
+    method = plain.facts.method
+    for worse in (
+        replace(plain.facts, attitude_sigma_rad=3.0 * plain.facts.attitude_sigma_rad),
+        replace(plain.facts, method=replace(method, mount_sigma_deg=3.0 * method.mount_sigma_deg)),
+        replace(plain.facts, method=replace(method, mount_sigma_m=5.0 * method.mount_sigma_m)),
+    ):
+        assert predict(worse, plain.placed).offset_sigma_m > expected.offset_sigma_m
+
+
+def test_an_error_of_depth_alone_moves_the_box_by_the_angle_between_both_views(rig_of: RigOf) -> None:
+    plain = of(rig_of(CAR))
+    depth = next(s for s in predict(plain.facts, plain.placed).sources if s.name == "depth")
+    z_m = plain.range_m
+    error_m = math.hypot(0.01 * z_m, 0.003)
+    # by hand: the point slides along D1's ray, D2 sees it beside by error * sin(angle), D1 maps that back
+    by_hand_m = error_m * math.sin(plain.placed.between_rad) / math.sqrt(2.0)
+    assert depth.sigma_m == pytest.approx(by_hand_m, rel=0.35)
+
+
+def test_what_is_predicted_is_finite_and_named_once(rig_of: RigOf) -> None:
+    expected = predictions(of(rig_of(CAR)))
+    assert len({each.key for each in expected}) == len(expected)
+    assert all(math.isfinite(each.value) and each.value > 0.0 for each in expected)
+
+
+def test_the_target_fills_the_image_as_its_cylinder_does(rig_of: RigOf) -> None:
+    facts: Facts = of(rig_of(CAR)).facts
+    seen = apparent(facts, 2.0)
+    assert seen.width_px == pytest.approx(facts.sender.camera.fx * facts.target.span_m / 2.0)
+    level, upright = math.cos(math.radians(45.0)), math.sin(math.radians(45.0))
+    assert seen.height_m == pytest.approx(0.16 * level + facts.target.span_m * upright, rel=1e-6)
+
+
+def test_a_body_that_hides_the_target_is_helped_by_a_range(rig_of: RigOf) -> None:
+    near = rig_of("[mission.follow]\nbehind_m = 0.55\nheight_m = 0.6\n")
+    (problem,) = [each for each in problems(of(near)) if each.where == "mission.rendezvous"]
+    assert "from the target" in problem.change
+    range_m = float(problem.change.split(" m from the target")[0].split()[-1])
+    assert of(near).range_m < range_m < 10.0 * of(near).range_m
