@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import wraps
 from typing import Any
 
+from drivers.arrivals import Arrivals
 from drivers.interfaces import Clock, FlightMode, VehicleError, VehicleState
 from drivers.mavlink.battery import LOWEST_ID, FlightBattery
 from drivers.mavlink.geodesy import LocalTangent
@@ -134,6 +135,7 @@ class TelemetrySlots:
         self._local_down_m = math.nan
         self._ground_down_m = math.nan  # where it was armed, in its local frame
         self.attitude: Attitude | None = None
+        self.arrivals = {name: Arrivals() for name in ("position", "local position", "attitude")}
         self.health: dict[str, bool] = {}
         self.in_air = False
         self.battery = FlightBattery(battery_id)
@@ -323,7 +325,9 @@ class TelemetrySlots:
         )
         above_home_m = self._above_home_m(position)
         n_m = (north, east, -above_home_m if self._height_from_home else down)
-        self.position = Position(self.clock.now_ns(), n_m, above_home_m, float(position.absolute_altitude_m))
+        now_ns = self.clock.now_ns()
+        self.arrivals["position"].add(now_ns)
+        self.position = Position(now_ns, n_m, above_home_m, float(position.absolute_altitude_m))
 
     def _above_home_m(self, position: Any) -> float:
         """Returns the height above home, m: of a PX4 from the local frame, else as it is told.
@@ -337,6 +341,7 @@ class TelemetrySlots:
 
     def _on_velocity(self, ned: Any) -> None:
         velocity = ned.velocity
+        self.arrivals["local position"].add(self.clock.now_ns())
         self._local_down_m = float(ned.position.down_m)
         if self.heartbeat is not None and self.heartbeat.disarmed:
             self._ground_down_m = self._local_down_m
@@ -344,6 +349,7 @@ class TelemetrySlots:
 
     def _on_attitude(self, quaternion: Any) -> None:
         now_ns = self.clock.now_ns()
+        self.arrivals["attitude"].add(now_ns)
         q_n_b = (float(quaternion.w), float(quaternion.x), float(quaternion.y), float(quaternion.z))
         self.attitude = Attitude(now_ns, q_n_b)
         self._history.add(now_ns, q_n_b)

@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Self
 
+from drivers.arrivals import too_slow
 from drivers.interfaces import FlightMode, VehicleError, VehicleState, VelocitySetpoint
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.mavlink.manoeuvres import SAFE_TRIES, Manoeuvres
@@ -33,6 +34,11 @@ FRAME_LOCAL_NED = 1
 MASK_VELOCITY_YAW = 2503  # ignore position, acceleration and yaw rate (POSITION_TARGET_TYPEMASK)
 MODE_HZ = 20.0  # a pilot who takes the vehicle must not wait for the next heartbeat
 
+_FASTER = (
+    "a faster link (baud, radio), a lower telemetry_hz in the rig so that all streams fit it, or the autopilot's own "
+    "rates for this port; telemetry_age_s in [mission.guard] says how old it may be"
+)
+USUAL_AGE_S = 0.5  # of telemetry, at which a mission ends that does not say another
 _NO_CHARGE = "set its capacity, or name the battery that flies with battery_id in the vehicle's table"
 _log = logging.getLogger(__name__)
 
@@ -64,6 +70,7 @@ class MavsdkVehicle:
         self._before = BeforeArming(self._session, self._telemetry, config)
         self._vision = config.vision and VisionFeed(config.vision, context, self._session, self._telemetry)
         self._feeding: asyncio.Task[None] | None = None
+        self._oldest_s = USUAL_AGE_S
 
     async def __aenter__(self) -> Self:
         try:
@@ -168,7 +175,7 @@ class MavsdkVehicle:
         start_ns = self._clock.now_ns()
 
         def ready() -> bool:
-            return not telemetry.missing() and telemetry.battery.known
+            return not telemetry.missing() and telemetry.battery.known and not self._too_slow()
 
         if await self._session.until(ready, timeout_s):
             await self._before.check_pilot()
@@ -176,6 +183,10 @@ class MavsdkVehicle:
             return
         battery = telemetry.battery.trouble
         missing = telemetry.missing() + ([battery] if battery else [])
+        if not missing:
+            raise VehicleError(
+                f"vehicle {self._config.sysid} on {self._config.url} tells its {self._too_slow()}", _FASTER
+            )
         texts = telemetry.texts_since(start_ns)[-3:]
         said = f"; the vehicle says: {' | '.join(texts)}" if texts else ""
         raise VehicleError(
@@ -183,6 +194,13 @@ class MavsdkVehicle:
             f"{', '.join(missing)}{said}",
             _NO_CHARGE if missing == [battery] else "give it a clear sky and do what its ground station shows",
         )
+
+    def expect_telemetry(self, oldest_s: float) -> None:
+        """Take how old telemetry may be in the flight to come: what comes too seldom for it is not armable."""
+        self._oldest_s = oldest_s
+
+    def _too_slow(self) -> str:
+        return too_slow(self._telemetry.arrivals, self._clock.now_ns(), self._oldest_s)
 
     def _check_ground(self) -> None:
         """A ceiling that is counted from an altitude of GPS holds only as far as that altitude is right."""

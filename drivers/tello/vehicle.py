@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Self
 
+from drivers.arrivals import Arrivals, too_slow
 from drivers.interfaces import Capability, FlightMode, VehicleError, VehicleState, VelocitySetpoint
 from drivers.perception.history import StateHistory
 from drivers.rig.part_check import Finding
@@ -36,6 +37,7 @@ SETTLED_MPS = 0.25
 LAND_TRIES = 3
 LAND_AGAIN_S = 4.0  # without sinking and without being down: it is told again
 BLIND_LAND_S = 0.2
+USUAL_AGE_S = 0.5  # of state packets, at which a mission ends that does not say another
 HOLD_TIMES = 3  # datagrams without an answer, so said again
 KEEP_ALIVE_S = 4.0  # of the 15 s of silence after which it lands
 YAW_GAIN_HZ = 1.5
@@ -76,6 +78,8 @@ class TelloVehicle:
         self._wanted_up = False  # the script wishes it to fly: only then is it kept awake in the air
         self._keeper: asyncio.Task[None] | None = None
         self._said_error_and_flew = 0
+        self._arrivals = Arrivals()
+        self._oldest_s = USUAL_AGE_S
 
     async def __aenter__(self) -> Self:
         link = link_to(self._config, self._context.clock)
@@ -163,6 +167,7 @@ class TelloVehicle:
             position_sigma_m=reckoning.position_sigma_m,
         )
         self._history.add(report.arrival_ns, q_n_b)
+        self._arrivals.add(report.arrival_ns)
 
     def _up(self) -> bool:
         report = self._open_link().report
@@ -203,12 +208,23 @@ class TelloVehicle:
 
     async def wait_armable(self, timeout_s: float) -> None:
         await self._check_alive()  # what it said before it fell silent counts no more
-        if await self._until(lambda: self.state.armable, timeout_s):
+        if await self._until(lambda: self.state.armable and not self._too_slow(), timeout_s):
             return
+        if self.state.armable:
+            raise VehicleError(
+                f"{self._config.host} sends {self._too_slow()}", "nearer to the drone, or another Wi-Fi channel"
+            )
         raise VehicleError(
             f"battery at {100 * self.state.battery:.0f} %, below {100 * self._config.min_battery:.0f} %",
             "charge it, or change the battery",
         )
+
+    def expect_telemetry(self, oldest_s: float) -> None:
+        """Take how old state packets may be in the flight to come: a drone that sends too few is not armable."""
+        self._oldest_s = oldest_s
+
+    def _too_slow(self) -> str:
+        return too_slow({"state packets": self._arrivals}, self._now_ns(), self._oldest_s)
 
     async def arm(self) -> None:
         """Arms by a flag alone: its motors start with the take-off, which is refused until this was called."""

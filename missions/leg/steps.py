@@ -37,6 +37,9 @@ async def check_own(session: RoleSession) -> None:
     check_capabilities(session)
     deadlines = session.config.deadlines
     await session.perception.view(_FIRST_FRAME_S)
+    expect = getattr(session.vehicle, "expect_telemetry", None)
+    if expect is not None:
+        expect(session.config.guard.telemetry_age_s)
     await session.vehicle.wait_armable(deadlines.armable_s)
     await keep_geofence(session)
     guard = session.guarding.guard

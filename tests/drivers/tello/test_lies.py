@@ -263,3 +263,13 @@ def test_state_packets_without_a_drone_of_ours_are_left_to_the_library() -> None
     _take_state(entry, b"bat:87;")
     _take_state(entry, b"bat:\xff;")
     assert entry["state"] == {"bat": 87}
+
+
+def test_a_drone_that_sends_too_few_state_packets_is_not_armable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.tello.emulator.STATE_PERIOD_S", 0.8)
+
+    async def script(_: Stand, drone: TelloVehicle) -> None:
+        with pytest.raises(VehicleError, match=r"state packets \d\.\d times a second.*needs 4\.0 a second"):
+            await drone.wait_armable(3.0)
+
+    fly(script, speed=1.0)
