@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+from tests.overloaded import REPEATED, Repeating, repetitions
 from tests.scheduling import Groups, be_nice
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in missions, and before any test loads numpy
@@ -64,6 +65,25 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     """A worker lets the others go first while it only computes: their limits are in seconds."""
     if "PYTEST_XDIST_WORKER" in os.environ:
         be_nice(item.nodeid)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Flights that a computer was too slow for are not hidden by those that were flown in their place."""
+    again = repetitions(report for reports in terminalreporter.stats.values() for report in reports)
+    if again:
+        terminalreporter.section(f"{len(again)} flights were flown again: the computer was too slow")
+        for each in again:
+            terminalreporter.write_line(each)
+
+
+@pytest.fixture
+def flown_again(request: pytest.FixtureRequest, tmp_path: Path) -> Repeating:
+    """Flies a flight in real time, and again while the computer is too slow for it."""
+
+    def tell(why: str) -> None:
+        request.node.user_properties.append((REPEATED, why))
+
+    return Repeating(tmp_path, tell)
 
 
 @pytest.fixture
