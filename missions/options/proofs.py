@@ -97,15 +97,8 @@ class VerifyOptions:
     wire: Annotated[int, Bounds(0, 10_000_000_000, "packets")] = 0
     """Throw this many forged, altered and repeated packets at the link instead: 10000000 take about a minute."""
 
-    mutants: bool = False
-    """Instead, change the code of the protocol, its wiring, the wire and the guard's rules in small wrong ways, and see
-    whether the tests notice. In a checkout with what `.[dev]` brings; most of an hour on two cores."""
-
-    sample: Annotated[int, Bounds(1, 1_000_000, "changes")] = 168
-    """The number of changes, of more than a thousand."""
-
     seed: Seed = 0
-    """Seed of the forged packets, and of which changes are made."""
+    """Seed of the forged packets."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -13,7 +12,7 @@ from typing import TextIO
 
 from drivers.clock import stopwatch_ns
 from flight.command_end import CommandEnd
-from missions.assurance.verify import mutation_run, wire
+from missions.assurance.verify import wire
 from missions.assurance.verify.explore import Covering, Exact, Exploration, explore
 from missions.assurance.verify.model import Scope
 from missions.assurance.verify.mutants import MUTANTS, SMALL, caught
@@ -90,8 +89,6 @@ def run(options: VerifyOptions) -> int:
 
 
 def _run(options: VerifyOptions, folder: Path) -> int:
-    if options.mutants:
-        return _run_mutants(options, folder)
     if options.wire:
         return _run_wire(options, folder)
     jobs = QUICK if options.quick else FULL
@@ -104,17 +101,6 @@ def _run(options: VerifyOptions, folder: Path) -> int:
     show(explored, tried, wall_s, sys.stdout)
     sys.stdout.write(f"summary: {folder / SUMMARY}\n")
     return 0 if summary["holds"] else EXIT_BROKEN
-
-
-def _run_mutants(options: VerifyOptions, folder: Path) -> int:
-    began = stopwatch_ns()
-    jobs = options.jobs or os.cpu_count() or 1
-    tried = mutation_run.score(mutation_run.load_table(), options.seed, options.sample, jobs, Path(), sys.stdout)
-    figures = mutation_run.summarize(tried, options.seed, (stopwatch_ns() - began) * 1e-9)
-    (folder / SUMMARY).write_text(json.dumps(figures, indent=2) + "\n")
-    sys.stdout.write(f"mutants caught: {figures['mutants_caught']} of {figures['mutants']}\n")
-    sys.stdout.write(f"summary: {folder / SUMMARY}\n")
-    return 0 if figures["holds"] else EXIT_BROKEN
 
 
 def _run_wire(options: VerifyOptions, folder: Path) -> int:

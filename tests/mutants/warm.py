@@ -3,7 +3,7 @@
 All tests are collected once, on the right code. Each trial is a fork of that: in the child the functions of one module
 get the code of another source, in place, and the tests of that module run in it, until the first one fails. What was
 made of them before, at import or when tests were collected, stays as it was, so that a wrong version which gets through
-here is worth a trial by ``mutation_server``, from the first import on.
+here is worth a trial by ``cold``, from the first import on.
 
 A line of JSON comes in for each trial: {"module", "source" (null: as it is), "tests", "bound_s"}; one goes out:
 {"passed", "what", "took_s", "broken"}, the last when the tests could not be run like this.
@@ -26,7 +26,7 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import IO, Any
 
-from missions.assurance.verify.mutation_server import wait_for
+from tests.mutants.cold import wait_for
 
 _MARK = "<wrong version>"
 _BROKEN = 77  # exit code of a child that could not run the tests

@@ -6,27 +6,29 @@ import ast
 import importlib
 import io
 import json
-from collections import Counter
+import subprocess
 from pathlib import Path
 
 import pytest
 
-from drivers.interfaces import PartError
-from missions.assurance.verify import mutation_run, run
-from missions.assurance.verify.mutation_run import (
+from tests.mutants.__main__ import main, show, summarize
+from tests.mutants.operators import mutated, mutations
+from tests.mutants.rooms import (
     FileTests,
-    MutationTable,
-    Trials,
-    choose,
+    Room,
+    Table,
+    TableError,
+    changed_lines,
     load_table,
-    score,
-    summarize,
+    of_change,
+    of_room,
+    sample,
+    suite_for,
 )
-from missions.assurance.verify.mutation_warm import NotHereError, put_into
-from missions.assurance.verify.mutations import mutated, mutations
-from missions.options.proofs import VerifyOptions
+from tests.mutants.trials import Trials, score
+from tests.mutants.warm import NotHereError, put_into
 
-ROOT = Path(__file__).parents[4]
+ROOT = Path(__file__).parents[2]
 
 CASES = {
     "def f(a, b):\n    return a < b": {"compare: a < b -> a <= b"},
@@ -66,28 +68,42 @@ def test_the_same_change_in_two_places_has_two_names() -> None:
 
 
 def test_every_wrong_version_of_the_real_modules_is_python_and_has_a_name_of_its_own() -> None:
-    for suite in load_table().suites:
-        source = (ROOT / suite.file).read_text()
-        found = mutations(suite.file, source)
-        assert len(found) > 20 and len({one.name for one in found}) == len(found)
-        for one in found[:: max(1, len(found) // 12)]:
-            compile(mutated(source, one), suite.file, "exec")
+    table = load_table()
+    for room in table.rooms:
+        found = [one for _, one in of_room(table, room, ROOT)]
+        assert len(found) >= 40 and len({one.name for one in found}) == len(found), room.name
+        for one in found[:: len(found) // 12]:
+            compile(mutated((ROOT / one.file).read_text(), one), one.file, "exec")
 
 
 def test_what_is_called_equivalent_is_a_change_that_can_be_made() -> None:
     table = load_table()
-    names = {one.name for suite in table.suites for one in mutations(suite.file, (ROOT / suite.file).read_text())}
-    assert set(table.equivalent) <= names
+    names = {one.name for room in table.rooms for _, one in of_room(table, room, ROOT)}
+    assert set(table.equivalent) - names == set()
     assert all(len(why) > 20 for why in table.equivalent.values())
 
 
-def test_a_seed_is_a_choice_and_every_file_has_its_share() -> None:
+def test_a_seed_is_a_choice() -> None:
     table = load_table()
-    chosen = choose(table, 3, 168, ROOT)
-    assert chosen == choose(table, 3, 168, ROOT) != choose(table, 4, 168, ROOT)
-    assert len({one.name for _, one in chosen}) == 168
-    counts = Counter(suite.file for suite, _ in chosen)
-    assert set(counts) == {suite.file for suite in table.suites} and min(counts.values()) >= mutation_run.LEAST
+    every = of_room(table, table.room("flight/guard"), ROOT)
+    chosen = sample(every, 40, 3)
+    assert chosen == sample(every, 40, 3) != sample(every, 40, 4)
+    assert len({one.name for _, one in chosen}) == 40
+    assert sample(every, 10_000, 3) == every
+
+
+def test_a_file_has_the_tests_of_its_room_or_of_its_mirror_those_of_its_own_name_first() -> None:
+    table = load_table()
+    in_room = suite_for(table, "flight/guard/watch.py", ROOT)
+    assert in_room is not None and in_room.room == "flight/guard"
+    assert in_room.tests[0] == "tests/flight/guard/test_watch.py" and len(in_room.tests) > 3
+    mirrored = suite_for(table, "hil/beacons/noise.py", ROOT)
+    assert mirrored is not None and mirrored.room == "hil/beacons"
+    assert all(test.startswith("tests/hil/beacons/") for test in mirrored.tests)
+    assert suite_for(table, "nowhere/at/all.py", ROOT) is None
+    both = suite_for(table, "drivers/mavlink/vehicle.py", ROOT)
+    assert both is not None and both.slow[0] == "tests/drivers/mavlink/test_vehicle.py"
+    assert not set(both.slow) & set(both.tests)
 
 
 @pytest.fixture
@@ -102,17 +118,78 @@ def project(tmp_path: Path) -> Path:
 
 def test_the_score_counts_what_the_tests_notice_and_names_what_they_do_not(project: Path) -> None:
     nobody = "sums.py one: number: 1 -> 2"
-    table = MutationTable((FileTests("sums.py", ("test_sums.py",)),), {nobody: "nobody calls it"})
+    room = Room("sums", ("sums.py",), ("test_sums.py",))
+    table = Table((room,), {nobody: "nobody calls it"})
     stream = io.StringIO()
-    tried = score(table, 0, 100, 1, project, stream)
-    told = summarize(tried, 0, 1.0)
+    tried = score(table, of_room(table, room, project), 1, project, stream)
+    told = summarize(tried, {"sums.py": "sums"}, ["alone.py"], 1.0)
     assert [one["name"] for one in told["survivors"]] == ["sums.py unseen: compare: a < b -> a <= b"]
     assert [(one.mutation.what, one.by) for one in tried if one.caught] == [
         ("a > b -> a >= b", "FAILED test_sums.py::test_seen")
     ]
     assert told["equivalent"] == [{"name": nobody, "why": "nobody calls it"}]
-    assert (told["generated"], told["mutants"], told["mutants_caught"], told["score"]) == (3, 2, 1, 0.5)
-    assert not told["holds"] and "SURVIVED" in stream.getvalue()
+    assert (told["mutants"], told["caught"], told["holds"]) == (2, 1, False)
+    assert told["by_room"] == {"sums": {"mutants": 2, "caught": 1}}
+    show(told, stream)
+    lines = stream.getvalue().splitlines()
+    assert "SURVIVED line    2  sums.py unseen: compare: a < b -> a <= b" in lines
+    assert [line.split() for line in lines if line.startswith("sums ")] == [["sums", "2", "1", "50.0%"]]
+    assert "no tests mirror alone.py" in lines
+
+
+def git(folder: Path, *words: str) -> None:
+    who = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
+    subprocess.run(["git", *who, *words], cwd=folder, check=True, capture_output=True)
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """One function of two has changed since the first commit, and a file that no test is there for."""
+    before = "def old(a, b):\n    return a < b\n\n\ndef new(a, b):\n    return a\n"
+    for folder in ("path/sums", "tests/path/sums", "hil"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "path" / "sums" / "sums.py").write_text(before)
+    test = "from path.sums.sums import new\n\n\ndef test_new():\n    assert new(2, 1) and not new(1, 1)\n"
+    (tmp_path / "tests" / "path" / "sums" / "test_sums.py").write_text(test)
+    git(tmp_path, "init", "-q")
+    git(tmp_path, "add", "-A")
+    git(tmp_path, "commit", "-q", "-m", "before")
+    (tmp_path / "path" / "sums" / "sums.py").write_text(before.replace("return a\n", "c = a > b\n    return c\n"))
+    (tmp_path / "hil" / "alone.py").write_text("def alone(a):\n    return not a\n")
+    git(tmp_path, "add", "-A")
+    return tmp_path
+
+
+def test_of_a_change_its_own_lines_are_changed_and_nothing_else(checkout: Path) -> None:
+    assert changed_lines("HEAD", checkout) == {"path/sums/sums.py": {6, 7}, "hil/alone.py": {1, 2}}
+    every, untested = of_change(Table(()), "HEAD", checkout)
+    assert [one.name for _, one in every] == ["path/sums/sums.py new: compare: a > b -> a >= b"]
+    assert every[0][0].tests == ("tests/path/sums/test_sums.py",)
+    assert untested == ["hil/alone.py"]
+
+
+def test_a_revision_that_is_none_is_told(checkout: Path) -> None:
+    stream = io.StringIO()
+    assert main(["--diff", "no-such-revision"], checkout, stream) == 2
+    assert "no-such-revision" in stream.getvalue()
+
+
+def test_nothing_asked_for_names_the_rooms(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main([], ROOT, io.StringIO())
+    assert "flight/guard" in capsys.readouterr().err
+    stream = io.StringIO()
+    assert main(["--room", "attic"], ROOT, stream) == 2 and "missions/leg" in stream.getvalue()
+
+
+def test_what_the_quick_tests_do_not_notice_the_slow_ones_are_asked(project: Path) -> None:
+    (project / "test_slow.py").write_text(
+        "from sums import unseen\n\n\ndef test_slow():\n    assert not unseen(1, 1)\n"
+    )
+    room = Room("sums", ("sums.py",), ("test_sums.py",), ("test_slow.py",))
+    table = Table((room,))
+    tried = score(table, of_room(table, room, project), 1, project, io.StringIO())
+    assert [one.by.rpartition("::")[2] for one in tried] == ["test_slow", "test_seen", ""]
 
 
 def test_a_wrong_version_that_hangs_is_ended_and_noticed(project: Path) -> None:
@@ -208,24 +285,24 @@ class Thing:
 
 def test_tests_that_fail_as_it_is_are_told(project: Path) -> None:
     (project / "test_sums.py").write_text("def test_wrong():\n    assert False\n")
-    with pytest.raises(PartError, match=r"sums\.py fail as it is.*test_wrong"):
-        score(MutationTable((FileTests("sums.py", ("test_sums.py",)),)), 0, 1, 1, project, io.StringIO())
+    room = Room("sums", ("sums.py",), ("test_sums.py",))
+    table = Table((room,))
+    with pytest.raises(TableError, match=r"sums\.py fail as it is.*test_wrong"):
+        score(table, of_room(table, room, project), 1, project, io.StringIO())
 
 
-def test_outside_a_checkout_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(PartError, match="there is no path/protocol"):
-        run.run(VerifyOptions(out=tmp_path / "out", mutants=True))
+def test_outside_a_checkout_it_says_so(tmp_path: Path) -> None:
+    stream = io.StringIO()
+    assert main(["--room", "path/gate"], tmp_path, stream) == 2
+    assert "there is no path/gate here" in stream.getvalue()
 
 
 def test_a_sample_of_the_real_ones_is_caught(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command, on the quickest of the suites."""
-    monkeypatch.chdir(ROOT)
-    quickest = next(suite for suite in load_table().suites if suite.file.endswith("guard/rules.py"))
-    rules = tuple(test for test in quickest.tests if "test_rules" in test)
-    table = MutationTable((FileTests(quickest.file, rules),), load_table().equivalent)
-    monkeypatch.setattr(mutation_run, "load_table", lambda: table)
-    code = run.run(VerifyOptions(out=tmp_path, mutants=True, sample=4, seed=2, jobs=1))
-    told = json.loads((tmp_path / "summary.json").read_text())
-    assert (code, told["mutants_caught"]) == (0, told["mutants"]), told["survivors"]
-    assert told["generated"] == 4
+    """The command, on the quickest of the rooms."""
+    tests = tuple(f"tests/flight/guard/test_rules{more}.py" for more in ("", "_taken", "_bounds"))
+    rules = Room("rules", ("flight/guard/rules.py",), tests)
+    monkeypatch.setattr("tests.mutants.__main__.load_table", lambda: Table((rules,)))
+    stream = io.StringIO()
+    code = main(["--room", "rules", "--sample", "3", "--seed", "2", "--out", str(tmp_path / "told")], ROOT, stream)
+    told = json.loads((tmp_path / "told").read_text())
+    assert (code, told["mutants"], told["caught"]) == (0, 3, 3), stream.getvalue()

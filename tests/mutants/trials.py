@@ -1,0 +1,156 @@
+"""The tests of a file run on wrong versions of it, by programs that wait for orders."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any, TextIO
+
+from tests.mutants.operators import Mutation, mutated
+from tests.mutants.rooms import FileTests, Table, TableError
+
+HERE = Path(__file__).parents[2]
+WITH_THIS = {**os.environ, "PYTHONPATH": os.pathsep.join([str(HERE), *filter(None, [os.environ.get("PYTHONPATH")])])}
+_SLOWER, _MORE_S = 5.0, 30.0  # than the right code: then a wrong version has hung
+_COLDER = 3.0  # how much longer a trial may take that imports everything anew
+_SLOW_S = 600.0  # that those may take which are run on what the others do not notice
+_LONGEST_S = 900.0
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """The result of a wrong version. ``by``: the test that noticed; ``why``: it is the same in all that counts."""
+
+    mutation: Mutation
+    caught: bool
+    by: str = ""
+    why: str = ""
+    took_s: float = 0.0
+
+
+class Server:
+    """A ``warm`` one, which has collected these tests, or with none a ``cold`` one; what is said to it."""
+
+    def __init__(self, root: Path, tests: Sequence[str] = ()) -> None:
+        command = [sys.executable, "-m", f"tests.mutants.{'warm' if tests else 'cold'}", *tests]
+        self._told = " ".join(["python", *command[1:]])
+        self._process = subprocess.Popen(
+            command, cwd=root, env=WITH_THIS, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+
+    def trial(self, suite: FileTests, source: str | None, bound_s: float) -> dict[str, Any]:
+        order = {"module": suite.module, "source": source, "tests": suite.tests, "bound_s": bound_s}
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._process.stdin.write(json.dumps(order) + "\n")
+        self._process.stdin.flush()
+        answer = self._process.stdout.readline()
+        if not answer:
+            raise TableError(f"the program that runs the tests has ended: see what `{self._told} < /dev/null` says")
+        return json.loads(answer)
+
+    def close(self) -> None:
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._process.stdin.close()
+        self._process.wait()
+        self._process.stdout.close()
+
+
+class Trials:
+    """Servers, one a job, and the trials they run.
+
+    A wrong version is put into what is imported already, which takes a moment. Only one that is not noticed there, or
+    cannot be put there, is tried again from the first import on, by a server that is started then.
+    """
+
+    def __init__(self, root: Path, jobs: int, tests: Sequence[str]) -> None:
+        self._root, self._jobs, self._tests = root, jobs, tests
+        self._warm: SimpleQueue[Server] = SimpleQueue()
+        self._cold: SimpleQueue[Server | None] = SimpleQueue()
+        self._servers: list[Server] = []
+
+    def __enter__(self) -> Trials:
+        for _ in range(self._jobs):
+            self._servers.append(Server(self._root, self._tests))
+            self._warm.put(self._servers[-1])
+            self._cold.put(None)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for server in self._servers:
+            server.close()
+
+    def trial(self, suite: FileTests, source: str | None, bound_s: float) -> dict[str, Any]:
+        """Runs a trial on the next server that is free."""
+        server = self._warm.get()
+        try:
+            came = server.trial(suite, source, bound_s)
+        finally:
+            self._warm.put(server)
+        return (
+            came
+            if source is None or not (came["passed"] or came["broken"])
+            else self._from_the_first(suite, source, _COLDER * bound_s + (_SLOW_S if suite.slow else 0.0))
+        )
+
+    def _from_the_first(self, suite: FileTests, source: str, bound_s: float) -> dict[str, Any]:
+        server = self._cold.get()
+        try:
+            if server is None:
+                server = Server(self._root)
+                self._servers.append(server)
+            return server.trial(replace(suite, tests=(*suite.tests, *suite.slow)), source, bound_s)
+        finally:
+            self._cold.put(server)
+
+    def bounds_s(self, suites: Sequence[FileTests]) -> dict[str, float]:
+        """Returns how long each suite may take, from how long it takes on the right code. Raises TableError."""
+
+        def right(suite: FileTests) -> float:
+            came = self.trial(suite, None, _LONGEST_S)
+            if not came["passed"]:
+                raise TableError(f"the tests of {suite.file} fail as it is: {came['what']}")
+            return _SLOWER * came["took_s"] + _MORE_S
+
+        with ThreadPoolExecutor(self._jobs) as threads:
+            return {suite.file: bound_s for suite, bound_s in zip(suites, threads.map(right, suites), strict=True)}
+
+    def wrong(self, chosen: Sequence[tuple[FileTests, Mutation]], bounds_s: dict[str, float]) -> Iterator[Tried]:
+        def tried(one: tuple[FileTests, Mutation]) -> Tried:
+            suite, mutation = one
+            source = mutated((self._root / suite.file).read_text("utf-8"), mutation)
+            came = self.trial(suite, source, bounds_s[suite.file])
+            if came["broken"]:
+                raise TableError(f"the tests of {suite.file} were not run: {came['what']}")
+            return Tried(mutation, not came["passed"], by=came["what"], took_s=came["took_s"])
+
+        with ThreadPoolExecutor(self._jobs) as threads:
+            yield from threads.map(tried, chosen)
+
+
+def score(
+    table: Table, chosen: Sequence[tuple[FileTests, Mutation]], jobs: int, root: Path, stream: TextIO
+) -> list[Tried]:
+    """Run the tests on wrong versions; those known to be equivalent are not run. Raises TableError."""
+    for place in sorted({place for tested, _ in chosen for place in (tested.file, *tested.tests, *tested.slow)}):
+        if not (root / place).exists():
+            raise TableError(f"there is no {place} here: run it in a checkout, and see rooms.toml")
+    known = [Tried(one, False, why=table.equivalent[one.name]) for _, one in chosen if one.name in table.equivalent]
+    rest = [(tested, one) for tested, one in chosen if one.name not in table.equivalent]
+    files = list(dict.fromkeys(tested for tested, _ in rest))
+    tests = sorted({place for tested in files for place in tested.tests})
+    if not rest:
+        return known
+    with Trials(root, jobs, tests) as trials:
+        bounds_s = trials.bounds_s(files)
+        for came in trials.wrong(rest, bounds_s):
+            known.append(came)
+            stream.write(f"{'caught  ' if came.caught else 'SURVIVED'} {came.took_s:6.1f} s  {came.mutation.name}\n")
+            stream.flush()
+    return known
