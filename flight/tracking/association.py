@@ -32,6 +32,8 @@ _BESIDE_M = 1.0  # around the object, what else is told of
 UNSEEN_S = 0.5  # after so long anything else that the object may have come to might as well be the object
 _OUTSIDE_PX = 60.0  # so far outside the image an object's middle may be, and a part of it inside
 AMBIGUITY = 0.6
+LEAST_IDENTITY = 1.0 - 1e-3 / 3.0
+"""Nothing is offered that is the designated object with a lower probability."""
 DEPTH_FLOOR_M, DEPTH_SIGMAS = 0.2, 3.0  # how far a depth may put the object from its prediction
 _SIDE_PX = 3.0  # noise of a box's side
 _HELD_S = 5.0  # after it was seen whole, an object is taken to be in a larger box; then what is there may be anything
@@ -75,7 +77,10 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     px_per_m = camera.fx / z
     unseen = _unseen(track, view.stamp_ns)
     reach_px = px_per_m * max(track.reach_m(view.stamp_ns) if unseen else 0.0, gate_m / AMBIGUITY, RIVAL_REACH_M)
-    found = view.targets(Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px))
+    region = Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px)
+    found = view.targets(region)
+    if track.identity is not None:
+        track.identity.note(view, T_n_c, camera, region, found, (predicted_n, (x, y, z)))
     seen = by_distance(found, (u, v), camera, track.size_m, track.usual_m, z)
     ranked = seen if len(seen) < 2 else _not_behind(seen, view, z + track.reach_m(view.stamp_ns))
     if unseen and len(ranked) > 1:
@@ -115,7 +120,14 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     if measured is not None:
         track.update(measured, view.stamp_ns)
     others = [each for each in seen if each is not chosen]
-    return _over_ground(Sighting(box, depth, _beside(view, box, others, px_per_m)), camera, T_n_c, track)
+    return _offered(Sighting(box, depth, _beside(view, box, others, px_per_m)), camera, T_n_c, track)
+
+
+def _offered(seen: Sighting, camera: CameraModel, T_n_c: Pose, track: TargetTrack) -> Sighting | MissReason:
+    """The sighting to be offered; none where it may be of another object than the designated one."""
+    if track.identity is not None and track.identity.of(seen.box) < LEAST_IDENTITY:
+        return MissReason.AMBIGUOUS_TARGET
+    return _over_ground(seen, camera, T_n_c, track)
 
 
 def _over_ground(seen: Sighting, camera: CameraModel, T_n_c: Pose, track: TargetTrack) -> Sighting:
@@ -174,7 +186,10 @@ def _unfound(
     ]
     if body is not None and not any(_is_in(body[0], box) for box in others):  # else it is what has that box
         (x, y), depth_m = camera.ray(*body[0]), body[1]
-        track.carry(to_local((x * depth_m, y * depth_m, depth_m), T_n_c), view.stamp_ns)
+        place_n = to_local((x * depth_m, y * depth_m, depth_m), T_n_c)
+        track.carry(place_n, view.stamp_ns)
+        if track.identity is not None:
+            track.identity.carry(place_n, view.stamp_ns)
     return MissReason.NO_TARGET if holder is None else MissReason.AMBIGUOUS_TARGET
 
 

@@ -41,6 +41,15 @@ class LargestBox:
         sigma = math.hypot(pixels, sigma_m / z_m, own.size_sigma)
         return math.log(max(larger, 1e-9)) <= own.size_sigmas * sigma
 
+    def most_m(self, box: Box, z_m: float, T_n_c: Pose) -> tuple[float, float]:
+        """Return the largest width and height in m that a box of the target alone can have at a depth."""
+        own = self._method.evidence
+        gx, gy, gz = T_n_c.R[2].tolist()
+        x, y = self._camera.ray(*box.center)
+        wide_m, high_m = reach_m(_AT_THE_CAMERA, (x * z_m, y * z_m, z_m), (gx, gy, gz), own.span_m, own.height_m)
+        spread = math.exp(own.size_sigmas * own.size_sigma)
+        return spread * wide_m, spread * high_m
+
     def apart(self, one: Depth, other: Depth) -> bool:
         """Returns whether two depths are farther apart than the middle of such a body is from any place on it."""
         own = self._method.evidence

@@ -7,6 +7,7 @@ from typing import Self
 
 from flight.config import MissionConfig
 from flight.guidance import Vec3, add, scale, subtract
+from flight.tracking.identity import Identity
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.ranging import OverGround
 from path.target.size import RunningSize
@@ -45,9 +46,11 @@ class TargetTrack:
         over_ground: OverGround | None = None,
         largest: LargestBox | None = None,
         carry_s: float = 0.0,
+        identity: Identity | None = None,
     ) -> None:
         self.position_n_m = position_n_m
         self.largest = largest
+        self.identity = identity
         self.over_ground = over_ground
         self.velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
         self.stamp_ns = stamp_ns
@@ -71,8 +74,9 @@ class TargetTrack:
         accel_mps2, flies = mission.follow.target_accel_mps2, mission.target.flies
         over_ground, carry_s = OverGround.of(mission), mission.follow.carry_s
         return cls(
-            position_n_m, stamp_ns, accel_mps2, flies=flies, over_ground=over_ground, largest=largest, carry_s=carry_s
-        )
+            position_n_m, stamp_ns, accel_mps2, flies=flies, over_ground=over_ground, largest=largest, carry_s=carry_s,
+            identity=Identity(mission, largest),
+        )  # fmt: skip
 
     def predict(self, stamp_ns: int) -> tuple[Vec3, float]:
         """Position (m) and its standard deviation per axis at a stamp, the filter left as it is."""

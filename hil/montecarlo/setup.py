@@ -114,7 +114,7 @@ class HandoverSetup:
             self._sensor(role, believed.noise, method, seed) for role, seed in zip(Role, look_seeds, strict=True)
         )
         self._T_v_m = believed.rig.layout.markers[0].T_v_m
-        self.follower = Follower(self.rig.sender.camera, believed.mission, self.drawn.things, -self._middle_m)
+        self.follower = Follower(self.rig.sender.camera, believed.mission, method, self.drawn.things, -self._middle_m)
         self._limit_s = attempt.limit_s
         self._prepare(min(HORIZON_S, attempt.limit_s))
 

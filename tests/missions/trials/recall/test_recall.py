@@ -266,3 +266,12 @@ def test_its_short_form(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert [cell["gate"] for cell in found.summary["cells"]] == [*GATES, *GATES]
     assert found.summary["cells"][1]["commit_rate"] == 1.0
     assert found.summary["cells"][0]["commit_rate"] == 0.0
+
+
+@pytest.mark.parametrize(("seed", "index"), [(70001, 50), (70002, 5840), (370011, 2237)])
+def test_a_sender_that_may_have_gone_over_to_another_object_hands_nothing_over(seed: int, index: int) -> None:
+    """Its boxes began around both; later both drones' boxes were of the other one, which no gate can see."""
+    rig = rig_library.load("sim-rendered")
+    order = orders(seed, len(trial.DETECTORS), index // len(trial.DETECTORS) + 1)[index]
+    (told,) = run_pieces(Pieces(trial_part(rig, "montecarlo"), rig, trial.DETECTORS, [order]))
+    assert all(commit is None or commit.right for commit in told.commits)

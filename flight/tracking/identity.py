@@ -1,0 +1,122 @@
+"""Whether the box that a drone follows is of the designated object: ``path.belief`` fed by what a camera shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from drivers.interfaces import View
+from flight.config import MissionConfig
+from flight.guidance import Vec3
+from flight.tracking.largest_box import LargestBox
+from flight.tracking.objects import CUT_SCORE, MIN_SCORE
+from flight.tracking.ranging import MIN_DESCENT
+from path.belief.motion import Array
+from path.belief.objects import Belief, Measured
+from path.camera.model import CameraModel
+from path.geometry.transforms import Pose
+from path.observations import Box, Detection, Region, common_area
+
+BOX_SIGMA_PX = 1.5
+"""Noise of a box's middle; twice that of its sides."""
+_ON_BODY = 0.1
+"""Of a box's larger side: how far from the object's middle its depth is taken, from frame to frame."""
+_BY_HEIGHT, _UNKNOWN = 0.1, 0.3
+"""Of a distance: the error of one by the height of the ground, and of one that is taken to be as it was."""
+_ELSEWHERE = 0.01
+"""The number of boxes of a frame that are of nothing known: inventions, and what comes into view."""
+_NEWCOMERS_HZ = 0.05
+"""The number of objects that come into view in a second."""
+_POOR = 10.0
+"""Times as many are among boxes with a low score."""
+
+
+class Identity:
+    """The belief of one drone over what is around the object that it follows. One instance for one track."""
+
+    def __init__(self, mission: MissionConfig, largest: LargestBox | None) -> None:
+        self._wander_rad = math.radians(mission.attitude_wander_deg)
+        self._accel_mps2 = mission.follow.target_accel_mps2
+        self._largest = largest
+        self.belief: Belief | None = None
+        self._boxes: list[Box] = []
+
+    def note(
+        self,
+        view: View,
+        T_n_c: Pose,
+        camera: CameraModel,
+        region: Region,
+        found: Sequence[Detection],
+        expected: tuple[Vec3, Vec3],
+    ) -> None:
+        """Take in what the detector found in a region.
+
+        Args:
+            expected: the followed object's place in the local frame, and in the camera.
+        """
+        seen = [each for each in found if each.score >= CUT_SCORE and each.box.w > 0.0 and each.box.h > 0.0]
+        place_n, (_, _, z_m) = expected
+        measured = [self._measured(view, T_n_c, camera, each, place_n[2], z_m) for each in seen]
+        self._boxes = [each.box for each in seen]
+        if self.belief is None:
+            if not measured:
+                return
+            place = np.asarray(place_n)
+            nearest = min(measured, key=lambda each: float(np.linalg.norm(each.place_m - place)))
+            self.belief = Belief(self._accel_mps2)
+            self.belief.designate(place, nearest, view.stamp_ns)
+
+        T_c_n = T_n_c.inverse()
+
+        def sees(place_m: Array) -> bool:
+            x, y, z = T_c_n.apply(place_m).tolist()
+            return z > 0.0 and camera.sees((x, y, z)) and region.contains(*camera.project_point((x, y, z)))
+
+        self.belief.update(measured, sees, view.stamp_ns)
+
+    def carry(self, place_n: Vec3, stamp_ns: int) -> None:
+        """Take in where the followed object's depth is, in a frame without a box of it."""
+        if self.belief is not None:
+            self.belief.carry(np.asarray(place_n), stamp_ns)
+
+    def of(self, box: Box) -> float:
+        """Return the probability that a box of the newest frame is of the designated object."""
+        if self.belief is None:
+            return 0.0
+        shared = [(common_area(box, each) / max(each.area, box.area), k) for k, each in enumerate(self._boxes)]
+        most, column = max(shared, default=(0.0, -1))
+        return self.belief.identity_of(column) if most > 0.0 else 0.0
+
+    def _measured(
+        self, view: View, T_n_c: Pose, camera: CameraModel, detection: Detection, down_m: float, expected_z_m: float
+    ) -> Measured:
+        box = detection.box
+        x, y = camera.ray(*box.center)
+        depth = view.depth(box)
+        if depth is not None:
+            z_m, along_m = depth.z_m, depth.sigma_m
+        else:
+            sinking = float(T_n_c.R[2] @ (x, y, 1.0))
+            fall_m = down_m - float(T_n_c.t[2])
+            if sinking > MIN_DESCENT and fall_m > 0.0:
+                z_m = fall_m / sinking
+                along_m = _BY_HEIGHT * z_m
+            else:
+                z_m, along_m = expected_z_m, _UNKNOWN * expected_z_m
+        wide_m, high_m = box.w * z_m / camera.fx, box.h * z_m / camera.fy
+        along_m = math.hypot(along_m, _ON_BODY * max(wide_m, high_m))
+        across = math.hypot(BOX_SIGMA_PX / min(camera.fx, camera.fy), self._wander_rad) * z_m
+        ray = T_n_c.R @ (x, y, 1.0)
+        covariance = across**2 * np.eye(3) + (along_m**2) * np.outer(ray, ray)
+        most = (math.inf, math.inf) if self._largest is None else self._largest.most_m(box, z_m, T_n_c)
+        share = _ELSEWHERE * (1.0 if detection.score >= MIN_SCORE else _POOR)
+        view_m3 = camera.width * camera.height * z_m**3 / (camera.fx * camera.fy)
+        side_sigma = math.hypot(2.0 * BOX_SIGMA_PX / max(1.0, min(box.w, box.h)), along_m / z_m)
+        place = T_n_c.apply(np.array((x * z_m, y * z_m, z_m)))
+        return Measured(
+            place_m=place, covariance_m2=covariance, axes=T_n_c.R, sides_m=(wide_m, high_m), side_sigma=side_sigma,
+            most_m=most, elsewhere_m3=share / view_m3, newcomers_m3_s=_NEWCOMERS_HZ / view_m3,
+        )  # fmt: skip

@@ -1,0 +1,107 @@
+"""Where an object is and how it moves: a Gaussian over place and velocity, driven by white acceleration.
+
+    x = (p, v),  p' = v,  v' = w,   w white with spectral density S = a^2 * MANOEUVRE_S
+
+where ``a`` is the greatest acceleration that the target is stated to have, and MANOEUVRE_S how long it keeps one up.
+Over a time t without a measurement the covariance grows by
+
+    Q = S * | t^3/3 I   t^2/2 I |
+            | t^2/2 I   t     I |
+
+A measurement is of the place, z = p + n, n ~ N(0, R). Detectors err more than a Gaussian has it, at times: the noise is
+Student's t with TAIL degrees of freedom, and a measurement at the squared Mahalanobis distance d2 counts as if its
+covariance were R (TAIL + d2) / (TAIL + 3).
+
+No length is stated here: R and a come from the rig, so that a world k times as large has the same distances d2.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MANOEUVRE_S = 0.5
+TAIL = 5.0
+_T3 = math.gamma(0.5 * (TAIL + 3.0)) / (math.gamma(0.5 * TAIL) * (TAIL * math.pi) ** 1.5)
+_EYE = np.eye(3)
+
+
+@dataclass(slots=True)
+class Motion:
+    """Place and velocity of one object.
+
+    Attributes:
+        mean: shape (6,), place in m and velocity in m/s, both in the local frame.
+        covariance: shape (6, 6).
+        stamp_ns: of what it is at.
+    """
+
+    mean: Array
+    covariance: Array
+    stamp_ns: int
+
+    @classmethod
+    def at(cls, place_m: Array, covariance_m2: Array, accel_mps2: float, stamp_ns: int) -> Motion:
+        """Return an object first seen at a place: it may move as fast as it gets within one second."""
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = covariance_m2
+        covariance[3:, 3:] = _EYE * accel_mps2**2
+        return cls(np.concatenate((place_m, np.zeros(3))), covariance, stamp_ns)
+
+    @property
+    def place_m(self) -> Array:
+        return self.mean[:3]
+
+    @property
+    def place_covariance_m2(self) -> Array:
+        return self.covariance[:3, :3]
+
+    def advance(self, stamp_ns: int, accel_mps2: float) -> None:
+        """Predict to a later stamp; an earlier one changes nothing."""
+        t = (stamp_ns - self.stamp_ns) * 1e-9
+        if t <= 0.0:
+            return
+        density = accel_mps2**2 * MANOEUVRE_S
+        P = self.covariance
+        pp, pv, vv = P[:3, :3], P[:3, 3:], P[3:, 3:]
+        grown = np.empty((6, 6))
+        grown[:3, :3] = pp + t * (pv + pv.T) + t * t * vv + density * t**3 / 3.0 * _EYE
+        grown[:3, 3:] = pv + t * vv + density * t * t / 2.0 * _EYE
+        grown[3:, :3] = grown[:3, 3:].T
+        grown[3:, 3:] = vv + density * t * _EYE
+        self.mean[:3] += t * self.mean[3:]
+        self.covariance, self.stamp_ns = grown, stamp_ns
+
+    def update(self, place_m: Array, noise_m2: Array) -> None:
+        """Fuse a measured place, shape (3,), with its covariance (3, 3)."""
+        innovation = place_m - self.mean[:3]
+        d2 = float(innovation @ np.linalg.solve(self.covariance[:3, :3] + noise_m2, innovation))
+        doubted = noise_m2 * max(1.0, (TAIL + d2) / (TAIL + 3.0))
+        gain = np.linalg.solve(self.covariance[:3, :3] + doubted, self.covariance[:3, :]).T
+        self.mean = self.mean + gain @ innovation
+        covariance = self.covariance - gain @ self.covariance[:3, :]
+        self.covariance = 0.5 * (covariance + covariance.T)
+
+
+def density(innovation_m: Array, covariance_m2: Array) -> float:
+    """Return the probability density of an innovation, per m^3: Student's t with that scale matrix (3, 3)."""
+    d2 = float(innovation_m @ np.linalg.solve(covariance_m2, innovation_m))
+    volume = math.sqrt(max(float(np.linalg.det(covariance_m2)), 1e-300))
+    return _T3 / volume * (1.0 + d2 / TAIL) ** (-0.5 * (TAIL + 3.0))
+
+
+def renewal(covariance_m2: Array, noise_m2: Array, direction: Array) -> float:
+    """Return how much of a place a measurement with this noise makes new along a direction (any length), 0..1.
+
+    0 for an object whose place is known already, 1 for one that may be anywhere: the Kalman gain along that direction.
+    """
+    length2 = float(direction @ direction)
+    if not length2 > 0.0:
+        return 0.0
+    moved = covariance_m2 @ np.linalg.solve(covariance_m2 + noise_m2, direction)
+    return min(1.0, max(0.0, float(direction @ moved) / length2))

@@ -1,0 +1,421 @@
+"""All objects that a drone sees as tracks, and the probability of each that it is the designated one.
+
+Boxes
+    A box is a measurement of its object's place. Its noise is what the rig states for such a box at its own range.
+    Where the box is larger than its object, something else is in it; where it is smaller, a part of the object is
+    hidden or outside the image. Either way the object's middle is within half the difference d of the sides:
+
+        R = R_box + (d/2)^2    along each side
+
+    That stays off for as long as it lasts, so that many frames say no more than one: a place is never known better by
+    it than to d/2, and one that is known better already is told nothing. One box may so be of two objects: whoever is
+    expected inside a box that is assigned to another is held by it, and not missed.
+
+Existence
+    A new track may be nothing: detectors invent, and show an object in two pieces. Its log odds begin at those of
+    NEW_SHARE and rise by dt / SPELL_S with each frame that shows it, since inventions last SPELL_S in the mean; they
+    fall by as much times log 1 / (1 - p) with each frame that does not. Once CONFIRMED it stays until it was out of
+    sight for FORGET_S.
+
+Identity
+    q_i is the probability that the object of track i is the designated one; what is missing from their sum to 1 is for
+    an object that no track follows. Let beta_ij be the marginals of a frame (``path.belief.assignment``), and j(i) the
+    measurement that track i was updated with. If measurement j(k) was of i, then track k follows from now on what i
+    followed before:
+
+        q <- A q,     A_ki = g beta_{i j(k)}  for k != i
+
+    g is how much of i's place the measurement makes new (``path.belief.motion.renewal``): a track whose place is known
+    well is not carried off by one frame, and one that nobody saw for a while is whatever it is found as. (Identity
+    management: Shin, Guibas, Zhao 2003.) A new track takes its share only as far as it exists. What is left for "the
+    measurement is of nothing known, and the object was not shown" goes, times g, to no track, as far as it may be an
+    object that came into view: what is invented is gone again at once.
+
+    A box around what is expected in it, and larger than that, tells nothing of which is which: it mixes nothing, and
+    nothing is learnt of sizes. But places become unknown while it lasts, and when it comes apart its boxes mix what
+    was in it, as far as that went.
+
+    Nothing here makes two that were mixed up come apart again, and no wait does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from path.belief.assignment import associate
+from path.belief.motion import Array, Motion, density, renewal
+from path.values import value
+
+SHOWN = 0.9
+"""The probability that a detector shows an object that it showed in the frame before."""
+SPELL_S = 0.1
+"""For so long, in the mean, a detector goes on to miss an object, or to invent one."""
+NEW_SHARE = 0.1
+CONFIRMED = 0.95
+FORGET_S = 5.0
+_DEAD = 0.02
+_SIZE_RATE = 0.1  # by which the logarithm of a box's side changes within a second: an object turns
+_SIZE_TAIL = 3.0
+_FITS = 2.0  # standard deviations of a side's logarithm: what is farther off has more in its box, or less
+_SIZE_DENSITY = 0.5  # of a side's logarithm, of anything: between 1 / e and e times as large
+_DESIGNATED = 2.0  # times the noise of its box: the standard deviation of the place of what was designated
+_FORGOTTEN = 1e-9
+_NOTHING = 1e-4  # the share of an axis' variance with which a measurement along it counts for nothing
+_MOST_TRACKS = 16
+
+
+@value
+class Measured:
+    """A box as a measurement of a place in the local frame.
+
+    Attributes:
+        place_m: shape (3,). covariance_m2: (3, 3), of the frame's noise.
+        axes: (3, 3) rotation of the camera in the local frame; columns right, down, ahead.
+        sides_m: width and height of the box at its range.
+        side_sigma: standard deviation of either side's logarithm.
+        most_m: the largest sides that a box of the target alone can have there; infinite where that is not known.
+        elsewhere_m3: density per m^3 of boxes of nothing that is known, inventions among them.
+        newcomers_m3_s: of objects that come into view, per m^3 and s.
+    """
+
+    place_m: Array
+    covariance_m2: Array
+    axes: Array
+    sides_m: tuple[float, float]
+    side_sigma: float
+    most_m: tuple[float, float]
+    elsewhere_m3: float
+    newcomers_m3_s: float
+
+
+@dataclass(slots=True)
+class ObjectTrack:
+    """One object.
+
+    Attributes:
+        log_sides: logarithm of the sides of its box in m. size_variance: of either.
+        log_odds: that it exists. owed: of new ones, by other track, the share of its identity that is this one's if it
+            exists.
+        shown: whether the newest frame that could have did show it. seen_ns: when it was last shown, alone or not.
+        identity: the probability that it is the designated object, without what new tracks are owed.
+    """
+
+    number: int
+    motion: Motion
+    log_sides: Array
+    size_variance: float
+    log_odds: float
+    seen_ns: int
+    shown: bool = True
+    identity: float = 0.0
+    owed: dict[int, float] = field(default_factory=dict[int, float])
+
+    @property
+    def existence(self) -> float:
+        return 1.0 / (1.0 + math.exp(-self.log_odds))
+
+    @property
+    def confirmed(self) -> bool:
+        return self.log_odds >= _LOG_ODDS_CONFIRMED
+
+    def sides_m(self, most_m: tuple[float, float]) -> Array:
+        return np.minimum(np.exp(self.log_sides), most_m)
+
+
+_LOG_ODDS_CONFIRMED = math.log(CONFIRMED / (1.0 - CONFIRMED))
+_LOG_ODDS_NEW = math.log(NEW_SHARE / (1.0 - NEW_SHARE))
+_LOG_ODDS_DEAD = math.log(_DEAD / (1.0 - _DEAD))
+
+
+class Belief:
+    """All tracks. Frames are given in the order of their stamps.
+
+    Args:
+        accel_mps2: how hard an object speeds up, brakes and turns at most.
+    """
+
+    def __init__(self, accel_mps2: float) -> None:
+        self.tracks: list[ObjectTrack] = []
+        self._accel_mps2 = accel_mps2
+        self._numbers = 0
+        self._stamp_ns: int | None = None
+        self._assigned: list[int | None] = []  # by measurement of the newest frame: number of its track
+
+    def designate(self, place_m: Array, measured: Measured, stamp_ns: int) -> None:
+        """Begin with the object that was designated: it is at a place, and a box like that is of it.
+
+        Args:
+            place_m: shape (3,).
+        """
+        track = self._begin(measured, stamp_ns)
+        track.motion.mean[:3] = place_m
+        track.motion.covariance[:3, :3] *= _DESIGNATED**2
+        track.log_odds, track.identity = _LOG_ODDS_CONFIRMED, 1.0
+        self._stamp_ns = stamp_ns
+
+    def update(self, measured: Sequence[Measured], sees: Callable[[Array], bool], stamp_ns: int) -> None:
+        """Take in a frame.
+
+        Args:
+            sees: whether the frame shows what is at a place, if nothing hides it.
+        """
+        dt_s = 0.0 if self._stamp_ns is None else max(0.0, (stamp_ns - self._stamp_ns) * 1e-9)
+        self._stamp_ns = stamp_ns
+        for track in self.tracks:
+            track.motion.advance(stamp_ns, self._accel_mps2)
+            track.size_variance += _SIZE_RATE**2 * dt_s
+        fits = [[_fit(track, each) for each in measured] for track in self.tracks]
+        holders = [self._holder(track, measured) for track in self.tracks]
+        weights = self._weights(measured, fits, holders, sees, dt_s)
+        assigned, marginals = associate(weights)
+        self._mix(measured, fits, holders, assigned, marginals, dt_s)
+        for k, track in enumerate(self.tracks):
+            column = assigned[k]
+            if column is not None:
+                self._shown(track, measured[column], fits[k][column], stamp_ns, dt_s)
+            elif (held := holders[k]) is not None:
+                each = measured[held]
+                bounds = _bounded(track.motion, np.asarray(each.sides_m), each.axes)
+                track.motion.update(each.place_m, each.covariance_m2 + bounds)
+            elif sees(track.motion.place_m):
+                track.shown = False
+                track.log_odds -= math.log(1.0 / (1.0 - SHOWN)) * dt_s / SPELL_S if not track.confirmed else 0.0
+        taken = {column: self.tracks[k].number for k, column in enumerate(assigned) if column is not None}
+        self._assigned = [taken.get(column) for column in range(len(measured))]
+        self._open(measured, marginals, fits, stamp_ns)
+        self._settle(stamp_ns)
+
+    def carry(self, place_m: Array, stamp_ns: int) -> None:
+        """Keep the likeliest track, which this frame has not shown, by where a body of its size stands out in depth.
+
+        Nothing else came there meanwhile. It is somewhere in that body.
+        """
+        track = self.likeliest
+        if track is None or track.seen_ns >= stamp_ns:
+            return
+        half_m = 0.5 * float(np.max(np.exp(track.log_sides)))
+        track.motion.update(place_m, half_m * half_m * np.eye(3))
+
+    def identity_of(self, column: int) -> float:
+        """Return the probability that a measurement of the newest frame is of the designated object."""
+        number = self._assigned[column]
+        return 0.0 if number is None else self.probability(number)
+
+    def probability(self, number: int) -> float:
+        """Return the probability that a track's object is the designated one."""
+        by_number = {track.number: track for track in self.tracks}
+        own = by_number.get(number)
+        if own is None:
+            return 0.0
+        owing = sum(each.existence * each.owed.get(number, 0.0) for each in self.tracks)
+        owed = sum(
+            by_number[other].identity * share * own.existence for other, share in own.owed.items() if other in by_number
+        )
+        return own.identity * max(0.0, 1.0 - owing) + owed
+
+    @property
+    def likeliest(self) -> ObjectTrack | None:
+        """The track that is the designated object most likely."""
+        return max(self.tracks, key=lambda each: self.probability(each.number), default=None)
+
+    def _begin(self, measured: Measured, stamp_ns: int) -> ObjectTrack:
+        beyond = np.maximum(np.asarray(measured.sides_m) - measured.most_m, 0.0)
+        covariance = measured.covariance_m2 + _within(beyond, measured.axes)
+        motion = Motion.at(measured.place_m, covariance, self._accel_mps2, stamp_ns)
+        sides = np.log(np.minimum(measured.sides_m, measured.most_m))
+        track = ObjectTrack(self._numbers, motion, sides, measured.side_sigma**2, _LOG_ODDS_NEW, stamp_ns)
+        self._numbers += 1
+        self.tracks.append(track)
+        return track
+
+    def _weights(
+        self,
+        measured: Sequence[Measured],
+        fits: Sequence[Sequence[_Fit]],
+        holders: Sequence[int | None],
+        sees: Callable[[Array], bool],
+        dt_s: float,
+    ) -> Array:
+        weights = np.zeros((len(self.tracks), len(measured)))
+        for i, track in enumerate(self.tracks):
+            again = SHOWN if track.shown else min(SHOWN, dt_s / SPELL_S)
+            likely = track.existence * again
+            unshown = 1.0 - (likely if sees(track.motion.place_m) and holders[i] is None else 0.5 * likely)
+            for j, each in enumerate(measured):
+                covariance = track.motion.place_covariance_m2 + fits[i][j].spread_m2
+                likelihood = density(each.place_m - track.motion.place_m, covariance) * _size_fits(track, each)
+                weights[i, j] = likely * likelihood / (unshown * each.elsewhere_m3)
+        return weights
+
+    def _holder(self, track: ObjectTrack, measured: Sequence[Measured]) -> int | None:
+        """Return the measurement whose box the track is expected inside; None when there is none."""
+        for column, each in enumerate(measured):
+            off = np.abs(each.axes.T @ (track.motion.place_m - each.place_m))
+            if 2.0 * off[0] <= each.sides_m[0] and 2.0 * off[1] <= each.sides_m[1]:
+                return column
+        return None
+
+    def _mix(
+        self,
+        measured: Sequence[Measured],
+        fits: Sequence[Sequence[_Fit]],
+        holders: Sequence[int | None],
+        assigned: Sequence[int | None],
+        marginals: Array,
+        dt_s: float,
+    ) -> None:
+        """q <- A q for the tracks that there are. A box around more than what is expected in it tells nothing."""
+        before = [track.identity for track in self.tracks]
+        for i, track in enumerate(self.tracks):
+            if not before[i] > _FORGOTTEN:
+                continue
+            for k, column in enumerate(assigned):
+                if column is None:
+                    continue
+                each, share = measured[column], float(marginals[i, column])
+                if k == i:  # it may be of nothing known, and this one not shown
+                    of_known = marginals[:, column].sum() + marginals[i].sum() - share
+                    newcomers = min(1.0, each.newcomers_m3_s * dt_s / each.elsewhere_m3)
+                    share = newcomers * max(0.0, 1.0 - float(of_known))
+                around = holders[i] == column and fits[k][column].larger and fits[i][column].larger
+                if around or not share > _FORGOTTEN:
+                    continue
+                apart = (each if k == i else self.tracks[k].motion).place_m - track.motion.place_m
+                moved = before[i] * share * renewal(track.motion.place_covariance_m2, fits[i][column].noise_m2, apart)
+                track.identity -= moved
+                if k != i:
+                    self.tracks[k].identity += moved
+                    if assigned[i] is None:  # what the other one followed is out of sight now, as this one was
+                        back = before[k] * moved / before[i]
+                        self.tracks[k].identity -= back
+                        track.identity += back
+
+    def _shown(self, track: ObjectTrack, measured: Measured, fit: _Fit, stamp_ns: int, dt_s: float) -> None:
+        track.motion.update(measured.place_m, fit.noise_m2)
+        track.shown, track.seen_ns = True, stamp_ns
+        if not track.confirmed:
+            track.log_odds += dt_s / SPELL_S
+        off = np.log(measured.sides_m) - track.log_sides
+        variance = track.size_variance + measured.side_sigma**2
+        if not fit.larger and float(off @ off) <= 9.0 * variance:  # else more is in its box, or less of it is seen
+            gain = track.size_variance / variance
+            track.log_sides = track.log_sides + gain * off
+            track.size_variance *= 1.0 - gain
+
+    def _open(
+        self, measured: Sequence[Measured], marginals: Array, fits: Sequence[Sequence[_Fit]], stamp_ns: int
+    ) -> None:
+        """Begin tracks of what no track was updated with, and is no part of an object."""
+        known = list(self.tracks)
+        taken = {n: each for n, each in zip(self._assigned, measured, strict=True) if n is not None}
+        for column, each in enumerate(measured):
+            if self._assigned[column] is not None or len(self.tracks) >= _MOST_TRACKS:
+                continue
+            if any(_is_part(each, track, taken.get(track.number)) for track in known):
+                continue
+            track = self._begin(each, stamp_ns)
+            self._assigned[column] = track.number
+            for i, other in enumerate(known):
+                apart = each.place_m - other.motion.place_m
+                share = marginals[i, column] * renewal(
+                    other.motion.place_covariance_m2, fits[i][column].noise_m2, apart
+                )
+                if share > _FORGOTTEN:
+                    track.owed[other.number] = float(share)
+
+    def _settle(self, stamp_ns: int) -> None:
+        """New tracks that exist take what they are owed; dead and forgotten ones go."""
+        by_number = {track.number: track for track in self.tracks}
+        for track in self.tracks:
+            if track.confirmed and track.owed:
+                for number, share in track.owed.items():
+                    other = by_number.get(number)
+                    if other is not None:
+                        track.identity += share * other.identity
+                        other.identity *= 1.0 - share
+                track.owed = {}
+        forgotten_ns = stamp_ns - round(FORGET_S * 1e9)
+        self.tracks = [
+            track
+            for track in self.tracks
+            if track.identity > _FORGOTTEN or (track.log_odds > _LOG_ODDS_DEAD and track.seen_ns >= forgotten_ns)
+        ]
+
+
+def _halves(beyond_m: Array) -> Array:
+    """Return the variances of a middle that is within half of so much, right, down and, of the larger one, ahead."""
+    halves = 0.5 * np.array([beyond_m[0], beyond_m[1], max(beyond_m)])
+    return halves * halves
+
+
+def _within(beyond_m: Array, axes: Array) -> Array:
+    """Return the covariance (3, 3) of a middle that is within half of so much of a box's."""
+    return (axes * _halves(beyond_m)) @ axes.T
+
+
+def _bounded(motion: Motion, beyond_m: Array, axes: Array) -> Array:
+    """Return what to add to a noise so that a place is known to half of so much afterwards, and no better.
+
+    What is off stays off for as long as it lasts: however many frames say it, they are one. An axis along which the
+    place is known better already is told nothing.
+    """
+    bounds = _halves(beyond_m)
+    known = np.einsum("ij,ik,kj->j", axes, motion.place_covariance_m2, axes)
+    left = np.maximum(known - bounds, _NOTHING * bounds + 1e-12)
+    return (axes * (bounds * np.maximum(known, bounds) / left)) @ axes.T
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """A measurement, if it is of a track's object.
+
+    Attributes:
+        spread_m2: its covariance, (3, 3). noise_m2: what the track is updated with.
+        larger: whether something else is in its box.
+    """
+
+    spread_m2: Array
+    noise_m2: Array
+    larger: bool
+
+
+def _fit(track: ObjectTrack, measured: Measured) -> _Fit:
+    sides = np.asarray(measured.sides_m)
+    factor = math.exp(_FITS * math.sqrt(track.size_variance + measured.side_sigma**2))
+    expected = np.minimum(np.exp(track.log_sides), measured.most_m)
+    more = np.maximum(sides - np.minimum(factor * expected, measured.most_m), 0.0)
+    beyond = np.maximum(expected / factor - sides, more)
+    if not beyond.any():
+        return _Fit(measured.covariance_m2, measured.covariance_m2, larger=False)
+    spread = measured.covariance_m2 + _within(beyond, measured.axes)
+    noise = measured.covariance_m2 + _bounded(track.motion, beyond, measured.axes)
+    return _Fit(spread, noise, bool(more.any()))
+
+
+def _size_fits(track: ObjectTrack, measured: Measured) -> float:
+    """Return how much likelier the sides of a box are, if it is of this track's object, than of anything."""
+    variance = track.size_variance + measured.side_sigma**2
+    off = np.log(measured.sides_m) - track.log_sides
+    tails = (1.0 + off * off / (variance * _SIZE_TAIL)) ** (-0.5 * (_SIZE_TAIL + 1.0))
+    return float(np.prod(0.3675 / math.sqrt(variance) * tails)) / _SIZE_DENSITY**2
+
+
+def _is_part(measured: Measured, track: ObjectTrack, taken: Measured | None) -> bool:
+    """Return whether a box is of a track's object, a second time.
+
+    It is when what it covers together with the box that the track has in this frame, or is expected to have, is no
+    larger than that object.
+    """
+    if not track.confirmed:
+        return False
+    expected = track.sides_m(measured.most_m)
+    place_m, sides = (track.motion.place_m, expected) if taken is None else (taken.place_m, np.asarray(taken.sides_m))
+    off = np.abs(measured.axes[:, :2].T @ (place_m - measured.place_m))
+    own = np.asarray(measured.sides_m)
+    covered = np.maximum(np.maximum(sides, own), off + 0.5 * (sides + own))
+    spread = math.exp(_FITS * math.sqrt(track.size_variance + measured.side_sigma**2))
+    return bool(np.all(covered <= np.minimum(expected * spread, measured.most_m)))

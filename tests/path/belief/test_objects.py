@@ -1,0 +1,189 @@
+"""Tracks of all objects, and which of them was designated: on paper, and at every scale."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from path.belief.motion import MANOEUVRE_S, Array, density
+from path.belief.objects import SHOWN, SPELL_S, Belief, Measured
+
+AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # level, to the north: right is east
+FRAME_NS = 20_000_000
+FRAME_S = 0.02
+SIGMA_M = 0.012
+SIDE_M = 0.3
+ACCEL = 0.6
+EVERYWHERE: Callable[[Array], bool] = lambda _: True  # noqa: E731
+UNKNOWN = (math.inf, math.inf)
+
+
+def box(
+    east_m: float,
+    *,
+    north_m: float = 2.0,
+    wide_m: float = SIDE_M,
+    high_m: float = SIDE_M,
+    scale: float = 1.0,
+    most_m: tuple[float, float] = UNKNOWN,
+) -> Measured:
+    """A box at a place; everything that is a length is ``scale`` times as long."""
+    return Measured(
+        scale * np.array([north_m, east_m, 0.0]),
+        (scale * SIGMA_M) ** 2 * np.eye(3),
+        AXES,
+        (scale * wide_m, scale * high_m),
+        0.03,
+        (scale * most_m[0], scale * most_m[1]),
+        1e-3 / scale**3,
+        5e-3 / scale**3,
+    )
+
+
+def begun(east_m: float = 0.0, scale: float = 1.0, others_m: Sequence[float] = ()) -> tuple[Belief, int]:
+    """A target, and others, that have been followed for a second; and the newest stamp."""
+    belief = Belief(scale * ACCEL)
+    belief.designate(box(east_m, scale=scale).place_m, box(east_m, scale=scale), 0)
+    stamp_ns = 0
+    for _ in range(50):
+        stamp_ns += FRAME_NS
+        belief.update([box(each, scale=scale) for each in (east_m, *others_m)], EVERYWHERE, stamp_ns)
+    return belief, stamp_ns
+
+
+def test_an_object_that_is_alone_stays_the_one() -> None:
+    belief, _ = begun()
+    assert belief.identity_of(0) > 1.0 - 1e-6
+    assert len(belief.tracks) == 1
+
+
+def test_one_beside_it_has_a_track_of_its_own_and_nothing_of_its_identity() -> None:
+    belief, _ = begun(others_m=[0.35])
+    assert len(belief.tracks) == 2
+    assert belief.identity_of(0) > 1.0 - 1e-5
+    assert belief.identity_of(1) < 1e-6
+
+
+def test_two_that_were_out_of_sight_are_told_apart_as_far_as_their_places_were_known() -> None:
+    """Both hidden for T; two boxes come back where both were. By hand: a swap against none, in Student's t."""
+    apart_m, hidden_s = 0.35, 0.8
+    belief, stamp_ns = begun(others_m=[apart_m])
+    first, second = belief.tracks
+    seen_ns = stamp_ns + round(hidden_s * 1e9)
+    grown = first.motion.covariance.copy()
+    variance = (
+        grown[1, 1] + 2.0 * hidden_s * grown[1, 4] + hidden_s**2 * grown[4, 4]
+        + ACCEL**2 * MANOEUVRE_S * hidden_s**3 / 3.0
+    )  # fmt: skip
+    S = (variance + SIGMA_M**2) * np.eye(3)
+    speed = second.motion.mean[4] - first.motion.mean[4]
+    off = np.array([0.0, apart_m + hidden_s * speed, 0.0])
+    swapped, kept = density(off, S) ** 2, density(off - (0.0, apart_m, 0.0), S) ** 2
+    by_hand = swapped / (swapped + kept)
+    belief.update([box(0.0), box(apart_m)], EVERYWHERE, seen_ns)
+    assert 0.001 < by_hand < 0.3
+    assert belief.probability(second.number) == pytest.approx(by_hand, rel=0.3)
+    assert belief.probability(first.number) == pytest.approx(1.0 - by_hand, abs=0.02)
+
+
+def test_two_that_nobody_saw_for_long_might_be_either_and_no_wait_tells() -> None:
+    belief, stamp_ns = begun(others_m=[0.35])
+    stamp_ns += 3_000_000_000
+    for k in range(100):
+        belief.update([box(0.0), box(0.35)], EVERYWHERE, stamp_ns + k * FRAME_NS)
+        assert belief.identity_of(0) < 0.75
+    assert belief.identity_of(0) + belief.identity_of(1) > 0.9
+
+
+def test_one_box_around_two_for_a_moment_mixes_nothing_up() -> None:
+    belief, stamp_ns = begun(others_m=[0.35])
+    for _ in range(10):
+        stamp_ns += FRAME_NS
+        belief.update([box(0.175, wide_m=0.65)], EVERYWHERE, stamp_ns)
+    stamp_ns += FRAME_NS
+    belief.update([box(0.0), box(0.35)], EVERYWHERE, stamp_ns)
+    assert belief.identity_of(0) > 1.0 - 1e-3
+    assert belief.identity_of(1) < 1e-3
+
+
+def test_one_box_around_two_for_long_says_no_more_which_is_which() -> None:
+    belief, stamp_ns = begun(others_m=[0.35])
+    for _ in range(150):
+        stamp_ns += FRAME_NS
+        belief.update([box(0.175, wide_m=0.65)], EVERYWHERE, stamp_ns)
+    stamp_ns += FRAME_NS
+    belief.update([box(0.0), box(0.35)], EVERYWHERE, stamp_ns)
+    assert belief.identity_of(0) < 0.99
+
+
+def test_a_box_too_large_for_the_target_that_comes_apart_leaves_it_open_which_half_it_was() -> None:
+    belief, most = Belief(ACCEL), (0.36, 0.36)
+    belief.designate(box(0.0).place_m, box(0.0, wide_m=0.65, most_m=most), 0)
+    for k in range(1, 5):
+        belief.update([box(0.0, wide_m=0.65, most_m=most)], EVERYWHERE, k * FRAME_NS)
+    for k in range(5, 50):
+        belief.update([box(-0.17, most_m=most), box(0.17, most_m=most)], EVERYWHERE, k * FRAME_NS)
+        assert max(belief.identity_of(0), belief.identity_of(1)) < 1.0 - 1e-3 / 3.0
+
+
+def test_an_object_in_two_pieces_for_a_frame_stays_one() -> None:
+    belief, stamp_ns = begun()
+    stamp_ns += FRAME_NS
+    belief.update([box(-0.08, wide_m=0.14), box(0.08, wide_m=0.14)], EVERYWHERE, stamp_ns)
+    assert len(belief.tracks) == 1
+    belief.update([box(0.0)], EVERYWHERE, stamp_ns + FRAME_NS)
+    assert belief.identity_of(0) > 1.0 - 1e-3 / 3.0
+
+
+def test_a_box_of_nothing_beside_the_target_is_forgotten() -> None:
+    belief, stamp_ns = begun()
+    stamp_ns += FRAME_NS
+    belief.update([box(0.0), box(0.4)], EVERYWHERE, stamp_ns)
+    assert len(belief.tracks) == 2
+    for _ in range(round(2.0 * SPELL_S / FRAME_S)):
+        stamp_ns += FRAME_NS
+        belief.update([box(0.0)], EVERYWHERE, stamp_ns)
+    assert len(belief.tracks) == 1
+    assert belief.identity_of(0) > 1.0 - 1e-5
+
+
+def test_one_that_comes_where_the_target_was_lost_is_no_target_for_sure() -> None:
+    belief, stamp_ns = begun()
+    belief.update([box(0.9)], EVERYWHERE, stamp_ns + 4_000_000_000)
+    assert belief.identity_of(0) < 1.0 - 1e-3 / 3.0
+
+
+def test_a_missed_frame_costs_nothing() -> None:
+    belief, stamp_ns = begun()
+    for _ in range(round(SHOWN * 10)):
+        stamp_ns += FRAME_NS
+        belief.update([], EVERYWHERE, stamp_ns)
+    belief.update([box(0.0)], EVERYWHERE, stamp_ns + FRAME_NS)
+    assert belief.identity_of(0) > 1.0 - 1e-4
+
+
+@pytest.mark.parametrize("scale", [0.2, 5.0, 20.0])
+def test_a_world_so_many_times_as_large_is_believed_the_same(scale: float) -> None:
+    """Two that cross, in one box for a while, one of them out of sight: the same tracks and probabilities."""
+    beliefs = []
+    for factor in (1.0, scale):
+        belief, stamp_ns = begun(scale=factor, others_m=[0.6])
+        history: list[list[tuple[int, float]]] = []
+        for k in range(120):
+            stamp_ns += FRAME_NS
+            other = 0.6 - 0.01 * k
+            boxes = [box(0.0, scale=factor), box(other, north_m=2.1, scale=factor)]
+            if abs(other) < 0.32:
+                low, high = min(0.0, other) - 0.15, max(0.0, other) + 0.15
+                boxes = [box(0.5 * (low + high), north_m=2.05, wide_m=high - low, scale=factor)]
+            if 90 < k < 100:
+                boxes = []
+            belief.update(boxes, EVERYWHERE, stamp_ns)
+            history.append([(track.number, belief.probability(track.number)) for track in belief.tracks])
+        beliefs.append(history)
+    for one, other in zip(*beliefs, strict=True):
+        assert [number for number, _ in one] == [number for number, _ in other]
+        np.testing.assert_allclose([q for _, q in one], [q for _, q in other], rtol=1e-6, atol=1e-12)
