@@ -144,6 +144,7 @@ class TelemetrySlots:
         self.parameter: Parameter | None = None
         self.firmware: str | None = None
         self.radio_heard = False  # a pilot's
+        self.resets: int | None = None  # of its estimator, as it counts them where it sends ODOMETRY
         self._stopped = False  # by a pilot's switch, as a text says
 
     def subscribe(self, telemetry: Any, direct: Any) -> None:
@@ -152,6 +153,7 @@ class TelemetrySlots:
         direct.subscribe_message("PARAM_VALUE", self._guarded(self._on_parameter))
         direct.subscribe_message("SYS_STATUS", self._guarded(self._on_sys_status))
         direct.subscribe_message("BATTERY_STATUS", self._guarded(self._on_battery))
+        direct.subscribe_message("ODOMETRY", self._guarded(self._on_odometry))
         direct.subscribe_message("AUTOPILOT_VERSION", self._guarded(self._on_version))
         telemetry.subscribe_status_text(self._guarded(self._on_text))
         telemetry.subscribe_health(self._guarded(self._on_health))
@@ -203,6 +205,7 @@ class TelemetrySlots:
             battery_ns=self.battery.told_ns,
             mode_told=self.mode_told,
             armed_told=heartbeat.told,
+            resets=self.resets,
         )
 
     @property
@@ -295,6 +298,14 @@ class TelemetrySlots:
         if message.system_id == self._sysid:
             version = int(json.loads(message.fields_json)["flight_sw_version"])
             self.firmware = ".".join(str(version >> shift & 0xFF) for shift in (24, 16, 8))
+
+    def _on_odometry(self, message: Any) -> None:
+        """Take the count alone: place and attitude come in messages that every autopilot sends.
+
+        It is not asked for: it is long, and PX4 sends it by itself to a companion.
+        """
+        if self._of_autopilot(message):
+            self.resets = int(json.loads(message.fields_json)["reset_counter"])
 
     def _on_sys_status(self, message: Any) -> None:
         if self._of_autopilot(message):

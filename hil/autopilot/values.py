@@ -71,12 +71,16 @@ class AutopilotConfig:
 
 @value
 class Estimate:
-    """The estimator's output. Position (N, E, D) from the mission origin, velocity NED, attitude wxyz body to NED."""
+    """The estimator's output. Position (N, E, D) from the mission origin, velocity NED, attitude wxyz body to NED.
+
+    ``resets``: how often it has stepped.
+    """
 
     time_s: float
     position_n_m: Vec3
     velocity_n_mps: Vec3
     q_n_b: Quat
+    resets: int = 0
 
 
 @value

@@ -135,6 +135,26 @@ def local_position_ned(flight: FlightInstant) -> Any:
     return mavlink.MAVLink_local_position_ned_message(flight.boot_ms, *position, *velocity)
 
 
+def odometry(flight: FlightInstant) -> Any:
+    """Place, attitude and velocity again, with the count of the estimator's resets."""
+    unknown = [math.nan] * 21
+    return mavlink.MAVLink_odometry_message(
+        flight.boot_us,
+        mavlink.MAV_FRAME_LOCAL_NED,
+        mavlink.MAV_FRAME_LOCAL_NED,
+        *flight.local_n_m,
+        flight.estimate.q_n_b,
+        *flight.estimate.velocity_n_mps,
+        0.0,
+        0.0,
+        0.0,
+        unknown,
+        unknown,
+        flight.estimate.resets % 256,
+        mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT,
+    )
+
+
 def global_position_int(flight: FlightInstant) -> Any | None:
     """Returns the global position, only once there is one, like the real vehicle."""
     home = flight.autopilot.home_n_m
@@ -191,6 +211,7 @@ STREAMS: dict[int, tuple[Callable[[FlightInstant], Any | None], float]] = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (attitude_quaternion, 30.0),
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: (local_position_ned, 30.0),
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: (global_position_int, 10.0),
+    mavlink.MAVLINK_MSG_ID_ODOMETRY: (odometry, 10.0),
     mavlink.MAVLINK_MSG_ID_RC_CHANNELS: (rc_channels, 5.0),
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: (battery_status, 0.5),
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: (home_position, 0.5),

@@ -67,6 +67,7 @@ class SimDrone:
         estimate: the newest one, at most a tick old.
         position_n_m: by that estimate, but the height is that above home: what a drone tells its companion.
         down_off_m: what it is wrong by besides, downward.
+        resets: how often its estimator has stepped.
         telemetry: one entry a tick, newest last, the last ``TELEMETRY_TICKS`` of them.
         hears: called before each step of the autopilot with its time: what it was told until then is to be told it.
     """
@@ -76,6 +77,7 @@ class SimDrone:
         self.estimate = Estimate(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
         self.position_n_m: Vec3 = (0.0, 0.0, 0.0)
         self.down_off_m = 0.0
+        self.resets = 0
         self.telemetry: deque[VehicleTelemetry] = deque(maxlen=TELEMETRY_TICKS)
         self.hears: Callable[[float], None] | None = None
         self._state = state
@@ -103,7 +105,7 @@ class SimDrone:
     def sense(self, time_s: float, row: list[float]) -> None:
         """Take the estimate of a tick: position, velocity, attitude in one row. Only the world calls this."""
         n, e, d, vn, ve, vd, w, x, y, z = row
-        self.estimate = Estimate(time_s, (n, e, d), (vn, ve, vd), (w, x, y, z))
+        self.estimate = Estimate(time_s, (n, e, d), (vn, ve, vd), (w, x, y, z), self.resets)
         own = self.autopilot
         self.position_n_m = n, e, d - (d if own.home_n_m is None else own.home_n_m[2]) + self.down_off_m
         said = VehicleTelemetry(
@@ -275,6 +277,7 @@ class Fleet(Generic[Name]):
         row = self.names.index(name)
         self._sensors.position_bias[row] += shift_n_m
         self._sensors.attitude_bias[row, 2] += turn_rad
+        self._drones[name].resets += 1
 
     def battery(self, name: Name, fraction: float) -> None:
         """Set what is left of a drone's charge, 0..1."""

@@ -78,6 +78,22 @@ def test_heartbeats_of_others_are_not_the_vehicles() -> None:
     assert (telemetry.heartbeat, telemetry.reported_mode) == (None, None)
 
 
+def test_the_autopilots_count_of_its_resets_is_in_the_state_and_nobody_elses() -> None:
+    telemetry = TelemetrySlots(SYSID, LoopClock(), TANGENT)
+
+    class Message:
+        system_id, component_id, fields_json = SYSID, 1, '{"x":1.0,"q":[1.0,0.0,0.0,0.0],"reset_counter":7}'
+
+    class Other(Message):
+        component_id = 197  # of visual odometry on the same vehicle
+        fields_json = '{"reset_counter":200}'
+
+    assert telemetry.resets is None
+    telemetry._guarded(telemetry._on_odometry)(Message(), None)
+    telemetry._guarded(telemetry._on_odometry)(Other(), None)
+    assert telemetry.resets == 7
+
+
 def test_a_mode_is_news_without_a_heartbeat() -> None:
     telemetry = TelemetrySlots(SYSID, LoopClock(), TANGENT)
     telemetry.kind = PX4

@@ -65,6 +65,9 @@ def test_a_flight_from_arming_to_landing() -> None:
             await vehicle.wait_armable(LIMIT_S)
             assert not vehicle.state.armed
             await until(lambda: abs(LoopClock().now_ns() - vehicle.state.stamp_ns) < 1_000_000_000)
+            await until(lambda: vehicle.state.resets == 0)
+            bench.drone.resets = 3  # its estimator steps, and ODOMETRY counts that
+            await until(lambda: vehicle.state.resets == 3)
             await vehicle.arm()
             assert vehicle.state.armed
             await vehicle.take_off(HEIGHT_M, LIMIT_S)

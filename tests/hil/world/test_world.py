@@ -247,6 +247,7 @@ def test_an_estimator_steps_and_the_drone_does_not() -> None:
     moved = np.subtract(stepped.estimate.position_n_m, before.estimate.position_n_m)
     assert moved == pytest.approx((1.0, -0.5, -0.2))
     assert yaw_of(stepped.estimate.q_n_b) - yaw_of(before.estimate.q_n_b) == pytest.approx(0.3, abs=0.01)
+    assert (stepped.estimate.resets, before.estimate.resets) == (1, 0)
     assert stepped.true_position_n_m == before.true_position_n_m
     assert world.drone(Role.SENDER).estimate == plain.drone(Role.SENDER).estimate
 
