@@ -54,6 +54,10 @@ class Candidate:
     sigma_m: float  # position standard deviation of T_v_c2
 
 
+STEPS = 64
+"""The count of an estimator's steps in a Status begins again after so many."""
+
+
 @value
 class Status:
     """A drone's state for coarse rendezvous, feed-forward and the console, sent both ways, a few times a second."""
@@ -68,6 +72,7 @@ class Status:
     observing: bool
     battery: float  # 0..1; NaN: the vehicle does not tell it
     instance: int = 0  # of a receiver its own; of a sender that of the receiver it committed to, 0 for none
+    steps: int = 0  # how often the drone's estimator has stepped, modulo STEPS
 
 
 @value

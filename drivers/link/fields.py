@@ -36,6 +36,7 @@ from drivers.link.units import (
     whole,
 )
 from path.messages import (
+    STEPS,
     Abort,
     AbortReason,
     Accept,
@@ -57,6 +58,7 @@ Numbers = tuple[int, ...]
 _MILLI = 1000.0
 _CENTI = 100.0
 _YAW = 10000.0
+_STEPS_BIT = 2  # of the flags: what is above the two counts the steps of an estimator
 _BATTERY = 200.0
 _UNKNOWN_BATTERY = 255
 
@@ -169,6 +171,7 @@ def _status_to(m: Status) -> Numbers:
     if not math.isfinite(m.yaw_rad):
         raise OutOfRange(f"yaw_rad = {m.yaw_rad} is not finite")
     flags = dialect.PATH_FLAG_RESPONSIBLE * m.responsible | dialect.PATH_FLAG_OBSERVING * m.observing
+    flags |= whole("steps", m.steps, STEPS - 1) << _STEPS_BIT
     low, high = instant_to("stamp_ns", m.stamp_ns)
     instance_high, instance_low = divmod(whole("instance", m.instance, U24), 1 << 16)
     return (
@@ -202,6 +205,7 @@ def _status_from(p: Any) -> Status:
         observing=bool(p.flags & dialect.PATH_FLAG_OBSERVING),
         battery=p.battery / _BATTERY if known else math.nan,
         instance=p.instance_low + (p.instance_high << 16),
+        steps=p.flags >> _STEPS_BIT,
     )
 
 

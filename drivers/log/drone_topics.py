@@ -86,6 +86,10 @@ DRONE: dict[str, Topic] = {
             "counted": flag("the autopilot's count of its resets changed too"),
         },
     ),
+    "/peer_step": Topic(
+        "the other drone said that its estimator stepped: evidence is gathered anew from here on",
+        {"steps": whole("how often it has, modulo 64")},
+    ),
     "/home": Topic(
         "the drone stands where the crew put it down, before take-off",
         {"off_m": numbers("how far its position is off there, north and east in m; 0 where no home is stated")},

@@ -9,7 +9,6 @@ from dataclasses import replace
 from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
 from flight.camera_pose import CameraPose
 from flight.config import Designated, MissionConfig
-from flight.estimator_steps import Step
 from flight.guidance import (
     BELOW_FENCE_M,
     Anchor,
@@ -340,9 +339,10 @@ class Sender:
             self._on_candidate(message)
         self._handover.on_message(received)
 
-    def _on_step(self, step: Step) -> None:
+    def _on_step(self, stamp_ns: int) -> None:
+        """Of either drone's estimator: what agreed before and what agrees after it are not added up."""
         if self._cycle is not None:
-            self._cycle.begin_evidence_anew(step.stamp_ns)
+            self._cycle.begin_evidence_anew(stamp_ns)
 
     def _on_candidate(self, candidate: Candidate) -> None:
         session, cycle = self._session, self._cycle

@@ -29,7 +29,6 @@ from drivers.rig.parts import Rig, RoleRig, ended_by
 from drivers.stages import Stages
 from flight.clocks import ClockAlignment, answer
 from flight.config import MissionConfig, off_from
-from flight.estimator_steps import Step
 from flight.guard.under_guard import UnderGuard
 from flight.guidance import Vec3, add, subtract
 from flight.harness.flights import Emit, Progress
@@ -42,7 +41,7 @@ from missions.leg.guarding import Guarding
 from missions.leg.journal import estimator_step_record
 from path.gate.window import Evidence
 from path.geometry.rotation import yaw_of
-from path.messages import Ping, Pong, Role, Status
+from path.messages import STEPS, Ping, Pong, Role, Status
 from path.protocol.values import TakeResponsibility
 
 Result = TypeVar("Result")
@@ -117,7 +116,8 @@ class RoleSession:
         self._here: tuple[Status, Status] | None = None  # as it came, and in this drone's frame
         self.on_message: Callable[[Received], None] = _ignore
         self.on_status: Callable[[Status], None] = _ignore
-        self.on_step: Callable[[Step], None] = _ignore
+        self.on_step: Callable[[int], None] = _ignore
+        self._peer_steps: dict[tuple[Role, int], int] = {}
         self.ended: asyncio.Future[MissionEnd] = asyncio.get_running_loop().create_future()
         self._steps_told = len(self.vehicle.steps)
         self._spawned: list[asyncio.Task[None]] = []
@@ -148,7 +148,19 @@ class RoleSession:
         for step in new:
             self.log.write("/estimator_step", step.stamp_ns, estimator_step_record(step))
             self.say(f"ALARM: the estimator stepped: {step}; the flight goes on as if it had not")
-            self.on_step(step)
+            self.on_step(step.stamp_ns)
+
+    def _note_peer_steps(self, status: Status) -> None:
+        """What the other drone told lately is of its frame before the step, or after it: nothing says which."""
+        who = status.role, status.instance
+        before = self._peer_steps.get(who, status.steps)
+        self._peer_steps[who] = status.steps
+        # One that was started again counts from nothing: that is no step.
+        if 0 < (status.steps - before) % STEPS < STEPS // 2:
+            now_ns = self.now_ns()
+            self.log.write("/peer_step", now_ns, {"steps": status.steps})
+            self.say("ALARM: the other drone's estimator stepped")
+            self.on_step(now_ns)
 
     def here(self, peer: Status) -> Status:
         """The other drone's Status, its position in this drone's own frame: each tells it without what it is off."""
@@ -269,6 +281,7 @@ class RoleSession:
                 self.alignment.on_pong(message, received.arrival_ns)
             elif isinstance(message, Status):
                 self.peer = message
+                self._note_peer_steps(message)
                 self.on_status(message)
             else:
                 self.on_message(received)
@@ -307,6 +320,7 @@ class RoleSession:
             observing=self.observing,
             battery=state.battery,
             instance=self.instance(),
+            steps=len(self.vehicle.steps) % STEPS,
         )
 
     def _log_link(self) -> None:

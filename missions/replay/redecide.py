@@ -143,7 +143,7 @@ class _SenderReplay:
             self._begin(record)
         elif cycle is None:
             return
-        elif each.topic == "/estimator_step":
+        elif each.topic in ("/estimator_step", "/peer_step"):
             cycle.begin_evidence_anew(each.stamp_ns)
         elif each.topic == "/heard_candidate":
             otherwise = self._answers.get((record["epoch"], record["sequence"]), {})

@@ -11,7 +11,6 @@ import pytest
 
 from drivers.interfaces import VehicleState
 from drivers.log.topics import TOPICS
-from flight.estimator_steps import Step
 from flight.guidance import Vec3, add
 from flight.outcome import Outcome
 from missions.leg.beside import log_state
@@ -57,7 +56,7 @@ class Stepped(Bench):
         self.session = RoleSession(
             rig, Role.SENDER, session.config, self.log, self.shown.append, self.stop, parts, session.entropy
         )
-        self.told: list[Step] = []
+        self.told: list[int] = []  # stamps
         self.session.on_step = self.told.append
 
 
@@ -79,17 +78,17 @@ def test_a_step_is_told_to_crew_log_and_role_once(rig: Any) -> None:
             "ALARM: the estimator stepped: its place by 1.12 m and its height by +0.30 m and its heading by "
             "+20 degrees; the flight goes on as if it had not"
         ]
-        (step,) = bench.told
-        assert step.turn_rad == pytest.approx(TURN_RAD)
+        assert bench.told == [stamp for topic, stamp, _ in bench.log.entries if topic == "/estimator_step"]
 
     virtual(main())
 
 
-def test_the_other_drone_hears_of_no_step(rig: Any) -> None:
+def test_the_other_drone_hears_that_it_stepped_and_from_where_it_was_before(rig: Any) -> None:
     async def main() -> None:
         bench = Stepped(rig)
         await bench.fly(lambda: look(bench))
         statuses = bench.link.of(Status)
+        assert [statuses[0].steps, statuses[-1].steps] == [0, 1]
         assert max(math.dist(each.position_n_m, STATE.position_n_m) for each in statuses) < 0.01
         assert max(abs(each.yaw_rad) for each in statuses) < 0.01
         assert statuses[-1].stamp_ns > (STEP_AT_S + 2.0) * 1e9
@@ -108,6 +107,25 @@ def test_the_guard_is_told_of_the_other_drone_where_the_autopilot_would_have_it(
             assert bench.session.guarding.beat().peer_n_m == pytest.approx(add(PEER.position_n_m, SHIFT))
 
         assert (await bench.fly(heard)).detail == ""
+
+    virtual(main())
+
+
+def test_evidence_begins_anew_when_the_other_drone_says_that_it_stepped(rig: Any) -> None:
+    async def main() -> None:
+        bench = Stepped(rig)
+
+        async def course() -> None:
+            for steps in (2, 2, 3, 3, 63, 1, 0, 1):  # 63, 1: its count goes round; 1, 0: it was started again
+                bench.link.waiting.put_nowait(replace(PEER, steps=steps))
+                await asyncio.sleep(0.1)
+            bench.link.waiting.put_nowait(replace(PEER, steps=9, instance=5))  # another one
+            await asyncio.sleep(0.1)
+
+        await bench.fly(course)
+        assert [record["steps"] for record in bench.log.of("/peer_step")] == [3, 1, 1]
+        assert len(bench.told) == 3
+        assert bench.log.of("/note")[0]["note"] == "ALARM: the other drone's estimator stepped"
 
     virtual(main())
 
