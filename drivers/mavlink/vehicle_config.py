@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from drivers.mavlink.battery import LOWEST_ID
-from drivers.mavlink.preflight.pilot_rules import silenced
+from drivers.mavlink.preflight.wanted import refused
 from drivers.mavlink.transport.port import URL
 from drivers.rig.parts import PartSpec
 from path.bounds import AutopilotValues, Bounds, check_bounds
@@ -57,8 +57,8 @@ class MavsdkVehicleConfig:
             that started on the same ground by decimetres.
         key_file: of MAVLink 2's signatures, 32 bytes, mode 0600, the one that the autopilot was given (SETUP_SIGNING);
             then only what is rightly signed is believed, and all that is sent is signed.
-        parameters: of the autopilot, without which a companion-driven flight is not safe; checked before arming. None
-            of them may keep a pilot's radio out.
+        parameters: of the autopilot, without which a companion-driven flight is not safe; checked before arming. What
+            they are wanted to be is judged first (``preflight/wanted.py``).
         rc: ``required``: nothing is armed unless a pilot's radio is heard and can take the vehicle. ``none``: there is
             none, and nobody can take it but by a ground station.
         battery_id: of the battery that flies it, as its BATTERY_STATUS says; -1: the lowest of those that do not say
@@ -89,8 +89,9 @@ class MavsdkVehicleConfig:
     ground_within_m: Annotated[float, Bounds(0.1, 100.0)] = 3.0
 
     def __post_init__(self) -> None:
-        if keeps_out := silenced(self.parameters):
-            raise ValueError(f"parameters: {'; '.join(keeps_out)}")
+        bad = refused(self.parameters, radio=self.rc == "required", companion_id=self.own_sysid)
+        if bad:
+            raise ValueError(f"parameters: {'; '.join(bad)}")
         check_bounds(self)
         if self.sysid == self.own_sysid:
             raise ValueError("sysid and own_sysid must differ")

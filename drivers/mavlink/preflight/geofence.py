@@ -12,12 +12,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from drivers.mavlink.modes import PX4, AutopilotKind
+from drivers.mavlink.preflight.wanted import ALT_MAX, CIRCLE, wrong
 
 STEP_M = 3.0
-ALT_MAX, CIRCLE = 1, 2  # bits of FENCE_TYPE
 PX4_NAMES = ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST", "GF_ACTION")
 ARDUPILOT_NAMES = ("FENCE_RADIUS", "FENCE_ALT_MAX", "FENCE_ACTION", "FENCE_TYPE", "FENCE_ENABLE")
-TERMINATES = 4  # GF_ACTION: the motors stop
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,13 +76,10 @@ def plan_fence(
             problems.append(f"{name} is {has[name]:g} m, inside the script's own fence of {least_m:.1f} m from there")
         elif not there or has[name] > wanted_m + STEP_M:
             set_to[name] = wanted_m
-    action = has["GF_ACTION" if kind is PX4 else "FENCE_ACTION"]
-    if kind is PX4 and round(action) in (0, 1, TERMINATES):
-        what = "stops the motors" if round(action) == TERMINATES else "does nothing"
-        problems.append(f"GF_ACTION is {action:g}: at its fence it {what}; 2 holds, 3 returns, 5 lands")
+    action = "GF_ACTION" if kind is PX4 else "FENCE_ACTION"
+    if bad := wrong(action, has[action]):
+        problems.append(bad)
     if kind is not PX4:
-        if round(action) == 0:
-            problems.append("FENCE_ACTION is 0: at its fence it does nothing; 4 brakes, 2 lands")
         if bits & (ALT_MAX | CIRCLE) != ALT_MAX | CIRCLE:
             set_to["FENCE_TYPE"] = float(bits | ALT_MAX | CIRCLE)
         if not on:

@@ -54,16 +54,6 @@ _WITH_RADIO: Mapping[str, tuple[PilotRule, ...]] = {
 _ESSENTIAL = frozenset({"COM_RC_IN_MODE", "RC_MAP_FLTMODE", "RC_MAP_KILL_SW", "FLTMODE_CH", "FS_THR_ENABLE"})
 
 
-def silenced(parameters: Mapping[str, float]) -> list[str]:
-    """Returns those of a rig's wanted parameters that would keep a pilot out, each with its reason."""
-    rules = (rule for rule in SILENCING if rule.name in parameters)
-    return [
-        f"{rule.name} = {parameters[rule.name]:g}: {rule.otherwise}"
-        for rule in rules
-        if not rule.leaves(parameters[rule.name])
-    ]
-
-
 def names_of(kind: AutopilotKind) -> tuple[str, ...]:
     """The parameters to read of a vehicle of this kind."""
     own = ("COM_RC_IN_MODE",) if kind is PX4 else ("RC_OPTIONS", "FENCE_OPTIONS")

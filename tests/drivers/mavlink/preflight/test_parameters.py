@@ -86,10 +86,10 @@ def test_nothing_is_armed_with_other_parameters_than_the_rigs(url: str) -> None:
         async with opened(rig_with(url, AS_IT_IS)) as vehicle:
             assert await vehicle.parameter_differences() == ()
             await vehicle.wait_armable(LIMIT_S)
-        wrong = {**AS_IT_IS, "COM_OBL_RC_ACT": 0.0, "NO_SUCH": 1.0}
+        wrong = {**AS_IT_IS, "COM_OBL_RC_ACT": 3.0, "NO_SUCH": 1.0}
         async with opened(rig_with(url, wrong)) as vehicle:
             with pytest.raises(
-                VehicleError, match="COM_OBL_RC_ACT is 4, the rig wants 0; NO_SUCH is not there"
+                VehicleError, match="COM_OBL_RC_ACT is 4, the rig wants 3; NO_SUCH is not there"
             ) as caught:
                 await vehicle.wait_armable(LIMIT_S)
             assert "--set-parameters" in caught.value.remedy

@@ -9,7 +9,8 @@ import pytest
 
 from drivers.mavlink.modes import ARDUPILOT, PX4, AutopilotKind
 from drivers.mavlink.preflight.geofence import Geofence, plan_fence
-from drivers.mavlink.preflight.pilot_rules import kept_out, names_of, silenced
+from drivers.mavlink.preflight.pilot_rules import kept_out, names_of
+from drivers.mavlink.preflight.wanted import refused
 from drivers.mavlink.vehicle import MavsdkVehicleConfig
 from missions import rig_library
 from path.messages import Role
@@ -26,19 +27,20 @@ COPTER_GOOD = {
 
 @pytest.mark.parametrize("value", [1, 2, 3, 4, 6, 8])
 def test_a_rig_that_would_keep_the_radio_out_is_refused_with_the_reason(value: int) -> None:
-    assert silenced({"COM_RC_IN_MODE": value})
+    assert refused({"COM_RC_IN_MODE": value}, radio=False, companion_id=245)
     with pytest.raises(ValueError, match=f"COM_RC_IN_MODE = {value}: 1 and 4 ignore every radio"):
         MavsdkVehicleConfig("udpin://127.0.0.1:14540", parameters={"COM_RC_IN_MODE": float(value)})
 
 
 @pytest.mark.parametrize("value", [0, 5, 7])
 def test_a_radio_that_comes_first_is_taken(value: int) -> None:
-    assert silenced({"COM_RC_IN_MODE": value, "COM_RCL_EXCEPT": 4.0}) == []
+    assert refused({"COM_RC_IN_MODE": value}, radio=True, companion_id=245) == []
 
 
 def test_other_ways_to_keep_a_pilot_out() -> None:
-    assert silenced({"RC_OPTIONS": 33.0}) and not silenced({"RC_OPTIONS": 32.0})
-    assert silenced({"FENCE_OPTIONS": 1.0}) and not silenced({"FENCE_OPTIONS": 2.0})
+    for name, bad, good in (("RC_OPTIONS", 33.0, 32.0), ("FENCE_OPTIONS", 1.0, 2.0)):
+        assert refused({name: bad}, radio=False, companion_id=245)
+        assert not refused({name: good}, radio=True, companion_id=245)
 
 
 @pytest.mark.parametrize(
@@ -67,7 +69,9 @@ def test_no_rig_asks_for_a_value_that_keeps_a_pilot_out() -> None:
     for file in files:
         rig = rig_library.load_unchecked(file.stem)
         for role in Role:
-            assert silenced(rig.role(role).vehicle.options.get("parameters", {})) == []
+            options = rig.role(role).vehicle.options
+            radio = options.get("rc", "required") == "required"
+            assert refused(options.get("parameters", {}), radio=radio, companion_id=245) == []
 
 
 def test_a_fence_that_is_off_or_too_wide_is_drawn_in_around_where_it_stands() -> None:
@@ -86,7 +90,7 @@ def test_a_bit_of_the_fence_type_that_is_missing_is_set_beside_the_others() -> N
     ("kind", "found", "why"),
     [
         (PX4, {**PX4_OFF, "GF_ACTION": 4.0}, "stops the motors"),
-        (PX4, {**PX4_OFF, "GF_ACTION": 1.0}, "does nothing"),
+        (PX4, {**PX4_OFF, "GF_ACTION": 1.0}, "do nothing"),
         (PX4, {**PX4_OFF, "GF_MAX_HOR_DIST": 20.0}, "inside the script's own fence"),
         (PX4, {**PX4_OFF, "GF_MAX_HOR_DIST": None}, "cannot be read back: GF_MAX_HOR_DIST"),
         (PX4, {}, "cannot be read back"),

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 import pytest
 
 from drivers.mavlink.modes import ARDUPILOT, PX4
-from drivers.mavlink.preflight.pilot_rules import kept_out, names_of, silenced
+from drivers.mavlink.preflight.pilot_rules import kept_out, names_of
+from drivers.mavlink.preflight.wanted import refused
 from drivers.rig.tables import decode_table
 from hil.autopilot.radio import HIGH_US, MIDDLE_US, RadioConfig, Transmitter, channels_of
 from hil.autopilot.simulator import Kind
@@ -114,7 +115,7 @@ def test_with_the_field_rigs_parameters_a_pilot_is_in_command(kind: Kind) -> Non
     for role in Role:
         own: Mapping[str, float] = rig.role(role).vehicle.options["parameters"]
         assert rig.role(role).vehicle.options["rc"] == "required"
-        assert not silenced(own)
+        assert not refused(own, radio=True, companion_id=245)
         autopilot = PX4 if kind == "px4" else ARDUPILOT
         delivered = {"RC_OPTIONS": 32.0, **{f"RC{n}_OPTION": 0.0 for n in range(5, 17)}}
         found = {name: {**delivered, **SET_UP[kind], **own}.get(name) for name in names_of(autopilot)}

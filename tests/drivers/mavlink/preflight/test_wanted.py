@@ -1,0 +1,103 @@
+"""Every parameter that the pages name, with values a rig may want and values that are refused before anything moves."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+from drivers.mavlink.preflight.wanted import BY_NAME, COMPANION, refused, wrong
+from drivers.mavlink.vehicle import MavsdkVehicleConfig
+from drivers.rig.check import check_rig
+from drivers.rig.tables import RigError
+from missions import rig_library
+
+DOCS = Path(rig_library.__file__).parents[1] / "docs"
+PAGES = ("autopilots.md", "field.md")
+OURS = 245
+
+BOTH_WAYS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {  # what may be wanted, and what may not
+    "COM_RC_IN_MODE": ((0, 5, 7), (1, 2, 3, 4, 6, 8, -1)),
+    "COM_RC_OVERRIDE": ((2, 3), (0, 1)),
+    "COM_RCL_EXCEPT": ((0, 1, 3), (4, 6, 7)),
+    "NAV_RCL_ACT": ((1, 2, 3), (0, 4, 5, 6)),
+    "COM_OF_LOSS_T": ((0.2, 0.5, 1.0, 2.0), (0.0, -1.0, 2.1, 50.0, math.nan)),
+    "COM_OBL_RC_ACT": ((3, 4), (-1, 0, 1, 2, 5, 6, 7)),
+    "NAV_DLL_ACT": ((0, 1, 2, 3), (5, 6)),
+    "COM_LOW_BAT_ACT": ((1, 2, 3), (0,)),
+    "GF_ACTION": ((2, 3, 5), (0, 1, 4, 4.2, 2.4, math.nan, math.inf)),
+    "GF_MAX_HOR_DIST": ((28, 33.5), (0, -1)),
+    "GF_MAX_VER_DIST": ((9,), (0, -1)),
+    "RC_MAP_FLTMODE": ((5,), (0,)),
+    "RC_MAP_KILL_SW": ((7,), (0,)),
+    "FS_THR_ENABLE": ((1, 3, 7), (0, 2)),
+    "FS_OPTIONS": ((0, 16, 17), (4, 20)),
+    "FENCE_OPTIONS": ((0, 2), (1, 3)),
+    "FENCE_ACTION": ((1, 2, 3, 4, 5), (0, -1)),
+    "FENCE_ENABLE": ((1,), (0,)),
+    "FENCE_TYPE": ((3, 7), (0, 1, 2, 4, 5)),
+    "FENCE_RADIUS": ((28,), (0,)),
+    "FENCE_ALT_MAX": ((9,), (0,)),
+    "FS_GCS_ENABLE": ((1, 5), (0, 2)),
+    "FS_GCS_TIMEOUT": ((2, 5), (0, 60, 120)),
+    "MAV_GCS_SYSID": ((245,), (255, 1, 246)),
+    "SYSID_MYGCS": ((245,), (255,)),
+    "RTL_ALT": ((0, 300, 1500), (3, 99, 30000, -300)),
+    "LAND_REPOSITION": ((0, 1), (2,)),
+    "RC_OPTIONS": ((0, 32), (1, 33)),
+    "FLTMODE_CH": ((5,), (0,)),
+}
+ONLY_WITH_RADIO = {
+    "COM_RC_OVERRIDE", "COM_RCL_EXCEPT", "RC_MAP_FLTMODE", "RC_MAP_KILL_SW", "FS_THR_ENABLE", "FS_OPTIONS",
+    "FLTMODE_CH",
+}  # fmt: skip
+NOT_JUDGED = {  # named on the pages for other reasons: no value of theirs is unsafe by itself
+    "COM_FAIL_ACT_T", "PILOT_THR_BHV", "RC_CHANNELS_OVERRIDE", "FENCE_MARGIN", "RC7_OPTION", "RCN_OPTION",
+}  # fmt: skip
+_SAFETY = re.compile(r"`((?:COM|NAV|GF|RC|FS|FENCE|RTL|LAND|FLTMODE|MAV_GCS|SYSID)_?[A-Z0-9_]*)`?(?= |`|,)")
+
+
+@pytest.mark.parametrize("name", BOTH_WAYS)
+def test_each_parameter_of_the_pages_both_ways(name: str) -> None:
+    good, bad = BOTH_WAYS[name]
+    for value in good:
+        assert refused({name: float(value)}, radio=True, companion_id=OURS) == [], value
+        MavsdkVehicleConfig("udpin://127.0.0.1:14540", parameters={name: float(value)})
+    for value in bad:
+        (told,) = refused({name: float(value)}, radio=True, companion_id=OURS)
+        assert told.startswith(f"{name} = "), value
+        if math.isfinite(value):
+            with pytest.raises(ValueError, match=f"parameters: {name} = "):
+                MavsdkVehicleConfig("udpin://127.0.0.1:14540", parameters={name: float(value)})
+        assert bool(refused({name: float(value)}, radio=False, companion_id=OURS)) is (name not in ONLY_WITH_RADIO)
+
+
+def test_the_table_and_its_test_name_the_same() -> None:
+    assert {*BY_NAME, *COMPANION} == set(BOTH_WAYS)
+
+
+def test_every_safety_parameter_of_the_pages_is_in_the_table() -> None:
+    named = {name for page in PAGES for name in _SAFETY.findall((DOCS / page).read_text("utf-8")) if "_" in name}
+    assert len(named) > 20
+    assert named - NOT_JUDGED <= set(BOTH_WAYS)
+
+
+def test_what_nothing_is_known_of_is_not_judged() -> None:
+    assert wrong("EKF2_HGT_REF", 3.0) == ""
+
+
+@pytest.mark.parametrize(
+    ("rig", "told"),
+    [("GF_ACTION = 4", "GF_ACTION = 4"), ("COM_OF_LOSS_T = 50", "COM_OF_LOSS_T = 50"), ("NAV_DLL_ACT = 6", "motors")],
+)
+def test_a_rig_that_wants_an_unsafe_value_is_refused_when_it_is_checked(tmp_path: Path, rig: str, told: str) -> None:
+    own = tmp_path / "mine.toml"
+    name = rig.split(" ", maxsplit=1)[0]
+    own.write_text(
+        f'name = "mine"\nlike = "sitl-px4"\nlevel = "sitl"\n\n[receiver.vehicle.parameters]\n{rig}\n', "utf-8"
+    )
+    with pytest.raises(RigError, match=told) as caught:
+        check_rig(rig_library.load_unchecked(str(own)), harness=False)
+    assert name in str(caught.value)
