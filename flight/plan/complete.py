@@ -41,15 +41,29 @@ def complete(rig: Rig) -> Rig:
             mission = _with(mission, key, each.value)
         else:
             method = _method_with(method, key, each.value)
-    if mission == rig.mission and method == rig.method:
+    world = _with_body(rig)
+    if mission == rig.mission and method == rig.method and world == rig.world:
         return rig
     return replace(
         rig,
         mission=mission,
+        world=world,
         method=method,
         sender=_with_depth(rig.sender, method),
         receiver=_with_depth(rig.receiver, method),
     )
+
+
+def _with_body(rig: Rig) -> Mapping[str, Any]:
+    """Return a simulated world whose target has the body of the rig's, unless it says otherwise."""
+    facts = rig.target
+    if facts is None or rig.harness is None:
+        return rig.world
+    upright = facts.height_m > facts.span_m
+    kind = "drone" if facts.flies else "person" if upright else "car"
+    size_m = (facts.length_m, facts.width_m, facts.height_m)
+    own = {"kind": kind, "size_m": size_m, **rig.world.get("target", {})}
+    return {**rig.world, "target": own}
 
 
 def derived_of(rig: Rig) -> tuple[Derived, ...]:

@@ -25,6 +25,7 @@ from flight.plan.errors import predict
 from flight.plan.facts import Facts
 from flight.plan.geometry import apparent, depression_rad, layout, place_of_target, target_radius_m
 from flight.rendezvous.viewpoint import Viewpoint, farthest_m
+from flight.way_out import LANDING_MPS
 from path.config import MethodConfig
 
 GRAVITY_MPS2 = 9.81
@@ -139,12 +140,10 @@ def _following(facts: Facts, found: _Found) -> None:
     found.add("mission.take_off_height_m", follow_m, "m", "as high as D1 follows")
     higher_m = follow_m + found["mission.separation.minimum_m"]
     found.add("mission.receiver_take_off_height_m", higher_m, "m", "the least separation above D1")
-    found.add(
-        "mission.depart_m",
-        max(2.5 * found["mission.separation.viewpoint_m"], target.span_m),
-        "m",
-        "out of D2's way, and of the target's",
-    )
+    # half of how far the target gets while a drone comes down: the way out may be twice as long
+    reached_m = 0.5 * target.max_speed_mps * follow_m / LANDING_MPS
+    away_m = max(2.5 * found["mission.separation.viewpoint_m"], target.span_m + reached_m)
+    found.add("mission.depart_m", away_m, "m", "out of D2's way, and of the target's")
 
 
 def _range(facts: Facts, found: _Found) -> tuple[float, str]:

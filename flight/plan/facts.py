@@ -58,7 +58,7 @@ def facts_of(rig: Rig, mission: MissionConfig) -> Facts:
         receiver=Eye(rig.receiver.camera, rig.receiver.mount, camera_rate_hz(rig.receiver)),
         marker_side_m=max(marker.side_m for marker in rig.layout.markers),
         target=rig.target or _implied_target(rig.method, mission),
-        drone=rig.drone or _implied_drone(mission),
+        drone=rig.drone or (DroneFacts() if rig.target else _implied_drone(mission)),
         site=rig.site or _site_of_world(rig),
         method=rig.method,
         attitude_sigma_rad=math.radians(mission.attitude_sigma_deg),

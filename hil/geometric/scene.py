@@ -13,12 +13,12 @@ from hil.render.bodies.kinds import BOXES
 from hil.render.bodies.walking import boxes_of_a_walker
 from hil.render.scene import SOLID, Model, drone, marked_drone
 from hil.world.gait import OWN_PHASE
-from hil.world.snapshot import ObjectTruth, Snapshot, TargetKind
+from hil.world.snapshot import AS_IT_IS, ObjectTruth, Snapshot, TargetKind
 from path.camera.kernels import lens_of
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
-from path.messages import Role
+from path.messages import Role, Vec3
 from path.values import value
 
 Array = NDArray[np.float64]
@@ -27,13 +27,21 @@ POSTURES, SPEED_STEP_MPS = 64, 0.02  # of a stride, as finely as the geometry te
 
 
 @cache
-def parts_of(kind: TargetKind) -> Array:
-    """Boxes of an object, (b, 15): centre, half sides, axes. Shared: do not change them.
+def parts_of(kind: TargetKind, stretch: Vec3 = AS_IT_IS) -> Array:
+    """Return the boxes of an object, (b, 15): centre, half sides, axes. Shared: do not change them.
 
     A person's are around a whole walk.
     """
     rows = [[*centre, *(0.5 * side for side in size), *np.eye(3).ravel()] for centre, size, _ in BOXES[kind]]
-    return np.array(rows, float)
+    return _stretched(np.array(rows, float), stretch)
+
+
+def _stretched(parts: Array, stretch: Vec3) -> Array:
+    """Return boxes made larger; those of turned limbs are alike in all directions."""
+    grown = parts.copy()
+    grown[:, 0:3] *= stretch
+    grown[:, 3:6] *= stretch
+    return grown
 
 
 def drone_parts(T_b_v: Pose, layout: MarkerLayout, *, marked: bool) -> Array:
@@ -97,9 +105,10 @@ def place(setup: CameraSetup, snapshot: Snapshot, later_s: float = 0.0) -> Place
         for thing in snapshot.objects
     ]
     things = np.array(rows, float).reshape(-1, 4)
-    count, shape, per_object = len(things), parts_of(snapshot.kind), len(parts_of(snapshot.kind))
+    count, shape = len(things), parts_of(snapshot.kind, snapshot.stretch)
+    per_object = len(shape)
     if snapshot.kind == "person" and count > 0:
-        shape = np.concatenate([_walking(thing, later_s) for thing in snapshot.objects])
+        shape = np.concatenate([_walking(thing, later_s, snapshot.stretch) for thing in snapshot.objects])
     boxes = np.empty((count * per_object + len(parts), kernels.BOX_COLUMNS))
     extents = np.empty((count + 1, kernels.EXTENT_COLUMNS))
     frame = np.empty(kernels.FRAME_COLUMNS)
@@ -110,15 +119,15 @@ def place(setup: CameraSetup, snapshot: Snapshot, later_s: float = 0.0) -> Place
     return Placed(boxes, extents, frame, per_object)
 
 
-def _walking(thing: ObjectTruth, later_s: float) -> Array:
-    """Boxes of a person in their gait."""
+def _walking(thing: ObjectTruth, later_s: float, stretch: Vec3) -> Array:
+    """Return the boxes of a person in their gait."""
     strides = thing.strides_after(later_s) + OWN_PHASE * thing.object_id
-    return _posture(round(strides * POSTURES) % POSTURES, round(thing.speed_mps / SPEED_STEP_MPS))
+    return _posture(round(strides * POSTURES) % POSTURES, round(thing.speed_mps / SPEED_STEP_MPS), stretch)
 
 
 @lru_cache(2048)
-def _posture(number: int, speed: int) -> Array:
-    return boxes_of_a_walker(number / POSTURES, speed * SPEED_STEP_MPS)
+def _posture(number: int, speed: int, stretch: Vec3) -> Array:
+    return _stretched(np.array(boxes_of_a_walker(number / POSTURES, speed * SPEED_STEP_MPS)), stretch)
 
 
 def outlines(setup: CameraSetup, placed: Placed) -> Array:

@@ -186,8 +186,9 @@ class RelayWorld(Fleet[str]):
         drones = {OWN: truth(own)} if other is None else {OTHER: truth(other), OWN: truth(own)}
         covered, no_depth = other in self._covered, own in self._no_depth
         return Snapshot(
-            self.time_s, drones, self.objects_near(own), covered, no_depth, self.detector, self.config.target.kind
-        )
+            self.time_s, drones, self.objects_near(own), covered, no_depth, self.detector, self.config.target.kind,
+            self.config.target.stretch,
+        )  # fmt: skip
 
 
 class PairView:

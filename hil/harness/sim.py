@@ -101,7 +101,7 @@ class _Flight:
         with virtual_log(request.out / "world.mcap", "world") as log:
             guarding = list(self._guards(mission))
             truth = self._truth = TruthLog(log)
-            truth.scene(self._true_rig, self._monitors.min_separation_m, self._offsets_ns, config.target.kind)
+            truth.scene(self._true_rig, self._monitors.min_separation_m, self._offsets_ns, config.target)
             self._faults.open_leg(LEG, Role.SENDER.value, Role.RECEIVER.value)
             watching = asyncio.create_task(self._watch_truth(truth))
             results = await self._fly_roles()

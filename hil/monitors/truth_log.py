@@ -9,8 +9,8 @@ from typing import Any
 from drivers.interfaces import Log
 from drivers.log.topics import camera_record
 from drivers.rig.parts import Rig, RoleRig
-from hil.render.bodies.kinds import BOXES
-from hil.world.snapshot import TargetKind
+from hil.geometric.scene import parts_of
+from hil.world.targets import TargetConfig
 from hil.world.world import World
 from path.geometry.rotation import quat_from_R
 from path.geometry.transforms import Pose
@@ -26,14 +26,20 @@ class TruthLog:
         self._shown: dict[Role, tuple[str, bool]] = {}
 
     def scene(
-        self, rig: Rig, min_separation_m: float, clock_offset_ns: Mapping[Role, int], kind: TargetKind = "car"
+        self,
+        rig: Rig,
+        min_separation_m: float,
+        clock_offset_ns: Mapping[Role, int],
+        target: TargetConfig | None = None,
     ) -> None:
         """Writes what does not change: once, first."""
+        own = target or TargetConfig()
+        parts = parts_of(own.kind, own.stretch)
         record = {
             "target_id": 0,
             "min_separation_m": min_separation_m,
-            "kind": kind,
-            "boxes": [{"c": center, "s": size} for center, size, _ in BOXES[kind]],
+            "kind": own.kind,
+            "boxes": [{"c": row[0:3], "s": [2.0 * half for half in row[3:6]]} for row in parts.tolist()],
             "clock_offset_ns": {role.value: offset for role, offset in clock_offset_ns.items()},
             "cameras": {role.value: camera_record(rig.role(role).camera) for role in Role},
             "mounts": {role.value: _mount(rig.role(role)) for role in Role},

@@ -283,7 +283,7 @@ class Renderer:
         ]
         return drones + [
             replace(
-                standing(model_of_thing(snapshot.kind, thing), thing.position_w_m, thing.yaw_rad),
+                standing(model_of_thing(snapshot.kind, thing, snapshot.stretch), thing.position_w_m, thing.yaw_rad),
                 velocity_w=np.array(thing.velocity_w_mps),
             )
             for thing in snapshot.objects

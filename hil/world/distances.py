@@ -30,7 +30,8 @@ def clearance(world: World) -> float:
     body = _BODIES.get(world.config.target.kind)
     if body is None:
         return math.inf
-    half_m, high_m, middle_m = body
+    longer, wider, higher = world.config.target.stretch
+    half_m, high_m, middle_m = max(longer, wider) * body[0], higher * body[1], higher * body[2]
     nearest_m = math.inf
     for drone in (world.drone(role) for role in Role):
         if not drone.on_ground:

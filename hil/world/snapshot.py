@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal
 
@@ -16,6 +17,25 @@ from path.values import value
 
 TargetKind = Literal["car", "person", "drone"]
 """The things that can be tracked: a robot car, a person who walks, a micro-UAV."""
+
+OWN_SIZE_M: Mapping[TargetKind, Vec3] = {
+    "car": (0.32, 0.22, 0.16),
+    "person": (0.69, 0.67, 1.75),
+    "drone": (0.31, 0.31, 0.10),
+}
+"""Length, width and height of a body of each kind; of a person with limbs at their longest step."""
+AS_IT_IS: Vec3 = (1.0, 1.0, 1.0)
+
+
+def stretch_of(kind: TargetKind, size_m: Vec3 | None) -> Vec3:
+    """Return by how much a body of a stated size is longer, wider and higher than its kind; people keep their shape."""
+    if size_m is None:
+        return AS_IT_IS
+    own = OWN_SIZE_M[kind]
+    if kind == "person":
+        taller = size_m[2] / own[2]
+        return taller, taller, taller
+    return size_m[0] / own[0], size_m[1] / own[1], size_m[2] / own[2]
 
 
 @value
@@ -69,7 +89,10 @@ class ObjectTruth:
 
 @value
 class Snapshot:
-    """Everything at one instant. ``kind``: of all objects."""
+    """Everything at one instant.
+
+    ``kind``: of all objects. ``stretch``: times the size that a body of this kind has along x, y and z of its frame.
+    """
 
     time_s: float
     drones: dict[Role, DroneTruth]
@@ -78,6 +101,7 @@ class Snapshot:
     depth_holes: bool = False
     detector: DetectorConfig = PERFECT
     kind: TargetKind = "car"
+    stretch: Vec3 = AS_IT_IS
 
     def carried_on(self, by_s: float) -> Snapshot:
         """Returns the snapshot some milliseconds later or earlier: everything moves on with its velocity."""

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.world.gait import strides_of
-from hil.world.snapshot import ObjectTruth, TargetKind
+from hil.world.snapshot import ObjectTruth, TargetKind, stretch_of
 from path.bounds import Bounds
+from path.messages import Vec3
 
 Point = tuple[float, float]
 Array = NDArray[np.float64]
@@ -50,6 +51,8 @@ class TargetConfig:
         kind: of the target and its look-alikes: a robot car, a person who walks, or a micro-UAV that flies.
         to_and_fro_s: period of driving ahead and back along the loop, ``speed_mps`` being the fastest; 0: always ahead.
         height_m: above the ground, of the middle of one that flies, while it waits.
+        size_m: length, width and height of the target and its look-alikes; None: as their kind has them. People keep
+            their shape, and are as tall as that.
         climb_m, climb_s: by how much it flies up and down again once it moves, and the time both take.
     """
 
@@ -66,6 +69,13 @@ class TargetConfig:
     height_m: Annotated[float, Bounds(LOWEST_M, HIGHEST_M)] = 1.0
     climb_m: Annotated[float, Bounds(0.0, HIGHEST_M - LOWEST_M)] = 1.2
     climb_s: Annotated[float, Bounds(5.0, 600.0)] = 20.0
+
+    size_m: Annotated[tuple[float, float, float] | None, Bounds(0.02, 50.0)] = None
+
+    @property
+    def stretch(self) -> Vec3:
+        """Return times how much the body is as long, wide and high as its kind."""
+        return stretch_of(self.kind, self.size_m)
 
     def __post_init__(self) -> None:
         if self.height_m + self.climb_m > HIGHEST_M:

@@ -320,7 +320,7 @@ class World(Fleet[Role]):
             objects = self._traffic.at(self.traffic_s)
             self._snapshot = Snapshot(
                 self.time_s, self.truths(), objects, self._marker_hidden, self._depth_holes, self.detector,
-                self.config.target.kind,
+                self.config.target.kind, self.config.target.stretch,
             )  # fmt: skip
         return self._snapshot
 

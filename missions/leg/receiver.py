@@ -32,6 +32,7 @@ from flight.tracking.association import follow
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.places import place
 from flight.tracking.target_track import TargetTrack
+from flight.way_out import way_out_m
 from missions.leg.handover import ReceiverHandover
 from missions.leg.journal import (
     attempt_record,
@@ -186,10 +187,18 @@ class Receiver:
         self._handover.end(end)
         state = self._session.vehicle.state
         yaw_rad = yaw_of(state.q_n_b)
-        back = from_heading((-_RETREAT_M, 0.0, 0.0), yaw_rad)
+        back = from_heading((-self._retreat_m(state, yaw_rad), 0.0, 0.0), yaw_rad)
         landed = await self._come_down(end, Anchor(add(state.position_n_m, back), yaw_rad))
         await self._handover.finish()
         return landed
+
+    def _retreat_m(self, state: VehicleState, yaw_rad: float) -> float:
+        """Return how far back to go before it lands: off the target's way, where it follows one."""
+        if self._track is None:
+            return _RETREAT_M
+        back_n = from_heading((-1.0, 0.0, 0.0), yaw_rad)
+        now_ns = self._session.now_ns()
+        return way_out_m(self._track, state.position_n_m, back_n, self._config, now_ns, _RETREAT_M)
 
     async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
         """Brings the vehicle down, and returns whether the script landed it."""

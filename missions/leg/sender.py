@@ -19,7 +19,6 @@ from flight.guidance import (
     from_heading,
     scale,
     subtract,
-    way_until_away,
     within_fence,
 )
 from flight.outcome import MissionEnd, Outcome
@@ -30,6 +29,7 @@ from flight.tracking.association import Sighting, follow
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.look_round import LookRound
 from flight.tracking.target_track import TargetTrack
+from flight.way_out import way_out_m
 from missions.leg.handover import SenderHandover
 from missions.leg.journal import (
     agreement_record,
@@ -52,8 +52,6 @@ from path.observations import Missed, MissReason
 
 _PEER_POLL_S = 0.25
 _WIDER = 1.4  # times the distance, to see it again
-_LANDING_MPS = 0.5  # so slowly it may come down
-_FARTHEST = 2.0  # times the usual way out, for a target that could come there
 
 
 class Sender:
@@ -167,19 +165,11 @@ class Sender:
             place = state.position_n_m
             if self._track is not None:
                 aside = from_heading((0.0, -self._side_of_receiver(state), 0.0), self._heading_rad)
-                wanted_m = self._out_of_targets_reach(self._track, place, aside)
-                place = add(place, scale(aside, min(max(usual_m, wanted_m), _FARTHEST * usual_m)))
+                now_ns = self._session.now_ns()
+                away_m = way_out_m(self._track, place, aside, self._config, now_ns, usual_m)
+                place = add(place, scale(aside, away_m))
             self._way_out = Anchor(place, yaw_of(state.q_n_b))
         return self._way_out
-
-    def _out_of_targets_reach(self, track: TargetTrack, place_n_m: Vec3, along_n: Vec3) -> float:
-        """Returns how far to go that way so that the target, as fast as it is, cannot be there before the landing."""
-        config = self._config
-        now_ns = self._session.now_ns()
-        target, _ = track.believed(now_ns)
-        landing_s = config.depart_m / config.follow.max_speed_mps + max(0.0, -place_n_m[2]) / _LANDING_MPS
-        least_m = config.separation.minimum_m + config.target.half_size_m
-        return way_until_away(subtract(place_n_m, target), along_n, least_m + track.fastest_mps(now_ns) * landing_s)
 
     def _side_of_receiver(self, state: VehicleState) -> float:
         """-1 left, 1 right; by both drones' own positions until it was measured on the marker."""

@@ -78,9 +78,7 @@ class SitlWorld(RealTimeWorld):
             await self._start_simulators()
         self._world.hold_traffic()  # until both programs are ready, however long a busy computer takes
         self._truth = TruthLog(log, round(self.start_s * 1e9))
-        self._truth.scene(
-            self._built.rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0), self._config.target.kind
-        )
+        self._truth.scene(self._built.rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0), self._config.target)
         for role in Role:
             self._start_camera(role)
         stack.enter_context(open_beacons(rig, self._seed, self._out, self.now_s, self._look))

@@ -6,12 +6,15 @@ The frame of a car or a person lies on the ground below its middle, that of a dr
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
+
+import numpy as np
 
 from hil.render.bodies.people import VARIANTS
 from hil.render.bodies.walking import boxes_around_a_walker, walking_as
 from hil.render.scene import CAR_BOXES, FRAME, GAP_M, MOTOR, ORANGE, Color, Model, box, car, model_of
-from hil.world.snapshot import ObjectTruth, TargetKind
+from hil.world.snapshot import AS_IT_IS, ObjectTruth, TargetKind
 
 Vec3 = tuple[float, float, float]
 Boxes = tuple[tuple[Vec3, Vec3, Color], ...]
@@ -51,8 +54,13 @@ its hull, and the colour detector hardly ever has them in its box. A person's ar
 are longest: arms and legs that swing stay within them."""
 
 
-def model_of_thing(kind: TargetKind, thing: ObjectTruth) -> Model:
-    """The body that cameras see of an object now: people are not quite alike, and in their gait."""
+def model_of_thing(kind: TargetKind, thing: ObjectTruth, stretch: Vec3 = AS_IT_IS) -> Model:
+    """Return the body that cameras see of an object now: people are not quite alike, and in their gait."""
+    model = _model_of_kind(kind, thing)
+    return model if stretch == AS_IT_IS else replace(model, corners=model.corners * np.tile(stretch, 3))
+
+
+def _model_of_kind(kind: TargetKind, thing: ObjectTruth) -> Model:
     if kind == "car":
         return car()
     if kind == "drone":

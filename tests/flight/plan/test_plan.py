@@ -89,8 +89,15 @@ def test_what_another_rig_says_of_its_own_target_is_not_taken(tmp_path: Path, ri
 
 
 # What does not grow with the world, and why: an acceleration of a tilt has gravity in it, and waits have the
-# times of take-off and landing, which are the vehicles' own.
-ABSOLUTE = ("mission.max_accel_mps2", "method.relative_accel_mps2", "mission.deadlines.", "_px", "response_s")
+# times of take-off and landing, which are the vehicles' own. So is the speed of a landing, which the way out has in it.
+ABSOLUTE = (
+    "mission.depart_m",
+    "mission.max_accel_mps2",
+    "method.relative_accel_mps2",
+    "mission.deadlines.",
+    "_px",
+    "response_s",
+)
 
 
 def scaled(facts: Facts, k: float) -> Facts:
