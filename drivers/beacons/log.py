@@ -67,7 +67,7 @@ def read_truth(file: Path) -> BeaconTruth | None:
 
 def read_beacons(file: Path) -> list[BeaconFix]:
     """All positions of a log, in its order. Raises BeaconError naming the line, OSError."""
-    with file.open(newline="", encoding="utf-8", errors="replace") as lines:
+    with file.open(newline="", encoding="utf-8-sig", errors="replace") as lines:
         rows = csv.reader(lines)
         header = next(rows, [])
         if tuple(name.strip() for name in header) != COLUMNS:
