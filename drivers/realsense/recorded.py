@@ -1,7 +1,7 @@
 """A RealSense recording (``.db3``, ``.bag``) read to its end, frame by frame, as fast as they are taken.
 
 The driver plays a recording as the camera it was, in real time, and passes over what is late. Here nothing is passed
-over: playback waits while a frame is not taken. Whoever recorded it need not have known of PATH: colour may be RGB.
+over: playback waits while a frame is not taken. Whoever recorded it need not have known of PATH.
 """
 
 from __future__ import annotations
@@ -20,21 +20,25 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError
 from drivers.perception.stamp_clock import Domain
+from drivers.realsense.formats import bgr_of
 from drivers.realsense.sdk import (
+    FORMATS,
     Kind,
     RawImage,
+    by_sensor,
     extrinsics_of,
     intrinsics_of,
     load_recording,
     mid_exposure_ns,
     serial_of,
+    unit_of,
 )
 from drivers.realsense.sdk_import import import_realsense
 from drivers.realsense.stream import Pairing, Taken
+from path.camera.lenses import StandIn
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 
-READ = {("depth", "z16"): "depth", ("color", "bgr8"): "color", ("color", "rgb8"): "color"}
 WAITING = 8
 SILENT_S = 60.0  # without a frame before the end: the file is damaged
 POLL_S = 0.1
@@ -65,31 +69,37 @@ class RealSenseRecording:
         self._device = load_recording(file)
         self._playback = self._device.as_playback()
         self._playback.set_real_time(False)
-        self._streams: dict[Kind, tuple[Any, Any]] = {}
-        offered = set[str]()
-        for sensor in self._device.query_sensors():
-            for profile in sensor.get_stream_profiles():
-                named = profile.stream_type().name, profile.format().name
-                offered.add(" ".join(named))
-                if (kind := READ.get(named)) is not None:
-                    self._streams.setdefault("depth" if kind == "depth" else "color", (sensor, profile))
-        if len(self._streams) < 2:
-            raise CameraError(
-                f"{file} has no {' and no '.join(sorted({'color', 'depth'} - set(self._streams)))} to be read; "
-                f"it has: {', '.join(sorted(offered)) or 'nothing'}",
-                "record depth (z16) and colour (bgr8 or rgb8)",
-            )
-        (depth_sensor, depth), (_, color) = self._streams["depth"], self._streams["color"]
+        self._depth, self._color_profile = self._streams()
+        depth_sensor, depth = self._depth
+        color = self._color_profile[1]
         self.serial = serial_of(self._device)
-        self.unit_m = float(depth_sensor.get_option(rs.option.depth_units))
-        self.depth: CameraModel = intrinsics_of(rs, depth.as_video_stream_profile(), "depth")
+        self.unit_m = unit_of(depth_sensor, str(file))
+        self.depth: CameraModel = intrinsics_of(rs, depth.as_video_stream_profile(), "depth").camera
         self._color = color.as_video_stream_profile()
         self.color_size: tuple[int, int] = self._color.width(), self._color.height()
         self.T_color_depth: Pose = extrinsics_of(depth, color)
-        self._is_rgb = color.format().name == "rgb8"
+        self._color_format = color.format().name
         self._tolerance_ns = round(0.5e9 / color.fps())
 
-    def factory_color(self) -> CameraModel:
+    def _streams(self) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+        """Sensor and profile of depth and of colour. Raises CameraError where one is not there."""
+        found: dict[tuple[str, str], tuple[Any, Any]] = {}
+        for sensor in self._device.query_sensors():
+            for profile in sensor.get_stream_profiles():
+                found.setdefault((profile.stream_type().name, profile.format().name), (sensor, profile))
+        wanted: dict[Kind, list[tuple[Any, Any]]] = {
+            kind: [found[kind, form] for form in FORMATS[kind] if (kind, form) in found] for kind in FORMATS
+        }
+        missing = [kind for kind in ("color", "depth") if not wanted[kind]]
+        if missing:
+            offered = ", ".join(sorted(" ".join(named) for named in found)) or "nothing"
+            raise CameraError(
+                f"{self._file} has no {' and no '.join(missing)} to be read; it has: {offered}",
+                f"record depth (z16) and colour ({', '.join(FORMATS['color'])})",
+            )
+        return wanted["depth"][0], wanted["color"][0]
+
+    def factory_color(self) -> StandIn:
         """The colour camera as its maker calibrated it. Raises CameraError for a lens that cannot be described."""
         return intrinsics_of(import_realsense(), self._color, "color")
 
@@ -105,7 +115,9 @@ class RealSenseRecording:
             domain = Domain(frame.get_frame_timestamp_domain().name)
             kind: Kind = "depth" if frame.is_depth_frame() else "color"
             stamp_ns = mid_exposure_ns(rs, frame, domain)
-            image = RawImage(kind, frame.get_frame_number(), stamp_ns, domain, np.array(frame.get_data()), None)
+            data = frame.get_data()
+            pixels = np.asanyarray(data) if kind == "depth" else bgr_of(data, self._color_format)
+            image = RawImage(kind, frame.get_frame_number(), stamp_ns, domain, np.array(pixels, order="C"), None)
             while not ending.is_set():
                 try:
                     waiting.put(image, timeout=POLL_S)
@@ -116,8 +128,8 @@ class RealSenseRecording:
         self._playback.pause()
         running: list[Any] = []
         try:
-            for sensor, profile in self._streams.values():
-                sensor.open(profile)
+            for sensor, profiles in by_sensor([self._depth, self._color_profile]):
+                sensor.open(profiles)
                 running.append(sensor)
                 sensor.start(take)
             self._playback.resume()
@@ -149,9 +161,12 @@ class RealSenseRecording:
             found = pairing.add(Taken(image.stamp_ns, 0, image))
             if found is not None:
                 color, depth = (each.image for each in found)
-                pixels = np.asarray(color.pixels, np.uint8)
-                pixels = np.ascontiguousarray(pixels[..., ::-1]) if self._is_rgb else pixels
-                yield RecordedPair(color.stamp_ns, color.domain, pixels, np.asarray(depth.pixels, np.uint16))
+                yield RecordedPair(
+                    color.stamp_ns,
+                    color.domain,
+                    np.asarray(color.pixels, np.uint8),
+                    np.asarray(depth.pixels, np.uint16),
+                )
 
     @property
     def _at_end(self) -> bool:

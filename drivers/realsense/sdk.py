@@ -6,6 +6,7 @@ computer's USB only, and its syncer holds frames back.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,13 +17,15 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError
 from drivers.perception.stamp_clock import Domain
+from drivers.realsense.formats import COLOR_FORMATS, bgr_of
 from drivers.realsense.sdk_import import import_realsense
-from path.camera.model import CameraModel
+from drivers.recordings.ros_bag import refuse_ros
+from path.camera.lenses import Lens, LensKind, StandIn, as_brown_conrady
 from path.geometry.transforms import Pose
 
 Kind = Literal["color", "depth"]
 Filter = Literal["spatial", "temporal", "hole_filling"]
-FORMATS: dict[Kind, str] = {"color": "bgr8", "depth": "z16"}
+FORMATS: dict[Kind, tuple[str, ...]] = {"color": COLOR_FORMATS, "depth": ("z16",)}
 QUEUE_FRAMES = 8  # four pairs; when nobody takes them, the oldest go
 READOUT_LIMIT_US = 1_000_000
 WRAP_US = 1 << 32
@@ -99,14 +102,15 @@ class RealSenseDevice:
         found = {kind: _find(self._device, kind, streams) for kind in kinds}
         depth_sensor, depth = found["depth"]
         color_sensor, color = found["color"]
-        self.unit_m = float(depth_sensor.get_option(self._rs.option.depth_units))
-        self.depth = intrinsics_of(self._rs, depth, "depth")
+        self.unit_m = unit_of(depth_sensor, described(self._device))
+        self.depth = intrinsics_of(self._rs, depth, "depth").camera
+        self._color_format = color.format().name
         self.T_color_depth = extrinsics_of(depth, color)
         if self._playback is None:
             _set_up(self._rs, depth_sensor, color_sensor, streams)
-        for sensor, profile in found.values():
+        for sensor, profiles in by_sensor([(depth_sensor, depth), (color_sensor, color)]):
             try:
-                sensor.open(profile)
+                sensor.open(profiles)
                 self._running.append(sensor)
                 sensor.start(self._queue)
             except RuntimeError as error:
@@ -133,7 +137,9 @@ class RealSenseDevice:
                 frame = each.process(frame)
         domain = Domain(frame.get_frame_timestamp_domain().name)
         stamp_ns = mid_exposure_ns(self._rs, frame, domain)
-        return RawImage(kind, frame.get_frame_number(), stamp_ns, domain, np.asanyarray(frame.get_data()), frame)
+        data = frame.get_data()
+        pixels = np.asanyarray(data) if kind == "depth" else bgr_of(data, self._color_format)
+        return RawImage(kind, frame.get_frame_number(), stamp_ns, domain, pixels, frame)
 
     def close(self) -> None:
         """Stop what runs. What the library says to that is of no use any more."""
@@ -183,6 +189,9 @@ def connected() -> list[Any]:
 
 def load_recording(file: Path) -> Any:
     """A recording as a device. Raises CameraError when it cannot be read."""
+    if not file.is_file():
+        raise CameraError(f"{file}: there is no such file", "name a RealSense recording (.db3, .bag)")
+    refuse_ros(file)
     try:
         return import_realsense().context().load_device(str(file))
     except RuntimeError as error:
@@ -199,16 +208,21 @@ def _recorder(rs: Any, device: Any, file: Path) -> Any:
 
 
 def _find(device: Any, kind: Kind, streams: Streams) -> tuple[Any, Any]:
-    """Sensor and profile of one stream. Raises CameraError listing what there is."""
+    """Sensor and profile of one stream, in the best of its formats. Raises CameraError listing what there is."""
     (width, height), offered = streams.size(kind), set[tuple[int, int, int]]()
+    matching: dict[str, tuple[Any, Any]] = {}
     for sensor in device.query_sensors():
         for profile in sensor.get_stream_profiles():
-            if (profile.stream_type().name, profile.format().name) != (kind, FORMATS[kind]):
+            form = profile.format().name
+            if profile.stream_type().name != kind or form not in FORMATS[kind]:
                 continue
             video = profile.as_video_stream_profile()
             if (video.width(), video.height(), video.fps()) == (width, height, streams.fps):
-                return sensor, video
+                matching.setdefault(form, (sensor, video))
             offered.add((video.width(), video.height(), video.fps()))
+    for form in FORMATS[kind]:
+        if form in matching:
+            return matching[form]
     listed = ", ".join(f"{w}x{h} at {fps}" for w, h, fps in sorted(offered)) or "none"
     raise CameraError(
         f"{described(device)} has no {kind} stream of {width}x{height} px at {streams.fps} Hz; it has: {listed}",
@@ -216,16 +230,62 @@ def _find(device: Any, kind: Kind, streams: Streams) -> tuple[Any, Any]:
     )
 
 
-def intrinsics_of(rs: Any, profile: Any, kind: Kind) -> CameraModel:
+def by_sensor(found: Sequence[tuple[Any, Any]]) -> list[tuple[Any, list[Any]]]:
+    """Return each sensor once, with all of its profiles.
+
+    A D405 has colour and depth on one sensor, and a sensor that runs is not opened again.
+    """
+    grouped: list[tuple[Any, list[Any]]] = []
+    for sensor, profile in found:
+        # librealsense wraps a sensor anew at every query: it is known by its profiles.
+        same = [profiles for other, profiles in grouped if _profiles(other) == _profiles(sensor)]
+        if same:
+            same[0].append(profile)
+        else:
+            grouped.append((sensor, [profile]))
+    return grouped
+
+
+def _profiles(sensor: Any) -> list[int]:
+    return sorted(profile.unique_id() for profile in sensor.get_stream_profiles())
+
+
+def unit_of(depth_sensor: Any, whose: str) -> float:
+    """Return metres of one step of depth. Raises CameraError where it is not said: it is never guessed."""
+    option = import_realsense().option.depth_units
+    try:
+        return float(depth_sensor.get_option(option))
+    except RuntimeError as error:
+        raise CameraError(
+            f"{whose} does not say how long one step of its depth is: {error}",
+            "record it with `record` of PATH's driver, or with librealsense's viewer",
+        ) from error
+
+
+LENSES: dict[str, LensKind] = {
+    "none": "brown_conrady",
+    "brown_conrady": "brown_conrady",
+    "inverse_brown_conrady": "inverse_brown_conrady",
+    "modified_brown_conrady": "modified_brown_conrady",
+    "kannala_brandt4": "equidistant",
+}
+
+
+def intrinsics_of(rs: Any, profile: Any, kind: Kind) -> StandIn:
     """Of a stream, by the device. Raises CameraError for a lens that cannot be described."""
     it = profile.get_intrinsics()
     coefficients = tuple(float(k) for k in it.coeffs)
-    if any(coefficients) and it.model not in (rs.distortion.brown_conrady, rs.distortion.none):
-        raise CameraError(
-            f"the {kind} stream has a lens of another kind: {it.model}", "use a camera of the D400 family"
-        )
-    k1, k2, p1, p2, k3 = coefficients
-    return CameraModel(it.width, it.height, it.fx, it.fy, it.ppx, it.ppy, (k1, k2, p1, p2, k3))
+    remedy = "calibrate the camera with `path-handoff calibrate camera`, and name that calibration"
+    lens = LENSES.get(it.model.name)
+    if not any(coefficients) and it.model != rs.distortion.kannala_brandt4:
+        lens = "brown_conrady"
+    if lens is None:
+        raise CameraError(f"the {kind} stream has a lens of a kind that is not known: {it.model.name}", remedy)
+    wanted = coefficients[:4] if lens == "equidistant" else coefficients
+    try:
+        return as_brown_conrady(Lens(lens, it.width, it.height, it.fx, it.fy, it.ppx, it.ppy, wanted))
+    except ValueError as error:
+        raise CameraError(f"the {kind} stream: {error}", remedy) from error
 
 
 def extrinsics_of(depth: Any, color: Any) -> Pose:

@@ -152,7 +152,7 @@ class PairStream(threading.Thread):
         if pair is None:
             return None
         counters, start = self.counters, busy_ns()
-        color = np.array(pair.color.pixels, np.uint8)  # the library will use its memory again
+        color = np.array(pair.color.pixels, np.uint8, order="C")  # the library will use its memory again
         copied = busy_ns()
         depth_mm = pair.registration.register(np.asarray(pair.depth.pixels, np.uint16))
         counters.copy_ns += copied - start

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from drivers.log.frames import is_frames
 from drivers.log.mcap_log import LogRecord, decode_image, read_log
 from drivers.log.video import recorded_frames
+from drivers.recordings.ros_bag import refuse_ros
 from drivers.recordings.stamps import RecordingError, frame_stamps, natural, stamped_files
 from drivers.recordings.video_file import VIDEO_SUFFIXES, VideoError, video_frames
 
@@ -94,6 +95,7 @@ def open_recording(file: Path, options: RecordingOptions | None = None) -> Recor
     options = options or RecordingOptions()
     if not file.exists():
         raise RecordingError(f"{file}: there is no such file or folder", REMEDY)
+    refuse_ros(file)
     if file.is_dir():
         recording: Recording = Folder(file, options)
     elif file.suffix.lower() == ".mcap" and is_frames(file):

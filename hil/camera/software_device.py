@@ -122,7 +122,7 @@ def _stream(rs: Any, kind: Kind, model: CameraModel, fps: int) -> Any:
     lens.model = rs.distortion.brown_conrady
     lens.coeffs = list(model.distortion)
     stream = rs.video_stream()
-    stream.type, stream.fmt = getattr(rs.stream, kind), getattr(rs.format, FORMATS[kind])
+    stream.type, stream.fmt = getattr(rs.stream, kind), getattr(rs.format, FORMATS[kind][0])
     stream.index, stream.uid = 0, list(SENSORS).index(kind) + 1
     stream.width, stream.height, stream.fps, stream.bpp = model.width, model.height, fps, BYTES[kind]
     stream.intrinsics = lens

@@ -5,7 +5,7 @@
         levels with a world what was true of both: truth-DRONE.tum, the body in the world, and truth-marker.tum.
 --csv   one table a topic and log: utc_ns, stamp_ns, then every field; lists have a column for each number.
 
-A RealSense recording becomes images (``missions.logs.recording``).
+A RealSense recording or a bag of ROS becomes images (``missions.logs.recording``).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import Any
 from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord, parts
 from drivers.recordings.recording import REALSENSE_SUFFIXES
+from drivers.recordings.ros_bag import ros_bag_at
 from missions.logs.merge import utc_minus_stamp
 from missions.logs.recording import export_recording
 from missions.options.runs import ExportOptions
@@ -35,8 +36,9 @@ Row = tuple[int, Sequence[float], Sequence[float]]
 def run(options: ExportOptions) -> int:
     """``path-handoff export``. Raises PartError."""
     if options.folder.suffix.lower() in REALSENSE_SUFFIXES:
-        with unless_refused(options.out or options.folder.with_suffix("")):
-            return export_recording(options)
+        return export_recording(options)
+    if options.folder.exists() and ros_bag_at(options.folder) is not None:
+        return export_recording(options)
     if options.calibration is not None:
         raise PartError("--calibration is of a RealSense recording", f"leave it out for the run {options.folder}")
     if not (options.tum or options.csv):

@@ -73,8 +73,8 @@ class ExportOptions:
     """Write what a run's logs hold in forms that other programs read; or a RealSense recording as images."""
 
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE.db3")]
-    """The folder of the run; or a RealSense recording (.db3, .bag), of which colour, depth, stamps and calibration are
-    written (docs/films.md)."""
+    """The folder of the run; or a RealSense recording (.db3, .bag) or a bag of ROS, of which colour, depth, stamps and
+    calibration are written (docs/films.md)."""
 
     tum: bool = False
     """Trajectories, as evo reads them."""

@@ -16,7 +16,7 @@ def installed() -> list[str]:
     """Return the names of all parts of an installation without the tools of development."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     extras = project["optional-dependencies"]
-    wanted = [*project["dependencies"], *extras["view"], *extras["cluster"]]
+    wanted = [*project["dependencies"], *extras["view"], *extras["cluster"], *extras["ros"]]
     names = [re.match(r"[\w.-]+", each) for each in wanted]
     return sorted({name[0] for name in names if name is not None})
 

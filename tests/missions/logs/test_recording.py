@@ -17,6 +17,7 @@ from drivers.recordings.recording import RecordingError, RecordingOptions, open_
 from drivers.rig.calibration_file import read_camera
 from missions.logs.export import run
 from missions.options.runs import ExportOptions
+from tests.drivers.realsense.other_cameras import CameraKind, OtherCamera
 from tests.drivers.realsense.software_d415 import COLOR, DEPTH, DEPTH_MM, FPS, Feed
 
 FRAMES = 40
@@ -113,3 +114,36 @@ def test_a_film_that_is_one_names_the_command(film: Path) -> None:
     with pytest.raises(RecordingError, match="RealSense recording") as caught:
         open_recording(film)
     assert f"path-handoff export {film}" in caught.value.remedy
+
+
+def test_what_was_refused_leaves_nothing_that_a_second_try_meets(tmp_path: Path) -> None:
+    kind = CameraKind(lens="ftheta", coefficients=(0.1, 0.0, 0.0, 0.0, 0.0))
+    file = OtherCamera(kind).record(tmp_path / "d1.db3")
+    with pytest.raises(PartError, match="ftheta"):
+        run(ExportOptions(file))
+    assert sorted(tmp_path.iterdir()) == [file]
+    OtherCamera(CameraKind()).record(tmp_path / "d2.db3")
+    run(ExportOptions(tmp_path / "d2.db3"))
+    assert run(ExportOptions(file, calibration=tmp_path / "d2.camera.toml")) == 0
+    assert (tmp_path / "d1" / "000001.png").is_file()
+
+
+def test_a_calibration_of_ones_own_is_not_written_over(tmp_path: Path) -> None:
+    file = OtherCamera(CameraKind()).record(tmp_path / "d1.db3")
+    export(file, tmp_path / "first")
+    own = (tmp_path / "first.camera.toml").read_text().replace("the maker's calibration in d1.db3", "views")
+    (tmp_path / "d1.camera.toml").write_text(own)
+    with pytest.raises(PartError, match=r"d1.camera.toml is there, and is not the maker's"):
+        run(ExportOptions(file))
+    assert (tmp_path / "d1.camera.toml").read_text() == own
+    assert not (tmp_path / "d1").exists()
+
+
+def test_a_lens_of_another_kind_is_told_of_with_how_far_off_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kind = CameraKind("D455", coefficients=(-0.055, 0.066, 0.0003, 0.0007, -0.0215))
+    file = OtherCamera(kind).record(tmp_path / "d1.db3")
+    export(file, tmp_path / "d1")
+    assert "its lens as Brown-Conrady, off by 0.000 px at most" in capsys.readouterr().out
+    assert read_camera(tmp_path / "d1.camera.toml").camera.distortion[0] == pytest.approx(0.056, abs=0.002)

@@ -1,0 +1,327 @@
+"""Colour and registered depth out of a bag of ROS 1 or 2, through ``rosbags`` (the extra ``ros``).
+
+``path-handoff export`` reads them; what else of a bag there is, is left alone. Depth is taken only where the
+bag says that it is of the colour camera: by its topic's name (``aligned_depth_to_color``, ``depth_registered``
+…) or by a camera_info that equals colour's in frame and matrix. Depth of another camera would have to be
+registered, and no bag says reliably where that camera was.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.recordings.ros_bag import ros_bag_at
+from drivers.recordings.stamps import RecordingError
+from path.camera.lenses import Lens, LensKind, StandIn, as_brown_conrady
+
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+INSTALL = "install the extra `ros`: docs/films.md says how"
+REGISTERED = ("aligned_depth_to_color", "depth_registered", "depth_to_rgb", "depth_to_color")
+LENSES: dict[str, tuple[LensKind, int]] = {
+    "": ("brown_conrady", 5),
+    "none": ("brown_conrady", 5),
+    "plumb_bob": ("brown_conrady", 5),
+    "rational_polynomial": ("rational", 8),
+    "equidistant": ("equidistant", 4),
+    "fisheye": ("equidistant", 4),
+}
+COLORS: dict[str, tuple[int, int | None]] = {
+    "bgr8": (3, None),
+    "rgb8": (3, cv2.COLOR_RGB2BGR),
+    "bgra8": (4, cv2.COLOR_BGRA2BGR),
+    "rgba8": (4, cv2.COLOR_RGBA2BGR),
+    "mono8": (1, cv2.COLOR_GRAY2BGR),
+    "8UC3": (3, None),
+    "yuv422": (2, cv2.COLOR_YUV2BGR_UYVY),
+    "uyvy": (2, cv2.COLOR_YUV2BGR_UYVY),
+    "yuv422_yuy2": (2, cv2.COLOR_YUV2BGR_YUY2),
+    "yuyv": (2, cv2.COLOR_YUV2BGR_YUY2),
+    "bayer_rggb8": (1, cv2.COLOR_BayerRGGB2BGR),
+    "bayer_bggr8": (1, cv2.COLOR_BayerBGGR2BGR),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2BGR),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2BGR),
+}
+DEPTHS = ("16UC1", "mono16", "32FC1")
+REMEDY = "record colour (`.../color/image_raw`) and depth registered to it (RealSense: align_depth.enable:=true)"
+NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class RosFrame:
+    """Colour (h, w, 3) BGR and depth (h, w) in mm of the colour camera's pixels, at ``stamp_ns`` of the bag's clock."""
+
+    stamp_ns: int
+    color: NDArray[np.uint8]
+    depth_mm: NDArray[np.uint16]
+
+
+class RosImages:
+    """The images of a bag.
+
+    Attributes:
+        color_topic, depth_topic: which were taken.
+        color_size: (width, height) in px.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Raises RecordingError for a bag that cannot be read, or without colour and its depth."""
+        self._path = path
+        self._reader = _opened(path)
+        try:
+            images = [c for c in self._reader.connections if c.msgtype in (IMAGE, COMPRESSED)]
+            self.color_topic = self._only([c.topic for c in images if _is_color(c.topic)], "colour")
+            depths = [c.topic for c in images if "depth" in c.topic]
+            self._color_info = self._info(self.color_topic)
+            self.depth_topic = self._registered(depths)
+            first = _bgr(self._first(self.color_topic))
+        except (ValueError, KeyError, RuntimeError, OSError) as error:
+            raise self._damaged(error) from error
+        self.color_size: tuple[int, int] = first.shape[1], first.shape[0]
+
+    def factory_color(self) -> StandIn | None:
+        """The colour camera by the bag's camera_info; None when there is none.
+
+        Raises RecordingError for a lens of a kind that is not known, or that bends too much.
+        """
+        info = self._color_info
+        if info is None:
+            return None
+        model = str(info.distortion_model)
+        where = f"{self._path}: {self.color_topic}"
+        if model not in LENSES:
+            raise RecordingError(f"{where}: a lens of a kind that is not known: {model}", "name a calibration")
+        kind, count = LENSES[model]
+        coefficients = [float(k) for k in _of(info, "d")]
+        matrix = _matrix(info, "k", 3)
+        if "rect" in self.color_topic:  # its lens was taken out of it
+            matrix = _matrix(info, "p", 4)
+            kind, count, coefficients = "brown_conrady", 5, []
+        if any(coefficients[count:]):
+            raise RecordingError(f"{where}: a lens of {len(coefficients)} coefficients", "name a calibration")
+        filled = tuple((coefficients + [0.0] * count)[:count])
+        if not any(filled) and kind == "rational":
+            kind, filled = "brown_conrady", (0.0,) * 5
+        fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        try:
+            return as_brown_conrady(Lens(kind, int(info.width), int(info.height), fx, fy, cx, cy, filled))
+        except ValueError as error:
+            raise RecordingError(f"{where}: {error}", "name a calibration") from error
+
+    def frames(self) -> Iterator[RosFrame]:
+        """Yield colour and depth that were taken together. Raises RecordingError where the bag is damaged."""
+        try:
+            stamps = {topic: sorted(self._stamps(topic)) for topic in (self.color_topic, self.depth_topic)}
+            partner = _partners(stamps[self.color_topic], stamps[self.depth_topic])
+            yield from self._paired(partner)
+        except (ValueError, KeyError, RuntimeError, OSError) as error:
+            raise self._damaged(error) from error
+        finally:
+            self._reader.close()
+
+    def _paired(self, partner: Mapping[int, int]) -> Iterator[RosFrame]:
+        """Yield pairs, by colour's stamp and its depth's. Depth often comes some messages after its colour."""
+        wanted = {depth_ns: color_ns for color_ns, depth_ns in partner.items()}
+        waiting: dict[int, dict[str, Any]] = {}
+        topics = (self.color_topic, self.depth_topic)
+        for topic, message in self._messages(*topics):
+            stamp_ns = _stamp_of(message)
+            color_ns = stamp_ns if topic == self.color_topic else wanted.get(stamp_ns)
+            if color_ns is None or color_ns not in partner:
+                continue
+            both = waiting.setdefault(color_ns, {})
+            both[topic] = message
+            if len(both) < 2:
+                continue
+            del waiting[color_ns]
+            color, depth = (both[each] for each in topics)
+            pixels, depth_mm = _bgr(color), _millimetres(depth)
+            if pixels.shape[:2] != depth_mm.shape:
+                raise RecordingError(
+                    f"{self._path}: depth of {depth_mm.shape[1]}x{depth_mm.shape[0]} px for colour of "
+                    f"{pixels.shape[1]}x{pixels.shape[0]} px: it is not registered",
+                    REMEDY,
+                )
+            yield RosFrame(color_ns, pixels, depth_mm)
+
+    def _messages(self, *topics: str) -> Iterator[tuple[str, Any]]:
+        connections = [c for c in self._reader.connections if c.topic in topics]
+        for connection, _, raw in self._reader.messages(connections):
+            yield connection.topic, self._reader.deserialize(raw, connection.msgtype)
+
+    def _stamps(self, topic: str) -> Iterator[int]:
+        for _, message in self._messages(topic):
+            yield _stamp_of(message)
+
+    def _first(self, topic: str) -> Any:
+        for _, message in self._messages(topic):
+            return message
+        raise RecordingError(f"{self._path}: nothing was recorded of {topic}", REMEDY)
+
+    def _info(self, topic: str) -> Any | None:
+        """The first camera_info beside a topic."""
+        beside = topic.removesuffix("/compressed").removesuffix("/compressedDepth").rpartition("/")[0]
+        named = f"{beside}/camera_info"
+        return next((message for _, message in self._messages(named)), None) if self._has(named) else None
+
+    def _has(self, topic: str) -> bool:
+        return any(c.topic == topic and c.msgtype == CAMERA_INFO for c in self._reader.connections)
+
+    def _only(self, topics: list[str], what: str) -> str:
+        """Return the one topic, or the one of several forms of it. Raises RecordingError."""
+        found = sorted(set(topics), key=lambda topic: ("compressed" in topic, "rect" in topic, len(topic), topic))
+        if not found:
+            listed = ", ".join(sorted({c.topic for c in self._reader.connections})) or "nothing"
+            raise RecordingError(f"{self._path} has no {what} to be read; it has: {listed}", REMEDY)
+        others = [topic for topic in found if _stem(topic) != _stem(found[0])]
+        if others:
+            raise RecordingError(
+                f"{self._path} has {what} of several cameras: {', '.join(found)}",
+                "copy one camera's topics into a bag of their own (rosbags-convert --include-topic)",
+            )
+        return found[0]
+
+    def _registered(self, topics: list[str]) -> str:
+        """Return the topic of depth of colour's pixels. Raises RecordingError when there is none."""
+        named = [topic for topic in topics if any(word in topic for word in REGISTERED)]
+        alike = [topic for topic in topics if topic not in named and self._is_alike(topic)]
+        if topics and not named and not alike:
+            raise RecordingError(
+                f"{self._path}: {', '.join(sorted(set(topics)))} is of the depth camera's own pixels, and the bag does "
+                "not say where that camera is",
+                REMEDY,
+            )
+        return self._only(named or alike, "depth")
+
+    def _is_alike(self, topic: str) -> bool:
+        """Return whether depth says that it is of colour's pixels: the same frame, size and matrix."""
+        own, color = self._info(topic), self._color_info
+        if own is None or color is None or own.header.frame_id != color.header.frame_id:
+            return False
+        same_size = (own.width, own.height) == (color.width, color.height)
+        return same_size and bool(np.allclose(_matrix(own, "k", 3), _matrix(color, "k", 3)))
+
+    def _damaged(self, error: Exception) -> RecordingError:
+        if isinstance(error, RecordingError):
+            return error
+        return RecordingError(f"{self._path}: the bag is damaged: {error}", "is it whole, and was it closed?")
+
+
+def _opened(path: Path) -> Any:
+    """Return an open reader. Raises RecordingError, also when ``rosbags`` is not installed."""
+    try:
+        highlevel = importlib.import_module("rosbags.highlevel")
+        typesys = importlib.import_module("rosbags.typesys")
+    except ImportError as error:
+        bag = ros_bag_at(path)
+        what = bag.text if bag is not None else "a bag of ROS"
+        raise RecordingError(f"{path} is {what}, not a recording of librealsense or of PATH", INSTALL) from error
+    kind = typesys.Stores.ROS1_NOETIC if path.suffix == ".bag" else typesys.Stores.ROS2_HUMBLE
+    try:
+        reader = highlevel.AnyReader([path], default_typestore=typesys.get_typestore(kind))
+        reader.open()
+    except Exception as error:  # of storage plug-ins, which share no base
+        raise RecordingError(f"{path}: the bag cannot be read: {error}", "is it whole, and was it closed?") from error
+    return reader
+
+
+def _of(info: Any, name: str) -> NDArray[np.float64]:
+    """Return a field of a camera_info: ROS 2 writes it small, ROS 1 large."""
+    return np.asarray(getattr(info, name, getattr(info, name.upper(), ())), np.float64)
+
+
+def _matrix(info: Any, name: str, columns: int) -> NDArray[np.float64]:
+    return _of(info, name).reshape(3, columns)
+
+
+def _is_color(topic: str) -> bool:
+    named = "color" in topic or "rgb" in topic
+    return named and "depth" not in topic and not topic.endswith(("/theora", "/ffmpeg", "/h264"))
+
+
+def _stem(topic: str) -> str:
+    """Return the camera of a topic: raw and rectified, compressed and not, are of one."""
+    return topic.removesuffix("/compressed").removesuffix("/compressedDepth").rpartition("/")[0]
+
+
+def _stamp_of(message: Any) -> int:
+    stamp = message.header.stamp
+    return int(stamp.sec) * NS + int(stamp.nanosec)
+
+
+def _partners(colors: list[int], depths: list[int]) -> dict[int, int]:
+    """Return for colour's stamps the depth's nearest one, within half of colour's usual period; each at most once."""
+    steps = [after - before for before, after in pairwise(colors) if after > before]
+    tolerance_ns = int(np.median(steps)) // 2 if steps else NS // 60
+    found: dict[int, int] = {}
+    taken: set[int] = set()
+    places = np.searchsorted(np.array(depths, np.int64), np.array(colors, np.int64))
+    for stamp_ns, place in zip(colors, places.tolist(), strict=True):
+        near = [depth_ns for depth_ns in depths[max(place - 1, 0) : place + 1] if depth_ns not in taken]
+        best = min(near, key=lambda each: abs(each - stamp_ns), default=None)
+        if best is not None and abs(best - stamp_ns) <= tolerance_ns:
+            found[stamp_ns] = best
+            taken.add(best)
+    return found
+
+
+def _bgr(message: Any) -> NDArray[np.uint8]:
+    if not hasattr(message, "encoding"):
+        return _decompressed(message, cv2.IMREAD_COLOR, np.uint8)
+    encoding = str(message.encoding)
+    if encoding not in COLORS:
+        raise RecordingError(f"colour is encoded as {encoding}", f"one of {', '.join(COLORS)}, or compressed, is read")
+    channels, conversion = COLORS[encoding]
+    pixels = _rows(message, np.dtype(np.uint8), channels)
+    return np.asarray(pixels if conversion is None else cv2.cvtColor(pixels, conversion), np.uint8)
+
+
+def _millimetres(message: Any) -> NDArray[np.uint16]:
+    """Return depth in mm: of REP 118, metres as float32 or millimetres as uint16."""
+    if not hasattr(message, "encoding"):
+        if not str(message.format).startswith("16UC1"):
+            raise RecordingError(f"depth is compressed as {message.format}", "16UC1 in millimetres is read")
+        return _decompressed(message, cv2.IMREAD_UNCHANGED, np.uint16)
+    encoding = str(message.encoding)
+    if encoding not in DEPTHS:
+        raise RecordingError(f"depth is encoded as {encoding}", f"one of {', '.join(DEPTHS)} is read")
+    if encoding == "32FC1":
+        metres = _rows(message, np.dtype(np.float32), 1)
+        with np.errstate(invalid="ignore"):
+            believed = np.isfinite(metres) & (metres > 0.0) & (metres < 65.0)
+        return np.where(believed, np.round(np.where(believed, metres, 0.0) * 1000.0), 0.0).astype(np.uint16)
+    return np.ascontiguousarray(_rows(message, np.dtype(np.uint16), 1))
+
+
+def _rows(message: Any, kind: np.dtype[Any], channels: int) -> NDArray[Any]:
+    """Return pixels (h, w) or (h, w, channels), whatever the order of bytes and what follows each row."""
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    wanted = width * channels * kind.itemsize
+    data = np.asarray(message.data, np.uint8)
+    if height < 1 or width < 1 or step < wanted or data.size < height * step:
+        raise RecordingError(
+            f"an image of {width}x{height} px as {message.encoding} has {data.size} bytes, {step} a row",
+            "is the bag whole?",
+        )
+    rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :wanted])
+    order = kind.newbyteorder(">" if message.is_bigendian else "<")
+    pixels = rows.view(order).astype(kind)
+    return pixels if channels == 1 else pixels.reshape(height, width, channels)
+
+
+def _decompressed(message: Any, flags: int, kind: type[Any]) -> NDArray[Any]:
+    data = np.asarray(message.data, np.uint8)
+    begins = bytes(data[:64]).find(b"\x89PNG")  # compressed depth has a header of its own before it
+    pixels = cv2.imdecode(data[max(begins, 0) :], flags) if data.size else None
+    if pixels is None or pixels.dtype != kind:
+        raise RecordingError(f"an image compressed as {message.format} cannot be read", "is the bag whole?")
+    return pixels
