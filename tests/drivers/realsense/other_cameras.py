@@ -86,6 +86,8 @@ class OtherCamera:
         for sensor in sensors:
             sensor.stop()
             sensor.close()
+        del sensor, sensors, waiting  # before their recorder, which completes the file when it goes
+        del recorder
         return file
 
     def _stream(self, kind: str) -> Any:
