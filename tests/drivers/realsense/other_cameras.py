@@ -75,7 +75,7 @@ class OtherCamera:
         """Write FRAMES frames of each stream as librealsense's own recorder does."""
         recorder = self._rs.recorder(str(file), self.device)
         waiting = self._rs.frame_queue(50)
-        sensors = recorder.query_sensors()
+        sensors = list(recorder.query_sensors())
         for sensor in sensors:
             sensor.open(list(sensor.get_stream_profiles()))
             sensor.start(waiting)
@@ -86,7 +86,8 @@ class OtherCamera:
         for sensor in sensors:
             sensor.stop()
             sensor.close()
-        del sensor, sensors, waiting  # before their recorder, which completes the file when it goes
+        sensors.clear()  # before their recorder, which completes the file when it goes
+        del waiting
         del recorder
         return file
 
