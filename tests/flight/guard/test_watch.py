@@ -34,13 +34,15 @@ class FakeVehicle:
     told: list[tuple[float, str]] = field(default_factory=list[tuple[float, str]])
     stubborn: bool = False
     silent: bool = False
+    lost: bool = False  # beats, and does not know where it is
     name: str = "a vehicle"
     ignored: dict[str, int] = field(default_factory=dict[str, int])
 
     def view(self) -> GuardView | None:
         if not self.silent:
             now_ns = LoopClock().now_ns()
-            self.now = replace(self.now, heartbeat_ns=now_ns, position_ns=now_ns)
+            position_ns = self.now.position_ns if self.lost else now_ns
+            self.now = replace(self.now, heartbeat_ns=now_ns, position_ns=position_ns)
         return self.now
 
     def fly(self, mode: FlightMode = FlightMode.OFFBOARD) -> None:
@@ -220,6 +222,71 @@ def test_what_is_blind_says_so_and_sends_nothing() -> None:
         await bench.end()
 
     virtual(main())
+
+
+def test_heartbeats_alone_are_not_seeing_where_the_vehicle_is() -> None:
+    """The fence and the distances are kept by positions: a guard whose positions stopped says that it is blind."""
+
+    async def fly() -> Bench:
+        bench = Bench()
+        await bench.in_control()
+        bench.vehicle.lost = True
+        await asyncio.sleep(RULES.blind_s - 0.2)
+        assert bench.line.answers[-1].sees
+        assert bench.guard.needed and bench.guard.flown
+        await asyncio.sleep(0.4)
+        assert not bench.line.answers[-1].sees
+        assert not (bench.guard.needed or bench.guard.flown)
+        bench.vehicle.lost = False
+        await asyncio.sleep(0.1)
+        assert bench.line.answers[-1].sees and bench.guard.needed
+        await bench.end()
+        return bench
+
+    assert run_virtual(fly()).vehicle.told == []
+
+
+@pytest.mark.parametrize("goes_on", [True, False])
+def test_a_distance_that_is_not_measured_any_more_is_forgotten(goes_on: bool) -> None:
+    """Measured once, near, while a beat was late: what is measured again counts, and what is old does not."""
+
+    async def fly() -> Bench:
+        bench = Bench()
+        await bench.in_control()
+        guard = bench.guard
+        now_ns = LoopClock().now_ns()
+        bench.line.waiting = Beat(Script.CONTROL, bench.setpoints, separation_m=5.0)
+        guard.tick()
+        bench.line.waiting = Beat(Script.CONTROL, bench.setpoints)
+        await asyncio.sleep(0.2)
+        assert guard._heard is not None
+        assert (guard._heard.separation_m, guard._heard.separation_ns) == (5.0, now_ns)
+        if goes_on:
+            bench.line.waiting = Beat(Script.CONTROL, bench.setpoints, separation_m=4.0)
+            guard.tick()
+            assert guard._heard.separation_m == 4.0 and guard._heard.separation_ns > now_ns
+        await bench.end()
+        return bench
+
+    assert run_virtual(fly()).vehicle.told == []
+
+
+def test_a_near_distance_of_long_ago_does_not_take_the_vehicle() -> None:
+    """It was within the bounds of its own time only: the rules are asked with a fresh one and with an old one."""
+
+    async def fly(age_s: float) -> list[tuple[float, str]]:
+        bench = Bench()
+        await bench.in_control()
+        guard = bench.guard
+        assert guard._heard is not None
+        old_ns = LoopClock().now_ns() - round(age_s * 1e9)
+        guard._heard = replace(guard._heard, separation_m=0.1, separation_ns=old_ns)
+        await asyncio.sleep(RULES.patience_s + 0.1)
+        told = list(bench.vehicle.told)
+        await bench.end()
+        return told
+
+    assert run_virtual(fly(RULES.beat_age_s + 0.1)) == []
 
 
 def test_two_vehicles_of_one_program_know_each_others_places() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 from drivers.interfaces import FlightMode, VehicleState
 from flight.config import MissionConfig, RendezvousConfig
-from flight.guidance import Vec3, add, norm, subtract
+from flight.guidance import Vec3, add, norm, scale, subtract
 from flight.rendezvous.course import Rendezvous, stand_off_m
 from missions import rig_library
 from path.messages import Role, Status
@@ -92,6 +93,24 @@ def test_once_the_marker_was_seen_it_says_where_the_sender_is() -> None:
 )
 def test_an_approach_goes_on_only_within_its_bounds(seen: Seen, why: str) -> None:
     assert rendezvous(MissionConfig(), seen).out_of_bounds() == why
+
+
+@pytest.mark.parametrize(
+    ("off_m", "speed_mps", "there"),
+    [(0.0, 0.0, True), (0.9, 0.9, True), (0.0, 1.1, False), (1.1, 0.0, False), (0.0, math.nan, False)],
+)
+def test_at_the_viewpoint_is_near_and_slow_in_any_direction(off_m: float, speed_mps: float, there: bool) -> None:
+    """Shares of what the settings allow: a drone that passes through at speed has not arrived."""
+    config = MissionConfig()
+    most_m, most_mps = config.rendezvous.arrived_m, config.rendezvous.arrived_speed_mps
+    for way in ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)):
+        seen = Seen()
+        guide = rendezvous(config, seen)
+        guide._viewpoint = cast(Any, SimpleNamespace(camera_h_m=(-1.2, 0.1, -0.6), yaw_h_rad=0.0))
+        seen.marker_n_m = add((1.2, -0.1, 0.6), scale(way, off_m * most_m))
+        seen.velocity_n_mps = scale(way, speed_mps * most_mps)
+        assert guide.at_viewpoint() is there
+    assert not rendezvous(config, Seen(known=False)).at_viewpoint()
 
 
 def test_the_search_comes_no_nearer_than_the_stand_off_while_the_marker_can_be_seen_from_there() -> None:

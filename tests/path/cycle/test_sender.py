@@ -16,7 +16,7 @@ from path.cycle.prior import Prior
 from path.cycle.receiver import ReceiverCycle
 from path.cycle.sender import PairVerdict, SenderCycle
 from path.gate.agreement import Agreed
-from path.gate.evidence import EvidenceGate
+from path.gate.evidence import EvidenceGate, strength
 from path.gate.window import AgreementWindow
 from path.geometry.rotation import exp, quat_from_R
 from path.geometry.transforms import Pose
@@ -252,6 +252,58 @@ def test_a_fresh_frame_of_d2_that_does_not_agree_restarts_the_count(
     assert pair.verdict.reason is reason
     assert not pair.verdict.ignored
     assert bench.count == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "compared"),
+    [
+        ({"box": Box(100.0, 100.0, 80.0, 80.0)}, True),
+        ({"box": None, "reason": MissReason.NO_CANDIDATE}, False),
+        ({"sigma_m": 0.5}, False),
+        ({"target_sequence": 40_000}, False),
+    ],
+)
+def test_the_gate_is_told_by_how_much_a_pair_disagrees_and_of_nothing_where_nothing_was_compared(
+    monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], compared: bool
+) -> None:
+    """A pair that was compared and disagrees speaks against the object; one that could not be compared does not."""
+    bench = Bench()
+    bench.run(5)
+    told: list[float | None] = []
+
+    def disagree(_sequence: int, _capture_ns: int, by: float | None) -> None:
+        told.append(by)
+
+    monkeypatch.setattr(bench.sender.gate, "disagree", disagree)
+    (pair,) = bench.step(6, **changes)
+    if not compared:
+        assert told == [None]
+        return
+    assert isinstance(pair.verdict, Missed) and pair.verdict.iou is not None and pair.tau is not None
+    assert told == [strength(pair.verdict.iou, pair.tau)]
+    assert told[0] is not None and told[0] < -0.5
+
+
+@pytest.mark.parametrize(
+    ("changes", "kept"),
+    [
+        ({"box": None, "reason": MissReason.NO_CANDIDATE}, True),
+        ({"box": Box(100.0, 100.0, 80.0, 80.0)}, False),
+    ],
+)
+def test_frames_that_disagree_cost_what_was_gathered_and_frames_without_a_box_do_not(
+    changes: dict[str, Any], kept: bool
+) -> None:
+    """With the gate that goes by evidence: as many frames of either, after the same agreement."""
+    bench = Bench(MethodConfig(gate="evidence"))
+    bench.run(60)
+    before = bench.sender.gate.evidence
+    for index in range(61, 100):
+        bench.step(index, **changes)
+    after = bench.sender.gate.evidence
+    assert before is not None and after is not None and before.reached > 0.0
+    assert (after.reached >= before.reached) is kept
+    assert not bench.sender.gate.complete
 
 
 @pytest.mark.parametrize(

@@ -47,6 +47,10 @@ class SideBySide:
         for gate in self.gates:
             gate.restart(stamp_ns)
 
+    def end_run(self, stamp_ns: int) -> None:
+        for gate in self.gates:
+            gate.end_run(stamp_ns)
+
     def expire(self, instant_ns: int) -> bool:
         return _first([gate.expire(instant_ns) for gate in self.gates])
 
