@@ -23,6 +23,7 @@ from path.bounds import out_of_bounds
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "handoff": ("flights:HandoffOptions", "handoff.command"),
+    "rehearse": ("flights:RehearseOptions", "rehearse"),
     "relay": ("flights:RelayOptions", "relay.command"),
     "team": ("flights:TeamOptions", "team.command"),
     "fly": ("flights:FlyOptions", "own.command"),
@@ -65,6 +66,7 @@ examples:
   path-handoff replay runs/20261104-101500    what was decided, decided again from the logs
   path-handoff view runs/20261104-101500      the scene, both images, plots, words, in Rerun
   path-handoff fly mission.py --rig sim       a mission of your own (docs/own-missions.md)
+  path-handoff rehearse my-rig.toml           fly a field rig in the harness, as it is
   path-handoff plan my-rig.toml               can these drones do it, and how?
   path-handoff doctor --rig my-rig.toml       is everything there, before anything moves?
   path-handoff prepare --rig my-rig.toml      compile its kernels now, so that no later start does

@@ -111,6 +111,32 @@ class HoursOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class RehearseOptions:
+    """Fly a rig of the field in the harness as it is, its hardware replaced behind the drivers."""
+
+    rig: Annotated[AnyRig, tyro.conf.Positional]
+
+    level: Literal["sim", "sim-rendered", "sitl"] = "sim"
+    """sim: observations from geometry, in virtual time; sim-rendered: rendered frames; sitl: real time, MAVSDK."""
+
+    seed: RunSeed = 0
+
+    seeds: Annotated[int, Bounds(1, 1_000_000, "runs")] = 1
+    """Fly this many runs with seeds from --seed on, and print what became of them."""
+
+    jobs: JobCount = 0
+    """Runs at a time with --seeds; 0: one per core."""
+
+    fault: Faults = ()
+    """Faults to try, such as lookalike or kill_sender=1@verify+2; may be given several times."""
+
+    errors: ErrorLevel = None
+    """Errors of the simulated world against the rig (docs/errors.md)."""
+
+    out: RunFolder = None
+
+
+@dataclass(frozen=True, slots=True)
 class RelayOptions(HoursOptions):
     """Hand one target from drone to drone as batteries run down: hours in simulated time, or minutes in real time."""
 
