@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from drivers.interfaces import Capability
+from drivers.operator.interfaces import PlaceTold
 from flight.guard.rules import GuardRules
 from flight.guidance import Answer, Vec3
 from path.bounds import Bounds
@@ -18,19 +18,6 @@ def off_from(home_m: tuple[float, ...] | None, position_n_m: Vec3) -> tuple[floa
 
 
 @dataclass(frozen=True, slots=True)
-class Designated:
-    """The ground on which a designated object can be: by an error that stays, and by how far it may have driven."""
-
-    place_n_m: Vec3
-    error_m: float
-    drift_m: float
-
-    @property
-    def radius_m(self) -> float:
-        return self.error_m + self.drift_m
-
-
-@dataclass(frozen=True, slots=True)
 class TargetDesignation:
     """The object that the sender is to track: where the operator pointed, when, and what it did, in the local frame."""
 
@@ -39,26 +26,32 @@ class TargetDesignation:
     height_m: Annotated[float, Bounds(-10.0, 100.0)] = 0.10  # of the object's middle above the ground
     half_size_m: Annotated[float, Bounds(0.02, 3.0)] = 0.25  # around its middle, as much as must be in view
     flies: bool = False  # it moves up and down too; else it stays as high as it was
-    # how far from the place the object may be: by where it was pointed at, and by the drone's own position
-    radius_m: Annotated[float, Bounds(0.05, 20.0)] = 0.9
+    # standard deviation of the place on each axis: of the pointing, and of the drone's own position
+    error_m: Annotated[float, Bounds(0.01, 20.0)] = 0.3
     # where the drone stands before take-off, north and east, as the crew measured it like the place: then what its own
     # position is off there is taken out of the place; unstated, its position is believed
     home_m: Annotated[tuple[float, float] | None, Bounds(-1000.0, 1000.0)] = None
     age_s: Annotated[float, Bounds(0.0, 3600.0)] = 0.0  # of the designation, when the drone's program starts
-    north_mps: Annotated[float, Bounds(-15.0, 15.0)] = 0.0  # what it drove when it was pointed at
-    east_mps: Annotated[float, Bounds(-15.0, 15.0)] = 0.0
-    holds_s: Annotated[float, Bounds(0.0, 36000.0)] = 20.0  # for so long it stands, or goes on driving so
-    drift_mps: Annotated[float, Bounds(0.0, 15.0)] = 0.5  # after that it may be this much farther off every second
+    # what it drove when it was pointed at, where that is known
+    velocity_mps: Annotated[tuple[float, ...], Bounds(-15.0, 15.0)] = ()
+    holds_s: Annotated[float, Bounds(0.0, 36000.0)] = 0.0  # for so long it is known to stand, or to go on driving so
+    # the most that it can drive; what a drone follows is no faster than follow.max_speed_mps
+    fastest_mps: Annotated[float, Bounds(0.01, 15.0)] = 1.2
 
-    def at(self, since_start_s: float, off_m: Sequence[float] = (0.0, 0.0)) -> Designated:
-        """The region in which the object can be so long after the start of the drone's program.
+    def __post_init__(self) -> None:
+        if len(self.velocity_mps) not in (0, 2):
+            raise ValueError("velocity_mps must be two numbers, north and east, or empty")
 
-        ``off_m``: how far the drone's own position is off, north and east, first of all (``off_from``).
-        """
-        age_s = self.age_s + max(0.0, since_start_s)
-        north = self.north_m + off_m[0] + self.north_mps * age_s
-        place = north, self.east_m + off_m[1] + self.east_mps * age_s, -self.height_m
-        return Designated(place, self.radius_m, self.drift_mps * max(0.0, age_s - self.holds_s))
+    def told(self, begun_ns: int) -> PlaceTold:
+        """Return it as the statement that it is, made ``age_s`` before the drone's program began."""
+        return PlaceTold(
+            stamp_ns=begun_ns - round(self.age_s * 1e9),
+            place_n_m=(self.north_m, self.east_m, -self.height_m),
+            error_m=self.error_m,
+            height_told=self.flies,
+            velocity_n_mps=(self.velocity_mps[0], self.velocity_mps[1]) if self.velocity_mps else None,
+            holds_s=self.holds_s,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +149,7 @@ class Deadlines:
     guard_s: Annotated[float, Bounds(0.1, 3600.0)] = 15.0
     peer_s: Annotated[float, Bounds(0.1, 3600.0)] = 60.0
     take_off_s: Annotated[float, Bounds(0.1, 3600.0)] = 30.0
-    acquire_s: Annotated[float, Bounds(0.1, 3600.0)] = 10.0  # what was pointed at does not wait for ever
+    acquire_s: Annotated[float, Bounds(0.1, 3600.0)] = 30.0  # somebody who is asked has to look, too
     receiver_ready_s: Annotated[float, Bounds(0.1, 3600.0)] = 120.0
     viewpoint_s: Annotated[float, Bounds(0.1, 3600.0)] = 15.0
     stand_off_s: Annotated[float, Bounds(0.1, 3600.0)] = 40.0

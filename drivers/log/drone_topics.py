@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.log.topic_fields import CAMERA, Topic, box, flag, number, numbers, reason, table, text, whole
+from drivers.log.topic_fields import CAMERA, Topic, box, flag, number, numbers, reason, table, tables, text, whole
 
 DRONE: dict[str, Topic] = {
     "/setup": Topic(
@@ -93,6 +93,48 @@ DRONE: dict[str, Topic] = {
     "/home": Topic(
         "the drone stands where the crew put it down, before take-off",
         {"off_m": numbers("how far its position is off there, north and east in m; 0 where no home is stated")},
+    ),
+    "/told": Topic(
+        "D1 was told something of which object is meant; places are in its own frame",
+        {
+            "kind": text("place, bearing, region or choice"),
+            "at_ns": whole("the instant that is spoken of, own clock"),
+            "used": flag("it was of use: an answer may come when the object is not known any more"),
+            "place_n_m": numbers("north, east, down in m"),
+            "error_m": number("standard deviation of the place on each axis, m"),
+            "height_told": flag("down was said too"),
+            "velocity_n_mps": numbers("north and east in m/s, where it was said"),
+            "holds_s": number("for so long it is said to stand, or to go on so, s"),
+            "from_n_m": numbers("north and east of who saw it in that direction, m"),
+            "bearing_rad": number("clockwise from north, rad"),
+            "error_rad": number("standard deviation of that, rad"),
+            "corners_n_m": numbers("north, east of one corner after another, m"),
+            "question": whole("that is answered"),
+            "number": whole("of the object that was chosen; 0: none of those shown"),
+        },
+    ),
+    "/question": Topic(
+        "D1 asks which of several objects is meant",
+        {
+            "number": whole("of the question"),
+            "capture_ns": whole("of the frame that is shown"),
+            "shown": tables(
+                "the objects",
+                number=whole("its number"),
+                box=box("in that frame"),
+                place_n_m=numbers("north, east, down in m"),
+                share=number("probability that it is the one, by all that was said"),
+            ),
+        },
+    ),
+    "/taken": Topic(
+        "D1 takes an object for its target; the stamp is the capture",
+        {
+            "position_n_m": numbers("north, east, down in m"),
+            "velocity_n_mps": numbers("north, east, down in m/s"),
+            "share": number("probability that it is the one meant"),
+            "chosen": flag("by somebody who was asked"),
+        },
     ),
     "/setpoint": Topic(
         "what the vehicle was told",

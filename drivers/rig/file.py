@@ -19,6 +19,7 @@ harness = "hil.harness.sitl:Sitl"            # left out in the field
 factory = "drivers.mavlink.vehicle:MavsdkVehicle"
 [sender.perception], [sender.link], [sender.clock], [sender.camera], [sender.mount.camera], [sender.mount.marker]
 [sender.guard]                       # may be left out: the guard's own link to the vehicle
+[sender.operator]                    # may be left out: whoever says which object is meant while D1 is in the air
 [receiver. ...]                      # the same, without mount.marker
 
 ``like = "sitl"`` takes all of another rig but what is written; the other one is a name, or a file beside this one. A
@@ -113,6 +114,7 @@ class _SenderTable:
     camera: _Camera
     mount: _SenderMount
     guard: PartSpec | None = None
+    operator: PartSpec | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,4 +302,5 @@ def _role_rig(written: _SenderTable | _ReceiverTable, T_b_v: Pose) -> RoleRig:
         mount=mount,
         camera_serial=camera.serial,
         guard=written.guard,
+        operator=written.operator if isinstance(written, _SenderTable) else None,
     )

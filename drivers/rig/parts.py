@@ -147,11 +147,12 @@ class RoleRig:
     mount: Mount
     camera_serial: str = ""
     guard: PartSpec | None = None  # the guard's own way to the vehicle, in a process of its own
+    operator: PartSpec | None = None  # whoever the sender hears of which object is meant
 
     @property
     def parts(self) -> tuple[PartSpec, ...]:
-        every = self.clock, self.vehicle, self.perception, self.link
-        return every if self.guard is None else (*every, self.guard)
+        every = self.clock, self.vehicle, self.perception, self.link, self.guard, self.operator
+        return tuple(part for part in every if part is not None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from hil.world.detector import DetectorConfig
 from hil.world.dynamics import AirframeConfig
 from hil.world.errors import ErrorsConfig, level_of, put_down
 from hil.world.estimator import EstimatorConfig, WindConfig
+from hil.world.operator import PersonConfig
 from hil.world.targets import LookAlikeConfig, Point, TargetConfig
 from path.bounds import Bounds, check_bounds
 from path.messages import Role
@@ -111,6 +112,7 @@ class WorldConfig:
     airframe: AirframeConfig = field(default_factory=AirframeConfig)
     autopilot: AutopilotConfig = field(default_factory=AutopilotConfig)
     detector: DetectorConfig | None = None  # as one was measured on such targets in this scene
+    person: PersonConfig = field(default_factory=PersonConfig)  # who says which object is meant, in real time
     target: TargetConfig = field(default_factory=TargetConfig)
     look_alikes: LookAlikeConfig = field(default_factory=LookAlikeConfig)
     sender_home: HomeConfig = field(default_factory=HomeConfig)

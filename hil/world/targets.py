@@ -1,7 +1,6 @@
 """The target and its look-alikes: of which kind, and where they are, as functions of time fixed by the seed.
 
-The target drives round a smooth closed loop that starts where it is parked. Some look-alikes drive the same loop a
-fixed way ahead or behind, the others are parked beside it; all keep their distance at every time, which is checked
+The target drives round a smooth closed loop, and stands now and then. Some look-alikes drive the same loop a fixed way ahead or behind, the others are parked beside it; all keep their distance at every time, which is checked
 when they are placed. Only a look-alike that is sent (a fault) comes close, past the target but never through it.
 Cars and people are on the ground; drones fly, the target and those on its loop up and down together, the others each
 at a height of its own. Positions are (E, N) in metres, angles counter-clockwise from east.
@@ -26,6 +25,7 @@ Point = tuple[float, float]
 Array = NDArray[np.float64]
 
 RAMP_S = 2.0  # from parked to full speed
+FIRST_STANDS = 0.3  # share of those that stand at first
 LOOP_POINTS = 1024
 LOOK_ALIKE_GAP_M = 0.8  # between two look-alikes
 HOME_GAP_M = 1.5  # nothing is parked where drones stand
@@ -45,10 +45,12 @@ LOWEST_M, HIGHEST_M = 0.5, 3.0  # of what flies
 
 @dataclass(frozen=True, slots=True)
 class TargetConfig:
-    """The target waits at ``start_m`` until ``start_time_s``, then drives, never leaving ``radius_m`` around it.
+    """The target waits at ``start_m`` until ``start_time_s``, then moves, never leaving ``radius_m`` around it.
 
     Attributes:
         kind: of the target and its look-alikes: a robot car, a person who walks, or a micro-UAV that flies.
+        drives_s, stands_s: at least and at most, in turns, by seed; whether it drives or stands first is drawn too. It
+            never stands when ``stands_s`` is 0.
         to_and_fro_s: period of driving ahead and back along the loop, ``speed_mps`` being the fastest; 0: always ahead.
         height_m: above the ground, of the middle of one that flies, while it waits.
         size_m: length, width and height of the target and its look-alikes; None: as their kind has them. People keep
@@ -59,7 +61,9 @@ class TargetConfig:
     kind: TargetKind = "car"
 
     start_m: Annotated[Point, Bounds(-1000, 1000)] = (0.0, 4.0)
-    start_time_s: Annotated[float, Bounds(0.0, 3600.0)] = 20.0
+    start_time_s: Annotated[float, Bounds(0.0, 3600.0)] = 0.0
+    drives_s: Annotated[tuple[float, float], Bounds(1.0, 3600.0)] = (8.0, 25.0)
+    stands_s: Annotated[tuple[float, float], Bounds(0.0, 3600.0)] = (1.0, 5.0)
     speed_mps: Annotated[float, Bounds(0.0, 15.0)] = 0.3
     radius_m: Annotated[float, Bounds(1.0, 500.0)] = 4.0
     # from the start to the middle of the loop, counter-clockwise from east
@@ -78,6 +82,12 @@ class TargetConfig:
         return stretch_of(self.kind, self.size_m)
 
     def __post_init__(self) -> None:
+        for name in ("drives_s", "stands_s"):
+            least_s, most_s = getattr(self, name)
+            if least_s > most_s:
+                raise ValueError(f"{name}: the least comes first")
+        if self.drives_s[0] < 2.0 * RAMP_S:
+            raise ValueError(f"drives_s: at least {2.0 * RAMP_S:g} s, to start and to stop in")
         if self.height_m + self.climb_m > HIGHEST_M:
             raise ValueError(f"height_m and climb_m together must not be above {HIGHEST_M:g} m")
 
@@ -96,6 +106,51 @@ class LookAlikeConfig:
             raise ValueError("driving must be within 0..count")
         if not 1.0 <= self.min_distance_m < self.max_distance_m:
             raise ValueError("min_distance_m must be at least 1.0 and below max_distance_m")
+
+
+class Pace:
+    """How far something has driven that drives and stands in turns, and how fast it is. A pure function of time.
+
+    It starts and stops within ``RAMP_S``, without a jerk.
+    """
+
+    def __init__(self, target: TargetConfig, rng: np.random.Generator) -> None:
+        self._speed_mps = target.speed_mps
+        self._drives_s, self._stands_s = target.drives_s, target.stands_s
+        self._rng = rng
+        self._ever_stands = target.stands_s[1] > 0.0
+        begin_s = 0.0
+        if self._ever_stands and rng.random() < FIRST_STANDS:
+            begin_s = float(rng.uniform(*target.stands_s))
+        self._drives: list[tuple[float, float, float]] = []  # begin and end, and how far it had come
+        self._add(begin_s, 0.0)
+
+    def _add(self, begin_s: float, driven_m: float) -> None:
+        lasts_s = float(self._rng.uniform(*self._drives_s)) if self._ever_stands else math.inf
+        self._drives.append((begin_s, begin_s + lasts_s, driven_m))
+
+    def at(self, time_s: float) -> tuple[float, float]:
+        """Metres and m/s."""
+        while (last := self._drives[-1])[1] < time_s:
+            driven_m = last[2] + self._speed_mps * (last[1] - last[0] - RAMP_S)
+            self._add(last[1] + float(self._rng.uniform(*self._stands_s)), driven_m)
+        begin_s, end_s, before_m = next(
+            (drive for drive in reversed(self._drives) if drive[0] <= time_s), (math.inf, math.inf, 0.0)
+        )
+        if time_s <= begin_s:
+            return 0.0, 0.0
+        ramp_m, ramp_mps = _ramped((time_s - begin_s) / RAMP_S)
+        stopped_m, stopped_mps = _ramped((time_s - (end_s - RAMP_S)) / RAMP_S)
+        return before_m + self._speed_mps * (ramp_m - stopped_m), self._speed_mps * (ramp_mps - stopped_mps)
+
+
+def _ramped(share: float) -> tuple[float, float]:
+    """Metres and m/s of something that comes to 1 m/s within ``RAMP_S``, at a share of that time and after."""
+    if share <= 0.0:
+        return 0.0, 0.0
+    if share < 1.0:
+        return RAMP_S * (share**3 - 0.5 * share**4), 3.0 * share**2 - 2.0 * share**3
+    return RAMP_S * (share - 0.5), 1.0
 
 
 class Loop:
@@ -171,9 +226,10 @@ class GroundVehicles:
             first_id: number of the target; its look-alikes' follow.
         """
         self._first_id = first_id
-        loop_seed, place_seed, crossing_seed = seed.spawn(3)
+        loop_seed, place_seed, crossing_seed, pace_seed = seed.spawn(4)
         self._config = target
         self._loop = Loop(target, np.random.default_rng(loop_seed))
+        self._pace = Pace(target, np.random.default_rng(pace_seed))
         self._crossing_rng = np.random.default_rng(crossing_seed)
         self._crossings: list[Crossing] = []
         self._apart = _driving(self._loop, look_alikes)
@@ -191,17 +247,14 @@ class GroundVehicles:
 
         A smooth start, then steadily, or to and fro.
         """
-        since = (time_s - self._config.start_time_s) / RAMP_S
-        speed = self._config.speed_mps
-        if since <= 0.0:
+        since_s = time_s - self._config.start_time_s
+        if since_s <= 0.0:
             return 0.0, 0.0
         if self._config.to_and_fro_s > 0.0:
             turn = 2.0 * math.pi / self._config.to_and_fro_s
-            angle = turn * (time_s - self._config.start_time_s)
+            speed, angle = self._config.speed_mps, turn * since_s
             return speed / turn * (1.0 - math.cos(angle)), speed * math.sin(angle)
-        if since < 1.0:
-            return speed * RAMP_S * (since**3 - 0.5 * since**4), speed * (3.0 * since**2 - 2.0 * since**3)
-        return speed * RAMP_S * (since - 0.5), speed
+        return self._pace.at(since_s)
 
     def _risen(self, time_s: float) -> tuple[float, float]:
         """Returns the height of the target and of those on its loop, and how fast they climb."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -10,10 +10,12 @@ import numpy as np
 
 from drivers.interfaces import View
 from drivers.log.topics import camera_record
+from drivers.operator.interfaces import BearingTold, Chosen, PlaceTold, Question, RegionTold, Told
 from drivers.rig.parts import Rig
 from flight.config import MissionConfig
 from flight.estimator_steps import Step
 from flight.rendezvous.marker_view import MarkerFix, VehicleMotions
+from flight.tracking.acquisition import Taken
 from flight.tracking.association import Sighting
 from path.cycle.prior import Prior
 from path.cycle.sender import PairVerdict
@@ -105,6 +107,62 @@ def heard_target_record(target: Target, capture_ns: int) -> dict[str, Any]:
 
 def box_record(box: Box | None) -> list[float] | None:
     return None if box is None else [box.x, box.y, box.w, box.h]
+
+
+def told_record(told: Told | Chosen, *, used: bool) -> dict[str, Any]:
+    """``/told``: what was said of which object is meant, places in this drone's own frame."""
+    record: dict[str, Any] = {"used": used, "kind": "region", "at_ns": None}
+    if isinstance(told, Chosen):
+        return {**record, "kind": "choice", "question": told.question, "number": told.number}
+    record["at_ns"] = told.stamp_ns
+    if isinstance(told, PlaceTold):
+        place = {"place_n_m": told.place_n_m, "error_m": told.error_m, "height_told": told.height_told}
+        moves = {"velocity_n_mps": told.velocity_n_mps, "holds_s": told.holds_s}
+        return {**record, "kind": "place", **place, **moves}
+    if isinstance(told, BearingTold):
+        seen = {"from_n_m": told.from_n_m, "bearing_rad": told.bearing_rad, "error_rad": told.error_rad}
+        return {**record, "kind": "bearing", **seen}
+    return {**record, "corners_n_m": [number for corner in told.corners_n_m for number in corner]}
+
+
+def told_of(record: Mapping[str, Any]) -> Told | Chosen:
+    """Read what ``told_record`` has written."""
+    kind, at_ns = record["kind"], record["at_ns"]
+    if kind == "choice":
+        return Chosen(record["question"], record["number"])
+    if kind == "place":
+        north, east, down = record["place_n_m"]
+        moves = record.get("velocity_n_mps")
+        velocity = None if moves is None else (moves[0], moves[1])
+        place = (north, east, down)
+        return PlaceTold(at_ns, place, record["error_m"], record["height_told"], velocity, record["holds_s"])
+    if kind == "bearing":
+        north, east = record["from_n_m"]
+        return BearingTold(at_ns, (north, east), record["bearing_rad"], record["error_rad"])
+    flat = record["corners_n_m"]
+    return RegionTold(at_ns, tuple((flat[k], flat[k + 1]) for k in range(0, len(flat), 2)))
+
+
+def question_record(question: Question) -> dict[str, Any]:
+    """``/question``: the objects of one frame of which somebody is asked which one is meant."""
+    return {
+        "number": question.number,
+        "capture_ns": question.stamp_ns,
+        "shown": [
+            {"number": each.number, "box": box_record(each.box), "place_n_m": each.place_n_m, "share": each.share}
+            for each in question.shown
+        ],
+    }
+
+
+def taken_record(taken: Taken) -> dict[str, Any]:
+    """``/taken``: the object that was taken for the target, in the frame with this stamp."""
+    return {
+        "position_n_m": taken.position_n_m,
+        "velocity_n_mps": taken.velocity_n_mps,
+        "share": taken.share,
+        "chosen": taken.chosen,
+    }
 
 
 def beside_record(beside: Sequence[Rival]) -> list[float]:

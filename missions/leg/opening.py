@@ -12,6 +12,7 @@ import cv2
 from drivers.interfaces import Clock, Link, Perception, Vehicle
 from drivers.mavlink.guard.interfaces import GuardLine
 from drivers.mavlink.guard.line import UdpGuardLine
+from drivers.operator.interfaces import Operator
 from drivers.resident import give_back
 from drivers.rig.parts import PartContext, PartSpec, Rig, RoleRig, create, ended_by, part_context
 from drivers.rig.tables import RigError
@@ -47,10 +48,15 @@ async def open_session(
     if own.guard is not None:
         line = guard_line_of(own.guard, role, context.clock, harness)
         guard = UnderGuard(await stack.enter_async_context(line), context.clock, config.guard_process)
+    operator: Operator | None = None
+    if own.operator is not None:
+        operator = await stack.enter_async_context(create(own.operator, context))
     leave_opening(harness)
     parts = (context.clock, vehicle, perception, link)
     stages = Stages() if harness is None else None
-    return RoleSession(rig, role, config, given.log, given.emit, given.stop, parts, entropy, guard, stages)
+    session = RoleSession(rig, role, config, given.log, given.emit, given.stop, parts, entropy, guard, stages)
+    session.operator = operator
+    return session
 
 
 async def _opened(stack: AsyncExitStack, spec: PartSpec, context: PartContext) -> Any:

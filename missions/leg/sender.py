@@ -7,8 +7,9 @@ import math
 from dataclasses import replace
 
 from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
+from drivers.operator.interfaces import PlaceTold
 from flight.camera_pose import CameraPose
-from flight.config import Designated, MissionConfig
+from flight.config import MissionConfig
 from flight.guidance import (
     BELOW_FENCE_M,
     Anchor,
@@ -24,12 +25,12 @@ from flight.guidance import (
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.tilt import Tilt
-from flight.tracking.acquisition import Acquisition
 from flight.tracking.association import Sighting, follow
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.look_round import LookRound
 from flight.tracking.target_track import TargetTrack
 from flight.way_out import way_out_m
+from missions.leg.designating import Designating
 from missions.leg.handover import SenderHandover
 from missions.leg.journal import (
     agreement_record,
@@ -51,6 +52,7 @@ from path.messages import Candidate, Target
 from path.observations import Missed, MissReason
 
 _PEER_POLL_S = 0.25
+_ACQUIRED_POLL_S = 0.05
 _WIDER = 1.4  # times the distance, to see it again
 
 
@@ -67,11 +69,10 @@ class Sender:
         ahead, right, down = rig.sender.mount.T_b_c.R[:, 2].tolist()
         self._axis_b: Vec3 = (ahead, right, down)
         self._heading_rad = math.radians(config.heading_deg)
-        self._begun_ns = session.now_ns()
         self._track: TargetTrack | None = None
-        self._acquisition = Acquisition(self._camera, rig.method)
         self._largest = LargestBox.of(self._camera, rig.method)
         self._look_round = LookRound(config)
+        self._designating = Designating(session, self._camera, self._look_round, self._pointed_at)
         self._watching = True
         self._handover = SenderHandover(session, store)
         self._cycle: SenderCycle | None = None
@@ -99,12 +100,19 @@ class Sender:
         session.enter(Phase.ACQUIRE)
         session.pilot.guidance = self._to_first_place
         session.spawn(self._watch())
-        await session.until(
-            lambda: self._track is not None,
-            deadlines.acquire_s,
-            Outcome.TARGET_NOT_FOUND,
-            "no object was clearly the designated one",
-        )
+        listening = session.spawn(self._designating.listen())
+        await self._until_acquired(deadlines.acquire_s)
+        listening.cancel()
+        self._designating.stop()
+
+    async def _until_acquired(self, timeout_s: float) -> None:
+        """Wait for a target. Raises MissionEnd(TARGET_NOT_FOUND) with what was seen, and what would have told."""
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + timeout_s
+        while self._track is None:
+            if loop.time() > end_s:
+                raise MissionEnd(Outcome.TARGET_NOT_FOUND, f"within {timeout_s:.0f} s: {self._designating.why()}")
+            await asyncio.sleep(_ACQUIRED_POLL_S)
 
     async def hand_over(self) -> None:
         """Follow the tracked target, and offer it, until the other drone is known to hold it."""
@@ -196,29 +204,29 @@ class Sender:
         return (self._session.now_ns() - track.stamp_ns) * 1e-9 > 0.5 * self._config.deadlines.target_coast_s
 
     def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
-        """Leads to where the designated place is in view, and round it where nothing is found from there."""
+        """Leads to where all the ground is in view that the target can be on, and round it where nothing is found."""
         session, look_round = self._session, self._look_round
         now_ns, went = session.now_ns(), look_round.going
-        designated = self._designated(now_ns).place_n_m
+        there, wider = self._place_to_look_at(now_ns)
         if self._track is None:
-            look_round.step(now_ns, math.dist(self._view_of(designated), state.position_n_m), designated)
+            look_round.step(now_ns, math.dist(self._view_of(there, wider), state.position_n_m), there)
             self._heading_rad = look_round.heading_rad
         if look_round.going and not went:
             session.say("nothing was found from here: looks from other sides")
-        way = self._approach(self._view_of(designated), look_round.velocity_n_mps, state)
-        return replace(way, yaw_rad=look_round.yaw_rad(state.position_n_m, designated))
+        way = self._approach(self._view_of(there, wider), look_round.velocity_n_mps, state)
+        return replace(way, yaw_rad=look_round.yaw_rad(state.position_n_m, there))
 
     def _approach(self, place_n_m: Vec3, velocity_n_mps: Vec3, state: VehicleState) -> VelocitySetpoint:
         """To a moving place, and to rest there: past it the target would be below the image."""
         error, answer = subtract(place_n_m, state.position_n_m), self._config.follow.answer(self._config.max_accel_mps2)
         return VelocitySetpoint(approach(error, state.velocity_n_mps, velocity_n_mps, answer), self._heading_rad)
 
-    def _view_of(self, target_n_m: Vec3) -> Vec3:
+    def _view_of(self, target_n_m: Vec3, wider: float = 1.0) -> Vec3:
         """Behind and above the target, in the heading it was approached with; a drone that is tilted stands aside.
 
-        However far up a target seems to be, it is below the fence.
+        However far up a target seems to be, it is below the fence. ``wider``: times as far off as usual.
         """
-        keep, wider = self._config.follow, _WIDER if self._regaining() else 1.0
+        keep, wider = self._config.follow, max(wider, _WIDER if self._regaining() else 1.0)
         below_m = wider * (keep.height_m - self._config.target.height_m)
         place = add(target_n_m, from_heading((-wider * keep.behind_m, 0.0, -below_m), self._heading_rad))
         place = add(place, self._tilt.aim(self._axis_b, self._heading_rad, below_m))
@@ -272,17 +280,20 @@ class Sender:
             await asyncio.sleep(_PEER_POLL_S)
 
     def _try_to_acquire(self, view: View, R_n_b: Matrix) -> None:
-        T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
-        position = self._acquisition.look(view, T_n_c, self._designated(view.stamp_ns))
-        if self._acquisition.ambiguous:
-            self._look_round.hold()
-        if position is not None:
-            self._track = TargetTrack.of(self._config, position, view.stamp_ns, self._largest)
-            self._heading_rad = self._look_round.found(self._session.vehicle.state.position_n_m, position)
+        taken = self._designating.look(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b))
+        if taken is not None:
+            self._track = TargetTrack.of(self._config, taken.position_n_m, view.stamp_ns, self._largest)
+            self._track.velocity_n_mps = taken.velocity_n_mps
+            position = self._session.vehicle.state.position_n_m
+            self._heading_rad = self._look_round.found(position, taken.position_n_m)
 
-    def _designated(self, stamp_ns: int) -> Designated:
-        """The ground on which the object that the operator pointed at can be by a stamp."""
-        return self._config.target.at((stamp_ns - self._begun_ns) * 1e-9, self._session.off_n_m)
+    def _place_to_look_at(self, now_ns: int) -> tuple[Vec3, float]:
+        """The place to look at until there is a target, and how many times as far off as usual."""
+        return self._designating.where(now_ns)
+
+    def _pointed_at(self) -> PlaceTold | None:
+        """What somebody says who goes on pointing at the target; None: the mission's designation."""
+        return None
 
     def _cycle_once(self, view: View, R_n_b: Matrix, track: TargetTrack) -> None:
         """One cycle of PATH: follow the box, say where the target is, judge the receiver's answers."""

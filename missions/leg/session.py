@@ -25,6 +25,7 @@ from drivers.interfaces import (
     VehicleError,
 )  # fmt: skip
 from drivers.link.flood import LinkAlarm
+from drivers.operator.interfaces import Operator
 from drivers.rig.parts import Rig, RoleRig, ended_by
 from drivers.stages import Stages
 from flight.clocks import ClockAlignment, answer
@@ -112,6 +113,7 @@ class RoleSession:
         self.claim: TakeResponsibility | None = None
         self.instance: Callable[[], int] = int  # what a Status of this drone names
         self.observing = False
+        self.operator: Operator | None = None  # who says which object is meant; a receiver has none
         self.off_n_m: Vec3 = (0.0, 0.0, 0.0)  # of this drone's own position, as at home; its height as it is now
         self._here: tuple[Status, Status] | None = None  # as it came, and in this drone's frame
         self.on_message: Callable[[Received], None] = _ignore

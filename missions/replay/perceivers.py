@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from drivers.interfaces import Frame, View
+from drivers.operator.interfaces import Chosen
 from drivers.rig.parts import RoleRig
 from flight.config import MissionConfig
 from flight.guidance import Vec3
@@ -20,6 +21,7 @@ from flight.tracking.acquisition import Acquisition
 from flight.tracking.association import Sighting, follow
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.target_track import TargetTrack
+from missions.leg.journal import told_of
 from missions.replay.logged import pose_of
 from path.camera.model import CameraModel
 from path.config import MethodConfig
@@ -65,18 +67,19 @@ class SenderPerceiver:
         """``begun_ns``: when the drone's program started."""
         self.missing = 0
         self._views, self._mount, self._camera, self._mission = views, own.mount, camera, mission
-        self._begun_ns = begun_ns
-        self._off_m = (0.0, 0.0)
         self._track: TargetTrack | None = None
-        self._acquisition = Acquisition(camera, method)
+        self._acquisition = Acquisition(camera, method, mission)
         self._largest = LargestBox.of(camera, method)
         self._seen: Sighting | MissReason | None = None
         self._gravity_v: Vec3 = (math.nan, math.nan, math.nan)
 
-    def note_home(self, home: Record) -> None:
-        """The log's ``/home``."""
-        north, east = home["off_m"]
-        self._off_m = north, east
+    def note_told(self, told: Record) -> None:
+        """The log's ``/told``."""
+        said = told_of(told)
+        if isinstance(said, Chosen):
+            self._acquisition.choose(said)
+        else:
+            self._acquisition.tell(said)
 
     def look(self, stamp_ns: int, frame: Record) -> None:
         """One ``/frame``. Without a pose, or its frame, the log's word stays."""
@@ -93,10 +96,10 @@ class SenderPerceiver:
             self._seen = follow(view, T_n_c, self._camera, self._track)
             return
         self._seen = MissReason.NO_TARGET
-        designated = self._mission.target.at((stamp_ns - self._begun_ns) * 1e-9, self._off_m)
-        position = self._acquisition.look(view, T_n_c, designated)
-        if position is not None:
-            self._track = TargetTrack.of(self._mission, position, stamp_ns, self._largest)
+        taken = self._acquisition.look(view, T_n_c)
+        if taken is not None:
+            self._track = TargetTrack.of(self._mission, taken.position_n_m, stamp_ns, self._largest)
+            self._track.velocity_n_mps = taken.velocity_n_mps
 
     @property
     def seen(self) -> tuple[Sighting | MissReason, Vec3] | None:

@@ -134,8 +134,8 @@ class _SenderReplay:
 
     def take(self, each: LogRecord) -> Iterator[DecisionPair | Complete]:
         record, cycle = each.record, self._cycle
-        if each.topic == "/home" and self._perceiver is not None:
-            self._perceiver.note_home(record)
+        if each.topic == "/told" and self._perceiver is not None:
+            self._perceiver.note_told(record)
         if each.topic == "/frame" and self._perceiver is not None:
             self._perceiver.look(each.stamp_ns, record)
         elif each.topic == "/attempt":

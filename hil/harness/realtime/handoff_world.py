@@ -21,6 +21,7 @@ from drivers.rig.tables import decode_table
 from hil.beacons.pty import open_beacons, open_hedges
 from hil.camera.shared import RUN_VARIABLE
 from hil.harness.inject import inject_in_world
+from hil.harness.realtime.operator import person_on_the_wire
 from hil.harness.realtime.parts import (
     CameraView,
     camera_config,
@@ -60,6 +61,7 @@ class SitlWorld(RealTimeWorld):
         mission = mission_config(rig)
         self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
         self._videos: dict[Role, TelloVideo] = {}
+        self._person = person_on_the_wire(rig, self._built, self._config.person, seed)
 
     @property
     def fleet(self) -> World:
@@ -83,6 +85,8 @@ class SitlWorld(RealTimeWorld):
             self._start_camera(role)
         stack.enter_context(open_beacons(rig, self._seed, self._out, self.now_s, self._look))
         stack.enter_context(open_hedges(rig, self._seed, self.now_s, self._look))
+        if self._person is not None:
+            stack.callback(self._person.close)
         air = await stack.enter_async_context(Air(proxy))
         return {"air": air.port}
 
@@ -127,6 +131,8 @@ class SitlWorld(RealTimeWorld):
     def watch(self, steps: int, now_s: float) -> None:
         world = self._world
         self._truth.modes(world)
+        if self._person is not None:
+            self._person.pump(world.snapshot())
         for video in self._videos.values():
             video.pump(self.start_s + world.time_s)
         if steps % TRUTH_STEPS == 0:

@@ -11,8 +11,8 @@ from collections.abc import Awaitable, Callable
 from typing import Protocol
 
 from drivers.interfaces import LinkCounters, Received, RecordStore, VehicleState, VelocitySetpoint
-from flight.config import Designated
-from flight.guidance import Anchor, Vec3, add, from_heading
+from drivers.operator.interfaces import PlaceTold
+from flight.guidance import Anchor, Vec3, add, from_heading, subtract
 from flight.outcome import MissionEnd
 from flight.phases import Phase
 from flight.tracking.target_track import TargetTrack
@@ -102,7 +102,7 @@ class Holder(Sender):
     async def find_again(self) -> None:
         """Flies from wherever it is until the target is tracked."""
         session = self._session
-        await self._conduct.go_out(session, lambda: self._view_of(self._designated(session.now_ns()).place_n_m))
+        await self._conduct.go_out(session, lambda: self._view_of(*self._place_to_look_at(session.now_ns())))
         await self.acquire()
 
     async def resume(self) -> None:
@@ -127,11 +127,16 @@ class Holder(Sender):
         self._handover.end(end)
         await self._handover.finish()
 
-    def _designated(self, stamp_ns: int) -> Designated:
+    def _place_to_look_at(self, now_ns: int) -> tuple[Vec3, float]:
+        place = self._conduct.designated()
+        return super()._place_to_look_at(now_ns) if place is None else (place, 1.0)
+
+    def _pointed_at(self) -> PlaceTold | None:
         place = self._conduct.designated()  # by somebody who goes on pointing at it
         if place is None:
-            return super()._designated(stamp_ns)
-        return Designated(place, self._config.target.radius_m, 0.0)
+            return None
+        north, east, down = subtract(place, self._session.off_n_m)
+        return PlaceTold(self._session.now_ns(), (north, east, down), self._config.target.error_m)
 
     def _go_on(self, note: str) -> None:
         session = self._session

@@ -1,8 +1,9 @@
-"""What D1 takes for its target: one alone at the designated place, in a box no larger than the target can be."""
+"""What D1 takes for its target: the one that is meant, alone in a box that is no larger than the target can be."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -10,9 +11,11 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import View
-from flight.config import Designated
+from drivers.operator.interfaces import BearingTold, Chosen, PlaceTold, Question, RegionTold, Told
+from flight.config import MissionConfig, TargetDesignation
 from flight.guidance import Vec3
-from flight.tracking.acquisition import STEADY_FRAMES, Acquisition
+from flight.tracking.acquisition import Acquisition, Taken
+from flight.tracking.candidates import STEADY_FRAMES
 from path.config import EvidenceConfig, MethodConfig
 from path.geometry.transforms import Pose
 from path.observations import Box, Depth, Detection, Region
@@ -20,6 +23,7 @@ from tests.flight.following_bench import CAMERA, MOUNT
 
 PERSON = MethodConfig(evidence=EvidenceConfig(span_m=0.77, height_m=1.75))
 PLACE: Vec3 = (4.0, 0.0, -0.9)
+FRAME_NS = 40_000_000
 T_N_C = Pose(MOUNT.T_b_c.R, MOUNT.T_b_c.t + np.array((1.8, 0.0, -3.5)))
 
 
@@ -29,6 +33,7 @@ class Boxes:
 
     boxes: list[Box]
     z_m: float
+    stamp_ns: int = 0
 
     def targets(self, region: Region | None) -> list[Detection]:
         return [Detection(box, 0.9) for box in self.boxes]
@@ -52,11 +57,30 @@ def taken(
     """What is taken in the last of the frames that it takes, and whether two were seen."""
     box, z_m = box_of(PLACE, sides_px)
     boxes = [box, *(box_of(place, sides_px)[0] for place in others)]
-    acquisition, found = Acquisition(CAMERA, method), None
-    for _ in range(STEADY_FRAMES):
-        view = cast("Any", Boxes(boxes, z_m))
-        found = acquisition.look(cast("View", view), T_N_C, Designated(PLACE, 0.9, 0.0))
-    return found, acquisition.ambiguous
+    acquisition, found = begun(method), None
+    for k in range(STEADY_FRAMES):
+        found = acquisition.look(seen(Boxes(boxes, z_m, k * FRAME_NS)), T_N_C)
+    return None if found is None else found.position_n_m, acquisition.ambiguous
+
+
+def begun(method: MethodConfig = PERSON, told: Told | None = None, error_m: float = 0.3) -> Acquisition:
+    mission = MissionConfig(target=TargetDesignation(height_m=-PLACE[2]))
+    acquisition = Acquisition(CAMERA, method, mission)
+    acquisition.tell(told or PlaceTold(0, PLACE, error_m))
+    return acquisition
+
+
+def seen(view: Any) -> View:
+    return cast("View", view)
+
+
+def asked(acquisition: Acquisition, view_at: Callable[[int], Any]) -> Question:
+    """What is asked, of what is seen for three seconds at most."""
+    for k in range(round(3e9 / FRAME_NS)):
+        acquisition.look(seen(view_at(k * FRAME_NS)), T_N_C)
+        if acquisition.question is not None:
+            return acquisition.question
+    raise AssertionError("nothing was asked")
 
 
 def test_one_alone_is_taken_where_it_is() -> None:
@@ -88,10 +112,14 @@ def test_a_box_with_somebody_farther_off_in_it_is_of_two(behind_m: float, inside
     """A detector gave one box around two and another around the one behind, in the upper right of the first."""
     box, z_m = box_of(PLACE, ONE_PX)
     other = Box(box.x + (0.4 if inside else 0.8) * box.w, box.y - 0.5, 0.58 * box.w, 0.5 * box.h)
-    acquisition, found = Acquisition(CAMERA, PERSON), None
-    for _ in range(STEADY_FRAMES):
-        view = cast("Any", BoxInABox([box, other], z_m, behind_m))
-        found = acquisition.look(cast("View", view), T_N_C, Designated(PLACE, 0.3, 0.0))
+    acquisition, found = begun(), None
+    for k in range(STEADY_FRAMES + round(3e9 / FRAME_NS)):
+        view = BoxInABox([box, other], z_m, k * FRAME_NS, behind_m=behind_m)
+        found = found or acquisition.look(seen(view), T_N_C)
+        question = acquisition.question
+        if question is not None:
+            number = next(each.number for each in question.shown if each.box == box)
+            assert acquisition.choose(Chosen(question.number, number))
     assert (found is not None) == sure
 
 
@@ -99,8 +127,130 @@ def test_without_a_stated_size_any_box_is_the_objects() -> None:
     assert taken(MethodConfig(), TWO_PX)[0] is not None
 
 
-@pytest.mark.parametrize(("beside_m", "two"), [(0.6, True), (2.5, False)])
+@pytest.mark.parametrize(("beside_m", "two"), [(0.6, True), (1.0, True), (2.5, False)])
 def test_two_that_it_can_be_are_told(beside_m: float, two: bool) -> None:
     found, ambiguous = taken(PERSON, ONE_PX, ((4.0, beside_m, -0.9),))
     assert ambiguous is two
     assert (found is None) is two
+
+
+def two_at(stamp_ns: int, places: Sequence[Vec3]) -> Boxes:
+    boxes = [box_of(place, ONE_PX) for place in places]
+    return Boxes([box for box, _ in boxes], boxes[0][1], stamp_ns)
+
+
+BESIDE: Vec3 = (4.0, 0.8, -0.9)
+
+
+def test_of_two_that_it_can_be_it_asks_and_takes_the_one_that_is_chosen() -> None:
+    acquisition = begun()
+    question = asked(acquisition, lambda ns: two_at(ns, (PLACE, BESIDE)))
+    assert len(question.shown) == 2
+    assert sum(each.share for each in question.shown) <= 1.0
+    chosen = next(each for each in question.shown if each.place_n_m[1] > 0.4)
+    assert acquisition.choose(Chosen(question.number, chosen.number))
+    found = acquisition.look(seen(two_at(question.stamp_ns + FRAME_NS, (PLACE, BESIDE))), T_N_C)
+    assert isinstance(found, Taken)
+    assert found.chosen
+    assert math.dist(found.position_n_m, BESIDE) < 0.05
+    assert acquisition.question is None
+
+
+def test_answers_to_what_was_never_asked_or_not_shown_are_of_no_use() -> None:
+    acquisition = begun()
+    question = asked(acquisition, lambda ns: two_at(ns, (PLACE, BESIDE)))
+    assert not acquisition.choose(Chosen(question.number + 7, question.shown[0].number))
+    assert not acquisition.choose(Chosen(question.number, 99))
+    assert acquisition.look(seen(two_at(question.stamp_ns + FRAME_NS, (PLACE, BESIDE))), T_N_C) is None
+
+
+def test_none_of_these_leaves_the_ones_that_were_shown_out() -> None:
+    acquisition = begun()
+    question = asked(acquisition, lambda ns: two_at(ns, (PLACE, BESIDE)))
+    assert acquisition.choose(Chosen(question.number, 0))
+    acquisition.look(seen(two_at(question.stamp_ns + FRAME_NS, (PLACE, BESIDE))), T_N_C)
+    assert max(acquisition.shares.of.values()) == 0.0
+
+
+def test_an_answer_is_of_no_use_once_the_two_may_have_changed_places() -> None:
+    """They meet, and part: which of them is which is not known any more."""
+    acquisition = begun()
+    question = asked(acquisition, lambda ns: two_at(ns, (PLACE, BESIDE)))
+    together = [(4.0, 0.38, -0.9), (4.0, 0.42, -0.9)]
+    steps = 60
+    for k in range(1, 2 * steps):
+        share = min(k, 2 * steps - k) / steps
+        places = [
+            (4.0, own[1] + share * (there[1] - own[1]), -0.9)
+            for own, there in zip((PLACE, BESIDE), together, strict=True)
+        ]
+        acquisition.look(seen(two_at(question.stamp_ns + k * FRAME_NS, places)), T_N_C)
+    assert not acquisition.choose(Chosen(question.number, question.shown[0].number))
+
+
+def test_one_that_was_seen_a_moment_ago_is_still_one_that_it_can_be() -> None:
+    """The detector misses the target for a second: the other one is not alone because of that."""
+    acquisition = begun()
+    for k in range(20):
+        assert acquisition.look(seen(two_at(k * FRAME_NS, (PLACE, BESIDE))), T_N_C) is None
+    for k in range(20, 45):
+        assert acquisition.look(seen(two_at(k * FRAME_NS, (BESIDE,))), T_N_C) is None
+
+
+def test_where_a_part_of_where_it_can_be_is_out_of_sight_one_alone_is_not_taken() -> None:
+    """Said 6 s ago: by now it may be anywhere within 7 m."""
+    acquisition = begun(told=PlaceTold(-6_000_000_000, PLACE, 0.3))
+    for k in range(40):
+        assert acquisition.look(seen(two_at(k * FRAME_NS, (PLACE,))), T_N_C) is None
+    assert acquisition.shares.elsewhere > 0.5
+    assert "out of sight" in acquisition.why()
+
+
+def test_what_drives_as_was_said_is_told_from_what_stands_nearer_to_the_place() -> None:
+    """Seven places, a second apart, all 0.3 m off to where the other one stands."""
+    acquisition = Acquisition(CAMERA, PERSON, MissionConfig())
+    standing: Vec3 = (3.9, 0.75, -0.9)
+    found: Taken | None = None
+    for k in range(170):
+        time_s = k * FRAME_NS * 1e-9
+        driven: Vec3 = (3.4 + 0.3 * time_s, 0.0, -0.9)
+        if k % 25 == 0:
+            acquisition.tell(PlaceTold(k * FRAME_NS, (driven[0], 0.3, -0.9), 0.2))
+        found = found or acquisition.look(seen(two_at(k * FRAME_NS, (driven, standing))), T_N_C)
+    assert found is not None
+    assert abs(found.position_n_m[1]) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("told", "right"),
+    [
+        (BearingTold(0, (4.0, -3.0), 0.5 * math.pi, math.radians(1.0)), False),
+        (BearingTold(0, (0.0, 0.0), 0.0, math.radians(1.0)), True),
+        (RegionTold(0, ((3.4, -0.5), (4.6, -0.5), (4.6, 0.5), (3.4, 0.5))), True),
+        (RegionTold(0, ((3.4, -0.5), (4.6, -0.5), (4.6, 1.5), (3.4, 1.5))), False),
+    ],
+    ids=["in the direction of both", "in the direction of one", "within edges around one", "within edges around both"],
+)
+def test_a_direction_or_edges_tell_which_where_only_one_is_there(told: Told, right: bool) -> None:
+    acquisition = begun(told=told)
+    if isinstance(told, BearingTold):
+        acquisition.tell(RegionTold(0, ((3.5, -1.0), (4.5, -1.0), (4.5, 1.2), (3.5, 1.2))))
+    found: Taken | None = None
+    for k in range(30):
+        found = found or acquisition.look(seen(two_at(k * FRAME_NS, (PLACE, BESIDE))), T_N_C)
+    assert (found is not None) is right
+    assert found is None or math.dist(found.position_n_m, PLACE) < 0.05
+
+
+def test_of_what_flies_the_height_tells_too() -> None:
+    mission = MissionConfig(target=TargetDesignation(flies=True, height_m=0.9))
+    acquisition = Acquisition(CAMERA, PERSON, mission)
+    acquisition.tell(PlaceTold(0, PLACE, 0.2, height_told=True))
+    for k in range(30):
+        acquisition.look(seen(two_at(k * FRAME_NS, ((4.0, 0.5, -0.9),))), T_N_C)
+    low = max(acquisition.shares.of.values())
+    other = Acquisition(CAMERA, PERSON, mission)
+    other.tell(PlaceTold(0, (4.0, 0.0, -2.0), 0.2, height_told=True))
+    for k in range(30):
+        other.look(seen(two_at(k * FRAME_NS, ((4.0, 0.5, -0.9),))), T_N_C)
+    assert max(other.shares.of.values()) < 0.1 * low

@@ -12,11 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from flight.config import Designated
 from flight.guidance import Vec3, norm, subtract
-from flight.tracking.acquisition import acquire
 from flight.tracking.association import Sighting, follow
-from flight.tracking.objects import MIN_SCORE, is_cut
+from flight.tracking.objects import is_cut
 from flight.tracking.places import place, point_in_camera, to_local
 from flight.tracking.target_track import TargetTrack
 from path.camera.model import CameraModel
@@ -91,41 +89,6 @@ def test_a_box_and_its_depth_give_back_the_place(north: float, east: float, down
 
 
 # --- the designated object ---------------------------------------------------------------------------------------
-
-
-HERE = Designated(PLACE, 0.9, 0.0)
-
-
-def test_the_one_object_at_the_place_is_acquired() -> None:
-    view = FakeView([beside(PLACE, 1.1), beside(PLACE, -0.2), beside(PLACE, -1.2)])
-    found = acquire(view, T_N_C, CAMERA, HERE)
-    assert not isinstance(found, MissReason)
-    sighting, position = found
-    assert sighting.box == view.boxes()[1]
-    assert position == pytest.approx(beside(PLACE, -0.2), abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    "view",
-    [
-        FakeView([]),
-        FakeView([beside(PLACE, 0.95)]),
-        FakeView([PLACE], has_depth=False),
-        FakeView([PLACE], scores=[MIN_SCORE - 0.01]),
-    ],
-    ids=["nothing", "too far from the place", "no depth", "hardly an object"],
-)
-def test_nothing_is_acquired_that_may_not_be_the_one_meant(view: FakeView) -> None:
-    assert acquire(view, T_N_C, CAMERA, HERE) is MissReason.NO_TARGET
-
-
-@pytest.mark.parametrize(
-    "east_m", [(0.05, 0.85), (0.0, -0.5), (0.7, 1.0)], ids=["far nearer", "at the place", "one hardly outside"]
-)
-def test_two_that_it_can_be_are_not_told_apart_by_distance(east_m: tuple[float, float]) -> None:
-    for order in (1, -1):
-        view = FakeView([beside(PLACE, each) for each in east_m[::order]])
-        assert acquire(view, T_N_C, CAMERA, HERE) is MissReason.AMBIGUOUS_TARGET
 
 
 # --- following ---------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drivers.operator.interfaces import PlaceTold
 from flight.config import FollowConfig, GuardConfig, MissionConfig, TargetDesignation
 from flight.guidance import Vec3, add, from_heading
 from flight.tracking.acquisition import Acquisition
@@ -77,7 +78,8 @@ def test_where_two_may_be_the_designated_one_it_goes_no_farther() -> None:
 def test_a_target_that_is_seen_from_one_side_only_is_found_from_there_and_the_heading_kept() -> None:
     """The detector knows it from within 25 degrees of the east alone; D1 came from the south."""
     config = MissionConfig(heading_deg=0.0)
-    look, acquisition = LookRound(config), Acquisition(CAMERA, MethodConfig())
+    look, acquisition = LookRound(config), Acquisition(CAMERA, MethodConfig(), config)
+    acquisition.tell(PlaceTold(0, PLACE, 0.15, holds_s=60.0))
     rng, heading = np.random.default_rng(0), None
     for k in range(round(30.0 * 20)):
         look.step(k * TICK_NS, 0.0, PLACE)
@@ -87,9 +89,9 @@ def test_a_target_that_is_seen_from_one_side_only_is_found_from_there_and_the_he
         T_n_c = Pose(R_n_b @ MOUNT.T_b_c.R, np.array(at) + R_n_b @ MOUNT.T_b_c.t)
         from_east_rad = abs(math.atan2(behind[0], behind[1]))
         view = Seen(k * TICK_NS, (PLACE,) if from_east_rad < math.radians(25.0) else (), T_n_c, rng)
-        target = acquisition.look(view, T_n_c, config.target.at(0.0))
-        if target is not None:
-            heading = look.found(at, target)
+        taken = acquisition.look(view, T_n_c)
+        if taken is not None:
+            heading = look.found(at, taken.position_n_m)
             break
     assert heading is not None
     assert math.degrees(heading) == pytest.approx(-90.0, abs=26.0)

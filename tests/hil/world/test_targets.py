@@ -9,7 +9,7 @@ import pytest
 from hil.world.snapshot import ObjectTruth
 from hil.world.targets import CROSSING_S, HIGHEST_M, LOWEST_M, GroundVehicles, LookAlikeConfig, TargetConfig
 
-TARGET = TargetConfig()
+TARGET = TargetConfig(start_time_s=20.0, stands_s=(0.0, 0.0))  # steadily, once it has started
 HOMES = ((0.0, 0.0), (1.5, -3.0))
 SEEDS = range(25)
 
@@ -67,6 +67,39 @@ def test_the_target_waits_then_drives_smoothly_at_its_speed() -> None:
     assert track[-1].speed_mps == TARGET.speed_mps
 
 
+def test_targets_move_from_the_start_stand_now_and_then_and_start_and_stop_smoothly() -> None:
+    dt = 0.05
+    first_stands = 0
+    for seed in SEEDS:
+        world = traffic(seed, TargetConfig())
+        track = [world.at(dt * k)[0] for k in range(2400)]
+        speeds = np.array([apart(b, a) / dt for a, b in pairwise(track)])
+        assert speeds.max() < TARGET.speed_mps * 1.01
+        assert np.abs(np.diff(speeds)).max() / dt < 0.4
+        stands = speeds < 1e-6
+        assert 0.02 < stands[200:].mean() < 0.4
+        assert speeds[:120].max() > 0.0  # within six seconds
+        first_stands += bool(stands[:19].all())
+        said = np.array([thing.speed_mps for thing in track[1:]])
+        assert np.abs(said - speeds).max() < 0.02
+    assert 0 < first_stands < len(SEEDS) // 2
+
+
+def test_where_a_target_is_does_not_depend_on_when_it_was_asked_before() -> None:
+    asked_late, asked_often = traffic(8, TargetConfig()), traffic(8, TargetConfig())
+    for k in range(100):
+        asked_often.at(float(k))
+    assert asked_late.at(77.3) == asked_often.at(77.3)
+    assert asked_late.at(12.1) == asked_often.at(12.1)
+
+
+def test_turns_of_driving_and_standing_are_checked() -> None:
+    with pytest.raises(ValueError, match="the least comes first"):
+        TargetConfig(stands_s=(5.0, 1.0))
+    with pytest.raises(ValueError, match="to start and to stop in"):
+        TargetConfig(drives_s=(2.0, 9.0))
+
+
 def test_the_nose_points_where_it_drives() -> None:
     world = traffic(4)
     for k in range(200):
@@ -105,7 +138,7 @@ def test_says_so_when_there_is_no_room() -> None:
 
 
 def test_what_flies_goes_up_and_down_and_its_look_alikes_hang_at_heights_of_their_own() -> None:
-    flying = TargetConfig(kind="drone", height_m=0.8, climb_m=1.6, climb_s=20.0)
+    flying = TargetConfig(kind="drone", start_time_s=20.0, height_m=0.8, climb_m=1.6, climb_s=20.0)
     world = traffic(7, flying)
     heights = [world.at(0.1 * k)[0].position_w_m[2] for k in range(1200)]
     assert (min(heights), max(heights)) == pytest.approx((0.8, 2.4), abs=0.01)

@@ -1,0 +1,265 @@
+"""Every object that D1 sees before it has a target: where each is, how it moves, and where it was.
+
+Each is tracked with a constant-velocity filter. Detections are given to tracks one to one, the surest first. Whose
+history a track tells is known only as long as nothing else could have been in its place: where detections could have
+been given otherwise, nearly as likely, the histories of all that compete begin anew. One that is out of sight is
+not forgotten for a while: it may be the one that is meant. What then comes to where it can be is taken for it, anew.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from drivers.interfaces import View
+from flight.guidance import Vec3, add, scale, subtract
+from flight.tracking.objects import CUT_SCORE, MIN_SCORE, is_cut
+from flight.tracking.places import at_height, place
+from path.camera.model import CameraModel
+from path.config import MethodConfig
+from path.geometry.transforms import Pose
+from path.observations import Box, Depth
+
+GATE_SIGMAS = 4.0
+REMEMBERED_S = 20.0  # where something was, and that there was something
+COASTED_S = 0.6  # unseen for longer, what comes to its place may be another one
+STEADY_FRAMES = 5  # detectors invent things for a frame
+LIKELIER = 9.0  # twice the logarithm of how much: a way to give detections to tracks is the right one
+
+
+@dataclass(slots=True)
+class Observed:
+    """A detection in the local frame. ``depth`` is None where only its line of sight is known, or the border cuts it.
+
+    ``sigma_m``: standard deviation of the place, per axis.
+    """
+
+    box: Box
+    depth: Depth | None
+    place_n_m: Vec3
+    sigma_m: float
+
+
+@dataclass(slots=True)
+class Candidate:
+    """One object.
+
+    Attributes:
+        number: its own, never given again.
+        since_ns: from when on it is known to be one and the same.
+        stamp_ns: when it was seen last; ``observed``: as what.
+        frames: in how many frames it was seen since then.
+    """
+
+    number: int
+    since_ns: int
+    stamp_ns: int
+    observed: Observed
+    position_n_m: Vec3
+    velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
+    frames: int = 1
+    pp: float = 0.0
+    pv: float = 0.0
+    vv: float = 0.0
+    path: deque[tuple[int, Vec3]] = field(default_factory=deque[tuple[int, Vec3]])
+
+    def predicted(self, stamp_ns: int, accel_mps2: float) -> tuple[Vec3, float]:
+        """Return its place at a stamp, and the standard deviation of that, per axis."""
+        dt = max(0.0, (stamp_ns - self.stamp_ns) * 1e-9)
+        variance = self.pp + 2.0 * dt * self.pv + dt * dt * self.vv + (0.5 * accel_mps2 * dt * dt) ** 2
+        return add(self.position_n_m, scale(self.velocity_n_mps, dt)), math.sqrt(variance)
+
+    @property
+    def likely_velocity_n_mps(self) -> Vec3:
+        """Return its velocity as far as it is known: nothing of one that may as well stand."""
+        speed2 = sum(v * v for v in self.velocity_n_mps)
+        return scale(self.velocity_n_mps, speed2 / (speed2 + self.vv)) if speed2 > 0.0 else self.velocity_n_mps
+
+    def unknown_s(self, stamp_ns: int) -> float:
+        """Return how long a stamp is before or after all that is known of it; 0 within."""
+        before_ns, after_ns = self.since_ns - stamp_ns, stamp_ns - self.stamp_ns
+        return max(0.0, before_ns * 1e-9, after_ns * 1e-9 - COASTED_S)
+
+    def at(self, stamp_ns: int) -> Vec3:
+        """Return where it was at a stamp; before and after all that is known, where it was first and last."""
+        stamps = [stamp for stamp, _ in self.path]
+        k = bisect_left(stamps, stamp_ns)
+        if k == len(stamps):
+            since_s = (stamp_ns - self.stamp_ns) * 1e-9
+            return add(self.position_n_m, scale(self.velocity_n_mps, min(since_s, COASTED_S)))
+        if k == 0:
+            return self.path[0][1]
+        (before_ns, before), (after_ns, after) = self.path[k - 1], self.path[k]
+        share = (stamp_ns - before_ns) / max(1, after_ns - before_ns)
+        return add(before, scale(subtract(after, before), share))
+
+    def begin_anew(self) -> None:
+        """Forget what it was: from now on it may be another one than before."""
+        newest = self.path[-1]
+        self.path.clear()
+        self.path.append(newest)
+        self.since_ns, self.frames = newest[0], 1
+
+    def fuse(self, seen: Observed, stamp_ns: int, accel_mps2: float) -> None:
+        """Take a detection for it."""
+        dt = (stamp_ns - self.stamp_ns) * 1e-9
+        q = accel_mps2**2
+        position = add(self.position_n_m, scale(self.velocity_n_mps, dt))
+        pp = self.pp + 2.0 * dt * self.pv + dt * dt * self.vv + q * dt**4 / 4.0
+        pv = self.pv + dt * self.vv + q * dt**3 / 2.0
+        vv = self.vv + q * dt * dt
+        gain_p, gain_v = pp / (pp + seen.sigma_m**2), pv / (pp + seen.sigma_m**2)
+        innovation = subtract(seen.place_n_m, position)
+        self.position_n_m = add(position, scale(innovation, gain_p))
+        self.velocity_n_mps = add(self.velocity_n_mps, scale(innovation, gain_v))
+        self.pp, self.pv, self.vv = (1.0 - gain_p) * pp, (1.0 - gain_p) * pv, vv - gain_v * pv
+        self.stamp_ns, self.observed = stamp_ns, seen
+        self.frames += 1
+        self.path.append((stamp_ns, self.position_n_m))
+        while stamp_ns - self.path[0][0] > REMEMBERED_S * 1e9:
+            self.path.popleft()
+
+
+class Candidates:
+    """All objects in view, from frame to frame.
+
+    Args:
+        attitude_sigma_rad: of the drone's roll and pitch, by which a line of sight errs.
+        fastest_mps, accel_mps2: the most that one of them may do.
+    """
+
+    def __init__(
+        self,
+        camera: CameraModel,
+        method: MethodConfig,
+        attitude_sigma_rad: float,
+        fastest_mps: float,
+        accel_mps2: float,
+    ) -> None:
+        self._camera = camera
+        self._angle_rad = math.hypot(attitude_sigma_rad, method.pixel_sigma_px / camera.fx)
+        self._fastest_mps, self._accel_mps2 = fastest_mps, accel_mps2
+        self._numbers = 0
+        self.all: list[Candidate] = []
+
+    def look(self, view: View, T_n_c: Pose, down_m: float) -> list[Candidate]:
+        """Take up one frame; return the objects that are in it.
+
+        Args:
+            down_m: height of the object that is looked for, on which a line of sight without depth ends.
+        """
+        stamp_ns = view.stamp_ns
+        self.all = [each for each in self.all if stamp_ns - each.stamp_ns <= self._kept_s(each) * 1e9]
+        seen = self._observed(view, T_n_c, down_m)
+        costs = self._within_gates(seen, stamp_ns)
+        given: dict[int, int] = {}
+        for track, detection in sorted(costs, key=costs.__getitem__):
+            if track not in given and detection not in given.values():
+                given[track] = detection
+        for track in competing(costs, given):
+            self.all[track].begin_anew()
+        for track, detection in given.items():
+            self.all[track].fuse(seen[detection], stamp_ns, self._accel_mps2)
+        for k in sorted(set(range(len(seen))) - set(given.values())):
+            back = self._back(seen[k], stamp_ns)
+            if back is None:
+                self._begin(seen[k], stamp_ns)
+            else:
+                self._begin_again(back, seen[k], stamp_ns)
+        return [each for each in self.all if each.stamp_ns == stamp_ns]
+
+    def _observed(self, view: View, T_n_c: Pose, down_m: float) -> list[Observed]:
+        found: list[Observed] = []
+        for detection in view.targets(None):
+            box = detection.box
+            cut = is_cut(box, self._camera)
+            if detection.score < (CUT_SCORE if cut else MIN_SCORE):
+                continue
+            depth = None if cut else view.depth(box)
+            if depth is None:
+                there = at_height(box.center, self._camera, T_n_c, down_m)
+            else:
+                there = place(box, depth, self._camera, T_n_c, down_m)
+            if there is not None:
+                found.append(Observed(box, depth, there, self._sigma_m(box, depth, there, T_n_c)))
+        return found
+
+    def _sigma_m(self, box: Box, depth: Depth | None, there: Vec3, T_n_c: Pose) -> float:
+        """Of a place: the line of sight's error and depth's; without depth, as much as the object is large as well."""
+        range_m = math.dist(there, T_n_c.t.tolist())
+        along_m = max(box.w, box.h) / self._camera.fx * range_m if depth is None else depth.sigma_m
+        return math.hypot(self._angle_rad * range_m, along_m)
+
+    def _within_gates(self, seen: Sequence[Observed], stamp_ns: int) -> dict[tuple[int, int], float]:
+        """Every track and detection that may be the same object, with minus twice the log likelihood that they are."""
+        costs: dict[tuple[int, int], float] = {}
+        for t, track in enumerate(self.all):
+            if stamp_ns - track.stamp_ns > COASTED_S * 1e9:
+                continue
+            expected, sigma_m = track.predicted(stamp_ns, self._accel_mps2)
+            for d, one in enumerate(seen):
+                both_m = math.hypot(sigma_m, one.sigma_m)
+                off_sigmas = math.dist(one.place_n_m, expected) / both_m
+                if off_sigmas <= GATE_SIGMAS:
+                    costs[t, d] = off_sigmas**2 + 6.0 * math.log(both_m)
+        return costs
+
+    def _kept_s(self, one: Candidate) -> float:
+        return REMEMBERED_S if one.frames >= STEADY_FRAMES else COASTED_S
+
+    def _back(self, seen: Observed, stamp_ns: int) -> Candidate | None:
+        """The nearest of those out of sight that can have come there; None when none can."""
+        nearest: Candidate | None = None
+        nearest_m = math.inf
+        for one in self.all:
+            unseen_s = (stamp_ns - one.stamp_ns) * 1e-9
+            off_m = math.dist(one.position_n_m, seen.place_n_m)
+            reach_m = self._fastest_mps * unseen_s + GATE_SIGMAS * math.hypot(seen.sigma_m, one.observed.sigma_m)
+            if unseen_s > COASTED_S and off_m <= min(reach_m, nearest_m):
+                nearest, nearest_m = one, off_m
+        return nearest
+
+    def _begin(self, seen: Observed, stamp_ns: int) -> None:
+        self._numbers += 1
+        one = Candidate(self._numbers, stamp_ns, stamp_ns, seen, seen.place_n_m)
+        self._begin_again(one, seen, stamp_ns)
+        self.all.append(one)
+
+    def _begin_again(self, one: Candidate, seen: Observed, stamp_ns: int) -> None:
+        one.since_ns = one.stamp_ns = stamp_ns
+        one.observed, one.position_n_m, one.velocity_n_mps, one.frames = seen, seen.place_n_m, (0.0, 0.0, 0.0), 1
+        one.pp, one.pv, one.vv = seen.sigma_m**2, 0.0, (0.5 * self._fastest_mps) ** 2
+        one.path.clear()
+        one.path.append((stamp_ns, seen.place_n_m))
+
+
+def competing(costs: Mapping[tuple[int, int], float], given: Mapping[int, int]) -> set[int]:
+    """Return the tracks that may have been given another object's detection: another way to give is nearly as likely.
+
+    Two may have changed places; one may be where a detection is that nobody was given; or it may be one that was given
+    nothing, where another one was given something.
+
+    Args:
+        costs: of each track and detection that may be the same.
+        given: the detection of each track.
+    """
+    taken_by = {detection: track for track, detection in given.items()}
+    unsure: set[int] = set()
+    for (track, detection), cost in costs.items():
+        other = taken_by.get(detection)
+        if other == track:
+            continue
+        own = given.get(track)
+        more = cost
+        if own is not None:
+            more -= costs[track, own]
+        if other is not None:
+            more -= costs[other, detection]
+        if own is not None and other is not None:
+            more += costs.get((other, own), math.inf)
+        if more < LIKELIER:
+            unsure |= {each for each in (track, other) if each is not None}
+    return unsure
