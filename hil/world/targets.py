@@ -1,7 +1,8 @@
 """The target and its look-alikes: of which kind, and where they are, as functions of time fixed by the seed.
 
-The target drives round a smooth closed loop, and stands now and then. Some look-alikes drive the same loop a fixed way ahead or behind, the others are parked beside it; all keep their distance at every time, which is checked
-when they are placed. Only a look-alike that is sent (a fault) comes close, past the target but never through it.
+The target drives round a smooth closed loop, and stands now and then. Some look-alikes drive the same loop a fixed way
+ahead or behind, the others are parked beside it; all keep their distance at every time, which is checked when they are
+placed. Only a look-alike that is sent (a fault) comes close, past the target but never through it.
 Cars and people are on the ground; drones fly, the target and those on its loop up and down together, the others each
 at a height of its own. Positions are (E, N) in metres, angles counter-clockwise from east.
 """

@@ -50,7 +50,7 @@ async def open_session(
         guard = UnderGuard(await stack.enter_async_context(line), context.clock, config.guard_process)
     operator: Operator | None = None
     if own.operator is not None:
-        operator = await stack.enter_async_context(create(own.operator, context))
+        operator = await _opened(stack, own.operator, context)
     leave_opening(harness)
     parts = (context.clock, vehicle, perception, link)
     stages = Stages() if harness is None else None

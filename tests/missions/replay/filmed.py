@@ -26,13 +26,16 @@ FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 
 def make_films(run: Path, folder: Path, seconds: tuple[float, float]) -> Path:
-    """Both drones' films of a part of a run, by seconds from D1's first ``/target`` on, and the file that names them.
+    """Both drones' films of a part of a run, by seconds from when the views are compared, and the file that names them.
 
     D1's is a video with depth images and a table of stamps, D2's a folder of images with stamps of its own clock.
     """
     logs = drone_logs(run)
     targets = [each for each in logs["sender"] if each.topic == "/target" and each.record["box"] is not None]
-    begin_ns, end_ns = (targets[0].stamp_ns + round(each * 1e9) for each in seconds)
+    verify_ns = next(
+        each.stamp_ns for each in logs["sender"] if each.topic == "/phase" and each.record["phase"] == "verify"
+    )
+    begin_ns, end_ns = (verify_ns + round(each * 1e9) for each in seconds)
     ahead_ns = next(  # D2's clock is of D1's, as they have measured it
         each.record["capture_ns"] - each.record["peer_capture_ns"]
         for each in reversed(logs["receiver"])

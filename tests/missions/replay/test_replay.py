@@ -201,7 +201,7 @@ def test_a_folder_without_logs_is_refused(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def films(flown: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What two cameras filmed of that run, for a second and a half while both looked at the target."""
-    return make_films(flown(RECORDED, 2, "kill_receiver@verify+3"), tmp_path_factory.mktemp("films"), (15.0, 16.5))
+    return make_films(flown(RECORDED, 2, "kill_receiver@verify+3"), tmp_path_factory.mktemp("films"), (0.5, 2.0))
 
 
 def test_films_decide_as_the_flight_that_they_were_made_of(
