@@ -14,7 +14,7 @@ class Outcome(Enum):
     COMMITTED = ("committed", 0, "the receiver holds the target, confirmed by both sides")
     FLOWN = ("flown", 0, "a mission of your own came to its own end, and its drones are down")
     NO_AGREEMENT = ("no_agreement", 10, "the views did not agree for long enough before the deadline")
-    TARGET_NOT_FOUND = ("target_not_found", 11, "the sender never saw the target where it was said to be")
+    TARGET_NOT_FOUND = ("target_not_found", 11, "the sender saw no object that is surely the one that is meant")
     TARGET_LOST = ("target_lost", 12, "the target left the view and did not come back in time")
     MARKER_NOT_FOUND = ("marker_not_found", 13, "the receiver never saw the sender's marker from its stand-off")
     MARKER_LOST = ("marker_lost", 14, "the marker left the receiver's view and did not come back in time")
