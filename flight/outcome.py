@@ -61,6 +61,12 @@ class Outcome(Enum):
 
 _BY_LABEL = {outcome.label: outcome for outcome in Outcome}
 
+
+def name_of(exit_code: int) -> str:
+    """Return the name of the end with this exit code, for the crew; another version may have ends unknown here."""
+    return next((each.label for each in Outcome if each.exit_code == exit_code), f"an end with exit code {exit_code}")
+
+
 _ABORT_REASONS = {
     Outcome.NO_AGREEMENT: AbortReason.TIMEOUT,
     Outcome.TARGET_NOT_FOUND: AbortReason.TARGET_LOST,

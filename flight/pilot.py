@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Callable
 
 from drivers.interfaces import Clock, FlightMode, Log, Vehicle, VehicleState, VelocitySetpoint
+from flight.clocks import SteadyClock
 from flight.config import MissionConfig
 from flight.guard.limits import check_vehicle, in_doubt
 from flight.guard.under_guard import UnderGuard
@@ -26,6 +27,7 @@ class Pilot:
         self._vehicle = vehicle
         self._guard = guard
         self._clock = clock
+        self._own_clock = SteadyClock(clock)
         self._config = config
         self._log = log
         self._last = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
@@ -66,8 +68,10 @@ class Pilot:
     async def _run(self) -> None:
         period_s = 1.0 / self._config.control_hz
         loop = asyncio.get_running_loop()
+        self._own_clock.begin()
         due_s = loop.time()
         while self.in_control:
+            self._own_clock.check()
             now_ns = self._clock.now_ns()
             state = self._vehicle.state
             if self._guard is not None:

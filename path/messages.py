@@ -72,6 +72,7 @@ class Status:
     observing: bool
     battery: float  # 0..1; NaN: the vehicle does not tell it
     instance: int = 0  # of a receiver its own; of a sender that of the receiver it committed to, 0 for none
+    ended: int = 0  # exit code of the end that its flight has come to; 0: it goes on, or has come to its own end
     steps: int = 0  # how often the drone's estimator has stepped, modulo STEPS
 
 

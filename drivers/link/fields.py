@@ -186,6 +186,7 @@ def _status_to(m: Status) -> Numbers:
         flags,
         _UNKNOWN_BATTERY if math.isnan(m.battery) else scaled("battery", m.battery, _BATTERY, 0, round(_BATTERY)),
         instance_high,
+        whole("ended", m.ended, U8),
     )
 
 
@@ -206,6 +207,7 @@ def _status_from(p: Any) -> Status:
         battery=p.battery / _BATTERY if known else math.nan,
         instance=p.instance_low + (p.instance_high << 16),
         steps=p.flags >> _STEPS_BIT,
+        ended=p.ended,
     )
 
 

@@ -27,13 +27,15 @@ def check_vehicle(state: VehicleState, now_ns: int, config: GuardConfig, command
         raise MissionEnd(Outcome.VEHICLE_LOST, f"no heartbeat for {heartbeat_age_s:.1f} s")
     if not state.armed:  # some autopilots keep the mode then
         raise MissionEnd(Outcome.PILOT_OVERRIDE, "the motors were stopped: the vehicle is no longer armed")
+    battery = battery_trouble(state.battery, state.battery_ns, now_ns, config.min_battery)
+    if battery and state.mode is FlightMode.LAND:
+        raise MissionEnd(Outcome.GUARD, f"{battery}, and the autopilot lands by itself")
     if state.mode is not commanded:
         raise MissionEnd(Outcome.PILOT_OVERRIDE, f"mode is {state.mode.value}, the script flew {commanded.value}")
     north, east, down = state.position_n_m
     # written so that a NaN breaks a limit
     if not (math.hypot(north, east) <= config.fence_radius_m and -down <= config.fence_height_m):
         raise MissionEnd(Outcome.GUARD, f"outside the fence at ({north:.1f}, {east:.1f}) m, height {-down:.1f} m")
-    battery = battery_trouble(state.battery, state.battery_ns, now_ns, config.min_battery)
     if battery:
         raise MissionEnd(Outcome.GUARD, battery)
 

@@ -30,6 +30,7 @@ async def fly_course(
     try:
         end = await run_course(session, course)
         landed = await run_recovery(session, recover, end)
+        await session.say_goodbye()
     finally:
         await close_session(session)
     return conclude(session, end, landed, good)
@@ -66,6 +67,7 @@ async def run_course(session: RoleSession, course: Course) -> MissionEnd | None:
     guard = session.guarding.guard
     if end is not None and guard is not None:
         end = guard.behind(end)
+    session.end = end
     if end is not None:
         session.say(str(end))
     return end

@@ -33,7 +33,7 @@ from flight.config import MissionConfig, off_from
 from flight.guard.under_guard import UnderGuard
 from flight.guidance import Vec3, add, subtract
 from flight.harness.flights import Emit, Progress
-from flight.outcome import MissionEnd, Outcome
+from flight.outcome import MissionEnd, Outcome, name_of
 from flight.phases import Phase
 from flight.pilot import Pilot
 from flight.steady_vehicle import SteadyVehicle
@@ -49,6 +49,7 @@ Result = TypeVar("Result")
 
 _NO_STAGE = nullcontext()
 _POLL_S = 0.05
+_GOODBYES, _GOODBYE_S = 5, 0.05
 _PROGRESS_PERIOD_S = 0.2
 _ENDS = (
     (CameraError, Outcome.CAMERA_LOST),
@@ -120,6 +121,7 @@ class RoleSession:
         self.on_status: Callable[[Status], None] = _ignore
         self.on_step: Callable[[int], None] = _ignore
         self._peer_steps: dict[tuple[Role, int], int] = {}
+        self.end: MissionEnd | None = None  # what this drone's course ended in; the other drone is told
         self.ended: asyncio.Future[MissionEnd] = asyncio.get_running_loop().create_future()
         self._steps_told = len(self.vehicle.steps)
         self._spawned: list[asyncio.Task[None]] = []
@@ -179,7 +181,22 @@ class RoleSession:
         limit_s = guard.near_silence_s if self.phase is Phase.VERIFY else guard.peer_silence_s
         silence_s = self.peer_silence_s()
         if silence_s > limit_s:
-            raise MissionEnd(Outcome.PEER_LOST, f"nothing heard from the other drone for {silence_s:.1f} s")
+            left = f": {self.peer_left}" if self.peer_left else ""
+            raise MissionEnd(Outcome.PEER_LOST, f"nothing heard from the other drone for {silence_s:.1f} s{left}")
+
+    @property
+    def peer_left(self) -> str:
+        """What the other drone's flight ended in, in words, as far as it was heard to say; empty while it goes on."""
+        peer = self.peer
+        return f"its flight has ended: {name_of(peer.ended)}" if peer is not None and peer.ended else ""
+
+    async def say_goodbye(self) -> None:
+        """Tell the other drone, which may be waiting, how this flight has ended; a few times, as a link loses some."""
+        if self.end is None:
+            return
+        for _ in range(_GOODBYES):
+            self.link.send(self._status())
+            await asyncio.sleep(_GOODBYE_S)
 
     async def until(
         self, condition: Callable[[], bool], timeout_s: float, outcome: Outcome, detail: str | Callable[[], str]
@@ -323,6 +340,7 @@ class RoleSession:
             battery=state.battery,
             instance=self.instance(),
             steps=len(self.vehicle.steps) % STEPS,
+            ended=0 if self.end is None else self.end.outcome.exit_code,
         )
 
     def _log_link(self) -> None:

@@ -68,9 +68,14 @@ async def hear_peer(session: RoleSession) -> None:
     await session.until(
         lambda: session.peer is not None, deadlines.peer_s, Outcome.PEER_LOST, "the other drone was not heard"
     )
-    await session.until(
-        lambda: session.alignment.ready, deadlines.peer_s, Outcome.CLOCK_FAULT, "the clocks were not aligned"
-    )
+    await session.until(lambda: _aligned(session), deadlines.peer_s, Outcome.CLOCK_FAULT, "the clocks were not aligned")
+
+
+def _aligned(session: RoleSession) -> bool:
+    """Whether the other drone's clock is known. Raises MissionEnd when that drone has said that it does not fly."""
+    if session.peer_left:
+        raise MissionEnd(Outcome.PEER_ABORTED, f"the other drone does not fly: {session.peer_left}")
+    return session.alignment.ready
 
 
 def check_capabilities(session: RoleSession) -> None:
@@ -115,6 +120,8 @@ async def bring_down(session: RoleSession, end: MissionEnd | None, way_out: Anch
     if guard is not None and guard.taken:
         return await _leave_to_guard(session, guard)
     mode = (await _sure_state(session)).mode
+    if mode is FlightMode.LAND and not pilot.override:
+        return await _leave_landing(session)
     if mode is FlightMode.OTHER:
         pilot.override = pilot.override or f"mode is {mode.value}"
     if pilot.override:
@@ -178,11 +185,23 @@ async def _leave_to_guard(session: RoleSession, guard: UnderGuard) -> bool:
     """Send nothing more, and stay until the guard has brought the vehicle down; whether it has."""
     session.guarding.set_script(Script.LET_GO)
     session.enter(Phase.LAND, f"the guard has the vehicle: {guard.taken}")
+    await _until_disarmed(session)
+    return not session.vehicle.state.armed
+
+
+async def _leave_landing(session: RoleSession) -> bool:
+    """Send nothing to a vehicle that somebody lands already, and stay until it is down; whether it is."""
+    session.guarding.set_script(Script.LET_GO)
+    session.enter(Phase.LAND, "it is landing already, not by this script")
+    await _until_disarmed(session)
+    return not session.vehicle.state.armed
+
+
+async def _until_disarmed(session: RoleSession) -> None:
     loop = asyncio.get_running_loop()
     end_s = loop.time() + session.config.deadlines.land_s
     while session.vehicle.state.armed and loop.time() < end_s:  # noqa: ASYNC110 (telemetry has no event)
         await asyncio.sleep(_DISARM_POLL_S)
-    return not session.vehicle.state.armed
 
 
 async def _depart(session: RoleSession, way_out: Anchor) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import json
 import math
 from functools import cached_property
 from importlib import resources
@@ -140,6 +141,7 @@ def test_rendered_frames_through_the_whole_perception_commit(tmp_path: Path) -> 
         ("rc_kill_sender", "pilot_override"),
         ("rc_lost_receiver", "pilot_override"),
         ("battery_sag", "guard"),
+        ("battery_sag=0", "guard"),  # the autopilot lands by itself, and is not taken for a pilot
     ],
 )
 def test_a_fault_ends_in_its_outcome_and_the_sender_keeps_the_target(tmp_path: Path, fault: str, outcome: str) -> None:
@@ -268,3 +270,15 @@ def test_a_plate_that_is_upside_down_is_never_flown_by_and_said_by_its_cause(
     assert told == "marker_turned"
     notes = [r.record["note"] for r in flown.run.receiver["/note"]]
     assert sum(note.startswith("the sender's marker: gravity contradicts") for note in notes) == 1
+
+
+@pytest.mark.parametrize(("who", "step_s"), [("sender", 5.0), ("receiver", -5.0), ("sender", 0.5)])
+def test_a_drone_whose_own_clock_is_set_while_it_verifies_says_so(tmp_path: Path, who: str, step_s: float) -> None:
+    clock = {"factory": "tests.stepping_clock:SteppingClock", "offset_s": 100.0, "step_s": step_s, "at_s": 25.0}
+    lines = [f"{key} = {json.dumps(value)}" for key, value in clock.items()]
+    rig = tmp_path / "set.toml"
+    rig.write_text("\n".join(['name = "set"', 'like = "sim"', 'level = "sim"', f"[{who}.clock]", *lines]), "utf-8")
+    flown = fly(str(rig), tmp_path / "run", 7)
+    assert flown.facts.outcome == "clock_fault", flown.facts.detail
+    assert f"own clock was set by {step_s:+.1f} s" in flown.facts.detail
+    assert flown.facts.violations == {}

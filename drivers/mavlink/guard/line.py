@@ -14,12 +14,13 @@ from typing import Self
 from drivers.interfaces import Clock, PartError
 from drivers.link.udp import Address, address_of
 from drivers.mavlink.guard.interfaces import Beat, GuardAnswer, Hand, Script
-from drivers.mavlink.guard.seal import KeyReader, Opener, Seals, forget_key, key_path, make_key
+from drivers.mavlink.guard.seal import KeyReader, Opener, Seals, forget_key, keep_key, key_path, make_key
 
 _BEAT = struct.Struct("!4sBIffff")  # magic, script, setpoints, separation, peer's north, east, down
 _ANSWER = struct.Struct("!4sBB")  # magic, sees, hand; then reason and alarm
 _BEAT_MAGIC, _ANSWER_MAGIC = b"PGb1", b"PGa1"
 _MOST_BYTES = 1024
+_KEY_LOOK_NS = 100_000_000  # a role whose guard's key is gone is silent; it is taken for dead after beat_age_s
 _MOST_READS = 1000  # at once: a flood does not keep a guard from its rules
 _WORDS_BYTES = 400
 _BETWEEN = "\0"  # reason and alarm
@@ -157,6 +158,7 @@ class UdpBeatLine:
         self._clock = clock
         self._socket = _Socket()
         self._key, self._seals, self._opener = b"", Seals(), Opener()
+        self._looked_ns = 0
         self._from: Address | None = None
         self.ignored: dict[str, int] = {}
 
@@ -179,6 +181,10 @@ class UdpBeatLine:
         forget_key(self._bind, self._key)
 
     def newest(self) -> tuple[int, Beat] | None:
+        now_ns = self._clock.now_ns()
+        if now_ns - self._looked_ns > _KEY_LOOK_NS:
+            self._looked_ns = now_ns
+            keep_key(self._bind, self._key)
         newest: Beat | None = None
         for _ in range(_MOST_READS):
             received = self._socket.receive()

@@ -6,6 +6,7 @@ files of the ports. A program that is started again in the air finds it there; o
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import hmac
 import os
@@ -28,7 +29,22 @@ def key_path(bind: str) -> Path:
 
 def make_key(bind: str) -> bytes:
     """A new key, in the place of an earlier guard's. Raises OSError."""
-    key, path = os.urandom(KEY_BYTES), key_path(bind)
+    key = os.urandom(KEY_BYTES)
+    _write(key_path(bind), key)
+    return key
+
+
+def keep_key(bind: str, key: bytes) -> None:
+    """Write a key again whose file, or folder, somebody has removed: a cleaner of temporary files. Never raises."""
+    path = key_path(bind)
+    if path.exists():
+        return
+    with contextlib.suppress(OSError):  # it is tried again; until then no program of this user finds the guard
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        _write(path, key)
+
+
+def _write(path: Path, key: bytes) -> None:
     handle, made = tempfile.mkstemp(prefix=path.name, dir=path.parent)  # mode 0600
     try:
         with os.fdopen(handle, "wb") as file:
@@ -37,7 +53,6 @@ def make_key(bind: str) -> bytes:
     except OSError:
         Path(made).unlink(missing_ok=True)
         raise
-    return key
 
 
 def forget_key(bind: str, key: bytes) -> None:

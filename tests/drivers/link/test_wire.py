@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from drivers.link.dialect import path_dialect as dialect
 from drivers.link.wire import UDP_IP_OVERHEAD, Codec, Drop, EncodeError, expected_length
 from flight.config import MissionConfig
+from flight.outcome import Outcome, name_of
 from path.messages import Abort, AbortReason, Accept, Candidate, Commit, Message, Ping, Pong, Role, Status, Target
 from path.observations import Box, MissReason
 from tests.drivers.link.wire_packets import (
@@ -162,9 +163,9 @@ def test_what_does_not_fit_is_refused_before_it_is_sent(message: Message) -> Non
         (raw_candidate(box_w=0), Drop.OUT_OF_RANGE),
         (raw_candidate(miss=99), Drop.OUT_OF_RANGE),
         (dialect.MAVLink_path_abort_message(1, 1, 1, 1, 0), Drop.OUT_OF_RANGE),
-        (dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 3, 0, 0, 0, 0), Drop.OUT_OF_RANGE),
-        (dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 32000, 0, 0, 1, 0, 0, 0, 0), Drop.OUT_OF_RANGE),
-        (dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 201, 0), Drop.OUT_OF_RANGE),
+        (dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 3, 0, 0, 0, 0, 0), Drop.OUT_OF_RANGE),
+        (dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 32000, 0, 0, 1, 0, 0, 0, 0, 0), Drop.OUT_OF_RANGE),
+        (dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 201, 0, 0), Drop.OUT_OF_RANGE),
         (dialect.MAVLink_path_abort_message(1, 2**24, 1, 1, 1), Drop.OUT_OF_RANGE),
         (dialect.MAVLink_path_confirm_message(1, 1, 2**24, 1, 1, 1), Drop.OUT_OF_RANGE),
         (dialect.MAVLink_heartbeat_message(0, 0, 0, 0, 0, 3), Drop.UNKNOWN_ID),
@@ -269,6 +270,16 @@ def test_a_header_that_says_more_than_its_message_holds_is_none_of_ours() -> Non
     size = dialect.mavlink_map[int.from_bytes(whole[7:10], "little")].unpacker.size
     assert expected_length(whole[:1] + bytes((size,)) + whole[2:]) == size + 12
     assert expected_length(whole[:1] + bytes((size + 1,)) + whole[2:]) is None
+
+
+@pytest.mark.parametrize("outcome", Outcome)
+def test_a_status_tells_how_a_flight_has_ended(outcome: Outcome) -> None:
+    sender, receiver = pair()
+    packet = sender.encode(replace(STATUS, ended=outcome.exit_code))
+    assert len(packet) + UDP_IP_OVERHEAD <= 128
+    heard = receiver.decode(packet)
+    assert isinstance(heard, Status) and heard.ended == outcome.exit_code
+    assert name_of(heard.ended) == outcome.label or outcome.exit_code == 0
 
 
 def test_a_battery_of_an_unknown_level_is_told_as_that() -> None:

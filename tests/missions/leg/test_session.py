@@ -17,9 +17,12 @@ from flight.harness.flights import RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from missions.leg.session import as_end
+from missions.leg.steps import hear_peer
 from path.messages import Role, Status
 from path.protocol.values import TakeResponsibility
 from tests.missions.leg.session_bench import STATE, Bench, for_ever, virtual
+
+STATUS = Status(Role.RECEIVER, 1, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0), 0.0, 0, False, False, 0.8)
 
 
 async def good() -> None:
@@ -190,5 +193,52 @@ def test_what_a_position_is_off_at_home_is_in_nothing_that_is_told_and_in_all_th
         assert benches[0].session.here(other) == other
         for bench in benches:
             await bench.session.cancel_spawned()
+
+    virtual(main())
+
+
+def test_a_drone_that_will_not_fly_says_why_before_it_leaves(rig: Any) -> None:
+    async def main() -> None:
+        bench = Bench(rig)
+
+        async def course() -> None:
+            raise VehicleError("not set for this flight")
+
+        await bench.fly(course)
+        told = [status.ended for status in bench.link.of(Status)]
+        assert told[-5:] == [Outcome.VEHICLE_REFUSED.exit_code] * 5
+
+    virtual(main())
+
+
+@pytest.mark.parametrize("outcome", [Outcome.VEHICLE_REFUSED, Outcome.UNFIT, Outcome.CAMERA_LOST])
+def test_who_waits_for_a_drone_that_will_not_fly_is_told_why(rig: Any, outcome: Outcome) -> None:
+    async def main() -> None:
+        bench = Bench(rig)
+
+        async def course() -> None:
+            await bench.link.waiting.put(replace(STATUS, ended=outcome.exit_code))
+            await hear_peer(bench.session)
+
+        result = await bench.fly(course)
+        assert result.outcome is Outcome.PEER_ABORTED
+        assert outcome.label in result.detail
+        assert asyncio.get_running_loop().time() < 5.0  # long before the wait for a clock is over
+
+    virtual(main())
+
+
+def test_a_silence_is_named_with_what_was_heard_before_it(rig: Any) -> None:
+    async def main() -> None:
+        bench = Bench(rig)
+
+        async def course() -> None:
+            await bench.link.waiting.put(replace(STATUS, ended=Outcome.GUARD.exit_code))
+            await asyncio.sleep(60.0)
+            bench.session.require_peer()
+
+        result = await bench.fly(course)
+        assert result.outcome is Outcome.PEER_LOST
+        assert result.detail.endswith("its flight has ended: guard")
 
     virtual(main())

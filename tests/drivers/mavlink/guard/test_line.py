@@ -7,6 +7,7 @@ import math
 import socket
 import stat
 import time
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -25,6 +26,7 @@ from drivers.mavlink.guard.line import (
     is_taken,
 )
 from drivers.mavlink.guard.seal import KeyReader, Seals, key_path
+from flight.guard.rules import GuardRules
 from tests.free_ports import free_port
 from tests.guard_bench import until
 
@@ -181,6 +183,41 @@ def test_a_key_that_others_can_read_is_not_used() -> None:
                     pass
         finally:
             key_path(bind).rmdir()
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("whole_folder", [False, True])
+def test_a_key_that_somebody_removes_is_there_again_before_the_role_is_taken_for_dead(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole_folder: bool
+) -> None:
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
+
+    async def main() -> None:
+        bind, clock = f"127.0.0.1:{free_port()}", WallClock()
+        async with UdpBeatLine(bind, clock) as guard, UdpGuardLine(bind, clock) as role:
+            role.beat(Beat(Script.CONTROL, 1))
+            assert guard.newest() is not None
+            key = key_path(bind).read_bytes()
+            for each in temporary.iterdir():
+                each.unlink()
+            if whole_folder:
+                temporary.rmdir()
+            heard: list[Beat] = []
+
+            def again() -> bool:
+                role.beat(Beat(Script.CONTROL, 2))
+                newest = guard.newest()
+                heard.extend([] if newest is None else [newest[1]])
+                return bool(heard)
+
+            begun_s = time.monotonic()
+            until(again)
+            assert time.monotonic() - begun_s < GuardRules().beat_age_s
+            assert key_path(bind).read_bytes() == key
+            assert stat.S_IMODE(key_path(bind).stat().st_mode) == 0o600
 
     asyncio.run(main())
 
