@@ -46,6 +46,8 @@ def draw_marker(options: CalibrateMarkerOptions, out: TextIO) -> int:
     out.write(
         f"{options.out}: print it at 100 %, see that its ruler is {RULER_MM:g} mm long, glue it to something flat and "
         "stiff, dull, cut along the outline.\n"
+        f"Leave the white around it: {QUIET_CELLS * cell_mm:.1f} mm are needed, "
+        f"{BORDER_CELLS * cell_mm:.1f} mm are drawn.\n"
         f"{_turned(options.dictionary)}"
         "Then measure the black frames with a calliper, and write what you measured into the rig:\n\n"
         f"{_tables(options)}"

@@ -20,6 +20,7 @@ from path.marker.kernels import Array
 from path.marker.layout import MarkerLayout
 from path.marker.photometric.corners import PhotometricFit, fit
 from path.marker.photometric.texture import cells, dictionary_of
+from path.marker.printed import MIN_BORDER, Look, aligned, look
 from path.marker.track import recognise
 from path.observations import MarkerDetection, Region
 
@@ -36,6 +37,12 @@ LARGE_WINDOW_SCALE = 2.5  # from this scale on the threshold looks at a wider ne
 MIN_EXPLAINED = 0.85  # of the image's variance, for the fit to be trusted
 MIN_CONTRAST = 8.0  # grey levels
 MIN_LIKENESS = 0.5  # correlation with the printed pattern below which a decoded quadrilateral is no marker
+SURE_LIKENESS = 0.88  # from which on its corners are those of the print
+MOST_WRONG = 0.1  # share of the print's cells that may seem so
+MIN_BARE_BORDER = 0.7  # light around the frame below which there is hardly any border
+BITS_OF_ONE = 16  # of so many bits of the code one may be wrong: more is another code
+MOST_OFF = 0.5  # of a side, that a decoded corner may be from where the print has it
+SUBPIX_MOST_PX = 1.5  # that a corner is from where the print has it, as far as that tells
 SUBPIX_SIGMA_PX, SUBPIX_RADIAL_PX = 0.35, 0.5  # per axis; common to all corners, towards the centre or away from it
 
 
@@ -102,7 +109,8 @@ def _tracked(
     found: list[MarkerDetection] = []
     for seen in recognise(image, expected, layout, camera) or ():
         pattern = _quiet(layout.dictionary, seen.marker_id)
-        fitted = trusted_fit(seen.grey, seen.offset, seen.quad, pattern, camera, near=True)
+        bordered = seen.border >= MIN_BORDER
+        fitted = trusted_fit(seen.grey, seen.offset, seen.quad, pattern, camera, near=True, border=bordered)
         if fitted is None:
             return ()
         found.append(MarkerDetection(seen.marker_id, fitted.corners_px, fitted.covariance_px2))
@@ -170,24 +178,67 @@ def refine_corners(
     camera: CameraModel,
     refine: Refine = "photometric",
 ) -> tuple[Array, Array] | None:
-    """Corners of one marker, good to about a pixel, refined; None when the image there is nothing like the print.
+    """Corners of one marker, good to about a pixel, refined; None when the image there is not the print.
 
     Args:
         grey: uint8, C-contiguous; its pixel (0, 0) is the camera's pixel ``offset``.
-        quad: corners as decoded, (4, 2) in pixels of ``grey``.
+        quad: corners as decoded, (4, 2) in pixels of ``grey``. Where they do not show the whole print they are first
+            brought to where the inside of the print has them: something may cover one.
         pattern: cells of the print with a border of white ones, 0 black and 1 white.
 
     Returns:
         Corners (4, 2) in the camera's evenly spaced pixels and their covariance (8, 8).
     """
-    if _likeness(grey, quad, pattern[1:-1, 1:-1]) < MIN_LIKENESS:
+    placed = _on_print(grey, quad, pattern)
+    if placed is None:
         return None
+    start, seen = placed
+    bordered = seen.border >= MIN_BORDER
     if refine == "photometric":
-        fitted = trusted_fit(grey, offset, quad, pattern, camera)
+        fitted = trusted_fit(grey, offset, start, pattern, camera, border=bordered)
         if fitted is not None:
-            return fitted.corners_px, fitted.covariance_px2
-    corners, covariance = _subpix(grey, quad, pattern.shape[0] - 2)
+            # what does not fit counts less and less: the fit may have ended on another code
+            ended = start + fitted.corners_px - camera.even(start + offset)
+            ended_on = look(grey, np.ascontiguousarray(ended), pattern)
+            return (fitted.corners_px, fitted.covariance_px2) if _is_code(ended_on, pattern) else None
+    # where the border begins is the only place that is looked at from here on
+    if not bordered or (refine == "photometric" and not _is_whole(seen)):
+        return None
+    corners, covariance = _subpix(grey, start, pattern.shape[0] - 2)
+    by_print = aligned(grey, start, pattern)
+    if by_print is None:
+        return None
+    # one that the print has elsewhere, as under something that covers it, is as doubtful as that
+    off2 = (corners - by_print) ** 2
+    covariance += np.diag(np.where(off2.sum(axis=1, keepdims=True) > SUBPIX_MOST_PX**2, off2, 0.0).ravel())
     return camera.even(corners + offset), covariance
+
+
+def _on_print(grey: NDArray[np.uint8], quad: Array, pattern: Array) -> tuple[Array, Look] | None:
+    """Corners good enough to refine, and what is seen between them; None when that is not the print."""
+    seen = look(grey, quad, pattern)
+    if seen.likeness < MIN_LIKENESS:
+        return None
+    if _is_whole(seen):
+        return quad, seen
+    # something covers a corner or there is no border; or it is small and dim
+    start = aligned(grey, quad, pattern)
+    if start is None or float(np.abs(start - quad).max()) > MOST_OFF * _side(quad):
+        return None
+    seen = look(grey, start, pattern)
+    return (start, seen) if _is_code(seen, pattern) else None
+
+
+def _is_code(seen: Look, pattern: Array) -> bool:
+    """Returns whether it is this code that is seen; without a border around it every cell has to agree."""
+    if seen.border < MIN_BARE_BORDER and seen.wrong > 0.0:
+        return False
+    bits = (len(pattern) - 4) ** 2
+    return seen.wrong <= MOST_WRONG and seen.bits <= bits // BITS_OF_ONE
+
+
+def _is_whole(seen: Look) -> bool:
+    return seen.likeness >= SURE_LIKENESS and seen.wrong == 0.0 and seen.border >= MIN_BORDER
 
 
 def trusted_fit(
@@ -198,13 +249,14 @@ def trusted_fit(
     camera: CameraModel,
     *,
     near: bool = False,
+    border: bool = True,
 ) -> PhotometricFit | None:
     """The photometric fit from decoded corners, see ``refine_corners``; None where it is not to be trusted.
 
-    ``near``: the corners are good to half a pixel.
+    ``near``: the corners are good to half a pixel. ``border``: there is a white border around the print.
     """
     start = camera.even(quad + offset)
-    fitted = fit(grey, offset, start, camera, pattern, near=near)
+    fitted = fit(grey, offset, start, camera, pattern, near=near, border=border)
     if (
         fitted is None
         or fitted.explained < MIN_EXPLAINED
@@ -219,18 +271,6 @@ def trusted_fit(
 def _quiet(dictionary: str, marker_id: int) -> Array:
     """The pattern within a border of white cells."""
     return np.pad(cells(dictionary, marker_id), 1, constant_values=1.0)
-
-
-def _likeness(grey: NDArray[np.uint8], quad: Array, pattern: Array) -> float:
-    """Correlation of the image with the printed pattern, both sampled four times a cell and slightly blurred."""
-    n = pattern.shape[0]
-    side = 4 * n
-    target = np.array([[-0.5, -0.5], [side - 0.5, -0.5], [side - 0.5, side - 0.5], [-0.5, side - 0.5]], np.float32)
-    H = cv2.getPerspectiveTransform(target, quad.astype(np.float32))
-    seen = cv2.warpPerspective(grey, H, (side, side), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-    wanted = cv2.blur(np.kron(pattern, np.ones((4, 4))), (3, 3))
-    a, b = seen - seen.mean(), wanted - wanted.mean()
-    return float((a * b).sum() / (math.sqrt(float((a * a).sum()) * float((b * b).sum())) + 1e-9))
 
 
 def _subpix(grey: NDArray[np.uint8], quad: Array, cells_across: int) -> tuple[Array, Array]:

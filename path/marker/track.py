@@ -35,12 +35,14 @@ class Recognised:
     Attributes:
         quad: corners (4, 2) in pixels of ``grey``, good to about a third of a pixel.
         grey: the part of the image that shows it, C-contiguous; its first pixel is the camera's pixel ``offset``.
+        border: light around the frame, as of ``path.marker.printed.Look``.
     """
 
     marker_id: int
     quad: Array
     grey: NDArray[np.uint8]
     offset: tuple[int, int]
+    border: float
 
 
 def recognise(
@@ -85,9 +87,8 @@ def _recognised(image: NDArray[np.uint8], quad: Array, H: Array, marker_id: int,
     patch = cv2.warpPerspective(grey, H, (side, side), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
     likeness = cv2.matchTemplate(patch, _wanted(dictionary, marker_id), cv2.TM_CCOEFF_NORMED)
     start = np.empty((4, 2))
-    if not read(likeness, patch, pattern, H, MIN_TRACKED_LIKENESS, start):
-        return None
-    return Recognised(marker_id, start, grey, (u, v))
+    border = read(likeness, patch, pattern, H, MIN_TRACKED_LIKENESS, start)
+    return None if math.isnan(border) else Recognised(marker_id, start, grey, (u, v), border)
 
 
 @lru_cache(maxsize=64)

@@ -62,8 +62,10 @@ def _from_square(quad: Array, low: float, per_side: float, H: Array) -> None:
 @kernel
 def read(
     likeness: NDArray[np.float32], patch: NDArray[np.uint8], pattern: Array, H: Array, least: float, quad: Array
-) -> bool:
-    """Returns whether a print is in a patch, cell by cell as it should be; its corners (4, 2) in px into ``quad``.
+) -> float:
+    """Returns the light around a print that is in a patch, cell by cell as it should be; NaN when it is not.
+
+    Its corners (4, 2) in px go into ``quad``. The light is 0 as of its black, 1 as of its white cells.
 
     Args:
         likeness: (2 RANGE + 1, 2 RANGE + 1), correlation of the patch with the print at each place.
@@ -77,9 +79,10 @@ def read(
             if likeness[i, j] > likeness[y, x]:
                 x, y = j, i
     if not (likeness[y, x] >= least and 0 < x < 2 * RANGE and 0 < y < 2 * RANGE):
-        return False
-    if not _is_print(patch, x + SAMPLES // 2, y + SAMPLES // 2, pattern):
-        return False
+        return math.nan
+    border = _border_of_print(patch, x + SAMPLES // 2, y + SAMPLES // 2, pattern)
+    if math.isnan(border):
+        return math.nan
     n, low = pattern.shape[0], SAMPLES * MARGIN - 0.5
     middle = likeness[y, x]
     at_x = low + x - RANGE + _peak(likeness[y, x - 1], middle, likeness[y, x + 1])
@@ -89,7 +92,7 @@ def read(
         w = H[2, 0] * u + H[2, 1] * v + H[2, 2]
         quad[k, 0] = (H[0, 0] * u + H[0, 1] * v + H[0, 2]) / w
         quad[k, 1] = (H[1, 0] * u + H[1, 1] * v + H[1, 2]) / w
-    return True
+    return border
 
 
 @inner
@@ -100,27 +103,39 @@ def _peak(before: float, at: float, after: float) -> float:
 
 
 @inner
-def _is_print(patch: NDArray[np.uint8], x: int, y: int, pattern: Array) -> bool:
-    """Returns whether every cell of a print that begins at a sample is on its side of the middle grey level."""
+def _shade(patch: NDArray[np.uint8], x: int, y: int, column: int, row: int) -> float:
+    """Returns the light on the middle of a cell of a print that begins at a sample: its edges are blurred."""
+    total = 0.0
+    for b in range(1, SAMPLES - 1):
+        for a in range(1, SAMPLES - 1):
+            total += patch[y + SAMPLES * row + b, x + SAMPLES * column + a]
+    return total
+
+
+@inner
+def _border_of_print(patch: NDArray[np.uint8], x: int, y: int, pattern: Array) -> float:
+    """Returns the light around a print that begins at a sample; NaN when a cell is not on its side of the middle."""
     n = pattern.shape[0]
     shades = np.empty((n, n))
     white = black = 0.0
     whites = 0
     for i in range(n):
         for j in range(n):
-            total = 0.0
-            for b in range(1, SAMPLES - 1):  # edges are blurred
-                for a in range(1, SAMPLES - 1):
-                    total += patch[y + SAMPLES * i + b, x + SAMPLES * j + a]
+            total = _shade(patch, x, y, j, i)
             shades[i, j] = total
             if pattern[i, j] > 0.5:
                 white += total
                 whites += 1
             else:
                 black += total
-    middle = 0.5 * (white / whites + black / (n * n - whites))
+    white, black = white / whites, black / (n * n - whites)
+    middle = 0.5 * (white + black)
     for i in range(n):
         for j in range(n):
             if (shades[i, j] > middle) != (pattern[i, j] > 0.5):
-                return False
-    return True
+                return math.nan
+    around = 0.0
+    for i in range(n):
+        around += _shade(patch, x, y, i, -1) + _shade(patch, x, y, i, n)
+        around += _shade(patch, x, y, -1, i) + _shade(patch, x, y, n, i)
+    return (around / (4 * n) - black) / (white - black)

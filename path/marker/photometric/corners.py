@@ -108,6 +108,7 @@ class _FitState:
     pixels: Array
     extra: Array
     groups: Flags
+    border: bool
     edge_sigma: float = EDGE_SIGMA
     jacobian: Array = field(default_factory=lambda: np.empty((8, 8)))
     factor: Array = field(default_factory=lambda: np.empty((0, 0)))
@@ -174,7 +175,7 @@ class _FitState:
         """Choose the pixels; False when there are too few."""
         u, v = self.offset
         frame, lens, theta, self.measured = self.frame, self.lens, self.theta, None
-        self.pixels = gather(self.image, u, v, frame, lens, theta, self.n, blur_px, most, block)
+        self.pixels = gather(self.image, u, v, frame, lens, theta, self.n, blur_px, self.border, most, block)
         return len(self.pixels) >= 3 * UNKNOWNS
 
 
@@ -188,6 +189,7 @@ def fit(
     *,
     ideal: bool = False,
     near: bool = False,
+    border: bool = True,
 ) -> PhotometricFit | None:
     """Fit the printed pattern to a grey image.
 
@@ -199,11 +201,12 @@ def fit(
             0, 1, ..., cells.
         ideal: fit an ideal print and camera only.
         near: the corners to start from are good to half a pixel: the first pass looks at few pixels.
+        border: there is a white border around the print; without one only what is within its frame is looked at.
 
     Returns:
         None when the fit does not converge or too few pixels show the print.
     """
-    state = _start(image, offset, start_px, camera, cells, edges, FIRST_PIXELS if near else MAX_PIXELS)
+    state = _start(image, offset, start_px, camera, cells, edges, FIRST_PIXELS if near else MAX_PIXELS, border)
     if state is None or not _fit_ideal(state, ideal, near):
         return None
     if not ideal and _misfits(state):
@@ -219,6 +222,7 @@ def _start(
     cells: Array,
     edges: Array | None,
     first_pixels: int,
+    border: bool,
 ) -> _FitState | None:
     n = cells.shape[0] - 2
     lens = lens_of(camera)
@@ -228,7 +232,7 @@ def _start(
         return None
     ends = np.repeat(np.arange(n + 1.0)[None], 2, axis=0) if edges is None else edges
     extra, groups = np.zeros(TAPS + 2 * (n - 1) + SHADOW), np.zeros(GROUPS, np.bool_)
-    state = _FitState(image, offset, cells, ends, lens, frame, theta, rays, np.empty((0, 6)), extra, groups)
+    state = _FitState(image, offset, cells, ends, lens, frame, theta, rays, np.empty((0, 6)), extra, groups, border)
     if not state.gather(START_BLUR_PX, first_pixels):
         return None
     theta[8], theta[11] = tones(state.pixels)

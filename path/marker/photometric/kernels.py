@@ -155,7 +155,8 @@ def statistics(pixels: Array, residuals: Array, spread: float, used: int) -> Sta
             near += pair * 0.5 * (r * r + residuals[k - 1] ** 2)
         w_before = w
     variance = squares / max(total - used, 1.0)
-    explained = 1.0 - squares / max(grey2 - grey * grey / total, 1e-9)
+    # few pixels are explained by as many unknowns, whatever they show: each takes one
+    explained = 1.0 - variance * max(total - 1.0, 1.0) / max(grey2 - grey * grey / total, 1e-9)
     correlation = min(max(beside / near, 0.0), MAX_CORRELATION) if near > 0.0 else 0.0
     return total, variance, explained, correlation
 

@@ -109,10 +109,13 @@ def gather(
     theta: Array,
     n: int,
     blur_px: float,
+    border: bool = True,
     most: int = MAX_PIXELS,
     block: int = 0,
 ) -> Array:
     """Pixels of the print and of the part of its quiet border that its outer edge does not reach.
+
+    Without a ``border`` only those within its black frame that the outer edge does not reach.
 
     Of a large print about ``most`` are selected: pairs in a row, or squares of 2**block.
 
@@ -123,7 +126,10 @@ def gather(
     cx, cy, scale = frame[2], frame[3], frame[4]
     xs = math.hypot(theta[0] * frame[5] + theta[1] * frame[7], theta[0] * frame[6] + theta[1] * frame[8])
     ys = math.hypot(theta[3] * frame[5] + theta[4] * frame[7], theta[3] * frame[6] + theta[4] * frame[8])
-    x_out, y_out = max(0.1, 1.0 - 2.0 * blur_px * xs), max(0.1, 1.0 - 2.0 * blur_px * ys)
+    if border:
+        x_out, y_out = max(0.1, 1.0 - 2.0 * blur_px * xs), max(0.1, 1.0 - 2.0 * blur_px * ys)
+    else:
+        x_out, y_out = -min(0.9, 2.0 * blur_px * xs), -min(0.9, 2.0 * blur_px * ys)
     # the image box of the print, with its quiet border
     low_u, high_u, low_v, high_v = 1e9, -1e9, 1e9, -1e9
     for k in range(4):

@@ -55,6 +55,8 @@ def test_a_detector_finds_what_the_rigs_tables_say(options: CalibrateMarkerOptio
     file = tmp_path / "marker.svg"
     options = CalibrateMarkerOptions(options.ids, options.side_m, options.gap_m, options.dictionary, file)
     said = drawn(options)
+    cell_mm = 1e3 * options.side_m / (dictionary_of(options.dictionary).markerSize + 2)
+    assert f"Leave the white around it: {cell_mm:.1f} mm are needed, {1.5 * cell_mm:.1f} mm are drawn" in said
     assert ("AprilTags are turned by 180 degrees" in said) == ("APRILTAG" in options.dictionary)
     rig = tomllib.loads(said.split("into the rig:\n\n")[1])
     assert rig.get("marker_dictionary", "DICT_4X4_50") == options.dictionary

@@ -79,6 +79,17 @@ class Optics:
     samples: int = 8
 
 
+@dataclass(frozen=True)
+class Plate:
+    """A plate that a print was glued to, cut out with a white border of so many cells; it reaches 3 cells around."""
+
+    border: float
+    grey: float
+
+
+PLATE_CELLS = 3
+
+
 def background(camera: CameraModel, rng: np.random.Generator) -> NDArray[np.float64]:
     """Grey ground with texture at several scales, shape (height, width)."""
     image = np.full((camera.height, camera.width), 105.0)
@@ -95,12 +106,14 @@ def render(
     rng: np.random.Generator,
     optics: Optics = Optics(),
     ground: NDArray[np.float64] | None = None,
+    plate: Plate | None = None,
 ) -> NDArray[np.uint8]:
     """The grey image of all markers of a layout, shape (height, width): supersampled, blurred, noisy, quantised."""
     image = background(camera, rng) if ground is None else ground.copy()
     for marker in layout.markers:
-        texture = np.pad(cells(layout.dictionary, marker.id), 1, constant_values=1.0)
-        _draw(image, camera, T_c_v @ marker.T_v_m, texture, marker.side_m, optics, rng)
+        around = 1 if plate is None else PLATE_CELLS
+        texture = np.pad(cells(layout.dictionary, marker.id), around, constant_values=1.0)
+        _draw(image, camera, T_c_v @ marker.T_v_m, texture, marker.side_m, optics, plate)
     image += rng.normal(0.0, optics.noise, image.shape)
     if optics.gamma != 1.0:
         image = 255.0 * (np.clip(image, 0.0, 255.0) / 255.0) ** (1.0 / optics.gamma)
@@ -114,15 +127,15 @@ def _draw(
     texture: Matrix,
     side_m: float,
     optics: Optics,
-    rng: np.random.Generator,
+    plate: Plate | None,
 ) -> None:
     n = texture.shape[0]
-    cell = side_m / (n - 2)
+    cell = side_m / (n - 2 * (1 if plate is None else PLATE_CELLS))
     half = 0.5 * n * cell
-    plate = camera.project(T_c_m.apply(half * np.array([[-1.0, 1.0, 0.0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])))
+    ends_px = camera.project(T_c_m.apply(half * np.array([[-1.0, 1.0, 0.0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])))
     margin = 4.0 + 4.0 * optics.blur_px
-    u0, v0 = np.floor(plate.min(axis=0) - margin).astype(int)
-    u1, v1 = np.ceil(plate.max(axis=0) + margin).astype(int)
+    u0, v0 = np.floor(ends_px.min(axis=0) - margin).astype(int)
+    u1, v1 = np.ceil(ends_px.max(axis=0) + margin).astype(int)
     u, v = np.meshgrid(np.arange(u0, u1, dtype=float), np.arange(v0, v1, dtype=float))
     px = np.stack([u.ravel(), v.ravel()], axis=1)
     right, below = np.array([0.5, 0.0]), np.array([0.0, 0.5])
@@ -145,6 +158,9 @@ def _draw(
     row = np.clip(((half - y) / cell).astype(int), 0, n - 1)
     light = 1.0 + optics.shade * (0.6 * x + 0.8 * y) / half
     value = (optics.black + (optics.white - optics.black) * texture[row, column]) * light
+    if plate is not None:
+        cut_m = 0.5 * side_m + plate.border * cell
+        value = np.where(np.maximum(np.abs(x), np.abs(y)) > cut_m, plate.grey, value)
     cut_v, cut_u = slice(max(v0, 0), min(v1, camera.height)), slice(max(u0, 0), min(u1, camera.width))
     behind = np.zeros(u.shape)
     behind[cut_v.start - v0 : cut_v.stop - v0, cut_u.start - u0 : cut_u.stop - u0] = image[cut_v, cut_u]
@@ -155,3 +171,16 @@ def _draw(
         value = cv2.GaussianBlur(value, (0, 0), optics.blur_px * s, borderType=cv2.BORDER_REPLICATE)
     patch = value.reshape(u.shape[0], s, u.shape[1], s).mean(axis=(1, 3))
     image[cut_v, cut_u] = patch[cut_v.start - v0 : cut_v.stop - v0, cut_u.start - u0 : cut_u.stop - u0]
+
+
+def covered(
+    image: NDArray[np.uint8], corners_px: NDArray[np.float64], outline: NDArray[np.float64], grey: float
+) -> NDArray[np.uint8]:
+    """The image with something flat over a part of a marker: ``outline`` in its sides, (0, 0) top left to (1, 1)."""
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], np.float32)
+    H = cv2.getPerspectiveTransform(square, corners_px.astype(np.float32))
+    places = cv2.perspectiveTransform(outline.reshape(-1, 1, 2), H.astype(np.float64)).reshape(-1, 2)
+    mask = np.zeros(image.shape[:2], np.uint8)
+    cv2.fillPoly(mask, [np.round(16.0 * places).astype(np.int32)], (255,), cv2.LINE_AA, 4)
+    share = cv2.GaussianBlur(mask / 255.0, (0, 0), 0.7)
+    return np.clip(np.rint((1.0 - share) * image + share * grey), 0.0, 255.0).astype(np.uint8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import cv2
@@ -98,7 +99,7 @@ def test_where_the_fit_fails_corners_are_subpixel_ones(monkeypatch: pytest.Monke
     region = region_around(true_corners(VGA, pose, LAYOUT), 60.0)
     (plain,) = detect_markers(image_of(pose), region, LAYOUT, VGA, refine="subpix")
 
-    def fails(*_: object, near: bool) -> None:
+    def fails(*_: object, near: bool, border: bool) -> None:
         return None
 
     monkeypatch.setattr(detect, "fit", fails)
@@ -188,3 +189,61 @@ def test_in_a_whole_image_what_is_small_and_close_to_others_is_looked_for_thorou
     assert len({each.marker_id for each in found}) == len(found)  # each once
     assert len(found) >= max(1.1 * len(once), len(by_opencv))
     assert detect_markers(GROUND.astype(np.uint8), None, layout, VGA) == ()
+
+
+def coded(pattern: NDArray[np.float64], side_px: float, rng: np.random.Generator, coarse: int = 1) -> NDArray[np.uint8]:
+    """A print seen at a slant, its picture enlarged so many times without smoothing, 240x240."""
+    n, small = len(pattern), 240 // coarse
+    side = side_px / coarse * n / (n - 2)
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    to = (square + rng.uniform(-0.12, 0.12, (4, 2))) * side + 0.5 * (small - side)
+    H = cv2.getPerspectiveTransform((12.0 * n * square - 0.5).astype(np.float32), (4.0 * to).astype(np.float32))
+    large = cv2.warpPerspective(
+        np.kron(30.0 + 170.0 * pattern, np.ones((12, 12))), H, (4 * small, 4 * small), borderValue=(120.0,)
+    )
+    seen = cv2.resize(cv2.GaussianBlur(large, (0, 0), 2.8), (small, small), interpolation=cv2.INTER_AREA)
+    noisy = np.clip(seen + rng.normal(0.0, 2.0, seen.shape), 0.0, 255.0).astype(np.uint8)
+    return np.kron(noisy, np.ones((coarse, coarse), np.uint8))
+
+
+def all_of(dictionary: str, count: int) -> MarkerLayout:
+    return MarkerLayout(tuple(Marker(i, 0.04, 0.0, Pose(np.eye(3), np.zeros(3))) for i in range(count)), dictionary)
+
+
+@pytest.mark.parametrize(
+    ("dictionary", "flipped", "coarse"),
+    [
+        ("DICT_4X4_50", 2, 1), ("DICT_APRILTAG_16h5", 2, 1), ("DICT_6X6_50", 4, 1),
+        ("DICT_APRILTAG_36h11", 4, 1), ("DICT_APRILTAG_36h11", 5, 1),
+        ("DICT_APRILTAG_36h11", 4, 4), ("DICT_6X6_50", 4, 4),
+    ],
+)  # fmt: skip
+def test_a_code_that_is_several_bits_away_is_another_one(dictionary: str, flipped: int, coarse: int):
+    """Of another family's sheet; a decoder corrects up to five of 36 bits, and one or two of 16."""
+    rng, layout = np.random.default_rng(6), all_of(dictionary, 30)
+    camera = dataclasses.replace(VGA, width=240, height=240, cx=120.0, cy=120.0)
+    found = 0
+    for _ in range(15):
+        pattern = np.pad(cells(dictionary, int(rng.integers(30))), 1, constant_values=1.0)
+        bits = pattern[2:-2, 2:-2]
+        for place in rng.choice(bits.size, flipped, replace=False):
+            at = np.unravel_index(place, bits.shape)
+            bits[at] = 1.0 - bits[at]
+        image = coded(pattern, rng.uniform(40.0, 110.0), rng, coarse)
+        found += len(detect_markers(image, None, layout, camera))
+        found += len(detect_markers(image, Region(0.0, 0.0, 240.0, 240.0), layout, camera))
+    assert found == 0
+
+
+def test_a_bar_of_lights_is_no_marker():
+    rng, camera = np.random.default_rng(1), dataclasses.replace(VGA, width=300, height=300, cx=150.0, cy=150.0)
+    for _ in range(10):
+        image = np.zeros((300, 300))
+        cv2.line(
+            image, tuple(rng.integers(60, 240, 2).tolist()), tuple(rng.integers(60, 240, 2).tolist()), (255.0,), 14
+        )
+        image *= rng.uniform(0.3, 1.0, (75, 75)).repeat(4, axis=0).repeat(4, axis=1)
+        seen = np.clip(cv2.GaussianBlur(image, (0, 0), 2.0) + rng.normal(0.0, 2.0, image.shape), 0.0, 255.0)
+        for dictionary in ("DICT_APRILTAG_16h5", "DICT_4X4_50"):
+            for region in (None, Region(0.0, 0.0, 300.0, 300.0), Region(50.0, 50.0, 250.0, 250.0)):
+                assert detect_markers(seen.astype(np.uint8), region, all_of(dictionary, 30), camera) == ()
