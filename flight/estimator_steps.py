@@ -5,7 +5,7 @@ compass is believed again. The vehicle has not moved. ``StepWatch`` sees such a 
 ``flight.steady_vehicle`` takes it out of them.
 
 A step is what the velocity and the heading's rate do not explain. Between two states dt apart a
-vehicle moves by the mean of its two velocities, but for what an acceleration g can add (g dt²/2), an
+vehicle moves by the mean of its two velocities, but for what an acceleration g can add (g dt²/4), an
 error of the velocity as large as the speed that is flown (v dt), and stamps that are late. What the
 estimator's noise adds besides is learned in flight. An estimator that walks a glitch off is slower
 than all that: it is followed. Where the autopilot counts its resets, half of it is enough for a step
@@ -158,7 +158,7 @@ class StepWatch:
         mean_mps = scale(add(before.velocity_n_mps, state.velocity_n_mps), 0.5)
         moved_m = subtract(state.position_n_m, before.position_n_m)
         north, east, down = subtract(moved_m, scale(mean_mps, dt_s))
-        explained_m = 0.5 * GRAVITY_MPS2 * dt_s * dt_s + self._fastest_mps * dt_s + norm(mean_mps) * LATE_S
+        explained_m = 0.25 * GRAVITY_MPS2 * dt_s * dt_s + self._fastest_mps * dt_s + norm(mean_mps) * LATE_S
         share = COUNTED_SHARE if self._counted(state) else 1.0
         across = self._across.is_step(math.hypot(north, east), explained_m, share)
         high = self._height.is_step(abs(down), explained_m, share)

@@ -31,7 +31,8 @@ _CLIMB_GAIN_PER_S = 0.8
 class Drone:
     """A drone on the ground, armable, with the other one heard: all a mission has to do with it.
 
-    Places are (north, east, down) in m from the mission's origin, by the vehicle's own estimate. Every wait has an end.
+    Places are (north, east, down) in m from the mission's origin, by the vehicle's own estimate, less
+    what that has stepped by in flight. Every wait has an end.
     Whatever is raised in a mission ends it, and the drone lands.
 
     Attributes:
