@@ -15,6 +15,8 @@ shortly after the count has changed.
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Sequence
 
 from drivers.interfaces import VehicleState
 from flight.guidance import Vec3, add, norm, scale, subtract
@@ -28,8 +30,9 @@ GRAVITY_MPS2 = 9.81
 TURN_RPS2 = 10.0  # no multicopter turns its nose harder
 LATE_S = 0.04  # what a state's stamp may be late by more than the one before
 LEAST_NS = 10_000_000  # states nearer to each other came in one burst: the older one is compared with the next
-LONGEST_TURN_NS = 300_000_000  # after so long the rate of before says nothing
+LATELY_NS = 150_000_000  # the last moments: what came late is here by then
 SETTLED_NS = 1_000_000_000  # after arming: the height is counted anew when a vehicle arms
+MADE_UP = 0.3  # of a leap: so much was missing before, and it is none
 LEARNED = 20  # residuals, before one may be a step
 FORGET = 0.02  # of the noise, by each residual
 
@@ -64,31 +67,45 @@ class Step:
         return " and ".join(said)
 
 
-class _Noise:
-    """The usual size of what a quantity moves by beside its rate: the root of a mean square that forgets."""
+class _Residuals:
+    """What a quantity moves by beside its rate: its usual size, and what it was lately."""
 
     def __init__(self) -> None:
-        self._square = 0.0
+        self._square = 0.0  # its mean, which forgets
         self._noted = 0
+        self._lately: deque[tuple[int, Sequence[float]]] = deque()
 
-    def is_step(self, residual: float, explained: float, share: float) -> bool:
+    def is_step(self, stamp_ns: int, residual: Sequence[float], explained: float, share: float) -> bool:
         """Returns whether a residual is a step: more than what explains it, and than noise.
 
-        One that is none is learned from. ``share``: of that which is enough.
+        ``share``: of that which is enough.
         """
-        if self._noted >= LEARNED and residual > share * (explained + SIGMAS * self._sigma):
+        while self._lately and stamp_ns - self._lately[0][0] > LATELY_NS:
+            self._lately.popleft()
+        size = math.hypot(*residual)
+        known = self._noted >= LEARNED
+        enough = share * (explained + SIGMAS * math.sqrt(self._square))
+        if known and size > enough and self._stays(residual, size):
+            # Little is learned from a step; but where all are, the noise has grown.
+            self._learn(enough)
+            self._lately.clear()
             return True
-        self._note(residual)
+        self._learn(size)
+        self._lately.append((stamp_ns, residual))
         return False
 
-    @property
-    def _sigma(self) -> float:
-        return math.sqrt(self._square)
-
-    def _note(self, residual: float) -> None:
+    def _learn(self, size: float) -> None:
         self._noted += 1
-        share = max(FORGET, 1.0 / self._noted)
-        self._square += share * (residual * residual - self._square)
+        weight = max(FORGET, 1.0 / self._noted)
+        self._square += weight * (size * size - self._square)
+
+    def _stays(self, residual: Sequence[float], size: float) -> bool:
+        """Returns whether it does not just make up for what was missing before.
+
+        Telemetry that comes late and then at once stands still first and leaps then.
+        """
+        along = [sum(a * b for a, b in zip(earlier, residual, strict=True)) for _, earlier in self._lately]
+        return min(along, default=0.0) > -MADE_UP * size * size
 
 
 class StepWatch:
@@ -104,10 +121,10 @@ class StepWatch:
     def __init__(self, fastest_mps: float) -> None:
         self._fastest_mps = fastest_mps
         self._before: VehicleState | None = None
-        self._rate_rps: float | None = None
-        self._across = _Noise()
-        self._height = _Noise()
-        self._turn = _Noise()
+        self._across = _Residuals()
+        self._height = _Residuals()
+        self._turn = _Residuals()
+        self._headings: deque[tuple[int, float]] = deque()  # of the last moments: stamp, rad
         self._counted_ns: int | None = None
         self._armed_ns: int | None = None
         self._ready = False
@@ -128,13 +145,13 @@ class StepWatch:
         self._before = state
         self._ready = self._ready or state.armable or state.armed
         self._note_arming(state)
-        if before is None or not (self._ready and _is_finite(before) and _is_finite(state)):
-            self._rate_rps = None
+        if before is None or not (_is_finite(before) and _is_finite(state)):
+            self._headings.clear()
             return None
         self._note_count(before, state)
         shift_n_m = self._shift(before, state)
         turn_rad = self._turned(before, state)
-        if not (any(shift_n_m) or turn_rad):
+        if not self._ready or not (any(shift_n_m) or turn_rad):
             return None
         return Step(before.stamp_ns, state.stamp_ns, shift_n_m, turn_rad, self._counted(state))
 
@@ -160,8 +177,8 @@ class StepWatch:
         north, east, down = subtract(moved_m, scale(mean_mps, dt_s))
         explained_m = 0.25 * GRAVITY_MPS2 * dt_s * dt_s + self._fastest_mps * dt_s + norm(mean_mps) * LATE_S
         share = COUNTED_SHARE if self._counted(state) else 1.0
-        across = self._across.is_step(math.hypot(north, east), explained_m, share)
-        high = self._height.is_step(abs(down), explained_m, share)
+        across = self._across.is_step(state.stamp_ns, (north, east), explained_m, share)
+        high = self._height.is_step(state.stamp_ns, (down,), explained_m, share)
         return (
             north if across else 0.0,
             east if across else 0.0,
@@ -171,20 +188,36 @@ class StepWatch:
     def _turned(self, before: VehicleState, state: VehicleState) -> float:
         dt_ns = state.stamp_ns - before.stamp_ns
         dt_s = dt_ns * 1e-9
-        turned_rad = wrapped(yaw_of(state.q_n_b) - yaw_of(before.q_n_b))
-        rate_rps = self._rate_rps
-        if dt_ns > LONGEST_TURN_NS:
-            self._rate_rps = None
-            return 0.0
-        self._rate_rps = turned_rad / dt_s
-        if rate_rps is None:
-            return 0.0
-        left_rad = wrapped(turned_rad - rate_rps * dt_s)
-        share = COUNTED_SHARE if self._counted(state) else 1.0
-        if not self._turn.is_step(abs(left_rad), TURN_RPS2 * dt_s * dt_s, share):
-            return 0.0
-        self._rate_rps = rate_rps
-        return left_rad
+        rate_rps, since_s = self._rate()
+        yaw_rad = yaw_of(state.q_n_b)
+        turned_rad = wrapped(yaw_rad - yaw_of(before.q_n_b))
+        step_rad = 0.0
+        if dt_ns > LATELY_NS:
+            self._headings.clear()  # the rate of before says nothing any more
+        elif rate_rps is not None:
+            left_rad = wrapped(turned_rad - rate_rps * dt_s)
+            share = COUNTED_SHARE if self._counted(state) else 1.0
+            explained_rad = TURN_RPS2 * (0.5 * since_s + dt_s) * dt_s + abs(rate_rps) * LATE_S
+            if self._turn.is_step(state.stamp_ns, (left_rad,), explained_rad, share):
+                step_rad = left_rad
+        self._note_heading(state.stamp_ns, yaw_rad, step_rad)
+        return step_rad
+
+    def _rate(self) -> tuple[float | None, float]:
+        """The rate of turning over the last moments, rad/s, and how long these are, s."""
+        if len(self._headings) < 2:
+            return None, 0.0
+        first_ns, first_rad = self._headings[0]
+        last_ns, last_rad = self._headings[-1]
+        since_s = (last_ns - first_ns) * 1e-9
+        return wrapped(last_rad - first_rad) / since_s, since_s
+
+    def _note_heading(self, stamp_ns: int, yaw_rad: float, step_rad: float) -> None:
+        if step_rad:
+            self._headings = deque((at_ns, before + step_rad) for at_ns, before in self._headings)
+        while len(self._headings) > 2 and stamp_ns - self._headings[0][0] > LATELY_NS:
+            self._headings.popleft()
+        self._headings.append((stamp_ns, yaw_rad))
 
 
 def _is_finite(state: VehicleState) -> bool:

@@ -12,6 +12,7 @@ from flight.shedding import BEAT_S
 from missions.leg.session import RoleSession
 
 _STATE_PERIOD_S = 0.1
+_LOOK_PERIOD_S = 0.02  # as often as telemetry comes
 _CPU_PERIOD_S = 1.0
 
 
@@ -28,7 +29,6 @@ async def log_state(session: RoleSession) -> None:
         for what in [each for each in session.vehicle.ignored if each not in told]:
             told.add(what)
             session.say(f"ALARM: ignored {what}")
-        session.note_steps()
         state = session.vehicle.state
         battery.look(state)
         if state.stamp_ns > logged_ns:
@@ -43,6 +43,13 @@ async def log_state(session: RoleSession) -> None:
             }
             session.log.write("/state", logged_ns, record)
         await asyncio.sleep(_STATE_PERIOD_S)
+
+
+async def watch_estimator(session: RoleSession) -> None:
+    """Look at every state that the vehicle tells, for ever: what its estimator stepped by shows in one of them."""
+    while True:
+        session.note_steps()
+        await asyncio.sleep(_LOOK_PERIOD_S)
 
 
 class BatteryNews:

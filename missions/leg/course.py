@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 from flight.harness.flights import RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
-from missions.leg.beside import keep_up, log_cpu, log_lateness, log_state
+from missions.leg.beside import keep_up, log_cpu, log_lateness, log_state, watch_estimator
 from missions.leg.journal import setup_record
 from missions.leg.session import RoleSession, as_end, unless_exit
 
@@ -47,6 +47,7 @@ async def run_course(session: RoleSession, course: Course) -> MissionEnd | None:
         session.pump(),
         session.report(),
         log_state(session),
+        watch_estimator(session),
         log_cpu(session),
         log_lateness(session),
         keep_up(session),

@@ -147,6 +147,7 @@ class RoleSession:
 
     def note_steps(self) -> None:
         """Tell what the estimator stepped by since the last time, to the log, the crew and the role."""
+        _ = self.vehicle.state  # whose steps are those of the states that were asked for
         new = self.vehicle.steps[self._steps_told :]
         self._steps_told += len(new)
         for step in new:

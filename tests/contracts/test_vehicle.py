@@ -29,6 +29,8 @@ from drivers.interfaces import (
 from drivers.rig.parts import PartContext
 from drivers.tello.config import TelloVehicleConfig
 from drivers.tello.vehicle import TelloVehicle
+from flight.config import MissionConfig
+from flight.steady_vehicle import SteadyVehicle
 from hil.harness.virtual_time import run_virtual
 from hil.tello.sim import SimTello, SimTelloConfig
 from hil.vehicle.sim_vehicle import SimVehicle, SimVehicleConfig
@@ -104,6 +106,10 @@ def sim_vehicle() -> contextlib.AbstractContextManager[Stage]:
     return sim(lambda context: SimVehicle(SimVehicleConfig(), context))
 
 
+def steady() -> contextlib.AbstractContextManager[Stage]:
+    return sim(lambda context: SteadyVehicle(SimVehicle(SimVehicleConfig(), context), MissionConfig()))
+
+
 def sim_tello() -> contextlib.AbstractContextManager[Stage]:
     return sim(lambda context: SimTello(SimTelloConfig(), context))
 
@@ -135,7 +141,7 @@ def tello() -> Generator[Stage]:
         )
 
 
-VEHICLES = pytest.mark.parametrize("stage_of", [sim_vehicle, sim_tello, mavsdk, tello])
+VEHICLES = pytest.mark.parametrize("stage_of", [sim_vehicle, steady, sim_tello, mavsdk, tello])
 StageOf = Callable[[], contextlib.AbstractContextManager[Stage]]
 
 

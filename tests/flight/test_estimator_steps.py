@@ -164,3 +164,28 @@ def test_states_of_one_burst_are_held_against_the_next_that_is_later() -> None:
     made = states(400)
     burst = [*made[:200], replace(made[200], stamp_ns=made[199].stamp_ns + 1), *made[201:]]
     assert seen(burst) == []
+
+
+@pytest.mark.parametrize("late_s", [0.03, 0.08])
+def test_telemetry_that_comes_late_and_then_at_once_is_no_step(late_s: float) -> None:
+    made = states(3000, turning_rps=1.0)
+    late_ns = round(late_s * 1e9)
+    for begin in range(100, 2900, 97):
+        held_until_ns = made[begin].stamp_ns + late_ns
+        for k in range(begin, begin + late_ns // PERIOD_NS + 1):
+            made[k] = replace(made[k], stamp_ns=max(made[k].stamp_ns, held_until_ns + k - begin))
+    assert seen(made) == []
+
+
+def test_noise_that_grows_is_learned_and_not_taken_for_steps_for_ever() -> None:
+    made = states(1500)
+    rng = random.Random(2)
+    noisy = [
+        replace(each, position_n_m=add(each.position_n_m, (rng.gauss(0.0, 0.2), rng.gauss(0.0, 0.2), 0.0)))
+        if k > 300
+        else each
+        for k, each in enumerate(made)
+    ]
+    steps = seen(noisy)
+    assert 0 < len(steps) < 20
+    assert steps[-1].stamp_ns < made[400].stamp_ns

@@ -13,7 +13,7 @@ from drivers.interfaces import VehicleState
 from drivers.log.topics import TOPICS
 from flight.guidance import Vec3, add
 from flight.outcome import Outcome
-from missions.leg.beside import log_state
+from missions.leg.beside import watch_estimator
 from missions.leg.session import RoleSession
 from path.geometry.rotation import quat_from_rpy
 from path.messages import Role, Status
@@ -133,7 +133,7 @@ def test_evidence_begins_anew_when_the_other_drone_says_that_it_stepped(rig: Any
 def test_a_session_that_begins_later_does_not_tell_of_earlier_steps(rig: Any) -> None:
     async def main() -> None:
         bench = Stepped(rig)
-        looking = asyncio.create_task(log_state(bench.session))
+        looking = asyncio.create_task(watch_estimator(bench.session))
         await look(bench)
         looking.cancel()
         session, told = bench.session, len(bench.log.of("/estimator_step"))
