@@ -61,7 +61,7 @@ def test_each_limit_ends_the_mission_by_its_name(outcome: Outcome, changes: dict
     "changes",
     [
         {},
-        {"stamp_ns": ago(0.49), "heartbeat_ns": ago(1.99)},
+        {"stamp_ns": ago(0.5), "heartbeat_ns": ago(2.0)},
         {"position_n_m": (7.0, -7.0, -4.9)},
         {"position_n_m": (0.0, 0.0, 0.2)},  # the estimate may be below the ground
         {"battery": 0.2},

@@ -24,6 +24,8 @@ def test_each_duration_is_over_when_it_is_longer_than_the_rule_says(more_ns: int
     assert (at(odd, replace(VIEW, mode=FlightMode.TAKEOFF))[0].stage is GuardStage.LET_GO) is over
     gone = GuardState(GuardStage.LET_GO, "somebody", odd_ns=ago(1.0, more_ns))
     assert (at(gone, heard=dead(for_s=9.0))[1] is Act.HOLD) is over
+    nobodys = GuardState(GuardStage.LET_GO, "somebody", odd_ns=ago(1.0, 1))
+    assert (at(nobodys, heard=replace(HEARD, beat_ns=ago(0.5, more_ns)))[1] is Act.HOLD) is over
     for acked, waits_s in ((None, 0.5), (True, 1.5)):
         sent = GuardState(GuardStage.HOLDING, "x", sent_ns=ago(waits_s, more_ns))
         assert (at(sent, replace(VIEW, acked=acked))[1] is Act.LAND) is over

@@ -12,8 +12,8 @@ import pytest
 from drivers.interfaces import FlightMode
 from drivers.mavlink.guard.interfaces import Beat, GuardAnswer, GuardView, Hand, Script
 from flight.config import MissionConfig
-from flight.guard.rules import GuardStage
-from flight.guard.watch import GuardWatch, watch
+from flight.guard.rules import Act, GuardStage
+from flight.guard.watch import STALL_S, GuardWatch, watch
 from hil.harness.virtual_time import run_virtual
 
 CONFIG = MissionConfig()
@@ -190,6 +190,82 @@ def test_the_guards_own_stall_is_no_fault_of_the_role() -> None:
         assert clock.now_ns() > 0
 
     virtual(main())
+
+
+def test_a_stall_of_the_guards_own_makes_no_beat_younger_than_now() -> None:
+    """A beat that had just come before: a program that dies then is found as soon as any other."""
+
+    async def main() -> None:
+        bench = Bench()
+        await bench.in_control()
+        await bench.end()
+        guard = bench.guard
+        bench.line.waiting = Beat(Script.CONTROL, bench.setpoints + 1)
+        guard.tick()
+        await asyncio.sleep(5.0)
+        bench.line.waiting = Beat(Script.CONTROL, bench.setpoints + 2)
+        guard._forgive_own_stall(LoopClock().now_ns())
+        assert guard._heard is not None
+        assert guard._heard.beat_ns == guard._heard.setpoint_ns == LoopClock().now_ns()
+
+    virtual(main())
+
+
+@pytest.mark.parametrize(("ticks_apart_s", "forgives"), [(STALL_S - 1e-6, False), (STALL_S, True)])
+def test_a_guard_that_ticks_in_time_forgives_nothing(ticks_apart_s: float, forgives: bool) -> None:
+    async def main() -> None:
+        bench = Bench()
+        await bench.in_control()
+        await bench.end()
+        now_ns = LoopClock().now_ns()
+        bench.guard._forgive_own_stall(now_ns)
+        bench.log.records.clear()
+        bench.guard._forgive_own_stall(now_ns + round(ticks_apart_s * 1e9))
+        assert bool(bench.log.records) is forgives
+
+    virtual(main())
+
+
+@pytest.mark.parametrize(("more_ns", "hears"), [(0, True), (1000, False)])
+def test_a_program_is_heard_for_as_long_as_the_rules_say(more_ns: int, hears: bool) -> None:
+    async def main() -> None:
+        bench = Bench()
+        await bench.in_control()
+        await bench.end()
+        assert bench.guard._heard is not None
+        beat_ns = LoopClock().now_ns() - round(RULES.beat_age_s * 1e9) - more_ns
+        bench.guard._heard = replace(bench.guard._heard, beat_ns=beat_ns)
+        assert bench.guard.hears is hears
+
+    virtual(main())
+
+
+def test_a_position_that_was_never_told_is_not_seen_however_young_the_clock() -> None:
+    """A clock that begins at 0 does not make the stamp of nothing a fresh one."""
+
+    async def main() -> None:
+        bench = Bench()
+        await bench.end()
+        told = replace(GROUND, heartbeat_ns=1, position_ns=1)
+        assert bench.guard._sees(told, 1000)
+        assert not bench.guard._sees(replace(told, position_ns=0), 1000)
+
+    virtual(main())
+
+
+def test_whoever_started_the_guard_is_told_of_every_decision() -> None:
+    told: list[tuple[GuardStage, Act]] = []
+
+    async def main() -> None:
+        bench = Bench()
+        bench.guard._tell = lambda state, act: told.append((state.stage, act))
+        await bench.in_control()
+        bench.hung = True
+        await asyncio.sleep(RULES.beat_age_s + RULES.hold_s + 1.0)
+        await bench.end()
+
+    virtual(main())
+    assert told == [(GuardStage.HOLDING, Act.HOLD), (GuardStage.LANDING, Act.LAND)]
 
 
 def test_a_program_that_died_has_no_part_in_the_next_flight() -> None:

@@ -193,14 +193,23 @@ def test_no_pair_is_made_next_to_a_frame_that_saw_nothing_nor_one_from_before_it
     assert bench.count == 0
 
 
-@pytest.mark.parametrize(("frame_id", "stamp_ns"), [(5, 5 * PERIOD), (4, 6 * PERIOD), (6, 5 * PERIOD), (6, 0)])
-def test_an_old_or_repeated_frame_of_d1_changes_nothing(frame_id: int, stamp_ns: int) -> None:
+@pytest.mark.parametrize(
+    ("frame_id", "stamp_ns", "reason"),
+    [
+        (5, 5 * PERIOD, MissReason.DUPLICATE),
+        (5, 6 * PERIOD, MissReason.DUPLICATE),
+        (4, 6 * PERIOD, MissReason.STALE),
+        (6, 5 * PERIOD, MissReason.STALE),
+        (6, 0, MissReason.STALE),
+    ],
+)
+def test_an_old_or_repeated_frame_of_d1_changes_nothing(frame_id: int, stamp_ns: int, reason: MissReason) -> None:
     bench = Bench()
     bench.run(5)
     result = bench.sender.observe(frame_id, stamp_ns, None, None, GRAVITY)
     assert isinstance(result, Missed)
     assert result.ignored
-    assert result.reason in (MissReason.DUPLICATE, MissReason.STALE)
+    assert result.reason is reason
     assert bench.count == 5
 
 
@@ -217,6 +226,33 @@ def test_a_candidate_waits_for_d1s_frame_after_it_and_meets_d1s_box_of_its_insta
     assert abs(own_box(60.0, speed_mps=1.0).x - expected.x) > 3.0
     assert isinstance(pair.verdict, Agreed)
     assert pair.verdict.iou > 0.95
+
+
+def test_a_candidate_that_comes_before_d1s_first_frame_waits_as_long_as_any() -> None:
+    bench = Bench()
+    bench.offer(candidate(1, 13.0))
+    assert bench.sender.evaluate_ready(512 * MS) == []
+    (pair,) = bench.sender.evaluate_ready(513 * MS)
+    assert pair.verdict == Missed(MissReason.STALE)
+
+
+def test_depth_of_no_uncertainty_is_depth_and_of_a_negative_one_is_none() -> None:
+    assert isinstance(Bench().see(0, depth=Depth(DEPTH_M, 0.0)), Target)
+    assert Bench().see(0, depth=Depth(DEPTH_M, -1e-9)) == Missed(MissReason.NO_DEPTH)
+
+
+def test_what_the_gate_refuses_as_no_new_evidence_is_no_disagreement_either(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench()
+    bench.run(5)
+
+    def refuse(_sequence: int, _capture_ns: int, _by: float | None) -> MissReason:
+        return MissReason.STALE
+
+    monkeypatch.setattr(bench.sender.gate, "disagree", refuse)
+    (pair,) = bench.step(6, box=Box(100.0, 100.0, 80.0, 80.0))
+    assert isinstance(pair.verdict, Missed)
+    assert (pair.verdict.reason, pair.verdict.ignored) == (MissReason.STALE, True)
+    assert bench.count == 5
 
 
 def test_a_candidate_d1_never_has_a_frame_for_is_a_miss_in_the_end() -> None:
