@@ -8,7 +8,7 @@ The operators, over the syntax tree of functions (annotations, assertions, strin
     number    an integer one higher, True for False
     sign      `+` for `-`, `min` for `max`, and the other way round
     forget    a call or an assignment to an attribute that stands by itself, left out
-    keyword   a keyword argument of a function (not of a class), left out
+    keyword   a keyword argument of a function (not of a class), left out; not ``strict`` of zip, which is an assertion
     element   an action in a tuple inside a tuple, left out
     case      a whole case of a match, left out
 """
@@ -111,6 +111,8 @@ def _places(tree: ast.Module) -> Iterator[tuple[int, str, ast.AST]]:
 def _changeable(node: ast.AST) -> Iterator[ast.AST]:
     if isinstance(node, ast.Assert | ast.Raise | ast.JoinedStr):
         return
+    if isinstance(node, ast.keyword) and node.arg == "strict":
+        return
     for name, value in ast.iter_fields(node):
         if name in ("annotation", "returns", "decorator_list", "type_params", "pattern"):
             continue
@@ -161,7 +163,7 @@ def _called(node: ast.Call) -> Iterator[Variant]:
     called = node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
     if called[:1].islower():
         for keyword in node.keywords:
-            if keyword.arg is not None:
+            if keyword.arg not in (None, "strict"):
                 yield "keyword", lambda keyword=keyword: node.keywords.remove(keyword)
 
 

@@ -42,6 +42,7 @@ CASES = {
     "def f(a):\n    a.b = a": {"forget: a.b = a -> pass"},
     "def f(a):\n    return replace(a, b=a)": {"keyword: replace(a, b=a) -> replace(a)"},
     "def f(a):\n    return State(a, b=a)": set[str](),
+    "def f(a):\n    return zip(a, a, strict=True)": set[str](),
     "def f(a, b):\n    return a, (b,)": {"element: (a, (b,)) -> (a, ())"},
     "def f(a):\n    match a:\n        case 1 if a:\n            return a\n        case _:\n            return f": {
         "negate: case 1 if a: -> case 1 if not a:",

@@ -12,7 +12,7 @@ import pytest
 from drivers.interfaces import FlightMode
 from drivers.mavlink.guard.interfaces import Beat, GuardAnswer, GuardView, Hand, Script
 from flight.config import MissionConfig
-from flight.guard.rules import Act, GuardStage
+from flight.guard.rules import Act, GuardStage, GuardState
 from flight.guard.watch import STALL_S, GuardWatch, watch
 from hil.harness.virtual_time import run_virtual
 
@@ -256,9 +256,12 @@ def test_a_position_that_was_never_told_is_not_seen_however_young_the_clock() ->
 def test_whoever_started_the_guard_is_told_of_every_decision() -> None:
     told: list[tuple[GuardStage, Act]] = []
 
+    def tell(state: GuardState, act: Act) -> None:
+        told.append((state.stage, act))
+
     async def main() -> None:
         bench = Bench()
-        bench.guard._tell = lambda state, act: told.append((state.stage, act))
+        bench.guard._tell = tell
         await bench.in_control()
         bench.hung = True
         await asyncio.sleep(RULES.beat_age_s + RULES.hold_s + 1.0)
