@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import FlightMode, VehicleState
+from drivers.rig.parts import Mount
 from flight.config import MissionConfig, RendezvousConfig
 from flight.guidance import Vec3, add, norm, scale, subtract
 from flight.rendezvous.course import Rendezvous, stand_off_m
 from missions import rig_library
+from path.geometry.transforms import Pose
 from path.messages import Role, Status
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -87,6 +89,7 @@ def test_once_the_marker_was_seen_it_says_where_the_sender_is() -> None:
         (Seen(marker_n_m=(0.8, 0.0, 0.2)), "0.82 m from the marker"),
         (Seen(velocity_n_mps=(-1.2, 0.0, 0.0)), "closing in at 1.1 m/s"),
         (Seen(velocity_n_mps=(1.2, 0.0, 0.0)), ""),
+        (Seen(sigma_m=2.0 * MissionConfig().rendezvous.max_position_sigma_m), ""),
         (Seen(sigma_m=0.2), "uncertain by 0.20 m at 1.1 m"),
         (Seen(marker_n_m=(3.0, 0.0, 1.0), velocity_n_mps=(-1.2, 0.0, 0.0), sigma_m=0.2), ""),
     ],
@@ -125,7 +128,41 @@ def test_the_search_comes_no_nearer_than_the_stand_off_while_the_marker_can_be_s
         ahead, _, down = setpoint.velocity_n_mps
         assert ahead * math.cos(yaw) <= 1e-9 and down <= 1e-9  # outward and upward only, from the stand-off
         yaws.append(setpoint.yaw_rad - yaw)
+    assert yaws[:2] == [0.0, 0.0] and abs(yaws[3]) > 0.1  # it settles for 1.5 s, and then looks to and fro
     assert min(yaws) < -0.7 and max(yaws) > 0.7
+
+
+def test_the_stand_off_is_where_the_plate_faces_whichever_way_that_is() -> None:
+    guide = rendezvous(MissionConfig(), Seen())
+    mount = rig_library.load("sim").receiver.mount
+    for normal in ((-0.6, 0.8, 0.0), (0.8, 0.6, 0.0), (0.0, -1.0, 0.0)):
+        right = np.array([normal[1], -normal[0], 0.0])
+        R_b_v = np.stack([right, np.cross(normal, right), normal], axis=1)
+        guide._mount = Mount(mount.T_b_c, Pose(R_b_v, mount.T_b_v.t))
+        place, yaw = guide._facing_marker(2.0)
+        north, east, _ = subtract(place, (2.0, 0.0, -1.5))
+        level_m = math.hypot(north, east)
+        assert (north / level_m, east / level_m) == pytest.approx(normal[:2])
+        assert (math.cos(yaw), math.sin(yaw)) == pytest.approx((-normal[0], -normal[1]))
+
+
+def test_a_plate_that_faces_up_is_looked_for_from_behind_its_drone() -> None:
+    guide = rendezvous(MissionConfig(), Seen())
+    mount = rig_library.load("sim").receiver.mount
+    R_b_v = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+    guide._mount = Mount(mount.T_b_c, Pose(R_b_v, mount.T_b_v.t))
+    north, east, _ = subtract(guide._facing_marker(2.0)[0], (2.0, 0.0, -1.5))
+    assert north < -1.0 and east == pytest.approx(0.0)
+
+
+def test_a_lost_marker_is_climbed_for_as_far_as_the_way_to_it_is_long() -> None:
+    """The missing height is that of the camera's axis over both parts of the way, north and east."""
+    guide = rendezvous(MissionConfig(), Seen(known=False))
+    own, gain = state((-1.0, 0.5, -2.0)), MissionConfig().rendezvous.gain_per_s
+    steepness = math.asin(float(rig_library.load("sim").receiver.mount.T_b_c.R[2, 2]))
+    guide.note_seen(own, (0.6, 0.8, math.tan(steepness) - 0.1))  # 1 m away: 0.1 m too low
+    _, _, down = guide.to_viewpoint(own).velocity_n_mps
+    assert down == pytest.approx(-0.1 * gain)
 
 
 def test_for_a_small_marker_the_search_comes_in_along_the_axis_of_the_camera_and_no_farther_than_it_must() -> None:

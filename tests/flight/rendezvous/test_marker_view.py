@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from drivers.rig.parts import Mount
 from flight.config import MissionConfig
 from flight.guidance import Vec3
-from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions, levelled
+from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions, _relative_settings, levelled
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.cycle.prior import Prior
@@ -25,6 +25,7 @@ from path.geometry.rotation import R_from_rpy
 from path.geometry.transforms import Matrix, Pose
 from path.marker.layout import Marker, MarkerLayout, single_marker
 from path.observations import Box, Depth, Detection, MarkerDetection, Missed, MissReason, Region
+from path.relative_pose.filter import RelativeSettings
 
 MOUNT = Mount(Pose(np.eye(3), np.zeros(3)), Pose(np.eye(3), np.zeros(3)))
 CAMERA = CameraModel(640, 480, 612.8, 613.1, 317.6, 238.2, (0.104, -0.221, -0.0003, 0.0007, 0.088))
@@ -284,3 +285,12 @@ def test_a_computer_that_does_not_keep_up_searches_more_rarely_and_with_one_look
     watch.look(NEAR, after_ns=1_000 * MS)
     watch.see(NEAR)
     assert not watch.view.searched(watch.stamp_ns)
+
+
+@pytest.mark.parametrize("wander_deg", [0.0, 0.5, 5.0])
+def test_a_drones_attitude_wanders_as_the_mission_says_and_its_heading_no_less_than_usual(wander_deg: float) -> None:
+    usual = RelativeSettings()
+    settings = _relative_settings(replace(MissionConfig(), attitude_wander_deg=wander_deg))
+    assert settings.tilt_wander_rad == pytest.approx(math.radians(wander_deg))
+    assert settings.yaw_wander_rad == max(usual.yaw_wander_rad, math.radians(wander_deg))
+    assert settings.coast_s == MissionConfig().deadlines.marker_coast_s
