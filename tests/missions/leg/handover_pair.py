@@ -13,6 +13,7 @@ from drivers.interfaces import FlightMode, LinkCounters, Received, VehicleState
 from drivers.log.state_file import MemoryStore
 from flight.config import Deadlines, MissionConfig
 from flight.outcome import MissionEnd, Outcome
+from flight.steady_vehicle import SteadyVehicle
 from hil.harness.virtual_time import run_virtual
 from hil.monitors.claims import Claims, in_world_time
 from missions.leg.handover import ReceiverHandover, SenderHandover
@@ -250,7 +251,8 @@ async def killed(pair: Pair, role: Role) -> None:
 def started(pair: Pair, rig: Any, role: Role, *, flying: bool) -> SenderHandover | ReceiverHandover:
     """A new program with the old one's disk."""
     session = pair.session[role] = pair._session(rig, role)
-    session.vehicle = cast(Any, FakeVehicle(replace(STATE, armed=flying)))
+    vehicle = cast(Any, FakeVehicle(replace(STATE, armed=flying)))
+    session.vehicle = SteadyVehicle(vehicle, session.config)
     handover: SenderHandover | ReceiverHandover
     if role is Role.SENDER:
         handover = pair.sender = SenderHandover(session, pair.store[role])
