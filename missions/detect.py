@@ -50,7 +50,8 @@ def run(options: DetectOptions, out: TextIO | None = None) -> int:
     """The command; 0 when every frame was looked at. Raises PartError with what is wrong and what to do."""
     stream = out or sys.stdout
     name, detector = _detector(options)
-    recording = open_recording(options.frames, RecordingOptions(rate_hz=UNSTAMPED_HZ))
+    unstamped_hz = UNSTAMPED_HZ if options.frames.is_dir() else None
+    recording = open_recording(options.frames, RecordingOptions(rate_hz=options.rate_hz or unstamped_hz))
     if options.out is None:
         return _look(name, detector, recording, None, stream)
     with unless_refused(options.out) as folder:
@@ -77,6 +78,8 @@ def _look(name: str, detector: Detector, recording: Recording, folder: Path | No
                 advance()
     with_some = sum(bool(boxes) for _, boxes in found)
     stream.write(f"{len(found)} frames, {with_some} with something, {sum(len(b) for _, b in found)} boxes\n")
+    if recording.damage:
+        stream.write(f"{recording.damage}\n")
     stream.write(f"{Timing(tuple(wall_ms), tuple(busy)).line(name)}\n")
     if folder is not None:
         _write(folder / BOXES, found)

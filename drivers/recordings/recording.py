@@ -22,7 +22,7 @@ from drivers.log.mcap_log import LogRecord, decode_image, read_log
 from drivers.log.video import recorded_frames
 from drivers.recordings.ros_bag import refuse_ros
 from drivers.recordings.stamps import RecordingError, frame_stamps, natural, stamped_files
-from drivers.recordings.video_file import VIDEO_SUFFIXES, VideoError, video_frames
+from drivers.recordings.video_file import VIDEO_SUFFIXES, Damage, RateMissing, VideoError, video_frames
 
 Image = NDArray[np.uint8]
 
@@ -58,6 +58,11 @@ class Recording(Protocol):
     @property
     def count(self) -> int | None: ...
 
+    @property
+    def damage(self) -> str:
+        """What of it gave no frame, when it was read to its end; "" when nothing did."""
+        ...
+
     def frames(self) -> Iterator[RecordedFrame]:
         """Yields the frames from the beginning. Raises RecordingError where it is damaged."""
         ...
@@ -67,7 +72,7 @@ class Recording(Protocol):
 class RecordingOptions:
     """
     Attributes:
-        rate_hz: of images without stamps; None: they are refused.
+        rate_hz: of images without stamps, and of a bare video stream, which has none; None: they are refused.
         stamps: CSV with columns ``file`` and ``stamp_ns`` or ``stamp_s``; None: ``stamps.csv`` in the folder if there
             is one, or else the names of the files when they are times. Of a video file: one of the latter columns, and
             a line for each frame; None: its presentation times.
@@ -113,7 +118,8 @@ def open_recording(file: Path, options: RecordingOptions | None = None) -> Recor
         raise RecordingError(f"{file}: a recording of kind '{file.suffix}' is not known", REMEDY)
     first = next(recording.frames(), None)
     if first is None:
-        raise RecordingError(f"{file}: there are no frames in it", REMEDY)
+        torn = f": {recording.damage}" if recording.damage else ""
+        raise RecordingError(f"{file}: there are no frames in it{torn}", REMEDY)
     first.load()
     return recording
 
@@ -126,9 +132,14 @@ class Video:
 
     count: int | None = None
 
+    @property
+    def damage(self) -> str:
+        return self._damage.text
+
     def __init__(self, file: Path, options: RecordingOptions) -> None:
         self.name = str(file)
         self._file, self._options = file, options
+        self._damage = Damage()
         self._stamps = None if options.stamps is None else frame_stamps(options.stamps)
         self._depth = None if options.depth is None else _images(options.depth)
 
@@ -136,13 +147,20 @@ class Video:
         number = 0
         stamps, depth = self._stamps, self._depth
         try:
-            for shown_ns, pixels in video_frames(self._file):
+            # Whoever has a table of stamps needs no rate: its stamps are not looked at.
+            rate_hz = self._options.rate_hz or (1.0 if stamps is not None else None)
+            for shown_ns, pixels in video_frames(self._file, rate_hz, self._damage):
                 if any(given is not None and number >= len(given) for given in (stamps, depth)):
                     self._check_counts(number + 1)
                 stamp_ns = shown_ns if stamps is None else stamps[number]
                 behind = None if depth is None else depth[number]
                 yield RecordedFrame(f"frame {number}", stamp_ns, partial(_with_depth, pixels, behind))
                 number += 1
+        except RateMissing as error:
+            raise RecordingError(
+                f"{self._file}: {error}",
+                "give its rate: rate_hz in a rig or films file, --rate-hz of detect (30 of a Tello)",
+            ) from error
         except VideoError as error:
             raise RecordingError(
                 f"{self._file}: {error}" + (f" after {number} frames" if number else ""),
@@ -166,6 +184,8 @@ class Video:
 
 class Folder:
     """Images in a folder, in the order of their stamps. All must be of one size, which is seen when they are loaded."""
+
+    damage = ""
 
     def __init__(self, folder: Path, options: RecordingOptions) -> None:
         self.name = str(folder)
@@ -199,6 +219,7 @@ class RecordedLog:
     """Images in a log of PATH (MCAP), with the stamps they were logged with."""
 
     count: int | None = None
+    damage = ""
 
     def __init__(self, file: Path, topic: str) -> None:
         self.name = str(file)
@@ -232,6 +253,7 @@ class RecordedFrames:
     """Every frame of a camera as a program of PATH has recorded them beside its log, with depth."""
 
     count: int | None = None
+    damage = ""
 
     def __init__(self, file: Path) -> None:
         self.name = str(file)

@@ -120,7 +120,7 @@ def _apart(a: BoardView, b: BoardView) -> float:
 
 def from_recording(file: Path, board: Board, wanted: int, bars: Bars) -> Collected:
     """Chosen views of a recording. Raises PartError when it cannot be played."""
-    recording = open_recording(file, RecordingOptions(rate_hz=5.0))
+    recording = open_recording(file, RecordingOptions(rate_hz=5.0 if file.is_dir() else 30.0))
     chooser, collected = Chooser(board, wanted), Collected()
     last_ns: int | None = None
     with bars.bar("views", wanted) as advance:

@@ -146,5 +146,8 @@ class DetectOptions:
     min_score: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.3
     """With --model: what scores less is not found."""
 
+    rate_hz: Annotated[float | None, Bounds(0.1, 1000.0, "Hz")] = None
+    """Pictures a second of a bare video stream (.h264), which does not say; of images without stamps, 30 by default."""
+
     out: OutFolder = None
     """Folder for boxes.csv and for the frames with their boxes drawn; nothing is written by default."""

@@ -29,6 +29,9 @@ def replay_films(options: ReplayOptions, file: Path) -> int:
         tell_line(f"{(films.end_ns - films.begin_ns) / NS:.2f} s of {films.sender.file.name} and "
                   f"{films.receiver.file.name}: {folder}")  # fmt: skip
         frames = play(films, folder, seen_with)
+        for role in Role:
+            if damage := films.of(role).recording.damage:
+                tell_line(f"{films.of(role).file.name}: {damage}")
         logs = logs_of(folder)
         columns = {"as filmed": replay_logs(logs)}
         if change is not None:
