@@ -30,6 +30,10 @@ from path.geometry.rotation import R_from_quat
 from path.messages import Vec3
 
 UTC, RUN = "utc", "run"
+OF_AN_ATTEMPT = ("overlap", "count", "evidence")
+"""Plots that an attempt has, and nothing between two of them: no line joins its end to the next one's begin."""
+GAP_NS = 500_000_000
+"""After so long without a pair the line ends where the last one was."""
 _LINE_LOOP, _LINE_LIST = 2, 4  # of foxglove.PointsAnnotation; LinePrimitive has 1 and 2
 _LEVELS = {1: "DEBUG", 2: "INFO", 3: "WARN", 4: "ERROR", 5: "CRITICAL"}
 
@@ -50,6 +54,7 @@ class Drawing:
         self._images: dict[str, tuple[int, int]] = {}
         self._newest_boxes: dict[str, Any] = {}
         self._plots: set[str] = set()
+        self._open_ns: dict[str, int] = {}  # of each line of an attempt: when its newest point was
         self._R_world_n: NDArray[np.float64] | None = None
         self.paths: dict[str, list[Vec3]] = {}
         self._draw: dict[str, Callable[[str, Any], None]] = {
@@ -80,12 +85,31 @@ class Drawing:
                 draw(name, decode(data))
             return
         record = {**blank(f"/{own}"), **msgspec.json.decode(data)}
+        if own == "commit":
+            self._end_lines(name, utc_ns)
         for path, value in self._figures.setdefault(name, PlottedValues()).of(f"/{own}", utc_ns, record):
-            self._plot(name, path, value)
+            self._plot(name, path, utc_ns, value)
 
-    def _plot(self, name: str, path: str, value: float) -> None:
+    def _end_lines(self, name: str, utc_ns: int) -> None:
+        """End the lines of a drone's attempt: what its gate says of the next one has nothing to do with them."""
+        for whole in [whole for whole in self._open_ns if whole.split("/")[2] == name]:
+            self._end_line(whole, max(utc_ns, self._open_ns[whole] + 1))
+        self._at(utc_ns)
+
+    def _end_line(self, whole: str, utc_ns: int) -> None:
+        del self._open_ns[whole]
+        self._at(utc_ns)
+        self._log(whole, rr.Clear(recursive=False))
+
+    def _plot(self, name: str, path: str, utc_ns: int, value: float) -> None:
         kind, _, what = path.partition("/")
         whole = f"plots/{kind}/{name}/{what}"
+        if kind in OF_AN_ATTEMPT:
+            newest_ns = self._open_ns.get(whole, utc_ns)
+            if utc_ns - newest_ns > GAP_NS:
+                self._end_line(whole, newest_ns + 1)
+                self._at(utc_ns)
+            self._open_ns[whole] = utc_ns
         if whole not in self._framed:
             self._framed.add(whole)
             self._plots.add(kind)

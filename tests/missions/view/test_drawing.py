@@ -9,6 +9,8 @@ from importlib import util
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 
+import msgspec
+import numpy as np
 import pytest
 import rerun as rr
 from mcap.records import Schema
@@ -116,3 +118,59 @@ def test_rates_are_of_the_seconds_between() -> None:
     assert list(figures.of("/cpu", 0, {"spent_ns": {"thread": 0}})) == []
     shares = figures.of("/cpu", 1_000_000_000, {"spent_ns": {"thread": 250_000_000}})
     assert dict(shares) == {"processor/thread": 25.0}
+
+
+class Lines:
+    """Stands in for a recording: what is logged to each path and when, in ns of UTC; None where a line is ended."""
+
+    def __init__(self) -> None:
+        self.points: dict[str, list[tuple[int, float | None]]] = {}
+        self._now_ns = 0
+
+    def set_time(self, timeline: str, *, timestamp: np.datetime64 | None = None, duration: object = None) -> None:
+        del timeline, duration
+        if timestamp is not None:
+            self._now_ns = int(timestamp.astype(np.int64))
+
+    def log(self, path: str, *parts: object, static: bool = False) -> None:
+        for part in parts:
+            if not static:
+                ended = isinstance(part, rr.Clear)
+                value = None if ended else float(part.scalars.as_arrow_array()[0].as_py())  # type: ignore[attr-defined]
+                self.points.setdefault(path, []).append((self._now_ns, value))
+
+
+MS = 1_000_000
+
+
+def drawn(*said: tuple[int, str, dict[str, object]]) -> list[tuple[int, float | None]]:
+    """The line of the sender's evidence, in ms, of records at ms."""
+    lines = Lines()
+    drawing = Drawing(lines)  # type: ignore[arg-type]
+    for at_ms, topic, record in said:
+        schema = Schema(id=1, data=b"", encoding="jsonschema", name=f"path.{topic}")
+        drawing.message(f"/sender/{topic}", schema, at_ms * MS, msgspec.json.encode(record))
+    return [(at_ns // MS, value) for at_ns, value in lines.points["plots/evidence/sender/evidence"]]
+
+
+def pair(evidence: float) -> dict[str, object]:
+    return {"evidence": evidence}
+
+
+def test_no_line_is_drawn_from_the_evidence_of_a_commit_to_the_gate_that_begins_again() -> None:
+    line = drawn(
+        (0, "agreement", pair(2.0)),
+        (20, "agreement", pair(3.3)),
+        (20, "commit", {"epoch": 1}),
+        (200, "agreement", pair(0.0)),
+    )
+    assert line == [(0, 2.0), (20, 3.3), (20, None), (200, 0.0)]
+
+
+def test_no_line_joins_two_attempts() -> None:
+    line = drawn((0, "agreement", pair(2.0)), (20, "agreement", pair(2.4)), (1500, "agreement", pair(0.0)))
+    assert line == [(0, 2.0), (20, 2.4), (20, None), (1500, 0.0)]
+
+
+def test_evidence_that_falls_within_an_attempt_is_drawn_as_it_falls() -> None:
+    assert drawn(*((20 * k, "agreement", pair(3.0 - k)) for k in range(4))) == [(20 * k, 3.0 - k) for k in range(4)]
