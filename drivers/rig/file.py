@@ -245,7 +245,11 @@ def _but_for(base: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
 def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:
     """Read and decode a rig. Raises RigError with all that is wrong in the file itself."""
     path = find_rig(name_or_path, search)
-    table = read_rig(path, search)
+    return rig_of(read_rig(path, search), path, search)
+
+
+def rig_of(table: Mapping[str, Any], path: Path, search: Sequence[Path] = ()) -> Rig:
+    """Decode the tables of the rig at ``path``. Raises RigError."""
     written = decode_table(table, _RigTable, path.name, path.parent)
     T_b_v = written.sender.mount.marker.pose(written.sender.mount.camera.pose())
     return Rig(

@@ -22,8 +22,8 @@ from drivers.rig.calibration_file import (
     Quality,
     write_calibration,
 )
-from drivers.rig.file import load_rig
 from drivers.rig.parts import PartSpec, create, decode_part, part_context
+from drivers.rig.unmeasured import load_for_camera
 from missions.calibrate.board import board_of, otherwise
 from missions.calibrate.collect import Collected, CollectedImage, from_camera, from_images, from_recording
 from missions.calibrate.diagnose import what_else
@@ -53,6 +53,8 @@ from path.camera.thinning import Thinning
 from path.messages import Role
 
 LIMITS = SetLimits()
+LEAST_PX = 16
+MOST_PX = 16384
 
 
 class BadViews(CalibrationError):
@@ -184,7 +186,7 @@ def _collect(options: CalibrateCameraOptions, board: Board, out: TextIO) -> tupl
 
 def _from_rig(options: CalibrateCameraOptions, board: Board, out: TextIO) -> Collected:
     """Views of a rig's camera. Its calibration in the rig may be of anything: it is not used."""
-    rig = load_rig(options.rig, [FOLDER])
+    rig = load_for_camera(options.rig, [FOLDER], size_of(options.size))
     role = Role(options.role)
     _, perception = decode_part(rig.role(role).perception)
     spec = getattr(perception, "camera", None)
@@ -203,6 +205,15 @@ def _from_rig(options: CalibrateCameraOptions, board: Board, out: TextIO) -> Col
         out.flush()
 
     return asyncio.run(from_camera(camera, board, options.views, options.seconds, folder, say))
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """Width and height of ``1280x720``. Raises PartError."""
+    sides = text.split("x")
+    size = [int(side) for side in sides if side.isdecimal() and len(side) <= len(str(MOST_PX))]
+    if len(sides) != 2 or len(size) != 2 or not all(LEAST_PX <= side <= MOST_PX for side in size):
+        raise PartError(f"--size {text!r} is no size of an image", "write it as WIDTHxHEIGHT in px, such as 1280x720")
+    return size[0], size[1]
 
 
 def _file_of(done: Calibrated, collected: Collected, board: Board, serial: str, source: str) -> CameraCalibration:

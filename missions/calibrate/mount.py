@@ -25,10 +25,10 @@ from drivers.rig.calibration_file import (
     read_camera,
     write_calibration,
 )
-from drivers.rig.file import load_rig
 from drivers.rig.mounts import CameraMount, MarkerMount
 from drivers.rig.parts import Rig
 from drivers.rig.tables import RigError, decode_table, read_toml
+from drivers.rig.unmeasured import load_for_mount
 from missions.calibrate.board import board_of
 from missions.calibrate.collect import image_files
 from missions.held import held_file
@@ -81,11 +81,12 @@ def calibrate_mount(options: CalibrateMountOptions, out: TextIO) -> int:
 
 
 def _calibrate_mount(options: CalibrateMountOptions, out: TextIO) -> int:
-    rig = load_rig(options.rig, [FOLDER])
+    rig, hangs = load_for_mount(options.rig, [FOLDER])
     calibration = _from_tape(options.measured, rig) if options.measured else _from_views(options, rig, out)
     write_calibration(options.out, calibration)
     _report(calibration, out)
-    out.write(_turned(calibration, rig))
+    if hangs:
+        out.write(_turned(calibration, rig))
     out.write(f'\n{options.out}: name it in the rig: [sender.mount.marker] calibration = "{options.out.name}"\n')
     position_m, angle_deg = calibration.largest_sigmas
     if position_m > rig.method.mount_sigma_m or angle_deg > rig.method.mount_sigma_deg:

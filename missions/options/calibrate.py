@@ -51,6 +51,9 @@ class CalibrateCameraOptions(BoardOptions):
     role: Literal["sender", "receiver"] = "sender"
     """Whose camera of the rig."""
 
+    size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "1280x720"
+    """With --rig: the size of the stream in px, of a camera that has no calibration in the rig yet."""
+
     views: Annotated[int, Bounds(3, 10_000, "views")] = 40
     """Views to choose from a video, or to take with a running camera."""
 

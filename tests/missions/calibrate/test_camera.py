@@ -6,6 +6,7 @@ import io
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -14,10 +15,12 @@ import pytest
 from drivers.interfaces import PartError
 from drivers.rig.calibration_file import read_camera
 from hil.camera.pictures import CameraRenderer
+from missions import rig_list
 from missions.calibrate.camera import BadViews, calibrate
 from missions.calibrate.collect import Chooser, Collected, CollectedImage, from_recording
 from missions.calibrate.run import run
 from missions.options.calibrate import CalibrateBoardOptions, CalibrateCameraOptions, CalibrateOptions
+from missions.options.field import RigsOptions
 from missions.rig_list import FOLDER
 from missions.trials.calibration import views as calibration_views
 from missions.work import Bars
@@ -96,6 +99,39 @@ def test_a_rigs_camera_is_calibrated_as_it_runs(folder: Path, tmp_path: Path) ->
     assert written.serial == "0815"
     assert len(list((tmp_path / "c").glob("view-*.png"))) == 13
     assert "view 13/40" in said
+
+
+@pytest.mark.parametrize("role", ["sender", "receiver"])
+def test_a_new_rigs_camera_is_calibrated_as_the_rigs_own_comment_says(
+    folder: Path, tmp_path: Path, role: Literal["sender", "receiver"]
+) -> None:
+    """Nothing else of the rig is measured by then, and the calibrations that it names are not made yet."""
+    film_of(folder, tmp_path / "film", 13)
+    rig = tmp_path / "my-rig.toml"
+    assert rig_list.run(RigsOptions(new=str(rig)), io.StringIO()) == 0
+    command_line = rig.read_text("utf-8").split("`path-handoff calibrate camera --rig THIS-FILE ", 1)[1].split("`")[0]
+    assert command_line == "--role sender --out d1.camera.toml"
+    camera = 'factory = "drivers.recordings.camera:RecordedCamera"\nfile = "film"\npace = "fast"'
+    real = 'factory = "drivers.realsense.camera:RealSense"\nfps = 30'
+    rig.write_text(rig.read_text("utf-8").replace(real, camera), "utf-8")
+    out = tmp_path / ("d1.camera.toml" if role == "sender" else "d2.camera.toml")
+    command(CalibrateCameraOptions(rig=str(rig), role=role, size="640x480", out=out))
+    assert read_camera(out).camera.fx == pytest.approx(CAMERA.fx, rel=1e-3)
+
+
+def test_a_new_rigs_film_of_another_size_than_was_said_is_refused_with_both(folder: Path, tmp_path: Path) -> None:
+    film_of(folder, tmp_path / "film", 2)
+    text = 'like = "sim-rendered"\n[sender.camera]\ncalibration = "d1.camera.toml"\n[sender.perception.camera]\n'
+    text += 'factory = "drivers.recordings.camera:RecordedCamera"\nfile = "film"\n'
+    (tmp_path / "rig.toml").write_text(text, "utf-8")
+    with pytest.raises(PartError, match=r"1280x720 px but the frames are 640x480"):
+        command(CalibrateCameraOptions(rig=str(tmp_path / "rig.toml"), out=tmp_path / "d1.camera.toml"))
+
+
+@pytest.mark.parametrize("size", ["1280", "1280x", "axb", "0x0", "1280x-720", "99999x720", "1280*720", ""])
+def test_a_size_that_is_none_is_refused(tmp_path: Path, size: str) -> None:
+    with pytest.raises(PartError, match="--size"):
+        command(CalibrateCameraOptions(rig="sim", size=size, out=tmp_path / "c.toml"))
 
 
 def collected(held: Held, count: int, **change: float) -> Collected:

@@ -238,3 +238,16 @@ def test_a_marker_that_hangs_far_from_what_the_rig_says_is_told(tmp_path: Path) 
     tape.write_text(TAPE.replace("tilt_up_deg = 45.0", "tilt_up_deg = 90.0"), "utf-8")
     assert run(CalibrateOptions(CalibrateMountOptions(rig="sim-rendered", measured=tape, out=out)), said) == 0
     assert "turned by 45 degrees against the mounts in the rig. Is the plate the right way up?" in said.getvalue()
+
+
+def test_the_mount_that_the_rig_names_may_be_the_one_that_is_made(tmp_path: Path) -> None:
+    tape = tmp_path / "tape.toml"
+    rig = tmp_path / "rig.toml"
+    out = tmp_path / "d1.mount.toml"
+    said = io.StringIO()
+    tape.write_text(TAPE, "utf-8")
+    rig.write_text('like = "sim-rendered"\n[sender.mount.marker]\ncalibration = "d1.mount.toml"\n', "utf-8")
+    assert run(CalibrateOptions(CalibrateMountOptions(rig=str(rig), measured=tape, out=out)), said) == 0
+    assert "right way up" not in said.getvalue()  # the rig says nothing of how it hangs
+    true = load_rig("sim-rendered", [FOLDER]).sender.mount.T_v_c
+    assert read_mount(out).T_v_c.t == pytest.approx(true.t)
