@@ -43,6 +43,7 @@ class Outcome(Enum):
     NO_RELIEF = ("no_relief", 33, "no relief was ready in time: the responsible drone gave the target up and landed")
     LOG_FAILED = ("log_failed", 35, "all went well, but a log could not be written: disk full?")
     MISSION_FAILED = ("mission_failed", 36, "a mission of your own gave up, or one of its waits was over")
+    RIGS_DIFFER = ("rigs_differ", 37, "the two drones' rigs or versions of PATH differ in what both must have alike")
     MONITOR_VIOLATED = ("monitor_violated", 40, "a safety monitor of the harness was violated")
     HARNESS_FAILED = ("harness_failed", 41, "the simulation itself failed: not the mission's fault")
     OVERLOADED = ("overloaded", 43, "the computer was too slow for a run in real time: it says nothing of the mission")

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from path.alike import Alike
 from path.observations import Box, MissReason
 from path.values import value
 
@@ -74,6 +75,7 @@ class Status:
     instance: int = 0  # of a receiver its own; of a sender that of the receiver it committed to, 0 for none
     ended: int = 0  # exit code of the end that its flight has come to; 0: it goes on, or has come to its own end
     steps: int = 0  # how often the drone's estimator has stepped, modulo STEPS
+    alike: Alike | None = None  # what both must have alike; None from a version of PATH that does not say
 
 
 @value

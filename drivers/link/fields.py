@@ -5,6 +5,7 @@ Every number is checked both ways; ``drivers.link.units`` has the units and what
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import namedtuple
 from collections.abc import Callable, Iterable
@@ -35,6 +36,7 @@ from drivers.link.units import (
     sigma_to,
     whole,
 )
+from path.alike import Alike
 from path.messages import (
     STEPS,
     Abort,
@@ -70,6 +72,9 @@ _ABORT_CODE = {reason: getattr(dialect, f"PATH_ABORT_{reason.name}") for reason 
 _ABORT = {code: reason for reason, code in _ABORT_CODE.items()}
 _ROLE_CODE = {Role.SENDER: dialect.PATH_ROLE_SENDER, Role.RECEIVER: dialect.PATH_ROLE_RECEIVER}
 _ROLE = {code: role for role, code in _ROLE_CODE.items()}
+
+
+_ALIKE = tuple(field.name for field in dataclasses.fields(Alike))
 
 
 def _target_to(m: Target) -> Numbers:
@@ -187,7 +192,19 @@ def _status_to(m: Status) -> Numbers:
         _UNKNOWN_BATTERY if math.isnan(m.battery) else scaled("battery", m.battery, _BATTERY, 0, round(_BATTERY)),
         instance_high,
         whole("ended", m.ended, U8),
+        *_alike_to(m.alike),
     )
+
+
+def _alike_to(alike: Alike | None) -> Numbers:
+    if alike is None:
+        return (0,) * len(_ALIKE)
+    return tuple(whole(name, getattr(alike, name), U16) for name in _ALIKE)
+
+
+def _alike_from(p: Any) -> Alike | None:
+    """None for a Status that ends before these fields, as an older version of PATH sends it."""
+    return Alike(*(getattr(p, name) for name in _ALIKE)) if p.dialect else None
 
 
 def _status_from(p: Any) -> Status:
@@ -208,6 +225,7 @@ def _status_from(p: Any) -> Status:
         instance=p.instance_low + (p.instance_high << 16),
         steps=p.flags >> _STEPS_BIT,
         ended=p.ended,
+        alike=_alike_from(p),
     )
 
 

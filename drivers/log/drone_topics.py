@@ -90,6 +90,10 @@ DRONE: dict[str, Topic] = {
         "the other drone said that its estimator stepped: evidence is gathered anew from here on",
         {"steps": whole("how often it has, modulo 64")},
     ),
+    "/alike": Topic(
+        "what both drones must have alike was compared, before anything moved",
+        {"differing": text("what they have not alike, the first cause first; empty when they agree")},
+    ),
     "/home": Topic(
         "the drone stands where the crew put it down, before take-off",
         {"off_m": numbers("how far its position is off there, north and east in m; 0 where no home is stated")},

@@ -37,9 +37,11 @@ from flight.outcome import MissionEnd, Outcome, name_of
 from flight.phases import Phase
 from flight.pilot import Pilot
 from flight.steady_vehicle import SteadyVehicle
+from missions.leg.alike import alike_of
 from missions.leg.frames import Frames
 from missions.leg.guarding import Guarding
 from missions.leg.journal import estimator_step_record
+from path.alike import Alike
 from path.gate.window import Evidence
 from path.geometry.rotation import yaw_of
 from path.messages import STEPS, Ping, Pong, Role, Status
@@ -113,6 +115,8 @@ class RoleSession:
         self.peer_heard_ns = 0
         self.claim: TakeResponsibility | None = None
         self.instance: Callable[[], int] = int  # what a Status of this drone names
+        self.alike = alike_of(rig, config.separation)
+        self.peer_alike: Alike | None = None  # the newest that was said
         self.observing = False
         self.operator: Operator | None = None  # who says which object is meant; a receiver has none
         self.off_n_m: Vec3 = (0.0, 0.0, 0.0)  # of this drone's own position, as at home; its height as it is now
@@ -302,6 +306,7 @@ class RoleSession:
             elif isinstance(message, Status):
                 self.peer = message
                 self._note_peer_steps(message)
+                self.peer_alike = message.alike or self.peer_alike
                 self.on_status(message)
             else:
                 self.on_message(received)
@@ -342,6 +347,7 @@ class RoleSession:
             instance=self.instance(),
             steps=len(self.vehicle.steps) % STEPS,
             ended=0 if self.end is None else self.end.outcome.exit_code,
+            alike=None if self.phase is Phase.VERIFY else self.alike,  # then every byte counts, and it is known
         )
 
     def _log_link(self) -> None:

@@ -3,8 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 
-from drivers.interfaces import SURE, Capability, FlightMode, TakenOver, VehicleError, VehicleState, lacking
+from drivers.interfaces import (
+    SURE,
+    Capability,
+    FlightMode,
+    LinkCounters,
+    TakenOver,
+    VehicleError,
+    VehicleState,
+    lacking,
+)
 from drivers.mavlink.guard.interfaces import Script
 from drivers.mavlink.preflight.geofence import Geofence
 from flight.guard.limits import in_doubt
@@ -14,6 +24,7 @@ from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import DOUBT_S
 from missions.leg.session import RoleSession
+from path.alike import differing
 from path.messages import Role
 
 _FIRST_FRAME_S = 10.0
@@ -22,6 +33,7 @@ _SCRIPT_LET_GO = frozenset({Outcome.PILOT_OVERRIDE})
 _DISARM_POLL_S = 0.1
 _DISARM_S = 4.0  # PX4 and ArduCopter are disarmed 2 s after they call themselves on the ground
 _POLL_S = 0.02
+_TOLD_S = 3.0
 _NO_MANOEUVRE = frozenset({Outcome.VEHICLE_LOST, Outcome.VEHICLE_REFUSED, Outcome.GUARD, Outcome.CRASHED})
 
 
@@ -66,9 +78,19 @@ async def hear_peer(session: RoleSession) -> None:
     """The other drone is heard, and its clock is known."""
     deadlines = session.config.deadlines
     await session.until(
-        lambda: session.peer is not None, deadlines.peer_s, Outcome.PEER_LOST, "the other drone was not heard"
+        lambda: session.peer is not None, deadlines.peer_s, Outcome.PEER_LOST, lambda: _unheard(session.link.counters)
     )
+    await check_alike(session)
     await session.until(lambda: _aligned(session), deadlines.peer_s, Outcome.CLOCK_FAULT, "the clocks were not aligned")
+
+
+def _unheard(counters: LinkCounters) -> str:
+    """Say that nobody was heard, and what came all the same: of another version of PATH no packet is understood."""
+    dropped = Counter(counters.dropped)
+    if not dropped:
+        return "the other drone was not heard"
+    came = ", ".join(f"{number} as {reason}" for reason, number in dropped.most_common(3))
+    return f"the other drone was not heard (packets came and were dropped, {came}: another version of PATH, or key?)"
 
 
 def _aligned(session: RoleSession) -> bool:
@@ -76,6 +98,18 @@ def _aligned(session: RoleSession) -> bool:
     if session.peer_left:
         raise MissionEnd(Outcome.PEER_ABORTED, f"the other drone does not fly: {session.peer_left}")
     return session.alignment.ready
+
+
+async def check_alike(session: RoleSession) -> None:
+    """Raise MissionEnd(RIGS_DIFFER) when the other drone has something otherwise that both must have alike."""
+    found = differing(session.alike, session.peer_alike)
+    session.log.write("/alike", session.now_ns(), {"differing": "; ".join(found)})
+    if not found:
+        return
+    detail = f"the drones differ in {'; '.join(found)}: both must have the same rig file and the same version of PATH"
+    session.say(detail)
+    await asyncio.sleep(_TOLD_S)  # the other drone hears meanwhile what this one has, and says the same
+    raise MissionEnd(Outcome.RIGS_DIFFER, detail)
 
 
 def check_capabilities(session: RoleSession) -> None:

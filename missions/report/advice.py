@@ -28,6 +28,7 @@ _ADVICE: dict[Outcome, str] = {
     Outcome.APPROACH_FAILED: "Look at wind and reported positions: docs/rendezvous.md.",
     Outcome.STATE_LOST: "Free some disk.",
     Outcome.UNFIT: "Run path-handoff doctor.",
+    Outcome.RIGS_DIFFER: "Copy one rig file to both companions, and install the same version of PATH on both.",
     Outcome.GUARD_LOST: "Start the guard again, and see why it ended: its log and what it printed.",
     Outcome.TOO_CLOSE: "Do not fly again before the cause is known: wind, gains or positions.",
     Outcome.INTERRUPTED: "Nothing: it was told to stop.",

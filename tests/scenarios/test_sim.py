@@ -244,7 +244,7 @@ def test_a_sender_that_handed_over_leaves_even_when_nothing_more_is_heard_of_the
 
 def test_what_a_link_does_to_packets_is_survived_together(tmp_path: Path) -> None:
     faults = ("link_loss=0.1", "link_duplicate=0.3", "link_corrupt=0.1", "link_reorder=0.2", "link_jitter=0.02")
-    flown = fly("sim", tmp_path, 4, *faults, "link_out=0.3@verify+1")
+    flown = fly("sim", tmp_path, 5, *faults, "link_out=0.3@verify+1")
     assert flown.facts.violations == {}
     assert flown.facts.outcome == "committed", flown.facts.detail
     assert flown.summary["link_dropped"]["sender"]["bad_crc"] > 10

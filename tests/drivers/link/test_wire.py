@@ -105,6 +105,7 @@ def test_packets_stay_within_the_budget() -> None:
     assert sizes[Target] == 12 + 28 + 13 + 28
     assert sizes[Candidate] == 12 + 41 + 13 + 28
     rates = MissionConfig()
+    sizes[Status] = len(sender.encode(replace(STATUS, alike=None))) + UDP_IP_OVERHEAD  # as it is while both verify
     second = 60 * (sizes[Target] + sizes[Candidate]) + (rates.status_hz + rates.receiver_status_hz) * sizes[Status]
     assert second + 2 * rates.ping_hz * (sizes[Ping] + sizes[Pong]) <= 12_000
 
@@ -322,3 +323,21 @@ def test_a_flag_nobody_defined_is_seen_as_soon_as_it_is_there() -> None:
     receiver = Codec(Role.RECEIVER, KEY)
     assert receiver.decode(b"\xfd\x00\x03") is Drop.NOT_MAVLINK
     assert receiver.decode(b"\xfd\x00\x01") is Drop.TRUNCATED
+
+
+def test_a_status_of_an_older_version_says_nothing_of_its_rig() -> None:
+    """It ends before these fields, which are an extension: its checksum is the same."""
+    sender, receiver = pair()
+    ended = replace(STATUS, ended=5)  # the last byte before them, which is cut off when it is 0
+    packet = sender.encode(replace(ended, alike=None))
+    back = receiver.decode(packet)
+    assert isinstance(back, Status)
+    assert back == replace(ended, alike=None, yaw_rad=back.yaw_rad)
+    assert len(sender.encode(ended)) - len(packet) == 2 * 9
+
+
+def test_a_digest_that_does_not_fit_is_not_sent() -> None:
+    sender, _ = pair()
+    assert STATUS.alike is not None
+    with pytest.raises(EncodeError, match="sides"):
+        sender.encode(replace(STATUS, alike=replace(STATUS.alike, sides=2**16)))

@@ -6,6 +6,7 @@ from typing import Any
 
 from drivers.link.dialect import path_dialect as dialect
 from drivers.link.wire import Codec, introduce
+from path.alike import Alike
 from path.messages import Abort, AbortReason, Candidate, Commit, Confirm, Message, Ping, Pong, Role, Status, Target
 from path.observations import Box
 
@@ -20,8 +21,9 @@ CANDIDATE = Candidate(
 )
 
 STATUS = Status(
-    Role.SENDER, INSTANT, (1.234, -5.678, -1.4), (0.12, -0.34, 0.05), 3.0, 200, True, False, 0.735, 0x123456
-)
+    Role.SENDER, INSTANT, (1.234, -5.678, -1.4), (0.12, -0.34, 0.05), 3.0, 200, True, False, 0.735, 0x123456,
+    alike=Alike(1, 2, 3, 0xFFFF, 5, 6, 7, 8, 400),
+)  # fmt: skip
 
 FROM_SENDER: tuple[Message, ...] = (
     TARGET,

@@ -111,6 +111,34 @@ def test_the_status_says_what_the_vehicle_says(rig: Any) -> None:
     virtual(main())
 
 
+def test_what_both_must_have_alike_is_said_but_while_they_verify(rig: Any) -> None:
+    async def main() -> None:
+        bench = Bench(rig)
+        bench.session.spawn(bench.session.report())
+        await asyncio.sleep(0.05)
+        bench.session.enter(Phase.VERIFY)
+        await asyncio.sleep(0.1)
+        await bench.session.cancel_spawned()
+        first, second = bench.link.of(Status)
+        assert (first.alike, second.alike) == (bench.session.alike, None)
+
+    virtual(main())
+
+
+def test_what_the_other_drone_has_is_remembered_while_it_does_not_say_it(rig: Any) -> None:
+    async def main() -> None:
+        bench = Bench(rig)
+        bench.session.spawn(bench.session.pump())
+        own = bench.session.alike
+        for message in (STATUS, replace(STATUS, alike=own), STATUS):
+            bench.link.waiting.put_nowait(message)
+        await asyncio.sleep(0.05)
+        assert (bench.session.peer, bench.session.peer_alike) == (STATUS, own)
+        await bench.session.cancel_spawned()
+
+    virtual(main())
+
+
 def test_statuses_and_pings_are_paced(rig: Any) -> None:
     async def main() -> None:
         bench = Bench(rig, MissionConfig(status_hz=10.0, ping_hz=1.0))

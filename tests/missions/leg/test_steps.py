@@ -131,6 +131,7 @@ class Bench:
 
     def hear_the_peer(self) -> None:
         self.session.peer = STATUS
+        self.session.peer_alike = self.session.alike
 
     def align(self) -> None:
         for nonce in range(1, 5):
@@ -180,6 +181,32 @@ def test_preflight_names_what_did_not_come(rig: Any, heard: bool, outcome: Outco
             bench.hear_the_peer()
         assert (await ended(preflight(bench.session))).outcome is outcome
         assert bench.vehicle.done == ["wait_armable"]
+
+    virtual(main())
+
+
+@pytest.mark.parametrize("older", [False, True])
+def test_a_drone_whose_rig_differs_is_refused_after_it_was_told_what_this_one_has(rig: Any, older: bool) -> None:
+    async def main() -> None:
+        bench, loop = Bench(rig), asyncio.get_running_loop()
+        own = bench.session.alike
+        bench.session.peer = STATUS
+        bench.session.peer_alike = None if older else replace(own, sides=own.sides % 9 + 1)
+        end = await ended(preflight(bench.session))
+        assert end.outcome is Outcome.RIGS_DIFFER
+        assert ("older" if older else "side_m") in end.detail
+        assert 2.0 < loop.time() < 10.0
+        assert bench.vehicle.done == ["wait_armable"]
+
+    virtual(main())
+
+
+def test_what_came_from_a_drone_that_cannot_be_understood_is_told(rig: Any) -> None:
+    async def main() -> None:
+        bench = Bench(rig)
+        bench.session.link.counters.dropped["bad_crc"] = 12
+        detail = (await ended(preflight(bench.session))).detail
+        assert "not heard (packets came and were dropped, 12 as bad_crc: another version of PATH, or key?)" in detail
 
     virtual(main())
 
