@@ -200,12 +200,12 @@ def test_a_stall_of_the_guards_own_makes_no_beat_younger_than_now() -> None:
         await bench.in_control()
         await bench.end()
         guard = bench.guard
-        bench.line.waiting = Beat(Script.CONTROL, bench.setpoints + 1)
         guard.tick()
-        await asyncio.sleep(5.0)
-        bench.line.waiting = Beat(Script.CONTROL, bench.setpoints + 2)
-        guard._forgive_own_stall(LoopClock().now_ns())
         assert guard._heard is not None
+        just_after_ns = LoopClock().now_ns() + 1_000_000
+        guard._heard = replace(guard._heard, beat_ns=just_after_ns, setpoint_ns=just_after_ns)
+        await asyncio.sleep(5.0)
+        guard._forgive_own_stall(LoopClock().now_ns())
         assert guard._heard.beat_ns == guard._heard.setpoint_ns == LoopClock().now_ns()
 
     virtual(main())

@@ -142,6 +142,7 @@ def test_the_stand_off_is_where_the_plate_faces_whichever_way_that_is() -> None:
         place, yaw = guide._facing_marker(2.0)
         north, east, _ = subtract(place, (2.0, 0.0, -1.5))
         level_m = math.hypot(north, east)
+        assert level_m == pytest.approx(2.0 * math.sqrt(1.0 - mount.T_b_c.R[2, 2] ** 2))
         assert (north / level_m, east / level_m) == pytest.approx(normal[:2])
         assert (math.cos(yaw), math.sin(yaw)) == pytest.approx((-normal[0], -normal[1]))
 

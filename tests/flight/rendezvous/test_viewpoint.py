@@ -301,13 +301,9 @@ def test_a_viewpoint_that_is_nearer_to_the_marker_is_better_than_none() -> None:
     assert 0.8 < math.hypot(*unasked.camera_h_m) < math.hypot(*near.camera_h_m) < 1.5
 
 
-@pytest.mark.parametrize("right_m", [-1.2, -0.8, -0.4, 0.4, 0.8, 1.2])
-@pytest.mark.parametrize("down_m", [-0.6, 0.0, 0.6])
+@pytest.mark.parametrize("right_m", [-0.7, -0.5, 0.5, 0.7])
+@pytest.mark.parametrize("down_m", [0.3, 0.6])
 def test_a_body_beside_its_marker_is_kept_clear_of_too(right_m: float, down_m: float) -> None:
     """How far a body is away is reckoned over both level axes: the plate may be on an arm."""
-    view = replace(scene(), body_h_m=np.array([0.1, right_m, down_m]))
-    viewpoint = plan(view)
-    if isinstance(viewpoint, Viewpoint):
-        check_rules(Seen(view, viewpoint))
-    else:
-        assert "separation" in str(viewpoint)
+    view = replace(scene(), body_h_m=np.array([-0.8, right_m, down_m]))
+    check_rules(Seen(view, found(view)))
