@@ -91,12 +91,21 @@ class Manoeuvres:
         An older one may still show the last but one.
         """
         telemetry = self._telemetry
+        expected = {telemetry.mode, mode}
+        others: set[FlightMode] = set()
 
         def shown() -> bool:
             reported = telemetry.reported_mode
+            if telemetry.mode not in expected and telemetry.mode_told >= SURE:
+                others.add(telemetry.mode)
             return reported is not None and reported.arrival_ns > sent_ns and telemetry.mode is mode
 
         if not await self._session.until(lambda: shown() or or_else(), self._config.mode_timeout_s):
+            if others:
+                raise TakenOver(
+                    f"the vehicle agreed to {what}, and was put in mode {telemetry.mode.value}",
+                    "the pilot has control, or a failsafe acted",
+                )
             texts = " | ".join(telemetry.texts_since(sent_ns)) or "it gives no reason"
             raise VehicleError(
                 f"the vehicle agreed to {what} but is in mode {telemetry.mode.value}: {texts}",

@@ -22,6 +22,8 @@ from path.messages import Quat, Role
 
 POLL_S = 0.05
 SETTLED_MPS = 0.3
+SURE_BEATS = 3  # in a row that show another mode than the one that was agreed to
+SHORT_BEATS = 10  # in a row that show a hold, and not at the height: it was not the take-off's end
 SETPOINT_PERIOD_S = 0.05  # while the vehicle has not shown OFFBOARD yet
 
 
@@ -203,10 +205,16 @@ class SimVehicle:
             steady = abs(state.velocity_n_mps[2]) <= SETTLED_MPS
             return steady and off_m <= self._config.take_off_tolerance_m and state.mode is FlightMode.HOLD
 
+        def short() -> bool:
+            off_m = abs(home_down_m - self.state.position_n_m[2] - height_m)
+            return self.state.mode is FlightMode.HOLD and off_m > self._config.take_off_tolerance_m
+
+        held_short = self._shown_for(short, sent_ns, SHORT_BEATS)
+
         def ended() -> bool:
             state = self.state
             flying = state.armed and state.mode in (FlightMode.TAKEOFF, FlightMode.HOLD)
-            return state.heartbeat_ns > sent_ns and not flying
+            return state.heartbeat_ns > sent_ns and (not flying or held_short())
 
         if not await self._until(lambda: arrived() or ended(), timeout_s):
             raise VehicleError(f"not at {height_m:g} m {timeout_s:g} s after the take-off began", "hold or land")
@@ -293,11 +301,41 @@ class SimVehicle:
         def shown() -> bool:
             return self.state.heartbeat_ns > sent_ns and (self.state.mode is mode or or_else())
 
-        if not await self._until(shown, self._config.mode_timeout_s):
+        left = self._shown_for(lambda: self.state.mode is not mode, sent_ns, SURE_BEATS)
+        seen = {self.state.mode, mode}
+        begun_with = len(seen)
+
+        def settled() -> bool:
+            """It is so, or it is plain that it will not be: setpoints then only look like a fight for control."""
+            seen.add(self.state.mode)
+            return shown() or (mode is FlightMode.OFFBOARD and left())
+
+        if not await self._until(settled, self._config.mode_timeout_s) or not shown():
+            if len(seen) > begun_with:
+                raise TakenOver(
+                    f"the vehicle agreed to {what}, and was put in mode {self.state.mode.value}",
+                    "the pilot has control, or a failsafe acted",
+                )
             raise VehicleError(
                 f"the vehicle agreed to {what} but is in mode {self.state.mode.value}",
                 "the pilot may have control; look at its ground station",
             )
+
+    def _shown_for(self, condition: Callable[[], bool], sent_ns: int, beats: int) -> Callable[[], bool]:
+        """Return a condition: so it was in that many heartbeats in a row, all younger than a command."""
+        seen: set[int] = set()
+
+        def so() -> bool:
+            state = self.state
+            if state.heartbeat_ns <= sent_ns:
+                return False
+            if not condition():
+                seen.clear()
+                return False
+            seen.add(state.heartbeat_ns)
+            return len(seen) >= beats
+
+        return so
 
     async def _stream(self, setpoint: VelocitySetpoint) -> None:
         while True:
