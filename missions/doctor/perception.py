@@ -16,6 +16,7 @@ from drivers.rig.part_check import Enough, Finding, examined, rate_finding, rate
 from drivers.rig.parts import Rig
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
+from path.marker.instead import grey_of, seen_instead
 from path.marker.layout import MarkerLayout
 from path.marker.pose import PoseSettings, estimate_pose
 from path.messages import Vec3
@@ -87,7 +88,7 @@ async def check_perception(perception: Perception, clock: Clock, wanted: WantedM
         yield _targets(sample, rate_of(perception), clock)
         if wanted is not None:
             found = [view.markers(None) for view in sample.last]
-            yield markers(found, wanted.layout)
+            yield markers(found, wanted.layout, sample.last[-1].image())
             turned = marker_turned(found, wanted, perception.model)
             if turned is not None:
                 yield turned
@@ -182,12 +183,17 @@ def _range(view: View, model: CameraModel) -> Finding:
     return Finding("ok", "range", f"{depth.z_m:.2f} m in the middle of the image")
 
 
-def markers(found: Sequence[Sequence[MarkerDetection]], layout: MarkerLayout) -> Finding:
-    """The largest marker in each of some frames: which, and how large."""
+def markers(
+    found: Sequence[Sequence[MarkerDetection]], layout: MarkerLayout, image: NDArray[np.uint8] | None
+) -> Finding:
+    """The largest marker in each of some frames: which, and how large; else what is in the last image instead."""
     largest = [max(each, key=side_px) for each in found if each]
     wanted = ", ".join(str(marker.id) for marker in layout.markers)
     if not largest:
         detail = f"no marker of this rig (id {wanted}) in {len(found)} frames"
+        instead = None if image is None else seen_instead(grey_of(image), layout)
+        if instead is not None:
+            return Finding("note", "marker", f"{detail}; {instead}", "print what the rig says, or correct the rig")
         return Finding("note", "marker", detail, "hold the sender's marker into its view, and look again")
     side = float(np.median([side_px(each) for each in largest]))
     ids = ", ".join(str(number) for number in sorted({each.marker_id for each in largest}))

@@ -51,6 +51,7 @@ from path.cycle.receiver import ReceiverCycle
 from path.geometry.rigid import inverse_as_quat, rigid
 from path.geometry.rotation import yaw_of
 from path.geometry.transforms import Matrix, Pose
+from path.marker.instead import grey_of, seen_instead
 from path.messages import Candidate, Status, Target
 from path.observations import Depth, Missed, MissReason
 from path.protocol.values import Handoff
@@ -89,6 +90,7 @@ class Receiver:
         self._seen: View | None = None
         self._track: TargetTrack | None = None
         self._keep_n_m: Vec3 = (0.0, 0.0, 0.0)
+        self._searched: View | None = None  # the newest view that was searched for the marker
         self._causes: dict[MissReason, str] = {}  # of looks at the marker that gave no pose, each told once
         session.on_message = self._on_message
         session.on_status = self._handover.on_status
@@ -190,6 +192,8 @@ class Receiver:
         back = from_heading((-self._retreat_m(state, yaw_rad), 0.0, 0.0), yaw_rad)
         landed = await self._come_down(end, Anchor(add(state.position_n_m, back), yaw_rad))
         await self._handover.finish()
+        if landed and end is not None and end.outcome is Outcome.MARKER_NOT_FOUND:
+            self._say_instead()
         return landed
 
     def _retreat_m(self, state: VehicleState, yaw_rad: float) -> float:
@@ -314,6 +318,7 @@ class Receiver:
         self._marker.search_every, self._marker.thorough = shedding.search_every, shedding.thorough
         fix = self._marker.look(view, R_n_c, gravity_v, gravity_in(R_n_c))
         if self._marker.searched(view.stamp_ns):
+            self._searched = view
             shedding.searched((session.now_ns() - began_ns) * 1e-9)
         return fix
 
@@ -322,6 +327,18 @@ class Receiver:
         if missed.cause is not None and missed.reason not in self._causes:
             self._causes[missed.reason] = missed.cause
             self._session.say(f"the sender's marker: {missed.cause}")
+
+    def _say_instead(self) -> None:
+        """Tell what was seen in place of the marker: on the ground, since setpoints cannot wait for it."""
+        view = self._searched
+        image = None if view is None else view.image()
+        if view is None or image is None:
+            return
+        instead = seen_instead(grey_of(image), self._session.rig.layout)
+        if instead is not None:
+            missed = Missed(MissReason.NO_MARKER, cause=instead)
+            self._session.log.write("/marker", view.stamp_ns, marker_miss_record(view.stamp_ns, missed))
+            self._note_cause(missed)
 
     def _motion(self) -> VehicleMotions:
         """Returns both vehicles' newest reports."""

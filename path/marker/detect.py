@@ -86,15 +86,15 @@ def detect_markers(
     cut = image[v0 : math.ceil(area.y1), u0 : math.ceil(area.x1)]
     grey = np.ascontiguousarray(cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY) if cut.ndim == 3 else cut, dtype=np.uint8)
     used = scale or _scale_for(grey.size)
-    quads = _decode(grey, layout.dictionary, used, THRESHOLD)
+    quads = decode(grey, layout.dictionary, used, THRESHOLD)
     if not quads and scale is None and grey.size <= RETRY_PIXELS:
-        quads = _decode(grey, layout.dictionary, RETRY_SCALE, RETRY_THRESHOLD)
+        quads = decode(grey, layout.dictionary, RETRY_SCALE, RETRY_THRESHOLD)
     if scale is None and (thorough or (thorough is None and region is None)):
         quads = _united(quads, _thoroughly(grey, layout.dictionary))
     found: list[MarkerDetection] = []
     for marker_id, quad in quads:
         if layout.marker(marker_id) is not None:
-            refined = refine_corners(grey, (u0, v0), quad, _quiet(layout.dictionary, marker_id), camera, refine)
+            refined = refine_corners(grey, (u0, v0), quad, quiet(layout.dictionary, marker_id), camera, refine)
             if refined is not None:
                 found.append(MarkerDetection(marker_id, *refined))
         elif foreign:
@@ -108,7 +108,7 @@ def _tracked(
     """All markers that an expected pose shows, with photometric corners; nothing when one of them has none."""
     found: list[MarkerDetection] = []
     for seen in recognise(image, expected, layout, camera) or ():
-        pattern = _quiet(layout.dictionary, seen.marker_id)
+        pattern = quiet(layout.dictionary, seen.marker_id)
         bordered = seen.border >= MIN_BORDER
         fitted = trusted_fit(seen.grey, seen.offset, seen.quad, pattern, camera, near=True, border=bordered)
         if fitted is None:
@@ -135,13 +135,13 @@ def _detector(dictionary: str, windows: tuple[int, int], offset: float, correcti
 
 
 def _thoroughly(grey: NDArray[np.uint8], dictionary: str) -> list[tuple[int, Array]]:
-    """As ``_decode``, by what finds most on photographs of many tags: every window, and small ones enlarged."""
-    whole = _decode(grey, dictionary, 1.0, RETRY_THRESHOLD, THOROUGH_WINDOWS)
+    """As ``decode``, by what finds most on photographs of many tags: every window, and small ones enlarged."""
+    whole = decode(grey, dictionary, 1.0, RETRY_THRESHOLD, THOROUGH_WINDOWS)
     scale = min(THOROUGH_SCALE, math.floor(2.0 * math.sqrt(THOROUGH_PIXELS / max(grey.size, 1))) / 2.0)
-    return _united(whole, _decode(grey, dictionary, max(scale, 1.0), THRESHOLD, THOROUGH_SMALL))
+    return _united(whole, decode(grey, dictionary, max(scale, 1.0), THRESHOLD, THOROUGH_SMALL))
 
 
-def _decode(
+def decode(
     grey: NDArray[np.uint8], dictionary: str, scale: float, offset: float, windows: tuple[int, int] | None = None
 ) -> list[tuple[int, Array]]:
     """Ids and corners (4, 2) in pixels of ``grey``; one physical marker once."""
@@ -268,7 +268,7 @@ def trusted_fit(
 
 
 @lru_cache(maxsize=64)
-def _quiet(dictionary: str, marker_id: int) -> Array:
+def quiet(dictionary: str, marker_id: int) -> Array:
     """The pattern within a border of white cells."""
     return np.pad(cells(dictionary, marker_id), 1, constant_values=1.0)
 

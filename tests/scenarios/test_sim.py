@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import math
+from dataclasses import replace
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -21,6 +22,7 @@ from missions.report.records import RunFacts, load_run
 from missions.report.summary import summarize
 from path.geometry.rotation import exp
 from path.geometry.transforms import Pose
+from path.marker.layout import MarkerLayout
 from path.messages import Role
 
 LOGS = ("sender.mcap", "receiver.mcap", "world.mcap")
@@ -282,3 +284,23 @@ def test_a_drone_whose_own_clock_is_set_while_it_verifies_says_so(tmp_path: Path
     assert flown.facts.outcome == "clock_fault", flown.facts.detail
     assert f"own clock was set by {step_s:+.1f} s" in flown.facts.detail
     assert flown.facts.violations == {}
+
+
+def test_a_marker_of_another_id_is_said_by_its_id(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In rendered frames: what was there instead is looked for on the ground, in the last that was searched."""
+    usual = errors.other_print
+
+    def printed(layout: MarkerLayout, *given: Any) -> MarkerLayout:
+        built = usual(layout, *given)
+        return replace(built, markers=tuple(replace(each, id=each.id + 7) for each in built.markers))
+
+    monkeypatch.setattr(errors, "other_print", printed)
+    text = resources.files("missions").joinpath("rigs/sim-rendered.toml").read_text("utf-8")
+    assert text.count("[mission.target]") == 1
+    impatient = text.replace("[mission.target]", "[mission.deadlines]\nsearch_s = 2.0\n\n[mission.target]")
+    (tmp_path / "rig.toml").write_text(impatient, "utf-8")
+    flown = fly(str(tmp_path / "rig.toml"), tmp_path / "out")
+    assert flown.facts.outcome == "marker_not_found"
+    told = "marker 7 of DICT_4X4_50 is there: the rig has marker 0 of DICT_4X4_50"
+    assert any(told in note for note in flown.summary["notes"])
+    assert any(told in r.record["note"] for r in flown.run.receiver["/note"])

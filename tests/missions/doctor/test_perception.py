@@ -99,6 +99,14 @@ def test_a_plate_that_is_the_wrong_way_up_is_told() -> None:
     assert "stand both drones level" in every["marker turned"].fix
 
 
+def test_a_marker_that_is_printed_wrongly_is_said_as_what_it_is() -> None:
+    inverted, plate = picture(), (slice(10, 66), slice(20, 76))
+    inverted[plate] = 255 - picture(255, marker_px=36)[plate]
+    every = examined(Bench(inverted))
+    assert every["marker"].state == "note"
+    assert "marker 0 of DICT_4X4_50 is there, inverted, white on black" in every["marker"].detail
+
+
 def test_what_is_not_as_it_should_be_is_said_with_its_fix() -> None:
     device = {"firmware_version": "5.15.0", "recommended_firmware_version": "5.16.0", "usb_type_descriptor": "2.1"}
     every = examined(Bench(picture(grey=20), skip=4, device=device))

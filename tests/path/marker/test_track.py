@@ -42,7 +42,7 @@ def undecoded(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise AssertionError("decoded")
 
-    monkeypatch.setattr(detect, "_decode", refuse)
+    monkeypatch.setattr(detect, "decode", refuse)
 
 
 @pytest.mark.parametrize(("dictionary", "far_m"), [("DICT_4X4_50", 1.2), ("DICT_APRILTAG_36h11", 0.7)])
