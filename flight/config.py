@@ -28,6 +28,8 @@ class TargetDesignation:
     flies: bool = False  # it moves up and down too; else it stays as high as it was
     # standard deviation of the place on each axis: of the pointing, and of the drone's own position
     error_m: Annotated[float, Bounds(0.01, 20.0)] = 0.3
+    # the same as a bound that is hardly ever exceeded, three standard deviations: instead of error_m
+    radius_m: Annotated[float | None, Bounds(0.03, 60.0)] = None
     # where the drone stands before take-off, north and east, as the crew measured it like the place: then what its own
     # position is off there is taken out of the place; unstated, its position is believed
     home_m: Annotated[tuple[float, float] | None, Bounds(-1000.0, 1000.0)] = None
@@ -47,7 +49,7 @@ class TargetDesignation:
         return PlaceTold(
             stamp_ns=begun_ns - round(self.age_s * 1e9),
             place_n_m=(self.north_m, self.east_m, -self.height_m),
-            error_m=self.error_m,
+            error_m=self.error_m if self.radius_m is None else self.radius_m / 3.0,
             height_told=self.flies,
             velocity_n_mps=(self.velocity_mps[0], self.velocity_mps[1]) if self.velocity_mps else None,
             holds_s=self.holds_s,

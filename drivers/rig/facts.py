@@ -1,4 +1,4 @@
-"""What a crew measures or chooses, as a rig says it: the target, the drones, the site.
+"""What a crew measures or chooses, as a rig says it: target, drones, depth cameras, site.
 
 From these tables ``flight.plan`` derives heights, distances, times and thresholds. A rig without
 ``[target]`` says all of that by itself.
@@ -11,6 +11,9 @@ max_speed_mps = 3.0
 
 [drone]                      # both drones
 diameter_m = 0.6             # over the tips of the propellers
+
+[depth]
+max_m = 6.0                  # how far the depth cameras can be trusted
 
 [site]
 wind_mps = 4.0               # the strongest mean wind to fly in
@@ -78,6 +81,20 @@ class SiteFacts:
     gust_mps: Annotated[float, Bounds(0.0, 15.0)] = 0.4
 
 
+@dataclass(frozen=True, slots=True)
+class DepthFacts:
+    """The depth cameras, by data sheet or a measurement against a wall.
+
+    Attributes:
+        min_m, max_m: what they can be trusted with.
+        sigma_at_1m_m: noise at 1 m; it grows with the square of the distance.
+    """
+
+    min_m: Annotated[float, Bounds(0.05, 50.0)] = 0.3
+    max_m: Annotated[float, Bounds(0.1, 100.0)] = 6.0
+    sigma_at_1m_m: Annotated[float, Bounds(0.0, 1.0, above=True)] = 0.005
+
+
 DERIVED = (
     "mission.take_off_height_m",
     "mission.receiver_take_off_height_m",
@@ -86,6 +103,7 @@ DERIVED = (
     "mission.target.height_m",
     "mission.target.half_size_m",
     "mission.target.flies",
+    "mission.target.fastest_mps",
     "mission.follow",
     "mission.separation",
     "mission.rendezvous.stand_off_m",

@@ -33,6 +33,7 @@ def complete(rig: Rig) -> Rig:
 
     Without ``[target]`` that is what follows from the rates of its cameras.
     """
+    rig = replace(rig, method=_measured(rig))
     mission = {**rig.mission}
     method = rig.method
     for each in derived_of(rig):
@@ -42,7 +43,7 @@ def complete(rig: Rig) -> Rig:
         else:
             method = _method_with(method, key, each.value)
     world = _with_body(rig)
-    if mission == rig.mission and method == rig.method and world == rig.world:
+    if mission == rig.mission and method == rig.method and world == rig.world and rig.depth is None:
         return rig
     return replace(
         rig,
@@ -64,6 +65,19 @@ def _with_body(rig: Rig) -> Mapping[str, Any]:
     size_m = (facts.length_m, facts.width_m, facts.height_m)
     own = {"kind": kind, "size_m": size_m, **rig.world.get("target", {})}
     return {**rig.world, "target": own}
+
+
+def _measured(rig: Rig) -> MethodConfig:
+    """Return the method with what the rig says of its depth cameras."""
+    depth = rig.depth
+    if depth is None:
+        return rig.method
+    return replace(
+        rig.method,
+        min_depth_m=depth.min_m,
+        max_depth_m=depth.max_m,
+        depth_sigma_at_1m_m=depth.sigma_at_1m_m,
+    )
 
 
 def derived_of(rig: Rig) -> tuple[Derived, ...]:

@@ -127,6 +127,7 @@ def _following(facts: Facts, found: _Found) -> None:
         "1.3 target.max_speed_mps, and to catch up",
         "drone.max_speed_mps",
     )
+    found.add("mission.target.fastest_mps", max(target.max_speed_mps, 0.01), "m/s", "target.max_speed_mps")
     found.add("mission.follow.response_s", drone.response_s, "s", "drone.response_s")
     margin_px = facts.receiver.camera.height / 6.0
     found.add("mission.rendezvous.image_margin_px", margin_px, "px", "a sixth of D2's image")

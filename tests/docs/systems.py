@@ -1,0 +1,176 @@
+"""Systems of other people: rigs that say what was measured, flown, and what became of them (docs/systems.md).
+
+``python -m tests.docs.systems fly --seeds 20 [NAME ...]`` flies those in docs/systems at level ``sim`` and
+keeps what came of it beside them; ``write`` makes the page of what is kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from flight.plan.checks import flown, problems
+from flight.plan.facts import facts_of
+from flight.plan.predictions import predictions
+from missions import rig_library
+from missions.rig_library import mission_of
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "docs" / "systems"
+KEPT = FOLDER / "flown.json"
+PAGE = ROOT / "docs" / "systems.md"
+SEED = 71000  # nobody has looked at what comes of these
+BEGIN, END = "<!-- systems -->\n", "<!-- end of systems -->"
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """What became of one system's flights, in numbers of flights and medians."""
+
+    commit: str
+    seed: int
+    runs: int
+    outcomes: Mapping[str, int]
+    wrong: int
+    violations: Mapping[str, int]
+    agreement_s: float | None = None
+    receiver_m: float | None = None
+    target_m: float | None = None
+
+
+def names() -> list[str]:
+    """Return the names of all systems."""
+    return sorted(file.stem for file in FOLDER.glob("*.toml"))
+
+
+def refusals(name: str) -> list[str]:
+    """Return why a system is refused, each with the smallest change; empty for one that is flown."""
+    rig = rig_library.load_unchecked(str(FOLDER / f"{name}.toml"))
+    mission = mission_of(rig)
+    return [f"{problem.where}: {problem}" for problem in problems(flown(facts_of(rig, mission), mission))]
+
+
+def predicted(name: str) -> Mapping[str, float]:
+    """Return what the plan expects of a system's flights."""
+    rig = rig_library.load_unchecked(str(FOLDER / f"{name}.toml"))
+    mission = mission_of(rig)
+    return {each.key: each.value for each in predictions(flown(facts_of(rig, mission), mission))}
+
+
+def fly(name: str, seeds: int, commit: str) -> Kept:
+    """Fly one system. Raises CalledProcessError when the command itself failed."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "runs"
+        words = ["--rig", str(FOLDER / f"{name}.toml"), "--seed", str(SEED), "--seeds", str(seeds)]
+        command = [sys.executable, "-m", "missions.cli", "handoff", *words, "--jobs", "1", "--out", str(out)]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        summary = out / "summary.json"
+        if not summary.exists():
+            raise subprocess.CalledProcessError(done.returncode, command, done.stdout, done.stderr)
+        said: dict[str, Any] = json.loads(summary.read_text("utf-8"))
+
+    def median(key: str) -> float | None:
+        found = said.get(key)
+        return None if found is None else float(found["median"])
+
+    return Kept(
+        commit,
+        SEED,
+        seeds,
+        said["outcomes"],
+        int(said["wrong_handovers"]),
+        said["monitors"],
+        median("agreement_s"),
+        median("d2_error_m"),
+        median("target_error_m"),
+    )
+
+
+def kept() -> dict[str, Kept]:
+    """Return what is kept of all systems."""
+    if not KEPT.exists():
+        return {}
+    return {name: Kept(**each) for name, each in json.loads(KEPT.read_text("utf-8")).items()}
+
+
+def keep(found: Mapping[str, Kept]) -> None:
+    """Keep what became of some systems, beside that of the others."""
+    every = {**kept(), **found}
+    record = {name: asdict(every[name]) for name in sorted(every)}
+    KEPT.write_text(json.dumps(record, indent=2) + "\n", "utf-8")
+
+
+def table() -> str:
+    """Return the table of all systems."""
+    every = kept()
+    head = (
+        "| system | what it is | handed over | wrong | else | agreement, s: plan, flown | D2, mm | target, mm |\n"
+        "|---|---|---|---|---|---|---|---|\n"
+    )
+    return head + "".join(_row(name, every.get(name)) for name in names())
+
+
+def _row(name: str, found: Kept | None) -> str:
+    rig = rig_library.load_unchecked(str(FOLDER / f"{name}.toml"))
+    link = f"[{name}](systems/{name}.toml)"
+    refused = refusals(name)
+    if refused:
+        return f"| {link} | {rig.description} | refused by `plan` | | {'; '.join(refused)} | | | |\n"
+    if found is None:
+        return f"| {link} | {rig.description} | not flown yet | | | | | |\n"
+    expected = predicted(name)
+    others = {what: count for what, count in found.outcomes.items() if what != "committed"}
+    others |= found.violations
+    said = ", ".join(f"{count} `{what}`" for what, count in others.items())
+    agreement = _pair(expected.get("agreement_s"), found.agreement_s, 1.0, ".1f")
+    receiver = _pair(expected.get("receiver_error_m"), found.receiver_m, 1e3, ".0f")
+    target = _pair(expected.get("target_error_m"), found.target_m, 1e3, ".0f")
+    committed = f"{found.outcomes.get('committed', 0)} of {found.runs}"
+    return (
+        f"| {link} | {rig.description} | {committed} | {found.wrong} | {said} | {agreement} | {receiver} | {target} |\n"
+    )
+
+
+def _pair(expected: float | None, measured: float | None, times: float, form: str) -> str:
+    shown = ["–" if each is None else format(times * each, form) for each in (expected, measured)]
+    return ", ".join(shown)
+
+
+def written(page: str) -> str:
+    """Return the page with its table as it is now."""
+    before, _, rest = page.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return f"{before}{BEGIN}{table()}{END}{after}"
+
+
+def main(words: Sequence[str]) -> int:
+    """Fly, or write the page."""
+    parser = argparse.ArgumentParser(prog="python -m tests.docs.systems", description=__doc__)
+    parser.add_argument("does", choices=("fly", "write"))
+    parser.add_argument("names", nargs="*", help="all when left out")
+    parser.add_argument("--seeds", type=int, default=20)
+    asked = parser.parse_args(words)
+    if asked.does == "fly":
+        commit = subprocess.run(
+            ("git", "rev-parse", "--short=8", "HEAD"), cwd=ROOT, check=True, capture_output=True, text=True
+        ).stdout.strip()
+        for name in asked.names or names():
+            if refusals(name):
+                continue
+            found = fly(name, asked.seeds, commit)
+            keep({name: found})
+            sys.stdout.write(f"{name}: {dict(found.outcomes)}, wrong {found.wrong}, {dict(found.violations)}\n")
+            sys.stdout.flush()
+    PAGE.write_text(written(PAGE.read_text("utf-8")), "utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,54 @@
+"""The systems of docs/systems.md say only what was measured, and the page is what is kept of their flights."""
+
+from __future__ import annotations
+
+import tomllib
+
+import pytest
+
+from tests.docs import systems
+
+# What a crew measures or chooses. Heights and distances a crew may choose, to be held against the plan.
+MEASURED = {
+    "name", "like", "level", "description", "target", "drone", "depth", "site", "markers", "sender", "receiver",
+    "mission", "world",
+}  # fmt: skip
+CHOSEN = {"guard", "target", "follow"}  # of [mission]
+REFUSED = {
+    "car-from-10m": "would do",
+    "car-from-30m": "would do",
+    "d455-40mm": "45 mm",
+    "plate-20mm": "32 mm",
+    "wind-10": "can be borne",
+}
+
+
+def test_there_are_many_and_each_is_short() -> None:
+    assert len(systems.names()) >= 24
+    for name in systems.names():
+        assert len((systems.FOLDER / f"{name}.toml").read_text("utf-8").splitlines()) <= 40, name
+
+
+@pytest.mark.parametrize("name", systems.names())
+def test_a_system_says_what_was_measured_and_nothing_of_the_method(name: str) -> None:
+    table = tomllib.loads((systems.FOLDER / f"{name}.toml").read_text("utf-8"))
+    assert set(table) <= MEASURED
+    assert set(table.get("mission", {})) <= CHOSEN
+
+
+@pytest.mark.parametrize("name", systems.names())
+def test_what_cannot_be_flown_is_refused_with_what_would_do(name: str) -> None:
+    said = " ".join(systems.refusals(name))
+    assert bool(said) == (name in REFUSED), said
+    assert REFUSED.get(name, "") in said
+
+
+def test_the_page_is_what_is_kept() -> None:
+    page = systems.PAGE.read_text("utf-8")
+    assert systems.written(page) == page  # python -m tests.docs.systems write
+
+
+def test_no_wrong_object_was_handed_over_in_any_system() -> None:
+    flown = systems.kept()
+    assert flown
+    assert {name: found.wrong for name, found in flown.items() if found.wrong} == {}
