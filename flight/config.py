@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from drivers.interfaces import Capability
 from drivers.operator.interfaces import PlaceTold
+from flight.fence import Fence
 from flight.guard.rules import GuardRules
 from flight.guidance import Answer, Vec3
 from path.bounds import Bounds
@@ -134,6 +135,8 @@ class GuardConfig:
 
     fence_radius_m: Annotated[float, Bounds(2.0, 1000.0)] = 25.0
     fence_height_m: Annotated[float, Bounds(1.0, 120.0)] = 6.0
+    # (north, east) of the corners of a site with walls, in order; empty: the circle alone
+    corners_m: Annotated[tuple[tuple[float, float], ...], Bounds(-1000.0, 1000.0)] = ()
     min_battery: Annotated[float, Bounds(0.05, 0.9, "of 1")] = 0.20
     telemetry_age_s: Annotated[float, Bounds(0.05, 5.0)] = 0.5
     heartbeat_age_s: Annotated[float, Bounds(0.2, 10.0)] = 2.5
@@ -141,6 +144,14 @@ class GuardConfig:
     peer_silence_s: Annotated[float, Bounds(0.2, 60.0)] = 3.0
     # while both verify: a drone whose program died is about to land, a metre away
     near_silence_s: Annotated[float, Bounds(0.1, 10.0)] = 0.8
+
+    def __post_init__(self) -> None:
+        if len(self.corners_m) in (1, 2):
+            raise ValueError("corners_m must be three corners or more, or empty")
+
+    def fence(self, body_m: float = 0.0) -> Fence:
+        """Return the space in which the drones may be."""
+        return Fence(self.fence_radius_m, self.fence_height_m, self.corners_m, body_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,3 +218,8 @@ class MissionConfig:
     guard: GuardConfig = field(default_factory=GuardConfig)
     guard_process: GuardRules = field(default_factory=GuardRules)
     deadlines: Deadlines = field(default_factory=Deadlines)
+
+    @property
+    def fence(self) -> Fence:
+        """Return the space in which the drones may be, for the middle of a body."""
+        return self.guard.fence(0.5 * self.separation.horizontal_m)

@@ -80,7 +80,9 @@ class Pilot:
                 await asyncio.sleep(period_s)
                 continue
             check_vehicle(state, now_ns, self._config.guard, FlightMode.OFFBOARD)
-            self._last = slew(self._last, self.guidance(state), period_s, self._config.max_accel_mps2)
+            self._last = self._before_walls(
+                slew(self._last, self.guidance(state), period_s, self._config.max_accel_mps2), state
+            )
             self._vehicle.fly(self._last)
             self.setpoints += 1
             self._log.write(
@@ -104,6 +106,14 @@ class Pilot:
             self._doubt_ns = now_ns
             self._log.write("/doubt", now_ns, {"mode": state.mode.value, "armed": state.armed})
         return (now_ns - self._doubt_ns) * 1e-9 < DOUBT_S
+
+    def _before_walls(self, setpoint: VelocitySetpoint, state: VehicleState) -> VelocitySetpoint:
+        """Return a setpoint from which the drone can stop before it comes to an edge of the site."""
+        config = self._config
+        velocity = config.fence.stoppable(
+            setpoint.velocity_n_mps, state.position_n_m, 0.5 * config.max_accel_mps2, config.follow.response_s
+        )
+        return VelocitySetpoint(velocity, setpoint.yaw_rad)
 
     def let_go(self) -> None:
         """Stop sending setpoints; the caller has commanded, or is about to command, another mode."""

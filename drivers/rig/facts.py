@@ -75,10 +75,18 @@ class DroneFacts:
 
 @dataclass(frozen=True, slots=True)
 class SiteFacts:
-    """The weather that is flown in. ``wind_mps`` is its mean, ``gust_mps`` the standard deviation about it."""
+    """The place and the weather that are flown in.
+
+    Attributes:
+        wind_mps, gust_mps: the mean wind, and the standard deviation about it.
+        corners_m: (north, east) of the corners of a site with walls, in order; empty: there are none.
+        ceiling_m: above the ground; None: there is none.
+    """
 
     wind_mps: Annotated[float, Bounds(0.0, 30.0)] = 1.5
     gust_mps: Annotated[float, Bounds(0.0, 15.0)] = 0.4
+    corners_m: Annotated[tuple[tuple[float, float], ...], Bounds(-1000.0, 1000.0)] = ()
+    ceiling_m: Annotated[float | None, Bounds(1.0, 120.0)] = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from drivers.interfaces import SURE, FlightMode, VehicleState
 from flight.config import GuardConfig
 from flight.guard.battery import battery_trouble
@@ -33,8 +31,7 @@ def check_vehicle(state: VehicleState, now_ns: int, config: GuardConfig, command
     if state.mode is not commanded:
         raise MissionEnd(Outcome.PILOT_OVERRIDE, f"mode is {state.mode.value}, the script flew {commanded.value}")
     north, east, down = state.position_n_m
-    # written so that a NaN breaks a limit
-    if not (math.hypot(north, east) <= config.fence_radius_m and -down <= config.fence_height_m):
+    if not config.fence().holds(state.position_n_m):
         raise MissionEnd(Outcome.GUARD, f"outside the fence at ({north:.1f}, {east:.1f}) m, height {-down:.1f} m")
     if battery:
         raise MissionEnd(Outcome.GUARD, battery)

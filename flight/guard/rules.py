@@ -14,6 +14,7 @@ from typing import Annotated
 
 from drivers.interfaces import SURE, FlightMode
 from drivers.mavlink.guard.interfaces import GuardView, Hand, Script, Vec3
+from flight.fence import Fence
 from flight.guard.battery import battery_trouble
 from path.bounds import Bounds
 from path.values import value
@@ -74,8 +75,7 @@ class GuardRules:
 class Limits:
     """The limits that the mission sets (``[mission.guard]`` and ``[mission.separation]``)."""
 
-    fence_radius_m: float
-    fence_height_m: float
+    fence: Fence
     min_battery: float
     separation_m: float
 
@@ -245,7 +245,7 @@ def _since(before_ns: int | None, now_ns: int) -> int:
 def broken_limit(view: GuardView, heard: ProgramBeat, now_ns: int, rules: GuardRules, limits: Limits) -> str:
     """The limit that is broken, in words; empty when none is. A NaN place breaks one."""
     north, east, down = view.position_n_m
-    if not (math.hypot(north, east) <= limits.fence_radius_m and -down <= limits.fence_height_m):
+    if not limits.fence.holds(view.position_n_m):
         return f"outside the fence at ({north:.1f}, {east:.1f}) m, height {-down:.1f} m"
     battery = battery_trouble(view.battery, view.battery_ns, now_ns, limits.min_battery)
     if battery:

@@ -45,9 +45,7 @@ class GuardWatch:
         guard = config.guard
         self._vehicle, self._line, self._clock, self._log = vehicle, line, clock, log
         self._rules = config.guard_process
-        self._limits = Limits(
-            guard.fence_radius_m, guard.fence_height_m, guard.min_battery, config.separation.minimum_m
-        )
+        self._limits = Limits(guard.fence(), guard.min_battery, config.separation.minimum_m)
         self._state = GuardState()
         self._heard: ProgramBeat | None = None
         self._setpoints = 0

@@ -10,9 +10,12 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from drivers.rig.parts import Rig
 from drivers.rig.tables import Problems, decode_table
 from flight.config import MissionConfig
+from flight.guidance import Vec3, from_heading
 from flight.plan.derive import GRAVITY_MPS2
 from flight.plan.errors import predict
 from flight.plan.facts import Eye, Facts, facts_of
@@ -25,11 +28,13 @@ from flight.plan.geometry import (
     tilts,
 )
 from flight.rendezvous.viewpoint import NoViewpoint, Viewpoint
+from flight.tracking.association import UNSEEN_S
 from path.camera.model import CameraModel
 
 LEAST_TARGET_PX = 20.0  # of a box's shorter side: detectors lose objects below it (docs/detectors.md)
 MOST_OFFSET = 0.2  # of the target's box: boxes that lasting errors put farther apart do not overlap enough
 CATCH_UP = 1.15  # times the target's speed, to come closer at all
+FRAMES_TO_FOLLOW = 2.0  # within the time after which what was not seen may be anything
 IN_WIND = 0.5  # of the margin to D2's image border: the rest is what wind may take
 _HALVINGS = 24
 _FINE = 1.001
@@ -77,7 +82,7 @@ def check_plan(rig: Rig) -> None:
 
 def problems(of: Flown) -> Iterator[Problem]:
     """Yield everything that cannot be done."""
-    for check in (_target_px, _fits, _depth, _viewpoint, _offset, _wind, _speed, _rate):
+    for check in (_target_px, _fits, _depth, _viewpoint, _site, _offset, _wind, _speed, _rate):
         found = check(of)
         if found is not None:
             yield found
@@ -199,6 +204,39 @@ def _sees_both(of: Flown, wind_mps: float) -> bool:
     return all(isinstance(each.viewpoint, Viewpoint) for each in found)
 
 
+def _site(of: Flown) -> Problem | None:
+    """Check that both drones have room inside the site where they hand over a target at its designated place."""
+    fence, target = of.mission.fence, of.mission.target
+    if not fence.corners_m:
+        return None
+    heading = math.radians(of.mission.heading_deg)
+    middle = of.placed.target_h
+    places = {"D1": np.zeros(3)}
+    if of.placed.T_h_c2 is not None:
+        places["D2"] = of.placed.T_h_c2.t
+    missing: dict[str, float] = {}
+    for name, place_h in places.items():
+        offset = from_heading(vec3(place_h - middle), heading)
+        room_m = fence.room_m(target.north_m + offset[0], target.east_m + offset[1])
+        if room_m < fence.body_m:
+            missing[name] = fence.body_m - room_m
+    if not missing:
+        return None
+    name, most_m = max(missing.items(), key=lambda each: each[1])
+    return Problem(
+        "site.corners_m",
+        f"with the target where it is designated {name} would be {most_m:.1f} m too near to a wall, or behind it",
+        f"a target {most_m:.1f} m farther ahead, another mission.heading_deg, or a site that is {most_m:.1f} m longer"
+        " would do",
+    )
+
+
+def vec3(of: Floats) -> Vec3:
+    """Return three numbers of an array."""
+    x, y, z = of.tolist()
+    return x, y, z
+
+
 def _offset(of: Flown) -> Problem | None:
     """Check that errors that last leave both boxes over each other."""
     if not isinstance(of.placed.viewpoint, Viewpoint) or _overlap(of):
@@ -284,6 +322,13 @@ def _rate(of: Flown) -> Problem | None:
     rates = [eye.rate_hz for eye in (of.facts.sender, of.facts.receiver) if eye.rate_hz is not None]
     if not rates:
         return None
+    every_s = 1.0 / min(rates)
+    if FRAMES_TO_FOLLOW * every_s > UNSEEN_S:
+        return Problem(
+            "perception.rate_hz",
+            f"frames come {every_s:g} s apart; what was not seen for {UNSEEN_S:g} s may be anything by then",
+            f"{FRAMES_TO_FOLLOW / UNSEEN_S:g} frames a second would do",
+        )
     takes_s = agreement_s(of.facts, min(rates))
     wait_s = of.mission.deadlines.verify_s
     if takes_s <= wait_s:

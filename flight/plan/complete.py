@@ -42,6 +42,7 @@ def complete(rig: Rig) -> Rig:
             mission = _with(mission, key, each.value)
         else:
             method = _method_with(method, key, each.value)
+    mission = _with_site(mission, rig)
     world = _with_body(rig)
     if mission == rig.mission and method == rig.method and world == rig.world and rig.depth is None:
         return rig
@@ -53,6 +54,18 @@ def complete(rig: Rig) -> Rig:
         sender=_with_depth(rig.sender, method),
         receiver=_with_depth(rig.receiver, method),
     )
+
+
+def _with_site(mission: dict[str, Any], rig: Rig) -> dict[str, Any]:
+    """Return the mission with the site's walls and ceiling for its fence, where it names none."""
+    site = rig.site
+    if site is None:
+        return mission
+    if site.corners_m and "mission.guard.corners_m" not in rig.named:
+        mission = _with(mission, "guard.corners_m", site.corners_m)
+    if site.ceiling_m is not None and "mission.guard.fence_height_m" not in rig.named:
+        mission = _with(mission, "guard.fence_height_m", site.ceiling_m)
+    return mission
 
 
 def _with_body(rig: Rig) -> Mapping[str, Any]:
@@ -87,7 +100,7 @@ def derived_of(rig: Rig) -> tuple[Derived, ...]:
     return derive_rates(facts, rig.named) if rig.target is None else derive(facts, rig.named)
 
 
-def _with(table: Mapping[str, Any], key: str, value: float) -> dict[str, Any]:
+def _with(table: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]:
     """Return a table with a value at a dotted key."""
     first, _, rest = key.partition(".")
     inner = table.get(first, {})

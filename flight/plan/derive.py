@@ -30,6 +30,7 @@ from path.config import MethodConfig
 
 GRAVITY_MPS2 = 9.81
 TILT_RAD = math.radians(4.7)  # of a correction; a camera that is fixed to the body tilts with it
+MOST_TARGET_PX = 280.0  # of a box's longer side: detectors were measured up to 300 (docs/detectors.md)
 EDGE = 0.9  # of half the image: what a box keeps from the border
 WIDER = 1.05  # the next range to try
 MOST_WIDER = 40  # times: seven times the least range
@@ -172,7 +173,9 @@ def least_range_m(facts: Facts) -> float:
         (0.5 * seen.width_m + sway_m, 0.5 * camera.width / camera.fx),
         (0.5 * seen.height_m + sway_m, 0.5 * camera.height / camera.fy),
     )
-    return max(size_m / max(1e-3, EDGE * half - math.tan(TILT_RAD)) for size_m, half in ways)
+    fits_m = max(size_m / max(1e-3, EDGE * half - math.tan(TILT_RAD)) for size_m, half in ways)
+    largest_m = max(camera.fx * seen.width_m, camera.fy * seen.height_m) / MOST_TARGET_PX
+    return max(fits_m, largest_m)
 
 
 def sway(facts: Facts) -> float:

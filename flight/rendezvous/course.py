@@ -177,6 +177,8 @@ class Rendezvous:
     def _within_fence(self, place_n_m: Vec3) -> Vec3:
         """The nearest place that is inside the fence however wrong this drone's own position is."""
         guard, rendezvous = self._config.guard, self._config.rendezvous
+        if guard.corners_m:
+            return self._config.fence.nearest(place_n_m)
         radius_m = guard.fence_radius_m - rendezvous.positions_within_m
         return within_fence(place_n_m, radius_m, guard.fence_height_m - rendezvous.heights_within_m)
 

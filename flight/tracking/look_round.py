@@ -31,7 +31,7 @@ class LookRound:
         self._wait_s = follow.look_round_s
         self._behind_m = follow.behind_m
         self._ended = follow.look_round_s <= 0.0 or follow.behind_m <= 0.0 or config.target.flies
-        self._fence_m = config.guard.fence_radius_m - _INSIDE_FENCE_M
+        self._fence = config.fence
         self._speed_mps = min(
             follow.max_speed_mps, math.sqrt(_ACCEL_SHARE * config.max_accel_mps2 * max(0.0, follow.behind_m))
         )
@@ -66,10 +66,15 @@ class LookRound:
             return
         round_rad = self._round_rad + self._side * step_s * self._speed_mps / self._behind_m
         behind = add(place_n_m, from_heading((-self._behind_m, 0.0, 0.0), self._first_rad + round_rad))
-        if abs(round_rad) > WIDEST_RAD or math.hypot(behind[0], behind[1]) > self._fence_m:
+        if abs(round_rad) > WIDEST_RAD or not self._fits(behind):
             self._side = -self._side
         else:
             self._round_rad = round_rad
+
+    def _fits(self, place_n_m: Vec3) -> bool:
+        """Return whether a drone has room at a place, however high."""
+        north, east, _ = place_n_m
+        return self._fence.nearest((north, east, 0.0), _INSIDE_FENCE_M) == (north, east, 0.0)
 
     @property
     def velocity_n_mps(self) -> Vec3:

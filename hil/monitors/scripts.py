@@ -1,4 +1,4 @@
-"""The monitors of what no script may do, from true states and the roles' phases: S7 and S10.
+"""The monitors of what no script may do, from true states and the roles' phases: S7, S10, and S11 at a site's walls.
 
 S7 is held as far as it can be measured: while the camera of a drone whose mission goes on truly has the target's middle
 in its image, one such drone looks at its frames (a record of one, at most ``LOOKS_S`` old). A mission goes on from the
@@ -32,6 +32,7 @@ Violated = Callable[[str, float, str], None]
 LOOKS_S = 1.0
 NOTICED_S = 1.5  # mode and battery come with heartbeats; then the script ends its mission
 FENCE_SLACK_M = 0.5  # of the vehicle's own estimate
+BODY_M = 0.16  # around the middle of a drone
 
 WATCHING = frozenset(phase.title for phase in (Phase.FOLLOW, Phase.SEARCH, Phase.APPROACH, Phase.VERIFY))
 ENDING = frozenset(phase.title for phase in (Phase.DEPART, Phase.LAND, Phase.DONE))
@@ -100,6 +101,7 @@ class ScriptMonitor:
             self._observed(now_s, {role: vehicles[role] for role in group})
         for role, vehicle in vehicles.items():
             self._obeyed(role, now_s, vehicle)
+            self._clear_of_walls(role, now_s, vehicle)
 
     def _observed(self, now_s: float, vehicles: Mapping[Any, VehicleTruth]) -> None:
         """S7."""
@@ -109,12 +111,19 @@ class ScriptMonitor:
             return
         self._once("S7", now_s, "a camera has the target in its image, and nobody looks")
 
+    def _clear_of_walls(self, role: Enum, now_s: float, vehicle: VehicleTruth) -> None:
+        """S11, as far as a site has walls."""
+        north, east, _ = vehicle.position_n_m
+        if self.guard.fence().room_m(north, east) < BODY_M:
+            self._once("S11", now_s, f"{role.value} touches a wall of the site")
+
     def _obeyed(self, role: Enum, now_s: float, vehicle: VehicleTruth) -> None:
         """S10."""
         north, east, down = vehicle.position_n_m
         limit = self.guard
         outside = (north * north + east * east) ** 0.5 > limit.fence_radius_m + FENCE_SLACK_M
         outside = outside or -down > limit.fence_height_m + FENCE_SLACK_M
+        outside = outside or limit.fence().room_m(north, east) < -FENCE_SLACK_M
         ruled = {
             "pilot": vehicle.armed and vehicle.pilot,
             "kill": vehicle.killed,

@@ -241,6 +241,7 @@ class Receiver:
         moves = north, east, down if self._config.target.flies else 0.0
         highest_m = self._config.guard.fence_height_m - BELOW_FENCE_M
         place = within_fence(add(target, self._keep_n_m), math.inf, highest_m)
+        place = self._config.fence.nearest(place) if self._config.guard.corners_m else place
         error = subtract(place, state.position_n_m)
         keep, accel_mps2 = self._config.follow, self._config.max_accel_mps2
         velocity = approach(error, state.velocity_n_mps, moves, keep.answer(accel_mps2))

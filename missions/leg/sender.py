@@ -230,7 +230,8 @@ class Sender:
         below_m = wider * (keep.height_m - self._config.target.height_m)
         place = add(target_n_m, from_heading((-wider * keep.behind_m, 0.0, -below_m), self._heading_rad))
         place = add(place, self._tilt.aim(self._axis_b, self._heading_rad, below_m))
-        return within_fence(place, math.inf, self._config.guard.fence_height_m - BELOW_FENCE_M)
+        place = within_fence(place, math.inf, self._config.guard.fence_height_m - BELOW_FENCE_M)
+        return self._config.fence.nearest(place) if self._config.guard.corners_m else place
 
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
         """Keep the target in view from behind."""

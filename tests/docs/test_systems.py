@@ -13,10 +13,11 @@ MEASURED = {
     "name", "like", "level", "description", "target", "drone", "depth", "site", "markers", "sender", "receiver",
     "mission", "world",
 }  # fmt: skip
-CHOSEN = {"guard", "target", "follow"}  # of [mission]
+CHOSEN = {"guard", "target", "follow", "rendezvous"}  # of [mission]
 REFUSED = {
     "car-from-10m": "would do",
     "car-from-30m": "would do",
+    "2hz": "4 frames a second",
     "d455-40mm": "45 mm",
     "plate-20mm": "32 mm",
     "wind-10": "can be borne",

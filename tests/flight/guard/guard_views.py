@@ -6,12 +6,13 @@ from dataclasses import replace
 
 from drivers.interfaces import FlightMode
 from drivers.mavlink.guard.interfaces import GuardView, Script
+from flight.fence import Fence
 from flight.guard.rules import Act, GuardRules, GuardStage, GuardState, Limits, ProgramBeat, decide
 
 S = 1_000_000_000
 NOW = 1000 * S
 RULES = GuardRules()
-LIMITS = Limits(fence_radius_m=25.0, fence_height_m=6.0, min_battery=0.2, separation_m=0.7)
+LIMITS = Limits(Fence(25.0, 6.0), min_battery=0.2, separation_m=0.7)
 VIEW = GuardView(NOW, NOW, True, True, FlightMode.OFFBOARD, (1.0, 2.0, -1.5), 0.9, None)
 HEARD = ProgramBeat(NOW, Script.CONTROL, NOW)
 DOWN = (FlightMode.LAND, FlightMode.RETURN)
@@ -45,7 +46,7 @@ EXACT = GuardRules(
     mode_grace_s=1.0, position_error_m=0.5,
 )  # fmt: skip
 
-WHOLE = Limits(fence_radius_m=5.0, fence_height_m=6.0, min_battery=0.25, separation_m=1.0)
+WHOLE = Limits(Fence(5.0, 6.0), min_battery=0.25, separation_m=1.0)
 
 
 def at(

@@ -11,6 +11,7 @@ import pytest
 from drivers.interfaces import FlightMode, VehicleState
 from drivers.mavlink.guard.interfaces import GuardView, Script
 from flight.config import GuardConfig
+from flight.fence import Fence
 from flight.guard.limits import check_separation, check_vehicle
 from flight.guard.rules import GuardRules, Limits, ProgramBeat, broken_limit
 from flight.outcome import MissionEnd, Outcome
@@ -100,7 +101,7 @@ def test_script_and_guard_judge_a_battery_alike(level: float, silent_s: float | 
         NOW_NS, NOW_NS, True, True, FlightMode.OFFBOARD, GOOD.position_n_m, level, None, battery_ns=told_ns
     )
     of_guard = broken_limit(
-        view, ProgramBeat(NOW_NS, Script.CONTROL, NOW_NS), NOW_NS, GuardRules(), Limits(10.0, 5.0, 0.2, 0.7)
+        view, ProgramBeat(NOW_NS, Script.CONTROL, NOW_NS), NOW_NS, GuardRules(), Limits(Fence(10.0, 5.0), 0.2, 0.7)
     )
     try:
         check(battery=level, battery_ns=told_ns)

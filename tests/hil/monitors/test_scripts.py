@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from drivers.interfaces import FlightMode
+from flight.config import GuardConfig
 from hil.monitors.monitors import Monitors
 from hil.monitors.scripts import NOTICED_S, ScriptMonitor, VehicleTruth, vehicles_of
 from hil.world.config import WorldConfig
@@ -123,3 +124,15 @@ def test_the_truth_about_both_vehicles_before_take_off() -> None:
     vehicles = vehicles_of(World(WorldConfig(), 0), rig)
     assert {vehicle.armed for vehicle in vehicles.values()} == {False}
     assert all(abs(vehicle.position_n_m[2]) < 0.5 for vehicle in vehicles.values())
+
+
+def test_s11_a_body_that_touches_a_wall_counts_once_and_one_beside_it_does_not() -> None:
+    hall = GuardConfig(corners_m=((-2.0, -2.0), (-2.0, 2.0), (2.0, 2.0), (2.0, -2.0)))
+    monitors = Monitors(MethodConfig(), 0.7, hall)
+    monitors.scripts.on_phase(D1, 0.0, "verify")
+    monitors.scripts.on_phase(D2, 0.0, "verify")
+    fly(monitors.scripts, 0.0, 1.0, position_n_m=(1.8, 0.0, -1.5))
+    assert not monitors.violations
+    fly(monitors.scripts, 1.0, 2.0, position_n_m=(1.9, 0.0, -1.5))
+    fly(monitors.scripts, 2.0, 2.6, position_n_m=(2.1, 0.0, -1.5))
+    assert dict(monitors.violations) == {"S11": 1}

@@ -1,0 +1,85 @@
+"""The space in which drones may be: a circle, a ceiling, and the walls of a site."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as some
+
+from flight.fence import Fence
+
+HALL = Fence(25.0, 3.0, ((-2.0, -2.0), (-2.0, 2.0), (2.0, 2.0), (2.0, -2.0)), body_m=0.3)
+# an L: the corner that points inward is at the origin
+ANGLE = Fence(50.0, 6.0, ((-4.0, -4.0), (4.0, -4.0), (4.0, 0.0), (0.0, 0.0), (0.0, 4.0), (-4.0, 4.0)), body_m=0.3)
+PLACES = some.tuples(some.floats(-6.0, 6.0), some.floats(-6.0, 6.0))
+
+
+def test_without_edges_it_is_the_circle_and_its_ceiling() -> None:
+    fence = Fence(10.0, 5.0)
+    assert fence.holds((6.0, 8.0, -5.0))
+    assert not fence.holds((6.1, 8.0, -1.0))
+    assert not fence.holds((0.0, 0.0, -5.1))
+    assert not fence.holds((math.nan, 0.0, 0.0))
+    assert fence.stoppable((9.0, 9.0, 0.0), (9.9, 0.0, 0.0), 1.0, 1.0) == (9.0, 9.0, 0.0)
+
+
+def test_a_place_behind_a_wall_is_outside_and_room_is_the_way_to_the_nearest_edge() -> None:
+    assert HALL.holds((1.9, 0.0, -1.0))
+    assert not HALL.holds((2.1, 0.0, -1.0))
+    assert HALL.room_m(1.5, 0.0) == pytest.approx(0.5)
+    assert HALL.room_m(2.5, 0.0) == pytest.approx(-0.5)
+    assert ANGLE.room_m(1.0, 1.0) == pytest.approx(-1.0)
+    assert ANGLE.room_m(-1.0, -1.0) == pytest.approx(math.sqrt(2.0))
+
+
+@pytest.mark.parametrize("fence", [HALL, ANGLE])
+@given(place=PLACES)
+def test_the_nearest_place_has_room_for_a_body(fence: Fence, place: tuple[float, float]) -> None:
+    north, east, _ = fence.nearest((*place, -1.0))
+    assert fence.room_m(north, east) >= fence.body_m - 1e-6
+
+
+@given(place=some.tuples(some.floats(-1.7, 1.7), some.floats(-1.7, 1.7)))
+def test_a_place_with_room_stays_as_it_is(place: tuple[float, float]) -> None:
+    assert HALL.nearest((*place, -1.0)) == (*place, -1.0)
+
+
+@pytest.mark.parametrize("fence", [HALL, ANGLE])
+@given(
+    place=some.tuples(some.floats(-1.5, -0.5), some.floats(-1.5, -0.5)),
+    direction=some.floats(0.0, 6.28),
+    speed=some.floats(0.1, 3.0),
+)
+def test_a_drone_that_answers_late_stops_before_the_wall(
+    fence: Fence, place: tuple[float, float], direction: float, speed: float
+) -> None:
+    """A drone follows its setpoint with a lag of a second; its setpoint changes as fast as it may."""
+    north, east = place
+    velocity = [0.0, 0.0]
+    setpoint = (0.0, 0.0, 0.0)
+    wanted = speed * math.cos(direction), speed * math.sin(direction), 0.0
+    accel_mps2, response_s, step_s = 0.8, 1.0, 0.05
+    for _ in range(300):
+        change = [wanted[k] - setpoint[k] for k in (0, 1)]
+        share = min(1.0, accel_mps2 * step_s / max(math.hypot(*change), 1e-9))
+        slewed = setpoint[0] + share * change[0], setpoint[1] + share * change[1], 0.0
+        setpoint = fence.stoppable(slewed, (north, east, -1.0), 0.5 * accel_mps2, response_s)
+        for k in (0, 1):
+            velocity[k] += (setpoint[k] - velocity[k]) * step_s / response_s
+        north += velocity[0] * step_s
+        east += velocity[1] * step_s
+        assert fence.room_m(north, east) > 0.0
+
+
+def test_what_leads_away_from_a_wall_or_along_it_is_not_slowed() -> None:
+    at_wall = (1.68, 0.0, -1.0)
+    assert HALL.stoppable((-1.0, 0.0, 0.2), at_wall, 0.4, 1.0) == (-1.0, 0.0, 0.2)
+    assert HALL.stoppable((0.0, 0.5, 0.1), at_wall, 0.4, 1.0) == (0.0, 0.5, 0.1)
+
+
+def test_a_drone_at_a_wall_is_not_led_nearer() -> None:
+    north, east, _ = HALL.stoppable((0.5, 0.3, 0.0), (1.7, 0.0, -1.0), 0.4, 1.0)
+    assert north == pytest.approx(0.0, abs=1e-9)
+    assert east == pytest.approx(0.3)
