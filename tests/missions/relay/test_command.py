@@ -99,6 +99,16 @@ def test_a_program_that_dies_between_holding_and_offering_finds_itself_responsib
     assert ends[-1]["responsible"] and ends[-1]["landed"] and "mine" in ends[-1]["detail"]
 
 
+def test_what_an_estimator_stepped_by_in_one_role_stays_taken_out_in_the_next(rig: Rig, tmp_path: Path) -> None:
+    fault = ("1:step_east_receiver=1@follow+4", "1:step_yaw_receiver=25@follow+4", "2:step_north_sender=-2@follow+3")
+    summary, record, _ = fly(rig, tmp_path, 0.62, 0.62, 1.0, hours=0.025, fault=fault)
+    assert (summary["outcome"], summary["violations"]) == ("committed", {})
+    assert held(record) == [("D1", "D2"), ("D2", "D3")]
+    steps = [each.record for each in read_log(tmp_path / "D2.mcap") if each.topic == "/estimator_step"]
+    assert [round(step["shift_n_m"][0]) for step in steps] == [0, -2]
+    assert [round(step["shift_n_m"][1]) for step in steps] == [1, 0]
+
+
 def test_a_disk_that_fails_at_the_change_of_role_ends_the_relay_by_name(
     rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
