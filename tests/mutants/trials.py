@@ -118,8 +118,10 @@ class Trials:
                 raise TableError(f"the tests of {suite.file} fail as it is: {came['what']}")
             return _SLOWER * came["took_s"] + _MORE_S
 
+        kinds = {frozenset(suite.tests): suite for suite in suites}  # files of one room have the same tests
         with ThreadPoolExecutor(self._jobs) as threads:
-            return {suite.file: bound_s for suite, bound_s in zip(suites, threads.map(right, suites), strict=True)}
+            found = dict(zip(kinds, threads.map(right, kinds.values()), strict=True))
+        return {suite.file: found[frozenset(suite.tests)] for suite in suites}
 
     def wrong(self, chosen: Sequence[tuple[FileTests, Mutation]], bounds_s: dict[str, float]) -> Iterator[Tried]:
         def tried(one: tuple[FileTests, Mutation]) -> Tried:
