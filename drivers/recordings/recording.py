@@ -149,9 +149,10 @@ class Video:
         try:
             # Whoever has a table of stamps needs no rate: its stamps are not looked at.
             rate_hz = self._options.rate_hz or (1.0 if stamps is not None else None)
-            for shown_ns, pixels in video_frames(self._file, rate_hz, self._damage):
+            shown = video_frames(self._file, rate_hz, self._damage)
+            for shown_ns, pixels in shown:
                 if any(given is not None and number >= len(given) for given in (stamps, depth)):
-                    self._check_counts(number + 1)
+                    self._check_counts(number + 1 + sum(1 for _ in shown))
                 stamp_ns = shown_ns if stamps is None else stamps[number]
                 behind = None if depth is None else depth[number]
                 yield RecordedFrame(f"frame {number}", stamp_ns, partial(_with_depth, pixels, behind))
@@ -175,9 +176,8 @@ class Video:
             (self._depth, self._options.depth, "depth images"),
         ):
             if given is not None and len(given) != frames:
-                has = "more" if len(given) < frames else frames
                 raise RecordingError(
-                    f"{where}: {len(given)} {what} for {self._file}, which has {has}",
+                    f"{where}: {len(given)} {what} for {self._file}, which has {frames} frames",
                     "there must be one for each frame",
                 )
 

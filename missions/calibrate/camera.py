@@ -34,6 +34,7 @@ from missions.rig_list import FOLDER
 from missions.run_folder import REMEDY, claim_result
 from missions.work import Bars
 from path.calibration.board import Board, BoardView
+from path.calibration.fisheye import fit_fisheye
 from path.calibration.intrinsics import PARAMETERS, RADIAL, Intrinsics, NotSolvable, doubting, solve_intrinsics
 from path.calibration.judge import (
     BadSet,
@@ -142,6 +143,8 @@ def calibrate(collected: Collected, board: Board, limits: SetLimits = LIMITS) ->
     except NotSolvable as error:
         fault = SetFault(BadSet.NOT_SOLVABLE, f"no camera fits these views: {error}", "is the board the one you named?")
         raise BadViews([*faults, fault]) from error
+    if (fault := _other_lens(solution, terms, views, board, thinning)) is not None:
+        raise BadViews([*faults, fault])
     faults += judge_solution(solution, limits)
     if terms < RADIAL:
         faults.append(SetFault(BadSet.UNCERTAIN, f"the distortion is told by {terms} of its {RADIAL} radial terms only",
@@ -151,6 +154,22 @@ def calibrate(collected: Collected, board: Board, limits: SetLimits = LIMITS) ->
     if useless(solution, limits):
         raise BadViews(faults)
     return Calibrated(solution, tuple(looks), grade_of(solution, faults, limits), tuple(faults))
+
+
+def _other_lens(
+    solution: Intrinsics, terms: int, views: Sequence[BoardView], board: Board, thinning: Thinning | None
+) -> SetFault | None:
+    """Return the fault of views that a fisheye took; None where Brown-Conrady's lens describes them."""
+    whole = solution if terms == RADIAL else solve_intrinsics(views, board, solution.size, thinning=thinning)
+    fisheye = fit_fisheye(whole, board)
+    if fisheye is None or not (fisheye.is_clear or fisheye.instead_of(solution.rms_px)):
+        return None
+    return SetFault(
+        BadSet.OTHER_LENS,
+        f"the lens is a fisheye: an equidistant one (fx {fisheye.focal_px:.0f} px) leaves {fisheye.rms_px:.3f} px "
+        f"of these corners, Brown-Conrady's {solution.rms_px:.3f} px, and would have a wrong focal length",
+        "take a lens of less angle, or a stream that is cropped: fisheyes are not flown with",
+    )
 
 
 def solve_as_told(

@@ -40,6 +40,7 @@ class BadSet(Enum):
     WRONG_BOARD = "wrong_board"
     NOT_PREDICTIVE = "not_predictive"
     UNEVEN_PIXELS = "uneven_pixels"
+    OTHER_LENS = "other_lens"
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,7 @@ class FilmTable:
         film: a video file, a folder of images, or frames that PATH recorded (docs/recordings.md).
         calibration: of the camera, as `path-handoff calibrate camera` writes it.
         stamps, depth, rate_hz, topic: as in ``drivers.recordings.recording.RecordingOptions``.
+        depth_unit_mm: of one step of the depth images.
         offset_s: what is added to its stamps, and its trajectory's, so that both drones are on one clock.
         trajectory: where the drone was (TUM: seconds, x y z, quaternion x y z w; body to north-east-down); without it
             the drone is taken to hang level in one place.
@@ -41,6 +42,7 @@ class FilmTable:
     calibration: Path
     stamps: Path | None = None
     depth: Path | None = None
+    depth_unit_mm: Annotated[float, Bounds(0.001, 1000.0, "mm")] = 1.0
     rate_hz: Annotated[float | None, Bounds(0.1, 1000.0)] = None
     topic: str = ""
     offset_s: Annotated[float, Bounds(-1e10, 1e10)] = 0.0
@@ -86,6 +88,7 @@ class PlayedFilm:
     offset_ns: int
     span_ns: tuple[int, int]
     flown: FlownPath | None
+    depth_unit_mm: float = 1.0
 
     def frames(self, begin_ns: int, end_ns: int) -> Iterator[tuple[int, RecordedFrame]]:
         """Those within a part of the common clock, with their stamps on it; one that is no newer is left out."""
@@ -188,7 +191,9 @@ def _film(table: FilmTable, own: RoleRig, own_is_sender: bool) -> PlayedFilm:
                 f"{table.film}: {frames[number].name} is older than the frame before", "correct the stamps"
             )
     flown = None if table.trajectory is None else read_flown_path(table.trajectory, offset_ns)
-    return PlayedFilm(table.film, recording, offset_ns, (stamps[0] + offset_ns, stamps[-1] + offset_ns), flown)
+    return PlayedFilm(
+        table.film, recording, offset_ns, (stamps[0] + offset_ns, stamps[-1] + offset_ns), flown, table.depth_unit_mm
+    )
 
 
 def _span(film: PlayedFilm) -> str:

@@ -33,7 +33,10 @@ from missions.leg.journal import (
     target_record,
 )
 from missions.replay.films.config import Films, PlayedFilm
+from missions.replay.films.depth_unit import REMEDY as UNIT
+from missions.replay.films.depth_unit import depth_against_size
 from missions.replay.films.trajectory import HANGING, BodyState
+from missions.shown import tell_line
 from path.cycle.prior import Prior
 from path.cycle.receiver import ReceiverCycle
 from path.cycle.sender import SenderCycle
@@ -72,6 +75,7 @@ class FilmedSender:
         self._films, self._config, self._log = films, config, log
         self._body = FilmingBody(films.sender, rig.sender.mount)
         self._track: TargetTrack | None = None
+        self._side_m = rig.method.evidence.span_m or 2.0 * config.target.half_size_m
         self._cycle = SenderCycle(
             rig.sender.camera, rig.receiver.camera, rig.sender.mount.T_v_c, rig.method,
             handoff_id=config.handoff_id, epoch=EPOCH, target_id=config.target_id,
@@ -123,7 +127,13 @@ class FilmedSender:
         if picked:
             box = min(picked, key=lambda each: each.w * each.h)
             depth = view.depth(box)
+            against = depth_against_size(view, box, camera, self._side_m)
+            contradicts = against is not None and against.is_contradiction
+            if against is not None and contradicts and depth is None:
+                raise PartError(f"{self._where(view)}: the target has no depth to be believed: {against.text}", UNIT)
             if depth is not None:
+                if against is not None and contradicts:
+                    tell_line(f"{self._where(view)}: the target: {against.text} ({UNIT})")
                 position = to_local(point_in_camera(box, depth.z_m, camera), T_n_c)
                 return TargetTrack.of(self._config, position, view.stamp_ns)
         if view.stamp_ns - self._films.target_ns > PICK_S * 1e9:

@@ -12,6 +12,7 @@ from drivers.interfaces import CameraError, Frame, PartError, View
 from drivers.log.mcap_log import McapLog
 from missions import rig_library
 from missions.replay.films.config import Films
+from missions.replay.films.depth_unit import in_millimetres
 from missions.replay.films.drones import FilmedReceiver, FilmedSender
 from missions.replay.perceive import PerceptionChange, perception_of
 from path.messages import Candidate, Role, Target
@@ -75,7 +76,8 @@ def _views_of(films: Films, role: Role, change: PerceptionChange) -> Iterator[tu
     for number, (stamp_ns, recorded) in enumerate(film.frames(films.begin_ns, films.end_ns)):
         loaded = recorded.load()
         try:
-            view = see(Frame(stamp_ns, number, loaded.color, loaded.depth_mm))
+            depth_mm = in_millimetres(loaded.depth_mm, film.depth_unit_mm)
+            view = see(Frame(stamp_ns, number, loaded.color, depth_mm))
         except CameraError as error:
             raise CameraError(f"{film.file}, {recorded.name}: {error}", error.remedy) from error
         yield stamp_ns, role, view

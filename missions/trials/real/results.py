@@ -93,7 +93,7 @@ class SetScore:
         example: the photograph in the middle, for the page.
         thinning: how the camera leaves out pixels, as these photographs tell it; None where it does not.
         row_motion: while rows were read, as the board's corners tell it; None without markers or of a sheet.
-        twin: the same of the set's rendered twin; None without one.
+        twin: the same of the set's rendered twin; None without one. ``untwinned``: why there is none, if it was tried.
     """
 
     name: str
@@ -113,6 +113,7 @@ class SetScore:
     example: NDArray[np.uint8]
     row_motion: RowMotion | None = None
     twin: TwinScore | None = None
+    untwinned: str = ""
 
     def summary(self) -> dict[str, Any]:
         """The figures of single markers at the top, as ``docs/real.md`` names them."""

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.interfaces import PartError
 from flight.harness.renderer import FrameRenderer
 from missions.trials.real.board import SetSeen, look_at_set
 from missions.trials.real.corners import METHODS, corners_by
@@ -72,10 +73,14 @@ def score_set(task: SetTask) -> SetScore:
     score = _score(own, images, seen, measured, task.seed)
     if task.renderer is None:
         return score
-    twin = render_twin(own, seen, measured.get("photometric"), images, task.renderer, task.seed, task.twins)
-    if twin is None:
-        return score
-    again = look_at_set(own, twin.images)
+    try:
+        twin = render_twin(own, seen, measured.get("photometric"), images, task.renderer, task.seed, task.twins)
+        if twin is None:
+            return replace(score, untwinned="the camera's response shows in too few straight edges")
+        again = look_at_set(own, twin.images)
+    except (ValueError, PartError) as error:
+        # What was measured on the photographs stands: a twin is drawn beside it.
+        return replace(score, untwinned=str(error))
     rendered = _score(own, twin.images, again, _measure(own, again), task.seed)
     return replace(score, twin=TwinScore(twin.response, rendered))
 

@@ -130,6 +130,8 @@ def _findings(score: SetScore) -> list[TrialFinding]:
 
 def _twin_findings(score: SetScore) -> list[TrialFinding]:
     """The twin's figures over the photographs': 1 when simulation promises what photographs keep."""
+    if score.twin is None and score.untwinned:
+        return [TrialFinding(f"{score.name}: twin over photographs", "no twin", note=score.untwinned)]
     if score.twin is None:
         return []
     low, high = GOAL_TWIN

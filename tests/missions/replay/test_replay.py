@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
 from drivers.interfaces import PartError
@@ -259,7 +261,7 @@ def test_drones_without_a_trajectory_are_taken_to_hang_level(films: Path, tmp_pa
         ('calibration = "receiver.camera.toml"', 'calibration = "gone.toml"', r"gone\.toml: No such file"),
         ('calibration = "receiver.camera.toml"', 'calibration = "small.toml"', "d2 by small.toml: .* 320x240 px"),
         ('depth = "d1-depth"', 'depth = "d2"', "d2/0.png: expected 16-bit depth"),
-        ('stamps = "d1.csv"', 'stamps = "short.csv"', r"short\.csv: 3 stamps for .*d1\.mkv, which has more"),
+        ('stamps = "d1.csv"', 'stamps = "short.csv"', r"short\.csv: 3 stamps for .*d1\.mkv, which has [0-9]{2} frames"),
         ('depth = "d1-depth"\n', "", "d1.mkv: there is no depth with it"),
         ('stamps = "d1.csv"', 'stamps = "receiver.tum"', r"receiver\.tum: line 2: .* has no stamp"),
         ("offset_s = -", "offset_s = 9", "the films do not overlap on one clock: d1.mkv from"),
@@ -278,6 +280,35 @@ def test_films_that_cannot_be_are_refused_by_name(films: Path, tmp_path: Path, o
         run(ReplayOptions((bad,), out=tmp_path / "out"))
     assert caught.value.remedy
     assert not (tmp_path / "out").exists() or not any((tmp_path / "out").glob("films.json"))
+
+
+@pytest.mark.parametrize("steps", [5.0, 10.0, 0.1], ids=["0.2 mm", "0.1 mm", "10 mm"])
+def test_depth_in_another_unit_is_told_of_and_read_when_its_unit_is_said(
+    films: Path, tmp_path: Path, steps: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = films.parent / f"depth-{steps:g}"
+    folder.mkdir()
+    for file in (films.parent / "d1-depth").glob("*.png"):
+        depth_mm = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        assert depth_mm is not None
+        scaled = np.clip(np.round(depth_mm * steps), 0, 65535).astype(np.uint16)
+        cv2.imwrite(str(folder / file.name), scaled)
+    bad = films.parent / f"unit-{steps:g}.toml"
+    text = films.read_text("utf-8").replace('depth = "d1-depth"', f'depth = "{folder.name}"')
+    bad.write_text(text, "utf-8")
+    try:
+        run(ReplayOptions((bad,), out=tmp_path / "out"))
+        said = capsys.readouterr().out
+    except PartError as error:
+        said = f"{error} {error.remedy}"
+    assert "are these millimetres?" in said
+    assert "depth_unit_mm" in said
+    times = float(said.partition(" times as far")[0].rpartition(" ")[2])
+    assert times == pytest.approx(steps, rel=0.6)
+    unit = f'depth = "{folder.name}"\ndepth_unit_mm = {1.0 / steps!r}'
+    bad.write_text(films.read_text("utf-8").replace('depth = "d1-depth"', unit), "utf-8")
+    assert run(ReplayOptions((bad,), out=tmp_path / "right")) == 0
+    assert "millimetres" not in capsys.readouterr().out
 
 
 def test_settings_of_a_runs_replay_are_none_of_films(films: Path, flown: Callable[..., Path]) -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
 from drivers.interfaces import PartError
+from hil.render.renderer import Renderer
 from missions.options.proofs import TrialOptions
 from missions.trials.real.board import look_at_set, see_board
 from missions.trials.real.corners import METHODS, FoundMarker, corners_by
@@ -241,6 +243,23 @@ def test_the_summary_has_every_figure_with_its_interval(score: SetScore) -> None
         assert own[f"{name}_interval"][0] <= own[name] <= own[f"{name}_interval"][1]
     assert own["flips"] == 0
     assert own["corners"]["photometric"]["robust_px"] < own["corners"]["subpix"]["robust_px"]
+
+
+def test_what_was_measured_stands_when_no_twin_can_be_drawn(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A board whose squares and markers have no common cell, 30 and 22 mm, cannot be drawn again."""
+
+    def cannot(*_: object) -> None:
+        raise ValueError("marker_m: 0.022 has no common cell with square_m = 0.03")
+
+    monkeypatch.setattr("missions.trials.real.score.render_twin", cannot)
+    renderer: Any = Renderer  # never made: the twin fails before
+    found = score_set(SetTask(file, None, 1, True, renderer, tmp_path))
+    assert found.twin is None
+    assert "no common cell" in found.untwinned
+    assert found.corners["photometric"].found > 0
+    assert found.poses["single"].poses > 0
 
 
 def test_without_a_set_nothing_is_measured(tmp_path: Path) -> None:
