@@ -51,10 +51,10 @@ class Manoeuvres:
         )
 
     async def change_mode(self, mode: FlightMode, what: str, tries: int = 1) -> None:
-        sent_ns = self._clock.now_ns()
+        sent_ns, before = self._clock.now_ns(), self._telemetry.mode
         main, sub = self.kind.set_mode[mode]
         await self.do(what, DO_SET_MODE, (CUSTOM_MODE_ENABLED, float(main), float(sub)), tries)
-        await self._until_mode(mode, sent_ns, what)
+        await self._until_mode(mode, before, sent_ns, what)
 
     async def take_off(self, height_m: float, timeout_s: float) -> None:
         """Climbs to a height above where it stands, and waits until it is there."""
@@ -84,14 +84,15 @@ class Manoeuvres:
         await self._until_down(self._clock.now_ns() + int(timeout_s * 1e9), timeout_s)
 
     async def _until_mode(
-        self, mode: FlightMode, sent_ns: int, what: str, or_else: Callable[[], bool] = lambda: False
+        self, mode: FlightMode, before: FlightMode, sent_ns: int, what: str, or_else: Callable[[], bool] = lambda: False
     ) -> None:
         """Waits until a report younger than the command shows the mode.
 
-        An older one may still show the last but one.
+        An older one may still show the last but one. A mode that is neither this one nor that of before the command
+        is somebody's who took it meanwhile.
         """
         telemetry = self._telemetry
-        expected = {telemetry.mode, mode}
+        expected = {before, mode}
         others: set[FlightMode] = set()
 
         def shown() -> bool:
@@ -162,10 +163,12 @@ class Manoeuvres:
             )
 
     async def _begin_landing(self, or_else: Callable[[], bool]) -> None:
-        sent_ns = self._clock.now_ns()
+        sent_ns, before = self._clock.now_ns(), self._telemetry.mode
         unset = self.kind.unset
         await self.do("land", NAV_LAND, (0.0, 0.0, 0.0, unset, unset, unset, 0.0), SAFE_TRIES)
-        await self._until_mode(FlightMode.LAND, sent_ns, "land", lambda: not self._telemetry.state().armed or or_else())
+        await self._until_mode(
+            FlightMode.LAND, before, sent_ns, "land", lambda: not self._telemetry.state().armed or or_else()
+        )
 
     async def _until_down(self, end_ns: int, timeout_s: float) -> None:
         """Waits until it is disarmed.

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Protocol, Self, cast
 
-from drivers.interfaces import Capability, FlightMode, TakenOver, VehicleError, VehicleState, VelocitySetpoint
+from drivers.interfaces import SURE, Capability, FlightMode, TakenOver, VehicleError, VehicleState, VelocitySetpoint
 from drivers.perception.history import StateHistory
 from drivers.rig.parts import PartContext
 from hil.autopilot.autopilot import Ack, Autopilot
@@ -22,7 +22,6 @@ from path.messages import Quat, Role
 
 POLL_S = 0.05
 SETTLED_MPS = 0.3
-SURE_BEATS = 3  # in a row that show another mode than the one that was agreed to
 SHORT_BEATS = 10  # in a row that show a hold, and not at the height: it was not the take-off's end
 SETPOINT_PERIOD_S = 0.05  # while the vehicle has not shown OFFBOARD yet
 
@@ -301,7 +300,7 @@ class SimVehicle:
         def shown() -> bool:
             return self.state.heartbeat_ns > sent_ns and (self.state.mode is mode or or_else())
 
-        left = self._shown_for(lambda: self.state.mode is not mode, sent_ns, SURE_BEATS)
+        left = self._shown_for(lambda: self.state.mode is not mode, sent_ns, SURE)
         seen = {self.state.mode, mode}
         begun_with = len(seen)
 

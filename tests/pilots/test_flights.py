@@ -23,6 +23,7 @@ FOUND = {
     # the script waited 3 s for OFFBOARD, sending setpoints, while the pilot held it; then it landed the pilot's vehicle
     "a switch to LAND and back while OFFBOARD is entered": (Act(4.53, "switch", 2, 0.2), Act(4.53, "mode", 0)),
     "a radio lost at the end of the climb": (Act(2.61, "lost"),),
+    "a radio lost a moment sooner": (Act(2.4, "lost"),),
     "a radio lost while OFFBOARD is entered": (Act(3.47, "lost", 0, 5.92), Act(8.22, "mode", 0)),
     # the script waited for a height that a pilot's hold kept it from, and then landed the pilot's vehicle
     "a hold on the way up": (Act(1.4, "mode", 0),),

@@ -284,6 +284,35 @@ def test_one_forged_heartbeat_does_not_leave_the_vehicle_to_nobody(base_mode: in
         asyncio.run(fly(bench))
 
 
+@pytest.mark.parametrize("back", [False, True])
+def test_a_pilot_who_takes_it_while_offboard_is_entered_is_not_landed_for(back: bool) -> None:
+    async def main(bench: Bench) -> None:
+        async with bench.vehicle(mode_timeout_s=1.5) as vehicle:
+            await vehicle.wait_armable(LIMIT_S)
+            await vehicle.arm()
+            await vehicle.take_off(HEIGHT_M, LIMIT_S)
+            select = bench.autopilot.request_mode
+
+            def taken(now_s: float, mode: FlightMode, by_pilot: bool = False) -> Ack:
+                """Agree to OFFBOARD, which a pilot's switch ends in the same moment."""
+                if mode is not FlightMode.OFFBOARD:
+                    return select(now_s, mode, by_pilot)
+                select(now_s, FlightMode.LAND if back else FlightMode.OTHER, by_pilot=True)
+                return Ack(True)
+
+            bench.autopilot.request_mode = taken  # type: ignore[method-assign]
+            entering = asyncio.create_task(vehicle.start_offboard(STILL))
+            await asyncio.sleep(0.9)
+            if back:
+                select(bench.drone.estimate.time_s, FlightMode.HOLD, by_pilot=True)
+            with pytest.raises(TakenOver, match="agreed to enter offboard control, and was put in mode"):
+                await entering
+            assert bench.wire.commands(mavlink.MAV_CMD_NAV_LAND) == []
+
+    with px4() as bench:
+        asyncio.run(main(bench))
+
+
 def test_a_hold_far_below_the_height_is_somebody_elses() -> None:
     async def fly(bench: Bench) -> None:
         async with bench.vehicle() as vehicle:
