@@ -46,6 +46,7 @@ def piece(seed: int, begin: int, end: int) -> tuple[Counter[str], list[int]]:
     for number in range(begin, end):
         flown = fly(acts_of(seed, number))
         ends[flown.outcome] += 1
+        ends["(crossed)"] += flown.crossed > 0
         if flown.wrong:
             failed.append(number)
     return ends, failed

@@ -75,6 +75,7 @@ class Watched:
     by_failsafe: bool = False
     climbing: bool = False
     killed_s: float | None = None
+    crossed: int = 0
     touched: bool = False  # motors were stopped, however shortly: the person who did it is at the sticks
     hand: str = "script"
     cause: str = "itself"
@@ -117,8 +118,9 @@ class Watched:
         if name == "request_takeoff" or (name == "request_mode" and args[0] is FlightMode.OFFBOARD):
             self.climbing = name == "request_takeoff"
         just_now = self.theirs_s is not None and now_s - self.theirs_s < UNSEEN_S
-        if name == "request_takeoff" and autopilot.landed and just_now:
-            self.theirs_s = None  # selected on the ground while the take-off was under way: they crossed
+        if just_now and name in ("request_takeoff", "request_mode") and not autopilot.killed:
+            self.theirs_s = None  # no heartbeat has told of it yet: the person's wish and the script's have crossed
+            self.crossed += 1
         if self.theirs_s is None or now_s - self.theirs_s <= NOTICED_S:
             return
         if self.by_failsafe and name == "request_mode" and args[0] is FlightMode.LAND:
@@ -224,12 +226,19 @@ class NoLog:
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """How a flight ended. ``wrong``: what must not be, in words; empty when all was well."""
+    """How a flight ended.
+
+    Attributes:
+        wrong: what must not be, in words; empty when all was well.
+        crossed: commands that went out before any heartbeat told of a takeover, and changed the mode once more: that
+            person has to move the switch again.
+    """
 
     outcome: str
     detail: str
     wrong: tuple[str, ...]
     seconds: float
+    crossed: int = 0
 
 
 @cache
@@ -284,7 +293,7 @@ async def _fly(acts: tuple[Act, ...], seed: int) -> Flown:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-    return Flown(result.outcome.label, result.detail, tuple(wrong), loop.time())
+    return Flown(result.outcome.label, result.detail, tuple(wrong), loop.time(), noted.crossed)
 
 
 def _nobodys(autopilot: Autopilot) -> bool:

@@ -28,6 +28,8 @@ FOUND = {
     # the script waited for a height that a pilot's hold kept it from, and then landed the pilot's vehicle
     "a hold on the way up": (Act(1.4, "mode", 0),),
     "a hold on the way up, and armed again": (Act(2.18, "mode", 0), Act(2.18, "arm")),
+    # the switch and the script's command for OFFBOARD cross: no heartbeat tells of the former
+    "RETURN as OFFBOARD is commanded": (Act(4.4, "switch", 3),),
     # not to be mistaken for anything: what these are is in tests/pilots/flight.py
     "stopped motors for half a second": (Act(4.32, "kill", 0, 0.56), Act(4.32, "arm")),
     "LAND on the ground as the take-off is sent": (Act(0.47, "mode", 1),),
@@ -39,7 +41,7 @@ FOUND = {
 
 def test_a_flight_that_nobody_touches_comes_to_its_own_end() -> None:
     flown = fly(())
-    assert (flown.outcome, flown.wrong) == ("committed", ())
+    assert (flown.outcome, flown.wrong, flown.crossed) == ("committed", (), 0)
 
 
 @pytest.mark.parametrize("acts", FOUND.values(), ids=FOUND.keys())
