@@ -11,9 +11,8 @@ from contextlib import redirect_stderr, redirect_stdout, suppress
 from functools import reduce
 from io import StringIO
 from operator import or_
+from pathlib import Path
 from typing import Annotated, Any
-
-import tyro
 
 from drivers.collector import collector_off
 from flight.command_end import CommandEnd
@@ -49,9 +48,12 @@ COMMANDS: dict[str, tuple[str, str]] = {
 """Each command's options, in ``missions.options``, and the module that has its ``run(options) -> exit code``."""
 
 EXIT_REFUSED = CommandEnd.REFUSED.exit_code
+MOST_SHOWN = 160
 EXIT_CTRL_C = CommandEnd.STOPPED.exit_code
 EXIT_BROKEN_PIPE = CommandEnd.READER_GONE.exit_code
 USUAL = {"--live": "127.0.0.1:8765", "--gcs": "127.0.0.1:14550"}
+WRITTEN = ("out", "junit", "page", "save", "layout")
+"""Options that name what is written; a device may be."""
 UNWRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM)
 """Errors of the place that is written to, and not of PATH."""
 
@@ -113,6 +115,12 @@ def _carry_out(arguments: Sequence[str] | None) -> int:
         drop(sys.stdout)  # what is left is not written at exit either
         return EXIT_BROKEN_PIPE
     except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            name = str(error.filename)
+            shown = name if len(name) <= MOST_SHOWN else f"{name[:60]}...{name[-60:]} ({len(name)} characters)"
+            with suppress(OSError):
+                sys.stderr.write(error_text(f"{shown}: {error.strerror}", "name something shorter"))
+            return EXIT_REFUSED
         if error.errno not in UNWRITTEN and not isinstance(error, FolderGone):
             raise
         if error.filename is None:
@@ -148,6 +156,8 @@ def _understood(arguments: list[str]) -> object:
     Only the command that is named is made, which takes half as long. What is not understood is told, and help given,
     by all of them together, which know what else may have been meant.
     """
+    import tyro  # noqa: PLC0415 (a second on a busy computer, in which Ctrl-C is to end in silence)
+
     known, name = (tyro.conf.OmitSubcommandPrefixes,), arguments[0] if arguments else ""
     if name in COMMANDS:
         with suppress(SystemExit), redirect_stdout(StringIO()), redirect_stderr(StringIO()):
@@ -183,11 +193,27 @@ def run(command: object) -> int:
 
         lines = [f"--{name.replace('_', '-')}: {what}" for name, what in wrong]
         raise PartError("\n".join(lines), "give a number that is within these bounds")
+    _refuse_endless(command)
     have_kernel_cache()
     of = {options.partition(":")[2]: module for options, module in COMMANDS.values()}
     with collector_off():  # of cycles: a module's classes and functions are kept, and are walked for nothing
         module = importlib.import_module(f"missions.{of[type(command).__name__]}")
     return module.run(command)
+
+
+def _refuse_endless(command: object) -> None:
+    """Raise PartError for a pipe or a device that is to be read: it may have no end, or never give a byte."""
+    for name in getattr(command, "__dataclass_fields__", {}):
+        given = getattr(command, name)
+        if hasattr(given, "__dataclass_fields__"):
+            _refuse_endless(given)
+        for path in given if isinstance(given, tuple) else (given,):
+            if name not in WRITTEN and isinstance(path, Path) and path.exists():
+                if path.is_file() or path.is_dir():
+                    continue
+                from drivers.interfaces import PartError  # noqa: PLC0415
+
+                raise PartError(f"{path} is neither a file nor a folder: a pipe or a device", "name a file or a folder")
 
 
 if __name__ == "__main__":

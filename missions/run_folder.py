@@ -11,11 +11,13 @@ from datetime import datetime
 from pathlib import Path
 
 from drivers.interfaces import PartError
+from drivers.text_file import read_file
 from missions.held import held_folder
 from missions.shown import FolderGone
 
 REMEDY = "name another place with --out"
 MOST_SHOWN = 160
+MOST_SEARCHED = 1 << 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +177,7 @@ def discard(folder: Path, kind: RunKind) -> None:
 
 def _has(file: Path, sign: str) -> bool:
     try:
-        return sign.encode() in file.read_bytes()
+        return sign.encode() in read_file(file, MOST_SEARCHED)
     except OSError:
         return False
 

@@ -19,6 +19,7 @@ from drivers.detectors.yolox_boxes import best_boxes, decode, grid, suppress
 from drivers.detectors.yolox_exports import EXPORT, identify
 from drivers.interfaces import PartError
 from drivers.rig.tables import suggestion
+from drivers.text_file import read_file
 from path.bounds import Bounds
 from path.observations import Box, Detection, Region
 
@@ -158,7 +159,7 @@ def _scored(config: YoloxDetectorConfig, file: Path, count: int) -> NDArray[np.b
 
 def _read_names(file: Path) -> tuple[str, ...]:
     try:
-        return tuple(line.strip() for line in file.read_text("utf-8").splitlines() if line.strip())
+        return tuple(line.strip() for line in read_file(file).decode("utf-8").splitlines() if line.strip())
     except (OSError, UnicodeDecodeError) as error:
         raise PartError(f"{file}: {error}", "write the names of the model's classes into it, one a line") from error
 

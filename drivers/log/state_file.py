@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 
 from drivers.interfaces import Kept, StateError
+from drivers.text_file import read_file
 from path.messages import Role
 from path.protocol.values import ReceiverRecord, SenderRecord
 
@@ -64,7 +65,7 @@ class StateFile:
 
     def load(self) -> Kept | None:
         try:
-            text = self._path.read_bytes()
+            text = read_file(self._path)
         except FileNotFoundError:
             return None
         except OSError as error:

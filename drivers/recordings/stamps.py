@@ -9,6 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from drivers.interfaces import CameraError
+from drivers.text_file import read_file
 
 STAMPS_FILE = "stamps.csv"
 NS_DIGITS = 16  # file names of at least as many digits are nanoseconds
@@ -90,7 +91,7 @@ def _read_stamps(file: Path) -> Mapping[str, int]:
 
 def _rows(file: Path, remedy: str) -> list[dict[str, str | None]]:
     try:
-        return list(csv.DictReader(file.read_text("utf-8-sig").splitlines()))
+        return list(csv.DictReader(read_file(file).decode("utf-8-sig").splitlines()))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise RecordingError(f"{file}: {error}", remedy) from error
 

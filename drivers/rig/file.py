@@ -44,6 +44,7 @@ from drivers.rig.facts import DepthFacts, DroneFacts, SiteFacts, TargetFacts, wi
 from drivers.rig.mounts import CalibrationName, CameraMount, MarkerPlace, Vec3, axis_turn
 from drivers.rig.parts import Level, Mount, Origin, PartSpec, Reference, Rig, RoleRig
 from drivers.rig.tables import RigError, decode_table, read_toml, suggestion
+from drivers.text_file import is_file
 from path.bounds import Bounds
 from path.camera.model import CameraModel
 from path.config import MethodConfig
@@ -190,11 +191,11 @@ def find_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Path:
     """The TOML file of a rig: a path, or a bare name looked up in the folders of ``search``. Raises RigError."""
     path = Path(name_or_path)
     if path.suffix == ".toml" or len(path.parts) > 1:
-        if path.is_file():
+        if is_file(path):
             return path
         raise RigError([f"{path}: no such rig file"])
     for folder in search:
-        if (folder / f"{path}.toml").is_file():
+        if is_file(folder / f"{path}.toml"):
             return folder / f"{path}.toml"
     names = sorted(file.stem for folder in search for file in folder.glob("*.toml"))
     raise RigError(

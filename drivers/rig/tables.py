@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from drivers.interfaces import PartError
+from drivers.text_file import read_file
 from path.bounds import UNITS, bounds_of, numbers, refusal
 
 T = TypeVar("T")
@@ -81,7 +82,7 @@ def read_toml(file: Path) -> dict[str, Any]:
 
     Raises OSError, UnicodeDecodeError and tomllib.TOMLDecodeError, whatever is in the file.
     """
-    text = file.read_text("utf-8-sig")
+    text = read_file(file).decode("utf-8-sig")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError:

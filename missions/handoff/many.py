@@ -12,10 +12,12 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from drivers.interfaces import PartError
 from drivers.rig.parts import Rig
 from flight.outcome import exit_code_of_runs
 from missions.handoff.flight import IN_PROCESS, fly_once, rig_as_asked
 from missions.options.flights import HandoffOptions
+from missions.options.words import MOST_SEED
 from missions.report.command import series_table, show, summarize_many
 from missions.report.junit import JUnitCase, write_junit
 from missions.report.progress import open_tally
@@ -31,6 +33,12 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
 
     A run that ended in a named failure is counted, not an error; a wrong hand-over or a violated monitor is one.
     """
+    last = options.seed + options.seeds - 1
+    if last > MOST_SEED:
+        raise PartError(
+            f"--seed {options.seed} --seeds {options.seeds}: the last seed would be {last}, the highest is {MOST_SEED}",
+            "begin with a lower --seed, or fly fewer",
+        )
     jobs = 1 if rig.level not in IN_PROCESS else options.jobs or os.cpu_count() or 1
     seeds = range(options.seed, options.seed + options.seeds)
     claim_result(folder / SUMMARY, '"failed_seeds"')

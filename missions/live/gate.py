@@ -1,7 +1,7 @@
 """Lets those watch from other computers who know the token: it stands before a stream that is on loopback alone.
 
 Whoever connects has some seconds to ask for ``/?token=...``, within a few kB; anything else is refused with 401. What
-follows is passed on as it is, both ways.
+follows is passed on as it is, both ways. On loopback no token is asked for, and pages of others are refused.
 """
 
 from __future__ import annotations
@@ -15,6 +15,10 @@ LOOPBACK = "127.0.0.1"
 TOKEN = "PATH_LIVE_TOKEN"  # the variable of the environment that has it
 HEAD_BYTES, HEAD_S = 8192, 15.0
 CLIENTS = 16
+UNKNOWN = 64
+ORIGINS = frozenset({"app.foxglove.dev"})
+"""Hosts whose pages may watch, besides those of this computer: viewers that run in a browser."""
+_LOCAL = frozenset({"localhost", "127.0.0.1", "::1"})
 REFUSED = b"HTTP/1.1 401 Unauthorized\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 _PIECE = 1 << 16
 
@@ -26,10 +30,11 @@ class TokenGate:
         self._token, self._inner = token, inner
         self._server: asyncio.Server | None = None
         self._clients = 0
+        self._unknown: list[asyncio.StreamWriter] = []  # who has not asked for anything yet, the oldest first
 
     async def open(self, host: str, port: int) -> int:
-        """Listen; returns the port. Raises OSError, ValueError without a token."""
-        if not self._token:
+        """Listen; returns the port. Raises OSError, ValueError for another host than this one without a token."""
+        if not self._token and host != LOOPBACK:
             raise ValueError("there is no token")
         self._server = await asyncio.start_server(self._client, host, port, limit=HEAD_BYTES)
         return int(self._server.sockets[0].getsockname()[1])
@@ -39,23 +44,45 @@ class TokenGate:
             self._server.close()
 
     async def _client(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._clients += 1
+        """Serve one connection. At the end of the program it is cancelled, of which nobody needs to be told."""
+        self._make_room()
+        self._unknown.append(writer)
         try:
-            if self._clients <= CLIENTS:
-                await self._let_in(reader, writer)
-        except (OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError):
+            await self._let_in(reader, writer)
+        except (OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError, asyncio.CancelledError):
             pass
         finally:
-            self._clients -= 1
+            self._known(writer)
             with suppress(OSError):
                 writer.close()
 
+    def _make_room(self) -> None:
+        """Of those who have not said who they are, the one who has kept silent for the longest makes way.
+
+        So nobody can keep a client that knows the token out by connecting and saying nothing.
+        """
+        while len(self._unknown) >= UNKNOWN:
+            with suppress(OSError):
+                self._unknown.pop(0).transport.abort()
+
+    def _known(self, writer: asyncio.StreamWriter) -> None:
+        if writer in self._unknown:
+            self._unknown.remove(writer)
+
     async def _let_in(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
-        if not knows(head, self._token):
+        self._known(writer)
+        if not (is_own_origin(head) and (not self._token or knows(head, self._token))) or self._clients >= CLIENTS:
             writer.write(REFUSED)
             await writer.drain()
             return
+        self._clients += 1
+        try:
+            await self._served(head, reader, writer)
+        finally:
+            self._clients -= 1
+
+    async def _served(self, head: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         inner_reader, inner_writer = await asyncio.open_connection(LOOPBACK, self._inner)
         inner_writer.write(head)
         ways = [
@@ -68,6 +95,25 @@ class TokenGate:
             for way in ways:
                 way.cancel()
             inner_writer.close()
+
+
+def is_own_origin(head: bytes) -> bool:
+    """Return whether a request comes from a program, or from a page that may watch.
+
+    A browser sends the page's Origin along, and asks nobody whether that page may connect to this computer: so any page
+    that is open in it could read a flight.
+    """
+    said = [line.partition(b":")[2].strip() for line in head.split(b"\r\n")[1:] if line.lower().startswith(b"origin:")]
+    for origin in said:
+        try:
+            parts = urlsplit(origin.decode("ascii"))
+            host = parts.hostname
+        except ValueError:
+            return False
+        web = parts.scheme in ("http", "https", "")  # a desktop viewer has a scheme of its own; "null" has none
+        if web and host not in _LOCAL and not (parts.scheme == "https" and host in ORIGINS):
+            return False
+    return True
 
 
 def knows(head: bytes, token: str) -> bool:

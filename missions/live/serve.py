@@ -2,8 +2,8 @@
 
     python -m missions.live.serve FOLDER HOST PORT
 
-With another host than loopback the stream itself stays on loopback, and ``missions.live.gate`` lets in whoever knows
-the token in ``PATH_LIVE_TOKEN``.
+The stream itself is on a port of loopback that nobody is told, and ``missions.live.gate`` stands before it: from other
+computers it lets in whoever knows the token in ``PATH_LIVE_TOKEN``, and no page of a browser that is not a viewer's.
 """
 
 from __future__ import annotations
@@ -57,9 +57,8 @@ def main() -> None:
         os.nice(10)  # the flight comes first
     log_to_stderr()
     stream = Stream()
-    inner = port if host == LOOPBACK else 0
     server = foxglove.start_server(
-        name=f"PATH: {folder.name}", host=LOOPBACK, port=inner, context=stream.context, message_backlog_size=BACKLOG
+        name=f"PATH: {folder.name}", host=LOOPBACK, port=0, context=stream.context, message_backlog_size=BACKLOG
     )
     try:
         asyncio.run(_serve(FolderFollower(folder), stream, host, port, server.port))
@@ -80,9 +79,8 @@ def log_to_stderr() -> None:
 
 
 async def _serve(follower: FolderFollower, stream: Stream, host: str, port: int, inner: int) -> None:
-    gate = TokenGate(os.environ.get(TOKEN, ""), inner)
-    if host != LOOPBACK:
-        await gate.open(host, port)
+    gate = TokenGate("" if host == LOOPBACK else os.environ.get(TOKEN, ""), inner)
+    await gate.open(host, port)
     print(f"up {port}", flush=True)
     ended = asyncio.Event()
     asyncio.get_running_loop().add_reader(sys.stdin.fileno(), lambda: os.read(sys.stdin.fileno(), 4096) or ended.set())

@@ -9,7 +9,8 @@ import tyro
 
 from path.bounds import Bounds
 
-Seed = Annotated[int, Bounds(0, 2**32 - 1, "(a seed)")]
+MOST_SEED = 2**32 - 1
+Seed = Annotated[int, Bounds(0, MOST_SEED, "(a seed)")]
 RunSeed = Annotated[
     Seed,
     tyro.conf.arg(help="Seed of the world and of every noise: the same seed is the same run at the sim levels."),

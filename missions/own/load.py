@@ -11,6 +11,7 @@ from types import ModuleType
 
 from drivers.interfaces import PartError
 from drivers.rig.parts import ended_by
+from drivers.text_file import is_file
 from missions.own.drone import Drone
 from path.messages import Role
 
@@ -29,7 +30,7 @@ def load_mission(file: Path) -> Mapping[Role, Mission]:
 
 
 def _module(file: Path) -> ModuleType:
-    if not file.is_file():
+    if not is_file(file):
         raise PartError(f"there is no mission {file}", "name the Python file of a mission (docs/own-missions.md)")
     spec = importlib.util.spec_from_file_location(MODULE, file)
     if spec is None or spec.loader is None:

@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from drivers.interfaces import PartError
+from drivers.text_file import MOST_BYTES, read_file
 from flight.guidance import add, scale, subtract
 from path.geometry.rotation import IDENTITY, normalized, slerp
 from path.messages import Quat, Vec3
@@ -69,7 +70,7 @@ class FlownPath:
 def read_flown_path(file: Path, offset_ns: int) -> FlownPath:
     """A TUM file, its stamps moved by an offset. Raises PartError naming the line that is none."""
     try:
-        lines = file.read_text("utf-8-sig").splitlines()
+        lines = read_file(file, 64 * MOST_BYTES).decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise PartError(f"{file}: {getattr(error, 'strerror', None) or error}", REMEDY) from error
     stamps: list[int] = []

@@ -188,7 +188,7 @@ def test_the_token_is_in_the_request_line(head: str, let_in: bool) -> None:
 
 def test_a_gate_without_a_token_does_not_open() -> None:
     with pytest.raises(ValueError, match="no token"):
-        asyncio.run(TokenGate("", 1).open(LOOPBACK, 0))
+        asyncio.run(TokenGate("", 1).open("0.0.0.0", 0))
 
 
 # --- logs that grow ----------------------------------------------------------------------------------------------
