@@ -27,14 +27,17 @@ from path.observations import Box, Depth, MissReason, Region
 from path.target.rivals import MOST, Rival
 from path.values import value
 
-RIVAL_REACH_M = 0.6
-_BESIDE_M = 1.0  # around the object, what else is told of
+# Shares of the object's distance along the optical axis.
+RIVAL_REACH = 0.29
+_BESIDE = 0.48  # around the object, what else is told of
+DEPTH_FLOOR = 0.096  # how far a depth may put the object from its prediction, besides what is not known of either
 UNSEEN_S = 0.5  # after so long anything else that the object may have come to might as well be the object
 _OUTSIDE_PX = 60.0  # so far outside the image an object's middle may be, and a part of it inside
 AMBIGUITY = 0.6
-LEAST_IDENTITY = 1.0 - 1e-3 / 3.0
-"""Nothing is offered that is the designated object with a lower probability."""
-DEPTH_FLOOR_M, DEPTH_SIGMAS = 0.2, 3.0  # how far a depth may put the object from its prediction
+LEAST_IDENTITY = 0.98
+"""Nothing is offered that is the designated object with a lower probability. Finer than that it is not calibrated yet
+(docs/decisions/0130)."""
+DEPTH_SIGMAS = 3.0
 _SIDE_PX = 3.0  # noise of a box's side
 _HELD_S = 5.0  # after it was seen whole, an object is taken to be in a larger box; then what is there may be anything
 
@@ -70,13 +73,15 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     """
     predicted_n, sigma_m = track.predict(view.stamp_ns)
     x, y, z = T_n_c.inverse().apply(np.asarray(predicted_n)).tolist()
-    if z <= 0.1 or not camera.sees((x, y, z), -_OUTSIDE_PX):
+    if z <= 0.0 or not camera.sees((x, y, z), -_OUTSIDE_PX):
         return MissReason.NO_TARGET
     u, v = camera.project_point((x, y, z))
+    track.range_m = z
     gate_m = track.gate_m(sigma_m, view.stamp_ns)
     px_per_m = camera.fx / z
     unseen = _unseen(track, view.stamp_ns)
-    reach_px = px_per_m * max(track.reach_m(view.stamp_ns) if unseen else 0.0, gate_m / AMBIGUITY, RIVAL_REACH_M)
+    reach_m = track.reach_m(view.stamp_ns) if unseen else 0.0
+    reach_px = px_per_m * max(reach_m, gate_m / AMBIGUITY, RIVAL_REACH * z)
     region = Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px)
     found = view.targets(region)
     if track.identity is not None:
@@ -111,7 +116,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     depth = view.depth(box)
     if depth is not None:
         shown = to_local(point_in_camera(box, depth.z_m, camera), T_n_c)
-        reach_m = DEPTH_FLOOR_M + DEPTH_SIGMAS * math.hypot(sigma_m, depth.sigma_m)
+        reach_m = DEPTH_FLOOR * z + DEPTH_SIGMAS * math.hypot(sigma_m, depth.sigma_m)
         depth = depth if math.dist(shown, predicted_n) <= reach_m else None
     down_m = track.position_n_m[2]
     measured = (
@@ -120,7 +125,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     if measured is not None:
         track.update(measured, view.stamp_ns)
     others = [each for each in seen if each is not chosen]
-    return _offered(Sighting(box, depth, _beside(view, box, others, px_per_m)), camera, T_n_c, track)
+    return _offered(Sighting(box, depth, _beside(view, box, others, camera)), camera, T_n_c, track)
 
 
 def _offered(seen: Sighting, camera: CameraModel, T_n_c: Pose, track: TargetTrack) -> Sighting | MissReason:
@@ -208,7 +213,7 @@ def _not_behind(seen: list[ImageObject], view: View, most_m: float) -> list[Imag
 
 def _least_m(depth: Depth | None) -> float:
     """The least that something is away by its depth; 0 when there is none."""
-    return 0.0 if depth is None else depth.z_m - DEPTH_FLOOR_M - DEPTH_SIGMAS * depth.sigma_m
+    return 0.0 if depth is None else (1.0 - DEPTH_FLOOR) * depth.z_m - DEPTH_SIGMAS * depth.sigma_m
 
 
 def _has_more(box: Box, z_m: float, sigma_m: float, T_n_c: Pose, track: TargetTrack) -> bool:
@@ -269,9 +274,9 @@ def _nearest(expected: float, middle: float, room: float, cut: tuple[bool, bool]
     return max(first, min(last, expected))
 
 
-def _beside(view: View, own: Box, others: Sequence[ImageObject], px_per_m: float) -> tuple[Rival, ...]:
+def _beside(view: View, own: Box, others: Sequence[ImageObject], camera: CameraModel) -> tuple[Rival, ...]:
     """The whole objects nearest to a box, with their depth."""
-    near = [each.box for each in others if not each.cut and math.dist(each.pixel, own.center) <= px_per_m * _BESIDE_M]
+    near = [each.box for each in others if not each.cut and math.dist(each.pixel, own.center) <= camera.fx * _BESIDE]
     near.sort(key=lambda box: math.dist(box.center, own.center))
     return tuple(Rival(box, view.depth(box)) for box in near[:MOST])
 

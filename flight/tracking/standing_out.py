@@ -14,8 +14,8 @@ from drivers.interfaces import View
 from flight.tracking.objects import Pixel
 from path.observations import Box
 
-NEAR_M = 0.4  # of the expected depth: the body's, which leans across the depths of a view from above
-ESTIMATED_M = 0.3  # a depth that is no better is of a size, and of nothing at the sample
+NEAR = 0.12  # of the expected depth: the body's, which leans across the depths of a view from above
+ESTIMATED = 0.09  # of a depth: one that is no better is of a size, and of nothing at the sample
 ABOVE = 0.15  # of the body's height in the image, above its middle: there a person is in one piece, and wide
 STEPS = 5  # samples across the body
 LEAST_PX = 20.0  # side of a box that is asked for depth
@@ -41,9 +41,9 @@ def standing_out(view: View, expected: Pixel, z_m: float, wide: float, reach_px:
     side = max(LEAST_PX, 2.0 * step)
     columns = [expected[0] + k * step for k in range(-beyond, beyond + 1)]
     depths = [_depth(view, Box(u - 0.5 * side, row - 0.5 * side, side, side)) for u in columns]
-    if any(each < z_m - NEAR_M for each in depths):
+    if any(each < (1.0 - NEAR) * z_m for each in depths):
         return None
-    body = [k for k, each in enumerate(depths) if each <= z_m + NEAR_M]
+    body = [k for k, each in enumerate(depths) if each <= (1.0 + NEAR) * z_m]
     if not body:
         return None
     first, last = body[0], body[-1]
@@ -57,4 +57,4 @@ def standing_out(view: View, expected: Pixel, z_m: float, wide: float, reach_px:
 def _depth(view: View, box: Box) -> float:
     """The depth of a sample; infinity where the camera gives none, as of what is far."""
     depth = view.depth(box)
-    return math.inf if depth is None or depth.sigma_m > ESTIMATED_M else depth.z_m
+    return math.inf if depth is None or depth.sigma_m > ESTIMATED * depth.z_m else depth.z_m

@@ -1,28 +1,35 @@
-"""The track of one object: a constant-velocity filter in NED, how far it can have come, and what to fly by."""
+"""The track of one object: a constant-velocity filter in NED, how far it can have come, and what to fly by.
+
+What errs is mostly a camera's direction, and what is told apart is so by its place in an image: lengths are shares of
+the distance at which the object is, so that a world so many times as large is followed the same.
+"""
 
 from __future__ import annotations
 
 import math
 from typing import Self
 
-from flight.config import MissionConfig
+from flight.config import FollowConfig, MissionConfig
 from flight.guidance import Vec3, add, scale, subtract
 from flight.tracking.identity import Identity
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.ranging import OverGround
 from path.target.size import RunningSize
 
-MEASUREMENT_SIGMA_M = 0.05
 ACCELERATION_SIGMA_MPS2 = 0.6
-GATE_FLOOR_M = 0.10  # a box's noise, and an attitude a degree off
-GATE_MOST_M = 0.45  # a track that knows no better does not know which object it would find
-GATE_LEAST_M = 0.05
+# Shares of the object's distance along the optical axis.
+MEASUREMENT_SIGMA = 0.024
+FIRST_SIGMA, FIRST_SPEED = 0.145, 0.24  # of a place that was just acquired, and of what it moves by in a second
+GATE_FLOOR = 0.048  # a box's noise, and an attitude a degree off
+GATE_MOST = 0.22  # a track that knows no better does not know which object it would find
+GATE_LEAST = 0.024
+UNSEEN_REACH = 0.96  # no object is looked for farther off
+_CUT_SIGMA = 0.072  # of the place that such a box gives
+_CARRIED_SIGMA = 0.072  # of the place by depth alone: a fifth of that, the same for as long as a miss lasts
 RIVAL_SHARE = 0.4  # of the way to the nearest other object: where that is known to be, the gate ends before it
 RIVAL_S = 3.0  # for so long an object that was seen beside the target is taken to be there still
 FASTEST_SIGMAS = 2.0
-UNSEEN_REACH_M = 2.0  # no object is looked for farther off
-_CUT_SIGMA_M = 0.15  # of the place that such a box gives
-_CARRIED_SIGMA_M = 0.25  # of the place by depth alone: 0.05 m, the same for as long as a miss lasts
+_USUAL_M = math.hypot(FollowConfig().behind_m, FollowConfig().height_m)
 _GROWTH_SIGMA, _GROWN = 0.08, 4.0  # of the logarithm of a box's side, and how many of them are of something else
 
 
@@ -32,7 +39,7 @@ class TargetTrack:
     ``accel_mps2``: how hard it may be expected to speed up, brake and turn. ``flies``: it moves up and down too; of one
     that does not, what seems to is its box. ``over_ground``: how well the height from which it is seen is known, where
     it stands on the ground and that is stated. ``largest``: the largest box that it can have, where that is stated.
-    ``carry_s``: for so long after it was seen its depth alone carries it.
+    ``carry_s``: for so long after it was seen its depth alone carries it. ``range_m``: about how far off it is.
     ``stamp_ns`` is of what the track rests on, ``seen_ns`` of the last box.
     """
 
@@ -47,6 +54,7 @@ class TargetTrack:
         largest: LargestBox | None = None,
         carry_s: float = 0.0,
         identity: Identity | None = None,
+        range_m: float = _USUAL_M,
     ) -> None:
         self.position_n_m = position_n_m
         self.largest = largest
@@ -62,9 +70,10 @@ class TargetTrack:
         self._flies = flies
         self._carry_ns = round(carry_s * 1e9)
         self._sizes = RunningSize(sure_s=0.0)
-        self._pp = 0.3**2
+        self.range_m = range_m  # along the optical axis, to be kept up by whoever looks
+        self._pp = (FIRST_SIGMA * range_m) ** 2
         self._pv = 0.0
-        self._vv = 0.5**2
+        self._vv = (FIRST_SPEED * range_m) ** 2
         self.size_m: tuple[float, float] | None = None  # of its box, where it was last seen whole
         self.whole_ns = stamp_ns
 
@@ -76,6 +85,7 @@ class TargetTrack:
         return cls(
             position_n_m, stamp_ns, accel_mps2, flies=flies, over_ground=over_ground, largest=largest, carry_s=carry_s,
             identity=Identity(mission, largest),
+            range_m=math.hypot(mission.follow.behind_m, mission.follow.height_m),
         )  # fmt: skip
 
     def predict(self, stamp_ns: int) -> tuple[Vec3, float]:
@@ -91,7 +101,9 @@ class TargetTrack:
         """
         dt = max(0.0, (stamp_ns - self.stamp_ns) * 1e-9)
         sigma_m = math.sqrt(self._pp + 2.0 * dt * self._pv + dt * dt * self._vv)
-        return min(GATE_FLOOR_M + 3.0 * sigma_m + 0.5 * self._accel_mps2 * dt * dt, UNSEEN_REACH_M)
+        return min(
+            GATE_FLOOR * self.range_m + 3.0 * sigma_m + 0.5 * self._accel_mps2 * dt * dt, UNSEEN_REACH * self.range_m
+        )
 
     def believed(self, stamp_ns: int) -> tuple[Vec3, Vec3]:
         """Position (m) and velocity to fly by: the velocity counts as far as it is known, and less the longer ago.
@@ -115,8 +127,10 @@ class TargetTrack:
 
     def gate_m(self, sigma_m: float, stamp_ns: int) -> float:
         """The farthest from its prediction, with this standard deviation, that the object may be found at a stamp."""
-        most_m = min(GATE_MOST_M, RIVAL_SHARE * self.rival_m) if self._rival_known(stamp_ns) else GATE_MOST_M
-        return max(GATE_LEAST_M, min(3.0 * sigma_m + GATE_FLOOR_M, most_m))
+        most_m = GATE_MOST * self.range_m
+        if self._rival_known(stamp_ns):
+            most_m = min(most_m, RIVAL_SHARE * self.rival_m)
+        return max(GATE_LEAST * self.range_m, min(3.0 * sigma_m + GATE_FLOOR * self.range_m, most_m))
 
     def note_rival(self, distance_m: float, stamp_ns: int) -> None:
         """Another object was seen that far from this one; a nearer one is remembered for a while."""
@@ -164,13 +178,14 @@ class TargetTrack:
         nothing of the velocity.
         """
         if stamp_ns >= self.stamp_ns:
-            self._fuse(measured_n_m, stamp_ns, _CUT_SIGMA_M if cut else MEASUREMENT_SIGMA_M, moves=not cut)
+            sigma_m = self.range_m * (_CUT_SIGMA if cut else MEASUREMENT_SIGMA)
+            self._fuse(measured_n_m, stamp_ns, sigma_m, moves=not cut)
             self.seen_ns = stamp_ns
 
     def carry(self, measured_n_m: Vec3, stamp_ns: int) -> None:
         """Fuse where the object's depth is, along the ground: it was not seen."""
         north, east, _ = measured_n_m
-        self._fuse((north, east, self.position_n_m[2]), stamp_ns, _CARRIED_SIGMA_M, moves=True)
+        self._fuse((north, east, self.position_n_m[2]), stamp_ns, _CARRIED_SIGMA * self.range_m, moves=True)
 
     def _fuse(self, measured_n_m: Vec3, stamp_ns: int, sigma_m: float, *, moves: bool) -> None:
         dt = (stamp_ns - self.stamp_ns) * 1e-9

@@ -8,9 +8,13 @@ Over a time t without a measurement the covariance grows by
     Q = S * | t^3/3 I   t^2/2 I |
             | t^2/2 I   t     I |
 
-A measurement is of the place, z = p + n, n ~ N(0, R). Detectors err more than a Gaussian has it, at times: the noise is
-Student's t with TAIL degrees of freedom, and a measurement at the squared Mahalanobis distance d2 counts as if its
-covariance were R (TAIL + d2) / (TAIL + 3).
+A measurement is of the place, z = p + n. Detectors err more than a Gaussian has it, at times: a share ODD of the boxes
+has errors ODD_TIMES as large,
+
+    n ~ (1 - ODD) N(0, R) + ODD N(0, ODD_TIMES^2 R)
+
+and a track is updated with the mean of both, weighed by how likely either is after all. Motion has no such tails: its
+accelerations are bounded by what was stated.
 
 No length is stated here: R and a come from the rig, so that a world k times as large has the same distances d2.
 """
@@ -26,8 +30,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 MANOEUVRE_S = 0.5
-TAIL = 5.0
-_T3 = math.gamma(0.5 * (TAIL + 3.0)) / (math.gamma(0.5 * TAIL) * (TAIL * math.pi) ** 1.5)
+ODD, ODD_TIMES = 0.05, 5.0
 _EYE = np.eye(3)
 
 
@@ -79,20 +82,38 @@ class Motion:
 
     def update(self, place_m: Array, noise_m2: Array) -> None:
         """Fuse a measured place, shape (3,), with its covariance (3, 3)."""
-        innovation = place_m - self.mean[:3]
-        d2 = float(innovation @ np.linalg.solve(self.covariance[:3, :3] + noise_m2, innovation))
-        doubted = noise_m2 * max(1.0, (TAIL + d2) / (TAIL + 3.0))
-        gain = np.linalg.solve(self.covariance[:3, :3] + doubted, self.covariance[:3, :]).T
+        innovation, known = place_m - self.mean[:3], self.covariance[:3, :3]
+        plain = (1.0 - ODD) * normal(innovation, known + noise_m2)
+        odd = ODD * normal(innovation, known + ODD_TIMES**2 * noise_m2)
+        share = odd / (plain + odd) if plain + odd > 0.0 else 1.0
+        doubted = noise_m2 / (1.0 - share + share / ODD_TIMES**2)
+        gain = np.linalg.solve(known + doubted, self.covariance[:3, :]).T
         self.mean = self.mean + gain @ innovation
         covariance = self.covariance - gain @ self.covariance[:3, :]
         self.covariance = 0.5 * (covariance + covariance.T)
 
 
-def density(innovation_m: Array, covariance_m2: Array) -> float:
-    """Return the probability density of an innovation, per m^3: Student's t with that scale matrix (3, 3)."""
-    d2 = float(innovation_m @ np.linalg.solve(covariance_m2, innovation_m))
-    volume = math.sqrt(max(float(np.linalg.det(covariance_m2)), 1e-300))
-    return _T3 / volume * (1.0 + d2 / TAIL) ** (-0.5 * (TAIL + 3.0))
+def mahalanobis2(innovation_m: Array, covariance_m2: Array) -> float:
+    """Return the squared distance of an innovation, in standard deviations."""
+    return float(innovation_m @ np.linalg.solve(covariance_m2, innovation_m))
+
+
+def normal(innovation_m: Array, covariance_m2: Array) -> float:
+    """Return the density per m^3 of a normal distribution about zero with that covariance (3, 3)."""
+    d2 = mahalanobis2(innovation_m, covariance_m2)
+    volume = math.sqrt((2.0 * math.pi) ** 3 * max(float(np.linalg.det(covariance_m2)), 1e-300))
+    return math.exp(-0.5 * d2) / volume
+
+
+def density(innovation_m: Array, known_m2: Array, noise_m2: Array) -> float:
+    """Return the probability density per m^3 of an innovation.
+
+    Args:
+        known_m2: covariance (3, 3) of the predicted place. noise_m2: of the measurement.
+    """
+    plain = normal(innovation_m, known_m2 + noise_m2)
+    odd = normal(innovation_m, known_m2 + ODD_TIMES**2 * noise_m2)
+    return (1.0 - ODD) * plain + ODD * odd
 
 
 def renewal(covariance_m2: Array, noise_m2: Array, direction: Array) -> float:

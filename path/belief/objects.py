@@ -27,9 +27,12 @@ Identity
 
     g is how much of i's place the measurement makes new (``path.belief.motion.renewal``): a track whose place is known
     well is not carried off by one frame, and one that nobody saw for a while is whatever it is found as. (Identity
-    management: Shin, Guibas, Zhao 2003.) A new track takes its share only as far as it exists. What is left for "the
-    measurement is of nothing known, and the object was not shown" goes, times g, to no track, as far as it may be an
-    object that came into view: what is invented is gone again at once.
+    management: Shin, Guibas, Zhao 2003.) A new track takes its share only as far as it exists.
+
+    A measurement may also be of somebody who was out of sight, or of an object that came into view, while the track's
+    own object is not shown. That is a doubt: if it were so, the object would be around here, and be shown before long,
+    where nothing hides it (HIDDEN). So the rest of the doubt goes by (1 - SHOWN) with each SPELL_S in which the track
+    is seen and nothing else comes up; what does come up is owed it.
 
     A box around what is expected in it, and larger than that, tells nothing of which is which: it mixes nothing, and
     nothing is learnt of sizes. But places become unknown while it lasts, and when it comes apart its boxes mix what
@@ -47,14 +50,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from path.belief.assignment import associate
-from path.belief.motion import Array, Motion, density, renewal
+from path.belief.motion import ODD_TIMES, Array, Motion, density, mahalanobis2, renewal
 from path.values import value
 
+GATE2 = (2.0 * ODD_TIMES) ** 2
+"""The squared distance from which on a box is of something else, however odd it may be."""
 SHOWN = 0.9
 """The probability that a detector shows an object that it showed in the frame before."""
 SPELL_S = 0.1
 """For so long, in the mean, a detector goes on to miss an object, or to invent one."""
 NEW_SHARE = 0.1
+HIDDEN = 0.05
+"""The share of objects that are not shown, where one is looked for, because something hides them."""
 CONFIRMED = 0.95
 FORGET_S = 5.0
 _DEAD = 0.02
@@ -101,7 +108,9 @@ class ObjectTrack:
         log_odds: that it exists. owed: of new ones, by other track, the share of its identity that is this one's if it
             exists.
         shown: whether the newest frame that could have did show it. seen_ns: when it was last shown, alone or not.
-        identity: the probability that it is the designated object, without what new tracks are owed.
+        identity: the probability that it is the designated object, without what new tracks are owed, and doubts.
+        replaced: the probability that it follows something else than before, and the object is near and can be seen;
+        hidden: and cannot.
     """
 
     number: int
@@ -113,6 +122,17 @@ class ObjectTrack:
     shown: bool = True
     identity: float = 0.0
     owed: dict[int, float] = field(default_factory=dict[int, float])
+    replaced: float = 0.0
+    hidden: float = 0.0
+
+    def doubted(self, share: float) -> None:
+        """Something else may have come to where the object was, with this probability, and the object be near."""
+        self.replaced += (1.0 - self.doubt) * share * (1.0 - HIDDEN)
+        self.hidden += (1.0 - self.doubt) * share * HIDDEN
+
+    @property
+    def doubt(self) -> float:
+        return min(1.0, self.replaced + self.hidden)
 
     @property
     def existence(self) -> float:
@@ -186,7 +206,7 @@ class Belief:
                 track.log_odds -= math.log(1.0 / (1.0 - SHOWN)) * dt_s / SPELL_S if not track.confirmed else 0.0
         taken = {column: self.tracks[k].number for k, column in enumerate(assigned) if column is not None}
         self._assigned = [taken.get(column) for column in range(len(measured))]
-        self._open(measured, marginals, fits, stamp_ns)
+        self._open(measured, marginals, fits, holders, stamp_ns)
         self._settle(stamp_ns)
 
     def carry(self, place_m: Array, stamp_ns: int) -> None:
@@ -215,7 +235,7 @@ class Belief:
         owed = sum(
             by_number[other].identity * share * own.existence for other, share in own.owed.items() if other in by_number
         )
-        return own.identity * max(0.0, 1.0 - owing) + owed
+        return own.identity * max(0.0, 1.0 - owing) * (1.0 - own.doubt) + owed
 
     @property
     def likeliest(self) -> ObjectTrack | None:
@@ -246,8 +266,10 @@ class Belief:
             likely = track.existence * again
             unshown = 1.0 - (likely if sees(track.motion.place_m) and holders[i] is None else 0.5 * likely)
             for j, each in enumerate(measured):
-                covariance = track.motion.place_covariance_m2 + fits[i][j].spread_m2
-                likelihood = density(each.place_m - track.motion.place_m, covariance) * _size_fits(track, each)
+                off_m, known_m2 = each.place_m - track.motion.place_m, track.motion.place_covariance_m2
+                if mahalanobis2(off_m, known_m2 + fits[i][j].spread_m2) > GATE2:
+                    continue
+                likelihood = density(off_m, known_m2, fits[i][j].spread_m2) * _size_fits(track, each)
                 weights[i, j] = likely * likelihood / (unshown * each.elsewhere_m3)
         return weights
 
@@ -270,32 +292,32 @@ class Belief:
     ) -> None:
         """q <- A q for the tracks that there are. A box around more than what is expected in it tells nothing."""
         before = [track.identity for track in self.tracks]
-        for i, track in enumerate(self.tracks):
-            if not before[i] > _FORGOTTEN:
+        for k, column in enumerate(assigned):
+            if column is None:
                 continue
-            for k, column in enumerate(assigned):
-                if column is None:
+            follower, each = self.tracks[k], measured[column]
+            known_m2, fit = follower.motion.place_covariance_m2, fits[k][column]
+            new = renewal(known_m2, fit.noise_m2, each.place_m - follower.motion.place_m)
+            of_known = float(marginals[:, column].sum() + marginals[k].sum() - marginals[k, column])
+            newcomers = min(1.0, each.newcomers_m3_s * dt_s / each.elsewhere_m3)
+            doubt = newcomers * max(0.0, 1.0 - of_known)
+            for i, track in enumerate(self.tracks):
+                share = float(marginals[i, column])
+                around = holders[i] == column and fit.larger and fits[i][column].larger
+                if i == k or around or not share > _FORGOTTEN:
                     continue
-                each, share = measured[column], float(marginals[i, column])
-                if k == i:  # it may be of nothing known, and this one not shown
-                    of_known = marginals[:, column].sum() + marginals[i].sum() - share
-                    newcomers = min(1.0, each.newcomers_m3_s * dt_s / each.elsewhere_m3)
-                    share = newcomers * max(0.0, 1.0 - float(of_known))
-                around = holders[i] == column and fits[k][column].larger and fits[i][column].larger
-                if around or not share > _FORGOTTEN:
-                    continue
-                apart = (each if k == i else self.tracks[k].motion).place_m - track.motion.place_m
+                apart = follower.motion.place_m - track.motion.place_m
                 moved = before[i] * share * renewal(track.motion.place_covariance_m2, fits[i][column].noise_m2, apart)
                 track.identity -= moved
-                if k != i:
-                    self.tracks[k].identity += moved
-                    if assigned[i] is None:  # what the other one followed is out of sight now, as this one was
-                        back = before[k] * moved / before[i]
-                        self.tracks[k].identity -= back
-                        track.identity += back
+                follower.identity += moved
+                if assigned[i] is None:  # what was followed before is out of sight now, as that one was
+                    doubt += share
+            if not (holders[k] == column and fit.larger):
+                follower.doubted(new * doubt)
 
     def _shown(self, track: ObjectTrack, measured: Measured, fit: _Fit, stamp_ns: int, dt_s: float) -> None:
         track.motion.update(measured.place_m, fit.noise_m2)
+        track.replaced *= (1.0 - SHOWN) ** (dt_s / SPELL_S)
         track.shown, track.seen_ns = True, stamp_ns
         if not track.confirmed:
             track.log_odds += dt_s / SPELL_S
@@ -307,7 +329,12 @@ class Belief:
             track.size_variance *= 1.0 - gain
 
     def _open(
-        self, measured: Sequence[Measured], marginals: Array, fits: Sequence[Sequence[_Fit]], stamp_ns: int
+        self,
+        measured: Sequence[Measured],
+        marginals: Array,
+        fits: Sequence[Sequence[_Fit]],
+        holders: Sequence[int | None],
+        stamp_ns: int,
     ) -> None:
         """Begin tracks of what no track was updated with, and is no part of an object."""
         known = list(self.tracks)
@@ -317,6 +344,8 @@ class Belief:
                 continue
             if any(_is_part(each, track, taken.get(track.number)) for track in known):
                 continue
+            if any(holders[i] == column and fits[i][column].larger for i, other in enumerate(known) if other.confirmed):
+                continue  # it is around an object that is known, and more
             track = self._begin(each, stamp_ns)
             self._assigned[column] = track.number
             for i, other in enumerate(known):
@@ -324,8 +353,9 @@ class Belief:
                 share = marginals[i, column] * renewal(
                     other.motion.place_covariance_m2, fits[i][column].noise_m2, apart
                 )
+                share = max(float(share), other.doubt)  # what was replaced may be this
                 if share > _FORGOTTEN:
-                    track.owed[other.number] = float(share)
+                    track.owed[other.number] = share
 
     def _settle(self, stamp_ns: int) -> None:
         """New tracks that exist take what they are owed; dead and forgotten ones go."""

@@ -189,7 +189,7 @@ def test_the_other_alone_is_not_taken_for_a_target_that_is_missed() -> None:
     """However long, wherever the target may have gone, as long as it is farther off than a gate is ever wide."""
     for tenths in range(6, 60):
         track = settled(PLACE)
-        view = FakeView([beside(PLACE, 0.5)], track.stamp_ns + tenths * SECOND // 10)
+        view = FakeView([beside(PLACE, 0.65)], track.stamp_ns + tenths * SECOND // 10)
         assert isinstance(follow(view, T_N_C, CAMERA, track), MissReason)
 
 
