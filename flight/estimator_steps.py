@@ -127,6 +127,7 @@ class StepWatch:
         self._headings: deque[tuple[int, float]] = deque()  # of the last moments: stamp, rad
         self._counted_ns: int | None = None
         self._armed_ns: int | None = None
+        self._flew = False  # since it was armed
         self._ready = False
 
     @property
@@ -156,6 +157,7 @@ class StepWatch:
         return Step(before.stamp_ns, state.stamp_ns, shift_n_m, turn_rad, self._counted(state))
 
     def _note_arming(self, state: VehicleState) -> None:
+        self._flew = state.armed and (self._flew or state.in_air)
         if not state.armed:
             self._armed_ns = None
         elif self._armed_ns is None:
@@ -177,12 +179,13 @@ class StepWatch:
         north, east, down = subtract(moved_m, scale(mean_mps, dt_s))
         explained_m = 0.25 * GRAVITY_MPS2 * dt_s * dt_s + self._fastest_mps * dt_s + norm(mean_mps) * LATE_S
         share = COUNTED_SHARE if self._counted(state) else 1.0
+        landed = self._flew and not state.in_air  # some vehicles take the ground for their height then
         across = self._across.is_step(state.stamp_ns, (north, east), explained_m, share)
         high = self._height.is_step(state.stamp_ns, (down,), explained_m, share)
         return (
             north if across else 0.0,
             east if across else 0.0,
-            down if high and self.counts_height else 0.0,
+            down if high and self.counts_height and not landed else 0.0,
         )
 
     def _turned(self, before: VehicleState, state: VehicleState) -> float:

@@ -189,3 +189,9 @@ def test_noise_that_grows_is_learned_and_not_taken_for_steps_for_ever() -> None:
     steps = seen(noisy)
     assert 0 < len(steps) < 20
     assert steps[-1].stamp_ns < made[400].stamp_ns
+
+
+def test_a_height_that_becomes_the_grounds_at_a_landing_is_no_step() -> None:
+    made = states(400)
+    down = [replace(each, in_air=False) for each in stepped(made, 200, (0.0, 0.0, 0.14))[200:]]
+    assert seen([*made[:200], *down]) == []
