@@ -189,8 +189,16 @@ class SimVehicle:
 
     async def arm(self) -> None:
         await self._do("arm", lambda autopilot, now_s: autopilot.request_arm(now_s, True))
-        if not await self._until(lambda: self.state.armed, self._config.mode_timeout_s):
+        if not await self._until(lambda: self.state.armed or self._killed, self._config.mode_timeout_s):
             raise VehicleError("arming was accepted, but the vehicle is not armed", "see why it disarmed")
+
+        if self._killed:
+            raise TakenOver("the motors were stopped as it was armed", "the pilot's kill switch")
+
+    @property
+    def _killed(self) -> bool:
+        """Whether the newest heartbeat tells that a pilot's switch keeps the motors still."""
+        return self._beat is not None and self._beat.killed
 
     async def take_off(self, height_m: float, timeout_s: float) -> None:
         if not (math.isfinite(height_m) and height_m > 0.0):
@@ -221,7 +229,7 @@ class SimVehicle:
             if self.state.armed:
                 said = f"take-off ended on the way: mode {self.state.mode.value}"
                 raise TakenOver(said, "the pilot has control, or a failsafe acted")
-            if self._beat is not None and self._beat.killed:
+            if self._killed:
                 raise TakenOver("take-off ended on the way: the motors were stopped", "the pilot's kill switch")
             raise VehicleError("take-off ended on the way: disarmed", "see why it disarmed")
 

@@ -33,6 +33,7 @@ FOUND = {
     # not to be mistaken for anything: what these are is in tests/pilots/flight.py
     "stopped motors for half a second": (Act(4.32, "kill", 0, 0.56), Act(4.32, "arm")),
     "LAND on the ground as the take-off is sent": (Act(0.47, "mode", 1),),
+    "stopped motors as it is armed": (Act(0.5, "kill", 0, 1.0),),
     "sticks and a kill at once": (Act(6.0, "sticks", 0), Act(6.0, "kill")),
     "a ground station that lands it as the script does": (Act(7.6, "mode", 1),),
     "a hold in the landing": (Act(8.4, "mode", 0),),

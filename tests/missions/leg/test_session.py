@@ -217,7 +217,8 @@ def test_who_waits_for_a_drone_that_will_not_fly_is_told_why(rig: Any, outcome: 
         bench = Bench(rig)
 
         async def course() -> None:
-            await bench.link.waiting.put(replace(STATUS, ended=outcome.exit_code))
+            alike = replace(bench.session._status(), role=Role.RECEIVER)  # pyright: ignore[reportPrivateUsage]
+            await bench.link.waiting.put(replace(alike, ended=outcome.exit_code))
             await hear_peer(bench.session)
 
         result = await bench.fly(course)
