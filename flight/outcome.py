@@ -41,6 +41,7 @@ class Outcome(Enum):
         "the role's program was started again in the air: it settled the handoff and landed",
     )
     NO_RELIEF = ("no_relief", 33, "no relief was ready in time: the responsible drone gave the target up and landed")
+    LOST_AFTER = ("lost_after_taking_over", 34, "the receiver took the target over, and lost it within ten seconds")
     LOG_FAILED = ("log_failed", 35, "all went well, but a log could not be written: disk full?")
     MISSION_FAILED = ("mission_failed", 36, "a mission of your own gave up, or one of its waits was over")
     RIGS_DIFFER = ("rigs_differ", 37, "the two drones' rigs or versions of PATH differ in what both must have alike")
@@ -72,6 +73,7 @@ _ABORT_REASONS = {
     Outcome.NO_AGREEMENT: AbortReason.TIMEOUT,
     Outcome.TARGET_NOT_FOUND: AbortReason.TARGET_LOST,
     Outcome.TARGET_LOST: AbortReason.TARGET_LOST,
+    Outcome.LOST_AFTER: AbortReason.TARGET_LOST,
     Outcome.MARKER_NOT_FOUND: AbortReason.MARKER_LOST,
     Outcome.MARKER_LOST: AbortReason.MARKER_LOST,
     Outcome.CAMERA_LOST: AbortReason.CAMERA,
@@ -88,6 +90,9 @@ def abort_reason(outcome: Outcome) -> AbortReason:
     """Returns the reason that the other drone is told when a mission ends this way."""
     return _ABORT_REASONS.get(outcome, AbortReason.SHUTDOWN)
 
+
+KEPT_S = 10.0
+"""For so long a target that was handed over is to be kept; one that is lost sooner was not handed over well."""
 
 OBJECT_MONITOR = "S12"
 """Counts hand-overs of another object than the one that was designated."""

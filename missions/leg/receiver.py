@@ -23,7 +23,7 @@ from flight.guidance import (
     subtract,
     within_fence,
 )
-from flight.outcome import MissionEnd, Outcome
+from flight.outcome import KEPT_S, MissionEnd, Outcome
 from flight.phases import Phase
 from flight.rendezvous.course import Rendezvous
 from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
@@ -86,6 +86,7 @@ class Receiver:
         self._newest: Target | None = None
         self._live: Handoff | None = None
         self._following = False
+        self._taken_ns = 0  # when it took the target over; a relief of a relay goes on as something else then
         self._watching = True
         self._seen: View | None = None
         self._track: TargetTrack | None = None
@@ -126,8 +127,13 @@ class Receiver:
         await self._handover.until_held(2.0 * deadlines.verify_s)
 
         session.enter(Phase.FOLLOW, "responsible for the target")
+        self._taken_ns = session.now_ns()
         await asyncio.sleep(config.follow_after_s)
-        await session.until(self._in_view, deadlines.target_regain_s, Outcome.TARGET_LOST, "the target was not seen")
+        try:
+            lost = Outcome.TARGET_LOST
+            await session.until(self._in_view, deadlines.target_regain_s, lost, "the target was not seen")
+        except MissionEnd as end:
+            raise self._lost(end.detail) from end
 
     async def _rise(self) -> None:
         """From the ground to where the rendezvous begins."""
@@ -385,7 +391,14 @@ class Receiver:
         unseen_s, deadlines = (view.stamp_ns - track.stamp_ns) * 1e-9, self._config.deadlines
         session.log.write("/track", view.stamp_ns, track_record(seen))
         if unseen_s > deadlines.target_coast_s + deadlines.target_regain_s and session.phase is Phase.FOLLOW:
-            raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
+            raise self._lost(f"target not seen for {unseen_s:.1f} s")
+
+    def _lost(self, detail: str) -> MissionEnd:
+        """The end of a receiver that does not see its target any more: soon after it took it over, or later."""
+        seen_ns = 0 if self._track is None else self._track.seen_ns
+        kept_s = (seen_ns - self._taken_ns) * 1e-9
+        soon = self._taken_ns > 0 and kept_s < KEPT_S
+        return MissionEnd(Outcome.LOST_AFTER if soon else Outcome.TARGET_LOST, detail)
 
     # --- messages ------------------------------------------------------------------------------------------------
 

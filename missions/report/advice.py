@@ -12,6 +12,7 @@ _ADVICE: dict[Outcome, str] = {
     "(path-handoff replay).",
     Outcome.TARGET_NOT_FOUND: "Check the designated place, and try the detector on this run's images "
     "(path-handoff detect).",
+    Outcome.LOST_AFTER: "Look at the receiver's last images below: was the target hidden, or at the edge?",
     Outcome.TARGET_LOST: "Look at the target's last images below: too fast, hidden, or out of view?",
     Outcome.MARKER_NOT_FOUND: "Check that the marker faces the receiver, its size in the rig, and the positions.",
     Outcome.MARKER_LOST: "Look at the marker's side in px and at the light; a larger marker is seen from farther.",

@@ -179,6 +179,7 @@ def _figure_rows(s: Mapping[str, Any]) -> Rows:
         ("error of D2", _error(s, "d2_error")),
         ("error of target", _error(s, "target_error")),
         ("wrong object handed over", wrong),
+        ("kept after taking over", _kept(s)),
         ("smallest separation", _separation(s)),
         ("D1 behind the target", _following(s)),
         ("link, both ways", f"{figure(s['link_bytes_per_s'], 'B/s', 0)} ({', '.join(link)})"),
@@ -205,6 +206,14 @@ def _error(summary: Mapping[str, Any], name: str) -> str:
     if median_m is None:
         return "-"
     return f"{median_m * 1000:.1f} mm median, {p95_m * 1000:.1f} mm p95"
+
+
+def _kept(summary: Mapping[str, Any]) -> str:
+    lost = summary.get("lost_after_taking_over")
+    if lost is None:
+        return "-"
+    seconds = figure(summary["kept_s"], "s", 1)
+    return f"LOST after {seconds}" if lost else f"for {seconds}, as long as was looked"
 
 
 def _separation(summary: Mapping[str, Any]) -> str:
@@ -257,6 +266,7 @@ def summarize_many(summaries: Sequence[Mapping[str, Any]], command: str) -> dict
         "commit_rate": round(committed / len(summaries), 4),
         "commit_rate_interval": [round(between.low, 4), round(between.high, 4)],
         "wrong_handovers": sum(summary["wrong_handover"] is True for summary in summaries),
+        "lost_after_taking_over": sum(summary.get("lost_after_taking_over") is True for summary in summaries),
         "monitors": dict(monitors),
         "misses": dict(misses),
         "failed_seeds": {str(s["seed"]): s["outcome"] for s in summaries if s["outcome"] != "committed"},
@@ -272,6 +282,7 @@ def series_table(series: Mapping[str, Any]) -> RenderableType:
         ("runs", f"{series['runs']}: {counts_text(series['outcomes'])}"),
         ("committed", f"{series['commit_rate'] * 100:.1f} % ({between})"),
         ("wrong object handed over", str(series["wrong_handovers"])),
+        ("lost after taking over", str(series["lost_after_taking_over"])),
         ("monitors", violations(series["monitors"])),
         ("misses", counts_text(series["misses"])),
     ]

@@ -13,6 +13,7 @@ import numpy as np
 from drivers.log.mcap_log import LogRecord
 from missions.report.following import following_of
 from missions.report.in_a_row import longest_row
+from missions.report.kept import kept_of
 from missions.report.link_shares import link_shares
 from missions.report.records import Records, RunRecords, judged_pairs, last, phase_changes
 from missions.report.tables import sum_of
@@ -38,6 +39,7 @@ def summarize(run: RunRecords) -> dict[str, Any]:
         **_errors(run, span, truth),
         **_separation(run, truth),
         **_following(run, truth),
+        **_kept(run, truth),
         **_link(run, span),
         "frames": {role.value: _frames(run.role(role), span) for role in Role},
         "slow": dict(run.facts.slow) if run.facts else {},
@@ -188,6 +190,15 @@ def _following(run: RunRecords, truth: Truth | None) -> dict[str, Any]:
         "follow_error_m": _median(errors_m),
         "follow_error_p95_m": _p95(errors_m),
         "target_unseen_s": None if followed is None else _rounded(followed.unseen_s),
+    }
+
+
+def _kept(run: RunRecords, truth: Truth | None) -> dict[str, Any]:
+    """Of the target after D2 took it over."""
+    kept = kept_of(run, truth)
+    return {
+        "kept_s": None if kept is None else _rounded(kept.seconds, 2),
+        "lost_after_taking_over": None if kept is None else kept.lost,
     }
 
 
