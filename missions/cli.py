@@ -23,6 +23,7 @@ from path.bounds import out_of_bounds
 COMMANDS: dict[str, tuple[str, str]] = {
     "handoff": ("flights:HandoffOptions", "handoff.command"),
     "rehearse": ("flights:RehearseOptions", "rehearse"),
+    "designate": ("field:DesignateOptions", "designate"),
     "relay": ("flights:RelayOptions", "relay.command"),
     "team": ("flights:TeamOptions", "team.command"),
     "fly": ("flights:FlyOptions", "own.command"),
@@ -73,6 +74,7 @@ examples:
   path-handoff doctor --rig my-rig.toml       is everything there, before anything moves?
   path-handoff prepare --rig my-rig.toml      compile its kernels now, so that no later start does
   path-handoff sender --rig my-rig.toml       one drone's side, as in the field
+  path-handoff designate --rig my-rig.toml    which object is meant: say it, or answer what D1 asks
   path-handoff calibrate camera --images views --out d1.camera.toml
   path-handoff detect film.mp4 --model yolox.onnx --classes car
   path-handoff guard --rig my-rig.toml        beside it: holds and lands when the script does not

@@ -44,6 +44,37 @@ class ReceiverOptions(RoleOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class DesignateOptions:
+    """Tell a D1 in the air which object is meant; without a statement: answer what it asks, from this terminal."""
+
+    rig: AnyRig
+
+    place: tuple[float, float] | None = None
+    """Where it is: north and east in m, in the mission's local frame."""
+
+    error_m: Annotated[float, Bounds(0.01, 1000.0)] = 0.5
+    """Standard deviation of the place on each axis."""
+
+    down_m: float | None = None
+    """And how high, downward, of what flies."""
+
+    bearing_deg: Annotated[float | None, Bounds(-360.0, 360.0)] = None
+    """In which direction it is, clockwise from north, as seen from --seen-from."""
+
+    seen_from: tuple[float, float] = (0.0, 0.0)
+    """North and east in m."""
+
+    error_deg: Annotated[float, Bounds(0.01, 90.0)] = 5.0
+    """Standard deviation of the direction."""
+
+    age_s: Annotated[float, Bounds(0.0, 3600.0)] = 0.0
+    """How long ago that was."""
+
+    picture: Path | None = None
+    """File for the picture of a question, where D1 has one."""
+
+
+@dataclass(frozen=True, slots=True)
 class GuardOptions:
     """Watch a vehicle on a link of its own; hold and land it when its script falls silent or a limit stays broken."""
 

@@ -95,7 +95,7 @@ def test_every_command_has_a_module_that_runs_it() -> None:
         (["handoff", "--seed", "x"], ["Error parsing --seed", "path-handoff --help"]),
         (["handoff", "--sed", "3"], ["Unrecognized options: --sed, 3", "in path-handoff campaign --help"]),
         (["calibrate", "camra"], ["Available subcommands: camera, mount, board"]),
-        (["hand", "--seed", "3"], ["Available subcommands: handoff, relay"]),
+        (["hand", "--seed", "3"], ["Available subcommands: handoff, rehearse"]),
     ],
 )
 def test_what_is_not_understood_is_told_once_by_all_commands(
