@@ -56,18 +56,21 @@ def receiver(box_at: Callable[[float], tuple[float, float] | None]) -> Records:
 
 @pytest.mark.parametrize("knows_truth", [True, False])
 @pytest.mark.parametrize(
-    ("box_at", "lost", "kept_s"),
+    ("seen_until_s", "lost", "kept_s"),
     [
-        (lambda s: TARGET_PX, False, 6.0),
-        (lambda s: TARGET_PX if s < 25.0 else None, False, 5.0),  # a miss at the end is no loss yet
-        (lambda s: TARGET_PX if s < 22.0 else None, True, 2.0),
-        (lambda s: None, True, 0.0),
+        (LANDS_S, False, 6.0),
+        (25.0, False, 5.0),  # a miss at the end is no loss yet
+        (22.0, True, 2.0),
+        (0.0, True, 0.0),
     ],
     ids=["kept", "missed at the end", "lost", "never seen"],
 )
 def test_a_target_without_boxes_at_the_end_is_lost(
-    box_at: Callable[[float], tuple[float, float] | None], lost: bool, kept_s: float, knows_truth: bool
+    seen_until_s: float, lost: bool, kept_s: float, knows_truth: bool
 ) -> None:
+    def box_at(seconds: float) -> tuple[float, float] | None:
+        return TARGET_PX if seconds < seen_until_s else None
+
     run = RunRecords(None, {}, receiver(box_at), world())
     kept = kept_of(run, truth_of(run.world) if knows_truth else None)
     assert kept is not None
