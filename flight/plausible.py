@@ -132,7 +132,7 @@ def _waits(rig: Rig, mission: MissionConfig) -> Found:
     """A deadline leaves time for what it bounds."""
     method, deadlines = rig.method, mission.deadlines
     highest_m = max(mission.take_off_height_m, mission.receiver_take_off_height_m, mission.follow.height_m)
-    hold_s = method.evidence.min_s if method.gate == "evidence" else method.hold_s
+    hold_s = method.hold_s if method.gate == "count" else method.evidence.min_s
     climb_s, descent_s = highest_m / FAST_MPS, highest_m / FAST_MPS
     approach_s = mission.rendezvous.stand_off_m / mission.rendezvous.max_speed_mps
     pairs = method.needed_pairs

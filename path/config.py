@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from path.bounds import Bounds, check_bounds
 
 BoxMapping = Literal["center", "corner"]
-GateKind = Literal["count", "evidence"]
+GateKind = Literal["count", "evidence", "likelihood"]
 TargetError = Literal["point", "ray"]
 
 
@@ -122,7 +122,8 @@ class MethodConfig:
         tau_min, tau_max: IoU needed far away and at ``z0_m`` or nearer (eq. adaptive_threshold).
         z0_m: reference viewing distance (eq. scale_factor).
         gate: what decides that the views have agreed for long enough: all of the last ``hold_frames`` pairs, as the
-            paper has it ("count"), or the strength of the agreement as well ("evidence", ``path.gate.evidence``).
+            paper has it ("count"), the strength of the agreement as well ("evidence", ``path.gate.evidence``), or where
+            D2's box lies alone ("likelihood", ``path.gate.likelihood``, which is not the default yet).
         hold_frames, hold_s: of the gate "count": distinct fresh agreeing frame pairs, and the time from the first
             to the last of them on capture stamps; both are needed.
         max_gap_s: longest time between two consecutive agreeing pairs; a longer one restarts the count.
@@ -199,8 +200,8 @@ class MethodConfig:
             raise ValueError(f'box_mapping: {self.box_mapping!r} is neither "center" nor "corner"')
         if self.target_error not in ("point", "ray"):
             raise ValueError(f'target_error: {self.target_error!r} is neither "point" nor "ray"')
-        if self.gate not in ("count", "evidence"):
-            raise ValueError(f'gate: {self.gate!r} is neither "count" nor "evidence"')
+        if self.gate not in ("count", "evidence", "likelihood"):
+            raise ValueError(f'gate: {self.gate!r} is none of "count", "evidence" and "likelihood"')
         check_bounds(self)
         for low, high in (
             ("tau_min", "tau_max"),
@@ -213,11 +214,11 @@ class MethodConfig:
     @property
     def needed_pairs(self) -> int:
         """Agreeing pairs without which the gate lets nothing be handed over."""
-        return self.evidence.min_pairs if self.gate == "evidence" else self.hold_frames
+        return self.hold_frames if self.gate == "count" else self.evidence.min_pairs
 
     @property
     def pose_sigma_limit_m(self) -> float:
         """Position standard deviation of ``T_v_c2`` above which the sender compares nothing."""
-        if self.gate == "evidence":
+        if self.gate != "count":
             return min(self.max_pose_sigma_m, self.evidence.max_pose_sigma_m)
         return self.max_pose_sigma_m

@@ -344,7 +344,7 @@ def _rate(of: Flown) -> Problem | None:
 def agreement_s(facts: Facts, rate_hz: float) -> float:
     """Return how long the views must agree before the hand-over at a rate of frames, when nothing is missed."""
     evidence = facts.method.evidence
-    least_s = evidence.min_s if facts.method.gate == "evidence" else facts.method.hold_s
+    least_s = facts.method.hold_s if facts.method.gate == "count" else evidence.min_s
     return max(least_s, facts.method.needed_pairs / rate_hz) + 0.5
 
 

@@ -46,7 +46,7 @@ class ReplayOptions:
     rig: str | None = None
     """With --frames: the rig whose perception looks; the one that was flown by default."""
 
-    gate: Literal["count", "evidence"] | None = None
+    gate: Literal["count", "evidence", "likelihood"] | None = None
     """The gate to decide with instead."""
 
     out: OutFolder = None

@@ -50,6 +50,7 @@ from statistics import median
 
 from path.config import EvidenceConfig, MethodConfig
 from path.gate.identity import Identity
+from path.gate.likelihood import LikelihoodGate
 from path.gate.window import AgreementWindow, Evidence, FramePair, Gate
 from path.observations import MissReason
 
@@ -58,6 +59,8 @@ def make_gate(config: MethodConfig) -> Gate:
     """The gate that the settings name, for one attempt."""
     if config.gate == "count":
         return AgreementWindow(config)
+    if config.gate == "likelihood":
+        return LikelihoodGate(config)
     return TwoPaces(config) if config.evidence.patient_block_s else EvidenceGate(config)
 
 

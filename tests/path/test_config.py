@@ -60,9 +60,9 @@ def test_a_wrong_value_of_the_evidence_gate_is_refused_by_name(field: str, value
         EvidenceConfig(**{field: value})
 
 
-def test_a_gate_is_one_of_two() -> None:
+def test_a_gate_is_one_of_three() -> None:
     assert MethodConfig().gate == "evidence"
-    with pytest.raises(ValueError, match=r'^gate: .*"count" nor "evidence"'):
+    with pytest.raises(ValueError, match=r'^gate: .*"count", "evidence" and "likelihood"'):
         MethodConfig(gate="evidense")  # pyright: ignore[reportArgumentType]
 
 
