@@ -108,6 +108,11 @@ class ClockAlignment:
         )
 
     @property
+    def samples(self) -> int:
+        """Return the number of exchanges that were taken."""
+        return self._samples
+
+    @property
     def offset_ns(self) -> int:
         """Peer's clock minus own."""
         return (self._low_ns + self._high_ns) // 2

@@ -196,6 +196,8 @@ class MissionConfig:
     follow_hz: Annotated[float, Bounds(1.0, 200.0)] = 25.0
     status_hz: Annotated[float, Bounds(0.5, 50.0)] = 10.0  # of the sender: the receiver flies by its velocity
     receiver_status_hz: Annotated[float, Bounds(0.5, 50.0)] = 4.0
+    # an offset between the drones' clocks that is known no better than this is not used: half a round trip bounds it
+    clock_uncertainty_s: Annotated[float, Bounds(0.001, 2.0)] = 0.1
     ping_hz: Annotated[float, Bounds(0.1, 50.0)] = 1.0  # once the clocks are aligned; with every Status before
     record: Literal["none", "keyframes", "all"] = "keyframes"  # "all": every frame too, in a file beside the log
     image_hz: Annotated[float, Bounds(0.0, 60.0)] = 1.0  # camera images in the log: its key frames

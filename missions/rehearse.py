@@ -24,7 +24,7 @@ from missions.rig_library import mission_of
 from missions.rig_list import FOLDER
 from missions.run_folder import unless_refused
 
-OWN = ("origin", "markers", "marker_dictionary", "method", "mission", "target", "drone", "depth", "site")
+OWN = ("origin", "markers", "marker_dictionary", "method", "mission", "target", "drone", "depth", "link", "site")
 """Tables of the rig itself, which say nothing of hardware."""
 OWN_OF_A_DRONE = ("camera", "mount")
 NOT_REHEARSED = ("needs",)

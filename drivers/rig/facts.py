@@ -15,6 +15,10 @@ diameter_m = 0.6             # over the tips of the propellers
 [depth]
 max_m = 6.0                  # how far the depth cameras can be trusted
 
+[link]
+latency_s = 0.15             # one way
+loss = 0.2
+
 [site]
 wind_mps = 4.0               # the strongest mean wind to fly in
 """
@@ -101,6 +105,19 @@ class DepthFacts:
     min_m: Annotated[float, Bounds(0.05, 50.0)] = 0.3
     max_m: Annotated[float, Bounds(0.1, 100.0)] = 6.0
     sigma_at_1m_m: Annotated[float, Bounds(0.0, 1.0, above=True)] = 0.005
+
+
+@dataclass(frozen=True, slots=True)
+class LinkFacts:
+    """The link between the drones, as a test on the ground shows it.
+
+    Attributes:
+        latency_s: that a packet takes one way, the slow ones among them.
+        loss: share of packets that never come.
+    """
+
+    latency_s: Annotated[float, Bounds(0.0, 2.0)] = 0.02
+    loss: Annotated[float, Bounds(0.0, 0.9, "of 1")] = 0.0
 
 
 DERIVED = (

@@ -13,7 +13,7 @@ harness = "hil.harness.sitl:Sitl"            # left out in the field
 [[drones]]                           # ... its drones by name: homes, parts, batteries
 [[targets]]                          # ... and the targets that it keeps observed
 [reference.sender], .receiver, .target   # beacons that trials measure against; [reference.beacons] is who listens
-[target], [drone], [depth], [site]   # what was measured: drivers.rig.facts; heights, distances, times follow from it
+[target], [drone], [depth], [link], [site]   # what was measured (drivers.rig.facts): distances, times follow
 [[markers]]                          # the marker layout on the sender, in frame v
 [sender.vehicle]                     # a part: its factory, and the options of its Config
 factory = "drivers.mavlink.vehicle:MavsdkVehicle"
@@ -40,7 +40,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from drivers.rig.calibration_file import CalibrationError, CameraTable, MountCalibration, read_camera
-from drivers.rig.facts import DepthFacts, DroneFacts, SiteFacts, TargetFacts, without_derived
+from drivers.rig.facts import DepthFacts, DroneFacts, LinkFacts, SiteFacts, TargetFacts, without_derived
 from drivers.rig.mounts import CalibrationName, CameraMount, MarkerPlace, Vec3, axis_turn
 from drivers.rig.parts import Level, Mount, Origin, PartSpec, Reference, Rig, RoleRig
 from drivers.rig.tables import RigError, decode_table, read_toml, suggestion
@@ -153,6 +153,7 @@ class _RigTable:
     drone: DroneFacts | None = None
     site: SiteFacts | None = None
     depth: DepthFacts | None = None
+    link: LinkFacts | None = None
 
     def __post_init__(self) -> None:
         self.layout()
@@ -278,6 +279,7 @@ def rig_of(table: Mapping[str, Any], path: Path, search: Sequence[Path] = ()) ->
         drone=written.drone,
         site=written.site,
         depth=written.depth,
+        link=written.link,
         named=_named(table),
     )
 

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 
 from drivers.beacons.log import Mounted
 from drivers.interfaces import Clock
-from drivers.rig.facts import DepthFacts, DroneFacts, SiteFacts, TargetFacts
+from drivers.rig.facts import DepthFacts, DroneFacts, LinkFacts, SiteFacts, TargetFacts
 from drivers.rig.tables import RigError, decode_table, suggestion
 from path.bounds import Bounds
 from path.camera.model import CameraModel
@@ -165,8 +165,9 @@ class Rig:
     ``trials`` names what trials measure against, ``module:name`` by purpose; ``reference`` is None without beacons;
     ``folders`` are where a rig that this one is like was looked up by name.
 
-    ``target``, ``drone``, ``depth`` and ``site`` are what was measured (``drivers.rig.facts``); None where the rig
-    says what follows from it by itself. ``named`` are the values of ``[method]`` and ``[mission]`` that
+    ``target``, ``drone``, ``depth``, ``link`` and ``site`` are what was measured (``drivers.rig.facts``);
+    None where the rig says what follows from it by itself. ``named`` are the values of ``[method]`` and
+    ``[mission]`` that
     the rig names, by dotted key.
     """
 
@@ -193,6 +194,7 @@ class Rig:
     drone: DroneFacts | None = None
     site: SiteFacts | None = None
     depth: DepthFacts | None = None
+    link: LinkFacts | None = None
     named: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def role(self, role: Role) -> RoleRig:

@@ -82,7 +82,7 @@ def check_plan(rig: Rig) -> None:
 
 def problems(of: Flown) -> Iterator[Problem]:
     """Yield everything that cannot be done."""
-    for check in (_target_px, _fits, _depth, _viewpoint, _site, _offset, _wind, _speed, _rate):
+    for check in (_target_px, _fits, _depth, _viewpoint, _site, _offset, _wind, _speed, _rate, _latency):
         found = check(of)
         if found is not None:
             yield found
@@ -339,6 +339,31 @@ def _rate(of: Flown) -> Problem | None:
         f" {wait_s:g} s are given",
         f"{takes_s:.0f} s would do",
     )
+
+
+def _latency(of: Flown) -> Problem | None:
+    """Check that D2 can still tell where the target is when D1's word of it comes late."""
+    if not isinstance(of.placed.viewpoint, Viewpoint):
+        return None
+    method, link = of.facts.method, of.facts.link
+    searched_px = _searched_px(of, link.latency_s)
+    if searched_px <= method.max_search_px:
+        return None
+    most_s = _most(0.0, link.latency_s, lambda late_s: _searched_px(of, late_s) <= method.max_search_px)
+    return Problem(
+        "link.latency_s",
+        f"what D1 says comes {link.latency_s:g} s late: D2 would have to search {searched_px:.0f} px around the target;"
+        f" method.max_search_px is {method.max_search_px:g}",
+        f"{most_s:.2f} s would do" if most_s > 0.0 else "",
+    )
+
+
+def _searched_px(of: Flown, late_s: float) -> float:
+    """Return the half side of D2's search when the target is foretold over a latency and half of it again."""
+    method = of.facts.method
+    foretold_m = 0.5 * method.relative_accel_mps2 * (1.5 * late_s) ** 2
+    focal_px = of.facts.receiver.camera.fx
+    return method.search_sigmas * focal_px * foretold_m / of.placed.receiver_range_m
 
 
 def agreement_s(facts: Facts, rate_hz: float) -> float:

@@ -252,18 +252,27 @@ def _waits(found: _Found) -> None:
 
 
 def _rates(facts: Facts, found: _Found) -> None:
-    """Derive the gaps that are no loss where frames come slowly."""
+    """Derive the gaps that are no loss where frames come slowly, or packets late and not all of them."""
     rates = [eye.rate_hz for eye in (facts.sender, facts.receiver) if eye.rate_hz is not None]
-    if not rates:
-        return
-    every_s = 1.0 / min(rates)
-    usual = MethodConfig()
-    for key, usual_s, frames, why in (
-        ("method.max_gap_s", usual.max_gap_s, 3.0, "three frames"),
-        ("method.max_bracket_s", usual.max_bracket_s, 2.5, "two frames, and one lost"),
-        ("method.max_extrapolation_s", usual.max_extrapolation_s, 2.5, "two frames, and one lost"),
-        ("method.slope_span_s", usual.slope_span_s, 3.0, "three frames"),
-        ("mission.guard.frame_age_s", GuardConfig().frame_age_s, 4.0, "four frames"),
-    ):
-        if frames * every_s > usual_s:
-            found.add(key, frames * every_s, "s", why)
+    every_s = 1.0 / min(rates) if rates else 0.0
+    link, usual, guard = facts.link, MethodConfig(), GuardConfig()
+    lost = 1.0 / (1.0 - link.loss) ** 2  # a pair takes a packet each way
+    silent_s = 3.0 * every_s * lost
+    waits = (
+        ("method.max_gap_s", usual.max_gap_s, silent_s, "three pairs"),
+        ("method.evidence.max_gap_s", usual.evidence.max_gap_s, 2.0 * silent_s, "six pairs"),
+        ("method.max_bracket_s", usual.max_bracket_s, 2.5 * every_s, "two frames, and one lost"),
+        (
+            "method.max_extrapolation_s",
+            usual.max_extrapolation_s,
+            2.5 * every_s * lost + 1.5 * link.latency_s,
+            "two frames and one lost, and link.latency_s",
+        ),
+        ("method.slope_span_s", usual.slope_span_s, 3.0 * every_s, "three frames"),
+        ("method.max_age_s", usual.max_age_s, 4.0 * link.latency_s + 2.0 * every_s, "link.latency_s both ways"),
+        ("mission.clock_uncertainty_s", 0.1, 1.5 * link.latency_s, "half a round trip by link.latency_s"),
+        ("mission.guard.frame_age_s", guard.frame_age_s, 4.0 * every_s, "four frames"),
+    )
+    for key, usual_s, needed_s, why in waits:
+        if needed_s > usual_s:
+            found.add(key, needed_s, "s", why)

@@ -7,10 +7,10 @@ checks and predictions hold for both.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from drivers.rig.facts import DroneFacts, SiteFacts, TargetFacts
+from drivers.rig.facts import DroneFacts, LinkFacts, SiteFacts, TargetFacts
 from drivers.rig.parts import Mount, PartSpec, Rig, RoleRig, decode_part
 from flight.config import MissionConfig
 from path.camera.model import CameraModel
@@ -45,6 +45,7 @@ class Facts:
     site: SiteFacts
     method: MethodConfig
     attitude_sigma_rad: float
+    link: LinkFacts = field(default_factory=LinkFacts)
 
     def with_side(self, side_m: float) -> Facts:
         """Return these facts with another print."""
@@ -62,6 +63,7 @@ def facts_of(rig: Rig, mission: MissionConfig) -> Facts:
         site=rig.site or _site_of_world(rig),
         method=rig.method,
         attitude_sigma_rad=math.radians(mission.attitude_sigma_deg),
+        link=rig.link or LinkFacts(),
     )
 
 

@@ -28,7 +28,7 @@ from drivers.link.flood import LinkAlarm
 from drivers.operator.interfaces import Operator
 from drivers.rig.parts import Rig, RoleRig, ended_by
 from drivers.stages import Stages
-from flight.clocks import ClockAlignment, answer
+from flight.clocks import ClockAlignment, ClockConfig, answer
 from flight.config import MissionConfig, off_from
 from flight.guard.under_guard import UnderGuard
 from flight.guidance import Vec3, add, subtract
@@ -108,7 +108,7 @@ class RoleSession:
         self.vehicle = SteadyVehicle.of(vehicle, config)
         self.frames = Frames(self.perception, self.clock, config, log)
         self.pilot = Pilot(self.vehicle, self.clock, config, log, guard)
-        self.alignment = ClockAlignment()
+        self.alignment = ClockAlignment(ClockConfig(max_uncertainty_s=config.clock_uncertainty_s))
         self.phase = Phase.PREFLIGHT
         self.shown = ConsoleLine()
         self.peer: Status | None = None

@@ -81,7 +81,7 @@ async def hear_peer(session: RoleSession) -> None:
         lambda: session.peer is not None, deadlines.peer_s, Outcome.PEER_LOST, lambda: _unheard(session.link.counters)
     )
     await check_alike(session)
-    await session.until(lambda: _aligned(session), deadlines.peer_s, Outcome.CLOCK_FAULT, "the clocks were not aligned")
+    await session.until(lambda: _aligned(session), deadlines.peer_s, Outcome.CLOCK_FAULT, lambda: _unaligned(session))
 
 
 def _unheard(counters: LinkCounters) -> str:
@@ -91,6 +91,19 @@ def _unheard(counters: LinkCounters) -> str:
         return "the other drone was not heard"
     came = ", ".join(f"{number} as {reason}" for reason, number in dropped.most_common(3))
     return f"the other drone was not heard (packets came and were dropped, {came}: another version of PATH, or key?)"
+
+
+def _unaligned(session: RoleSession) -> str:
+    """Say how well the clocks are known, and what would be needed."""
+    alignment, needed_s = session.alignment, session.config.clock_uncertainty_s
+    if not alignment.samples:
+        return "the clocks were not aligned: no ping was answered"
+    known_s = alignment.uncertainty_ns * 1e-9
+    return (
+        f"the clocks were not aligned: known to {known_s:.3f} s by {alignment.samples} pings,"
+        f" mission.clock_uncertainty_s = {needed_s:g} s is needed; half a round trip is the bound, so say"
+        " [link] latency_s in the rig"
+    )
 
 
 def _aligned(session: RoleSession) -> bool:

@@ -274,3 +274,16 @@ def test_a_body_that_hides_the_target_is_helped_by_a_range(rig_of: RigOf) -> Non
     assert "from the target" in problem.change
     range_m = float(problem.change.split(" m from the target")[0].split()[-1])
     assert of(near).range_m < range_m < 10.0 * of(near).range_m
+
+
+def test_a_link_that_is_late_is_given_time_and_one_that_is_too_late_is_refused(rig_of: RigOf) -> None:
+    late = rig_of("[link]\nlatency_s = 0.15\nloss = 0.2\n", "late")
+    assert mission_of(late).clock_uncertainty_s == pytest.approx(0.225)
+    assert late.method.max_extrapolation_s > 0.25
+    assert list(problems(of(late))) == []
+    plain = rig_library.load("sim")
+    assert mission_of(plain).clock_uncertainty_s == 0.1
+    (problem,) = problems(of(rig_of("[link]\nlatency_s = 0.5\n", "too-late")))
+    assert problem.where == "link.latency_s"
+    most_s = float(problem.change.split(" s would do")[0])
+    assert list(problems(of(rig_of(f"[link]\nlatency_s = {most_s - 0.01}\n", "just-so")))) == []
