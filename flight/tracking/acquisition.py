@@ -32,6 +32,7 @@ ASKED_AFTER_S = 2.0  # of looking at something that it can be: by then what can 
 ASKED_AGAIN_S = 3.0  # where something else has come into view, or what was shown is not known to be the same any more
 REMINDED_S = 6.0  # nobody answered
 MOST_SHOWN = 9
+NEAR = 1.4  # times as far off as it is followed from: what is surely the target is taken once D1 is so near
 LOOKS_EVERY_S = 0.1
 
 
@@ -68,6 +69,10 @@ class Acquisition:
         self._asked: list[Question] = []
         self._chosen: Candidate | None = None
         self._chosen_since_ns = 0
+        self._settled_share = 0.0
+        follow = mission.follow
+        below_m = follow.height_m - mission.target.height_m
+        self._near_m = NEAR * math.hypot(follow.behind_m, below_m) if below_m > 0.0 else math.inf
         self._none_of: set[tuple[int, int]] = set()
         self.question: Question | None = None
         self.shares = Shares({}, 1.0)
@@ -92,7 +97,7 @@ class Acquisition:
         if answer.number not in {each.number for each in question.shown} or answer.number not in known:
             self.question = None
             return False
-        self._chosen, self.question = known[answer.number], None
+        self._chosen, self.question, self._settled_share = known[answer.number], None, 1.0
         self._chosen_since_ns = self._chosen.since_ns
         return True
 
@@ -103,6 +108,8 @@ class Acquisition:
         if best is None or self.shares.of.get(best.number, 0.0) <= 0.5:
             return said
         place, sigma_m = best.predicted(stamp_ns, 0.0)
+        if best is self._chosen:
+            return place, 3.0 * sigma_m
         return place, 3.0 * sigma_m if said is None else said[1] + math.dist(place, said[0])
 
     def look(self, view: View, T_n_c: Pose) -> Taken | None:
@@ -118,7 +125,10 @@ class Acquisition:
         self.ambiguous = PLAUSIBLE <= share < SURE
         if best is not None and share >= SURE and self._fit(best, view, T_n_c):
             self.question = None
-            return Taken(best.position_n_m, best.likely_velocity_n_mps, share, best is self._chosen)
+            self._settle(best, share)
+            if math.dist(best.position_n_m, T_n_c.t.tolist()) <= self._near_m:
+                asked = self._settled_share >= 1.0
+                return Taken(best.position_n_m, best.likely_velocity_n_mps, self._settled_share, asked)
         self._ask(stamp_ns, share)
         return None
 
@@ -135,6 +145,11 @@ class Acquisition:
         return f"{', '.join(parts)}, {told}; a later place, a smaller error or an answer would tell"
 
     # --- which ---
+
+    def _settle(self, one: Candidate, share: float) -> None:
+        """What is surely the one stays it, as long as it is known to be the same: D1 may look from nearer now."""
+        if self._chosen is not one:
+            self._chosen, self._chosen_since_ns, self._settled_share = one, one.since_ns, share
 
     def _note_look(self, stamp_ns: int, T_n_c: Pose) -> None:
         looks = self._looks

@@ -60,8 +60,9 @@ def acquired(
             continue
         where = acquisition.where(stamp_ns)
         assert where is not None
-        (north, east, _), _ = where
-        at = np.array((north - 1.45 * up, east, -0.1 - 1.4 * up)) - off
+        (north, east, _), radius_m = where
+        nearer = 1.0 if radius_m < 0.3 else up  # once it is sure
+        at = np.array((north - 1.45 * nearer, east, -0.1 - 1.4 * nearer)) - off
         true = Pose(MOUNT.T_b_c.R, MOUNT.T_b_c.t + at)
         objects: list[Vec3] = [(o.position_w_m[1], o.position_w_m[0], -0.1) for o in traffic.at(time_s)]
         view = Seen(stamp_ns, objects, true, rng)

@@ -32,11 +32,11 @@ def test_it_is_found_and_handed_over(side: float, tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr(GeometricView, "targets", from_one_side)
     rig = rig_library.load("sim-person")
-    stands = {**rig.mission["target"], "holds_s": 40.0}  # for long enough to go round to the second side
-    deadlines = {**rig.mission["deadlines"], "acquire_s": 35.0}
+    stands = {**rig.mission["target"], "holds_s": 70.0}  # for long enough to go round to the second side
+    deadlines = {**rig.mission["deadlines"], "acquire_s": 55.0}
     rig = replace(rig, mission={**rig.mission, "target": stands, "deadlines": deadlines})
-    rig = replace(rig, world={**rig.world, "target": {**rig.world["target"], "start_time_s": 40.0}})
-    facts = fly_once(rig, 5, (), tmp_path, lambda _: None)
+    rig = replace(rig, world={**rig.world, "target": {**rig.world["target"], "start_time_s": 70.0}})
+    facts = fly_once(rig, 3, (), tmp_path, lambda _: None)
     assert facts.outcome == "committed", facts.detail
     assert not facts.violations
     run = load_run(tmp_path)

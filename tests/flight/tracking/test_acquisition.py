@@ -12,7 +12,7 @@ import pytest
 
 from drivers.interfaces import View
 from drivers.operator.interfaces import BearingTold, Chosen, PlaceTold, Question, RegionTold, Told
-from flight.config import MissionConfig, TargetDesignation
+from flight.config import FollowConfig, MissionConfig, TargetDesignation
 from flight.guidance import Vec3
 from flight.tracking.acquisition import Acquisition, Taken
 from flight.tracking.candidates import STEADY_FRAMES
@@ -24,6 +24,7 @@ from tests.flight.following_bench import CAMERA, MOUNT
 PERSON = MethodConfig(evidence=EvidenceConfig(span_m=0.77, height_m=1.75))
 PLACE: Vec3 = (4.0, 0.0, -0.9)
 FRAME_NS = 40_000_000
+FOLLOW = FollowConfig(behind_m=2.2, height_m=3.5)
 T_N_C = Pose(MOUNT.T_b_c.R, MOUNT.T_b_c.t + np.array((1.8, 0.0, -3.5)))
 
 
@@ -64,7 +65,7 @@ def taken(
 
 
 def begun(method: MethodConfig = PERSON, told: Told | None = None, error_m: float = 0.3) -> Acquisition:
-    mission = MissionConfig(target=TargetDesignation(height_m=-PLACE[2]))
+    mission = MissionConfig(target=TargetDesignation(height_m=-PLACE[2]), follow=FOLLOW)
     acquisition = Acquisition(CAMERA, method, mission)
     acquisition.tell(told or PlaceTold(0, PLACE, error_m))
     return acquisition
@@ -208,7 +209,7 @@ def test_where_a_part_of_where_it_can_be_is_out_of_sight_one_alone_is_not_taken(
 
 def test_what_drives_as_was_said_is_told_from_what_stands_nearer_to_the_place() -> None:
     """Seven places, a second apart, all 0.3 m off to where the other one stands."""
-    acquisition = Acquisition(CAMERA, PERSON, MissionConfig())
+    acquisition = Acquisition(CAMERA, PERSON, MissionConfig(follow=FOLLOW))
     standing: Vec3 = (3.9, 0.75, -0.9)
     found: Taken | None = None
     for k in range(170):
@@ -254,3 +255,13 @@ def test_of_what_flies_the_height_tells_too() -> None:
     for k in range(30):
         other.look(seen(two_at(k * FRAME_NS, ((4.0, 0.5, -0.9),))), T_N_C)
     assert max(other.shares.of.values()) < 0.1 * low
+
+
+def test_what_is_surely_the_target_is_taken_once_it_is_as_near_as_it_is_followed_from() -> None:
+    far = Acquisition(CAMERA, PERSON, MissionConfig(target=TargetDesignation(height_m=-PLACE[2])))
+    far.tell(PlaceTold(0, PLACE, 0.3))
+    for k in range(20):
+        assert far.look(seen(two_at(k * FRAME_NS, (PLACE,))), T_N_C) is None
+    where = far.where(20 * FRAME_NS)
+    assert where is not None
+    assert where[1] < 0.3  # it need not look at all of where it can be any more: it comes nearer
