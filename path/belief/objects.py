@@ -168,12 +168,17 @@ class Belief:
     def designate(self, place_m: Array, measured: Measured, stamp_ns: int) -> None:
         """Begin with the object that was designated: it is at a place, and a box like that is of it.
 
+        In a box that is larger than it can be it is anywhere, and how large it is is not known.
+
         Args:
             place_m: shape (3,).
         """
         track = self._begin(measured, stamp_ns)
         track.motion.mean[:3] = place_m
         track.motion.covariance[:3, :3] *= _DESIGNATED**2
+        if np.any(np.asarray(measured.sides_m) > measured.most_m):
+            track.motion.covariance[:3, :3] += _within(np.asarray(measured.sides_m), measured.axes)
+            track.size_variance = 1.0
         track.log_odds, track.identity = _LOG_ODDS_CONFIRMED, 1.0
         self._stamp_ns = stamp_ns
 
@@ -419,6 +424,8 @@ def _fit(track: ObjectTrack, measured: Measured) -> _Fit:
     expected = np.minimum(np.exp(track.log_sides), measured.most_m)
     more = np.maximum(sides - np.minimum(factor * expected, measured.most_m), 0.0)
     beyond = np.maximum(expected / factor - sides, more)
+    if more.any():  # it may be as small as that, anywhere in there
+        beyond = np.maximum(sides - expected / factor, beyond)
     if not beyond.any():
         return _Fit(measured.covariance_m2, measured.covariance_m2, larger=False)
     spread = measured.covariance_m2 + _within(beyond, measured.axes)
