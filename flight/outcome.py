@@ -45,6 +45,7 @@ class Outcome(Enum):
     LOG_FAILED = ("log_failed", 35, "all went well, but a log could not be written: disk full?")
     MISSION_FAILED = ("mission_failed", 36, "a mission of your own gave up, or one of its waits was over")
     RIGS_DIFFER = ("rigs_differ", 37, "the two drones' rigs or versions of PATH differ in what both must have alike")
+    NOT_STARTED = ("not_started", 38, "a world was served, and nobody started a role's program in time")
     MONITOR_VIOLATED = ("monitor_violated", 40, "a safety monitor of the harness was violated")
     HARNESS_FAILED = ("harness_failed", 41, "the simulation itself failed: not the mission's fault")
     OVERLOADED = ("overloaded", 43, "the computer was too slow for a run in real time: it says nothing of the mission")

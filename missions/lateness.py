@@ -10,6 +10,7 @@ from flight.outcome import OBJECT_MONITOR, Outcome
 OF_TIME = frozenset(Outcome) - {
     Outcome.COMMITTED, Outcome.FLOWN, Outcome.PILOT_OVERRIDE, Outcome.ORPHANED, Outcome.STATE_LOST, Outcome.UNFIT,
     Outcome.INTERRUPTED, Outcome.CRASHED, Outcome.RESTARTED, Outcome.LOG_FAILED,
+    Outcome.NOT_STARTED,
 }  # fmt: skip
 MONITORS_OF_TIME = frozenset({"S7", OBJECT_MONITOR, "L1", "L2"})
 """Ends that a computer that does not keep up can be the cause of: they say nothing of the mission.

@@ -30,12 +30,16 @@ REPORTS = Enough(0.9, 0.5)  # of a state: the next one is as good
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A finding about one thing. ``note``: a flight is possible, something else is not, or was not tested."""
+    """A finding about one thing. ``note``: a flight is possible, something else is not, or was not tested.
+
+    ``untested``: nothing is known of it, so that nothing may be promised.
+    """
 
     state: State
     name: str
     detail: str
     fix: str = ""
+    untested: bool = False
 
 
 @runtime_checkable

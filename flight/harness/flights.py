@@ -40,6 +40,9 @@ class Progress:
     evidence: tuple[float, float] | None = None
 
 
+ABSENT = "absent"
+"""The phase of a role whose program a person has not started yet."""
+
 Emit = Callable[[Progress], None]
 
 

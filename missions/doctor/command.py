@@ -46,10 +46,18 @@ def run(options: DoctorOptions, out: TextIO | None = None) -> int:
 
 
 def verdict(found: Sequence[Finding], *, tested: bool) -> str:
-    """The last line. Of parts that were not tried nothing is promised."""
+    """The last line. Of what was not tried nothing is promised.
+
+    Args:
+        tested: whether a role's parts were to be tested.
+    """
     faults, notes = (sum(finding.state == state for finding in found) for state in ("fault", "note"))
+    untested = ", ".join(finding.name for finding in found if finding.untested)
+    but = f"; not tested: {untested}" if untested else ""
     if faults:
-        return f"{faults} fault{'s' if faults > 1 else ''}: not ready to fly"
+        return f"{faults} fault{'s' if faults > 1 else ''}: not ready to fly{but}"
+    if untested:
+        return f"no fault, but not known to be ready to fly{but}"
     besides = f", {notes} note{'s' if notes > 1 else ''}" if notes else ""
     return (
         f"ready to fly{besides}" if tested else f"ready{besides}; --role sender or --role receiver tests its parts too"

@@ -92,7 +92,8 @@ def detector_of(perception: PartSpec) -> tuple[PartSpec, float | None] | None:
 
 
 async def _stood_in(harness: str) -> AsyncIterator[Finding]:
-    yield Finding("note", "not tested", f"the harness {harness} stands in for it, and runs only in a flight")
+    detail = f"not tested: the harness {harness} stands in for it, only in a flight; it is no hardware"
+    yield Finding("note", "", detail, untested=True)
 
 
 def run_test(test: PartTest, limit_s: float = LIMIT_S) -> list[Finding]:

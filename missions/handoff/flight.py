@@ -13,9 +13,10 @@ from flight.harness.flights import Emit, FlightReport, FlightRequest, Harness, R
 from flight.outcome import Outcome, violated_outcome
 from missions import rig_library
 from missions.handoff.right_object import fly_watched
-from missions.handoff.served import waiting_for
+from missions.handoff.served import stand_in
 from missions.lateness import for_lateness
 from missions.leg.process import fly_role, load_program
+from missions.report.advice import advice
 from missions.report.records import RUN, RunFacts, RunFolderError, write_facts
 from missions.run_folder import claimed
 from missions.shown import FolderGone, say_unwritten
@@ -84,8 +85,7 @@ def fly_once(
 
     def command(role: Role) -> Sequence[str]:
         if programs.elsewhere:
-            emit(waiting_for(role, "start it now"))
-            return [sys.executable, "-m", "missions.handoff.elsewhere", role.value, str(out)]
+            return stand_in(rig, role, out)
         return [
             sys.executable, "-m", "missions.cli", *programs.arguments(role), "--rig", str(rig.file), "--out", str(out),
             "--console", "events", "--guard", "expect" if rig.role(role).guard else "none",
@@ -154,8 +154,16 @@ def unwritten(facts: RunFacts, error: OSError) -> RunFacts:
 
 def judge(report: FlightReport, good: Outcome = Outcome.COMMITTED) -> tuple[Outcome, str]:
     """The outcome of the whole run: what a computer that was too slow explains is blamed on nobody else."""
-    outcome, detail = _cause(report, good)
+    absent = [end for end in report.results.values() if end is not None and end.outcome is Outcome.NOT_STARTED]
+    explained = bool(absent) and not report.violations  # also that the run did not end in time, and the other's end
+    outcome, detail = _nobody_came(absent) if explained else _cause(report, good)
     return for_lateness(report, outcome, detail)
+
+
+def _nobody_came(absent: Sequence[RoleResult]) -> tuple[Outcome, str]:
+    """The end of a run in which these programs were to be started by a person, and were not."""
+    who = "; ".join(f"{end.role.value}: {end.detail}" for end in absent)
+    return Outcome.NOT_STARTED, f"{who}. {advice(Outcome.NOT_STARTED.label)}"
 
 
 def _cause(report: FlightReport, good: Outcome) -> tuple[Outcome, str]:

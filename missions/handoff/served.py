@@ -9,13 +9,15 @@ from pathlib import Path
 
 from drivers.interfaces import PartError
 from drivers.rig.parts import Rig
-from flight.harness.flights import Progress
 from missions import rig_library
 from missions.options.flights import HandoffOptions
 from path.messages import Role
 
 RUN_VARIABLE = "PATH_HANDOFF_RUN"
 """Names what a run in real time shares between its processes: the variable of ``hil.camera.shared``."""
+
+WAIT_S = 120.0
+"""For so long the world waits for each of the programs: who has read the lines has two shells to open."""
 
 
 def check_served(rig: Rig, options: HandoffOptions) -> None:
@@ -31,13 +33,19 @@ def check_served(rig: Rig, options: HandoffOptions) -> None:
 
 def tell_commands(rig: Rig, folder: Path) -> None:
     """Says what to type in other shells; when, is said once the world is ready."""
-    sys.stdout.write("once the world is ready, in two other shells, from this folder:\n")
+    sys.stdout.write(f"once the world is ready, within {WAIT_S:g} s, in two other shells, from this folder:\n")
     for role in Role:
-        words = ["path-handoff", role.value, "--rig", rig_library.name_of(rig), "--out", str(folder)]
-        sys.stdout.write(f"  {RUN_VARIABLE}=run-{os.getpid()} {shlex.join(words)}\n")
+        sys.stdout.write(f"  {typed(rig, role, folder)}\n")
     sys.stdout.flush()
 
 
-def waiting_for(role: Role, what: str) -> Progress:
-    """The console's lines about a drone whose program is another shell's."""
-    return Progress(role, 0, "waiting", 0, 0, None, None, None, 0.0, False, what)
+def typed(rig: Rig, role: Role, folder: Path) -> str:
+    """Return what a person types in another shell, for this world."""
+    words = ["path-handoff", role.value, "--rig", rig_library.name_of(rig), "--out", str(folder)]
+    return f"{RUN_VARIABLE}=run-{os.getpid()} {shlex.join(words)}"
+
+
+def stand_in(rig: Rig, role: Role, folder: Path) -> list[str]:
+    """Return the command of what stands in for a drone's program that is another shell's."""
+    module = "missions.handoff.elsewhere"
+    return [sys.executable, "-m", module, role.value, str(folder), f"{WAIT_S:g}", typed(rig, role, folder)]

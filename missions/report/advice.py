@@ -37,6 +37,7 @@ _ADVICE: dict[Outcome, str] = {
     Outcome.RESTARTED: "See what ended the program the first time: the log before, and *.stderr.txt.",
     Outcome.NO_RELIEF: "Call reliefs earlier, or have more drones ready.",
     Outcome.LOG_FAILED: "Free some disk: this run's logs are not whole.",
+    Outcome.NOT_STARTED: "Serve the world again, and type what it prints in two other shells once it says so.",
     Outcome.MONITOR_VIOLATED: "Report it, with this folder: a rule of safety was broken.",
     Outcome.HARNESS_FAILED: "Run it again; it was the simulation.",
     Outcome.OVERLOADED: "Free the computer and fly again, or take a rig with smaller pictures or a lower rate.",

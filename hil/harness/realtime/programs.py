@@ -14,7 +14,7 @@ from collections.abc import Awaitable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from flight.harness.flights import Progress, RoleResult, decode_event
+from flight.harness.flights import ABSENT, Progress, RoleResult, decode_event
 from hil.harness.leg_faults import LegFaults
 from hil.harness.realtime.children import (
     Child,
@@ -197,9 +197,10 @@ class LivePrograms:
             if isinstance(event, RoleResult):
                 drone.result = event
             elif isinstance(event, Progress):
-                self._reported(drone.name)
                 self._orders.emit(event)
-                self.legs.on_progress(drone.name, event)
+                if event.phase != ABSENT:
+                    self._reported(drone.name)
+                    self.legs.on_progress(drone.name, event)
             else:
                 self._hear(drone.name, line)
         await program.wait()

@@ -37,7 +37,8 @@ def test_behind_a_harness_only_what_needs_no_far_side_is_tested() -> None:
     for test in tests[1:]:
         (finding,) = run_test(test)
         assert finding.state == "note"
-        assert "hil.harness.sitl:SitlHarness stands in" in finding.detail
+        assert finding.untested and finding.name == test.name
+        assert finding.detail.startswith("not tested: the harness hil.harness.sitl:SitlHarness stands in")
     assert run_test(tests[0])[0].state == "ok"
 
 
@@ -88,6 +89,7 @@ def test_in_the_field_every_part_is_opened(monkeypatch: pytest.MonkeyPatch) -> N
     assert "RealSense" in every["sender perception"].detail
     assert every["sender link opens"].state == "ok"
     assert every["sender link other end"].state == "note"
+    assert [finding.name for finding in every.values() if finding.untested] == ["sender link other end"]
 
 
 class Part:
@@ -159,6 +161,31 @@ def test_doctor_tests_the_parts_of_the_role_and_a_fault_among_them_is_its_exit_c
     out = io.StringIO()
     assert doctor.run(DoctorOptions("sitl"), out) == 0
     assert "--role sender" in out.getvalue()
+
+
+@pytest.mark.parametrize(("name", "role"), [("sitl", "sender"), ("sim", "receiver")])
+def test_nothing_is_called_ready_to_fly_of_which_nothing_was_tested(
+    name: str, role: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(doctor, "computer_findings", lambda *_: [Finding("ok", "computer", "is quick")])  # type: ignore[misc]
+    monkeypatch.setattr(doctor, "findings", lambda _: [Finding("ok", "rig", "is read")])  # type: ignore[misc]
+    out = io.StringIO()
+    assert doctor.run(DoctorOptions(name, role=role), out) == 0  # type: ignore[arg-type]
+    last = out.getvalue().splitlines()[-1]
+    parts = ", ".join(f"{role} {part}" for part in ("vehicle", "guard", "perception", "link"))
+    assert last == f"no fault, but not known to be ready to fly; not tested: {parts}"
+
+
+def test_the_last_line_tells_what_was_not_tested_beside_faults_and_notes_and_else_that_it_is_ready() -> None:
+    alone = Finding("note", "sender link other end", "nobody answered", untested=True)
+    fault = Finding("fault", "sender vehicle", "no heartbeat")
+    note = Finding("note", "Python", "one core")
+    not_known = "no fault, but not known to be ready to fly; not tested: sender link other end"
+    assert doctor.verdict([note, alone], tested=True) == not_known
+    told = "1 fault: not ready to fly; not tested: sender link other end"
+    assert doctor.verdict([fault, alone], tested=True) == told
+    assert doctor.verdict([note], tested=True) == "ready to fly, 1 note"
 
 
 def test_a_terminal_sees_the_same_table_grow() -> None:

@@ -98,6 +98,21 @@ def test_a_violated_monitor_beats_every_end() -> None:
         assert judged == (Outcome.MONITOR_VIOLATED, "S9 at 3.00 s: near")
 
 
+@pytest.mark.parametrize("other", [Outcome.NOT_STARTED, Outcome.PEER_LOST, Outcome.TARGET_NOT_FOUND, None])
+def test_that_nobody_started_a_program_is_named_before_what_came_of_it(other: Outcome | None) -> None:
+    late = {"failure": "the run did not end within 360 s", "interrupted": True, "overload": "its pictures were late"}
+    for changes in ({}, late):
+        outcome, detail = judge(report(other, Outcome.NOT_STARTED, **changes))
+        assert outcome is Outcome.NOT_STARTED
+        assert "receiver: seen. Serve the world again" in detail
+        assert detail.startswith("sender: seen; ") == (other is Outcome.NOT_STARTED)
+
+
+def test_a_violated_monitor_is_not_explained_by_a_program_that_nobody_started() -> None:
+    judged = judge(report(Outcome.GUARD, Outcome.NOT_STARTED, violations={"S9": 1}, notes=("S9 at 3.00 s: near",)))
+    assert judged == (Outcome.MONITOR_VIOLATED, "S9 at 3.00 s: near")
+
+
 def test_another_object_has_an_end_of_its_own_and_beats_the_commit() -> None:
     judged = judge(report(Outcome.COMMITTED, Outcome.COMMITTED, violations={"S12": 1}, notes=("S12 at 3.00 s: 1",)))
     assert judged == (Outcome.WRONG_OBJECT, "S12 at 3.00 s: 1")
