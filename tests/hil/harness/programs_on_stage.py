@@ -61,6 +61,7 @@ class Stage:
     on_progress: Any = None
     ending: Any = None
     shares: Mapping[str, CpuShare] = field(default_factory=dict[str, CpuShare])
+    awaited: frozenset[str] = frozenset()
 
     @property
     def request(self) -> FlightRequest:
@@ -92,7 +93,7 @@ class Stage:
             sitl.orders_of(self.request, self.shares),
             world=python(READY + (world or WRITES_DOWN.format(file=str(self.out / "told")))),
             program=command,
-            awaited=frozenset(),
+            awaited=self.awaited,
         )
         return RealTimeRun(orders, sitl.ENDS, {LEG: [parse_fault(text) for text in faults]})
 

@@ -8,6 +8,7 @@ import signal
 import textwrap
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from drivers.cpu_share import CpuShare
 from drivers.interfaces import PartError
 from drivers.link.udp import address_of
 from drivers.rig.parts import with_slow
-from flight.harness.flights import FlightRequest, Progress, encode_event
+from flight.harness.flights import ABSENT, FlightRequest, Progress, encode_event
 from flight.outcome import Outcome
 from hil.harness import sitl
 from hil.harness.realtime import children
@@ -118,6 +119,24 @@ def test_a_signal_stops_the_roles_gently(stage: Stage) -> None:
     run = stage.fly(programs)
     assert run.interrupted
     assert {end.outcome for end in results(run).values()} == {Outcome.INTERRUPTED}
+
+
+@pytest.mark.parametrize(("comes", "begins"), [(True, 1), (False, 0)])
+def test_the_worlds_time_begins_with_the_last_program_and_not_while_one_is_absent(
+    stage: Stage, comes: bool, begins: int
+) -> None:
+    stage.awaited = frozenset(sitl.ENDS)
+    absent = replace(progress(Role.RECEIVER), phase=ABSENT)
+    end = result(Role.RECEIVER, Outcome.COMMITTED if comes else Outcome.NOT_STARTED)
+    come = [progress(Role.RECEIVER)] if comes else []
+    programs = {
+        Role.SENDER: saying(progress(Role.SENDER), result(Role.SENDER)),
+        Role.RECEIVER: saying(absent, *come, end),
+    }
+    run = stage.fly(programs)
+    assert (stage.out / "told").read_text().count('"begin"') == begins
+    assert ABSENT in [shown.phase for shown in stage.shown]
+    assert results(run)[Role.RECEIVER].outcome is end.outcome
 
 
 def test_nothing_is_left_behind_not_even_a_child_of_a_child(stage: Stage) -> None:
