@@ -69,11 +69,11 @@ class Truth:
 
     def T_w_c(self, role: Role, stamp_ns: int) -> Pose:
         """A role's camera in the world."""
-        return self._T_w_b(role, role, stamp_ns) @ self.scene.T_b_c[role]
+        return self.T_w_b(role, role, stamp_ns) @ self.scene.T_b_c[role]
 
     def T_v_c2(self, stamp_ns: int) -> Pose:
         """The receiver's camera in the marker's frame; stamp of the receiver's clock."""
-        T_w_v = self._T_w_b(Role.SENDER, Role.RECEIVER, stamp_ns) @ self.scene.T_b_v
+        T_w_v = self.T_w_b(Role.SENDER, Role.RECEIVER, stamp_ns) @ self.scene.T_b_v
         return T_w_v.inverse() @ self.T_w_c(Role.RECEIVER, stamp_ns)
 
     def T_w_o(self, object_id: int, role: Role, stamp_ns: int) -> Pose:
@@ -100,7 +100,7 @@ class Truth:
 
         return min(self.object_ids, key=distance_px)
 
-    def _T_w_b(self, body: Role, clock: Role, stamp_ns: int) -> Pose:
+    def T_w_b(self, body: Role, clock: Role, stamp_ns: int) -> Pose:
         w, x, y, z = self._at(self._q[body], clock, stamp_ns)
         norm = math.sqrt(w * w + x * x + y * y + z * z)
         R = R_from_quat((w / norm, x / norm, y / norm, z / norm))

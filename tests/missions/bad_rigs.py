@@ -104,7 +104,8 @@ RIGS: tuple[tuple[str, str], ...] = (
     ("[mission.deadlines]\ndepart_s = 2", "deadlines.depart_s: 2 s; the way off takes 2.08 s at least"),
     ("[mission]\nreceiver_status_hz = 1", "guard.near_silence_s: 0.8 s is not longer than 1 s: Status comes 1 times a second"),
     ("[mission.guard]\npeer_silence_s = 0.5", "guard.near_silence_s: 0.8 s is above peer_silence_s = 0.5 s"),
-    ("[sender.perception]\nfactory = \"hil.geometric.perception:GeometricPerception\"\nrate_hz = 1.0", "guard.frame_age_s: 0.8 s is not longer than 1 s"),
+    ("[sender.perception]\nfactory = \"hil.geometric.perception:GeometricPerception\"\nrate_hz = 5.0\n[mission.guard]\nframe_age_s = 0.15", "guard.frame_age_s: 0.15 s is not longer than 0.2 s"),
+    ("[sender.perception]\nfactory = \"hil.geometric.perception:GeometricPerception\"\nrate_hz = 1.0", "frames come 1 s apart"),
     # the world of a simulated rig
     ("[world.look_alikes]\ncount = 3000", "look_alikes.count: 3000 objects is not within 0..50 objects"),
     ("[world.look_alikes]\ncount = 1\ndriving = 2", "driving must be within 0..count"),
