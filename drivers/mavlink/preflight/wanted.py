@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from drivers.mavlink.preflight.pilot_rules import SILENCING
 
 LONGEST_WITHOUT_SETPOINTS_S = 2.0
+LONGEST_OF_A_SIMULATOR_S = 10.0  # one that no pilot can take: its failsafe waits while what comes before it is measured
 LONGEST_WITHOUT_COMPANION_S = 5.0  # as ArduCopter is delivered
 ALT_MAX, CIRCLE = 1, 2  # bits of FENCE_TYPE
 HIGHEST_CM, LEAST_CM = 12_000.0, 100.0  # of RTL_ALT: as high as a fence may be; what is less was meant in metres
@@ -136,9 +137,15 @@ def refused(wanted: Mapping[str, float], *, radio: bool, companion_id: int) -> C
         radio: whether a pilot has one.
         companion_id: our own system id, which a failsafe has to watch.
     """
-    reasons = [wrong(name, value, radio=radio) for name, value in wanted.items()]
+    judged = {name: value for name, value in wanted.items() if radio or not _waits_to_be_measured(name, value)}
+    reasons = [wrong(name, value, radio=radio) for name, value in judged.items()]
     for name in COMPANION:
         if name in wanted and wanted[name] != companion_id:
             other = f"its failsafe would not watch this program, own_sysid {companion_id}"
             reasons.append(f"{name} = {wanted[name]:g}: {other}")
     return [reason for reason in reasons if reason]
+
+
+def _waits_to_be_measured(name: str, value: float) -> bool:
+    """Return whether this is PX4's failsafe for setpoints, made to wait while the guard is measured."""
+    return name == "COM_OF_LOSS_T" and 0.0 < value <= LONGEST_OF_A_SIMULATOR_S

@@ -299,7 +299,6 @@ def test_what_is_on_the_ground_waits_until_it_is_told_to_begin() -> None:
     late, prompt = World(WorldConfig(), 3), World(WorldConfig(), 3)
     late.hold_traffic()
     late.advance(60.0)
-    prompt.advance(0.1)
     assert late.snapshot().objects[0].position_w_m == pytest.approx(prompt.snapshot().objects[0].position_w_m)
     late.begin_traffic()
     late.advance(90.0)

@@ -23,7 +23,7 @@ BOTH_WAYS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {  # what ma
     "COM_RC_OVERRIDE": ((2, 3), (0, 1)),
     "COM_RCL_EXCEPT": ((0, 1, 3), (4, 6, 7)),
     "NAV_RCL_ACT": ((1, 2, 3), (0, 4, 5, 6)),
-    "COM_OF_LOSS_T": ((0.2, 0.5, 1.0, 2.0), (0.0, -1.0, 2.1, 50.0, math.nan)),
+    "COM_OF_LOSS_T": ((0.2, 0.5, 1.0, 2.0), (0.0, -1.0, 10.1, 50.0, math.nan)),
     "COM_OBL_RC_ACT": ((3, 4), (-1, 0, 1, 2, 5, 6, 7)),
     "NAV_DLL_ACT": ((0, 1, 2, 3), (5, 6)),
     "COM_LOW_BAT_ACT": ((1, 2, 3), (0,)),
@@ -101,3 +101,10 @@ def test_a_rig_that_wants_an_unsafe_value_is_refused_when_it_is_checked(tmp_path
     with pytest.raises(RigError, match=told) as caught:
         check_rig(rig_library.load_unchecked(str(own)), harness=False)
     assert name in str(caught.value)
+
+
+def test_a_simulator_that_no_pilot_can_take_may_wait_so_that_the_guard_is_measured_before_it() -> None:
+    assert not refused({"COM_OF_LOSS_T": 5.0}, radio=False, companion_id=245)
+    for value in (2.1, 5.0, 10.0):
+        assert refused({"COM_OF_LOSS_T": value}, radio=True, companion_id=245)
+    assert refused({"COM_OF_LOSS_T": 50.0}, radio=False, companion_id=245)
