@@ -22,7 +22,9 @@ from flight.clocks import answer
 from flight.config import MissionConfig
 from flight.phases import Phase
 from missions.work import Work
+from path.alike import Alike
 from path.messages import (
+    STEPS,
     Abort,
     AbortReason,
     Accept,
@@ -276,7 +278,22 @@ def _handover(role: Role) -> tuple[Message, ...]:
 def extremes(role: Role) -> tuple[Message, ...]:
     """One message of every kind the role sends, as long as it can be on the wire: its last byte is not zero."""
     late, full, most = 2**64 - 1, 2**16 - 1, 2**32 - 1
-    status = Status(role, late // 8, (1e3, -1e3, -50.0), (9.0, -9.0, 3.0), -3.0, 255, True, True, 1.0, INSTANCE)
+    alike = Alike(full, full, full, full, full, full, full, full, full)
+    status = Status(
+        role,
+        late // 8,
+        (1e3, -1e3, -50.0),
+        (9.0, -9.0, 3.0),
+        -3.0,
+        255,
+        True,
+        True,
+        1.0,
+        INSTANCE,
+        ended=255,
+        steps=STEPS - 1,
+        alike=alike,
+    )
     ping, pong = Ping(most, late), Pong(most, late, late, late)
     abort = Abort(full, full, AbortReason.SHUTDOWN, late, INSTANCE)
     if role is Role.SENDER:

@@ -12,7 +12,7 @@ from missions.trials.link import trial as link
 from missions.trials.link.traffic import LinkTraffic, TappedPacket, extremes, flow
 from missions.trials.shared.trial import TrialRequest, TrialResult
 from missions.work import open_work
-from path.messages import Role
+from path.messages import Role, Status
 
 SECONDS = 1
 HEADER = 10
@@ -72,6 +72,16 @@ def test_extremes_are_as_long_as_their_message_can_be(role: Role) -> None:
         payload = data[HEADER : HEADER + data[1]]
         assert payload[-1] != 0
         assert len(payload) == dialect.mavlink_map[int.from_bytes(data[7:HEADER], "little")].unpacker.size
+
+
+@pytest.mark.parametrize("role", Role)
+def test_a_status_while_both_verify_is_as_long_as_one_without_digests_and_end_can_be(role: Role) -> None:
+    codec = Codec(role, bytes(32))
+    longest = next(message for message in extremes(role) if isinstance(message, Status))
+    sizes = {"target": {"wire_b": 81}, "status": {"wire_b": len(codec.encode(longest))}}
+    verifying = link.while_verifying(sizes)
+    assert verifying["status"]["wire_b"] == len(codec.encode(replace(longest, alike=None, ended=0)))
+    assert verifying["target"] == sizes["target"]
 
 
 def test_rates_count_the_headers_that_the_kernel_adds() -> None:
