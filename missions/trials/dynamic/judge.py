@@ -45,6 +45,7 @@ from path.target.kernels import MAD_TO_SIGMA
 Array = NDArray[np.float64]
 
 SUBJECTS = ("d2", "target")
+LEAST_AT_REST = 3  # positions: of no more nothing is said
 WANDER_S = 4.0  # within this a vehicle's own position drifts by less than the beacons' noise
 RPE_S, RPE_M = 1.0, 1.0
 
@@ -78,7 +79,7 @@ class SessionErrors:
         clock: the beacons' clock and frame against what both vehicles believe of their own motion; its offset and
             that one's deviation are of ``fit_offset``.
         frame, free: their frame against PATH's trajectories: about the vertical, and by any rotation.
-        noise_m: of a beacon position per axis, from its spread before anything moved.
+        noise_m: of a beacon position per axis, from the spread of D2's before it was armed.
         beacons: by subject.
     """
 
@@ -170,18 +171,17 @@ def pairs_of(motions: Motions, heard: BeaconTrace) -> tuple[list[MotionPair], li
 
 
 def noise_at_rest(motions: Motions, heard: BeaconTrace, offset_s: float) -> tuple[float, int]:
-    """Standard deviation of a position per axis while D2 and the target had not moved yet, and from how many.
+    """Standard deviation of a position per axis while D2 had not been armed yet, and from how many.
 
+    Of D2 alone: the target may move from the first second, and D1 takes off first.
     From the median deviation: a few reflections in a row pass the check for jumps, and would say all positions are bad.
     """
-    off: list[Array] = []
-    for name in ("receiver", "target"):
-        path = heard.paths[name]
-        rest = path.p[path.t + offset_s < motions.still_until_s - 0.5]
-        if len(rest) > 3:
-            off.append(np.abs(rest - np.median(rest, axis=0)).ravel())
-    together = np.concatenate(off) if off else np.zeros(0)
-    return (MAD_TO_SIGMA * float(np.median(together)), len(together)) if len(together) else (math.nan, 0)
+    path = heard.paths["receiver"]
+    rest = path.p[path.t + offset_s < motions.still_until_s - 0.5]
+    if len(rest) <= LEAST_AT_REST:
+        return math.nan, 0
+    off = np.abs(rest - np.median(rest, axis=0))
+    return MAD_TO_SIGMA * float(np.median(off)), off.size
 
 
 def _against_beacons(pair: MotionPair, frame: Alignment, k: int, noise_m: float, factors: Array) -> Compared:

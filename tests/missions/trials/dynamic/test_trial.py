@@ -152,6 +152,23 @@ def test_reflections_before_take_off_do_not_make_the_beacons_worse() -> None:
     assert noisy == pytest.approx(clean, rel=0.2)
 
 
+def test_a_target_that_moves_before_take_off_does_not_make_the_beacons_worse() -> None:
+    """What D2's beacon says at rest is all that counts: the target may move from the first second, D1 flies first."""
+    rng = np.random.default_rng(4)
+    t = np.linspace(0.0, 14.75, 60, dtype=np.float64)
+    still = Trajectory(t, rng.normal(0.0, 0.02, (60, 3)))
+    moving_on = Trajectory(t, still.p + 0.3 * t[:, None])
+    none = Trajectory(np.zeros(0), np.zeros((0, 3)))
+    motions = Motions(none, none, 100.0, none, none, (0.0, 0.0))
+    heard = BeaconTrace({"sender": moving_on, "receiver": still, "target": moving_on}, 180, 0)
+    noise_m, count = noise_at_rest(motions, heard, 0.0)
+    assert count == 180
+    assert noise_m == pytest.approx(0.02, rel=0.15)
+    nothing = noise_at_rest(motions, replace(heard, paths={**heard.paths, "receiver": none}), 0.0)
+    assert math.isnan(nothing[0])
+    assert nothing[1] == 0
+
+
 def test_positions_are_steadied_by_velocities_without_delay() -> None:
     """White noise of 2 cm on a motion to and fro: most of it goes, and the motion stays where it was in time."""
     rng = np.random.default_rng(5)
