@@ -196,6 +196,11 @@ class Sender:
         peer = self._session.peer
         return peer is None or peer.phase < Phase.STAND_OFF
 
+    def _comes_near(self) -> bool:
+        """Return whether the receiver is near this drone, or was closing in on it when it was last heard."""
+        session, peer = self._session, self._session.peer
+        return session.phase is Phase.VERIFY or (peer is not None and peer.phase >= Phase.APPROACH)
+
     def _regaining(self) -> bool:
         """The target was out of sight for a while: more of the ground is seen from farther off."""
         track = self._track
@@ -237,7 +242,7 @@ class Sender:
         """Keep the target in view from behind."""
         assert self._track is not None
         session = self._session
-        if session.phase is Phase.VERIFY and session.peer_silence_s() > self._config.guard.near_silence_s:
+        if self._comes_near() and session.peer_silence_s() > self._config.guard.near_silence_s:
             # the receiver may hang or sink where it was last, and the target may lead there
             return VelocitySetpoint((0.0, 0.0, 0.0), self._heading_rad)
         target, (north, east, down) = self._track.believed(session.now_ns())
