@@ -183,12 +183,13 @@ class Sender:
         """-1 left, 1 right; by both drones' own positions until it was measured on the marker."""
         if self._receiver_side is not None:
             return self._receiver_side
-        peer = self._session.peer
+        session, peer = self._session, self._session.peer
         if peer is None:
             return -1.0
-        _, right_m, _ = from_heading(
-            subtract(self._session.here(peer).position_n_m, state.position_n_m), -self._heading_rad
-        )
+        # a receiver that died flew on at first, as it was flying when it was last heard
+        flown_on_s = min(session.peer_silence_s(), self._config.guard.near_silence_s)
+        receiver = add(session.here(peer).position_n_m, scale(peer.velocity_n_mps, flown_on_s))
+        _, right_m, _ = from_heading(subtract(receiver, state.position_n_m), -self._heading_rad)
         return 1.0 if right_m > 0.0 else -1.0
 
     def _may_regain(self) -> bool:

@@ -166,7 +166,7 @@ def test_a_fault_ends_in_its_outcome_and_the_sender_keeps_the_target(tmp_path: P
         assert not last["receiver"]["in_air"]
 
 
-@pytest.mark.parametrize("seed", [1, 5])  # in which D2 has the marker in view while it falls
+@pytest.mark.parametrize("seed", [3, 8])  # in which D2 has the marker in view while it falls
 def test_going_around_takes_until_the_drone_is_within_its_bounds_again(tmp_path: Path, seed: int) -> None:
     """Its pilot stops the motors as the approach begins; it falls, and is told only with a heartbeat a second."""
     (tmp_path / "rig.toml").write_text(
@@ -220,7 +220,7 @@ def test_a_program_that_is_killed_and_started_again_goes_by_what_it_wrote_down(
     assert not last["sender"]["in_air"] and not last["receiver"]["in_air"]
 
 
-@pytest.mark.parametrize("seed", [0, 7, 10])  # the receiver is to the right, the left, the right of it by then
+@pytest.mark.parametrize("seed", [0, 2, 5, 10])  # the receiver is right, right, left, left of it by then
 def test_a_sender_leaves_away_from_a_receiver_that_died_on_its_way_to_it(tmp_path: Path, seed: int) -> None:
     flown = fly("sim", tmp_path, seed, "kill_receiver@approach+1", errors="exact")  # the side is part of the seed
     (fault,) = flown.run.world["/fault"]
@@ -229,6 +229,7 @@ def test_a_sender_leaves_away_from_a_receiver_that_died_on_its_way_to_it(tmp_pat
     places = [(each["sender"]["t"], each["receiver"]["t"]) for each in after]
     (began, other), (ended, _) = places[0], places[-1]
     to_receiver_m, flown_m = other[0] - began[0], ended[0] - began[0]  # east is to the right of the heading
+    assert abs(to_receiver_m) > 0.25  # straight behind, as both positions are known, no side is the other one
     assert abs(flown_m) > 1.5 and flown_m * to_receiver_m < 0.0
     assert flown.facts.violations == {}
 
@@ -275,14 +276,15 @@ def test_a_plate_that_is_upside_down_is_never_flown_by_and_said_by_its_cause(
 
 
 @pytest.mark.parametrize(("who", "step_s"), [("sender", 5.0), ("receiver", -5.0), ("sender", 0.5)])
-def test_a_drone_whose_own_clock_is_set_while_it_verifies_says_so(tmp_path: Path, who: str, step_s: float) -> None:
+def test_a_drone_whose_own_clock_is_set_in_flight_says_so(tmp_path: Path, who: str, step_s: float) -> None:
     clock = {"factory": "tests.stepping_clock:SteppingClock", "offset_s": 100.0, "step_s": step_s, "at_s": 25.0}
     lines = [f"{key} = {json.dumps(value)}" for key, value in clock.items()]
     rig = tmp_path / "set.toml"
     rig.write_text("\n".join(['name = "set"', 'like = "sim"', 'level = "sim"', f"[{who}.clock]", *lines]), "utf-8")
     flown = fly(str(rig), tmp_path / "run", 7)
     assert flown.facts.outcome == "clock_fault", flown.facts.detail
-    assert f"own clock was set by {step_s:+.1f} s" in flown.facts.detail
+    # either drone may notice first; the one whose own clock it was says so, whatever the other takes it for
+    assert flown.last_outcome(Role(who))["detail"] == f"this drone's own clock was set by {step_s:+.1f} s"
     assert flown.facts.violations == {}
 
 
