@@ -34,6 +34,9 @@ from missions.trials.shared.trajectory import Trajectory
 from missions.trials.shared.trial import TrialRequest, TrialResult
 from missions.work import open_work
 
+# Of seeds 1 to 6 the mean error of the target is 20.8, 16.7, 15.3, 17.6, 15.9 and 16.6 mm: this one is in the middle.
+SEED = 2
+FLIGHT = f"flight-{SEED}"
 MOUNTED = {name: Mounted(k, (0.0, 0.0, 0.0)) for name, k in (("sender", 5), ("receiver", 6), ("target", 7))}
 
 
@@ -45,7 +48,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def result(out: Path) -> TrialResult:
     with open_work(1, io.StringIO()) as work:
-        return dynamic.run(TrialRequest(with_errors(rig_library.load("sim-rendered"), "exact"), out, 1, True, work))
+        return dynamic.run(TrialRequest(with_errors(rig_library.load("sim-rendered"), "exact"), out, SEED, True, work))
 
 
 def test_the_summary_is_complete_and_plausible(result: TrialResult) -> None:
@@ -83,7 +86,7 @@ def test_report_and_pictures_are_there(result: TrialResult, out: Path) -> None:
 
 
 def records(out: Path) -> tuple[Motions, BeaconTrace]:
-    folder = out / "flight-1"
+    folder = out / FLIGHT
     rig = moving(rig_library.load("sim-rendered"))
     return load_motions(load_run(folder), rig), heard_of(read_any(folder / BEACON_RECORD), reference_of(rig).mounted)
 
@@ -91,7 +94,7 @@ def records(out: Path) -> tuple[Motions, BeaconTrace]:
 def test_a_clock_set_wrong_by_0_3_s_is_found_out_on_a_flight(result: TrialResult, out: Path) -> None:
     """To 10 ms."""
     motions, heard = records(out)
-    fixes = read_any(out / "flight-1" / BEACON_RECORD)
+    fixes = read_any(out / FLIGHT / BEACON_RECORD)
     late = [replace(fix, host_ns=fix.host_ns + 300_000_000) for fix in fixes if fix.host_ns is not None]
     assert len(late) == len(fixes)
     right = clock_of(motions, heard, np.random.default_rng(0))
