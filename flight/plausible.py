@@ -12,10 +12,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from drivers.rig.parts import PartSpec, Rig, RoleRig, decode_part
+from drivers.rig.parts import Rig
 from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
 from flight.harness.fleet import RelayConfig
+from flight.plan.facts import camera_rate_hz
 from flight.rendezvous.viewpoint import NoViewpoint, ViewpointScene, plan_viewpoint
 from path.messages import Role
 
@@ -192,13 +193,3 @@ def _relay(relay: RelayConfig, mission: MissionConfig) -> Found:
 def _target_from_sender(mission: MissionConfig) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """The target in the body (FRD) of a level sender that follows it, m."""
     return np.array([mission.follow.behind_m, 0.0, mission.follow.height_m - mission.target.height_m])
-
-
-def camera_rate_hz(own: RoleRig) -> float | None:
-    """Returns a role's camera rate in frames a second; None when its part does not say."""
-    config = decode_part(own.perception)[1]
-    inner = getattr(config, "camera", None)
-    if isinstance(inner, PartSpec):
-        config = decode_part(inner)[1]
-    rate = getattr(config, "rate_hz", None) or getattr(config, "fps", None)
-    return None if rate is None else float(rate)

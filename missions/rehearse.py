@@ -17,7 +17,8 @@ from drivers.rig.file import find_rig, read_rig
 from drivers.rig.parts import Rig
 from drivers.rig.toml_text import toml_text
 from flight.config import MissionConfig
-from flight.plan.facts import Facts, facts_of
+from flight.plan.complete import body_of
+from flight.plan.facts import facts_of
 from missions import rig_library
 from missions.options.flights import HandoffOptions, RehearseOptions
 from missions.rig_library import mission_of
@@ -97,7 +98,7 @@ def _world(stand_in: Mapping[str, Any], rig: Rig, mission: MissionConfig) -> dic
     target_n_m = mission.target.north_m, mission.target.east_m
     world["target"] = {
         **stand_in.get("target", {}),
-        **_body(facts),
+        **body_of(facts.target),
         "start_m": [target_n_m[1], target_n_m[0]],
         "speed_mps": min(0.6 * facts.target.max_speed_mps or 0.3, 15.0),
         "radius_m": max(4.0, 12.0 * facts.target.span_m, 6.0 * facts.target.max_speed_mps),
@@ -119,13 +120,6 @@ def _world(stand_in: Mapping[str, Any], rig: Rig, mission: MissionConfig) -> dic
     world["sender_home"] = _home(mission.target.home_m, (0.0, 0.0))
     world["receiver_home"] = _home(mission.rendezvous.home_m, (-3.0, 1.5))
     return world
-
-
-def _body(facts: Facts) -> dict[str, Any]:
-    target = facts.target
-    upright = target.height_m > target.span_m
-    kind = "drone" if target.flies else "person" if upright else "car"
-    return {"kind": kind, "size_m": [target.length_m, target.width_m, target.height_m]}
 
 
 def _home(home_n_m: tuple[float, ...] | None, usual_n_m: tuple[float, float]) -> dict[str, Any]:

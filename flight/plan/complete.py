@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from drivers.rig.facts import TargetFacts
 from drivers.rig.parts import PartSpec, Rig, RoleRig
 from drivers.rig.tables import decode_table
 from flight.config import MissionConfig
@@ -73,11 +74,14 @@ def _with_body(rig: Rig) -> Mapping[str, Any]:
     facts = rig.target
     if facts is None or rig.harness is None:
         return rig.world
-    upright = facts.height_m > facts.span_m
-    kind = "drone" if facts.flies else "person" if upright else "car"
-    size_m = (facts.length_m, facts.width_m, facts.height_m)
-    own = {"kind": kind, "size_m": size_m, **rig.world.get("target", {})}
-    return {**rig.world, "target": own}
+    return {**rig.world, "target": {**body_of(facts), **rig.world.get("target", {})}}
+
+
+def body_of(target: TargetFacts) -> dict[str, Any]:
+    """Return the body that a simulated target has: of the kind that is nearest in shape, as large as stated."""
+    upright = target.height_m > target.span_m
+    kind = "drone" if target.flies else "person" if upright else "car"
+    return {"kind": kind, "size_m": [target.length_m, target.width_m, target.height_m]}
 
 
 def _measured(rig: Rig) -> MethodConfig:

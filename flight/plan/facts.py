@@ -15,7 +15,6 @@ from drivers.rig.parts import Mount, PartSpec, Rig, RoleRig, decode_part
 from flight.config import MissionConfig
 from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.messages import Role
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +99,3 @@ def camera_rate_hz(own: RoleRig) -> float | None:
         config = decode_part(inner)[1]
     rate = getattr(config, "rate_hz", None) or getattr(config, "fps", None)
     return None if rate is None else float(rate)
-
-
-ROLES = (Role.SENDER, Role.RECEIVER)
