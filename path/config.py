@@ -114,7 +114,7 @@ class MethodConfig:
     """Everything the method can be told; the same on both drones.
 
     ``tau_min``, ``tau_max`` and ``z0_m`` are not published: these defaults are ours, held against a sweep of false
-    accepts and rejected true pairs (docs/decisions/0012-thresholds.md).
+    accepts and rejected true pairs (docs/decisions/0209-a-pair-is-two-frames-mapped-by-the-boxs-centre.md).
 
     Attributes:
         box_mapping: map the centre of D2's box, then rescale ("center"), or its corner as the paper does ("corner",

@@ -38,7 +38,7 @@ LEAST_IDENTITY = 0.1
 """Nothing is offered that is the designated object with a lower probability: it is ten times as likely another.
 
 Nearer to one it is not calibrated: of people who walk, doubts that were none cost three hand-overs of eight at 0.98
-(docs/decisions/0130). What lies between is left to the gate's own guard against a D1 that went over.
+(docs/decisions/0215). What lies between is left to the gate's own guard against a D1 that went over.
 """
 DEPTH_SIGMAS = 3.0
 _SIDE_PX = 3.0  # noise of a box's side

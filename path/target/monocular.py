@@ -3,7 +3,7 @@
 What is known of the target is its apparent size: the geometric mean of its box's sides times the distance over the
 focal length, as a mean over the headings in which it may stand. Trying to tell the heading from the box as well made it
 worse: the sides' ratio depends more on a target's shape than on its heading
-(docs/decisions/0017-two-tellos.md).
+(docs/decisions/0229-two-tellos.md).
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ def run(request: TrialRequest) -> TrialResult:
             "for its UDP and IPv4 headers. Ethernet, Wi-Fi or radio framing comes on top and is the channel's.",
             "MAVLink cuts off zero bytes at a payload's end: a candidate with a box is one byte shorter than one "
             "without. Sizes are of the largest that can be sent; the rates are of what was sent.",
-            "No field is a floating point number; what rounding costs is in docs/decisions/0010.",
+            "No field is a floating point number; what rounding costs is in docs/decisions/0222.",
             "The paper counts bare payloads of 32 bit fields and does not say whether they are signed.",
         ),
     )

@@ -93,7 +93,7 @@ def test_the_closest_look_alike_is_the_one_that_drives_past() -> None:
 
 
 def test_a_pose_that_is_off_makes_the_boxes_of_a_look_alike_agree() -> None:
-    """The mapping goes back by the same wrong pose: decision 0004 says so."""
+    """The mapping goes back by the same wrong pose: decision 0209 says so."""
     found = [runner().run(Attempt(0, k, wrong=WrongAssociation("shift", 0.8, 0.0), limit_s=4.0)) for k in range(6)]
     assert sum(each.right is False for each in found) >= 4
 

@@ -179,7 +179,7 @@ def misled(residual_m: float) -> MonteCarloHandover:
 
 
 def test_a_prior_on_a_look_alike_is_told_by_no_threshold_of_the_grid() -> None:
-    """Decision 0004 says so, and the ROC leaves it out."""
+    """Decision 0209 says so, and the ROC leaves it out."""
     found = outcomes(misled(0.0).series, MethodConfig())
     k = index_of(Setting("center", 0.5, 0.5, 1.0))
     assert found.commit[k, 0] == WRONG
