@@ -22,7 +22,6 @@ TrialName = Literal[
     "handshake",
     "evidence",
     "recall",
-    "thresholds",
     "link",
     "compute",
     "processes",
@@ -70,9 +69,6 @@ class TrialOptions:
     seconds: Annotated[float, Bounds(0.0, 1e6)] = 0.0
     """The time for which `soak` verifies, 0: 20 minutes; or `beacon` records where the drones are flown from their own
     computers, 0: until Ctrl-C."""
-
-    board: FileName = None
-    """TOML file that describes a photograph of a marker board, for `corners`; without it no photograph is measured."""
 
     set: Annotated[tuple[tuple[Path, ...], ...], tyro.conf.arg(metavar="FILE ..."), tyro.conf.UseAppendAction] = ()
     """TOML files that describe sets of photographs of a board, for `real` (docs/real.md); may be given several

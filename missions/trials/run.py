@@ -59,7 +59,7 @@ def run(options: TrialOptions) -> int:
     for part in () if whole else getattr(trials[options.name], "NEEDS", ()):
         trial_part(rig, part)
     sets = sets_of(options)
-    files = (("--xfeat", options.xfeat), ("--board", options.board), *(("--set", file) for file in sets))
+    files = (("--xfeat", options.xfeat), *(("--set", file) for file in sets))
     for option, file in files:
         if file is not None and not file.is_file():
             raise PartError(f"{option} {file}: no such file", f"name a file that exists, or leave {option} out")
@@ -80,7 +80,7 @@ def _run(options: TrialOptions, rig: Rig, trials: Mapping[str, ModuleType], fold
             sys.stdout.flush()
             request = TrialRequest(
                 rig, own, options.seed, options.quick or (whole and name in SHORT_IN_ALL), work, options.xfeat,
-                options.board, options.logs, options.seconds, sets, options.photographs,
+                options.logs, options.seconds, sets, options.photographs,
             )  # fmt: skip
             begun, result, error = datetime.now(), None, ""
             try:
@@ -133,8 +133,6 @@ def command(options: TrialOptions, name: str) -> str:
         words += ["--errors", options.errors]
     if options.xfeat is not None and name in ("ambiguity", "compute"):
         words += ["--xfeat", str(options.xfeat)]
-    if options.board is not None and name == "corners":
-        words += ["--board", str(options.board)]
     if name == "real":
         words += [word for file in sets_of(options) for word in ("--set", str(file))]
         words += [] if options.photographs is None else ["--photographs", str(options.photographs)]

@@ -116,7 +116,7 @@ LINES: tuple[tuple[str, int, str], ...] = (
     ("trial static --rig sim", 3, "sim.toml: trials: missing key 'renderer'"),
     ("trial dynamic --quick --rig dynamic-sim", 3, "dynamic-sim.toml: trials: missing key 'estimator'"),
     ("trial all --xfeat none.onnx", 3, "--xfeat none.onnx: no such file"),
-    ("trial corners --board none.toml", 3, "--board none.toml: no such file"),
+    ("trial real --set none.toml", 3, "--set none.toml: no such file"),
     ("trial soak --seconds -1", 3, "--seconds: -1.0 s is not within"),
     ("report nowhere", 3, "nowhere is not the folder of a run"),
     ("report .", 3, "is not the folder of a run"),

@@ -42,7 +42,7 @@ PIPES = (
     "export p --csv", "report p", "replay p", "replay p.toml", "calibrate camera --video p.mp4 --out c.toml",
     "calibrate camera --images p --out c.toml", "calibrate mount --rig sim --measured p.toml --out m.toml",
     "calibrate mount --rig sim --measured /dev/zero --out m.toml", "handoff --rig sim-rendered-person --model p.onnx",
-    "handoff --rig sim-rendered-person --model /dev/zero", "handoff --rig sim --px4 p", "trial corners --board p.toml",
+    "handoff --rig sim-rendered-person --model /dev/zero", "handoff --rig sim --px4 p", "trial real --set p.toml",
     "trial ambiguity --xfeat p.onnx", "calibrate camera --video /dev/zero --out c.toml", "detect /dev/zero",
     "merge /dev/urandom", "sender --rig p.toml", "guard --rig /dev/zero", "handoff --rig sim --out p",
 )  # fmt: skip
@@ -63,7 +63,7 @@ LONG = (
     "handoff --rig {}", "handoff --rig {}.toml", "handoff --rig sim --out {}", "fly {}.py", "report {}", "replay {}",
     "detect {}.mp4", "rigs --new {}", "rigs --check {}", "merge {}", "export {} --csv", "view {} --save x.rrd",
     "calibrate camera --images . --out {}.toml", "calibrate mount --rig sim --measured {} --out m.toml",
-    "sender --rig {}", "trial static --out {}", "verify --quick --out {}", "trial corners --board {}",
+    "sender --rig {}", "trial static --out {}", "verify --quick --out {}", "trial real --set {}",
 )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from hil.world.config import WorldConfig
 from missions import rig_library
 from missions.calibrate.mount import MeasuredMount
 from missions.rig_list import FOLDER
-from missions.trials.board.file import BoardFile
+from missions.trials.real.set import RealSetFile
 from path.bounds import Bounds, bounds_of, numbers, unit_of
 
 STATED = (Quality,)
@@ -44,7 +44,7 @@ def parts() -> Iterator[type[Any]]:
 
 ROOTS = {
     *parts(), _RigTable, MissionConfig, RelayConfig, TeamConfig, WorldConfig, CameraTable, CameraMount,
-    MarkerMount, CameraCalibration, MountCalibration, MeasuredMount, BoardFile,
+    MarkerMount, CameraCalibration, MountCalibration, MeasuredMount, RealSetFile,
 }  # fmt: skip
 
 

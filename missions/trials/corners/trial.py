@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from missions.trials.board.file import read_board
-from missions.trials.board.pictures import draw_board
-from missions.trials.board.trial import BOARD_GOAL_PX, PICTURE, board_table, look_at
 from missions.trials.corners.conditions import (
     CAMERAS,
     CONDITIONS,
@@ -42,7 +38,6 @@ REALISTIC = ("realistic", "realistic_video", "webcam")
 
 
 def run(request: TrialRequest) -> TrialResult:
-    photo = _photo(request)
     cameras = (QUICK_MAIN,) if request.quick else tuple(CAMERAS)
     main = QUICK_MAIN if request.quick else MAIN
     samples = _shots(request, cameras)
@@ -59,20 +54,16 @@ def run(request: TrialRequest) -> TrialResult:
             "camera": main,
             "cameras": {camera: _summary(scores, camera) for camera in cameras},
             "views": QUICK_VIEWS if request.quick else VIEWS,
-            "photo": photo.summary,
-            "photo_reason": photo.reason,
         },
-        findings=(*_findings(scores, main), photo.finding),
+        findings=_findings(scores, main),
         noise=_noise_table(),
         tables=(
             *(_error_table(scores, camera) for camera in cameras),
             _honesty_table(scores, main),
-            *photo.tables,
         ),
         pictures=(
             TrialPicture(ERRORS, "Error of the corners per axis, with 95 % intervals over the views."),
             TrialPicture(STRIP, f"One view at {main} in every condition, with true and found corners."),
-            *photo.pictures,
         ),
         notes=_notes(main),
     )
@@ -119,46 +110,6 @@ def _findings(scores: Scores, camera: str) -> tuple[TrialFinding, ...]:
                 )
             )
     return (*found, *_worst(scores, camera))
-
-
-@dataclass(frozen=True, slots=True)
-class _Photo:
-    """The results from a photograph of a board; empty, with the reason, when there is none."""
-
-    summary: dict[str, Any] | None
-    reason: str
-    finding: TrialFinding
-    tables: tuple[TrialTable, ...] = ()
-    pictures: tuple[TrialPicture, ...] = ()
-
-
-def _photo(request: TrialRequest) -> _Photo:
-    """Error of the corners on a photograph by method. Raises PartError when its file cannot be used."""
-    quantity, goal = "photometric, photograph of a board, px robust per axis", f"≤ {BOARD_GOAL_PX:.2f}"
-    if request.board is None:
-        reason = "no photograph of a marker board was named (--board)"
-        return _Photo(None, reason, TrialFinding(quantity, "not measured", goal=goal, note=reason))
-    board = read_board(request.board)
-    scores = look_at(board, request.seed)
-    summary = {name: own.summary() for name, own in scores.items()}
-    own = scores.get("photometric")
-    if own is None:
-        reason = f"fewer than half of the markers of {board.file.image.name} were found"
-        return _Photo(summary, reason, TrialFinding(quantity, "not found", goal=goal, verdict="short", note=reason))
-    best = min(other.robust_px for name, other in scores.items() if name != "photometric")
-    note = (
-        f"{len(own.ids)} markers; the best of OpenCV's methods {best:.3f}. With lens and paper of sixth order instead "
-    )
-    note += f"of fourth {own.finer_px:.3f}: what paper does beyond fourth order is in the figure, of all methods."
-    reached = verdict(own.robust_px <= BOARD_GOAL_PX)
-    finding = TrialFinding(
-        quantity, f"{own.robust_px:.3f}", _between(own.interval_px), goal=goal, verdict=reached, note=note
-    )
-    draw_board(board, scores, request.out / PICTURE)
-    picture = TrialPicture(
-        PICTURE, "Corners on the photograph: what the best board and a smooth residual do not explain."
-    )
-    return _Photo(summary, "", finding, (board_table(board, scores),), (picture,))
 
 
 def _worst(scores: Scores, camera: str) -> tuple[TrialFinding, ...]:

@@ -9,14 +9,27 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from missions.trials.board.trial import BOARD_TITLES, NATIVE, Refinement
 from missions.trials.real.set import RealSet
 from path.camera.model import CameraModel
 from path.geometry.transforms import Matrix
 from path.marker.detect import refine_corners, trusted_fit
 
-METHODS: tuple[str, ...] = ("none", "subpix", "contour", "apriltag", "photometric")
-METHOD_TITLES = {name: BOARD_TITLES[name] for name in METHODS}
+METHOD_TITLES = {
+    "none": "cv2, not refined",
+    "subpix": "cv2 SUBPIX",
+    "contour": "cv2 CONTOUR",
+    "apriltag": "cv2 APRILTAG",
+    "photometric": "photometric",
+}
+METHODS = tuple(METHOD_TITLES)
+REFINEMENTS = {
+    "none": cv2.aruco.CORNER_REFINE_NONE,
+    "subpix": cv2.aruco.CORNER_REFINE_SUBPIX,
+    "contour": cv2.aruco.CORNER_REFINE_CONTOUR,
+    "apriltag": cv2.aruco.CORNER_REFINE_APRILTAG,
+}
+# AprilTag's own code puts the centre of the first pixel at 0.5.
+APRILTAG_CENTRE_PX = 0.5
 START = "contour"
 NAMED = ("filter", "coarse print", "shadow")  # what a fit can call wrong, in its order
 FELL_BACK = "fell back to SUBPIX"
@@ -38,14 +51,14 @@ Corners = dict[int, FoundMarker]
 
 def starts(own: RealSet, grey: Image) -> dict[int, Matrix]:
     """Corners good to a pixel, by id, as they lie in the camera's image."""
-    return {i: found.corners_px for i, found in _by_opencv(own, grey, NATIVE[START]).items()}
+    return {i: found.corners_px for i, found in _by_opencv(own, grey, START).items()}
 
 
 def corners_by(method: str, own: RealSet, grey: Image, start: Mapping[int, Matrix], camera: CameraModel) -> Corners:
     """Every marker of the board that a method finds."""
     if method == "photometric":
         return by_photometry(own, grey, start, camera)
-    found = _by_opencv(own, grey, NATIVE[method])
+    found = _by_opencv(own, grey, method)
     return {i: replace(marker, corners_px=camera.even(marker.corners_px)) for i, marker in found.items()}
 
 
@@ -65,14 +78,16 @@ def by_photometry(own: RealSet, grey: Image, start: Mapping[int, Matrix], camera
     return found
 
 
-def _by_opencv(own: RealSet, grey: Image, refinement: Refinement) -> Corners:
+def _by_opencv(own: RealSet, grey: Image, method: str) -> Corners:
     if own.dictionary is None:
         return {}
     parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = refinement.flag
+    parameters.cornerRefinementMethod = REFINEMENTS[method]
+    pixel_centre = APRILTAG_CENTRE_PX if method == "apriltag" else 0.0
     quads, ids, _ = cv2.aruco.ArucoDetector(own.dictionary, parameters).detectMarkers(grey)
     found: Corners = {}
     for quad, marker_id in zip(quads, np.ravel(ids) if quads else (), strict=True):
         if int(marker_id) in own.markers:
-            found[int(marker_id)] = FoundMarker(np.asarray(quad, float).reshape(4, 2) - refinement.pixel_centre)
+            corners_px = np.asarray(quad, float).reshape(4, 2) - pixel_centre
+            found[int(marker_id)] = FoundMarker(corners_px)
     return found

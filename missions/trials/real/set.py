@@ -6,7 +6,7 @@ import math
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
@@ -15,16 +15,33 @@ from numpy.typing import NDArray
 from drivers.interfaces import PartError
 from drivers.recordings.recording import IMAGE_SUFFIXES
 from drivers.rig.tables import RigError, decode_table, read_toml
-from missions.trials.board.file import BoardCamera, dictionary_named, framed_pattern
+from path.bounds import Bounds
 from path.calibration.board import Board
 from path.geometry.transforms import Matrix
 from path.marker.layout import DICTIONARIES
+from path.marker.photometric.texture import dictionary_of
 
 REMEDY = "correct the set's file: docs/real.md describes it"
 FEWEST_MARKERS = 4
 GRID_CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])  # of a side, y down, as printed
 
 Image = NDArray[np.uint8]
+
+
+Focal = Annotated[float, Bounds(10.0, 100_000.0, "px")]
+Centre = Annotated[float, Bounds(0.0, 100_000.0, "px")]
+Coefficients = tuple[float, float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class SetCamera:
+    """Table ``[camera]``: calibration of the photographs, px and OpenCV's Brown-Conrady coefficients."""
+
+    fx: Focal
+    fy: Focal
+    cx: Centre
+    cy: Centre
+    distortion: Annotated[Coefficients, Bounds(-100.0, 100.0, "of 1")] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,36 +68,33 @@ class RealSetFile:
 
     images: Path
     pattern: Literal["charuco", "chessboard", "grid"]
-    columns: int
-    rows: int
-    pitch_m: float
-    side_m: float = 0.0
+    columns: Annotated[int, Bounds(1, 1000, "(a number)")]
+    rows: Annotated[int, Bounds(1, 1000, "(a number)")]
+    pitch_m: Annotated[float, Bounds(0.002, 5.0)]
+    side_m: Annotated[float, Bounds(0.0, 5.0)] = 0.0
     dictionary: str = "DICT_4X4_50"
-    first_id: int = 0
+    first_id: Annotated[int, Bounds(0, 1023, "(an id)")] = 0
     legacy: bool = False
-    camera: BoardCamera | None = None
-    gravity_sigma_deg: float = 0.5
-    down: tuple[float, float, float] = (0.0, -1.0, 0.0)
-    scaled_side_m: float = 0.040
-    bend_order: int = 2
+    camera: SetCamera | None = None
+    gravity_sigma_deg: Annotated[float, Bounds(0.0, 10.0, above=True)] = 0.5
+    down: Annotated[tuple[float, float, float], Bounds(-1.01, 1.01, "of 1")] = (0.0, -1.0, 0.0)
+    scaled_side_m: Annotated[float, Bounds(0.001, 10.0)] = 0.040
+    bend_order: Annotated[int, Bounds(0, 4, "(an order)")] = 2
     flat: bool = True
 
     def __post_init__(self) -> None:
         if self.pattern == "grid":
             if self.camera is None:
                 raise ValueError("camera: a grid of markers cannot tell its camera: name its calibration")
-            if min(self.columns, self.rows) < 1 or self.columns * self.rows < FEWEST_MARKERS:
-                raise ValueError(f"rows, columns: {self.rows} x {self.columns} are not {FEWEST_MARKERS} markers")
-            if not 0.0 < self.side_m < self.pitch_m < math.inf:
-                raise ValueError(f"side_m, pitch_m: {self.side_m} and {self.pitch_m} leave no space between markers")
+            if self.columns * self.rows < FEWEST_MARKERS:
+                few = f"{self.rows} x {self.columns} are not {FEWEST_MARKERS} markers"
+                raise ValueError(f"rows, columns: {few}")
+            if not 0.0 < self.side_m < self.pitch_m:
+                sides = f"{self.side_m} and {self.pitch_m}"
+                raise ValueError(f"side_m, pitch_m: {sides} leave no space between markers")
         elif self.dictionary not in DICTIONARIES:
-            raise ValueError(f"dictionary: {self.dictionary!r} is none of {', '.join(DICTIONARIES)}")
-        if not 0.0 < self.gravity_sigma_deg <= 10.0:
-            raise ValueError(f"gravity_sigma_deg: {self.gravity_sigma_deg} is not between 0 and 10 degrees")
-        if not 1e-3 <= self.scaled_side_m <= 10.0:
-            raise ValueError(f"scaled_side_m: {self.scaled_side_m} is not between 1 mm and 10 m")
-        if not 0 <= self.bend_order <= 4:
-            raise ValueError(f"bend_order: {self.bend_order} is not 0 to 4")
+            known = ", ".join(DICTIONARIES)
+            raise ValueError(f"dictionary: {self.dictionary!r} is none of {known}")
         if not 0.99 < math.hypot(*self.down) < 1.01:
             raise ValueError(f"down: {self.down} is no direction of length 1")
 
@@ -130,7 +144,7 @@ def read_set(path: Path, photographs: Path | None = None) -> RealSet:
     if described.pattern == "grid":
         dictionary = dictionary_named(described.dictionary, base / path.name)
         count = described.columns * described.rows
-        if described.first_id < 0 or described.first_id + count > len(dictionary.bytesList):
+        if described.first_id + count > len(dictionary.bytesList):
             raise PartError(f"{path.name}: first_id: the dictionary has {len(dictionary.bytesList)} markers", REMEDY)
         return RealSet(path.stem, described, images, None, dictionary, _grid(described, dictionary))
     try:
@@ -165,3 +179,31 @@ def _grid(described: RealSetFile, dictionary: cv2.aruco.Dictionary) -> dict[int,
         corners = np.column_stack([centre + described.side_m * GRID_CORNERS, np.zeros(4)])
         markers[described.first_id + k] = PrintedMarker(framed_pattern(dictionary, described.first_id + k), corners)
     return markers
+
+
+def dictionary_named(name: str, path: Path) -> cv2.aruco.Dictionary:
+    """Return one of OpenCV's dictionaries, or that of a file beside ``path``.
+
+    Raises:
+        PartError: when it is neither.
+    """
+    if name in DICTIONARIES:
+        return dictionary_of(name)
+    file = path.parent / name
+    dictionary = cv2.aruco.Dictionary()
+    if file.is_file():
+        try:
+            storage = cv2.FileStorage(str(file), cv2.FILE_STORAGE_READ)
+            if dictionary.readDictionary(storage.root()):
+                return dictionary
+        except (cv2.error, SystemError):
+            pass  # said below
+    told = f"{path.name}: dictionary: {name!r} is none of OpenCV's, and no file of one"
+    raise PartError(told, REMEDY)
+
+
+def framed_pattern(dictionary: cv2.aruco.Dictionary, marker_id: int) -> Matrix:
+    """Return the cells of a marker within a border of white ones, 0 black and 1 white."""
+    size = dictionary.markerSize + 2
+    drawn = cv2.aruco.generateImageMarker(dictionary, marker_id, size, borderBits=1)
+    return np.pad((drawn > 127).astype(np.float64), 1, constant_values=1.0)

@@ -32,7 +32,6 @@ class TrialRequest:
         quick: a short form: the same code on few samples, for tests.
         work: runs pieces on all cores, and shows how far they are.
         xfeat: weights of XFeat (ONNX), None when not named.
-        board: TOML file that describes a photograph of a marker board, None when not named.
         logs: folder of a session to be judged instead of flying one, None when not named.
         seconds: how long to record where nothing is flown; 0: until Ctrl-C.
         sets: TOML files that describe sets of photographs. ``photographs``: what their paths are relative to, None for
@@ -45,7 +44,6 @@ class TrialRequest:
     quick: bool
     work: Work
     xfeat: Path | None = None
-    board: Path | None = None
     logs: Path | None = None
     seconds: float = 0.0
     sets: tuple[Path, ...] = ()

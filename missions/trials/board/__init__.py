@@ -1,1 +1,0 @@
-"""Corners on a photograph of a board."""

@@ -1,1 +1,0 @@
-"""The sweep that chose the thresholds."""
