@@ -78,7 +78,7 @@ examples:
   path-handoff calibrate camera --images views --out d1.camera.toml
   path-handoff detect film.mp4 --model yolox.onnx --classes car
   path-handoff guard --rig my-rig.toml        beside it: holds and lands when the script does not
-  path-handoff trial sensitivity              an experiment of the paper, run again
+  path-handoff trial pose --only sensitivity              an experiment of the paper, run again
   path-handoff verify                         whatever the link does: never two responsible
   path-handoff campaign --runs 10000          thousands of hand-overs under faults, by seed
   path-handoff conformance --px4 PATH         where the embedded vehicle differs from a real autopilot

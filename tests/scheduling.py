@@ -42,8 +42,8 @@ REAL_TIME = (
     "missions/leg/records/test_slow_disk",
     "missions/test_ground_station",
     "missions/test_work",
-    "missions/trials/beacon/test_trial.py::test_a_listener_on",
-    "missions/trials/link/test_trial",
+    "missions/trials/flights/beacon/test_trial.py::test_a_listener_on",
+    "missions/trials/cost/link/test_trial",
     "missions/assurance/verify/test_attack",
     "missions/assurance/verify/test_run",
 )

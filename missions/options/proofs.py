@@ -11,35 +11,32 @@ import tyro
 from missions.options.words import ErrorLevel, Errors, FileName, Jobs, LevelName, OutFolder, RigName, Seed
 from path.bounds import Bounds
 
-TrialName = Literal[
-    "all",
-    "sensitivity",
-    "static",
-    "corners",
-    "calibration",
-    "dynamic",
+QuestionName = Literal["pose", "handovers", "flights", "rivals", "cost"]
+ExperimentName = Literal[
+    "sensitivity", "static", "corners", "calibration", "real",
+    "handshake", "evidence", "recall",
+    "dynamic", "beacon", "rendezvous",
     "ambiguity",
-    "handshake",
-    "evidence",
-    "recall",
-    "link",
-    "compute",
-    "processes",
-    "rendezvous",
-    "beacon",
-    "soak",
-    "fleet",
-    "real",
-]
+    "link", "compute", "processes", "soak", "fleet",
+]  # fmt: skip
+TrialName = Literal["all"] | QuestionName | ExperimentName
 
 
 @dataclass(frozen=True, slots=True)
 class TrialOptions:
-    """Run one of the paper's experiments, or all of them, and hold what comes out against the paper."""
+    """Ask one of the evaluation's questions, or all of them, and hold what comes out against the paper.
+
+    pose: where D2 and the target are, by single frames (sensitivity, static, corners, calibration, real).
+    handovers: how soon they agree, and whether ever wrongly (handshake, evidence, recall).
+    flights: whole missions (dynamic, beacon, rendezvous). rivals: PATH, ORB and XFeat (ambiguity).
+    cost: time, bytes, memory, and what it bears (link, compute, processes, soak, fleet).
+    """
 
     name: Annotated[TrialName, tyro.conf.Positional]
-    """The trial; `all` runs those of the paper and makes one page, in about a quarter of an hour on two cores.
-    `processes`, `rendezvous`, `beacon`, `soak`, `fleet` and, without --set, `real` are asked for by name."""
+    """The question. The name of an experiment alone is what --only says; it is taken for one more release."""
+
+    only: Annotated[tuple[ExperimentName, ...], tyro.conf.arg(metavar="EXPERIMENT ...")] = ()
+    """Of the question's experiments only these."""
 
     out: OutFolder = None
     """Folder for the page, summary.json and the pictures; trials/<time>-<name> by default."""
@@ -53,26 +50,25 @@ class TrialOptions:
     jobs: Jobs = 0
 
     rig: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
-    """The rig; by default sim-rendered, whose harness knows the truth; `dynamic` for `beacon`, `sim-field` for
-    `rendezvous`, `sitl` for `soak`, `team-sim` for `fleet`."""
+    """The rig, in place of sim-rendered, whose harness knows the truth. beacon flies `dynamic`, rendezvous `sim-field`,
+    soak `sitl` and fleet `team-sim` unless they are asked for alone."""
 
     errors: ErrorLevel = None
     """Errors of the world of flights and Monte-Carlo hand-overs against what the rig says (docs/errors.md); careful
     unless the rig says otherwise. `static` and `ambiguity` have errors of their own."""
 
     xfeat: FileName = None
-    """Weights of XFeat (ONNX), for the trials that compare with it; without them XFeat is left out."""
+    """Weights of XFeat (ONNX), for ambiguity and compute; without them XFeat is left out."""
 
     logs: OutFolder = None
-    """Folder with the logs of a session, for `beacon`: it is judged as if it were flown now."""
+    """Folder with the logs of a session, for beacon: it is judged as if it were flown now."""
 
     seconds: Annotated[float, Bounds(0.0, 1e6)] = 0.0
-    """The time for which `soak` verifies, 0: 20 minutes; or `beacon` records where the drones are flown from their own
+    """The time for which soak verifies, 0: 20 minutes; or beacon records where the drones are flown from their own
     computers, 0: until Ctrl-C."""
 
     set: Annotated[tuple[tuple[Path, ...], ...], tyro.conf.arg(metavar="FILE ..."), tyro.conf.UseAppendAction] = ()
-    """TOML files that describe sets of photographs of a board, for `real` (docs/real.md); may be given several
-    times."""
+    """TOML files that describe photographs of a board, for real (docs/real.md); may be given several times."""
 
     photographs: OutFolder = None
     """The folder that paths in --set's files are relative to; by default each file's own folder."""

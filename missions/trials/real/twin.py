@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flight.harness.renderer import FrameRenderer, Imaging, PlacedBoard, RenderedInstant, RendererSetup
-from missions.trials.calibration.views import HERE, T_W_C, grey
+from missions.trials.pose.calibration.views import HERE, T_W_C, grey
 from missions.trials.real.board import BoardSeen, SetSeen
 from missions.trials.real.errors import MethodPoses
 from missions.trials.real.paper import CELL_PX, Print, as_seen, ink_moves, pixel_m

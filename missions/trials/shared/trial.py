@@ -1,11 +1,4 @@
-"""The request to a trial, and what it gives back: a summary, findings, tables and figures.
-
-A trial is a module of this package with
-
-- ``TITLE``: one line; ``PAPER``: the section of the paper it reproduces;
-- ``run(request) -> TrialResult``;
-- ``NEEDS``, when it needs any: what the rig's ``[trials]`` table must name, checked before anything is flown.
-"""
+"""The request to a trial, and what it gives back: a summary, findings, tables and figures."""
 
 from __future__ import annotations
 

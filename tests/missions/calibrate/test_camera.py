@@ -22,7 +22,7 @@ from missions.calibrate.run import run
 from missions.options.calibrate import CalibrateBoardOptions, CalibrateCameraOptions, CalibrateOptions
 from missions.options.field import RigsOptions
 from missions.rig_list import FOLDER
-from missions.trials.calibration import views as calibration_views
+from missions.trials.pose.calibration import views as calibration_views
 from missions.work import Bars
 from path.calibration.board import Board
 from path.calibration.judge import BadSet

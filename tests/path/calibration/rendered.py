@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from flight.harness.renderer import Imaging
 from hil.camera.pictures import CameraRenderer
-from missions.trials.calibration import views as calibration_views
-from missions.trials.calibration.views import HERE as LEVEL
-from missions.trials.calibration.views import Held, grey, placed
+from missions.trials.pose.calibration import views as calibration_views
+from missions.trials.pose.calibration.views import HERE as LEVEL
+from missions.trials.pose.calibration.views import Held, grey, placed
 from path.calibration.board import Board, BoardView
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose

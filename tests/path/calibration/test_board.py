@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from flight.harness.renderer import IDEAL, REALISTIC, Imaging
 from hil.camera.pictures import CameraRenderer
-from missions.trials.calibration.views import board_poses
-from missions.trials.calibration.views import photographs as shoot
+from missions.trials.pose.calibration.views import board_poses
+from missions.trials.pose.calibration.views import photographs as shoot
 from path.calibration.board import Board, find_board, other_size, print_cells
 from path.camera.model import CameraModel
 from tests.path.calibration.rendered import CAMERA, CHARUCO, CHESSBOARD, Held, grey, photographs, poses

@@ -11,7 +11,7 @@ import pytest
 
 from flight.harness.renderer import Imaging
 from hil.camera.pictures import CameraRenderer
-from missions.trials.calibration.views import photographs
+from missions.trials.pose.calibration.views import photographs
 from missions.trials.real.board import look_at_set
 from missions.trials.real.set import read_set
 from missions.trials.real.twin import render_twin

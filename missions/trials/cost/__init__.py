@@ -1,0 +1,1 @@
+"""What PATH takes: time, bytes, memory, and what it bears."""

@@ -1,0 +1,1 @@
+"""Whole missions: trajectories, beacons, the way to the viewpoint."""

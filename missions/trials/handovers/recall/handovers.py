@@ -1,0 +1,171 @@
+"""Monte-Carlo hand-overs run once each, seen through detectors that miss and invent, and judged by both gates."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from drivers.collector import collector_off
+from drivers.rig.parts import Rig
+from flight.harness.montecarlo import Attempt, HandoverRunner, Series, Telling, WrongAssociation, agreeing, tell
+from missions.trials.handovers.recall.detectors import DetectorFaults, FaultyFrames, faulty_frames, with_detector
+from path.config import GateKind, MethodConfig
+from path.gate.evidence import evidence_needed, evidence_of, make_gate
+from path.gate.window import Gate
+
+Group = Literal["true", "look-alike", "wrong object"]
+
+GATES: tuple[GateKind, ...] = ("count", "evidence")
+LIMIT_S = 10.0
+FRAME_S = 0.02  # from one frame to the next, of both cameras
+FRAMES = 520  # more than any camera takes in that time
+FAR_M, FAR_S = 0.15, 1.0
+LATE_S = 0.5  # by less than that, what was captured is judged later
+LOCKED_M = (0.3, 0.4, 0.6, 1.0)  # from the target to the object that D2 sees instead of it, all the time
+
+
+@dataclass(frozen=True, slots=True)
+class AttemptOrder:
+    """One attempt: a hand-over of its own, through one pair of detectors. ``cell``: number of that pair."""
+
+    cell: int
+    group: Group
+    attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True)
+class Pieces:
+    """Attempts for one process. ``runner``: the class that runs them."""
+
+    runner: type[HandoverRunner]
+    rig: Rig
+    detectors: Sequence[DetectorFaults]
+    orders: Sequence[AttemptOrder]
+
+
+@dataclass(frozen=True, slots=True)
+class GateCommit:
+    """The commit of a gate: its time since the attempt began, and whether the objects were right.
+
+    Attributes:
+        right: whether D2's box was of the designated object. ``same``: of the same one as D1's.
+    """
+
+    after_s: float
+    right: bool
+    same: bool
+
+
+@dataclass(frozen=True, slots=True)
+class AttemptCommits:
+    """The result of one attempt by each gate, in the order of ``GATES``; None without a commit."""
+
+    order: AttemptOrder
+    commits: tuple[GateCommit | None, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedLine:
+    """One attempt as it is kept: its index, and the commits of both gates."""
+
+    index: int
+    count: GateCommit | None
+    evidence: GateCommit | None
+
+
+def orders(seed: int, detectors: int, of_each: int) -> list[AttemptOrder]:
+    """Returns the attempts, each with a hand-over of its own.
+
+    Half have nothing but the errors that last, a quarter a look-alike beside the target or driving past it, a quarter a
+    D2 that sees only another object.
+    """
+    made: list[AttemptOrder] = []
+    for index in range(detectors * of_each):
+        cell, turn = index % detectors, index // detectors
+        group: Group = ("true", "wrong object", "look-alike", "true")[turn % 4]
+        attempt = Attempt(seed, index, limit_s=LIMIT_S, whole=True)
+        if group == "look-alike":
+            attempt = replace(attempt, fault=("look_alike_near", "look_alike_crossing")[turn // 4 % 2])
+        elif group == "wrong object":
+            attempt = replace(attempt, wrong=WrongAssociation("lock", LOCKED_M[turn // 4 % len(LOCKED_M)]))
+        made.append(AttemptOrder(cell, group, attempt))
+    return made
+
+
+def run_pieces(pieces: Pieces) -> list[AttemptCommits]:
+    """Judges attempts one after another. Garbage is looked for after them: they leave next to none."""
+    runner, method = pieces.runner(pieces.rig).warmed(), pieces.rig.method
+    with collector_off():
+        return [judged(runner, order, pieces.detectors[order.cell], method) for order in pieces.orders]
+
+
+def judged(
+    runner: HandoverRunner, order: AttemptOrder, detector: DetectorFaults, method: MethodConfig
+) -> AttemptCommits:
+    """One attempt, run for as long as either gate can still commit."""
+    rng = np.random.default_rng([order.attempt.seed, order.attempt.index, 0x64657465])
+    faults = faulty_frames(detector, FRAMES, rng)
+    methods = [replace(method, gate=gate) for gate in GATES]
+    telling = [Telling(make_gate(own), own) for own in methods]
+
+    def decided(series: Series) -> bool:
+        """Returns whether each gate has committed, or cannot any more."""
+        seen = with_detector(series, faults, method)
+        far = order.group == "wrong object" and stays_far(series)
+        return all(
+            told.on(seen) is not None
+            or not can_complete(told.gate, own, seen, faults)
+            or (far and (own.gate == "evidence" or not agreeing(series, own).any()))
+            for told, own in zip(telling, methods, strict=True)
+        )
+
+    seen = with_detector(runner.run(order.attempt, decided).series, faults, method)
+    return AttemptCommits(order, tuple(_commit(seen, own) for own in methods))
+
+
+def can_complete(gate: Gate, method: MethodConfig, series: Series, faults: FaultyFrames) -> bool:
+    """Returns whether a gate that was told a series may be complete before the attempt's limit.
+
+    The run under way may go on, or another begin with what is captured next. "count" needs a stretch of frames for it
+    in which both detectors see the target and nothing else.
+    """
+    span_s, first_ns = gate.span_s, int(series.capture_ns[0])
+    left_s = LIMIT_S - (int(series.now_ns[-1]) - first_ns) * 1e-9
+    if left_s + LATE_S < shortest_s(method) - span_s:
+        return False
+    if method.gate == "evidence":
+        return True
+    begins_s = (int(series.capture_ns[-1]) - first_ns) * 1e-9 - span_s - LATE_S
+    return faults.longest_clear(int(begins_s / FRAME_S)) >= method.hold_frames
+
+
+def stays_far(series: Series) -> bool:
+    """Returns whether D2, which sees only another object, has seen it nowhere near the target for long enough.
+
+    The offset of its box wavers by 0.01 m (docs/gates.md); the gate "evidence" lets no mean above 0.074 m pass.
+    """
+    if (int(series.now_ns[-1]) - int(series.capture_ns[0])) * 1e-9 < FAR_S:
+        return False
+    return all(math.hypot(*offsets.target_m) > FAR_M for offsets in series.offsets.values())
+
+
+def shortest_s(method: MethodConfig) -> float:
+    """Returns from the first to the last frame of the shortest run with which the gate can be complete."""
+    if method.gate == "count":
+        return method.hold_s
+    blocks, needed = 1, evidence_needed(1, method.evidence)
+    while evidence_of(blocks, method.evidence) < needed:
+        blocks += 1
+    return max(method.evidence.min_s, blocks * method.evidence.block_s)
+
+
+def _commit(series: Series, method: MethodConfig) -> GateCommit | None:
+    done = tell(series, make_gate(method), method) if len(series) else None
+    if done is None:
+        return None
+    after_s = (int(series.now_ns[done]) - int(series.capture_ns[0])) * 1e-9
+    return GateCommit(after_s, bool(series.right[done]), bool(series.same[done]))

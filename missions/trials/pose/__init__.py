@@ -1,0 +1,1 @@
+"""Where D2 and the target are, by single frames."""

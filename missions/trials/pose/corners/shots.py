@@ -1,0 +1,94 @@
+"""Shots of one condition with one camera, and what every method makes of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flight.harness.renderer import FrameRenderer, RendererSetup
+from missions.trials.pose.corners.conditions import CAMERAS, CONDITIONS, LAYOUT, view
+from missions.trials.pose.corners.methods import METHODS, Found, find
+from path.geometry.rotation import exp
+from path.geometry.transforms import Matrix, Pose
+from path.messages import Role
+from path.observations import Region
+
+AROUND = 0.6  # of the marker's extent: how far the predicted region reaches beyond it, each way
+OFF = 0.1  # of the extent: how wrong the prediction is
+OFF_M, OFF_RAD = 0.0015, 0.005  # per axis, an expected pose: what the motion between two frames leaves unknown
+REGION_STREAM, EXPECTED_STREAM = 2, 3
+
+
+@dataclass(frozen=True, slots=True)
+class CornerSeries:
+    """Some views with one camera in one condition; ``shown`` is the view whose picture is kept."""
+
+    renderer: type[FrameRenderer]
+    T_b_v: Pose
+    camera: str
+    condition: str
+    seed: int
+    views: tuple[int, ...]
+    shown: int
+
+
+@dataclass(frozen=True, slots=True)
+class CornerShot:
+    """One shot.
+
+    Attributes:
+        true_px: (4, 2).
+        found: by method.
+        picture: (h, w, 3) BGR around the marker, whose first pixel is ``corner_px``; only of the view that is shown.
+    """
+
+    camera: str
+    condition: str
+    view: int
+    true_px: Matrix
+    found: dict[str, Found | None]
+    picture: NDArray[np.uint8] | None = None
+    corner_px: tuple[int, int] = (0, 0)
+
+
+def shoot(shooting: CornerSeries) -> list[CornerShot]:
+    """A piece of work. Views and noise of the sensor are the same in every condition."""
+    camera, condition = CAMERAS[shooting.camera], CONDITIONS[shooting.condition]
+    here = Pose(np.eye(3), np.zeros(3))
+    setup = RendererSetup(camera, here, shooting.T_b_v, LAYOUT, condition.imaging, condition.printing)
+    renderer = shooting.renderer(setup, shooting.seed)
+    samples: list[CornerShot] = []
+    for number in shooting.views:
+        seen = view(shooting.seed, number, camera, shooting.T_b_v)
+        true_px = seen.corners_px(camera, shooting.T_b_v)
+        image = renderer.shoot(seen.stage(), Role.RECEIVER, number).color
+        region = _predicted(true_px, np.random.default_rng([shooting.seed, REGION_STREAM, number]))
+        expected = _expected(seen.T_w_c.inverse() @ seen.T_w_b1 @ shooting.T_b_v, shooting.seed, number)
+        found = {method: find(method, image, region, LAYOUT, camera, expected) for method in METHODS}
+        sample = CornerShot(shooting.camera, shooting.condition, number, true_px, found)
+        samples.append(_pictured(sample, image) if number == shooting.shown else sample)
+    return samples
+
+
+def _predicted(true_px: Matrix, rng: np.random.Generator) -> Region:
+    """Returns the region in which flight would look for the marker."""
+    low, high = true_px.min(axis=0), true_px.max(axis=0)
+    extent = float((high - low).max())
+    low, high = (end + rng.uniform(-OFF, OFF, 2) * extent for end in (low - AROUND * extent, high + AROUND * extent))
+    return Region(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
+
+def _expected(T_c_v: Pose, seed: int, number: int) -> Pose:
+    """Returns the pose that flight would expect."""
+    rng = np.random.default_rng([seed, EXPECTED_STREAM, number])
+    return Pose(exp(rng.normal(0.0, OFF_RAD, 3)) @ T_c_v.R, T_c_v.t + rng.normal(0.0, OFF_M, 3))
+
+
+def _pictured(sample: CornerShot, image: NDArray[np.uint8]) -> CornerShot:
+    u, v = sample.true_px.mean(axis=0)
+    reach = 0.75 * float(np.ptp(sample.true_px, axis=0).max())
+    u0, v0 = max(round(u - reach), 0), max(round(v - reach), 0)
+    cut = image[v0 : round(v + reach) + 1, u0 : round(u + reach) + 1].copy()
+    return CornerShot(sample.camera, sample.condition, sample.view, sample.true_px, sample.found, cut, (u0, v0))

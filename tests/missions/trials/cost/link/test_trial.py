@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from drivers.link.dialect import path_dialect as dialect
+from drivers.link.wire import UDP_IP_OVERHEAD, Codec
+from flight.config import MissionConfig
+from missions import rig_library
+from missions.trials.cost.link import trial as link
+from missions.trials.cost.link.traffic import LinkTraffic, TappedPacket, extremes, flow
+from missions.trials.shared.trial import TrialRequest, TrialResult
+from missions.work import open_work
+from path.messages import Role, Status
+
+SECONDS = 1
+HEADER = 10
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> TrialResult:
+    with open_work(1) as work:
+        return link.run(TrialRequest(rig_library.load("sim"), tmp_path_factory.mktemp("trial"), 5, True, work))
+
+
+@pytest.fixture(scope="module")
+def traffic() -> LinkTraffic:
+    with open_work(1) as work:
+        return flow(work, [60], SECONDS, MissionConfig(), seed=4)[0]
+
+
+def test_the_goals_of_the_link_are_met(result: TrialResult) -> None:
+    assert result.summary["largest_packet_b"] <= 128
+    assert result.summary["rates"]["60"]["untrimmed_bytes_per_s"] <= 12_000
+    assert set(result.summary["messages"]) == set(link.KINDS)
+    assert result.summary["sign_us"] > 0.0 and result.summary["verify_us"] > 0.0
+    assert [picture.file for picture in result.pictures] == ["link.png"]
+
+
+def test_sizes_add_up(result: TrialResult) -> None:
+    for size in result.summary["messages"].values():
+        assert size["mavlink_b"] == 12 + size["payload_b"] + 13
+        assert size["wire_b"] == size["mavlink_b"] + 28
+
+
+def test_a_tap_sees_what_the_ends_sent_and_nothing_is_lost_or_dropped(traffic: LinkTraffic) -> None:
+    assert traffic.sent == traffic.received == len(traffic.packets) + len(traffic.extremes)
+    assert not set(traffic.dropped) - {"superseded", "unproven"}
+    assert traffic.dropped.get("unproven", 0) <= 8  # what was said before the first ping was answered
+
+
+def test_every_frame_has_its_messages_and_the_mission_its_own_rates(traffic: LinkTraffic) -> None:
+    kinds = [packet.kind for packet in traffic.packets]
+    rates = MissionConfig()
+    assert kinds.count("target") == kinds.count("candidate") == 60 * SECONDS
+    assert kinds.count("status") == round(rates.status_hz + rates.receiver_status_hz) * SECONDS
+    assert kinds.count("ping") == kinds.count("pong") == 2 * SECONDS
+    assert {kind: kinds.count(kind) for kind in ("commit", "accept", "confirm", "abort")} == {
+        "commit": 1, "accept": 1, "confirm": 1, "abort": 0,
+    }  # fmt: skip
+    assert {packet.direction for packet in traffic.packets if packet.kind == "target"} == {Role.SENDER}
+    assert {packet.direction for packet in traffic.packets if packet.kind == "candidate"} == {Role.RECEIVER}
+
+
+@pytest.mark.parametrize("role", Role)
+def test_extremes_are_as_long_as_their_message_can_be(role: Role) -> None:
+    """Nothing that a link can send is longer, and no zero byte at the end was cut off."""
+    codec = Codec(role, bytes(32))
+    for message in extremes(role):
+        data = codec.encode(message)
+        payload = data[HEADER : HEADER + data[1]]
+        assert payload[-1] != 0
+        assert len(payload) == dialect.mavlink_map[int.from_bytes(data[7:HEADER], "little")].unpacker.size
+
+
+@pytest.mark.parametrize("role", Role)
+def test_a_status_while_both_verify_is_as_long_as_one_without_digests_and_end_can_be(role: Role) -> None:
+    codec = Codec(role, bytes(32))
+    longest = next(message for message in extremes(role) if isinstance(message, Status))
+    sizes = {"target": {"wire_b": 81}, "status": {"wire_b": len(codec.encode(longest))}}
+    verifying = link.while_verifying(sizes)
+    assert verifying["status"]["wire_b"] == len(codec.encode(replace(longest, alike=None, ended=0)))
+    assert verifying["target"] == sizes["target"]
+
+
+def test_rates_count_the_headers_that_the_kernel_adds() -> None:
+    packet = TappedPacket("target", Role.SENDER, 28, 53, 0.0)
+    traffic = LinkTraffic(60, 2, [packet, replace(packet, at_s=1.5, direction=Role.RECEIVER)])
+    rates = link._rates(traffic, {"target": {"wire_b": 100}})
+    assert rates["bytes_per_s"] == 53 + UDP_IP_OVERHEAD
+    assert rates["sender_bytes_per_s"] == rates["receiver_bytes_per_s"] == (53 + UDP_IP_OVERHEAD) / 2
+    assert rates["least_second_b"] == rates["most_second_b"] == 81
+    assert rates["untrimmed_bytes_per_s"] == 100
+
+
+def test_a_hand_over_is_no_part_of_a_rate() -> None:
+    target, commit = TappedPacket("target", Role.SENDER, 28, 53, 0.0), TappedPacket("commit", Role.SENDER, 25, 50, 0.5)
+    sizes = {"target": {"wire_b": 81}, "commit": {"wire_b": 78}}
+    assert link._rates(LinkTraffic(60, 1, [target, commit]), sizes) == link._rates(LinkTraffic(60, 1, [target]), sizes)
