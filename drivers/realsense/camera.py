@@ -147,14 +147,17 @@ class RealSense:
             raise CameraError(f"{self.source.name} is not open", "open it with `async with`")
         try:
             async with asyncio.timeout(timeout_s):
-                while (frame := stream.take()) is None:
-                    if stream.ended:
+                while True:
+                    ended = stream.ended  # asked first: its last frame may come just before it ends
+                    frame = stream.take()
+                    if frame is not None:
+                        return frame
+                    if ended:
                         raise self._lost(stream, "")
                     self._news.clear()
                     await self._news.wait()
         except TimeoutError:
             raise self._lost(stream, f" for {timeout_s:g} s") from None
-        return frame
 
     async def _first(self, stream: PairStream) -> None:
         try:

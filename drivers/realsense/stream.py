@@ -226,6 +226,8 @@ class PairStream(threading.Thread):
         heard_s = paired_s = time.monotonic()
         while not self._ending.is_set():
             newest = None
+            # Asked before what waits is taken: a short recording may play from its beginning to its end meanwhile.
+            played_out = device.at_end
             for image in _waiting(device):
                 heard_s = time.monotonic()
                 pair = self._paired(image, lines[image.kind], pairing)
@@ -239,7 +241,7 @@ class PairStream(threading.Thread):
                 frame_id = max(base + color.number, self._last_id + 1)
                 self._publish(ImagePair(stamp_ns, frame_id, color, depth, registration))
                 paired_s = heard_s
-            elif device.at_end or time.monotonic() - paired_s > limit_s:
+            elif played_out or time.monotonic() - paired_s > limit_s:
                 raise self._silent(time.monotonic() - paired_s, heard=heard_s > paired_s)
             self.counters.stream_ns = busy_ns() - self._started_ns
 

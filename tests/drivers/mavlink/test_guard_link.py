@@ -55,6 +55,19 @@ async def seen(guard: GuardMavlink, condition: Callable[[GuardView], bool]) -> G
         await asyncio.sleep(0.005)
 
 
+async def fly(own: Bench, guard: GuardMavlink, by_setpoints: bool = True) -> None:
+    """Have it climb while the guard goes on reading, as it does in its program.
+
+    Else its socket fills meanwhile, and the kernel drops what comes next: the answer to the first command.
+    """
+    climbing = asyncio.create_task(asyncio.to_thread(own.in_air, by_setpoints))
+    while not climbing.done():
+        guard.view()
+        await asyncio.sleep(0.005)
+    await climbing
+    await seen(guard, lambda view: view.armed and view.in_air)
+
+
 def run(main: Callable[[Bench], Coroutine[Any, Any, None]]) -> None:
     with bench() as own:
         asyncio.run(main(own))
@@ -64,7 +77,7 @@ def test_it_sees_what_its_rules_need_and_each_command_is_one_packet() -> None:
     async def main(own: Bench) -> None:
         async with guard_at(f"udpin://127.0.0.1:{own.port}") as guard:
             await seen(guard, lambda view: not view.armed and not view.in_air)
-            own.in_air()
+            await fly(own, guard)
             view = await seen(guard, lambda v: v.armed and v.in_air and v.mode is FlightMode.OFFBOARD)
             view = await seen(guard, lambda v: v.position_ns > view.heartbeat_ns and not math.isnan(v.battery))
             with own.lock:
@@ -97,7 +110,7 @@ def test_height_may_be_reckoned_from_home_whatever_the_altitude(altitude_off_m: 
         async with GuardMavlink(GuardMavlinkConfig(url, BIND, SYSID, height_from="home"), CONTEXT) as guard:
             view = await seen(guard, lambda view: view.position_ns > 0)
             assert view.position_n_m[2] == pytest.approx(0.0, abs=0.05)
-            own.in_air()
+            await fly(own, guard)
             view = await seen(guard, lambda view: view.in_air and view.mode is FlightMode.OFFBOARD)
             assert view.position_n_m[2] == pytest.approx(-1.0, abs=0.35)
 
@@ -112,7 +125,7 @@ def test_motors_that_a_switch_stopped_are_known_from_a_text() -> None:
 
     async def main(own: Bench) -> None:
         async with guard_at(f"udpin://127.0.0.1:{own.port}") as guard:
-            own.in_air()
+            await fly(own, guard)
             await seen(guard, lambda view: view.armed)
             say(own, "RC7: MotorEStop HIGH")  # an ArduCopter's; it goes on calling itself armed
             await seen(guard, lambda view: not view.armed)
@@ -126,7 +139,7 @@ def test_a_refusal_is_seen() -> None:
     async def main(own: Bench) -> None:
         async with guard_at(f"udpin://127.0.0.1:{own.port}") as guard:
             await seen(guard, lambda _: True)
-            own.in_air()
+            await fly(own, guard)
             with own.lock:
                 own.autopilot.set_battery(0.05)  # it lands by itself, and obeys nobody but a pilot
             await seen(guard, lambda view: view.mode is FlightMode.LAND)
@@ -177,7 +190,7 @@ def test_a_second_vehicle_of_our_number_is_told_of_and_ignored() -> None:
     async def main(own: Bench) -> None:
         async with guard_at(f"udpin://127.0.0.1:{own.port}") as guard:
             await seen(guard, lambda _: True)
-            own.in_air()
+            await fly(own, guard)
             await seen(guard, lambda view: view.mode is FlightMode.OFFBOARD)
             with spoofer(own.port) as other:
                 await seen(guard, lambda _: bool(guard.ignored))
@@ -203,7 +216,7 @@ def test_what_one_packet_says_the_next_one_takes_back() -> None:
     async def main(own: Bench) -> None:
         async with guard_at(f"udpin://127.0.0.1:{own.port}") as guard:
             await seen(guard, lambda _: True)
-            own.in_air()
+            await fly(own, guard)
             await seen(guard, lambda view: view.mode is FlightMode.OFFBOARD and view.mode_told > 1)
             forged = mavlink.MAVLink_heartbeat_message(2, 12, 129, 3 << 16, 4, 3)
             packet = forged.pack(mavlink.MAVLink(None, srcSystem=SYSID, srcComponent=1))
@@ -226,7 +239,7 @@ def test_with_a_key_only_what_is_signed_is_believed_and_the_vehicle_takes_what_i
             async with GuardMavlink(config, CONTEXT) as guard:
                 await seen(guard, lambda view: view.mode is FlightMode.HOLD and view.position_ns > 0)
                 assert set(guard.ignored) == {UNSIGNED}
-                own.in_air(by_setpoints=False)
+                await fly(own, guard, by_setpoints=False)
                 guard.land()
                 assert (await seen(guard, lambda view: view.acked is not None)).acked is True
                 with pytest.raises(BlockingIOError):

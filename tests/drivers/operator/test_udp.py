@@ -16,6 +16,8 @@ from drivers.operator.udp import WAITING, UdpOperator, UdpOperatorConfig
 from tests.drivers.operator.test_words import NOW_NS, QUESTION
 from tests.free_ports import free_port
 
+PATIENCE_S = 60.0
+
 
 @dataclass
 class Clock:
@@ -32,18 +34,17 @@ class Context:
 
 async def until_heard(operator: UdpOperator, count: int) -> list[Any]:
     heard: list[Any] = []
-    for _ in range(200):
-        heard += operator.heard()
-        if len(heard) >= count:
-            break
-        await asyncio.sleep(0.01)
+    async with asyncio.timeout(PATIENCE_S):
+        while len(heard) < count:
+            heard += operator.heard()
+            await asyncio.sleep(0.01)
     return heard
 
 
 def speaker() -> socket.socket:
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     made.bind(("127.0.0.1", 0))
-    made.settimeout(2.0)
+    made.settimeout(PATIENCE_S)
     return made
 
 

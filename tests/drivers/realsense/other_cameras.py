@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from drivers.realsense.sdk_import import import_realsense
 WIDTH, HEIGHT, FPS = 96, 72, 30
 FOCAL_PX = 92.0
 FRAMES = 12
+PATIENCE_MS = 60_000
 BEGIN_MS = 1_790_000_000_000.0
 COLOR_BGR = (200, 120, 40)
 BYTES = {"bgr8": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4, "yuyv": 2, "uyvy": 2}
@@ -71,8 +73,11 @@ class OtherCamera:
                 frame.depth_units = self._kind.unit_m or 0.001
             sensor.on_video_frame(frame)
 
-    def record(self, file: Path) -> Path:
-        """Write FRAMES frames of each stream as librealsense's own recorder does."""
+    def record(self, file: Path, every_s: float = 0.0) -> Path:
+        """Write FRAMES frames of each stream as librealsense's own recorder does, as fast as it goes or so far apart.
+
+        Recordings are played at the rate they were written at.
+        """
         recorder = self._rs.recorder(str(file), self.device)
         waiting = self._rs.frame_queue(50)
         sensors = list(recorder.query_sensors())
@@ -81,8 +86,9 @@ class OtherCamera:
             sensor.start(waiting)
         for number in range(1, FRAMES + 1):
             self.give(number)
-            waiting.wait_for_frame(5000)
-            waiting.wait_for_frame(5000)
+            waiting.wait_for_frame(PATIENCE_MS)
+            waiting.wait_for_frame(PATIENCE_MS)
+            time.sleep(every_s)
         for sensor in sensors:
             sensor.stop()
             sensor.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 from drivers.interfaces import CameraError, Frame
 from drivers.realsense.camera import RealSense, RealSenseConfig
 from drivers.realsense.recorded import RealSenseRecording
-from drivers.realsense.sdk import RealSenseDevice, Streams
+from drivers.realsense.sdk import RawImage, RealSenseDevice, Streams
+from drivers.realsense.stream import PairStream
 from path.camera.lenses import Lens
 from path.camera.model import CameraModel
 from tests.drivers.realsense.other_cameras import (
@@ -32,6 +34,7 @@ D405 = CameraKind(
 )
 STREAMS = Streams((WIDTH, HEIGHT), (WIDTH, HEIGHT), FPS)
 MODEL = CameraModel(WIDTH, HEIGHT, FOCAL_PX, FOCAL_PX, 47.5, 35.5)
+PATIENCE_S = 60.0
 FORMS = ("bgr8", "rgb8", "bgra8", "rgba8", "yuyv", "uyvy")
 
 
@@ -41,7 +44,7 @@ def played(file: Path) -> Frame:
     async def first() -> Frame:
         config = RealSenseConfig(recording=file, fps=FPS)
         async with RealSense(config, context(MODEL)) as driver:
-            return await driver.read(5.0)
+            return await driver.read(PATIENCE_S)
 
     return asyncio.run(first())
 
@@ -63,6 +66,49 @@ def test_a_recording_is_read_in_whatever_format_its_colour_is(tmp_path: Path, fo
     assert np.median(frame.depth_mm[frame.depth_mm > 0]) == pytest.approx(1500, abs=1)
 
 
+def test_a_recording_that_played_to_its_end_before_anybody_looked_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A few frames play in milliseconds, and a thread may be without a core for longer than that."""
+    file = OtherCamera(CameraKind()).record(tmp_path / "film.db3")
+    following, asked = RealSenseDevice.next, list[float]()
+
+    def nothing_came_and_then_all(device: RealSenseDevice, timeout_s: float) -> RawImage | None:
+        asked.append(timeout_s)
+        if len(asked) > 1:
+            return following(device, timeout_s)
+        while not device.at_end:
+            time.sleep(0.001)
+        return None
+
+    monkeypatch.setattr(RealSenseDevice, "next", nothing_came_and_then_all)
+    assert is_the_colour(played(file).color)
+
+
+def test_the_last_frame_of_a_recording_is_given_to_whoever_looked_just_before_it_came(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = OtherCamera(CameraKind()).record(tmp_path / "film.db3", every_s=1.0 / FPS)
+    take = PairStream.take
+
+    def take_and_stand_still(stream: PairStream) -> Frame | None:
+        frame = take(stream)
+        if frame is None:
+            stream.join()
+        return frame
+
+    async def play() -> list[int]:
+        numbers = list[int]()
+        async with RealSense(RealSenseConfig(recording=file, fps=FPS), context(MODEL)) as driver:
+            with pytest.raises(CameraError, match="it has ended"):
+                while True:
+                    numbers.append((await driver.read(PATIENCE_S)).frame_id)
+        return numbers
+
+    monkeypatch.setattr(PairStream, "take", take_and_stand_still)
+    assert asyncio.run(play())[-1] == FRAMES
+
+
 @pytest.mark.parametrize("one_sensor", [False, True])
 @pytest.mark.parametrize("form", ["bgr8", "rgb8"])
 def test_a_camera_opens_whose_streams_are_of_one_sensor_or_of_two(form: str, one_sensor: bool) -> None:
@@ -72,7 +118,7 @@ def test_a_camera_opens_whose_streams_are_of_one_sensor_or_of_two(form: str, one
         assert device.unit_m == pytest.approx(0.0001)
         for number in range(1, 4):
             camera.give(number)
-            images = [device.next(5.0), device.next(5.0)]
+            images = [device.next(PATIENCE_S), device.next(PATIENCE_S)]
             assert sorted(image.kind for image in images if image is not None) == ["color", "depth"]
             for image in images:
                 assert image is not None and image.number == number
