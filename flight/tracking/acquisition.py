@@ -15,7 +15,7 @@ from drivers.interfaces import View
 from drivers.operator.interfaces import Chosen, Question, Shown, Told
 from flight.config import MissionConfig
 from flight.guidance import Vec3
-from flight.tracking.candidates import REMEMBERED_S, STEADY_FRAMES, Candidate, Candidates, Observed
+from flight.tracking.candidates import COASTED_S, REMEMBERED_S, STEADY_FRAMES, Candidate, Candidates, Observed
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.objects import MIN_SCORE
 from flight.tracking.statements import Look, Motion, Shares, Statements
@@ -62,6 +62,7 @@ class Acquisition:
         attitude_rad = math.radians(mission.attitude_sigma_deg)
         self._candidates = Candidates(camera, method, attitude_rad, motion.fastest_mps, motion.accel_mps2)
         self._usual_down_m = -mission.target.height_m
+        self._flies = mission.target.flies
         self._looks: deque[Look] = deque()
         self._seen: list[Candidate] = []
         self._plausible_ns: int | None = None
@@ -104,13 +105,33 @@ class Acquisition:
     def where(self, stamp_ns: int) -> tuple[Vec3, float] | None:
         """Return the place to look at, and how far from it the object may be; None when nobody said where it is."""
         said = self._statements.where(stamp_ns)
-        best = max(self._seen, key=lambda each: self.shares.of.get(each.number, 0.0), default=None)
-        if best is None or self.shares.of.get(best.number, 0.0) <= 0.5:
+        best = self._likeliest(stamp_ns)
+        if best is None:
             return said
         place, sigma_m = best.predicted(stamp_ns, 0.0)
         if best is self._chosen:
             return place, 3.0 * sigma_m
         return place, 3.0 * sigma_m if said is None else said[1] + math.dist(place, said[0])
+
+    def moves(self, stamp_ns: int) -> Vec3:
+        """Return the velocity of the object at the place to look at; nothing where none is the likeliest.
+
+        Whoever only flies to where a fast one is stays behind it, and never comes near.
+        """
+        best = self._likeliest(stamp_ns)
+        if best is None:
+            return 0.0, 0.0, 0.0
+        north, east, down = best.likely_velocity_n_mps
+        return north, east, down if self._flies else 0.0
+
+    def _likeliest(self, stamp_ns: int) -> Candidate | None:
+        """The object in view that is more likely the one meant than not; None when none is.
+
+        What a detector misses in a frame is in view all the same.
+        """
+        in_view = [each for each in self._candidates.all if stamp_ns - each.stamp_ns <= COASTED_S * 1e9]
+        best = max(in_view, key=lambda each: self.shares.of.get(each.number, 0.0), default=None)
+        return best if best is not None and self.shares.of.get(best.number, 0.0) > 0.5 else None
 
     def look(self, view: View, T_n_c: Pose) -> Taken | None:
         """Take up one frame. Returns the target once this frame makes it sure."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from path.config import MethodConfig
-from path.gate.identity import REACH_M
+from path.gate.likelihood import REACH_SIGMAS
 
 ROUNDING = 1e-9
 
@@ -89,7 +89,7 @@ class AgreedPairs:
         if not self.offsets:
             return 0.0
         targets = np.array([target for target, _ in self.offsets])
-        found = self._likely(targets) - math.log10(2.0 * own.offset_sigma_m**2 / REACH_M**2) - math.log10(own.unseen)
+        found = self._likely(targets) + math.log10(0.5 * REACH_SIGMAS**2) - math.log10(own.unseen)
         near = [(target, rival) for target, rival in self.offsets if rival is not None]
         if near:
             then, beside = (np.array(column) for column in zip(*near, strict=True))

@@ -129,6 +129,10 @@ class Designating:
         half_m = 0.5 * _VIEW_SHARE * range_m * min(self._camera.width, self._camera.height) / self._camera.fx
         return place, min(max(1.0, radius_m / half_m), _WIDEST)
 
+    def moves(self, now_ns: int) -> Vec3:
+        """Return the velocity of what is at the place to look at, as far as it is known which that is."""
+        return self._acquisition.moves(now_ns)
+
     def why(self) -> str:
         """Return why there is no target yet, for the crew."""
         return self._acquisition.why()

@@ -219,7 +219,8 @@ class Sender:
             self._heading_rad = look_round.heading_rad
         if look_round.going and not went:
             session.say("nothing was found from here: looks from other sides")
-        way = self._approach(self._view_of(there, wider), look_round.velocity_n_mps, state)
+        moves = add(self._designating.moves(now_ns), look_round.velocity_n_mps)
+        way = self._approach(self._view_of(there, wider), moves, state)
         return replace(way, yaw_rad=look_round.yaw_rad(state.position_n_m, there))
 
     def _approach(self, place_n_m: Vec3, velocity_n_mps: Vec3, state: VehicleState) -> VelocitySetpoint:

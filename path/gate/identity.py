@@ -10,9 +10,9 @@ decides:
   p(offset from the target) / p(offset from that object). By Markov's inequality it exceeds 1 / a with a probability of
   at most a when the box is of that object, wherever it stands. One that is nearer to the target than the errors reach
   leaves nothing to be decided: no evidence, however many frames. D2 need not see it, and need not see both.
-- against one that D1 does not see: it may be anywhere that D2 looks, ``REACH_M`` around its prior, and there is one in
-  a share ``unseen`` of all hand-overs at most, in which D2 does not see the target either. No frame tells more of it:
-  p(offset from the target) / (unseen * p(anywhere)).
+- against one that D1 does not see: it may be anywhere that D2 looks, ``REACH_SIGMAS`` of those errors around its
+  prior, and there is one in a share ``unseen`` of all hand-overs at most, in which D2 does not see the target either.
+  No frame tells more of it: p(offset from the target) / (unseen * p(anywhere)).
 
 - against D1's own: where an object is nearer than ``apart_m`` to what D1 follows, D1 may have gone over to it, in a
   share ``swap`` of such hand-overs. Both boxes agree then for ever, so that nothing beyond 1 / swap can be reached
@@ -27,10 +27,9 @@ import math
 from dataclasses import dataclass
 
 from path.config import EvidenceConfig
+from path.gate.likelihood import REACH_SIGMAS
 from path.gate.window import Offset, Offsets
 
-REACH_M = 0.25
-"""From its prior, how far D2 takes a box for the target's: 3.5 standard deviations of 7 cm."""
 NOTHING = 0.0
 
 
@@ -46,7 +45,7 @@ def log_likelihood(offset_m: Offset, config: EvidenceConfig) -> float:
 
 def against_unseen(target_m: Offset, config: EvidenceConfig) -> float:
     """log10 of the likelihood ratio against an object that D1 does not see."""
-    density = 0.5 * (REACH_M / config.offset_sigma_m) ** 2
+    density = 0.5 * REACH_SIGMAS**2
     return log_likelihood(target_m, config) + math.log10(density) - math.log10(config.unseen)
 
 

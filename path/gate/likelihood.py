@@ -50,7 +50,7 @@ PRIOR_PAIRS = 20.0
 LEAST_SCATTER = 0.03
 """N_0 of B: boxes' noise that is averaged over T."""
 REACH_SIGMAS = 8.3
-"""Of beta: how far from its prior D2 takes a box for the target's."""
+"""Of beta: how far from its prior D2 takes a box for the target's. 3.5 of the 7 cm that it looks around a small car."""
 ODD = 0.1
 """The share of pairs that do not overlap though they are of one object: a detector's inventions, and spells of blur."""
 

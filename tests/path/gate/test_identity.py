@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from path.config import EvidenceConfig, MethodConfig
 from path.gate.evidence import EvidenceGate, evidence_needed
-from path.gate.identity import REACH_M, Identity, against_rival, against_unseen, nearest_rival
+from path.gate.identity import Identity, against_rival, against_unseen, nearest_rival
+from path.gate.likelihood import REACH_SIGMAS
 from path.gate.window import FramePair, Offset, Offsets
 
 OWN = EvidenceConfig()
@@ -105,7 +107,8 @@ def test_ratios_as_by_hand() -> None:
     exact = EvidenceConfig(offset_known=10_000, offset_sigma_m=0.02, unseen=1e-3)
     target, rival = (0.02, 0.0), (0.0, 0.08)
     assert against_rival(target, rival, exact) == pytest.approx((16.0 - 1.0) / 2.0 / math.log(10.0), rel=1e-2)
-    anywhere, here = 1.0 / (math.pi * REACH_M**2), math.exp(-0.5) / (2.0 * math.pi * 0.02**2)
+    anywhere = 1.0 / (math.pi * (REACH_SIGMAS * 0.02) ** 2)
+    here = math.exp(-0.5) / (2.0 * math.pi * 0.02**2)
     assert against_unseen(target, exact) == pytest.approx(math.log10(here / (1e-3 * anywhere)), rel=1e-3)
 
 
@@ -121,9 +124,18 @@ def test_a_box_of_the_rival_is_taken_for_the_targets_no_more_often_than_the_boun
 
 def test_a_box_of_something_unseen_passes_no_more_often_than_the_bound() -> None:
     rng, count, bar = np.random.default_rng(6), 100_000, 3.3
-    off = REACH_M * np.sqrt(rng.random(count))
+    off = REACH_SIGMAS * SIGMA * np.sqrt(rng.random(count))
     fooled = sum(against_unseen((x, 0.0), OWN) >= bar for x in off.tolist())
     assert OWN.unseen * fooled / count <= 10.0**-bar
+
+
+@pytest.mark.parametrize("scale", [0.2, 1.0, 5.0, 20.0])
+def test_the_same_offset_in_errors_says_the_same_however_large_the_errors_are(scale: float) -> None:
+    """Where boxes of a boat lie 0.14 m apart, D2 looks for it as many times farther: it was never handed over."""
+    larger = replace(OWN, offset_sigma_m=scale * SIGMA)
+    there = against_unseen((scale * SIGMA, 0.0), larger)
+    assert there == pytest.approx(against_unseen((SIGMA, 0.0), OWN))
+    assert there > ENOUGH
 
 
 def test_true_boxes_pass() -> None:
