@@ -162,7 +162,8 @@ class Deadlines:
     guard_s: Annotated[float, Bounds(0.1, 3600.0)] = 15.0
     peer_s: Annotated[float, Bounds(0.1, 3600.0)] = 60.0
     take_off_s: Annotated[float, Bounds(0.1, 3600.0)] = 30.0
-    acquire_s: Annotated[float, Bounds(0.1, 3600.0)] = 30.0  # somebody who is asked has to look, too
+    # what moves among its like: D1 looks from other sides, asks, waits for an answer, and until it is sure
+    acquire_s: Annotated[float, Bounds(0.1, 3600.0)] = 60.0
     receiver_ready_s: Annotated[float, Bounds(0.1, 3600.0)] = 120.0
     viewpoint_s: Annotated[float, Bounds(0.1, 3600.0)] = 15.0
     stand_off_s: Annotated[float, Bounds(0.1, 3600.0)] = 40.0

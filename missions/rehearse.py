@@ -17,7 +17,7 @@ from drivers.rig.file import find_rig, read_rig
 from drivers.rig.parts import Rig
 from drivers.rig.toml_text import toml_text
 from flight.config import MissionConfig
-from flight.plan.complete import body_of
+from flight.plan.complete import body_of, room_of
 from flight.plan.facts import facts_of
 from missions import rig_library
 from missions.options.flights import HandoffOptions, RehearseOptions
@@ -105,12 +105,7 @@ def _world(stand_in: Mapping[str, Any], rig: Rig, mission: MissionConfig) -> dic
     }
     if facts.target.flies:
         world["target"]["height_m"] = max(0.5, mission.target.height_m)
-    apart_m = max(1.2, 2.0 * facts.target.span_m)
-    world["look_alikes"] = {
-        **stand_in.get("look_alikes", {}),
-        "min_distance_m": apart_m,
-        "max_distance_m": 2.0 * apart_m,
-    }
+    world["look_alikes"] = {**stand_in.get("look_alikes", {}), **room_of(facts.target)}
     if rig.site is not None:
         world["wind"] = {
             **stand_in.get("wind", {}),

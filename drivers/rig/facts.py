@@ -145,6 +145,8 @@ DERIVED = (
     "method.evidence",
     "method.target_center_sigma_m",
     "method.max_depth_spread_m",
+    "method.min_search_px",
+    "method.max_search_px",
     "method.relative_speed_mps",
     "method.relative_accel_mps2",
 )

@@ -27,6 +27,10 @@ DEPTH_KEYS = (
     "depth_sigma_at_1m_m",
 )
 """Settings of the method that a perception has a copy of."""
+LOOK_ALIKES_M = (1.2, 2.0)
+"""Of a simulated robot car, to its look-alikes: the least and the most."""
+SPANS_APART = 1.8
+"""Times a target's diameter, between it and its look-alikes."""
 
 
 def complete(rig: Rig) -> Rig:
@@ -70,11 +74,23 @@ def _with_site(mission: dict[str, Any], rig: Rig) -> dict[str, Any]:
 
 
 def _with_body(rig: Rig) -> Mapping[str, Any]:
-    """Return a simulated world whose target has the body of the rig's, unless it says otherwise."""
+    """Return a simulated world whose target has the body of the rig's, and room around it, unless it says otherwise."""
     facts = rig.target
     if facts is None or rig.harness is None:
         return rig.world
-    return {**rig.world, "target": {**body_of(facts), **rig.world.get("target", {})}}
+    target = {**body_of(facts), **rig.world.get("target", {})}
+    look_alikes = {**room_of(facts), **rig.world.get("look_alikes", {})}
+    return {**rig.world, "target": target, "look_alikes": look_alikes}
+
+
+def room_of(target: TargetFacts) -> dict[str, Any]:
+    """Return how far look-alikes keep from a simulated target.
+
+    As far as a target's bodies do not hide each other from where it is followed, and no nearer than small cars do.
+    """
+    usual = LOOK_ALIKES_M
+    least_m = max(usual[0], SPANS_APART * target.span_m, target.height_m)
+    return {"min_distance_m": round(least_m, 2), "max_distance_m": round(least_m * usual[1] / usual[0], 2)}
 
 
 def body_of(target: TargetFacts) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from path.config import MethodConfig
 
 GRAVITY_MPS2 = 9.81
 TILT_RAD = math.radians(4.7)  # of a correction; a camera that is fixed to the body tilts with it
+USUAL_FOCAL_PX = 614.0  # of the camera for which the method's own pixels are
 MOST_TARGET_PX = 280.0  # of a box's longer side: detectors were measured up to 300 (docs/detectors.md)
 EDGE = 0.9  # of half the image: what a box keeps from the border
 WIDER = 1.05  # the next range to try
@@ -221,6 +222,10 @@ def _method(facts: Facts, found: _Found) -> None:
     found.add("method.max_depth_spread_m", 0.8 * span_m, "m", "its own depth")
     fastest_mps = facts.target.max_speed_mps + facts.drone.hold_m / facts.drone.response_s
     found.add("method.relative_speed_mps", max(fastest_mps, 1e-3), "m/s", "target and drone")
+    lens, usual = facts.receiver.camera, MethodConfig()
+    wider = 0.5 * (lens.fx + lens.fy) / USUAL_FOCAL_PX
+    found.add("method.min_search_px", wider * usual.min_search_px, "px", "the same angle with any camera")
+    found.add("method.max_search_px", wider * usual.max_search_px, "px", "the same angle with any camera")
     accel_mps2 = 3.0 * found["mission.max_accel_mps2"]
     found.add("method.relative_accel_mps2", accel_mps2, "m/s2", "target and both drones")
     placed = layout(

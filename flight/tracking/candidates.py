@@ -1,9 +1,13 @@
 """Every object that D1 sees before it has a target: where each is, how it moves, and where it was.
 
-Each is tracked with a constant-velocity filter. Detections are given to tracks one to one, the surest first. Whose
-history a track tells is known only as long as nothing else could have been in its place: where detections could have
-been given otherwise, nearly as likely, the histories of all that compete begin anew. One that is out of sight is
-not forgotten for a while: it may be the one that is meant. What then comes to where it can be is taken for it, anew.
+Each is tracked with a constant-velocity filter, and every detection has the covariance that it has where it is: across
+the line of sight that of an attitude and a pixel, along it that of its depth, or of where its ray meets the ground. Far
+off, two that go one beside the other are told apart by the one, however little the other says.
+
+Detections are given to tracks one to one, the surest first. Whose history a track tells is known only as long as
+nothing else could have been in its place: where detections could have been given otherwise, nearly as likely, the
+histories of all that compete begin anew. One that is out of sight is not forgotten for a while: it may be the one that
+is meant. What then comes to where it can be is taken for it, anew.
 """
 
 from __future__ import annotations
@@ -14,10 +18,13 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from drivers.interfaces import View
 from flight.guidance import Vec3, add, scale, subtract
 from flight.tracking.objects import CUT_SCORE, MIN_SCORE, is_cut
-from flight.tracking.places import at_height, place
+from flight.tracking.places import COARSE, at_height, place
+from path.belief.motion import Array, Motion, mahalanobis2
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.geometry.transforms import Pose
@@ -28,19 +35,21 @@ REMEMBERED_S = 20.0  # where something was, and that there was something
 COASTED_S = 0.6  # unseen for longer, what comes to its place may be another one
 STEADY_FRAMES = 5  # detectors invent things for a frame
 LIKELIER = 9.0  # twice the logarithm of how much: a way to give detections to tracks is the right one
+_ON_BODY = 0.1  # of a box's larger side: how far from the object's middle its place is taken, from frame to frame
+_CUT = 0.5  # the same, of a box that the border cuts
 
 
 @dataclass(slots=True)
 class Observed:
     """A detection in the local frame. ``depth`` is None where only its line of sight is known, or the border cuts it.
 
-    ``sigma_m``: standard deviation of the place, per axis.
+    ``covariance_m2``: of the place, shape (3, 3).
     """
 
     box: Box
     depth: Depth | None
     place_n_m: Vec3
-    sigma_m: float
+    covariance_m2: Array
 
 
 @dataclass(slots=True)
@@ -58,19 +67,36 @@ class Candidate:
     since_ns: int
     stamp_ns: int
     observed: Observed
-    position_n_m: Vec3
-    velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
+    motion: Motion
     frames: int = 1
-    pp: float = 0.0
-    pv: float = 0.0
-    vv: float = 0.0
     path: deque[tuple[int, Vec3]] = field(default_factory=deque[tuple[int, Vec3]])
 
+    @property
+    def position_n_m(self) -> Vec3:
+        """Return where it was when it was seen last."""
+        return _vec3(self.motion.mean[:3])
+
+    @property
+    def velocity_n_mps(self) -> Vec3:
+        """Return how it moved then."""
+        return _vec3(self.motion.mean[3:])
+
+    @property
+    def vv(self) -> float:
+        """Return the variance of its velocity along the ground, per axis."""
+        return 0.5 * float(self.motion.covariance[3, 3] + self.motion.covariance[4, 4])
+
     def predicted(self, stamp_ns: int, accel_mps2: float) -> tuple[Vec3, float]:
-        """Return its place at a stamp, and the standard deviation of that, per axis."""
-        dt = max(0.0, (stamp_ns - self.stamp_ns) * 1e-9)
-        variance = self.pp + 2.0 * dt * self.pv + dt * dt * self.vv + (0.5 * accel_mps2 * dt * dt) ** 2
-        return add(self.position_n_m, scale(self.velocity_n_mps, dt)), math.sqrt(variance)
+        """Return its place at a stamp, and the standard deviation of that along the ground, per axis."""
+        motion = self.ahead(stamp_ns, accel_mps2)
+        known = motion.place_covariance_m2
+        return _vec3(motion.place_m), math.sqrt(0.5 * float(known[0, 0] + known[1, 1]))
+
+    def ahead(self, stamp_ns: int, accel_mps2: float) -> Motion:
+        """Return its motion at a stamp, carried on."""
+        motion = Motion(self.motion.mean.copy(), self.motion.covariance, self.motion.stamp_ns)
+        motion.advance(stamp_ns, accel_mps2)
+        return motion
 
     @property
     def likely_velocity_n_mps(self) -> Vec3:
@@ -105,17 +131,8 @@ class Candidate:
 
     def fuse(self, seen: Observed, stamp_ns: int, accel_mps2: float) -> None:
         """Take a detection for it."""
-        dt = (stamp_ns - self.stamp_ns) * 1e-9
-        q = accel_mps2**2
-        position = add(self.position_n_m, scale(self.velocity_n_mps, dt))
-        pp = self.pp + 2.0 * dt * self.pv + dt * dt * self.vv + q * dt**4 / 4.0
-        pv = self.pv + dt * self.vv + q * dt**3 / 2.0
-        vv = self.vv + q * dt * dt
-        gain_p, gain_v = pp / (pp + seen.sigma_m**2), pv / (pp + seen.sigma_m**2)
-        innovation = subtract(seen.place_n_m, position)
-        self.position_n_m = add(position, scale(innovation, gain_p))
-        self.velocity_n_mps = add(self.velocity_n_mps, scale(innovation, gain_v))
-        self.pp, self.pv, self.vv = (1.0 - gain_p) * pp, (1.0 - gain_p) * pv, vv - gain_v * pv
+        self.motion.advance(stamp_ns, accel_mps2)
+        self.motion.update(np.asarray(seen.place_n_m), seen.covariance_m2)
         self.stamp_ns, self.observed = stamp_ns, seen
         self.frames += 1
         self.path.append((stamp_ns, self.position_n_m))
@@ -184,14 +201,19 @@ class Candidates:
             else:
                 there = place(box, depth, self._camera, T_n_c, down_m)
             if there is not None:
-                found.append(Observed(box, depth, there, self._sigma_m(box, depth, there, T_n_c)))
+                found.append(Observed(box, depth, there, self._covariance(box, depth, cut, there, T_n_c)))
         return found
 
-    def _sigma_m(self, box: Box, depth: Depth | None, there: Vec3, T_n_c: Pose) -> float:
-        """Of a place: the line of sight's error and depth's; without depth, as much as the object is large as well."""
-        range_m = math.dist(there, T_n_c.t.tolist())
-        along_m = max(box.w, box.h) / self._camera.fx * range_m if depth is None else depth.sigma_m
-        return math.hypot(self._angle_rad * range_m, along_m)
+    def _covariance(self, box: Box, depth: Depth | None, cut: bool, there: Vec3, T_n_c: Pose) -> Array:
+        """Return the covariance (3, 3) of a place: across its line of sight, along it, and on the body."""
+        ray = np.asarray(there) - T_n_c.t
+        range_m = float(np.linalg.norm(ray))
+        ray /= max(range_m, 1e-9)
+        across_m = self._angle_rad * range_m
+        on_ground_m = across_m / max(abs(float(ray[2])), 1e-3)  # where a ray that errs so much meets the ground
+        along_m = on_ground_m if depth is None else min(depth.sigma_m, max(on_ground_m, COARSE * depth.z_m))
+        on_body_m = (_CUT if cut else _ON_BODY) * max(box.w, box.h) / self._camera.fx * range_m
+        return (across_m**2 + on_body_m**2) * np.eye(3) + along_m**2 * np.outer(ray, ray)
 
     def _within_gates(self, seen: Sequence[Observed], stamp_ns: int) -> dict[tuple[int, int], float]:
         """Every track and detection that may be the same object, with minus twice the log likelihood that they are."""
@@ -199,12 +221,12 @@ class Candidates:
         for t, track in enumerate(self.all):
             if stamp_ns - track.stamp_ns > COASTED_S * 1e9:
                 continue
-            expected, sigma_m = track.predicted(stamp_ns, self._accel_mps2)
+            expected = track.ahead(stamp_ns, self._accel_mps2)
             for d, one in enumerate(seen):
-                both_m = math.hypot(sigma_m, one.sigma_m)
-                off_sigmas = math.dist(one.place_n_m, expected) / both_m
-                if off_sigmas <= GATE_SIGMAS:
-                    costs[t, d] = off_sigmas**2 + 6.0 * math.log(both_m)
+                both_m2 = expected.place_covariance_m2 + one.covariance_m2
+                off2 = mahalanobis2(np.asarray(one.place_n_m) - expected.place_m, both_m2)
+                if off2 <= GATE_SIGMAS**2:
+                    costs[t, d] = off2 + math.log(float(np.linalg.det(both_m2)))
         return costs
 
     def _kept_s(self, one: Candidate) -> float:
@@ -216,24 +238,37 @@ class Candidates:
         nearest_m = math.inf
         for one in self.all:
             unseen_s = (stamp_ns - one.stamp_ns) * 1e-9
-            off_m = math.dist(one.position_n_m, seen.place_n_m)
-            reach_m = self._fastest_mps * unseen_s + GATE_SIGMAS * math.hypot(seen.sigma_m, one.observed.sigma_m)
+            off = np.asarray(seen.place_n_m) - one.motion.place_m
+            off_m = float(np.linalg.norm(off))
+            way = off / max(off_m, 1e-9)
+            unknown_m = math.sqrt(float(way @ (seen.covariance_m2 + one.observed.covariance_m2) @ way))
+            reach_m = self._fastest_mps * unseen_s + GATE_SIGMAS * unknown_m
             if unseen_s > COASTED_S and off_m <= min(reach_m, nearest_m):
                 nearest, nearest_m = one, off_m
         return nearest
 
     def _begin(self, seen: Observed, stamp_ns: int) -> None:
         self._numbers += 1
-        one = Candidate(self._numbers, stamp_ns, stamp_ns, seen, seen.place_n_m)
+        one = Candidate(self._numbers, stamp_ns, stamp_ns, seen, self._motion_of(seen, stamp_ns))
         self._begin_again(one, seen, stamp_ns)
         self.all.append(one)
 
     def _begin_again(self, one: Candidate, seen: Observed, stamp_ns: int) -> None:
         one.since_ns = one.stamp_ns = stamp_ns
-        one.observed, one.position_n_m, one.velocity_n_mps, one.frames = seen, seen.place_n_m, (0.0, 0.0, 0.0), 1
-        one.pp, one.pv, one.vv = seen.sigma_m**2, 0.0, (0.5 * self._fastest_mps) ** 2
+        one.observed, one.motion, one.frames = seen, self._motion_of(seen, stamp_ns), 1
         one.path.clear()
         one.path.append((stamp_ns, seen.place_n_m))
+
+    def _motion_of(self, seen: Observed, stamp_ns: int) -> Motion:
+        """Return the motion of what is seen for the first time: it may be as fast as such a thing can be."""
+        motion = Motion.at(np.asarray(seen.place_n_m), seen.covariance_m2, self._accel_mps2, stamp_ns)
+        motion.covariance[3:, 3:] = np.eye(3) * (0.5 * self._fastest_mps) ** 2
+        return motion
+
+
+def _vec3(of: Array) -> Vec3:
+    x, y, z = of.tolist()
+    return x, y, z
 
 
 def competing(costs: Mapping[tuple[int, int], float], given: Mapping[int, int]) -> set[int]:

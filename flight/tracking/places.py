@@ -11,7 +11,7 @@ from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.observations import Box, Depth
 
-_COARSE = 0.058  # of a range: one that is known no better is estimated, not measured
+COARSE = 0.058  # of a range: one that is known no better is estimated, not measured
 
 
 def point_in_camera(box: Box, z_m: float, camera: CameraModel) -> Vec3:
@@ -32,7 +32,7 @@ def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: floa
     Args:
         down_m: of the object, when it stands on the ground that the drone measures its own height from.
     """
-    if depth.sigma_m > _COARSE * depth.z_m:
+    if depth.sigma_m > COARSE * depth.z_m:
         on_ground = at_height(box.center, camera, T_n_c, down_m)
         if on_ground is not None:
             return on_ground

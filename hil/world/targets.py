@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 RAMP_S = 2.0  # from parked to full speed
 FIRST_STANDS = 0.3  # share of those that stand at first
 LOOP_POINTS = 1024
-LOOK_ALIKE_GAP_M = 0.8  # between two look-alikes
+GAP_SHARE = 2.0 / 3.0  # of the least distance to the target: between two look-alikes
 HOME_GAP_M = 1.5  # nothing is parked where drones stand
 PLACEMENTS = 2000
 CROSSING_MPS = 1.0  # relative to the target
@@ -335,7 +335,8 @@ def _driving(loop: Loop, config: LookAlikeConfig) -> list[float]:
             if gap > 0.5 * loop.length_m:
                 raise ValueError("look_alikes: no room on the target's loop; fewer driving, or a larger radius_m")
         apart.append(side * gap)
-    if any(loop.closest_chord(a - b) < LOOK_ALIKE_GAP_M for i, a in enumerate(apart) for b in apart[:i]):
+    gap_m = GAP_SHARE * config.min_distance_m
+    if any(loop.closest_chord(a - b) < gap_m for i, a in enumerate(apart) for b in apart[:i]):
         raise ValueError("look_alikes: they do not fit on the target's loop; fewer driving, or a larger radius_m")
     return apart
 
@@ -349,6 +350,7 @@ def _parked(
 ) -> list[tuple[float, float, float]]:
     """Places (E, N, yaw) beside the loop: the first near the start, the others anywhere along it."""
     placed: list[tuple[float, float, float]] = []
+    gap_m = GAP_SHARE * config.min_distance_m
     for _ in range(PLACEMENTS):
         if len(placed) == config.count - len(apart):
             return placed
@@ -357,7 +359,7 @@ def _parked(
         aside = float(rng.uniform(config.min_distance_m, config.max_distance_m)) * (1.0 if rng.random() < 0.5 else -1.0)
         x, y = x - aside * math.sin(heading), y + aside * math.cos(heading)
         yaw = float(rng.uniform(-math.pi, math.pi))
-        free = all(math.hypot(x - p[0], y - p[1]) >= LOOK_ALIKE_GAP_M for p in placed)
+        free = all(math.hypot(x - p[0], y - p[1]) >= gap_m for p in placed)
         clear = all(math.hypot(x - p[0], y - p[1]) >= HOME_GAP_M for p in keep_clear)
         if free and clear and loop.closest((x, y)) >= config.min_distance_m:
             placed.append((x, y, yaw))

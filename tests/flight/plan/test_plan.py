@@ -21,8 +21,10 @@ from flight.plan.facts import Eye, Facts, facts_of
 from flight.plan.geometry import apparent
 from flight.plan.predictions import predictions
 from flight.rendezvous.viewpoint import NoViewpoint
+from hil.world.targets import LookAlikeConfig
 from missions import rig_library
 from missions.rig_library import mission_of
+from path.config import MethodConfig
 from path.geometry.transforms import Pose
 
 CAR = """
@@ -146,14 +148,18 @@ def test_lengths_and_speeds_grow_with_the_world(rig_of: RigOf, k: float) -> None
     assert len([key for key in base if not any(word in key for word in ABSOLUTE)]) > 20
 
 
+def cameras(times: float) -> str:
+    """Return cameras with so many times the usual pixels."""
+    return "".join(
+        f"[{role}.camera]\nwidth = {640 * times:.0f}\nheight = {480 * times:.0f}\nfx = {615.0 * times}\n"
+        f"fy = {615.0 * times}\ncx = {319.5 * times}\ncy = {239.5 * times}\n{STRAIGHT}"
+        for role in ("sender", "receiver")
+    )
+
+
 def test_more_pixels_change_no_distance(rig_of: RigOf) -> None:
     def seen_by(times: float) -> dict[str, float]:
-        cameras = "".join(
-            f"[{role}.camera]\nwidth = {640 * times:.0f}\nheight = {480 * times:.0f}\nfx = {615.0 * times}\n"
-            f"fy = {615.0 * times}\ncx = {319.5 * times}\ncy = {239.5 * times}\n{STRAIGHT}"
-            for role in ("sender", "receiver")
-        )
-        return values(rig_of(CAR + cameras, f"px{times:g}"))
+        return values(rig_of(CAR + cameras(times), f"px{times:g}"))
 
     # twice as many: with four times as many the box would be larger than detectors were measured with
     few, many = seen_by(1.0), seen_by(2.0)
@@ -287,3 +293,20 @@ def test_a_link_that_is_late_is_given_time_and_one_that_is_too_late_is_refused(r
     assert problem.where == "link.latency_s"
     most_s = float(problem.change.split(" s would do")[0])
     assert list(problems(of(rig_of(f"[link]\nlatency_s = {most_s - 0.01}\n", "just-so")))) == []
+
+
+def test_look_alikes_of_a_large_target_keep_so_far_from_it_as_it_is_large(rig_of: RigOf) -> None:
+    """Where the world says nothing of them; boats 1.2 m apart would be one boat."""
+    boat = rig_of("[target]\nlength_m = 2.5\nwidth_m = 1.0\nheight_m = 0.8")
+    assert boat.world["look_alikes"]["min_distance_m"] == pytest.approx(1.8 * math.hypot(2.5, 1.0), abs=0.01)
+    car = rig_of(CAR)
+    assert car.world["look_alikes"]["min_distance_m"] == LookAlikeConfig().min_distance_m
+    assert car.world["look_alikes"]["max_distance_m"] == LookAlikeConfig().max_distance_m
+
+
+def test_d2_searches_as_wide_an_angle_with_any_camera(rig_of: RigOf) -> None:
+    """Of a 4K image 200 px are a quarter of that: no prior was good enough."""
+    few, many = (rig_of(CAR + cameras(times), f"px{times:g}").method for times in (1.0, 4.0))
+    assert many.max_search_px == pytest.approx(4.0 * few.max_search_px, rel=1e-3)
+    assert many.min_search_px == pytest.approx(4.0 * few.min_search_px, rel=1e-3)
+    assert few.max_search_px == pytest.approx(MethodConfig().max_search_px, rel=0.01)

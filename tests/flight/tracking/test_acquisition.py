@@ -265,3 +265,42 @@ def test_what_is_surely_the_target_is_taken_once_it_is_as_near_as_it_is_followed
     where = far.where(20 * FRAME_NS)
     assert where is not None
     assert where[1] < 0.3  # it need not look at all of where it can be any more: it comes nearer
+
+
+@dataclass
+class CoarseDepth(Boxes):
+    """Depth as a stereo camera has it far off, with its own error in every frame and for every box."""
+
+    sigma_m: float = 0.5
+
+    def depth(self, box: Box) -> Depth | None:
+        off = np.random.default_rng([self.stamp_ns, round(10.0 * box.x)]).standard_normal()
+        return Depth(self.z_m + self.sigma_m * float(off), self.sigma_m)
+
+
+def test_an_answer_holds_for_one_of_two_that_go_beside_each_other_however_coarse_depth_is() -> None:
+    """What errs is along the line of sight: across it they are 1.2 m apart, and are never confused."""
+    acquisition = begun(error_m=1.0)
+
+    def at(stamp_ns: int) -> CoarseDepth:
+        along_m = 0.5e-9 * stamp_ns
+        boxes = [box_of((4.0, east + along_m - 1.2, -0.9), ONE_PX) for east in (0.0, 1.2)]
+        return CoarseDepth([box for box, _ in boxes], boxes[0][1], stamp_ns)
+
+    question = asked(acquisition, at)
+    for k in range(25):
+        acquisition.look(seen(at(question.stamp_ns + (k + 1) * FRAME_NS)), T_N_C)
+    assert acquisition.choose(Chosen(question.number, question.shown[0].number))
+
+
+def test_d1_flies_on_with_what_it_looks_at() -> None:
+    """One that is only flown to is never reached where it is fast."""
+    acquisition = begun(error_m=1.0)
+    for k in range(30):
+        east_m = 1.2e-9 * k * FRAME_NS
+        acquisition.look(seen(two_at(k * FRAME_NS, [(4.0, east_m, -0.9)])), T_N_C)
+    newest_ns = 29 * FRAME_NS
+    north, east, down = acquisition.moves(newest_ns)
+    assert (north, down) == (pytest.approx(0.0, abs=0.1), 0.0)
+    assert east == pytest.approx(1.2, abs=0.2)
+    assert acquisition.moves(newest_ns + round(2e9)) == (0.0, 0.0, 0.0)  # out of sight
