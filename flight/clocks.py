@@ -9,17 +9,11 @@ bound, not an estimate: an exchange outside it is no noise, it shows that a cloc
 
 from __future__ import annotations
 
-import asyncio
 import math
 from dataclasses import dataclass
 from enum import Enum
 
-from drivers.interfaces import Clock
-from flight.outcome import MissionEnd, Outcome
 from path.messages import Ping, Pong
-
-_STEP_S = 0.2  # of an own clock: every age that is limited is longer
-_LOOKS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,32 +125,3 @@ class ClockAlignment:
 
     def _widening_ns(self, own_ns: int) -> int:
         return math.ceil(abs(own_ns - self._updated_ns) * self._drift)
-
-
-class SteadyClock:
-    """Notices that this drone's own clock was set: every age that is told by it is wrong from then on."""
-
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
-        self._ahead_s = 0.0
-
-    def begin(self) -> None:
-        """Take the clock as it is now for right."""
-        self._ahead_s = self._measured_s()
-
-    def check(self) -> None:
-        """Raise MissionEnd(CLOCK_FAULT) when the clock jumped since the last look; drifting is not jumping.
-
-        A program that did not run between two readings has measured that, so it looks again before it believes.
-        """
-        stepped_s = 0.0
-        for _ in range(_LOOKS):
-            ahead_s = self._measured_s()
-            stepped_s = ahead_s - self._ahead_s
-            if abs(stepped_s) <= _STEP_S:
-                self._ahead_s = ahead_s
-                return
-        raise MissionEnd(Outcome.CLOCK_FAULT, f"this drone's own clock was set by {stepped_s:+.1f} s")
-
-    def _measured_s(self) -> float:
-        return self._clock.now_ns() * 1e-9 - asyncio.get_running_loop().time()

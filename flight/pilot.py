@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 
 from drivers.interfaces import Clock, FlightMode, Log, Vehicle, VehicleState, VelocitySetpoint
-from flight.clocks import SteadyClock
+from drivers.steady_clock import SteadyClock
 from flight.config import MissionConfig
 from flight.guard.limits import check_vehicle, in_doubt
 from flight.guard.under_guard import UnderGuard
@@ -26,8 +26,7 @@ class Pilot:
     ) -> None:
         self._vehicle = vehicle
         self._guard = guard
-        self._clock = clock
-        self._own_clock = SteadyClock(clock)
+        self._clock = SteadyClock.of(clock)
         self._config = config
         self._log = log
         self._last = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
@@ -68,11 +67,11 @@ class Pilot:
     async def _run(self) -> None:
         period_s = 1.0 / self._config.control_hz
         loop = asyncio.get_running_loop()
-        self._own_clock.begin()
+        set_by_ns = self._clock.set_by_ns
         due_s = loop.time()
         while self.in_control:
-            self._own_clock.check()
             now_ns = self._clock.now_ns()
+            self._check_clock(set_by_ns)
             state = self._vehicle.state
             if self._guard is not None:
                 self._guard.check_hand()  # first: that the guard changed the mode says more than that it was changed
@@ -91,6 +90,12 @@ class Pilot:
             # Late ticks are not made up for: after a stall one comes at once, and then again one each period.
             due_s = max(due_s + period_s, loop.time())
             await asyncio.sleep(due_s - loop.time())
+
+    def _check_clock(self, before_ns: int) -> None:
+        """Raise MissionEnd(CLOCK_FAULT) when this drone's clock was set since it was set by so much."""
+        step_ns = self._clock.set_by_ns - before_ns
+        if step_ns:
+            raise MissionEnd(Outcome.CLOCK_FAULT, f"this drone's own clock was set by {step_ns * 1e-9:+.3g} s")
 
     def _doubts(self, state: VehicleState, now_ns: int) -> bool:
         """Returns whether a takeover is still to be confirmed or taken back.

@@ -17,6 +17,7 @@ from drivers.beacons.log import Mounted
 from drivers.interfaces import Clock
 from drivers.rig.facts import DepthFacts, DroneFacts, LinkFacts, SiteFacts, TargetFacts
 from drivers.rig.tables import RigError, decode_table, suggestion
+from drivers.steady_clock import SteadyClock
 from path.bounds import Bounds
 from path.camera.model import CameraModel
 from path.config import MethodConfig
@@ -290,9 +291,9 @@ class _NoClock:
 
 
 def part_context(rig: Rig, role: Role, harness: object | None = None) -> PartContext:
-    """The context of one role's parts, with its clock made. Raises RigError."""
+    """The context of one role's parts, with its clock made, which goes on evenly if it is set. Raises RigError."""
     own = rig.role(role)
     early = PartContext(
         role, _NoClock(), own.camera, own.mount, rig.layout, rig.origin, harness, camera_serial=own.camera_serial
     )
-    return dataclasses.replace(early, clock=create(own.clock, early))
+    return dataclasses.replace(early, clock=SteadyClock(create(own.clock, early)))

@@ -48,14 +48,21 @@ Emit = Callable[[Progress], None]
 
 @dataclass(frozen=True, slots=True)
 class RoleResult:
-    """The end of one role's program."""
+    """The end of one role's program.
+
+    Attributes:
+        log_failure: why the log is not whole; the flight went on.
+        ended_s: when its course ended, by the loop's time, which is the same in all programs of one computer; None: it
+            is not known.
+    """
 
     role: Role
     outcome: Outcome
     detail: str
     responsible: bool
     landed: bool
-    log_failure: str = ""  # why the log is not whole; the flight went on
+    log_failure: str = ""
+    ended_s: float | None = field(default=None, compare=False)
 
 
 def with_log(result: RoleResult, failure: str | None) -> RoleResult:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -167,7 +168,7 @@ def _nobody_came(absent: Sequence[RoleResult]) -> tuple[Outcome, str]:
 
 
 def _cause(report: FlightReport, good: Outcome) -> tuple[Outcome, str]:
-    """The harness's own failure and violated monitors first, then the roles' causes."""
+    """The harness's own failure and violated monitors first, then the roles' causes: of two the one that came first."""
     if report.failure:
         return Outcome.HARNESS_FAILED, report.failure
     if report.violations:
@@ -182,7 +183,7 @@ def _cause(report: FlightReport, good: Outcome) -> tuple[Outcome, str]:
         return Outcome.VEHICLE_REFUSED, "a vehicle did not land"
     # what one drone did because of the other is not the cause
     causes = [end for end in ends if end.outcome not in _CONSEQUENCES] or ends
-    cause = causes[0]
+    cause = min(causes, key=lambda end: math.inf if end.ended_s is None else end.ended_s)
     return cause.outcome, f"{cause.role.value}: {cause.detail}"
 
 

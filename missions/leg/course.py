@@ -69,6 +69,7 @@ async def run_course(session: RoleSession, course: Course) -> MissionEnd | None:
     if end is not None and guard is not None:
         end = guard.behind(end)
     session.end = end
+    session.ended_s = asyncio.get_running_loop().time()
     if end is not None:
         session.say(str(end))
     return end
@@ -107,7 +108,7 @@ def conclude(
         {"outcome": outcome.label, "detail": detail, "responsible": session.responsible, "landed": landed},
     )
     session.enter(Phase.DONE, outcome.label)
-    return RoleResult(session.role, outcome, detail, session.responsible, landed)
+    return RoleResult(session.role, outcome, detail, session.responsible, landed, ended_s=session.ended_s)
 
 
 async def _cancel(task: asyncio.Future[None]) -> None:

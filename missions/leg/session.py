@@ -126,6 +126,7 @@ class RoleSession:
         self.on_step: Callable[[int], None] = _ignore
         self._peer_steps: dict[tuple[Role, int], int] = {}
         self.end: MissionEnd | None = None  # what this drone's course ended in; the other drone is told
+        self.ended_s: float | None = None  # when it did, by the loop's time
         self.ended: asyncio.Future[MissionEnd] = asyncio.get_running_loop().create_future()
         self._steps_told = len(self.vehicle.steps)
         self._spawned: list[asyncio.Task[None]] = []

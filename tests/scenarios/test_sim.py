@@ -275,17 +275,40 @@ def test_a_plate_that_is_upside_down_is_never_flown_by_and_said_by_its_cause(
     assert sum(note.startswith("the sender's marker: gravity contradicts") for note in notes) == 1
 
 
-@pytest.mark.parametrize(("who", "step_s"), [("sender", 5.0), ("receiver", -5.0), ("sender", 0.5)])
-def test_a_drone_whose_own_clock_is_set_in_flight_says_so(tmp_path: Path, who: str, step_s: float) -> None:
-    clock = {"factory": "tests.stepping_clock:SteppingClock", "offset_s": 100.0, "step_s": step_s, "at_s": 25.0}
+IN_VERIFY_S = 33.5  # of seed 7: the loop's time
+
+
+@pytest.mark.parametrize(
+    ("who", "step_s", "at_s"),
+    [
+        ("sender", 5.0, 25.0),
+        ("receiver", -5.0, 25.0),
+        ("sender", 0.5, 25.0),
+        ("sender", 5.0, IN_VERIFY_S),
+        ("sender", -5.0, IN_VERIFY_S),
+        ("sender", -0.05, IN_VERIFY_S),
+        ("receiver", 5.0, IN_VERIFY_S),
+        ("receiver", -5.0, IN_VERIFY_S),
+        ("receiver", 0.05, IN_VERIFY_S),
+    ],
+)
+def test_a_drone_whose_own_clock_is_set_in_flight_says_so_and_comes_down(
+    tmp_path: Path, who: str, step_s: float, at_s: float
+) -> None:
+    clock = {"factory": "tests.stepping_clock:SteppingClock", "offset_s": 100.0, "step_s": step_s, "at_s": at_s}
     lines = [f"{key} = {json.dumps(value)}" for key, value in clock.items()]
     rig = tmp_path / "set.toml"
     rig.write_text("\n".join(['name = "set"', 'like = "sim"', 'level = "sim"', f"[{who}.clock]", *lines]), "utf-8")
     flown = fly(str(rig), tmp_path / "run", 7)
     assert flown.facts.outcome == "clock_fault", flown.facts.detail
-    # either drone may notice first; the one whose own clock it was says so, whatever the other takes it for
-    assert flown.last_outcome(Role(who))["detail"] == f"this drone's own clock was set by {step_s:+.1f} s"
+    said = f"this drone's own clock was set by {step_s:+.3g} s"
+    assert flown.facts.detail == f"{who}: {said}"
+    assert flown.last_outcome(Role(who))["detail"] == said
     assert flown.facts.violations == {}
+    # nothing looked old that was not: its script brought it down itself
+    assert flown.last_outcome(Role.SENDER)["landed"] and flown.last_outcome(Role.RECEIVER)["landed"]
+    if at_s == IN_VERIFY_S:
+        assert "verify" in [r.record["phase"] for r in flown.run.role(Role(who))["/phase"]]
 
 
 def test_a_marker_of_another_id_is_said_by_its_id(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

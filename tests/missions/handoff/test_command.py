@@ -79,6 +79,16 @@ def test_when_each_blames_the_other_one_of_them_is_named(sender: Outcome, receiv
     assert detail == "sender: seen"
 
 
+@pytest.mark.parametrize(("sender_s", "receiver_s", "whose"), [(20.0, 19.5, "receiver"), (19.5, 20.0, "sender")])
+def test_of_two_causes_the_one_is_named_that_came_first(sender_s: float, receiver_s: float, whose: str) -> None:
+    ends = {
+        Role.SENDER: replace(result(Role.SENDER, Outcome.NO_AGREEMENT), ended_s=sender_s),
+        Role.RECEIVER: replace(result(Role.RECEIVER, Outcome.CLOCK_FAULT), ended_s=receiver_s),
+    }
+    outcome, detail = judge(report(None, None, results=ends))
+    assert (outcome, detail) == (ends[Role(whose)].outcome, f"{whose}: seen")
+
+
 def test_a_run_is_committed_only_when_both_are() -> None:
     for sender, receiver in itertools.product([None, *Outcome], repeat=2):
         outcome, _ = judge(report(sender, receiver))
