@@ -114,12 +114,34 @@ class MarkerDetection:
     covariance_px2: NDArray[np.float64]
 
 
+class RangeSource(Enum):
+    """What a range rests on. Values are stable: they are logged.
+
+    Attributes:
+        DEPTH: registered depth over the box.
+        SIZE: the size of the box, of an object whose size is known.
+        GROUND: where the line of sight comes down to the ground, by the drone's own height.
+        RANGEFINDER: the same, by a rangefinder that looks down.
+        VIEWS: the other drone's line of sight and range.
+    """
+
+    DEPTH = "depth"
+    SIZE = "size"
+    GROUND = "ground"
+    RANGEFINDER = "rangefinder"
+    VIEWS = "views"
+
+
 @value
 class Depth:
-    """Robust registered depth over a box. ``z_m`` along the optical axis, ``sigma_m`` its standard deviation."""
+    """The range of what is in a box: ``z_m`` along the optical axis, ``sigma_m`` its standard deviation.
+
+    ``source``: what most of it rests on; robust registered depth unless it says otherwise.
+    """
 
     z_m: float
     sigma_m: float
+    source: RangeSource = RangeSource.DEPTH
 
 
 class MissReason(Enum):

@@ -54,6 +54,8 @@ HANDOVER: dict[str, Topic] = {
             "box": box("the target as tracked"),
             "depth_m": number("of the target along the optical axis, m"),
             "depth_sigma_m": number("standard deviation of that, m"),
+            "range_by": text("what it rests on, the surest first: depth, size, ground, rangefinder, with + between"),
+            "range_against": text("what contradicts it and is not believed"),
             "point_v_m": numbers("the target in the marker's frame, m"),
             "gravity_v": numbers("direction of gravity in the marker's frame, unit vector"),
             "sigma_m": number("standard deviation of the point, m"),

@@ -24,6 +24,7 @@ from flight.tracking.target_track import TargetTrack
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.observations import Box, Depth, MissReason, Region
+from path.target.range import Ranged
 from path.target.rivals import MOST, Rival
 from path.values import value
 
@@ -49,13 +50,14 @@ _HELD_S = 5.0  # after it was seen whole, an object is taken to be in a larger b
 class Sighting:
     """The tracked object in one frame.
 
-    ``depth`` is None where the depth camera gave nothing to be trusted. ``beside``: the objects nearest to it that look
-    like it, of those that were looked for.
+    ``depth`` is None where nothing gave a range to be trusted. ``beside``: the objects nearest to it that look
+    like it, of those that were looked for. ``ranged``: what the depth rests on.
     """
 
     box: Box
     depth: Depth | None
     beside: tuple[Rival, ...] = ()
+    ranged: Ranged | None = None
 
 
 def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> Sighting | MissReason:
@@ -135,20 +137,20 @@ def _offered(seen: Sighting, camera: CameraModel, T_n_c: Pose, track: TargetTrac
     """The sighting to be offered; none where it may be of another object than the designated one."""
     if track.identity is not None and track.identity.of(seen.box) < LEAST_IDENTITY:
         return MissReason.AMBIGUOUS_TARGET
-    return _over_ground(seen, camera, T_n_c, track)
+    return _ranged(seen, camera, T_n_c, track)
 
 
-def _over_ground(seen: Sighting, camera: CameraModel, T_n_c: Pose, track: TargetTrack) -> Sighting:
-    """The sighting with what the height of the drone says of ranges, where that is stated: all stand on one ground."""
-    known, down_m = track.over_ground, track.position_n_m[2]
-    if known is None:
+def _ranged(seen: Sighting, camera: CameraModel, T_n_c: Pose, track: TargetTrack) -> Sighting:
+    """The sighting with everything that says how far away it is; what stands beside it is as far as that, about."""
+    ranging = track.ranging
+    if ranging is None:
         return seen
-
-    def bettered(box: Box, depth: Depth | None) -> Depth | None:
-        return None if depth is None else known.bettered(depth, box, camera, T_n_c, down_m)
-
-    beside = tuple(Rival(each.box, bettered(each.box, each.depth)) for each in seen.beside)
-    return Sighting(seen.box, bettered(seen.box, seen.depth), beside)
+    beside: list[Rival] = []
+    for each in seen.beside:
+        found = ranging.ranged(each.depth, each.box, camera, T_n_c, track.range_m)
+        beside.append(Rival(each.box, None if found is None else found.depth))
+    ranged = ranging.ranged(seen.depth, seen.box, camera, T_n_c, track.range_m)
+    return Sighting(seen.box, None if ranged is None else ranged.depth, tuple(beside), ranged)
 
 
 def _unfound(

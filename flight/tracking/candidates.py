@@ -23,7 +23,8 @@ import numpy as np
 from drivers.interfaces import View
 from flight.guidance import Vec3, add, scale, subtract
 from flight.tracking.objects import CUT_SCORE, MIN_SCORE, is_cut
-from flight.tracking.places import COARSE, at_height, place
+from flight.tracking.places import at_height, place
+from flight.tracking.ranging import COARSE
 from path.belief.motion import Array, Motion, mahalanobis2
 from path.camera.model import CameraModel
 from path.config import MethodConfig

@@ -6,12 +6,10 @@ import numpy as np
 
 from flight.guidance import Vec3
 from flight.tracking.objects import Pixel
-from flight.tracking.ranging import MIN_DESCENT
+from flight.tracking.ranging import COARSE, MIN_DESCENT
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.observations import Box, Depth
-
-COARSE = 0.058  # of a range: one that is known no better is estimated, not measured
 
 
 def point_in_camera(box: Box, z_m: float, camera: CameraModel) -> Vec3:

@@ -13,7 +13,7 @@ from flight.config import FollowConfig, MissionConfig
 from flight.guidance import Vec3, add, scale, subtract
 from flight.tracking.identity import Identity
 from flight.tracking.largest_box import LargestBox
-from flight.tracking.ranging import OverGround
+from flight.tracking.ranging import Ranging
 from path.target.size import RunningSize
 
 ACCELERATION_SIGMA_MPS2 = 0.6
@@ -37,8 +37,8 @@ class TargetTrack:
     """Position and velocity of one object in ``n``; the same filter on each axis (Kalman, constant velocity).
 
     ``accel_mps2``: how hard it may be expected to speed up, brake and turn. ``flies``: it moves up and down too; of one
-    that does not, what seems to is its box. ``over_ground``: how well the height from which it is seen is known, where
-    it stands on the ground and that is stated. ``largest``: the largest box that it can have, where that is stated.
+    that does not, what seems to is its box. ``ranging``: what tells its range besides depth. ``largest``: the largest
+    box that it can have, where that is stated.
     ``carry_s``: for so long after it was seen its depth alone carries it. ``range_m``: about how far off it is.
     ``stamp_ns`` is of what the track rests on, ``seen_ns`` of the last box.
     """
@@ -50,7 +50,7 @@ class TargetTrack:
         accel_mps2: float = ACCELERATION_SIGMA_MPS2,
         *,
         flies: bool = False,
-        over_ground: OverGround | None = None,
+        ranging: Ranging | None = None,
         largest: LargestBox | None = None,
         carry_s: float = 0.0,
         identity: Identity | None = None,
@@ -59,7 +59,7 @@ class TargetTrack:
         self.position_n_m = position_n_m
         self.largest = largest
         self.identity = identity
-        self.over_ground = over_ground
+        self.ranging = ranging
         self.velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
         self.stamp_ns = stamp_ns
         self.seen_ns = stamp_ns
@@ -78,12 +78,19 @@ class TargetTrack:
         self.whole_ns = stamp_ns
 
     @classmethod
-    def of(cls, mission: MissionConfig, position_n_m: Vec3, stamp_ns: int, largest: LargestBox | None = None) -> Self:
+    def of(
+        cls,
+        mission: MissionConfig,
+        position_n_m: Vec3,
+        stamp_ns: int,
+        largest: LargestBox | None = None,
+        ranging: Ranging | None = None,
+    ) -> Self:
         """The track of the mission's target, first seen there."""
         accel_mps2, flies = mission.follow.target_accel_mps2, mission.target.flies
-        over_ground, carry_s = OverGround.of(mission), mission.follow.carry_s
+        carry_s = mission.follow.carry_s
         return cls(
-            position_n_m, stamp_ns, accel_mps2, flies=flies, over_ground=over_ground, largest=largest, carry_s=carry_s,
+            position_n_m, stamp_ns, accel_mps2, flies=flies, ranging=ranging, largest=largest, carry_s=carry_s,
             identity=Identity(mission, largest),
             range_m=math.hypot(mission.follow.behind_m, mission.follow.height_m),
         )  # fmt: skip

@@ -10,6 +10,7 @@ from flight.tracking.association import Sighting, follow
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.objects import MIN_SCORE
 from flight.tracking.places import place
+from flight.tracking.ranging import Ranging
 from flight.tracking.target_track import TargetTrack
 from hil.montecarlo.perception import HandoverView
 from hil.montecarlo.scene import Things
@@ -35,6 +36,7 @@ class Follower:
     ) -> None:
         self._camera, self._mission, self._things, self._down_m = camera, mission, things, down_m
         self._largest = LargestBox.of(camera, method)
+        self._ranging = Ranging.of(mission, method)
         self._track: TargetTrack | None = None
 
     def look(self, view: HandoverView, time_s: float, T_n_c: Pose) -> Sighting | MissReason:
@@ -66,7 +68,7 @@ class Follower:
         north, east, down = place_n_m
         places = [(north + n, east + e, down) for n, e in (moved - moved[-1]).tolist()]
         stamps = [stamp_ns + round(1e9 * each) for each in before_s.tolist()]
-        track = TargetTrack.of(self._mission, places[0], stamps[0], self._largest)
+        track = TargetTrack.of(self._mission, places[0], stamps[0], self._largest, self._ranging)
         for each, at_ns in zip(places[1:], stamps[1:], strict=False):
             track.update(each, at_ns)
         return track

@@ -25,7 +25,8 @@ from path.gate.window import Evidence, Gate
 from path.geometry.rotation import quat_from_R
 from path.geometry.transforms import Matrix, Pose
 from path.messages import Candidate, Role, Target
-from path.observations import Box, Depth, Detection, MarkerDetection, Missed, MissReason
+from path.observations import Box, Depth, Detection, MarkerDetection, Missed, MissReason, RangeSource
+from path.target.range import Ranged
 from path.target.rivals import Rival
 
 RIVAL_NUMBERS = 6
@@ -178,6 +179,29 @@ def beside_of(numbers: Sequence[float] | None) -> tuple[Rival, ...]:
     """Reads what ``beside_record`` has written."""
     rows = np.asarray(numbers or (), float).reshape(-1, RIVAL_NUMBERS).tolist()
     return tuple(Rival(Box(x, y, w, h), Depth(z, sigma) if z > 0.0 else None) for x, y, w, h, z, sigma in rows)
+
+
+def range_record(seen: Sighting) -> dict[str, Any]:
+    """Of a ``/target``: what the range rests on, the surest first, and what contradicts it."""
+    ranged = seen.ranged
+    if ranged is None:
+        return {}
+    against = "+".join(each.value for each in ranged.against)
+    return {"range_by": "+".join(each.value for each in ranged.by), "range_against": against or None}
+
+
+def sighting_of(record: Mapping[str, Any], box: Box) -> Sighting:
+    """Reads what D1 saw in the frame of a ``/target``; logs from before there were several ranges have depth alone."""
+    beside = beside_of(record["beside"])
+    if record["depth_m"] is None:
+        return Sighting(box, None, beside)
+    by = _sources(record.get("range_by"))
+    depth = Depth(record["depth_m"], record["depth_sigma_m"], by[0] if by else RangeSource.DEPTH)
+    return Sighting(box, depth, beside, Ranged(depth, by, _sources(record.get("range_against"))) if by else None)
+
+
+def _sources(text: str | None) -> tuple[RangeSource, ...]:
+    return tuple(RangeSource(each) for each in text.split("+")) if text else ()
 
 
 def frame_record(view: View, now_ns: int, T_n_c: Pose | None = None) -> dict[str, Any]:

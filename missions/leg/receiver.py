@@ -31,6 +31,7 @@ from flight.rendezvous.viewpoint import NoViewpoint
 from flight.tracking.association import follow
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.places import place
+from flight.tracking.ranging import Ranging
 from flight.tracking.target_track import TargetTrack
 from flight.way_out import way_out_m
 from missions.leg.handover import ReceiverHandover
@@ -373,8 +374,9 @@ class Receiver:
         depth = view.depth(candidate.box) or Depth(prior.depth_m, 0.0)
         position = place(candidate.box, depth, self._camera, T_n_c, -self._config.target.height_m)
         if self._track is None:
-            largest = LargestBox.of(self._camera, self._session.rig.method)
-            self._track = TargetTrack.of(self._config, position, view.stamp_ns, largest)
+            method = self._session.rig.method
+            largest, ranging = LargestBox.of(self._camera, method), Ranging.of(self._config, method)
+            self._track = TargetTrack.of(self._config, position, view.stamp_ns, largest, ranging)
         else:
             self._track.update(position, view.stamp_ns)
 

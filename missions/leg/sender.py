@@ -28,6 +28,7 @@ from flight.tilt import Tilt
 from flight.tracking.association import Sighting, follow
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.look_round import LookRound
+from flight.tracking.ranging import Ranging
 from flight.tracking.target_track import TargetTrack
 from flight.way_out import way_out_m
 from missions.leg.designating import Designating
@@ -39,6 +40,7 @@ from missions.leg.journal import (
     counted,
     frame_record,
     heard_candidate_record,
+    range_record,
     target_record,
     track_record,
 )
@@ -71,6 +73,7 @@ class Sender:
         self._heading_rad = math.radians(config.heading_deg)
         self._track: TargetTrack | None = None
         self._largest = LargestBox.of(self._camera, rig.method)
+        self._ranging = Ranging.of(config, rig.method)
         self._look_round = LookRound(config)
         self._designating = Designating(session, self._camera, self._look_round, self._pointed_at)
         self._watching = True
@@ -290,7 +293,7 @@ class Sender:
     def _try_to_acquire(self, view: View, R_n_b: Matrix) -> None:
         taken = self._designating.look(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b))
         if taken is not None:
-            self._track = TargetTrack.of(self._config, taken.position_n_m, view.stamp_ns, self._largest)
+            self._track = TargetTrack.of(self._config, taken.position_n_m, view.stamp_ns, self._largest, self._ranging)
             self._track.velocity_n_mps = taken.velocity_n_mps
             position = self._session.vehicle.state.position_n_m
             self._heading_rad = self._look_round.found(position, taken.position_n_m)
@@ -388,6 +391,7 @@ class Sender:
         record["judged_ns"] = now_ns
         if isinstance(seen, Sighting) and seen.depth is not None:
             record["depth_m"], record["depth_sigma_m"] = seen.depth.z_m, seen.depth.sigma_m
+            record |= range_record(seen)
         if isinstance(seen, Sighting):
             record["beside"] = beside_record(seen.beside)
         if isinstance(seen, MissReason):

@@ -20,6 +20,7 @@ from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
 from flight.tracking.acquisition import Acquisition
 from flight.tracking.association import Sighting, follow
 from flight.tracking.largest_box import LargestBox
+from flight.tracking.ranging import Ranging
 from flight.tracking.target_track import TargetTrack
 from missions.leg.journal import told_of
 from missions.replay.logged import pose_of
@@ -70,6 +71,7 @@ class SenderPerceiver:
         self._track: TargetTrack | None = None
         self._acquisition = Acquisition(camera, method, mission)
         self._largest = LargestBox.of(camera, method)
+        self._ranging = Ranging.of(mission, method)
         self._seen: Sighting | MissReason | None = None
         self._gravity_v: Vec3 = (math.nan, math.nan, math.nan)
 
@@ -98,7 +100,7 @@ class SenderPerceiver:
         self._seen = MissReason.NO_TARGET
         taken = self._acquisition.look(view, T_n_c)
         if taken is not None:
-            self._track = TargetTrack.of(self._mission, taken.position_n_m, stamp_ns, self._largest)
+            self._track = TargetTrack.of(self._mission, taken.position_n_m, stamp_ns, self._largest, self._ranging)
             self._track.velocity_n_mps = taken.velocity_n_mps
 
     @property

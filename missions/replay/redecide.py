@@ -21,10 +21,11 @@ from drivers.rig.tables import decode_table
 from flight.tracking.association import Sighting
 from missions.leg.journal import (
     agreement_record,
-    beside_of,
     beside_record,
     candidate_record,
     counted,
+    range_record,
+    sighting_of,
     target_record,
 )
 from missions.replay.logged import NAN3, as_logged, box_of, camera_of, candidate_of, pose_of, target_of
@@ -34,7 +35,7 @@ from path.cycle.receiver import ReceiverCycle
 from path.cycle.sender import SenderCycle
 from path.geometry.transforms import Matrix, Pose
 from path.messages import Role
-from path.observations import Box, Depth, Detection, Missed, MissReason
+from path.observations import Box, Detection, Missed, MissReason
 
 Record = Mapping[str, Any]
 Answers = Mapping[tuple[int, int], Record]
@@ -186,6 +187,7 @@ class _SenderReplay:
             "depth_m": None if depth is None else depth.z_m,
             "depth_sigma_m": None if depth is None else depth.sigma_m,
             "beside": beside_record(beside) if isinstance(seen, Sighting) else None,
+            **(range_record(seen) if isinstance(seen, Sighting) else {}),
         }
         yield DecisionPair("/target", capture_ns, record, as_logged({**again, **given}))
         for pair in cycle.evaluate_ready(judged_ns):
@@ -203,8 +205,7 @@ class _SenderReplay:
         gravity_v, box = tuple(record["gravity_v"] or NAN3), box_of(record["box"])
         if box is None:
             return MissReason(record["reason"]), gravity_v
-        depth = None if record["depth_m"] is None else Depth(record["depth_m"], record["depth_sigma_m"])
-        return Sighting(box, depth, beside_of(record["beside"])), gravity_v
+        return sighting_of(record, box), gravity_v
 
 
 class _ReceiverReplay:

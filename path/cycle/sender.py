@@ -18,7 +18,7 @@ from path.geometry.rigid import rigid, rigid_from_quat
 from path.geometry.rotation import normalized
 from path.geometry.transforms import Pose
 from path.messages import Candidate, Target, Vec3
-from path.observations import Box, Depth, Missed, MissReason
+from path.observations import Box, Depth, Missed, MissReason, RangeSource
 from path.target.place import TargetPoint, locate
 from path.target.rivals import Rival, Rivals
 from path.target.size import FITS, Sizes
@@ -181,14 +181,20 @@ class SenderCycle:
             return Missed(MissReason.NON_FINITE)
         if not (box.w > 0.0 and box.h > 0.0):
             return Missed(MissReason.NO_TARGET)
-        config = self._config
-        if depth is None or not (config.min_depth_m <= depth.z_m <= config.max_depth_m and depth.sigma_m >= 0.0):
+        if depth is None or not self._trusted(depth):
             return Missed(MissReason.NO_DEPTH)
-        point = locate(self._views, box, depth, config)
+        point = locate(self._views, box, depth, self._config)
         norm = math.hypot(*gravity_v)
         if not (math.isfinite(sum(point.point_v_m) + point.sigma_m) and abs(norm - 1.0) < UNIT_TOLERANCE):
             return Missed(MissReason.NON_FINITE)
         return point
+
+    def _trusted(self, depth: Depth) -> bool:
+        """Returns whether a range can be used: the limits of the depth camera are of what it measured."""
+        if not (depth.z_m > 0.0 and depth.sigma_m >= 0.0):
+            return False
+        config = self._config
+        return depth.source is not RangeSource.DEPTH or config.min_depth_m <= depth.z_m <= config.max_depth_m
 
     def _no_evidence(self, candidate: Candidate, capture_ns: int, now_ns: int) -> MissReason | None:
         if (candidate.handoff_id, candidate.epoch, candidate.target_id) != self._identity:

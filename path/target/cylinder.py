@@ -17,6 +17,7 @@ from path.messages import Vec3
 BEHIND_SHARE = 0.25
 """Of the cylinder's diameter: from its side to its axis it is half, a body that is narrower one way has less there."""
 _LEAST = 1e-6
+AT_THE_CAMERA: Rigid = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 as_it_is(transform)
 as_it_is(transform_back)
@@ -44,7 +45,7 @@ def middle_v(T_v_c: Rigid, surface_v: Vec3, gravity_v: Vec3, span_m: float, heig
     falling = (rx * gravity_v[0] + ry * gravity_v[1] + rz * gravity_v[2]) / distance
     level = math.sqrt(max(0.0, 1.0 - falling * falling))
     by_side, by_top = BEHIND_SHARE * span_m / max(_LEAST, level), 0.5 * height_m / max(_LEAST, abs(falling))
-    further = min(by_side, by_top) / distance
+    further = behind_m(falling, span_m, height_m) / distance
     on_ray = surface_v[0] + further * rx, surface_v[1] + further * ry, surface_v[2] + further * rz
     across = _moved(T_v_c, on_ray, gravity_v, span_m, height_m, -1.0)
     if by_top <= by_side:
@@ -54,6 +55,24 @@ def middle_v(T_v_c: Rigid, surface_v: Vec3, gravity_v: Vec3, span_m: float, heig
     along = (across[0] - on_ray[0]) * gx + (across[1] - on_ray[1]) * gy + (across[2] - on_ray[2]) * gz
     along /= level * level
     return on_ray[0] + along * gx, on_ray[1] + along * gy, on_ray[2] + along * gz
+
+
+@as_it_is
+def behind_m(falling: float, span_m: float, height_m: float) -> float:
+    """Return how far behind the surface, along a line of sight, a target's middle is.
+
+    Args:
+        falling: by how much that line comes down for each metre of it.
+    """
+    level = math.sqrt(max(0.0, 1.0 - falling * falling))
+    return min(BEHIND_SHARE * span_m / max(_LEAST, level), 0.5 * height_m / max(_LEAST, abs(falling)))
+
+
+def off_middle(point_c: Vec3, gravity_c: Vec3, span_m: float, height_m: float) -> Vec3:
+    """Return from a target's middle to the point at its depth in the middle of its box, in the camera's frame."""
+    middle_c = _moved(AT_THE_CAMERA, point_c, gravity_c, span_m, height_m, -1.0)
+    x, y, z = (p - m for p, m in zip(point_c, middle_c, strict=True))
+    return x, y, z
 
 
 @as_it_is

@@ -14,7 +14,7 @@ from typing import Annotated
 
 from path.bounds import Bounds
 from path.camera.model import CameraModel
-from path.observations import Box, Depth, Extent
+from path.observations import Box, Depth, Extent, RangeSource
 
 _LEAST_PX = 4.0
 _MOST_SIGMAS = 2.0  # above its mean, the apparent size is rather that of several that touch
@@ -62,4 +62,4 @@ def monocular_range(box: Box, camera: CameraModel, size: TargetSize) -> Depth | 
         return None
     z_m = math.sqrt(camera.fx * camera.fy / (box.w * box.h)) * size.apparent_m
     of_pixels = 0.5 * math.hypot(size.pixel_sigma_px / box.w, size.pixel_sigma_px / box.h)
-    return Depth(z_m, z_m * math.hypot(size.sigma, of_pixels))
+    return Depth(z_m, z_m * math.hypot(size.sigma, of_pixels), RangeSource.SIZE)

@@ -16,6 +16,7 @@ from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
 from flight.tracking.association import Sighting, follow
 from flight.tracking.objects import MIN_SCORE, is_cut
 from flight.tracking.places import point_in_camera, to_local
+from flight.tracking.ranging import Ranging
 from flight.tracking.target_track import TargetTrack
 from missions.leg.journal import (
     agreement_record,
@@ -29,6 +30,7 @@ from missions.leg.journal import (
     marker_miss_record,
     marker_record,
     motion_record,
+    range_record,
     setup_record,
     target_record,
 )
@@ -99,6 +101,7 @@ class FilmedSender:
             record["beside"] = beside_record(beside)
             if depth is not None:
                 record["depth_m"], record["depth_sigma_m"] = depth.z_m, depth.sigma_m
+                record |= range_record(seen)
         else:
             record["reason"] = seen.value
         self._log.write("/frame", stamp_ns, frame_record(view, stamp_ns, T_n_c))
@@ -135,7 +138,8 @@ class FilmedSender:
                 if against is not None and contradicts:
                     tell_line(f"{self._where(view)}: the target: {against.text} ({UNIT})")
                 position = to_local(point_in_camera(box, depth.z_m, camera), T_n_c)
-                return TargetTrack.of(self._config, position, view.stamp_ns)
+                ranging = Ranging.of(self._config, self._rig.method)
+                return TargetTrack.of(self._config, position, view.stamp_ns, ranging=ranging)
         if view.stamp_ns - self._films.target_ns > PICK_S * 1e9:
             at = "" if pixel is None else f" at ({pixel[0]:g}, {pixel[1]:g})"
             what = "without depth" if picked else f"not there{at}; {_places(boxes)}"
