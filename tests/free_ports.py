@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 import socket
-import tempfile
 from contextlib import suppress
 from functools import cache
 from itertools import count
-from pathlib import Path
 
 FIRST, EACH, SLOTS = 20_000, 500, 25  # below those that the system gives to whoever asks for any
 _next = count()
@@ -17,29 +13,31 @@ _hosts = count(2)
 
 
 @cache
-def _slot() -> int:
-    """This process's own: nobody else's on this computer as long as it lives."""
+def _slot() -> tuple[int, socket.socket]:
+    """Return this process's own slot, and what nobody else on this computer can have as long as it lives.
+
+    The first port of each slot says whose it is: runs of tests share the ports, and not always a folder for locks.
+    """
     for slot in range(SLOTS):
-        lock = Path(tempfile.gettempdir()) / f"path-handoff-{os.getuid()}-tests-{slot}.lock"
-        file = os.open(lock, os.O_CREAT | os.O_RDWR, 0o600)
+        mark = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            mark.bind(("127.0.0.1", FIRST + EACH * slot))
         except OSError:
-            os.close(file)
+            mark.close()
             continue
-        return slot
+        return slot, mark
     raise OSError(f"{SLOTS} runs of tests are under way")
 
 
 def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM, family: socket.AddressFamily = socket.AF_INET) -> int:
     """Returns a port that is free, and stays it until it is used: no other run, nor worker of it, is given it."""
-    first = FIRST + EACH * _slot()
-    for _ in range(EACH):
-        port = first + next(_next) % EACH
+    first, ports = FIRST + EACH * _slot()[0] + 1, EACH - 1
+    for _ in range(ports):
+        port = first + next(_next) % ports
         with socket.socket(family, kind) as probe, suppress(OSError):
             probe.bind(("", port))
             return port
-    raise OSError(f"no free port within {first}..{first + EACH - 1}")
+    raise OSError(f"no free port within {first}..{first + ports - 1}")
 
 
 def free_ports(
@@ -51,4 +49,4 @@ def free_ports(
 def free_host() -> str:
     """Returns a loopback address that no test had before: for a device whose ports are the same everywhere."""
     number = next(_hosts)
-    return f"127.{1 + _slot()}.{number // 250}.{number % 250}"
+    return f"127.{1 + _slot()[0]}.{number // 250}.{number % 250}"

@@ -10,6 +10,7 @@ import queue
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -127,31 +128,36 @@ class RealSenseRecording:
 
         self._playback.pause()
         running: list[Any] = []
+        beginning = ThreadPoolExecutor(1, "recording")
         try:
             for sensor, profiles in by_sensor([self._depth, self._color_profile]):
                 sensor.open(profiles)
                 running.append(sensor)
                 sensor.start(take)
-            self._playback.resume()
-            yield from self._paired(waiting)
+            # It may wait for images that have come to be taken, for ten seconds: they are taken here meanwhile.
+            begun = beginning.submit(self._playback.resume)
+            yield from self._paired(waiting, begun)
         except RuntimeError as error:  # all that librealsense ever raises
             raise CameraError(f"{self._file} cannot be played: {error}", "is the file whole?") from error
         finally:
             ending.set()
+            beginning.shutdown()
             for sensor in running:
                 with suppress(RuntimeError):
                     sensor.stop()
                 with suppress(RuntimeError):
                     sensor.close()
 
-    def _paired(self, waiting: queue.Queue[RawImage]) -> Iterator[RecordedPair]:
+    def _paired(self, waiting: queue.Queue[RawImage], begun: Future[None]) -> Iterator[RecordedPair]:
         pairing, heard_s = Pairing(self._tolerance_ns), time.monotonic()
         while True:
             try:
                 image = waiting.get(timeout=POLL_S)
             except queue.Empty:
-                if self._at_end and waiting.empty():
-                    return
+                if begun.done():
+                    begun.result()  # raises what librealsense raised
+                    if self._at_end and waiting.empty():
+                        return
                 if time.monotonic() - heard_s > SILENT_S:
                     raise CameraError(
                         f"{self._file}: nothing comes after {SILENT_S:g} s", "is the file whole?"
