@@ -1,6 +1,6 @@
 """Both drones' cycles of one Monte-Carlo hand-over, and a record of what D1's window was given.
 
-``MarkerView``, ``ReceiverCycle`` and ``SenderCycle`` are the flight's own. They are given frames and messages in the
+``MarkerView``, ``ReceiverSide`` and ``SenderSide`` are the flight's own. They are given frames and messages in the
 order of time.
 """
 
@@ -14,6 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.rig.parts import Mount
+from flight.frame.receiver import ReceiverSide
+from flight.frame.records import AttemptId
+from flight.frame.sender import PairCameras, SenderSide
 from flight.harness.montecarlo import MISS, OWN_MISS, PAIR, Attempt, Series
 from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
 from flight.tracking.association import Sighting
@@ -29,8 +32,7 @@ from hil.montecarlo.setup import (
 )
 from path.config import BoxMapping, MethodConfig
 from path.cycle.prior import Prior
-from path.cycle.receiver import ReceiverCycle
-from path.cycle.sender import PairVerdict, SenderCycle
+from path.cycle.sender import PairVerdict
 from path.gate.agreement import Agreed, TwoViews, depth_in, iou, map_box
 from path.gate.window import AgreementWindow, Offsets
 from path.geometry.rigid import rigid, rigid_from_quat
@@ -113,10 +115,9 @@ class _Cycles:
         self._window = AgreementWindow(method)
         self._hold_ns = round(method.hold_s * 1e9)
         self._begin_ns = 0  # of the run under way
-        self._sender = SenderCycle(
-            camera_1, camera_2, mount, method, handoff_id=1, epoch=1, target_id=1, gate=self._window
-        )
-        self._receiver = ReceiverCycle(camera_2, method, handoff_id=1, epoch=1, target_id=1)
+        cameras, attempt = PairCameras(camera_1, camera_2, mount), AttemptId(1, 1, 1)
+        self._sender = SenderSide(cameras, method, attempt, gate=self._window)
+        self._receiver = ReceiverSide(cameras, method, attempt)
         self._targets: dict[int, Target] = {}
         self._candidates: dict[int, Candidate] = {}
         self.record = _Record(TwoViews(camera_1, camera_2, rigid(mount)), method.box_mapping)
@@ -136,9 +137,9 @@ class _Cycles:
                 self._receiver_frame(which)
             elif kind == CANDIDATE_HEARD:
                 candidate = self._candidates[which]
-                self._sender.offer(candidate, candidate.capture_ns, now_ns)
+                self._sender.hear(candidate, candidate.capture_ns, now_ns)
             elif which in self._targets:
-                self._receiver.on_target(self._targets[which], int(setup.seen.stamp_1[which]), now_ns + setup.clock_ns)
+                self._receiver.hear(self._targets[which], int(setup.seen.stamp_1[which]), now_ns + setup.clock_ns)
         return len(events)
 
     def hopeless(self, now_ns: int, limit_ns: int) -> bool:
@@ -150,34 +151,32 @@ class _Cycles:
         seen = self._setup.seen
         stamp_ns, number = int(seen.stamp_1[k]), int(seen.number_1[k])
         found, who = self._setup.followed(k)
-        of_target = (found.box, found.depth) if isinstance(found, Sighting) else (None, None)
-        beside = found.beside if isinstance(found, Sighting) else ()
-        message = self._sender.observe(number, stamp_ns, *of_target, _vector(seen.gravity_v[k]), beside)
+        message = self._sender.observe(number, stamp_ns, found, _vector(seen.gravity_v[k])).message
         if isinstance(message, Target):
             self._targets[k] = message
             self.record.own_whose[number] = who
         else:
             self.record.own_miss(message.reason if isinstance(found, Sighting) else found, number, stamp_ns, now_ns)
-        for pair in self._sender.evaluate_ready(now_ns):
+        for pair in self._sender.judge(now_ns):
             self.record.pair(pair, now_ns)
             if self._window.count == 1:
                 self._begin_ns = pair.capture_ns
 
     def _receiver_frame(self, k: int) -> None:
-        seen, cycle = self._setup.seen, self._receiver
+        seen, side = self._setup.seen, self._receiver
         stamp_ns, number = int(seen.stamp_2[k]), int(seen.number_2[k])
         view = self._setup.receiver_view(k)
         self._marker.note_motion(self._motion(k, stamp_ns))
-        gravity_v, gravity_c = cycle.gravity_v(stamp_ns), _vector(seen.gravity_c[k])
+        gravity_v, gravity_c = side.gravity_v(stamp_ns), _vector(seen.gravity_c[k])
         fix = self._marker.look(view, seen.R_n_c[k], gravity_v, gravity_c)
         if isinstance(fix, MarkerFix):
             biased = Pose(seen.turn @ fix.T_c_v.R, fix.T_c_v.t + seen.shift_c)
-            prior = cycle.prior(biased, fix.covariance, stamp_ns)
-        else:
-            prior = fix
+            fix = replace(fix, T_c_v=biased)
+        prior = side.prior(fix, stamp_ns)
         found = view.targets(prior.region) if isinstance(prior, Prior) else ()
-        candidate = cycle.candidate(number, stamp_ns, found, prior)
-        assert isinstance(candidate, Candidate)
+        answer = side.answer(number, stamp_ns, found, prior)
+        assert answer is not None
+        candidate = answer.candidate
         self._candidates[k] = candidate
         if candidate.box is not None:
             self.record.whose[candidate.sequence] = view.whose(candidate.box)

@@ -26,10 +26,18 @@ from drivers.log.mcap_log import McapLog
 from drivers.perception.pixels import PixelView
 from drivers.realsense.registration import DepthRegistration
 from drivers.rig.parts import Rig, create, part_context
+from flight.frame.records import (
+    OwnFrame,
+    heard_candidate_record,
+    heard_target_record,
+    marker_record,
+    target_record,
+)
 from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
+from flight.tracking.association import Sighting
 from missions import rig_library
 from missions.doctor.parts import detector_of
-from missions.leg.journal import frame_record, heard_candidate_record, heard_target_record, marker_record, target_record
+from missions.leg.journal import frame_record
 from missions.rig_library import mission_of
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
@@ -48,6 +56,7 @@ TARGET = Target(1, 1, 1, 1, 1_000_000_000, (0.1, -0.3, 1.2), (0.0, -1.0, 0.0), 0
 BOX, LOOKED = Box(250.5, 180.25, 80.0, 60.0), (1.0, 0.0, 0.0, 0.0)
 CANDIDATE = Candidate(1, 1, 1, 1, 1, 1_000_000_000, BOX, None, (0.4, 0.1, 1.0), LOOKED, 0.004)
 MARKER = MarkerDetection(0, np.array([[300.0, 220.0], [340.0, 220.0], [340.0, 260.0], [300.0, 260.0]]), np.eye(8))
+FIX = MarkerFix(Pose(np.eye(3), np.array([0.4, 0.1, 1.0])), 1.6e-5 * np.eye(6), 40.0, (MARKER,))
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,10 +172,11 @@ def _log_time(role: Role, view: PixelView, car: Box, file: Path) -> Stage:
             stamp_ns = time.monotonic_ns()
             log.write("/frame", stamp_ns, frame_record(view, stamp_ns))
             if role is Role.SENDER:
-                log.write("/target", stamp_ns, target_record(TARGET, view.frame_id, stamp_ns, car))
+                own = OwnFrame(view.frame_id, stamp_ns, Sighting(car, None), TARGET)
+                log.write("/target", stamp_ns, target_record(own, stamp_ns))
                 log.write("/heard_candidate", stamp_ns, heard_candidate_record(CANDIDATE, stamp_ns))
             else:
-                log.write("/marker", stamp_ns, marker_record(stamp_ns, (0.4, 0.1, 1.0), LOOKED, 0.004, 40.0, MARKER))
+                log.write("/marker", stamp_ns, marker_record(stamp_ns, FIX))
                 log.write("/heard_target", stamp_ns, heard_target_record(TARGET, stamp_ns))
 
         return timed(write)

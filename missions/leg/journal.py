@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -14,22 +14,12 @@ from drivers.operator.interfaces import BearingTold, Chosen, PlaceTold, Question
 from drivers.rig.parts import Rig
 from flight.config import MissionConfig
 from flight.estimator_steps import Step
-from flight.rendezvous.marker_view import MarkerFix, VehicleMotions
+from flight.frame.records import box_record, pose_rows
 from flight.tracking.acquisition import Taken
 from flight.tracking.association import Sighting
-from path.cycle.prior import Prior
-from path.cycle.sender import PairVerdict
-from path.gate.agreement import Agreed
-from path.gate.identity import nearest_rival
-from path.gate.window import Evidence, Gate
-from path.geometry.rotation import quat_from_R
-from path.geometry.transforms import Matrix, Pose
-from path.messages import Candidate, Role, Target
-from path.observations import Box, Depth, Detection, MarkerDetection, Missed, MissReason, RangeSource
-from path.target.range import Ranged
-from path.target.rivals import Rival
-
-RIVAL_NUMBERS = 6
+from path.geometry.transforms import Pose
+from path.messages import Role
+from path.observations import MissReason
 
 
 def setup_record(rig: Rig, role: Role, config: MissionConfig) -> dict[str, Any]:
@@ -46,9 +36,9 @@ def setup_record(rig: Rig, role: Role, config: MissionConfig) -> dict[str, Any]:
         "mission": asdict(config),
         "camera": camera_record(own.camera),
         "peer_camera": camera_record(peer.camera),
-        "T_b_c": _rows(own.mount.T_b_c),
-        "T_b_v": _rows(rig.sender.mount.T_b_v),
-        "T_v_c1": _rows(rig.sender.mount.T_v_c),
+        "T_b_c": pose_rows(own.mount.T_b_c),
+        "T_b_v": pose_rows(rig.sender.mount.T_b_v),
+        "T_v_c1": pose_rows(rig.sender.mount.T_v_c),
         "markers_v_m": np.concatenate([marker.corners_v.ravel() for marker in rig.layout.markers]),
         "origin": [origin.latitude_deg, origin.longitude_deg, origin.altitude_m],
         "fence_m": [config.guard.fence_radius_m, config.guard.fence_height_m],
@@ -63,51 +53,6 @@ def estimator_step_record(step: Step) -> dict[str, Any]:
         "turn_rad": step.turn_rad,
         "counted": step.counted,
     }
-
-
-def _rows(pose: Pose) -> list[float]:
-    """The upper three rows of its matrix, one after another."""
-    (a, b, c), (d, e, f), (g, h, i) = pose.R.tolist()
-    x, y, z = pose.t.tolist()
-    return [a, b, c, x, d, e, f, y, g, h, i, z]
-
-
-def attempt_record(handoff_id: int, epoch: int, target_id: int) -> dict[str, Any]:
-    """``/attempt``: from here on a cycle of its own decides."""
-    return {"handoff_id": handoff_id, "epoch": epoch, "target_id": target_id}
-
-
-def heard_candidate_record(candidate: Candidate, capture_ns: int) -> dict[str, Any]:
-    """``/heard_candidate``: an answer of D2 as it came in; ``capture_ns`` by D1's clock."""
-    return {
-        **attempt_record(candidate.handoff_id, candidate.epoch, candidate.target_id),
-        "sequence": candidate.sequence,
-        "target_sequence": candidate.target_sequence,
-        "peer_capture_ns": candidate.capture_ns,
-        "capture_ns": capture_ns,
-        "box": box_record(candidate.box),
-        "reason": candidate.reason.value if candidate.reason else None,
-        "position_v_m": candidate.position_v_m,
-        "rotation_v_c2": candidate.rotation_v_c2,
-        "sigma_m": candidate.sigma_m,
-    }
-
-
-def heard_target_record(target: Target, capture_ns: int) -> dict[str, Any]:
-    """``/heard_target``: a message of D1 as it came in; ``capture_ns`` by D2's clock."""
-    return {
-        **attempt_record(target.handoff_id, target.epoch, target.target_id),
-        "sequence": target.sequence,
-        "peer_capture_ns": target.capture_ns,
-        "capture_ns": capture_ns,
-        "point_v_m": target.point_v_m,
-        "gravity_v": target.gravity_v,
-        "sigma_m": target.sigma_m,
-    }
-
-
-def box_record(box: Box | None) -> list[float] | None:
-    return None if box is None else [box.x, box.y, box.w, box.h]
 
 
 def told_record(told: Told | Chosen, *, used: bool) -> dict[str, Any]:
@@ -166,51 +111,13 @@ def taken_record(taken: Taken) -> dict[str, Any]:
     }
 
 
-def beside_record(beside: Sequence[Rival]) -> list[float]:
-    """Objects that D1 sees beside the target, six numbers each: box, depth and its standard deviation, or 0 without."""
-    numbers: list[float] = []
-    for each in beside:
-        depth = (0.0, 0.0) if each.depth is None else (each.depth.z_m, each.depth.sigma_m)
-        numbers += [each.box.x, each.box.y, each.box.w, each.box.h, *depth]
-    return numbers
-
-
-def beside_of(numbers: Sequence[float] | None) -> tuple[Rival, ...]:
-    """Reads what ``beside_record`` has written."""
-    rows = np.asarray(numbers or (), float).reshape(-1, RIVAL_NUMBERS).tolist()
-    return tuple(Rival(Box(x, y, w, h), Depth(z, sigma) if z > 0.0 else None) for x, y, w, h, z, sigma in rows)
-
-
-def range_record(seen: Sighting) -> dict[str, Any]:
-    """Of a ``/target``: what the range rests on, the surest first, and what contradicts it."""
-    ranged = seen.ranged
-    if ranged is None:
-        return {}
-    against = "+".join(each.value for each in ranged.against)
-    return {"range_by": "+".join(each.value for each in ranged.by), "range_against": against or None}
-
-
-def sighting_of(record: Mapping[str, Any], box: Box) -> Sighting:
-    """Reads what D1 saw in the frame of a ``/target``; logs from before there were several ranges have depth alone."""
-    beside = beside_of(record["beside"])
-    if record["depth_m"] is None:
-        return Sighting(box, None, beside)
-    by = _sources(record.get("range_by"))
-    depth = Depth(record["depth_m"], record["depth_sigma_m"], by[0] if by else RangeSource.DEPTH)
-    return Sighting(box, depth, beside, Ranged(depth, by, _sources(record.get("range_against"))) if by else None)
-
-
-def _sources(text: str | None) -> tuple[RangeSource, ...]:
-    return tuple(RangeSource(each) for each in text.split("+")) if text else ()
-
-
 def frame_record(view: View, now_ns: int, T_n_c: Pose | None = None) -> dict[str, Any]:
     """``/frame``: which frame a cycle is of, and how long after its capture the cycle began.
 
     ``T_n_c``: the camera's pose as believed, where perception may be run again and needs it.
     """
     record: dict[str, Any] = {"frame_id": view.frame_id, "age_ns": now_ns - view.stamp_ns}
-    return record if T_n_c is None else {**record, "T_n_c": _rows(T_n_c)}
+    return record if T_n_c is None else {**record, "T_n_c": pose_rows(T_n_c)}
 
 
 def track_record(seen: Sighting | MissReason) -> dict[str, Any]:
@@ -218,120 +125,4 @@ def track_record(seen: Sighting | MissReason) -> dict[str, Any]:
     return {
         "box": box_record(seen.box) if isinstance(seen, Sighting) else None,
         "reason": seen.value if isinstance(seen, MissReason) else None,
-    }
-
-
-def target_record(message: Target | Missed, frame_id: int, capture_ns: int, box: Box | None) -> dict[str, Any]:
-    """``/target``: what one frame of D1 gave."""
-    sent = isinstance(message, Target)
-    return {
-        "frame_id": frame_id,
-        "sequence": message.sequence if sent else frame_id & 0xFFFF,
-        "capture_ns": capture_ns,
-        "box": box_record(box),
-        "point_v_m": message.point_v_m if sent else None,
-        "gravity_v": message.gravity_v if sent else None,
-        "sigma_m": message.sigma_m if sent else None,
-        "reason": None if sent else message.reason.value,
-    }
-
-
-def agreement_record(
-    pair: PairVerdict, count: int, needed: int, evidence: Evidence | None, target_id: int
-) -> dict[str, Any]:
-    """``/agreement``: what one answer of D2 was worth."""
-    verdict, candidate, offsets = pair.verdict, pair.candidate, pair.offsets
-    agreed = isinstance(verdict, Agreed)
-    return {
-        "agreed": agreed,
-        "counted": agreed or not verdict.ignored,
-        "reason": None if agreed else verdict.reason.value,
-        "iou": verdict.iou,
-        "tau": pair.tau,
-        "count": count,
-        "needed": needed,
-        "evidence": evidence.reached if evidence else None,
-        "evidence_needed": evidence.needed if evidence else None,
-        "capture_ns": pair.capture_ns,
-        "sequence": candidate.sequence if candidate else None,
-        "target_sequence": candidate.target_sequence if candidate else None,
-        "target_id": target_id,
-        "epoch": candidate.epoch if candidate else None,
-        "own_box": box_record(pair.own_box),
-        "mapped_box": box_record(pair.mapped_box),
-        "offset_m": None if offsets is None else offsets.target_m,
-        "rival_offset_m": None if offsets is None else nearest_rival(offsets),
-        "oversize": None if pair.own_box is None else pair.oversize,
-        "placed_iou": pair.placed_iou,
-    }
-
-
-def counted(pair: PairVerdict, gate: Gate) -> tuple[int, Evidence | None]:
-    """Count and evidence as of this pair: the gate may already have seen the next."""
-    verdict = pair.verdict
-    return (verdict.count, verdict.evidence) if isinstance(verdict, Agreed) else (gate.count, gate.evidence)
-
-
-def marker_record(
-    capture_ns: int, position_v_m: Any, rotation_v_c2: Any, sigma_m: float, side_px: float, found: MarkerDetection
-) -> dict[str, Any]:
-    """``/marker``: a pose of D2's camera in the marker's frame."""
-    return {
-        "capture_ns": capture_ns,
-        "position_v_m": position_v_m,
-        "rotation_v_c2": rotation_v_c2,
-        "sigma_m": sigma_m,
-        "side_px": side_px,
-        "corners_px": found.corners_px.reshape(-1).tolist(),
-        "reason": None,
-        "cause": None,
-    }
-
-
-def marker_miss_record(capture_ns: int, missed: Missed) -> dict[str, Any]:
-    """``/marker`` of a frame without a pose."""
-    return {
-        "capture_ns": capture_ns,
-        "position_v_m": None,
-        "corners_px": None,
-        "reason": missed.reason.value,
-        "cause": missed.cause,
-    }
-
-
-def motion_record(
-    motion: VehicleMotions, R_n_c: Matrix, R_n_v: Matrix | None, fix: MarkerFix | Missed
-) -> dict[str, Any]:
-    """``/motion``: what the relative-pose filter was given with one frame."""
-    return {
-        "own_stamp_ns": motion.own_stamp_ns,
-        "own_n_mps": motion.own_n_mps,
-        "peer_stamp_ns": motion.peer_stamp_ns,
-        "peer_n_mps": motion.peer_n_mps,
-        "peer_yaw_rad": motion.peer_yaw_rad,
-        "q_n_c": quat_from_R(R_n_c),
-        "q_n_v": None if R_n_v is None else quat_from_R(R_n_v),
-        "T_c_v": _rows(fix.T_c_v) if isinstance(fix, MarkerFix) else None,
-        "covariance": fix.covariance.ravel().tolist() if isinstance(fix, MarkerFix) else None,
-    }
-
-
-def candidate_record(candidate: Candidate, prior: Prior | Missed, found: Sequence[Detection]) -> dict[str, Any]:
-    """``/candidate``: what D2 answered for one frame."""
-    looked = isinstance(prior, Prior)
-    region = prior.region if looked else None
-    return {
-        "epoch": candidate.epoch,
-        "sequence": candidate.sequence,
-        "target_sequence": candidate.target_sequence,
-        "capture_ns": candidate.capture_ns,
-        "box": box_record(candidate.box),
-        "reason": candidate.reason.value if candidate.reason else None,
-        "position_v_m": candidate.position_v_m,
-        "rotation_v_c2": candidate.rotation_v_c2,
-        "sigma_m": candidate.sigma_m,
-        "point_v_m": prior.point_v_m if looked else None,
-        "prior_px": prior.pixel if looked else None,
-        "region": [region.x0, region.y0, region.x1, region.y1] if region else None,
-        "found": [{"box": box_record(each.box), "score": each.score} for each in found],
     }

@@ -5,11 +5,20 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
-from typing import Any
 
 from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
 from flight.camera_pose import CameraPose, gravity_in
 from flight.config import MissionConfig
+from flight.frame.receiver import ReceiverSide
+from flight.frame.records import (
+    AttemptId,
+    attempt_record,
+    candidate_record,
+    heard_target_record,
+    marker_record,
+    motion_record,
+)
+from flight.frame.sender import PairCameras
 from flight.guard.limits import check_separation
 from flight.guidance import (
     BELOW_FENCE_M,
@@ -35,21 +44,10 @@ from flight.tracking.ranging import Ranging
 from flight.tracking.target_track import TargetTrack
 from flight.way_out import way_out_m
 from missions.leg.handover import ReceiverHandover
-from missions.leg.journal import (
-    attempt_record,
-    candidate_record,
-    frame_record,
-    heard_target_record,
-    marker_miss_record,
-    marker_record,
-    motion_record,
-    track_record,
-)
+from missions.leg.journal import frame_record, track_record
 from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, preflight, take_off
 from path.cycle.prior import Prior
-from path.cycle.receiver import ReceiverCycle
-from path.geometry.rigid import inverse_as_quat, rigid
 from path.geometry.rotation import yaw_of
 from path.geometry.transforms import Matrix, Pose
 from path.marker.instead import grey_of, seen_instead
@@ -76,11 +74,9 @@ class Receiver:
         self._config: MissionConfig = config
         self._camera = rig.receiver.camera
         self._camera_pose = CameraPose(session.vehicle, rig.receiver.mount)
-        x, y, z = rig.sender.mount.T_v_c.t.tolist()
-        self._sender_eye_v: Vec3 = (x, y, z)
         self._marker = MarkerView(rig.layout, rig.receiver.camera, rig.receiver.mount, rig.method, config)
         self._handover = ReceiverHandover(session, store, self._able)
-        self._cycle: ReceiverCycle | None = None
+        self._side: ReceiverSide | None = None
         self._rendezvous = Rendezvous(
             config, self._camera, rig.receiver.mount, rig.layout, self._marker, self._peer, session.now_ns
         )
@@ -285,11 +281,11 @@ class Receiver:
 
     def _cycle_once(self, view: View, R_n_b: Matrix) -> None:
         """One cycle of PATH: the marker gives the pose, the pose the prior, the detector looks there, D1 gets a box."""
-        session, cycle = self._session, self._cycle
-        if cycle is None:
+        session, side = self._session, self._side
+        if side is None:
             return
         stamp_ns = view.stamp_ns
-        gravity_v = cycle.gravity_v(stamp_ns)
+        gravity_v = side.gravity_v(stamp_ns)
         T_n_c = self._camera_pose.T_n_c(stamp_ns, R_n_b)
         motion = self._motion()
         self._marker.note_motion(motion)
@@ -298,27 +294,26 @@ class Receiver:
         if isinstance(fix, Missed):
             self._note_cause(fix)
         with session.stage("log"):
-            session.log.write("/marker", stamp_ns, self._marker_record(stamp_ns, fix))
+            session.log.write("/marker", stamp_ns, marker_record(stamp_ns, fix))
             session.log.write("/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, fix))
         self._judge_marker(stamp_ns)
         with session.stage("projection"):
-            prior = cycle.prior(fix.T_c_v, fix.covariance, stamp_ns) if isinstance(fix, MarkerFix) else fix
+            prior = side.prior(fix, stamp_ns)
             if isinstance(prior, Prior):
                 self._marker.note_target(prior, T_n_c.R)
         if session.phase is not Phase.VERIFY:
             return
         with session.stage("target"):
-            found = view.targets(prior.region) if isinstance(prior, Prior) else ()
-            candidate = cycle.candidate(view.frame_id, stamp_ns, found, prior)
-        if isinstance(candidate, Missed):
+            answer = side.look(view, prior)
+        if answer is None:
             return
         with session.stage("link"):
-            session.link.send(candidate)
+            session.link.send(answer.candidate)
         with session.stage("log"):
-            session.log.write("/candidate", stamp_ns, candidate_record(candidate, prior, found))
-        if candidate.box is not None and isinstance(prior, Prior):
+            session.log.write("/candidate", stamp_ns, candidate_record(answer))
+        if answer.candidate.box is not None and isinstance(prior, Prior):
             with session.stage("depth"):
-                self._note_found(view, T_n_c, candidate, prior)
+                self._note_found(view, T_n_c, answer.candidate, prior)
 
     def _look(self, view: View, R_n_c: Matrix, gravity_v: Vec3 | None) -> MarkerFix | Missed:
         """The marker, searched for no longer than setpoints can wait."""
@@ -345,7 +340,7 @@ class Receiver:
         instead = seen_instead(grey_of(image), self._session.rig.layout)
         if instead is not None:
             missed = Missed(MissReason.NO_MARKER, cause=instead)
-            self._session.log.write("/marker", view.stamp_ns, marker_miss_record(view.stamp_ns, missed))
+            self._session.log.write("/marker", view.stamp_ns, marker_record(view.stamp_ns, missed))
             self._note_cause(missed)
 
     def _motion(self) -> VehicleMotions:
@@ -419,19 +414,12 @@ class Receiver:
             return
         if live.follows(self._live):
             self._live = live
-            self._cycle = ReceiverCycle(
-                self._camera,
-                session.rig.method,
-                handoff_id=live.handoff_id,
-                epoch=live.epoch,
-                target_id=live.target_id,
-                sender=(session.rig.sender.camera, self._sender_eye_v),
-            )
-            attempt = attempt_record(live.handoff_id, live.epoch, live.target_id)
-            session.log.write("/attempt", session.now_ns(), attempt)
-        assert self._cycle is not None
+            attempt = AttemptId(live.handoff_id, live.epoch, live.target_id)
+            self._side = ReceiverSide(PairCameras.of(session.rig), session.rig.method, attempt)
+            session.log.write("/attempt", session.now_ns(), attempt_record(attempt))
+        assert self._side is not None
         capture_ns, now_ns = session.alignment.to_own_ns(target.capture_ns), session.now_ns()
-        missed = self._cycle.on_target(target, capture_ns, now_ns)
+        missed = self._side.hear(target, capture_ns, now_ns)
         session.log.write("/heard_target", now_ns, heard_target_record(target, capture_ns))
         if missed is None:
             self._newest = target
@@ -445,11 +433,3 @@ class Receiver:
         """Returns whether the target was seen lately, by this drone itself."""
         track = self._track
         return track is not None and (self._session.now_ns() - track.seen_ns) * 1e-9 < _ABLE_S
-
-    def _marker_record(self, stamp_ns: int, fix: MarkerFix | Missed) -> dict[str, Any]:
-        if isinstance(fix, Missed):
-            return marker_miss_record(stamp_ns, fix)
-        rotation, position = inverse_as_quat(rigid(fix.T_c_v))
-        xx, yy, zz, *_ = fix.covariance.diagonal().tolist()
-        sigma_m = math.sqrt((xx + yy + zz) / 3.0)
-        return marker_record(stamp_ns, position, rotation, sigma_m, fix.side_px, fix.detections[0])

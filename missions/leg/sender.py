@@ -10,6 +10,8 @@ from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetp
 from drivers.operator.interfaces import PlaceTold
 from flight.camera_pose import CameraPose
 from flight.config import MissionConfig
+from flight.frame.records import AttemptId, OwnFrame, attempt_record, counted, heard_candidate_record, target_record
+from flight.frame.sender import PairCameras, SenderSide
 from flight.guidance import (
     BELOW_FENCE_M,
     Anchor,
@@ -33,25 +35,13 @@ from flight.tracking.target_track import TargetTrack
 from flight.way_out import way_out_m
 from missions.leg.designating import Designating
 from missions.leg.handover import SenderHandover
-from missions.leg.journal import (
-    agreement_record,
-    attempt_record,
-    beside_record,
-    counted,
-    frame_record,
-    heard_candidate_record,
-    range_record,
-    target_record,
-    track_record,
-)
+from missions.leg.journal import frame_record, track_record
 from missions.leg.session import RoleSession
 from missions.leg.steps import bring_down, preflight, take_off
-from path.cycle.sender import PairVerdict, SenderCycle
-from path.gate.window import Gate
+from path.cycle.sender import PairVerdict
 from path.geometry.rotation import yaw_of
 from path.geometry.transforms import Matrix
 from path.messages import Candidate, Target
-from path.observations import Missed, MissReason
 
 _PEER_POLL_S = 0.25
 _ACQUIRED_POLL_S = 0.05
@@ -78,7 +68,7 @@ class Sender:
         self._designating = Designating(session, self._camera, self._look_round, self._pointed_at)
         self._watching = True
         self._handover = SenderHandover(session, store)
-        self._cycle: SenderCycle | None = None
+        self._side: SenderSide | None = None
         self._receiver_side: float | None = None  # as measured on the marker: -1 left of D1, 1 right
         self._candidates = 0
         self._way_out: Anchor | None = None
@@ -142,18 +132,10 @@ class Sender:
 
     def _begin_attempt(self) -> None:
         """A count of its own for every epoch."""
-        rig, config = self._session.rig, self._config
-        self._cycle = SenderCycle(
-            rig.sender.camera,
-            rig.receiver.camera,
-            rig.sender.mount.T_v_c,
-            rig.method,
-            handoff_id=config.handoff_id,
-            epoch=self._handover.epoch,
-            target_id=config.target_id,
-        )
-        attempt = attempt_record(config.handoff_id, self._handover.epoch, config.target_id)
-        self._session.log.write("/attempt", self._session.now_ns(), attempt)
+        session, config = self._session, self._config
+        attempt = AttemptId(config.handoff_id, self._handover.epoch, config.target_id)
+        self._side = SenderSide(PairCameras.of(session.rig), session.rig.method, attempt)
+        session.log.write("/attempt", session.now_ns(), attempt_record(attempt))
 
     async def recover(self, end: MissionEnd | None) -> bool:
         self._watching = False
@@ -317,29 +299,26 @@ class Sender:
         bearable_s = deadlines.target_coast_s + deadlines.target_regain_s
         if unseen_s > bearable_s and not self._handover.handed_over:
             raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
-        cycle = self._cycle
-        if cycle is None:
+        side = self._side
+        if side is None:
             self._log_view(view, R_n_b)
             session.log.write("/track", view.stamp_ns, track_record(seen))
             return
-        box, depth, beside = (seen.box, seen.depth, seen.beside) if isinstance(seen, Sighting) else (None, None, ())
         with session.stage("projection"):
-            message = cycle.observe(
-                view.frame_id, view.stamp_ns, box, depth, self._camera_pose.gravity_v(R_n_b), beside
-            )
-        if isinstance(message, Target):
+            frame = side.observe(view.frame_id, view.stamp_ns, seen, self._camera_pose.gravity_v(R_n_b))
+        if isinstance(frame.message, Target):
             with session.stage("link"):
-                session.link.send(message)
+                session.link.send(frame.message)
         now_ns = session.now_ns()
         with session.stage("log"):
             self._log_view(view, R_n_b)
-            self._log_frame(view, seen, message, now_ns)
+            self._log_frame(view, frame, now_ns)
         with session.stage("agreement"):
-            pairs = cycle.evaluate_ready(now_ns)
+            pairs = side.judge(now_ns)
         with session.stage("log"):
             for pair in pairs:
-                self._note_pair(pair, cycle.gate)
-        if cycle.gate.complete and not self._handover.released:
+                self._note_pair(pair, side)
+        if side.gate.complete and not self._handover.released:
             session.frames.log_image(view, wanted=True)
             self._handover.agreed(self._config.target_id)
 
@@ -353,15 +332,15 @@ class Sender:
 
     def _on_step(self, stamp_ns: int) -> None:
         """Of either drone's estimator: what agreed before and what agrees after it are not added up."""
-        if self._cycle is not None:
-            self._cycle.begin_evidence_anew(stamp_ns)
+        if self._side is not None:
+            self._side.begin_evidence_anew(stamp_ns)
 
     def _on_candidate(self, candidate: Candidate) -> None:
-        session, cycle = self._session, self._cycle
-        if cycle is None or not session.alignment.ready:
+        session, side = self._session, self._side
+        if side is None or not session.alignment.ready:
             return
         capture_ns, now_ns = session.alignment.to_own_ns(candidate.capture_ns), session.now_ns()
-        missed = cycle.offer(candidate, capture_ns, now_ns)
+        missed = side.hear(candidate, capture_ns, now_ns)
         session.log.write("/heard_candidate", now_ns, heard_candidate_record(candidate, capture_ns))
         if missed is None:
             self._candidates += 1
@@ -370,31 +349,19 @@ class Sender:
                 self._receiver_side = 1.0 if x > 0.0 else -1.0
                 session.shown.separation_m = math.sqrt(x * x + y * y + z * z)
 
-    def _note_pair(self, pair: PairVerdict, gate: Gate) -> None:
+    def _note_pair(self, pair: PairVerdict, side: SenderSide) -> None:
         """Log one verdict and show it."""
-        session, verdict = self._session, pair.verdict
-        count, evidence = counted(pair, gate)
-        session.shown.count, session.shown.iou = count, verdict.iou
-        session.shown.evidence = evidence
-        record = agreement_record(pair, count, session.rig.method.needed_pairs, evidence, self._config.target_id)
-        session.log.write("/agreement", session.now_ns(), record)
+        session, shown = self._session, self._session.shown
+        shown.count, shown.evidence = counted(pair, side.gate)
+        shown.iou = pair.verdict.iou
+        session.log.write("/agreement", session.now_ns(), side.record(pair))
 
     def _log_view(self, view: View, R_n_b: Matrix) -> None:
         session = self._session
         T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b) if session.frames.recorded else None
         session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns(), T_n_c))
 
-    def _log_frame(self, view: View, seen: Sighting | MissReason, message: Target | Missed, now_ns: int) -> None:
+    def _log_frame(self, view: View, frame: OwnFrame, now_ns: int) -> None:
         session = self._session
-        box = seen.box if isinstance(seen, Sighting) else None
-        record = target_record(message, view.frame_id, view.stamp_ns, box)
-        record["judged_ns"] = now_ns
-        if isinstance(seen, Sighting) and seen.depth is not None:
-            record["depth_m"], record["depth_sigma_m"] = seen.depth.z_m, seen.depth.sigma_m
-            record |= range_record(seen)
-        if isinstance(seen, Sighting):
-            record["beside"] = beside_record(seen.beside)
-        if isinstance(seen, MissReason):
-            record["reason"] = seen.value
-        session.log.write("/target", view.stamp_ns, record)
+        session.log.write("/target", view.stamp_ns, target_record(frame, now_ns))
         session.frames.log_image(view)

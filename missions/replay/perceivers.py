@@ -28,7 +28,6 @@ from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.cycle.prior import Prior
 from path.geometry.rotation import R_from_quat
-from path.geometry.transforms import Matrix, Pose
 from path.marker.layout import MarkerLayout
 from path.observations import Detection, Missed, MissReason
 
@@ -122,7 +121,7 @@ class ReceiverPerceiver:
         mission: MissionConfig,
     ) -> None:
         self.missing = 0
-        self.fix: tuple[Pose, Matrix] | Missed | None = None
+        self.fix: MarkerFix | Missed | None = None
         self._views = views
         self._marker = MarkerView(layout, camera, own.mount, method, mission)
         self._view: View | None = None
@@ -138,8 +137,7 @@ class ReceiverPerceiver:
         yaw_rad = motion["peer_yaw_rad"]
         self._marker.note_motion(VehicleMotions(motion["own_stamp_ns"], own, motion["peer_stamp_ns"], peer, yaw_rad))
         x, y, z = R_n_c[2].tolist()
-        fix = self._marker.look(self._view, R_n_c, gravity_v, (x, y, z))
-        self.fix = (fix.T_c_v, fix.covariance) if isinstance(fix, MarkerFix) else fix
+        self.fix = self._marker.look(self._view, R_n_c, gravity_v, (x, y, z))
 
     def find(self, prior: Prior | Missed) -> Sequence[Detection] | None:
         """The detections of the newest frame that the prior asks for; None: as the log says."""

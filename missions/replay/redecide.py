@@ -18,22 +18,14 @@ import numpy as np
 
 from drivers.log.mcap_log import LogRecord
 from drivers.rig.tables import decode_table
+from flight.frame.receiver import ReceiverSide
+from flight.frame.records import AttemptId, candidate_record, sighting_of, target_record
+from flight.frame.sender import PairCameras, SenderSide
+from flight.rendezvous.marker_view import MarkerFix
 from flight.tracking.association import Sighting
-from missions.leg.journal import (
-    agreement_record,
-    beside_record,
-    candidate_record,
-    counted,
-    range_record,
-    sighting_of,
-    target_record,
-)
 from missions.replay.logged import NAN3, as_logged, box_of, camera_of, candidate_of, pose_of, target_of
 from missions.replay.perceivers import ReceiverPerceiver, SenderPerceiver
 from path.config import MethodConfig
-from path.cycle.receiver import ReceiverCycle
-from path.cycle.sender import SenderCycle
-from path.geometry.transforms import Matrix, Pose
 from path.messages import Role
 from path.observations import Box, Detection, Missed, MissReason
 
@@ -128,13 +120,13 @@ class _SenderReplay:
         self, setup: Record, method: MethodConfig, answers: Answers, perceiver: SenderPerceiver | None
     ) -> None:
         self._setup, self._method, self._answers, self._perceiver = setup, method, answers, perceiver
-        self._cycle: SenderCycle | None = None
+        self._side: SenderSide | None = None
         self._epoch = 0
         self._complete = False
         self._due: deque[tuple[int, dict[str, Any]]] = deque()  # verdicts that the log must hold next
 
     def take(self, each: LogRecord) -> Iterator[DecisionPair | Complete]:
-        record, cycle = each.record, self._cycle
+        record, side = each.record, self._side
         if each.topic == "/told" and self._perceiver is not None:
             self._perceiver.note_told(record)
         if each.topic == "/frame" and self._perceiver is not None:
@@ -142,15 +134,15 @@ class _SenderReplay:
         elif each.topic == "/attempt":
             yield from self.rest()
             self._begin(record)
-        elif cycle is None:
+        elif side is None:
             return
         elif each.topic in ("/estimator_step", "/peer_step"):
-            cycle.begin_evidence_anew(each.stamp_ns)
+            side.begin_evidence_anew(each.stamp_ns)
         elif each.topic == "/heard_candidate":
             otherwise = self._answers.get((record["epoch"], record["sequence"]), {})
-            cycle.offer(candidate_of({**record, **otherwise}), record["capture_ns"], each.stamp_ns)
+            side.hear(candidate_of({**record, **otherwise}), record["capture_ns"], each.stamp_ns)
         elif each.topic == "/target":
-            yield from self._observe(cycle, record)
+            yield from self._observe(side, record)
         elif each.topic == "/agreement":
             _, again = self._due.popleft() if self._due else (0, None)
             yield DecisionPair(each.topic, each.stamp_ns, record, again)
@@ -163,38 +155,18 @@ class _SenderReplay:
 
     def _begin(self, attempt: Record) -> None:
         setup, self._epoch, self._complete = self._setup, attempt["epoch"], False
-        self._cycle = SenderCycle(
-            camera_of(setup["camera"]),
-            camera_of(setup["peer_camera"]),
-            pose_of(setup["T_v_c1"]),
-            self._method,
-            handoff_id=attempt["handoff_id"],
-            epoch=attempt["epoch"],
-            target_id=attempt["target_id"],
-        )
+        cameras = PairCameras(camera_of(setup["camera"]), camera_of(setup["peer_camera"]), pose_of(setup["T_v_c1"]))
+        self._side = SenderSide(cameras, self._method, _attempt_of(attempt))
 
-    def _observe(self, cycle: SenderCycle, record: Record) -> Iterator[DecisionPair | Complete]:
+    def _observe(self, side: SenderSide, record: Record) -> Iterator[DecisionPair | Complete]:
         yield from self.rest()
         seen, gravity_v = self._seen(record)
-        box, depth, beside = (seen.box, seen.depth, seen.beside) if isinstance(seen, Sighting) else (None, None, ())
-        frame_id, capture_ns, judged_ns = record["frame_id"], record["capture_ns"], record["judged_ns"]
-        message = cycle.observe(frame_id, capture_ns, box, depth, gravity_v, beside)
-        again = target_record(message, frame_id, capture_ns, box)
-        if isinstance(seen, MissReason):  # why, was said by what looked for it
-            again["reason"] = seen.value
-        given = {
-            "judged_ns": judged_ns,
-            "depth_m": None if depth is None else depth.z_m,
-            "depth_sigma_m": None if depth is None else depth.sigma_m,
-            "beside": beside_record(beside) if isinstance(seen, Sighting) else None,
-            **(range_record(seen) if isinstance(seen, Sighting) else {}),
-        }
-        yield DecisionPair("/target", capture_ns, record, as_logged({**again, **given}))
-        for pair in cycle.evaluate_ready(judged_ns):
-            count, evidence = counted(pair, cycle.gate)
-            verdict = agreement_record(pair, count, self._method.needed_pairs, evidence, self._setup["target_id"])
-            self._due.append((judged_ns, as_logged(verdict)))
-        if cycle.gate.complete and not self._complete:
+        capture_ns, judged_ns = record["capture_ns"], record["judged_ns"]
+        frame = side.observe(record["frame_id"], capture_ns, seen, gravity_v)
+        yield DecisionPair("/target", capture_ns, record, as_logged(target_record(frame, judged_ns)))
+        for pair in side.judge(judged_ns):
+            self._due.append((judged_ns, as_logged(side.record(pair))))
+        if side.gate.complete and not self._complete:
             self._complete = True
             yield Complete(judged_ns, self._epoch)
 
@@ -213,21 +185,21 @@ class _ReceiverReplay:
 
     def __init__(self, setup: Record, method: MethodConfig, perceiver: ReceiverPerceiver | None) -> None:
         self._setup, self._method, self._perceiver = setup, method, perceiver
-        self._cycle: ReceiverCycle | None = None
+        self._side: ReceiverSide | None = None
         self._newest: dict[str, Record] = {}
 
     def take(self, each: LogRecord) -> Iterator[DecisionPair | Complete]:
-        record, cycle = each.record, self._cycle
+        record, side = each.record, self._side
         if each.topic == "/attempt":
             self._begin(record)
         elif each.topic in ("/frame", "/marker", "/motion"):
             self._newest[each.topic] = record
-            if each.topic == "/motion" and self._perceiver is not None and cycle is not None:
-                self._perceiver.look(each.stamp_ns, record, cycle.gravity_v(each.stamp_ns))
-        elif cycle is not None and each.topic == "/heard_target":
-            cycle.on_target(target_of(record), record["capture_ns"], each.stamp_ns)
-        elif cycle is not None and each.topic == "/candidate":
-            yield DecisionPair(each.topic, each.stamp_ns, record, self._answer(cycle, each.stamp_ns, record))
+            if each.topic == "/motion" and self._perceiver is not None and side is not None:
+                self._perceiver.look(each.stamp_ns, record, side.gravity_v(each.stamp_ns))
+        elif side is not None and each.topic == "/heard_target":
+            side.hear(target_of(record), record["capture_ns"], each.stamp_ns)
+        elif side is not None and each.topic == "/candidate":
+            yield DecisionPair(each.topic, each.stamp_ns, record, self._answer(side, each.stamp_ns, record))
 
     def rest(self) -> Iterator[DecisionPair]:
         """Returns nothing: nothing is decided here before it is logged."""
@@ -235,31 +207,27 @@ class _ReceiverReplay:
 
     def _begin(self, attempt: Record) -> None:
         setup = self._setup
-        x, y, z = pose_of(setup["T_v_c1"]).t.tolist()
-        self._cycle = ReceiverCycle(
-            camera_of(setup["camera"]),
-            self._method,
-            handoff_id=attempt["handoff_id"],
-            epoch=attempt["epoch"],
-            target_id=attempt["target_id"],
-            sender=(camera_of(setup["peer_camera"]), (x, y, z)),
-        )
+        cameras = PairCameras(camera_of(setup["peer_camera"]), camera_of(setup["camera"]), pose_of(setup["T_v_c1"]))
+        self._side = ReceiverSide(cameras, self._method, _attempt_of(attempt))
 
-    def _answer(self, cycle: ReceiverCycle, stamp_ns: int, record: Record) -> dict[str, Any] | None:
+    def _answer(self, side: ReceiverSide, stamp_ns: int, record: Record) -> dict[str, Any] | None:
         perceiver = self._perceiver
         fix = self._fix() if perceiver is None or perceiver.fix is None else perceiver.fix
-        prior = cycle.prior(fix[0], fix[1], stamp_ns) if isinstance(fix, tuple) else fix
+        prior = side.prior(fix, stamp_ns)
         found = None if perceiver is None else perceiver.find(prior)
         if found is None:
             found = [Detection(Box(*each["box"]), each["score"]) for each in record["found"]]
-        candidate = cycle.candidate(self._newest["/frame"]["frame_id"], stamp_ns, found, prior)
-        if isinstance(candidate, Missed):
-            return None
-        return as_logged(candidate_record(candidate, prior, found))
+        answer = side.answer(self._newest["/frame"]["frame_id"], stamp_ns, found, prior)
+        return None if answer is None else as_logged(candidate_record(answer))
 
-    def _fix(self) -> tuple[Pose, Matrix] | Missed:
-        """The marker's pose in the newest frame as logged, with its covariance."""
+    def _fix(self) -> MarkerFix | Missed:
+        """The marker's pose in the newest frame as logged; its corners are not asked for again."""
         marker, motion = self._newest["/marker"], self._newest["/motion"]
         if marker["reason"] is not None:
             return Missed(MissReason(marker["reason"]))
-        return pose_of(motion["T_c_v"]), np.reshape(np.array(motion["covariance"], float), (6, 6))
+        covariance = np.reshape(np.array(motion["covariance"], float), (6, 6))
+        return MarkerFix(pose_of(motion["T_c_v"]), covariance, marker["side_px"], ())
+
+
+def _attempt_of(record: Record) -> AttemptId:
+    return AttemptId(record["handoff_id"], record["epoch"], record["target_id"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,42 +10,35 @@ import numpy as np
 from drivers.interfaces import Log, PartError, View
 from drivers.rig.parts import Mount
 from flight.config import MissionConfig
+from flight.frame.receiver import ReceiverSide
+from flight.frame.records import (
+    AttemptId,
+    attempt_record,
+    candidate_record,
+    heard_candidate_record,
+    heard_target_record,
+    marker_record,
+    motion_record,
+    target_record,
+)
+from flight.frame.sender import PairCameras, SenderSide
 from flight.guidance import Vec3
-from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
-from flight.tracking.association import Sighting, follow
+from flight.rendezvous.marker_view import MarkerView, VehicleMotions
+from flight.tracking.association import follow
 from flight.tracking.objects import MIN_SCORE, is_cut
 from flight.tracking.places import point_in_camera, to_local
 from flight.tracking.ranging import Ranging
 from flight.tracking.target_track import TargetTrack
-from missions.leg.journal import (
-    agreement_record,
-    attempt_record,
-    beside_record,
-    candidate_record,
-    counted,
-    frame_record,
-    heard_candidate_record,
-    heard_target_record,
-    marker_miss_record,
-    marker_record,
-    motion_record,
-    range_record,
-    setup_record,
-    target_record,
-)
+from missions.leg.journal import frame_record, setup_record
 from missions.replay.films.config import Films, PlayedFilm
 from missions.replay.films.depth_unit import REMEDY as UNIT
 from missions.replay.films.depth_unit import depth_against_size
 from missions.replay.films.trajectory import HANGING, BodyState
 from missions.shown import tell_line
-from path.cycle.prior import Prior
-from path.cycle.receiver import ReceiverCycle
-from path.cycle.sender import SenderCycle
-from path.geometry.rigid import inverse_as_quat, rigid
 from path.geometry.rotation import R_from_quat, yaw_of
 from path.geometry.transforms import Matrix, Pose
 from path.messages import Candidate, Role, Target
-from path.observations import Box, Missed
+from path.observations import Box
 
 EPOCH = 1
 PICK_S = 0.5  # within which the target has to be seen where it was picked
@@ -78,10 +70,7 @@ class FilmedSender:
         self._body = FilmingBody(films.sender, rig.sender.mount)
         self._track: TargetTrack | None = None
         self._side_m = rig.method.evidence.span_m or 2.0 * config.target.half_size_m
-        self._cycle = SenderCycle(
-            rig.sender.camera, rig.receiver.camera, rig.sender.mount.T_v_c, rig.method,
-            handoff_id=config.handoff_id, epoch=EPOCH, target_id=config.target_id,
-        )  # fmt: skip
+        self._side = SenderSide(PairCameras.of(rig), rig.method, _attempt(config))
         begin(log, films, config, Role.SENDER)
 
     def look(self, view: View) -> Target | None:
@@ -93,27 +82,16 @@ class FilmedSender:
                 self._track = self._pick(view, T_n_c)
             return None
         seen = follow(view, T_n_c, camera, self._track)
-        box, depth, beside = (seen.box, seen.depth, seen.beside) if isinstance(seen, Sighting) else (None, None, ())
         x, y, z = (R_n_b @ self._rig.sender.mount.T_b_v.R)[2].tolist()
-        message = self._cycle.observe(view.frame_id, stamp_ns, box, depth, (x, y, z), beside)
-        record = target_record(message, view.frame_id, stamp_ns, box)
-        if isinstance(seen, Sighting):
-            record["beside"] = beside_record(beside)
-            if depth is not None:
-                record["depth_m"], record["depth_sigma_m"] = depth.z_m, depth.sigma_m
-                record |= range_record(seen)
-        else:
-            record["reason"] = seen.value
+        frame = self._side.observe(view.frame_id, stamp_ns, seen, (x, y, z))
         self._log.write("/frame", stamp_ns, frame_record(view, stamp_ns, T_n_c))
-        self._log.write("/target", stamp_ns, {**record, "judged_ns": stamp_ns})
-        for pair in self._cycle.evaluate_ready(stamp_ns):
-            count, evidence = counted(pair, self._cycle.gate)
-            needed, target_id = self._rig.method.needed_pairs, self._config.target_id
-            self._log.write("/agreement", stamp_ns, agreement_record(pair, count, needed, evidence, target_id))
-        return message if isinstance(message, Target) else None
+        self._log.write("/target", stamp_ns, target_record(frame, stamp_ns))
+        for pair in self._side.judge(stamp_ns):
+            self._log.write("/agreement", stamp_ns, self._side.record(pair))
+        return frame.message if isinstance(frame.message, Target) else None
 
     def hear(self, candidate: Candidate, now_ns: int) -> None:
-        self._cycle.offer(candidate, candidate.capture_ns, now_ns)
+        self._side.hear(candidate, candidate.capture_ns, now_ns)
         self._log.write("/heard_candidate", now_ns, heard_candidate_record(candidate, candidate.capture_ns))
 
     @property
@@ -160,36 +138,30 @@ class FilmedReceiver:
         self._peer = FilmingBody(films.sender, rig.sender.mount)
         self._together = films.sender.flown is not None and films.receiver.flown is not None
         self._marker = MarkerView(rig.layout, rig.receiver.camera, rig.receiver.mount, rig.method, config)
-        x, y, z = rig.sender.mount.T_v_c.t.tolist()
-        self._cycle = ReceiverCycle(
-            rig.receiver.camera, rig.method, handoff_id=config.handoff_id, epoch=EPOCH, target_id=config.target_id,
-            sender=(rig.sender.camera, (x, y, z)),
-        )  # fmt: skip
+        self._side = ReceiverSide(PairCameras.of(rig), rig.method, _attempt(config))
         begin(log, films, config, Role.RECEIVER)
 
     def hear(self, target: Target, now_ns: int) -> None:
-        self._cycle.on_target(target, target.capture_ns, now_ns)
+        self._side.hear(target, target.capture_ns, now_ns)
         self._log.write("/heard_target", now_ns, heard_target_record(target, target.capture_ns))
 
     def look(self, view: View) -> Candidate | None:
         """Returns D2's message about one frame."""
-        stamp_ns, cycle, log = view.stamp_ns, self._cycle, self._log
+        stamp_ns, side, log = view.stamp_ns, self._side, self._log
         T_n_c, _ = self._body.camera(stamp_ns)
         motion = self._motion(stamp_ns)
         if self._together:
             self._marker.note_motion(motion)
-        fix = self._marker.look(view, T_n_c.R, cycle.gravity_v(stamp_ns), _down(T_n_c))
+        fix = self._marker.look(view, T_n_c.R, side.gravity_v(stamp_ns), _down(T_n_c))
         log.write("/frame", stamp_ns, frame_record(view, stamp_ns))
-        log.write("/marker", stamp_ns, _marker_of(stamp_ns, fix))
+        log.write("/marker", stamp_ns, marker_record(stamp_ns, fix))
         moved = motion_record(motion, T_n_c.R, self._marker.R_n_v, fix)
         log.write("/motion", stamp_ns, moved if self._together else {**moved, "peer_yaw_rad": None})
-        prior = cycle.prior(fix.T_c_v, fix.covariance, stamp_ns) if isinstance(fix, MarkerFix) else fix
-        found = view.targets(prior.region) if isinstance(prior, Prior) else ()
-        candidate = cycle.candidate(view.frame_id, stamp_ns, found, prior)
-        if isinstance(candidate, Missed):
+        answer = side.look(view, side.prior(fix, stamp_ns))
+        if answer is None:
             return None
-        log.write("/candidate", stamp_ns, candidate_record(candidate, prior, found))
-        return candidate
+        log.write("/candidate", stamp_ns, candidate_record(answer))
+        return answer.candidate
 
     def _motion(self, stamp_ns: int) -> VehicleMotions:
         own, peer = self._body.at(stamp_ns), self._peer.at(stamp_ns)
@@ -199,7 +171,7 @@ class FilmedReceiver:
 def begin(log: Log, films: Films, config: MissionConfig, role: Role) -> None:
     """Writes the records that a program's log begins with."""
     log.write("/setup", films.begin_ns, setup_record(films.rig, role, config))
-    log.write("/attempt", films.begin_ns, attempt_record(config.handoff_id, EPOCH, config.target_id))
+    log.write("/attempt", films.begin_ns, attempt_record(_attempt(config)))
 
 
 def _down(T_n_c: Pose) -> Vec3:
@@ -208,12 +180,8 @@ def _down(T_n_c: Pose) -> Vec3:
     return x, y, z
 
 
-def _marker_of(stamp_ns: int, fix: MarkerFix | Missed) -> dict[str, object]:
-    if isinstance(fix, Missed):
-        return marker_miss_record(stamp_ns, fix)
-    rotation, position = inverse_as_quat(rigid(fix.T_c_v))
-    sigma_m = math.sqrt(float(np.trace(fix.covariance[:3, :3])) / 3.0)
-    return marker_record(stamp_ns, position, rotation, sigma_m, fix.side_px, fix.detections[0])
+def _attempt(config: MissionConfig) -> AttemptId:
+    return AttemptId(config.handoff_id, EPOCH, config.target_id)
 
 
 def _holds(box: Box, pixel: tuple[float, float]) -> bool:

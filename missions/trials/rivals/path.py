@@ -12,24 +12,28 @@ from drivers.interfaces import Detector, Frame
 from drivers.perception.pixels import PixelView
 from drivers.rig.parts import Mount
 from flight.camera_pose import gravity_in
+from flight.frame.receiver import ReceiverSide
+from flight.frame.records import AttemptId
+from flight.frame.sender import PairCameras, SenderSide
 from flight.harness.errors import DepthError, DrawnErrors
 from flight.harness.renderer import Shot
+from flight.rendezvous.marker_view import MarkerFix
+from flight.tracking.association import Sighting
 from missions.trials.rivals.stage import CAMERAS, DrawnStage, marker_mount
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.cycle.prior import Prior
-from path.cycle.receiver import ReceiverCycle
-from path.cycle.sender import SenderCycle
 from path.gate.agreement import Agreed
 from path.geometry import rotation
 from path.geometry.transforms import Matrix, Pose
 from path.marker.layout import MarkerLayout
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
 from path.messages import Role, Target, Vec3
-from path.observations import Box, Missed, MissReason, Region
+from path.observations import Box, MissReason, Region
 from path.target.monocular import TargetSize
 
 STAMP_NS = 1_000_000_000
+ATTEMPT = AttemptId(1, 1, 1)
 SHIRT = TargetSize(0.65, 0.13, longest_m=0.95)  # of clean boxes at known distances, any heading: for D2 without depth
 REGION_ERROR_PX, REGION_MARGIN_PX = 10.0, 60.0
 
@@ -113,12 +117,14 @@ def run_path(
         )
         for role in (Role.SENDER, Role.RECEIVER)
     )
-    sender = SenderCycle(beliefs.camera1, beliefs.camera2, beliefs.T_v_c1, config, handoff_id=1, epoch=1, target_id=1)
-    receiver = ReceiverCycle(beliefs.camera2, config, handoff_id=1, epoch=1, target_id=1)
-    message = sender.observe(1, STAMP_NS, box1, None if box1 is None else one.depth(box1), beliefs.gravity_v)
+    cameras = PairCameras(beliefs.camera1, beliefs.camera2, beliefs.T_v_c1)
+    sender = SenderSide(cameras, config, ATTEMPT)
+    receiver = ReceiverSide(cameras, config, ATTEMPT)
+    seen = MissReason.NO_TARGET if box1 is None else Sighting(box1, one.depth(box1))
+    message = sender.observe(1, STAMP_NS, seen, beliefs.gravity_v).message
     if not isinstance(message, Target):
         return PathAnswer(None, message.reason)
-    receiver.on_target(message, STAMP_NS, STAMP_NS)
+    receiver.hear(message, STAMP_NS, STAMP_NS)
     settings = PoseSettings(
         max_incidence_rad=math.radians(config.max_incidence_deg), max_sigma_m=config.max_pose_sigma_m
     )
@@ -130,14 +136,16 @@ def run_path(
         beliefs.gravity_c2,
         settings,
     )
-    prior = receiver.prior(pose.T_c_v, pose.covariance, STAMP_NS) if isinstance(pose, MarkerPose) else pose
-    found = two.targets(prior.region) if isinstance(prior, Prior) else ()
-    candidate = receiver.candidate(1, STAMP_NS, found, prior)
+    fix = MarkerFix(pose.T_c_v, pose.covariance, 0.0, ()) if isinstance(pose, MarkerPose) else pose
+    prior = receiver.prior(fix, STAMP_NS)
+    answer = receiver.look(two, prior)
+    assert answer is not None  # this is the only frame
+    candidate = answer.candidate
     known = prior if isinstance(prior, Prior) else None
-    if isinstance(candidate, Missed) or candidate.box is None:
+    if candidate.box is None:
         return PathAnswer(None, candidate.reason, prior=known)
-    sender.offer(candidate, STAMP_NS, STAMP_NS)
-    (pair,) = sender.evaluate_ready(STAMP_NS)
+    sender.hear(candidate, STAMP_NS, STAMP_NS)
+    (pair,) = sender.judge(STAMP_NS)
     return PathAnswer(
         candidate.box,
         None if isinstance(pair.verdict, Agreed) else pair.verdict.reason,

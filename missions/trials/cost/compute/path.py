@@ -14,13 +14,16 @@ from drivers.perception.pixels import PixelView
 from drivers.rig.parts import Rig
 from flight.camera_pose import gravity_in
 from flight.config import MissionConfig
+from flight.frame.receiver import ReceiverSide
+from flight.frame.records import Answer, AttemptId, OwnFrame
+from flight.frame.sender import PairCameras, SenderSide
 from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
+from flight.tracking.association import Sighting
 from missions.trials.cost.compute.film import BETWEEN_NS, HEADINGS_RAD, PERIOD_NS, Film, Moment, SceneError
 from missions.trials.cost.compute.journals import Journals
 from missions.trials.cost.compute.stopwatch import Stopwatch, TimedView, overhead_ns
 from path.cycle.prior import Prior
-from path.cycle.receiver import ReceiverCycle
-from path.cycle.sender import PairVerdict, SenderCycle
+from path.cycle.sender import PairVerdict
 from path.gate.agreement import Agreed
 from path.geometry.transforms import Matrix
 from path.marker.detect import detect_markers
@@ -59,16 +62,16 @@ class PathPair:
 
     def __init__(self, rig: Rig, mission: MissionConfig, film: Film, seed: int, logs: Mapping[Role, Log]) -> None:
         self._rig, self._film = rig, film
-        self._journals = Journals(logs, rig.method.needed_pairs)
+        self._journals = Journals(logs)
         self._motion: VehicleMotions | None = None
         self._pairs: Sequence[PairVerdict] = ()
         self._mounts = {role: rig.role(role).mount for role in Role}
         cameras = film.cameras
-        one, two = cameras[Role.SENDER], cameras[Role.RECEIVER]
-        T_v_c1 = self._mounts[Role.SENDER].T_v_c
-        self._sender = SenderCycle(one, two, T_v_c1, rig.method, handoff_id=1, epoch=1, target_id=1)
-        self._receiver = ReceiverCycle(two, rig.method, handoff_id=1, epoch=1, target_id=1)
-        self._marker = MarkerView(rig.layout, two, rig.receiver.mount, rig.method, mission)
+        pair = PairCameras(cameras[Role.SENDER], cameras[Role.RECEIVER], self._mounts[Role.SENDER].T_v_c)
+        attempt = AttemptId(1, 1, 1)
+        self._sender = SenderSide(pair, rig.method, attempt)
+        self._receiver = ReceiverSide(pair, rig.method, attempt)
+        self._marker = MarkerView(rig.layout, pair.receiver, rig.receiver.mount, rig.method, mission)
         self._detector = ColorDetector(ColorDetectorConfig())
         key = np.random.default_rng([seed, 3]).bytes(KEY_LENGTH)
         self._codecs = {role: Codec(role, key) for role in Role}
@@ -85,8 +88,8 @@ class PathPair:
         view = self._view(moment, Role.SENDER, stamp_ns)
         watch("d1_detector", view.targets, _around(moment.box1))
         depth = watch("d1_depth", view.depth, moment.box1)
-        target = self._target(moment, depth, watch)
-        packet = watch("encode_target", self._codecs[Role.SENDER].encode, target)
+        own, sent = self._own_frame(moment, depth, watch)
+        packet = watch("encode_target", self._codecs[Role.SENDER].encode, sent)
         target = watch("decode_target", self._codecs[Role.RECEIVER].decode, packet)
         if not isinstance(target, Target):
             raise SceneError(f"the target's packet was dropped: {target}")
@@ -95,13 +98,13 @@ class PathPair:
         fix = self._fix(moment, seen_by_d2, gravity_v, watch)
         prior = self._prior(fix, watch)
         found = watch("d2_detector", seen_by_d2.targets, prior.region)
-        candidate = self._candidate(found, prior, watch)
-        packet = watch("encode_candidate", self._codecs[Role.RECEIVER].encode, candidate)
+        answer = self._answer(found, prior, watch)
+        packet = watch("encode_candidate", self._codecs[Role.RECEIVER].encode, answer.candidate)
         received = watch("decode_candidate", self._codecs[Role.SENDER].decode, packet)
         if not isinstance(received, Candidate):
             raise SceneError(f"the candidate's packet was dropped: {received}")
-        watch("d1_judge", self._offer_and_evaluate, received)
-        self._log(view, seen_by_d2, target, (moment, depth, fix, prior, candidate, found), watch)
+        watch("d1_judge", self._hear_and_judge, received)
+        self._log(view, seen_by_d2, own, (target, moment, fix, answer), watch)
         self._seen[number] = _Seen(depth, fix, found)
         return _with_sums(watch.us)
 
@@ -112,10 +115,10 @@ class PathPair:
         """
         moment, number, watch = self._next()
         seen = self._seen[number]
-        target = self._target(moment, seen.depth, watch)
-        watch("d2_take", self._take, target)
+        _, sent = self._own_frame(moment, seen.depth, watch)
+        watch("d2_take", self._take, sent)
         prior = self._prior(seen.fix, watch)
-        watch("d1_judge", self._offer_and_evaluate, self._candidate(seen.found, prior, watch))
+        watch("d1_judge", self._hear_and_judge, self._answer(seen.found, prior, watch).candidate)
         return sum(watch.us[stage] for stage in GEOMETRY)
 
     def _next(self) -> tuple[Moment, int, Stopwatch]:
@@ -128,17 +131,19 @@ class PathPair:
         frame = Frame(stamp_ns, self._frame, moment.color[role], depth_mm)
         return PixelView(frame, self._film.cameras[role], self._rig.layout, self._detector, self._rig.method)
 
-    def _target(self, moment: Moment, depth: Depth | None, watch: Stopwatch) -> Target:
+    def _own_frame(self, moment: Moment, depth: Depth | None, watch: Stopwatch) -> tuple[OwnFrame, Target]:
+        """The frame, and the message in it. Raises SceneError when there is none."""
         gravity_v = gravity_in(moment.R_n_b[Role.SENDER] @ self._mounts[Role.SENDER].T_b_v.R)
         stamp_ns = self._frame * PERIOD_NS
-        target = watch("d1_target", self._sender.observe, self._frame, stamp_ns, moment.box1, depth, gravity_v)
-        if not isinstance(target, Target):
-            raise SceneError(f"D1 has no target: {target.reason.value}")
-        return target
+        seen = Sighting(moment.box1, depth)
+        own = watch("d1_target", self._sender.observe, self._frame, stamp_ns, seen, gravity_v)
+        if not isinstance(own.message, Target):
+            raise SceneError(f"D1 has no target: {own.message.reason.value}")
+        return own, own.message
 
     def _take(self, target: Target) -> Vec3 | None:
         stamp_ns = self._frame * PERIOD_NS + BETWEEN_NS
-        self._receiver.on_target(target, target.capture_ns, stamp_ns)
+        self._receiver.hear(target, target.capture_ns, stamp_ns)
         return self._receiver.gravity_v(stamp_ns)
 
     def _fix(self, moment: Moment, view: TimedView, gravity_v: Vec3 | None, watch: Stopwatch) -> MarkerFix:
@@ -156,17 +161,17 @@ class PathPair:
 
     def _prior(self, fix: MarkerFix, watch: Stopwatch) -> Prior:
         stamp_ns = self._frame * PERIOD_NS + BETWEEN_NS
-        prior = watch("d2_prior", self._receiver.prior, fix.T_c_v, fix.covariance, stamp_ns)
+        prior = watch("d2_prior", self._receiver.prior, fix, stamp_ns)
         if not isinstance(prior, Prior):
             raise SceneError(f"D2 has no prior: {prior.reason.value}")
         return prior
 
-    def _candidate(self, found: Sequence[Detection], prior: Prior, watch: Stopwatch) -> Candidate:
+    def _answer(self, found: Sequence[Detection], prior: Prior, watch: Stopwatch) -> Answer:
         stamp_ns = self._frame * PERIOD_NS + BETWEEN_NS
-        candidate = watch("d2_candidate", self._receiver.candidate, self._frame, stamp_ns, found, prior)
-        if not isinstance(candidate, Candidate) or candidate.box is None:
+        answer = watch("d2_candidate", self._receiver.answer, self._frame, stamp_ns, found, prior)
+        if answer is None or answer.candidate.box is None:
             raise SceneError("D2 has no candidate")
-        return candidate
+        return answer
 
     def _look(
         self, view: TimedView, motion: VehicleMotions, R_n_c: Matrix, gravity_v: Vec3 | None, gravity_c: Vec3
@@ -179,27 +184,24 @@ class PathPair:
         self,
         one: PixelView,
         two: TimedView,
-        target: Target,
-        made: tuple[Moment, Depth | None, MarkerFix, Prior, Candidate, Sequence[Detection]],
+        own: OwnFrame,
+        made: tuple[Target, Moment, MarkerFix, Answer],
         watch: Stopwatch,
     ) -> None:
-        moment, depth, fix, prior, candidate, found = made
+        target, moment, fix, answer = made
         assert self._motion is not None
-        seen = moment.box1, depth
-        watch("d1_log", self._journals.sender, one, target, seen, candidate, self._pairs, self._sender.gate)
+        watch("d1_log", self._journals.sender, one, own, answer.candidate, self._pairs, self._sender)
         R_n_c = moment.R_n_b[Role.RECEIVER] @ self._mounts[Role.RECEIVER].T_b_c.R
         attitudes = R_n_c, self._marker.R_n_v
-        watch(
-            "d2_log", self._journals.receiver, two, target, fix, self._motion, attitudes, prior, candidate, found
-        )  # fmt: skip
+        watch("d2_log", self._journals.receiver, two, target, fix, self._motion, attitudes, answer)
 
-    def _offer_and_evaluate(self, candidate: Candidate) -> None:
+    def _hear_and_judge(self, candidate: Candidate) -> None:
         """A candidate waits for D1's next frame: what is judged in a cycle is that of the cycle before."""
         now_ns = self._frame * PERIOD_NS + BETWEEN_NS
-        self._pairs = self._sender.evaluate_ready(now_ns)
+        self._pairs = self._sender.judge(now_ns)
         for pair in self._pairs:
             self.agreed += isinstance(pair.verdict, Agreed)
-        self._sender.offer(candidate, candidate.capture_ns, now_ns)
+        self._sender.hear(candidate, candidate.capture_ns, now_ns)
 
     def _again(
         self,
