@@ -137,6 +137,8 @@ class GuardConfig:
     fence_height_m: Annotated[float, Bounds(1.0, 120.0)] = 6.0
     # (north, east) of the corners of a site with walls, in order; empty: the circle alone
     corners_m: Annotated[tuple[tuple[float, float], ...], Bounds(-1000.0, 1000.0)] = ()
+    # from those walls, besides a body's radius: how far a drone wanders, and what its positions are worth
+    clear_m: Annotated[float, Bounds(0.0, 50.0)] = 0.0
     min_battery: Annotated[float, Bounds(0.05, 0.9, "of 1")] = 0.20
     telemetry_age_s: Annotated[float, Bounds(0.05, 5.0)] = 0.5
     heartbeat_age_s: Annotated[float, Bounds(0.2, 10.0)] = 2.5
@@ -224,5 +226,5 @@ class MissionConfig:
 
     @property
     def fence(self) -> Fence:
-        """Return the space in which the drones may be, for the middle of a body."""
-        return self.guard.fence(0.5 * self.separation.horizontal_m)
+        """Return the space in which the drones may be, for the middle of a body that is not quite where it seems."""
+        return self.guard.fence(0.5 * self.separation.horizontal_m + self.guard.clear_m)

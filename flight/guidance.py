@@ -45,6 +45,9 @@ def bearing(to_n_m: Vec3) -> float:
     return math.atan2(to_n_m[1], to_n_m[0])
 
 
+LEAST_SPARE = 0.2
+"""Of a vehicle's acceleration, in any case: else it would never come to what brakes as hard as it can itself."""
+
 BELOW_FENCE_M = 0.5
 """So much below the fence's height a drone that follows a target stays: it comes to rest late, and wind lifts it."""
 
@@ -99,6 +102,16 @@ def approach(error_n_m: Vec3, velocity_n_mps: Vec3, feed_forward_n_mps: Vec3, an
     left = subtract(error_n_m, scale(closing, answer.response_s))
     fastest = min(answer.max_speed_mps, math.sqrt(answer.accel_mps2 * norm(left)))
     return add(feed_forward_n_mps, limit(scale(left, answer.gain_per_s), fastest))
+
+
+def spare_accel(accel_mps2: float, speed_mps: float, target_accel_mps2: float, response_s: float) -> float:
+    """Return what is left of a vehicle's acceleration to come nearer with, if what it comes to brakes meanwhile.
+
+    What moves can stop: it does so with ``target_accel_mps2`` at most, and takes no more than its speed off within the
+    time in which the vehicle answers. Without that share D1 comes in too fast, and slides over what has stopped.
+    """
+    braked_mps2 = min(target_accel_mps2, speed_mps / response_s)
+    return max(LEAST_SPARE * accel_mps2, accel_mps2 - braked_mps2)
 
 
 @dataclass(frozen=True, slots=True)

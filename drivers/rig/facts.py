@@ -85,12 +85,15 @@ class SiteFacts:
         wind_mps, gust_mps: the mean wind, and the standard deviation about it.
         corners_m: (north, east) of the corners of a site with walls, in order; empty: there are none.
         ceiling_m: above the ground; None: there is none.
+        position_m: standard deviation per axis of where the drones take themselves to be in flight; walls are kept
+            from by twice that besides.
     """
 
     wind_mps: Annotated[float, Bounds(0.0, 30.0)] = 1.5
     gust_mps: Annotated[float, Bounds(0.0, 15.0)] = 0.4
     corners_m: Annotated[tuple[tuple[float, float], ...], Bounds(-1000.0, 1000.0)] = ()
     ceiling_m: Annotated[float | None, Bounds(1.0, 120.0)] = None
+    position_m: Annotated[float, Bounds(0.0, 20.0)] = 0.5
 
 
 @dataclass(frozen=True, slots=True)

@@ -225,7 +225,8 @@ def _site(of: Flown) -> Problem | None:
     name, most_m = max(missing.items(), key=lambda each: each[1])
     return Problem(
         "site.corners_m",
-        f"with the target where it is designated {name} would be {most_m:.1f} m too near to a wall, or behind it",
+        f"with the target where it is designated {name} would be {most_m:.1f} m too near to a wall, or behind it:"
+        f" it keeps {fence.body_m:.1f} m, for its radius, drone.hold_m and twice site.position_m",
         f"a target {most_m:.1f} m farther ahead, another mission.heading_deg, or a site that is {most_m:.1f} m longer"
         " would do",
     )

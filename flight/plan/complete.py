@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from drivers.rig.facts import TargetFacts
+from drivers.rig.facts import DroneFacts, TargetFacts
 from drivers.rig.parts import PartSpec, Rig, RoleRig
 from drivers.rig.tables import decode_table
 from flight.config import MissionConfig
@@ -29,6 +29,8 @@ DEPTH_KEYS = (
 """Settings of the method that a perception has a copy of."""
 LOOK_ALIKES_M = (1.2, 2.0)
 """Of a simulated robot car, to its look-alikes: the least and the most."""
+POSITION_SIGMAS = 2.0
+"""Of where a drone takes itself to be: how far it keeps from walls for that."""
 SPANS_APART = 1.8
 """Times a target's diameter, between it and its look-alikes."""
 
@@ -62,10 +64,16 @@ def complete(rig: Rig) -> Rig:
 
 
 def _with_site(mission: dict[str, Any], rig: Rig) -> dict[str, Any]:
-    """Return the mission with the site's walls and ceiling for its fence, where it names none."""
+    """Return the mission with the site's walls and ceiling for its fence, where it names none.
+
+    Walls are kept from by how far a drone wanders, and by twice the standard deviation of its position.
+    """
     site = rig.site
     if site is None:
         return mission
+    drone = rig.drone or DroneFacts()
+    if site.corners_m and "mission.guard.clear_m" not in rig.named:
+        mission = _with(mission, "guard.clear_m", drone.hold_m + POSITION_SIGMAS * site.position_m)
     if site.corners_m and "mission.guard.corners_m" not in rig.named:
         mission = _with(mission, "guard.corners_m", site.corners_m)
     if site.ceiling_m is not None and "mission.guard.fence_height_m" not in rig.named:

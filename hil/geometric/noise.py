@@ -11,7 +11,7 @@ There are no false positives, as none was found on 1600 frames of ground.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hil.geometric.markers import MarkerNoise
 from hil.geometric.targets import TargetNoise
@@ -125,6 +125,11 @@ class ObservationNoise:
     marker: MarkerNoise = MARKER_NOISE
     depth_sigma_at_1m_m: float = 0.005
     depth_common_sigma_at_1m_m: float = 0.0012
+
+    def with_depth(self, sigma_at_1m_m: float) -> ObservationNoise:
+        """Return this noise with another depth camera's: as the rig states it, neighbours err together as much."""
+        common = sigma_at_1m_m * self.depth_common_sigma_at_1m_m / self.depth_sigma_at_1m_m
+        return replace(self, depth_sigma_at_1m_m=sigma_at_1m_m, depth_common_sigma_at_1m_m=common)
 
 
 def noise_in(scene: SceneName) -> ObservationNoise:

@@ -80,8 +80,12 @@ class GeometricPerception:
         harness = cast(SensorHarness, context.harness)
         true = true_camera(context, harness.built)
         setup = CameraSetup(context.role, true.camera, true.T_b_c, true.T_b_v, true.layout)
+        noise = noise or noise_in(true.scene)
+        stated = None if harness.built is None else harness.built.rig.depth
+        if stated is not None:
+            noise = noise.with_depth(stated.sigma_at_1m_m)
         self._model = context.camera
-        self._sensor = Sensor(setup, noise or noise_in(true.scene), config.method, harness.seed, true.errors)
+        self._sensor = Sensor(setup, noise, config.method, harness.seed, true.errors)
         name = f"the {context.role.value}'s geometric perception"
         self._ticker: CaptureTicker[Snapshot] = CaptureTicker(
             name, config.timing(context.role), context.role, context.clock, harness, _keep

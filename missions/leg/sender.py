@@ -20,7 +20,9 @@ from flight.guidance import (
     approach,
     bearing,
     from_heading,
+    norm,
     scale,
+    spare_accel,
     subtract,
     within_fence,
 )
@@ -210,8 +212,11 @@ class Sender:
 
     def _approach(self, place_n_m: Vec3, velocity_n_mps: Vec3, state: VehicleState) -> VelocitySetpoint:
         """To a moving place, and to rest there: past it the target would be below the image."""
-        error, answer = subtract(place_n_m, state.position_n_m), self._config.follow.answer(self._config.max_accel_mps2)
-        return VelocitySetpoint(approach(error, state.velocity_n_mps, velocity_n_mps, answer), self._heading_rad)
+        follow, error = self._config.follow, subtract(place_n_m, state.position_n_m)
+        accel_mps2 = self._config.max_accel_mps2
+        spare_mps2 = spare_accel(accel_mps2, norm(velocity_n_mps), follow.target_accel_mps2, follow.response_s)
+        velocity = approach(error, state.velocity_n_mps, velocity_n_mps, follow.answer(spare_mps2))
+        return VelocitySetpoint(velocity, self._heading_rad)
 
     def _view_of(self, target_n_m: Vec3, wider: float = 1.0) -> Vec3:
         """Behind and above the target, in the heading it was approached with; a drone that is tilted stands aside.

@@ -18,6 +18,7 @@ from flight.guidance import (
     norm,
     scale,
     slew,
+    spare_accel,
     subtract,
     way_until_away,
 )
@@ -112,3 +113,11 @@ def test_slew_limits_the_acceleration_and_gets_there(before: Vec3, wanted: Vec3,
     assert left == pytest.approx(norm(subtract(wanted, before)) - change, abs=1e-6)
     if norm(subtract(wanted, before)) <= max_accel * dt_s:
         assert after.velocity_n_mps == pytest.approx(wanted, abs=1e-12)
+
+
+def test_what_it_comes_to_may_brake_with_all_that_it_has_and_is_not_slid_over() -> None:
+    """At 1.5 m/s a target that brakes with 1.5 m/s2 takes a drone's 1.6 m/s2; one that stands takes nothing."""
+    assert spare_accel(1.6, 0.0, 1.5, 1.0) == pytest.approx(1.6)
+    assert spare_accel(1.6, 0.3, 1.5, 1.0) == pytest.approx(1.3)
+    assert spare_accel(1.6, 1.5, 1.5, 1.0) == pytest.approx(0.2 * 1.6)
+    assert spare_accel(3.0, 9.0, 1.5, 1.0) == pytest.approx(1.5)

@@ -310,3 +310,20 @@ def test_d2_searches_as_wide_an_angle_with_any_camera(rig_of: RigOf) -> None:
     assert many.max_search_px == pytest.approx(4.0 * few.max_search_px, rel=1e-3)
     assert many.min_search_px == pytest.approx(4.0 * few.min_search_px, rel=1e-3)
     assert few.max_search_px == pytest.approx(MethodConfig().max_search_px, rel=0.01)
+
+
+HALL = """
+[site]
+corners_m = [[-2.0, -2.0], [-2.0, 2.0], [2.0, 2.0], [2.0, -2.0]]
+"""
+
+
+def test_walls_are_kept_from_by_what_positions_are_worth(rig_of: RigOf) -> None:
+    """D2 landed 0.2 m from a wall, and touched it: a body's radius was all that it kept."""
+    drones = "[drone]\nhold_m = 0.1\n"
+    near = "[mission.target]\nnorth_m = 0.9\n"
+    beacons = rig_of(CAR + drones + HALL + "position_m = 0.1\n" + near, "beacons")
+    assert mission_of(beacons).fence.body_m == pytest.approx(0.3 + 0.1 + 0.2)
+    assert list(problems(of(beacons))) == []
+    satellites = rig_of(CAR + drones + HALL + near, "satellites")
+    assert [each.where for each in problems(of(satellites))] == ["site.corners_m"]

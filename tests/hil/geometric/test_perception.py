@@ -204,6 +204,15 @@ def test_depth_is_that_of_the_drawn_surface(role: Role) -> None:
         assert ours.sigma_m == pytest.approx(theirs.sigma_m, rel=0.1)
 
 
+def test_another_depth_camera_is_as_good_as_the_rig_says() -> None:
+    usual_noise = ObservationNoise()
+    lidar = usual_noise.with_depth(0.0002)
+    assert lidar.depth_sigma_at_1m_m == 0.0002
+    assert lidar.depth_common_sigma_at_1m_m / 0.0002 == pytest.approx(
+        usual_noise.depth_common_sigma_at_1m_m / usual_noise.depth_sigma_at_1m_m
+    )
+
+
 def test_without_measurements_on_cars_there_is_no_depth_of_them() -> None:
     snapshot = replace(moment(thing(0, 0.1, 0.0)), depth_holes=True)
     box = look(snapshot).targets(None)[0].box
