@@ -1,7 +1,8 @@
 """Flights in real time that a computer was too slow for say nothing: they are flown again, counted, and told.
 
-Only an end as ``overloaded`` is repeated, and it is one only where lateness explains what was seen
-(``missions/lateness.py``). A violation, or any other end, is what the flight came to the first time.
+Before it is flown again, the computer's cores are waited for: whoever took them may be busy for minutes. Only an end as
+``overloaded`` is repeated, and it is one only where lateness explains what was seen (``missions/lateness.py``). A
+violation, or any other end, is what the flight came to the first time.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Any, Generic, TypeVar
 import pytest
 
 from flight.outcome import Outcome
+from tests.free_cores import WAIT_S, wait_until_free
 
 TRIES = 3
 """A flight is flown so often at the most."""
@@ -39,10 +41,12 @@ class Repeating:
     Attributes:
         folder: of the test.
         tell: takes why one is flown again.
+        wait: returns whether the cores are free, at last; it is flown again in any case.
     """
 
     folder: Path
     tell: Callable[[str], object]
+    wait: Callable[[], bool] = wait_until_free
 
     def __call__(self, fly: Callable[[Path], Flown[_T]]) -> _T:
         """Returns what was seen of the flight that counts. Fails the test when the computer was too slow each time."""
@@ -53,7 +57,8 @@ class Repeating:
             flown.append(fly(out))
             if flown[-1].outcome != Outcome.OVERLOADED.label:
                 return flown[-1].seen
-            self.tell(flown[-1].detail)
+            busy = len(flown) < TRIES and not self.wait()
+            self.tell(flown[-1].detail + (f"; no cores were free for {WAIT_S:g} s after it" if busy else ""))
         told = "\n".join(each.detail for each in flown)
         pytest.fail(f"this computer was too slow {TRIES} times out of {TRIES}:\n{told}", pytrace=False)
 

@@ -6,8 +6,6 @@ import subprocess
 import time
 from pathlib import Path
 
-import pytest
-
 
 def processes_of(name: str) -> list[str]:
     """Command lines of processes that name a folder."""
@@ -30,13 +28,13 @@ def left_of(name: str, within_s: float = 30.0) -> list[str]:
     return found
 
 
-def wait_for_line(process: subprocess.Popen[str], wanted: str, seen: list[str], within_s: float) -> None:
-    """Read what it says, into ``seen``, up to a line with ``wanted`` in it."""
+def says(process: subprocess.Popen[str], wanted: str, seen: list[str], within_s: float) -> bool:
+    """Read what it says, into ``seen``, up to a line with ``wanted`` in it. Return False when it ended before that."""
     assert process.stdout is not None
     end_s = time.monotonic() + within_s
     for line in process.stdout:
         seen.append(line)
         if wanted in line:
-            return
+            return True
         assert time.monotonic() < end_s, "".join(seen)
-    pytest.fail(f"ended before {wanted!r}:\n{''.join(seen)}")
+    return False

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from tests.free_cores import WAIT_S
 from tests.overloaded import TRIES, Flown, Repeating, repetitions
+from tests.run_processes import says
 
 LATE = "sender's program had no core for 0.19 s of the 0.24 s without a setpoint at 12.00 s"
 
@@ -25,9 +29,9 @@ class Ends:
         return Flown(outcome, LATE, f"{outcome} {len(self.flown)}")
 
 
-def repeating(tmp_path: Path) -> tuple[Repeating, list[str]]:
+def repeating(tmp_path: Path, free: bool = True) -> tuple[Repeating, list[str]]:
     told: list[str] = []
-    return Repeating(tmp_path, told.append), told
+    return Repeating(tmp_path, told.append, lambda: free), told
 
 
 def test_an_overloaded_flight_is_flown_again_in_a_folder_of_its_own_and_counted(tmp_path: Path) -> None:
@@ -52,6 +56,26 @@ def test_a_computer_that_is_always_too_slow_fails_the_test_with_each_time_told(t
     with pytest.raises(pytest.fail.Exception, match=f"too slow {TRIES} times") as failed:
         again(flights)
     assert str(failed.value).count(LATE) == len(flights.flown) == len(told) == TRIES
+
+
+def test_the_cores_are_waited_for_before_each_repetition_and_it_is_told_when_they_stayed_busy(tmp_path: Path) -> None:
+    again, told = repeating(tmp_path, free=False)
+    assert again(Ends("overloaded", "flown")) == "flown 2"
+    assert told == [f"{LATE}; no cores were free for {WAIT_S:g} s after it"]
+    waits: list[int] = []
+    flights = Ends(*["overloaded"] * TRIES)
+    with pytest.raises(pytest.fail.Exception):
+        Repeating(tmp_path / "again", told.append, lambda: not waits.append(len(flights.flown)))(flights)
+    assert waits == list(range(1, TRIES))
+
+
+def test_a_program_that_ends_before_what_is_waited_for_is_no_reason_to_fail() -> None:
+    seen: list[str] = []
+    command = [sys.executable, "-c", "print('take-off'); print('too slow')"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert says(process, "take-off", seen, 60.0)
+        assert not says(process, "stand-off", seen, 60.0)
+    assert seen == ["take-off\n", "too slow\n"]
 
 
 def test_what_was_flown_again_is_told_at_the_end_once_for_each_time() -> None:
