@@ -9,27 +9,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from missions.trials.pose.corners.methods import OPENCV, PIXEL_CENTRE, TITLES
 from missions.trials.real.set import RealSet
 from path.camera.model import CameraModel
 from path.geometry.transforms import Matrix
 from path.marker.detect import refine_corners, trusted_fit
 
-METHOD_TITLES = {
-    "none": "cv2, not refined",
-    "subpix": "cv2 SUBPIX",
-    "contour": "cv2 CONTOUR",
-    "apriltag": "cv2 APRILTAG",
-    "photometric": "photometric",
-}
+METHOD_TITLES = {"none": "cv2, not refined", **{name: TITLES[name] for name in ("subpix", *OPENCV, "photometric")}}
 METHODS = tuple(METHOD_TITLES)
 REFINEMENTS = {
     "none": cv2.aruco.CORNER_REFINE_NONE,
     "subpix": cv2.aruco.CORNER_REFINE_SUBPIX,
-    "contour": cv2.aruco.CORNER_REFINE_CONTOUR,
-    "apriltag": cv2.aruco.CORNER_REFINE_APRILTAG,
+    **OPENCV,
 }
-# AprilTag's own code puts the centre of the first pixel at 0.5.
-APRILTAG_CENTRE_PX = 0.5
 START = "contour"
 NAMED = ("filter", "coarse print", "shadow")  # what a fit can call wrong, in its order
 FELL_BACK = "fell back to SUBPIX"
@@ -83,7 +75,7 @@ def _by_opencv(own: RealSet, grey: Image, method: str) -> Corners:
         return {}
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = REFINEMENTS[method]
-    pixel_centre = APRILTAG_CENTRE_PX if method == "apriltag" else 0.0
+    pixel_centre = PIXEL_CENTRE.get(method, 0.0)
     quads, ids, _ = cv2.aruco.ArucoDetector(own.dictionary, parameters).detectMarkers(grey)
     found: Corners = {}
     for quad, marker_id in zip(quads, np.ravel(ids) if quads else (), strict=True):

@@ -7,20 +7,19 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from missions.report.palette import COUNT, DIM, FAULT, MARKER, NEEDED
+from missions.report.palette import COUNT, DIM, FAULT, MARKER, NEEDED, tidy
 from missions.trials.real.corners import METHOD_TITLES
 from missions.trials.real.results import Figure95, SetScore
+from missions.trials.shared.drawing import save, sheet
 
-DPI = 100
 SHOWN = {"subpix": FAULT, "apriltag": COUNT, "photometric": MARKER}
 POSES = {"single": ("one marker", MARKER), "plate": ("two markers", COUNT), "perfect_corners": ("board's corners", DIM)}
 SHIFT = 0.18  # between the marks of one row
 
 
 def draw_sets(scores: Sequence[SetScore], path: Path) -> None:
-    figure = Figure(figsize=(13.0, 1.2 + 1.9 * len(scores)), dpi=DPI, layout="constrained")
+    figure = sheet(13.0, 1.2 + 1.9 * len(scores))
     grid = figure.add_gridspec(len(scores), 3, width_ratios=(1.6, 1.4, 1.4))
     for row, score in enumerate(scores):
         axes = figure.add_subplot(grid[row, 0])
@@ -38,7 +37,7 @@ def draw_sets(scores: Sequence[SetScore], path: Path) -> None:
         _marks(poses, own, (number - 1) * SHIFT, 1e3, colour, title)
     _finish(corners, scores, "corners, px robust per axis, 95 %")
     _finish(poses, scores, "D2's error, mean, mm, 95 %")
-    figure.savefig(path, format="png", metadata={"Software": None})
+    save(figure, path)
 
 
 def _marks(
@@ -61,5 +60,4 @@ def _finish(axes: Axes, scores: Sequence[SetScore], label: str) -> None:
     axes.grid(axis="x", color="#dddddd", lw=0.6)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize=8)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    tidy(axes)

@@ -10,16 +10,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch, Rectangle
 
 from missions.report.palette import COUNT, DIM, FAULT, OWN_BOX, PRIOR, ROLE, tidy
 from missions.trials.rivals.score import OUTCOMES, FrameTally, Outcome
+from missions.trials.shared.drawing import panels, save, sheet
 from path.baselines.features import Image
 from path.messages import Role
 from path.observations import Box, Region
 
-DPI = 110
 NAMES: dict[Outcome, str] = {
     "tp": "target acquired",
     "tn": "rightly nothing",
@@ -66,8 +65,7 @@ class Example:
 
 def draw_outcomes(tallies: Mapping[str, FrameTally], titles: Mapping[str, str], path: Path) -> None:
     """One bar a method, frames by outcome."""
-    figure = Figure(figsize=(10.0, 0.9 + 0.62 * len(tallies)), dpi=DPI, layout="constrained")
-    axes = figure.add_subplot()
+    figure, (axes,) = panels(10.0, 0.9 + 0.62 * len(tallies))
     for row, counts in enumerate(tallies.values()):
         left = 0
         for each in ORDER:
@@ -87,12 +85,12 @@ def draw_outcomes(tallies: Mapping[str, FrameTally], titles: Mapping[str, str], 
     axes.set_xlabel("frames", fontsize=9)
     tidy(axes)
     figure.legend(loc="outside upper left", ncols=4, fontsize=9, frameon=False)
-    figure.savefig(path, format="png", metadata={"Software": None})
+    save(figure, path)
 
 
 def draw_sweeps(sweeps: Sequence[tuple[str, Sequence[float], Sequence[SweepCurve]]], path: Path) -> None:
     """Accuracy along each sweep: its axis title, its values, its curves; 95 % intervals as bars."""
-    figure = Figure(figsize=(6.2 * len(sweeps), 4.2), dpi=DPI, layout="constrained")
+    figure = sheet(6.2 * len(sweeps), 4.2)
     for column, (title, values, curves) in enumerate(sweeps):
         axes = figure.add_subplot(1, len(sweeps), column + 1)
         step = (max(values) - min(values)) / 100.0
@@ -111,12 +109,12 @@ def draw_sweeps(sweeps: Sequence[tuple[str, Sequence[float], Sequence[SweepCurve
         tidy(axes)
         if column == 0:
             axes.legend(fontsize=9, loc="lower right", framealpha=0.9)
-    figure.savefig(path, format="png", metadata={"Software": None})
+    save(figure, path)
 
 
 def draw_examples(examples: Sequence[Example], path: Path) -> None:
     """One row an example: D1's view on the left, D2's on the right."""
-    figure = Figure(figsize=(13.0, 3.95 * len(examples)), dpi=DPI, layout="constrained")
+    figure = sheet(13.0, 3.95 * len(examples))
     rows = figure.subfigures(len(examples), 1, squeeze=False)[:, 0]
     for row, example in zip(rows, examples, strict=True):
         row.suptitle(example.title, x=0.012, ha="left", fontsize=11, fontweight="bold")
@@ -134,7 +132,7 @@ def draw_examples(examples: Sequence[Example], path: Path) -> None:
         if example.chosen is not None:
             _frame(right, example.chosen, RIGHT if example.right else WRONG, 2.6)
         _join(row, left, right, example)
-    figure.savefig(path, format="png", metadata={"Software": None})
+    save(figure, path)
 
 
 def _chosen_words(example: Example) -> str:

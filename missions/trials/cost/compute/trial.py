@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
+from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE, tidy
 from missions.trials.cost.compute.film import SIZES, shoot_film
 from missions.trials.cost.compute.path import DETECTORS, GEOMETRY, MESSAGES, SUMS
 from missions.trials.cost.compute.rounds import HOT, QUICK, Array, ComputePlan, Timings, time_all
+from missions.trials.shared.drawing import save, sheet
 from missions.trials.shared.statistics import Statistic, bootstrap, figure_of, medians, percentiles
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.messages import Role
@@ -282,12 +282,12 @@ def _notes(request: TrialRequest) -> tuple[str, ...]:
 
 
 def _draw(timings: Mapping[str, Timings], path: Path) -> None:
-    figure = Figure(figsize=(6.2 * len(timings) + 1.5, 6.6), dpi=110, layout="constrained")
+    figure = sheet(6.2 * len(timings) + 1.5, 6.6)
     for number, (size, timing) in enumerate(timings.items()):
         axes = figure.add_subplot(1, len(timings), number + 1)
         _draw_stages(axes, timing, labels=number == 0)
         axes.set_title(size, loc="left", fontsize=10)
-    figure.savefig(path, format="png", metadata={"Software": None})
+    save(figure, path)
 
 
 def _draw_stages(axes: Axes, timing: Timings, labels: bool) -> None:
@@ -304,9 +304,7 @@ def _draw_stages(axes: Axes, timing: Timings, labels: bool) -> None:
     axes.axvline(GEOMETRY_GOAL_MS, color=DIM, lw=0.8, ls=":")
     axes.axvline(min(MARKER_GOALS_MS.values()), color=DIM, lw=0.8, ls="--")
     axes.set_xlabel("ms, median    (dotted: goal of the geometry, dashed: of the marker)", fontsize=8)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    axes.tick_params(labelsize=8)
+    tidy(axes)
 
 
 def _colour(name: str) -> str:

@@ -11,9 +11,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-
 from drivers.rig.parts import Rig
 from flight.outcome import Outcome
 from missions.options.flights import TeamOptions
@@ -23,6 +20,7 @@ from missions.run_folder import new_folder
 from missions.shown import tell_line
 from missions.team.command import fly_team
 from missions.team.config import checked_team, fenced, laid_out
+from missions.trials.shared.drawing import panels, save
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.messages import Role
 
@@ -188,8 +186,7 @@ def _table(costs: Sequence[TeamCost]) -> TrialTable:
 
 
 def _draw(teams: Sequence[TeamCost], path: Path) -> None:
-    figure = Figure(figsize=(8.0, 4.2), dpi=110, layout="constrained")
-    axes: Axes = figure.add_subplot()
+    figure, (axes,) = panels(8.0, 4.2)
     drones = [cost.drones for cost in teams]
     each = [cost.cpu_s_per_drone_hour for cost in teams]
     middle = 0.5 * (min(each) + max(each))
@@ -203,4 +200,4 @@ def _draw(teams: Sequence[TeamCost], path: Path) -> None:
     axes.set(xlabel="drones, two for each target", ylabel="processor time, s", ylim=(0.0, None))
     axes.legend(fontsize=8, frameon=False, loc="lower right")
     axes.grid(alpha=0.3, color=DIM)
-    figure.savefig(path, format="png", metadata={"Software": None})
+    save(figure, path)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from drivers.link.dialect import path_dialect as dialect
 from drivers.link.wire import UDP_IP_OVERHEAD
@@ -17,6 +16,7 @@ from missions import rig_library
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE, tidy
 from missions.trials.cost.link.cost import PACKETS, Times, measure_costs
 from missions.trials.cost.link.traffic import LinkTraffic, TappedPacket, flow
+from missions.trials.shared.drawing import save, sheet
 from missions.trials.shared.statistics import bootstrap, median, medians
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.alike import Alike
@@ -222,10 +222,10 @@ def _cost_table(costs: dict[str, Times], rng: np.random.Generator) -> TrialTable
 
 
 def _draw(traffic: Sequence[LinkTraffic], sizes: dict[str, dict[str, int]], path: Path) -> None:
-    figure = Figure(figsize=(10.5, 4.2), dpi=110, layout="constrained")
+    figure = sheet(10.5, 4.2)
     _draw_rates(figure.add_subplot(1, 2, 1), traffic)
     _draw_sizes(figure.add_subplot(1, 2, 2), sizes)
-    figure.savefig(path, format="png", metadata={"Software": None})
+    save(figure, path)
 
 
 def _draw_rates(axes: Axes, traffic: Sequence[LinkTraffic]) -> None:

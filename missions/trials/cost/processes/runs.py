@@ -12,12 +12,11 @@ from drivers.link.wire import KEY_LENGTH
 from drivers.rig.toml_text import toml_text
 from flight.phases import COURSE
 from missions import rig_library
-from missions.handoff.flight import fly_once
-from missions.report.records import RUN, last, load_run
+from missions.report.records import last
 from missions.report.summary import summarize
-from missions.run_folder import discard, new_folder
 from missions.trials.cost.processes import duty as processes_duty
 from missions.trials.cost.processes.duty import Responsibility
+from missions.trials.shared import flown
 from path.messages import Role
 
 SIM, LIVE = "sim", "sitl-light"
@@ -139,9 +138,7 @@ def _kill(
 
 def fly(asked: ProcessRun) -> Came:
     """One run; its logs are thrown away unless something is wrong with it."""
-    folder = new_folder(asked.folder)
-    facts = fly_once(rig_library.load(asked.rig), asked.seed, asked.faults, folder, lambda _: None)
-    run = load_run(folder)
+    facts, run = flown.fly(rig_library.load(asked.rig), asked.seed, asked.faults, asked.folder)
     summary: dict[str, Any] = summarize(run)
     truth = last(run.world, "/truth")
     came = Came(
@@ -152,14 +149,14 @@ def fly(asked: ProcessRun) -> Came:
         landed=truth is not None and not any(truth.record[role.value]["in_air"] for role in Role),
         violations=dict(facts.violations),
         notes=facts.notes,
-        duty=processes_duty.read(folder),
+        duty=processes_duty.read(asked.folder),
         agreement_s=summary["agreement_s"],
         wrong=summary["wrong_handover"] is True,
         dropped=summary["link_dropped"],
         wall_s=facts.wall_s,
     )
     if not suspicious(came):
-        discard(folder, RUN)
+        flown.throw_away(asked.folder)
     return came
 
 

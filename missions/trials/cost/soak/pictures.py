@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from drivers.log.mcap_log import LogRecord
 from missions.report.palette import DIM, ROLE
 from missions.trials.cost.soak.watch import ProgramSample
+from missions.trials.shared.drawing import panels, save
 from path.messages import Role
 
 _BLOCK_S = 5.0
@@ -21,8 +21,7 @@ def draw(
     samples: Mapping[str, Sequence[ProgramSample]], frames: Mapping[Role, Sequence[LogRecord]], path: Path
 ) -> None:
     """Raises OSError when it cannot be written."""
-    figure = Figure(figsize=(11.0, 4.2), dpi=110, layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = panels(11.0, 4.2, columns=2)
     begin_s = min(taken[0].time_s for taken in samples.values())
     for name, taken in samples.items():
         role = next((role for role in Role if role.value == name), None)
@@ -37,7 +36,7 @@ def draw(
     right.legend(fontsize=8, frameon=False)
     for axes in (left, right):
         axes.grid(alpha=0.3, color=DIM)
-    figure.savefig(path, format="png", metadata={"Software": None})
+    save(figure, path)
 
 
 def _ages(axes: Axes, role: Role, frames: Sequence[LogRecord]) -> None:

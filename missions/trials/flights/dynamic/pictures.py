@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
 from missions.trials.flights.dynamic.judge import SUBJECTS, Compared, HarnessVerdict, SessionErrors, pairs_of
+from missions.trials.shared.drawing import panels, save, sheet
 from missions.trials.shared.statistics import rms
 from path.messages import Role
 
@@ -28,8 +28,7 @@ def draw_map(judged: SessionErrors, file: Path, true_place: Callable[[str, Array
     Args:
         true_place: where a body truly was in the beacons' frame, (n, 3), at instants of the receiver's clock.
     """
-    figure = Figure(figsize=(13.0, 6.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = panels(13.0, 6.2, columns=2)
     t = np.arange(judged.motions.d2.t[0], judged.motions.d2.t[-1], 0.05)
     for name, path in judged.heard.paths.items():
         near = (path.t + judged.clock.offset_s >= t[0]) & (path.t + judged.clock.offset_s <= t[-1])
@@ -61,17 +60,17 @@ def draw_map(judged: SessionErrors, file: Path, true_place: Callable[[str, Array
         axes.set_ylabel("y, m")
         axes.legend(fontsize=8)
         axes.grid(alpha=0.3)
-    _save(figure, file)
+    save(figure, file)
 
 
 def draw_errors(judged: SessionErrors, file: Path, truth: Mapping[str, Compared] | None = None) -> None:
     """Errors over time of both trajectories, against the beacons and, where it is known, the truth."""
-    figure = Figure(figsize=(11.0, 6.0), layout="constrained")
+    figure = sheet(11.0, 6.0)
     start = float(judged.motions.d2.t[0])
     for axes, name in zip(np.atleast_1d(figure.subplots(2, 1, sharex=True)), SUBJECTS, strict=True):
         _draw_error(axes, judged.beacons[name], None if truth is None else truth[name], name, start)
     figure.axes[-1].set_xlabel("s since the marker was first seen")
-    _save(figure, file)
+    save(figure, file)
 
 
 def _draw_error(axes: Axes, beacons: Compared, truth: Compared | None, name: str, start_s: float) -> None:
@@ -90,8 +89,7 @@ def _draw_error(axes: Axes, beacons: Compared, truth: Compared | None, name: str
 
 def draw_coast(judged: Sequence[HarnessVerdict], file: Path) -> None:
     """Errors of the predicted position and what is claimed, by the time without a marker."""
-    figure = Figure(figsize=(8.0, 4.8), layout="constrained")
-    axes = figure.subplots()
+    figure, (axes,) = panels(8.0, 4.8)
     unseen = np.concatenate([each.coasts.unseen_s for each in judged])
     error_m = np.concatenate([np.linalg.norm(each.coasts.error[:, :3], axis=1) for each in judged])
     sigma_m = np.concatenate([each.coasts.sigma_m for each in judged])
@@ -105,8 +103,4 @@ def draw_coast(judged: Sequence[HarnessVerdict], file: Path) -> None:
     axes.set_ylim(0.0, None)
     axes.grid(alpha=0.3)
     axes.legend()
-    _save(figure, file)
-
-
-def _save(figure: Figure, file: Path) -> None:
-    figure.savefig(file, dpi=110, metadata={"Software": None})
+    save(figure, file)

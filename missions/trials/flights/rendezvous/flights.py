@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from drivers.rig.parts import Rig
 from flight.config import SeparationConfig
 from flight.phases import Phase
 from missions import rig_library
-from missions.handoff.flight import fly_once
-from missions.report.records import RUN, Records, RunRecords, load_run
+from missions.report.records import Records, RunRecords
 from missions.rig_library import mission_of
-from missions.run_folder import discard, new_folder
+from missions.trials.shared import flown
 from path.geometry.rotation import yaw_of
 from path.messages import Role, Vec3
 
@@ -26,7 +26,7 @@ STEP = 5  # every so many records of the truth are kept of a way
 class RendezvousOrder:
     """One mission."""
 
-    rig: str
+    rig: Rig
     seed: int
     folder: Path
 
@@ -70,20 +70,18 @@ class RendezvousResult:
         return None if self.began_s is None or self.arrived_s is None else self.arrived_s - self.began_s
 
 
-def asked_for(rig: str, count: int, seed: int, out: Path) -> list[RendezvousOrder]:
+def asked_for(rig: Rig, count: int, seed: int, out: Path) -> list[RendezvousOrder]:
     return [RendezvousOrder(rig, seed * 1_000_000 + k, out / f"{k:04d}") for k in range(count)]
 
 
 def fly(asked: RendezvousOrder) -> RendezvousResult:
     """One mission from take-off to landing. Its logs are kept only when a monitor was violated."""
-    rig = rig_library.shorter(rig_library.load(asked.rig))
-    folder = new_folder(asked.folder)
-    facts = fly_once(rig, asked.seed, (), folder, lambda _: None)
-    run = load_run(folder)
+    rig = rig_library.shorter(asked.rig)
+    facts, run = flown.fly(rig, asked.seed, (), asked.folder)
     began_s, arrived_s = _entered(run, Phase.STAND_OFF), _entered(run, Phase.VERIFY)
     places = list(_places(run.world))
     separation = mission_of(rig).separation
-    flown = RendezvousResult(
+    result = RendezvousResult(
         seed=asked.seed,
         outcome=facts.outcome,
         why=facts.detail,
@@ -97,9 +95,9 @@ def fly(asked: RendezvousOrder) -> RendezvousResult:
         violations=dict(facts.violations),
         way_h_m=_way(run, places, began_s, arrived_s),
     )
-    if not flown.violations:
-        discard(folder, RUN)
-    return flown
+    if not result.violations:
+        flown.throw_away(asked.folder)
+    return result
 
 
 def _entered(run: RunRecords, phase: Phase) -> float | None:

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from flight.config import SeparationConfig
 from missions.report.palette import COUNT, DIM, NEEDED, ROLE
 from missions.trials.flights.rendezvous.flights import RendezvousResult, separations_m
+from missions.trials.shared.drawing import panels, save
 from path.messages import Role
 
 WAYS = 150  # drawn at most
@@ -20,8 +20,7 @@ WAYS = 150  # drawn at most
 
 def draw(flown: Sequence[RendezvousResult], separation: SeparationConfig, path: Path) -> None:
     """Raises OSError when it cannot be written."""
-    figure = Figure(figsize=(11.0, 5.0), dpi=110, layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = panels(11.0, 5.0, columns=2)
     _ways(left, flown[:WAYS], separation)
     together_m = separations_m(flown)
     bins = np.arange(0.5, max(together_m, default=0.5) + 0.1, 0.05)
@@ -29,7 +28,7 @@ def draw(flown: Sequence[RendezvousResult], separation: SeparationConfig, path: 
     right.axvline(separation.minimum_m, color=NEEDED, lw=1.2, label=f"limit {separation.minimum_m:.2f} m")
     right.set(xlabel="smallest true separation, m", ylabel="missions")
     right.legend(fontsize=8, frameon=False)
-    figure.savefig(path, format="png", metadata={"Software": None})
+    save(figure, path)
 
 
 def _ways(axes: Axes, flown: Sequence[RendezvousResult], separation: SeparationConfig) -> None:

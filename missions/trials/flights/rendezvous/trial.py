@@ -28,7 +28,7 @@ PICTURE, KEPT = "rendezvous.png", "missions.jsonl"
 
 def run(request: TrialRequest) -> TrialResult:
     rig, count = request.rig, QUICK_MISSIONS if request.quick else MISSIONS
-    asked = flights.asked_for(str(rig.file), count, request.seed, request.out / "flights")
+    asked = flights.asked_for(rig, count, request.seed, request.out / "flights")
     flown = _flown(request, asked)
     separation = mission_of(rig).separation
     draw(flown, separation, request.out / PICTURE)
@@ -55,7 +55,9 @@ def run(request: TrialRequest) -> TrialResult:
 
 def _flown(request: TrialRequest, asked: Sequence[RendezvousOrder]) -> list[RendezvousResult]:
     """Each is kept as soon as it is flown: the same command with the same ``--out`` flies what is left."""
-    head = {"format": "path-handoff rendezvous 1", "rig": str(request.rig.file), "seed": request.seed}
+    rig = request.rig
+    errors = rig.world.get("errors")
+    head = {"format": "path-handoff rendezvous 2", "rig": str(rig.file), "seed": request.seed, "errors": errors}
     with ResumableLines(request.out / KEPT, RendezvousResult, head) as kept:
         done = {one.seed for one in kept.lines}
         left = [one for one in asked if one.seed not in done]

@@ -4,18 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from flight.harness.montecarlo import Attempt, WrongAssociation
-from missions.report.palette import COUNT, DIM, FAULT, ROLE
-from missions.trials.handovers.evidence.blocks import LAGS, Batch, EvidenceAttempt, GateTime, run_batch
+from missions.report.palette import DIM, FAULT, ROLE
+from missions.trials.handovers.evidence.blocks import LAGS, EvidenceAttempt, judge
+from missions.trials.handovers.judging import (
+    GATE_TITLES,
+    GATES,
+    Attempts,
+    batches,
+    run_batch,
+    times_s,
+    together,
+    verdicts_of,
+    wrongly,
+)
+from missions.trials.handovers.pictures import draw_shares
+from missions.trials.shared.drawing import panels, save
 from missions.trials.shared.statistics import Interval, bootstrap, medians, upper_bound
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
-from path.config import EvidenceConfig, MethodConfig
+from path.config import EvidenceConfig, GateKind, MethodConfig
 from path.gate.evidence import evidence_needed, evidence_of, persistent_bound
 from path.messages import Role
 
@@ -34,6 +47,7 @@ BELOW = 0.05  # a block's strength: later blocks are counted of attempts that ar
 SIGMA_M, MEASURED = 0.03, 148  # of the persistent error, per axis across the line of sight; from so many attempts
 SIDE_M, TAU = 0.33, 0.37  # mean of both boxes' sides on the target, and a usual threshold
 RATE_HZ = 50.0
+GOAL_S = 2.0
 PICTURE = "evidence.png"
 
 Groups = dict[str, list[EvidenceAttempt]]
@@ -41,15 +55,12 @@ Groups = dict[str, list[EvidenceAttempt]]
 
 def run(request: TrialRequest) -> TrialResult:
     method = replace(request.rig.method, gate="evidence")
+    rig = replace(request.rig, method=method)
     groups = _groups(request.seed, request.quick)
-    flat = [(name, attempt) for name, attempts in groups.items() for attempt in attempts]
-    runner = request.part("montecarlo")
-    cuts = range(0, len(flat), BATCH)
-    batches = [Batch(runner, request.rig, method, [attempt for _, attempt in flat[k : k + BATCH]]) for k in cuts]
-    told = [each for part in request.work.map("Monte-Carlo hand-overs", run_batch, batches) for each in part]
-    by_group: Groups = {name: [] for name in groups}
-    for (name, _), each in zip(flat, told, strict=True):
-        by_group[name].append(each)
+    flat = [attempt for attempts in groups.values() for attempt in attempts]
+    pieces = batches(rig, judge, flat, BATCH)
+    told = iter(together(request.work.map("Monte-Carlo hand-overs", run_batch, pieces)))
+    by_group: Groups = {name: list(islice(told, len(attempts))) for name, attempts in groups.items()}
     _draw(by_group, method, request.out / PICTURE)
     return _result(by_group, method, request.seed)
 
@@ -104,69 +115,73 @@ def reach_m(side_m: float = SIDE_M, tau: float = TAU) -> float:
     return side_m * (1.0 - overlap) / (1.0 + overlap)
 
 
-def wrongly(decisions: Sequence[GateTime]) -> int:
-    return sum(decided.after_s is not None and not decided.right for decided in decisions)
-
-
-def _times(told: Sequence[EvidenceAttempt], papers: bool) -> np.ndarray:
-    """(n,) s to the commit; as long as the attempt was where there was none."""
-    decisions = [(each, each.papers if papers else each.evidence) for each in told]
-    return np.array([each.attempt.limit_s if d.after_s is None else d.after_s for each, d in decisions])
+def _times(told: Sequence[EvidenceAttempt], gate: GateKind) -> np.ndarray:
+    """Return the times to the commit, (n,) s; as long as the attempt was where there was none."""
+    verdicts = zip(told, verdicts_of(told, gate), strict=True)
+    return np.array([each.limit_s if by.after_s is None else by.after_s for each, by in verdicts])
 
 
 def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
     own, true, wrong = method.evidence, by_group["true"], by_group["wrong"]
     accident = [each for each in wrong if each.strength <= ACCIDENT]
-    rates = [_rates(wrong, own, pace, seed) for pace, own in enumerate(own.paces)]
-    times = _times(true, papers=False)
-    median = float(np.median(times))
-    interval = bootstrap(times, medians, np.random.default_rng([seed, 8]))
-    papers = float(np.median(_times(true, papers=True)))
-    fooled = wrongly([each.evidence for each in accident])
+    rates = [_rates(wrong, test, pace, seed) for pace, test in enumerate(own.paces)]
+    times = _times(true, "evidence")
+    fooled = wrongly(accident, "evidence")
     lags = np.array([each.correlation for each in true])
-    correlated = {f"{lag / RATE_HZ:.2f}": _mean(lags[:, k]) for k, lag in enumerate(LAGS)}
+    forced = {name: told for name, told in by_group.items() if name not in ("true", "wrong")}
     summary = {
-        "evidence_median_s": median,
+        "evidence_median_s": float(np.median(times)),
         "evidence_p95_s": float(np.percentile(times, 95.0)),
-        "count_median_s": papers,
+        "count_median_s": float(np.median(_times(true, "count"))),
         "true_attempts": len(true),
-        "true_wrong": wrongly([each.evidence for each in true]),
+        "true_wrong": wrongly(true, "evidence"),
         "alpha": own.alpha,
         **rates[0].summary,
         **({"patient": rates[1].summary} if rates[1:] else {}),
         "accident_attempts": len(accident),
         "accident_accepted": fooled,
-        "iou_correlation": correlated,
+        "iou_correlation": {f"{lag / RATE_HZ:.2f}": _mean(lags[:, k]) for k, lag in enumerate(LAGS)},
         "reach_m": reach_m(),
         "persistent_sigma_m": SIGMA_M,
-        "forced": {
-            name: {
-                "attempts": len(told),
-                "evidence_wrong": wrongly([each.evidence for each in told]),
-                "count_wrong": wrongly([each.papers for each in told]),
-            }
-            for name, told in by_group.items()
-            if name not in ("true", "wrong")
-        },
+        "forced": {name: _forced_summary(told) for name, told in forced.items()},
     }
-    findings = (
-        TrialFinding(
-            "time from the first agreeing pair to the commit, median, s", f"{median:.2f}",
-            f"{interval[0]:.2f} to {interval[1]:.2f}", "7.20", "<= 2", verdict(median <= 2.0),
-            f"350 in a row on the same pairs: {papers:.2f} s; 95 % of the attempts: {summary['evidence_p95_s']:.2f} s",
-        ),
-        *(finding for each in rates for finding in each.findings),
-        TrialFinding(
-            "accepted although persistently wrong", f"{fooled} of {len(accident)} in {WRONG_S:.0f} s each",
-            f"at most {upper_bound(fooled, len(accident)):.2%}", goal=f"alpha = {own.alpha:g}",
-            note="too few attempts to see alpha itself; what the bound rests on are the two rates above",
-        ),
-    )  # fmt: skip
+    persistent = TrialFinding(
+        "accepted although persistently wrong",
+        f"{fooled} of {len(accident)} in {WRONG_S:.0f} s each",
+        f"at most {upper_bound(fooled, len(accident)):.2%}",
+        goal=f"alpha = {own.alpha:g}",
+        note="too few attempts to see alpha itself; what the bound rests on are the two rates above",
+    )
+    of_rates = (finding for each in rates for finding in each.findings)
+    caption = "Time to commit of true pairs by both gates; how fast blocks of wrong pairs give up."
     return TrialResult(
-        summary, findings, NOISE, (_blocks_table(wrong), _forced_table(by_group), _bound_table(method)),
-        (TrialPicture(PICTURE, "Time to commit of true pairs by both gates; how fast blocks of wrong pairs give up."),),
+        summary,
+        (_time_finding(times, summary, seed), *of_rates, persistent),
+        NOISE,
+        (_blocks_table(wrong), _forced_table(forced), _bound_table(method)),
+        (TrialPicture(PICTURE, caption),),
         NOTES,
-    )  # fmt: skip
+    )
+
+
+def _time_finding(times: np.ndarray, summary: dict[str, Any], seed: int) -> TrialFinding:
+    median_s = summary["evidence_median_s"]
+    low, high = bootstrap(times, medians, np.random.default_rng([seed, 8]))
+    return TrialFinding(
+        "time from the first agreeing pair to the commit, median, s",
+        f"{median_s:.2f}",
+        f"{low:.2f} to {high:.2f}",
+        "7.20",
+        "<= 2",
+        verdict(median_s <= GOAL_S),
+        f"350 in a row on the same pairs: {summary['count_median_s']:.2f} s; 95 % of the attempts: "
+        f"{summary['evidence_p95_s']:.2f} s",
+    )
+
+
+def _forced_summary(told: Attempts) -> dict[str, int]:
+    wrong = {f"{gate}_wrong": wrongly(told, gate) for gate in GATES}
+    return {"attempts": len(told), **wrong}
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,8 +242,7 @@ def _blocks_table(wrong: Sequence[EvidenceAttempt]) -> TrialTable:
         first, later = _counted(told, later=False), _counted(told, later=True)
         rows.append(
             (
-                f"{low:.2f} to {high:.2f}", str(len(told)), _of(first), _of(later),
-                str(wrongly([each.evidence for each in told])), str(wrongly([each.papers for each in told])),
+                f"{low:.2f} to {high:.2f}", str(len(told)), _of(first), _of(later), *_wrong_of(told),
             )
         )  # fmt: skip
     return TrialTable(
@@ -247,21 +261,20 @@ def _blocks_table(wrong: Sequence[EvidenceAttempt]) -> TrialTable:
     )
 
 
-def _forced_table(by_group: Groups) -> TrialTable:
-    rows = tuple(
-        (
-            name, str(len(told)), str(wrongly([each.evidence for each in told])),
-            str(wrongly([each.papers for each in told])),
-        )
-        for name, told in by_group.items()
-        if name not in ("true", "wrong")
-    )  # fmt: skip
+def _wrong_of(told: Attempts) -> tuple[str, str]:
+    return str(wrongly(told, "evidence")), str(wrongly(told, "count"))
+
+
+def _forced_table(forced: Groups) -> TrialTable:
+    rows = [(name, str(len(told)), *_wrong_of(told)) for name, told in forced.items()]
     return TrialTable(
-        "Accepted with a wrong object", ("what is forced", "attempts", "evidence", "350 in a row"), rows,
+        "Accepted with a wrong object",
+        ("what is forced", "attempts", "evidence", "350 in a row"),
+        tuple(rows),
         "Where the prior itself lies on the look-alike (0.06 m beside it, per axis) both gates are fooled: such an "
         "error is many standard deviations of a calibrated system. 'prior right' below 0.4 m are mostly attempts in "
         "which D1's own tracking went over to the look-alike: both drones then see the same object.",
-    )  # fmt: skip
+    )
 
 
 def _bound_table(method: MethodConfig) -> TrialTable:
@@ -302,17 +315,12 @@ NOTES = (
 
 
 def _draw(by_group: Groups, method: MethodConfig, path: Path) -> None:
-    figure = Figure(figsize=(11.0, 4.2), dpi=110, layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = panels(11.0, 4.2, columns=2)
     true = by_group["true"]
-    for papers, colour in ((False, ROLE[Role.SENDER]), (True, COUNT)):
-        times = np.sort(_times(true, papers))
-        committed = sum((each.papers if papers else each.evidence).after_s is not None for each in true)
-        share = np.arange(1, len(times) + 1) / len(times)
-        label = "350 in a row" if papers else "evidence"
-        left.step(times[:committed], share[:committed], where="post", color=colour, label=label)
-    left.axvline(2.0, color=DIM, lw=0.8, ls=":")
-    left.set(xlabel="s from the first agreeing pair", ylabel="share of true attempts", xlim=(0.0, None), ylim=(0, 1.02))
+    for gate in GATES:
+        draw_shares(left, gate, times_s(true, gate), len(true), GATE_TITLES[gate])
+    left.axvline(GOAL_S, color=DIM, lw=0.8, ls=":")
+    left.set(xlabel="s from the first agreeing pair", ylabel="share of true attempts", xlim=(0.0, None))
     left.legend(fontsize=8)
     strengths = np.array([each.strength for each in by_group["wrong"]])
     for key, colour, label in (("first", FAULT, "first block"), ("later", ROLE[Role.RECEIVER], "later ones")):
@@ -327,4 +335,4 @@ def _draw(by_group: Groups, method: MethodConfig, path: Path) -> None:
     right.set_yscale("symlog", linthresh=1e-4)
     right.set(xlabel="mean strength of a wrong attempt", ylabel="share of blocks that agree", ylim=(0.0, 1.2))
     right.legend(fontsize=8)
-    figure.savefig(path, format="png", metadata={"Software": None})
+    save(figure, path)

@@ -8,16 +8,15 @@ from pathlib import Path
 
 import cv2
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from missions.report.palette import COUNT, DIM, FAULT, MARKER, OWN_BOX, ROLE
+from missions.report.palette import COUNT, DIM, FAULT, MARKER, OWN_BOX, ROLE, tidy
 from missions.trials.pose.corners.conditions import CONDITIONS
 from missions.trials.pose.corners.methods import METHODS, TITLES
 from missions.trials.pose.corners.score import Score
 from missions.trials.pose.corners.shots import CornerShot
+from missions.trials.shared.drawing import save, sheet
 from path.messages import Role
 
-DPI = 110
 COLOURS = {
     "subpix": FAULT,
     "contour": DIM,
@@ -35,13 +34,13 @@ Scores = Mapping[tuple[str, str, str], Score | None]
 
 def draw_errors(scores: Scores, cameras: Sequence[str], path: Path) -> None:
     """Error of every method in every condition, a panel for each camera."""
-    figure = Figure(figsize=(12.0, 0.6 + 2.9 * len(cameras)), dpi=DPI, layout="constrained")
+    figure = sheet(12.0, 0.6 + 2.9 * len(cameras))
     panels = figure.subplots(len(cameras), 1, sharex=True, squeeze=False)[:, 0]
     for axes, camera in zip(panels, cameras, strict=True):
         _draw_camera(axes, scores, camera)
     panels[0].legend(fontsize=8, loc="upper left", ncols=len(METHODS), framealpha=0.9)
     panels[-1].set_xticks(range(len(CONDITIONS)), [c.title for c in CONDITIONS.values()], rotation=35, ha="right")
-    figure.savefig(path, format="png", metadata={"Software": None})
+    save(figure, path)
 
 
 def _draw_camera(axes: Axes, scores: Scores, camera: str) -> None:
@@ -60,16 +59,14 @@ def _draw_camera(axes: Axes, scores: Scores, camera: str) -> None:
     axes.set_xlim(-0.5, len(CONDITIONS) - 0.5)
     axes.set_title(camera, loc="left", fontsize=10)
     axes.set_ylabel("px RMS per axis", fontsize=9)
-    axes.tick_params(labelsize=8)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    tidy(axes)
 
 
 def draw_strip(samples: Sequence[CornerShot], path: Path) -> None:
     """The shown view in every condition, with true and found corners."""
     shown = [sample for sample in samples if sample.picture is not None]
     rows = math.ceil(len(shown) / STRIP_COLUMNS)
-    figure = Figure(figsize=(2.0 * STRIP_COLUMNS, 2.2 * rows + 0.3), dpi=DPI, layout="constrained")
+    figure = sheet(2.0 * STRIP_COLUMNS, 2.2 * rows + 0.3)
     panels = figure.subplots(rows, STRIP_COLUMNS, squeeze=False).ravel()
     for axes in panels:
         axes.set_axis_off()
@@ -77,7 +74,7 @@ def draw_strip(samples: Sequence[CornerShot], path: Path) -> None:
         _draw_sample(axes, sample)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9, frameon=False)
-    figure.savefig(path, format="png", metadata={"Software": None})
+    save(figure, path)
 
 
 def _draw_sample(axes: Axes, sample: CornerShot) -> None:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
+from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE, tidy
+from missions.trials.shared.drawing import panels, save
 from missions.trials.shared.statistics import Z95
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.messages import Role
@@ -229,8 +229,7 @@ def _between(interval: tuple[float, float]) -> str:
 
 
 def _draw(depths: list[AtDepth], path: Path) -> None:
-    figure = Figure(figsize=(8.0, 4.6), dpi=110, layout="constrained")
-    axes = figure.add_subplot()
+    figure, (axes,) = panels(8.0, 4.6)
     z = [depth.depth_m for depth in depths]
     axes.plot(z, [depth.rotation for depth in depths], color=FAULT, lw=1.2, ls="--", label="rotation 1.83°")
     axes.plot(z, [depth.translation for depth in depths], color=NEEDED, lw=1.2, ls=":", label="translation 4.3 mm")
@@ -245,7 +244,6 @@ def _draw(depths: list[AtDepth], path: Path) -> None:
     axes.set_ylabel("displacement of the prior, px RMS", fontsize=9)
     axes.set_ylim(bottom=0.0)
     axes.set_xlim(DEPTHS_M[0] - 0.02, DEPTHS_M[-1] + 0.02)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    tidy(axes)
     axes.legend(fontsize=8, loc="center right", framealpha=0.9)
-    figure.savefig(path, format="png", metadata={"Software": None})
+    save(figure, path)

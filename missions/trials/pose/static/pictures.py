@@ -9,7 +9,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Rectangle
 from numpy.typing import NDArray
 
@@ -17,6 +16,7 @@ from missions.report.palette import COUNT, DIM, FAULT, MARKER, NEEDED, PRIOR, RO
 from missions.trials.pose.static.methods import METHODS, Method, Results
 from missions.trials.pose.static.report import GOAL_MEAN_M, HEADLINE, METHOD_TITLES, SEVEN
 from missions.trials.pose.static.stage import CONFIGURATIONS, HEIGHT_M, PLACES_M, Mounts, nominal
+from missions.trials.shared.drawing import save, sheet
 from path.cycle.prior import Prior
 from path.geometry.transforms import Pose
 from path.messages import Role
@@ -32,7 +32,7 @@ SIGMAS = 3.0  # of the ellipse around the prior
 
 def draw_configurations(mounts: Mounts, path: Path) -> None:
     """Seen from above and from the side."""
-    figure = _figure(11.0, 5.6)
+    figure = sheet(11.0, 5.6)
     grid = figure.add_gridspec(1, 2, width_ratios=(1.25, 1.0))
     above, side = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
     D1, _, _ = nominal(CONFIGURATIONS[0], mounts)
@@ -70,12 +70,12 @@ def draw_configurations(mounts: Mounts, path: Path) -> None:
         axes.margins(0.12)
     above.set_ylabel("to D1's left, m", fontsize=8)
     side.set_ylabel("height, m", fontsize=8)
-    _save(figure, path)
+    save(figure, path)
 
 
 def draw_errors(results: Mapping[str, Mapping[Method, Results]], path: Path) -> None:
     """Share of the measurements with at most a given error: D2 and target, measured and ideal camera."""
-    figure = _figure(11.0, 4.6)
+    figure = sheet(11.0, 4.6)
     axes = figure.subplots(1, 2, sharey=True)
     for axis, title, field in zip(axes, ("D2's position", "target's position"), ("d2_m", "target_m"), strict=True):
         for method in METHODS:
@@ -92,7 +92,7 @@ def draw_errors(results: Mapping[str, Mapping[Method, Results]], path: Path) -> 
         tidy(axis)
     axes[0].set_ylabel("share of measurements\nsolid: measured, dotted: ideal camera", fontsize=8)
     axes[1].legend(fontsize=8, loc="lower right")
-    _save(figure, path)
+    save(figure, path)
 
 
 def _shares(axis: Axes, errors: NDArray[np.float64], colour: str, line: str, label: str | None) -> None:
@@ -110,7 +110,7 @@ def draw_view(
     path: Path,
 ) -> None:
     """D2's image with the marker, and where it is told to look for the target."""
-    figure = _figure(11.0, 6.2)
+    figure = sheet(11.0, 6.2)
     axes = figure.add_subplot()
     axes.imshow(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
     axes.plot(*np.vstack([corners_px, corners_px[:1]]).T, color=MARKER, lw=1.2)
@@ -126,7 +126,7 @@ def draw_view(
     axes.plot(*target_px, "x", ms=8, color=FAULT, mew=1.5)
     axes.set_axis_off()
     _inset(axes, image, corners_px)
-    _save(figure, path)
+    save(figure, path)
 
 
 def _inset(axes: Axes, image: NDArray[np.uint8], corners_px: NDArray[np.float64]) -> None:
@@ -146,12 +146,3 @@ def incidence(T_c2_v: Pose) -> float:
     """Between the marker's normal and the line of sight, rad."""
     toward = -T_c2_v.R.T @ T_c2_v.t
     return math.acos(float(toward[2]) / float(np.linalg.norm(toward)))
-
-
-def _figure(width_in: float, height_in: float) -> Figure:
-    figure = Figure(figsize=(width_in, height_in), dpi=110, layout="constrained")
-    return figure
-
-
-def _save(figure: Figure, path: Path) -> None:
-    figure.savefig(path, format="png", metadata={"Software": None})

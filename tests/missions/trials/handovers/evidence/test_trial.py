@@ -9,17 +9,10 @@ import pytest
 
 from flight.harness.montecarlo import Attempt
 from missions import rig_library
-from missions.trials.handovers.evidence.blocks import (
-    LAGS,
-    Batch,
-    Blocks,
-    EvidenceAttempt,
-    GateTime,
-    correlation,
-    run_batch,
-)
+from missions.trials.handovers.evidence.blocks import LAGS, Blocks, EvidenceAttempt, correlation, judge
 from missions.trials.handovers.evidence.trial import FORCED_WAYS, QUICK, SIDE_M, rate, reach_m, run
-from missions.trials.shared.trial import TrialRequest, TrialResult, trial_part
+from missions.trials.handovers.judging import Batch, Verdict
+from missions.trials.shared.trial import TrialRequest, TrialResult
 from missions.work import open_work
 from path.config import MethodConfig
 from path.gate.evidence import EvidenceGate
@@ -58,8 +51,8 @@ def test_every_forced_way_is_in_the_table(result: TrialResult) -> None:
 
 
 def told(first: tuple[int, int], later: tuple[int, int]) -> EvidenceAttempt:
-    nobody = GateTime(None, True)
-    return EvidenceAttempt(None, nobody, nobody, 0.0, (Blocks(first, later),), np.zeros(len(LAGS)))  # type: ignore[arg-type]
+    blocks = (Blocks(first, later),)
+    return EvidenceAttempt(0, Verdict(), Verdict(), 1.0, 0.0, blocks, np.zeros(len(LAGS)))
 
 
 def test_a_rate_counts_blocks_and_resamples_attempts() -> None:
@@ -117,8 +110,7 @@ def test_correlation_of_a_slow_wave_and_of_too_little() -> None:
 
 
 def test_the_same_attempt_runs_the_same() -> None:
-    rig = rig_library.load("sim-rendered")
-    batch = Batch(trial_part(rig, "montecarlo"), rig, METHOD, [Attempt(5, 1, limit_s=2.5)])
-    (first,), (again,) = run_batch(batch), run_batch(batch)
-    assert (first.strength, first.blocks, first.papers) == (again.strength, again.blocks, again.papers)
+    batch = Batch(rig_library.load("sim-rendered"), judge, [Attempt(5, 1, limit_s=2.5)])
+    (first,), (again,) = batch.run(), batch.run()
+    assert (first.strength, first.blocks, first.count) == (again.strength, again.blocks, again.count)
     assert np.isfinite(first.strength)

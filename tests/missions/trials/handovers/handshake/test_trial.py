@@ -9,30 +9,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.rig.parts import Rig
 from flight.harness.montecarlo import Attempt, HandoverRunner, MonteCarloHandover, WrongAssociation, agreeing, tell
 from missions import rig_library
 from missions.report.records import load_run
 from missions.trials.handovers.handshake import trial as handshake
-from missions.trials.handovers.handshake.flights import FAULTS, agreement_s
-from missions.trials.handovers.handshake.flights import asked_for as flights_asked_for
-from missions.trials.handovers.handshake.handovers import (
-    CHUNK,
+from missions.trials.handovers.handshake.attempts import (
     FAULT_NAMES,
-    GATES,
-    NOT_COMMITTED,
-    AttemptBatch,
-    GateVerdict,
     HandshakeAttempt,
-    asked_for,
     attempt_of,
-    by_count,
-    by_evidence,
+    judge,
     reasons,
-    run_chunk,
-    runner_of,
     wrong_by_fault,
 )
-from missions.trials.shared.trial import TrialRequest, TrialResult
+from missions.trials.handovers.handshake.missions import FAULTS, agreement_s, fly, orders
+from missions.trials.handovers.judging import GATES, Batch, Verdict, batches, verdict_of
+from missions.trials.shared import flown
+from missions.trials.shared.trial import TrialRequest, TrialResult, trial_part
 from missions.work import open_work
 from path.gate.evidence import make_gate
 
@@ -51,7 +44,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> TrialResult:
 
 @cache
 def runner() -> HandoverRunner:
-    return runner_of(str(RIG.file))
+    return trial_part(RIG, "montecarlo")(RIG).warmed()
 
 
 def test_a_mission_commits_and_nothing_is_handed_over_wrongly(result: TrialResult) -> None:
@@ -81,29 +74,30 @@ def test_look_alikes_that_came_near_are_counted(result: TrialResult) -> None:
 
 
 def test_attempts_are_all_run_once_with_every_fault_equally_often() -> None:
-    asked = [index for each in asked_for("rig", 1, 2 * CHUNK + 14) for index in each.indices]
-    assert asked == list(range(2 * CHUNK + 14))
-    names = [attempt_of(1, index).fault for index in asked]
+    attempts = [attempt_of(1, index) for index in range(154)]
+    asked = [attempt for batch in batches(RIG, judge, attempts, 70) for attempt in batch.asked]
+    assert asked == attempts
+    names = [attempt.fault for attempt in asked]
     assert {names.count(name) for name in FAULT_NAMES} == {len(asked) // len(FAULT_NAMES)}
 
 
 def test_what_an_attempt_came_to_is_what_both_gates_say_of_all_of_it() -> None:
     """Run only as far as needed, with the same verdicts as told the whole of it."""
     indices = (1, 3, 10)
-    chunk = run_chunk(AttemptBatch(str(RIG.file), 5, indices))
-    for index, tried in zip(indices, chunk.tried, strict=True):
-        series = runner().run(replace(attempt_of(5, index), whole=True)).series
-        for gate, judged in zip(GATES, tried.judged, strict=True):
+    for tried in Batch(RIG, judge, [attempt_of(5, index) for index in indices]).run():
+        series = runner().run(replace(attempt_of(5, tried.index), whole=True)).series
+        for gate in GATES:
+            judged = tried.by(gate)
             method = replace(METHOD, gate=gate)
             done = tell(series, make_gate(method), method)
             assert judged is not None
             assert judged.committed == (done is not None)
             if done is not None:
                 first_ns = series.capture_ns[np.argmax(agreeing(series, method))]
-                assert judged.seconds == pytest.approx((series.now_ns[done] - first_ns) * 1e-9, abs=1e-6)
+                assert judged.after_s == pytest.approx((series.now_ns[done] - first_ns) * 1e-9, abs=1e-6)
                 assert judged.right == series.right[done]
-        assert tried.judged[0] is not None
-        assert (tried.reason == "") == tried.judged[0].committed
+        assert tried.count is not None
+        assert (tried.reason == "") == tried.count.committed
 
 
 @cache
@@ -111,25 +105,24 @@ def misled() -> MonteCarloHandover:
     """D2's pose is off so that its prior falls on a look-alike: the count takes it, and the evidence does not."""
     for index in range(20):
         found = runner().run(Attempt(0, index, wrong=WrongAssociation("shift", 0.8, 0.0), limit_s=9.0, whole=True))
-        if found.right is False and not by_evidence(found.series, METHOD).committed:
+        if found.right is False and not verdict_of(found.series, METHOD, "evidence").committed:
             return found  # its boxes lie off by what an object beside it would
     raise AssertionError
 
 
 def test_a_wrong_hand_over_is_seen_and_counted() -> None:
-    both = by_count(misled()), by_count(misled())
-    assert [(judged.committed, judged.right) for judged in both] == [(True, False)] * 2
-    tried = HandshakeAttempt(0, "flip", "", both, 0.8)
-    assert not any(judged.same for judged in both)
-    good = HandshakeAttempt(1, "flip", "", (GateVerdict(True, 7.0, True, True), NOT_COMMITTED), 2.0)
-    lost = replace(good, index=2, reason="no_marker", judged=(NOT_COMMITTED,) * 2)
+    taken = verdict_of(misled().series, METHOD, "count")
+    assert taken.wrong and taken.fooled
+    tried = HandshakeAttempt(0, taken, taken, "flip", "", 0.8, 1.0, 1.0)
+    good = replace(tried, index=1, count=Verdict(7.0, 7.0, True, True), evidence=Verdict())
+    lost = replace(good, index=2, reason="no_marker", count=Verdict())
     counted = wrong_by_fault([tried, good, lost])
     assert counted == {"count": {"flip": 1}, "evidence": {"flip": 1}}
     assert reasons([tried, good, lost, lost]) == {"no_marker": 2}
 
 
 def test_missions_are_all_different_and_two_gates_fly_the_same_ones() -> None:
-    paper, evidence = (flights_asked_for(25, 3, gate, Path("out")) for gate in GATES)
+    paper, evidence = (orders(25, 3, gate, Path("out")) for gate in GATES)
     assert len({each.seed for each in paper}) == len({each.folder for each in paper + evidence}) / 2 == 25
     assert [each.seed for each in paper] == [each.seed for each in evidence]
     assert {each.faults for each in paper} == set(FAULTS)
@@ -143,3 +136,20 @@ def test_time_to_hand_off_runs_from_the_first_agreeing_pair(make_run: object) ->
 
 def test_without_a_commit_there_is_no_time(make_run: object) -> None:
     assert agreement_s(load_run(make_run(committed=False))) is None  # type: ignore[operator]
+
+
+def test_the_errors_that_are_asked_for_reach_the_missions_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    levels: list[object] = []
+
+    def noted(rig: Rig, *_: object) -> tuple[object, object]:
+        levels.append(rig.world.get("errors"))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(flown, "fly", noted)
+    monkeypatch.setattr(flown, "throw_away", print)
+    exact = {"level": "exact"}
+    for errors in (exact, None):
+        (order,) = orders(1, 3, "evidence", tmp_path, errors)
+        with pytest.raises(KeyboardInterrupt):
+            fly(order)
+    assert levels == [exact, rig_library.load("sim").world.get("errors")]

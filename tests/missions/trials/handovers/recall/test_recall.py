@@ -11,7 +11,18 @@ from numpy.typing import NDArray
 
 from flight.harness.montecarlo import MISS, PAIR, Series, Telling, tell
 from missions import rig_library
+from missions.trials.handovers.judging import GATES, Batch, JudgedAttempt, Verdict
 from missions.trials.handovers.recall import trial
+from missions.trials.handovers.recall.attempts import (
+    FRAMES,
+    LOCKED_M,
+    can_complete,
+    faults_of,
+    judge,
+    orders,
+    shortest_s,
+    stays_far,
+)
 from missions.trials.handovers.recall.detectors import (
     REASONS,
     DetectorFaults,
@@ -20,20 +31,6 @@ from missions.trials.handovers.recall.detectors import (
     spells,
     unwrapped,
     with_detector,
-)
-from missions.trials.handovers.recall.handovers import (
-    FRAMES,
-    GATES,
-    LOCKED_M,
-    AttemptCommits,
-    AttemptOrder,
-    GateCommit,
-    Pieces,
-    can_complete,
-    orders,
-    run_pieces,
-    shortest_s,
-    stays_far,
 )
 from missions.trials.shared.trial import TrialRequest, trial_part
 from missions.work import open_work
@@ -192,7 +189,7 @@ def test_the_shortest_runs_of_both_gates() -> None:
 
 
 def test_every_cell_has_every_kind_of_attempt_and_no_hand_over_comes_twice() -> None:
-    made = orders(3, 5, 32)
+    made = orders(3, [DetectorFaults()] * 5, 32)
     assert len({order.attempt.index for order in made}) == len(made) == 160
     for cell in range(5):
         own = [order for order in made if order.cell == cell]
@@ -202,9 +199,9 @@ def test_every_cell_has_every_kind_of_attempt_and_no_hand_over_comes_twice() -> 
         assert all(order.attempt.whole for order in own)
 
 
-def judged(cell: int, group: str, *commits: GateCommit | None) -> AttemptCommits:
-    template = next(o for o in orders(0, 1, 4) if o.group == group)
-    return AttemptCommits(AttemptOrder(cell, template.group, template.attempt), commits)
+def judged(cell: int, group: str, count: Verdict, evidence: Verdict) -> trial.Pair:
+    template = next(o for o in orders(0, [DetectorFaults()], 4) if o.group == group)
+    return replace(template, cell=cell), JudgedAttempt(0, count, evidence)
 
 
 @pytest.mark.parametrize("stated", [False, True])
@@ -212,23 +209,24 @@ def test_one_box_around_two_objects_is_handed_over_only_where_no_size_is_stated(
     stated: bool,
 ) -> None:
     """A look-alike 0.32 m beside the target: both detectors take the two for one object, from the first frame on."""
-    order = next(each for each in orders(9107, len(trial.DETECTORS), trial.OF_EACH) if each.attempt.index == 1188)
+    order = next(each for each in orders(9107, trial.DETECTORS, trial.OF_EACH) if each.attempt.index == 1188)
     rig = rig_library.load("sim-rendered")
     if not stated:
         rig = replace(rig, method=replace(rig.method, evidence=replace(rig.method.evidence, span_m=0.0)))
-    (told,) = run_pieces(Pieces(trial_part(rig, "montecarlo"), rig, trial.DETECTORS, [order]))
-    count, evidence = told.commits
-    assert count is None
-    assert evidence is None if stated else evidence is not None and not evidence.right
+    (told,) = Batch(rig, judge, [order]).run()
+    assert told.count is not None and not told.count.committed
+    assert told.evidence.wrong == (not stated)
+    assert told.evidence.committed == (not stated)
 
 
 def test_a_cell_counts_true_commits_and_all_wrong_ones() -> None:
-    good, late, wrong = GateCommit(2.0, True, True), GateCommit(4.0, True, True), GateCommit(1.0, False, False)
+    none, good, late = Verdict(), Verdict(2.0, 2.0, True, True), Verdict(4.0, 4.0, True, True)
+    wrong = Verdict(1.0, 1.0, False, False)
     told = [
-        judged(1, "true", None, good),
-        judged(1, "true", None, late),
-        judged(1, "true", good, None),
-        judged(1, "look-alike", None, wrong),
+        judged(1, "true", none, good),
+        judged(1, "true", none, late),
+        judged(1, "true", good, none),
+        judged(1, "look-alike", none, wrong),
         judged(1, "wrong object", wrong, wrong),
         judged(2, "true", wrong, wrong),
     ]
@@ -240,12 +238,12 @@ def test_a_cell_counts_true_commits_and_all_wrong_ones() -> None:
     assert trial.cell_of(told, 1, "count").wrong == 1
 
 
-@pytest.mark.parametrize(("short", "said"), [(True, "measured"), (False, "met")])
-def test_a_short_run_meets_no_goal(short: bool, said: str) -> None:
-    good = GateCommit(2.0, True, True)
+@pytest.mark.parametrize("short", [True, False])
+def test_a_result_says_whether_it_is_short(short: bool) -> None:
+    good = Verdict(2.0, 2.0, True, True)
     told = [judged(cell, "true", good, good) for cell in range(len(trial.DETECTORS)) for _ in range(4)]
     found = trial.result(told, short)
-    assert [finding.verdict for finding in found.findings[:3]] == [said] * 3
+    assert [finding.verdict for finding in found.findings[:3]] == ["met"] * 3
     assert found.findings[3].verdict == "short"  # so few attempts bound nothing
     assert found.summary["short"] is short
     assert len(found.summary["cells"]) == 2 * 45
@@ -272,14 +270,14 @@ def test_its_short_form(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 def test_a_sender_that_may_have_gone_over_to_another_object_hands_nothing_over(seed: int, index: int) -> None:
     """Its boxes began around both; later both drones' boxes were of the other one, which no gate can see."""
     rig = rig_library.load("sim-rendered")
-    order = orders(seed, len(trial.DETECTORS), index // len(trial.DETECTORS) + 1)[index]
+    order = orders(seed, trial.DETECTORS, index // len(trial.DETECTORS) + 1)[index]
     # one of them needs more doubt than identity is asked for: the gate beside has no guard of its own against it
     gates = ("evidence",) if (seed, index) == (370014, 1505) else ("evidence", "likelihood")
     for gate in gates:
         method = replace(rig.method, gate=gate)
         runner = trial_part(rig, "montecarlo")(rig)
         series = runner.run(order.attempt).series
-        faults = faulty_frames(trial.DETECTORS[order.cell], FRAMES, np.random.default_rng([seed, index, 0x64657465]))
+        faults = faults_of(order)
         seen = with_detector(series, faults, method)
         done = tell(seen, make_gate(method), method) if len(seen) else None
         assert done is None or seen.right[done], gate

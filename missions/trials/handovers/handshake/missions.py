@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from drivers.rig.parts import Rig
 from missions import rig_library
-from missions.handoff.flight import fly_once
-from missions.report.records import RUN, RunRecords, judged_pairs, last, load_run
+from missions.report.records import RunRecords, judged_pairs, last
 from missions.report.summary import summarize
-from missions.run_folder import discard, new_folder
+from missions.trials.shared import flown
 from path.config import GateKind
 
 RIG = "sim"
+Errors = Mapping[str, Any] | None
 # The faults of 45 attempts, in this order again and again; wind, look-alikes and biases are as ever.
 FAULTS: tuple[tuple[str, ...], ...] = (
     (), ("link_loss=0.05",), (), ("lookalike",), (), ("link_delay=0.02",), (), ("link_loss=0.2",), (),
@@ -24,66 +24,73 @@ FAULTS: tuple[tuple[str, ...], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class MissionOrder:
-    """One mission."""
+    """One mission. ``errors``: of its world; None as the rig says."""
 
     seed: int
     faults: tuple[str, ...]
     gate: GateKind
     folder: Path
+    errors: Errors = None
 
 
 @dataclass(frozen=True, slots=True)
-class FlightResult:
+class FlownMission:
     """The result of a mission.
 
     Attributes:
         seconds: from the first pair whose overlap exceeds the threshold to the commit; None without a commit.
-        outcome, detail: of the run.
+        ended: outcome and detail of the run.
         wrong: whether another object than the target was handed over.
     """
 
     asked: MissionOrder
-    committed: bool
     seconds: float | None
     wrong: bool
-    outcome: str
-    detail: str
-    misses: int
+    ended: str
     violations: int
 
 
-def asked_for(count: int, seed: int, gate: GateKind, out: Path) -> list[MissionOrder]:
+Flown = Sequence[FlownMission]
+
+
+def of_gate(flown: Flown, gate: GateKind) -> list[FlownMission]:
+    """Return the missions of one gate."""
+    return [each for each in flown if each.asked.gate == gate]
+
+
+def seconds_of(flown: Flown) -> list[float]:
+    """Return the times to the commit, of the missions that committed."""
+    return [each.seconds for each in flown if each.seconds is not None]
+
+
+def orders(
+    count: int, seed: int, gate: GateKind, out: Path, errors: Mapping[str, Any] | None = None
+) -> list[MissionOrder]:
+    """Return so many missions: the same seeds and faults for every gate."""
+    seeds = range(seed * 1000, seed * 1000 + count)
     return [
-        MissionOrder(seed * 1000 + k, FAULTS[k % len(FAULTS)], gate, out / f"{gate}-{k:03d}") for k in range(count)
-    ]  # fmt: skip
+        MissionOrder(each, FAULTS[k % len(FAULTS)], gate, out / f"{gate}-{k:03d}", errors)
+        for k, each in enumerate(seeds)
+    ]
 
 
-def fly(asked: MissionOrder) -> FlightResult:
-    """One mission from take-off to landing; its logs are read and thrown away."""
-    rig = _rig(asked.gate)
-    folder = new_folder(asked.folder)
+def fly(asked: MissionOrder) -> FlownMission:
+    """Fly one mission; its logs are read and thrown away."""
+    rig = rig_library.load(RIG)
+    if asked.errors is not None:
+        rig = replace(rig, world={**rig.world, "errors": asked.errors})
+    rig = replace(rig, method=replace(rig.method, gate=asked.gate))
     try:
-        facts = fly_once(rig, asked.seed, asked.faults, folder, lambda _: None)
-        run = load_run(folder)
+        facts, run = flown.fly(rig, asked.seed, asked.faults, asked.folder)
     finally:
-        discard(folder, RUN)
-    summary: dict[str, Any] = summarize(run)
-    seconds = agreement_s(run)
-    return FlightResult(
+        flown.throw_away(asked.folder)
+    return FlownMission(
         asked=asked,
-        committed=seconds is not None,
-        seconds=seconds,
-        wrong=bool(summary["wrong_handover"]),
-        outcome=facts.outcome,
-        detail=facts.detail,
-        misses=sum(summary["misses"].values()),
+        seconds=agreement_s(run),
+        wrong=bool(summarize(run)["wrong_handover"]),
+        ended=f"{facts.outcome}: {facts.detail}",
         violations=sum(facts.violations.values()),
     )
-
-
-def _rig(gate: GateKind) -> Rig:
-    rig = rig_library.load(RIG)
-    return replace(rig, method=replace(rig.method, gate=gate))
 
 
 def agreement_s(run: RunRecords) -> float | None:

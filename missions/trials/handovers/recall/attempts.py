@@ -9,23 +9,22 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.collector import collector_off
-from drivers.rig.parts import Rig
-from flight.harness.montecarlo import Attempt, HandoverRunner, Series, Telling, WrongAssociation, agreeing, tell
+from flight.harness.montecarlo import Attempt, HandoverRunner, Series, Telling, WrongAssociation, agreeing
+from missions.trials.handovers.judging import GATES, JudgedAttempt, verdict_of
 from missions.trials.handovers.recall.detectors import DetectorFaults, FaultyFrames, faulty_frames, with_detector
-from path.config import GateKind, MethodConfig
+from path.config import MethodConfig
 from path.gate.evidence import evidence_needed, evidence_of, make_gate
 from path.gate.window import Gate
 
 Group = Literal["true", "look-alike", "wrong object"]
 
-GATES: tuple[GateKind, ...] = ("count", "evidence")
 LIMIT_S = 10.0
 FRAME_S = 0.02  # from one frame to the next, of both cameras
 FRAMES = 520  # more than any camera takes in that time
 FAR_M, FAR_S = 0.15, 1.0
 LATE_S = 0.5  # by less than that, what was captured is judged later
 LOCKED_M = (0.3, 0.4, 0.6, 1.0)  # from the target to the object that D2 sees instead of it, all the time
+FAULT_STREAM = 0x64657465
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,98 +32,60 @@ class AttemptOrder:
     """One attempt: a hand-over of its own, through one pair of detectors. ``cell``: number of that pair."""
 
     cell: int
+    detector: DetectorFaults
     group: Group
     attempt: Attempt
 
 
-@dataclass(frozen=True, slots=True)
-class Pieces:
-    """Attempts for one process. ``runner``: the class that runs them."""
-
-    runner: type[HandoverRunner]
-    rig: Rig
-    detectors: Sequence[DetectorFaults]
-    orders: Sequence[AttemptOrder]
-
-
-@dataclass(frozen=True, slots=True)
-class GateCommit:
-    """The commit of a gate: its time since the attempt began, and whether the objects were right.
-
-    Attributes:
-        right: whether D2's box was of the designated object. ``same``: of the same one as D1's.
-    """
-
-    after_s: float
-    right: bool
-    same: bool
-
-
-@dataclass(frozen=True, slots=True)
-class AttemptCommits:
-    """The result of one attempt by each gate, in the order of ``GATES``; None without a commit."""
-
-    order: AttemptOrder
-    commits: tuple[GateCommit | None, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class JudgedLine:
-    """One attempt as it is kept: its index, and the commits of both gates."""
-
-    index: int
-    count: GateCommit | None
-    evidence: GateCommit | None
-
-
-def orders(seed: int, detectors: int, of_each: int) -> list[AttemptOrder]:
-    """Returns the attempts, each with a hand-over of its own.
+def orders(seed: int, detectors: Sequence[DetectorFaults], of_each: int) -> list[AttemptOrder]:
+    """Return the attempts, each with a hand-over of its own.
 
     Half have nothing but the errors that last, a quarter a look-alike beside the target or driving past it, a quarter a
     D2 that sees only another object.
     """
     made: list[AttemptOrder] = []
-    for index in range(detectors * of_each):
-        cell, turn = index % detectors, index // detectors
+    for index in range(len(detectors) * of_each):
+        turn, cell = divmod(index, len(detectors))
         group: Group = ("true", "wrong object", "look-alike", "true")[turn % 4]
         attempt = Attempt(seed, index, limit_s=LIMIT_S, whole=True)
         if group == "look-alike":
             attempt = replace(attempt, fault=("look_alike_near", "look_alike_crossing")[turn // 4 % 2])
         elif group == "wrong object":
-            attempt = replace(attempt, wrong=WrongAssociation("lock", LOCKED_M[turn // 4 % len(LOCKED_M)]))
-        made.append(AttemptOrder(cell, group, attempt))
+            distance_m = LOCKED_M[turn // 4 % len(LOCKED_M)]
+            attempt = replace(attempt, wrong=WrongAssociation("lock", distance_m))
+        made.append(AttemptOrder(cell, detectors[cell], group, attempt))
     return made
 
 
-def run_pieces(pieces: Pieces) -> list[AttemptCommits]:
-    """Judges attempts one after another. Garbage is looked for after them: they leave next to none."""
-    runner, method = pieces.runner(pieces.rig).warmed(), pieces.rig.method
-    with collector_off():
-        return [judged(runner, order, pieces.detectors[order.cell], method) for order in pieces.orders]
+def faults_of(order: AttemptOrder) -> FaultyFrames:
+    """Return the frames in which the detectors of an attempt err."""
+    rng = np.random.default_rng([order.attempt.seed, order.attempt.index, FAULT_STREAM])
+    return faulty_frames(order.detector, FRAMES, rng)
 
 
-def judged(
-    runner: HandoverRunner, order: AttemptOrder, detector: DetectorFaults, method: MethodConfig
-) -> AttemptCommits:
-    """One attempt, run for as long as either gate can still commit."""
-    rng = np.random.default_rng([order.attempt.seed, order.attempt.index, 0x64657465])
-    faults = faulty_frames(detector, FRAMES, rng)
+def judge(runner: HandoverRunner, method: MethodConfig, order: AttemptOrder) -> JudgedAttempt:
+    """Run one attempt for as long as either gate can still commit."""
+    faults = faults_of(order)
     methods = [replace(method, gate=gate) for gate in GATES]
     telling = [Telling(make_gate(own), own) for own in methods]
 
     def decided(series: Series) -> bool:
-        """Returns whether each gate has committed, or cannot any more."""
+        """Return whether each gate has committed, or cannot any more."""
         seen = with_detector(series, faults, method)
         far = order.group == "wrong object" and stays_far(series)
-        return all(
-            told.on(seen) is not None
-            or not can_complete(told.gate, own, seen, faults)
-            or (far and (own.gate == "evidence" or not agreeing(series, own).any()))
-            for told, own in zip(telling, methods, strict=True)
-        )
+        for told, own in zip(telling, methods, strict=True):
+            if told.on(seen) is not None:
+                continue
+            if not can_complete(told.gate, own, seen, faults):
+                continue
+            given_up = far and (own.gate == "evidence" or not agreeing(series, own).any())
+            if not given_up:
+                return False
+        return True
 
     seen = with_detector(runner.run(order.attempt, decided).series, faults, method)
-    return AttemptCommits(order, tuple(_commit(seen, own) for own in methods))
+    count, evidence = (verdict_of(seen, method, gate) for gate in GATES)
+    return JudgedAttempt(order.attempt.index, count, evidence)
 
 
 def can_complete(gate: Gate, method: MethodConfig, series: Series, faults: FaultyFrames) -> bool:
@@ -161,11 +122,3 @@ def shortest_s(method: MethodConfig) -> float:
     while evidence_of(blocks, method.evidence) < needed:
         blocks += 1
     return max(method.evidence.min_s, blocks * method.evidence.block_s)
-
-
-def _commit(series: Series, method: MethodConfig) -> GateCommit | None:
-    done = tell(series, make_gate(method), method) if len(series) else None
-    if done is None:
-        return None
-    after_s = (int(series.now_ns[done]) - int(series.capture_ns[0])) * 1e-9
-    return GateCommit(after_s, bool(series.right[done]), bool(series.same[done]))
