@@ -31,10 +31,14 @@ _SHOWN = 2000
 
 
 class Wrong(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Has one module made from another source than the one in its file."""
+    """Has one module made from another source than the one in its file.
 
-    def __init__(self, module: str, source: str) -> None:
-        self._module, self._source = module, source
+    ``file``: where that source stands, too: numba keeps what it compiles beside it, and compiles nothing without one.
+    """
+
+    def __init__(self, module: str, source: str, file: Path) -> None:
+        self._module, self._source, self._file = module, source, file
+        file.write_text(source, "utf-8")
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
@@ -43,7 +47,7 @@ class Wrong(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         return importlib.util.spec_from_loader(fullname, self) if fullname == self._module else None
 
     def exec_module(self, module: ModuleType) -> None:
-        exec(compile(self._source, f"<wrong {self._module}>", "exec"), module.__dict__)
+        exec(compile(self._source, str(self._file), "exec"), module.__dict__)
 
 
 def run_tests(order: dict[str, Any]) -> int:
@@ -51,7 +55,7 @@ def run_tests(order: dict[str, Any]) -> int:
     import pytest  # noqa: PLC0415
 
     if order["source"] is not None:
-        sys.meta_path.insert(0, Wrong(order["module"], order["source"]))
+        sys.meta_path.insert(0, Wrong(order["module"], order["source"], Path(order["folder"]) / "wrong.py"))
         try:  # now: pytest loads the modules of its plugins' packages by itself, and would take this one from its file
             importlib.import_module(order["module"])
         except Exception:
@@ -64,7 +68,8 @@ def run_tests(order: dict[str, Any]) -> int:
 
 def trial(order: dict[str, Any]) -> dict[str, Any]:
     begun_s = time.monotonic()
-    with tempfile.TemporaryFile() as said:
+    with tempfile.TemporaryFile() as said, tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        order["folder"] = folder
         child = os.fork()
         if child == 0:
             _become(said)

@@ -1,13 +1,16 @@
 """Small wrong changes of a module's code, made by rule: what each test suite ought to notice.
 
-The operators, over the syntax tree of functions (annotations, assertions, strings and what is raised are left alone):
+The operators, over the syntax tree of functions and of a module's constants (annotations, assertions, strings and what
+is raised are left alone, and so are the defaults of a class's fields):
 
     compare   `<` for `<=` and so on, `==` for `!=`, `is` for `is not`, `in` for `not in`
     logic     `and` for `or`, and the other way round
     negate    the condition of an `if`, `while`, conditional expression or `case`, turned round
-    number    an integer one higher, True for False
+    number    an integer one higher, a float twice as large (1.0 for 0.0), True for False
     sign      `+` for `-`, `min` for `max`, and the other way round
-    forget    a call or an assignment to an attribute that stands by itself, left out
+    unit      `radians` or `degrees` of a number: the number as it is
+    swap      the first two positional arguments of a call exchanged; not where their order is nothing (`hypot`)
+    forget    a call, a count or an assignment to an attribute that stands by itself, left out
     keyword   a keyword argument of a function (not of a class), left out; not ``strict`` of zip, which is an assertion
     element   an action in a tuple inside a tuple, left out
     case      a whole case of a match, left out
@@ -32,6 +35,8 @@ _COMPARED: dict[type[ast.cmpop], type[ast.cmpop]] = {
 }  # fmt: skip
 _SIGNED: dict[type[ast.operator], type[ast.operator]] = {ast.Add: ast.Sub, ast.Sub: ast.Add}
 _OTHER_END = {"min": "max", "max": "min"}
+_UNITS = frozenset({"radians", "degrees", "deg2rad", "rad2deg"})
+_EITHER_ORDER = frozenset({"min", "max", "hypot", "dist", "isclose", "maximum", "minimum", "isinstance"})
 _SHOWN = 90  # characters
 
 
@@ -92,7 +97,7 @@ def _told(node: ast.AST, variant: int) -> str:
 
 
 def _places(tree: ast.Module) -> Iterator[tuple[int, str, ast.AST]]:
-    """Every node of a function's body that may be changed: its number, its function, itself."""
+    """Every node that may be changed: its number, its function or constant, itself."""
     numbers = {id(node): number for number, node in enumerate(ast.walk(tree))}
 
     def inside(node: ast.AST, where: str, within: bool) -> Iterator[tuple[int, str, ast.AST]]:
@@ -101,11 +106,20 @@ def _places(tree: ast.Module) -> Iterator[tuple[int, str, ast.AST]]:
             if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
                 name = f"{where}.{child.name}".lstrip(".")
                 now_within = within or not isinstance(child, ast.ClassDef)
+            if node is tree and isinstance(child, ast.Assign | ast.AnnAssign):
+                name = _constant(child)
+                now_within = True
             if now_within:
                 yield numbers[id(child)], name, child
             yield from inside(child, name, now_within)
 
     yield from inside(tree, "", False)
+
+
+def _constant(statement: ast.Assign | ast.AnnAssign) -> str:
+    """Return what a statement of the module gives a value to."""
+    targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+    return ast.unparse(targets[0])
 
 
 def _changeable(node: ast.AST) -> Iterator[ast.AST]:
@@ -137,10 +151,15 @@ def _variants(node: ast.AST) -> Iterator[Variant]:
             yield "number", lambda: setattr(node, "value", not node.value)
         case ast.Constant(value=int() as number):
             yield "number", lambda: setattr(node, "value", number + 1)
+        case ast.Constant(value=float() as number):
+            yield "number", lambda: setattr(node, "value", 2.0 * number if number else 1.0)
         case ast.BinOp() if type(node.op) in _SIGNED:
             yield "sign", lambda: setattr(node, "op", _SIGNED[type(node.op)]())
         case ast.Call():
             yield from _called(node)
+            yield from _swapped(node)
+            if _name_of(node) in _UNITS:
+                yield "unit", lambda: setattr(node, "func", ast.Name("float", ast.Load()))
         case ast.Tuple():
             yield from _elements(node)
         case ast.Match():
@@ -160,11 +179,23 @@ def _called(node: ast.Call) -> Iterator[Variant]:
     if isinstance(node.func, ast.Name) and node.func.id in _OTHER_END:
         name = node.func
         yield "sign", lambda: setattr(name, "id", _OTHER_END[name.id])
-    called = node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
-    if called[:1].islower():
+    if _name_of(node)[:1].islower():
         for keyword in node.keywords:
             if keyword.arg not in (None, "strict"):
                 yield "keyword", lambda keyword=keyword: node.keywords.remove(keyword)
+
+
+def _swapped(node: ast.Call) -> Iterator[Variant]:
+    two = node.args[:2]
+    if len(two) < 2 or any(isinstance(one, ast.Starred) for one in two) or _name_of(node) in _EITHER_ORDER:
+        return
+    if ast.dump(two[0]) != ast.dump(two[1]):
+        yield "swap", lambda: node.args.__setitem__(slice(2), reversed(two))
+
+
+def _name_of(node: ast.Call) -> str:
+    """Return the last part of what is called."""
+    return node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
 
 
 def _elements(node: ast.Tuple) -> Iterator[Variant]:
@@ -202,5 +233,7 @@ def _forgotten(node: ast.AST) -> Iterator[Variant]:
 def _stands_alone(statement: object) -> bool:
     if isinstance(statement, ast.Expr):
         return isinstance(statement.value, ast.Call | ast.Await)
+    if isinstance(statement, ast.AugAssign):
+        return True
     targets = statement.targets if isinstance(statement, ast.Assign) else []
     return bool(targets) and all(isinstance(target, ast.Attribute | ast.Subscript) for target in targets)

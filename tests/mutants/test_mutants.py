@@ -51,7 +51,12 @@ CASES = {
     'def f(a: int = 3) -> int:\n    """Words."""\n    assert a > 1\n    raise ValueError(f"{a + 1}")': {
         "number: 3 -> 4"
     },
-    "LIMIT = 5\n\n\nclass A:\n    width: int = 7": set[str](),
+    "def f(a):\n    a += 1.5": {"forget: a += 1.5 -> pass", "number: 1.5 -> 3.0"},
+    "def f():\n    return 0.0": {"number: 0.0 -> 1.0"},
+    "def f(a, b):\n    return g(a, b)": {"swap: g(a, b) -> g(b, a)"},
+    "def f(a, b):\n    return g(a, a), hypot(a, b), g(*a, b)": set[str](),
+    "def f(a):\n    return math.radians(a)": {"unit: math.radians(a) -> float(a)"},
+    "LIMIT = 5\n\n\nclass A:\n    width: int = 7": {"number: 5 -> 6"},
 }
 
 
@@ -64,7 +69,7 @@ def test_each_operator(source: str) -> None:
 
 
 def test_the_same_change_in_two_places_has_two_names() -> None:
-    first, second = mutations("m.py", "class A:\n    def f(self, a):\n        return (a < 0.5) == (a < 0.5)")[1:]
+    first, second = mutations("m.py", "class A:\n    def f(self, a, b):\n        return (a < b) == (a < b)")[1:]
     assert second.name == f"{first.name} (no. 2)" and first.where == "A.f" and first.line == 3
 
 
@@ -218,6 +223,21 @@ def test_what_is_noticed_only_at_import_is_tried_from_the_first_import_on(projec
         assert not came["passed"] and not came["broken"]
 
 
+def test_a_wrong_kernel_is_compiled_and_tried(project: Path) -> None:
+    """What numba cannot keep it does not compile: every wrong kernel would count as noticed, and no test be run."""
+    (project / "sums.py").write_text(
+        "from path.compiled import kernel\n\n\n@kernel\ndef more(a):\n    return a + 1\n\n\n"
+        "def unseen(a):\n    return a < 1\n"
+    )
+    (project / "test_sums.py").write_text("from sums import more\n\n\ndef test_more():\n    assert more(1) == 2\n")
+    right = (project / "sums.py").read_text()
+    suite = FileTests("sums.py", ("test_sums.py",))
+    with Trials(project, 1, suite.tests) as trials:
+        assert trials.trial(suite, right.replace("a < 1", "a <= 1"), 60.0)["passed"]
+        came = trials.trial(suite, right.replace("a + 1", "a - 1"), 60.0)
+    assert not came["passed"] and "test_more" in came["what"]
+
+
 def test_a_module_that_pytest_would_load_by_itself_is_the_wrong_one_all_the_same(project: Path) -> None:
     """pytest rewrites the asserts of its plugins' packages, and ``missions`` is one: it loads them from their files."""
     (project / "conftest.py").write_text('import pytest\n\npytest.register_assert_rewrite("sums")\n')
@@ -237,6 +257,10 @@ from dataclasses import dataclass
 from functools import cache
 
 TABLE = {"a": lambda: 1, "b": lambda: 2}
+LIMIT = 5
+
+def limit():
+    return LIMIT
 
 def plain(a, b=3):
     return a + b
@@ -267,6 +291,7 @@ class Thing:
     plain, thing = living.plain, living.Thing(4)  # bound before, as other modules have them
     changes = (
         ("return a + b", "return a - b", lambda: plain(5), 8, 2),
+        ("LIMIT = 5", "LIMIT = 6", lambda: living.limit(), 5, 6),
         ("b=3", "b=4", lambda: plain(5), 8, 9),
         ("lambda: 2", "lambda: 3", lambda: living.TABLE["b"]() + 0, 2, 3),
         ("self.size + self.size", "self.size - self.size", lambda: thing.twice, 8, 0),

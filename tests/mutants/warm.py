@@ -37,7 +37,7 @@ class NotHereError(Exception):
 
 
 def put_into(module: ModuleType, source: str) -> None:
-    """The functions of a module get another source's code and defaults. Raises NotHereError."""
+    """A module gets another source's numbers, and its functions the code and defaults. Raises NotHereError."""
     made = ModuleType(module.__name__)
     made.__dict__.update(__package__=module.__package__, __file__=module.__file__, __spec__=module.__spec__)
     try:
@@ -45,6 +45,7 @@ def put_into(module: ModuleType, source: str) -> None:
     except Exception as error:
         raise NotHereError(f"it cannot be imported: {error}") from error
     wrong = dict(_functions(made, made.__name__, set()))
+    module.__dict__.update(_numbers(made))
     right = dict(_functions(module, module.__name__, set()))
     for name, function in wrong.items():
         if function.__code__.co_filename != _MARK:
@@ -58,6 +59,10 @@ def put_into(module: ModuleType, source: str) -> None:
         if not any(isinstance(value, type) for value in function.__defaults__ or ()):
             right[name].__defaults__ = function.__defaults__
             right[name].__kwdefaults__ = function.__kwdefaults__
+
+
+def _numbers(module: ModuleType) -> dict[str, int | float]:
+    return {name: value for name, value in vars(module).items() if type(value) in (int, float)}
 
 
 def _functions(holder: object, module: str, seen: set[int]) -> Iterator[tuple[str, FunctionType]]:

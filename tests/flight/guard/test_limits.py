@@ -12,7 +12,7 @@ from drivers.interfaces import FlightMode, VehicleState
 from drivers.mavlink.guard.interfaces import GuardView, Script
 from flight.config import GuardConfig
 from flight.fence import Fence
-from flight.guard.limits import check_separation, check_vehicle
+from flight.guard.limits import check_separation, check_vehicle, in_doubt
 from flight.guard.rules import GuardRules, Limits, ProgramBeat, broken_limit
 from flight.outcome import MissionEnd, Outcome
 
@@ -109,3 +109,20 @@ def test_script_and_guard_judge_a_battery_alike(level: float, silent_s: float | 
         assert end.detail == of_guard
     else:
         assert of_guard == ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "doubt"),
+    [
+        ({}, False),
+        ({"mode_told": 1}, False),  # of the mode that the script flies one message is enough
+        ({"mode": FlightMode.OTHER, "mode_told": 1}, True),
+        ({"mode": FlightMode.OTHER, "mode_told": 2}, False),
+        ({"armed": False, "armed_told": 1}, True),
+        ({"armed": False, "armed_told": 2}, False),
+        ({"armed": False, "armed_told": 2, "mode": FlightMode.OTHER, "mode_told": 1}, False),
+        ({"armed_told": 1}, False),
+    ],
+)
+def test_in_doubt_is_what_one_message_alone_says_against_the_script(changes: dict[str, Any], doubt: bool) -> None:
+    assert in_doubt(replace(GOOD, **changes), FlightMode.OFFBOARD) is doubt

@@ -8,8 +8,8 @@ import pytest
 
 from drivers.interfaces import FlightMode
 from drivers.mavlink.guard.interfaces import GuardView
-from flight.guard.rules import Act, GuardStage, GuardState, ProgramBeat
-from tests.flight.guard.guard_views import HEARD, NOW, VIEW, ago, at, dead
+from flight.guard.rules import Act, GuardRules, GuardStage, GuardState, ProgramBeat
+from tests.flight.guard.guard_views import HEARD, NOW, VIEW, ago, at, dead, step
 
 
 @pytest.mark.parametrize("more_ns", [0, 1])
@@ -75,3 +75,38 @@ def test_at_a_limit_is_within_it(view: GuardView, heard: ProgramBeat) -> None:
 def test_beyond_a_limit_is_not(view: GuardView, heard: ProgramBeat) -> None:
     state, act = at(GuardState(broken_ns=ago(9.0)), view, heard)
     assert (state.stage, act) == (GuardStage.HOLDING, Act.HOLD)
+
+
+@pytest.mark.parametrize("more_ns", [0, 1])
+def test_a_program_is_dead_or_alive_when_its_vehicle_comes_down(more_ns: int) -> None:
+    """Of a living one the script may have ordered it, telemetry is late; of a dead one it is somebody's will."""
+    beat = replace(HEARD, beat_ns=ago(0.5, more_ns))
+    assert (at(view=replace(VIEW, mode=FlightMode.LAND), heard=beat)[0].stage is GuardStage.LET_GO) is bool(more_ns)
+
+
+@pytest.mark.parametrize("stage", [GuardStage.HOLDING, GuardStage.LANDING])
+@pytest.mark.parametrize("more_ns", [0, 1])
+def test_a_heartbeat_shows_what_was_commanded_only_when_it_is_younger_than_the_command(
+    stage: GuardStage, more_ns: int
+) -> None:
+    state = GuardState(stage, "x", sent_ns=NOW - more_ns, tries=1)
+    mode = FlightMode.HOLD if stage is GuardStage.HOLDING else FlightMode.LAND
+    shown_ns = at(state, replace(VIEW, mode=mode))[0].shown_ns
+    assert shown_ns == (NOW if more_ns else None)
+
+
+def test_the_mode_that_the_script_flies_is_its_own_without_any_grace() -> None:
+    strict = GuardRules(mode_grace_s=0.0)
+    assert step(rules=strict) == (GuardState(), Act.NOTHING)
+
+
+def test_a_vehicle_that_was_let_go_of_in_a_mode_of_scripts_has_its_grace_from_then_on() -> None:
+    gone, act = at(GuardState(odd_ns=ago(1.0, 1)), replace(VIEW, mode=FlightMode.TAKEOFF))
+    assert (gone.stage, gone.odd_ns, act) == (GuardStage.LET_GO, None, Act.NOTHING)
+
+
+def test_a_landing_may_be_commanded_once_only() -> None:
+    once = GuardRules(land_tries=1)
+    state = GuardState(GuardStage.LANDING, "x", sent_ns=ago(9.0), tries=1)
+    after, act = step(state, replace(VIEW, acked=False), dead(), rules=once)
+    assert (after.stage, act) == (GuardStage.GAVE_UP, Act.NOTHING)

@@ -18,6 +18,7 @@ from hil.harness.virtual_time import run_virtual
 
 CONFIG = MissionConfig()
 RULES = CONFIG.guard_process
+S = 1_000_000_000
 GROUND = GuardView(0, 0, False, False, FlightMode.HOLD, (0.0, 0.0, 0.0), 0.9, None)
 
 
@@ -236,6 +237,17 @@ def test_a_program_is_heard_for_as_long_as_the_rules_say(more_ns: int, hears: bo
         beat_ns = LoopClock().now_ns() - round(RULES.beat_age_s * 1e9) - more_ns
         bench.guard._heard = replace(bench.guard._heard, beat_ns=beat_ns)
         assert bench.guard.hears is hears
+
+    virtual(main())
+
+
+@pytest.mark.parametrize(("more_ns", "sees"), [(0, True), (1000, False)])
+def test_a_vehicle_is_seen_for_as_long_as_the_rules_say(more_ns: int, sees: bool) -> None:
+    async def main() -> None:
+        bench = Bench()
+        await bench.end()
+        old = replace(GROUND, heartbeat_ns=S, position_ns=S + 1)
+        assert bench.guard._sees(old, S + round(RULES.blind_s * 1e9) + more_ns) is sees
 
     virtual(main())
 
