@@ -6,7 +6,6 @@ import math
 from bisect import insort
 from collections import Counter
 from collections.abc import Sequence
-from operator import attrgetter
 from typing import NamedTuple
 
 from path.camera.model import CameraModel
@@ -151,10 +150,7 @@ class SenderCycle:
         if reason is not None:
             return self._missed(Missed(reason, ignored=True))
         pending = _Pending(self._order(candidate.sequence), capture_ns, candidate)
-        if self._pending:
-            insort(self._pending, pending, key=attrgetter("order"))
-        else:
-            self._pending.append(pending)
+        insort(self._pending, pending)  # by their order, which no two of them share
         return None
 
     def begin_evidence_anew(self, stamp_ns: int) -> None:

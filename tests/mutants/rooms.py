@@ -54,10 +54,14 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """``rooms.toml``: rooms in their order, and by name the changes that change nothing, with the reason."""
+    """``rooms.toml``: rooms in their order, and the changes that change nothing, with the reason.
+
+    ``equivalent``: by name. ``arbitrary``: by file, whose numbers may be any.
+    """
 
     rooms: tuple[Room, ...]
     equivalent: Mapping[str, str] = field(default_factory=dict[str, str])
+    arbitrary: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def room(self, name: str) -> Room:
         """Raises TableError."""
@@ -66,13 +70,20 @@ class Table:
                 return room
         raise TableError(f"there is no room {name!r}: one of {', '.join(room.name for room in self.rooms)}")
 
+    def why_the_same(self, mutation: Mutation) -> str:
+        """Return why a change changes nothing; empty when it does."""
+        if mutation.operator == "number" and mutation.file in self.arbitrary:
+            return self.arbitrary[mutation.file]
+        return self.equivalent.get(mutation.name, "")
+
 
 def load_table(path: Path = TABLE) -> Table:
     told: Any = tomllib.loads(path.read_text("utf-8"))
     rooms = tuple(
         Room(one["name"], tuple(one["files"]), tuple(one["tests"]), tuple(one.get("slow", ()))) for one in told["room"]
     )
-    return Table(rooms, {one["name"]: one["why"] for one in told.get("equivalent", ())})
+    equivalent = {one["name"]: one["why"] for one in told.get("equivalent", ())}
+    return Table(rooms, equivalent, {one["file"]: one["why"] for one in told.get("arbitrary", ())})
 
 
 def suite_for(table: Table, file: str, root: Path) -> FileTests | None:

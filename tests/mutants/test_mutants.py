@@ -86,7 +86,17 @@ def test_what_is_called_equivalent_is_a_change_that_can_be_made() -> None:
     table = load_table()
     names = {one.name for room in table.rooms for _, one in of_room(table, room, ROOT)}
     assert set(table.equivalent) - names == set()
-    assert all(len(why) > 20 for why in table.equivalent.values())
+    assert all(len(why) > 20 for why in (*table.equivalent.values(), *table.arbitrary.values()))
+    assert all((ROOT / file).exists() for file in table.arbitrary)
+
+
+def test_the_numbers_of_a_file_may_be_any_and_nothing_else_of_it() -> None:
+    table = Table((), {"a.py f: sign: x + 1 -> x - 1": "named"}, {"b.py": "its numbers stand for any"})
+    same = {
+        file: [one.operator for one in mutations(file, "def f(x):\n    return x + 1") if table.why_the_same(one)]
+        for file in ("a.py", "b.py", "c.py")
+    }
+    assert same == {"a.py": ["sign"], "b.py": ["number"], "c.py": []}
 
 
 def test_a_seed_is_a_choice() -> None:
@@ -291,7 +301,7 @@ class Thing:
     plain, thing = living.plain, living.Thing(4)  # bound before, as other modules have them
     changes = (
         ("return a + b", "return a - b", lambda: plain(5), 8, 2),
-        ("LIMIT = 5", "LIMIT = 6", lambda: living.limit(), 5, 6),
+        ("LIMIT = 5", "LIMIT = 6", living.limit, 5, 6),
         ("b=3", "b=4", lambda: plain(5), 8, 9),
         ("lambda: 2", "lambda: 3", lambda: living.TABLE["b"]() + 0, 2, 3),
         ("self.size + self.size", "self.size - self.size", lambda: thing.twice, 8, 0),

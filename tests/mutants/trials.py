@@ -143,8 +143,8 @@ def score(
     for place in sorted({place for tested, _ in chosen for place in (tested.file, *tested.tests, *tested.slow)}):
         if not (root / place).exists():
             raise TableError(f"there is no {place} here: run it in a checkout, and see rooms.toml")
-    known = [Tried(one, False, why=table.equivalent[one.name]) for _, one in chosen if one.name in table.equivalent]
-    rest = [(tested, one) for tested, one in chosen if one.name not in table.equivalent]
+    known = [Tried(one, False, why=why) for _, one in chosen if (why := table.why_the_same(one))]
+    rest = [(tested, one) for tested, one in chosen if not table.why_the_same(one)]
     files = list(dict.fromkeys(tested for tested, _ in rest))
     tests = sorted({place for tested in files for place in tested.tests})
     if not rest:

@@ -31,6 +31,7 @@ class Seen:
     velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
     sigma_m: float = 0.01
     known: bool = True
+    target_n_m: Vec3 | None = None
 
     def predict(self, stamp_ns: int) -> Any:
         return self if self.known else None

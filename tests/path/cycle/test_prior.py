@@ -192,9 +192,101 @@ def test_a_range_error_moves_the_prior_along_the_line_of_sight_only() -> None:
     assert uu * vv - uv * uv < 0.3 * even_uu * even_vv
 
 
+@pytest.mark.parametrize("across_m", [0.0, 0.005])
+@pytest.mark.parametrize("point_v", [POINT, (0.6, 0.3, 1.1), (-0.2, -0.5, 1.8)])
+def test_along_and_across_the_line_of_sight_errors_are_those_of_the_projection(point_v: Vec3, across_m: float) -> None:
+    """To first order exactly: ``J (across² I + (along² - across²) w wᵀ) Jᵀ`` with ``w`` in the camera's frame."""
+    way = np.array([0.48, -0.6, 0.64])
+    way_v = (0.48, -0.6, 0.64)
+    point_c = transform(rigid(POSE), point_v)
+    J = CAMERA.jacobian(np.array([point_c]))[0]
+    along_c = POSE.R @ way
+    spread = across_m**2 * np.eye(3) + (0.02**2 - across_m**2) * np.outer(along_c, along_c)
+    found = projected(lens_of(CAMERA), rigid(POSE), np.zeros((6, 6)), point_v, 0.02, 0.0, way_v, across_m)
+    expected = J @ spread @ J.T
+    uu, uv, vv = found[3]
+    assert (uu, uv, vv) == pytest.approx((expected[0, 0], expected[0, 1], expected[1, 1]), rel=1e-6)
+
+
 def test_across_it_the_target_is_never_less_certain_than_along_it() -> None:
     far_off = prior_of(ray=Ray((0.0, 0.0, 1.0), 5.0))
     plain = prior_of()
     assert isinstance(far_off, Prior)
     assert isinstance(plain, Prior)
     assert far_off.covariance_px2 == pytest.approx(plain.covariance_px2)
+
+
+# --- what D2's camera sees, to the edge ---------------------------------------------------------------------------
+
+SQUARE = CameraModel(640, 480, 128.0, 128.0, 0.0, 0.0)
+STRAIGHT = rigid(Pose(np.eye(3), np.zeros(3)))
+
+
+def is_seen(point_v: Vec3, max_radius: float = 9.0) -> bool:
+    """By a camera in the marker's own frame, whose principal point is its first pixel."""
+    lens = lens_of(SQUARE).copy()
+    lens[11] = max_radius
+    found = projected(lens, STRAIGHT, covariance(), point_v, 0.01, 1.0, (0.0, 0.0, 1.0), -1.0)
+    assert found[2] == point_v[2]
+    return not math.isnan(found[0])
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_image_reaches_from_half_a_pixel_before_the_first_to_half_a_pixel_before_its_end(axis: int) -> None:
+    def at(pixel: float) -> Vec3:
+        along = pixel / 128.0
+        return (along, 0.1, 1.0) if axis == 0 else (0.1, along, 1.0)
+
+    end = (640.0, 480.0)[axis] - 0.5
+    assert is_seen(at(-0.5)) and is_seen(at(end - 0.001))
+    assert not is_seen(at(-0.501)) and not is_seen(at(end))
+
+
+def test_the_lens_sees_to_its_own_bound_and_nothing_behind_it() -> None:
+    assert is_seen((0.5, 0.0, 1.0), max_radius=0.5) and is_seen((0.0, 0.5, 1.0), max_radius=0.5)
+    assert is_seen((0.25, 0.0, 0.5), max_radius=0.5)
+    assert not is_seen((0.501, 0.0, 1.0), max_radius=0.5) and not is_seen((0.0, 0.501, 1.0), max_radius=0.5)
+    assert not is_seen((0.4, 0.4, 1.0), max_radius=0.5)
+    assert not is_seen((-0.1, -0.1, -1.0))  # its picture would fall inside the image
+    assert not is_seen((0.0, 0.0, -1.0))
+
+
+def test_at_its_limits_a_prior_is_still_one() -> None:
+    prior = prior_of()
+    assert isinstance(prior, Prior)
+    half_px = CONFIG.search_sigmas * math.sqrt(max(prior.covariance_px2[0], prior.covariance_px2[2]))
+    at_limits = replace(CONFIG, max_pose_sigma_m=prior.pose_sigma_m, max_search_px=half_px)
+    assert prior_of(config=at_limits) == prior
+    for tighter in ({"max_pose_sigma_m": 0.999 * prior.pose_sigma_m}, {"max_search_px": 0.999 * half_px}):
+        assert prior_of(config=replace(at_limits, **tighter)) == Missed(MissReason.POSE_UNCERTAIN)
+
+
+def test_a_covariance_that_is_none_is_no_number() -> None:
+    """One with a negative variance has no ellipse, and one of nothing at all has no room in it."""
+    negative = np.diag([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert prior_of(covariance=negative) == Missed(MissReason.NON_FINITE)
+    exact = replace(CONFIG, pixel_sigma_px=0.0, target_center_sigma_m=0.0)
+    nothing = np.zeros((6, 6))
+    assert prior_of(covariance=nothing, point_sigma_m=0.0, config=exact) == Missed(MissReason.NON_FINITE)
+
+
+def test_the_region_reaches_a_body_s_depth_further_than_the_uncertainty() -> None:
+    exact = prior_of(covariance=covariance(1e-9, 1e-9), point_sigma_m=0.0)
+    assert isinstance(exact, Prior)
+    assert exact.region.far_m - exact.depth_m == pytest.approx(0.3, abs=1e-6)
+    near = prior_of(lens=lens_of(SQUARE), T_c2_v=STRAIGHT, point_v=(0.02, 0.02, 0.2), point_sigma_m=0.0)
+    assert isinstance(near, Prior)
+    assert near.region.near_m == 0.0  # nothing is behind the camera
+
+
+def test_the_height_of_the_search_has_a_least_too() -> None:
+    prior = prior_of(config=replace(CONFIG, min_search_px=120.0))
+    assert isinstance(prior, Prior)
+    assert prior.region.y1 - prior.pixel[1] == pytest.approx(120.0)
+    assert prior.pixel[1] - prior.region.y0 == pytest.approx(120.0)
+
+
+def test_a_covariance_in_any_order_of_memory_is_taken_without_compiling_anew() -> None:
+    turned = np.asfortranarray(covariance())
+    assert prior_of(covariance=turned) == prior_of()
+    assert len(projected.signatures) == 1

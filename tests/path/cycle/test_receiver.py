@@ -7,15 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from path.camera.kernels import lens_of
 from path.camera.model import CameraModel
 from path.config import MethodConfig
-from path.cycle.prior import Prior
+from path.cycle.prior import Prior, Ray, predict
 from path.cycle.receiver import ReceiverCycle
 from path.geometry.rigid import rigid, rigid_from_quat
 from path.geometry.rotation import exp
 from path.geometry.transforms import Pose
 from path.messages import Candidate, Target
 from path.observations import Box, Detection, Missed, MissReason
+from path.target.place import across_sigma
 
 MS = 1_000_000
 CONFIG = MethodConfig()
@@ -230,7 +232,17 @@ def test_one_object_in_two_boxes_is_that_object_and_two_objects_are_not() -> Non
     assert answer(receiver, 5, two, prior).reason is MissReason.AMBIGUOUS_TARGET
 
 
-@pytest.mark.parametrize("box", [Box(math.nan, 200.0, 60.0, 40.0), Box(320.0, 240.0, 0.0, 0.0)])
+@pytest.mark.parametrize(
+    "box",
+    [
+        Box(math.nan, 200.0, 60.0, 40.0),
+        Box(320.0, 240.0, 0.0, 0.0),
+        Box(320.0, 240.0, 60.0, 0.0),
+        Box(320.0, 240.0, 0.0, 40.0),
+        Box(320.0, 240.0, -1.0, 40.0),
+        Box(320.0, 240.0, 60.0, -1.0),
+    ],
+)
 def test_a_detection_that_is_none_is_never_picked(box: Box) -> None:
     receiver = primed()
     prior = sound_prior(receiver)
@@ -239,11 +251,18 @@ def test_a_detection_that_is_none_is_never_picked(box: Box) -> None:
     assert answer(receiver, 1, [Detection(box, 1.0)], prior).reason is MissReason.NO_CANDIDATE
 
 
+def test_a_box_smaller_than_a_pixel_can_be_picked() -> None:
+    receiver = primed()
+    prior = sound_prior(receiver)
+    assert answer(receiver, 1, [detection(*prior.pixel, w=0.4, h=0.4)], prior).box is not None
+
+
 def test_a_marker_miss_goes_out_as_the_reason() -> None:
     receiver = primed()
     candidate = answer(receiver, 1, [detection(320.0, 240.0)], Missed(MissReason.MARKER_OBLIQUE))
     assert (candidate.box, candidate.reason) == (None, MissReason.MARKER_OBLIQUE)
     assert (candidate.rotation_v_c2, candidate.sigma_m) == ((1.0, 0.0, 0.0, 0.0), 0.0)
+    assert (candidate.position_v_m, candidate.target_sequence) == ((0.0, 0.0, 0.0), 0)
 
 
 def test_an_old_or_repeated_frame_is_not_answered() -> None:
@@ -279,3 +298,106 @@ def test_a_range_by_size_widens_the_search_along_the_sender_s_line_of_sight_only
 
     assert spread(config, 0.8) < 0.5 * spread(CONFIG, 0.8)
     assert spread(config, 0.0) < 0.2 * spread(CONFIG, 0.0)  # D2 looks along it: the range does not matter
+
+
+# --- to the bound -------------------------------------------------------------------------------------------------
+
+LATE_NS = 10**15
+
+
+def test_gravity_is_told_for_as_long_as_a_sample_may_be_carried_on_however_late_the_clock() -> None:
+    receiver = cycle()
+    assert receiver.on_target(target(gravity_v=(0.6, 0.0, 0.8)), LATE_NS, LATE_NS) is None
+    bound_ns = round(CONFIG.max_extrapolation_s * 1e9)
+    assert receiver.gravity_v(LATE_NS + bound_ns) == pytest.approx((0.6, 0.0, 0.8))
+    assert receiver.gravity_v(LATE_NS + bound_ns + 1) is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "taken"),
+    [
+        ({"sigma_m": 0.0}, True),
+        ({"gravity_v": (0.0, 0.0, 0.951)}, True),
+        ({"gravity_v": (0.0, 0.0, 1.049)}, True),
+        ({"gravity_v": (0.0, 0.0, 0.95)}, False),
+        ({"gravity_v": (0.0, 0.0, 1.05)}, False),
+    ],
+)
+def test_a_direction_may_have_lost_a_twentieth_of_its_length_on_the_way(changes: dict[str, Any], taken: bool) -> None:
+    assert (feed(cycle(), target(1, **changes)) is None) is taken
+
+
+@pytest.mark.parametrize("more_ns", [0, 1])
+def test_a_message_is_taken_as_old_and_as_early_as_the_settings_say(more_ns: int) -> None:
+    old_ns, early_ns = round(CONFIG.max_age_s * 1e9), round(CONFIG.max_future_s * 1e9)
+    old, early = (cycle().on_target(target(), LATE_NS, LATE_NS + age + sign) for age, sign in
+                  ((old_ns, more_ns), (-early_ns, -more_ns)))  # fmt: skip
+    assert old == (Missed(MissReason.STALE, ignored=True) if more_ns else None)
+    assert early == (Missed(MissReason.CLOCK, ignored=True) if more_ns else None)
+
+
+def region_of(prior: Prior) -> tuple[float, ...]:
+    region = prior.region
+    return region.x0, region.y0, region.x1, region.y1, region.near_m, region.far_m
+
+
+def test_the_prior_is_as_wide_as_the_sample_the_clocks_and_an_unknown_acceleration_make_it() -> None:
+    config = replace(CONFIG, clock_sigma_s=0.004, relative_speed_mps=1.5, relative_accel_mps2=2.0)
+    receiver = cycle(config)
+    for i in range(5):
+        feed(receiver, target(i))
+    for late_s in (0.0, 0.1):
+        stamp_ns = 80 * MS + round(late_s * 1e9)
+        sigma_m = math.hypot(0.01, 0.004 * 1.5, 0.5 * 2.0 * late_s**2)
+        expected = predict(lens_of(CAMERA), rigid(POSE), COVARIANCE, POINT, sigma_m, 4, config)
+        found = receiver.prior(POSE, COVARIANCE, stamp_ns)
+        assert isinstance(found, Prior) and isinstance(expected, Prior)
+        assert found.pixel == pytest.approx(expected.pixel)
+        assert found.covariance_px2 == pytest.approx(expected.covariance_px2)
+        assert region_of(found) == pytest.approx(region_of(expected))
+
+
+def test_across_the_sender_s_line_of_sight_count_pixels_mounting_and_what_moved() -> None:
+    config = replace(CONFIG, target_error="ray", clock_sigma_s=0.004, relative_speed_mps=1.5)
+    eye_v = (0.5, -0.3, -0.2)
+    receiver = ReceiverCycle(CAMERA, config, handoff_id=1, epoch=2, target_id=3, sender=(CAMERA, eye_v))
+    for i in range(5):
+        feed(receiver, target(i, sigma_m=0.15))
+    away = np.array(POINT) - np.array(eye_v)
+    distance_m = float(np.linalg.norm(away))
+    moved_m = 0.004 * 1.5
+    across_m = math.hypot(across_sigma(CAMERA, distance_m, config), config.mount_sigma_m, moved_m)
+    x, y, z = (away / distance_m).tolist()
+    ray = Ray((x, y, z), across_m)
+    expected = predict(lens_of(CAMERA), rigid(POSE), COVARIANCE, POINT, math.hypot(0.15, moved_m), 4, config, ray=ray)
+    assert isinstance(expected, Prior)
+    assert sound_prior(receiver, 80.0).covariance_px2 == pytest.approx(expected.covariance_px2)
+
+
+def test_a_target_in_the_sender_s_own_eye_has_no_line_of_sight() -> None:
+    config = replace(CONFIG, target_error="ray")
+    with_eye = ReceiverCycle(CAMERA, config, handoff_id=1, epoch=2, target_id=3, sender=(CAMERA, POINT))
+    without = cycle()
+    for receiver in (with_eye, without):
+        for i in range(5):
+            feed(receiver, target(i))
+    assert sound_prior(with_eye, 80.0) == sound_prior(without, 80.0)
+
+
+def test_two_boxes_that_overlap_by_half_are_one_object() -> None:
+    receiver = primed()
+    prior = sound_prior(receiver)._replace(pixel=(300.0, 200.0))
+    half = [detection(290.0, 200.0), detection(310.0, 200.0)]
+    assert answer(receiver, 1, half, prior).box == half[0].box
+    receiver = primed()
+    less = [detection(290.0, 200.0), detection(310.5, 200.0)]
+    assert answer(receiver, 1, less, prior).reason is MissReason.AMBIGUOUS_TARGET
+
+
+def test_an_answer_to_nothing_is_not_counted_as_a_find() -> None:
+    receiver = primed()
+    prior = sound_prior(receiver)
+    for frame in (1, 2, 3):
+        answer(receiver, frame, [detection(*prior.pixel)], prior)
+    answer(receiver, 4, [], prior)
+    assert receiver.found == 3 and receiver.misses == {MissReason.NO_CANDIDATE: 1}

@@ -22,10 +22,12 @@ from path.geometry.rotation import exp, quat_from_R
 from path.geometry.transforms import Pose
 from path.messages import Candidate, Target
 from path.observations import Box, Depth, Detection, Missed, MissReason
+from path.target.rivals import SEEN_TIMES, Rival
 from tests.path.gate.side_by_side import SideBySide
 
 MS = 1_000_000
 PERIOD = 20 * MS
+LATE_NS = 10**15  # a clock that has run for eleven days
 CONFIG = MethodConfig(gate="count", hold_frames=10, hold_s=0.18)
 CAMERA1 = CameraModel(640, 480, 615.0, 616.0, 320.0, 240.0, (-0.1, 0.05, 0.001, -0.001, 0.0))
 CAMERA2 = CameraModel(1280, 720, 920.0, 925.0, 640.0, 360.0, (-0.08, 0.04, 0.001, -0.001, 0.0))
@@ -74,7 +76,8 @@ class Bench:
     def see(self, index: int, **changes: Any) -> Target | Missed:
         box = changes.get("box", own_box(20.0 * index, self.speed_mps))
         depth = changes.get("depth", Depth(DEPTH_M, 0.02))
-        return self.sender.observe(index, index * PERIOD, box, depth, changes.get("gravity_v", GRAVITY))
+        gravity_v, rivals = changes.get("gravity_v", GRAVITY), changes.get("rivals", ())
+        return self.sender.observe(index, index * PERIOD, box, depth, gravity_v, rivals)
 
     def offer(self, message: Candidate, late_ms: float = 5.0) -> Missed | None:
         return self.sender.offer(message, message.capture_ns, message.capture_ns + round(late_ms * MS))
@@ -297,6 +300,7 @@ def test_a_fresh_frame_of_d2_that_does_not_agree_restarts_the_count(
         ({"box": None, "reason": MissReason.NO_CANDIDATE}, False),
         ({"sigma_m": 0.5}, False),
         ({"target_sequence": 40_000}, False),
+        ({"rotation_v_c2": quat_from_R(T_V_C2.R @ exp(np.array([0.0, math.pi, 0.0])))}, False),  # turned away
     ],
 )
 def test_the_gate_is_told_by_how_much_a_pair_disagrees_and_of_nothing_where_nothing_was_compared(
@@ -307,11 +311,13 @@ def test_the_gate_is_told_by_how_much_a_pair_disagrees_and_of_nothing_where_noth
     bench.run(5)
     told: list[float | None] = []
 
-    def disagree(_sequence: int, _capture_ns: int, by: float | None) -> None:
+    def disagree(sequence: int, capture_ns: int, by: float | None) -> None:
+        assert (sequence, capture_ns) == (6, 113 * MS)
         told.append(by)
 
     monkeypatch.setattr(bench.sender.gate, "disagree", disagree)
     (pair,) = bench.step(6, **changes)
+    assert pair.candidate is not None and (pair.candidate.sequence, pair.capture_ns) == (6, 113 * MS)
     if not compared:
         assert told == [None]
         return
@@ -568,3 +574,144 @@ def test_no_disorder_on_the_link_completes_the_window_early(
         if bench.sender.gate.complete:
             assert len(arrived - disagreeing) >= CONFIG.hold_frames
             assert now_ms >= 13.0 + 180.0
+
+
+# --- what else D1 sees, and every bound ---------------------------------------------------------------------------
+
+
+def test_a_pair_is_measured_from_what_stands_beside_the_target_once_it_was_seen_often_enough() -> None:
+    bench = Bench()
+    beside = place(0.0) + np.array([0.5, 0.0, 0.0])
+    rival = Rival(box_in(CAMERA1, beside), Depth(DEPTH_M, 0.02))
+    told: list[int] = []
+    for index in range(SEEN_TIMES + 3):
+        bench.offer(candidate(index + 1, 20.0 * index + 13.0))
+        bench.see(index, rivals=(rival,))
+        for pair in bench.sender.evaluate_ready(index * PERIOD):
+            assert pair.offsets is not None
+            told.append(len(pair.offsets.rivals_m))
+            assert math.hypot(*pair.offsets.target_m) < 0.01
+            for offset_m in pair.offsets.rivals_m:
+                assert math.hypot(*offset_m) == pytest.approx(0.5, abs=0.05)
+    assert told == [0] * (SEEN_TIMES - 2) + [1] * 4
+
+
+def test_nothing_is_added_up_across_an_interruption_of_its_own_reckoning() -> None:
+    bench = Bench()
+    bench.run(5)
+    bench.sender.begin_evidence_anew(5 * PERIOD)
+    assert bench.count == 0
+    bench.run(8, first=6)
+    assert bench.count == 3
+
+
+@pytest.mark.parametrize(("z_m", "holds"), [(0.3, True), (6.0, True), (0.299, False), (6.001, False)])
+def test_depth_is_taken_between_its_bounds_and_at_them(z_m: float, holds: bool) -> None:
+    assert (CONFIG.min_depth_m, CONFIG.max_depth_m) == (0.3, 6.0)
+    assert isinstance(Bench().see(0, depth=Depth(z_m, 0.02)), Target) is holds
+
+
+@pytest.mark.parametrize(("length", "holds"), [(0.951, True), (1.049, True), (0.949, False), (1.051, False)])
+def test_a_direction_and_a_rotation_are_of_length_one_to_a_twentieth(length: float, holds: bool) -> None:
+    gravity_v = (0.0, 0.0, length)
+    assert isinstance(Bench().see(0, gravity_v=gravity_v), Target) is holds
+    bench = Bench()
+    w, x, y, z = (length * part for part in quat_from_R(T_V_C2.R))
+    refused = bench.offer(candidate(1, 13.0, rotation_v_c2=(w, x, y, z)))
+    assert refused == (None if holds else Missed(MissReason.NON_FINITE, ignored=True))
+
+
+@pytest.mark.parametrize(
+    "box",
+    [
+        Box(0.0, 0.0, 0.0, 1.0),
+        Box(0.0, 0.0, 1.0, 0.0),
+        Box(0.0, 0.0, 1.0, -1.0),
+        Box(0.0, math.inf, 1.0, 1.0),
+        Box(0.0, 0.0, math.inf, 1.0),
+        Box(0.0, 0.0, 1.0, math.inf),
+    ],
+)
+def test_a_box_without_a_size_is_none_on_either_side(box: Box) -> None:
+    assert Bench().offer(candidate(1, 13.0, box=box)) == Missed(MissReason.NON_FINITE, ignored=True)
+    reason = MissReason.NO_TARGET if math.isfinite(box.x + box.y + box.w + box.h) else MissReason.NON_FINITE
+    assert Bench().see(0, box=box) == Missed(reason)
+
+
+def test_a_box_smaller_than_a_pixel_is_a_box() -> None:
+    box = Box(320.0, 240.0, 0.4, 0.4)
+    assert Bench().offer(candidate(1, 13.0, box=box)) is None
+    assert isinstance(Bench().see(0, box=box), Target)
+
+
+def test_a_pose_of_no_uncertainty_is_a_pose() -> None:
+    assert Bench().offer(candidate(1, 13.0, sigma_m=0.0)) is None
+
+
+@pytest.mark.parametrize(("age_ns", "reason"), [(500 * MS, None), (500 * MS + 1, MissReason.STALE)])
+def test_a_candidate_is_evidence_until_it_is_too_old(age_ns: int, reason: MissReason | None) -> None:
+    message = candidate(1, 13.0)
+    refused = Bench().sender.offer(message, LATE_NS, LATE_NS + age_ns)
+    assert refused == (None if reason is None else Missed(reason, ignored=True))
+
+
+@pytest.mark.parametrize(("early_ns", "reason"), [(50 * MS, None), (50 * MS + 1, MissReason.CLOCK)])
+def test_a_candidate_may_come_a_little_before_its_time(early_ns: int, reason: MissReason | None) -> None:
+    message = candidate(9, 173.0)
+    refused = Bench().sender.offer(message, LATE_NS, LATE_NS - early_ns)
+    assert refused == (None if reason is None else Missed(reason, ignored=True))
+
+
+def test_a_candidate_of_the_very_instant_of_a_frame_is_judged_with_that_frame() -> None:
+    bench = Bench()
+    bench.see(0)
+    bench.offer(candidate(1, 20.0))
+    assert bench.sender.evaluate_ready(PERIOD) == []
+    bench.see(1)
+    (pair,) = bench.sender.evaluate_ready(PERIOD)
+    assert isinstance(pair.verdict, Agreed)
+    assert pair.own_box == own_box(20.0)
+
+
+@pytest.mark.parametrize("more", [0.0, 1e-9])
+def test_a_pair_agrees_when_it_reaches_what_is_asked_of_it(monkeypatch: pytest.MonkeyPatch, more: float) -> None:
+    (usual,) = Bench().run(1)
+    assert isinstance(usual.verdict, Agreed)
+    asked = usual.verdict.iou + more
+
+    def threshold(z_m: float, _config: MethodConfig) -> float:
+        assert z_m == pytest.approx(DEPTH_M)
+        return asked
+
+    monkeypatch.setattr("path.cycle.sender.threshold", threshold)
+    (pair,) = Bench().run(1)
+    assert pair.tau == asked
+    assert isinstance(pair.verdict, Missed if more else Agreed)
+
+
+@pytest.mark.parametrize("more", [0.0, 1e-6])
+def test_a_pose_at_the_limit_of_its_uncertainty_is_compared(more: float) -> None:
+    bench = Bench()
+    bench.run(3)
+    (pair,) = bench.step(4, sigma_m=CONFIG.pose_sigma_limit_m + more)
+    assert isinstance(pair.verdict, Missed if more else Agreed)
+
+
+@pytest.mark.parametrize("more_ms", [0, 1])
+def test_an_answer_may_rest_on_a_sample_as_old_as_a_candidate_may_be(more_ms: int) -> None:
+    bench = Bench()
+    for index in range(29):
+        bench.see(index)
+    bench.offer(candidate(1, 540.0 + more_ms, target_sequence=2))  # whose frame was taken at 40 ms
+    (pair,) = bench.sender.evaluate_ready(28 * PERIOD)
+    assert isinstance(pair.verdict, Missed if more_ms else Agreed)
+
+
+def test_a_message_carries_the_low_bits_of_its_frame_s_number() -> None:
+    bench = Bench()
+    sent = bench.see(65_536 + 7)
+    assert isinstance(sent, Target)
+    assert sent.sequence == 7 and sent.capture_ns == (65_536 + 7) * PERIOD
+    assert (sent.handoff_id, sent.epoch, sent.target_id, sent.gravity_v) == (1, 2, 3, GRAVITY)
+    expected = T_V_C1.apply(place(0.0))
+    assert sent.point_v_m == pytest.approx(tuple(expected.tolist()), abs=0.02)
