@@ -119,7 +119,8 @@ def test_where_the_sender_is_follows_from_both_headings_and_both_mountings() -> 
     own = turned((-1.0, 0.5, -2.0), 1.2)
     camera = np.array(own.position_n_m) + R_from_rpy(0.0, 0.0, 1.2) @ mount.T_b_c.t
     marker = np.array(PEER.position_n_m) + R_from_rpy(0.0, 0.0, 0.7) @ (-0.2, 0.15, -0.05)
-    assert guide._reported(own, (0.1, 0.2, 0.3)) == pytest.approx(tuple(marker + (0.1, 0.2, 0.3) - camera))
+    shift = np.array([0.1, 0.2, 0.3])
+    assert guide._reported(own, (0.1, 0.2, 0.3)) == pytest.approx(tuple(marker + shift - camera))
     measured = (1.5, -0.5, 0.4)
     guide.note_seen(own, measured)
     assert guide._shift_n_m is not None
@@ -160,6 +161,23 @@ def test_the_approach_is_slower_while_the_marker_s_pose_is_unsure(sigmas: float,
     assert norm(velocity) == pytest.approx(share * RULES.max_speed_mps)
     error = add(from_heading((-1.2, 0.1, -0.6), PEER.yaw_rad), seen.marker_n_m)
     assert scale(velocity, 1.0 / norm(velocity)) == pytest.approx(scale(error, 1.0 / norm(error)))
+
+
+def test_at_the_very_bound_a_drone_has_not_arrived(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = Seen()
+    guide = rendezvous(CONFIG, seen)
+    off: list[Vec3] = [(0.0, 0.0, 0.0)]
+
+    def off_viewpoint(_marker_n_m: Vec3) -> Vec3:
+        return off[0]
+
+    monkeypatch.setattr(guide, "_off_viewpoint", off_viewpoint)
+    assert guide.at_viewpoint()
+    seen.velocity_n_mps = (RULES.arrived_speed_mps, 0.0, 0.0)
+    assert not guide.at_viewpoint()
+    seen.velocity_n_mps = (0.0, 0.0, 0.0)
+    off[0] = (RULES.arrived_m, 0.0, 0.0)
+    assert not guide.at_viewpoint()
 
 
 def test_near_the_viewpoint_the_approach_slows_down_with_what_is_missing() -> None:
