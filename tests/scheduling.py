@@ -51,6 +51,11 @@ REAL_TIME = (
 COMPUTES = (
     "contracts/test_log_for_strangers",
     "drivers/detectors/",
+    "drivers/link/test_end",
+    "drivers/link/test_framing",
+    "drivers/link/test_units",
+    "drivers/link/test_wire",
+    "drivers/rig/",
     "hil/autopilot/",
     "hil/camera/test_pictures",
     "hil/camera/test_pipeline",
@@ -61,15 +66,13 @@ COMPUTES = (
     "hil/vehicle/test_busy_world",
     "hil/world/",
 )
-# What of it waits most of its time, and has no port that is not its own: beside the rest, in a worker of its own.
-BESIDE = (
-    "contracts/",
-    "drivers/mavlink/",
-    "flight/test_ceiling",
-    "hil/vehicle/",
-    "missions/guard/test_command",
-)
-FLIGHTS, IN_REAL_TIME, BESIDE_REAL_TIME = "flights", "real time", "real time, beside the rest"
+FLIGHTS, IN_REAL_TIME = "flights", "real time"
+# What of it waits most of its time, and has no port that is not its own: in workers of their own, beside the rest. Each
+# takes about as long as what is left.
+BESIDE = {
+    "real time, vehicles": ("drivers/mavlink/", "flight/test_ceiling", "missions/guard/test_command"),
+    "real time, contracts": ("contracts/", "drivers/tello/", "hil/vehicle/"),
+}
 APART = ("scenarios/test_sim",)  # long tests that share nothing
 # What takes longest of what computes. A worker is given up to three groups ahead: the last ones must be short.
 LONG = (
@@ -88,14 +91,14 @@ BEGAN = os.getpriority(os.PRIO_PROCESS, 0)
 
 
 def group_of(nodeid: str) -> str:
-    """The group of a test, which stays in one worker: flights, one of the two in real time, or its module."""
+    """The group of a test, which stays in one worker: flights, one of those in real time, or its module."""
     test = nodeid.removeprefix("tests/")
     if test.startswith(FLYING):
         return FLIGHTS
     if test.startswith(APART):
         return nodeid
     if test.startswith(REAL_TIME) and not test.startswith(COMPUTES):
-        return BESIDE_REAL_TIME if test.startswith(BESIDE) else IN_REAL_TIME
+        return next((group for group, tests in BESIDE.items() if test.startswith(tests)), IN_REAL_TIME)
     return test.split("::", maxsplit=1)[0]
 
 
@@ -103,7 +106,7 @@ def urgency(group: str) -> int:
     """Returns which groups go first: the lower the sooner."""
     if group == FLIGHTS:
         return 0
-    if group in (IN_REAL_TIME, BESIDE_REAL_TIME):
+    if group == IN_REAL_TIME or group in BESIDE:
         return 1
     return 2 if group.removeprefix("tests/").startswith(LONG) else 3
 
