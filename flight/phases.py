@@ -24,6 +24,13 @@ class Phase(IntEnum):
     DONE = 11
     MISSION = 12  # of a mission of your own, from preflight to its end
 
+    def reached(self, phase: int) -> bool:
+        """Return whether a drone in ``phase`` has come so far on the course of a hand-over, or farther.
+
+        A drone that flies a mission of its own is nowhere on that course.
+        """
+        return self <= phase <= Phase.DONE
+
     @property
     def title(self) -> str:
         return self.name.lower().replace("_", "-")

@@ -65,12 +65,14 @@ class FlightPrograms:
         arguments: what ``path-handoff`` is told to fly it in a process of its own, before what all such are told.
         good: how both end when all goes well.
         elsewhere: processes of their own are started by a person, in other shells.
+        mission: file of a mission of somebody's own; "" for a hand-over.
     """
 
     main: RoleMain
     arguments: Callable[[Role], Sequence[str]]
     good: Outcome
     elsewhere: bool = False
+    mission: str = ""
 
 
 HANDOFF = FlightPrograms(fly_role, lambda role: (role.value,), Outcome.COMMITTED)
@@ -118,6 +120,7 @@ def fly_once(
         errors=dict(report.errors),
         scene=report.scene,
         slow=dict(report.slow),
+        mission=programs.mission,
     )
     try:
         if not (out / RUN.marker).exists():

@@ -29,6 +29,7 @@ class Designating:
 
     Args:
         points: what somebody who goes on pointing says now; None when nobody does.
+        first: what is known from the beginning; None: what the rig's mission says.
     """
 
     def __init__(
@@ -37,11 +38,12 @@ class Designating:
         camera: CameraModel,
         look_round: LookRound,
         points: Callable[[], PlaceTold | None],
+        first: PlaceTold | None = None,
     ) -> None:
         self._session, self._camera, self._look_round = session, camera, look_round
         self._acquisition = Acquisition(camera, session.rig.method, session.config)
         self._points = points
-        self._begun_ns = session.now_ns()
+        self._first = first or session.config.target.told(session.now_ns())
         self._told_first = False
         self._asked: Question | None = None
         self._view: View | None = None
@@ -62,7 +64,7 @@ class Designating:
             self._tell(pointed)
         elif not self._told_first:
             self._told_first = True
-            self._tell(session.config.target.told(self._begun_ns))
+            self._tell(self._first)
         if operator is None:
             return
         for said in operator.heard():
@@ -122,7 +124,7 @@ class Designating:
             self.hear()
         found = self._acquisition.where(now_ns)
         if found is None:
-            north, east, down = add(config.target.told(self._begun_ns).place_n_m, self._session.off_n_m)
+            north, east, down = add(self._first.place_n_m, self._session.off_n_m)
             return (north, east, down), _WIDEST
         place, radius_m = found
         range_m = (config.follow.behind_m**2 + (config.follow.height_m - config.target.height_m) ** 2) ** 0.5

@@ -96,9 +96,15 @@ class Receiver:
     # --- course --------------------------------------------------------------------------------------------------
 
     async def course(self) -> None:
-        session, config, deadlines = self._session, self._config, self._config.deadlines
         await self._handover.resume()
-        await preflight(session)
+        await preflight(self._session)
+        await self.take_over()
+        await asyncio.sleep(self._config.follow_after_s)
+        await self.still_in_view()
+
+    async def take_over(self) -> None:
+        """Wait for the sender's offer, fly to a viewpoint, and return once this drone holds the target for good."""
+        session, config, deadlines = self._session, self._config, self._config.deadlines
         session.spawn(self._watch_peer())
         self._handover.start()
 
@@ -125,10 +131,12 @@ class Receiver:
 
         session.enter(Phase.FOLLOW, "responsible for the target")
         self._taken_ns = session.now_ns()
-        await asyncio.sleep(config.follow_after_s)
+
+    async def still_in_view(self) -> None:
+        """Wait until the target that was taken over is in view. Raises MissionEnd when it is lost."""
+        wait_s, lost = self._config.deadlines.target_regain_s, Outcome.TARGET_LOST
         try:
-            lost = Outcome.TARGET_LOST
-            await session.until(self._in_view, deadlines.target_regain_s, lost, "the target was not seen")
+            await self._session.until(self._in_view, wait_s, lost, "the target was not seen")
         except MissionEnd as end:
             raise self._lost(end.detail) from end
 
@@ -275,7 +283,7 @@ class Receiver:
         while not self._handover.holds_for_good:
             if not self._handover.within_lease:
                 session.require_peer()
-                if session.peer is not None and session.peer.phase >= Phase.DEPART:
+                if session.peer is not None and Phase.DEPART.reached(session.peer.phase):
                     raise MissionEnd(Outcome.PEER_ABORTED, "the sender is on its way down")
             await asyncio.sleep(_PEER_POLL_S)
 

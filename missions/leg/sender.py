@@ -53,7 +53,8 @@ _WIDER = 1.4  # times the distance, to see it again
 class Sender:
     """The sender's course and what it does with every frame and message."""
 
-    def __init__(self, session: RoleSession, store: RecordStore) -> None:
+    def __init__(self, session: RoleSession, store: RecordStore, told: PlaceTold | None = None) -> None:
+        """``told``: where the target is; None: what the rig's mission says."""
         rig, config = session.rig, session.config
         self._session = session
         self._config: MissionConfig = config
@@ -67,7 +68,7 @@ class Sender:
         self._largest = LargestBox.of(self._camera, rig.method)
         self._ranging = Ranging.of(config, rig.method)
         self._look_round = LookRound(config)
-        self._designating = Designating(session, self._camera, self._look_round, self._pointed_at)
+        self._designating = Designating(session, self._camera, self._look_round, self._pointed_at, told)
         self._watching = True
         self._handover = SenderHandover(session, store)
         self._side: SenderSide | None = None
@@ -182,12 +183,12 @@ class Sender:
     def _may_regain(self) -> bool:
         """Returns whether there is room to back off: the receiver is not on its way to this drone yet."""
         peer = self._session.peer
-        return peer is None or peer.phase < Phase.STAND_OFF
+        return peer is None or not Phase.STAND_OFF.reached(peer.phase)
 
     def _comes_near(self) -> bool:
         """Return whether the receiver is near this drone, or was closing in on it when it was last heard."""
         session, peer = self._session, self._session.peer
-        return session.phase is Phase.VERIFY or (peer is not None and peer.phase >= Phase.APPROACH)
+        return session.phase is Phase.VERIFY or (peer is not None and Phase.APPROACH.reached(peer.phase))
 
     def _regaining(self) -> bool:
         """The target was out of sight for a while: more of the ground is seen from farther off."""
@@ -267,7 +268,8 @@ class Sender:
                 self._try_to_acquire(view, R_n_b)
             else:
                 self._cycle_once(view, R_n_b, self._track)
-            if session.phase is not Phase.VERIFY and (session.peer is None or session.peer.phase < Phase.SEARCH):
+            far = session.peer is None or not Phase.SEARCH.reached(session.peer.phase)
+            if far and session.phase is not Phase.VERIFY:
                 await session.skip_frames()
 
     async def _watch_peer(self) -> None:

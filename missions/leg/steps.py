@@ -116,7 +116,7 @@ def _aligned(session: RoleSession) -> bool:
 async def check_alike(session: RoleSession) -> None:
     """Raise MissionEnd(RIGS_DIFFER) when the other drone has something otherwise that both must have alike."""
     peer = session.peer
-    if session.peer_alike is None and peer is not None and peer.phase >= Phase.VERIFY:
+    if session.peer_alike is None and peer is not None and Phase.VERIFY.reached(peer.phase):
         # drones that verify leave it out of their Status, and were alike before: this program is a later one
         session.log.write("/alike", session.now_ns(), {"differing": ""})
         return

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
-from typing import Any, TextIO
-
-from rich.console import Group
-from rich.text import Text
 
 from drivers.rig.check import check_ready
 from drivers.rig.parts import Rig, with_errors
@@ -24,20 +19,11 @@ from missions.options.field import RoleOptions
 from missions.options.flights import FlyOptions
 from missions.own.load import load_mission
 from missions.own.program import OwnMission
-from missions.report.command import figure, outcome_line, phase_table, show, violations
+from missions.report.command import make_report
 from missions.report.progress import open_console
-from missions.report.records import SUMMARY, RunFacts, load_run
-from missions.report.summary import summarize
-from missions.report.tables import figures_grid
+from missions.report.records import RunFacts
 from missions.run_folder import unless_refused
 from path.messages import Role
-
-KEPT = (
-    "outcome", "exit_code", "detail", "rig", "level", "seed", "faults", "notes", "errors", "roles", "simulated_s",
-    "wall_s", "realtime_factor", "min_separation_m", "separation_limit_m", "link_sent_bytes_per_s", "setpoint_gap_s",
-    "monitors", "phases",
-)  # fmt: skip
-"""The part of a run's summary that has nothing to do with a hand-over."""
 
 
 def run(options: FlyOptions) -> int:
@@ -54,7 +40,7 @@ def run(options: FlyOptions) -> int:
     with unless_refused(options.out) as folder:
         with live(options.live, folder), open_console(sys.stdout) as console:
             facts = fly_once(rig, options.seed, options.fault, folder, console.show, programs)
-        return reported(facts, folder, lambda: report(folder, sys.stdout))
+        return reported(facts, folder, lambda: make_report(folder, True, sys.stdout))
 
 
 def fly_mission(mission: Path, rig: Rig, seed: int, faults: tuple[str, ...], out: Path, emit: Emit) -> RunFacts:
@@ -65,20 +51,4 @@ def fly_mission(mission: Path, rig: Rig, seed: int, faults: tuple[str, ...], out
 def programs_of(mission: Path) -> FlightPrograms:
     """Returns how both drones fly a mission, in a harness's process or in processes of their own. Raises PartError."""
     own, file = OwnMission(load_mission(mission)), str(mission.resolve())
-    return FlightPrograms(own, lambda role: ("fly", file, "--drone", role.value), Outcome.FLOWN)
-
-
-def report(folder: Path, stream: TextIO) -> dict[str, Any]:
-    """Write summary.json into a run's folder and show the table. Returns the summary."""
-    whole = summarize(load_run(folder))
-    summary = {key: whole[key] for key in KEPT}
-    (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
-    rows = (
-        ("smallest separation", figure(summary["min_separation_m"], "m", 2)),
-        ("monitors", violations(summary["monitors"])),
-        ("speed", f"{figure(summary['realtime_factor'], '', 1)} x real time ({figure(summary['wall_s'], 's', 1)})"),
-    )
-    phases = phase_table(summary["phases"])
-    show(Group(Text(), *outcome_line(summary), Text(), phases, Text(), figures_grid(rows)), stream)
-    stream.write(f"\n{folder}: {SUMMARY}\n")
-    return summary
+    return FlightPrograms(own, lambda role: ("fly", file, "--drone", role.value), Outcome.FLOWN, mission=str(mission))

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Any, NoReturn
 
-from drivers.interfaces import Received, VehicleState, VelocitySetpoint, View
+from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
 from drivers.rig.parts import Rig
 from flight.camera_pose import CameraPose
 from flight.guidance import Anchor, Vec3, norm, subtract
@@ -18,11 +18,12 @@ from flight.tracking.objects import MIN_SCORE
 from flight.tracking.places import place
 from missions.leg.journal import frame_record
 from missions.leg.session import RoleSession
-from missions.leg.steps import take_off
+from missions.leg.steps import bring_down, take_off
+from missions.own.handing import Giving, Taking
 from path.camera.model import CameraModel
 from path.geometry.rotation import yaw_of
 from path.geometry.transforms import Pose
-from path.messages import Message, Status
+from path.messages import Message, Role, Status
 from path.observations import Box
 
 _CLIMB_GAIN_PER_S = 0.8
@@ -42,8 +43,10 @@ class Drone:
         observing: what the other drone hears of this one in ``other.observing``.
     """
 
-    def __init__(self, session: RoleSession) -> None:
+    def __init__(self, session: RoleSession, store: RecordStore) -> None:
         self._session = session
+        self._store = store
+        self._handing: Giving | Taking | None = None
         self._camera_pose = CameraPose(session.vehicle, session.own.mount)
         self.name: str = session.role.value
         self.rig: Rig = session.rig
@@ -70,7 +73,10 @@ class Drone:
         """Arm, climb and stay there. Ends the mission when the vehicle refuses."""
         if self._session.pilot.in_control:
             self.fail("take_off in the air")
-        await take_off(self._session, height_m)
+        session = self._session
+        config = session.config
+        session.note_home(config.target.home_m if session.role is Role.SENDER else config.rendezvous.home_m)
+        await take_off(session, height_m)
         self._session.enter(Phase.MISSION)
 
     async def fly_to(
@@ -165,6 +171,52 @@ class Drone:
     def on_message(self, heard: Callable[[Received], None]) -> None:
         """Have this called with every message that is neither a status nor of the clocks; it must not block."""
         self._session.on_message = heard
+
+    # --- handing over -------------------------------------------------------------------------------------------
+
+    async def hand_over(self, place_n_m: Vec3 | None = None, *, error_m: float = 0.5, to: str = "receiver") -> None:
+        """Find the object at a place, follow it, and hand it over with proof; the other drone calls ``take_over``.
+
+        Returns once the other drone holds it; this one has then made room, and stays. Of two objects that it could be
+        neither is taken. The mission ends with the outcome of a hand-over (``target_not_found``, ``no_agreement`` ...)
+        when it does not come to that.
+
+        Args:
+            place_n_m: where the object was seen last, as ``objects`` gives it; None: where the rig's mission says.
+            error_m: standard deviation of that place, the same on each axis.
+            to: who takes it over: ``receiver``, whose camera sees the marker that this drone carries.
+        """
+        if self._session.role is not Role.SENDER:
+            self.fail("only the sender carries the marker: it hands over, the receiver takes over")
+        if to != Role.RECEIVER.value:
+            self.fail(f"there is no drone {to!r} that could take the target over: to is 'receiver'")
+        if not self._session.pilot.in_control:
+            self.fail("to hand over it has to take off first: await drone.take_off(height_m)")
+        giving = Giving(self._session, self._store, place_n_m, error_m)
+        self._handing = giving
+        await giving.give()
+        self.stay()
+
+    async def take_over(self, *, then_follow_s: float = 0.0) -> None:
+        """Take the sender's target over: wait for its offer, fly to where marker and target are seen, and verify.
+
+        Takes off by itself when it is on the ground. Returns once this drone is responsible for the target and has
+        followed it for ``then_follow_s``; the mission ends with the outcome of a hand-over when it does not come to it.
+        """
+        if self._session.role is not Role.RECEIVER:
+            self.fail("the sender carries the marker: it hands over, the receiver takes over")
+        taking = Taking(self._session, self._store)
+        self._handing = taking
+        await taking.take()
+        await taking.keep(then_follow_s)
+        taking.let_go()
+        self.stay()
+
+    async def recover(self, end: MissionEnd | None) -> bool:
+        """Bring the vehicle down, out of the other drone's way where it was handing over. For the program's end."""
+        if self._handing is not None:
+            return await self._handing.recover(end)
+        return await bring_down(self._session, end, Anchor(self.position_n_m, yaw_of(self.state.q_n_b)))
 
     # --- the course ---------------------------------------------------------------------------------------------
 

@@ -7,18 +7,16 @@ from contextlib import AsyncExitStack
 from dataclasses import dataclass
 
 from drivers.rig.parts import Rig
-from flight.guidance import Anchor
 from flight.harness.flights import ProgramContext, RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from missions.leg.course import fly_course
 from missions.leg.opening import open_session
 from missions.leg.session import RoleSession
-from missions.leg.steps import bring_down, preflight
+from missions.leg.steps import preflight
 from missions.own.drone import Drone
 from missions.own.load import Mission
 from missions.rig_library import mission_of
-from path.geometry.rotation import yaw_of
 from path.messages import Role
 
 
@@ -35,25 +33,21 @@ class OwnMission:
         """
         async with AsyncExitStack() as stack:
             session = await open_session(stack, rig, role, mission_of(rig), given)
+            drone = Drone(session, given.store)
             return await fly_course(
                 session,
-                lambda: _course(session, self.missions[role]),
-                lambda end: _recover(session, end),
+                lambda: _course(session, self.missions[role], drone),
+                drone.recover,
                 good=Outcome.FLOWN,
             )
 
 
-async def _course(session: RoleSession, mission: Mission) -> None:
+async def _course(session: RoleSession, mission: Mission, drone: Drone) -> None:
     if session.vehicle.state.armed:
         raise MissionEnd(Outcome.RESTARTED, "started again in the air")
     await preflight(session)
     session.enter(Phase.MISSION)
     try:
-        await mission(Drone(session))
+        await mission(drone)
     except KeyboardInterrupt as error:  # would end the program with its drone in the air
         raise MissionEnd(Outcome.CRASHED, f"the mission raised {type(error).__name__}") from error
-
-
-async def _recover(session: RoleSession, end: MissionEnd | None) -> bool:
-    state = session.vehicle.state
-    return await bring_down(session, end, Anchor(state.position_n_m, yaw_of(state.q_n_b)))

@@ -65,6 +65,7 @@ class Showing:
         faults = "".join(f" --fault {fault}" for fault in summary["faults"])
         return PageOf(
             outcome=summary["outcome"],
+            good=not summary["exit_code"],
             why=summary["detail"] or self.why(summary),
             command=f"path-handoff {self.name} {asked}{faults}",
             figures=self.rows(summary),

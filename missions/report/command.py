@@ -36,6 +36,14 @@ from missions.report.tables import counts_text, figures_grid, plain_table, sum_o
 from path.messages import Role
 
 Rows = list[tuple[str, str]]
+HANDED = "t_commit_s"
+OF_ANY_FLIGHT = (
+    "outcome", "exit_code", "detail", "rig", "level", "seed", "faults", "notes", "errors", "roles", "simulated_s",
+    "wall_s", "realtime_factor", "min_separation_m", "separation_limit_m", "link_sent_bytes_per_s", "setpoint_gap_s",
+    "monitors", "phases",
+)  # fmt: skip
+"""What a summary says of a mission in which nothing was handed over."""
+_GOOD = (Outcome.COMMITTED.label, Outcome.FLOWN.label)
 
 
 def run(options: ReportOptions) -> int:
@@ -62,8 +70,11 @@ def make_report(folder: Path, picture: bool, stream: TextIO) -> dict[str, Any]:
 def _write_report(folder: Path, picture: bool) -> dict[str, Any]:
     recorded = load_run(folder)
     summary = summarize(recorded)
+    own = recorded.facts is not None and recorded.facts.mission
+    if own and summary["t_commit_s"] is None:
+        summary = {name: summary[name] for name in OF_ANY_FLIGHT}
     (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
-    if picture:
+    if picture and HANDED in summary:
         from missions.report.picture import draw_run  # noqa: PLC0415 (matplotlib takes a second to import)
 
         draw_run(recorded, summary, folder / PICTURE)
@@ -85,6 +96,7 @@ def _page_of(recorded: RunRecords, summary: Mapping[str, Any], folder: Path) -> 
     why = summary["detail"] if recorded.facts and summary["detail"] else _ending(recorded, summary)
     return PageOf(
         outcome=outcome,
+        good=outcome in _GOOD,
         why=why,
         command=_command(recorded.facts),
         figures=_figure_rows(summary),
@@ -95,6 +107,8 @@ def _page_of(recorded: RunRecords, summary: Mapping[str, Any], folder: Path) -> 
 
 def _ending(recorded: RunRecords, summary: Mapping[str, Any]) -> str:
     """Returns how a run ended, in a sentence; of one drone's flight in the field as well, which has no facts."""
+    if summary["outcome"] == Outcome.FLOWN.label:
+        return Outcome.FLOWN.meaning
     if summary["outcome"] == Outcome.COMMITTED.label:
         return f"{Outcome.COMMITTED.meaning}, {figure(summary['t_commit_s'], 's', 1)} after the start"
     ends = [f"{role.value}: {end.record['detail'] or end.record['outcome']}"
@@ -108,7 +122,8 @@ def _command(facts: RunFacts | None) -> str:
     faults = "".join(f" --fault {fault}" for fault in facts.faults)
     level = facts.errors.get("level", "")
     said = (f" --errors {level}" if level else "") + (f" --scene {facts.scene}" if facts.scene else "")
-    return f"path-handoff handoff --rig {facts.rig} --seed {facts.seed}{said}{faults}"
+    flown = f"fly {facts.mission}" if facts.mission else "handoff"
+    return f"path-handoff {flown} --rig {facts.rig} --seed {facts.seed}{said}{faults}"
 
 
 def show(content: RenderableType, stream: TextIO) -> None:
@@ -158,6 +173,12 @@ def phase_table(phases: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table:
 
 def _figure_rows(s: Mapping[str, Any]) -> Rows:
     """(name, value) in reading order; values that are not known are a dash."""
+    if HANDED not in s:
+        return [
+            ("smallest separation", _separation(s)),
+            ("monitors", violations(s["monitors"])),
+            ("speed", _speed(s)),
+        ]
     frames = [
         f"{name} {figure(f['hz'], 'Hz', 1)}, {figure(f['missed'], 'missed', 0)}" for name, f in s["frames"].items()
     ]
@@ -184,8 +205,12 @@ def _figure_rows(s: Mapping[str, Any]) -> Rows:
         ("D1 behind the target", _following(s)),
         ("link, both ways", f"{figure(s['link_bytes_per_s'], 'B/s', 0)} ({', '.join(link)})"),
         ("monitors", violations(s["monitors"])),
-        ("speed", f"{figure(s['realtime_factor'], '', 1)} x real time ({figure(s['wall_s'], 's', 1)})"),
+        ("speed", _speed(s)),
     ]
+
+
+def _speed(summary: Mapping[str, Any]) -> str:
+    return f"{figure(summary['realtime_factor'], '', 1)} x real time ({figure(summary['wall_s'], 's', 1)})"
 
 
 def _seconds(gone: Mapping[str, float]) -> str:

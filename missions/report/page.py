@@ -37,6 +37,7 @@ class PageOf:
     """The facts of a run beside its drones' logs."""
 
     outcome: str
+    good: bool
     why: str
     command: str
     figures: Sequence[tuple[str, str]]
@@ -46,9 +47,9 @@ class PageOf:
 
 def write_page(path: Path, run: PageOf, logs: Mapping[str, Records]) -> None:
     """``logs``: of each drone, by its name. Raises OSError."""
-    good = run.outcome == "committed"
+    badge = "good" if run.good else "bad"
     parts = [
-        f"<h1><span class='badge {'good' if good else 'bad'}'>{escape(run.outcome)}</span> {escape(run.why)}</h1>",
+        f"<h1><span class='badge {badge}'>{escape(run.outcome)}</span> {escape(run.why)}</h1>",
         f"<p><b>What to do next.</b> {escape(advice(run.outcome))}</p>",
         *(f"<p>{escape(note)}</p>" for note in run.notes),
         f"<p class='dim'>Made by <code>{escape(run.command)}</code></p>",

@@ -49,6 +49,7 @@ class RunFacts:
         simulated_s, wall_s: duration on the mission's clock and on the wall.
         violations: number of violations by monitor name.
         notes: lines for the crew, details of violations.
+        mission: file of a mission of somebody's own that was flown; "" for a hand-over.
         errors, scene, slow: of the world, as ``flight.harness.flights.FlightReport`` has them.
     """
 
@@ -66,6 +67,7 @@ class RunFacts:
     errors: dict[str, str | float] = field(default_factory=dict[str, str | float])
     scene: str = ""
     slow: dict[str, float] = field(default_factory=dict[str, float])
+    mission: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,9 @@ import pytest
 from drivers.interfaces import PartError
 from flight.outcome import Outcome
 from missions import rig_library
-from missions.own.command import fly_mission, report
+from missions.own.command import fly_mission
 from missions.own.load import load_mission
+from missions.report.command import make_report
 from missions.report.records import RunFacts, load_run
 from missions.report.truth import truth_of
 from path.messages import Role
@@ -85,8 +86,10 @@ def test_the_search_finds_what_is_there_and_both_come_home(rig: str, seed: int, 
 
 def test_its_table_and_summary_say_how_it_went(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fly(SEARCH, tmp_path, 11)
-    summary = report(tmp_path, sys.stdout)
-    assert (tmp_path / "summary.json").is_file()
+    summary = make_report(tmp_path, True, sys.stdout)
+    assert (tmp_path / "summary.json").is_file() and not (tmp_path / "run.png").exists()
+    page = (tmp_path / "run.html").read_text("utf-8")
+    assert "badge good" in page and f"path-handoff fly {SEARCH} --rig sim --seed 11" in page
     assert summary["outcome"] == "flown"
     assert summary["min_separation_m"] > summary["separation_limit_m"]
     assert [phase["phase"] for phase in summary["phases"]["sender"]][-3:] == ["depart", "land", "done"]
