@@ -165,7 +165,7 @@ def test_a_prior_that_is_forced_onto_another_object(
     beside_m: float, object_m: float, seen: bool, handed_over: bool
 ) -> None:
     """A pose that is off by as much as lies between the objects, all but ``beside_m``: by the same wrong pose the other
-    object's box is mapped to that far from the target. No frame can tell; docs/gates.md has the table.
+    object's box is mapped to that far from the target. No frame can tell (docs/gates.md).
     """
     rivals = ((beside_m - object_m, 0.0),) if seen else ()
     assert gate_after(2000, Offsets((beside_m, 0.0), rivals)).complete is handed_over
