@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from drivers.interfaces import PartError
@@ -16,6 +17,7 @@ from missions.trials.flights.beacon.session import BeaconSession, fly_session, l
 from missions.trials.flights.dynamic.flight import heard_of, reference_of
 from missions.trials.flights.dynamic.judge import SessionErrors, against_truth, measure, offset_error_s, true_path
 from missions.trials.flights.dynamic.pictures import draw_errors, draw_map
+from missions.trials.flights.errors import alignments
 from missions.trials.shared.trial import TrialPicture, TrialRequest, TrialResult, TrialTable
 
 TITLE = "Beacons: one session's trajectories against an ultrasonic reference"
@@ -34,11 +36,13 @@ def check(rig: Rig) -> None:
 def run(request: TrialRequest) -> TrialResult:
     rig = request.rig
     if request.quick and rig.name == RIG:
-        rig = rig_library.load(QUICK_RIG)
+        errors = {key: value for key, value in rig.world.items() if key == "errors"}
+        quick = rig_library.load(QUICK_RIG)
+        rig = replace(quick, world={**quick.world, **errors})
     if request.logs is not None:
         session = load_session(request.logs)
     elif rig.harness is not None:
-        (session,) = request.work.map("session flown", _fly, [(request, rig.file)])
+        (session,) = request.work.map("session flown", _fly, [(rig, request.seed, request.out)])
     else:
         return _recorded(request)
     heard = heard_of(session.fixes, reference_of(rig).mounted)
@@ -50,17 +54,16 @@ def run(request: TrialRequest) -> TrialResult:
             f"{session.folder}: the records of beacons and drones cannot be laid together: {error}",
             "were the beacons of [reference] in the air and rated well, and did D2 see the marker while they moved?",
         ) from error
-    segments = report.segments_of(flown, measured)
-    rows = report.errors_of(measured, segments, request.seed)
+    rows = report.rows_of(flown, measured, request.seed)
     report.write_errors(request.out / ERRORS, rows)
     error_s = _draw(session, flown, measured, request.out)
+    truth = session.truth
+    noise = None if truth is None else TrialTable("What the harness put in", ("what", "value"), truth.noise)
     return TrialResult(
         summary=report.summary(measured, rows, error_s),
-        findings=report.findings(measured, rows, error_s),
-        noise=None
-        if session.truth is None
-        else TrialTable("What the harness put in", ("what", "value"), session.truth.noise),
-        tables=(report.alignment(measured), report.table(rows)),
+        findings=tuple(report.findings(measured, rows, error_s)),
+        noise=noise,
+        tables=(alignments({session.folder.name: measured}), report.table(rows)),
         pictures=(
             TrialPicture("map.png", "From above: left in the beacons' frame, right seen from D1"),
             TrialPicture("errors.png", "Errors over time"),
@@ -69,9 +72,9 @@ def run(request: TrialRequest) -> TrialResult:
     )
 
 
-def _fly(order: tuple[TrialRequest, Path]) -> BeaconSession:
-    request, rig_file = order
-    return fly_session(rig_library.load(str(rig_file)), request.seed, new_folder(request.out / FLOWN))
+def _fly(order: tuple[Rig, int, Path]) -> BeaconSession:
+    rig, seed, out = order
+    return fly_session(rig, seed, new_folder(out / FLOWN))
 
 
 def _draw(session: BeaconSession, flown: RunRecords, measured: SessionErrors, out: Path) -> float | None:
@@ -97,7 +100,7 @@ def _recorded(request: TrialRequest) -> TrialResult:
     fixes = record_session(request.rig, request.out, request.seconds, show)
     note = (
         f"Copy sender.mcap and receiver.mcap into {request.out}, then: "
-        f"path-handoff trial beacon --rig {request.rig.file} --logs {request.out}"
+        f"path-handoff trial flights --only beacon --rig {request.rig.file} --logs {request.out}"
     )
     show(note)
     return TrialResult({"positions": len(fixes)}, (), notes=(note,))

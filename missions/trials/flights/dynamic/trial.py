@@ -19,8 +19,9 @@ from drivers.rig.parts import Rig
 from missions import rig_library
 from missions.trials.flights.dynamic import report
 from missions.trials.flights.dynamic.flight import VERIFY_S, FlightOrder, FlownSession, fly, moving, reference_of
-from missions.trials.flights.dynamic.judge import SUBJECTS, Compared, HarnessVerdict, judge, true_places
+from missions.trials.flights.dynamic.judge import SUBJECTS, HarnessVerdict, judge, true_places
 from missions.trials.flights.dynamic.pictures import draw_coast, draw_errors, draw_map
+from missions.trials.flights.errors import alignments, errors_of, spread, tilt_rad
 from missions.trials.shared.statistics import blocks_interval, rms
 from missions.trials.shared.trial import TrialPicture, TrialRequest, TrialResult
 
@@ -62,11 +63,17 @@ def run(request: TrialRequest) -> TrialResult:
     draw_errors(judged[0], request.out / "errors.png", judged[0].truth)
     draw_coast(judged, request.out / "coast.png")
     estimator = request.part("estimator")(**rig.world.get("estimator", {}))
+    by_seed = {f"seed {each.flown.seed}": each for each in judged}
     return TrialResult(
         summary=summary,
         findings=report.findings(summary),
         noise=report.noise(rig, estimator, flown[0]),
-        tables=(report.flights(judged), report.alignments(judged), report.errors(summary), report.coasts(summary)),
+        tables=(
+            report.flights(judged),
+            alignments(by_seed),
+            report.errors(summary),
+            report.coasts(summary),
+        ),
         pictures=(
             TrialPicture(
                 "map.png", "The flight with the first seed from above: left in the beacons' frame, right seen from D1"
@@ -82,7 +89,7 @@ def _summary(judged: Sequence[HarnessVerdict], rng: np.random.Generator) -> dict
     noise = [(each.noise_m, each.noise_samples) for each in judged if each.noise_samples]
     beacon_noise_m = math.sqrt(sum(s * s * n for s, n in noise) / sum(n for _, n in noise)) if noise else math.nan
     expected = {name: rms([each.beacons[name].expected_m for each in judged]) for name in SUBJECTS}
-    against = {name: _errors_of([each.beacons[name] for each in judged], rng) for name in SUBJECTS}
+    against = {name: errors_of([each.beacons[name] for each in judged], rng) for name in SUBJECTS}
     return {
         "flights": len(judged),
         "outcomes": [each.flown.outcome for each in judged],
@@ -97,7 +104,7 @@ def _summary(judged: Sequence[HarnessVerdict], rng: np.random.Generator) -> dict
                 "yaw_error_rad": each.yaw_error_rad,
                 **{f"shift_{name}_m": each.frame.shifts[k].tolist() for k, name in enumerate(SUBJECTS)},
                 **{f"shift_{name}_sigma_m": each.frame.shift_sigma_m[k] for k, name in enumerate(SUBJECTS)},
-                "tilt_if_free_rad": math.acos(min(1.0, float(each.free.R[2, 2]))),
+                "tilt_if_free_rad": tilt_rad(each),
             }
             for each in judged
         ],
@@ -107,51 +114,21 @@ def _summary(judged: Sequence[HarnessVerdict], rng: np.random.Generator) -> dict
         "ape_left_m": {
             name: math.sqrt(max(0.0, against[name]["rmse_m"] ** 2 - expected[name] ** 2)) for name in SUBJECTS
         },
-        "ape_truth": {name: _errors_of([each.truth[name] for each in judged], rng) for name in SUBJECTS},
+        "ape_truth": {name: errors_of([each.truth[name] for each in judged], rng) for name in SUBJECTS},
         "rpe": {
             name: {
-                "s": _spread(np.concatenate([each.beacons[name].rpe_s for each in judged])),
-                "m": _spread(np.concatenate([each.beacons[name].rpe_m for each in judged])),
+                "s": spread(np.concatenate([each.beacons[name].rpe_s for each in judged])),
+                "m": spread(np.concatenate([each.beacons[name].rpe_m for each in judged])),
             }
             for name in SUBJECTS
         },
         "rpe_truth": {
             "d2": {
-                "s": _spread(np.concatenate([each.truth["d2"].rpe_s for each in judged])),
-                "m": _spread(np.concatenate([each.truth["d2"].rpe_m for each in judged])),
+                "s": spread(np.concatenate([each.truth["d2"].rpe_s for each in judged])),
+                "m": spread(np.concatenate([each.truth["d2"].rpe_m for each in judged])),
             }
         },
         "coast": [_coast(judged, after_s, rng) for after_s in COASTS_S],
-    }
-
-
-def _errors_of(compared: Sequence[Compared], rng: np.random.Generator) -> dict[str, Any]:
-    """Returns errors of all flights together.
-
-    Intervals from a bootstrap over blocks of time, as neighbours are alike.
-    """
-    errors = np.concatenate([each.error_m for each in compared])
-    ends = np.cumsum([0, *(int(each.blocks.max(initial=-1)) + 1 for each in compared)])
-    groups = np.concatenate([each.blocks + end for each, end in zip(compared, ends[:-1], strict=True)])
-    low, high = blocks_interval(errors, groups, rng)
-    low2, high2 = blocks_interval(errors**2, groups, rng)
-    return {
-        **_spread(errors),
-        "mean_interval_m": [low, high],
-        "rmse_interval_m": [math.sqrt(low2), math.sqrt(high2)],
-    }
-
-
-def _spread(errors: Array) -> dict[str, Any]:
-    if not len(errors):
-        return {"n": 0, "rmse_m": None, "mean_m": None, "median_m": None, "p95_m": None, "max_m": None}
-    return {
-        "n": len(errors),
-        "rmse_m": rms(errors),
-        "mean_m": float(np.mean(errors)),
-        "median_m": float(np.median(errors)),
-        "p95_m": float(np.percentile(errors, 95)),
-        "max_m": float(np.max(errors)),
     }
 
 

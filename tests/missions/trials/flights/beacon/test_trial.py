@@ -138,9 +138,9 @@ def test_records_that_have_nothing_in_common_are_refused(live: FlownSession, tmp
         judged(tmp_path / "out", folder)
 
 
-def test_a_rig_without_beacons_is_refused(tmp_path: Path) -> None:
-    with open_work(1, io.StringIO()) as work, pytest.raises(PartError, match=r"\[reference\]: missing table"):
-        beacon.run(TrialRequest(rig_library.load("sitl"), tmp_path, 1, False, work))
+def test_a_rig_without_beacons_is_refused() -> None:
+    with pytest.raises(PartError, match=r"\[reference\]: missing table"):
+        beacon.check(rig_library.load("sitl"))
 
 
 def test_the_command_says_how_much_was_heard(live: FlownSession) -> None:
