@@ -23,7 +23,6 @@ FLYING = (
     "scenarios/test_own_sitl",
     "scenarios/test_relay_sitl",
     "scenarios/test_sitl",
-    "scenarios/test_unplugged",
 )
 # What has sockets, threads, processes and limits of its own: one at a time, and beside it what computes, and BESIDE.
 REAL_TIME = (
@@ -46,6 +45,7 @@ REAL_TIME = (
     "missions/trials/cost/link/test_trial",
     "missions/assurance/verify/test_attack",
     "missions/assurance/verify/test_run",
+    "scenarios/test_unplugged",
 )
 # What of these only computes.
 COMPUTES = (
