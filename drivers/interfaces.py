@@ -144,6 +144,20 @@ class FlightMode(Enum):
     OTHER = "other"
 
 
+@value
+class Below:
+    """What a rangefinder that looks down, along the body's own axis, measures.
+
+    Attributes:
+        stamp_ns: when it arrived, role clock.
+        sigma_m: its standard deviation, as it says; None when it does not.
+    """
+
+    stamp_ns: int
+    distance_m: float
+    sigma_m: float | None = None
+
+
 SURE = 2  # messages in a row: then a mode, or that a vehicle is not armed, is more than one packet's word
 
 
@@ -163,6 +177,7 @@ class VehicleState:
         position_sigma_m: horizontal standard deviation per axis, where the driver itself has to reckon the position.
         mode_told, armed_told: how many messages in a row have said this mode, and whether it is armed.
         resets: the autopilot's own count of the steps of its estimate; None where it does not tell one.
+        below: what a rangefinder that looks down says; None where there is none, or it says nothing at present.
     """
 
     stamp_ns: int
@@ -180,6 +195,7 @@ class VehicleState:
     armed_told: int = SURE
     battery_ns: int | None = None
     resets: int | None = None
+    below: Below | None = None
 
 
 @value

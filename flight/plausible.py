@@ -88,11 +88,12 @@ def _ranges(rig: Rig, mission: MissionConfig) -> Found:
             f"from {mission.follow.behind_m:g} m behind and {mission.follow.height_m:g} m above the ground the "
             "sender's camera, mounted as sender.mount.camera says, does not see the target",
         )
-    if not method.min_depth_m <= z <= method.max_depth_m:
+    if rig.height is None and not method.min_depth_m <= z <= method.max_depth_m:
         yield (
             "mission.follow",
             f"the target is {z:.2f} m before the sender's camera; depth is trusted within method.min_depth_m = "
-            f"{method.min_depth_m:g} m and method.max_depth_m = {method.max_depth_m:g} m",
+            f"{method.min_depth_m:g} m and method.max_depth_m = {method.max_depth_m:g} m; "
+            "beyond it a rangefinder would do, as [height] says it",
         )
 
 

@@ -30,6 +30,9 @@ DRONE: dict[str, Topic] = {
         {
             "frame_id": whole("of the camera; it only grows"),
             "age_ns": whole("capture to begin of the cycle, ns"),
+            "ground_down_m": number("of D1, where it is known: how far down the ground is in its frame, m"),
+            "ground_sigma_m": number("standard deviation of that, m"),
+            "ground_by": text("what it is known by: ground (its own height) or rangefinder"),
             "T_n_c": numbers("camera to north-east-down as believed, of D1 with record = all: rows of its matrix, m"),
         },
     ),

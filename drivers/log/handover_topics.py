@@ -63,6 +63,19 @@ HANDOVER: dict[str, Topic] = {
             "beside": numbers("objects beside the target, six each: box x y w h in px, depth, its deviation in m or 0"),
         },
     ),
+    "/both_views": Topic(
+        "D2's own reckoning of the target's place from both drones' views, for one answer; none of it is sent",
+        {
+            "sequence": whole("of D2's answer"),
+            "point_v_m": numbers("the target in the marker's frame, m, as D1 means it"),
+            "sigma_m": number("standard deviation of that where it is the least sure, m"),
+            "depth_m": number("of the target along D2's optical axis, m"),
+            "depth_sigma_m": number("standard deviation of that, m"),
+            "range_by": text("what that rests on most: views, depth, size"),
+            "chi2": number("of D2's line of sight against D1's point, two degrees of freedom"),
+            "agree": flag("no more than happens to one in a thousand; else the point is D1's alone"),
+        },
+    ),
     "/agreement": Topic(
         "D1 judged an answer of D2, or that none came",
         {

@@ -18,6 +18,7 @@ from drivers.interfaces import Clock, FlightMode, VehicleError, VehicleState
 from drivers.mavlink.battery import LOWEST_ID, FlightBattery
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.mavlink.modes import PX4, SAFETY_ARMED, AutopilotKind, powered, stopped_by
+from drivers.mavlink.rangefinder import Rangefinder
 from drivers.perception.history import StateHistory
 
 Vec3 = tuple[float, float, float]
@@ -139,6 +140,7 @@ class TelemetrySlots:
         self.health: dict[str, bool] = {}
         self.in_air = False
         self.battery = FlightBattery(battery_id)
+        self.rangefinder = Rangefinder()
         self.texts: tuple[Text, ...] = ()
         self.acks: dict[int, CommandAck] = {}
         self.parameter: Parameter | None = None
@@ -153,6 +155,7 @@ class TelemetrySlots:
         direct.subscribe_message("PARAM_VALUE", self._guarded(self._on_parameter))
         direct.subscribe_message("SYS_STATUS", self._guarded(self._on_sys_status))
         direct.subscribe_message("BATTERY_STATUS", self._guarded(self._on_battery))
+        direct.subscribe_message("DISTANCE_SENSOR", self._guarded(self._on_distance))
         direct.subscribe_message("ODOMETRY", self._guarded(self._on_odometry))
         direct.subscribe_message("AUTOPILOT_VERSION", self._guarded(self._on_version))
         telemetry.subscribe_status_text(self._guarded(self._on_text))
@@ -206,6 +209,7 @@ class TelemetrySlots:
             mode_told=self.mode_told,
             armed_told=heartbeat.told,
             resets=self.resets,
+            below=self.rangefinder.at(self.clock.now_ns()),
         )
 
     @property
@@ -306,6 +310,10 @@ class TelemetrySlots:
         """
         if self._of_autopilot(message):
             self.resets = int(json.loads(message.fields_json)["reset_counter"])
+
+    def _on_distance(self, message: Any) -> None:
+        if message.system_id == self._sysid:  # a companion computer may be the one that has it
+            self.rangefinder.on_distance(json.loads(message.fields_json), self.clock.now_ns())
 
     def _on_sys_status(self, message: Any) -> None:
         if self._of_autopilot(message):

@@ -28,10 +28,11 @@ SET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 511, 512
 # Message ids, for SET_MESSAGE_INTERVAL
 HEARTBEAT, SYS_STATUS, GPS_RAW_INT, ATTITUDE_QUATERNION, LOCAL_POSITION_NED = 0, 1, 24, 31, 32
 GLOBAL_POSITION_INT, BATTERY_STATUS, HOME_POSITION, EXTENDED_SYS_STATE = 33, 147, 242, 245
-AUTOPILOT_VERSION, CURRENT_MODE = 148, 436
+DISTANCE_SENSOR, AUTOPILOT_VERSION, CURRENT_MODE = 132, 148, 436
 
 FRAME_LOCAL_NED = 1
 MASK_VELOCITY_YAW = 2503  # ignore position, acceleration and yaw rate (POSITION_TARGET_TYPEMASK)
+RANGEFINDER_HZ = 10.0
 MODE_HZ = 20.0  # a pilot who takes the vehicle must not wait for the next heartbeat
 
 _FASTER = (
@@ -130,6 +131,17 @@ class MavsdkVehicle:
         if texts := telemetry.texts_since(0)[-3:]:
             findings.append(Finding("note", "says", " | ".join(texts)))
         return findings
+
+    async def rangefinder(self, timeout_s: float) -> tuple[str, str]:
+        """Listen for a rangefinder that looks down. Return what is wrong, empty when nothing is, and what it says."""
+        own = self._telemetry.rangefinder
+        await self._session.until(lambda: own.heard, timeout_s)
+        if not own.heard:
+            return "no DISTANCE_SENSOR that looks down (orientation 25) came", ""
+        below = own.at(self._clock.now_ns())
+        if below is None:  # on the ground it may be too near to it
+            return "", f"heard, it measures nothing at present: {own.trouble or 'its newest word is old'}"
+        return "", f"{below.distance_m:.2f} m above the ground"
 
     async def parameter_differences(self) -> tuple[Difference, ...]:
         """Returns the parameters that are not as the rig's ``parameters`` want them. Raises VehicleError."""
@@ -281,6 +293,7 @@ class MavsdkVehicle:
             GPS_RAW_INT: 2.0,
             BATTERY_STATUS: 1.0,
             HOME_POSITION: 1.0,
+            DISTANCE_SENSOR: RANGEFINDER_HZ,  # of one that has a rangefinder
         }
         for message, rate_hz in rates.items():
             if rate_hz <= 0.0:

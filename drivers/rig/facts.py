@@ -19,6 +19,9 @@ max_m = 6.0                  # how far the depth cameras can be trusted
 latency_s = 0.15             # one way
 loss = 0.2
 
+[height]
+rangefinder_max_m = 12.0     # how far the drones' rangefinders measure; leave out without one
+
 [site]
 wind_mps = 4.0               # the strongest mean wind to fly in
 """
@@ -121,6 +124,34 @@ class LinkFacts:
 
     latency_s: Annotated[float, Bounds(0.0, 2.0)] = 0.02
     loss: Annotated[float, Bounds(0.0, 0.9, "of 1")] = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class HeightFacts:
+    """How well the drones know their height over the ground that the target stands on. Level ground is meant.
+
+    Attributes:
+        drift_m: how far the autopilot's own height wanders in a minute (barometer; of PX4 and ArduPilot alike).
+        rangefinder_max_m, rangefinder_min_m: what rangefinders that look down measure between; 0: there are none.
+        rangefinder_sigma_m: of one measurement, scale included.
+        uneven_m: by how much the ground below a drone may be higher or lower than that at the target.
+    """
+
+    drift_m: Annotated[float, Bounds(0.0, 10.0)] = 0.3
+    rangefinder_max_m: Annotated[float, Bounds(0.0, 200.0)] = 0.0
+    rangefinder_min_m: Annotated[float, Bounds(0.0, 10.0)] = 0.1
+    rangefinder_sigma_m: Annotated[float, Bounds(0.001, 2.0)] = 0.05
+    uneven_m: Annotated[float, Bounds(0.0, 10.0)] = 0.05
+
+    def __post_init__(self) -> None:
+        if 0.0 < self.rangefinder_max_m <= self.rangefinder_min_m:
+            said = f"{self.rangefinder_max_m!r} is not above rangefinder_min_m = {self.rangefinder_min_m!r}"
+            raise ValueError(f"rangefinder_max_m: {said}")
+
+    @property
+    def has_rangefinder(self) -> bool:
+        """Return whether there are rangefinders."""
+        return self.rangefinder_max_m > 0.0
 
 
 DERIVED = (

@@ -40,7 +40,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from drivers.rig.calibration_file import CalibrationError, CameraTable, MountCalibration, read_camera
-from drivers.rig.facts import DepthFacts, DroneFacts, LinkFacts, SiteFacts, TargetFacts, without_derived
+from drivers.rig.facts import DepthFacts, DroneFacts, HeightFacts, LinkFacts, SiteFacts, TargetFacts, without_derived
 from drivers.rig.mounts import CalibrationName, CameraMount, MarkerPlace, Vec3, axis_turn
 from drivers.rig.parts import Level, Mount, Origin, PartSpec, Reference, Rig, RoleRig
 from drivers.rig.tables import RigError, decode_table, read_toml, suggestion
@@ -154,6 +154,7 @@ class _RigTable:
     site: SiteFacts | None = None
     depth: DepthFacts | None = None
     link: LinkFacts | None = None
+    height: HeightFacts | None = None
 
     def __post_init__(self) -> None:
         self.layout()
@@ -280,6 +281,7 @@ def rig_of(table: Mapping[str, Any], path: Path, search: Sequence[Path] = ()) ->
         site=written.site,
         depth=written.depth,
         link=written.link,
+        height=written.height,
         named=_named(table),
     )
 

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 
 from drivers.beacons.log import Mounted
 from drivers.interfaces import Clock
-from drivers.rig.facts import DepthFacts, DroneFacts, LinkFacts, SiteFacts, TargetFacts
+from drivers.rig.facts import DepthFacts, DroneFacts, HeightFacts, LinkFacts, SiteFacts, TargetFacts
 from drivers.rig.tables import RigError, decode_table, suggestion
 from drivers.steady_clock import SteadyClock
 from path.bounds import Bounds
@@ -166,7 +166,7 @@ class Rig:
     ``trials`` names what trials measure against, ``module:name`` by purpose; ``reference`` is None without beacons;
     ``folders`` are where a rig that this one is like was looked up by name.
 
-    ``target``, ``drone``, ``depth``, ``link`` and ``site`` are what was measured (``drivers.rig.facts``);
+    ``target``, ``drone``, ``depth``, ``link``, ``height`` and ``site`` are what was measured (``drivers.rig.facts``);
     None where the rig says what follows from it by itself. ``named`` are the values of ``[method]`` and
     ``[mission]`` that
     the rig names, by dotted key.
@@ -196,6 +196,7 @@ class Rig:
     site: SiteFacts | None = None
     depth: DepthFacts | None = None
     link: LinkFacts | None = None
+    height: HeightFacts | None = None
     named: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def role(self, role: Role) -> RoleRig:

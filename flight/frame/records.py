@@ -10,6 +10,7 @@ import numpy as np
 
 from flight.rendezvous.marker_view import MarkerFix, VehicleMotions
 from flight.tracking.association import Sighting
+from flight.tracking.by_both import ByBoth
 from path.cycle.prior import Prior
 from path.cycle.sender import PairVerdict
 from path.gate.agreement import Agreed
@@ -255,6 +256,20 @@ def candidate_record(answer: Answer) -> dict[str, Any]:
         "prior_px": None if known is None else known.pixel,
         "region": [region.x0, region.y0, region.x1, region.y1] if region else None,
         "found": [{"box": box_record(each.box), "score": each.score} for each in found],
+    }
+
+
+def both_record(candidate: Candidate, both: ByBoth) -> dict[str, Any]:
+    """``/both_views``: D2's own reckoning of the target's place from both drones' views, for one answer."""
+    return {
+        "sequence": candidate.sequence,
+        "point_v_m": both.point_v_m,
+        "sigma_m": both.sigma_m,
+        "depth_m": both.depth.z_m,
+        "depth_sigma_m": both.depth.sigma_m,
+        "range_by": both.depth.source.value,
+        "chi2": both.chi2,
+        "agree": both.agree,
     }
 
 

@@ -27,6 +27,7 @@ from flight.plan.geometry import (
     layout,
     tilts,
 )
+from flight.plan.ranging import range_of
 from flight.rendezvous.viewpoint import NoViewpoint, Viewpoint
 from flight.tracking.association import UNSEEN_S
 from path.camera.model import CameraModel
@@ -141,9 +142,9 @@ def _fits(of: Flown) -> Problem | None:
 
 
 def _depth(of: Flown) -> Problem | None:
-    """Check that D1's depth camera reaches the target."""
+    """Check that D1's depth camera reaches the target, or something else tells how far away it is."""
     method, range_m = of.facts.method, of.range_m
-    if method.min_depth_m <= range_m <= method.max_depth_m:
+    if range_of(of.facts, range_m) is not None:
         return None
     return Problem(
         "mission.follow",

@@ -50,7 +50,7 @@ def complete(rig: Rig) -> Rig:
         else:
             method = _method_with(method, key, each.value)
     mission = _with_site(mission, rig)
-    world = _with_body(rig)
+    world = _with_rangefinder(rig, _with_body(rig))
     if mission == rig.mission and method == rig.method and world == rig.world and rig.depth is None:
         return rig
     return replace(
@@ -99,6 +99,15 @@ def room_of(target: TargetFacts) -> dict[str, Any]:
     usual = LOOK_ALIKES_M
     least_m = max(usual[0], SPANS_APART * target.span_m, target.height_m)
     return {"min_distance_m": round(least_m, 2), "max_distance_m": round(least_m * usual[1] / usual[0], 2)}
+
+
+def _with_rangefinder(rig: Rig, world: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a simulated world whose drones have the rig's rangefinders, unless it says otherwise."""
+    height = rig.height
+    if height is None or rig.harness is None or not height.has_rangefinder:
+        return world
+    own = {"max_m": height.rangefinder_max_m, "min_m": height.rangefinder_min_m}
+    return {**world, "rangefinder": {**own, **world.get("rangefinder", {})}}
 
 
 def body_of(target: TargetFacts) -> dict[str, Any]:

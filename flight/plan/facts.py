@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from drivers.rig.facts import DroneFacts, LinkFacts, SiteFacts, TargetFacts
+from drivers.rig.facts import DroneFacts, HeightFacts, LinkFacts, SiteFacts, TargetFacts
 from drivers.rig.parts import Mount, PartSpec, Rig, RoleRig, decode_part
 from flight.config import MissionConfig
 from path.camera.model import CameraModel
@@ -45,6 +45,7 @@ class Facts:
     method: MethodConfig
     attitude_sigma_rad: float
     link: LinkFacts = field(default_factory=LinkFacts)
+    height: HeightFacts | None = None
 
     def with_side(self, side_m: float) -> Facts:
         """Return these facts with another print."""
@@ -63,6 +64,7 @@ def facts_of(rig: Rig, mission: MissionConfig) -> Facts:
         method=rig.method,
         attitude_sigma_rad=math.radians(mission.attitude_sigma_deg),
         link=rig.link or LinkFacts(),
+        height=rig.height,
     )
 
 

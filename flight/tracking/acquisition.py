@@ -11,6 +11,8 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
+import numpy as np
+
 from drivers.interfaces import View
 from drivers.operator.interfaces import Chosen, Question, Shown, Told
 from flight.config import MissionConfig
@@ -18,11 +20,12 @@ from flight.guidance import Vec3
 from flight.tracking.candidates import COASTED_S, REMEMBERED_S, STEADY_FRAMES, Candidate, Candidates, Observed
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.objects import MIN_SCORE
+from flight.tracking.ranging import Ranging
 from flight.tracking.statements import Look, Motion, Shares, Statements
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.geometry.transforms import Pose
-from path.observations import Box, common_area
+from path.observations import Box, Depth, common_area
 
 SURE = 0.999
 ROOM = 0.2  # of the image, at each side
@@ -55,7 +58,11 @@ class Acquisition:
         shares: how likely each object of the newest frame is the one meant.
     """
 
-    def __init__(self, camera: CameraModel, method: MethodConfig, mission: MissionConfig) -> None:
+    def __init__(
+        self, camera: CameraModel, method: MethodConfig, mission: MissionConfig, ranging: Ranging | None = None
+    ) -> None:
+        """``ranging``: what tells how far away something is beyond the reach of depth; its ground is kept up."""
+        self._ranging = ranging or Ranging.of(mission, method)
         motion = Motion.of(mission)
         self._camera, self._largest = camera, LargestBox.of(camera, method)
         self._statements = Statements(motion)
@@ -223,9 +230,17 @@ class Acquisition:
     # --- whether it can be taken as it is in a frame ---
 
     def _fit(self, one: Candidate, view: View, T_n_c: Pose) -> bool:
-        seen = one.observed
-        steady = one.frames >= STEADY_FRAMES and seen.depth is not None
-        return steady and self._well_inside(seen.box) and self._alone(seen, view, T_n_c)
+        seen, depth = one.observed, self._depth_of(one.observed, T_n_c)
+        steady = one.frames >= STEADY_FRAMES and depth is not None
+        return steady and self._well_inside(seen.box) and self._alone(seen, depth, view, T_n_c)
+
+    def _depth_of(self, seen: Observed, T_n_c: Pose) -> Depth | None:
+        """Returns its depth; beyond the reach of the depth camera what else tells how far away it is."""
+        if seen.depth is not None:
+            return seen.depth
+        _, _, expected_z_m = T_n_c.inverse().apply(np.array(seen.place_n_m)).tolist()
+        ranged = self._ranging.ranged(None, seen.box, self._camera, T_n_c, expected_z_m)
+        return None if ranged is None else ranged.depth
 
     def _well_inside(self, box: Box) -> bool:
         """Returns whether the box is so far inside the image that a gust would not take it out at once."""
@@ -233,12 +248,12 @@ class Acquisition:
         room_u, room_v = ROOM * self._camera.width, ROOM * self._camera.height
         return room_u <= u <= self._camera.width - room_u and room_v <= v <= self._camera.height - room_v
 
-    def _alone(self, seen: Observed, view: View, T_n_c: Pose) -> bool:
+    def _alone(self, seen: Observed, depth: Depth | None, view: View, T_n_c: Pose) -> bool:
         """Returns whether the box is no larger than the target can be, and nothing nearer or farther off is in it.
 
         Two, one behind the other, are one box; at times the detector gives one of them besides.
         """
-        depth, largest = seen.depth, self._largest
+        largest = self._largest
         if depth is None or largest is None:
             return True
         if not largest.holds(seen.box, depth.z_m, depth.sigma_m, T_n_c):

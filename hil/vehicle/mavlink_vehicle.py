@@ -165,7 +165,9 @@ class MavlinkVehicle:
         drone = self._drone
         if self._local_origin_n_m is None:
             self._local_origin_n_m = drone.estimate.position_n_m
-        return FlightInstant(at_s, drone.autopilot, drone.estimate, self._tangent, self._local_origin_n_m)
+        return FlightInstant(
+            at_s, drone.autopilot, drone.estimate, self._tangent, self._local_origin_n_m, drone.rangefinder
+        )
 
     # --- out ---
 

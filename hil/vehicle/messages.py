@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from drivers.interfaces import FlightMode
 from drivers.mavlink.geodesy import LocalTangent
 from hil.autopilot.autopilot import Autopilot, Estimate
+from hil.world.rangefinder import SimRangefinder
 from path.geometry.rotation import rpy_from_quat, yaw_of
 from path.messages import Vec3
 
@@ -54,6 +55,7 @@ class FlightInstant:
     estimate: Estimate
     tangent: LocalTangent
     local_origin_n_m: Vec3
+    rangefinder: SimRangefinder | None = None
 
     @property
     def boot_ms(self) -> int:
@@ -169,6 +171,20 @@ def global_position_int(flight: FlightInstant) -> Any | None:
     )
 
 
+def distance_sensor(flight: FlightInstant) -> Any | None:
+    """Returns what its rangefinder says, of one that has it; out of reach that is its limit, as many a sensor says."""
+    own = flight.rangefinder
+    if own is None:
+        return None
+    most_cm = round(1e2 * own.config.max_m)
+    distance_cm = most_cm if own.below_m is None else round(1e2 * own.below_m)
+    laser, down = mavlink.MAV_DISTANCE_SENSOR_LASER, mavlink.MAV_SENSOR_ROTATION_PITCH_270
+    covariance_cm2 = max(1, min(254, round((1e2 * own.config.sigma_m) ** 2)))
+    return mavlink.MAVLink_distance_sensor_message(
+        flight.boot_ms, round(1e2 * own.config.min_m), most_cm, distance_cm, laser, 0, down, covariance_cm2
+    )
+
+
 def battery_status(flight: FlightInstant) -> Any:
     cell_mv = _voltage_mv(flight.autopilot) // 4
     voltages = [cell_mv] * 4 + [0xFFFF] * 6
@@ -212,6 +228,7 @@ STREAMS: dict[int, tuple[Callable[[FlightInstant], Any | None], float]] = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: (local_position_ned, 30.0),
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: (global_position_int, 10.0),
     mavlink.MAVLINK_MSG_ID_ODOMETRY: (odometry, 10.0),
+    mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: (distance_sensor, 10.0),
     mavlink.MAVLINK_MSG_ID_RC_CHANNELS: (rc_channels, 5.0),
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: (battery_status, 0.5),
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: (home_position, 0.5),

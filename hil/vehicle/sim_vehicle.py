@@ -12,7 +12,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Protocol, Self, cast
 
-from drivers.interfaces import SURE, Capability, FlightMode, TakenOver, VehicleError, VehicleState, VelocitySetpoint
+from drivers.interfaces import (
+    SURE,
+    Below,
+    Capability,
+    FlightMode,
+    TakenOver,
+    VehicleError,
+    VehicleState,
+    VelocitySetpoint,
+)
 from drivers.perception.history import StateHistory
 from drivers.rig.parts import PartContext
 from hil.autopilot.autopilot import Ack, Autopilot
@@ -88,6 +97,7 @@ class SimVehicle:
         self._newest: VehicleTelemetry | None = None
         self._beat: VehicleTelemetry | None = None
         self._newest_ns = self._beat_ns = 0
+        self._below: Below | None = None
         self._beats = -1
         self._taken_s = self._pulled_s = -math.inf
         self._state: VehicleState | None = None
@@ -151,6 +161,10 @@ class SimVehicle:
     def _take(self, telemetry: VehicleTelemetry, arrival_ns: int) -> None:
         self._take_heartbeat(telemetry, arrival_ns)
         self._newest, self._newest_ns = telemetry, arrival_ns
+        if telemetry.below_m is None:
+            self._below = None
+        elif self._below is None or self._below.distance_m != telemetry.below_m:
+            self._below = Below(arrival_ns, telemetry.below_m)
         self._history.add(arrival_ns, telemetry.estimate.q_n_b)
 
     def _take_heartbeat(self, telemetry: VehicleTelemetry, arrival_ns: int) -> None:
@@ -175,6 +189,7 @@ class SimVehicle:
             armable=beat.armable,
             mode=beat.mode,
             battery=beat.battery,
+            below=self._below,
         )
 
     # --- commands ---

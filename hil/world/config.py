@@ -16,6 +16,7 @@ from hil.world.dynamics import AirframeConfig
 from hil.world.errors import ErrorsConfig, level_of, put_down
 from hil.world.estimator import EstimatorConfig, WindConfig
 from hil.world.operator import PersonConfig
+from hil.world.rangefinder import RangefinderConfig
 from hil.world.targets import LookAlikeConfig, Point, TargetConfig
 from path.bounds import Bounds, check_bounds
 from path.messages import Role
@@ -103,6 +104,7 @@ class WorldConfig:
     # of a core, for each role's program: on a computer that much slower (docs/compute.md)
     slow: Annotated[float | None, Bounds(0.02, 1.0, "of a core")] = None
     errors: ErrorsConfig = field(default_factory=ErrorsConfig)
+    rangefinder: RangefinderConfig = field(default_factory=RangefinderConfig)
     scene: SceneConfig = field(default_factory=SceneConfig)
     imaging: ImagingConfig = field(default_factory=ImagingConfig)
     wind: WindConfig = field(default_factory=WindConfig)

@@ -32,6 +32,7 @@ from hil.world.dynamics import (
     standing,
 )
 from hil.world.estimator import Sensors
+from hil.world.rangefinder import SimRangefinder
 from hil.world.snapshot import DroneTruth, Snapshot
 from hil.world.targets import GroundVehicles, Point
 from path.geometry.transforms import Pose
@@ -57,6 +58,7 @@ class VehicleTelemetry(NamedTuple):
     battery: float
     killed: bool = False
     position_n_m: Vec3 = (0.0, 0.0, 0.0)
+    below_m: float | None = None
 
 
 class SimDrone:
@@ -69,11 +71,13 @@ class SimDrone:
         down_off_m: what it is wrong by besides, downward.
         resets: how often its estimator has stepped.
         telemetry: one entry a tick, newest last, the last ``TELEMETRY_TICKS`` of them.
+        rangefinder: that looks down; None without one.
         hears: called before each step of the autopilot with its time: what it was told until then is to be told it.
     """
 
-    def __init__(self, autopilot: Autopilot, state: Array) -> None:
+    def __init__(self, autopilot: Autopilot, state: Array, rangefinder: SimRangefinder | None = None) -> None:
         self.autopilot = autopilot
+        self.rangefinder = rangefinder
         self.estimate = Estimate(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
         self.position_n_m: Vec3 = (0.0, 0.0, 0.0)
         self.down_off_m = 0.0
@@ -110,9 +114,15 @@ class SimDrone:
         self.position_n_m = n, e, d - (d if own.home_n_m is None else own.home_n_m[2]) + self.down_off_m
         said = VehicleTelemetry(
             time_s, self.estimate, own.mode, own.powered, own.landed, own.armable, own.battery, own.killed,
-            self.position_n_m,
+            self.position_n_m, self._below_m(time_s),
         )  # fmt: skip
         self.telemetry.append(said)
+
+    def _below_m(self, time_s: float) -> float | None:
+        if self.rangefinder is None:
+            return None
+        self.rangefinder.sense(time_s, -self.true_position_n_m[2], self.true_q_n_b)
+        return self.rangefinder.below_m
 
     def command(self, time_s: float) -> tuple[float, ...]:
         """Step the autopilot at a tick; a command row of ``hil.world.dynamics``. Only the world calls this."""
@@ -147,7 +157,11 @@ class Fleet(Generic[Name]):
         self._states = np.stack([at_home(home, config.airframe.leg_m) for home in homes.values()])
         self._commands = np.zeros((len(homes), COMMAND_SIZE))
         self._drones = {
-            name: SimDrone(Autopilot(config.autopilot, int(own.generate_state(1)[0])), self._states[i])
+            name: SimDrone(
+                Autopilot(config.autopilot, int(own.generate_state(1)[0])),
+                self._states[i],
+                SimRangefinder(config.rangefinder, seed, i) if config.rangefinder.max_m > 0.0 else None,
+            )
             for i, (name, own) in enumerate(zip(homes, autopilots.spawn(len(homes)), strict=True))
         }
         for name, (_, _, down) in off.items():

@@ -47,7 +47,7 @@ def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
         yield check_detector(made, context.camera, rate_hz, context.clock)
 
     def vehicle() -> AsyncIterator[Finding]:
-        return check_flyer(create(own.vehicle, context), context.clock, min_battery, fence)
+        return check_flyer(create(own.vehicle, context), context.clock, min_battery, fence, rig.height)
 
     def perception() -> AsyncIterator[Finding]:
         return check_perception(create(own.perception, context), context.clock, wanted)

@@ -14,6 +14,7 @@ from typing import Any
 from drivers.interfaces import Clock, PartError, Vehicle, VehicleError, VehicleState
 from drivers.mavlink.preflight.geofence import FencePlan, Geofence
 from drivers.mavlink.preflight.parameters import Difference
+from drivers.rig.facts import HeightFacts
 from drivers.rig.part_check import Finding, examined
 from drivers.rig.parts import Rig, create, part_context
 from flight.config import MissionConfig
@@ -21,7 +22,7 @@ from missions.rig_library import mission_of
 from path.messages import Role
 
 SET = "run doctor again with --vehicle ROLE --set-parameters, or set it from its ground station"
-SAMPLE_S, POLL_S, READY_S = 2.0, 0.005, 5.0
+SAMPLE_S, POLL_S, READY_S, RANGEFINDER_S = 2.0, 0.005, 5.0, 2.0
 OLD_S = 0.5  # telemetry: the mission's own guard lands the vehicle when it is older (telemetry_age_s)
 SLOWEST_HEARTBEAT_S = 1.5
 
@@ -41,13 +42,14 @@ class VehicleReport:
 
 
 async def check_flyer(
-    vehicle: Vehicle, clock: Clock, min_battery: float, fence: Geofence | None = None
+    vehicle: Vehicle, clock: Clock, min_battery: float, fence: Geofence | None = None, height: HeightFacts | None = None
 ) -> AsyncIterator[Finding]:
     """Open, listen, compare parameters, close. Nothing is armed, set or moved. Raises VehicleError.
 
     Args:
         min_battery: at which the mission ends, as a share.
         fence: the script's, one step outside of which the autopilot's own has to be.
+        height: what the rig says of a rangefinder.
     """
     async with vehicle:
         yield Finding("ok", "connects", "heartbeat and attitude came")
@@ -58,6 +60,8 @@ async def check_flyer(
             yield own
         state = await _ready(vehicle)
         for finding in condition(state, min_battery):
+            yield finding
+        for finding in await _rangefinder(vehicle, height):
             yield finding
         if hasattr(vehicle, "parameter_differences"):
             for finding in await _parameters(vehicle):
@@ -118,6 +122,19 @@ def condition(state: VehicleState, min_battery: float) -> Iterator[Finding]:
     else:
         fix = "give it a clear sky and do what its ground station shows"
         yield Finding("fault", "ready to arm", f"not within {READY_S:g} s", fix)
+
+
+async def _rangefinder(vehicle: Any, height: HeightFacts | None) -> list[Finding]:
+    """Find whether the rangefinder that the rig counts on is heard. On the ground it may be too near to measure."""
+    if height is None or not height.has_rangefinder:
+        return []
+    if not hasattr(vehicle, "rangefinder"):
+        return [Finding("note", "rangefinder", "this vehicle's driver has no such test")]
+    wrong, said = await vehicle.rangefinder(RANGEFINDER_S)
+    if wrong:
+        fix = "see that the autopilot sends it (ArduPilot: RNGFND1_TYPE and RNGFND1_ORIENT 25; PX4: its driver)"
+        return [Finding("fault", "rangefinder", wrong, f"{fix}, or leave rangefinder_max_m out of [height]")]
+    return [Finding("ok", "rangefinder", said)]
 
 
 def _charge(level: float, min_battery: float) -> Finding:

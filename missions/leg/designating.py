@@ -13,6 +13,7 @@ from drivers.operator.interfaces import BearingTold, Chosen, PlaceTold, Question
 from flight.guidance import Vec3, add
 from flight.tracking.acquisition import Acquisition, Taken
 from flight.tracking.look_round import LookRound
+from flight.tracking.ranging import Ranging
 from missions.leg.journal import question_record, taken_record, told_record
 from missions.leg.numbered import numbered
 from missions.leg.session import RoleSession
@@ -27,9 +28,10 @@ _WIDEST = 2.0  # times as far off as the target is followed from
 class Designating:
     """The way from what is said to the one object.
 
-    Args:
-        points: what somebody who goes on pointing says now; None when nobody does.
-        first: what is known from the beginning; None: what the rig's mission says.
+        Args:
+            points: what somebody who goes on pointing says now; None when nobody does.
+            first: what is known from the beginning; None: what the rig's mission says.
+    ####        ranging: of D1, with the ground below it as it is known now.
     """
 
     def __init__(
@@ -39,9 +41,10 @@ class Designating:
         look_round: LookRound,
         points: Callable[[], PlaceTold | None],
         first: PlaceTold | None = None,
+        ranging: Ranging | None = None,
     ) -> None:
         self._session, self._camera, self._look_round = session, camera, look_round
-        self._acquisition = Acquisition(camera, session.rig.method, session.config)
+        self._acquisition = Acquisition(camera, session.rig.method, session.config, ranging)
         self._points = points
         self._first = first or session.config.target.told(session.now_ns())
         self._told_first = False

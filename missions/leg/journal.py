@@ -17,9 +17,10 @@ from flight.estimator_steps import Step
 from flight.frame.records import box_record, pose_rows
 from flight.tracking.acquisition import Taken
 from flight.tracking.association import Sighting
+from flight.tracking.ranging import Ground
 from path.geometry.transforms import Pose
 from path.messages import Role
-from path.observations import MissReason
+from path.observations import MissReason, RangeSource
 
 
 def setup_record(rig: Rig, role: Role, config: MissionConfig) -> dict[str, Any]:
@@ -111,13 +112,23 @@ def taken_record(taken: Taken) -> dict[str, Any]:
     }
 
 
-def frame_record(view: View, now_ns: int, T_n_c: Pose | None = None) -> dict[str, Any]:
+def frame_record(view: View, now_ns: int, T_n_c: Pose | None = None, ground: Ground | None = None) -> dict[str, Any]:
     """``/frame``: which frame a cycle is of, and how long after its capture the cycle began.
 
-    ``T_n_c``: the camera's pose as believed, where perception may be run again and needs it.
+    ``T_n_c``: the camera's pose as believed, where perception may be run again and needs it, and the ``ground`` then.
     """
     record: dict[str, Any] = {"frame_id": view.frame_id, "age_ns": now_ns - view.stamp_ns}
+    if ground is not None:
+        own = {"ground_down_m": ground.down_m, "ground_sigma_m": ground.sigma_m, "ground_by": ground.source.value}
+        record |= own
     return record if T_n_c is None else {**record, "T_n_c": pose_rows(T_n_c)}
+
+
+def ground_of(record: Mapping[str, Any]) -> Ground | None:
+    """Read the ground of a ``/frame``."""
+    if record.get("ground_down_m") is None:
+        return None
+    return Ground(record["ground_down_m"], record["ground_sigma_m"], RangeSource(record["ground_by"]))
 
 
 def track_record(seen: Sighting | MissReason) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from flight.frame.receiver import ReceiverSide
 from flight.frame.records import (
     AttemptId,
     attempt_record,
+    both_record,
     candidate_record,
     heard_target_record,
     marker_record,
@@ -38,6 +39,7 @@ from flight.rendezvous.course import Rendezvous
 from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
 from flight.rendezvous.viewpoint import NoViewpoint
 from flight.tracking.association import follow
+from flight.tracking.by_both import FromBothViews
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.places import place
 from flight.tracking.ranging import Ranging
@@ -52,7 +54,7 @@ from path.geometry.rotation import yaw_of
 from path.geometry.transforms import Matrix, Pose
 from path.marker.instead import grey_of, seen_instead
 from path.messages import Candidate, Status, Target
-from path.observations import Depth, Missed, MissReason
+from path.observations import Missed, MissReason
 from path.protocol.values import Handoff
 
 _FIXES_TO_APPROACH = 5
@@ -87,6 +89,7 @@ class Receiver:
         self._watching = True
         self._seen: View | None = None
         self._track: TargetTrack | None = None
+        self._by_both = FromBothViews(rig.method, rig.sender.camera, rig.sender.mount.T_v_c, rig.receiver.camera)
         self._keep_n_m: Vec3 = (0.0, 0.0, 0.0)
         self._searched: View | None = None  # the newest view that was searched for the marker
         self._causes: dict[MissReason, str] = {}  # of looks at the marker that gave no pose, each told once
@@ -319,9 +322,9 @@ class Receiver:
             session.link.send(answer.candidate)
         with session.stage("log"):
             session.log.write("/candidate", stamp_ns, candidate_record(answer))
-        if answer.candidate.box is not None and isinstance(prior, Prior):
+        if answer.candidate.box is not None and isinstance(prior, Prior) and isinstance(fix, MarkerFix):
             with session.stage("depth"):
-                self._note_found(view, T_n_c, answer.candidate, prior)
+                self._note_found(view, T_n_c, answer.candidate, prior, fix)
 
     def _look(self, view: View, R_n_c: Matrix, gravity_v: Vec3 | None) -> MarkerFix | Missed:
         """The marker, searched for no longer than setpoints can wait."""
@@ -371,11 +374,17 @@ class Receiver:
         if session.phase is Phase.VERIFY and unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:
             raise MissionEnd(Outcome.MARKER_LOST, f"marker not seen for {unseen_s:.1f} s")
 
-    def _note_found(self, view: View, T_n_c: Pose, candidate: Candidate, prior: Prior) -> None:
-        """Keep the target's own position ready, so that following can begin in the frame that hands it over."""
+    def _note_found(self, view: View, T_n_c: Pose, candidate: Candidate, prior: Prior, fix: MarkerFix) -> None:
+        """Keep the target's own position ready, so that following can begin in the frame that hands it over.
+
+        By both views, which nothing that is sent may rest on (``path.target.both_views``).
+        """
         assert candidate.box is not None
-        depth = view.depth(candidate.box) or Depth(prior.depth_m, 0.0)
-        position = place(candidate.box, depth, self._camera, T_n_c, -self._config.target.height_m)
+        assert self._newest is not None
+        gravity_c, own = gravity_in(T_n_c.R), view.depth(candidate.box)
+        both = self._by_both.place(prior, self._newest.sigma_m, fix.covariance, gravity_c, candidate.box, own)
+        self._session.log.write("/both_views", view.stamp_ns, both_record(candidate, both))
+        position = place(candidate.box, both.depth, self._camera, T_n_c, -self._config.target.height_m)
         if self._track is None:
             method = self._session.rig.method
             largest, ranging = LargestBox.of(self._camera, method), Ranging.of(self._config, method)

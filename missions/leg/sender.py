@@ -66,9 +66,11 @@ class Sender:
         self._heading_rad = math.radians(config.heading_deg)
         self._track: TargetTrack | None = None
         self._largest = LargestBox.of(self._camera, rig.method)
-        self._ranging = Ranging.of(config, rig.method)
         self._look_round = LookRound(config)
-        self._designating = Designating(session, self._camera, self._look_round, self._pointed_at, told)
+        self._ranging = Ranging.of(config, rig.method)
+        self._designating = Designating(
+            session, self._camera, self._look_round, self._pointed_at, told, ranging=self._ranging
+        )
         self._watching = True
         self._handover = SenderHandover(session, store)
         self._side: SenderSide | None = None
@@ -261,6 +263,7 @@ class Sender:
             view = await session.frames.view(self._config.guard.frame_age_s)
             R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
             self._tilt.note(R_n_b)
+            self._note_ground()
             session.note_steps()  # before what this frame shows is added to what others showed
             if self._track is None:
                 if session.frames.recorded:
@@ -271,6 +274,12 @@ class Sender:
             far = session.peer is None or not Phase.SEARCH.reached(session.peer.phase)
             if far and session.phase is not Phase.VERIFY:
                 await session.skip_frames()
+
+    def _note_ground(self) -> None:
+        """Keep up what is known of the ground below, for ranging what stands on it."""
+        self._session.note_ground()
+        if self._session.ground is not None and not self._config.target.flies:
+            self._ranging.ground = self._session.ground.ground
 
     async def _watch_peer(self) -> None:
         """The receiver must be heard for as long as the hand-over is undecided."""
@@ -366,7 +375,8 @@ class Sender:
     def _log_view(self, view: View, R_n_b: Matrix) -> None:
         session = self._session
         T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b) if session.frames.recorded else None
-        session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns(), T_n_c))
+        record = frame_record(view, session.now_ns(), T_n_c, self._ranging.ground)
+        session.log.write("/frame", view.stamp_ns, record)
 
     def _log_frame(self, view: View, frame: OwnFrame, now_ns: int) -> None:
         session = self._session

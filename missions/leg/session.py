@@ -30,6 +30,7 @@ from drivers.rig.parts import Rig, RoleRig, ended_by
 from drivers.stages import Stages
 from flight.clocks import ClockAlignment, ClockConfig, answer
 from flight.config import MissionConfig, off_from
+from flight.ground_below import GroundBelow
 from flight.guard.under_guard import UnderGuard
 from flight.guidance import Vec3, add, subtract
 from flight.harness.flights import Emit, Progress
@@ -120,6 +121,7 @@ class RoleSession:
         self.observing = False
         self.operator: Operator | None = None  # who says which object is meant; a receiver has none
         self.off_n_m: Vec3 = (0.0, 0.0, 0.0)  # of this drone's own position, as at home; its height as it is now
+        self.ground = GroundBelow(rig.height) if rig.height is not None else None
         self._here: tuple[Status, Status] | None = None  # as it came, and in this drone's frame
         self.on_message: Callable[[Received], None] = _ignore
         self.on_status: Callable[[Status], None] = _ignore
@@ -144,11 +146,18 @@ class RoleSession:
         north, east = off_from(home_m, self.vehicle.state.position_n_m)
         self.off_n_m, self._here = (north, east, 0.0), None
         self.log.write("/home", self.now_ns(), {"off_m": (north, east)})
+        self.note_ground()  # it stands on it
 
     def note_height(self, off_down_m: float) -> None:
         """Takes what a target that stands on level ground is too low by for what this drone is too low by itself."""
         north, east, _ = self.off_n_m
         self.off_n_m, self._here = (north, east, off_down_m), None
+
+    def note_ground(self) -> None:
+        """Take what the vehicle says now of the ground below it, and tell the crew what contradicts itself."""
+        said = "" if self.ground is None else self.ground.note(self.vehicle.state)
+        if said:
+            self.say(said)
 
     def note_steps(self) -> None:
         """Tell what the estimator stepped by since the last time, to the log, the crew and the role."""

@@ -22,7 +22,7 @@ from flight.tracking.association import Sighting, follow
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.ranging import Ranging
 from flight.tracking.target_track import TargetTrack
-from missions.leg.journal import told_of
+from missions.leg.journal import ground_of, told_of
 from missions.replay.logged import pose_of
 from path.camera.model import CameraModel
 from path.config import MethodConfig
@@ -68,9 +68,9 @@ class SenderPerceiver:
         self.missing = 0
         self._views, self._mount, self._camera, self._mission = views, own.mount, camera, mission
         self._track: TargetTrack | None = None
-        self._acquisition = Acquisition(camera, method, mission)
-        self._largest = LargestBox.of(camera, method)
         self._ranging = Ranging.of(mission, method)
+        self._acquisition = Acquisition(camera, method, mission, self._ranging)
+        self._largest = LargestBox.of(camera, method)
         self._seen: Sighting | MissReason | None = None
         self._gravity_v: Vec3 = (math.nan, math.nan, math.nan)
 
@@ -93,6 +93,7 @@ class SenderPerceiver:
         R_n_b = T_n_c.R @ self._mount.T_b_c.R.T
         x, y, z = (R_n_b @ self._mount.T_b_v.R)[2].tolist()
         self._gravity_v = (x, y, z)
+        self._ranging.ground = ground_of(frame) or self._ranging.ground
         if self._track is not None:
             self._seen = follow(view, T_n_c, self._camera, self._track)
             return

@@ -199,6 +199,7 @@ def _figure_rows(s: Mapping[str, Any]) -> Rows:
         *([("estimator stepped", ", ".join(stepped))] if stepped else []),
         ("error of D2", _error(s, "d2_error")),
         ("error of target", _error(s, "target_error")),
+        ("error by both views", _error(s, "target_both_error")),
         ("wrong object handed over", wrong),
         ("kept after taking over", _kept(s)),
         ("smallest separation", _separation(s)),
@@ -279,6 +280,7 @@ def summarize_many(summaries: Sequence[Mapping[str, Any]], command: str) -> dict
     misses, monitors = (sum_of(summary[name] for summary in summaries) for name in ("misses", "monitors"))
     names = (
         *("t_commit_s", "agreement_s", "iou_median", "min_separation_m", "d2_error_m", "target_error_m"),
+        "target_both_error_m",
         *("follow_overshoot_m", "follow_error_m", "follow_error_p95_m", "target_unseen_s"),
         *("link_bytes_per_s", "realtime_factor"),
     )

@@ -28,7 +28,8 @@ def summarize(run: RunRecords) -> dict[str, Any]:
 
     Errors are medians over the agreeing pairs before the commit: ``d2_error_m`` of the position of D2's camera in the
     marker's frame, ``target_error_m`` of the target's point as D2 has it in its own camera frame, against the true
-    place of the very point on the target that D1 measured.
+    place of the very point on the target that D1 measured; ``target_both_error_m`` of what D2 makes of that and of its
+    own view.
     """
     truth = truth_of(run.world)
     span = _verification(run)
@@ -205,9 +206,11 @@ def _kept(run: RunRecords, truth: Truth | None) -> dict[str, Any]:
 def _errors(run: RunRecords, span: Verification | None, truth: Truth | None) -> dict[str, Any]:
     d2: list[float] = []
     target: list[float] = []
+    both: list[float] = []
     if truth is not None:
         sent = {r.record["sequence"]: r.record for r in run.sender.get("/target", ()) if r.record["reason"] is None}
         answers = {r.record["sequence"]: r.record for r in run.receiver.get("/candidate", ())}
+        reckoned = {r.record["sequence"]: r.record for r in run.receiver.get("/both_views", ())}
         for pair in (r.record for r in judged_pairs(run) if r.record["agreed"]):
             answer, point = answers.get(pair["sequence"]), sent.get(pair["target_sequence"])
             if answer is None or answer["box"] is None:
@@ -215,12 +218,19 @@ def _errors(run: RunRecords, span: Verification | None, truth: Truth | None) -> 
             d2.append(d2_error_m(truth, answer))
             if point is not None and (error := target_error_m(truth, answer, point)) is not None:
                 target.append(error)
+            found = reckoned.get(pair["sequence"])
+            if found is None or point is None:
+                continue
+            if (error := target_error_m(truth, {**answer, "point_v_m": found["point_v_m"]}, point)) is not None:
+                both.append(error)
     handed = None if truth is None else handed_over(run, truth)
     return {
         "d2_error_m": _median(d2),
         "d2_error_p95_m": _p95(d2),
         "target_error_m": _median(target),
         "target_error_p95_m": _p95(target),
+        "target_both_error_m": _median(both),
+        "target_both_error_p95_m": _p95(both),
         "object_handed_over": handed,
         "wrong_handover": None if truth is None else handed not in (None, truth.scene.target_id),
     }

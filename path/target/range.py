@@ -17,7 +17,8 @@ Ranges that are given are held against each other. For a set of ``n`` of them wi
 ``chi2 = sum (z - m)^2 / s^2`` has ``n - 1`` degrees of freedom. The largest set with a chi2 that happens to one in a
 thousand is believed, and of equally large ones the surest; the others are told of as contradicted. Where those
 that are contradicted are as many as those that are believed, nobody knows which are right: the variance then holds
-both. Nothing here has a unit: a world so many times as large decides the same.
+both. A size that is farther off than all others is no such witness: a part of the target is hidden. Nothing here has
+a unit: a world so many times as large decides the same.
 
 Pure: D1's follower calls it for each frame (``flight.tracking.ranging``), and the plan beforehand.
 """
@@ -35,7 +36,8 @@ from path.target.cylinder import AT_THE_CAMERA, behind_m, off_middle, reach_m
 from path.values import value
 
 DEPTH_SHARE = 0.01  # the scale of a depth camera (docs/errors.md)
-USUAL_SPAN, SPAN_SIGMA = 0.88, 0.18  # of its diagonal, what a body up to twice as long as wide shows as it turns
+USUAL_SPAN = 0.88  # of its diagonal, what a body up to twice as long as wide shows as it turns
+SPAN_SIGMA = 0.18
 HEIGHT_SIGMA = 0.05  # of a body's height in its box: it steps, bends, carries something
 LEAST_DESCENT = 0.2  # of a line of sight, per metre along the optical axis
 LEAST_PX = 4.0
@@ -154,8 +156,20 @@ def together(ranges: Sequence[Depth]) -> Ranged | None:
     given = [each for each in ranges if _sound(each)]
     if len(given) <= 1:
         return Ranged(given[0], (given[0].source,)) if given else None
-    best = max((_fused(given, chosen) for chosen in _consistent(given)), key=_worth)
-    return best
+    witnesses = [each for each in given if not _hides(each, given)]
+    best = max(_consistent(witnesses), key=lambda chosen: (len(chosen), -_mean(witnesses, chosen)[1]))
+    return _fused(given, witnesses, best)
+
+
+def _hides(one: Depth, given: Sequence[Depth]) -> bool:
+    """Return whether a size says that the target is farther off than everything else has it: a part of it is hidden."""
+    others = [each for each in given if each.source is not RangeSource.SIZE]
+    if one.source is not RangeSource.SIZE or not others:
+        return False
+    return all(
+        one.z_m > each.z_m and (one.z_m - each.z_m) ** 2 > CHI2[1] * (variance_of(one) + variance_of(each))
+        for each in others
+    )
 
 
 def _sound(one: Depth) -> bool:
@@ -170,8 +184,8 @@ def variance_of(one: Depth) -> float:
 
 def _consistent(given: Sequence[Depth]) -> list[tuple[int, ...]]:
     """Return every set of ranges that do not contradict one another, by their indices; single ones always."""
-    found: list[tuple[int, ...]] = []
-    for size in range(1, len(given) + 1):
+    found: list[tuple[int, ...]] = [(k,) for k in range(len(given))]
+    for size in range(2, len(given) + 1):
         limit = CHI2[min(size - 1, len(CHI2) - 1)]
         found += [chosen for chosen in combinations(range(len(given)), size) if _chi2(given, chosen) <= limit]
     return found
@@ -190,23 +204,19 @@ def _chi2(given: Sequence[Depth], chosen: Sequence[int]) -> float:
     return sum((given[k].z_m - mean_m) ** 2 / variance_of(given[k]) for k in chosen)
 
 
-def _fused(given: Sequence[Depth], chosen: Sequence[int]) -> Ranged:
-    mean_m, variance = _mean(given, chosen)
-    believed = sorted((given[k] for k in chosen), key=variance_of)
-    others = [each for k, each in enumerate(given) if k not in chosen]
-    chi2 = max(((each.z_m - mean_m) ** 2 / (variance_of(each) + variance) for each in others), default=0.0)
+def _fused(given: Sequence[Depth], witnesses: Sequence[Depth], chosen: Sequence[int]) -> Ranged:
+    mean_m, variance = _mean(witnesses, chosen)
+    believed = sorted((witnesses[k] for k in chosen), key=variance_of)
+    others = [each for k, each in enumerate(witnesses) if k not in chosen]
+    against = [each for each in given if each not in believed]
+    chi2 = max(((each.z_m - mean_m) ** 2 / (variance_of(each) + variance) for each in against), default=0.0)
     if len(others) >= len(chosen):
         # as many say the opposite: the mean square about this one, as likely as not to be the wrong one
         about = [variance_of(each) + (each.z_m - mean_m) ** 2 for each in others]
         variance = 0.5 * (variance + sum(about) / len(about))
     by = tuple(each.source for each in believed)
     depth = Depth(mean_m, math.sqrt(variance), by[0])
-    return Ranged(depth, by, tuple(each.source for each in others), chi2)
-
-
-def _worth(found: Ranged) -> tuple[int, float]:
-    """More that agree are worth more than fewer, and of equally many the surest; those that are alone by themselves."""
-    return len(found.by), -found.depth.sigma_m
+    return Ranged(depth, by, tuple(each.source for each in against), chi2)
 
 
 def _of_surface(z_m: float, sigma_m: float, sight: Sight, body: Body, source: RangeSource) -> Depth:

@@ -172,6 +172,31 @@ def test_where_two_contradict_each_other_nobody_knows_which_is_right_and_the_var
     assert abs(found.depth.z_m - 9.0 * k) < 2.0 * found.depth.sigma_m
 
 
+def test_whatever_contradicts_whatever_there_is_a_range() -> None:
+    """A range alone is off its own mean by rounding, which is no contradiction."""
+    rng = np.random.default_rng(9)
+    for _ in range(500):
+        said = [Depth(float(z), 0.01 * float(z), GROUND) for z in rng.uniform(0.5, 50.0, 3)]
+        for count in (2, 3):
+            found = together(said[:count])
+            assert found is not None and len(found.by) + len(found.against) == count
+
+
+@pytest.mark.parametrize("k", SCALES)
+def test_a_size_that_is_too_far_is_of_a_body_that_is_half_hidden_and_makes_nothing_less_sure(k: float) -> None:
+    """Its box is half as large; one that is too near is larger than such a body can be."""
+    ground = Depth(7.9 * k, 0.12 * k, RangeSource.RANGEFINDER)
+    half = together([ground, Depth(11.0 * k, 0.6 * k, SIZE)])
+    assert half is not None
+    assert (half.by, half.against) == ((RangeSource.RANGEFINDER,), (SIZE,))
+    assert half.depth.z_m == pytest.approx(7.9 * k)
+    assert half.depth.sigma_m == pytest.approx(0.12 * k)
+    near = together([ground, Depth(5.0 * k, 0.4 * k, SIZE)])
+    assert near is not None
+    assert near.depth.z_m == pytest.approx(7.9 * k)  # the surer one
+    assert near.depth.sigma_m > 1.5 * k
+
+
 def test_a_depth_that_is_off_by_its_scale_contradicts_nothing() -> None:
     found = together(ranges((8.08, 0.005, DEPTH), (8.0, 0.02, VIEWS)))
     assert found is not None
