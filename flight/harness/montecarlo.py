@@ -7,9 +7,9 @@ complete or the time is over.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, Self
+from typing import Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,6 +124,13 @@ class Series:
         return len(self.kind)
 
 
+class StatedIdentity(NamedTuple):
+    """The probability with which D1 holds what it follows for the designated object in a frame, and whether it is."""
+
+    probability: float
+    right: bool
+
+
 @dataclass(frozen=True, slots=True)
 class Circumstances:
     """The circumstances of a hand-over at its beginning, in truth.
@@ -153,6 +160,7 @@ class MonteCarloHandover:
         misses: number of entries by reason, until D1's window had decided.
         simulated_s: how much time was run.
         series: what D1's window was told.
+        identity: what D1 believed of the object that it followed, frame by frame.
     """
 
     attempt: Attempt
@@ -165,6 +173,7 @@ class MonteCarloHandover:
     simulated_s: float
     circumstances: Circumstances
     series: Series
+    identity: Sequence[StatedIdentity] = ()
 
     @property
     def reason(self) -> str:

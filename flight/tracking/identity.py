@@ -90,6 +90,20 @@ class Identity:
         most, column = max(shared, default=(0.0, -1))
         return self.belief.identity_of(column) if most > 0.0 else 0.0
 
+    @property
+    def stated(self) -> tuple[Box, float] | None:
+        """Return the likeliest object's own box in the newest frame, and the probability that it is the designated one.
+
+        None where the frame does not show it, or not alone.
+        """
+        belief = self.belief
+        likeliest = None if belief is None else belief.likeliest
+        if belief is None or likeliest is None:
+            return None
+        own = (box for column, box in enumerate(self._boxes) if belief.track_of(column) is likeliest)
+        box = next(own, None)
+        return None if box is None else (box, belief.probability(likeliest.number))
+
     def _measured(
         self, view: View, T_n_c: Pose, camera: CameraModel, detection: Detection, down_m: float, expected_z_m: float
     ) -> Measured:

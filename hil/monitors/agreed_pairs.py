@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.monitors.likelihood_recount import recounted
 from path.config import MethodConfig
-from path.gate.likelihood import REACH_SIGMAS
+from path.gate.likelihood import HELD_S, REACH_SIGMAS
 
 ROUNDING = 1e-9
 
@@ -20,7 +21,8 @@ class PairsAtPaces:
     """The runs of each test that the gate makes of the same pairs, any of which may decide; one, as a rule."""
 
     def __init__(self, method: MethodConfig) -> None:
-        methods = [replace(method, evidence=own) for own in method.evidence.paces]
+        paces = method.evidence.paces if method.gate == "evidence" else (method.evidence,)
+        methods = [replace(method, evidence=own) for own in paces]
         self._paces = [AgreedPairs(own, alone=len(methods) == 1) for own in methods]
 
     @property
@@ -67,7 +69,10 @@ class AgreedPairs:
     agrees: bool = False  # the newest pair that was compared
     block_ns: int = 0  # where the block under way begins
     block: list[tuple[float, bool]] = field(default_factory=list[tuple[float, bool]])  # strength, and whether it agrees
-    offsets: list[tuple[Any, Any]] = field(default_factory=list[tuple[Any, Any]])  # of the run, from target and rival
+    offsets: list[tuple[int, Any, Any]] = field(default_factory=list[tuple[int, Any, Any]])
+    """Of the run: capture stamp, offset from the target and from what is beside it."""
+    odd: int = 0  # pairs of the run that were compared and did not agree
+    sure_ns: int | None = None  # since when the evidence of the gate "likelihood" is enough
 
     @property
     def span_s(self) -> float:
@@ -78,6 +83,8 @@ class AgreedPairs:
         """log10 of the evidence of the run under way; 0 without any."""
         if not self.pairs:
             return 0.0
+        if self.method.gate == "likelihood":
+            return recounted(self.offsets, self.first_ns, self.odd, self.method.evidence)
         # what later runs, and tests that share alpha, need more is against accidents; errors that last are drawn once
         share = self.method.evidence.accident_share
         return min(self.logs, self._identified + math.log10(0.5 * self.runs * (self.runs + 1) / share))
@@ -88,13 +95,13 @@ class AgreedPairs:
         own = self.method.evidence
         if not self.offsets:
             return 0.0
-        targets = np.array([target for target, _ in self.offsets])
+        targets = np.array([target for _, target, _ in self.offsets])
         found = self._likely(targets) + math.log10(0.5 * REACH_SIGMAS**2) - math.log10(own.unseen)
-        near = [(target, rival) for target, rival in self.offsets if rival is not None]
+        near = [(target, rival) for _, target, rival in self.offsets if rival is not None]
         if near:
             then, beside = (np.array(column) for column in zip(*near, strict=True))
             found = min(found, self._likely(then) - self._likely(beside))
-        target, rival = self.offsets[-1]
+        _, target, rival = self.offsets[-1]
         if rival is not None and math.dist(target, rival) < own.apart_m:
             found = min(found, -math.log10(own.swap))
         return max(0.0, found)
@@ -105,30 +112,43 @@ class AgreedPairs:
         return -own.offset_known * math.log10(1.0 + off2 / (2.0 * own.offset_known))
 
     @property
+    def _needed(self) -> float:
+        """log10 of the evidence that the run under way needs."""
+        if not self.runs:
+            return math.inf
+        own = self.method.evidence
+        if self.method.gate == "likelihood":
+            return math.log10(0.5 * self.runs * (self.runs + 1) / own.alpha)
+        return math.log10(self.runs * (self.runs + 1) / (own.alpha * own.accident_share))
+
+    @property
     def full(self) -> bool:
         """Returns whether the run is enough for a commit, by the gate of the rig."""
-        if self.method.gate == "evidence":
+        if self.method.gate != "count":
             own = self.method.evidence
-            spent = own.alpha * own.accident_share
-            needed = math.log10(self.runs * (self.runs + 1) / spent) if self.runs else math.inf
-            enough = self.agrees and self.reached >= needed - ROUNDING
+            enough = self.agrees and self.reached >= self._needed - ROUNDING
+            if self.method.gate == "likelihood":
+                enough = enough and self.sure_ns is not None and (self.last_ns - self.sure_ns) * 1e-9 >= HELD_S
             return enough and self.pairs >= own.min_pairs and self.span_s >= own.min_s - ROUNDING
         return self.pairs >= self.method.hold_frames and self.span_s >= self.method.hold_s - ROUNDING
 
     def __str__(self) -> str:
-        evidence = f", evidence {self.reached:.2f} in run {self.runs}" if self.method.gate == "evidence" else ""
+        evidence = f", evidence {self.reached:.2f} in run {self.runs}" if self.method.gate != "count" else ""
         return f"{self.pairs} pairs, {self.span_s:.2f} s{evidence}"
 
     def missed(self, record: Mapping[str, Any]) -> None:
         """An answer that does not agree: the end of pairs in a row; as evidence, only what was compared counts."""
-        if self.method.gate != "evidence":
+        if self.method.gate == "count":
             self.pairs = 0
             return
         iou, tau = record["iou"], record["tau"]
         if iou is None or tau is None:
             return
         self.agrees = False
-        if self.pairs:  # boxes that overlap and are too large for the target disagree as much as any
+        if self.method.gate == "likelihood":
+            self.odd += 1
+            self._note_sure(int(record["capture_ns"]))
+        elif self.pairs:  # boxes that overlap and are too large for the target disagree as much as any
             self._compare(int(record["capture_ns"]), iou if iou < tau else -math.inf, tau)
 
     def agreed(self, record: Mapping[str, Any]) -> str | None:
@@ -136,7 +156,7 @@ class AgreedPairs:
         capture_ns, iou, tau = int(record["capture_ns"]), record["iou"], record["tau"]
         if capture_ns <= self.last_ns or iou is None or tau is None or not iou >= tau:
             return f"a pair counted that must not: {dict(record)}"
-        if self.method.gate == "evidence" and (record.get("oversize") or 0.0) > self.method.evidence.size_sigmas:
+        if self.method.gate != "count" and (record.get("oversize") or 0.0) > self.method.evidence.size_sigmas:
             return f"a box larger than the target counted: {dict(record)}"
         gap_ns = capture_ns - self.last_ns
         if record["epoch"] != self.epoch:
@@ -150,9 +170,11 @@ class AgreedPairs:
             self._begin(capture_ns, int(record["target_id"]))
         self.pairs += 1
         self.last_ns, self.agrees = capture_ns, True
+        if self.method.gate != "count" and record.get("offset_m") is not None:
+            self.offsets.append((capture_ns, record["offset_m"], record.get("rival_offset_m")))
+        if self.method.gate == "likelihood":
+            self._note_sure(capture_ns)
         if self.method.gate == "evidence":
-            if record.get("offset_m") is not None:
-                self.offsets.append((record["offset_m"], record.get("rival_offset_m")))
             placed = record.get("placed_iou")
             self._compare(capture_ns, iou if placed is None else placed, tau)
         if record["count"] > self.pairs:
@@ -164,12 +186,19 @@ class AgreedPairs:
 
     @property
     def max_gap_s(self) -> float:
-        return self.method.evidence.max_gap_s if self.method.gate == "evidence" else self.method.max_gap_s
+        return self.method.max_gap_s if self.method.gate == "count" else self.method.evidence.max_gap_s
+
+    def _note_sure(self, capture_ns: int) -> None:
+        if self.reached < self._needed - ROUNDING:
+            self.sure_ns = None
+        elif self.sure_ns is None:
+            self.sure_ns = capture_ns
 
     def _begin(self, capture_ns: int, target_id: int) -> None:
         self.pairs, self.first_ns, self.target_id = 0, capture_ns, target_id
         self.runs += 1
         self.logs, self.block_ns, self.block, self.offsets = 0.0, capture_ns, [], []
+        self.odd, self.sure_ns = 0, None
 
     def _compare(self, capture_ns: int, iou: float, tau: float) -> None:
         own = self.method.evidence

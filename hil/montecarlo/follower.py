@@ -6,6 +6,7 @@ import numpy as np
 
 from flight.config import MissionConfig
 from flight.guidance import Vec3
+from flight.harness.montecarlo import StatedIdentity
 from flight.tracking.association import Sighting, follow
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.objects import MIN_SCORE
@@ -29,6 +30,9 @@ class Follower:
     Args:
         camera: as D1 believes it to be.
         things: the target's true motion. down_m: of its middle.
+
+    Attributes:
+        stated: in every frame with a box of what it takes for the target.
     """
 
     def __init__(
@@ -38,6 +42,7 @@ class Follower:
         self._largest = LargestBox.of(camera, method)
         self._ranging = Ranging.of(mission, method)
         self._track: TargetTrack | None = None
+        self.stated: list[StatedIdentity] = []
 
     def look(self, view: HandoverView, time_s: float, T_n_c: Pose) -> Sighting | MissReason:
         """The target in D1's next frame, taken at an instant of the attempt. ``T_n_c``: as D1 believes."""
@@ -49,7 +54,12 @@ class Follower:
             track = self._track = self._followed(found, view.stamp_ns, time_s)
         if view.stamp_ns - track.stamp_ns > 1e9 * self._mission.deadlines.target_coast_s:
             return MissReason.NO_TARGET  # given up
-        return follow(view, T_n_c, self._camera, track)
+        seen = follow(view, T_n_c, self._camera, track)
+        stated = None if track.identity is None else track.identity.stated
+        if stated is not None:
+            box, probability = stated
+            self.stated.append(StatedIdentity(probability, view.whose(box) == TARGET))
+        return seen
 
     def _shown(self, view: HandoverView, T_n_c: Pose) -> Vec3 | MissReason:
         """The target's place by its own box: what D1 follows has D1's errors in it."""

@@ -71,4 +71,5 @@ def _result(attempt: Attempt, setup: HandoverSetup, ran: CyclesRun, method: Meth
         simulated_s=ran.simulated_s,
         circumstances=setup.circumstances,
         series=series,
+        identity=tuple(setup.follower.stated),
     )

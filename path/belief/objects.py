@@ -164,6 +164,7 @@ class Belief:
         self._numbers = 0
         self._stamp_ns: int | None = None
         self._assigned: list[int | None] = []  # by measurement of the newest frame: number of its track
+        self._alone: list[bool] = []  # and whether nothing else is in its box
 
     def designate(self, place_m: Array, measured: Measured, stamp_ns: int) -> None:
         """Begin with the object that was designated: it is at a place, and a box like that is of it.
@@ -211,6 +212,8 @@ class Belief:
                 track.log_odds -= math.log(1.0 / (1.0 - SHOWN)) * dt_s / SPELL_S if not track.confirmed else 0.0
         taken = {column: self.tracks[k].number for k, column in enumerate(assigned) if column is not None}
         self._assigned = [taken.get(column) for column in range(len(measured))]
+        together = {column for k, column in enumerate(assigned) if column is not None and fits[k][column].larger}
+        self._alone = [column not in together for column in range(len(measured))]
         self._open(measured, marginals, fits, holders, stamp_ns)
         self._settle(stamp_ns)
 
@@ -229,6 +232,11 @@ class Belief:
         """Return the probability that a measurement of the newest frame is of the designated object."""
         number = self._assigned[column]
         return 0.0 if number is None else self.probability(number)
+
+    def track_of(self, column: int) -> ObjectTrack | None:
+        """Return the track whose object a measurement of the newest frame is of, and of nothing else."""
+        number = self._assigned[column] if self._alone[column] else None
+        return next((track for track in self.tracks if track.number == number), None)
 
     def probability(self, number: int) -> float:
         """Return the probability that a track's object is the designated one."""

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -18,7 +19,7 @@ from hil.monitors.watched_log import WatchedLog
 from path.config import EvidenceConfig, MethodConfig
 from path.gate.evidence import EvidenceGate, evidence_needed, evidence_of, make_gate
 from path.gate.identity import nearest_rival
-from path.gate.window import FramePair, Gate, Offsets
+from path.gate.window import FramePair, Gate, Offset, Offsets
 from path.messages import Role
 from path.observations import MissReason
 
@@ -212,7 +213,7 @@ class Stream:
         refusal = self.gate.agree(pair, iou, 0.4)
         evidence = self.gate.evidence.reached if self.gate.evidence else None
         counted = refusal in (None, MissReason.AMBIGUOUS_TARGET)
-        record = {"agreed": refusal is None, "counted": counted, "iou": iou, "tau": 0.4, "target_id": 1}
+        record = {"agreed": refusal is None and iou >= 0.4, "counted": counted, "iou": iou, "tau": 0.4, "target_id": 1}
         record |= {"count": self.gate.count, "evidence": evidence, "epoch": self.epoch, "capture_ns": capture_ns}
         record |= {"offset_m": self.offsets.target_m, "rival_offset_m": nearest_rival(self.offsets)}
         record |= {"oversize": self.oversize, "placed_iou": self.placed_iou}
@@ -485,3 +486,48 @@ def test_what_was_promised_of_records_is_not_after_a_disk_has_lost_one(monitors:
     assert dict(monitors.violations) == {"S4": 1, "S6": 1, "S8": 1, "S9": 1}
     assert [told[:2] for told in monitors.beyond] == ["S1", "S4"]
     assert monitors.broken == ("disk",)
+
+
+# --- the gate "likelihood" --------------------------------------------------------------------------------------------
+
+LIKELIHOOD = MethodConfig(gate="likelihood")
+
+
+def by_likelihood(**changes: Any) -> Stream:
+    return Stream(Monitors(LIKELIHOOD, 0.7), make_gate(LIKELIHOOD), **changes)
+
+
+@pytest.mark.parametrize("rivals_m", [(), ((0.4, 0.1),), ((0.4, 0.1), (-0.35, 0.2))])
+def test_a_likelihood_enough_for_a_commit_is_enough_for_the_monitors(
+    rivals_m: tuple[Offset, ...],
+) -> None:
+    stream, rng = by_likelihood(), np.random.default_rng(3)
+    for index in range(500):
+        wavers = float(rng.normal(0.0, 0.01))
+        stream.offsets = Offsets((0.02 + wavers, -0.005), tuple((x + wavers, y) for x, y in rivals_m))
+        stream.pair(index, 0.1 if index % 17 == 5 else 0.8)
+        if stream.gate.complete:
+            break
+    assert stream.gate.complete
+    assert stream.commit() == {}
+
+
+@pytest.mark.parametrize("offsets", [Offsets((0.15, 0.0)), Offsets((0.3, 0.0), ((0.01, 0.0),))])
+def test_s5_a_box_that_errors_do_not_explain_by_likelihood(offsets: Offsets) -> None:
+    stream = by_likelihood(offsets=offsets)
+    stream.pairs(0, 300)
+    assert not stream.gate.complete
+    assert stream.commit() == {"S5": 1}
+
+
+def test_s5_a_commit_by_likelihood_that_came_too_soon() -> None:
+    stream = by_likelihood()
+    stream.pairs(0, 40)
+    assert stream.commit() == {"S5": 1}
+
+
+def test_s6_a_role_that_claims_a_likelihood_that_its_pairs_do_not_have() -> None:
+    stream = by_likelihood()
+    stream.pairs(0, 60)
+    stream.pair(60, evidence=9.9)
+    assert dict(stream.monitors.violations) == {"S6": 1}

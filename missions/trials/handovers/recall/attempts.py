@@ -10,13 +10,16 @@ from typing import Literal
 import numpy as np
 
 from flight.harness.montecarlo import Attempt, HandoverRunner, Series, Telling, WrongAssociation, agreeing
-from missions.trials.handovers.judging import GATES, JudgedAttempt, verdict_of
+from missions.trials.handovers.judging import GATES, JudgedAttempt, Verdict, verdict_of
 from missions.trials.handovers.recall.detectors import DetectorFaults, FaultyFrames, faulty_frames, with_detector
-from path.config import MethodConfig
+from missions.trials.handovers.recall.identity import NOTHING_STATED, StatedCounts, counted
+from path.config import GateKind, MethodConfig
 from path.gate.evidence import evidence_needed, evidence_of, make_gate
 from path.gate.window import Gate
 
 Group = Literal["true", "look-alike", "wrong object"]
+
+ALL_GATES: tuple[GateKind, ...] = (*GATES, "likelihood")
 
 LIMIT_S = 10.0
 FRAME_S = 0.02  # from one frame to the next, of both cameras
@@ -35,6 +38,18 @@ class AttemptOrder:
     detector: DetectorFaults
     group: Group
     attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True)
+class RecallAttempt(JudgedAttempt):
+    """One attempt by all gates. ``identity``: what D1 stated of the object that it followed."""
+
+    likelihood: Verdict
+    identity: StatedCounts = NOTHING_STATED
+
+    def by(self, gate: GateKind) -> Verdict | None:
+        """Return the verdict of a gate."""
+        return self.likelihood if gate == "likelihood" else JudgedAttempt.by(self, gate)
 
 
 def orders(seed: int, detectors: Sequence[DetectorFaults], of_each: int) -> list[AttemptOrder]:
@@ -63,10 +78,10 @@ def faults_of(order: AttemptOrder) -> FaultyFrames:
     return faulty_frames(order.detector, FRAMES, rng)
 
 
-def judge(runner: HandoverRunner, method: MethodConfig, order: AttemptOrder) -> JudgedAttempt:
-    """Run one attempt for as long as either gate can still commit."""
+def judge(runner: HandoverRunner, method: MethodConfig, order: AttemptOrder) -> RecallAttempt:
+    """Run one attempt for as long as any gate can still commit."""
     faults = faults_of(order)
-    methods = [replace(method, gate=gate) for gate in GATES]
+    methods = [replace(method, gate=gate) for gate in ALL_GATES]
     telling = [Telling(make_gate(own), own) for own in methods]
 
     def decided(series: Series) -> bool:
@@ -78,14 +93,15 @@ def judge(runner: HandoverRunner, method: MethodConfig, order: AttemptOrder) -> 
                 continue
             if not can_complete(told.gate, own, seen, faults):
                 continue
-            given_up = far and (own.gate == "evidence" or not agreeing(series, own).any())
+            given_up = far and (own.gate != "count" or not agreeing(series, own).any())
             if not given_up:
                 return False
         return True
 
-    seen = with_detector(runner.run(order.attempt, decided).series, faults, method)
-    count, evidence = (verdict_of(seen, method, gate) for gate in GATES)
-    return JudgedAttempt(order.attempt.index, count, evidence)
+    ran = runner.run(order.attempt, decided)
+    seen = with_detector(ran.series, faults, method)
+    count, evidence, likelihood = (verdict_of(seen, method, gate) for gate in ALL_GATES)
+    return RecallAttempt(order.attempt.index, count, evidence, likelihood, counted(ran.identity))
 
 
 def can_complete(gate: Gate, method: MethodConfig, series: Series, faults: FaultyFrames) -> bool:
@@ -98,7 +114,7 @@ def can_complete(gate: Gate, method: MethodConfig, series: Series, faults: Fault
     left_s = LIMIT_S - (int(series.now_ns[-1]) - first_ns) * 1e-9
     if left_s + LATE_S < shortest_s(method) - span_s:
         return False
-    if method.gate == "evidence":
+    if method.gate != "count":
         return True
     begins_s = (int(series.capture_ns[-1]) - first_ns) * 1e-9 - span_s - LATE_S
     return faults.longest_clear(int(begins_s / FRAME_S)) >= method.hold_frames
@@ -107,7 +123,7 @@ def can_complete(gate: Gate, method: MethodConfig, series: Series, faults: Fault
 def stays_far(series: Series) -> bool:
     """Returns whether D2, which sees only another object, has seen it nowhere near the target for long enough.
 
-    The offset of its box wavers by 0.01 m (docs/gates.md); the gate "evidence" lets no mean above 0.074 m pass.
+    The offset of its box wavers by 0.01 m (docs/gates.md); "evidence" and "likelihood" let no mean above 0.074 m pass.
     """
     if (int(series.now_ns[-1]) - int(series.capture_ns[0])) * 1e-9 < FAR_S:
         return False
@@ -118,6 +134,8 @@ def shortest_s(method: MethodConfig) -> float:
     """Returns from the first to the last frame of the shortest run with which the gate can be complete."""
     if method.gate == "count":
         return method.hold_s
+    if method.gate == "likelihood":
+        return method.evidence.min_s
     blocks, needed = 1, evidence_needed(1, method.evidence)
     while evidence_of(blocks, method.evidence) < needed:
         blocks += 1

@@ -1,4 +1,4 @@
-"""Detectors that miss in spells and invent boxes, and both gates: how many commit, how soon, how many wrongly."""
+"""Detectors that miss in spells and invent boxes, and all gates: how many commit, how soon, how many wrongly."""
 
 from __future__ import annotations
 
@@ -12,16 +12,23 @@ import numpy as np
 from missions.resumable_lines import ResumableLines
 from missions.trials.handovers.judging import (
     GATE_TITLES,
-    GATES,
     Attempts,
-    JudgedAttempt,
     batches,
     run_batch,
     verdicts_of,
     wrongly,
 )
-from missions.trials.handovers.recall.attempts import LIMIT_S, LOCKED_M, AttemptOrder, judge, orders
+from missions.trials.handovers.recall.attempts import (
+    ALL_GATES,
+    LIMIT_S,
+    LOCKED_M,
+    AttemptOrder,
+    RecallAttempt,
+    judge,
+    orders,
+)
 from missions.trials.handovers.recall.detectors import DetectorFaults
+from missions.trials.handovers.recall.identity import reliability
 from missions.trials.shared.statistics import upper_bound
 from missions.trials.shared.trial import (
     TrialFinding,
@@ -32,7 +39,7 @@ from missions.trials.shared.trial import (
 )
 from path.config import GateKind
 
-TITLE = "Recall: detectors that miss and invent, and both gates"
+TITLE = "Recall: detectors that miss and invent, and all gates"
 PAPER = "Mutual Agreement Handshake"
 NEEDS = ("montecarlo",)
 
@@ -41,11 +48,12 @@ DETECTORS = tuple(DetectorFaults(*each) for each in product(RECALLS, MISS_FRAMES
 OF_EACH, QUICK = 672, 2  # attempts
 BATCH = 45
 KEPT = "attempts.jsonl"
+TITLES = {**GATE_TITLES, "likelihood": "likelihood"}
 WRONG_LIMIT = 1e-4
 EASY, HARD = DetectorFaults(0.9, 5.0), DetectorFaults(0.7, 5.0)
 EASY_RATE, EASY_S, HARD_RATE = 0.95, 4.0, 0.80
 
-Pair = tuple[AttemptOrder, JudgedAttempt]
+Pair = tuple[AttemptOrder, RecallAttempt]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +97,10 @@ def _judged(request: TrialRequest, asked: Sequence[AttemptOrder]) -> list[Pair]:
     """Attempts are kept as they are judged: the same command with the same ``--out`` goes on with what is left."""
     rig = request.rig
     head = {
-        "format": "path-handoff recall 2", "rig": str(rig.file), "seed": request.seed,
+        "format": "path-handoff recall 3", "rig": str(rig.file), "seed": request.seed,
         "errors": rig.world.get("errors"), "detectors": len(DETECTORS), "method": repr(rig.method),
     }  # fmt: skip
-    with ResumableLines(request.out / KEPT, JudgedAttempt, head) as kept:
+    with ResumableLines(request.out / KEPT, RecallAttempt, head) as kept:
         done = {line.index for line in kept.lines}
         left = [order for order in asked if order.attempt.index not in done]
         for part in request.work.stream("Monte-Carlo hand-overs", run_batch, batches(rig, judge, left, BATCH)):
@@ -115,19 +123,20 @@ def cell_of(judged: Sequence[Pair], number: int, gate: GateKind) -> Cell:
 def result(judged: Sequence[Pair], short: bool) -> TrialResult:
     """Return the result of so many attempts."""
     attempts = [attempt for _, attempt in judged]
-    cells = [cell_of(judged, number, gate) for number in range(len(DETECTORS)) for gate in GATES]
-    wrong = {gate: wrongly(attempts, gate) for gate in GATES}
+    cells = [cell_of(judged, number, gate) for number in range(len(DETECTORS)) for gate in ALL_GATES]
+    wrong = {gate: wrongly(attempts, gate) for gate in ALL_GATES}
     followed = sum(each.evidence.wrong and each.evidence.same for each in attempts)
     summary = {
         "short": short,
         "attempts": len(judged),
         "wrong": wrong["evidence"],
         "wrong_count": wrong["count"],
+        "wrong_likelihood": wrong["likelihood"],
         "wrong_followed_by_d1": followed,
         "wrong_upper": upper_bound(wrong["evidence"], len(judged)),
         "cells": [cell.summary for cell in cells],
     }
-    tables = (_table(cells), _wrong_table(judged))
+    tables = (_table(cells), _wrong_table(judged), reliability([each.identity for each in attempts]))
     return TrialResult(summary, (*_commit_findings(cells), _wrong_finding(summary)), tables=tables, notes=NOTES)
 
 
@@ -167,29 +176,29 @@ def _wrong_finding(summary: dict[str, Any]) -> TrialFinding:
         goal=f"0, <= {WRONG_LIMIT:g}",
         verdict=verdict(wrong == 0 and bound <= WRONG_LIMIT),
         note=f"in {summary['wrong_followed_by_d1']} of them D1 itself had gone over to the other object; by the count: "
-        f"{summary['wrong_count']}",
+        f"{summary['wrong_count']}; by likelihood: {summary['wrong_likelihood']}",
     )
 
 
 def _table(cells: Sequence[Cell]) -> TrialTable:
-    by_gate = [[cell for cell in cells if cell.gate == gate] for gate in GATES]
+    by_gate = [[cell for cell in cells if cell.gate == gate] for gate in ALL_GATES]
     rows: list[tuple[str, ...]] = []
-    for count, evidence in zip(*by_gate, strict=True):
-        own = count.detector
+    for through in zip(*by_gate, strict=True):
+        own = through[0].detector
         named = f"{own.recall:g}", f"{own.miss_frames:g}", f"{own.false_positives:.0%}"
-        rows.append((*named, *count.shown, *evidence.shown))
+        rows.append((*named, *(figure for cell in through for figure in cell.shown)))
     columns = ("recall", "frames of a miss", "false positives")
     figures = ("commits", "median s", "p90 s", "wrong")
     return TrialTable(
-        "Both drones' detectors, true attempts by the paper's gate and by evidence, and wrong ones of all",
-        (*columns, *(f"{name}, {GATE_TITLES[gate]}" for gate in GATES for name in figures)),
+        "Both drones' detectors, true attempts by each gate, and wrong ones of all",
+        (*columns, *(f"{name}, {TITLES[gate]}" for gate in ALL_GATES for name in figures)),
         tuple(rows),
         f"Commits within {LIMIT_S:g} s. A time of inf: fewer than so many commit.",
     )
 
 
 def _wrong_table(judged: Sequence[Pair]) -> TrialTable:
-    groups: dict[str, list[JudgedAttempt]] = {"look-alike": []}
+    groups: dict[str, list[RecallAttempt]] = {"look-alike": []}
     groups |= {f"wrong object, {distance_m:g} m from the target": [] for distance_m in LOCKED_M}
     for order, attempt in judged:
         wrong = order.attempt.wrong
@@ -200,19 +209,19 @@ def _wrong_table(judged: Sequence[Pair]) -> TrialTable:
     rows = [(name, str(len(own)), *_wrong_of(own)) for name, own in groups.items()]
     return TrialTable(
         "Commits with a wrong object, over all detectors",
-        ("attempts with a", "attempts", *GATE_TITLES.values()),
+        ("attempts with a", "attempts", *TITLES.values()),
         tuple(rows),
         "look-alike: 0.3-1.0 m from the target, or driving past it; wrong object: D2 sees nothing else.",
     )
 
 
 def _wrong_of(attempts: Attempts) -> list[str]:
-    return [str(wrongly(attempts, gate)) for gate in GATES]
+    return [str(wrongly(attempts, gate)) for gate in ALL_GATES]
 
 
 NOTES = (
     f"Each attempt is a line of {KEPT}: the same command goes on with a folder that was begun.",
-    "Every attempt is a hand-over of its own; both gates judge the same one. Errors that last are drawn for each, as "
+    "Every attempt is a hand-over of its own; all gates judge the same one. Errors that last are drawn for each, as "
     "in the trial of the handshake.",
     "Misses and inventions are laid over hand-overs whose boxes were found in every frame: a missed frame of D1 takes "
     "the pairs around it, and D2's prior once D1's newest sample is older than it may be carried. What a tracker that "

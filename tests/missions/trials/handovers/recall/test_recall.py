@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flight.harness.montecarlo import MISS, PAIR, Series, Telling, tell
+from flight.harness.montecarlo import MISS, PAIR, Series, StatedIdentity, Telling, tell
 from missions import rig_library
-from missions.trials.handovers.judging import GATES, Batch, JudgedAttempt, Verdict
+from missions.trials.handovers.judging import GATES, Batch, Verdict
 from missions.trials.handovers.recall import trial
 from missions.trials.handovers.recall.attempts import (
+    ALL_GATES,
     FRAMES,
     LOCKED_M,
+    RecallAttempt,
     can_complete,
     faults_of,
     judge,
@@ -32,6 +34,7 @@ from missions.trials.handovers.recall.detectors import (
     unwrapped,
     with_detector,
 )
+from missions.trials.handovers.recall.identity import counted, reliability
 from missions.trials.shared.trial import TrialRequest, trial_part
 from missions.work import open_work
 from path.config import GateKind, MethodConfig
@@ -199,9 +202,9 @@ def test_every_cell_has_every_kind_of_attempt_and_no_hand_over_comes_twice() -> 
         assert all(order.attempt.whole for order in own)
 
 
-def judged(cell: int, group: str, count: Verdict, evidence: Verdict) -> trial.Pair:
+def judged(cell: int, group: str, count: Verdict, evidence: Verdict, likelihood: Verdict | None = None) -> trial.Pair:
     template = next(o for o in orders(0, [DetectorFaults()], 4) if o.group == group)
-    return replace(template, cell=cell), JudgedAttempt(0, count, evidence)
+    return replace(template, cell=cell), RecallAttempt(0, count, evidence, likelihood or Verdict())
 
 
 @pytest.mark.parametrize("stated", [False, True])
@@ -228,7 +231,7 @@ def test_a_cell_counts_true_commits_and_all_wrong_ones() -> None:
         judged(1, "true", good, none),
         judged(1, "look-alike", none, wrong),
         judged(1, "wrong object", wrong, wrong),
-        judged(2, "true", wrong, wrong),
+        judged(2, "true", wrong, wrong, wrong),
     ]
     evidence = trial.cell_of(told, 1, "evidence")
     assert (evidence.true_attempts, evidence.attempts, evidence.wrong) == (3, 5, 2)
@@ -236,6 +239,15 @@ def test_a_cell_counts_true_commits_and_all_wrong_ones() -> None:
     assert evidence.t_median_s == 4.0
     assert evidence.t_p90_s == np.inf
     assert trial.cell_of(told, 1, "count").wrong == 1
+    assert [trial.cell_of(told, cell, "likelihood").wrong for cell in (1, 2)] == [0, 1]
+
+
+def test_what_d1_stated_is_held_against_what_it_followed() -> None:
+    stated = [StatedIdentity(0.9995, True)] * 90 + [StatedIdentity(0.97, True)] * 6 + [StatedIdentity(0.97, False)] * 4
+    rows = {row[0]: row[1:] for row in reliability([counted(stated), counted(stated[:90])]).rows}
+    assert rows["0 to 0.001"][:4] == ("180", "0", "2", "0")
+    assert rows["0.02 to 0.05"][:4] == ("10", "0.4", "1", "1")
+    assert rows["0.5 to 1"] == ("0", "-", "0", "0", "-")
 
 
 @pytest.mark.parametrize("short", [True, False])
@@ -246,7 +258,7 @@ def test_a_result_says_whether_it_is_short(short: bool) -> None:
     assert [finding.verdict for finding in found.findings[:3]] == ["met"] * 3
     assert found.findings[3].verdict == "short"  # so few attempts bound nothing
     assert found.summary["short"] is short
-    assert len(found.summary["cells"]) == 2 * 45
+    assert len(found.summary["cells"]) == 3 * 45
 
 
 def test_its_short_form(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -261,8 +273,8 @@ def test_its_short_form(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         assert trial.run(request).summary == found.summary  # what an interrupt left out is run again, and nothing else
         assert kept.read_text() == whole
     assert found.summary["attempts"] == 8
-    assert [cell["gate"] for cell in found.summary["cells"]] == [*GATES, *GATES]
-    assert found.summary["cells"][1]["commit_rate"] == 1.0
+    assert [cell["gate"] for cell in found.summary["cells"]] == [*ALL_GATES, *ALL_GATES]
+    assert [cell["commit_rate"] for cell in found.summary["cells"][1:3]] == [1.0, 1.0]
     assert found.summary["cells"][0]["commit_rate"] == 0.0
 
 
