@@ -43,6 +43,7 @@ class ViewsKind:
     Attributes:
         named: the board as the person names it, None: as it is.
         refusal: why nothing can be made of it, None when there is to be a calibration.
+        fault: what must be said of it though there is a calibration, if it must.
     """
 
     board: Board
@@ -51,11 +52,13 @@ class ViewsKind:
     held: Held = WIDE
     named: Board | None = None
     refusal: BadSet | None = None
+    fault: BadSet | None = None
 
 
 CHESSBOARD = Board("chessboard", 9, 7, 0.030)
 SQUARE = Board("chessboard", 8, 8, 0.0254)
 CHARUCO = Board("charuco", 8, 8, 0.0254, 0.01905)
+FINE = Board("charuco", 10, 7, 0.030, 0.0225)
 LEGACY = replace(CHARUCO, legacy=True)
 KINDS: Mapping[str, ViewsKind] = {
     "chessboard 320x240, 20 views": ViewsKind(CHESSBOARD, (320, 240), 20),
@@ -74,6 +77,16 @@ KINDS: Mapping[str, ViewsKind] = {
     "ChArUco 1280x720, old pattern named as new, 10 views": ViewsKind(LEGACY, (1280, 720), 10, named=CHARUCO),
     "ChArUco 1280x720, 30 views of one distance": ViewsKind(CHARUCO, (1280, 720), 30, NEAR_ONE_DISTANCE),
     "ChArUco 1920x1080, 12 views": ViewsKind(CHARUCO, (1920, 1080), 12),
+    "ChArUco 640x480, 16 views, hardly tilted": ViewsKind(
+        FINE, (640, 480), 16, Held(tilt_deg=(0.0, 4.0)), fault=BadSet.NO_TILT
+    ),
+    "ChArUco 640x480, 16 views of exactly one distance": ViewsKind(
+        FINE, (640, 480), 16, Held(distance_m=(0.5, 0.53)), fault=BadSet.ONE_DISTANCE
+    ),
+    "ChArUco 640x480, 16 views, in the middle only": ViewsKind(
+        FINE, (640, 480), 16, Held(distance_m=(0.9, 1.2), reach=0.05), fault=BadSet.CLUSTERED
+    ),
+    "ChArUco 640x480, 8 views": ViewsKind(FINE, (640, 480), 8, fault=BadSet.TOO_FEW_VIEWS),
 }
 QUICK = tuple(list(KINDS)[k] for k in (0, 3, 7))
 
@@ -115,7 +128,7 @@ def kind_findings(results: Sequence[KindResult]) -> list[TrialFinding]:
     right, graded = sum(each.expected for each in results), [each for each in results if each.off]
     within = sum(each.within for each in graded)
     return [
-        TrialFinding("kinds of sets that end in a calibration or a refusal as they should",
+        TrialFinding("kinds of sets that end in a calibration or a refusal, and are told what is wrong, as they should",
                      f"{right} of {len(results)}", goal=f"{len(results)}", verdict=verdict(right == len(results))),
         TrialFinding("of those calibrated, fx, fy, cx and cy within two stated standard errors",
                      f"{within} of {len(graded)}", goal=f"{len(graded)}", verdict=verdict(within == len(graded))),
@@ -158,9 +171,10 @@ def calibrate_kind(work: tuple[type[FrameRenderer], str, int]) -> KindResult:
         done = calibrate(collected, named)
     except BadViews as refusal:
         reasons = tuple(fault.reason for fault in refusal.faults)
-        right = kind.refusal in reasons
+        right = (kind.refusal or kind.fault) in reasons
         return KindResult(name, None, tuple(r.value for r in reasons), (), (math.nan, math.nan), right)
-    return _result(name, done, camera, kind.refusal is None)
+    told = kind.fault is None or kind.fault in (fault.reason for fault in done.faults)
+    return _result(name, done, camera, kind.refusal is None and told)
 
 
 def camera_of(size: tuple[int, int]) -> CameraModel:

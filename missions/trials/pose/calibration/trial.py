@@ -9,15 +9,12 @@ from typing import Any
 import numpy as np
 
 from flight.harness.renderer import IDEAL, REALISTIC, REALISTIC_VIDEO, FrameRenderer, Imaging
-from missions.calibrate.camera import BadViews, calibrate
-from missions.calibrate.collect import Collected, CollectedImage
 from missions.trials.pose.calibration.kinds import KINDS, QUICK, calibrate_kind, kind_findings, kind_table
 from missions.trials.pose.calibration.views import Held, board_poses, grey, photographs
 from missions.trials.shared.statistics import bootstrap, means, rms
 from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, TrialTable, verdict
 from path.calibration.board import Board, BoardView, find_board, find_corners
 from path.calibration.intrinsics import left_by, solve_intrinsics
-from path.calibration.judge import BadSet
 from path.camera.model import CameraModel
 
 TITLE = "Calibration from rendered boards: the camera that comes out against the one that is there"
@@ -36,12 +33,6 @@ CONDITIONS: Mapping[str, Imaging] = {
 SETS, VIEWS = 2, 20
 QUICK_SETS, QUICK_VIEWS = 1, 13
 FOCAL_GOAL, HELD_OUT_GOAL = 0.001, 0.10
-BAD: Mapping[str, tuple[Held, int, BadSet]] = {
-    "the board never tilted": (Held(tilt_deg=(0.0, 4.0)), 16, BadSet.NO_TILT),
-    "all from one distance": (Held(distance_m=(0.5, 0.53)), 16, BadSet.ONE_DISTANCE),
-    "the board in the middle only": (Held(distance_m=(0.9, 1.2), reach=0.05), 16, BadSet.CLUSTERED),
-    "8 views": (Held(), 8, BadSet.TOO_FEW_VIEWS),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,17 +80,15 @@ def run(request: TrialRequest) -> TrialResult:
         for number in range(sets)
     ]
     outcomes = request.work.map("sets of views", calibrate_set, pieces)
-    refused = request.work.map("bad sets", refuse_set, [(renderer, name) for name in BAD])
     ends = request.work.map("kinds of sets", calibrate_kind, [(renderer, kind, request.seed) for kind in kinds])
     groups = {(c, b): [o for o in outcomes if (o.condition, o.board) == (c, b)] for c in conditions for b in BOARDS}
-    findings = [*_focal_findings(outcomes, groups), _refusals(refused), *kind_findings(ends)]
+    findings = [*_focal_findings(outcomes, groups), *kind_findings(ends)]
     return TrialResult(
         summary={
             "camera": [camera.width, camera.height],
             "sets": sets,
             "views": views,
             "by_condition": {f"{c}/{b}": _summary(own) for (c, b), own in groups.items()},
-            "refused": dict(zip(BAD, refused, strict=True)),
             "kinds": {end.name: end.summary() for end in ends},
         },
         findings=tuple(findings),
@@ -148,23 +137,6 @@ def calibrate_set(work: Set) -> SetResult:
     )
 
 
-def refuse_set(work: tuple[type[FrameRenderer], str]) -> list[str]:
-    """A piece of work: what is said to be wrong with a bad set, refused or not; empty when it is called good."""
-    renderer, name = work
-    held, count, _ = BAD[name]
-    board, camera = BOARDS["charuco"], QUICK_CAMERA
-    where = list(board_poses(camera, board, held, count, 1))
-    looks = [
-        CollectedImage(str(number), (camera.width, camera.height), find_board(grey(color), board))
-        for number, color in enumerate(photographs(renderer, camera, board, where, 1))
-    ]
-    try:
-        done = calibrate(Collected(looks), board)
-    except BadViews as refusal:
-        return [fault.reason.value for fault in refusal.faults]
-    return [fault.reason.value for fault in done.faults]
-
-
 Groups = Mapping[tuple[str, str], Sequence[SetResult]]
 
 
@@ -202,12 +174,6 @@ def _focal_findings(outcomes: Sequence[SetResult], groups: Groups) -> list[Trial
         )
     )
     return findings
-
-
-def _refusals(refused: Sequence[Sequence[str]]) -> TrialFinding:
-    right = sum(BAD[name][2].value in reasons for name, reasons in zip(BAD, refused, strict=True))
-    return TrialFinding("bad sets told what is wrong with them", f"{right} of {len(BAD)}", goal=f"{len(BAD)}",
-                   verdict=verdict(right == len(BAD)))  # fmt: skip
 
 
 def _summary(own: Sequence[SetResult]) -> dict[str, Any]:
