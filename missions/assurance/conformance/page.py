@@ -11,27 +11,24 @@ from missions.assurance.conformance.record import EMBEDDED, Record
 from missions.assurance.conformance.rows import SECTIONS, Row, likeness, said
 
 NAMES = {EMBEDDED: "embedded", "px4": "PX4", "ardupilot": "ArduCopter"}
-LAST = "embedded is"
+LAST = "embedded is like"
 WRITTEN_BY = "Written by `path-handoff conformance`"
 
 HEAD = """# How the vehicles behave
 
-Written by `path-handoff conformance`, not by hand: every figure below was measured through MAVSDK and the driver that
-missions use, on each vehicle by the same code ([autopilots](autopilots.md) says where to get the real ones).
+Written by `path-handoff conformance`, not by hand. Every figure was measured through MAVSDK and the
+driver that missions use ([autopilots](autopilots.md) says where to get the real ones).
 
 ```sh
 path-handoff conformance --px4 PATH --ardupilot PATH --out conformance --page docs/conformance.md
 path-handoff conformance --no-fly --out conformance --page docs/conformance.md   # the page alone, from what was flown
 ```
 
-The vehicles of the rigs `sitl`, `sitl-px4` and `sitl-ardupilot` are switched on and flown {flights} times, with their
-rigs' parameters. A relay in the cable hears everything, cuts it, and is the second ground station; heights and speeds
-are the simulations' truth. Modes are what heartbeats show: PX4 beats once a second, and its changes of mode are up to
-1 s late. One flight each: take a figure as an example, not as a mean. The embedded world has wind (1.5 m/s, gusts
-0.4 m/s), the two simulators have none.
-
-The last column says whom the embedded vehicle is like as far as a mission would notice; texts in an autopilot's own
-words are not compared. “Never”: not within the time that was waited.
+The vehicles of the rigs `sitl`, `sitl-px4` and `sitl-ardupilot` are flown {flights} times, with their rigs'
+parameters. Heights and speeds are the simulations' truth, modes are what heartbeats show
+(a PX4 beats once a second). One flight each: take a figure as an example, not as a mean. The embedded world has wind (1.5 m/s, gusts 0.4 m/s),
+the two simulators have none. The last column says whom the embedded vehicle is like as far as a
+mission would notice. “Never”: not within the time that was waited.
 """
 
 

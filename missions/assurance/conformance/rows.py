@@ -179,9 +179,11 @@ def likeness(row: Row, embedded: Mapping[str, Value], real: Mapping[str, Mapping
         return ""
     own = embedded[row.name]
     same = [name for name, value in others.items() if alike(row, own, value)]
+    if len(same) > 1:
+        return "both"
     if same:
-        return "as " + " and ".join(same)
+        return same[0]
     numbers = [value for value in others.values() if isinstance(value, (int, float))]
     if isinstance(own, (int, float)) and len(numbers) > 1 and min(numbers) < own < max(numbers):
         return "between"
-    return "**unlike**"
+    return "**neither**"

@@ -28,12 +28,12 @@ def record(vehicle: str, **values: float | str | None) -> Record:
 @pytest.mark.parametrize(
     ("own", "px4", "copter", "expected"),
     [
-        (1.0, 1.1, 5.0, "as PX4"),
-        (1.0, 0.9, 1.2, "as PX4 and ArduCopter"),
+        (1.0, 1.1, 5.0, "PX4"),
+        (1.0, 0.9, 1.2, "both"),
         (3.0, 1.0, 9.0, "between"),
-        (9.0, 1.0, 3.0, "**unlike**"),
-        (None, 1.0, None, "as ArduCopter"),
-        (1.0, None, None, "**unlike**"),
+        (9.0, 1.0, 3.0, "**neither**"),
+        (None, 1.0, None, "ArduCopter"),
+        (1.0, None, None, "**neither**"),
     ],
 )
 def test_whom_a_figure_is_like(own: float | None, px4: float | None, copter: float | None, expected: str) -> None:
@@ -42,8 +42,8 @@ def test_whom_a_figure_is_like(own: float | None, px4: float | None, copter: flo
 
 
 def test_answers_are_alike_word_by_word_and_own_words_are_not_compared() -> None:
-    assert likeness(ANSWER, {"answer": "denied"}, {"PX4": {"answer": "denied"}}) == "as PX4"
-    assert likeness(ANSWER, {"answer": "denied"}, {"PX4": {"answer": "failed"}}) == "**unlike**"
+    assert likeness(ANSWER, {"answer": "denied"}, {"PX4": {"answer": "denied"}}) == "PX4"
+    assert likeness(ANSWER, {"answer": "denied"}, {"PX4": {"answer": "failed"}}) == "**neither**"
     assert likeness(replace(ANSWER, alike=None), {"answer": "a"}, {"PX4": {"answer": "a"}}) == ""
     assert likeness(ANSWER, {}, {"PX4": {"answer": "a"}}) == ""
 
@@ -70,7 +70,7 @@ def test_the_page_is_made_of_the_records_alone(tmp_path: Path, capsys: pytest.Ca
     assert "first heartbeat after" in capsys.readouterr().out
     text = (tmp_path / "page.md").read_text("utf-8")
     assert text == page(read_all(tmp_path), 7)
-    assert "| first heartbeat after | 1.0 s | 1.5 s | as PX4 |" in text
+    assert "| first heartbeat after | 1.0 s | 1.5 s | PX4 |" in text
     assert "| ... and says | no · bar | not measured |  |" in text
     assert "- PX4, course: it fell" in text
     assert "switched off and on 2 times" in text
