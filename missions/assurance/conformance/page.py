@@ -24,11 +24,13 @@ path-handoff conformance --px4 PATH --ardupilot PATH --out conformance --page do
 path-handoff conformance --no-fly --out conformance --page docs/conformance.md   # the page alone, from what was flown
 ```
 
-The vehicles of the rigs `sitl`, `sitl-px4` and `sitl-ardupilot` are flown {flights} times, with their rigs'
-parameters. Heights and speeds are the simulations' truth, modes are what heartbeats show
-(a PX4 beats once a second). One flight each: take a figure as an example, not as a mean. The embedded world has wind (1.5 m/s, gusts 0.4 m/s),
-the two simulators have none. The last column says whom the embedded vehicle is like as far as a
-mission would notice. “Never”: not within the time that was waited.
+The vehicles of the rigs `sitl`, `sitl-px4` and `sitl-ardupilot` are flown {flights} times, with
+their rigs' parameters. Heights and speeds are the simulations' truth, modes are what heartbeats
+show (a PX4 beats once a second). One flight each: take a figure as an example, not as a mean. The
+embedded world has wind (1.5 m/s, gusts 0.4 m/s), the two simulators have none.
+
+The last column says whom the embedded vehicle is like as far as a mission would notice. “Never”:
+not within the time that was waited.
 """
 
 
