@@ -144,3 +144,31 @@ def test_what_is_rejected_is_counted_by_the_first_rule_it_breaks(view: Viewpoint
     words = str(none).removeprefix("no viewpoint: ").split(", ")
     counts = [int(word.rpartition(" ")[2]) for word in words]
     assert counts == sorted(counts, reverse=True)
+
+
+def test_a_place_at_a_bound_of_a_rule_keeps_it() -> None:
+    """The best place stays the best where a limit is moved to just what it has."""
+    view = scene()
+    best = plan(view)
+    assert isinstance(best, Viewpoint)
+    place = np.array([best.camera_h_m])
+    to_body = view.body_h_m - place
+    range_m = float(np.linalg.norm(view.target_h_m - place, axis=1)[0])
+    body_m = float(np.linalg.norm(to_body, axis=1)[0])
+    level_m = float(np.hypot(to_body[:, 0], to_body[:, 1])[0])
+    for rules in (
+        replace(RULES, max_range_m=range_m),
+        replace(RULES, min_marker_px=best.marker_px),
+        replace(RULES, image_margin_px=best.margin_px),
+    ):
+        assert plan(view, rules=rules) == best
+    for apart in (replace(APART, viewpoint_m=body_m), replace(APART, horizontal_m=level_m, vertical_m=1e300)):
+        assert farthest_m(apart) == farthest_m(APART)
+        assert plan(view, apart=apart) == best
+
+
+def test_where_all_places_are_near_the_marker_the_farthest_of_them_is_taken() -> None:
+    near = replace(RULES, min_marker_px=26.5, image_margin_px=20.0)
+    viewpoint = plan(scene(), rules=near, apart=replace(APART, viewpoint_m=0.9))
+    assert isinstance(viewpoint, Viewpoint)
+    assert 0.85 < math.hypot(*viewpoint.camera_h_m) < 0.95
