@@ -1,0 +1,304 @@
+"""The driver of a vehicle on a session and telemetry that stand in: what is refused, what is sent, how often."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Coroutine
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from drivers.interfaces import FlightMode, VehicleError, VelocitySetpoint
+from drivers.mavlink.modes import ARDUPILOT, PX4
+from drivers.mavlink.vehicle import MavsdkVehicle
+from drivers.mavlink.vehicle_config import MavsdkVehicleConfig
+from hil.harness.virtual_time import run_virtual
+from tests.drivers.mavlink.mavsdk_bench import CONTEXT, SYSID
+from tests.drivers.mavlink.test_manoeuvres import Session as Sessions
+from tests.drivers.mavlink.test_manoeuvres import Telemetry as Slots
+
+SETPOINT = VelocitySetpoint((0.1, -0.2, 0.3), 1.2)
+
+
+class Session(Sessions):
+    """A session that also sends messages, to a vehicle that is heard."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.messages: list[tuple[float, str, dict[str, Any]]] = []
+        self.looked = 0
+        self.silent = False
+
+    def send(self, name: str, fields: dict[str, Any]) -> None:
+        self.messages.append((asyncio.get_running_loop().time(), name, fields))
+
+    def boot_ms(self) -> int:
+        return 77
+
+    async def check_alive(self) -> None:
+        self.looked += 1
+        if self.silent:
+            raise VehicleError("heartbeat lost", "check cable")
+
+
+class Telemetry(Slots):
+    """Telemetry of a vehicle on the ground."""
+
+    height_m = 0.0
+    in_air = False
+    lacking: tuple[str, ...] = ()
+    battery = SimpleNamespace(known=True, trouble="")
+    attitude = None
+    firmware = None
+
+    def state(self) -> Any:
+        return SimpleNamespace(armed=self.armed, in_air=self.in_air, position_n_m=(0.0, 0.0, -self.height_m))
+
+    def missing(self) -> list[str]:
+        return list(self.lacking)
+
+
+class Bench:
+    def __init__(self, **options: Any) -> None:
+        config = MavsdkVehicleConfig(url="udpin://127.0.0.1:14540", sysid=SYSID, **options)
+        self.vehicle: Any = MavsdkVehicle(config, CONTEXT)
+        self.session, self.telemetry = Session(), Telemetry()
+        self.done: list[tuple[Any, ...]] = []
+        self.slow = ""
+        self.pilots = 0
+        self.vehicle._session, self.vehicle._telemetry = self.session, self.telemetry
+        self.vehicle._clock = self.telemetry.clock
+        self.vehicle._manoeuvres = SimpleNamespace(
+            kind=PX4, do=self._do, change_mode=self._change_mode, take_off=self._take_off, land=self._land
+        )
+        self.vehicle._before = SimpleNamespace(check_pilot=self._check_pilot)
+        self.vehicle._too_slow = lambda: self.slow
+        self.vehicle.parameter_differences = self._differences
+        self.differing: tuple[str, ...] = ()
+        self.arms = True
+
+    async def _differences(self) -> tuple[str, ...]:
+        return self.differing
+
+    async def _check_pilot(self) -> None:
+        self.pilots += 1
+
+    async def _do(self, what: str, command: int, params: tuple[float, ...]) -> None:
+        self.done.append((what, command, params))
+        self.telemetry.armed = self.arms
+
+    async def _change_mode(self, mode: FlightMode, what: str, tries: int = 1) -> None:
+        self.done.append((mode, what, tries))
+
+    async def _take_off(self, height_m: float, timeout_s: float) -> None:
+        self.done.append(("take off", height_m, timeout_s))
+
+    async def _land(self, timeout_s: float) -> None:
+        self.done.append(("land", timeout_s))
+
+
+def with_vehicle(main: Callable[[Bench], Coroutine[Any, Any, None]], **options: Any) -> None:
+    async def run() -> None:
+        await main(Bench(**options))
+
+    run_virtual(run())
+
+
+async def refused(step: Coroutine[Any, Any, Any]) -> str:
+    with pytest.raises(VehicleError) as caught:
+        await step
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(("kind", "first"), [(PX4, []), (ARDUPILOT, [(FlightMode.OFFBOARD, "select GUIDED", 1)])])
+def test_arming_is_commanded_once_and_seen(kind: Any, first: list[Any]) -> None:
+    async def main(bench: Bench) -> None:
+        bench.vehicle._manoeuvres.kind, bench.telemetry.armed = kind, False
+        await bench.vehicle.arm()
+        assert bench.done == [*first, ("arm", 400, (1.0, 0.0))]
+        bench.arms = False
+        assert "is not armed" in await refused(bench.vehicle.arm())
+        assert asyncio.get_running_loop().time() == pytest.approx(3.0, abs=0.1)
+
+    with_vehicle(main)
+
+
+@pytest.mark.parametrize("height_m", [0.0, -1.0, math.nan, math.inf])
+def test_nothing_takes_off_to_no_height_or_unarmed_or_unheard(height_m: float) -> None:
+    async def main(bench: Bench) -> None:
+        assert "height" in await refused(bench.vehicle.take_off(height_m, 9.0))
+        bench.telemetry.armed = False
+        assert "not armed" in await refused(bench.vehicle.take_off(1.5, 9.0))
+        bench.telemetry.armed, bench.session.silent = True, True
+        assert "heartbeat lost" in await refused(bench.vehicle.take_off(1.5, 9.0))
+        assert bench.done == []
+        bench.session.silent = False
+        await bench.vehicle.take_off(1.5, 9.0)
+        assert bench.done == [("take off", 1.5, 9.0)]
+
+    with_vehicle(main)
+
+
+def test_what_is_not_armed_has_landed_and_that_is_news() -> None:
+    async def main(bench: Bench) -> None:
+        bench.telemetry.armed = False
+        await bench.vehicle.land(30.0)
+        assert bench.done == [] and bench.session.looked == 1
+        bench.telemetry.armed = True
+        await bench.vehicle.land(30.0)
+        assert bench.done == [("land", 30.0)]
+        bench.session.silent = True
+        assert "heartbeat lost" in await refused(bench.vehicle.land(30.0))
+
+    with_vehicle(main)
+
+
+def test_a_hold_is_commanded_again_when_nobody_answers() -> None:
+    async def main(bench: Bench) -> None:
+        await bench.vehicle.hold()
+        assert bench.done == [(FlightMode.HOLD, "hold", 3)]
+
+    with_vehicle(main)
+
+
+def test_a_setpoint_is_a_velocity_and_a_yaw_in_the_local_frame() -> None:
+    async def main(bench: Bench) -> None:
+        bench.vehicle.fly(SETPOINT)
+        ((_, name, fields),) = bench.session.messages
+        assert name == "SET_POSITION_TARGET_LOCAL_NED"
+        assert (fields["vx"], fields["vy"], fields["vz"], fields["yaw"]) == (0.1, -0.2, 0.3, 1.2)
+        assert (fields["coordinate_frame"], fields["type_mask"], fields["time_boot_ms"]) == (1, 0b100111000111, 77)
+        assert {fields[name] for name in ("x", "y", "z", "afx", "afy", "afz", "yaw_rate")} == {0.0}
+
+    with_vehicle(main)
+
+
+@pytest.mark.parametrize("wrong", range(4))
+def test_a_setpoint_that_is_not_finite_is_not_sent(wrong: int) -> None:
+    async def main(bench: Bench) -> None:
+        parts = [0.1, 0.2, 0.3, 0.4]
+        parts[wrong] = math.nan
+        with pytest.raises(VehicleError, match="not finite"):
+            bench.vehicle.fly(VelocitySetpoint((parts[0], parts[1], parts[2]), parts[3]))
+        assert bench.session.messages == []
+
+    with_vehicle(main)
+
+
+def test_setpoints_come_before_offboard_control_and_twenty_times_a_second() -> None:
+    async def main(bench: Bench) -> None:
+        begun: list[float] = []
+
+        async def change_mode(mode: FlightMode, what: str, tries: int = 1) -> None:
+            begun.append(asyncio.get_running_loop().time())
+            assert (mode, what, tries) == (FlightMode.OFFBOARD, "enter offboard control", 1)
+            await asyncio.sleep(0.5)
+
+        bench.vehicle._manoeuvres.change_mode = change_mode
+        await bench.vehicle.start_offboard(SETPOINT)
+        times = [time_s for time_s, _, _ in bench.session.messages]
+        assert begun[0] == pytest.approx(0.3, abs=0.03) and times[0] < 0.05
+        assert len(times) == pytest.approx(16, abs=1)
+        await asyncio.sleep(1.0)
+        assert len(bench.session.messages) == len(times)  # from then on the pilot sends them
+
+    with_vehicle(main)
+
+
+def test_a_vehicle_is_armable_once_nothing_is_missing_and_its_pilot_was_looked_at() -> None:
+    async def main(bench: Bench) -> None:
+        bench.telemetry.lacking = ("home position",)
+        waiting = asyncio.create_task(bench.vehicle.wait_armable(20.0))
+        await asyncio.sleep(1.0)
+        assert not waiting.done() and bench.pilots == 0
+        bench.telemetry.lacking, bench.slow = (), "position too seldom"
+        await asyncio.sleep(1.0)
+        assert not waiting.done()
+        bench.slow, bench.telemetry.battery = "", SimpleNamespace(known=False, trouble="battery level")
+        await asyncio.sleep(1.0)
+        assert not waiting.done()
+        bench.telemetry.battery = SimpleNamespace(known=True, trouble="")
+        await waiting
+        assert bench.pilots == 1 and bench.session.looked == 1
+
+    with_vehicle(main)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"differing": ("COM_RCL_EXCEPT is 0, 4 is wanted",)}, "is not set for this flight: COM_RCL_EXCEPT"),
+        ({"slow": "position too seldom"}, "tells its position too seldom"),
+        ({"lacking": ("home position", "arming checks")}, "waiting for home position, arming checks; the vehicle says"),
+        ({"trouble": "battery level"}, "waiting for battery level"),
+    ],
+)
+def test_a_vehicle_that_is_not_armable_says_what_it_waits_for(changes: dict[str, Any], said: str) -> None:
+    async def main(bench: Bench) -> None:
+        bench.differing, bench.slow = changes.get("differing", ()), changes.get("slow", "")
+        bench.telemetry.lacking = changes.get("lacking", ())
+        trouble = changes.get("trouble", "")
+        bench.telemetry.battery = SimpleNamespace(known=not trouble, trouble=trouble)
+        bench.telemetry.texts = ["old", "one", "two", "three"]
+        told = await refused(bench.vehicle.wait_armable(20.0))
+        assert said in told and bench.pilots == 0
+        if "says" in said:
+            assert "one | two | three" in told and "old" not in told
+        late_s = 0.0 if "differing" in changes else 20.0
+        assert asyncio.get_running_loop().time() == pytest.approx(late_s, abs=0.1)
+        bench.session.silent = True
+        assert "heartbeat lost" in await refused(bench.vehicle.wait_armable(20.0))
+
+    with_vehicle(main)
+
+
+@pytest.mark.parametrize(
+    ("height_m", "in_air", "options", "stands"),
+    [
+        (3.0, False, {}, True),
+        (3.1, False, {}, False),
+        (-3.1, False, {}, False),
+        (math.nan, False, {}, False),
+        (3.1, True, {}, True),
+        (3.1, False, {"height_from": "home"}, True),
+        (3.1, False, {"ground_within_m": 4.0}, True),
+    ],
+)
+def test_a_vehicle_on_the_ground_that_says_it_is_high_up_is_not_armed(
+    height_m: float, in_air: bool, options: dict[str, Any], stands: bool
+) -> None:
+    async def main(bench: Bench) -> None:
+        bench.telemetry.height_m, bench.telemetry.in_air = height_m, in_air
+        if stands:
+            await bench.vehicle.wait_armable(20.0)
+        else:
+            assert "above [origin]" in await refused(bench.vehicle.wait_armable(20.0))
+
+    with_vehicle(main, **options)
+
+
+def test_every_stream_is_asked_for_at_its_rate_and_a_vehicle_that_answers_nothing_is_refused() -> None:
+    async def main(bench: Bench) -> None:
+        await bench.vehicle._set_rates()
+        assert all(command == 511 and tries == 3 for command, _, tries in bench.session.sent)
+        rates = {int(cast(float, params[0])): 1e6 / cast(float, params[1]) for _, params, _ in bench.session.sent}
+        assert rates == pytest.approx(
+            {0: 5.0, 436: 20.0, 31: 40.0, 32: 40.0, 33: 40.0, 245: 5.0, 1: 2.0, 24: 2.0, 147: 1.0, 242: 1.0}
+        )
+        assert all(params[2] == 0.0 for _, params, _ in bench.session.sent)
+        bench.session.result = 3  # unsupported: it keeps its own rates
+        await bench.vehicle._set_rates()
+        bench.session.result = None
+        assert "answers no command" in await refused(bench.vehicle._set_rates())
+
+    with_vehicle(main, telemetry_hz=40.0)
+
+
+def test_a_heartbeat_s_rate_can_be_left_alone() -> None:
+    async def main(bench: Bench) -> None:
+        await bench.vehicle._set_rates()
+        assert 0 not in [params[0] for _, params, _ in bench.session.sent] and len(bench.session.sent) == 9
+
+    with_vehicle(main, heartbeat_hz=0.0)
