@@ -64,7 +64,7 @@ def test_a_question_is_shown_and_the_number_that_is_typed_is_the_answer(tmp_path
                 os.close(write)
                 assert await talking == 0
 
-    asyncio.run(asyncio.wait_for(answer(), 20.0))
+    asyncio.run(asyncio.wait_for(answer(), 60.0))
     assert "+4.0 m north" in shown.getvalue()
     assert picture.read_bytes() == b"jpeg"
 

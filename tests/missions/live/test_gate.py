@@ -58,7 +58,7 @@ def behind(token: str, body: Callable[[Ask, int], Coroutine[Any, Any, None]]) ->
         async def ask(request: bytes) -> bytes:
             reader, writer = await asyncio.open_connection(LOOPBACK, port)
             writer.write(request)
-            answer = await asyncio.wait_for(reader.read(100), 10.0)
+            answer = await asyncio.wait_for(reader.read(100), 60.0)
             writer.close()
             return answer
 
