@@ -21,7 +21,7 @@ from typing import Any
 
 from drivers.rig.facts import DroneFacts
 from flight.config import GuardConfig, RendezvousConfig, SeparationConfig
-from flight.plan.errors import predict
+from flight.plan.errors import TILT_RAD, predict
 from flight.plan.facts import Facts
 from flight.plan.geometry import apparent, depression_rad, layout, place_of_target, target_radius_m
 from flight.rendezvous.viewpoint import Viewpoint, farthest_m
@@ -29,7 +29,6 @@ from flight.way_out import LANDING_MPS
 from path.config import MethodConfig
 
 GRAVITY_MPS2 = 9.81
-TILT_RAD = math.radians(4.7)  # of a correction; a camera that is fixed to the body tilts with it
 USUAL_FOCAL_PX = 614.0  # of the camera for which the method's own pixels are
 MOST_TARGET_PX = 280.0  # of a box's longer side: detectors were measured up to 300 (docs/detectors.md)
 EDGE = 0.9  # of half the image: what a box keeps from the border

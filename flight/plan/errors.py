@@ -9,6 +9,9 @@ D1's depth, of lens, mount and plate, of D2's pose, of both boxes. To first orde
 J is found by differences of the very chain (equations target_backprojection to bbox_rescaling of the
 paper), C_s is what the rig states or the table of docs/errors.md has. For a body of k times the size at k
 times the distance o is k times as large, as far as the errors themselves are angles or shares.
+
+The target's point, as D2 has it in its own camera, errs by D1's depth and mount, by D2's pose (its angle with the whole
+way to the target for a lever), and by how the target moves in D1's frame, which sways, until D2's frame is taken.
 """
 
 from __future__ import annotations
@@ -37,6 +40,11 @@ SIDE_SHARE = 0.0025
 BOX_PX = 1.5
 LASTING_CORNER_PX = 0.05
 LATE_S = 0.005
+MOUNT_DEG = 0.3
+DEPTH_ON_BODY = 0.02  # of the target's diameter: the middle depth of its box against the surface in the box's middle
+FORETOLD_S = 0.05  # from D1's frame to D2's, over which D2 carries the target on, and what of that it does not know
+USUAL_SPEED = 0.6  # of the target's fastest
+TILT_RAD = math.radians(4.7)  # of a correction; a camera that is fixed to the body tilts with it
 BODY_SHARE = 0.05  # of the target's diameter, by which its box's middle differs from two sides
 _LEAST_SLANT = math.radians(20.0)
 
@@ -95,13 +103,17 @@ def predict(facts: Facts, placed: Layout) -> Predicted:
         Source("body from two sides", f"{BODY_SHARE * span_m:.3g} m", _even(BODY_SHARE * span_m)),
         Source("stamps", f"{LATE_S * 1e3:g} ms", _even(lag_m)),
     )
+    sways_rad_s = TILT_RAD / facts.drone.response_s
+    moves_mps = USUAL_SPEED * facts.target.max_speed_mps + z1_m * sways_rad_s
     target_m = math.sqrt(
         (DEPTH_SHARE * z1_m) ** 2
         + DEPTH_BIAS_M**2
-        + 2.0 * (z1_m * mount_rad) ** 2
+        + (DEPTH_ON_BODY * span_m) ** 2
+        + 2.0 * (z1_m * math.radians(MOUNT_DEG)) ** 2
         + 3.0 * method.mount_sigma_m**2
-        + 2.0 * (BODY_SHARE * span_m) ** 2
-        + 2.0 * (z1_m * BOX_PX / focal1) ** 2
+        + 3.0 * pose.place_m**2
+        + 2.0 * (placed.receiver_range_m * pose.angle_rad) ** 2
+        + (FORETOLD_S * moves_mps) ** 2
     )
     return Predicted(sources, pose.camera_m, target_m)
 
