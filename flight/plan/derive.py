@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from drivers.rig.facts import DroneFacts
-from flight.config import GuardConfig, RendezvousConfig, SeparationConfig
+from flight.config import Deadlines, GuardConfig, RendezvousConfig, SeparationConfig
 from flight.plan.errors import TILT_RAD, predict
 from flight.plan.facts import Facts
 from flight.plan.geometry import apparent, depression_rad, layout, place_of_target, target_radius_m
@@ -29,6 +29,8 @@ from flight.way_out import LANDING_MPS
 from path.config import MethodConfig
 
 GRAVITY_MPS2 = 9.81
+HARDEST = 1.1  # times what the target does: to follow it
+WANDERS = 3.0  # times hold_m, within the square of its response: the acceleration that a drone wanders with
 USUAL_FOCAL_PX = 614.0  # of the camera for which the method's own pixels are
 MOST_TARGET_PX = 280.0  # of a box's longer side: detectors were measured up to 300 (docs/detectors.md)
 EDGE = 0.9  # of half the image: what a box keeps from the border
@@ -99,6 +101,13 @@ def _rounded(value: float) -> float:
     return float(f"{value:.4g}")
 
 
+def swing(facts: Facts) -> float:
+    """Return how far a drone swings that follows what turns harder than it wanders by itself, in m."""
+    own_mps2 = WANDERS * facts.drone.hold_m / facts.drone.response_s**2
+    harder_mps2 = max(0.0, facts.target.max_accel_mps2 - own_mps2)
+    return 0.5 * harder_mps2 * facts.drone.response_s**2
+
+
 def _separation(drone: DroneFacts, found: _Found) -> None:
     """Derive what keeps two drones apart, from their size and from how far they wander."""
     size, hold = "drone.diameter_m", "drone.hold_m"
@@ -117,7 +126,7 @@ def _following(facts: Facts, found: _Found) -> None:
     height_m = 0.0 if target.flies else 0.5 * target.height_m
     height_m = found.add("mission.target.height_m", height_m, "m", "half of target.height_m")
     found.add("mission.target.half_size_m", target_radius_m(facts), "m", "the target as D1 sees it")
-    accel_mps2 = max(GRAVITY_MPS2 * math.tan(TILT_RAD), 1.1 * target.max_accel_mps2)
+    accel_mps2 = max(GRAVITY_MPS2 * math.tan(TILT_RAD), HARDEST * target.max_accel_mps2)
     found.add("mission.max_accel_mps2", accel_mps2, "m/s2", "a tilt of 4.7 deg, or target.max_accel_mps2")
     found.add("mission.follow.target_accel_mps2", target.max_accel_mps2, "m/s2", "target.max_accel_mps2")
     fastest_mps = 1.3 * target.max_speed_mps + 4.0 * drone.hold_m / drone.response_s
@@ -203,9 +212,11 @@ def _rendezvous(facts: Facts, found: _Found) -> None:
     found.add("mission.rendezvous.clearance_m", 1.5 * hold_m, "m", "1.5 drone.hold_m")
     found.add("mission.rendezvous.stand_off_tolerance_m", 1.25 * hold_m, "m", "1.25 drone.hold_m")
     found.add("mission.rendezvous.search_slide_m", 4.0 * hold_m, "m", "4 drone.hold_m")
-    found.add("mission.rendezvous.arrived_m", 0.6 * hold_m, "m", "0.6 drone.hold_m")
+    swing_m = 0.3 * swing(facts)
+    found.add("mission.rendezvous.arrived_m", 0.6 * hold_m + swing_m, "m", "0.6 drone.hold_m, and how it swings")
     slow_mps = 1.25 * hold_m / facts.drone.response_s
-    found.add("mission.rendezvous.arrived_speed_mps", slow_mps, "m/s", "it wanders so fast")
+    arrived_mps = slow_mps + swing_m / facts.drone.response_s
+    found.add("mission.rendezvous.arrived_speed_mps", arrived_mps, "m/s", "it wanders and swings so fast")
     found.add("mission.rendezvous.max_speed_mps", 2.0 * slow_mps, "m/s", "twice as fast as it wanders")
     found.add("mission.rendezvous.max_position_sigma_m", 0.4 * hold_m, "m", "0.4 drone.hold_m")
     most_m = range_m + 2.0 * farthest_m(separation)
@@ -249,10 +260,19 @@ def _waits(found: _Found) -> None:
     high_m = found["mission.receiver_take_off_height_m"]
     slow_mps = found["mission.rendezvous.max_speed_mps"]
     way_m = found["mission.rendezvous.stand_off_m"] + high_m
-    found.add("mission.deadlines.take_off_s", 25.0 + 2.0 * high_m, "s", "the climb at 0.5 m/s")
+    range_m = math.hypot(
+        found["mission.follow.behind_m"],
+        found["mission.follow.height_m"] - found["mission.target.height_m"],
+    )
+    climb_s = found.add("mission.deadlines.take_off_s", 25.0 + 2.0 * high_m, "s", "the climb at 0.5 m/s")
     found.add("mission.deadlines.land_s", 35.0 + 3.0 * high_m, "s", "the way down at 0.35 m/s")
-    found.add("mission.deadlines.approach_s", 20.0 + 3.0 * way_m / slow_mps, "s", "the way in, three times")
-    found.add("mission.deadlines.stand_off_s", 30.0 + 4.0 * way_m, "s", "the way there")
+    close_s = found.add("mission.deadlines.approach_s", 20.0 + 3.0 * way_m / slow_mps, "s", "the way in, three times")
+    way_s = found.add("mission.deadlines.stand_off_s", 30.0 + 4.0 * way_m, "s", "the way there")
+    # D1 takes its target from 1.4 times as far as it follows it from, and D2 plans once it is there
+    comes_s = found.add("mission.deadlines.viewpoint_s", 15.0 + 2.0 * range_m, "s", "D1 comes near its target")
+    look_s = Deadlines().search_s
+    ready_s = comes_s + climb_s + way_s + look_s + close_s
+    found.add("mission.deadlines.receiver_ready_s", ready_s, "s", "all that D2 does until then, together")
 
 
 def _rates(facts: Facts, found: _Found) -> None:
