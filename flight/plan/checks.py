@@ -34,6 +34,7 @@ from path.camera.model import CameraModel
 
 LEAST_TARGET_PX = 20.0  # of a box's shorter side: detectors lose objects below it (docs/detectors.md)
 MOST_OFFSET = 0.2  # of the target's box: boxes that lasting errors put farther apart do not overlap enough
+MOST_DEPTH_SIGMA = 1.0 / 3.0  # of the target's diameter
 CATCH_UP = 1.15  # times the target's speed, to come closer at all
 FRAMES_TO_FOLLOW = 2.0  # within the time after which what was not seen may be anything
 IN_WIND = 0.5  # of the margin to D2's image border: the rest is what wind may take
@@ -83,7 +84,7 @@ def check_plan(rig: Rig) -> None:
 
 def problems(of: Flown) -> Iterator[Problem]:
     """Yield everything that cannot be done."""
-    for check in (_target_px, _fits, _depth, _viewpoint, _site, _offset, _wind, _speed, _rate, _latency):
+    for check in (_target_px, _fits, _depth, _behind, _viewpoint, _site, _offset, _wind, _speed, _rate, _latency):
         found = check(of)
         if found is not None:
             yield found
@@ -151,6 +152,23 @@ def _depth(of: Flown) -> Problem | None:
         f"the target is {range_m:.1f} m from D1's camera; its depth is trusted from method.min_depth_m ="
         f" {method.min_depth_m:g} m to method.max_depth_m = {method.max_depth_m:g} m",
         f"{min(max(range_m, method.min_depth_m), method.max_depth_m):.1f} m would do",
+    )
+
+
+def _behind(of: Flown) -> Problem | None:
+    """Check that depth tells the target from what is right behind it, which a detector may put into one box with it."""
+    method, span_m = of.facts.method, of.facts.target.span_m
+    sigma_m = method.depth_sigma_at_1m_m * of.range_m**2
+    most_m = MOST_DEPTH_SIGMA * span_m
+    if sigma_m <= most_m or not method.min_depth_m <= of.range_m <= method.max_depth_m:
+        return None
+    nearer_m = of.range_m * math.sqrt(most_m / sigma_m)
+    better_m = method.depth_sigma_at_1m_m * most_m / sigma_m
+    return Problem(
+        "mission.follow",
+        f"depth errs by {sigma_m:.2f} m at the {of.range_m:.1f} m that D1 follows from, and the target is {span_m:.2f} m"
+        " across: it cannot be told from what is right behind it",
+        f"{nearer_m:.1f} m would do, or a depth.sigma_at_1m_m of {better_m:.2g} m",
     )
 
 

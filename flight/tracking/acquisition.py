@@ -67,9 +67,11 @@ class Acquisition:
         self._camera, self._largest = camera, LargestBox.of(camera, method)
         self._statements = Statements(motion)
         attitude_rad = math.radians(mission.attitude_sigma_deg)
-        self._candidates = Candidates(camera, method, attitude_rad, motion.fastest_mps, motion.accel_mps2)
+        self._candidates = Candidates(
+            camera, method, attitude_rad, motion.fastest_mps, motion.accel_mps2, flies=mission.target.flies
+        )
         self._usual_down_m = -mission.target.height_m
-        self._flies = mission.target.flies
+        self._flies, self._fastest_mps = mission.target.flies, motion.fastest_mps
         self._looks: deque[Look] = deque()
         self._seen: list[Candidate] = []
         self._plausible_ns: int | None = None
@@ -128,7 +130,10 @@ class Acquisition:
         best = self._likeliest(stamp_ns)
         if best is None:
             return 0.0, 0.0, 0.0
-        north, east, down = best.likely_velocity_n_mps
+        return self._velocity_of(best)
+
+    def _velocity_of(self, one: Candidate) -> Vec3:
+        north, east, down = one.likely_velocity_n_mps(self._fastest_mps)
         return north, east, down if self._flies else 0.0
 
     def _likeliest(self, stamp_ns: int) -> Candidate | None:
@@ -156,7 +161,7 @@ class Acquisition:
             self._settle(best, share)
             if math.dist(best.position_n_m, T_n_c.t.tolist()) <= self._near_m:
                 asked = self._settled_share >= 1.0
-                return Taken(best.position_n_m, best.likely_velocity_n_mps, self._settled_share, asked)
+                return Taken(best.position_n_m, self._velocity_of(best), self._settled_share, asked)
         self._ask(stamp_ns, share)
         return None
 

@@ -37,6 +37,7 @@ COASTED_S = 0.6  # unseen for longer, what comes to its place may be another one
 STEADY_FRAMES = 5  # detectors invent things for a frame
 LIKELIER = 9.0  # twice the logarithm of how much: a way to give detections to tracks is the right one
 _ON_BODY = 0.1  # of a box's larger side: how far from the object's middle its place is taken, from frame to frame
+_LEVEL_MPS = 0.02  # of what moves along the ground: how much it climbs
 _CUT = 0.5  # the same, of a box that the border cuts
 
 
@@ -99,11 +100,13 @@ class Candidate:
         motion.advance(stamp_ns, accel_mps2)
         return motion
 
-    @property
-    def likely_velocity_n_mps(self) -> Vec3:
-        """Return its velocity as far as it is known: nothing of one that may as well stand."""
-        speed2 = sum(v * v for v in self.velocity_n_mps)
-        return scale(self.velocity_n_mps, speed2 / (speed2 + self.vv)) if speed2 > 0.0 else self.velocity_n_mps
+    def likely_velocity_n_mps(self, fastest_mps: float) -> Vec3:
+        """Return its velocity as far as it is known, along each axis: nothing of where it may as well stand.
+
+        Before anything is measured it is normal with half of the fastest speed for a standard deviation.
+        """
+        usual = np.eye(3) * (0.5 * fastest_mps) ** 2
+        return _vec3(usual @ np.linalg.solve(usual + self.motion.covariance[3:, 3:], self.motion.mean[3:]))
 
     def unknown_s(self, stamp_ns: int) -> float:
         """Return how long a stamp is before or after all that is known of it; 0 within."""
@@ -130,15 +133,24 @@ class Candidate:
         self.path.append(newest)
         self.since_ns, self.frames = newest[0], 1
 
-    def fuse(self, seen: Observed, stamp_ns: int, accel_mps2: float) -> None:
-        """Take a detection for it."""
+    def fuse(self, seen: Observed, stamp_ns: int, accel_mps2: float, *, level: bool) -> None:
+        """Take a detection for it. ``level``: it moves neither up nor down."""
         self.motion.advance(stamp_ns, accel_mps2)
         self.motion.update(np.asarray(seen.place_n_m), seen.covariance_m2)
+        if level:
+            self._keep_level()
         self.stamp_ns, self.observed = stamp_ns, seen
         self.frames += 1
         self.path.append((stamp_ns, self.position_n_m))
         while stamp_ns - self.path[0][0] > REMEMBERED_S * 1e9:
             self.path.popleft()
+
+    def _keep_level(self) -> None:
+        """Take its climb to be none: what depth errs along the line of sight is then no motion along the ground."""
+        motion = self.motion
+        gain = motion.covariance[:, 5] / (float(motion.covariance[5, 5]) + _LEVEL_MPS**2)
+        motion.mean = motion.mean - gain * motion.mean[5]
+        motion.covariance = motion.covariance - np.outer(gain, motion.covariance[5, :])
 
 
 class Candidates:
@@ -146,7 +158,7 @@ class Candidates:
 
     Args:
         attitude_sigma_rad: of the drone's roll and pitch, by which a line of sight errs.
-        fastest_mps, accel_mps2: the most that one of them may do.
+        fastest_mps, accel_mps2: the most that one of them may do. flies: up and down too.
     """
 
     def __init__(
@@ -156,10 +168,13 @@ class Candidates:
         attitude_sigma_rad: float,
         fastest_mps: float,
         accel_mps2: float,
+        *,
+        flies: bool,
     ) -> None:
         self._camera = camera
         self._angle_rad = math.hypot(attitude_sigma_rad, method.pixel_sigma_px / camera.fx)
         self._fastest_mps, self._accel_mps2 = fastest_mps, accel_mps2
+        self._level = not flies
         self._numbers = 0
         self.all: list[Candidate] = []
 
@@ -180,7 +195,7 @@ class Candidates:
         for track in competing(costs, given):
             self.all[track].begin_anew()
         for track, detection in given.items():
-            self.all[track].fuse(seen[detection], stamp_ns, self._accel_mps2)
+            self.all[track].fuse(seen[detection], stamp_ns, self._accel_mps2, level=self._level)
         for k in sorted(set(range(len(seen))) - set(given.values())):
             back = self._back(seen[k], stamp_ns)
             if back is None:

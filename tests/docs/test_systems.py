@@ -19,6 +19,7 @@ REFUSED = {
     "car-from-30m": "would do",
     "2hz": "4 frames a second",
     "d455-40mm": "45 mm",
+    "person-8m-stereo": "7.2 m would do",
     "plate-20mm": "32 mm",
     "wind-10": "can be borne",
 }

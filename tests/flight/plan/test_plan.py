@@ -327,3 +327,15 @@ def test_walls_are_kept_from_by_what_positions_are_worth(rig_of: RigOf) -> None:
     assert list(problems(of(beacons))) == []
     satellites = rig_of(CAR + drones + HALL + near, "satellites")
     assert [each.where for each in problems(of(satellites))] == ["site.corners_m"]
+
+
+def test_a_depth_that_does_not_tell_a_person_from_who_stands_behind_is_refused(rig_of: RigOf) -> None:
+    """Both were one box, D1 went over to the one behind, and that one was handed over."""
+    person = "[target]\nlength_m = 0.6\nwidth_m = 0.5\nheight_m = 1.75\n[depth]\nmax_m = 30.0\n"
+    far = "[mission.follow]\nbehind_m = 5.7\nheight_m = 6.5\n[[markers]]\nid = 0\nside_m = 0.08\nside_sigma_m = 1e-4\n"
+    stereo = rig_of(person + "sigma_at_1m_m = 0.005\n" + far, "stereo")
+    (found,) = problems(of(stereo))
+    assert "right behind it" in found.what
+    assert "7.2 m would do" in found.change
+    lidar = rig_of(person + "sigma_at_1m_m = 0.0002\n" + far, "lidar")
+    assert list(problems(of(lidar))) == []
