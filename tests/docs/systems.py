@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from flight.plan.checks import flown, problems
 from flight.plan.facts import facts_of
@@ -43,6 +43,28 @@ class Kept:
     agreement_s: float | None = None
     receiver_m: float | None = None
     target_m: float | None = None
+    lost: int = 0  # within ten seconds of taking over
+
+    @classmethod
+    def of(cls, said: Mapping[str, Any], commit: str) -> Self:
+        """Take what is kept from a series' summary."""
+
+        def median(key: str) -> float | None:
+            found = said.get(key)
+            return None if found is None else float(found["median"])
+
+        return cls(
+            commit,
+            SEED,
+            int(said["runs"]),
+            said["outcomes"],
+            int(said["wrong_handovers"]),
+            said["monitors"],
+            median("agreement_s"),
+            median("d2_error_m"),
+            median("target_error_m"),
+            int(said["lost_after_taking_over"]),
+        )
 
 
 def names() -> list[str]:
@@ -74,23 +96,7 @@ def fly(name: str, seeds: int, commit: str) -> Kept:
         summary = out / "summary.json"
         if not summary.exists():
             raise subprocess.CalledProcessError(done.returncode, command, done.stdout, done.stderr)
-        said: dict[str, Any] = json.loads(summary.read_text("utf-8"))
-
-    def median(key: str) -> float | None:
-        found = said.get(key)
-        return None if found is None else float(found["median"])
-
-    return Kept(
-        commit,
-        SEED,
-        seeds,
-        said["outcomes"],
-        int(said["wrong_handovers"]),
-        said["monitors"],
-        median("agreement_s"),
-        median("d2_error_m"),
-        median("target_error_m"),
-    )
+        return Kept.of(json.loads(summary.read_text("utf-8")), commit)
 
 
 def kept() -> dict[str, Kept]:
@@ -114,7 +120,20 @@ def table() -> str:
         "| system | what it is | handed over | wrong | else | agreement, s: plan, flown | D2, mm | target, mm |\n"
         "|---|---|---|---|---|---|---|---|\n"
     )
-    return head + "".join(_row(name, every.get(name)) for name in names())
+    rows = "".join(_row(name, every.get(name)) for name in names())
+    return f"{head}{rows}\n{_held(every)}\n"
+
+
+def _held(every: Mapping[str, Kept]) -> str:
+    """Return in how many of the systems that were flown the plan's predictions hold."""
+    flown_ones = {name: found for name, found in every.items() if found.agreement_s is not None and not refusals(name)}
+    said: list[str] = []
+    for key, name, most in (("agreement_s", "agreement", 2.0), ("receiver_m", "D2", 1.5), ("target_m", "target", 1.5)):
+        expected_key = {"receiver_m": "receiver_error_m", "target_m": "target_error_m"}.get(key, key)
+        ratios = [getattr(found, key) / predicted(each)[expected_key] for each, found in flown_ones.items()]
+        within = sum(1.0 / most <= ratio <= most for ratio in ratios)
+        said.append(f"{name} within a factor of {most:g} in {within}")
+    return f"What the plan expects holds, of {len(flown_ones)} systems that handed over: {', '.join(said)}."
 
 
 def _row(name: str, found: Kept | None) -> str:
@@ -128,6 +147,7 @@ def _row(name: str, found: Kept | None) -> str:
     expected = predicted(name)
     others = {what: count for what, count in found.outcomes.items() if what != "committed"}
     others |= found.violations
+    others |= {"lost after taking over": found.lost} if found.lost else {}
     said = ", ".join(f"{count} `{what}`" for what, count in others.items())
     agreement = _pair(expected.get("agreement_s"), found.agreement_s, 1.0, ".1f")
     receiver = _pair(expected.get("receiver_error_m"), found.receiver_m, 1e3, ".0f")

@@ -304,3 +304,16 @@ def test_d1_flies_on_with_what_it_looks_at() -> None:
     assert (north, down) == (pytest.approx(0.0, abs=0.1), 0.0)
     assert east == pytest.approx(1.2, abs=0.2)
     assert acquisition.moves(newest_ns + round(2e9)) == (0.0, 0.0, 0.0)  # out of sight
+
+
+def test_what_depth_errs_is_no_motion_of_what_stands() -> None:
+    """One was taken with 1.0 m/s towards D1 and 0.8 m/s upwards, and lost at once."""
+    acquisition = begun(error_m=1.0)
+    fastest: list[float] = []
+    for k in range(60):
+        box, z_m = box_of((4.0, 0.0, -0.9), ONE_PX)
+        acquisition.look(seen(CoarseDepth([box], z_m, k * FRAME_NS)), T_N_C)
+        north, east, down = acquisition.moves(k * FRAME_NS)
+        assert down == 0.0
+        fastest.append(math.hypot(north, east))
+    assert max(fastest) < 0.35
