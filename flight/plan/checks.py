@@ -165,7 +165,7 @@ def _behind(of: Flown) -> Problem | None:
     nearer_m = of.range_m * math.sqrt(most_m / sigma_m)
     better_m = method.depth_sigma_at_1m_m * most_m / sigma_m
     return Problem(
-        "mission.follow",
+        "depth.sigma_at_1m_m",
         f"depth errs by {sigma_m:.2f} m at the {of.range_m:.1f} m that D1 follows from; the target is {span_m:.2f} m"
         " across: it cannot be told from what is right behind it",
         f"{nearer_m:.1f} m would do, or a depth.sigma_at_1m_m of {better_m:.2g} m",
