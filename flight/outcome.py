@@ -27,7 +27,7 @@ class Outcome(Enum):
     GUARD = ("guard", 21, "fence or battery limit reached, or the guard took the vehicle")
     ORPHANED = ("orphaned", 22, "the link died inside the hand-over: both observe, nobody is responsible")
     PEER_ABORTED = ("peer_aborted", 23, "the other drone ended the handoff")
-    CLOCK_FAULT = ("clock_fault", 24, "the drones' clocks could not be aligned")
+    CLOCK_FAULT = ("clock_fault", 24, "the drones' clocks could not be aligned, or one was set in flight")
     APPROACH_FAILED = ("approach_failed", 25, "the planned viewpoint was not reached in time")
     STATE_LOST = ("state_lost", 26, "what must survive a restart could not be written: disk full?")
     UNFIT = ("unfit", 27, "a part of the rig cannot do what the mission needs")
@@ -46,6 +46,7 @@ class Outcome(Enum):
     MISSION_FAILED = ("mission_failed", 36, "a mission of your own gave up, or one of its waits was over")
     RIGS_DIFFER = ("rigs_differ", 37, "the two drones' rigs or versions of PATH differ in what both must have alike")
     NOT_STARTED = ("not_started", 38, "a world was served, and nobody started a role's program in time")
+    MARKER_SIZE = ("marker_size", 39, "depth that is measured on the sender's marker contradicts its size in the rig")
     MONITOR_VIOLATED = ("monitor_violated", 40, "a safety monitor of the harness was violated")
     HARNESS_FAILED = ("harness_failed", 41, "the simulation itself failed: not the mission's fault")
     OVERLOADED = ("overloaded", 43, "the computer was too slow for a run in real time: it says nothing of the mission")
@@ -77,6 +78,7 @@ _ABORT_REASONS = {
     Outcome.LOST_AFTER: AbortReason.TARGET_LOST,
     Outcome.MARKER_NOT_FOUND: AbortReason.MARKER_LOST,
     Outcome.MARKER_LOST: AbortReason.MARKER_LOST,
+    Outcome.MARKER_SIZE: AbortReason.MARKER_LOST,
     Outcome.CAMERA_LOST: AbortReason.CAMERA,
     Outcome.VEHICLE_LOST: AbortReason.VEHICLE,
     Outcome.VEHICLE_REFUSED: AbortReason.VEHICLE,

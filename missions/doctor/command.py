@@ -26,7 +26,10 @@ from missions.doctor.room import check_room
 from missions.doctor.table import open_findings
 from missions.doctor.vehicle import check_vehicle
 from missions.kernel_cache import VARIABLE, can_write, usual_folders
+from missions.leg.alike import alike_of
 from missions.options.field import DoctorOptions
+from missions.rig_library import mission_of
+from path.alike import differing
 from path.messages import Role
 
 EXIT_UNFIT = CommandEnd.NOT_FIT.exit_code
@@ -80,6 +83,8 @@ def asked(options: DoctorOptions, doing: Callable[[str], None]) -> Iterator[Find
         yield finding
     if not readable:
         return  # its parts are not known
+    if options.other is not None:
+        yield from check_pair(rig_library.load(options.rig), options.other)
     if options.role != "none":
         doing("this computer: its disk and clock")
         yield write_finding(Path("runs"))
@@ -203,6 +208,22 @@ def check_rig_file(name: str) -> Iterator[Finding]:
             yield Finding("fault", "port", f"{port} for {option} is in use", fix)
     if free:
         yield Finding("ok", "ports", ", ".join(free))
+
+
+def check_pair(rig: Rig, other: str) -> Iterator[Finding]:
+    """The other drone's rig: nothing in it may differ of what both must have alike."""
+    try:
+        theirs = rig_library.load(other)
+        found = differing(*(alike_of(each, mission_of(each).separation) for each in (rig, theirs)))
+    except RigError as error:
+        for problem in error.problems:
+            yield Finding("fault", "other rig", problem)
+        return
+    for what in found:
+        fix = "copy one rig file to both companions"
+        yield Finding("fault", "other rig", f"{theirs.file} differs in {what}", fix)
+    if not found:
+        yield Finding("ok", "other rig", f"{theirs.file}: alike in what both drones must have alike")
 
 
 def _is_free(port: int) -> bool:

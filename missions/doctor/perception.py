@@ -6,7 +6,7 @@ import asyncio
 import math
 from collections import deque
 from collections.abc import AsyncIterator, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +15,18 @@ from drivers.interfaces import Capability, Clock, Detector, Perception, View, la
 from drivers.rig.part_check import Enough, Finding, examined, rate_finding, rate_of
 from drivers.rig.parts import Rig
 from path.camera.model import CameraModel
+from path.config import MethodConfig
 from path.geometry.transforms import Pose
 from path.marker.instead import grey_of, seen_instead
 from path.marker.layout import MarkerLayout
 from path.marker.pose import PoseSettings, estimate_pose
+from path.marker.size_check import MEASURE, SizeCheck
 from path.messages import Vec3
 from path.observations import Box, MarkerDetection, Missed, MissReason
 
 SETTLE_S, SAMPLE_S, FRAME_S = 0.5, 2.0, 2.0
 KEPT = 6  # frames that are looked into
+LEAST_LOOKS = 3  # of them, at a marker with depth on it
 FRAMES = Enough(0.95, 0.8)  # of the rate that the rig sets: a hand-over counts each of them
 MANY_MISSED = 0.05
 OLD_MS = 500.0
@@ -56,11 +59,12 @@ class WantedMarker:
     layout: MarkerLayout
     down_v: Vec3
     down_c: Vec3
+    method: MethodConfig = field(default_factory=MethodConfig)
 
     @classmethod
     def of(cls, rig: Rig) -> WantedMarker:
         """Return what the receiver of a rig must see."""
-        return cls(rig.layout, _down(rig.sender.mount.T_b_v), _down(rig.receiver.mount.T_b_c))
+        return cls(rig.layout, _down(rig.sender.mount.T_b_v), _down(rig.receiver.mount.T_b_c), rig.method)
 
 
 def _down(T_b: Pose) -> Vec3:
@@ -92,6 +96,9 @@ async def check_perception(perception: Perception, clock: Clock, wanted: WantedM
             turned = marker_turned(found, wanted, perception.model)
             if turned is not None:
                 yield turned
+            size = marker_size(sample.last, found, wanted, perception.model)
+            if size is not None:
+                yield size
 
 
 async def _sampled(perception: Perception, clock: Clock) -> FrameSample:
@@ -217,6 +224,26 @@ def marker_turned(
         if isinstance(pose, Missed) and pose.reason is MissReason.MARKER_TURNED:
             return Finding("note", "marker turned", pose.cause or "", LEVEL_FIX)
     return None
+
+
+def marker_size(
+    views: Sequence[View], found: Sequence[Sequence[MarkerDetection]], wanted: WantedMarker, camera: CameraModel
+) -> Finding | None:
+    """Hold the marker's size in the rig against depth measured on it; None where there is no marker, or no depth on it.
+
+    Both drones are taken to stand level, or to be held so.
+    """
+    settings = PoseSettings(attitude_v_sigma_rad=HELD_RAD, attitude_c_sigma_rad=HELD_RAD)
+    check = SizeCheck(wanted.layout, wanted.method, LEAST_LOOKS)
+    for view, each in zip(views, found, strict=True):
+        pose = estimate_pose(each, wanted.layout, camera, wanted.down_v, wanted.down_c, settings)
+        if not isinstance(pose, Missed):
+            check.look(pose.T_c_v, pose.covariance, each, view.depth)
+    contradiction = check.contradiction()
+    if contradiction is not None:
+        return Finding("fault", "marker size", str(contradiction), MEASURE)
+    fits = check.by_depth_m()
+    return None if fits is None else Finding("ok", "marker size", f"{1000.0 * fits:.1f} mm by depth measured on it")
 
 
 def side_px(marker: MarkerDetection) -> float:

@@ -53,6 +53,7 @@ from path.cycle.prior import Prior
 from path.geometry.rotation import yaw_of
 from path.geometry.transforms import Matrix, Pose
 from path.marker.instead import grey_of, seen_instead
+from path.marker.size_check import SizeCheck
 from path.messages import Candidate, Status, Target
 from path.observations import Missed, MissReason
 from path.protocol.values import Handoff
@@ -77,6 +78,7 @@ class Receiver:
         self._camera = rig.receiver.camera
         self._camera_pose = CameraPose(session.vehicle, rig.receiver.mount)
         self._marker = MarkerView(rig.layout, rig.receiver.camera, rig.receiver.mount, rig.method, config)
+        self._size = SizeCheck(rig.layout, rig.method)
         self._handover = ReceiverHandover(session, store, self._able)
         self._side: ReceiverSide | None = None
         self._rendezvous = Rendezvous(
@@ -304,6 +306,8 @@ class Receiver:
             fix = self._look(view, T_n_c.R, gravity_v)
         if isinstance(fix, Missed):
             self._note_cause(fix)
+        else:
+            self._check_size(view, fix)
         with session.stage("log"):
             session.log.write("/marker", stamp_ns, marker_record(stamp_ns, fix))
             session.log.write("/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, fix))
@@ -335,6 +339,14 @@ class Receiver:
             self._searched = view
             shedding.searched((session.now_ns() - began_ns) * 1e-9)
         return fix
+
+    def _check_size(self, view: View, fix: MarkerFix) -> None:
+        """Raise MissionEnd(MARKER_SIZE) when depth contradicts the marker's size, which scales every distance to D1."""
+        with self._session.stage("depth"):
+            self._size.look(fix.T_c_v, fix.covariance, fix.detections, view.depth)
+        contradiction = self._size.contradiction()
+        if contradiction is not None:
+            raise MissionEnd(Outcome.MARKER_SIZE, str(contradiction))
 
     def _note_cause(self, missed: Missed) -> None:
         """Tell the crew what is likely wrong with the marker, once for each kind."""

@@ -118,6 +118,7 @@ class RoleSession:
         self.instance: Callable[[], int] = int  # what a Status of this drone names
         self.alike = alike_of(rig, config.separation)
         self.peer_alike: Alike | None = None  # the newest that was said
+        self._peer_end_told = False
         self.observing = False
         self.operator: Operator | None = None  # who says which object is meant; a receiver has none
         self.off_n_m: Vec3 = (0.0, 0.0, 0.0)  # of this drone's own position, as at home; its height as it is now
@@ -180,6 +181,12 @@ class RoleSession:
             self.log.write("/peer_step", now_ns, {"steps": status.steps})
             self.say("ALARM: the other drone's estimator stepped")
             self.on_step(now_ns)
+
+    def _note_peer_end(self) -> None:
+        """Tell the crew what the other drone's flight has ended in, once: on this console too they read the cause."""
+        if self.peer_left and not self._peer_end_told:
+            self._peer_end_told = True
+            self.say(f"the other drone: {self.peer_left}")
 
     def here(self, peer: Status) -> Status:
         """The other drone's Status, its position in this drone's own frame: each tells it without what it is off."""
@@ -316,6 +323,7 @@ class RoleSession:
             elif isinstance(message, Status):
                 self.peer = message
                 self._note_peer_steps(message)
+                self._note_peer_end()
                 self.peer_alike = message.alike or self.peer_alike
                 self.on_status(message)
             else:

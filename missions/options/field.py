@@ -114,6 +114,9 @@ class DoctorOptions:
     vehicle: Literal["none", "sender", "receiver"] = "none"
     """Connect to this role's vehicle as well, and compare its parameters with the rig's. Nothing moves."""
 
+    other: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
+    """The other drone's rig file, where it is at hand: what both drones must have alike is compared with it."""
+
     slow: Slow = None
     """With --role: what this computer would hold if each role had this share of one core (docs/compute.md)."""
 

@@ -30,6 +30,7 @@ _ADVICE: dict[Outcome, str] = {
     Outcome.STATE_LOST: "Free some disk.",
     Outcome.UNFIT: "Run path-handoff doctor.",
     Outcome.RIGS_DIFFER: "Copy one rig file to both companions, and install the same version of PATH on both.",
+    Outcome.MARKER_SIZE: "Measure the marker's black square with a caliper, and say it as side_m in both rigs.",
     Outcome.GUARD_LOST: "Start the guard again, and see why it ended: its log and what it printed.",
     Outcome.TOO_CLOSE: "Do not fly again before the cause is known: wind, gains or positions.",
     Outcome.INTERRUPTED: "Nothing: it was told to stop.",

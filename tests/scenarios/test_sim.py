@@ -275,6 +275,29 @@ def test_a_plate_that_is_upside_down_is_never_flown_by_and_said_by_its_cause(
     assert sum(note.startswith("the sender's marker: gravity contradicts") for note in notes) == 1
 
 
+@pytest.mark.parametrize(("true_mm", "seed"), [(25.0, 511), (36.0, 515), (44.0, 513), (64.0, 512)])
+def test_a_marker_whose_size_contradicts_depth_ends_the_flight_before_any_hand_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, true_mm: float, seed: int
+) -> None:
+    """25 mm of 40 is as 40 mm of 64, with which D2 would come 0.65 m near."""
+    usual = errors.other_print
+
+    def printed(layout: MarkerLayout, *given: Any) -> MarkerLayout:
+        built = usual(layout, *given)
+        markers = tuple(replace(each, side_m=each.side_m * true_mm / 40.0) for each in built.markers)
+        return replace(built, markers=markers)
+
+    monkeypatch.setattr(errors, "other_print", printed)
+    flown = fly("sim", tmp_path / "out", seed)
+    assert (flown.facts.outcome, flown.facts.violations) == ("marker_size", {}), flown.facts.detail
+    assert "/commit" not in flown.run.sender
+    said = flown.facts.detail.partition("40.0 mm by the rig and ")[2].partition(" mm by depth")[0]
+    side, sigma = (float(part) for part in said.split(" +- "))
+    assert abs(side - true_mm) < 3.0 * sigma < 0.1 * true_mm
+    notes = [r.record["note"] for r in flown.run.sender["/note"]]
+    assert "the other drone: its flight has ended: marker_size" in notes
+
+
 IN_VERIFY_S = 33.5  # of seed 7: the loop's time
 
 

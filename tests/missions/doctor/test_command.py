@@ -98,3 +98,29 @@ def test_the_row_about_room_says_what_a_rig_records(tmp_path: Path, monkeypatch:
     assert "MB a minute" in found.detail
     monkeypatch.setattr(room, "MINUTES", 1e6)
     assert room.check_room(str(tmp_path / "all.toml")).state == "note"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("side_m = 0.040", "side_m = 0.064"), "side_m (40.0 mm here, 64.0 mm there)"),
+        (("[method]", "[method]\ntau_min = 0.26"), "[method]"),
+        (("[mission]", "[mission]"), ""),
+    ],
+)
+def test_the_other_drone_s_rig_is_compared_where_it_is_at_hand(
+    tmp_path: Path, change: tuple[str, str], said: str
+) -> None:
+    text = rig_library.load("sim-tello").file.read_text("utf-8")
+    assert change[0] in text
+    other = tmp_path / "other.toml"
+    other.write_text(text.replace(*change, 1), "utf-8")
+    found = list(doctor.check_pair(rig_library.load("sim-tello"), str(other)))
+    assert [finding.state for finding in found] == (["fault"] if said else ["ok"])
+    assert said in found[0].detail
+
+
+def test_another_rig_that_cannot_be_read_is_a_fault() -> None:
+    (finding,) = doctor.check_pair(rig_library.load("sim"), "/nowhere/d2.toml")
+    assert finding.state == "fault"
+    assert "/nowhere/d2.toml" in finding.detail

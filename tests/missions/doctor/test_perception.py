@@ -32,7 +32,7 @@ from tests.drivers.realsense.software_d415 import COLOR, FPS, context
 from tests.missions.doctor.doctor_bench import BENCHES, Bench
 from tests.missions.doctor.doctor_findings import found
 
-LAYOUT = single_marker()
+LAYOUT = single_marker(side_m=1.5 * 30.0 / COLOR.fx)  # as large as 30 px are on a wall at 1.5 m
 WANTED = WantedMarker(LAYOUT, (0.0, -1.0, 0.0), (0.0, 1.0, 0.0))  # a plate on a wall, a camera that looks ahead
 FED_HZ = 40.0
 TRIES = 5
@@ -97,6 +97,18 @@ def test_a_plate_that_is_the_wrong_way_up_is_told() -> None:
     assert every["marker turned"].state == "note"
     assert "is the plate the right way up" in every["marker turned"].detail
     assert "stand both drones level" in every["marker turned"].fix
+
+
+def test_a_marker_whose_size_contradicts_depth_is_a_fault_with_the_size_that_depth_says(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    wrong = single_marker(side_m=1.6 * LAYOUT.markers[0].side_m)
+    monkeypatch.setattr("tests.missions.doctor.test_perception.WANTED", replace(WANTED, layout=wrong))
+    size = examined(Bench(picture(marker_px=30)))["marker size"]
+    assert size.state == "fault"
+    by_depth_mm = float(size.detail.partition("by the rig and ")[2].partition(" ")[0])
+    assert by_depth_mm == pytest.approx(1000.0 * LAYOUT.markers[0].side_m, rel=0.03)
+    assert "caliper" in size.fix
 
 
 def test_a_marker_that_is_printed_wrongly_is_said_as_what_it_is() -> None:
