@@ -16,7 +16,7 @@ from typing import Annotated, Any
 
 from drivers.collector import collector_off
 from flight.command_end import CommandEnd
-from missions.kernel_cache import have_kernel_cache
+from missions.kernel_cache import have_kernel_cache, have_temporary_folder
 from missions.shown import FolderGone, drop, flush_or_drop, say_unwritten
 from path.bounds import out_of_bounds
 
@@ -196,6 +196,7 @@ def run(command: object) -> int:
         lines = [f"--{name.replace('_', '-')}: {what}" for name, what in wrong]
         raise PartError("\n".join(lines), "give a number that is within these bounds")
     _refuse_endless(command)
+    have_temporary_folder()
     have_kernel_cache()
     of = {options.partition(":")[2]: module for options, module in COMMANDS.values()}
     with collector_off():  # of cycles: a module's classes and functions are kept, and are walked for nothing

@@ -14,12 +14,25 @@ from pathlib import Path
 from typing import NoReturn
 
 VARIABLE = "NUMBA_CACHE_DIR"
+TEMPORARY = "temporary files have no place"
 INSTALLED = Path(__file__).resolve().parent.parent
 
 
 def usual_folders() -> tuple[Path, ...]:
     """Returns the folders in which numba looks by itself."""
-    return INSTALLED / "path", Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+    cache = users_cache()
+    return (INSTALLED / "path",) if cache is None else (INSTALLED / "path", cache)
+
+
+def users_cache() -> Path | None:
+    """Return the user's cache folder; None for an account without a home, as containers have them by number."""
+    named = os.environ.get("XDG_CACHE_HOME")
+    if named:
+        return Path(named)
+    try:
+        return Path("~/.cache").expanduser()
+    except RuntimeError:
+        return None
 
 
 def have_kernel_cache(usual: Sequence[Path] | None = None, temporary: Path | None = None) -> None:
@@ -44,6 +57,27 @@ def have_kernel_cache(usual: Sequence[Path] | None = None, temporary: Path | Non
     os.environ[VARIABLE] = str(own)
 
 
+def have_temporary_folder() -> None:
+    """Raise PartError when temporary files have no place, or not the one that was named.
+
+    Python looks for another place by itself; two programs of one flight would then look for each other's keys and locks
+    in two.
+    """
+    for variable in ("TMPDIR", "TEMP", "TMP"):
+        named = os.environ.get(variable)
+        if named and not (Path(named).is_dir() and can_write(Path(named))):
+            _refuse(
+                f"{variable} = {named}", f"set {variable} to a folder that can be written to, or unset it", TEMPORARY
+            )
+        if named:
+            break
+    try:
+        tempfile.gettempdir()
+    except FileNotFoundError as error:
+        where = str(error).partition("in ")[2] or "/tmp"
+        _refuse(where, "free some disk, or set TMPDIR to a folder that can be written to", TEMPORARY)
+
+
 def can_write(folder: Path) -> bool:
     """Returns whether a file can be made in a folder, or the folder itself."""
     existing = next((path for path in (folder, *folder.parents) if path.exists()), None)
@@ -56,10 +90,8 @@ def can_write(folder: Path) -> bool:
         return False
 
 
-def _refuse(what: str) -> NoReturn:
+def _refuse(what: str, fix: str = "", no_place: str = "compiled kernels have no place") -> NoReturn:
     from drivers.interfaces import PartError  # noqa: PLC0415 (numpy behind it takes longer than all the rest)
 
-    raise PartError(
-        f"{what} cannot be written to: compiled kernels have no place",
-        f"set {VARIABLE} to a folder that can be written to, in which nobody else can write",
-    )
+    usual = f"set {VARIABLE} to a folder that can be written to, in which nobody else can write"
+    raise PartError(f"{what} cannot be written to: {no_place}", fix or usual)

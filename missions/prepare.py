@@ -6,12 +6,11 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 from drivers.rig.parts import Rig, import_factory
 from flight.command_end import CommandEnd
 from missions import rig_library
-from missions.kernel_cache import INSTALLED, VARIABLE, can_write
+from missions.kernel_cache import INSTALLED, VARIABLE, can_write, users_cache
 from missions.options.field import PrepareOptions
 
 
@@ -50,5 +49,7 @@ def kept_in() -> str:
     if named:
         return named
     beside = INSTALLED / "path"
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "numba"
-    return f"{INSTALLED}, beside the sources" if can_write(beside) else str(home)
+    cache = users_cache()
+    if cache is None or can_write(beside):
+        return f"{INSTALLED}, beside the sources"
+    return str(cache / "numba")

@@ -13,6 +13,7 @@ from pathlib import Path
 from drivers.interfaces import PartError
 from drivers.text_file import read_file
 from missions.held import held_folder
+from missions.kernel_cache import can_write
 from missions.shown import FolderGone
 
 REMEDY = "name another place with --out"
@@ -153,8 +154,20 @@ def claimed(folder: Path, kind: RunKind) -> Generator[None, None, None]:
 
 def claim_result(file: Path, *signs: str) -> None:
     """Refuse to write a result over a file that none of the ``signs`` of an earlier one is in. Raises PartError."""
+    check_file(file)
     if file.exists() and not any(_has(file, sign) for sign in signs):
         raise PartError(f"{file} is there, and is no earlier result: it is not written over", REMEDY)
+
+
+def check_file(file: Path) -> None:
+    """Refuse a file that cannot be one, or be made, before any work is done for it. Raises PartError."""
+    try:
+        if file.is_dir():
+            raise PartError(f"{_shown(file)} is a folder", "name a file with --out")
+        if not can_write(file.parent):
+            raise PartError(f"cannot write {_shown(file)}: its folder cannot be made, or written to", REMEDY)
+    except OSError as error:
+        raise PartError(f"cannot write {_shown(file)}: {error.strerror}", REMEDY) from error
 
 
 def claim_folder(folder: Path, marker: str, *signs: str) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import PartError
 from missions.options.calibrate import BoardOptions, CalibrateBoardOptions
-from missions.run_folder import REMEDY
+from missions.run_folder import REMEDY, check_file
 from path.calibration.board import Board, print_cells
 
 INCH_M = 0.0254
@@ -66,6 +66,9 @@ def draw_print(options: CalibrateBoardOptions, out: TextIO) -> int:
     if not 1 <= dots * max(shades.shape) <= 40_000:
         raise PartError(f"--dpi {options.dpi}: a cell would be {dots} dots", "300 to 1200 dpi suit a printer")
     picture = np.kron(shades, np.ones((dots, dots), np.uint8))
+    check_file(options.out)
+    if not cv2.haveImageWriter(str(options.out)):
+        raise PartError(f"{options.out}: a picture of this kind is not written", "name a .png file with --out")
     options.out.parent.mkdir(parents=True, exist_ok=True)
     claim_same(options.out, picture)
     if not cv2.imwrite(str(options.out), picture):

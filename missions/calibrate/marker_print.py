@@ -7,6 +7,7 @@ from typing import TextIO
 
 from drivers.interfaces import PartError
 from missions.options.calibrate import CalibrateMarkerOptions
+from missions.run_folder import check_file
 from path.marker.layout import DICTIONARIES, QUIET_CELLS
 from path.marker.photometric.texture import cells
 from path.marker.turned import OFFICIAL
@@ -32,6 +33,7 @@ def draw_marker(options: CalibrateMarkerOptions, out: TextIO) -> int:
         raise PartError(
             f"--gap-m {options.gap_m:g} is less than a cell of {cell_mm:.2f} mm", "leave at least a cell of white"
         )
+    check_file(options.out)
     drawing = _drawing(options, cell_mm)
     try:
         with options.out.open("x", encoding="utf-8") as file:

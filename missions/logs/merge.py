@@ -32,7 +32,9 @@ from missions.held import held_file
 from missions.logs.fetch import fetched
 from missions.options.runs import MergeOptions
 from missions.report.records import MERGED
+from missions.run_folder import REMEDY, claim_result
 
+MERGED_SIGN = "merged"  # among what the log says of itself
 GUARD, FRAMES = "_guard", "_frames"
 Clock = Sequence[tuple[int, int]]
 """From which UTC of a log on (in order) how much is added to it."""
@@ -56,6 +58,9 @@ def run(options: MergeOptions) -> int:
     there = [fetched(each) for each in options.logs]
     logs = named_logs(there)
     out = options.out or (there[0] if there[0].is_dir() else there[0].parent) / MERGED
+    if any(out.resolve() == file.resolve() for files in logs.values() for file in files):
+        raise PartError(f"{out} is one of the logs: it is not written over", REMEDY)
+    claim_result(out, MERGED_SIGN)
     with held_file(out):
         for each in merge(logs, out):
             sys.stdout.write(f"{each.name}: {_told(each)}\n")
@@ -68,6 +73,7 @@ def merge(logs: Mapping[str, Sequence[Path]], out: Path) -> list[Aligned]:
 
     Raises PartError for what is no log, OSError when it cannot be written.
     """
+    refuse_empty(logs)
     aligned = align(logs)
     with out.open("wb") as file:
         writer = Writer(file)
@@ -84,6 +90,20 @@ def merge(logs: Mapping[str, Sequence[Path]], out: Path) -> list[Aligned]:
             writer.add_message(channels[key], utc_ns, message.data, utc_ns)
         writer.finish()
     return aligned
+
+
+def refuse_empty(logs: Mapping[str, Sequence[Path]]) -> None:
+    """Raise PartError when nothing can be read of any of the logs."""
+    if not any(_has_message(file) for files in logs.values() for file in files):
+        names = ", ".join(str(file) for files in logs.values() for file in files)
+        raise PartError(f"{names}: nothing can be read of it", "was anything logged? name another log of the run")
+
+
+def _has_message(path: Path) -> bool:
+    try:
+        return next(iter(read_log(path)), None) is not None
+    except (OSError, ValueError):
+        return True  # which is told as what it is
 
 
 def align(logs: Mapping[str, Sequence[Path]]) -> list[Aligned]:

@@ -22,6 +22,7 @@ from drivers.log.scan import LoggedMessage, messages
 from missions.logs.merge import merge, named_logs
 from missions.options.runs import ViewOptions
 from missions.report.records import MERGED
+from missions.run_folder import claim_result
 from missions.view.eye import eye_of
 from missions.view.viewer import page, serve, viewer, window
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from rerun import ChunkBatcherConfig
 
 LAYOUT = "foxglove.json"
+LAYOUT_SIGN, RERUN_SIGN = '"configById"', "RRF2"  # in every earlier result
 REMEDY = (
     "install it with `.venv/bin/uv pip install --python .venv/bin/python -c constraints.txt -e '.[view]'` in your copy "
     "of PATH; or open the log in Foxglove or Lichtblick, with the layout that `path-handoff view --layout FILE` writes"
@@ -38,6 +40,7 @@ REMEDY = (
 def run(options: ViewOptions) -> int:
     """``path-handoff view``. Raises PartError."""
     if options.layout is not None:
+        claim_result(options.layout, LAYOUT_SIGN)
         options.layout.write_bytes(layout())
         sys.stdout.write(f"{options.layout}\n")
         return 0
@@ -46,6 +49,8 @@ def run(options: ViewOptions) -> int:
             "nothing is named to look at", "name the folder of a run, or logs; or ask for --live, or for --layout FILE"
         )
     have_rerun()
+    if options.save is not None:
+        claim_result(options.save, RERUN_SIGN)
     if options.live:
         return _watch(options)
     with TemporaryDirectory(prefix="path-view-") as folder:

@@ -75,7 +75,10 @@ def binary_of(kind: Kind) -> Path:
     remedy = f"build {program} for SITL (docs/autopilots.md), then give --{kind} PATH or set {variable}"
     if not written:
         raise NoBinary(f"this rig needs {program}, and none was named", remedy)
-    path = Path(written).expanduser().resolve()
+    try:
+        path = Path(written).expanduser().resolve()
+    except RuntimeError:  # ~ of nobody that is known here
+        path = Path(written)
     if not path.is_file() or not os.access(path, os.X_OK):
         raise NoBinary(f"{variable} = {written}: there is no such program", remedy)
     if kind == "px4":
