@@ -63,7 +63,7 @@ def rig_with(folder: Path, change: tuple[str, str]) -> str:
 def test_flights_in_one_process_leave_nothing_that_is_never_collected(tmp_path: Path) -> None:
     before = gc.get_freeze_count()
     fly("sim", tmp_path, 1, "kill_receiver@preflight")
-    assert gc.get_freeze_count() == before
+    assert gc.get_freeze_count() <= before  # what tests before this one froze may have ended meanwhile
 
 
 def test_two_seeds_commit_and_break_no_rule_and_one_of_them_again_gives_the_same_bytes(tmp_path: Path) -> None:
