@@ -19,6 +19,7 @@ from drivers.perception.freshness import Freshness
 from drivers.rig.calibration_file import check_serial, check_size
 from drivers.rig.part_check import Finding, examined, rate_of
 from drivers.rig.parts import PartContext, PartSpec, create
+from drivers.rig.tables import RigError
 from path.bounds import Bounds
 from path.camera.model import CameraModel
 from path.config import MethodConfig
@@ -65,6 +66,9 @@ class PixelPerception:
         self._config = config
         self._camera: Camera = create(config.camera, context)
         self._detector: Detector = create(config.detector, context)
+        if not callable(getattr(self._detector, "detect", None)):
+            named = f"{config.detector.where}.factory: {config.detector.factory}"
+            raise RigError([f"{named} is no detector: it has no detect(image, region) -> list of Detection"])
         self._layout = context.layout
         self._calibrated_serial = context.camera_serial
         self._freshness = Freshness(config.max_old_frames)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import inspect
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,8 +15,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from drivers.beacons.log import Mounted
-from drivers.interfaces import Clock
+from drivers.interfaces import Clock, PartError
 from drivers.rig.facts import DepthFacts, DroneFacts, HeightFacts, LinkFacts, SiteFacts, TargetFacts
+from drivers.rig.own_file import ended_by, module_of
 from drivers.rig.tables import RigError, decode_table, suggestion
 from drivers.steady_clock import SteadyClock
 from path.bounds import Bounds
@@ -25,13 +27,13 @@ from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Role
 
-_FACTORY = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+_FACTORY = re.compile(r"(?:[A-Za-z_][\w.]*|[^:]+\.py):[A-Za-z_]\w*")
 GONE = {  # parts that rigs may still name: what to do instead
     "drivers.detectors.tracked:TrackedDetector": (
         "it cost more than the detector in it; put the table 'detector' in its place"
     ),
 }
-_SUCH_AS = 'such as "drivers.mavlink.vehicle:MavsdkVehicle"'
+_SUCH_AS = 'such as "drivers.mavlink.vehicle:MavsdkVehicle", or "own.py:Name" of a file beside the rig'
 
 Level = Literal["sim", "sim-rendered", "sitl", "hitl", "field"]
 
@@ -42,7 +44,7 @@ SHARED_WITH_THE_VEHICLE = ("height_from", "battery_id")
 
 @dataclass(frozen=True, slots=True)
 class PartSpec:
-    """A part by name: ``factory`` is ``module:Class``; ``options`` are decoded as ``Class.Config``.
+    """A part by name: ``factory`` is ``module:Class`` or ``file.py:Class``; ``options`` are ``Class.Config``.
 
     May be a field of another part's Config (``[sender.perception.camera]``), which then opens it itself.
     """
@@ -62,6 +64,9 @@ class PartSpec:
             raise RigError([f"{where}: missing key 'factory', {_SUCH_AS}"])
         if not isinstance(factory, str) or not _FACTORY.fullmatch(factory):
             raise RigError([f"{where}.factory: {factory!r} is not module:Class, {_SUCH_AS}"])
+        file, _, name = factory.rpartition(":")
+        if file.endswith(".py") and base is not None:
+            factory = f"{base / file}:{name}"
         return cls(factory, {key: value for key, value in table.items() if key != "factory"}, where, base)
 
 
@@ -240,14 +245,17 @@ def _with_world(rig: Rig, key: str, value: object, needed: str) -> Rig:
 
 
 def import_factory(factory: str, where: str) -> Any:
-    """The class named ``module:Class``. Raises RigError naming ``where``."""
+    """The class named ``module:Class`` or ``file.py:Class``. Raises RigError naming ``where``."""
     if not _FACTORY.fullmatch(factory):
         raise RigError([f"{where}: {factory!r} is not module:Class, {_SUCH_AS}"])
     if factory in GONE:
         raise RigError([f"{where}: {factory} is no longer offered: {GONE[factory]}"])
-    module_name, _, class_name = factory.partition(":")
+    module_name, _, class_name = factory.rpartition(":")
     try:
-        module = importlib.import_module(module_name)
+        own = module_name.endswith(".py")
+        module = module_of(Path(module_name), "part") if own else importlib.import_module(module_name)
+    except PartError as error:
+        raise RigError([f"{where}: {error}"], error.remedy) from error
     except ImportError as error:
         raise RigError([f"{where}: cannot import {module_name}: {error}"]) from error
     except SystemExit as error:
@@ -259,11 +267,6 @@ def import_factory(factory: str, where: str) -> Any:
         hint = suggestion(class_name, classes)
         raise RigError([f"{where}: {module_name} has no {class_name}{hint}"])
     return getattr(module, class_name)
-
-
-def ended_by(error: SystemExit) -> str:
-    """Say that code of a rig or a mission ends the program. With 0 it would look like a flight that went well."""
-    return f"ends the program, by sys.exit({error.code!r}) or the like; let it raise an exception"
 
 
 def decode_part(spec: PartSpec) -> tuple[Any, Any]:
@@ -278,6 +281,11 @@ def decode_part(spec: PartSpec) -> tuple[Any, Any]:
 def create(spec: PartSpec, context: PartContext) -> Any:
     """Make the part a spec names. Entering it, with ``async with``, is what opens it. Raises RigError."""
     kind, config = decode_part(spec)
+    try:
+        inspect.signature(kind).bind(config, context)
+    except TypeError as error:
+        made = f"{spec.factory} is made as {spec.factory.rpartition(':')[2]}(config, context), and cannot be: {error}"
+        raise RigError([f"{spec.where}.factory: {made}"]) from error
     try:
         return kind(config, context)
     except SystemExit as error:
