@@ -64,11 +64,8 @@ def test_what_does_not_fit_is_told_before_anything_moves(folder: Path, factory: 
 @pytest.mark.parametrize(
     ("body", "said"),
     [
-        (
-            "def __init__(self, config): pass\n  def detect(self, image, region): return []",
-            "made as Orange(config, context)",
-        ),
-        ("def __init__(self, config, context): pass", "no detect(image, region)"),
+        (("def __init__(self, config): pass", "def detect(self, image, region): return []"), "Orange(config, context)"),
+        (("def __init__(self, config, context): pass",), "no detect(image, region)"),
     ],
 )
 def test_a_part_of_another_shape_is_told_with_the_right_one(folder: Path, body: tuple[str, ...], said: str) -> None:
