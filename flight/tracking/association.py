@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers.interfaces import View
 from flight.guidance import Vec3
+from flight.tracking.identity import LEAST_IDENTITY
 from flight.tracking.objects import (
     LARGER,
     ImageObject,
@@ -23,7 +24,7 @@ from flight.tracking.standing_out import ABOVE, standing_out
 from flight.tracking.target_track import TargetTrack
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
-from path.observations import Box, Depth, MissReason, Region
+from path.observations import Box, Depth, Detection, MissReason, Region, common_area
 from path.target.range import Ranged
 from path.target.rivals import MOST, Rival
 from path.values import value
@@ -35,12 +36,6 @@ DEPTH_FLOOR = 0.096  # how far a depth may put the object from its prediction, b
 UNSEEN_S = 0.5  # after so long anything else that the object may have come to might as well be the object
 _OUTSIDE_PX = 60.0  # so far outside the image an object's middle may be, and a part of it inside
 AMBIGUITY = 0.6
-LEAST_IDENTITY = 0.1
-"""Nothing is offered that is the designated object with a lower probability: it is ten times as likely another.
-
-Nearer to one it is not calibrated: of people who walk, doubts that were none cost three hand-overs of eight at 0.98
-(docs/decisions/0215). What lies between is left to the gate's own guard against a D1 that went over.
-"""
 DEPTH_SIGMAS = 3.0
 _SIDE_PX = 3.0  # noise of a box's side
 _HELD_S = 5.0  # after it was seen whole, an object is taken to be in a larger box; then what is there may be anything
@@ -76,22 +71,19 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     grown has something else in it as well: the object is somewhere in there, and the frame is a miss too.
     Where no box is, what stands out there by its depth carries the track for a while: a miss all the same.
     """
-    predicted_n, sigma_m = track.predict(view.stamp_ns)
-    x, y, z = T_n_c.inverse().apply(np.asarray(predicted_n)).tolist()
-    if z <= 0.0 or not camera.sees((x, y, z), -_OUTSIDE_PX):
+    looked = _looked(view, T_n_c, camera, track)
+    if looked is None:
         return MissReason.NO_TARGET
-    u, v = camera.project_point((x, y, z))
+    found, (predicted_n, sigma_m), (u, v), z = looked
     track.range_m = z
     gate_m = track.gate_m(sigma_m, view.stamp_ns)
     px_per_m = camera.fx / z
     unseen = _unseen(track, view.stamp_ns)
-    reach_m = track.reach_m(view.stamp_ns) if unseen else 0.0
-    reach_px = px_per_m * max(reach_m, gate_m / AMBIGUITY, RIVAL_REACH * z)
-    region = Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px)
-    found = view.targets(region)
+    around = by_distance(found, (u, v), camera, track.size_m, track.usual_m, z)
+    seen = around
     if track.identity is not None:
-        track.identity.note(view, T_n_c, camera, region, found, (predicted_n, (x, y, z)))
-    seen = by_distance(found, (u, v), camera, track.size_m, track.usual_m, z)
+        own = [each for each in found if not track.identity.is_other(each.box)]
+        seen = by_distance(own, (u, v), camera, track.size_m, track.usual_m, z)
     ranked = seen if len(seen) < 2 else _not_behind(seen, view, z + track.reach_m(view.stamp_ns))
     if unseen and len(ranked) > 1:
         track.note_company(view.stamp_ns)
@@ -102,7 +94,7 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
         or ranked[0].more
         or _has_more(ranked[0].box, z, sigma_m, T_n_c, track)
     ):
-        return _unfound(view, T_n_c, camera, track, seen, ((u, v), z, sigma_m), px_per_m * gate_m)
+        return _unfound(view, T_n_c, camera, track, (seen, around), ((u, v), z, sigma_m), px_per_m * gate_m)
     chosen, nearly = ranked[0], False
     if len(ranked) > 1:
         track.note_rival(_nearest_m(ranked, px_per_m), view.stamp_ns)
@@ -129,8 +121,60 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
     )
     if measured is not None:
         track.update(measured, view.stamp_ns)
-    others = [each for each in seen if each is not chosen]
+    others = [each for each in around if common_area(each.box, box) < 0.9 * each.box.area]
     return _offered(Sighting(box, depth, _beside(view, box, others, camera)), camera, T_n_c, track)
+
+
+def _looked(
+    view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack
+) -> tuple[Sequence[Detection], tuple[Vec3, float], Pixel, float] | None:
+    """Look where the object can be, and what is around it; take the track to where the object surely is.
+
+    Returns:
+        what was found; the place at which the object is expected, and its standard deviation; the pixel and the depth
+        of that. None when it is outside the image.
+    """
+    expected = _expected(track, T_n_c, camera, view.stamp_ns)
+    region = None if expected is None else _region(expected, track, camera, view.stamp_ns)
+    identity = track.identity
+    if identity is None:
+        return None if expected is None or region is None else (view.targets(region), *expected)
+    whole = identity.region(region, T_n_c, camera)
+    if whole is None:
+        return None
+    found = view.targets(whole)
+    predicted_n, sigma_m = track.predict(view.stamp_ns)
+    identity.note(view, T_n_c, camera, whole, found, (predicted_n, track.range_m if expected is None else expected[2]))
+    sure = identity.sure
+    if sure is not None:
+        north, east, _ = sure.mean[:3].tolist()
+        off_m = math.hypot(north - predicted_n[0], east - predicted_n[1])
+        if expected is None or off_m > track.gate_m(sigma_m, view.stamp_ns):
+            track.found_again(sure)
+            expected = _expected(track, T_n_c, camera, view.stamp_ns)
+    return None if expected is None else (found, *expected)
+
+
+def _expected(
+    track: TargetTrack, T_n_c: Pose, camera: CameraModel, stamp_ns: int
+) -> tuple[tuple[Vec3, float], Pixel, float] | None:
+    predicted_n, sigma_m = track.predict(stamp_ns)
+    x, y, z = T_n_c.inverse().apply(np.asarray(predicted_n)).tolist()
+    if z <= 0.0 or not camera.sees((x, y, z), -_OUTSIDE_PX):
+        return None
+    return (predicted_n, sigma_m), camera.project_point((x, y, z)), z
+
+
+def _region(
+    expected: tuple[tuple[Vec3, float], Pixel, float], track: TargetTrack, camera: CameraModel, stamp_ns: int
+) -> Region:
+    """Return where the object may be, and what can be mistaken for it."""
+    (_, sigma_m), (u, v), z = expected
+    track.range_m = z
+    reach_m = track.reach_m(stamp_ns) if _unseen(track, stamp_ns) else 0.0
+    gate_m = track.gate_m(sigma_m, stamp_ns)
+    reach_px = camera.fx / z * max(reach_m, gate_m / AMBIGUITY, RIVAL_REACH * z)
+    return Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px)
 
 
 def _offered(seen: Sighting, camera: CameraModel, T_n_c: Pose, track: TargetTrack) -> Sighting | MissReason:
@@ -158,7 +202,7 @@ def _unfound(
     T_n_c: Pose,
     camera: CameraModel,
     track: TargetTrack,
-    ranked: Sequence[ImageObject],
+    objects: tuple[Sequence[ImageObject], Sequence[ImageObject]],
     expected: tuple[Pixel, float, float],
     reach_px: float,
 ) -> MissReason:
@@ -167,6 +211,7 @@ def _unfound(
     A track that nothing kept for a while is not taken up again by depth.
 
     Args:
+        objects: those that may be the object, and all there are.
         expected: pixel and depth of the object, and its standard deviation. reach_px: how far from there it may be.
     """
     (pixel, z_m, sigma_m), size_m = expected, track.size_m
@@ -175,7 +220,7 @@ def _unfound(
     side_px = camera.fx / z_m * size_m[0], camera.fx / z_m * size_m[1]
     lately = view.stamp_ns - track.whole_ns <= _HELD_S * 1e9
     carriable = not _unseen(track, view.stamp_ns) and track.carriable(view.stamp_ns)
-    holder = _holder(ranked, pixel, side_px, camera) if lately else None
+    holder = _holder(objects[0], pixel, side_px, camera) if lately else None
     if holder is not None:
         _bound(track, holder, camera, T_n_c, view.stamp_ns)
     body = None
@@ -188,7 +233,7 @@ def _unfound(
             body = standing_out(view, (pixel[0], row), z_m * along / along_row, side_px[0], reach_px)
     others = [
         each.box
-        for each in ranked
+        for each in objects[1]
         if not (
             _is_around(each.box, pixel, side_px)
             and (holder is not None or _has_more(each.box, z_m, sigma_m, T_n_c, track))

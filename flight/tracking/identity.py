@@ -13,7 +13,7 @@ from flight.guidance import Vec3
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.objects import CUT_SCORE, MIN_SCORE
 from flight.tracking.ranging import MIN_DESCENT
-from path.belief.motion import Array
+from path.belief.motion import Array, Motion
 from path.belief.objects import Belief, Measured
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
@@ -31,6 +31,10 @@ _NEWCOMERS_HZ = 0.05
 """The number of objects that come into view in a second."""
 _POOR = 10.0
 """Times as many are among boxes with a low score."""
+_AROUND = 3.0
+"""Standard deviations of a known object's place, and times half its size: there it is looked for."""
+LEAST_IDENTITY = 0.9
+"""Nothing is offered that is the designated object with a lower probability (docs/decisions/0130)."""
 
 
 class Identity:
@@ -43,6 +47,24 @@ class Identity:
         self.belief: Belief | None = None
         self._boxes: list[Box] = []
 
+    def region(self, own: Region | None, T_n_c: Pose, camera: CameraModel) -> Region | None:
+        """Return a region with everything in it that is known to be in view: what is lost from sight is mistaken.
+
+        Args:
+            own: where the followed object is looked for; None when that is outside the image.
+        """
+        whole, T_c_n = own, T_n_c.inverse()
+        for track in () if self.belief is None else self.belief.tracks:
+            x, y, z = T_c_n.apply(track.motion.place_m).tolist()
+            if not (track.confirmed and z > 0.0 and camera.sees((x, y, z))):
+                continue
+            u, v = camera.project_point((x, y, z))
+            sigma_m = math.sqrt(float(np.trace(track.motion.place_covariance_m2)) / 3.0)
+            half_px = _AROUND * (sigma_m + 0.5 * float(np.max(np.exp(track.log_sides)))) * camera.fx / z
+            around = Region(u - half_px, v - half_px, u + half_px, v + half_px)
+            whole = around if whole is None else _both(whole, around)
+        return whole
+
     def note(
         self,
         view: View,
@@ -50,15 +72,15 @@ class Identity:
         camera: CameraModel,
         region: Region,
         found: Sequence[Detection],
-        expected: tuple[Vec3, Vec3],
+        expected: tuple[Vec3, float],
     ) -> None:
         """Take in what the detector found in a region.
 
         Args:
-            expected: the followed object's place in the local frame, and in the camera.
+            expected: the followed object's place in the local frame, and its depth.
         """
         seen = [each for each in found if each.score >= CUT_SCORE and each.box.w > 0.0 and each.box.h > 0.0]
-        place_n, (_, _, z_m) = expected
+        place_n, z_m = expected
         measured = [self._measured(view, T_n_c, camera, each, place_n[2], z_m) for each in seen]
         self._boxes = [each.box for each in seen]
         if self.belief is None:
@@ -84,11 +106,16 @@ class Identity:
 
     def of(self, box: Box) -> float:
         """Return the probability that a box of the newest frame is of the designated object."""
-        if self.belief is None:
-            return 0.0
-        shared = [(common_area(box, each) / max(each.area, box.area), k) for k, each in enumerate(self._boxes)]
-        most, column = max(shared, default=(0.0, -1))
-        return self.belief.identity_of(column) if most > 0.0 else 0.0
+        column = self._column(box)
+        return 0.0 if self.belief is None or column is None else self.belief.identity_of(column)
+
+    def is_other(self, box: Box) -> bool:
+        """Return whether a box of the newest frame is of an object that is surely not the designated one."""
+        column = self._column(box)
+        track = None if self.belief is None or column is None else self.belief.track_of(column)
+        if self.belief is None or track is None or not track.confirmed:
+            return False
+        return self.belief.probability(track.number) <= 1.0 - LEAST_IDENTITY
 
     @property
     def stated(self) -> tuple[Box, float] | None:
@@ -103,6 +130,20 @@ class Identity:
         own = (box for column, box in enumerate(self._boxes) if belief.track_of(column) is likeliest)
         box = next(own, None)
         return None if box is None else (box, belief.probability(likeliest.number))
+
+    @property
+    def sure(self) -> Motion | None:
+        """Return where the designated object is by the newest frame, which shows it; None when it is not sure."""
+        stated = self.stated
+        if self.belief is None or stated is None or stated[1] < LEAST_IDENTITY:
+            return None
+        likeliest = self.belief.likeliest
+        return None if likeliest is None else likeliest.motion
+
+    def _column(self, box: Box) -> int | None:
+        shared = [(common_area(box, each) / max(each.area, box.area), k) for k, each in enumerate(self._boxes)]
+        most, column = max(shared, default=(0.0, -1))
+        return column if most > 0.0 else None
 
     def _measured(
         self, view: View, T_n_c: Pose, camera: CameraModel, detection: Detection, down_m: float, expected_z_m: float
@@ -134,3 +175,7 @@ class Identity:
             place_m=place, covariance_m2=covariance, axes=T_n_c.R, sides_m=(wide_m, high_m), side_sigma=side_sigma,
             most_m=most, elsewhere_m3=share / view_m3, newcomers_m3_s=_NEWCOMERS_HZ / view_m3,
         )  # fmt: skip
+
+
+def _both(a: Region, b: Region) -> Region:
+    return Region(min(a.x0, b.x0), min(a.y0, b.y0), max(a.x1, b.x1), max(a.y1, b.y1))

@@ -9,11 +9,14 @@ from __future__ import annotations
 import math
 from typing import Self
 
+import numpy as np
+
 from flight.config import FollowConfig, MissionConfig
 from flight.guidance import Vec3, add, scale, subtract
 from flight.tracking.identity import Identity
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.ranging import Ranging
+from path.belief.motion import Motion
 from path.target.size import RunningSize
 
 ACCELERATION_SIGMA_MPS2 = 0.6
@@ -188,6 +191,15 @@ class TargetTrack:
             sigma_m = self.range_m * (_CUT_SIGMA if cut else MEASUREMENT_SIGMA)
             self._fuse(measured_n_m, stamp_ns, sigma_m, moves=not cut)
             self.seen_ns = stamp_ns
+
+    def found_again(self, motion: Motion) -> None:
+        """Begin anew where the object surely is."""
+        north, east, down, v_north, v_east, v_down = motion.mean.tolist()
+        self.position_n_m = north, east, down if self._flies else self.position_n_m[2]
+        self.velocity_n_mps = v_north, v_east, v_down if self._flies else 0.0
+        P = motion.covariance
+        self._pp, self._pv, self._vv = (float(np.trace(each)) / 3.0 for each in (P[:3, :3], P[:3, 3:], P[3:, 3:]))
+        self.stamp_ns = motion.stamp_ns
 
     def carry(self, measured_n_m: Vec3, stamp_ns: int) -> None:
         """Fuse where the object's depth is, along the ground: it was not seen."""

@@ -71,8 +71,10 @@ _FITS = 2.0  # standard deviations of a side's logarithm: what is farther off ha
 _SIZE_DENSITY = 0.5  # of a side's logarithm, of anything: between 1 / e and e times as large
 _DESIGNATED = 2.0  # times the noise of its box: the standard deviation of the place of what was designated
 _FORGOTTEN = 1e-9
+_WORTH_KEEPING = 0.01  # of an identity: what is out of sight for long, with more than that, may be the object
 _NOTHING = 1e-4  # the share of an axis' variance with which a measurement along it counts for nothing
 _MOST_TRACKS = 16
+_NOWHERE_ELSE = np.zeros((3, 3))
 
 
 @value
@@ -107,7 +109,8 @@ class ObjectTrack:
         log_sides: logarithm of the sides of its box in m. size_variance: of either.
         log_odds: that it exists. owed: of new ones, by other track, the share of its identity that is this one's if it
             exists.
-        shown: whether the newest frame that could have did show it. seen_ns: when it was last shown, alone or not.
+        shown: whether the newest frame that could have did show it, in a box of its own.
+        seen_ns: when it was last shown, alone or not.
         identity: the probability that it is the designated object, without what new tracks are owed, and doubts.
         replaced: the probability that it follows something else than before, and the object is near and can be seen;
         hidden: and cannot.
@@ -169,7 +172,8 @@ class Belief:
     def designate(self, place_m: Array, measured: Measured, stamp_ns: int) -> None:
         """Begin with the object that was designated: it is at a place, and a box like that is of it.
 
-        In a box that is larger than it can be it is anywhere, and how large it is is not known.
+        In a box that is larger than it can be it is anywhere, how large it is is not known, and there is another one
+        in it, which may as well be the one: when the box comes apart, one half of it is as likely as the other.
 
         Args:
             place_m: shape (3,).
@@ -180,6 +184,9 @@ class Belief:
         if np.any(np.asarray(measured.sides_m) > measured.most_m):
             track.motion.covariance[:3, :3] += _within(np.asarray(measured.sides_m), measured.axes)
             track.size_variance = 1.0
+            other = self._begin(measured, stamp_ns)
+            other.motion.covariance[:3, :3] = track.motion.place_covariance_m2
+            other.size_variance, other.log_odds = 1.0, _LOG_ODDS_CONFIRMED
         track.log_odds, track.identity = _LOG_ODDS_CONFIRMED, 1.0
         self._stamp_ns = stamp_ns
 
@@ -207,6 +214,7 @@ class Belief:
                 each = measured[held]
                 bounds = _bounded(track.motion, np.asarray(each.sides_m), each.axes)
                 track.motion.update(each.place_m, each.covariance_m2 + bounds)
+                track.shown = False  # one of those in a box may be hidden
             elif sees(track.motion.place_m):
                 track.shown = False
                 track.log_odds -= math.log(1.0 / (1.0 - SHOWN)) * dt_s / SPELL_S if not track.confirmed else 0.0
@@ -280,9 +288,10 @@ class Belief:
             unshown = 1.0 - (likely if sees(track.motion.place_m) and holders[i] is None else 0.5 * likely)
             for j, each in enumerate(measured):
                 off_m, known_m2 = each.place_m - track.motion.place_m, track.motion.place_covariance_m2
-                if mahalanobis2(off_m, known_m2 + fits[i][j].spread_m2) > GATE2:
+                anywhere_m2 = known_m2 + fits[i][j].within_m2
+                if mahalanobis2(off_m, anywhere_m2 + each.covariance_m2) > GATE2:
                     continue
-                likelihood = density(off_m, known_m2, fits[i][j].spread_m2) * _size_fits(track, each)
+                likelihood = density(off_m, anywhere_m2, each.covariance_m2) * _size_fits(track, each)
                 weights[i, j] = likely * likelihood / (unshown * each.elsewhere_m3)
         return weights
 
@@ -320,6 +329,8 @@ class Belief:
                 if i == k or around or not share > _FORGOTTEN:
                     continue
                 apart = follower.motion.place_m - track.motion.place_m
+                if not apart.any():  # as much is known of either: what they part by is what tells
+                    apart = each.place_m - track.motion.place_m
                 moved = before[i] * share * renewal(track.motion.place_covariance_m2, fits[i][column].noise_m2, apart)
                 track.identity -= moved
                 follower.identity += moved
@@ -331,7 +342,7 @@ class Belief:
     def _shown(self, track: ObjectTrack, measured: Measured, fit: _Fit, stamp_ns: int, dt_s: float) -> None:
         track.motion.update(measured.place_m, fit.noise_m2)
         track.replaced *= (1.0 - SHOWN) ** (dt_s / SPELL_S)
-        track.shown, track.seen_ns = True, stamp_ns
+        track.shown, track.seen_ns = not fit.larger, stamp_ns
         if not track.confirmed:
             track.log_odds += dt_s / SPELL_S
         off = np.log(measured.sides_m) - track.log_sides
@@ -385,7 +396,7 @@ class Belief:
         self.tracks = [
             track
             for track in self.tracks
-            if track.identity > _FORGOTTEN or (track.log_odds > _LOG_ODDS_DEAD and track.seen_ns >= forgotten_ns)
+            if track.identity > _WORTH_KEEPING or (track.log_odds > _LOG_ODDS_DEAD and track.seen_ns >= forgotten_ns)
         ]
 
 
@@ -417,11 +428,13 @@ class _Fit:
     """A measurement, if it is of a track's object.
 
     Attributes:
-        spread_m2: its covariance, (3, 3). noise_m2: what the track is updated with.
+        within_m2: covariance (3, 3) of the object's middle in its box, beside the box's own noise. It is bounded: a box
+            may err more than its noise has it, but an object is inside its box.
+        noise_m2: what the track is updated with.
         larger: whether something else is in its box.
     """
 
-    spread_m2: Array
+    within_m2: Array
     noise_m2: Array
     larger: bool
 
@@ -435,10 +448,9 @@ def _fit(track: ObjectTrack, measured: Measured) -> _Fit:
     if more.any():  # it may be as small as that, anywhere in there
         beyond = np.maximum(sides - expected / factor, beyond)
     if not beyond.any():
-        return _Fit(measured.covariance_m2, measured.covariance_m2, larger=False)
-    spread = measured.covariance_m2 + _within(beyond, measured.axes)
+        return _Fit(_NOWHERE_ELSE, measured.covariance_m2, larger=False)
     noise = measured.covariance_m2 + _bounded(track.motion, beyond, measured.axes)
-    return _Fit(spread, noise, bool(more.any()))
+    return _Fit(_within(beyond, measured.axes), noise, bool(more.any()))
 
 
 def _size_fits(track: ObjectTrack, measured: Measured) -> float:

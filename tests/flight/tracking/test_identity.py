@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import pytest
 
-from flight.config import MissionConfig
+from flight.config import FollowConfig, MissionConfig
+from flight.guidance import Vec3
 from flight.tracking.association import Sighting, follow
 from flight.tracking.target_track import TargetTrack
-from path.observations import MissReason
+from path.observations import Detection, MissReason, Region
 from tests.flight.tracking.test_association import CAMERA, PLACE, SECOND, T_N_C, FakeView, beside
 
 FRAME_NS = SECOND // 50
@@ -54,3 +58,52 @@ def test_one_of_two_that_were_out_of_sight_for_long_is_followed_and_not_offered(
             reasons.add(seen)
     assert any(offers) is offered
     assert offered or MissReason.AMBIGUOUS_TARGET in reasons
+
+
+def test_another_one_that_walks_through_the_place_of_one_that_is_missed_is_not_gone_after() -> None:
+    """The detector misses the target for a second and a half, and finds the other one in every frame."""
+    track = TargetTrack.of(MissionConfig(follow=FollowConfig(carry_s=0.0)), PLACE, 0)
+
+    def other(k: int) -> Vec3:
+        return beside(PLACE, 0.9 - 0.5 * k / 50)
+
+    def seen(k: int, places: Sequence[Vec3]) -> Sighting | MissReason:
+        return follow(FakeView(places, k * FRAME_NS), T_N_C, CAMERA, track)
+
+    for k in range(50):
+        assert isinstance(seen(k, [PLACE, other(k)]), Sighting)
+    for k in range(50, 125):
+        assert isinstance(seen(k, [other(k)]), MissReason)
+    assert math.dist(track.position_n_m, PLACE) < 0.1
+    after = [seen(k, [PLACE, other(k)]) for k in range(125, 150)]
+    assert isinstance(after[-1], Sighting)
+    assert after[-1].box == FakeView([PLACE]).boxes()[0]
+
+
+def test_the_designated_object_is_gone_after_where_the_track_had_gone_over_to_another() -> None:
+    """The belief has both of them all the time: the track is taken back to its own."""
+    track = followed(0.5)
+    track.position_n_m = beside(PLACE, 0.5)
+    view = FakeView([PLACE, beside(PLACE, 0.5)], track.stamp_ns + FRAME_NS)
+    seen = follow(view, T_N_C, CAMERA, track)
+    assert isinstance(seen, Sighting)
+    assert seen.box == view.boxes()[0]
+    assert math.dist(track.position_n_m, PLACE) < 0.05
+
+
+def test_what_is_known_beside_the_target_is_looked_at_as_long_as_it_is_in_view() -> None:
+    """Else it is as good as out of sight, and comes back as nobody knows whom."""
+    track = TargetTrack.of(MissionConfig(), PLACE, 0)
+    asked: list[Region | None] = []
+
+    class Asked(FakeView):
+        def targets(self, region: Region | None) -> Sequence[Detection]:
+            asked.append(region)
+            return super().targets(region)
+
+    for k in range(100):
+        places = [PLACE, beside(PLACE, 0.4 + 0.5 * k / 50)]
+        follow(Asked(places, k * FRAME_NS), T_N_C, CAMERA, track)
+    region = asked[-1]
+    assert region is not None
+    assert region.contains(*FakeView([beside(PLACE, 1.39)]).boxes()[0].center)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -129,6 +130,27 @@ def test_a_box_too_large_for_the_target_that_comes_apart_leaves_it_open_which_ha
         assert max(belief.identity_of(0), belief.identity_of(1)) < 1.0 - 1e-3 / 3.0
 
 
+@pytest.mark.parametrize("poor", [1.0, 10.0])
+def test_either_half_of_such_a_box_is_as_likely_however_poorly_one_of_them_is_shown(poor: float) -> None:
+    """What else was in it was an object too: that a detector is not sure of one says nothing of which is which."""
+    belief, most = Belief(ACCEL), (0.36, 0.36)
+    belief.designate(box(0.0).place_m, box(0.0, wide_m=0.65, most_m=most), 0)
+    for k in range(1, 5):
+        belief.update([box(0.0, wide_m=0.65, most_m=most)], EVERYWHERE, k * FRAME_NS)
+    for k in range(5, 50):
+        doubtful = replace(box(0.17, most_m=most), elsewhere_m3=poor * box(0.0).elsewhere_m3)
+        belief.update([box(-0.17, most_m=most), doubtful], EVERYWHERE, k * FRAME_NS)
+        assert max(belief.identity_of(0), belief.identity_of(1)) < 0.75
+
+
+def test_a_box_that_was_too_large_for_a_moment_costs_a_moment() -> None:
+    belief, most = Belief(ACCEL), (0.36, 0.36)
+    belief.designate(box(0.0).place_m, box(0.0, wide_m=0.5, most_m=most), 0)
+    for k in range(1, 50):
+        belief.update([box(0.0, most_m=most)], EVERYWHERE, k * FRAME_NS)
+    assert belief.identity_of(0) > 1.0 - 1e-2
+
+
 def test_an_object_in_two_pieces_for_a_frame_stays_one() -> None:
     belief, stamp_ns = begun()
     stamp_ns += FRAME_NS
@@ -187,3 +209,28 @@ def test_a_world_so_many_times_as_large_is_believed_the_same(scale: float) -> No
     for one, other in zip(*beliefs, strict=True):
         assert [number for number, _ in one] == [number for number, _ in other]
         np.testing.assert_allclose([q for _, q in one], [q for _, q in other], rtol=1e-6, atol=1e-12)
+
+
+def test_one_of_two_that_were_in_one_box_may_be_hidden_when_the_other_comes_out_of_it() -> None:
+    """They were shown together, so that neither must be shown alone in the frame after."""
+    belief, stamp_ns = begun(others_m=[0.35])
+    first, second = belief.tracks
+    for k in range(50):
+        stamp_ns += FRAME_NS
+        belief.update([box(0.175 + 0.0035 * k, wide_m=0.65 + 0.007 * k)], EVERYWHERE, stamp_ns)
+    stamp_ns += FRAME_NS
+    belief.update([box(0.7)], EVERYWHERE, stamp_ns)
+    assert belief.probability(second.number) < 0.04
+    assert belief.probability(first.number) > 0.9
+
+
+def test_who_is_gone_for_long_and_hardly_the_one_is_forgotten() -> None:
+    """Else it would be as likely anywhere, and a rival to whoever stands there."""
+    belief, stamp_ns = begun(others_m=[0.35])
+    second = belief.tracks[1]
+    second.identity = 1e-4
+    for _ in range(300):
+        stamp_ns += FRAME_NS
+        belief.update([box(0.0)], EVERYWHERE, stamp_ns)
+    assert second not in belief.tracks
+    assert belief.identity_of(0) > 0.99
