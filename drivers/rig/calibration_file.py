@@ -16,8 +16,10 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 
 from drivers.interfaces import CameraError
+from drivers.rig.foreign_calibration import foreign_calibration
 from drivers.rig.tables import RigError, decode_table, read_toml
 from drivers.rig.toml_text import toml_text
+from drivers.text_file import read_file
 from path.bounds import Bounds
 from path.camera.model import CameraModel, Nine
 from path.camera.thinning import Thinning
@@ -210,9 +212,18 @@ def _read(file: Path, kind: type[T], remedy: str) -> T:
         return decode_table(read_toml(file), kind, file.name, file.parent)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
+        known = _of_another_program(file) if isinstance(error, tomllib.TOMLDecodeError) else None
+        if known is not None:
+            what, remedy = known
+            reason = f"{what}; {remedy}"  # a rig tells what is wrong with all of it, and one remedy
         raise CalibrationError(f"{file}: {reason}", remedy) from error
     except RigError as error:
         raise CalibrationError(str(error), remedy) from error
+
+
+def _of_another_program(file: Path) -> tuple[str, str] | None:
+    """Return what a file is that is no TOML, and how to go on, where that is known."""
+    return foreign_calibration(read_file(file).decode("utf-8", errors="replace"))
 
 
 def _plain(value: Any) -> Any:
