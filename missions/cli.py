@@ -16,37 +16,37 @@ from typing import Annotated, Any
 
 from drivers.collector import collector_off
 from flight.command_end import CommandEnd
-from missions.kernel_cache import have_kernel_cache, have_temporary_folder
-from missions.shown import FolderGone, drop, flush_or_drop, say_unwritten
+from missions.ground.kernel_cache import have_kernel_cache, have_temporary_folder
+from missions.ground.shown import FolderGone, drop, flush_or_drop, say_unwritten
 from path.bounds import out_of_bounds
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "handoff": ("flights:HandoffOptions", "handoff.command"),
-    "rehearse": ("flights:RehearseOptions", "rehearse"),
-    "designate": ("field:DesignateOptions", "designate"),
-    "relay": ("flights:RelayOptions", "relay.command"),
-    "team": ("flights:TeamOptions", "team.command"),
-    "fly": ("flights:FlyOptions", "own.command"),
-    "sender": ("field:SenderOptions", "leg.command"),
-    "receiver": ("field:ReceiverOptions", "leg.command"),
-    "guard": ("field:GuardOptions", "guard.command"),
-    "doctor": ("field:DoctorOptions", "doctor.command"),
-    "prepare": ("field:PrepareOptions", "prepare"),
-    "rigs": ("field:RigsOptions", "rig_list"),
-    "plan": ("field:PlanOptions", "plan.command"),
-    "report": ("runs:ReportOptions", "report.command"),
-    "replay": ("runs:ReplayOptions", "replay.command"),
-    "view": ("runs:ViewOptions", "view.command"),
-    "merge": ("runs:MergeOptions", "logs.merge"),
-    "export": ("runs:ExportOptions", "logs.export"),
+    "handoff": ("flights:HandoffOptions", "fly.handoff.command"),
+    "rehearse": ("flights:RehearseOptions", "fly.rehearse"),
+    "designate": ("field:DesignateOptions", "fly.designate"),
+    "relay": ("flights:RelayOptions", "fly.relay.command"),
+    "team": ("flights:TeamOptions", "fly.team.command"),
+    "fly": ("flights:FlyOptions", "fly.own.command"),
+    "sender": ("field:SenderOptions", "fly.leg.command"),
+    "receiver": ("field:ReceiverOptions", "fly.leg.command"),
+    "guard": ("field:GuardOptions", "fly.guard.command"),
+    "doctor": ("field:DoctorOptions", "field.doctor.command"),
+    "prepare": ("field:PrepareOptions", "field.prepare"),
+    "rigs": ("field:RigsOptions", "field.rig_list"),
+    "plan": ("field:PlanOptions", "field.plan.command"),
+    "report": ("runs:ReportOptions", "look.report.command"),
+    "replay": ("runs:ReplayOptions", "look.replay.command"),
+    "view": ("runs:ViewOptions", "look.view.command"),
+    "merge": ("runs:MergeOptions", "look.logs.merge"),
+    "export": ("runs:ExportOptions", "look.logs.export"),
     "trial": ("proofs:TrialOptions", "trials.run"),
-    "verify": ("proofs:VerifyOptions", "assurance.verify.run"),
-    "campaign": ("proofs:CampaignOptions", "assurance.campaign.run"),
-    "conformance": ("proofs:ConformanceOptions", "assurance.conformance.run"),
-    "calibrate": ("calibrate:CalibrateOptions", "calibrate.run"),
-    "detect": ("field:DetectOptions", "detect"),
+    "verify": ("proofs:VerifyOptions", "proofs.verify.run"),
+    "campaign": ("proofs:CampaignOptions", "proofs.campaign.run"),
+    "conformance": ("proofs:ConformanceOptions", "proofs.conformance.run"),
+    "calibrate": ("calibrate:CalibrateOptions", "field.calibrate.run"),
+    "detect": ("field:DetectOptions", "field.detect"),
 }
-"""Each command's options, in ``missions.options``, and the module that has its ``run(options) -> exit code``."""
+"""Each command's options, in ``missions.ground.options``, and the module that has its ``run(options) -> exit code``."""
 
 EXIT_REFUSED = CommandEnd.REFUSED.exit_code
 MOST_SHOWN = 160
@@ -170,7 +170,7 @@ def _understood(arguments: list[str]) -> object:
 
 def _options_of(name: str) -> Any:
     module, _, options = COMMANDS[name][0].partition(":")
-    return getattr(importlib.import_module(f"missions.options.{module}"), options)
+    return getattr(importlib.import_module(f"missions.ground.options.{module}"), options)
 
 
 def _spelled_out(arguments: Sequence[str]) -> list[str]:

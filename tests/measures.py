@@ -21,8 +21,8 @@ ROOT = Path(__file__).parent.parent
 ROOMS = ("path", "drivers", "flight", "missions", "hil")
 # What a newcomer reads first, in this order (docs/tour.md).
 READING_PATH = (
-    "missions/leg/sender.py",
-    "missions/leg/receiver.py",
+    "missions/fly/leg/sender.py",
+    "missions/fly/leg/receiver.py",
     "path/cycle/sender.py",
     "path/cycle/receiver.py",
     "path/gate/evidence.py",

@@ -1,7 +1,7 @@
 """Flights in real time that a computer was too slow for say nothing: they are flown again, counted, and told.
 
 Before it is flown again, the computer's cores are waited for: whoever took them may be busy for minutes. Only an end as
-``overloaded`` is repeated, and it is one only where lateness explains what was seen (``missions/lateness.py``). A
+``overloaded`` is repeated, and it is one only where lateness explains what was seen (``missions/ground/lateness.py``). A
 violation, or any other end, is what the flight came to the first time.
 """
 

@@ -18,7 +18,7 @@ from xdist.scheduler import LoadScopeScheduling
 
 # Programs, vehicles and links in real time, judged by what happens within fractions of a second.
 FLYING = (
-    "missions/assurance/conformance/test_suite",
+    "missions/proofs/conformance/test_suite",
     "scenarios/test_guard_sitl",
     "scenarios/test_own_sitl",
     "scenarios/test_relay_sitl",
@@ -30,21 +30,21 @@ REAL_TIME = (
     "drivers/",
     "flight/test_ceiling",
     "hil/",
-    "missions/assurance/conformance/",
+    "missions/proofs/conformance/",
     "missions/test_bad_inputs.py::test_a_signal",
     "missions/test_cli",
-    "missions/doctor/",
-    "missions/guard/test_command",
-    "missions/leg/records/test_failing_disk",
-    "missions/leg/records/test_restart",
-    "missions/leg/test_session",
-    "missions/leg/records/test_slow_disk",
-    "missions/test_ground_station",
-    "missions/test_work",
+    "missions/field/doctor/",
+    "missions/fly/guard/test_command",
+    "missions/fly/leg/records/test_failing_disk",
+    "missions/fly/leg/records/test_restart",
+    "missions/fly/leg/test_session",
+    "missions/fly/leg/records/test_slow_disk",
+    "missions/ground/test_ground_station",
+    "missions/ground/test_work",
     "missions/trials/flights/beacon/test_trial.py::test_a_listener_on",
     "missions/trials/cost/link/test_trial",
-    "missions/assurance/verify/test_attack",
-    "missions/assurance/verify/test_run",
+    "missions/proofs/verify/test_attack",
+    "missions/proofs/verify/test_run",
     "scenarios/test_unplugged",
 )
 # What of these only computes.
@@ -70,7 +70,7 @@ FLIGHTS, IN_REAL_TIME = "flights", "real time"
 # What of it waits most of its time, and has no port that is not its own: in workers of their own, beside the rest. Each
 # takes about as long as what is left.
 BESIDE = {
-    "real time, vehicles": ("drivers/mavlink/", "flight/test_ceiling", "missions/guard/test_command"),
+    "real time, vehicles": ("drivers/mavlink/", "flight/test_ceiling", "missions/fly/guard/test_command"),
     "real time, contracts": ("contracts/", "drivers/tello/", "hil/vehicle/"),
 }
 APART = ("scenarios/test_sim",)  # long tests that share nothing
@@ -78,8 +78,8 @@ APART = ("scenarios/test_sim",)  # long tests that share nothing
 LONG = (
     *APART,
     "contracts/test_log_for_strangers",
-    "missions/assurance/campaign/",
-    "missions/assurance/verify/",
+    "missions/proofs/campaign/",
+    "missions/proofs/verify/",
     "missions/trials/",
     "scenarios/",
 )

@@ -1,7 +1,7 @@
 """Findings that a part may give ``doctor`` besides what its Protocol asks of it.
 
 The short test of each kind of part is the same for all of its drivers and uses the Protocol alone
-(``missions.doctor.perception``, ``link``, ``vehicle``, ``beacons``). What only a driver can know,
+(``missions.field.doctor.perception``, ``link``, ``vehicle``, ``beacons``). What only a driver can know,
 such as a firmware, whose clock stamps its frames or why a vehicle does not arm, it says itself.
 """
 

@@ -22,15 +22,15 @@ from drivers.interfaces import PartError
 from drivers.rig.parts import Rig, with_errors
 from flight.command_end import CommandEnd
 from flight.outcome import exit_code_of_runs
-from missions import rig_library
-from missions.options.proofs import TrialOptions
-from missions.report.command import show
-from missions.report.records import SUMMARY
-from missions.run_folder import claim_folder, new_folder, unless_refused
+from missions.ground import rig_library
+from missions.ground.options.proofs import TrialOptions
+from missions.ground.run_folder import claim_folder, new_folder, unless_refused
+from missions.ground.work import Work, open_work
+from missions.look.report.command import show
+from missions.look.report.records import SUMMARY
 from missions.trials.questions import EXPERIMENTS, QUESTIONS, RIG, is_experiment, question_of
 from missions.trials.shared.page import PAGE, Chapter, render_page
 from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, Verdict, trial_part
-from missions.work import Work, open_work
 
 EXIT_FAILED = CommandEnd.FAILED.exit_code
 STYLE: dict[Verdict, str] = {"met": "green", "short": "red", "measured": ""}

@@ -21,8 +21,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from drivers.interfaces import Frame
 from drivers.log.mcap_log import VIRTUAL_EPOCH_NS, McapLog, virtual_log
 from drivers.log.topics import TOPICS, schema_of
-from missions import rig_library
-from missions.handoff.flight import fly_once
+from missions.fly.handoff.flight import fly_once
+from missions.ground import rig_library
 
 SCALARS = ("boolean", "string", "number", "integer")
 LOGS = ("sender.mcap", "receiver.mcap", "sender.guard.mcap", "world.mcap")

@@ -19,8 +19,8 @@ from typing import Any, Self
 from flight.plan.checks import flown, problems
 from flight.plan.facts import facts_of
 from flight.plan.predictions import predictions
-from missions import rig_library
-from missions.rig_library import mission_of
+from missions.ground import rig_library
+from missions.ground.rig_library import mission_of
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "systems"

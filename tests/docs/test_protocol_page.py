@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from missions.assurance.verify.explore import Covering, explore
-from missions.assurance.verify.model import target
-from missions.assurance.verify.moves import Moves
-from missions.assurance.verify.mutants import SMALL
-from missions.assurance.verify.rules import Dead
+from missions.proofs.verify.explore import Covering, explore
+from missions.proofs.verify.model import target
+from missions.proofs.verify.moves import Moves
+from missions.proofs.verify.mutants import SMALL
+from missions.proofs.verify.rules import Dead
 from path.messages import Accept, Candidate, Commit, Confirm, Message, Target
 from path.observations import MissReason
 from path.protocol import receiver, sender

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from drivers.log.mcap_log import McapLog
-from missions.report.records import RECEIVER_LOG, SENDER_LOG, WORLD_LOG, RunFacts, write_facts
+from missions.look.report.records import RECEIVER_LOG, SENDER_LOG, WORLD_LOG, RunFacts, write_facts
 from path.camera.model import CameraModel
 from path.geometry.rotation import quat_from_R
 from path.geometry.transforms import Pose

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-import missions.handoff.command
-import missions.relay.command
+import missions.fly.handoff.command
+import missions.fly.relay.command
 from drivers.interfaces import PartError, StateError
 from drivers.link.wire import KEY_LENGTH, Codec, Drop
 from drivers.log.state_file import StateFile
@@ -42,8 +42,8 @@ def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tm
     def fly(*_: object) -> None:
         raise AssertionError("it flies")
 
-    monkeypatch.setattr(missions.handoff.command, "fly_once", fly)
-    monkeypatch.setattr(missions.relay.command, "fly_relay", fly)
+    monkeypatch.setattr(missions.fly.handoff.command, "fly_once", fly)
+    monkeypatch.setattr(missions.fly.relay.command, "fly_relay", fly)
 
     def run(*arguments: str) -> tuple[int, str]:
         with pytest.raises(SystemExit) as ended:

@@ -126,7 +126,9 @@ cli.main(sys.argv[2:])
 """
 
 
-@pytest.mark.parametrize("module", ["tyro", "missions.options.field", "missions.rig_list", "tomllib", "numpy"])
+@pytest.mark.parametrize(
+    "module", ["tyro", "missions.ground.options.field", "missions.field.rig_list", "tomllib", "numpy"]
+)
 def test_ctrl_c_while_a_command_is_loaded_ends_it_in_silence(module: str) -> None:
     ran = subprocess.run(
         [sys.executable, "-c", INTERRUPTED, module, "rigs", "--check", "sim"],

@@ -12,11 +12,11 @@ import pytest
 
 from drivers.interfaces import PartError
 from missions import cli
-from missions.options.field import DoctorOptions, PrepareOptions, ReceiverOptions, RigsOptions, SenderOptions
-from missions.options.flights import HandoffOptions
-from missions.options.proofs import TrialOptions
-from missions.options.runs import ReportOptions
-from missions.rig_list import FOLDER
+from missions.ground.options.field import DoctorOptions, PrepareOptions, ReceiverOptions, RigsOptions, SenderOptions
+from missions.ground.options.flights import HandoffOptions
+from missions.ground.options.proofs import TrialOptions
+from missions.ground.options.runs import ReportOptions
+from missions.ground.rigs import FOLDER
 
 HEAVY = ("numpy", "cv2", "numba", "mavsdk", "pymavlink", "matplotlib", "scipy")
 RIGS = sorted(FOLDER.glob("*.toml"))
@@ -121,10 +121,10 @@ def test_a_command_that_is_named_brings_only_its_own_options() -> None:
     program = (
         "import sys\nfrom missions import cli\ncli.run = lambda command: 0\n"
         "try:\n    cli.main(['rigs'])\n"
-        "except SystemExit:\n    print(sorted(m for m in sys.modules if m.startswith('missions.options.')))"
+        "except SystemExit:\n    print(sorted(m for m in sys.modules if m.startswith('missions.ground.options.')))"
     )
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert ran.stdout == "['missions.options.field', 'missions.options.words']\n"
+    assert ran.stdout == "['missions.ground.options.field', 'missions.ground.options.words']\n"
 
 
 def test_a_refusal_names_problem_and_fix_and_has_its_own_exit_code(
@@ -192,7 +192,7 @@ def test_what_does_not_fly_loads_nothing_heavy(arguments: list[str]) -> None:
 
 def test_a_drones_program_brings_no_harness_and_no_renderer() -> None:
     program = (
-        "import sys\nfrom missions.rig_library import load\n"
+        "import sys\nfrom missions.ground.rig_library import load\n"
         "load('sitl', world=False)\n"
         "print(sorted(m for m in sys.modules if m.startswith(('hil.harness', 'hil.render', 'hil.world'))))\n"
         "load('sitl')\n"

@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-import missions.handoff.command
-import missions.handoff.flight
+import missions.fly.handoff.command
+import missions.fly.handoff.flight
 from flight.command_end import CommandEnd
 from missions import cli
-from missions.options.flights import HandoffOptions
+from missions.ground.options.flights import HandoffOptions
 from tests.missions.replayed import Replayed
 
 MakeRun = Callable[..., Path]
@@ -37,7 +37,7 @@ def flown(make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> Callable[..., N
         def harness_of(_: Any) -> Replayed:
             return Replayed(folder)
 
-        monkeypatch.setattr(missions.handoff.flight, "harness_of", harness_of)
+        monkeypatch.setattr(missions.fly.handoff.flight, "harness_of", harness_of)
 
     return replay
 
@@ -49,9 +49,9 @@ def test_a_full_disk_at_the_end(
     what: str, followed: int, code: int,
 ) -> None:  # fmt: skip
     flown(followed_id=followed)
-    where = missions.handoff.flight if what == "write_facts" else missions.handoff.command
+    where = missions.fly.handoff.flight if what == "write_facts" else missions.fly.handoff.command
     monkeypatch.setattr(where, what, fail)
-    assert missions.handoff.command.run(HandoffOptions("sim", out=tmp_path / "flown", picture=False)) == code
+    assert missions.fly.handoff.command.run(HandoffOptions("sim", out=tmp_path / "flown", picture=False)) == code
     said = capsys.readouterr()
     assert "No space left on device" in said.out + said.err
     assert "Traceback" not in said.err

@@ -20,9 +20,9 @@ from drivers.rig.mounts import CameraMount, MarkerMount
 from flight.config import MissionConfig
 from flight.harness.fleet import RelayConfig, TeamConfig
 from hil.world.config import WorldConfig
-from missions import rig_library
-from missions.calibrate.mount import MeasuredMount
-from missions.rig_list import FOLDER
+from missions.field.calibrate.mount import MeasuredMount
+from missions.ground import rig_library
+from missions.ground.rigs import FOLDER
 from missions.trials.real.set import RealSetFile
 from path.bounds import Bounds, bounds_of, numbers, unit_of
 

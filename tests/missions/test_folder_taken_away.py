@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-import missions.assurance.verify.run
-import missions.handoff.flight
+import missions.fly.handoff.flight
+import missions.proofs.verify.run
 from drivers.log.mcap_log import McapLog
 from flight.harness.flights import FlightReport, FlightRequest
 from flight.outcome import Outcome
@@ -45,7 +45,7 @@ def ended(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
 
 
 @pytest.mark.parametrize("again", [False, True])
-@pytest.mark.parametrize("command", ["handoff --rig sim", "fly tests/missions/own/search.py"])
+@pytest.mark.parametrize("command", ["handoff --rig sim", "fly tests/missions/fly/own/search.py"])
 def test_a_flight_whose_folder_was_removed_is_not_called_refused(
     make_run: MakeRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str],
     command: str, again: bool,
@@ -55,7 +55,7 @@ def test_a_flight_whose_folder_was_removed_is_not_called_refused(
     def harness_of(_: Any) -> Removed:
         return harness
 
-    monkeypatch.setattr(missions.handoff.flight, "harness_of", harness_of)
+    monkeypatch.setattr(missions.fly.handoff.flight, "harness_of", harness_of)
     out = tmp_path / "out"
     code, said = ended(capsys, *command.split(), "--out", str(out))
     assert code == Outcome.LOG_FAILED.exit_code, said
@@ -74,8 +74,8 @@ def test_another_command_whose_folder_was_removed_names_it(
     def summarized(*_: Any) -> dict[str, bool]:
         return {"holds": True}
 
-    monkeypatch.setattr(missions.assurance.verify.run, "verify", work)
-    monkeypatch.setattr(missions.assurance.verify.run, "summarize", summarized)
+    monkeypatch.setattr(missions.proofs.verify.run, "verify", work)
+    monkeypatch.setattr(missions.proofs.verify.run, "summarize", summarized)
     code, said = ended(capsys, "verify", "--quick", "--out", str(out))
     assert (code, f"{out}: {GONE}" in said) == (6, True), said
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from drivers.log.mcap_log import McapLog
-from missions import cli, kernel_cache
-from missions.kernel_cache import have_kernel_cache, have_temporary_folder, usual_folders
+from missions import cli
+from missions.ground import kernel_cache
+from missions.ground.kernel_cache import have_kernel_cache, have_temporary_folder, usual_folders
 from tests.missions.conftest import MakeRun
 
 REFUSED = 3

@@ -7,8 +7,8 @@ import pytest
 
 from hil.geometric.scene import parts_of
 from hil.world.snapshot import TargetKind
-from missions import rig_library
-from missions.rig_list import FOLDER
+from missions.ground import rig_library
+from missions.ground.rigs import FOLDER
 from path.config import EvidenceConfig
 from path.gate.evidence import evidence_needed, evidence_of
 

@@ -195,7 +195,7 @@ def test_nothing_asked_for_names_the_rooms(capsys: pytest.CaptureFixture[str]) -
         main([], ROOT, io.StringIO())
     assert "flight/guard" in capsys.readouterr().err
     stream = io.StringIO()
-    assert main(["--room", "attic"], ROOT, stream) == 2 and "missions/leg" in stream.getvalue()
+    assert main(["--room", "attic"], ROOT, stream) == 2 and "missions/fly/leg" in stream.getvalue()
 
 
 def test_what_the_quick_tests_do_not_notice_the_slow_ones_are_asked(project: Path) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from drivers.rig.tables import RigError
-from missions import rig_library
-from missions.handoff.flight import fly_once
+from missions.fly.handoff.flight import fly_once
+from missions.ground import rig_library
 
 HERE = Path(__file__).parent
 RIG = """

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from missions import rig_library
-from missions.own.command import fly_mission
-from missions.report.command import make_report
-from missions.report.records import RunFacts
+from missions.fly.own.command import fly_mission
+from missions.ground import rig_library
+from missions.look.report.command import make_report
+from missions.look.report.records import RunFacts
 
 MISSION = Path(__file__).parent / "search_and_hand_over.py"
 PAGE = Path(__file__).parents[2] / "docs" / "own-missions.md"

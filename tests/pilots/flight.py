@@ -1,6 +1,6 @@
 """One short flight under a person's hands, in virtual time, and what was wrong with it.
 
-A drone with its autopilot and radio (``hil``), a script (``missions.leg``: take-off, control, the way down) and its
+A drone with its autopilot and radio (``hil``), a script (``missions.fly.leg``: take-off, control, the way down) and its
 guard, on a course of a few seconds; no cameras, no link, no second drone. Everything that script and guard send is
 written down with the hand that the vehicle was in when it came.
 """
@@ -28,10 +28,10 @@ from hil.harness.virtual_time import run_virtual
 from hil.vehicle.sim_vehicle import SimVehicle, SimVehicleConfig
 from hil.world.config import HomeConfig, WorldConfig
 from hil.world.world import Fleet
-from missions import rig_library
-from missions.leg.course import fly_course
-from missions.leg.session import RoleSession
-from missions.leg.steps import bring_down, take_off
+from missions.fly.leg.course import fly_course
+from missions.fly.leg.session import RoleSession
+from missions.fly.leg.steps import bring_down, take_off
+from missions.ground import rig_library
 from path.geometry.rotation import yaw_of
 from path.messages import Role
 from tests.pilots.acts import Act, begin, undo

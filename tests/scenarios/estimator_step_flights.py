@@ -19,9 +19,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from missions import rig_library
-from missions.handoff.flight import fly_once
-from missions.report.records import load_run
+from missions.fly.handoff.flight import fly_once
+from missions.ground import rig_library
+from missions.look.report.records import load_run
 from path.messages import Role
 
 KINDS = ("place", "height", "heading", "place and heading")

@@ -18,8 +18,8 @@ import threading
 from dataclasses import dataclass
 from pathlib import Path
 
-from missions.report.records import drone_logs
-from missions.view.watch import Watcher
+from missions.look.report.records import drone_logs
+from missions.look.view.watch import Watcher
 
 ADDRESS = "127.0.0.1:8799"
 FLIGHT_S = 400.0

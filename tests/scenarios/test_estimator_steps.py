@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from missions.report.summary import summarize
+from missions.look.report.summary import summarize
 from path.messages import Role
 from tests.scenarios.estimator_step_flights import KINDS, LAST_S, drawn
 from tests.scenarios.test_sim import fly as flown

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from missions import rig_library
-from missions.handoff.flight import fly_once
-from missions.report.records import load_run
-from missions.report.summary import summarize
+from missions.fly.handoff.flight import fly_once
+from missions.ground import rig_library
+from missions.look.report.records import load_run
+from missions.look.report.summary import summarize
 
 
 def test_a_target_at_a_metre_and_a_half_per_second_is_handed_over(tmp_path: Path) -> None:

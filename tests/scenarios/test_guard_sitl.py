@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from drivers.log.mcap_log import read_log
-from missions import rig_library
-from missions.handoff.flight import fly_once
-from missions.report.records import RunFacts
+from missions.fly.handoff.flight import fly_once
+from missions.ground import rig_library
+from missions.look.report.records import RunFacts
 from tests.overloaded import Flown, Repeating
 
 

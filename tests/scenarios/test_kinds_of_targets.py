@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from missions import rig_library
-from missions.handoff.flight import fly_once
-from missions.report.records import load_run
-from missions.report.summary import summarize
+from missions.fly.handoff.flight import fly_once
+from missions.ground import rig_library
+from missions.look.report.records import load_run
+from missions.look.report.summary import summarize
 
 
 @pytest.mark.parametrize("kind", ["drone", "person"])

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from flight.phases import Phase
-from missions import rig_library
-from missions.handoff.flight import fly_once
-from missions.leg.session import RoleSession
+from missions.fly.handoff.flight import fly_once
+from missions.fly.leg.session import RoleSession
+from missions.ground import rig_library
 from path.messages import Role, Status
 
 QUICKLY = {"height_m": 1.0, "position_time_s": 60.0}  # by a metre within a minute

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from drivers.detectors.yolox import MODEL_VARIABLE
-from missions import rig_library
-from missions.handoff.flight import fly_once
+from missions.fly.handoff.flight import fly_once
+from missions.ground import rig_library
 from tests.drivers.detectors.test_yolox import WEIGHTS, needs_weights
 
 

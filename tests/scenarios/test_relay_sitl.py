@@ -14,7 +14,7 @@ import pytest
 from drivers.rig.file import find_rig, read_rig
 from drivers.rig.toml_text import toml_text
 from hil.camera.shared import folder
-from missions.rig_list import FOLDER
+from missions.ground.rigs import FOLDER
 from tests.overloaded import Flown, Repeating
 from tests.run_processes import left_of, processes_of, says
 

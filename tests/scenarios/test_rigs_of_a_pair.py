@@ -10,10 +10,10 @@ import pytest
 
 from drivers.rig.parts import Rig
 from flight.harness.flights import ProgramContext, RoleResult
-from missions import rig_library
-from missions.handoff.flight import HANDOFF, fly_once
-from missions.leg.process import fly_role
-from missions.report.records import load_run
+from missions.fly.handoff.flight import HANDOFF, fly_once
+from missions.fly.leg.process import fly_role
+from missions.ground import rig_library
+from missions.look.report.records import load_run
 from path.marker.layout import MarkerLayout
 from path.messages import Role
 

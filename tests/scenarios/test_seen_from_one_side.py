@@ -11,10 +11,10 @@ import pytest
 
 from drivers.interfaces import Detection
 from hil.geometric.perception import GeometricView
-from missions import rig_library
-from missions.handoff.flight import fly_once
-from missions.report.records import load_run
-from missions.report.summary import summarize
+from missions.fly.handoff.flight import fly_once
+from missions.ground import rig_library
+from missions.look.report.records import load_run
+from missions.look.report.summary import summarize
 from path.messages import Role
 from path.observations import Region
 

@@ -16,10 +16,10 @@ import pytest
 
 from drivers.rig.parts import with_errors
 from hil.world import errors
-from missions import rig_library
-from missions.handoff.flight import fly_once
-from missions.report.records import RunFacts, load_run
-from missions.report.summary import summarize
+from missions.fly.handoff.flight import fly_once
+from missions.ground import rig_library
+from missions.look.report.records import RunFacts, load_run
+from missions.look.report.summary import summarize
 from path.geometry.rotation import exp
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
@@ -54,7 +54,7 @@ def fly(rig: str, out: Path, seed: int = 1, *faults: str, errors: str | None = N
 
 def rig_with(folder: Path, change: tuple[str, str]) -> str:
     """The rig ``sim`` with something else in its file."""
-    text = resources.files("missions").joinpath("rigs/sim.toml").read_text("utf-8")
+    text = resources.files("missions.ground").joinpath("rigs/sim.toml").read_text("utf-8")
     assert text.count(change[0]) == 1
     (folder / "rig.toml").write_text(text.replace(*change), "utf-8")
     return str(folder / "rig.toml")
@@ -343,7 +343,7 @@ def test_a_marker_of_another_id_is_said_by_its_id(tmp_path: Path, monkeypatch: p
         return replace(built, markers=tuple(replace(each, id=each.id + 7) for each in built.markers))
 
     monkeypatch.setattr(errors, "other_print", printed)
-    text = resources.files("missions").joinpath("rigs/sim-rendered.toml").read_text("utf-8")
+    text = resources.files("missions.ground").joinpath("rigs/sim-rendered.toml").read_text("utf-8")
     assert text.count("[mission.target]") == 1
     impatient = text.replace("[mission.target]", "[mission.deadlines]\nsearch_s = 2.0\n\n[mission.target]")
     (tmp_path / "rig.toml").write_text(impatient, "utf-8")

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from drivers.rig.parts import Rig, with_errors
 from flight.harness.renderer import RenderedInstant, RendererSetup
 from hil.camera.pictures import CameraRenderer
-from missions import rig_library
-from missions.handoff.flight import fly_once
-from missions.report.records import load_run
-from missions.report.summary import summarize
+from missions.fly.handoff.flight import fly_once
+from missions.ground import rig_library
+from missions.look.report.records import load_run
+from missions.look.report.summary import summarize
 from path.geometry.rotation import R_from_rpy
 from path.geometry.transforms import Pose
 from path.marker.layout import Marker, MarkerLayout

@@ -30,10 +30,10 @@ from flight.harness.flights import RoleResult
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from hil.tello import video as tello_video
-from missions import rig_library
-from missions.leg.course import fly_course
-from missions.leg.session import RoleSession
-from missions.leg.steps import bring_down, take_off
+from missions.fly.leg.course import fly_course
+from missions.fly.leg.session import RoleSession
+from missions.fly.leg.steps import bring_down, take_off
+from missions.ground import rig_library
 from path.geometry.rotation import yaw_of
 from path.messages import Role
 from tests.drivers.link.link_ends import STATUS, Cable, introduce, serial_links
@@ -41,7 +41,7 @@ from tests.drivers.mavlink.mavsdk_bench import CONTEXT, SYSID, px4
 from tests.drivers.realsense import software_d415
 from tests.drivers.tello import tello_stand
 from tests.exact_world import QUICK
-from tests.missions.leg.session_bench import Recorder
+from tests.missions.fly.leg.session_bench import Recorder
 from tests.pauses import undisturbed
 
 NO_CONTEXT: Any = None

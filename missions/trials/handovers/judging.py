@@ -15,7 +15,7 @@ import numpy as np
 from drivers.collector import collector_off
 from drivers.rig.parts import Rig
 from flight.harness.montecarlo import HandoverRunner, Series, agreeing, tell
-from missions.rig_library import trial_part
+from missions.ground.rig_library import trial_part
 from path.config import GateKind, MethodConfig
 from path.gate.evidence import make_gate
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from missions.report.palette import COUNT, ROLE
+from missions.look.report.palette import COUNT, ROLE
 from path.config import GateKind
 from path.messages import Role
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interfaces import PartError
-from missions.calibrate.camera import solve_as_told
+from missions.field.calibrate.camera import solve_as_told
 from missions.trials.real.corners import by_photometry, starts
 from missions.trials.real.set import REMEDY, RealSet
 from path.calibration.board import find_board

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from missions.report.palette import COUNT, DIM, FAULT, MARKER, NEEDED, tidy
+from missions.look.report.palette import COUNT, DIM, FAULT, MARKER, NEEDED, tidy
 from missions.trials.real.corners import METHOD_TITLES
 from missions.trials.real.results import Figure95, SetScore
 from missions.trials.shared.drawing import save, sheet

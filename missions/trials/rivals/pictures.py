@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import ConnectionPatch, Rectangle
 
-from missions.report.palette import COUNT, DIM, FAULT, OWN_BOX, PRIOR, ROLE, tidy
+from missions.look.report.palette import COUNT, DIM, FAULT, OWN_BOX, PRIOR, ROLE, tidy
 from missions.trials.rivals.score import OUTCOMES, FrameTally, Outcome
 from missions.trials.shared.drawing import panels, save, sheet
 from path.baselines.features import Image

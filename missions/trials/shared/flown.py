@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from drivers.rig.parts import Rig
-from missions.handoff.flight import fly_once
-from missions.report.records import RUN, RunFacts, RunRecords, load_run
-from missions.run_folder import discard, new_folder
+from missions.fly.handoff.flight import fly_once
+from missions.ground.run_folder import discard, new_folder
+from missions.look.report.records import RUN, RunFacts, RunRecords, load_run
 
 
 def fly(rig: Rig, seed: int, faults: Sequence[str], folder: Path) -> tuple[RunFacts, RunRecords]:

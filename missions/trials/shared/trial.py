@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from drivers.rig.parts import Rig
-from missions.rig_library import trial_part
-from missions.work import Work
+from missions.ground.rig_library import trial_part
+from missions.ground.work import Work
 
 Verdict = Literal["met", "short", "measured"]
 

@@ -8,10 +8,10 @@ import pytest
 
 from drivers.rig.facts import HeightFacts
 from hil.world.rangefinder import RangefinderConfig, SimRangefinder
-from missions.doctor import vehicle as doctor_vehicle
-from missions.doctor.vehicle import check_flyer
+from missions.field.doctor import vehicle as doctor_vehicle
+from missions.field.doctor.vehicle import check_flyer
 from tests.drivers.mavlink.mavsdk_bench import CONTEXT, Bench, px4
-from tests.missions.doctor.doctor_findings import found
+from tests.missions.field.doctor.doctor_findings import found
 
 HEIGHT = HeightFacts(rangefinder_max_m=12.0)
 

@@ -14,8 +14,8 @@ import pytest
 
 from drivers.recordings.h264 import pictures
 from drivers.recordings.recording import RecordingError, RecordingOptions, open_recording
-from missions.detect import run
-from missions.options.field import DetectOptions
+from missions.field.detect import run
+from missions.ground.options.field import DetectOptions
 
 WIDTH, HEIGHT, PICTURES, GROUP = 160, 96, 60, 20
 RATE_HZ = 30.0

@@ -26,7 +26,7 @@ from drivers.rig.check import check_rig
 from drivers.rig.file import load_rig
 from drivers.rig.tables import RigError
 from drivers.rig.toml_text import toml_text
-from missions.rig_list import FOLDER
+from missions.ground.rigs import FOLDER
 
 DOUBT = (1.5, 1.4, 0.1, -0.2, 0.01, -0.05, 0.0, 0.001, 0.1)
 CAMERA = CameraCalibration(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from drivers.rig.calibration_file import CalibrationError, read_camera, read_mount
-from missions import rig_library
+from missions.ground import rig_library
 
 ROS = """image_width: 640
 image_height: 480

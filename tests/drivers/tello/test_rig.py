@@ -9,8 +9,8 @@ import pytest
 from drivers.rig.check import check_rig, local_ports
 from drivers.rig.file import load_rig
 from drivers.rig.tables import RigError
-from missions import rig_library
-from missions.rig_list import FOLDER
+from missions.ground import rig_library
+from missions.ground.rigs import FOLDER
 from path.messages import Role
 
 TEXT = (FOLDER / "sitl-tello.toml").read_text("utf-8")

@@ -22,8 +22,8 @@ from flight.plan.geometry import apparent
 from flight.plan.predictions import predictions
 from flight.rendezvous.viewpoint import NoViewpoint
 from hil.world.targets import LookAlikeConfig
-from missions import rig_library
-from missions.rig_library import mission_of
+from missions.ground import rig_library
+from missions.ground.rig_library import mission_of
 from path.config import MethodConfig
 from path.geometry.transforms import Pose
 

@@ -11,7 +11,7 @@ from drivers.rig.facts import HeightFacts
 from drivers.rig.tables import RigError
 from flight.plan.facts import Facts, facts_of
 from flight.plan.ranging import range_of
-from missions.rig_library import load, mission_of
+from missions.ground.rig_library import load, mission_of
 from path.observations import RangeSource
 
 PERSON = """

@@ -15,7 +15,7 @@ from drivers.rig.parts import Mount
 from flight.config import MissionConfig, RendezvousConfig
 from flight.guidance import Vec3, add, norm, scale, subtract
 from flight.rendezvous.course import Rendezvous, stand_off_m
-from missions import rig_library
+from missions.ground import rig_library
 from path.geometry.transforms import Pose
 from path.messages import Role, Status
 

@@ -16,7 +16,7 @@ from flight.config import GuardConfig, MissionConfig, RendezvousConfig
 from flight.guidance import Vec3, add, bearing, from_heading, norm, scale, subtract
 from flight.rendezvous.course import Rendezvous
 from flight.rendezvous.viewpoint import NoViewpoint, farthest_m
-from missions import rig_library
+from missions.ground import rig_library
 from path.geometry.rotation import R_from_rpy, quat_from_R
 from path.geometry.transforms import Pose
 from path.messages import Role, Status, Target

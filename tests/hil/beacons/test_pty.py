@@ -16,7 +16,7 @@ from hil.beacons.pty import PtyBeaconsConfig, PtyHedge, frame_of, open_hedges
 from hil.camera.shared import RUN_VARIABLE
 from hil.world.config import WorldConfig
 from hil.world.world import World
-from missions import rig_library
+from missions.ground import rig_library
 from path.geometry.rotation import R_from_rpy
 from path.messages import Role
 from tests.drivers.link.link_ends import Context, WallClock, run

@@ -20,7 +20,7 @@ from hil.camera.shared import RUN_VARIABLE, SharedCameraWriter
 from hil.camera.software_d415 import SoftwareD415, SoftwareD415Config
 from hil.camera.software_device import DeviceClock
 from hil.harness.realtime.parts import camera_config, depth_size
-from missions import rig_library
+from missions.ground import rig_library
 from path.messages import Role
 from tests.drivers.realsense.software_d415 import COLOR, FPS, context
 

@@ -13,7 +13,7 @@ from hil.geometric.perception import Sensor
 from hil.geometric.scene import CameraSetup, outlines, place
 from hil.geometric.targets import depth_over
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot, TargetKind
-from missions import rig_library
+from missions.ground import rig_library
 from path.gate.agreement import TwoViews
 from path.geometry.rigid import rigid
 from path.geometry.transforms import Pose

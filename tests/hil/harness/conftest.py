@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from missions import rig_library
+from missions.ground import rig_library
 from tests.hil.harness.programs_on_stage import Stage
 
 

@@ -11,8 +11,8 @@ from drivers.interfaces import PartError
 from drivers.log.mcap_log import read_log
 from drivers.mavlink.guard.interfaces import Beat, Script
 from hil.harness.guard import MemoryBeatLine
-from missions import rig_library
-from missions.handoff.flight import fly_once
+from missions.fly.handoff.flight import fly_once
+from missions.ground import rig_library
 
 
 class StillClock:

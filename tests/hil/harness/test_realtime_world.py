@@ -13,7 +13,7 @@ from drivers.rig.tables import decode_table
 from hil.harness.realtime.world import RealTimeWorld
 from hil.world.config import WorldConfig
 from hil.world.world import World
-from missions import rig_library
+from missions.ground import rig_library
 
 
 class Paced(RealTimeWorld):

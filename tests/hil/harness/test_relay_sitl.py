@@ -24,7 +24,7 @@ from hil.harness.realtime.run import Ending, RealTimeRun
 from hil.harness.relay_sitl import RelaySitl, check_drones, orders_of, report_of
 from hil.monitors.hindsight import Hindsight
 from hil.world.faults import Fault, parse_fault
-from missions import rig_library
+from missions.ground import rig_library
 from path.messages import Role
 
 
@@ -192,7 +192,7 @@ def test_a_run_without_findings_is_reported_too(rig: Rig, tmp_path: Path) -> Non
 
 
 def test_the_parent_knows_a_record_from_other_lines(capsys: pytest.CaptureFixture[str]) -> None:
-    from missions.relay.process import RelayedLog  # noqa: PLC0415 (what it says is all that is asked for)
+    from missions.fly.relay.process import RelayedLog  # noqa: PLC0415 (what it says is all that is asked for)
 
     class NoLog:
         def write(self, topic: str, stamp_ns: int, record: Any) -> None: ...

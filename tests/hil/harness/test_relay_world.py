@@ -11,8 +11,8 @@ from drivers.rig.tables import decode_table
 from hil.harness.relay_world import PILOT_LANDS_S, THE_PILOTS, RelayWorld
 from hil.world.config import WorldConfig
 from hil.world.fields import NUMBERS
-from missions import rig_library
-from missions.team.config import team_of
+from missions.ground import rig_library
+from missions.ground.team_config import team_of
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from hil.monitors.monitors import Monitors
 from hil.monitors.scripts import NOTICED_S, ScriptMonitor, VehicleTruth, vehicles_of
 from hil.world.config import WorldConfig
 from hil.world.world import World
-from missions import rig_library
+from missions.ground import rig_library
 from path.config import MethodConfig
 from path.messages import Role
 

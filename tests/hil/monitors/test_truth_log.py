@@ -1,4 +1,4 @@
-"""The truth in the log, in the fields that ``missions.report.records`` promises."""
+"""The truth in the log, in the fields that ``missions.look.report.records`` promises."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivers.rig.tables import decode_table
 from hil.monitors.truth_log import TruthLog
 from hil.world.config import WorldConfig
 from hil.world.world import World
-from missions import rig_library
+from missions.ground import rig_library
 from path.geometry.rotation import R_from_quat
 from path.messages import Role
 

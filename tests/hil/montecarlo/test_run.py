@@ -13,7 +13,7 @@ from drivers.interfaces import PartError
 from drivers.rig.parts import Rig
 from flight.harness.montecarlo import OWN_MISS, PAIR, Attempt, FaultName, Series, WrongAssociation, agreeing, tell
 from hil.montecarlo.run import MonteCarloHandovers
-from missions import rig_library
+from missions.ground import rig_library
 from path.config import MethodConfig
 from path.gate.window import AgreementWindow
 from path.geometry.transforms import Pose

@@ -18,7 +18,7 @@ from hil.render.sensor import NOISE_FREE
 from hil.world.check import check_world
 from hil.world.config import SCENES, SceneName, scene_of
 from hil.world.snapshot import Snapshot
-from missions import rig_library
+from missions.ground import rig_library
 from path.camera.model import CameraModel
 from path.marker.layout import single_marker
 from path.messages import Role

@@ -24,7 +24,7 @@ from hil.vehicle.simulators.process import SimulatorBroken
 from hil.vehicle.simulators.wire import SerialWire
 from hil.world.config import HomeConfig, WorldConfig
 from hil.world.world import SimDrone
-from missions import rig_library
+from missions.ground import rig_library
 from path.messages import Role
 from tests.exact_world import exact_world
 from tests.steady_time import SteadyTime

@@ -18,7 +18,7 @@ from hil.vehicle.simulators.followed_world import SimulatedVehicle, start_simula
 from hil.vehicle.simulators.process import BINARY_VARIABLE
 from hil.world.config import WorldConfig
 from hil.world.dynamics import POSITION
-from missions import rig_library
+from missions.ground import rig_library
 from path.messages import Role
 
 HEIGHT_M = 1.5

@@ -31,8 +31,8 @@ from hil.vehicle.simulators.followed_world import SimulatedVehicle, start_simula
 from hil.vehicle.simulators.process import BINARY_VARIABLE
 from hil.world.config import PositionOffsetConfig, WorldConfig
 from hil.world.dynamics import POSITION
-from missions import rig_library
-from missions.guard.command import as_flown, guard_of
+from missions.fly.guard.command import as_flown, guard_of
+from missions.ground import rig_library
 from path.messages import Role
 
 LIMIT_S = 90.0

@@ -22,7 +22,7 @@ from hil.world.errors import (
     sizes_of,
 )
 from hil.world.estimator import EstimatorConfig, reported
-from missions import rig_library
+from missions.ground import rig_library
 from path.geometry.transforms import Pose
 from path.messages import Role
 

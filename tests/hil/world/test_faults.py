@@ -16,7 +16,7 @@ from hil.link.faulty import LinkFaults
 from hil.world.config import WorldConfig
 from hil.world.faults import AT_COUNT, FAULTS, FaultError, FaultKind, FaultTrigger, parse_fault, parse_faults
 from hil.world.world import World
-from missions import rig_library
+from missions.ground import rig_library
 from path.geometry.rotation import yaw_of
 from path.messages import Role
 

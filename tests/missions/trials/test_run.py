@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import PartError
-from missions import rig_library
-from missions.options.proofs import ExperimentName, QuestionName, TrialOptions
+from missions.ground import rig_library
+from missions.ground.options.proofs import ExperimentName, QuestionName, TrialOptions
 from missions.trials import run as command
 from missions.trials.questions import EXPERIMENTS, QUESTIONS
 from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, trial_part

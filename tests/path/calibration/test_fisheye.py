@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from missions.calibrate.camera import BadViews, calibrate
-from missions.calibrate.collect import Collected, CollectedImage
+from missions.field.calibrate.camera import BadViews, calibrate
+from missions.field.calibrate.collect import Collected, CollectedImage
 from path.calibration.board import Board, BoardView
 from path.calibration.fisheye import fit_fisheye
 from path.calibration.intrinsics import solve_intrinsics

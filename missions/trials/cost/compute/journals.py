@@ -17,7 +17,7 @@ from flight.frame.records import (
 )
 from flight.frame.sender import SenderSide
 from flight.rendezvous.marker_view import MarkerFix, VehicleMotions
-from missions.leg.journal import frame_record
+from missions.ground.journal import frame_record
 from path.cycle.sender import PairVerdict
 from path.geometry.transforms import Matrix
 from path.messages import Candidate, Role, Target

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from drivers.clock import busy_ns
 from drivers.detectors.xfeat import XFeat
 from drivers.log.mcap_log import McapLog
-from missions import rig_library
+from missions.ground import rig_library
 from missions.trials.cost.compute.film import Film, Moment
 from missions.trials.cost.compute.path import PathPair
 from missions.trials.shared.trial import TrialRequest

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE, tidy
+from missions.look.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE, tidy
 from missions.trials.cost.compute.film import SIZES, shoot_film
 from missions.trials.cost.compute.path import DETECTORS, GEOMETRY, MESSAGES, SUMS
 from missions.trials.cost.compute.rounds import HOT, QUICK, Array, ComputePlan, Timings, time_all

@@ -13,13 +13,13 @@ from typing import Any
 
 from drivers.rig.parts import Rig
 from flight.outcome import Outcome
-from missions.options.flights import TeamOptions
-from missions.report.palette import DIM, NEEDED, ROLE
-from missions.report.tables import counts_text, sum_of
-from missions.run_folder import new_folder
-from missions.shown import tell_line
-from missions.team.command import fly_team
-from missions.team.config import checked_team, fenced, laid_out
+from missions.fly.team.command import fly_team
+from missions.ground.options.flights import TeamOptions
+from missions.ground.run_folder import new_folder
+from missions.ground.shown import tell_line
+from missions.ground.team_config import checked_team, fenced, laid_out
+from missions.look.report.palette import DIM, NEEDED, ROLE
+from missions.look.report.tables import counts_text, sum_of
 from missions.trials.shared.drawing import panels, save
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
 from path.messages import Role

@@ -21,7 +21,7 @@ from drivers.link.wire import KEY_LENGTH, UDP_IP_OVERHEAD
 from flight.clocks import answer
 from flight.config import MissionConfig
 from flight.phases import Phase
-from missions.work import Work
+from missions.ground.work import Work
 from path.alike import Alike
 from path.messages import (
     STEPS,

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 
 from drivers.link.dialect import path_dialect as dialect
 from drivers.link.wire import UDP_IP_OVERHEAD
-from missions import rig_library
-from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE, tidy
+from missions.ground import rig_library
+from missions.look.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE, tidy
 from missions.trials.cost.link.cost import PACKETS, Times, measure_costs
 from missions.trials.cost.link.traffic import LinkTraffic, TappedPacket, flow
 from missions.trials.shared.drawing import save, sheet

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from drivers.log.mcap_log import parts, read_log
-from missions.report.records import WORLD_LOG, by_topic, first
+from missions.look.report.records import WORLD_LOG, by_topic, first
 from path.messages import Role
 
 ALARMS = frozenset({"orphaned", "unconfirmed"})

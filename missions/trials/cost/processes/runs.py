@@ -11,9 +11,9 @@ from typing import Any
 from drivers.link.wire import KEY_LENGTH
 from drivers.rig.toml_text import toml_text
 from flight.phases import COURSE
-from missions import rig_library
-from missions.report.records import last
-from missions.report.summary import summarize
+from missions.ground import rig_library
+from missions.look.report.records import last
+from missions.look.report.summary import summarize
 from missions.trials.cost.processes import duty as processes_duty
 from missions.trials.cost.processes.duty import Responsibility
 from missions.trials.shared import flown

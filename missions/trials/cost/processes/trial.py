@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from missions.report.tables import counts_text, sum_of
-from missions.run_folder import new_folder
+from missions.ground.run_folder import new_folder
+from missions.look.report.tables import counts_text, sum_of
 from missions.trials.cost.processes import runs
 from missions.trials.cost.processes.runs import LIVE, SIM, Came
 from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, TrialTable, verdict

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from drivers.log.mcap_log import LogRecord
-from missions.report.palette import DIM, ROLE
+from missions.look.report.palette import DIM, ROLE
 from missions.trials.cost.soak.watch import ProgramSample
 from missions.trials.shared.drawing import panels, save
 from path.messages import Role

@@ -17,11 +17,11 @@ from drivers.rig.toml_text import toml_text
 from flight.harness.flights import Progress
 from flight.outcome import Outcome
 from flight.phases import Phase
-from missions import rig_library
-from missions.handoff.flight import fly_once
-from missions.report.command import make_report
-from missions.report.records import Records, RunRecords, load_run
-from missions.run_folder import new_folder
+from missions.fly.handoff.flight import fly_once
+from missions.ground import rig_library
+from missions.ground.run_folder import new_folder
+from missions.look.report.command import make_report
+from missions.look.report.records import Records, RunRecords, load_run
 from missions.trials.cost.soak.pictures import draw
 from missions.trials.cost.soak.watch import PROC, ProgramSample, Watch
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from missions.report.records import RunRecords, phase_changes
+from missions.look.report.records import RunRecords, phase_changes
 from missions.trials.flights.dynamic.judge import SUBJECTS, Compared, SessionErrors
 from missions.trials.flights.errors import COLUMNS, NAMES, OFFSET_GOAL_S, between, cells, errors_of, mm
 from missions.trials.shared.trial import TrialFinding, TrialTable, verdict

@@ -22,8 +22,8 @@ from drivers.beacons.stream import MarvelmindStream
 from drivers.clock import SystemClock, SystemClockConfig
 from drivers.interfaces import BeaconError, BeaconFix, Beacons, PartError
 from drivers.rig.parts import PartSpec, Rig, create, import_factory, part_context
-from missions.handoff.flight import fly_once
-from missions.report.records import RECEIVER_LOG, SENDER_LOG, WORLD_LOG, load_facts
+from missions.fly.handoff.flight import fly_once
+from missions.look.report.records import RECEIVER_LOG, SENDER_LOG, WORLD_LOG, load_facts
 from missions.trials.flights.dynamic.flight import BEACON_LIST, BEACON_RECORD, reference_of
 from path.messages import Role
 

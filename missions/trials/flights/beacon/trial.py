@@ -8,10 +8,10 @@ from pathlib import Path
 
 from drivers.interfaces import PartError
 from drivers.rig.parts import Rig
-from missions import rig_library
-from missions.report.records import RunRecords, load_run
-from missions.report.truth import truth_of
-from missions.run_folder import new_folder
+from missions.ground import rig_library
+from missions.ground.run_folder import new_folder
+from missions.look.report.records import RunRecords, load_run
+from missions.look.report.truth import truth_of
 from missions.trials.flights.beacon import report
 from missions.trials.flights.beacon.session import BeaconSession, fly_session, load_session, record_session
 from missions.trials.flights.dynamic.flight import heard_of, reference_of

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.rig.parts import Rig
-from missions.report.records import RunRecords
-from missions.report.truth import Truth
+from missions.look.report.records import RunRecords
+from missions.look.report.truth import Truth
 from path.geometry.rotation import R_from_quat, log
 from path.geometry.transforms import Matrix, Pose
 from path.messages import Vec3

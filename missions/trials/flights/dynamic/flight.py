@@ -19,8 +19,8 @@ from drivers.beacons.record import BeaconRecorder
 from drivers.interfaces import BeaconFix, PartError
 from drivers.log.mcap_log import LogRecord
 from drivers.rig.parts import Reference, Rig, import_factory
-from missions.handoff.flight import fly_once
-from missions.report.records import WORLD_LOG, RunRecords
+from missions.fly.handoff.flight import fly_once
+from missions.look.report.records import WORLD_LOG, RunRecords
 from missions.trials.shared.trajectory import Trajectory
 from path.geometry.rotation import R_from_quat, normalized
 from path.geometry.transforms import Pose

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from drivers.beacons.log import BeaconTruth
 from drivers.beacons.record import read_any
 from drivers.rig.parts import Rig
-from missions.report.records import RunRecords, load_run
-from missions.report.summary import target_error_m
-from missions.report.truth import Truth, truth_of
+from missions.look.report.records import RunRecords, load_run
+from missions.look.report.summary import target_error_m
+from missions.look.report.truth import Truth, truth_of
 from missions.trials.flights.beacon.offset_fit import fit_offset
 from missions.trials.flights.dynamic.coast import Coasts, coasts
 from missions.trials.flights.dynamic.flight import (

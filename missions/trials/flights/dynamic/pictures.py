@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
+from missions.look.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
 from missions.trials.flights.dynamic.judge import SUBJECTS, Compared, HarnessVerdict, SessionErrors, pairs_of
 from missions.trials.shared.drawing import panels, save, sheet
 from missions.trials.shared.statistics import rms

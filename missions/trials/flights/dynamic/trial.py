@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.rig.parts import Rig
-from missions import rig_library
+from missions.ground import rig_library
 from missions.trials.flights.dynamic import report
 from missions.trials.flights.dynamic.flight import VERIFY_S, FlightOrder, FlownSession, fly, moving, reference_of
 from missions.trials.flights.dynamic.judge import SUBJECTS, HarnessVerdict, judge, true_places

@@ -12,9 +12,9 @@ from typing import Any
 from drivers.rig.parts import Rig
 from flight.config import SeparationConfig
 from flight.phases import Phase
-from missions import rig_library
-from missions.report.records import Records, RunRecords
-from missions.rig_library import mission_of
+from missions.ground import rig_library
+from missions.ground.rig_library import mission_of
+from missions.look.report.records import Records, RunRecords
 from missions.trials.shared import flown
 from path.geometry.rotation import yaw_of
 from path.messages import Role, Vec3

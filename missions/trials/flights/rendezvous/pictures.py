@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 
 from flight.config import SeparationConfig
-from missions.report.palette import COUNT, DIM, NEEDED, ROLE
+from missions.look.report.palette import COUNT, DIM, NEEDED, ROLE
 from missions.trials.flights.rendezvous.flights import RendezvousResult, separations_m
 from missions.trials.shared.drawing import panels, save
 from path.messages import Role

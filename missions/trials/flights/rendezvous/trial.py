@@ -10,8 +10,8 @@ import numpy as np
 
 from drivers.rig.parts import Rig
 from flight.rendezvous.course import stand_off_m
-from missions.resumable_lines import ResumableLines
-from missions.rig_library import mission_of
+from missions.ground.resumable_lines import ResumableLines
+from missions.ground.rig_library import mission_of
 from missions.trials.flights.rendezvous import flights
 from missions.trials.flights.rendezvous.flights import RendezvousOrder, RendezvousResult
 from missions.trials.flights.rendezvous.pictures import draw

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from flight.harness.montecarlo import Attempt, WrongAssociation
-from missions.report.palette import DIM, FAULT, ROLE
+from missions.look.report.palette import DIM, FAULT, ROLE
 from missions.trials.handovers.evidence.blocks import LAGS, EvidenceAttempt, judge
 from missions.trials.handovers.judging import (
     GATE_TITLES,

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from missions import rig_library
-from missions.report.records import RunRecords, judged_pairs, last
-from missions.report.summary import summarize
+from missions.ground import rig_library
+from missions.look.report.records import RunRecords, judged_pairs, last
+from missions.look.report.summary import summarize
 from missions.trials.shared import flown
 from path.config import GateKind
 

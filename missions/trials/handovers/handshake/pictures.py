@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from missions.report.palette import DIM, NEEDED
+from missions.look.report.palette import DIM, NEEDED
 from missions.trials.handovers.handshake.attempts import FAULT_NAMES, LIMIT_S, Tried
 from missions.trials.handovers.handshake.missions import Flown, of_gate, seconds_of
 from missions.trials.handovers.judging import GATE_TITLES, GATES, times_s, verdicts_of

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from missions.resumable_lines import ResumableLines
+from missions.ground.resumable_lines import ResumableLines
 from missions.trials.handovers.judging import (
     GATE_TITLES,
     Attempts,

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from flight.harness.renderer import REALISTIC, FrameRenderer, PlacedBoard, RenderedInstant, RendererSetup
-from missions.calibrate.board import otherwise
-from missions.calibrate.camera import BadViews, Calibrated, calibrate
-from missions.calibrate.collect import Collected
+from missions.field.calibrate.board import otherwise
+from missions.field.calibrate.camera import BadViews, Calibrated, calibrate
+from missions.field.calibrate.collect import Collected
 from missions.trials.pose.calibration.views import HERE, T_W_C, Held, board_poses, grey, placed
 from missions.trials.shared.trial import TrialFinding, TrialTable, verdict
 from path.calibration.board import Board, find_board

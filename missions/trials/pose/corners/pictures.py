@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 from matplotlib.axes import Axes
 
-from missions.report.palette import COUNT, DIM, FAULT, MARKER, OWN_BOX, ROLE, tidy
+from missions.look.report.palette import COUNT, DIM, FAULT, MARKER, OWN_BOX, ROLE, tidy
 from missions.trials.pose.corners.conditions import CONDITIONS
 from missions.trials.pose.corners.methods import METHODS, TITLES
 from missions.trials.pose.corners.score import Score

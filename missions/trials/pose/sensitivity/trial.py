@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from missions.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE, tidy
+from missions.look.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE, tidy
 from missions.trials.shared.drawing import panels, save
 from missions.trials.shared.statistics import Z95
 from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict

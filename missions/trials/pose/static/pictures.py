@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, Rectangle
 from numpy.typing import NDArray
 
-from missions.report.palette import COUNT, DIM, FAULT, MARKER, NEEDED, PRIOR, ROLE, tidy
+from missions.look.report.palette import COUNT, DIM, FAULT, MARKER, NEEDED, PRIOR, ROLE, tidy
 from missions.trials.pose.static.methods import METHODS, Method, Results
 from missions.trials.pose.static.report import GOAL_MEAN_M, HEADLINE, METHOD_TITLES, SEVEN
 from missions.trials.pose.static.stage import CONFIGURATIONS, HEIGHT_M, PLACES_M, Mounts, nominal

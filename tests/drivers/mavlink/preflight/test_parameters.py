@@ -23,10 +23,10 @@ from hil.autopilot.radio import RadioConfig
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.world.config import WorldConfig
 from hil.world.world import World
-from missions import rig_library
-from missions.doctor import command as doctor
-from missions.doctor import vehicle as doctor_vehicle
-from missions.options.field import DoctorOptions
+from missions.field.doctor import command as doctor
+from missions.field.doctor import vehicle as doctor_vehicle
+from missions.ground import rig_library
+from missions.ground.options.field import DoctorOptions
 from path.messages import Role
 from tests.free_ports import free_port
 from tests.steady_time import SteadyTime

@@ -12,7 +12,7 @@ from drivers.mavlink.preflight.geofence import Geofence, plan_fence
 from drivers.mavlink.preflight.pilot_rules import kept_out, names_of
 from drivers.mavlink.preflight.wanted import refused
 from drivers.mavlink.vehicle import MavsdkVehicleConfig
-from missions import rig_library
+from missions.ground import rig_library
 from path.messages import Role
 
 FENCE = Geofence(25.0, 6.0)

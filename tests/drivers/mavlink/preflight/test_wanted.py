@@ -12,7 +12,7 @@ from drivers.mavlink.preflight.wanted import BY_NAME, COMPANION, refused, wrong
 from drivers.mavlink.vehicle import MavsdkVehicleConfig
 from drivers.rig.check import check_rig
 from drivers.rig.tables import RigError
-from missions import rig_library
+from missions.ground import rig_library
 
 DOCS = Path(rig_library.__file__).parents[1] / "docs"
 PAGES = ("autopilots.md", "field.md")

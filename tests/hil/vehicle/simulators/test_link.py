@@ -27,7 +27,7 @@ from hil.vehicle.simulators.truth_follower import TruthFollower
 from hil.vehicle.simulators.wire import UdpWire
 from hil.world.config import WorldConfig
 from hil.world.dynamics import CONTACT, POSITION, VELOCITY
-from missions import rig_library
+from missions.ground import rig_library
 from path.messages import Role
 
 mavlink: Any = every_dialect

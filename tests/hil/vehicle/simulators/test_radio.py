@@ -21,7 +21,7 @@ from hil.harness.inject import need_radios
 from hil.vehicle.simulators.radio import FAIL, FIRST_PORT, PORTS_APART, SEND_S, SET_UP, SimulatedRadio
 from hil.world.config import WorldConfig
 from hil.world.faults import FaultError, parse_faults
-from missions import rig_library
+from missions.ground import rig_library
 from path.messages import Role
 
 SYSID = 9  # of no rig: its port is free beside a run

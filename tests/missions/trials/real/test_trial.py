@@ -13,7 +13,7 @@ import pytest
 
 from drivers.interfaces import PartError
 from hil.render.renderer import Renderer
-from missions.options.proofs import TrialOptions
+from missions.ground.options.proofs import TrialOptions
 from missions.trials.real.board import look_at_set, see_board
 from missions.trials.real.corners import METHODS, FoundMarker, corners_by
 from missions.trials.real.errors import measure_set

@@ -12,7 +12,7 @@ import pytest
 
 from flight.harness.renderer import Imaging, PlacedBoard, RenderedInstant, RendererSetup
 from hil.camera.pictures import CameraRenderer
-from missions.options.proofs import TrialOptions
+from missions.ground.options.proofs import TrialOptions
 from missions.trials.pose.calibration.views import HERE, T_W_C, grey
 from missions.trials.real.board import SetSeen, look_at_set
 from missions.trials.real.cells import inner_edges, off_by

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from missions import rig_library
+from missions.ground import rig_library
+from missions.ground.work import open_work
 from missions.trials.rivals import frame as ambiguity_frame
 from missions.trials.rivals import trial as ambiguity
 from missions.trials.rivals.frame import FrameTask, Owned, StagePair, ballot, path_on, renderer_for, shoot
@@ -17,7 +18,6 @@ from missions.trials.rivals.stage import CAMERAS, MARKER_SIDE_M, Wanted, as_draw
 from missions.trials.rivals.truth import TrueView, shirt_box
 from missions.trials.rivals.variants import ORB_VARIANTS
 from missions.trials.shared.trial import TrialRequest, TrialResult, trial_part
-from missions.work import open_work
 from path.baselines.orb import Orb
 from path.messages import Role
 from path.observations import Box

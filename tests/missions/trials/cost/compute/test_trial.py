@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from missions import rig_library
+from missions.ground import rig_library
+from missions.ground.work import open_work
 from missions.trials.cost.compute import trial as compute
 from missions.trials.cost.compute.film import PERIOD_NS, Film, camera_of, shoot_film
 from missions.trials.cost.compute.path import GEOMETRY, SUMS, PathPair
 from missions.trials.cost.compute.rounds import Timings, one_thread
 from missions.trials.cost.compute.stopwatch import Stopwatch
 from missions.trials.shared.trial import TrialRequest, TrialResult
-from missions.work import open_work
 from path.messages import Role
 
 

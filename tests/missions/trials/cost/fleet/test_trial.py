@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from missions import rig_library
+from missions.ground import rig_library
+from missions.ground.work import open_work
 from missions.trials.cost.fleet import trial as fleet
 from missions.trials.cost.fleet.trial import TeamCost, TeamSize
 from missions.trials.shared.trial import TrialRequest, TrialResult
-from missions.work import open_work
 
 COST = TeamCost(2, 1, 900.0, 10.0, 20.0, 40.0, "committed", 1, 100.0, {})
 

@@ -7,11 +7,11 @@ import pytest
 from drivers.link.dialect import path_dialect as dialect
 from drivers.link.wire import UDP_IP_OVERHEAD, Codec
 from flight.config import MissionConfig
-from missions import rig_library
+from missions.ground import rig_library
+from missions.ground.work import open_work
 from missions.trials.cost.link import trial as link
 from missions.trials.cost.link.traffic import LinkTraffic, TappedPacket, extremes, flow
 from missions.trials.shared.trial import TrialRequest, TrialResult
-from missions.work import open_work
 from path.messages import Role, Status
 
 SECONDS = 1

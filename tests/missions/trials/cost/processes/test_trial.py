@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from drivers.log.mcap_log import McapLog, new_part
-from missions import rig_library
+from missions.ground import rig_library
 from missions.trials.cost.processes.duty import RoleEvent, judge, read
 from missions.trials.cost.processes.trial import bound_s, runs
 from path.messages import Role

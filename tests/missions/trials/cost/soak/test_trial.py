@@ -12,8 +12,8 @@ import pytest
 
 from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord
-from missions import rig_library
-from missions.rig_library import mission_of
+from missions.ground import rig_library
+from missions.ground.rig_library import mission_of
 from missions.trials.cost.soak import trial as soak
 from missions.trials.cost.soak.watch import ProgramSample, Watch, programs
 from path.messages import Role

@@ -19,15 +19,15 @@ from drivers.rig.parts import PartSpec
 from hil.beacons.noise import BeaconConfig
 from hil.beacons.pty import BeaconThread, SerialCable
 from hil.beacons.system import BeaconSystem
-from missions import rig_library
-from missions.options.proofs import TrialOptions
+from missions.ground import rig_library
+from missions.ground.options.proofs import TrialOptions
+from missions.ground.work import open_work
 from missions.trials.flights.beacon import trial as beacon
 from missions.trials.flights.beacon.session import Listener, load_session
 from missions.trials.flights.beacon.trial import FLOWN
 from missions.trials.run import plain
 from missions.trials.run import run as run_trial
 from missions.trials.shared.trial import TrialRequest, TrialResult
-from missions.work import open_work
 from tests.drivers.beacons.beacon_log import write_beacons
 
 SHIFT_NS = 300_000_000

@@ -15,8 +15,9 @@ from drivers.beacons.log import Mounted
 from drivers.beacons.record import read_any
 from drivers.interfaces import BeaconFix, PartError
 from drivers.rig.parts import with_errors
-from missions import rig_library
-from missions.report.records import load_run
+from missions.ground import rig_library
+from missions.ground.work import open_work
+from missions.look.report.records import load_run
 from missions.trials.flights.dynamic import trial as dynamic
 from missions.trials.flights.dynamic.flight import (
     BEACON_RECORD,
@@ -32,7 +33,6 @@ from missions.trials.flights.dynamic.judge import clock_of, noise_at_rest
 from missions.trials.shared.statistics import blocks_interval
 from missions.trials.shared.trajectory import Trajectory
 from missions.trials.shared.trial import TrialRequest, TrialResult
-from missions.work import open_work
 
 # Of seeds 1 to 6 the mean error of the target is 20.8, 16.7, 15.3, 17.6, 15.9 and 16.6 mm: this one is in the middle.
 SEED = 2

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from flight.harness.montecarlo import Attempt
-from missions import rig_library
+from missions.ground import rig_library
+from missions.ground.work import open_work
 from missions.trials.handovers.evidence.blocks import LAGS, Blocks, EvidenceAttempt, correlation, judge
 from missions.trials.handovers.evidence.trial import FORCED_WAYS, QUICK, SIDE_M, rate, reach_m, run
 from missions.trials.handovers.judging import Batch, Verdict
 from missions.trials.shared.trial import TrialRequest, TrialResult
-from missions.work import open_work
 from path.config import MethodConfig
 from path.gate.evidence import EvidenceGate
 from path.gate.window import FramePair

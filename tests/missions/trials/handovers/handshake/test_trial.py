@@ -11,8 +11,9 @@ import pytest
 
 from drivers.rig.parts import Rig
 from flight.harness.montecarlo import Attempt, HandoverRunner, MonteCarloHandover, WrongAssociation, agreeing, tell
-from missions import rig_library
-from missions.report.records import load_run
+from missions.ground import rig_library
+from missions.ground.work import open_work
+from missions.look.report.records import load_run
 from missions.trials.handovers.handshake import trial as handshake
 from missions.trials.handovers.handshake.attempts import (
     FAULT_NAMES,
@@ -26,7 +27,6 @@ from missions.trials.handovers.handshake.missions import FAULTS, agreement_s, fl
 from missions.trials.handovers.judging import GATES, Batch, Verdict, batches, verdict_of
 from missions.trials.shared import flown
 from missions.trials.shared.trial import TrialRequest, TrialResult, trial_part
-from missions.work import open_work
 from path.gate.evidence import make_gate
 
 RIG = rig_library.load("sim-rendered")

@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from flight.harness.montecarlo import MISS, PAIR, Series, StatedIdentity, Telling, tell
-from missions import rig_library
+from missions.ground import rig_library
+from missions.ground.work import open_work
 from missions.trials.handovers.judging import GATES, Batch, Verdict
 from missions.trials.handovers.recall import trial
 from missions.trials.handovers.recall.attempts import (
@@ -36,7 +37,6 @@ from missions.trials.handovers.recall.detectors import (
 )
 from missions.trials.handovers.recall.identity import counted, reliability
 from missions.trials.shared.trial import TrialRequest, trial_part
-from missions.work import open_work
 from path.config import GateKind, MethodConfig
 from path.gate.evidence import make_gate
 from path.gate.window import Offsets

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from hil.camera.pictures import CameraRenderer
-from missions import rig_library
+from missions.ground import rig_library
+from missions.ground.work import open_work
 from missions.trials.pose.corners.conditions import CAMERAS, CONDITIONS, QUICK_MAIN, RANGE_M, view
 from missions.trials.pose.corners.methods import METHODS, OPENCV, Found
 from missions.trials.pose.corners.score import score
 from missions.trials.pose.corners.shots import CornerSeries, CornerShot, shoot
 from missions.trials.pose.corners.trial import ERRORS, STRIP, run
 from missions.trials.shared.trial import TrialRequest, TrialResult
-from missions.work import open_work
 
 T_B_V = rig_library.load("sim-rendered").sender.mount.T_b_v
 

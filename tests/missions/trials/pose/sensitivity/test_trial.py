@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from missions import rig_library
+from missions.ground import rig_library
+from missions.ground.work import open_work
 from missions.trials.pose.sensitivity.trial import run
 from missions.trials.shared.trial import TrialRequest, TrialResult
-from missions.work import open_work
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,8 @@ import pytest
 from drivers.rig.parts import Rig
 from flight.harness.errors import DepthError, TrialErrors
 from hil.world.errors import sizes_of
-from missions import rig_library
+from missions.ground import rig_library
+from missions.ground.work import open_work
 from missions.trials.pose.static.methods import (
     ALL,
     METHODS,
@@ -45,7 +46,6 @@ from missions.trials.pose.static.stage import (
 from missions.trials.pose.static.trial import IMAGING, run
 from missions.trials.shared.statistics import bootstrap, means
 from missions.trials.shared.trial import TrialRequest, TrialResult, trial_part
-from missions.work import open_work
 from path.camera.model import CameraModel
 from path.geometry.rotation import exp, log
 from path.geometry.transforms import Pose

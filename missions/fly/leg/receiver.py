@@ -1,0 +1,464 @@
+"""D2, the receiver: flies to the sender by its marker, finds the target where the sender says, takes it over."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+
+from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
+from flight.camera_pose import CameraPose, gravity_in
+from flight.config import MissionConfig
+from flight.frame.receiver import ReceiverSide
+from flight.frame.records import (
+    AttemptId,
+    attempt_record,
+    both_record,
+    candidate_record,
+    heard_target_record,
+    marker_record,
+    motion_record,
+)
+from flight.frame.sender import PairCameras
+from flight.guard.limits import check_separation
+from flight.guidance import (
+    BELOW_FENCE_M,
+    Anchor,
+    Vec3,
+    add,
+    approach,
+    bearing,
+    from_heading,
+    norm,
+    subtract,
+    within_fence,
+)
+from flight.outcome import KEPT_S, MissionEnd, Outcome
+from flight.phases import Phase
+from flight.rendezvous.course import Rendezvous
+from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
+from flight.rendezvous.viewpoint import NoViewpoint
+from flight.tracking.association import follow
+from flight.tracking.by_both import FromBothViews
+from flight.tracking.largest_box import LargestBox
+from flight.tracking.places import place
+from flight.tracking.ranging import Ranging
+from flight.tracking.target_track import TargetTrack
+from flight.way_out import way_out_m
+from missions.fly.leg.handover import ReceiverHandover
+from missions.fly.leg.session import RoleSession
+from missions.fly.leg.steps import bring_down, preflight, take_off
+from missions.ground.journal import frame_record, track_record
+from path.cycle.prior import Prior
+from path.geometry.rotation import yaw_of
+from path.geometry.transforms import Matrix, Pose
+from path.marker.instead import grey_of, seen_instead
+from path.marker.size_check import SizeCheck
+from path.messages import Candidate, Status, Target
+from path.observations import Missed, MissReason
+from path.protocol.values import Handoff
+
+_FIXES_TO_APPROACH = 5
+_ARRIVED_S = 0.6
+_RETREAT_M = 1.8
+_ABLE_S = 0.5
+_REPLAN_S = 0.5
+_PEER_POLL_S = 0.25
+_LOOK_S = 0.05
+_RELATIVE = (Phase.STAND_OFF, Phase.SEARCH, Phase.APPROACH, Phase.VERIFY)
+
+
+class Receiver:
+    """The receiver's course and what it does with every frame and message."""
+
+    def __init__(self, session: RoleSession, store: RecordStore) -> None:
+        rig, config = session.rig, session.config
+        self._session = session
+        self._config: MissionConfig = config
+        self._camera = rig.receiver.camera
+        self._camera_pose = CameraPose(session.vehicle, rig.receiver.mount)
+        self._marker = MarkerView(rig.layout, rig.receiver.camera, rig.receiver.mount, rig.method, config)
+        self._size = SizeCheck(rig.layout, rig.method)
+        self._handover = ReceiverHandover(session, store, self._able)
+        self._side: ReceiverSide | None = None
+        self._rendezvous = Rendezvous(
+            config, self._camera, rig.receiver.mount, rig.layout, self._marker, self._peer, session.now_ns
+        )
+        self._newest: Target | None = None
+        self._live: Handoff | None = None
+        self._following = False
+        self._taken_ns = 0  # when it took the target over; a relief of a relay goes on as something else then
+        self._watching = True
+        self._seen: View | None = None
+        self._track: TargetTrack | None = None
+        self._by_both = FromBothViews(rig.method, rig.sender.camera, rig.sender.mount.T_v_c, rig.receiver.camera)
+        self._keep_n_m: Vec3 = (0.0, 0.0, 0.0)
+        self._searched: View | None = None  # the newest view that was searched for the marker
+        self._causes: dict[MissReason, str] = {}  # of looks at the marker that gave no pose, each told once
+        session.on_message = self._on_message
+        session.on_status = self._handover.on_status
+
+    # --- course --------------------------------------------------------------------------------------------------
+
+    async def course(self) -> None:
+        await self._handover.resume()
+        await preflight(self._session)
+        await self.take_over()
+        await asyncio.sleep(self._config.follow_after_s)
+        await self.still_in_view()
+
+    async def take_over(self) -> None:
+        """Wait for the sender's offer, fly to a viewpoint, and return once this drone holds the target for good."""
+        session, config, deadlines = self._session, self._config, self._config.deadlines
+        session.spawn(self._watch_peer())
+        self._handover.start()
+
+        session.enter(Phase.WAITING, "for the sender to follow the target")
+        await session.until(
+            lambda: self._newest is not None, deadlines.receiver_ready_s, Outcome.PEER_ABORTED, "no target was sent"
+        )
+        await self._until_planned(deadlines.viewpoint_s)  # the wind's part is known only in the air
+        await self._rise()
+
+        session.spawn(self._watch())
+        await self._find_marker(self._near)
+        left = config.rendezvous.go_arounds
+        while why := await self._approach():
+            if not left:
+                raise why
+            left -= 1
+            session.say(f"goes around: {why.detail}")
+            await self._find_marker(lambda: False)
+
+        session.enter(Phase.VERIFY)
+        session.observing = True
+        await self._handover.until_held(2.0 * deadlines.verify_s)
+
+        session.enter(Phase.FOLLOW, "responsible for the target")
+        self._taken_ns = session.now_ns()
+
+    async def still_in_view(self) -> None:
+        """Wait until the target that was taken over is in view. Raises MissionEnd when it is lost."""
+        wait_s, lost = self._config.deadlines.target_regain_s, Outcome.TARGET_LOST
+        try:
+            await self._session.until(self._in_view, wait_s, lost, "the target was not seen")
+        except MissionEnd as end:
+            raise self._lost(end.detail) from end
+
+    async def _rise(self) -> None:
+        """From the ground to where the rendezvous begins."""
+        self._session.note_home(self._config.rendezvous.home_m)
+        await take_off(self._session, self._config.receiver_take_off_height_m)
+
+    async def _find_marker(self, near_enough: Callable[[], bool]) -> None:
+        """Flies to the stand-off, or until it is near enough, within its bounds again; then looks for the marker."""
+        session, rendezvous, deadlines = self._session, self._rendezvous, self._config.deadlines
+        session.enter(Phase.STAND_OFF)
+        session.pilot.guidance = rendezvous.to_stand_off
+        await session.until(
+            lambda: (
+                (rendezvous.at_stand_off(session.vehicle.state) or near_enough()) and not rendezvous.out_of_bounds()
+            ),
+            deadlines.stand_off_s,
+            Outcome.APPROACH_FAILED,
+            "the stand-off was not reached",
+        )
+        session.enter(Phase.SEARCH)
+        rendezvous.begin_search()
+        session.pilot.guidance = rendezvous.search
+        await session.until(
+            lambda: self._marker.fixes(session.now_ns()) >= _FIXES_TO_APPROACH,
+            deadlines.search_s,
+            Outcome.MARKER_NOT_FOUND,
+            self._marker_not_seen,
+        )
+
+    def _marker_not_seen(self) -> str:
+        return "; ".join(["the sender's marker was not seen", *self._causes.values()])
+
+    async def _approach(self) -> MissionEnd | None:
+        """Flies to the planned viewpoint; returns what the mission would end with when something is out of its bounds.
+
+        It has arrived once the camera is there, slow, for a while.
+        """
+        session, rendezvous, deadlines = self._session, self._rendezvous, self._config.deadlines
+        await self._until_planned(deadlines.viewpoint_s)
+        session.enter(Phase.APPROACH)
+        session.pilot.guidance = rendezvous.to_viewpoint
+        loop = asyncio.get_running_loop()
+        end_s, steady_since_s = loop.time() + deadlines.approach_s, loop.time()
+        while loop.time() - steady_since_s <= _ARRIVED_S:
+            unseen_s = self._marker.unseen_s(session.now_ns())
+            if unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:
+                return MissionEnd(Outcome.MARKER_LOST, f"marker not seen for {unseen_s:.1f} s")
+            if out := rendezvous.out_of_bounds():
+                return MissionEnd(Outcome.APPROACH_FAILED, out)
+            if loop.time() > end_s:
+                return MissionEnd(Outcome.APPROACH_FAILED, f"no viewpoint reached in {deadlines.approach_s:.0f} s")
+            await asyncio.sleep(_LOOK_S)
+            if not rendezvous.at_viewpoint():
+                steady_since_s = loop.time()
+        return None
+
+    async def recover(self, end: MissionEnd | None) -> bool:
+        self._watching = False
+        self._handover.end(end)
+        state = self._session.vehicle.state
+        yaw_rad = yaw_of(state.q_n_b)
+        back = from_heading((-self._retreat_m(state, yaw_rad), 0.0, 0.0), yaw_rad)
+        landed = await self._come_down(end, Anchor(add(state.position_n_m, back), yaw_rad))
+        await self._handover.finish()
+        if landed and end is not None and end.outcome is Outcome.MARKER_NOT_FOUND:
+            self._say_instead()
+        return landed
+
+    def _retreat_m(self, state: VehicleState, yaw_rad: float) -> float:
+        """Return how far back to go before it lands: off the target's way, where it follows one."""
+        if self._track is None:
+            return _RETREAT_M
+        back_n = from_heading((-1.0, 0.0, 0.0), yaw_rad)
+        now_ns = self._session.now_ns()
+        return way_out_m(self._track, state.position_n_m, back_n, self._config, now_ns, _RETREAT_M)
+
+    async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
+        """Brings the vehicle down, and returns whether the script landed it."""
+        return await bring_down(self._session, end, way_out)
+
+    def _peer(self) -> Status:
+        peer = self._session.peer
+        assert peer is not None, "preflight waits for the sender's first Status"
+        return self._session.here(peer)
+
+    def _near(self) -> bool:
+        """Returns whether the marker is already nearer than the stand-off, which reported positions put farther on."""
+        now_ns = self._session.now_ns()
+        relative = self._marker.predict(now_ns) if self._marker.fixes(now_ns) >= _FIXES_TO_APPROACH else None
+        return relative is not None and norm(relative.marker_n_m) < self._rendezvous.stand_off_m
+
+    async def _until_planned(self, timeout_s: float) -> None:
+        """Plan until there is a viewpoint: the sender may still be on its way to its place behind the target."""
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + timeout_s
+        assert self._newest is not None
+        while isinstance(plan := self._rendezvous.plan(self._newest), NoViewpoint):
+            if loop.time() > end_s:
+                raise MissionEnd(Outcome.NO_VIEWPOINT, str(plan))
+            await asyncio.sleep(_REPLAN_S)
+        place = ", ".join(f"{part:+.2f}" for part in plan.camera_h_m)
+        note = f"viewpoint ({place}) m from the marker, {plan.marker_px:.0f} px, margin {plan.margin_px:.0f} px"
+        self._session.say(note)
+
+    # --- guidance ------------------------------------------------------------------------------------------------
+
+    def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
+        """Keep the place relative to the target that the hand-over found this drone in."""
+        assert self._track is not None
+        target, (north, east, down) = self._track.believed(self._session.now_ns())
+        moves = north, east, down if self._config.target.flies else 0.0
+        highest_m = self._config.guard.fence_height_m - BELOW_FENCE_M
+        place = within_fence(add(target, self._keep_n_m), math.inf, highest_m)
+        place = self._config.fence.nearest(place) if self._config.guard.corners_m else place
+        error = subtract(place, state.position_n_m)
+        keep, accel_mps2 = self._config.follow, self._config.max_accel_mps2
+        velocity = approach(error, state.velocity_n_mps, moves, keep.answer(accel_mps2))
+        return VelocitySetpoint(velocity, bearing(subtract(target, state.position_n_m)))
+
+    # --- what runs beside the course -----------------------------------------------------------------------------
+
+    async def _watch(self) -> None:
+        """Look at every frame, at some once the target is held. Raises CameraError when the camera stops."""
+        session, guard = self._session, self._config.guard
+        while self._watching:
+            view = await session.frames.view(guard.frame_age_s)
+            session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
+            R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
+            self._rendezvous.tilt.note(R_n_b)
+            if self._handover.holds:
+                self._follow_once(view, R_n_b)
+            else:
+                self._cycle_once(view, R_n_b)
+            session.frames.log_image(view)
+            self._seen = view
+            if session.phase is Phase.FOLLOW:
+                await session.skip_frames()
+
+    async def _watch_peer(self) -> None:
+        """The sender must be heard until this drone holds the target; within a lease, the lease decides."""
+        session = self._session
+        while not self._handover.holds_for_good:
+            if not self._handover.within_lease:
+                session.require_peer()
+                if session.peer is not None and Phase.DEPART.reached(session.peer.phase):
+                    raise MissionEnd(Outcome.PEER_ABORTED, "the sender is on its way down")
+            await asyncio.sleep(_PEER_POLL_S)
+
+    def _cycle_once(self, view: View, R_n_b: Matrix) -> None:
+        """One cycle of PATH: the marker gives the pose, the pose the prior, the detector looks there, D1 gets a box."""
+        session, side = self._session, self._side
+        if side is None:
+            return
+        stamp_ns = view.stamp_ns
+        gravity_v = side.gravity_v(stamp_ns)
+        T_n_c = self._camera_pose.T_n_c(stamp_ns, R_n_b)
+        motion = self._motion()
+        self._marker.note_motion(motion)
+        with session.stage("marker"):
+            fix = self._look(view, T_n_c.R, gravity_v)
+        if isinstance(fix, Missed):
+            self._note_cause(fix)
+        else:
+            self._check_size(view, fix)
+        with session.stage("log"):
+            session.log.write("/marker", stamp_ns, marker_record(stamp_ns, fix))
+            session.log.write("/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, fix))
+        self._judge_marker(stamp_ns)
+        with session.stage("projection"):
+            prior = side.prior(fix, stamp_ns)
+            if isinstance(prior, Prior):
+                self._marker.note_target(prior, T_n_c.R)
+        if session.phase is not Phase.VERIFY:
+            return
+        with session.stage("target"):
+            answer = side.look(view, prior)
+        if answer is None:
+            return
+        with session.stage("link"):
+            session.link.send(answer.candidate)
+        with session.stage("log"):
+            session.log.write("/candidate", stamp_ns, candidate_record(answer))
+        if answer.candidate.box is not None and isinstance(prior, Prior) and isinstance(fix, MarkerFix):
+            with session.stage("depth"):
+                self._note_found(view, T_n_c, answer.candidate, prior, fix)
+
+    def _look(self, view: View, R_n_c: Matrix, gravity_v: Vec3 | None) -> MarkerFix | Missed:
+        """The marker, searched for no longer than setpoints can wait."""
+        session, shedding, began_ns = self._session, self._session.frames.shedding, self._session.now_ns()
+        self._marker.search_every, self._marker.thorough = shedding.search_every, shedding.thorough
+        fix = self._marker.look(view, R_n_c, gravity_v, gravity_in(R_n_c))
+        if self._marker.searched(view.stamp_ns):
+            self._searched = view
+            shedding.searched((session.now_ns() - began_ns) * 1e-9)
+        return fix
+
+    def _check_size(self, view: View, fix: MarkerFix) -> None:
+        """Raise MissionEnd(MARKER_SIZE) when depth contradicts the marker's size, which scales every distance to D1."""
+        with self._session.stage("depth"):
+            self._size.look(fix.T_c_v, fix.covariance, fix.detections, view.depth)
+        contradiction = self._size.contradiction()
+        if contradiction is not None:
+            raise MissionEnd(Outcome.MARKER_SIZE, str(contradiction))
+
+    def _note_cause(self, missed: Missed) -> None:
+        """Tell the crew what is likely wrong with the marker, once for each kind."""
+        if missed.cause is not None and missed.reason not in self._causes:
+            self._causes[missed.reason] = missed.cause
+            self._session.say(f"the sender's marker: {missed.cause}")
+
+    def _say_instead(self) -> None:
+        """Tell what was seen in place of the marker: on the ground, since setpoints cannot wait for it."""
+        view = self._searched
+        image = None if view is None else view.image()
+        if view is None or image is None:
+            return
+        instead = seen_instead(grey_of(image), self._session.rig.layout)
+        if instead is not None:
+            missed = Missed(MissReason.NO_MARKER, cause=instead)
+            self._session.log.write("/marker", view.stamp_ns, marker_record(view.stamp_ns, missed))
+            self._note_cause(missed)
+
+    def _motion(self) -> VehicleMotions:
+        """Returns both vehicles' newest reports."""
+        session, peer, own = self._session, self._peer(), self._session.vehicle.state
+        peer_ns = session.alignment.to_own_ns(peer.stamp_ns) if session.alignment.ready else session.peer_heard_ns
+        return VehicleMotions(own.stamp_ns, own.velocity_n_mps, peer_ns, peer.velocity_n_mps, peer.yaw_rad)
+
+    def _judge_marker(self, stamp_ns: int) -> None:
+        """Separation from the marker's own measurement, and how long it may stay unseen."""
+        session, deadlines = self._session, self._config.deadlines
+        relative = self._marker.predict(stamp_ns)
+        if relative is not None:
+            distance_m = norm(relative.marker_n_m)
+            session.note_separation(distance_m)
+            check_separation(distance_m, self._config.separation.minimum_m)
+            if session.phase in _RELATIVE:
+                self._rendezvous.note_seen(session.vehicle.state, relative.marker_n_m)
+        unseen_s = self._marker.unseen_s(stamp_ns)
+        if session.phase is Phase.VERIFY and unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:
+            raise MissionEnd(Outcome.MARKER_LOST, f"marker not seen for {unseen_s:.1f} s")
+
+    def _note_found(self, view: View, T_n_c: Pose, candidate: Candidate, prior: Prior, fix: MarkerFix) -> None:
+        """Keep the target's own position ready, so that following can begin in the frame that hands it over.
+
+        By both views, which nothing that is sent may rest on (``path.target.both_views``).
+        """
+        assert candidate.box is not None
+        assert self._newest is not None
+        gravity_c, own = gravity_in(T_n_c.R), view.depth(candidate.box)
+        both = self._by_both.place(prior, self._newest.sigma_m, fix.covariance, gravity_c, candidate.box, own)
+        self._session.log.write("/both_views", view.stamp_ns, both_record(candidate, both))
+        position = place(candidate.box, both.depth, self._camera, T_n_c, -self._config.target.height_m)
+        if self._track is None:
+            method = self._session.rig.method
+            largest, ranging = LargestBox.of(self._camera, method), Ranging.of(self._config, method)
+            self._track = TargetTrack.of(self._config, position, view.stamp_ns, largest, ranging)
+        else:
+            self._track.update(position, view.stamp_ns)
+
+    def _follow_once(self, view: View, R_n_b: Matrix) -> None:
+        """Follows the target by this drone's own track, after the hand-over."""
+        session, track = self._session, self._track
+        if track is None:
+            raise MissionEnd(Outcome.TARGET_LOST, "the target was handed over but never located")
+        if session.pilot.in_control and session.phase is Phase.FOLLOW and not self._following:
+            self._keep_n_m = subtract(session.vehicle.state.position_n_m, track.position_n_m)
+            session.pilot.guidance = self._follow_target
+            self._following = True
+        seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
+        unseen_s, deadlines = (view.stamp_ns - track.stamp_ns) * 1e-9, self._config.deadlines
+        session.log.write("/track", view.stamp_ns, track_record(seen))
+        if unseen_s > deadlines.target_coast_s + deadlines.target_regain_s and session.phase is Phase.FOLLOW:
+            raise self._lost(f"target not seen for {unseen_s:.1f} s")
+
+    def _lost(self, detail: str) -> MissionEnd:
+        """The end of a receiver that does not see its target any more: soon after it took it over, or later."""
+        seen_ns = 0 if self._track is None else self._track.seen_ns
+        kept_s = (seen_ns - self._taken_ns) * 1e-9
+        soon = self._taken_ns > 0 and kept_s < KEPT_S
+        return MissionEnd(Outcome.LOST_AFTER if soon else Outcome.TARGET_LOST, detail)
+
+    # --- messages ------------------------------------------------------------------------------------------------
+
+    def _on_message(self, received: Received) -> None:
+        held = self._handover.holds
+        self._handover.on_message(received)
+        if self._handover.holds and not held and self._seen is not None:
+            self._session.frames.log_image(self._seen, wanted=True)
+        if isinstance(received.message, Target):
+            self._on_target(received.message)
+
+    def _on_target(self, target: Target) -> None:
+        """Takes the target's place. The protocol has seen the message first and says which attempt is live."""
+        session, live = self._session, self._handover.live
+        if live is None or not session.alignment.ready:
+            return
+        if live.follows(self._live):
+            self._live = live
+            attempt = AttemptId(live.handoff_id, live.epoch, live.target_id)
+            self._side = ReceiverSide(PairCameras.of(session.rig), session.rig.method, attempt)
+            session.log.write("/attempt", session.now_ns(), attempt_record(attempt))
+        assert self._side is not None
+        capture_ns, now_ns = session.alignment.to_own_ns(target.capture_ns), session.now_ns()
+        missed = self._side.hear(target, capture_ns, now_ns)
+        session.log.write("/heard_target", now_ns, heard_target_record(target, capture_ns))
+        if missed is None:
+            self._newest = target
+
+    def _in_view(self) -> bool:
+        """Returns whether the target that it follows was seen within the time that may be coasted."""
+        coast_s, track = self._config.deadlines.target_coast_s, self._track
+        return track is not None and (self._session.now_ns() - track.seen_ns) * 1e-9 <= coast_s
+
+    def _able(self) -> bool:
+        """Returns whether the target was seen lately, by this drone itself."""
+        track = self._track
+        return track is not None and (self._session.now_ns() - track.seen_ns) * 1e-9 < _ABLE_S

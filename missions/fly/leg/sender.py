@@ -1,0 +1,384 @@
+"""D1, the sender: finds the target, follows it, runs its side of PATH, hands over, leaves and lands."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from dataclasses import replace
+
+from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
+from drivers.operator.interfaces import PlaceTold
+from flight.camera_pose import CameraPose
+from flight.config import MissionConfig
+from flight.frame.records import AttemptId, OwnFrame, attempt_record, counted, heard_candidate_record, target_record
+from flight.frame.sender import PairCameras, SenderSide
+from flight.guidance import (
+    BELOW_FENCE_M,
+    Anchor,
+    Vec3,
+    add,
+    approach,
+    bearing,
+    from_heading,
+    norm,
+    scale,
+    spare_accel,
+    subtract,
+    within_fence,
+)
+from flight.outcome import MissionEnd, Outcome
+from flight.phases import Phase
+from flight.tilt import Tilt
+from flight.tracking.association import Sighting, follow
+from flight.tracking.largest_box import LargestBox
+from flight.tracking.look_round import LookRound
+from flight.tracking.ranging import Ranging
+from flight.tracking.target_track import TargetTrack
+from flight.way_out import way_out_m
+from missions.fly.leg.designating import Designating
+from missions.fly.leg.handover import SenderHandover
+from missions.fly.leg.session import RoleSession
+from missions.fly.leg.steps import bring_down, preflight, take_off
+from missions.ground.journal import frame_record, track_record
+from path.cycle.sender import PairVerdict
+from path.geometry.rotation import yaw_of
+from path.geometry.transforms import Matrix
+from path.messages import Candidate, Target
+
+_PEER_POLL_S = 0.25
+_ACQUIRED_POLL_S = 0.05
+_WIDER = 1.4  # times the distance, to see it again
+
+
+class Sender:
+    """The sender's course and what it does with every frame and message."""
+
+    def __init__(self, session: RoleSession, store: RecordStore, told: PlaceTold | None = None) -> None:
+        """``told``: where the target is; None: what the rig's mission says."""
+        rig, config = session.rig, session.config
+        self._session = session
+        self._config: MissionConfig = config
+        self._camera = rig.sender.camera
+        self._camera_pose = CameraPose(session.vehicle, rig.sender.mount)
+        self._tilt = Tilt()
+        ahead, right, down = rig.sender.mount.T_b_c.R[:, 2].tolist()
+        self._axis_b: Vec3 = (ahead, right, down)
+        self._heading_rad = math.radians(config.heading_deg)
+        self._track: TargetTrack | None = None
+        self._largest = LargestBox.of(self._camera, rig.method)
+        self._look_round = LookRound(config)
+        self._ranging = Ranging.of(config, rig.method)
+        self._designating = Designating(
+            session, self._camera, self._look_round, self._pointed_at, told, ranging=self._ranging
+        )
+        self._watching = True
+        self._handover = SenderHandover(session, store)
+        self._side: SenderSide | None = None
+        self._receiver_side: float | None = None  # as measured on the marker: -1 left of D1, 1 right
+        self._candidates = 0
+        self._way_out: Anchor | None = None
+        session.on_message = self._on_message
+        session.on_status = self._handover.on_status
+        session.on_step = self._on_step
+
+    # --- course --------------------------------------------------------------------------------------------------
+
+    async def course(self) -> None:
+        await self._handover.resume()
+        await preflight(self._session)
+        await self._handover.until_free()
+        self._session.note_home(self._config.target.home_m)
+        await take_off(self._session, self._config.take_off_height_m)
+        await self.acquire()
+        await self.hand_over()
+
+    async def acquire(self) -> None:
+        """Finds the target from the air above the take-off place, until it is tracked."""
+        session, deadlines = self._session, self._config.deadlines
+        session.enter(Phase.ACQUIRE)
+        session.pilot.guidance = self._to_first_place
+        session.spawn(self._watch())
+        listening = session.spawn(self._designating.listen())
+        await self._until_acquired(deadlines.acquire_s)
+        listening.cancel()
+        self._designating.stop()
+
+    async def _until_acquired(self, timeout_s: float) -> None:
+        """Wait for a target. Raises MissionEnd(TARGET_NOT_FOUND) with what was seen, and what would have told."""
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + timeout_s
+        while self._track is None:
+            if loop.time() > end_s:
+                raise MissionEnd(Outcome.TARGET_NOT_FOUND, f"within {timeout_s:.0f} s: {self._designating.why()}")
+            await asyncio.sleep(_ACQUIRED_POLL_S)
+
+    async def hand_over(self) -> None:
+        """Follow the tracked target, and offer it, until the other drone is known to hold it."""
+        session, deadlines = self._session, self._config.deadlines
+        session.enter(Phase.FOLLOW, "target acquired, waiting for the receiver")
+        session.observing = True
+        await self._handover.offer()
+        self._begin_attempt()
+        session.pilot.guidance = self._follow_target
+        session.spawn(self._watch_peer())
+        await session.until(
+            lambda: self._candidates > 0,
+            deadlines.receiver_ready_s,
+            Outcome.NO_AGREEMENT,
+            "the receiver never sent a candidate",
+        )
+
+        session.enter(Phase.VERIFY)
+        await self._handover.until_decided(deadlines.verify_s, self._begin_attempt)
+        session.say("handed over")
+        session.pilot.guidance = self._leave_watching  # not behind the target: a receiver that died hangs beside it
+        await self._handover.until_settled()
+        session.observing = False
+
+    def _begin_attempt(self) -> None:
+        """A count of its own for every epoch."""
+        session, config = self._session, self._config
+        attempt = AttemptId(config.handoff_id, self._handover.epoch, config.target_id)
+        self._side = SenderSide(PairCameras.of(session.rig), session.rig.method, attempt)
+        session.log.write("/attempt", session.now_ns(), attempt_record(attempt))
+
+    async def recover(self, end: MissionEnd | None) -> bool:
+        self._watching = False
+        self._handover.end(end)
+        landed = await self._come_down(end, self._leave())
+        await self._handover.finish()
+        return landed
+
+    async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
+        """Brings the vehicle down, and returns whether the script landed it."""
+        return await bring_down(self._session, end, way_out)
+
+    def _leave(self) -> Anchor:
+        """Returns the place to go to before landing: away from the receiver, sideways, the same however often asked.
+
+        It is so far away that the target cannot be under this drone before it is down, or twice the usual way.
+        """
+        if self._way_out is None:
+            state, usual_m = self._session.vehicle.state, self._config.depart_m
+            place = state.position_n_m
+            if self._track is not None:
+                aside = from_heading((0.0, -self._side_of_receiver(state), 0.0), self._heading_rad)
+                now_ns = self._session.now_ns()
+                away_m = way_out_m(self._track, place, aside, self._config, now_ns, usual_m)
+                place = add(place, scale(aside, away_m))
+            self._way_out = Anchor(place, yaw_of(state.q_n_b))
+        return self._way_out
+
+    def _side_of_receiver(self, state: VehicleState) -> float:
+        """-1 left, 1 right; by both drones' own positions until it was measured on the marker."""
+        if self._receiver_side is not None:
+            return self._receiver_side
+        session, peer = self._session, self._session.peer
+        if peer is None:
+            return -1.0
+        # a receiver that died flew on at first, as it was flying when it was last heard
+        flown_on_s = min(session.peer_silence_s(), self._config.guard.near_silence_s)
+        receiver = add(session.here(peer).position_n_m, scale(peer.velocity_n_mps, flown_on_s))
+        _, right_m, _ = from_heading(subtract(receiver, state.position_n_m), -self._heading_rad)
+        return 1.0 if right_m > 0.0 else -1.0
+
+    def _may_regain(self) -> bool:
+        """Returns whether there is room to back off: the receiver is not on its way to this drone yet."""
+        peer = self._session.peer
+        return peer is None or not Phase.STAND_OFF.reached(peer.phase)
+
+    def _comes_near(self) -> bool:
+        """Return whether the receiver is near this drone, or was closing in on it when it was last heard."""
+        session, peer = self._session, self._session.peer
+        return session.phase is Phase.VERIFY or (peer is not None and Phase.APPROACH.reached(peer.phase))
+
+    def _regaining(self) -> bool:
+        """The target was out of sight for a while: more of the ground is seen from farther off."""
+        track = self._track
+        if track is None or not self._may_regain():
+            return False
+        return (self._session.now_ns() - track.stamp_ns) * 1e-9 > 0.5 * self._config.deadlines.target_coast_s
+
+    def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
+        """Leads to where all the ground is in view that the target can be on, and round it where nothing is found."""
+        session, look_round = self._session, self._look_round
+        now_ns, went = session.now_ns(), look_round.going
+        there, wider = self._place_to_look_at(now_ns)
+        if self._track is None:
+            look_round.step(now_ns, math.dist(self._view_of(there, wider), state.position_n_m), there)
+            self._heading_rad = look_round.heading_rad
+        if look_round.going and not went:
+            session.say("nothing was found from here: looks from other sides")
+        moves = add(self._designating.moves(now_ns), look_round.velocity_n_mps)
+        way = self._approach(self._view_of(there, wider), moves, state)
+        return replace(way, yaw_rad=look_round.yaw_rad(state.position_n_m, there))
+
+    def _approach(self, place_n_m: Vec3, velocity_n_mps: Vec3, state: VehicleState) -> VelocitySetpoint:
+        """To a moving place, and to rest there: past it the target would be below the image."""
+        follow, error = self._config.follow, subtract(place_n_m, state.position_n_m)
+        accel_mps2 = self._config.max_accel_mps2
+        spare_mps2 = spare_accel(accel_mps2, norm(velocity_n_mps), follow.target_accel_mps2, follow.response_s)
+        velocity = approach(error, state.velocity_n_mps, velocity_n_mps, follow.answer(spare_mps2))
+        return VelocitySetpoint(velocity, self._heading_rad)
+
+    def _view_of(self, target_n_m: Vec3, wider: float = 1.0) -> Vec3:
+        """Behind and above the target, in the heading it was approached with; a drone that is tilted stands aside.
+
+        However far up a target seems to be, it is below the fence. ``wider``: times as far off as usual.
+        """
+        keep, wider = self._config.follow, max(wider, _WIDER if self._regaining() else 1.0)
+        below_m = wider * (keep.height_m - self._config.target.height_m)
+        place = add(target_n_m, from_heading((-wider * keep.behind_m, 0.0, -below_m), self._heading_rad))
+        place = add(place, self._tilt.aim(self._axis_b, self._heading_rad, below_m))
+        place = within_fence(place, math.inf, self._config.guard.fence_height_m - BELOW_FENCE_M)
+        return self._config.fence.nearest(place) if self._config.guard.corners_m else place
+
+    def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
+        """Keep the target in view from behind."""
+        assert self._track is not None
+        session = self._session
+        if self._comes_near() and session.peer_silence_s() > self._config.guard.near_silence_s:
+            # the receiver may hang or sink where it was last, and the target may lead there
+            return VelocitySetpoint((0.0, 0.0, 0.0), self._heading_rad)
+        target, (north, east, down) = self._track.believed(session.now_ns())
+        moves = north, east, down if self._config.target.flies else 0.0
+        place = self._view_of(target)
+        self._look_round.settle(math.dist(place, state.position_n_m), math.dist(state.velocity_n_mps, moves))
+        return replace(
+            self._approach(place, moves, state), yaw_rad=self._look_round.yaw_rad(state.position_n_m, target)
+        )
+
+    def _leave_watching(self, state: VehicleState) -> VelocitySetpoint:
+        """Make room, the camera still on the target: nobody has it for sure until the hand-over is settled."""
+        assert self._track is not None
+        target, _ = self._track.predict(self._session.now_ns())
+        return replace(self._leave().hold(state), yaw_rad=bearing(subtract(target, state.position_n_m)))
+
+    # --- what runs beside the course -----------------------------------------------------------------------------
+
+    async def _watch(self) -> None:
+        """Look at every frame while the receiver is near, else at some. Raises CameraError when the camera stops."""
+        session = self._session
+        while self._watching:
+            view = await session.frames.view(self._config.guard.frame_age_s)
+            R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
+            self._tilt.note(R_n_b)
+            self._note_ground()
+            session.note_steps()  # before what this frame shows is added to what others showed
+            if self._track is None:
+                if session.frames.recorded:
+                    self._log_view(view, R_n_b)
+                self._try_to_acquire(view, R_n_b)
+            else:
+                self._cycle_once(view, R_n_b, self._track)
+            far = session.peer is None or not Phase.SEARCH.reached(session.peer.phase)
+            if far and session.phase is not Phase.VERIFY:
+                await session.skip_frames()
+
+    def _note_ground(self) -> None:
+        """Keep up what is known of the ground below, for ranging what stands on it."""
+        self._session.note_ground()
+        if self._session.ground is not None and not self._config.target.flies:
+            self._ranging.ground = self._session.ground.ground
+
+    async def _watch_peer(self) -> None:
+        """The receiver must be heard for as long as the hand-over is undecided."""
+        while not self._handover.handed_over:
+            if not self._handover.released:
+                self._session.require_peer()
+            await asyncio.sleep(_PEER_POLL_S)
+
+    def _try_to_acquire(self, view: View, R_n_b: Matrix) -> None:
+        taken = self._designating.look(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b))
+        if taken is not None:
+            self._track = TargetTrack.of(self._config, taken.position_n_m, view.stamp_ns, self._largest, self._ranging)
+            self._track.velocity_n_mps = taken.velocity_n_mps
+            position = self._session.vehicle.state.position_n_m
+            self._heading_rad = self._look_round.found(position, taken.position_n_m)
+
+    def _place_to_look_at(self, now_ns: int) -> tuple[Vec3, float]:
+        """The place to look at until there is a target, and how many times as far off as usual."""
+        return self._designating.where(now_ns)
+
+    def _pointed_at(self) -> PlaceTold | None:
+        """What somebody says who goes on pointing at the target; None: the mission's designation."""
+        return None
+
+    def _cycle_once(self, view: View, R_n_b: Matrix, track: TargetTrack) -> None:
+        """One cycle of PATH: follow the box, say where the target is, judge the receiver's answers."""
+        session = self._session
+        with session.stage("target"):
+            seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
+        if self._config.level_ground and isinstance(seen, Sighting):
+            session.note_height(track.position_n_m[2] + self._config.target.height_m)
+        unseen_s, deadlines = (view.stamp_ns - track.stamp_ns) * 1e-9, self._config.deadlines
+        bearable_s = deadlines.target_coast_s + deadlines.target_regain_s
+        if unseen_s > bearable_s and not self._handover.handed_over:
+            raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
+        side = self._side
+        if side is None:
+            self._log_view(view, R_n_b)
+            session.log.write("/track", view.stamp_ns, track_record(seen))
+            return
+        with session.stage("projection"):
+            frame = side.observe(view.frame_id, view.stamp_ns, seen, self._camera_pose.gravity_v(R_n_b))
+        if isinstance(frame.message, Target):
+            with session.stage("link"):
+                session.link.send(frame.message)
+        now_ns = session.now_ns()
+        with session.stage("log"):
+            self._log_view(view, R_n_b)
+            self._log_frame(view, frame, now_ns)
+        with session.stage("agreement"):
+            pairs = side.judge(now_ns)
+        with session.stage("log"):
+            for pair in pairs:
+                self._note_pair(pair, side)
+        if side.gate.complete and not self._handover.released:
+            session.frames.log_image(view, wanted=True)
+            self._handover.agreed(self._config.target_id)
+
+    # --- messages and records ------------------------------------------------------------------------------------
+
+    def _on_message(self, received: Received) -> None:
+        message = received.message
+        if isinstance(message, Candidate):
+            self._on_candidate(message)
+        self._handover.on_message(received)
+
+    def _on_step(self, stamp_ns: int) -> None:
+        """Of either drone's estimator: what agreed before and what agrees after it are not added up."""
+        if self._side is not None:
+            self._side.begin_evidence_anew(stamp_ns)
+
+    def _on_candidate(self, candidate: Candidate) -> None:
+        session, side = self._session, self._side
+        if side is None or not session.alignment.ready:
+            return
+        capture_ns, now_ns = session.alignment.to_own_ns(candidate.capture_ns), session.now_ns()
+        missed = side.hear(candidate, capture_ns, now_ns)
+        session.log.write("/heard_candidate", now_ns, heard_candidate_record(candidate, capture_ns))
+        if missed is None:
+            self._candidates += 1
+            if candidate.box is not None:
+                x, y, z = candidate.position_v_m
+                self._receiver_side = 1.0 if x > 0.0 else -1.0
+                session.shown.separation_m = math.sqrt(x * x + y * y + z * z)
+
+    def _note_pair(self, pair: PairVerdict, side: SenderSide) -> None:
+        """Log one verdict and show it."""
+        session, shown = self._session, self._session.shown
+        shown.count, shown.evidence = counted(pair, side.gate)
+        shown.iou = pair.verdict.iou
+        session.log.write("/agreement", session.now_ns(), side.record(pair))
+
+    def _log_view(self, view: View, R_n_b: Matrix) -> None:
+        session = self._session
+        T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b) if session.frames.recorded else None
+        record = frame_record(view, session.now_ns(), T_n_c, self._ranging.ground)
+        session.log.write("/frame", view.stamp_ns, record)
+
+    def _log_frame(self, view: View, frame: OwnFrame, now_ns: int) -> None:
+        session = self._session
+        session.log.write("/target", view.stamp_ns, target_record(frame, now_ns))
+        session.frames.log_image(view)

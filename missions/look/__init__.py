@@ -1,0 +1,1 @@
+"""What is looked at: reports, replays, views, live pages and logs."""

@@ -1,0 +1,50 @@
+"""The paper's gate's word on a run, whichever gate decided: the longest row of agreeing pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from missions.look.report.records import RunRecords, judged_pairs, last
+
+
+@dataclass(frozen=True, slots=True)
+class LongestRow:
+    """The longest row of agreeing pairs without a miss of either drone, up to the commit.
+
+    Attributes:
+        pairs, seconds: of it, on the stamps of D2's frames.
+        complete: whether the paper's gate would have let the target be handed over by then.
+    """
+
+    pairs: int
+    seconds: float
+    complete: bool
+
+
+def longest_row(run: RunRecords) -> LongestRow | None:
+    """The same rules as ``path.gate.window``, from the sender's records; None when it judged nothing."""
+    setup, pairs = last(run.sender, "/setup"), judged_pairs(run)
+    if setup is None or not pairs:
+        return None
+    method: Mapping[str, Any] = setup.record["method"]
+    max_gap_ns, hold_ns = round(method["max_gap_s"] * 1e9), round(method["hold_s"] * 1e9)
+    missed = [r.record["capture_ns"] for r in run.sender.get("/target", ()) if r.record["reason"]]
+    judged = [r.record for r in pairs if r.record["counted"]]
+    events = [(record["capture_ns"], bool(record["agreed"])) for record in judged]
+    events += [(capture_ns, False) for capture_ns in missed if capture_ns <= pairs[-1].record["capture_ns"]]
+    count, begin_ns, newest_ns = 0, 0, 0
+    most, longest_ns, complete = 0, 0, False
+    for capture_ns, agreed in sorted(events):
+        if not agreed:
+            count = 0
+            continue
+        if count == 0 or capture_ns - newest_ns > max_gap_ns:
+            count, begin_ns = 0, capture_ns
+        count, newest_ns = count + 1, capture_ns
+        span_ns = capture_ns - begin_ns
+        if count > most:
+            most, longest_ns = count, span_ns
+        complete = complete or (count >= method["hold_frames"] and span_ns >= hold_ns)
+    return LongestRow(most, longest_ns * 1e-9, complete)

@@ -1,0 +1,195 @@
+"""The display of a flight under way: a live table in a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from typing import Protocol, TextIO
+
+from rich.console import Console as Terminal
+from rich.console import Group
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from drivers.clock import stopwatch_ns
+from flight.harness.flights import Progress
+from missions.look.report.tables import counts_text
+from path.messages import Role
+
+LINE_PERIOD_S = 5.0
+BAR_WIDTH = 14
+REFRESH_HZ = 8
+
+
+class Console(Protocol):
+    def show(self, progress: Progress) -> None:
+        """Take in the newest state of a role; cheap, and never raises for a stream that went away."""
+        ...
+
+
+@contextmanager
+def open_console(stream: TextIO) -> Generator[Console, None, None]:
+    """A console on a stream: live when it is a terminal, lines when it is not."""
+    if not stream.isatty():
+        yield LineConsole(stream)
+        return
+    table = LiveTable()
+    with Live(get_renderable=table.render, console=Terminal(file=stream), refresh_per_second=REFRESH_HZ) as live:
+        yield table
+        live.refresh()
+
+
+class Elapsed:
+    """Seconds since each role's clock was first heard of; before it has one its stamps are 0, and the wall's count.
+
+    ``wall_ns`` is the computer's own clock.
+    """
+
+    def __init__(self, wall_ns: Callable[[], int] = stopwatch_ns) -> None:
+        self._started_ns: dict[Role, int] = {}
+        self._wall_ns, self._opened_ns = wall_ns, wall_ns()
+
+    def seconds(self, progress: Progress) -> float:
+        if not progress.stamp_ns:
+            return (self._wall_ns() - self._opened_ns) * 1e-9
+        return (progress.stamp_ns - self._started_ns.setdefault(progress.role, progress.stamp_ns)) * 1e-9
+
+
+class LineConsole:
+    """One line whenever a role's phase or note changes, and every few seconds of its clock."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._elapsed = Elapsed()
+        self._last: dict[Role, Progress] = {}
+        self._shown_s: dict[Role, float] = {}
+
+    def show(self, progress: Progress) -> None:
+        elapsed_s = self._elapsed.seconds(progress)
+        last = self._last.get(progress.role)
+        news = last is None or (progress.phase, progress.note) != (last.phase, last.note)
+        if last is not None and not news and elapsed_s - self._shown_s[progress.role] < LINE_PERIOD_S:
+            return
+        self._last[progress.role], self._shown_s[progress.role] = progress, elapsed_s
+        parts = [f"{elapsed_s:7.1f} s  {progress.role.value:<8}  {progress.phase:<10}", *_figures(progress)]
+        if progress.note and (news or not progress.stamp_ns):
+            parts.append(progress.note)
+        try:
+            self._stream.write("  ".join(parts).rstrip() + "\n")
+            self._stream.flush()
+        except (OSError, ValueError):
+            pass  # whoever read this is gone; the flight goes on
+
+
+def _figures(progress: Progress) -> list[str]:
+    figures: list[str] = []
+    if progress.count:
+        figures.append(_advance(progress))
+    if progress.iou is not None:
+        figures.append(_iou(progress))
+    if progress.separation_m is not None:
+        figures.append(f"{progress.separation_m:.2f} m apart")
+    if progress.link_bytes_per_s:
+        figures.append(f"link {progress.link_bytes_per_s / 1000:.1f} kB/s")
+    return figures
+
+
+def _advance(progress: Progress) -> str:
+    """Returns how far the agreement is: pairs, or evidence where it counts."""
+    if progress.evidence is None:
+        return f"{min(progress.count, progress.needed)}/{progress.needed}"
+    reached, needed = progress.evidence
+    return f"evidence {reached:.1f}/{needed:.1f}"
+
+
+def _iou(progress: Progress) -> str:
+    needed = "" if progress.tau is None else f" of {progress.tau:.2f}"
+    return f"IoU {progress.iou:.2f}{needed}"
+
+
+class LiveTable:
+    """One row per role, and its note below; as wide as a terminal of 80 columns."""
+
+    def __init__(self) -> None:
+        self._last: dict[Role, Progress] = {}
+        self._elapsed = Elapsed()
+
+    def show(self, progress: Progress) -> None:
+        self._elapsed.seconds(progress)
+        self._last[progress.role] = progress
+
+    def render(self) -> Group:
+        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), expand=False)
+        for title in ("", "time", "phase", "agreement", "", "IoU", "apart", "link"):
+            table.add_column(title, no_wrap=True, header_style="dim")
+        shown = [self._last[role] for role in Role if role in self._last]
+        for progress in shown:
+            table.add_row(*self._row(progress))
+        notes = [f"{progress.role.value}: {progress.note}" for progress in shown if progress.note]
+        return Group(table, *(Text(note, style="dim", no_wrap=True, overflow="ellipsis") for note in notes))
+
+    def _row(self, progress: Progress) -> list[Text | ProgressBar | str]:
+        separation = "" if progress.separation_m is None else f"{progress.separation_m:.2f} m"
+        agreeing = progress.count > 0 or progress.iou is not None
+        reached, needed = progress.evidence or (progress.count, progress.needed)
+        return [
+            Text(progress.role.value, style="bold green" if progress.responsible else "bold"),
+            f"{self._elapsed.seconds(progress):.0f} s",
+            Text(progress.phase, style="cyan"),
+            ProgressBar(total=needed, completed=min(reached, needed), width=BAR_WIDTH) if agreeing else "",
+            _advance(progress).removeprefix("evidence ") if agreeing else "",
+            "" if progress.iou is None else f"{progress.iou:.2f}",
+            separation,
+            f"{progress.link_bytes_per_s / 1000:.1f} kB/s",
+        ]
+
+
+class SeriesProgress(Protocol):
+    """Shows how far a series of runs is."""
+
+    def add(self, outcome: str) -> None: ...
+
+
+@contextmanager
+def open_tally(stream: TextIO, total: int) -> Generator[SeriesProgress, None, None]:
+    """A tally of runs on a stream: live when it is a terminal, a line at each tenth when it is not."""
+    if not stream.isatty():
+        yield LineTally(stream, total)
+        return
+    tally = LiveTally(total)
+    with Live(get_renderable=tally.render, console=Terminal(file=stream), refresh_per_second=REFRESH_HZ) as live:
+        yield tally
+        live.refresh()
+
+
+class LineTally:
+    def __init__(self, stream: TextIO, total: int) -> None:
+        self._stream = stream
+        self._total = total
+        self._outcomes: Counter[str] = Counter()
+
+    def add(self, outcome: str) -> None:
+        before, self._outcomes[outcome] = self._outcomes.total(), self._outcomes[outcome] + 1
+        done = before + 1
+        if done == self._total or done * 10 // self._total > before * 10 // self._total:
+            self._stream.write(f"{done}/{self._total} runs: {counts_text(dict(self._outcomes.most_common()))}\n")
+            self._stream.flush()
+
+
+class LiveTally:
+    def __init__(self, total: int) -> None:
+        self._total = total
+        self._outcomes: Counter[str] = Counter()
+
+    def add(self, outcome: str) -> None:
+        self._outcomes[outcome] += 1
+
+    def render(self) -> Table:
+        done = self._outcomes.total()
+        table = Table.grid(padding=(0, 2))
+        bar = ProgressBar(total=self._total, completed=done, width=3 * BAR_WIDTH)
+        table.add_row(bar, f"{done}/{self._total} runs", counts_text(dict(self._outcomes.most_common())))
+        return table

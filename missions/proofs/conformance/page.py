@@ -1,0 +1,91 @@
+"""The table of the vehicles: on the terminal, and as the page of the documentation that the suite writes itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from rich.table import Table
+from rich.text import Text
+
+from missions.proofs.conformance.record import EMBEDDED, Record
+from missions.proofs.conformance.rows import SECTIONS, Row, likeness, said
+
+NAMES = {EMBEDDED: "embedded", "px4": "PX4", "ardupilot": "ArduCopter"}
+LAST = "embedded is like"
+WRITTEN_BY = "Written by `path-handoff conformance`"
+
+HEAD = """# How the vehicles behave
+
+Written by `path-handoff conformance`, not by hand. Every figure was measured through MAVSDK and the
+driver that missions use ([autopilots](autopilots.md) says where to get the real ones).
+
+```sh
+path-handoff conformance --px4 PATH --ardupilot PATH --out conformance --page docs/conformance.md
+path-handoff conformance --no-fly --out conformance --page docs/conformance.md   # the page alone, from what was flown
+```
+
+The vehicles of the rigs `sitl`, `sitl-px4` and `sitl-ardupilot` are flown {flights} times, with
+their rigs' parameters. Heights and speeds are the simulations' truth, modes are what heartbeats
+show (a PX4 beats once a second). One flight each: take a figure as an example, not as a mean. The
+embedded world has wind (1.5 m/s, gusts 0.4 m/s), the two simulators have none.
+
+The last column says whom the embedded vehicle is like as far as a mission would notice. “Never”:
+not within the time that was waited.
+"""
+
+
+def cells(records: Mapping[str, Record]) -> Iterator[tuple[str, list[tuple[Row, list[str]]]]]:
+    """Section by section, each row with its texts: one a vehicle, then whom the embedded one is like."""
+    embedded = records.get(EMBEDDED)
+    real = {NAMES[name]: record.values for name, record in records.items() if name != EMBEDDED}
+    for section, rows in SECTIONS.items():
+        made: list[tuple[Row, list[str]]] = []
+        for row in rows:
+            if not any(row.name in record.values for record in records.values()):
+                continue
+            like = "" if embedded is None else likeness(row, embedded.values, real)
+            made.append((row, [*(said(row, record.values) for record in records.values()), like]))
+        if made:
+            yield section, made
+
+
+def terminal_table(records: Mapping[str, Record]) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+    table.add_column("", overflow="fold", min_width=40)
+    for title in (*(NAMES[name] for name in records), LAST):
+        table.add_column(title, overflow="fold")
+    for section, rows in cells(records):
+        table.add_row(Text(section, "bold"))
+        for row, texts in rows:
+            like = Text(texts[-1].replace("*", ""), "yellow" if "*" in texts[-1] else "dim")
+            table.add_row(f"  {row.title}".replace("`", ""), *texts[:-1], like)
+    return table
+
+
+def page(records: Mapping[str, Record], flights: int) -> str:
+    """The page as Markdown."""
+    titles = ["", *(NAMES[name] for name in records), LAST]
+    lines = [HEAD.format(flights=flights), *_conditions(records), ""]
+    lines += [_line(titles), _line(["---"] * len(titles))]
+    for section, rows in cells(records):
+        lines.append(_line([f"**{section}**", *([""] * (len(titles) - 1))]))
+        lines += [_line([row.title, *texts]) for row, texts in rows]
+    failures = [
+        f"- {NAMES[name]}, {flight}: {why}" for name, own in records.items() for flight, why in own.failed.items()
+    ]
+    if failures:
+        lines += ["", "Flights that did not come to their end, and why:", "", *failures]
+    return "\n".join(lines) + "\n"
+
+
+def _conditions(records: Mapping[str, Record]) -> Iterator[str]:
+    for name, record in records.items():
+        again = f"; switched off and on {record.restarts} times to arm again" if record.restarts else ""
+        yield (
+            f"- {NAMES[name]}: {record.made}, rig `{record.rig}`, {record.cores} cores, "
+            f"load {record.load_before:.1f} before and {record.load_after:.1f} after{again}"
+        )
+
+
+def _line(texts: list[str]) -> str:
+    return f"| {' | '.join(text.replace('|', '·') for text in texts)} |"
