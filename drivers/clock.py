@@ -31,13 +31,15 @@ def wall_offset_ns(now_ns: Callable[[], int]) -> int:
 
     Both are read together; a reading during which the process was put aside is repeated.
     """
-    best_gap, best = 1 << 62, 0
+    best_gap = 1 << 62
+    best = 0
     for _ in range(3):
         before = now_ns()
         wall_ns = time.time_ns()
         after = now_ns()
         if after - before < best_gap:
-            best_gap, best = after - before, wall_ns - (before + after) // 2
+            best_gap = after - before
+            best = wall_ns - (before + after) // 2
         if best_gap < 20_000:
             break
     return best

@@ -116,7 +116,8 @@ class CpuShare:
         except OSError:
             _remove(folder)
             raise
-        self.folder, self._version = folder, version
+        self.folder = folder
+        self._version = version
 
     def add(self, pid: int) -> None:
         """Puts a process with all its threads into the group; one that has ended already is left alone."""

@@ -18,7 +18,8 @@ from typing import Any
 LOOK_S = 0.04
 LEAST_S = 0.01  # what is told: below it a setpoint is not late
 LIST_EVERY = 25  # looks: threads hardly come and go in flight
-TASKS, STAT = Path("/proc/self/task"), Path("/proc/stat")
+TASKS = Path("/proc/self/task")
+STAT = Path("/proc/stat")
 
 
 class CoreWaits:
@@ -82,7 +83,8 @@ class CoreWaits:
         return grown
 
     def _taken_ns(self) -> int:
-        before, self._stolen_ns = self._stolen_ns, self._stolen_of_cores_ns()
+        before = self._stolen_ns
+        self._stolen_ns = self._stolen_of_cores_ns()
         grown = (now - then for now, then in zip(self._stolen_ns, before, strict=False))
         return max(grown, default=0)
 
@@ -108,12 +110,14 @@ async def watch_lateness(
     A record has ``since_ns``, the time that it is of, ``loop_ns``, by how much the loop woke later than it had asked
     for, whatever the reason, and what ``CoreWaits.look`` gives.
     """
-    loop, waits = asyncio.get_running_loop(), CoreWaits()
+    loop = asyncio.get_running_loop()
+    waits = CoreWaits()
     try:
         looked_s = loop.time()
         while True:
             await sleep(LOOK_S)
-            since_s, looked_s = loop.time() - looked_s, loop.time()
+            since_s = loop.time() - looked_s
+            looked_s = loop.time()
             late = waits.look()
             late_s = since_s - LOOK_S
             if max(late_s, sum(late.values()) * 1e-9) > LEAST_S:

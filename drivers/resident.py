@@ -52,7 +52,9 @@ def mappings(text: str) -> Iterator[Mapping]:
         words = line.split()
         if not words[0].endswith(":"):
             (low, _, high), rights = words[0].partition("-"), words[1]
-            begin, end, file = int(low, 16), int(high, 16), " ".join(words[5:])
+            begin = int(low, 16)
+            end = int(high, 16)
+            file = " ".join(words[5:])
         elif words[0] == "Rss:":
             resident_kb = int(words[1])
         elif words[0] == "Anonymous:" and file.startswith("/"):

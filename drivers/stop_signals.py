@@ -33,7 +33,8 @@ def leave_signals() -> None:
 
 def stop_at_end_of_input(stop: Callable[[], None]) -> None:
     """Have the running loop call ``stop`` once stdin is closed: the parent of this program is gone."""
-    loop, standard_input = asyncio.get_running_loop(), sys.stdin.fileno()
+    loop = asyncio.get_running_loop()
+    standard_input = sys.stdin.fileno()
 
     def read() -> None:
         if not os.read(standard_input, 4096):

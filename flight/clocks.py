@@ -72,16 +72,20 @@ class ClockAlignment:
         if pong.nonce <= self._last_nonce:
             return PingResult.DUPLICATE
         self._last_nonce = pong.nonce
-        low, high = pong.sent_ns - arrival_ns, pong.received_ns - pong.ping_sent_ns
+        low = pong.sent_ns - arrival_ns
+        high = pong.received_ns - pong.ping_sent_ns
         high += math.ceil(abs(arrival_ns - pong.ping_sent_ns) * self._drift)  # that bound is as old as the exchange
         if self._samples:
             widening = self._widening_ns(arrival_ns)
-            low, high = max(low, self._low_ns - widening), min(high, self._high_ns + widening)
+            low = max(low, self._low_ns - widening)
+            high = min(high, self._high_ns + widening)
         if low > high:
             self._inconsistent += 1
             self._fault = self._fault or self._inconsistent >= self._config.max_inconsistent
             return PingResult.INCONSISTENT
-        self._low_ns, self._high_ns, self._updated_ns = low, high, arrival_ns
+        self._low_ns = low
+        self._high_ns = high
+        self._updated_ns = arrival_ns
         self._samples += 1
         self._inconsistent = 0
         return PingResult.TAKEN

@@ -48,7 +48,8 @@ class GroundBelow:
     def ground(self) -> Ground:
         """Return where the ground is that a target stands on nearby, with how uneven it is."""
         sigma_m = math.sqrt(self._variance + self._facts.uneven_m**2)
-        now_ns, measured_ns = self._stamp_ns, self._measured_ns
+        now_ns = self._stamp_ns
+        measured_ns = self._measured_ns
         if now_ns is None or measured_ns is None or now_ns - measured_ns > BELIEVED_NS:
             return Ground(self._down_m, sigma_m)
         return Ground(self._down_m, sigma_m, RangeSource.RANGEFINDER)
@@ -58,7 +59,8 @@ class GroundBelow:
         self._drift(state.stamp_ns)
         if not state.in_air:
             # where it stands is the ground
-            self._down_m, self._variance = state.position_n_m[2], self._facts.rangefinder_sigma_m**2
+            self._down_m = state.position_n_m[2]
+            self._variance = self._facts.rangefinder_sigma_m**2
             return ""
         below = state.below
         if below is None or below.stamp_ns == self._taken_ns or not self._facts.has_rangefinder:

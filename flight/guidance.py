@@ -35,7 +35,8 @@ def limit(a: Vec3, longest: float) -> Vec3:
 
 def from_heading(offset_h_m: Vec3, heading_rad: float) -> Vec3:
     """(forward, right, down) in a levelled heading frame to NED."""
-    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    c = math.cos(heading_rad)
+    s = math.sin(heading_rad)
     forward, right, down = offset_h_m
     return c * forward - s * right, s * forward + c * right, down
 

@@ -51,7 +51,8 @@ def check_plausible(rig: Rig) -> None:
 def _fence(rig: Rig, mission: MissionConfig) -> Found:
     """Everything that is flown to is inside the fence."""
     del rig
-    guard, target = mission.guard, mission.target
+    guard = mission.guard
+    target = mission.target
     away_m = math.hypot(target.north_m, target.east_m)
     if away_m > guard.fence_radius_m:
         yield (
@@ -80,7 +81,8 @@ def _ground(rig: Rig, mission: MissionConfig) -> Found:
 def _ranges(rig: Rig, mission: MissionConfig) -> Found:
     """Checks that the sender's camera sees the target from where it follows it, and can range it."""
     target_b = _target_from_sender(mission)
-    own, method = rig.sender, rig.method
+    own = rig.sender
+    method = rig.method
     x, y, z = own.mount.T_b_c.inverse().apply(target_b).tolist()
     if not own.camera.sees((x, y, z)):
         yield (
@@ -99,7 +101,8 @@ def _ranges(rig: Rig, mission: MissionConfig) -> Found:
 
 def _viewpoint(rig: Rig, mission: MissionConfig) -> Found:
     """Checks that there is a place for the receiver, with these cameras, mounts and markers."""
-    T_b_v, own = rig.sender.mount.T_b_v, rig.receiver
+    T_b_v = rig.sender.mount.T_b_v
+    own = rig.receiver
     side_m = max(marker.side_m for marker in rig.layout.markers)
     scene = ViewpointScene(
         _target_from_sender(mission) - T_b_v.t, T_b_v.R[:, 2], side_m, -T_b_v.t,
@@ -117,7 +120,8 @@ def _viewpoint(rig: Rig, mission: MissionConfig) -> Found:
 def _distances(rig: Rig, mission: MissionConfig) -> Found:
     """The guard does not end what the plan asks for."""
     del rig
-    separation, stand_off_m = mission.separation, mission.rendezvous.stand_off_m
+    separation = mission.separation
+    stand_off_m = mission.rendezvous.stand_off_m
     if separation.minimum_m >= separation.viewpoint_m:
         yield (
             "mission.separation.minimum_m",
@@ -132,10 +136,12 @@ def _distances(rig: Rig, mission: MissionConfig) -> Found:
 
 def _waits(rig: Rig, mission: MissionConfig) -> Found:
     """A deadline leaves time for what it bounds."""
-    method, deadlines = rig.method, mission.deadlines
+    method = rig.method
+    deadlines = mission.deadlines
     highest_m = max(mission.take_off_height_m, mission.receiver_take_off_height_m, mission.follow.height_m)
     hold_s = method.hold_s if method.gate == "count" else method.evidence.min_s
-    climb_s, descent_s = highest_m / FAST_MPS, highest_m / FAST_MPS
+    climb_s = highest_m / FAST_MPS
+    descent_s = highest_m / FAST_MPS
     approach_s = mission.rendezvous.stand_off_m / mission.rendezvous.max_speed_mps
     pairs = method.needed_pairs
     rate_hz = min((rate for role in Role if (rate := camera_rate_hz(rig.role(role))) is not None), default=math.inf)

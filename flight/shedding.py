@@ -17,7 +17,9 @@ IN_ORDER = ("picture log", "redetection", "half the frames", "two of three frame
 BEAT_S = 0.05
 LATE_S = 0.003
 BEATS = 40  # that are judged together: 2 s
-BUSY, CALM = 0.6, 0.3  # of the beats late: one thing more goes; one may come back
+# of the beats late: one thing more goes; one may come back
+BUSY = 0.6
+CALM = 0.3
 CALM_S = 10.0  # in a row, before anything comes back; twice as long each time that it had to go again
 LONGEST_S = 160.0
 _SEARCHES = 4  # times as rarely the whole image is searched

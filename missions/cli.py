@@ -160,7 +160,8 @@ def _understood(arguments: list[str]) -> object:
     """
     import tyro  # noqa: PLC0415 (a second on a busy computer, in which Ctrl-C is to end in silence)
 
-    known, name = (tyro.conf.OmitSubcommandPrefixes,), arguments[0] if arguments else ""
+    known = (tyro.conf.OmitSubcommandPrefixes,)
+    name = arguments[0] if arguments else ""
     if name in COMMANDS:
         with suppress(SystemExit), redirect_stdout(StringIO()), redirect_stderr(StringIO()):
             return tyro.cli(_options_of(name), args=arguments[1:], config=known)

@@ -32,13 +32,15 @@ class Box:
 
 def around(boxes: Sequence[Box]) -> Box:
     """The smallest box that holds them all; at least one."""
-    x, y = min(each.x for each in boxes), min(each.y for each in boxes)
+    x = min(each.x for each in boxes)
+    y = min(each.y for each in boxes)
     return Box(x, y, max(each.x + each.w for each in boxes) - x, max(each.y + each.h for each in boxes) - y)
 
 
 def common_area(a: Box, b: Box) -> float:
     """The area in px2 that two boxes share; 0 for those that only touch."""
-    wide, high = min(a.x + a.w, b.x + b.w) - max(a.x, b.x), min(a.y + a.h, b.y + b.h) - max(a.y, b.y)
+    wide = min(a.x + a.w, b.x + b.w) - max(a.x, b.x)
+    high = min(a.y + a.h, b.y + b.h) - max(a.y, b.y)
     return wide * high if wide > 0.0 and high > 0.0 else 0.0
 
 
@@ -80,8 +82,10 @@ class Region:
 
     def clipped(self, width: int, height: int) -> Region | None:
         """The part inside a ``width`` x ``height`` image, or None when nothing is left."""
-        x0, y0 = max(self.x0, 0.0), max(self.y0, 0.0)
-        x1, y1 = min(self.x1, float(width)), min(self.y1, float(height))
+        x0 = max(self.x0, 0.0)
+        y0 = max(self.y0, 0.0)
+        x1 = min(self.x1, float(width))
+        y1 = min(self.y1, float(height))
         if not (x1 > x0 and y1 > y0):
             return None
         return Region(x0, y0, x1, y1, self.near_m, self.far_m, self.extent)

@@ -16,12 +16,22 @@ from functools import partial
 from path.messages import Vec3
 
 DESTINATION = 0xFF
-STREAM, USER = 0x47, 0x4A  # packet types; the second carries way points and user data
+# packet types; the second carries way points and user data
+STREAM = 0x47
+USER = 0x4A
 HEADER = struct.Struct("<BBHB")
 CRC_BYTES = 2
 
-POSITION_CM, STATIONARY_CM, POSITION_MM, STATIONARY_MM, POSITION_NT = 0x0001, 0x0002, 0x0011, 0x0012, 0x0081
-IMU_RAW, DISTANCES, IMU_FUSION, TELEMETRY, QUALITY = 0x0003, 0x0004, 0x0005, 0x0006, 0x0007
+POSITION_CM = 0x0001
+STATIONARY_CM = 0x0002
+POSITION_MM = 0x0011
+STATIONARY_MM = 0x0012
+POSITION_NT = 0x0081
+IMU_RAW = 0x0003
+DISTANCES = 0x0004
+IMU_FUSION = 0x0005
+TELEMETRY = 0x0006
+QUALITY = 0x0007
 
 LENGTHS: dict[tuple[int, int], range] = {
     (STREAM, POSITION_CM): range(16, 17),
@@ -43,7 +53,8 @@ LENGTHS: dict[tuple[int, int], range] = {
 """Payload bytes there can be, by packet type and code: the rest of what cannot be is not waited for."""
 
 UNAVAILABLE = 1 << 0  # flag of a position
-ANGLE_MASK, NO_ANGLE = 0x0FFF, 1 << 13
+ANGLE_MASK = 0x0FFF
+NO_ANGLE = 1 << 13
 
 
 def crc16(data: bytes | bytearray | memoryview) -> int:
@@ -139,7 +150,8 @@ class BeaconFramer:
 
     def feed(self, data: bytes) -> list[Packet]:
         """Take bytes as they come; the packets that are complete with them, in order."""
-        waiting, counters = self._waiting, self.counters
+        waiting = self._waiting
+        counters = self.counters
         waiting += data
         packets: list[Packet] = []
         begin = 0

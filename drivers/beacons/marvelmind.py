@@ -130,7 +130,8 @@ class Marvelmind:
                 "(dialout)?",
             ) from error
         os.set_blocking(device.fileno(), False)
-        port.device, port.lost_s = device, None
+        port.device = device
+        port.lost_s = None
         asyncio.get_running_loop().add_reader(device.fileno(), self._readable, port)
 
     def _readable(self, port: _Port) -> None:
@@ -142,7 +143,8 @@ class Marvelmind:
         except BlockingIOError:
             return
         except OSError as error:
-            data, port.why = b"", error.strerror or str(error)
+            data = b""
+            port.why = error.strerror or str(error)
         if not data:
             self._lost(port)
             return

@@ -170,15 +170,19 @@ class ColorDetector:
         gate = cv2.dilate(cv2.copyMakeBorder(whole.mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0,)), CROSS)
         gate = cv2.resize(gate, None, fx=step, fy=step, interpolation=cv2.INTER_NEAREST)
         # A coarse pixel stands for the block around its sample, hence the shift by half a block.
-        gx, gy = left + (whole.x - 1) * step - step // 2, top + (whole.y - 1) * step - step // 2
-        x0, y0 = max(gx, 0), max(gy, 0)
-        x1, y1 = min(gx + gate.shape[1], width), min(gy + gate.shape[0], height)
+        gx = left + (whole.x - 1) * step - step // 2
+        gy = top + (whole.y - 1) * step - step // 2
+        x0 = max(gx, 0)
+        y0 = max(gy, 0)
+        x1 = min(gx + gate.shape[1], width)
+        y1 = min(gy + gate.shape[0], height)
         gate = gate[y0 - gy : y1 - gy, x0 - gx : x1 - gx]
         hsv = cv2.cvtColor(image[y0:y1, x0:x1], cv2.COLOR_BGR2HSV)
         by_color = cv2.LUT(cv2.extractChannel(hsv, 1), tables[0])
         by_darkness = cv2.LUT(cv2.extractChannel(hsv, 2), tables[1])
         cover = cv2.bitwise_and(cv2.max(by_color, by_darkness), gate)
-        across, down = _edges(cover.max(axis=0)), _edges(cover.max(axis=1))
+        across = _edges(cover.max(axis=0))
+        down = _edges(cover.max(axis=1))
         if across is None or down is None:
             return None
         box = Box(x0 + across[0], y0 + down[0], across[1] - across[0], down[1] - down[0])
@@ -207,7 +211,8 @@ def _ramp(background: float, thing: float) -> Image:
 
 def _hue_ranges(config: ColorDetectorConfig) -> list[tuple[Image, Image]]:
     """HSV bounds in OpenCV units (hue in half degrees); two of them when the hue window wraps around red."""
-    saturation, value = round(config.min_saturation * 255), round(config.min_value * 255)
+    saturation = round(config.min_saturation * 255)
+    value = round(config.min_value * 255)
 
     def bounds(low: float, high: float) -> tuple[Image, Image]:
         return (
@@ -217,7 +222,8 @@ def _hue_ranges(config: ColorDetectorConfig) -> list[tuple[Image, Image]]:
 
     if config.hue_halfwidth_deg >= 180:
         return [bounds(0, 360)]
-    low, high = config.hue_deg - config.hue_halfwidth_deg, config.hue_deg + config.hue_halfwidth_deg
+    low = config.hue_deg - config.hue_halfwidth_deg
+    high = config.hue_deg + config.hue_halfwidth_deg
     if low < 0:
         return [bounds(0, high), bounds(low + 360, 360)]
     if high >= 360:
@@ -240,14 +246,17 @@ def _window(
 
 def _may_reach(patch: Patch, region: Region, left: int, top: int, step: int) -> bool:
     """Returns whether a part of the patch can have its centre in the region: it may be two vehicles that touch."""
-    x0, y0 = left + (patch.x - 0.5) * step, top + (patch.y - 0.5) * step
-    x1, y1 = x0 + patch.w * step, y0 + patch.h * step
+    x0 = left + (patch.x - 0.5) * step
+    y0 = top + (patch.y - 0.5) * step
+    x1 = x0 + patch.w * step
+    y1 = y0 + patch.h * step
     return region.x0 < x1 and x0 < region.x1 and region.y0 < y1 and y0 < region.y1
 
 
 def _may_be_inside(patch: Patch, region: Region, left: int, top: int, step: int) -> bool:
     """Returns whether the centre of the patch, known to about a coarse pixel, can lie in the region."""
-    u, v = left + (patch.x + patch.w / 2) * step, top + (patch.y + patch.h / 2) * step
+    u = left + (patch.x + patch.w / 2) * step
+    v = top + (patch.y + patch.h / 2) * step
     slack = 2.0 * step
     return region.x0 - slack <= u < region.x1 + slack and region.y0 - slack <= v < region.y1 + slack
 
@@ -261,7 +270,8 @@ def _edges(profile: Image) -> tuple[float, float] | None:
 
 
 def _crossing(profile: Image, at: int, outward: int) -> float:
-    inner, beyond = float(profile[at]), at + outward
+    inner = float(profile[at])
+    beyond = at + outward
     if not 0 <= beyond < len(profile):
         return at + 0.5 * outward
     return at + outward * (inner - 127.5) / (inner - float(profile[beyond]))

@@ -17,10 +17,14 @@ Image = NDArray[Any]  # uint8; OpenCV's own annotation is wider
 
 SHALLOWEST_DENT = 0.06  # of the size of a patch: what can be a waist
 SMALLEST_PIECE = 0.45  # of the size of a patch: what can be one of two vehicles
-SMALLEST_CUT_OFF, LONGEST_CUT = 0.1, 1.3  # share of a patch cut off, and a cut's length over the size of that
+# share of a patch cut off, and a cut's length over the size of that
+SMALLEST_CUT_OFF = 0.1
+LONGEST_CUT = 1.3
 SMALLEST_SLIVER = 0.3  # of the size of a patch: what is left by a cut and is no piece
 SOLID = 0.9  # share of its convex hull that one vehicle fills, and two that touch hardly ever
-CUTS, WITHIN = 12, 0.9  # tried of each dent; share of a cut within the outline
+# tried of each dent; share of a cut within the outline
+CUTS = 12
+WITHIN = 0.9
 CROSS = np.ones((3, 3), np.uint8)
 
 
@@ -101,7 +105,8 @@ def with_dark(patch: Patch, dark: Image, colored: Image, reach: float) -> Patch:
     What is nearer to another coloured patch is that one's.
     """
     grow = max(3, math.ceil(reach * patch.size))
-    x0, y0 = max(patch.x - grow, 0), max(patch.y - grow, 0)
+    x0 = max(patch.x - grow, 0)
+    y0 = max(patch.y - grow, 0)
     around = dark[y0 : patch.y + patch.h + grow, x0 : patch.x + patch.w + grow]
     height, width = around.shape
     own = np.zeros((height, width), np.uint8)
@@ -129,9 +134,11 @@ def _distance(a: Patch, b: Patch) -> float:
     gap_y = max(a.y - (b.y + b.h), b.y - (a.y + a.h), 0)
     if gap_x + gap_y > 16:
         return math.hypot(gap_x, gap_y)
-    pa, pb = np.argwhere(a.mask), np.argwhere(b.mask) + np.array([b.y - a.y, b.x - a.x])
+    pa = np.argwhere(a.mask)
+    pb = np.argwhere(b.mask) + np.array([b.y - a.y, b.x - a.x])
     if len(pa) * len(pb) > 100_000:
-        pa, pb = pa[:: 1 + len(pa) // 300], pb[:: 1 + len(pb) // 300]
+        pa = pa[:: 1 + len(pa) // 300]
+        pb = pb[:: 1 + len(pb) // 300]
     return float(np.sqrt(((pa[:, None] - pb[None]) ** 2).sum(axis=2).min())) - 1.0
 
 
@@ -142,8 +149,10 @@ def _longest_side(a: Patch, b: Patch) -> int:
 
 
 def _union(a: Patch, b: Patch) -> Patch:
-    x0, y0 = min(a.x, b.x), min(a.y, b.y)
-    x1, y1 = max(a.x + a.w, b.x + b.w), max(a.y + a.h, b.y + b.h)
+    x0 = min(a.x, b.x)
+    y0 = min(a.y, b.y)
+    x1 = max(a.x + a.w, b.x + b.w)
+    y1 = max(a.y + a.h, b.y + b.h)
     mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
     for p in (a, b):
         mask[p.y - y0 : p.y - y0 + p.h, p.x - x0 : p.x - x0 + p.w] |= p.mask
@@ -158,7 +167,8 @@ def shape_of(mask: Image) -> Shape:
     """Holes count as filled."""
     outlines = _outlines(mask)
     hull = cv2.convexHull(np.concatenate(outlines) if len(outlines) > 1 else outlines[0])
-    filled, whole = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.uint8)
+    filled = np.zeros(mask.shape, np.uint8)
+    whole = np.zeros(mask.shape, np.uint8)
     cv2.drawContours(filled, outlines, -1, (1,), cv2.FILLED)
     cv2.fillConvexPoly(whole, hull, (1,))
     a, b = cv2.minAreaRect(hull)[1]
@@ -230,10 +240,13 @@ def _shortest_cut(
     points = outline.astype(np.float64)
     x, y = points.T
     swept = np.concatenate([[0.0], np.cumsum(x * np.roll(y, -1) - y * np.roll(x, -1))])
-    area, index = 0.5 * abs(swept[-1]), np.arange(len(points))
-    best, ends = LONGEST_CUT, None
+    area = 0.5 * abs(swept[-1])
+    index = np.arange(len(points))
+    best = LONGEST_CUT
+    ends = None
     for dent in dents:
-        low, high = np.minimum(dent, index), np.maximum(dent, index)
+        low = np.minimum(dent, index)
+        high = np.maximum(dent, index)
         part = 0.5 * np.abs(swept[high] - swept[low] + x[high] * y[low] - y[high] * x[low])
         smaller = np.minimum(part, area - part)
         length = np.hypot(x - x[dent], y - y[dent]) + 1.0
@@ -241,9 +254,11 @@ def _shortest_cut(
         for end in np.argsort(worth)[:CUTS].tolist():
             if worth[end] >= best:
                 break
-            a, b = (int(x[dent]), int(y[dent])), (int(x[end]), int(y[end]))
+            a = (int(x[dent]), int(y[dent]))
+            b = (int(x[end]), int(y[end]))
             line = cv2.line(np.zeros_like(filled), a, b, (255,), 1)
             if cv2.countNonZero(cv2.bitwise_and(line, filled)) >= WITHIN * cv2.countNonZero(line):
-                best, ends = float(worth[end]), (a, b)
+                best = float(worth[end])
+                ends = (a, b)
                 break
     return ends

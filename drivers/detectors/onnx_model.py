@@ -14,7 +14,8 @@ from drivers.interfaces import PartError
 
 Floats = NDArray[np.float32]
 Shape = tuple[int | str, ...]
-FLOAT, HALF = "tensor(float)", "tensor(float16)"
+FLOAT = "tensor(float)"
+HALF = "tensor(float16)"
 
 
 class ModelError(PartError):

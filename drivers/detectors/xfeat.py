@@ -59,7 +59,8 @@ class XFeat:
         """
         height, width = image.shape[:2]
         scale = min(1.0, SIDE_PX / max(height, width))
-        w, h = max(1, round(width * scale)), max(1, round(height * scale))
+        w = max(1, round(width * scale))
+        h = max(1, round(height * scale))
         fitted = image if scale == 1.0 else cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA)
         tensor = np.empty(INPUT, np.float32)
         if (w, h) != (SIDE_PX, SIDE_PX):
@@ -136,7 +137,8 @@ def _sample(descriptors: NDArray[np.float32], points: NDArray[np.float32]) -> ND
     at = _on_map(points)
     cell = np.floor(at).astype(np.int64)
     x, y = (at - cell).T
-    across, down = _cubic(x), _cubic(y)
+    across = _cubic(x)
+    down = _cubic(y)
     sampled = np.zeros((len(points), 64), np.float32)
     for j in range(4):
         for i in range(4):

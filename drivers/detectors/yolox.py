@@ -91,7 +91,8 @@ class YoloxDetector:
         file = config.weights()
         self._model = OnnxModel(file, config.threads, EXPORT)
         export = identify(self._model, file)
-        self._height, self._width = export.height, export.width
+        self._height = export.height
+        self._width = export.width
         self._cells, self._steps = grid(self._height, self._width)
         self._decoded = export.decoded
         self._scored = _scored(config, file, export.classes)
@@ -111,7 +112,8 @@ class YoloxDetector:
             return ()
         x0, y0, x1, y1 = window
         tensor, across, down = self._letterboxed(image[y0:y1, x0:x1])
-        raw, least = self._model.run(tensor)[0], self._config.min_score
+        raw = self._model.run(tensor)[0]
+        least = self._config.min_score
         if self._decoded:
             boxes, scores, classes = best_boxes(raw, self._scored, least)
         else:
@@ -120,7 +122,8 @@ class YoloxDetector:
         found: list[Detection] = []
         for (x, y, w, h), score in zip(boxes[kept].tolist(), scores[kept].tolist(), strict=True):
             # edges to pixel centres: the first pixel's edge is at -0.5
-            left, top = (x - 0.5 * w) / across + x0 - 0.5, (y - 0.5 * h) / down + y0 - 0.5
+            left = (x - 0.5 * w) / across + x0 - 0.5
+            top = (y - 0.5 * h) / down + y0 - 0.5
             box = Box(left, top, w / across, h / down)
             if region is None or region.contains(*box.center):
                 found.append(Detection(box, min(1.0, score) ** self._power))
@@ -130,7 +133,8 @@ class YoloxDetector:
         """The network's input, (1, 3, h, w) BGR 0..255 with grey right and below; how much larger it is, each way."""
         height, width = part.shape[:2]
         scale = min(self._height / height, self._width / width, self._config.max_zoom)
-        w, h = max(1, round(width * scale)), max(1, round(height * scale))
+        w = max(1, round(width * scale))
+        h = max(1, round(height * scale))
         fitted = cv2.resize(part, (w, h), interpolation=cv2.INTER_LINEAR)
         tensor = np.full((1, 3, self._height, self._width), FILL, np.float32)
         tensor[0, :, :h, :w] = fitted.transpose(2, 0, 1)
@@ -170,5 +174,6 @@ def _window(region: Region | None, reach_px: float, width: int, height: int) -> 
         return 0, 0, width, height
     if region.clipped(width, height) is None:
         return None
-    x0, y0 = max(int(region.x0 - reach_px), 0), max(int(region.y0 - reach_px), 0)
+    x0 = max(int(region.x0 - reach_px), 0)
+    y0 = max(int(region.y0 - reach_px), 0)
     return x0, y0, min(int(region.x1 + reach_px) + 1, width), min(int(region.y1 + reach_px) + 1, height)

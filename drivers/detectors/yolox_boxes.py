@@ -72,12 +72,14 @@ def _finite(boxes: Floats, scores: Floats, classes: Floats) -> tuple[Floats, ...
 
 def suppress(boxes: Floats, scores: Floats, classes: Floats, most_iou: float) -> NDArray[np.int64]:
     """Indices of boxes (m, 4) kept, best first: none overlaps a better one of its class by more than ``most_iou``."""
-    low, high = boxes[:, :2] - 0.5 * boxes[:, 2:], boxes[:, :2] + 0.5 * boxes[:, 2:]
+    low = boxes[:, :2] - 0.5 * boxes[:, 2:]
+    high = boxes[:, :2] + 0.5 * boxes[:, 2:]
     areas = boxes[:, 2] * boxes[:, 3]
     left = np.argsort(-scores, kind="stable")
     kept: list[int] = []
     while len(left):
-        first, rest = int(left[0]), left[1:]
+        first = int(left[0])
+        rest = left[1:]
         kept.append(first)
         shared = np.minimum(high[first], high[rest]) - np.maximum(low[first], low[rest])
         both = np.prod(np.maximum(shared, 0.0), axis=1)

@@ -126,7 +126,8 @@ def _classes(shape: Shape, height: int, width: int, file: Path, found: str) -> i
     cells = len(grid(height, width)[0])
     expected = f"{file}: expected an output of 1x{cells}x(5 + classes), {found}"
     if len(shape) == 3:
-        rows, columns = shape[1], shape[2]
+        rows = shape[1]
+        columns = shape[2]
         rows_fit = rows == cells or isinstance(rows, str)  # of an export whose axes were left open
         if rows_fit and isinstance(columns, int) and columns >= 6:
             return columns - 5

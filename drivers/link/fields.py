@@ -139,7 +139,8 @@ def _candidate_to(m: Candidate) -> Numbers:
 
 
 def _candidate_from(p: Any) -> Candidate:
-    reason, box = None, None
+    reason = None
+    box = None
     if p.miss == dialect.PATH_MISS_NONE:
         box = box_from(p.box_x, p.box_y, p.box_w, p.box_h)
     else:

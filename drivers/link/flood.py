@@ -21,7 +21,8 @@ class LinkAlarm:
 
     def look(self, counters: LinkCounters, now_ns: int) -> str:
         """Returns what the crew has to know since the last look; "" when there is nothing new."""
-        foreign, before = foreign_packets(counters.dropped), self._before
+        foreign = foreign_packets(counters.dropped)
+        before = self._before
         self._before = foreign, now_ns
         if before is None or now_ns <= before[1]:
             return ""

@@ -99,7 +99,8 @@ class UdpLink:
             opened.close()
             raise open_error(self._bind, error) from error
         asyncio.get_running_loop().add_reader(opened, self._readable, opened)
-        self._socket, self._end = opened, end
+        self._socket = opened
+        self._end = end
         return self
 
     async def __aexit__(self, *_: object) -> None:

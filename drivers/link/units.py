@@ -21,15 +21,22 @@ import math
 from path.messages import Quat, Vec3
 from path.observations import Box
 
-U8, U16, U24, U32, U64 = 2**8 - 1, 2**16 - 1, 2**24 - 1, 2**32 - 1, 2**64 - 1
-I16, I32 = 2**15 - 1, 2**31 - 1
+U8 = 2**8 - 1
+U16 = 2**16 - 1
+U24 = 2**24 - 1
+U32 = 2**32 - 1
+U64 = 2**64 - 1
+I16 = 2**15 - 1
+I32 = 2**31 - 1
 INSTANT_NS = 10_000
 
 _HIGH = 1 << 32
 _NEWEST_NS = (1 << 48) * INSTANT_NS - 1
 _PARTS = 256  # of a millimetre
 _PER_METRE = 1000.0 * _PARTS
-_LEAST, _MOST = -_PARTS * (I16 + 1), _PARTS * (I16 + 1) - 1  # of a coordinate, 24 bit
+# of a coordinate, 24 bit
+_LEAST = -_PARTS * (I16 + 1)
+_MOST = _PARTS * (I16 + 1) - 1
 _UNIT = float(I16)
 _TURN = I16 / math.pi
 _LONGEST_TURN = I16 + 1.0  # rounding may lengthen a half turn a little
@@ -74,7 +81,8 @@ def instant_from(low: int, high: int) -> int:
 def point_to(name: str, point: Vec3) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
     """Whole millimetres, rounded down, and what is left in 1/256 mm, of each coordinate in m."""
     x, y, z = point
-    a, b = scaled(name, x, _PER_METRE, _LEAST, _MOST), scaled(name, y, _PER_METRE, _LEAST, _MOST)
+    a = scaled(name, x, _PER_METRE, _LEAST, _MOST)
+    b = scaled(name, y, _PER_METRE, _LEAST, _MOST)
     c = scaled(name, z, _PER_METRE, _LEAST, _MOST)
     return (a // _PARTS, b // _PARTS, c // _PARTS), (a % _PARTS, b % _PARTS, c % _PARTS)
 
@@ -96,7 +104,8 @@ def direction_to(name: str, direction: Vec3) -> tuple[int, int]:
     _length(name, direction, _DIRECTION_TOLERANCE)
     x, y, z = direction
     total = abs(x) + abs(y) + abs(z)
-    a, b = x / total, y / total
+    a = x / total
+    b = y / total
     if z < 0.0:
         a, b = _folded(a, b)
     return round(a * _UNIT), round(b * _UNIT)
@@ -104,7 +113,8 @@ def direction_to(name: str, direction: Vec3) -> tuple[int, int]:
 
 def direction_from(first: int, second: int) -> Vec3:
     """The unit vector; every pair of numbers is one."""
-    x, y = first / _UNIT, second / _UNIT
+    x = first / _UNIT
+    y = second / _UNIT
     z = 1.0 - abs(x) - abs(y)
     if z < 0.0:
         x, y = _folded(x, y)

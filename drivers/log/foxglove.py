@@ -75,7 +75,9 @@ class Standards:
 
     def __init__(self, name: str) -> None:
         prefix = f"{name}/" if name else ""
-        self.camera, self._body, self._marker = f"{prefix}camera", f"{prefix}body", f"{prefix}marker"
+        self.camera = f"{prefix}camera"
+        self._body = f"{prefix}body"
+        self._marker = f"{prefix}marker"
         self._seen = f"{prefix}marker_seen"
         self._name = name
         self._setup: Record | None = None

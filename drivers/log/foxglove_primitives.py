@@ -50,13 +50,20 @@ FRUSTUM_M = 0.4
 FENCE_POINTS = 72
 FONT_PX = 14.0
 
-BLUE, ORANGE, GREEN = Color(r=0.2, g=0.6, b=1.0, a=1.0), Color(r=1.0, g=0.6, b=0.1, a=1.0), Color(g=0.9, b=0.3, a=1.0)
-PALE_BLUE, PALE_ORANGE = Color(r=0.2, g=0.6, b=1.0, a=0.5), Color(r=1.0, g=0.6, b=0.1, a=0.5)
-PINK, GREY, RED = Color(r=1.0, g=0.3, b=0.8, a=1.0), Color(r=0.6, g=0.6, b=0.6, a=0.8), Color(r=1.0, a=1.0)
-GHOST, BACK = Color(r=0.3, g=0.9, b=0.3, a=0.35), Color(a=0.6)
+BLUE = Color(r=0.2, g=0.6, b=1.0, a=1.0)
+ORANGE = Color(r=1.0, g=0.6, b=0.1, a=1.0)
+GREEN = Color(g=0.9, b=0.3, a=1.0)
+PALE_BLUE = Color(r=0.2, g=0.6, b=1.0, a=0.5)
+PALE_ORANGE = Color(r=1.0, g=0.6, b=0.1, a=0.5)
+PINK = Color(r=1.0, g=0.3, b=0.8, a=1.0)
+GREY = Color(r=0.6, g=0.6, b=0.6, a=0.8)
+RED = Color(r=1.0, a=1.0)
+GHOST = Color(r=0.3, g=0.9, b=0.3, a=0.35)
+BACK = Color(a=0.6)
 
 AS_IT_IS = (1.0, 0.0, 0.0, 0.0)
-VIDEO, RAW = CompressedVideo.get_schema(), RawImage.get_schema()
+VIDEO = CompressedVideo.get_schema()
+RAW = RawImage.get_schema()
 
 
 def compressed_image(stamp_ns: int, frame: str, jpeg: bytes) -> Message:

@@ -29,8 +29,10 @@ from numpy.typing import NDArray
 from drivers.interfaces import Frame
 from drivers.log.index import ABOUT, OFFSET, ChunkedFile, built, message_record
 
-VIDEO, DEPTH = "/video", "/depth"
-VIDEO_SCHEMA, DEPTH_SCHEMA = "foxglove.CompressedVideo", "foxglove.RawImage"
+VIDEO = "/video"
+DEPTH = "/depth"
+VIDEO_SCHEMA = "foxglove.CompressedVideo"
+DEPTH_SCHEMA = "foxglove.RawImage"
 SUFFIX = ".frames"
 QUEUED = 12  # frames that wait; 1.5 MB each at 640 x 480
 KEY_FRAMES = 30
@@ -133,7 +135,9 @@ class _FrameFile:
 
     def __init__(self, path: Path, name: str, utc_minus_stamp_ns: int) -> None:
         self.bytes = 0
-        self._path, self._name, self._utc_ns = path, name, utc_minus_stamp_ns
+        self._path = path
+        self._name = name
+        self._utc_ns = utc_minus_stamp_ns
         self._frame_id = f"{name}/camera" if name else "camera"
         self._file: ChunkedFile | None = None
         self._encoder: Any = None
@@ -156,7 +160,8 @@ class _FrameFile:
         self.bytes += self._file.end_chunk()
 
     def close(self) -> None:
-        file, self._file = self._file, None
+        file = self._file
+        self._file = None
         if file is not None:
             file.close()
 
@@ -166,7 +171,10 @@ class _FrameFile:
         if width % 2 or height % 2:
             raise ValueError(f"{width}x{height} px: H.264 needs even numbers")
         codec: Any = importlib.import_module("av").CodecContext.create("libx264", "w")
-        codec.width, codec.height, codec.pix_fmt, codec.time_base = width, height, "yuv420p", _MICROSECONDS
+        codec.width = width
+        codec.height = height
+        codec.pix_fmt = "yuv420p"
+        codec.time_base = _MICROSECONDS
         codec.thread_count = 1
         codec.options = _OPTIONS
         self._encoder = codec
@@ -183,7 +191,8 @@ class _FrameFile:
 
         av: Any = importlib.import_module("av")
         frame = av.VideoFrame.from_ndarray(cv2.cvtColor(color, cv2.COLOR_BGR2YUV_I420), format="yuv420p")
-        frame.pts, frame.time_base = at_us, _MICROSECONDS
+        frame.pts = at_us
+        frame.time_base = _MICROSECONDS
         return b"".join(bytes(packet) for packet in self._encoder.encode(frame))
 
     def _message(self, channel: int, utc_ns: int, data: bytes) -> None:

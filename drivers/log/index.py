@@ -37,13 +37,16 @@ Record = (
 )  # fmt: skip
 
 MAGIC = b"\x89MCAP0\r\n"
-ABOUT, OFFSET = "path", "utc_minus_stamp_ns"
+ABOUT = "path"
+OFFSET = "utc_minus_stamp_ns"
 """Metadata of every log: a record of this name, and the key of how far its UTC is from its program's clock."""
 CHUNK_BYTES = 1 << 20
 LEVEL = 1  # of the compression: as fast as the disk
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<9xH4xQ")  # channel and log time of a whole record
-_IS_MESSAGE, _ENDS = int(Opcode.MESSAGE), (int(Opcode.DATA_END), int(Opcode.FOOTER))  # enums compare slowly
+# enums compare slowly
+_IS_MESSAGE = int(Opcode.MESSAGE)
+_ENDS = (int(Opcode.DATA_END), int(Opcode.FOOTER))
 _INDEX = struct.Struct("<BQHI")
 _WRITTEN = struct.Struct("<BQHIQQ")  # head, then channel, sequence, log and publish time
 
@@ -66,7 +69,8 @@ def index_log(path: Path) -> None:
 
 
 def _copy(data: mmap.mmap, chunked: ChunkedFile) -> None:
-    at, end = len(MAGIC), len(data)
+    at = len(MAGIC)
+    end = len(data)
     while at + _HEAD.size <= end:
         opcode, length = _HEAD.unpack_from(data, at)
         after = at + _HEAD.size + length
@@ -132,7 +136,8 @@ class ChunkedFile:
             return
         records = self._chunk
         stamps = [index[::2] for index in self._in_chunk.values()]
-        begin_ns, end_ns = min(map(min, stamps)), max(map(max, stamps))
+        begin_ns = min(map(min, stamps))
+        end_ns = max(map(max, stamps))
         data = zstandard.compress(records, LEVEL)
         at = self._file.tell()
         length = self._file.write(built(Chunk("zstd", data, end_ns, begin_ns, zlib.crc32(records), len(records))))

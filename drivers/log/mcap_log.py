@@ -62,7 +62,9 @@ class McapLog:
         from drivers.log.foxglove import Standards  # noqa: PLC0415 (whoever only reads logs does not need it)
 
         self._failed: str | None = None
-        self._path, self._name, self._buffered = path, name, buffered
+        self._path = path
+        self._name = name
+        self._buffered = buffered
         self._recorder: FrameRecorder | None = None
         self._recording_told_ns = 0
         self._standards = Standards(name)
@@ -143,7 +145,8 @@ class McapLog:
 
     def close(self) -> None:
         """Close, and put the file into chunks with an index. Closing twice does nothing."""
-        file, self._file = self._file, None
+        file = self._file
+        self._file = None
         if file is None:
             return
         there = self._path.exists()
@@ -191,7 +194,8 @@ class McapLog:
     def _fail(self, error: OSError) -> None:
         """Ends the log: from here on nothing is written, and what is in the file stays readable."""
         self._failed = f"log not written: {error.strerror or error}" + (f": {error.filename}" if error.filename else "")
-        file, self._file = self._file, None
+        file = self._file
+        self._file = None
         if file is not None:
             with suppress(OSError):
                 file.close()

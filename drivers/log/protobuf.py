@@ -11,7 +11,8 @@ def fields(message: bytes) -> Iterator[tuple[int, int | bytes]]:
 
     def varint() -> int:
         nonlocal at
-        value, shift = 0, 0
+        value = 0
+        shift = 0
         while True:
             byte = message[at]
             at += 1

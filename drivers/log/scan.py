@@ -22,7 +22,9 @@ from drivers.log.topics import blank
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<H4xQ8x")  # channel and log time
-_MESSAGE, _CHUNK = int(Opcode.MESSAGE), int(Opcode.CHUNK)  # enums compare slowly
+# enums compare slowly
+_MESSAGE = int(Opcode.MESSAGE)
+_CHUNK = int(Opcode.CHUNK)
 _END = int(Opcode.DATA_END)
 _SAID = {int(Opcode.SCHEMA): Schema, int(Opcode.CHANNEL): Channel, int(Opcode.METADATA): Metadata}
 _LONGEST = 4 << 30  # bytes of one record, before it is taken for damage
@@ -97,7 +99,8 @@ def _in_chunk(record: bytes) -> list[Raw]:
     at = 0
     while at < len(data):
         opcode, size = _HEAD.unpack_from(data, at)
-        begin, at = at + _HEAD.size, at + _HEAD.size + size
+        begin = at + _HEAD.size
+        at = at + _HEAD.size + size
         if at > len(data):
             raise struct.error("a record longer than its chunk")
         if opcode == _MESSAGE or opcode in _SAID:

@@ -24,7 +24,9 @@ def recorded_frames(file: Path, count: int | None = None) -> Iterator[Frame]:
     Stamps are of the program's clock. Raises OSError, and ValueError for what holds no such frames.
     """
     decoder = VideoDecoder()
-    number, offset_ns, waiting = 0, 0, None
+    number = 0
+    offset_ns = 0
+    waiting = None
     with file.open("rb") as opened:
         if opened.read(len(MAGIC)) != MAGIC:
             raise ValueError(f"{file} is not an MCAP file")

@@ -21,8 +21,15 @@ from drivers.mavlink.transport.port import URL, MavlinkPort
 from drivers.rig.parts import PartContext
 from path.bounds import Bounds, check_bounds
 
-HEARTBEAT, SYS_STATUS, LOCAL_POSITION, GLOBAL_POSITION = 0, 1, 32, 33
-COMMAND_ACK, BATTERY_STATUS, EXTENDED_SYS_STATE, STATUSTEXT, CURRENT_MODE = 77, 147, 245, 253, 436
+HEARTBEAT = 0
+SYS_STATUS = 1
+LOCAL_POSITION = 32
+GLOBAL_POSITION = 33
+COMMAND_ACK = 77
+BATTERY_STATUS = 147
+EXTENDED_SYS_STATE = 245
+STATUSTEXT = 253
+CURRENT_MODE = 436
 RATES_HZ = {
     **dict.fromkeys((HEARTBEAT, CURRENT_MODE, LOCAL_POSITION, GLOBAL_POSITION), 10.0),
     EXTENDED_SYS_STATE: 5.0,
@@ -30,7 +37,9 @@ RATES_HZ = {
     BATTERY_STATUS: 1.0,
 }
 WANTED = frozenset({*RATES_HZ, COMMAND_ACK, STATUSTEXT})
-DO_SET_MODE, NAV_LAND, SET_MESSAGE_INTERVAL = 176, 21, 511
+DO_SET_MODE = 176
+NAV_LAND = 21
+SET_MESSAGE_INTERVAL = 511
 IN_PROGRESS = 5
 OWN_HEARTBEAT_S = 1.0
 ASK_AGAIN_S = 3.0
@@ -83,12 +92,15 @@ class GuardMavlink:
     Config = GuardMavlinkConfig
 
     def __init__(self, config: GuardMavlinkConfig, context: PartContext) -> None:
-        self._config, self._clock, origin = config, context.clock, context.origin
+        self._config = config
+        self._clock = context.clock
+        origin = context.origin
         self._tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
         self._port: MavlinkPort | None = None
         self._kind: AutopilotKind | None = None
         self._heartbeat: tuple[int, Any] | None = None
-        self._mode, self._mode_told = FlightMode.OTHER, 0
+        self._mode = FlightMode.OTHER
+        self._mode_told = 0
         self._local_down_m = self._ground_down_m = math.nan  # the latter: where it stood before it was armed
         self._position: tuple[int, tuple[float, float, float]] = (0, (math.nan, math.nan, math.nan))
         self._stopped = False  # by a pilot's switch, as a text says
@@ -116,7 +128,8 @@ class GuardMavlink:
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        port, self._port = self._port, None
+        port = self._port
+        self._port = None
         if port is not None:
             port.close()
 
@@ -154,7 +167,8 @@ class GuardMavlink:
     # --- inside ---
 
     def _command(self, command: int, *params: float) -> None:
-        self._commanded, self._acked = command, None
+        self._commanded = command
+        self._acked = None
         self._send_command(command, *params)
 
     def _send_command(self, command: int, *params: float) -> None:

@@ -11,7 +11,10 @@ from drivers.mavlink.session import ACCEPTED, RESULTS, MavsdkSession
 from drivers.mavlink.telemetry import TelemetrySlots
 from drivers.mavlink.vehicle_config import MavsdkVehicleConfig
 
-NAV_LAND, NAV_TAKEOFF, DO_SET_MODE = 21, 22, 176  # MAV_CMD
+# MAV_CMD
+NAV_LAND = 21
+NAV_TAKEOFF = 22
+DO_SET_MODE = 176
 SETTLED_MPS = 0.3
 STOPPED_SHORT_M = 2.0  # PX4 ends a take-off up to 0.8 m before the height (NAV_MC_ALT_RAD), which it may have wrong
 DISARM_NEWS_S = 1.5  # PX4 beats once a second
@@ -26,7 +29,9 @@ class Manoeuvres:
     """
 
     def __init__(self, session: MavsdkSession, telemetry: TelemetrySlots, config: MavsdkVehicleConfig) -> None:
-        self._session, self._telemetry, self._config = session, telemetry, config
+        self._session = session
+        self._telemetry = telemetry
+        self._config = config
         self._clock = telemetry.clock
         self.kind: AutopilotKind = PX4
 
@@ -51,7 +56,8 @@ class Manoeuvres:
         )
 
     async def change_mode(self, mode: FlightMode, what: str, tries: int = 1) -> None:
-        sent_ns, before = self._clock.now_ns(), self._telemetry.mode
+        sent_ns = self._clock.now_ns()
+        before = self._telemetry.mode
         main, sub = self.kind.set_mode[mode]
         await self.do(what, DO_SET_MODE, (CUSTOM_MODE_ENABLED, float(main), float(sub)), tries)
         await self._until_mode(mode, before, sent_ns, what)
@@ -125,7 +131,8 @@ class Manoeuvres:
 
         A pilot's mode, a hold, a landing or disarming on the way ends it with an error.
         """
-        telemetry, config = self._telemetry, self._config
+        telemetry = self._telemetry
+        config = self._config
         expected = {FlightMode.TAKEOFF, FlightMode.HOLD, there}
         # The heartbeat may still show the mode before the take-off.
         grace_ns = self._clock.now_ns() + int(config.mode_timeout_s * 1e9)
@@ -163,7 +170,8 @@ class Manoeuvres:
             )
 
     async def _begin_landing(self, or_else: Callable[[], bool]) -> None:
-        sent_ns, before = self._clock.now_ns(), self._telemetry.mode
+        sent_ns = self._clock.now_ns()
+        before = self._telemetry.mode
         unset = self.kind.unset
         await self.do("land", NAV_LAND, (0.0, 0.0, 0.0, unset, unset, unset, 0.0), SAFE_TRIES)
         await self._until_mode(
@@ -176,7 +184,8 @@ class Manoeuvres:
         Having landed, PX4 goes back to the mode before it, and tells so up to a heartbeat before it tells that it is
         disarmed. So a mode of a script's is another's only when it stays armed.
         """
-        session, telemetry = self._session, self._telemetry
+        session = self._session
+        telemetry = self._telemetry
 
         def down() -> bool:
             return not self._telemetry.state().armed

@@ -12,7 +12,9 @@ CUSTOM_MODE_ENABLED = 1
 SAFETY_ARMED = 128
 # HEARTBEAT.system_status (MAV_STATE): so PX4 shows a pilot's kill switch, and calls itself armed for 5 s more.
 FLIGHT_TERMINATION = 8
-ESTOP, STOPPED = "MotorEStop", "HIGH"  # "RC7: MotorEStop HIGH"
+# "RC7: MotorEStop HIGH"
+ESTOP = "MotorEStop"
+STOPPED = "HIGH"
 
 
 def powered(base_mode: int, system_status: int) -> bool:

@@ -36,7 +36,9 @@ SECOND_LOOK_S = 0.3  # in which a heartbeat that waits to be read must come
 CLOSE_S = 5.0
 FORCE_DISARM_MAGIC = 21196.0
 ARM_DISARM = 400  # MAV_CMD_COMPONENT_ARM_DISARM
-ACCEPTED, IN_PROGRESS = 0, 5  # MAV_RESULT
+# MAV_RESULT
+ACCEPTED = 0
+IN_PROGRESS = 5
 REAL32 = 9  # MAV_PARAM_TYPE
 RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress", "cancelled")
 
@@ -97,7 +99,10 @@ class MavsdkSession:
 
     async def close(self) -> None:
         """Idempotent and bounded. MAVSDK's threads and the port are gone afterwards."""
-        mavsdk, direct, plugin, parameters = self._mavsdk, self._direct, self._plugin, self.parameters
+        mavsdk = self._mavsdk
+        direct = self._direct
+        plugin = self._plugin
+        parameters = self.parameters
         self._mavsdk = self._direct = self._plugin = self.parameters = None
         try:
             if self._line is not None:
@@ -136,7 +141,8 @@ class MavsdkSession:
 
         A program that stood still finds old heartbeats first: those that wait for it are read before it judges.
         """
-        limit_s, end_s = self._config.heartbeat_timeout_s, time.monotonic() + SECOND_LOOK_S
+        limit_s = self._config.heartbeat_timeout_s
+        end_s = time.monotonic() + SECOND_LOOK_S
         while (age_s := self._heartbeat_age_s()) > limit_s:
             if time.monotonic() >= end_s:
                 raise VehicleError(
@@ -154,7 +160,8 @@ class MavsdkSession:
 
     def send(self, name: str, fields: dict[str, Any]) -> None:
         """Send one message once, addressed to the autopilot. None becomes NaN."""
-        direct, config = self._direct, self._config
+        direct = self._direct
+        config = self._config
         if direct is None:
             raise VehicleError(f"{config.url} is not open", "enter the vehicle with `async with` first")
         fields = {"target_system": config.sysid, "target_component": AUTOPILOT_COMPONENT, **fields}
@@ -239,7 +246,8 @@ class MavsdkSession:
         )
 
     def _identify(self) -> AutopilotKind:
-        config, heartbeat = self._config, self._telemetry.heartbeat
+        config = self._config
+        heartbeat = self._telemetry.heartbeat
         if heartbeat is None:
             raise VehicleError(
                 f"heartbeats of vehicle {config.sysid} stopped on {config.url} while connecting", "check cable or radio"

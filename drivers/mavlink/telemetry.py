@@ -190,7 +190,9 @@ class TelemetrySlots:
     def state(self) -> VehicleState:
         """NaN position and stamp 0 until the vehicle first knew where it is."""
         self.check()
-        heartbeat, position, attitude = self.heartbeat, self.position, self.attitude
+        heartbeat = self.heartbeat
+        position = self.position
+        attitude = self.attitude
         if heartbeat is None or attitude is None:
             raise VehicleError("the vehicle is not connected", "open it first")
         return VehicleState(
@@ -263,10 +265,12 @@ class TelemetrySlots:
     def _on_heartbeat(self, message: Any) -> None:
         if not self._of_autopilot(message):
             return
-        fields, now_ns = json.loads(message.fields_json), self.clock.now_ns()
+        fields = json.loads(message.fields_json)
+        now_ns = self.clock.now_ns()
         self.battery.hear(now_ns)
         self._note_mode(now_ns, int(fields["custom_mode"]))
-        base_mode, before = int(fields["base_mode"]), self.heartbeat
+        base_mode = int(fields["base_mode"])
+        before = self.heartbeat
         self._stopped = self._stopped and bool(base_mode & SAFETY_ARMED)
         armed = powered(base_mode, int(fields.get("system_status", 0))) and not self._stopped
         told = before.told + 1 if before is not None and before.armed is armed else 1
@@ -335,7 +339,8 @@ class TelemetrySlots:
     def _on_battery(self, message: Any) -> None:
         if self._of_autopilot(message):
             fields = json.loads(message.fields_json)
-            number, function = int(fields["id"]), int(fields["battery_function"])
+            number = int(fields["id"])
+            function = int(fields["battery_function"])
             self.battery.on_battery(number, function, _percent(fields), self.clock.now_ns())
 
     def _on_position(self, position: Any) -> None:

@@ -24,11 +24,21 @@ from drivers.rig.part_check import Finding, counted
 from drivers.rig.parts import PartContext
 
 # MAV_CMD
-SET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 511, 512
+SET_MESSAGE_INTERVAL = 511
+REQUEST_MESSAGE = 512
 # Message ids, for SET_MESSAGE_INTERVAL
-HEARTBEAT, SYS_STATUS, GPS_RAW_INT, ATTITUDE_QUATERNION, LOCAL_POSITION_NED = 0, 1, 24, 31, 32
-GLOBAL_POSITION_INT, BATTERY_STATUS, HOME_POSITION, EXTENDED_SYS_STATE = 33, 147, 242, 245
-DISTANCE_SENSOR, AUTOPILOT_VERSION, CURRENT_MODE = 132, 148, 436
+HEARTBEAT = 0
+SYS_STATUS = 1
+GPS_RAW_INT = 24
+ATTITUDE_QUATERNION = 31
+LOCAL_POSITION_NED = 32
+GLOBAL_POSITION_INT = 33
+BATTERY_STATUS = 147
+HOME_POSITION = 242
+EXTENDED_SYS_STATE = 245
+DISTANCE_SENSOR = 132
+AUTOPILOT_VERSION = 148
+CURRENT_MODE = 436
 
 FRAME_LOCAL_NED = 1
 MASK_VELOCITY_YAW = 2503  # ignore position, acceleration and yaw rate (POSITION_TARGET_TYPEMASK)
@@ -77,7 +87,8 @@ class MavsdkVehicle:
         try:
             self._manoeuvres.kind = await self._session.open()
             await self._set_rates()
-            config, telemetry = self._config, self._telemetry
+            config = self._config
+            telemetry = self._telemetry
             if not await self._session.until(lambda: telemetry.attitude is not None, config.connect_timeout_s):
                 raise VehicleError(
                     f"no attitude from vehicle {config.sysid} on {config.url} in {config.connect_timeout_s:g} s",
@@ -216,7 +227,8 @@ class MavsdkVehicle:
 
     def _check_ground(self) -> None:
         """A ceiling that is counted from an altitude of GPS holds only as far as that altitude is right."""
-        config, state = self._config, self.state
+        config = self._config
+        state = self.state
         height_m = -state.position_n_m[2]
         if config.height_from == "sea_level" and not state.in_air and not abs(height_m) <= config.ground_within_m:
             raise VehicleError(
@@ -241,7 +253,8 @@ class MavsdkVehicle:
         await self._manoeuvres.take_off(height_m, timeout_s)
 
     async def start_offboard(self, first: VelocitySetpoint) -> None:
-        config, session = self._config, self._session
+        config = self._config
+        session = self._session
         stream = asyncio.create_task(self._stream(first))
         try:
             # Both autopilots want setpoints before the mode.

@@ -17,9 +17,12 @@ from path.geometry.rotation import R_from_quat
 from path.messages import Vec3
 
 READ_S = 1.0
-REST_S, REST_MPS = 3.0, 0.2  # for so long the estimator has to stand still
+# for so long the estimator has to stand still
+REST_S = 3.0
+REST_MPS = 0.2
 COVARIANCES = 21  # the upper triangle of six by six, by rows
-POSITION_VARIANCES, ANGLE_VARIANCES = (0, 6, 11), (15, 18, 20)
+POSITION_VARIANCES = (0, 6, 11)
+ANGLE_VARIANCES = (15, 18, 20)
 
 _log = logging.getLogger(__name__)
 
@@ -27,7 +30,8 @@ _log = logging.getLogger(__name__)
 def beacon_in_n(place_m: Vec3, config: VisionConfig) -> Vec3:
     """A place in the beacons' frame (z up) in the mission's frame, NED."""
     x, y, z = place_m
-    c, s = math.cos(math.radians(config.x_heading_deg)), math.sin(math.radians(config.x_heading_deg))
+    c = math.cos(math.radians(config.x_heading_deg))
+    s = math.sin(math.radians(config.x_heading_deg))
     north_m, east_m, down_m = config.zero_n_m
     return north_m + x * c + y * s, east_m + x * s - y * c, down_m - z
 
@@ -44,8 +48,10 @@ class VisionFeed:
     def __init__(
         self, config: VisionConfig, context: PartContext, session: MavsdkSession, telemetry: TelemetrySlots
     ) -> None:
-        self._config, self._origin = config, context.origin
-        self._session, self._telemetry = session, telemetry
+        self._config = config
+        self._origin = context.origin
+        self._session = session
+        self._telemetry = telemetry
         self._beacons: Beacons = create(config.beacons, context)
         self.sent = 0
         self.origin_sent = False

@@ -55,7 +55,8 @@ class UdpOperator:
     Config = UdpOperatorConfig
 
     def __init__(self, config: UdpOperatorConfig, context: OperatorContext) -> None:
-        self._bind, self._clock = address_of(config.bind, "bind"), context.clock
+        self._bind = address_of(config.bind, "bind")
+        self._clock = context.clock
         self._transport: asyncio.DatagramTransport | None = None
         self._said: list[Told | Chosen] = []
         self._heard_ns: dict[Address, int] = {}
@@ -81,7 +82,8 @@ class UdpOperator:
 
     def heard(self) -> Sequence[Told | Chosen]:
         """Return all that was said since the last call."""
-        said, self._said = self._said, []
+        said = self._said
+        self._said = []
         return said
 
     def ask(self, question: Question | None, picture: bytes | None) -> None:

@@ -18,7 +18,8 @@ import msgspec
 from drivers.operator.interfaces import BearingTold, Chosen, Ground, PlaceTold, Question, RegionTold, Told
 
 MOST_BYTES = 60_000
-_FARTHEST_M, _LONGEST_S = 10_000.0, 3600.0
+_FARTHEST_M = 10_000.0
+_LONGEST_S = 3600.0
 
 
 class WordsError(ValueError):
@@ -42,7 +43,8 @@ def decode(line: bytes, now_ns: int) -> Told | Chosen | None:
     if "place" in said:
         told = _place(words, stamp_ns)
     elif "bearing_deg" in said:
-        bearing, error = words.number("bearing_deg", -360.0, 360.0), words.number("error_deg", 0.01, 90.0)
+        bearing = words.number("bearing_deg", -360.0, 360.0)
+        error = words.number("error_deg", 0.01, 90.0)
         told = BearingTold(stamp_ns, words.ground("from"), math.radians(bearing), math.radians(error))
     elif "region" in said:
         told = RegionTold(stamp_ns, words.corners("region"))

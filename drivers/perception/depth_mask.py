@@ -18,7 +18,10 @@ HALF = 2  # worked out at half the resolution, where small squares reach far
 MEDIAN_PX = 5  # single pixels of depth are noisy and have holes; taken twice
 HOLE_PX = 7  # smaller holes are those along edges
 SPECK_PX = 3  # smaller islands are noise
-STEP_PX, STEP_M, STEP_SIGMAS = 3, 0.22, 1.0  # over so few pixels one thing's surface does not change so much
+# over so few pixels one thing's surface does not change so much
+STEP_PX = 3
+STEP_M = 0.22
+STEP_SIGMAS = 1.0
 FAINT = 0.6  # of that: a step's end
 CUT_PX = 3  # more than a detector sees over
 REACH = 0.25  # of the image's width: what is larger than twice that is not looked for
@@ -58,7 +61,8 @@ def without_elsewhere(
     shown = np.full_like(image, GREY)
     if window is None:
         return shown
-    rows, columns = (slice(int(window.y0), int(window.y1) + 1), slice(int(window.x0), int(window.x1) + 1))
+    rows = slice(int(window.y0), int(window.y1) + 1)
+    columns = slice(int(window.x0), int(window.x1) + 1)
     kept = _kept(depth_mm[rows, columns], limits_m, sigma_at_1m_m)
     cv2.copyTo(image[rows, columns], kept, shown[rows, columns])
     return shown

@@ -17,7 +17,9 @@ from path.observations import Box, Detection, around, common_area
 
 SAME_LAP = 0.2  # of the smaller box lies in the other: pieces of one thing, when they are equally far away
 OWN_SHARE = 0.25  # of a box is at a depth that is asked for: what it shows is there
-THINNEST, RAREST_SCORE = 1 / 3, 0.12  # shorter over longer side, and a detector's score: less is a rim
+# shorter over longer side, and a detector's score: less is a rim
+THINNEST = 1 / 3
+RAREST_SCORE = 0.12
 EVERY_PX = 3  # so many pixels of a box's depth are looked at
 
 
@@ -37,8 +39,10 @@ class DepthSlice:
 
     def inside(self, box: Box) -> float | None:
         """Median depth (m) of what of a box is between the limits; None when little of it is."""
-        x0, y0 = max(0, round(box.x)), max(0, round(box.y))
-        x1, y1 = max(x0, round(box.x + box.w)), max(y0, round(box.y + box.h))
+        x0 = max(0, round(box.x))
+        y0 = max(0, round(box.y))
+        x1 = max(x0, round(box.x + box.w))
+        y1 = max(y0, round(box.y + box.h))
         patch = self.depth_mm[y0:y1:EVERY_PX, x0:x1:EVERY_PX]
         near_m, far_m = self.limits_m
         own = patch[(patch >= 1000.0 * near_m) & (patch <= 1000.0 * far_m)]
@@ -46,7 +50,8 @@ class DepthSlice:
 
     def united(self, pieces: Sequence[Detection]) -> list[Detection]:
         """Pieces whose boxes overlap, and between whose depths there is no step, as one; it scores as its best."""
-        rest, found = list(pieces), list[Detection]()
+        rest = list(pieces)
+        found = list[Detection]()
         while rest:
             whole = rest.pop(0)
             while parts := [each for each in rest if self._is_one(whole.box, each.box)]:
@@ -63,7 +68,8 @@ class DepthSlice:
     def _is_one(self, a: Box, b: Box) -> bool:
         if common_area(a, b) < SAME_LAP * min(a.area, b.area):
             return False
-        depth_a, depth_b = self.inside(a), self.inside(b)
+        depth_a = self.inside(a)
+        depth_b = self.inside(b)
         if depth_a is None or depth_b is None:
             return True
         return abs(depth_a - depth_b) <= step_limit_m(min(depth_a, depth_b), self.sigma_at_1m_m)

@@ -43,7 +43,8 @@ class Freshness:
         while True:
             frame = await read(max(deadline_s - loop.time(), 0.0))
             if self._stamp_ns is None or (frame.stamp_ns > self._stamp_ns and frame.frame_id > self._frame_id):
-                self._stamp_ns, self._frame_id = frame.stamp_ns, frame.frame_id
+                self._stamp_ns = frame.stamp_ns
+                self._frame_id = frame.frame_id
                 return frame
             old += 1
             self.dropped += 1

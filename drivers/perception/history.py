@@ -52,6 +52,8 @@ class StateHistory:
                 return self._attitudes[0]
             if after == len(self._stamps):
                 return self._attitudes[-1]
-            t0, t1 = self._stamps[after - 1], self._stamps[after]
-            q0, q1 = self._attitudes[after - 1], self._attitudes[after]
+            t0 = self._stamps[after - 1]
+            t1 = self._stamps[after]
+            q0 = self._attitudes[after - 1]
+            q1 = self._attitudes[after]
         return slerp(q0, q1, (stamp_ns - t0) / (t1 - t0))

@@ -35,7 +35,9 @@ Corners = Literal["photometric", "subpix"]
 DEPTH_SIGMAS = 2.0  # of the depth camera's own noise
 _TURNS = 3  # of the event loop before a frame that waits already: a setpoint takes as many from its timer to the wire
 RANGE_SIGMAS = 3.0  # of a range by the target's size
-UNCUT_IOU, CUT_SCORE = 0.85, 0.5  # of a box with the same before depth cut something off; of a piece that looks whole
+# of a box with the same before depth cut something off; of a piece that looks whole
+UNCUT_IOU = 0.85
+CUT_SCORE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,8 +160,11 @@ class PixelView:
         corners: Corners = "photometric",
         size: TargetSize | None = None,
     ) -> None:
-        self._frame, self._model, self._layout = frame, model, layout
-        self._detector, self._method = detector, method
+        self._frame = frame
+        self._model = model
+        self._layout = layout
+        self._detector = detector
+        self._method = method
         self._corners: Corners = corners
         self._size = size  # of the target, in place of a depth stream
 
@@ -177,7 +182,8 @@ class PixelView:
         With a depth stream, only those that are not known to be nearer or farther than the region says. What touches
         them in the image, at another depth, is cut off; what is left of other things by that is odd in shape.
         """
-        frame, detector = self._frame, self._detector
+        frame = self._frame
+        detector = self._detector
         if region is None or region.any_depth:
             return detector.detect(frame.color, region)
         if frame.depth_mm is None:
@@ -197,7 +203,9 @@ class PixelView:
 
     def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
         """Markers of the layout in ``region``, looked for first where they are expected."""
-        image, layout, model = self._frame.color, self._layout, self._model
+        image = self._frame.color
+        layout = self._layout
+        model = self._model
         return detect_markers(
             image, region, layout, model, refine=self._corners, thorough=False, expected=expected
         )  # fmt: skip
@@ -220,7 +228,8 @@ class PixelView:
         """Those that can be as far away as the region says, by the target's size; all where that is not known."""
         size = self._size
         if size is not None and size.longest_m > 0.0 and region.far_m < math.inf:
-            z_m, focal_px = 0.5 * (region.near_m + region.far_m), max(self._model.fx, self._model.fy)
+            z_m = 0.5 * (region.near_m + region.far_m)
+            focal_px = max(self._model.fx, self._model.fy)
             region = replace(region, extent=extent_at(z_m, focal_px, size))
         found = self._detector.detect(self._frame.color, region)
         return [each for each in found if self._may_be_within(region, each.box)]

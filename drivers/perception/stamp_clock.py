@@ -106,5 +106,6 @@ class StampClock:
         if self._offset_ns is not None:
             drift = round((arrival_ns - self._arrival_ns) * self._config.max_drift_ppm * 1e-6)
             offset = min(offset, self._offset_ns + drift)
-        self._offset_ns, self._arrival_ns = offset, arrival_ns
+        self._offset_ns = offset
+        self._arrival_ns = arrival_ns
         return offset

@@ -81,7 +81,9 @@ class RealSense:
     Config = RealSenseConfig
 
     def __init__(self, config: RealSenseConfig, context: PartContext) -> None:
-        self._config, self._model, self._clock = config, context.camera, context.clock
+        self._config = config
+        self._model = context.camera
+        self._clock = context.clock
         self.source = _source(config, context)
         self._stream: PairStream | None = None
         self._counters = StreamCounters()
@@ -107,7 +109,8 @@ class RealSense:
 
     async def examine(self) -> Sequence[Finding]:
         """Returns which device it is, whose clock stamps its frames, and how many images were of no use."""
-        stream, counters = self._stream, self._counters
+        stream = self._stream
+        counters = self._counters
         if stream is None or stream.identity is None or counters.domain is None:
             raise CameraError(f"{self.source.name} has given no frame yet", "open it, and wait for one")
         return (*_device(stream.identity), _stamped(counters.domain), _paired(counters))
@@ -116,7 +119,8 @@ class RealSense:
         """Returns with the first frame there. Raises CameraError."""
         loop = asyncio.get_running_loop()
         self._news = asyncio.Event()
-        config, size = self._config, (self._model.width, self._model.height)
+        config = self._config
+        size = (self._model.width, self._model.height)
         streams = Streams(
             size, config.depth_size or size, config.fps, config.filters, config.emitter, config.exposure_us
         )
@@ -175,14 +179,16 @@ class RealSense:
             raise self._lost(stream, f" in the first {self._config.open_timeout_s:g} s") from None
 
     def _lost(self, stream: PairStream, how_long: str) -> CameraError:
-        message, trouble = f"no frame from {self.source.name}{how_long}", stream.trouble
+        message = f"no frame from {self.source.name}{how_long}"
+        trouble = stream.trouble
         if trouble is None:
             return CameraError(message, "see whether its cable and port carry USB 3")
         state = "given up" if stream.ended else "it is opened again meanwhile"
         return CameraError(f"{message}: {trouble} ({state})", trouble.remedy)
 
     async def _close(self) -> None:
-        stream, self._stream = self._stream, None
+        stream = self._stream
+        self._stream = None
         if stream is None:
             return
         stream.end()

@@ -109,7 +109,9 @@ class RealSenseRecording:
 
         Raises CameraError when nothing comes and it has not ended.
         """
-        rs, waiting, ending = import_realsense(), queue.Queue[RawImage](WAITING), threading.Event()
+        rs = import_realsense()
+        waiting = queue.Queue[RawImage](WAITING)
+        ending = threading.Event()
 
         def take(frame: Any) -> None:
             """In librealsense's thread, which waits here while nobody takes what came."""
@@ -149,7 +151,8 @@ class RealSenseRecording:
                     sensor.close()
 
     def _paired(self, waiting: queue.Queue[RawImage], begun: Future[None]) -> Iterator[RecordedPair]:
-        pairing, heard_s = Pairing(self._tolerance_ns), time.monotonic()
+        pairing = Pairing(self._tolerance_ns)
+        heard_s = time.monotonic()
         while True:
             try:
                 image = waiting.get(timeout=POLL_S)

@@ -18,11 +18,16 @@ from path.compiled import inner, kernel
 from path.geometry.transforms import Pose
 
 NOTHING = 65535  # while the nearest is sought; 0 when done
-F, INT = np.float32, np.int32
-ZERO, HALF, ONE, TWO = F(0.0), F(0.5), F(1.0), F(2.0)
+F = np.float32
+INT = np.int32
+ZERO = F(0.0)
+HALF = F(0.5)
+ONE = F(1.0)
+TWO = F(2.0)
 OVERLAP_PX = 0.1  # of neighbouring squares: depth noise moves them apart, and would leave gaps between them
 MAX_HALF_PX = 1.0  # so that a square covers at most two pixels each way
-NEAREST_MM, LARGEST = F(10.0), F(NOTHING)
+NEAREST_MM = F(10.0)
+LARGEST = F(NOTHING)
 
 
 class DepthRegistration:
@@ -72,8 +77,12 @@ class DepthRegistration:
             depth: (h, w) uint16 of the depth camera, in its own units, 0 = none.
         """
         out = np.empty((self._color.height, self._color.width), np.uint16)
-        cells, limits = self._cells, self._limits_mm
-        lens, linear, t_mm, unit_mm = self._lens, self._linear, self._t_mm, self._unit_mm
+        cells = self._cells
+        limits = self._limits_mm
+        lens = self._lens
+        linear = self._linear
+        t_mm = self._t_mm
+        unit_mm = self._unit_mm
         _register(depth, linear, self._columns, t_mm, unit_mm, *limits, lens, self._max_r2, self._half, cells, out)
         return out
 
@@ -102,26 +111,49 @@ def _place(measured, linear, columns, r, t_mm, unit_mm, near, far, lens, max_r2,
     A loop without branches, so that it vectorises. ``cells``, int32 (4, w): number of the first pixel, whether there is
     a second one to its right, and one below, z in mm. z is NOTHING where there is no depth or it is not in the image.
     """
-    fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
-    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
-    tx, ty, tz, half_u, half_v = t_mm[0], t_mm[1], t_mm[2], half[0], half[1]
-    last_u, last_v, width = F(size[1] - 1), F(size[0] - 1), F(size[1])
-    x1, y1, z1 = linear[0, 0], linear[1, 0], linear[2, 0]
-    x0, y0 = linear[0, 1] * F(r) + linear[0, 2], linear[1, 1] * F(r) + linear[1, 2]
+    fx = lens[0]
+    fy = lens[1]
+    cx = lens[2]
+    cy = lens[3]
+    k1 = lens[4]
+    k2 = lens[5]
+    p1 = lens[6]
+    p2 = lens[7]
+    k3 = lens[8]
+    tx = t_mm[0]
+    ty = t_mm[1]
+    tz = t_mm[2]
+    half_u = half[0]
+    half_v = half[1]
+    last_u = F(size[1] - 1)
+    last_v = F(size[0] - 1)
+    width = F(size[1])
+    x1 = linear[0, 0]
+    y1 = linear[1, 0]
+    z1 = linear[2, 0]
+    x0 = linear[0, 1] * F(r) + linear[0, 2]
+    y0 = linear[1, 1] * F(r) + linear[1, 2]
     z0 = linear[2, 1] * F(r) + linear[2, 2]
-    first, wide, high, depth = cells[0], cells[1], cells[2], cells[3]
+    first = cells[0]
+    wide = cells[1]
+    high = cells[2]
+    depth = cells[3]
     for c in range(measured.size):
-        d, column = F(measured[c]) * unit_mm, columns[c]
+        d = F(measured[c]) * unit_mm
+        column = columns[c]
         z = d * (z0 + z1 * column) + tz
         over = ONE / max(z, NEAREST_MM)
-        x, y = (d * (x0 + x1 * column) + tx) * over, (d * (y0 + y1 * column) + ty) * over
+        x = (d * (x0 + x1 * column) + tx) * over
+        y = (d * (y0 + y1 * column) + ty) * over
         r2 = x * x + y * y
         radial = ONE + r2 * (k1 + r2 * (k2 + r2 * k3))
         xy2 = TWO * x * y
         u = fx * (x * radial + p1 * xy2 + p2 * (r2 + TWO * x * x)) + cx
         v = fy * (y * radial + p1 * (r2 + TWO * y * y) + p2 * xy2) + cy
-        left, right = np.ceil(max(u - half_u, ZERO)), np.floor(min(u + half_u, last_u))
-        top, bottom = np.ceil(max(v - half_v, ZERO)), np.floor(min(v + half_v, last_v))
+        left = np.ceil(max(u - half_u, ZERO))
+        right = np.floor(min(u + half_u, last_u))
+        top = np.ceil(max(v - half_v, ZERO))
+        bottom = np.floor(min(v + half_v, last_v))
         inside = (left <= right) & (top <= bottom) & (r2 <= max_r2)
         believed = inside & (d >= near) & (d <= far) & (d > ZERO) & (z >= NEAREST_MM) & (z < LARGEST)
         first[c] = INT(top * width + left)  # exact: below 2^24
@@ -134,11 +166,14 @@ def _place(measured, linear, columns, r, t_mm, unit_mm, near, far, lens, max_r2,
 def _register(depth, linear, columns, t_mm, unit_mm, near, far, lens, max_r2, half, cells, out):
     """Fill ``out``: the nearest of what falls on a pixel, 0 where nothing does."""
     out[:] = NOTHING
-    flat, width = out.reshape(-1), np.uint32(out.shape[1])
+    flat = out.reshape(-1)
+    width = np.uint32(out.shape[1])
     for r in range(depth.shape[0]):
         _place(depth[r], linear, columns, r, t_mm, unit_mm, near, far, lens, max_r2, half, out.shape, cells)
         for c in range(depth.shape[1]):
-            z, n = np.uint16(cells[3, c]), np.uint32(cells[0, c])  # unsigned: no look whether it counts from the end
+            # unsigned: no look whether it counts from the end
+            z = np.uint16(cells[3, c])
+            n = np.uint32(cells[0, c])
             if z == NOTHING:
                 continue
             flat[n] = min(flat[n], z)

@@ -45,7 +45,8 @@ class UsbSource:
     returns = True
 
     def __init__(self, serial: str, query: Callable[[], Sequence[Any]] = connected) -> None:
-        self._serial, self._query = serial, query
+        self._serial = serial
+        self._query = query
 
     @property
     def serial(self) -> str:

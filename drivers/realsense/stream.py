@@ -108,7 +108,8 @@ class Pairing:
     def add(self, taken: Taken) -> tuple[Taken, Taken] | None:
         """Colour and depth; None while one of them is to come."""
         kind = taken.image.kind
-        own, others = self._waiting[kind], self._waiting["depth" if kind == "color" else "color"]
+        own = self._waiting[kind]
+        others = self._waiting["depth" if kind == "color" else "color"]
         while others and others[0].stamp_ns < taken.stamp_ns - self._tolerance_ns:
             others.pop(0)
             self.unpaired += 1
@@ -131,7 +132,11 @@ class PairStream(threading.Thread):
         self, source: DeviceSource, config: StreamConfig, color: CameraModel, clock: Clock, on_news: Callable[[], None]
     ) -> None:
         super().__init__(name=source.name, daemon=True)
-        self._source, self._config, self._color, self._clock, self._on_news = source, config, color, clock, on_news
+        self._source = source
+        self._config = config
+        self._color = color
+        self._clock = clock
+        self._on_news = on_news
         self._ending = threading.Event()
         self._lock = threading.Lock()
         self._newest: ImagePair | None = None
@@ -148,10 +153,12 @@ class PairStream(threading.Thread):
     def take(self) -> Frame | None:
         """The newest frame not yet taken; to be called by one thread."""
         with self._lock:
-            pair, self._newest = self._newest, None
+            pair = self._newest
+            self._newest = None
         if pair is None:
             return None
-        counters, start = self.counters, busy_ns()
+        counters = self.counters
+        start = busy_ns()
         color = np.array(pair.color.pixels, np.uint8, order="C")  # the library will use its memory again
         copied = busy_ns()
         depth_mm = pair.registration.register(np.asarray(pair.depth.pixels, np.uint16))
@@ -198,7 +205,8 @@ class PairStream(threading.Thread):
 
     def _use_device(self) -> None:
         """One opening of the device, until it falls silent."""
-        config, device = self._config, None
+        config = self._config
+        device = None
         try:
             opened = self._source.open()
             self.identity = identity_of(opened)
@@ -220,9 +228,12 @@ class PairStream(threading.Thread):
 
     def _watch(self, device: RealSenseDevice) -> None:
         """Publish what comes. Raises CameraError when nothing does any more."""
-        limit_s, registration = self._config.silence_s, self._registration(device)
+        limit_s = self._config.silence_s
+        registration = self._registration(device)
         lines: dict[Kind, StampLine] = {"color": StampLine(), "depth": StampLine()}
-        clock, pairing, base = StampClock(self._stamps), Pairing(self._tolerance_ns), None
+        clock = StampClock(self._stamps)
+        pairing = Pairing(self._tolerance_ns)
+        base = None
         heard_s = paired_s = time.monotonic()
         while not self._ending.is_set():
             newest = None
@@ -271,7 +282,8 @@ class PairStream(threading.Thread):
         wall_ns = wall_offset_ns(self._clock.now_ns)
         stamp_ns = clock.to_role(color.stamp_ns, color.image.domain, color.arrival_ns, wall_ns)
         if not isinstance(stamp_ns, StampRefused):
-            self.counters.domain, self.counters.age_ns = color.image.domain, color.arrival_ns - stamp_ns
+            self.counters.domain = color.image.domain
+            self.counters.age_ns = color.arrival_ns - stamp_ns
             return stamp_ns
         if stamp_ns is StampRefused.OLD:
             self.counters.old += 1
@@ -282,7 +294,9 @@ class PairStream(threading.Thread):
     def _publish(self, pair: ImagePair) -> None:
         with self._lock:
             self.counters.replaced += self._newest is not None
-            self._newest, self._last_id, self.trouble = pair, pair.frame_id, None
+            self._newest = pair
+            self._last_id = pair.frame_id
+            self.trouble = None
             self.counters.pairs += 1
         self._on_news()
 

@@ -81,7 +81,9 @@ class RecordedCamera:
         self._peeked: _Frame | None = None
         self._thread: ThreadPoolExecutor | None = None
         self._coming: Future[_Ready | None] | None = None
-        self._start_ns, self._start_s, self._given = 0, 0.0, 0
+        self._start_ns = 0
+        self._start_s = 0.0
+        self._given = 0
         self.serial = config.serial
 
     @property
@@ -96,7 +98,9 @@ class RecordedCamera:
     async def __aenter__(self) -> Self:
         """Raises CameraError when the recording cannot be played, or is not of the calibration's size."""
         recording = open_recording(self._config.file, self._config.options())
-        self._frames, self._peeked, self._given = _played(recording, self._config.loop), None, 0
+        self._frames = _played(recording, self._config.loop)
+        self._peeked = None
+        self._given = 0
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="recording")
         try:
             self._coming = self._thread.submit(self._fetch)
@@ -184,10 +188,12 @@ class _Frame:
 
 def _played(recording: Recording, loop: bool) -> Iterator[_Frame]:
     """Frames with times that increase from 0 on, over and over when asked; those with an old stamp are left out."""
-    begin_ns, number = 0, 0
+    begin_ns = 0
+    number = 0
     while True:
         first_ns: int | None = None
-        last_ns, step_ns = -1, LOOP_GAP_NS
+        last_ns = -1
+        step_ns = LOOP_GAP_NS
         for frame in recording.frames():
             first_ns = frame.stamp_ns if first_ns is None else first_ns
             at_ns = frame.stamp_ns - first_ns

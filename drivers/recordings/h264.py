@@ -13,7 +13,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-SLICE, IDR, SPS, PPS = 1, 5, 7, 8
+SLICE = 1
+IDR = 5
+SPS = 7
+PPS = 8
 INTRA = (2, 7)  # slice types
 HIGH_PROFILES = (100, 110, 122, 244, 44, 83, 86, 118, 128)
 HEAD_BYTES = 64  # of a slice or a parameter set, in which its first numbers stand
@@ -67,7 +70,8 @@ def pictures(stream: bytes) -> list[Picture]:
     """Return the coded pictures of a stream in order, each with its place in time."""
     found = list(_taken_apart(stream))
     usual = _usual_length(found)
-    index, since = -1, 0
+    index = -1
+    since = 0
     before: Picture | None = None
     for picture in found:
         picture.gap = 0 if before is None else _gap(before, picture, since, usual)
@@ -138,7 +142,8 @@ def _taken_apart(stream: bytes) -> Iterator[Picture]:
                 yield current
             is_cut = one.first_block != 0
             current = Picture(b"", one.fresh, one.number, one.is_start, one.is_reference, is_cut, one.modulo)
-            parts, before = before, []
+            parts = before
+            before = []
         current.fresh = current.fresh and one.fresh
         parts.append(b"\0\0\0\1" + unit)
     if current is not None:
@@ -159,7 +164,9 @@ def _slice(unit: bytes, sets: _Sets) -> _Slice:
     is_reference = (unit[0] >> 5) & 3 > 0
     bits = _Bits(unit)
     try:
-        first, kind, picture_set = bits.golomb(), bits.golomb(), bits.golomb()
+        first = bits.golomb()
+        kind = bits.golomb()
+        picture_set = bits.golomb()
         sequence = sets.sequence.get(picture_set, -1)
         modulo = sets.modulo.get(sequence)
         if modulo is None:

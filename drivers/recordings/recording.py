@@ -138,14 +138,16 @@ class Video:
 
     def __init__(self, file: Path, options: RecordingOptions) -> None:
         self.name = str(file)
-        self._file, self._options = file, options
+        self._file = file
+        self._options = options
         self._damage = Damage()
         self._stamps = None if options.stamps is None else frame_stamps(options.stamps)
         self._depth = None if options.depth is None else _images(options.depth)
 
     def frames(self) -> Iterator[RecordedFrame]:
         number = 0
-        stamps, depth = self._stamps, self._depth
+        stamps = self._stamps
+        depth = self._depth
         try:
             # Whoever has a table of stamps needs no rate: its stamps are not looked at.
             rate_hz = self._options.rate_hz or (1.0 if stamps is not None else None)
@@ -189,7 +191,8 @@ class Folder:
 
     def __init__(self, folder: Path, options: RecordingOptions) -> None:
         self.name = str(folder)
-        self._folder, self._depth = folder, options.depth
+        self._folder = folder
+        self._depth = options.depth
         files = sorted((f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES), key=natural)
         self._stamped = stamped_files(folder, files, options.stamps, options.rate_hz) if files else []
 

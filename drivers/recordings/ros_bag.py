@@ -18,7 +18,8 @@ from pathlib import Path
 from drivers.log.index import MAGIC as MCAP_MAGIC
 from drivers.recordings.stamps import RecordingError
 
-ROS1_MAGIC, SQLITE_MAGIC = b"#ROSBAG V", b"SQLite format 3\x00"
+ROS1_MAGIC = b"#ROSBAG V"
+SQLITE_MAGIC = b"SQLite format 3\x00"
 METADATA = "metadata.yaml"  # of a ROS 2 bag's folder
 OF_REALSENSE = ("/file_version", "/FILE_VERSION", "/device_0")
 SEARCHED = 1 << 20  # bytes in which connections or a profile are looked for

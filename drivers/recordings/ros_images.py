@@ -23,7 +23,8 @@ from drivers.recordings.ros_bag import ros_bag_at
 from drivers.recordings.stamps import RecordingError
 from path.camera.lenses import Lens, LensKind, StandIn, as_brown_conrady
 
-IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 INSTALL = "install the extra `ros`: docs/films.md says how"
 REGISTERED = ("aligned_depth_to_color", "depth_registered", "depth_to_rgb", "depth_to_color")
@@ -105,12 +106,15 @@ class RosImages:
         matrix = _matrix(info, "k", 3)
         if "rect" in self.color_topic:  # its lens was taken out of it
             matrix = _matrix(info, "p", 4)
-            kind, count, coefficients = "brown_conrady", 5, []
+            kind = "brown_conrady"
+            count = 5
+            coefficients = []
         if any(coefficients[count:]):
             raise RecordingError(f"{where}: a lens of {len(coefficients)} coefficients", "name a calibration")
         filled = tuple((coefficients + [0.0] * count)[:count])
         if not any(filled) and kind == "rational":
-            kind, filled = "brown_conrady", (0.0,) * 5
+            kind = "brown_conrady"
+            filled = (0.0,) * 5
         fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
         try:
             return as_brown_conrady(Lens(kind, int(info.width), int(info.height), fx, fy, cx, cy, filled))
@@ -144,7 +148,8 @@ class RosImages:
                 continue
             del waiting[color_ns]
             color, depth = (both[each] for each in topics)
-            pixels, depth_mm = _bgr(color), _millimetres(depth)
+            pixels = _bgr(color)
+            depth_mm = _millimetres(depth)
             if pixels.shape[:2] != depth_mm.shape:
                 raise RecordingError(
                     f"{self._path}: depth of {depth_mm.shape[1]}x{depth_mm.shape[0]} px for colour of "
@@ -204,7 +209,8 @@ class RosImages:
 
     def _is_alike(self, topic: str) -> bool:
         """Return whether depth says that it is of colour's pixels: the same frame, size and matrix."""
-        own, color = self._info(topic), self._color_info
+        own = self._info(topic)
+        color = self._color_info
         if own is None or color is None or own.header.frame_id != color.header.frame_id:
             return False
         same_size = (own.width, own.height) == (color.width, color.height)
@@ -304,7 +310,9 @@ def _millimetres(message: Any) -> NDArray[np.uint16]:
 
 def _rows(message: Any, kind: np.dtype[Any], channels: int) -> NDArray[Any]:
     """Return pixels (h, w) or (h, w, channels), whatever the order of bytes and what follows each row."""
-    height, width, step = int(message.height), int(message.width), int(message.step)
+    height = int(message.height)
+    width = int(message.width)
+    step = int(message.step)
     wanted = width * channels * kind.itemsize
     data = np.asarray(message.data, np.uint8)
     if height < 1 or width < 1 or step < wanted or data.size < height * step:

@@ -10,7 +10,9 @@ from pathlib import Path
 
 from drivers.rig.part_check import Finding
 
-BLOCK, MOST_BLOCKS, WRITE_S = 1 << 20, 64, 1.0
+BLOCK = 1 << 20
+MOST_BLOCKS = 64
+WRITE_S = 1.0
 SLOW_MB_S = 5.0  # chosen, with room above a log with pictures; a recording of a D415 needs 46 (docs/cameras.md)
 ASK_S = 3.0
 
@@ -33,7 +35,8 @@ def write_finding(folder: Path) -> Finding:
 def _written_mb_s(folder: Path) -> float:
     block = os.urandom(BLOCK)
     with tempfile.TemporaryFile(dir=folder) as file:
-        start_s, blocks = time.perf_counter(), 0
+        start_s = time.perf_counter()
+        blocks = 0
         while blocks < MOST_BLOCKS and time.perf_counter() - start_s < WRITE_S:
             file.write(block)
             file.flush()

@@ -169,7 +169,8 @@ class _RigTable:
 def _check_mount(mount: MountCalibration, rig: _RigTable) -> None:
     """Raises ValueError when a mount is of other markers or another camera, or less sure than the method is told."""
     here = "sender.mount.marker.calibration"
-    printed, calibrated = {m.id: m.side_m for m in rig.markers}, {m.id: m.side_m for m in mount.markers}
+    printed = {m.id: m.side_m for m in rig.markers}
+    calibrated = {m.id: m.side_m for m in mount.markers}
     if printed.keys() != calibrated.keys() or any(abs(printed[i] - calibrated[i]) > 1e-6 for i in printed):
         raise ValueError(f"{here}: it is of the markers {_shown(calibrated)}, this rig has {_shown(printed)}")
     if mount.serial and rig.sender.camera.serial and mount.serial != rig.sender.camera.serial:
@@ -218,7 +219,8 @@ def _read(path: Path, search: Sequence[Path], after: tuple[Path, ...]) -> dict[s
         raise RigError([f"{path.name}: {error}"]) from error
     if "like" not in table:
         return table
-    like, where = table.pop("like"), f"{path.name}: like"
+    like = table.pop("like")
+    where = f"{path.name}: like"
     if not isinstance(like, str):
         raise RigError([f"{where} is {like!r}; expected the name of a rig, or a rig file beside this one"])
     try:
@@ -303,7 +305,8 @@ def _named(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _role_rig(written: _SenderTable | _ReceiverTable, T_b_v: Pose) -> RoleRig:
-    mount, camera = Mount(written.mount.camera.pose(), T_b_v), written.camera
+    mount = Mount(written.mount.camera.pose(), T_b_v)
+    camera = written.camera
     return RoleRig(
         vehicle=written.vehicle,
         perception=written.perception,

@@ -85,8 +85,10 @@ class MarkerPlace:
 
 def axis_turn(axis: int, angle_deg: float) -> Matrix:
     a = math.radians(angle_deg)
-    c, s = math.cos(a), math.sin(a)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
+    c = math.cos(a)
+    s = math.sin(a)
+    i = (axis + 1) % 3
+    j = (axis + 2) % 3
     R = np.eye(3)
     R[i, i], R[i, j], R[j, i], R[j, j] = c, -s, s, c
     return R

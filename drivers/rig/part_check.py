@@ -12,7 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
-COUNT_S, POLL_S = 1.5, 0.002
+COUNT_S = 1.5
+POLL_S = 0.002
 
 State = Literal["ok", "note", "fault"]
 

@@ -125,7 +125,8 @@ def _dataclass(table: Any, kind: type[Any], where: str, problems: Problems, base
     before = len(problems.lines)
     for key in table:
         if key not in fields:
-            hint, allowed = suggestion(key, list(fields)), ", ".join(fields) or "none"
+            hint = suggestion(key, list(fields))
+            allowed = ", ".join(fields) or "none"
             problems.add(where, f"unknown key '{key}'{hint}; allowed: {allowed}")
     values: dict[str, Any] = {}
     for name, spec in fields.items():
@@ -178,7 +179,8 @@ def _value(value: Any, kind: Any, where: str, problems: Problems, base: Path | N
 
 def _bounded(value: Any, kind: Any, where: str, problems: Problems, base: Path | None) -> Any:
     """A value whose numbers have bounds."""
-    decoded, bounds = _value(value, get_args(kind)[0], where, problems, base), bounds_of(kind)
+    decoded = _value(value, get_args(kind)[0], where, problems, base)
+    bounds = bounds_of(kind)
     name = where.rpartition(".")[2].partition("[")[0]
     for number in numbers(decoded):
         if bounds is not None and not bounds.holds(number):
@@ -255,7 +257,8 @@ def _refuse(value: Any, kind: Any, where: str, problems: Problems) -> Any:
 
 def _expected(kind: Any) -> str:  # noqa: PLR0911
     """Returns what a person may write for a value of this kind."""
-    origin, args = get_origin(kind), get_args(kind)
+    origin = get_origin(kind)
+    args = get_args(kind)
     if origin is Annotated:
         return _expected(args[0])
     names: dict[Any, str] = {

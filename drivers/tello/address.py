@@ -14,7 +14,8 @@ from typing import Annotated
 from drivers.interfaces import VehicleError
 from path.bounds import Bounds
 
-STOCK_STATE_PORT, STOCK_VIDEO_PORT = 8890, 11111
+STOCK_STATE_PORT = 8890
+STOCK_VIDEO_PORT = 11111
 SIOCGIFADDR = 0x8915
 
 

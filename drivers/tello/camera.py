@@ -81,7 +81,8 @@ class _Reader(BackgroundFrameRead):
                 try:
                     frames = packet.decode()
                 except av.error.FFmpegError:
-                    frames, waiting_for_key = [], True
+                    frames = []
+                    waiting_for_key = True
                     self.damaged += 1
                 for frame in frames:
                     if frame.is_corrupt:
@@ -134,7 +135,8 @@ class TelloCamera:
         return self._reader.damaged if self._reader is not None else 0
 
     async def examine(self) -> Sequence[Finding]:
-        config, damaged = self._config, self.damaged
+        config = self._config
+        damaged = self.damaged
         way = f"{config.latency_s:g} s, give or take {config.latency_sigma_s:g}, as the rig says: not measured here"
         if not damaged:
             return (Finding("ok", "latency", way), Finding("ok", "damaged", "no frame"))
@@ -213,7 +215,8 @@ class TelloCamera:
 
     def _on_frame(self, image: NDArray[np.uint8]) -> None:
         """Takes a frame on the reader's thread."""
-        link, loop = self._link, self._loop
+        link = self._link
+        loop = self._loop
         if link is None or loop is None:
             return
         arrival_ns = link.clock.now_ns()
@@ -292,7 +295,8 @@ class TelloCamera:
         raise result
 
     async def _close(self) -> None:
-        reader, link = self._reader, self._link
+        reader = self._reader
+        link = self._link
         self._reader = self._link = None
         self._wake.set()  # whoever waits for a frame is told
         if reader is not None:

@@ -215,7 +215,8 @@ class TelloLink:
             del library.drones[host]
         if _open.get(host) is self:
             del _open[host]
-        self.tello, self._slot = None, None
+        self.tello = None
+        self._slot = None
 
     async def _connect(self) -> None:
         address = self.address
@@ -235,7 +236,8 @@ class TelloLink:
 
     def _make(self) -> Any:
         install()
-        address, tello = self.address, library.Tello
+        address = self.address
+        tello = library.Tello
         tello.LOGGER.setLevel(logging.ERROR)  # it writes every setpoint to stderr
         tello.CONTROL_UDP_PORT = 0  # the drone answers to whatever port it was asked from
         tello.STATE_UDP_PORT = address.state_port

@@ -18,7 +18,9 @@ MOST: dict[str, tuple[float, float]] = {  # of each field that is needed, in its
     "vgx": (-1e3, 1e3), "vgy": (-1e3, 1e3), "vgz": (-1e3, 1e3),
     "tof": (-1e5, 1e5), "h": (-1e5, 1e5), "bat": (0.0, 100.0), "time": (0.0, 1e6),
 }  # fmt: skip
-TOF_FLOOR_M, TOF_CEILING_M = 0.11, 6.0  # 10 cm is what it says when it stands; beyond the other it sees nothing
+# 10 cm is what it says when it stands; beyond the other it sees nothing
+TOF_FLOOR_M = 0.11
+TOF_CEILING_M = 6.0
 TOF_SHARE = 0.3  # of the difference between the rangefinder and the height reckoned, each packet
 TOF_JUMP_M = 0.35  # more than that at once is something below it, not its height
 LONGEST_STEP_S = 0.5
@@ -75,9 +77,12 @@ def _within(value: object, least: float, most: float) -> TypeGuard[int | float]:
 
 def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quat:
     """Body FRD to NED, wxyz, from yaw, then pitch, then roll."""
-    cr, sr = math.cos(roll_rad / 2.0), math.sin(roll_rad / 2.0)
-    cp, sp = math.cos(pitch_rad / 2.0), math.sin(pitch_rad / 2.0)
-    cy, sy = math.cos(yaw_rad / 2.0), math.sin(yaw_rad / 2.0)
+    cr = math.cos(roll_rad / 2.0)
+    sr = math.sin(roll_rad / 2.0)
+    cp = math.cos(pitch_rad / 2.0)
+    sp = math.sin(pitch_rad / 2.0)
+    cy = math.cos(yaw_rad / 2.0)
+    sy = math.sin(yaw_rad / 2.0)
     return (
         cr * cp * cy + sr * sp * sy,
         sr * cp * cy - cr * sp * sy,
@@ -109,7 +114,8 @@ class DeadReckoning:
         self._last: TelloReport | None = None
         self._yaw0_rad = 0.0
         self._flown_s = 0.0
-        self.north_m, self.east_m = placement.north_m, placement.east_m
+        self.north_m = placement.north_m
+        self.east_m = placement.east_m
         self.height_m = 0.0
         self.velocity_n_mps: Vec3 = (0.0, 0.0, 0.0)
 
@@ -135,7 +141,8 @@ class DeadReckoning:
             self._yaw0_rad = report.yaw_rad
         self._last = report
         turn = self._placement.heading_rad - self._yaw0_rad if self._frame == "start" else self.heading_rad
-        c, s = math.cos(turn), math.sin(turn)
+        c = math.cos(turn)
+        s = math.sin(turn)
         x, y, down = report.velocity_mps
         velocity = (c * x - s * y, s * x + c * y, down)
         dt = min((report.arrival_ns - last.arrival_ns) * 1e-9, LONGEST_STEP_S) if last is not None else 0.0

@@ -32,7 +32,8 @@ TAKE_OFF_ANSWER_S = 20.0  # it answers once it hovers
 OFF_GROUND_M = 0.35
 HOVER_S = 0.8  # without climbing or sinking: its own take-off is over, whatever it answers
 JUDGE_S = 5.0  # after a refusal, or no answer, in which motors that were started show in state packets
-CLIMB_GAIN_HZ, CLIMB_MPS = 1.0, 0.5
+CLIMB_GAIN_HZ = 1.0
+CLIMB_MPS = 0.5
 SETTLED_MPS = 0.25
 LAND_TRIES = 3
 LAND_AGAIN_S = 4.0  # without sinking and without being down: it is told again
@@ -102,7 +103,8 @@ class TelloVehicle:
             await asyncio.gather(self._keeper, return_exceptions=True)
             self._keeper = None
         if self._link is not None:
-            link, self._link = self._link, None
+            link = self._link
+            self._link = None
             link.on_report = None
             await link.release()
 

@@ -20,7 +20,8 @@ REASONS = {  # texts that drones were seen to answer with
 def sticks(config: TelloVehicleConfig, heading_rad: float, velocity_n_mps: Vec3, turn_dps: float) -> str:
     """``rc``: right, forward, up, clockwise, each -100..100, for a velocity in NED of a drone with this heading."""
     north, east, down = velocity_n_mps
-    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    c = math.cos(heading_rad)
+    s = math.sin(heading_rad)
     scale = 100.0 / config.full_stick_mps
     wanted = (
         scale * (c * east - s * north), scale * (c * north + s * east), -scale * down,

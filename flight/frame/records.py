@@ -114,7 +114,8 @@ def beside_of(numbers: Sequence[float] | None) -> tuple[Rival, ...]:
 
 def target_record(frame: OwnFrame, judged_ns: int) -> dict[str, Any]:
     """``/target``: what one frame of D1 gave; ``judged_ns``: when D2's answers were judged after it, D1's clock."""
-    seen, message = frame.seen, frame.message
+    seen = frame.seen
+    message = frame.message
     sent = isinstance(message, Target)
     sighted = isinstance(seen, Sighting)
     depth = seen.depth if sighted else None
@@ -163,7 +164,9 @@ def _sources(text: str | None) -> tuple[RangeSource, ...]:
 
 def agreement_record(pair: PairVerdict, gate: Gate, needed_pairs: int, target_id: int) -> dict[str, Any]:
     """``/agreement``: what one answer of D2 was worth."""
-    verdict, candidate, offsets = pair.verdict, pair.candidate, pair.offsets
+    verdict = pair.verdict
+    candidate = pair.candidate
+    offsets = pair.offsets
     agreed = isinstance(verdict, Agreed)
     count, evidence = counted(pair, gate)
     return {

@@ -17,7 +17,9 @@ class UnderGuard:
     """``taken``: the guard has the vehicle, until it is disarmed; nothing may be commanded any more."""
 
     def __init__(self, line: GuardLine, clock: Clock, rules: GuardRules) -> None:
-        self._line, self._clock, self._rules = line, clock, rules
+        self._line = line
+        self._clock = clock
+        self._rules = rules
         self._checked_ns = clock.now_ns()
         self._since_ns = self._checked_ns  # nothing can have been heard while this program did not run
         self.taken = ""  # why, once it is

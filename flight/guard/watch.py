@@ -40,10 +40,14 @@ class GuardWatch:
         warn: Callable[[str], None] = lambda _what: None,
     ) -> None:
         """``tell`` is called with every decision, ``warn`` with each kind of thing that is ignored, once."""
-        self._tell, self._warn = tell, warn
+        self._tell = tell
+        self._warn = warn
         self._alarms: list[str] = []
         guard = config.guard
-        self._vehicle, self._line, self._clock, self._log = vehicle, line, clock, log
+        self._vehicle = vehicle
+        self._line = line
+        self._clock = clock
+        self._log = log
         self._rules = config.guard_process
         self._limits = Limits(guard.fence(), guard.min_battery, config.separation.minimum_m)
         self._state = GuardState()
@@ -60,7 +64,8 @@ class GuardWatch:
     @property
     def needed(self) -> bool:
         """A script flies the vehicle or the guard brings it down, and it can be seen."""
-        view, heard = self._vehicle.view(), self._heard
+        view = self._vehicle.view()
+        heard = self._heard
         if view is None or not view.armed or not self.sees(self._clock.now_ns()):
             return False
         if flown_by_scripts_alone(view) and was_let_go(self._state, heard):
@@ -124,10 +129,12 @@ class GuardWatch:
 
     def _forgive_own_stall(self, now_ns: int) -> None:
         """Time in which this program did not run says nothing about another one that may have had no core either."""
-        ticked_ns, self._ticked_ns = self._ticked_ns, now_ns
+        ticked_ns = self._ticked_ns
+        self._ticked_ns = now_ns
         if ticked_ns is None or self._heard is None or (now_ns - ticked_ns) * 1e-9 < STALL_S:
             return
-        heard, stalled_ns = self._heard, now_ns - ticked_ns
+        heard = self._heard
+        stalled_ns = now_ns - ticked_ns
         self._heard = replace(
             heard,
             beat_ns=min(now_ns, heard.beat_ns + stalled_ns),
@@ -156,7 +163,8 @@ class GuardWatch:
         return True
 
     def _heard_now(self) -> ProgramBeat | None:
-        heard, peer = self._heard, self.peer.view() if self.peer else None
+        heard = self._heard
+        peer = self.peer.view() if self.peer else None
         return replace(heard, peer_n_m=peer.position_n_m) if heard and peer and peer.in_air else heard
 
     def _forget(self, now_ns: int) -> None:
@@ -172,7 +180,9 @@ class GuardWatch:
         return GuardAnswer(self._sees(view, now_ns), self._state.hand(script, armed), self._state.reason, alarm)
 
     def _log_decision(self, now_ns: int, act: Act) -> None:
-        state, heard, view = self._state, self._heard, self._vehicle.view()
+        state = self._state
+        heard = self._heard
+        view = self._vehicle.view()
         record = {
             "stage": state.stage.value,
             "act": act.value,

@@ -85,7 +85,8 @@ def decode_event(line: str | bytes) -> Progress | RoleResult | None:
     """The event of a line; None when the line is none (a library's own output)."""
     try:
         record = json.loads(line)
-        kind, role = record.pop("event"), Role(record.pop("role"))
+        kind = record.pop("event")
+        role = Role(record.pop("role"))
         if kind == "progress":
             evidence = record.pop("evidence")
             return Progress(role=role, evidence=tuple(evidence) if evidence else None, **record)

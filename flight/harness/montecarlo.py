@@ -39,7 +39,9 @@ FaultName = Literal[
 WrongKind = Literal["shift", "turn", "lock"]
 Outcome = Literal["commit", "timeout"]
 
-PAIR, MISS, OWN_MISS = 0, 1, 2
+PAIR = 0
+MISS = 1
+OWN_MISS = 2
 """The kinds of entry in a series: boxes were compared; D2's frame is a miss; D1's own frame is a miss."""
 
 
@@ -200,7 +202,8 @@ class Telling:
     """
 
     def __init__(self, gate: Gate, method: MethodConfig) -> None:
-        self.gate, self._method = gate, method
+        self.gate = gate
+        self._method = method
         self._told = 0
         self._judged_ns: int | None = None
         self._agreed: int | None = None  # the newest pair that the gate counted
@@ -208,11 +211,14 @@ class Telling:
 
     def on(self, series: Series) -> int | None:
         """Goes on with the entries that are new, which end with all that D1 judged by a frame. Returns ``done``."""
-        first, self._told = self._told, len(series)
+        first = self._told
+        self._told = len(series)
         if self.done is not None or first == len(series):
             return self.done
-        gate, method = self.gate, self._method
-        column, agrees = 0 if method.box_mapping == "center" else 1, agreeing(series, method)
+        gate = self.gate
+        method = self._method
+        column = 0 if method.box_mapping == "center" else 1
+        agrees = agreeing(series, method)
         entries = zip(
             series.kind[first:].tolist(), series.now_ns[first:].tolist(), series.sequence[first:].tolist(),
             series.capture_ns[first:].tolist(), series.own[first:].tolist(), series.iou[first:, column].tolist(),
@@ -231,7 +237,8 @@ class Telling:
             gate.expire(capture_ns)
             if agreed:
                 frames = (own[0], own[1]), (own[2], own[3])
-                offsets, oversize = series.offsets.get(k), series.oversize.get(k, 0.0)
+                offsets = series.offsets.get(k)
+                oversize = series.oversize.get(k, 0.0)
                 pair = FramePair(sequence, capture_ns, frames, offsets, oversize, series.placed_iou.get(k))
                 if gate.agree(pair, iou, threshold(z_m, method)) is None:
                     self._agreed = k

@@ -131,7 +131,8 @@ def _target_px(of: Flown) -> Problem | None:
 
 def _fits(of: Flown) -> Problem | None:
     """Check that the whole target is inside D1's image."""
-    camera, seen = of.facts.sender.camera, apparent(of.facts, of.range_m)
+    camera = of.facts.sender.camera
+    seen = apparent(of.facts, of.range_m)
     widest = max(seen.width_px / camera.width, seen.height_px / camera.height)
     if widest <= 1.0:
         return None
@@ -144,7 +145,8 @@ def _fits(of: Flown) -> Problem | None:
 
 def _depth(of: Flown) -> Problem | None:
     """Check that D1's depth camera reaches the target, or something else tells how far away it is."""
-    method, range_m = of.facts.method, of.range_m
+    method = of.facts.method
+    range_m = of.range_m
     if range_of(of.facts, range_m) is not None:
         return None
     return Problem(
@@ -157,7 +159,8 @@ def _depth(of: Flown) -> Problem | None:
 
 def _behind(of: Flown) -> Problem | None:
     """Check that depth tells the target from what is right behind it, which a detector may put into one box with it."""
-    method, span_m = of.facts.method, of.facts.target.span_m
+    method = of.facts.method
+    span_m = of.facts.target.span_m
     sigma_m = method.depth_sigma_at_1m_m * of.range_m**2
     most_m = MOST_DEPTH_SIGMA * span_m
     if sigma_m <= most_m or not method.min_depth_m <= of.range_m <= method.max_depth_m:
@@ -225,7 +228,8 @@ def _sees_both(of: Flown, wind_mps: float) -> bool:
 
 def _site(of: Flown) -> Problem | None:
     """Check that both drones have room inside the site where they hand over a target at its designated place."""
-    fence, target = of.mission.fence, of.mission.target
+    fence = of.mission.fence
+    target = of.mission.target
     if not fence.corners_m:
         return None
     heading = math.radians(of.mission.heading_deg)
@@ -261,7 +265,8 @@ def _offset(of: Flown) -> Problem | None:
     """Check that errors that last leave both boxes over each other."""
     if not isinstance(of.placed.viewpoint, Viewpoint) or _overlap(of):
         return None
-    expected, most_m = predict(of.facts, of.placed), _most_offset_m(of)
+    expected = predict(of.facts, of.placed)
+    most_m = _most_offset_m(of)
     worst = max(expected.sources, key=lambda source: source.sigma_m)
     share = _most(0.0, 1.0, lambda share: _overlap(_at(of.facts, of.mission, _times(of, share))))
     return Problem(
@@ -286,7 +291,8 @@ def _overlap(of: Flown) -> bool:
 
 def _wind(of: Flown) -> Problem | None:
     """Check that wind and gusts leave the drones enough of their tilt to follow with."""
-    drone, site = of.facts.drone, of.facts.site
+    drone = of.facts.drone
+    site = of.facts.site
     leans_deg = drone.tilt_per_mps_deg * (site.wind_mps + 2.0 * site.gust_mps)
     corrects_deg = _corrects_deg(of)
     if leans_deg + corrects_deg <= drone.max_tilt_deg:
@@ -365,7 +371,8 @@ def _latency(of: Flown) -> Problem | None:
     """Check that D2 can still tell where the target is when D1's word of it comes late."""
     if not isinstance(of.placed.viewpoint, Viewpoint):
         return None
-    method, link = of.facts.method, of.facts.link
+    method = of.facts.method
+    link = of.facts.link
     searched_px = _searched_px(of, link.latency_s)
     if searched_px <= method.max_search_px:
         return None

@@ -110,7 +110,8 @@ def swing(facts: Facts) -> float:
 
 def _separation(drone: DroneFacts, found: _Found) -> None:
     """Derive what keeps two drones apart, from their size and from how far they wander."""
-    size, hold = "drone.diameter_m", "drone.hold_m"
+    size = "drone.diameter_m"
+    hold = "drone.hold_m"
     found.add("mission.separation.horizontal_m", drone.diameter_m, "m", size)
     found.add("mission.separation.vertical_m", 0.75 * drone.diameter_m, "m", size)
     least_m = drone.diameter_m + 0.5 * drone.hold_m
@@ -122,7 +123,8 @@ def _separation(drone: DroneFacts, found: _Found) -> None:
 
 def _following(facts: Facts, found: _Found) -> None:
     """Derive where D1 follows from, and how fast."""
-    target, drone = facts.target, facts.drone
+    target = facts.target
+    drone = facts.drone
     height_m = 0.0 if target.flies else 0.5 * target.height_m
     height_m = found.add("mission.target.height_m", height_m, "m", "half of target.height_m")
     found.add("mission.target.half_size_m", target_radius_m(facts), "m", "the target as D1 sees it")
@@ -170,13 +172,15 @@ def _range(facts: Facts, found: _Found) -> tuple[float, str]:
         placed = layout(facts, place_of_target(facts, range_m), radius_m, separation, room)
         if isinstance(placed.viewpoint, Viewpoint):
             return range_m, why
-        range_m, why = range_m * WIDER, "D2 sees marker and target from one place"
+        range_m = range_m * WIDER
+        why = "D2 sees marker and target from one place"
     return fits_m, "no viewpoint at any range"
 
 
 def least_range_m(facts: Facts) -> float:
     """Return the least range at which the whole target stays inside D1's image."""
-    camera, seen = facts.sender.camera, apparent(facts, 1.0)
+    camera = facts.sender.camera
+    seen = apparent(facts, 1.0)
     sway_m = sway(facts)
     ways = (
         (0.5 * seen.width_m + sway_m, 0.5 * camera.width / camera.fx),
@@ -232,7 +236,8 @@ def _method(facts: Facts, found: _Found) -> None:
     found.add("method.max_depth_spread_m", 0.8 * span_m, "m", "its own depth")
     fastest_mps = facts.target.max_speed_mps + facts.drone.hold_m / facts.drone.response_s
     found.add("method.relative_speed_mps", max(fastest_mps, 1e-3), "m/s", "target and drone")
-    lens, usual = facts.receiver.camera, MethodConfig()
+    lens = facts.receiver.camera
+    usual = MethodConfig()
     wider = 0.5 * (lens.fx + lens.fy) / USUAL_FOCAL_PX
     found.add("method.min_search_px", wider * usual.min_search_px, "px", "the same angle with any camera")
     found.add("method.max_search_px", wider * usual.max_search_px, "px", "the same angle with any camera")
@@ -279,7 +284,9 @@ def _rates(facts: Facts, found: _Found) -> None:
     """Derive the gaps that are no loss where frames come slowly, or packets late and not all of them."""
     rates = [eye.rate_hz for eye in (facts.sender, facts.receiver) if eye.rate_hz is not None]
     every_s = 1.0 / min(rates) if rates else 0.0
-    link, usual, guard = facts.link, MethodConfig(), GuardConfig()
+    link = facts.link
+    usual = MethodConfig()
+    guard = GuardConfig()
     lost = 1.0 / (1.0 - link.loss) ** 2  # a pair takes a packet each way
     silent_s = 3.0 * every_s * lost
     waits = (

@@ -84,7 +84,8 @@ def predict(facts: Facts, placed: Layout) -> Predicted:
         raise ValueError("a layout without a viewpoint has no errors")
     chain = _Chain(facts, placed.target_h, placed.T_h_c2)
     pose = _pose_sigmas(facts, placed.viewpoint)
-    method, span_m = facts.method, facts.target.span_m
+    method = facts.method
+    span_m = facts.target.span_m
     focal1 = min(facts.sender.camera.fx, facts.sender.camera.fy)
     focal2 = min(facts.receiver.camera.fx, facts.receiver.camera.fy)
     mount_rad = math.radians(method.mount_sigma_deg)

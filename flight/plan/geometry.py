@@ -83,7 +83,8 @@ def apparent(facts: Facts, range_m: float) -> Apparent:
     An upright cylinder of diameter s and height H, seen from an angle a above the horizon, is s wide and
     H cos(a) + s sin(a) high.
     """
-    target, camera = facts.target, facts.sender.camera
+    target = facts.target
+    camera = facts.sender.camera
     angle = depression_rad(facts)
     width_m = target.span_m
     height_m = target.height_m * math.cos(angle) + target.span_m * math.sin(angle)
@@ -146,7 +147,8 @@ def target_radius_m(facts: Facts) -> float:
 
 
 def _pose_of(facts: Facts, found: Viewpoint) -> Pose:
-    c, s = math.cos(found.yaw_h_rad), math.sin(found.yaw_h_rad)
+    c = math.cos(found.yaw_h_rad)
+    s = math.sin(found.yaw_h_rad)
     R_h_b = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     place = facts.sender.mount.T_b_v.t + np.array(found.camera_h_m)
     return Pose(R_h_b @ facts.receiver.mount.T_b_c.R, place)
@@ -155,5 +157,6 @@ def _pose_of(facts: Facts, found: Viewpoint) -> Pose:
 def tilts(angle_rad: float) -> list[Floats]:
     """Return a drone's body z axis in wind of eight directions that tilts it so much."""
     turns = [math.radians(45.0 * k) for k in range(8)]
-    level, upright = math.sin(angle_rad), math.cos(angle_rad)
+    level = math.sin(angle_rad)
+    upright = math.cos(angle_rad)
     return [np.array([level * math.cos(turn), level * math.sin(turn), upright]) for turn in turns]

@@ -55,7 +55,9 @@ def _size(facts: Facts, range_m: float, measured: bool) -> Depth | None:
     """Asked as in flight: only where there is no depth."""
     if measured:
         return None
-    camera, seen = facts.sender.camera, apparent(facts, range_m)
-    left, top = camera.cx - 0.5 * seen.width_px, camera.cy - 0.5 * seen.height_px
+    camera = facts.sender.camera
+    seen = apparent(facts, range_m)
+    left = camera.cx - 0.5 * seen.width_px
+    top = camera.cy - 0.5 * seen.height_px
     box = Box(left, top, seen.width_px, seen.height_px)
     return by_size(box, camera, _sight(facts), _body(facts), facts.method.pixel_sigma_px)

@@ -27,12 +27,16 @@ from path.marker.layout import MarkerLayout
 from path.messages import Status, Target
 
 _TRANSIT_MPS = 1.0
-_TURN, _SLIDE, _CLIMB = 1.1, 0.3, 0.19  # rad/s of the search's three swings: no two are in step for long
+# rad/s of the search's three swings: no two are in step for long
+_TURN = 1.1
+_SLIDE = 0.3
+_CLIMB = 0.19
 _TOO_NEAR = 3.0 / 14.0  # of the smallest separation, above it
 _RUSHING_MPS = 0.4  # above the speed of an approach
 _UNCERTAIN = 2.0  # times the largest uncertainty to close in with
 _UNSURE_SHARE = 0.3  # of the speed, while the marker's pose is uncertain
-_BACK_OFF_MPS, _CLIMB_MPS = 0.25, 0.4
+_BACK_OFF_MPS = 0.25
+_CLIMB_MPS = 0.4
 _SETTLE_S = 1.5  # where it came in to, before it starts to slide
 _COME_IN_MPS = 0.3
 _FINDABLE_PX = 14.0  # of a marker's side: found in nearly every image, at a slant too
@@ -128,7 +132,8 @@ class Rendezvous:
         """
         rendezvous = self._config.rendezvous
         searching_s = (self._now_ns() - self._search_began_ns) * 1e-9
-        from_m, to_m = self.stand_off_m, self._search_from_m()
+        from_m = self.stand_off_m
+        to_m = self._search_from_m()
         place, yaw = self._facing_marker(max(to_m, from_m - _COME_IN_MPS * searching_s))
         searched_s = max(0.0, searching_s - (from_m - to_m) / _COME_IN_MPS - _SETTLE_S)
         turn = math.radians(rendezvous.search_turn_deg) * min(1.0, 0.3 * searched_s) * math.sin(_TURN * searched_s)
@@ -165,7 +170,8 @@ class Rendezvous:
         """The place from which the marker is this far along the camera's axis, and the yaw there."""
         peer = self._peer()
         steepness = self._steepness_rad
-        level_m, height_m = distance_m * math.cos(steepness), distance_m * math.sin(steepness)
+        level_m = distance_m * math.cos(steepness)
+        height_m = distance_m * math.sin(steepness)
         normal_b = self._mount.T_b_v.R[:, 2]  # of the plate, in D1's body
         facing = math.hypot(float(normal_b[0]), float(normal_b[1]))
         ahead, right = (float(normal_b[0]) / facing, float(normal_b[1]) / facing) if facing > 0.1 else (-1.0, 0.0)
@@ -176,21 +182,24 @@ class Rendezvous:
 
     def _within_fence(self, place_n_m: Vec3) -> Vec3:
         """The nearest place that is inside the fence however wrong this drone's own position is."""
-        guard, rendezvous = self._config.guard, self._config.rendezvous
+        guard = self._config.guard
+        rendezvous = self._config.rendezvous
         if guard.corners_m:
             return self._config.fence.nearest(place_n_m)
         radius_m = guard.fence_radius_m - rendezvous.positions_within_m
         return within_fence(place_n_m, radius_m, guard.fence_height_m - rendezvous.heights_within_m)
 
     def _by_position(self, place_n_m: Vec3, state: VehicleState, yaw_rad: float) -> VelocitySetpoint:
-        error, gain = subtract(place_n_m, state.position_n_m), self._config.rendezvous.gain_per_s
+        error = subtract(place_n_m, state.position_n_m)
+        gain = self._config.rendezvous.gain_per_s
         return VelocitySetpoint(close_in(error, self._peer().velocity_n_mps, gain, _TRANSIT_MPS), yaw_rad)
 
     # --- approach: by the marker alone -----------------------------------------------------------------------------
 
     def to_viewpoint(self, state: VehicleState) -> VelocitySetpoint:
         """Close in on the planned place; when the marker was not seen for too long, back off to see it again."""
-        relative, peer = self._marker.predict(self._now_ns()), self._peer()
+        relative = self._marker.predict(self._now_ns())
+        peer = self._peer()
         if relative is None:
             velocity, yaw = self._back_off(state)
             return VelocitySetpoint(add(peer.velocity_n_mps, velocity), yaw)
@@ -207,7 +216,8 @@ class Rendezvous:
         Where the marker has told what reported positions are worth, they say where it is: D2 turns to it, and climbs
         as long as that is above what its camera has in the middle of the image. It never sinks: that could lead nearer.
         """
-        heading, climb_mps = yaw_of(state.q_n_b), 0.0
+        heading = yaw_of(state.q_n_b)
+        climb_mps = 0.0
         if self._shift_n_m is not None:
             way = self._reported(state, self._shift_n_m)
             heading = bearing(way)
@@ -220,7 +230,8 @@ class Rendezvous:
 
     def at_viewpoint(self) -> bool:
         """Returns whether the camera is at the viewpoint, and slow."""
-        relative, rendezvous = self._marker.predict(self._now_ns()), self._config.rendezvous
+        relative = self._marker.predict(self._now_ns())
+        rendezvous = self._config.rendezvous
         return (
             relative is not None
             and norm(self._off_viewpoint(relative.marker_n_m)) < rendezvous.arrived_m
@@ -229,10 +240,12 @@ class Rendezvous:
 
     def out_of_bounds(self) -> str:
         """Returns why this approach must not go on; "" while all is within its bounds."""
-        relative, rendezvous = self._marker.predict(self._now_ns()), self._config.rendezvous
+        relative = self._marker.predict(self._now_ns())
+        rendezvous = self._config.rendezvous
         if relative is None:
             return ""
-        way, velocity = relative.marker_n_m, relative.velocity_n_mps
+        way = relative.marker_n_m
+        velocity = relative.velocity_n_mps
         distance_m = norm(way)
         closing_mps = -sum(a * b for a, b in zip(way, velocity, strict=True)) / distance_m
         separation = self._config.separation

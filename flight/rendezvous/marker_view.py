@@ -22,7 +22,9 @@ from path.observations import MarkerDetection, Missed, MissReason, Region
 from path.relative_pose.filter import Relative, RelativeFilter, RelativeSettings
 from path.values import value
 
-_ROOM_M, _TURN_RAD = 0.012, 0.1  # around the markers' corners; a plate that is turned by so much more
+# around the markers' corners; a plate that is turned by so much more
+_ROOM_M = 0.012
+_TURN_RAD = 0.1
 _NEAREST_M = 0.1  # a corner that would be nearer is none
 _FIXED_NS = 500_000_000  # fixes older than this do not count towards "seen"
 _FIXED_FRAMES = 8
@@ -159,7 +161,8 @@ class MarkerView:
 
 
 def _relative_settings(mission: MissionConfig) -> RelativeSettings:
-    usual, wander_rad = RelativeSettings(), math.radians(mission.attitude_wander_deg)
+    usual = RelativeSettings()
+    wander_rad = math.radians(mission.attitude_wander_deg)
     return RelativeSettings(
         tilt_wander_rad=wander_rad,
         yaw_wander_rad=max(usual.yaw_wander_rad, wander_rad),
@@ -174,8 +177,12 @@ def levelled(gravity_v: Vec3, R_b_v: Matrix, yaw_rad: float = 0.0) -> Matrix:
     """
     x, y, z = (R_b_v @ gravity_v).tolist()
     across = math.hypot(y, z)
-    ahead_y, ahead_z, right_y, right_z = -x * y / across, -x * z / across, z / across, -y / across
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    ahead_y = -x * y / across
+    ahead_z = -x * z / across
+    right_y = z / across
+    right_z = -y / across
+    c = math.cos(yaw_rad)
+    s = math.sin(yaw_rad)
     rows = (
         (c * across, c * ahead_y - s * right_y, c * ahead_z - s * right_z),
         (s * across, s * ahead_y + c * right_y, s * ahead_z + c * right_z),

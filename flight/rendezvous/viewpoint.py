@@ -16,7 +16,9 @@ from path.geometry.transforms import Pose
 Floats = NDArray[np.float64]
 
 _DISTANCES = 17  # from the nearest to the farthest
-_NEAREST, _FARTHEST = 8.0 / 7.0, 16.0 / 7.0  # times the least separation
+# times the least separation
+_NEAREST = 8.0 / 7.0
+_FARTHEST = 16.0 / 7.0
 _BEYOND = 1.18  # times the distance between the bodies that is asked for, where that is more
 _AZIMUTHS_RAD = np.radians(np.arange(-70.0, 71.0, 10.0))
 _ELEVATIONS_RAD = np.radians(np.arange(0.0, 61.0, 7.5))
@@ -166,7 +168,10 @@ def _look(
     turn = bearings[:, 1] - bearings[:, 0]
     turn = np.arctan2(np.sin(turn), np.cos(turn))
     yaw = bearings[:, :1] + turn[:, None] * np.array(_YAW_SHARES)
-    c, s, zero, one = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
+    c = np.cos(yaw)
+    s = np.sin(yaw)
+    zero = np.zeros_like(yaw)
+    one = np.ones_like(yaw)
     R_level_b = np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1).reshape(*yaw.shape, 3, 3)
     R_h_c = tilt @ R_level_b @ T_b_c.R
     points_c = np.einsum("nkji,nmj->nkmi", R_h_c, points_h)  # (n, shares, 2, 3)

@@ -71,7 +71,8 @@ class Acquisition:
             camera, method, attitude_rad, motion.fastest_mps, motion.accel_mps2, flies=mission.target.flies
         )
         self._usual_down_m = -mission.target.height_m
-        self._flies, self._fastest_mps = mission.target.flies, motion.fastest_mps
+        self._flies = mission.target.flies
+        self._fastest_mps = motion.fastest_mps
         self._looks: deque[Look] = deque()
         self._seen: list[Candidate] = []
         self._plausible_ns: int | None = None
@@ -107,7 +108,9 @@ class Acquisition:
         if answer.number not in {each.number for each in question.shown} or answer.number not in known:
             self.question = None
             return False
-        self._chosen, self.question, self._settled_share = known[answer.number], None, 1.0
+        self._chosen = known[answer.number]
+        self.question = None
+        self._settled_share = 1.0
         self._chosen_since_ns = self._chosen.since_ns
         return True
 
@@ -182,7 +185,9 @@ class Acquisition:
     def _settle(self, one: Candidate, share: float) -> None:
         """What is surely the one stays it, as long as it is known to be the same: D1 may look from nearer now."""
         if self._chosen is not one:
-            self._chosen, self._chosen_since_ns, self._settled_share = one, one.since_ns, share
+            self._chosen = one
+            self._chosen_since_ns = one.since_ns
+            self._settled_share = share
 
     def _note_look(self, stamp_ns: int, T_n_c: Pose) -> None:
         looks = self._looks
@@ -235,7 +240,8 @@ class Acquisition:
     # --- whether it can be taken as it is in a frame ---
 
     def _fit(self, one: Candidate, view: View, T_n_c: Pose) -> bool:
-        seen, depth = one.observed, self._depth_of(one.observed, T_n_c)
+        seen = one.observed
+        depth = self._depth_of(one.observed, T_n_c)
         steady = one.frames >= STEADY_FRAMES and depth is not None
         return steady and self._well_inside(seen.box) and self._alone(seen, depth, view, T_n_c)
 
@@ -250,7 +256,8 @@ class Acquisition:
     def _well_inside(self, box: Box) -> bool:
         """Returns whether the box is so far inside the image that a gust would not take it out at once."""
         u, v = box.center
-        room_u, room_v = ROOM * self._camera.width, ROOM * self._camera.height
+        room_u = ROOM * self._camera.width
+        room_v = ROOM * self._camera.height
         return room_u <= u <= self._camera.width - room_u and room_v <= v <= self._camera.height - room_v
 
     def _alone(self, seen: Observed, depth: Depth | None, view: View, T_n_c: Pose) -> bool:

@@ -95,7 +95,8 @@ def follow(view: View, T_n_c: Pose, camera: CameraModel, track: TargetTrack) -> 
         or _has_more(ranked[0].box, z, sigma_m, T_n_c, track)
     ):
         return _unfound(view, T_n_c, camera, track, (seen, around), ((u, v), z, sigma_m), px_per_m * gate_m)
-    chosen, nearly = ranked[0], False
+    chosen = ranked[0]
+    nearly = False
     if len(ranked) > 1:
         track.note_rival(_nearest_m(ranked, px_per_m), view.stamp_ns)
         nearly = _nearly_as_near(ranked)
@@ -228,7 +229,8 @@ def _unfound(
         row = pixel[1] - ABOVE * side_px[1]
         (x, y), (x_row, y_row) = camera.ray(*pixel), camera.ray(pixel[0], row)
         # an upright body is as far along the ground in the row above its middle, and not as deep in a view from above
-        along, along_row = _level(T_n_c, (x, y, 1.0)), _level(T_n_c, (x_row, y_row, 1.0))
+        along = _level(T_n_c, (x, y, 1.0))
+        along_row = _level(T_n_c, (x_row, y_row, 1.0))
         if along_row > MIN_DESCENT:
             body = standing_out(view, (pixel[0], row), z_m * along / along_row, side_px[0], reach_px)
     others = [
@@ -313,14 +315,16 @@ def _within(box: Box, expected: Pixel, side_px: tuple[float, float], camera: Cam
     A side that the image's border cuts bounds nothing.
     """
     (u, v), (middle_u, middle_v) = expected, box.center
-    cut_u, cut_v = cut_sides(box.x, box.w, camera.width), cut_sides(box.y, box.h, camera.height)
+    cut_u = cut_sides(box.x, box.w, camera.width)
+    cut_v = cut_sides(box.y, box.h, camera.height)
     return _nearest(u, middle_u, box.w - side_px[0], cut_u), _nearest(v, middle_v, box.h - side_px[1], cut_v)
 
 
 def _nearest(expected: float, middle: float, room: float, cut: tuple[bool, bool]) -> float:
     """The place nearest to the expected one that is within half the room of a middle, and anywhere past a cut side."""
     room = room if any(cut) else max(0.0, room)
-    first, last = -math.inf if cut[0] else middle - 0.5 * room, math.inf if cut[1] else middle + 0.5 * room
+    first = -math.inf if cut[0] else middle - 0.5 * room
+    last = math.inf if cut[1] else middle + 0.5 * room
     return max(first, min(last, expected))
 
 

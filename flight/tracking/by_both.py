@@ -53,9 +53,14 @@ class FromBothViews:
     """
 
     def __init__(self, method: MethodConfig, sender: CameraModel, T_v_c1: Pose, own: CameraModel) -> None:
-        self._method, self._sender, self._T_v_c1, self._own = method, sender, T_v_c1, own
+        self._method = method
+        self._sender = sender
+        self._T_v_c1 = T_v_c1
+        self._own = own
         self._body = Body(method.evidence.span_m, method.evidence.height_m)
-        self._off_m, self._frames = 0.0, 0  # D2's own range less that by D1, and of how many frames that is the mean
+        # D2's own range less that by D1, and of how many frames that is the mean
+        self._off_m = 0.0
+        self._frames = 0
 
     def place(
         self, prior: Prior, point_sigma_m: float, pose: Matrix, gravity_c: Vec3, box: Box, depth: Depth | None

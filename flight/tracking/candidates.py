@@ -110,7 +110,8 @@ class Candidate:
 
     def unknown_s(self, stamp_ns: int) -> float:
         """Return how long a stamp is before or after all that is known of it; 0 within."""
-        before_ns, after_ns = self.since_ns - stamp_ns, stamp_ns - self.stamp_ns
+        before_ns = self.since_ns - stamp_ns
+        after_ns = stamp_ns - self.stamp_ns
         return max(0.0, before_ns * 1e-9, after_ns * 1e-9 - COASTED_S)
 
     def at(self, stamp_ns: int) -> Vec3:
@@ -131,7 +132,8 @@ class Candidate:
         newest = self.path[-1]
         self.path.clear()
         self.path.append(newest)
-        self.since_ns, self.frames = newest[0], 1
+        self.since_ns = newest[0]
+        self.frames = 1
 
     def fuse(self, seen: Observed, stamp_ns: int, accel_mps2: float, *, level: bool) -> None:
         """Take a detection for it. ``level``: it moves neither up nor down."""
@@ -139,7 +141,8 @@ class Candidate:
         self.motion.update(np.asarray(seen.place_n_m), seen.covariance_m2)
         if level:
             self._keep_level()
-        self.stamp_ns, self.observed = stamp_ns, seen
+        self.stamp_ns = stamp_ns
+        self.observed = seen
         self.frames += 1
         self.path.append((stamp_ns, self.position_n_m))
         while stamp_ns - self.path[0][0] > REMEMBERED_S * 1e9:
@@ -173,7 +176,8 @@ class Candidates:
     ) -> None:
         self._camera = camera
         self._angle_rad = math.hypot(attitude_sigma_rad, method.pixel_sigma_px / camera.fx)
-        self._fastest_mps, self._accel_mps2 = fastest_mps, accel_mps2
+        self._fastest_mps = fastest_mps
+        self._accel_mps2 = accel_mps2
         self._level = not flies
         self._numbers = 0
         self.all: list[Candidate] = []
@@ -260,7 +264,8 @@ class Candidates:
             unknown_m = math.sqrt(float(way @ (seen.covariance_m2 + one.observed.covariance_m2) @ way))
             reach_m = self._fastest_mps * unseen_s + GATE_SIGMAS * unknown_m
             if unseen_s > COASTED_S and off_m <= min(reach_m, nearest_m):
-                nearest, nearest_m = one, off_m
+                nearest = one
+                nearest_m = off_m
         return nearest
 
     def _begin(self, seen: Observed, stamp_ns: int) -> None:

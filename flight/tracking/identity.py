@@ -23,7 +23,8 @@ BOX_SIGMA_PX = 1.5
 """Noise of a box's middle; twice that of its sides."""
 _ON_BODY = 0.1
 """Of a box's larger side: how far from the object's middle its depth is taken, from frame to frame."""
-_BY_HEIGHT, _UNKNOWN = 0.1, 0.3
+_BY_HEIGHT = 0.1
+_UNKNOWN = 0.3
 """Of a distance: the error of one by the height of the ground, and of one that is taken to be as it was."""
 _ELSEWHERE = 0.01
 """The number of boxes of a frame that are of nothing known: inventions, and what comes into view."""
@@ -53,7 +54,8 @@ class Identity:
         Args:
             own: where the followed object is looked for; None when that is outside the image.
         """
-        whole, T_c_n = own, T_n_c.inverse()
+        whole = own
+        T_c_n = T_n_c.inverse()
         for track in () if self.belief is None else self.belief.tracks:
             x, y, z = T_c_n.apply(track.motion.place_m).tolist()
             if not (track.confirmed and z > 0.0 and camera.sees((x, y, z))):
@@ -152,7 +154,8 @@ class Identity:
         x, y = camera.ray(*box.center)
         depth = view.depth(box)
         if depth is not None:
-            z_m, along_m = depth.z_m, depth.sigma_m
+            z_m = depth.z_m
+            along_m = depth.sigma_m
         else:
             sinking = float(T_n_c.R[2] @ (x, y, 1.0))
             fall_m = down_m - float(T_n_c.t[2])
@@ -160,8 +163,10 @@ class Identity:
                 z_m = fall_m / sinking
                 along_m = _BY_HEIGHT * z_m
             else:
-                z_m, along_m = expected_z_m, _UNKNOWN * expected_z_m
-        wide_m, high_m = box.w * z_m / camera.fx, box.h * z_m / camera.fy
+                z_m = expected_z_m
+                along_m = _UNKNOWN * expected_z_m
+        wide_m = box.w * z_m / camera.fx
+        high_m = box.h * z_m / camera.fy
         along_m = math.hypot(along_m, _ON_BODY * max(wide_m, high_m))
         across = math.hypot(BOX_SIGMA_PX / min(camera.fx, camera.fy), self._wander_rad) * z_m
         ray = T_n_c.R @ (x, y, 1.0)

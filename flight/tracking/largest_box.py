@@ -22,7 +22,8 @@ class LargestBox:
     """By the rule of ``path.target.size`` for what the target is: an upright cylinder, whichever way it heads."""
 
     def __init__(self, camera: CameraModel, method: MethodConfig) -> None:
-        self._camera, self._method = camera, method
+        self._camera = camera
+        self._method = method
 
     @classmethod
     def of(cls, camera: CameraModel, method: MethodConfig) -> Self | None:

@@ -102,7 +102,8 @@ def cut_sides(low: float, side: float, size: int) -> tuple[bool, bool]:
 
 def _middle(box: Box, camera: CameraModel, size_m: tuple[float, float], z_m: float) -> Pixel:
     """The middle of an object that the border cuts, from its size when it was whole."""
-    half_u, half_v = 0.5 * size_m[0] * camera.fx / z_m, 0.5 * size_m[1] * camera.fy / z_m
+    half_u = 0.5 * size_m[0] * camera.fx / z_m
+    half_v = 0.5 * size_m[1] * camera.fy / z_m
     return (
         _whole_middle(box.x, box.w, half_u, camera.width),
         _whole_middle(box.y, box.h, half_v, camera.height),

@@ -19,7 +19,9 @@ ESTIMATED = 0.09  # of a depth: one that is no better is of a size, and of nothi
 ABOVE = 0.15  # of the body's height in the image, above its middle: there a person is in one piece, and wide
 STEPS = 5  # samples across the body
 LEAST_PX = 20.0  # side of a box that is asked for depth
-_NARROWEST, _WIDEST = 0.25, 1.4  # of its box's width: a body that is narrower one way than the other turns
+# of its box's width: a body that is narrower one way than the other turns
+_NARROWEST = 0.25
+_WIDEST = 1.4
 _AROUND = 2  # samples on either side, beyond where the body may be
 
 
@@ -46,7 +48,8 @@ def standing_out(view: View, expected: Pixel, z_m: float, wide: float, reach_px:
     body = [k for k, each in enumerate(depths) if each <= (1.0 + NEAR) * z_m]
     if not body:
         return None
-    first, last = body[0], body[-1]
+    first = body[0]
+    last = body[-1]
     alone = len(body) == last - first + 1 and first > 0 and last < len(depths) - 1
     middle = 0.5 * (columns[first] + columns[last])
     if not (alone and _NARROWEST <= len(body) * step / wide <= _WIDEST and abs(middle - expected[0]) <= reach_px):

@@ -59,7 +59,8 @@ class Motion:
     @classmethod
     def of(cls, mission: MissionConfig) -> Self:
         """The motion of the mission's target, within its fence."""
-        target, guard = mission.target, mission.guard
+        target = mission.target
+        guard = mission.guard
         flies_to_m = guard.fence_height_m if target.flies else None
         return cls(
             target.fastest_mps,
@@ -194,7 +195,8 @@ class Statements:
             there = one.at(last.stamp_ns)
             known_ns = max(one.since_ns, min(last.stamp_ns, one.stamp_ns))
             expected_north, expected_east, sigma_m = self._expected(last, known_ns)
-            north, east = expected_north - there[0], expected_east - there[1]
+            north = expected_north - there[0]
+            east = expected_east - there[1]
         total = _log_normal2(math.hypot(north, east), sigma_m)
         if self._motion.flies_to_m is not None and last.height_told:
             down = last.place_n_m[2] - one.at(last.stamp_ns)[2]
@@ -257,11 +259,14 @@ class Statements:
             told = self._region or self._bearing
             assert told is not None
             if isinstance(told, RegionTold):
-                corners, reach_m = np.array(told.corners_n_m), 0.0
+                corners = np.array(told.corners_n_m)
+                reach_m = 0.0
             else:
-                corners, reach_m = np.array([told.from_n_m]), self._motion.farthest_m
+                corners = np.array([told.from_n_m])
+                reach_m = self._motion.farthest_m
             reach_m += self._motion.fastest_mps * max(0.0, (at_ns - told.stamp_ns) * 1e-9)
-            low, high = corners.min(axis=0) - reach_m, corners.max(axis=0) + reach_m
+            low = corners.min(axis=0) - reach_m
+            high = corners.max(axis=0) + reach_m
         side = (high - low) / _CELLS
         axes = [low[k] + side[k] * (np.arange(_CELLS) + 0.5) for k in (0, 1)]
         north_m, east_m = np.meshgrid(*axes, indexing="ij")
@@ -277,7 +282,8 @@ class Statements:
         spread_m = self._motion.fastest_mps * free_s
         if told.velocity_n_mps is not None:
             v_north, v_east = told.velocity_n_mps
-            north, east = north + v_north * gap_s, east + v_east * gap_s
+            north = north + v_north * gap_s
+            east = east + v_east * gap_s
             faster_m = (self._motion.fastest_mps + math.hypot(v_north, v_east)) * free_s
             spread_m = min(0.5 * self._motion.accel_mps2 * free_s**2, faster_m)
         return north, east, math.hypot(told.error_m, 0.5 * spread_m)  # a disc's is half its radius
@@ -318,7 +324,8 @@ def outside(corners: Array, points: Array) -> Array:
 
 
 def _area_m2(corners: Array) -> float:
-    x, y = corners[:, 0], corners[:, 1]
+    x = corners[:, 0]
+    y = corners[:, 1]
     return max(1e-6, 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))))
 
 

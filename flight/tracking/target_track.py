@@ -22,7 +22,9 @@ from path.target.size import RunningSize
 ACCELERATION_SIGMA_MPS2 = 0.6
 # Shares of the object's distance along the optical axis.
 MEASUREMENT_SIGMA = 0.024
-FIRST_SIGMA, FIRST_SPEED = 0.145, 0.24  # of a place that was just acquired, and of what it moves by in a second
+# of a place that was just acquired, and of what it moves by in a second
+FIRST_SIGMA = 0.145
+FIRST_SPEED = 0.24
 GATE_FLOOR = 0.048  # a box's noise, and an attitude a degree off
 GATE_MOST = 0.22  # a track that knows no better does not know which object it would find
 GATE_LEAST = 0.024
@@ -33,7 +35,9 @@ RIVAL_SHARE = 0.4  # of the way to the nearest other object: where that is known
 RIVAL_S = 3.0  # for so long an object that was seen beside the target is taken to be there still
 FASTEST_SIGMAS = 2.0
 _USUAL_M = math.hypot(FollowConfig().behind_m, FollowConfig().height_m)
-_GROWTH_SIGMA, _GROWN = 0.08, 4.0  # of the logarithm of a box's side, and how many of them are of something else
+# of the logarithm of a box's side, and how many of them are of something else
+_GROWTH_SIGMA = 0.08
+_GROWN = 4.0
 
 
 class TargetTrack:
@@ -90,7 +94,8 @@ class TargetTrack:
         ranging: Ranging | None = None,
     ) -> Self:
         """The track of the mission's target, first seen there."""
-        accel_mps2, flies = mission.follow.target_accel_mps2, mission.target.flies
+        accel_mps2 = mission.follow.target_accel_mps2
+        flies = mission.target.flies
         carry_s = mission.follow.carry_s
         return cls(
             position_n_m, stamp_ns, accel_mps2, flies=flies, ranging=ranging, largest=largest, carry_s=carry_s,
@@ -145,7 +150,8 @@ class TargetTrack:
     def note_rival(self, distance_m: float, stamp_ns: int) -> None:
         """Another object was seen that far from this one; a nearer one is remembered for a while."""
         if distance_m <= self.rival_m or not self._rival_known(stamp_ns):
-            self.rival_m, self.rival_ns = distance_m, stamp_ns
+            self.rival_m = distance_m
+            self.rival_ns = stamp_ns
 
     def note_company(self, stamp_ns: int) -> None:
         """While the target was out of sight, more than one object was as far as it can have come."""
@@ -157,7 +163,8 @@ class TargetTrack:
 
     def note_size(self, sides_m: tuple[float, float], stamp_ns: int) -> None:
         """The object was seen whole, and alone in its box."""
-        self.size_m, self.whole_ns = sides_m, stamp_ns
+        self.size_m = sides_m
+        self.whole_ns = stamp_ns
 
     @property
     def usual_m(self) -> tuple[float, float] | None:
@@ -214,10 +221,13 @@ class TargetTrack:
         pv = self._pv + dt * self._vv + q * dt**3 / 2.0
         vv = self._vv + q * dt * dt
         noise = sigma_m**2
-        gain_p, gain_v = pp / (pp + noise), pv / (pp + noise) if moves else 0.0
+        gain_p = pp / (pp + noise)
+        gain_v = pv / (pp + noise) if moves else 0.0
         innovation = subtract(measured_n_m, position)
         self.position_n_m = add(position, scale(innovation, gain_p))
         north, east, down = add(self.velocity_n_mps, scale(innovation, gain_v))
         self.velocity_n_mps = north, east, down if self._flies else 0.0
-        self._pp, self._pv, self._vv = (1.0 - gain_p) * pp, (1.0 - gain_p) * pv, vv - gain_v * pv
+        self._pp = (1.0 - gain_p) * pp
+        self._pv = (1.0 - gain_p) * pv
+        self._vv = vv - gain_v * pv
         self.stamp_ns = stamp_ns

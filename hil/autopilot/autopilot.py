@@ -141,7 +141,8 @@ class Autopilot:
 
     def kill(self, now_s: float) -> None:
         """The motors stop at once and for good, wherever the vehicle is, and it is disarmed. The mode stays."""
-        self.killed, self.armed = True, False
+        self.killed = True
+        self.armed = False
         if self.mode is FlightMode.OFFBOARD:
             self.offboard_sessions[-1].end_s = now_s
         self._say(now_s, Severity.CRITICAL, "Kill switch engaged")
@@ -173,7 +174,9 @@ class Autopilot:
             return self._refuse(now_s, "Takeoff denied: already in the air")
         if not 0.0 < height_m <= self.config.max_height_m:
             return self._refuse(now_s, f"Takeoff denied: height {height_m:g} m outside 0..{self.config.max_height_m:g}")
-        self._guidance.climb_to_m, self._landed_s, self.failsafe = height_m, None, ""
+        self._guidance.climb_to_m = height_m
+        self._landed_s = None
+        self.failsafe = ""
         self._enter(now_s, FlightMode.TAKEOFF)
         return OK
 
@@ -189,7 +192,8 @@ class Autopilot:
             return self._refuse(now_s, "Mode denied: battery low, landing")
         self.failsafe = "" if by_pilot or mode is not self.mode else self.failsafe
         if by_pilot:
-            self.pilot_in_control, self.pilots_mode = True, mode
+            self.pilot_in_control = True
+            self.pilots_mode = mode
             self._say(now_s, Severity.INFO, f"Pilot selected {mode.value}")
         if mode is not self.mode or self._offboard_lost_s is not None:
             self._enter(now_s, mode)
@@ -200,7 +204,8 @@ class Autopilot:
         if not all(map(math.isfinite, (*setpoint.velocity_n_mps, setpoint.yaw_rad))):
             return False
         self._note_gap(now_s)
-        self._setpoint, self._setpoint_s = setpoint, now_s
+        self._setpoint = setpoint
+        self._setpoint_s = now_s
         return True
 
     def companion_heard(self, now_s: float) -> None:
@@ -212,7 +217,9 @@ class Autopilot:
         if self._boot_s is None:
             self._boot_s = self._now_s = now_s
             self._guidance.enter(now_s, estimate)
-        dt, self._now_s, self._estimate = now_s - self._now_s, now_s, estimate
+        dt = now_s - self._now_s
+        self._now_s = now_s
+        self._estimate = estimate
         self._drain_battery(dt)
         self._check_health(now_s)
         self._detect_ground(now_s, truth_on_ground)
@@ -233,16 +240,22 @@ class Autopilot:
         return Ack(False, reason)
 
     def _arm(self, now_s: float) -> None:
-        self.armed, self._armed_s, self._landed_s = True, now_s, None
-        self.pilot_in_control, self.pilots_mode = False, None
+        self.armed = True
+        self._armed_s = now_s
+        self._landed_s = None
+        self.pilot_in_control = False
+        self.pilots_mode = None
         self._radio_optional = not self._pilot.heard
-        self.home_n_m, self._home_error_m = self._estimate.position_n_m, self.altitude_error_m
+        self.home_n_m = self._estimate.position_n_m
+        self._home_error_m = self.altitude_error_m
         if self.mode is not FlightMode.OFFBOARD:
             self._enter(now_s, FlightMode.HOLD)
         self._say(now_s, Severity.INFO, "Armed")
 
     def _disarm(self, now_s: float, why: str) -> None:
-        self.armed, self._landed_s, self.failsafe = False, None, ""
+        self.armed = False
+        self._landed_s = None
+        self.failsafe = ""
         self._enter(now_s, FlightMode.HOLD)
         self._say(now_s, Severity.INFO, f"Disarmed {why}")
 
@@ -251,7 +264,9 @@ class Autopilot:
             self._note_gap(now_s)
             self.offboard_sessions[-1].end_s = now_s
             self.offboard_sessions[-1].ended_by = mode
-        self.mode, self._offboard_lost_s, self._radio_lost_s = mode, None, None
+        self.mode = mode
+        self._offboard_lost_s = None
+        self._radio_lost_s = None
         self._guidance.enter(now_s, self._estimate)
         if mode is FlightMode.OFFBOARD:
             self.offboard_sessions.append(OffboardSession(now_s))
@@ -265,7 +280,8 @@ class Autopilot:
     def _obey_pilot(self, now_s: float) -> None:
         pilot = self._pilot = self.radio.step(now_s, self.config.radio)
         if pilot.kill is not None:
-            self.killed, self._killed_s = pilot.kill, now_s
+            self.killed = pilot.kill
+            self._killed_s = now_s
             self._say(now_s, Severity.CRITICAL, f"Kill switch {'engaged' if pilot.kill else 'disengaged'}")
         if pilot.mode is not None:
             self.request_mode(now_s, pilot.mode, by_pilot=True)
@@ -283,7 +299,8 @@ class Autopilot:
 
     def _watch_radio(self, now_s: float) -> None:
         """Without the radio: hold, and after a while what ``loss_act`` says."""
-        config, mode = self.config.radio, self.mode
+        config = self.config.radio
+        mode = self.mode
         if self._pilot.heard or self._radio_optional or self.landed or mode in (FlightMode.LAND, FlightMode.RETURN):
             return
         bit = {FlightMode.OFFBOARD: EXCEPT_OFFBOARD, FlightMode.OTHER: 0}.get(mode, EXCEPT_HOLD)
@@ -291,7 +308,8 @@ class Autopilot:
             if config.loss_except & bit or config.in_mode == 4:
                 return
             self._enter(now_s, FlightMode.HOLD)
-            self._radio_lost_s, self.failsafe = now_s, "radio lost"
+            self._radio_lost_s = now_s
+            self.failsafe = "radio lost"
             self._say(now_s, Severity.CRITICAL, "Manual control lost, holding")
         elif now_s - self._radio_lost_s >= config.act_after_s and config.loss_act in (LOSS_LANDS, LOSS_RETURNS):
             self._enter(now_s, FlightMode.LAND if config.loss_act == LOSS_LANDS else FlightMode.RETURN)
@@ -299,13 +317,15 @@ class Autopilot:
 
     def _watch_fence(self, now_s: float) -> None:
         """On the way out, and once: a pilot may fly on, or come back."""
-        fence, home = self.config.fence, self.home_n_m
+        fence = self.config.fence
+        home = self.home_n_m
         if home is None:
             return
         north, east, down = (here - there for here, there in zip(self._estimate.position_n_m, home, strict=True))
         wide = fence.radius_m > 0.0 and math.hypot(north, east) > fence.radius_m
         high = fence.height_m > 0.0 and -down + self.altitude_drift_m > fence.height_m
-        before, self._outside = self._outside, wide or high
+        before = self._outside
+        self._outside = wide or high
         if before or not self._outside or self.landed or self.mode is FlightMode.LAND or fence.action not in AT_FENCE:
             return
         self._enter(now_s, AT_FENCE[fence.action])
@@ -328,7 +348,8 @@ class Autopilot:
         )
         self.reasons = tuple(reason for failed, reason in checks if failed)
         if self.home_n_m is None and not self.reasons:
-            self.home_n_m, self._home_error_m = self._estimate.position_n_m, self.altitude_error_m
+            self.home_n_m = self._estimate.position_n_m
+            self._home_error_m = self.altitude_error_m
 
     def _detect_ground(self, now_s: float, contact: bool) -> None:
         if not contact:
@@ -338,7 +359,8 @@ class Autopilot:
         if self._contact_s is None:
             self._contact_s = now_s
         if not self.landed and now_s - self._contact_s >= self.config.land_detect_s:
-            self.landed, self._landed_s = True, now_s
+            self.landed = True
+            self._landed_s = now_s
             self._say(now_s, Severity.INFO, "Landing detected")
 
     def _failsafes(self, now_s: float) -> None:
@@ -384,7 +406,8 @@ class Autopilot:
         if not self.powered:
             return RateCommand(None, self._guidance.yaw_rad, False)
         assert self.home_n_m is not None
-        velocity, yaw = None, self._guidance.yaw_rad
+        velocity = None
+        yaw = self._guidance.yaw_rad
         if self.mode is FlightMode.TAKEOFF and self._guidance.height_reached(self._estimate, self.home_n_m):
             self._enter(now_s, FlightMode.HOLD)
             self._guidance.hold_height(self.home_n_m)
@@ -392,7 +415,8 @@ class Autopilot:
             limits = self.config.max_horizontal_mps, self.config.max_up_mps, self.config.max_down_mps
             stale = now_s - self._setpoint_s > self.config.setpoint_stale_s
             wanted = (0.0, 0.0, 0.0) if stale else self._setpoint.velocity_n_mps
-            velocity, yaw = limited(wanted, *limits), self._setpoint.yaw_rad
+            velocity = limited(wanted, *limits)
+            yaw = self._setpoint.yaw_rad
         elif self.mode is FlightMode.OTHER and (asked := flown_by(self._pilot.sticks, yaw, STICKS_MPS)) is not None:
             velocity = asked
             self._guidance.enter(now_s, self._estimate)  # where the sticks are let go of it stays

@@ -83,7 +83,8 @@ class Guidance:
         return toward(estimate.position_n_m, goal, self._config.hold_gain_hz, speed_mps, self._config.climb_mps)
 
     def _take_off(self, now_s: float, estimate: Estimate, home: Vec3) -> Vec3 | None:
-        climb_mps, since_spool_s = self._config.climb_mps, now_s - self._since_s - self._config.spool_s
+        climb_mps = self._config.climb_mps
+        since_spool_s = now_s - self._since_s - self._config.spool_s
         if since_spool_s < 0.0:
             return None
         left_m = self.climb_to_m - (home[2] - estimate.position_n_m[2])
@@ -101,7 +102,8 @@ class Guidance:
             goal_down = home[2] - config.return_height_m
             if down > goal_down + AT_HEIGHT_M:
                 return self._go_to((self._hold[0], self._hold[1], goal_down), HOLD_MPS, estimate)
-            self._return_phase, self._hold = ReturnPhase.CRUISE, (north, east, down)
+            self._return_phase = ReturnPhase.CRUISE
+            self._hold = (north, east, down)
         if self._return_phase is ReturnPhase.CRUISE:
             if math.hypot(home[0] - north, home[1] - east) > AT_HOME_M:
                 return self._go_to((home[0], home[1], self._hold[2]), config.return_mps, estimate)

@@ -18,18 +18,29 @@ from path.bounds import Bounds
 Sticks = tuple[float, float, float, float]
 
 CENTRED: Sticks = (0.0, 0.0, 0.0, 0.0)
-LOW_US, MIDDLE_US, HIGH_US = 1000, 1500, 2000
+LOW_US = 1000
+MIDDLE_US = 1500
+HIGH_US = 2000
 CHANNELS = 8
-RELEASED, UNCHANGED = 0, 0xFFFF  # of RC_CHANNELS_OVERRIDE: the transmitter's value counts
+# of RC_CHANNELS_OVERRIDE: the transmitter's value counts
+RELEASED = 0
+UNCHANGED = 0xFFFF
 DEADBAND = 0.1
 STICK_MEMORY_S = 0.5  # a stick that moves slower than this is no grab
 SLOTS = (FlightMode.HOLD, FlightMode.OTHER, FlightMode.LAND, FlightMode.RETURN, FlightMode.HOLD, FlightMode.HOLD)
 """The modes that the switch's positions select; OTHER is flown by sticks."""
 
-HOLD_SLOT, STICKS_SLOT = 0, 1
-IN_AUTO, IN_OFFBOARD = 1, 2  # bits of ``override``
-EXCEPT_HOLD, EXCEPT_OFFBOARD = 2, 4  # bits of ``loss_except``
-LOSS_RETURNS, LOSS_LANDS = 2, 3  # of ``loss_act``; anything else stays in hold
+HOLD_SLOT = 0
+STICKS_SLOT = 1
+# bits of ``override``
+IN_AUTO = 1
+IN_OFFBOARD = 2
+# bits of ``loss_except``
+EXCEPT_HOLD = 2
+EXCEPT_OFFBOARD = 4
+# of ``loss_act``; anything else stays in hold
+LOSS_RETURNS = 2
+LOSS_LANDS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +134,8 @@ class Radio:
 
     def step(self, now_s: float, config: RadioConfig) -> PilotInput:
         """Hear what is there to be heard now."""
-        dt_s, self._stepped_s = min(1.0, now_s - self._stepped_s), now_s
+        dt_s = min(1.0, now_s - self._stepped_s)
+        self._stepped_s = now_s
         self._hear(now_s, config)
         if not config.hears or now_s - self.heard_s > config.loss_s:
             self._switches = self._steady = None
@@ -134,7 +146,8 @@ class Radio:
         sticks = roll, pitch, throttle, yaw
         slot = _slot(self._channel(config.mode_channel))
         kill = self._channel(config.kill_channel) > MIDDLE_US
-        before, self._switches = self._switches, (slot, kill)
+        before = self._switches
+        self._switches = (slot, kill)
         if before is None:
             self._slow = sticks
         moved = any(abs(a - b) > config.stick_override for a, b in zip(sticks, self._slow, strict=True))
@@ -166,7 +179,8 @@ class Radio:
         if overridden:
             pairs = zip(forced, heard, strict=False)
             heard = tuple(usual if us in (RELEASED, UNCHANGED) else us for us, usual in pairs)
-        self.channels, self.heard_s = heard, now_s
+        self.channels = heard
+        self.heard_s = now_s
 
     def _channel(self, number: int) -> int:
         return self.channels[number - 1] if 0 < number <= len(self.channels) else LOW_US
@@ -196,5 +210,6 @@ def flown_by(sticks: Sticks, yaw_rad: float, fastest_mps: float) -> tuple[float,
     right, forward, up = (0.0 if abs(stick) < DEADBAND else stick * fastest_mps for stick in sticks[:3])
     if right == forward == up == 0.0:
         return None
-    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    cos = math.cos(yaw_rad)
+    sin = math.sin(yaw_rad)
     return forward * cos - right * sin, forward * sin + right * cos, -up

@@ -13,7 +13,9 @@ from path.bounds import Bounds
 from path.messages import Quat, Vec3
 from path.values import value
 
-HOLD_AT_FENCE, RETURN_AT_FENCE, LAND_AT_FENCE = 2, 3, 5
+HOLD_AT_FENCE = 2
+RETURN_AT_FENCE = 3
+LAND_AT_FENCE = 5
 MAX_SETPOINT_GAP_S = 0.2  # of a script that flies (S8)
 
 

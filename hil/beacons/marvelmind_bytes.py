@@ -7,7 +7,10 @@ from collections.abc import Mapping
 
 from path.messages import Vec3
 
-UNAVAILABLE, ANOTHER, NO_ANGLE = 0x01, 0x40, 0x2000  # another: not the beacon that is connected
+# another: not the beacon that is connected
+UNAVAILABLE = 0x01
+ANOTHER = 0x40
+NO_ANGLE = 0x2000
 
 
 def checksum(data: bytes) -> int:

@@ -93,7 +93,10 @@ class BeaconThread(threading.Thread):
             place: by its name, where a beacon is now, (3,), and when that is: a busy computer comes late to a turn.
         """
         super().__init__(name="beacons", daemon=True)
-        self._system, self._cable_of, self._now_s, self._place = system, cable_of, now_s, place
+        self._system = system
+        self._cable_of = cable_of
+        self._now_s = now_s
+        self._place = place
         self._ending = threading.Event()
 
     def run(self) -> None:
@@ -136,7 +139,8 @@ def open_beacons(
     mounted = reference.mounted
 
     def place(name: str) -> tuple[float, Array]:
-        world, lever_m = snapshot(), np.array(mounted[name].lever_m)
+        world = snapshot()
+        lever_m = np.array(mounted[name].lever_m)
         if name == "target":
             target = world.objects[0]
             place_w = np.array(target.position_w_m) + R_from_rpy(0.0, 0.0, target.yaw_rad) @ lever_m
@@ -179,7 +183,8 @@ def open_hedges(
     cables = {role.value: SerialCable(link_of(os.environ[RUN_VARIABLE], role)) for role in tables}
 
     def place(name: str) -> tuple[float, Array]:
-        world, role = snapshot(), Role(name)
+        world = snapshot()
+        role = Role(name)
         return world.time_s, world.drones[role].T_w_b.apply(np.array(tables[role].lever_b_m))
 
     for cable in cables.values():

@@ -104,7 +104,8 @@ class BeaconSystem:
             time_s: instant of the ultrasound, by the world.
             place_w: (3,) where the beacon truly is.
         """
-        config, rng = self._config, self._rng
+        config = self._config
+        rng = self._rng
         latency_s = max(0.0, config.latency_s + config.jitter_s * rng.standard_normal())
         data = b"".join(self._frames(name, time_s, place_w, latency_s))
         late_s = rng.uniform(0.0, config.late_s) if rng.random() < config.late_rate else 0.0
@@ -118,7 +119,8 @@ class BeaconSystem:
         stamp_ms = math.floor(1e3 * (shown_s + self._config.stamp_jitter_s * self._rng.standard_normal()))
         age_ms = math.floor(1e3 * (shown_s + latency_s)) - stamp_ms  # of the stamp: what the system itself can know
         self._turns += 1
-        shown, rng = self._shown(self._beacons[name], time_s, place_w), self._rng
+        shown = self._shown(self._beacons[name], time_s, place_w)
+        rng = self._rng
         if shown is not None:
             place, quality = shown
             yield self._damaged(sent.quality(address, round(quality)), rng)
@@ -132,14 +134,16 @@ class BeaconSystem:
 
     def _shown(self, beacon: _Beacon, time_s: float, place_w: Array) -> tuple[Vec3, float] | None:
         """The position as the system has it, and its quality; None when it has none."""
-        config, rng = self._config, self._rng
+        config = self._config
+        rng = self._rng
         if rng.random() < config.gap_rate / config.rate_hz:
             beacon.silent_until_s = time_s + config.gap_s
         if rng.random() < config.reflection_rate and not beacon.wrong:
             off_m = tuple((config.reflection_m * rng.standard_normal(3)).tolist())
             quality = rng.uniform(20.0, 70.0) if rng.random() < 2.0 / 3.0 else math.nan
             beacon.wrong = [(off_m, quality)] * int(rng.integers(1, 4))
-        noise_m, quality = rng.normal(0.0, config.noise_m, 3), float(np.clip(rng.normal(92.0, 4.0), 0.0, 100.0))
+        noise_m = rng.normal(0.0, config.noise_m, 3)
+        quality = float(np.clip(rng.normal(92.0, 4.0), 0.0, 100.0))
         off_m, poor = beacon.wrong.pop() if beacon.wrong else ((0.0, 0.0, 0.0), math.nan)
         if rng.random() < config.drop_rate or time_s < beacon.silent_until_s:
             return None
@@ -197,7 +201,8 @@ def truth_of(system: BeaconSystem, config: BeaconConfig) -> BeaconTruth:
 
 def _paths(world_log: Path, mounted: Mapping[str, Mounted]) -> tuple[Array, dict[str, Array]]:
     """Instants (n,) of the world's clock in s, and where each beacon truly was (n, 3), in ``w``."""
-    target_id, rows = 0, list[tuple[float, dict[str, Any]]]()
+    target_id = 0
+    rows = list[tuple[float, dict[str, Any]]]()
     for record in read_log(world_log):
         if record.topic == "/scene":
             target_id = record.record["target_id"]

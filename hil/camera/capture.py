@@ -82,8 +82,10 @@ def true_camera(context: PartContext, built: Built | None) -> TrueCamera:
         mount = context.mount
         return TrueCamera(context.camera, mount.T_b_c, mount.T_b_v, context.layout, SensorErrors())
     own = built.rig.role(context.role)
-    mounts, sensors = own.mount, built.sensors[context.role]
-    scene, imaging = scene_of(built.rig), imaging_of(built.rig)
+    mounts = own.mount
+    sensors = built.sensors[context.role]
+    scene = scene_of(built.rig)
+    imaging = imaging_of(built.rig)
     return TrueCamera(own.camera, mounts.T_b_c, mounts.T_b_v, built.rig.layout, sensors, scene, imaging)
 
 
@@ -141,7 +143,11 @@ class CaptureTicker(Generic[T]):
         harness: SensorHarness,
         take: Callable[[Snapshot, int], T],
     ) -> None:
-        self._name, self._timing, self._role, self._clock, self._harness = name, timing, role, clock, harness
+        self._name = name
+        self._timing = timing
+        self._role = role
+        self._clock = clock
+        self._harness = harness
         self._take = take
         sensor = SensorErrors() if harness.built is None else harness.built.sensors[role]
         self._stamps = StampErrors(sensor, timing.rate_hz)
@@ -176,7 +182,8 @@ class CaptureTicker(Generic[T]):
                 await self._waiting
             finally:
                 self._waiting = None
-        capture, self._arrived = self._arrived, None
+        capture = self._arrived
+        self._arrived = None
         if capture is None:
             raise CameraError(f"no frame from {self._name} for {timeout_s:g} s", "the simulated camera is frozen")
         return capture

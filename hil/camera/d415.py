@@ -19,6 +19,7 @@ T_COLOR_DEPTH = Pose(exp(np.radians([0.05, -0.04, 0.30])), np.array([0.0150, -0.
 
 def depth_camera(width: int, height: int) -> CameraModel:
     """Intrinsics of the depth stream at a size."""
-    focal, scale = DEPTH_FOCAL * height, height / 720.0
+    focal = DEPTH_FOCAL * height
+    scale = height / 720.0
     cx, cy = (0.5 * (size - 1) + scale * off for size, off in zip((width, height), CENTRE_OFFSET_PX, strict=True))
     return CameraModel(width, height, focal, focal, cx, cy)

@@ -40,7 +40,8 @@ class PendingPicture:
         with self._lock:
             if self._images is None:
                 assert self._draw is not None
-                self._images, self._draw = self._draw(), None
+                self._images = self._draw()
+                self._draw = None
             return self._images
 
 

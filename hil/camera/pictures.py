@@ -34,7 +34,8 @@ from path.messages import Role
 Array = NDArray[np.float64]
 
 FARTHEST_M = 400.0  # as far as the ground is drawn
-CAR, PLAIN_DRONE = car(), drone()
+CAR = car()
+PLAIN_DRONE = drone()
 LIGHTS = 8  # different shadows and blades; every shot has one of them
 
 
@@ -161,7 +162,9 @@ class _Solid(NamedTuple):
 @lru_cache(maxsize=64)
 def _solid(model: Model) -> _Solid:
     corners = model.corners[model.kinds != ROTOR]
-    p0, e1, e2 = corners[:, :3], corners[:, 3:6], corners[:, 6:9]
+    p0 = corners[:, :3]
+    e1 = corners[:, 3:6]
+    e2 = corners[:, 6:9]
     normal = np.cross(e1, e2)
     points = np.concatenate((p0, p0 + e1, p0 + e2, p0 + e1 + e2))
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
@@ -173,7 +176,9 @@ def _solid(model: Model) -> _Solid:
 def _depth_of(model: Model, T_c_body: Pose, ray: Array) -> float:
     """Depth of the nearest face that a ray (x, y, 1) meets from its front; inf when it meets none."""
     solid = _solid(model)
-    eye, direction = -T_c_body.t @ T_c_body.R, ray @ T_c_body.R  # in the model's frame
+    # in the model's frame
+    eye = -T_c_body.t @ T_c_body.R
+    direction = ray @ T_c_body.R
     apart = solid.center - eye
     along = float(apart @ direction)
     if float(apart @ apart) - along * along / float(direction @ direction) > solid.radius2:
@@ -182,6 +187,7 @@ def _depth_of(model: Model, T_c_body: Pose, ray: Array) -> float:
     with np.errstate(divide="ignore", invalid="ignore"):
         z = reach / (solid.normal @ direction)
         offset = eye + z[:, None] * direction - solid.p0
-        u, v = (offset * solid.across).sum(axis=1), (offset * solid.down).sum(axis=1)
+        u = (offset * solid.across).sum(axis=1)
+        v = (offset * solid.down).sum(axis=1)
         hit = (reach > 0.0) & (z > 0.0) & (u >= 0.0) & (u <= 1.0) & (v >= 0.0) & (v <= 1.0)
     return float(z[hit].min()) if hit.any() else math.inf

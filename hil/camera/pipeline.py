@@ -62,14 +62,16 @@ def blur_kernel(sigma_px: float, motion_px: tuple[float, float]) -> NDArray[np.f
     steps = max(1, int(np.ceil(8.0 * length)))
     kernel = np.zeros((len(offsets), len(offsets)))
     for part in (np.arange(steps) + 0.5) / steps - 0.5:
-        u, v = offsets - part * motion_px[0], offsets - part * motion_px[1]
+        u = offsets - part * motion_px[0]
+        v = offsets - part * motion_px[1]
         kernel += np.exp(-0.5 * (v / sigma) ** 2)[:, None] * np.exp(-0.5 * (u / sigma) ** 2)
     return kernel / kernel.sum()
 
 
 def _filtered(light: Light, kernel: NDArray[np.float64]) -> Light:
     """The kernel is symmetric about its centre. A Gaussian without motion is separable, and faster so."""
-    column, row = kernel.sum(axis=1), kernel.sum(axis=0)
+    column = kernel.sum(axis=1)
+    row = kernel.sum(axis=0)
     if np.allclose(np.outer(column, row), kernel, atol=1e-12):
         filtered = cv2.sepFilter2D(light, cv2.CV_32F, row, column, borderType=cv2.BORDER_REPLICATE)
     else:
@@ -151,7 +153,9 @@ def h264(frames: list[Image], crf: int) -> list[Image]:
     if height % 2 or width % 2:
         raise ValueError(f"h264_crf: an image of {width} x {height} px has an odd side")
     encoder: Any = av.CodecContext.create("libx264", "w")
-    encoder.width, encoder.height, encoder.pix_fmt = width, height, "yuv420p"
+    encoder.width = width
+    encoder.height = height
+    encoder.pix_fmt = "yuv420p"
     encoder.time_base = Fraction(1, STREAM_RATE)
     encoder.thread_count = 1  # the same bytes on every machine
     encoder.options = {"crf": str(crf), "preset": "veryfast", "tune": "zerolatency", "threads": "1"}

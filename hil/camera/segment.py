@@ -131,7 +131,9 @@ class FrameSegment:
     def close(self) -> None:
         """Drop the views, then the mapping; while somebody holds a frame's pixels, it stays for as long as these do."""
         self.header = np.zeros(0, np.int64)
-        self.slot_headers, self.colors, self.depths = [], [], []
+        self.slot_headers = []
+        self.colors = []
+        self.depths = []
         with suppress(BufferError):
             self._memory.close()
 

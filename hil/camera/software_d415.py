@@ -50,7 +50,8 @@ class SoftwareD415:
                 "no run is named whose camera frames to read",
                 f"start through `path-handoff handoff`, or set `run` in the rig or ${RUN_VARIABLE}",
             )
-        self._config, self._context = config, context
+        self._config = config
+        self._context = context
         self._reader = SharedCameraReader(run, context.role, config.open_timeout_s)
         self._feeder: _Feeder | None = None
 
@@ -107,11 +108,13 @@ class _Feeder(threading.Thread):
 
     def __init__(self, reader: SharedCameraReader, device: SoftwareDevice) -> None:
         super().__init__(name="software-d415", daemon=True)
-        self._reader, self._device = reader, device
+        self._reader = reader
+        self._device = device
         self.ending = threading.Event()
 
     def run(self) -> None:
-        reader, device = self._reader, self._device
+        reader = self._reader
+        device = self._device
         while not self.ending.is_set():
             frame = reader.next(POLL_S)
             if frame is None:

@@ -84,7 +84,8 @@ class SoftwareDevice:
         """A copy of the pixels as an image that can be given out. ``stamp_ns``: mid-exposure, CLOCK_MONOTONIC."""
         frame = self._rs.software_video_frame()
         frame.pixels = pixels
-        frame.bpp, frame.stride = BYTES[kind], pixels.shape[1] * BYTES[kind]
+        frame.bpp = BYTES[kind]
+        frame.stride = pixels.shape[1] * BYTES[kind]
         frame.timestamp = self._stamp_ms(stamp_ns + self._clock.readout_ns)
         frame.domain = getattr(self._rs.timestamp_domain, self._clock.domain.value)
         frame.frame_number = number
@@ -95,7 +96,8 @@ class SoftwareDevice:
 
     def give(self, kind: Kind, image: Any, stamp_ns: int) -> None:
         """Give out an image, with the metadata of its instant, as a device does."""
-        sensor, keys = self._sensors[kind], self._rs.frame_metadata_value
+        sensor = self._sensors[kind]
+        keys = self._rs.frame_metadata_value
         exposed_us, sent_us = (
             self._clock.own_ns(at_ns) % WRAP_NS // 1000 for at_ns in (stamp_ns, stamp_ns + self._clock.readout_ns)
         )
@@ -111,25 +113,29 @@ class SoftwareDevice:
 
 def _stream(rs: Any, kind: Kind, model: CameraModel, fps: int) -> Any:
     lens = rs.intrinsics()
-    lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy = (
-        model.width,
-        model.height,
-        model.fx,
-        model.fy,
-        model.cx,
-        model.cy,
-    )
+    lens.width = model.width
+    lens.height = model.height
+    lens.fx = model.fx
+    lens.fy = model.fy
+    lens.ppx = model.cx
+    lens.ppy = model.cy
     lens.model = rs.distortion.brown_conrady
     lens.coeffs = list(model.distortion)
     stream = rs.video_stream()
     stream.type, stream.fmt = getattr(rs.stream, kind), getattr(rs.format, FORMATS[kind][0])
     stream.index, stream.uid = 0, list(SENSORS).index(kind) + 1
-    stream.width, stream.height, stream.fps, stream.bpp = model.width, model.height, fps, BYTES[kind]
+    stream.width = model.width
+    stream.height = model.height
+    stream.fps = fps
+    stream.bpp = BYTES[kind]
     stream.intrinsics = lens
     return stream
 
 
 def _switch(rs: Any) -> Any:
     limits = rs.option_range()
-    limits.min, limits.max, limits.step, limits.default = 0.0, 1.0, 1.0, 1.0
+    limits.min = 0.0
+    limits.max = 1.0
+    limits.step = 1.0
+    limits.default = 1.0
     return limits

@@ -16,11 +16,19 @@ from path.compiled import inner, kernel
 
 # Columns of a placed box: rotation camera -> box (3 x 3), the camera's centre in box coordinates, half sides; x0 y0 x1
 # y1 in the image, with a margin for edges that the lens bends.
-TURN, CENTRE, HALF, RECT = 0, 9, 12, 15
+TURN = 0
+CENTRE = 9
+HALF = 12
+RECT = 15
 BOX_COLUMNS = 19
 MARGIN_PX = 4.0
 # Columns of a body's extent in the image: corners of its bounding box, nearest depth, whether it can be drawn.
-X0, Y0, X1, Y1, NEAR, DRAWN = 0, 1, 2, 3, 4, 5
+X0 = 0
+Y0 = 1
+X1 = 2
+Y1 = 3
+NEAR = 4
+DRAWN = 5
 EXTENT_COLUMNS = 6
 # The camera in the world: rotation world -> camera by rows, then its centre.
 EYE = 9
@@ -43,8 +51,10 @@ def distorted(lens, x, y):
 @inner
 def ray(lens, u, v):
     """Normalised coordinates of a pixel, by Newton's method with the derivative of the radial part only."""
-    xd, yd = (u - lens[2]) / lens[0], (v - lens[3]) / lens[1]
-    x, y = xd, yd
+    xd = (u - lens[2]) / lens[0]
+    yd = (v - lens[3]) / lens[1]
+    x = xd
+    y = yd
     for _ in range(UNDISTORT_STEPS):
         pu, pv = distorted(lens, x, y)
         r2 = x * x + y * y
@@ -69,13 +79,27 @@ def _place_box(R, t, parts, part, lens, boxes, k, extents, body):
         turned = boxes[k, TURN + 3 * i] * t[0] + boxes[k, TURN + 3 * i + 1] * t[1] + boxes[k, TURN + 3 * i + 2] * t[2]
         boxes[k, CENTRE + i] = -turned - along
         boxes[k, HALF + i] = parts[part, 3 + i]
-    xx, xy, xz = boxes[k, TURN], boxes[k, TURN + 1], boxes[k, TURN + 2]
-    yx, yy, yz = boxes[k, TURN + 3], boxes[k, TURN + 4], boxes[k, TURN + 5]
-    zx, zy, zz = boxes[k, TURN + 6], boxes[k, TURN + 7], boxes[k, TURN + 8]
-    ex, ey, ez = boxes[k, CENTRE], boxes[k, CENTRE + 1], boxes[k, CENTRE + 2]
-    half_x, half_y, half_z = parts[part, 3], parts[part, 4], parts[part, 5]
-    near, widest = extents[body, NEAR], lens[11] * lens[11]
-    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
+    xx = boxes[k, TURN]
+    xy = boxes[k, TURN + 1]
+    xz = boxes[k, TURN + 2]
+    yx = boxes[k, TURN + 3]
+    yy = boxes[k, TURN + 4]
+    yz = boxes[k, TURN + 5]
+    zx = boxes[k, TURN + 6]
+    zy = boxes[k, TURN + 7]
+    zz = boxes[k, TURN + 8]
+    ex = boxes[k, CENTRE]
+    ey = boxes[k, CENTRE + 1]
+    ez = boxes[k, CENTRE + 2]
+    half_x = parts[part, 3]
+    half_y = parts[part, 4]
+    half_z = parts[part, 5]
+    near = extents[body, NEAR]
+    widest = lens[11] * lens[11]
+    x0 = np.inf
+    y0 = np.inf
+    x1 = -np.inf
+    y1 = -np.inf
     for corner in range(8):
         p = (half_x if corner & 1 else -half_x) - ex
         q = (half_y if corner & 2 else -half_y) - ey
@@ -90,7 +114,10 @@ def _place_box(R, t, parts, part, lens, boxes, k, extents, body):
             extents[body, NEAR], extents[body, DRAWN] = near, 0.0
             return
         u, v = distorted(lens, x, y)
-        x0, y0, x1, y1 = min(x0, u), min(y0, v), max(x1, u), max(y1, v)
+        x0 = min(x0, u)
+        y0 = min(y0, v)
+        x1 = max(x1, u)
+        y1 = max(y1, v)
         near = min(near, z)
     extents[body, NEAR] = near
     extents[body, X0], extents[body, Y0] = min(extents[body, X0], x0), min(extents[body, Y0], y0)
@@ -126,14 +153,17 @@ def place(R_w_b, t_w_b, R_b_c, t_b_c, lens, things, car, other_R, other_t, drone
         boxes: (n b + d, BOX_COLUMNS), extents: (n + 1, EXTENT_COLUMNS): filled, car by car, the other drone last.
         frame: (12,) filled: rotation world to camera by rows, the camera's centre in the world.
     """
-    R_c_w, eye = np.empty((3, 3)), np.empty(3)
+    R_c_w = np.empty((3, 3))
+    eye = np.empty(3)
     for i in range(3):
         for j in range(3):
             R_c_w[i, j] = R_w_b[j, 0] * R_b_c[0, i] + R_w_b[j, 1] * R_b_c[1, i] + R_w_b[j, 2] * R_b_c[2, i]
             frame[3 * i + j] = R_c_w[i, j]
         eye[i] = R_w_b[i, 0] * t_b_c[0] + R_w_b[i, 1] * t_b_c[1] + R_w_b[i, 2] * t_b_c[2] + t_w_b[i]
         frame[EYE + i] = eye[i]
-    turn, R, t = np.zeros((3, 3)), np.empty((3, 3)), np.empty(3)
+    turn = np.zeros((3, 3))
+    R = np.empty((3, 3))
+    t = np.empty(3)
     turn[2, 2] = 1.0
     cars = things.shape[0]
     per_car = (boxes.shape[0] - drone.shape[0]) // max(cars, 1)
@@ -153,16 +183,20 @@ def place(R_w_b, t_w_b, R_b_c, t_b_c, lens, things, car, other_R, other_t, drone
 @inner
 def _hit(boxes, k, x, y):
     """Depth at which the ray (x, y, 1) enters a box; inf when it misses."""
-    enter, leave = 0.0, np.inf
+    enter = 0.0
+    leave = np.inf
     for i in range(3):
         speed = boxes[k, TURN + 3 * i] * x + boxes[k, TURN + 3 * i + 1] * y + boxes[k, TURN + 3 * i + 2]
-        start, half = boxes[k, CENTRE + i], boxes[k, HALF + i]
+        start = boxes[k, CENTRE + i]
+        half = boxes[k, HALF + i]
         if abs(speed) < 1e-12:
             if abs(start) > half:
                 return np.inf
             continue
-        a, b = (-half - start) / speed, (half - start) / speed
-        enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+        a = (-half - start) / speed
+        b = (half - start) / speed
+        enter = max(enter, min(a, b))
+        leave = min(leave, max(a, b))
         if enter > leave:
             return np.inf
     return enter if enter > 0.0 else np.inf
@@ -175,7 +209,8 @@ def nearest(boxes, extents, per_car, x, y, u, v, only):
     ``per_car``: boxes of a car; those of the other drone come after all cars'. ``only``: look at this body alone; -1
     for all.
     """
-    best, who = np.inf, -1
+    best = np.inf
+    who = -1
     cars = extents.shape[0] - 1
     for body in range(cars + 1) if only < 0 else range(only, only + 1):
         if extents[body, DRAWN] == 0.0:
@@ -187,7 +222,8 @@ def nearest(boxes, extents, per_car, x, y, u, v, only):
                 continue
             z = _hit(boxes, k, x, y)
             if z < best:
-                best, who = z, body
+                best = z
+                who = body
     return best, who
 
 

@@ -47,12 +47,14 @@ def marker(boxes, extents, per_car, frame, lens, R, t, corners, region, scale, n
     Returns:
         Whether the marker is found.
     """
-    at, pixels = np.empty((4, 3)), np.empty((4, 2))
+    at = np.empty((4, 3))
+    pixels = np.empty((4, 2))
     if not _project(frame, lens, R, t, corners, at, pixels) or _facing(at) < noise.max_incidence_cos:
         return False
     side = np.inf
     for k in range(4):
-        a, b = pixels[k], pixels[(k + 1) % 4]
+        a = pixels[k]
+        b = pixels[(k + 1) % 4]
         side = min(side, math.hypot(b[0] - a[0], b[1] - a[1]))
     half = noise.half_side_px + noise.half_side_per_scale_px * (LARGEST_SCALE - scale)
     chance = 1.0 / (1.0 + math.exp(-noise.side_slope_per_px * (side - half)))
@@ -92,8 +94,10 @@ def _project(frame, lens, R, t, corners, at, pixels):
 @inner
 def _inside(pixels, region, lens, margin):
     """Returns whether all corners, and ``margin`` px of white around them, are in the region and in the image."""
-    low_u, low_v = max(region[0], -0.5) + margin, max(region[1], -0.5) + margin
-    high_u, high_v = min(region[2], lens[9] - 0.5) - margin, min(region[3], lens[10] - 0.5) - margin
+    low_u = max(region[0], -0.5) + margin
+    low_v = max(region[1], -0.5) + margin
+    high_u = min(region[2], lens[9] - 0.5) - margin
+    high_v = min(region[3], lens[10] - 0.5) - margin
     outside = 0
     for k in range(pixels.shape[0]):
         if not (low_u <= pixels[k, 0] <= high_u and low_v <= pixels[k, 1] <= high_v):
@@ -104,7 +108,9 @@ def _inside(pixels, region, lens, margin):
 @inner
 def _facing(at):
     """Cosine between the print's normal and the line of sight; ``at`` (4, 3): corners in the camera frame."""
-    across, up, middle = np.empty(3), np.empty(3), np.empty(3)
+    across = np.empty(3)
+    up = np.empty(3)
+    middle = np.empty(3)
     for i in range(3):
         across[i], up[i] = at[1, i] - at[0, i], at[0, i] - at[3, i]
         middle[i] = 0.25 * (at[0, i] + at[1, i] + at[2, i] + at[3, i])
@@ -119,10 +125,14 @@ def _facing(at):
 def _covered(boxes, extents, per_car, lens, at):
     """Returns whether a part of the sender is in front of the marker's middle or of a point near a corner."""
     for k in range(5):
-        x, y, z = 0.0, 0.0, 0.0
+        x = 0.0
+        y = 0.0
+        z = 0.0
         for corner in range(4):
             weight = 0.25 if k == 4 else (0.925 if corner == k else 0.025)
-            x, y, z = x + weight * at[corner, 0], y + weight * at[corner, 1], z + weight * at[corner, 2]
+            x = x + weight * at[corner, 0]
+            y = y + weight * at[corner, 1]
+            z = z + weight * at[corner, 2]
         u, v = distorted(lens, x / z, y / z)
         if nearest(boxes, extents, per_car, x / z, y / z, u, v, -1)[0] < z - PLATE_GAP_M:
             return True

@@ -38,7 +38,12 @@ from path.messages import Role
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
 
 EVERYWHERE = Region(-math.inf, -math.inf, math.inf, math.inf)
-TARGETS, MARKERS, DEPTH, SLOW_TARGETS, SLOW_MARKERS = 1, 2, 3, 4, 5  # questions, for the random numbers
+# questions, for the random numbers
+TARGETS = 1
+MARKERS = 2
+DEPTH = 3
+SLOW_TARGETS = 4
+SLOW_MARKERS = 5
 ALIKE = np.eye(8)  # covariance of corners that err alike, in squares of their error
 SLOW_FRAMES = 10  # for so many frames lasts what goes wrong for a while
 
@@ -169,7 +174,8 @@ class GeometricView:
         self._missed: tuple[int, ...] = ()
         self._invented: Detection | None = None
         if snapshot.detector is not PERFECT and snapshot.detector != PERFECT:
-            spells, detector = sensor.spells, snapshot.detector
+            spells = sensor.spells
+            detector = snapshot.detector
             self._missed = spells.missed(self.frame_id, len(snapshot.objects), detector)
             self._invented = spells.invented(self.frame_id, sensor.setup.camera, detector)
 
@@ -192,8 +198,10 @@ class GeometricView:
 
     def targets(self, region: Region | None) -> Sequence[Detection]:
         """The cars a detector would find, with box centre in ``region``, best score first."""
-        sensor, seen = self._sensor, self._outlines
-        boxes, off_px = sensor.boxes[self._snapshot.kind], self._snapshot.detector.edge_px
+        sensor = self._sensor
+        seen = self._outlines
+        boxes = sensor.boxes[self._snapshot.kind]
+        off_px = self._snapshot.detector.edge_px
         if off_px:
             boxes = boxes.shifted((off_px, off_px, off_px, off_px))
         if self._missed:
@@ -211,13 +219,18 @@ class GeometricView:
 
     def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
         """The markers on the sender that would be found in ``region``, with corner covariance."""
-        sensor, snapshot = self._sensor, self._snapshot
+        sensor = self._sensor
+        snapshot = self._snapshot
         sender = snapshot.drones.get(Role.SENDER)
         if sender is None or snapshot.marker_hidden or not sensor.markers:
             return ()
-        setup, placed = sensor.setup, self._placed
-        area, scale = _row(region), _search_scale(region, setup.camera)
-        key, slow_key, truth = self._key(MARKERS), self._key(SLOW_MARKERS, SLOW_FRAMES), sender.T_w_b
+        setup = sensor.setup
+        placed = self._placed
+        area = _row(region)
+        scale = _search_scale(region, setup.camera)
+        key = self._key(MARKERS)
+        slow_key = self._key(SLOW_MARKERS, SLOW_FRAMES)
+        truth = sender.T_w_b
         detected: list[MarkerDetection] = []
         for marker_id, corners_b in sensor.markers:
             found = np.empty(9)
@@ -242,8 +255,10 @@ class GeometricView:
 
     def depth(self, box: Box) -> Depth | None:
         """Returns the depth that ``path.target.place.registered_depth`` would make of the depth image."""
-        sensor, placed = self._sensor, self._placed_for_depth
-        setup, errors = sensor.setup, sensor.errors
+        sensor = self._sensor
+        placed = self._placed_for_depth
+        setup = sensor.setup
+        errors = sensor.errors
         key = fold_both(self._key(DEPTH), int(16.0 * box.x), int(16.0 * box.y))
         z_m, sigma_m = depth_over(
             placed.boxes,
@@ -270,7 +285,8 @@ def warm_up() -> None:
     Asks every question of a view of one car and one marker.
     """
     camera = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)
-    level, down = Pose(np.eye(3), np.zeros(3)), Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.5]))
+    level = Pose(np.eye(3), np.zeros(3))
+    down = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.5]))
     setup = CameraSetup(Role.RECEIVER, camera, level, level, single_marker())
     drones = {role: DroneTruth(down, (0.0, 0.0, 0.0), 0.0, True) for role in Role}
     snapshot = Snapshot(0.0, drones, (ObjectTruth(0, (0.0, 0.0, 0.0), 0.0, 0.0),))

@@ -23,7 +23,9 @@ from path.values import value
 
 Array = NDArray[np.float64]
 FACES_OF_A_BOX = 6
-POSTURES, SPEED_STEP_MPS = 64, 0.02  # of a stride, as finely as the geometry tells people's postures apart
+# of a stride, as finely as the geometry tells people's postures apart
+POSTURES = 64
+SPEED_STEP_MPS = 0.02
 
 
 @cache
@@ -105,7 +107,8 @@ def place(setup: CameraSetup, snapshot: Snapshot, later_s: float = 0.0) -> Place
         for thing in snapshot.objects
     ]
     things = np.array(rows, float).reshape(-1, 4)
-    count, shape = len(things), parts_of(snapshot.kind, snapshot.stretch)
+    count = len(things)
+    shape = parts_of(snapshot.kind, snapshot.stretch)
     per_object = len(shape)
     if snapshot.kind == "person" and count > 0:
         shape = np.concatenate([_walking(thing, later_s, snapshot.stretch) for thing in snapshot.objects])

@@ -47,7 +47,8 @@ class Spells:
             return None
         u, v, w, h = (self._draw(10 + k, spell.since) for k in range(4))
         low, high = SIDES_PX
-        w, h = low + (high - low) * w, low + (high - low) * h
+        w = low + (high - low) * w
+        h = low + (high - low) * h
         return Detection(Box(u * camera.width - 0.5 * w, v * camera.height - 0.5 * h, w, h), SCORE)
 
     def _at(self, who: int, frame: int, share: float, frames: float) -> Spell:
@@ -61,7 +62,8 @@ class Spells:
             spell.frame += 1
             draw = self._draw(who, spell.frame)
             if not spell.on and draw < begins:
-                spell.on, spell.since = True, spell.frame
+                spell.on = True
+                spell.since = spell.frame
             elif spell.on and draw < ends and share < 1.0:
                 spell.on = False
         return spell

@@ -79,7 +79,9 @@ class DepthSettings(NamedTuple):
 
 # Columns of what is seen of a car: visible box, share of it that is visible, its neighbour in the image and the length
 # of their common border in cells over the cells across the box.
-SHARE, TOUCHED, CONTACT = 4, 5, 6
+SHARE = 4
+TOUCHED = 5
+CONTACT = 6
 SEEN_COLUMNS = 7
 CELLS = 16  # across the box of a car that something may hide
 NEIGHBOUR_PX = 4.0
@@ -92,13 +94,18 @@ def outlines(boxes, extents, per_car, lens, seen):
     ``seen`` (cars, SEEN_COLUMNS) is filled; share 0: nothing is visible.
     """
     n = CELLS
-    pixels, rays = np.empty((n * n, 2)), np.empty((n * n, 2))
-    own, who = np.empty(n * n, np.bool_), np.empty(n * n, np.int64)
+    pixels = np.empty((n * n, 2))
+    rays = np.empty((n * n, 2))
+    own = np.empty(n * n, np.bool_)
+    who = np.empty(n * n, np.int64)
     close = np.empty(extents.shape[0], np.int64)
     for car in range(seen.shape[0]):
-        extent, out = extents[car], seen[car]
-        x0, y0 = max(extent[X0], -0.5), max(extent[Y0], -0.5)
-        x1, y1 = min(extent[X1], lens[9] - 0.5), min(extent[Y1], lens[10] - 0.5)
+        extent = extents[car]
+        out = seen[car]
+        x0 = max(extent[X0], -0.5)
+        y0 = max(extent[Y0], -0.5)
+        x1 = min(extent[X1], lens[9] - 0.5)
+        y1 = min(extent[Y1], lens[10] - 0.5)
         out[X0], out[Y0], out[X1], out[Y1] = x0, y0, x1, y1
         out[SHARE], out[TOUCHED], out[CONTACT] = 1.0, -1.0, 0.0
         if extent[DRAWN] == 0.0 or x1 <= x0 or y1 <= y0:
@@ -115,17 +122,23 @@ def outlines(boxes, extents, per_car, lens, seen):
                     crowd += 1
         if crowd == 0:
             continue
-        wide, high = x1 - x0 + 2.0 * NEIGHBOUR_PX, y1 - y0 + 2.0 * NEIGHBOUR_PX
-        left, top = x0 - NEIGHBOUR_PX, y0 - NEIGHBOUR_PX
+        wide = x1 - x0 + 2.0 * NEIGHBOUR_PX
+        high = y1 - y0 + 2.0 * NEIGHBOUR_PX
+        left = x0 - NEIGHBOUR_PX
+        top = y0 - NEIGHBOUR_PX
         sample_rays(lens, left, top, left + wide, top + high, n, pixels, rays)
         for k in range(n * n):
-            u, v, x, y = pixels[k, 0], pixels[k, 1], rays[k, 0], rays[k, 1]
+            u = pixels[k, 0]
+            v = pixels[k, 1]
+            x = rays[k, 0]
+            y = rays[k, 1]
             best, who[k] = nearest(boxes, extents, per_car, x, y, u, v, car)
             own[k] = who[k] == car
             for body in close[:crowd]:
                 z = nearest(boxes, extents, per_car, x, y, u, v, body)[0]
                 if z < best:
-                    best, who[k] = z, body
+                    best = z
+                    who[k] = body
         _visible_part(own, who, car, seen.shape[0], left, top, wide / n, high / n, out)
 
 
@@ -137,9 +150,11 @@ def _visible_part(own, who, car, cars, left, top, cell_w, cell_h, out):
     for k in range(2):
         bounds[k, 0] = bounds[k, 2] = n
         bounds[k, 1] = bounds[k, 3] = -1.0
-    total, visible = 0, 0
+    total = 0
+    visible = 0
     for k in range(n * n):
-        i, j = k // n, k % n
+        i = k // n
+        j = k % n
         if own[k]:
             total += 1
             _widen(bounds[0], i, j)
@@ -199,7 +214,9 @@ def _touch(border, other, car):
 
 # Columns of a detection: x, y, w, h, score.
 DETECTION_COLUMNS = 5
-TARGETS, TOUCHING = 1, 2  # questions, for the random numbers
+# questions, for the random numbers
+TARGETS = 1
+TOUCHING = 2
 
 
 @kernel
@@ -211,14 +228,19 @@ def detections(seen, lens, region, noise, key, slow_key, found):
         slow_key: changes only now and then: for what goes wrong for a while.
         found: (cars, DETECTION_COLUMNS): filled; the number of rows that are used is returned.
     """
-    cars, count = seen.shape[0], 0
-    taken, draws, off, edges = np.zeros(cars, np.bool_), np.empty(6), np.empty(2), np.empty(4)
+    cars = seen.shape[0]
+    count = 0
+    taken = np.zeros(cars, np.bool_)
+    draws = np.empty(6)
+    off = np.empty(2)
+    edges = np.empty(4)
     for car in range(cars):
         if taken[car] or seen[car, SHARE] <= noise.hidden_share:
             continue
         for k in range(4):
             edges[k] = seen[car, k]
-        own, slow = mix(mix(key, TARGETS), car), mix(mix(slow_key, TARGETS), car)
+        own = mix(mix(key, TARGETS), car)
+        slow = mix(mix(slow_key, TARGETS), car)
         gauss(own, draws)
         odd = _join(seen, car, taken, noise, slow_key, edges) or uniform(mix(slow, 100)) < noise.odd_rate
         spread = noise.edge_sigma_px
@@ -234,8 +256,10 @@ def detections(seen, lens, region, noise, key, slow_key, found):
             gauss(mix(slow, 105), off)
             draws[1] = abs(off[0]) * noise.cut_px / max(spread, 1e-9)
         whole = _shift(edges, lens, noise, spread, draws)
-        w, h = edges[2] - edges[0], edges[3] - edges[1]
-        u, v = edges[0] + 0.5 * w, edges[1] + 0.5 * h
+        w = edges[2] - edges[0]
+        h = edges[3] - edges[1]
+        u = edges[0] + 0.5 * w
+        v = edges[1] + 0.5 * h
         if w <= 0.0 or h <= 0.0 or not noise.min_side_px <= max(w, h) <= noise.max_side_px:
             continue
         if region[0] <= u < region[2] and region[1] <= v < region[3]:
@@ -250,7 +274,8 @@ def detections(seen, lens, region, noise, key, slow_key, found):
 @inner
 def _join(seen, car, taken, noise, key, edges):
     """Widen ``edges`` to both cars when two that touch in the image are taken for one; whether that one looks odd."""
-    other, cars = int(seen[car, TOUCHED]), seen.shape[0]
+    other = int(seen[car, TOUCHED])
+    cars = seen.shape[0]
     if other < 0 or taken[other] or seen[other, SHARE] <= noise.hidden_share:
         return False
     contact = max(seen[car, CONTACT], seen[other, CONTACT])
@@ -267,8 +292,10 @@ def _join(seen, car, taken, noise, key, edges):
 @inner
 def _shift(edges, lens, noise, spread, draws):
     """Add bias and noise to the edges that the image's border does not cut; whether there are only such."""
-    cut_0, cut_1 = edges[0] <= -0.5, edges[1] <= -0.5
-    cut_2, cut_3 = edges[2] >= lens[9] - 0.5, edges[3] >= lens[10] - 0.5
+    cut_0 = edges[0] <= -0.5
+    cut_1 = edges[1] <= -0.5
+    cut_2 = edges[2] >= lens[9] - 0.5
+    cut_3 = edges[3] >= lens[10] - 0.5
     edges[0] += 0.0 if cut_0 else noise.bias_left_px + spread * draws[0]
     edges[1] += 0.0 if cut_1 else noise.bias_top_px + spread * draws[1]
     edges[2] += 0.0 if cut_2 else noise.bias_right_px + spread * draws[2]
@@ -293,26 +320,37 @@ def depth_over(boxes, extents, per_car, frame, lens, hidden, box, settings, nois
     Returns:
         Depth and its standard deviation in m; negative when there is none.
     """
-    fraction, sigma_1m = settings.center_fraction, settings.sigma_at_1m_m
+    fraction = settings.center_fraction
+    sigma_1m = settings.sigma_at_1m_m
     n = DEPTH_CELLS
-    x0, y0 = box[0] + 0.5 * (1.0 - fraction) * box[2], box[1] + 0.5 * (1.0 - fraction) * box[3]
-    x1, y1 = x0 + fraction * box[2], y0 + fraction * box[3]
-    x0, y0, x1, y1 = max(x0, -0.5), max(y0, -0.5), min(x1, lens[9] - 0.5), min(y1, lens[10] - 0.5)
+    x0 = box[0] + 0.5 * (1.0 - fraction) * box[2]
+    y0 = box[1] + 0.5 * (1.0 - fraction) * box[3]
+    x1 = x0 + fraction * box[2]
+    y1 = y0 + fraction * box[3]
+    x0 = max(x0, -0.5)
+    y0 = max(y0, -0.5)
+    x1 = min(x1, lens[9] - 0.5)
+    y1 = min(y1, lens[10] - 0.5)
     asked = (x1 - x0) * (y1 - y0)
     if x1 <= x0 or y1 <= y0:
         return -1.0, -1.0
-    pixels, rays, draws, found = np.empty((n * n, 2)), np.empty((n * n, 2)), np.empty(n * n + 1), np.empty(n * n)
+    pixels = np.empty((n * n, 2))
+    rays = np.empty((n * n, 2))
+    draws = np.empty(n * n + 1)
+    found = np.empty(n * n)
     off = np.empty(n * n)
     sample_rays(lens, x0, y0, x1, y1, n, pixels, rays)
     gauss(key, draws)
     count = 0
     for k in range(n * n):
-        x, y = rays[k, 0], rays[k, 1]
+        x = rays[k, 0]
+        y = rays[k, 1]
         z, who = nearest(boxes, extents, per_car, x, y, pixels[k, 0], pixels[k, 1], -1)
         sinking = frame[2] * x + frame[5] * y + frame[8]
         floor = -frame[EYE + 2] / sinking if sinking < -1e-9 else np.inf
         if floor < z:
-            z, who = floor, -1
+            z = floor
+            who = -1
         z += noise[0] * z * z * draws[k]
         if settings.min_m <= z <= settings.max_m and not (hidden and 0 <= who < extents.shape[0] - 1):
             found[count] = z

@@ -49,13 +49,15 @@ class Disk(MemoryStore):
 
     def lose(self) -> bool:
         """Loses the newest records, once; returns whether there were any to lose."""
-        gone, self.loses = min(self.loses, len(self._earlier)), 0
+        gone = min(self.loses, len(self._earlier))
+        self.loses = 0
         for _ in range(gone):
             self.kept = self._earlier.pop()
         return gone > 0
 
     def begin_save(self, record: SenderRecord | ReceiverRecord) -> Future[None]:
-        saved, loop = super().begin_save(record), asyncio.get_running_loop()
+        saved = super().begin_save(record)
+        loop = asyncio.get_running_loop()
         if loop.time() >= self.stands_until_s or saved.exception() is not None:
             return saved
         told = Future[None]()
@@ -82,9 +84,12 @@ class DroneHarness:
     def __init__(
         self, view: PairWorld, advance: Callable[[float], None], seed: int, built: Built, role: Role, hub: MemoryHub
     ) -> None:
-        self._view, self._advance = view, advance
-        self.seed, self.built = seed, built
-        self.role, self.hub = role, hub
+        self._view = view
+        self._advance = advance
+        self.seed = seed
+        self.built = built
+        self.role = role
+        self.hub = hub
         self.beats: MemoryBeatLine | None = None
         self.frozen = self.silent = self.lost = False
         self.cut_off_s: list[float] = []

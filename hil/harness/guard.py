@@ -54,7 +54,8 @@ class SimGuard:
                 "use it in a rig of level sim or sim-rendered, with a harness",
             )
         self._harness = cast(GuardHarness, context.harness)
-        self._role, self._clock = context.role, context.clock
+        self._role = context.role
+        self._clock = context.clock
         self._seen: GuardView | None = None
         self._acked: bool | None = None
         self._open = False
@@ -78,7 +79,8 @@ class SimGuard:
     def view(self) -> GuardView | None:
         if not self._reached:
             return self._seen and replace(self._seen, acked=self._acked)
-        drone, now_ns = self._harness.world.drone(self._role), self._clock.now_ns()
+        drone = self._harness.world.drone(self._role)
+        now_ns = self._clock.now_ns()
         autopilot = drone.autopilot
         self._seen = GuardView(
             heartbeat_ns=now_ns,
@@ -154,7 +156,8 @@ class MemoryBeatLine:
     async def __aexit__(self, *_: object) -> None: ...
 
     def newest(self) -> tuple[int, Beat] | None:
-        newest, self._box.beat = self._box.beat, None
+        newest = self._box.beat
+        self._box.beat = None
         if newest is None:
             return None
         arrival_ns, beat, self._from = newest

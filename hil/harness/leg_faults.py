@@ -18,7 +18,8 @@ class LegFaults:
     """
 
     def __init__(self, faults: Mapping[int, Sequence[Fault]], inject: Callable[[int, Fault], None]) -> None:
-        self._faults, self._inject = faults, inject
+        self._faults = faults
+        self._inject = inject
         self._ends: dict[int, dict[Role, str]] = {}
         self._newest: dict[str, tuple[int, Role, FaultTrigger]] = {}
         self._coming: set[asyncio.Task[None]] = set()

@@ -54,7 +54,8 @@ class Programs:
     """
 
     def __init__(self, died: Callable[[str], None], forgot: Callable[[str], None] = lambda _: None) -> None:
-        self._died, self._forgot = died, forgot
+        self._died = died
+        self._forgot = forgot
         self._slots: dict[str, _Slot] = {}
         self.stop = asyncio.Event()
         self.interrupted = False
@@ -66,7 +67,8 @@ class Programs:
     def begin(self, name: str, start: Callable[[], Started]) -> Awaitable[RoleResult | None]:
         """Start a drone's program now; its result in the end, None when it died. Raises what ended it otherwise."""
         slot = self._slots[name]
-        slot.start, slot.again = start, False
+        slot.start = start
+        slot.again = False
         self._start(slot)
         return _until_ended(slot)
 
@@ -92,7 +94,8 @@ class Programs:
 
     def stall(self, name: str, for_s: float) -> None:
         """Has a program stand still. What its record is to be followed by waits too, if it is just written."""
-        slot, loop = self._slots[name], asyncio.get_running_loop()
+        slot = self._slots[name]
+        loop = asyncio.get_running_loop()
         if slot.task is not None and not slot.task.done() and not slot.killed and isinstance(loop, StallingLoop):
             slot.disk.stands_until_s = loop.stand_still(name, for_s)
 
@@ -120,7 +123,9 @@ class Programs:
 
     def _start(self, slot: _Slot) -> None:
         assert slot.start is not None
-        slot.killed, slot.restart, slot.disk.writable = False, None, True
+        slot.killed = False
+        slot.restart = None
+        slot.disk.writable = True
         slot.harness.silent = slot.harness.lost
         started = slot.start()
         context = copy_context()

@@ -36,7 +36,8 @@ class RelaySim:
         refuse_slow(request.rig)
         faults = {leg: [_parse(text, request.rig.level) for text in texts] for leg, texts in request.faults.items()}
         prepare(request.rig, lambda what: request.emit(starting(Role.SENDER, what)))
-        start_s, cpu_s = time.perf_counter(), time.process_time()
+        start_s = time.perf_counter()
+        cpu_s = time.process_time()
         with collector_off():  # nothing here lives in cycles, and collecting takes a tenth of the time
             findings = run_virtual(_RelayFlight(request, faults).run())
         cpu_s = time.process_time() - cpu_s
@@ -77,7 +78,10 @@ class _RelayFlight:
         return self._findings()
 
     async def _watch(self) -> None:
-        world, monitors, vehicles_s, sample_s = self._field.world, self._field.monitors, 0.0, 0.0
+        world = self._field.world
+        monitors = self._field.monitors
+        vehicles_s = 0.0
+        sample_s = 0.0
         while True:
             now_s = present_s()
             if now_s != world.time_s:

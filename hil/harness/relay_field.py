@@ -55,8 +55,10 @@ class VirtualField:
     """
 
     def __init__(self, request: RelayRequest, mission: MissionConfig, faults: Mapping[int, Sequence[Fault]]) -> None:
-        rig, config = request.rig, request.config
-        self._request, self._mission = request, mission
+        rig = request.rig
+        config = request.config
+        self._request = request
+        self._mission = mission
         self.programs = Programs(self._died)
         self.legs = LegFaults(faults, self._inject)
         self._hubs: dict[int, MemoryHub] = {}
@@ -114,7 +116,8 @@ class VirtualField:
 
     def point_at(self, target: int) -> Pointed:
         """A person points: off by some centimetres, and knows how it drives."""
-        now_s, world = present_s(), self.world
+        now_s = present_s()
+        world = self.world
         if now_s != world.time_s:
             world.advance(now_s)
         thing = world.target(target)
@@ -127,7 +130,9 @@ class VirtualField:
         hub = self._hubs[number] = MemoryHub(self._request.seed * 4096 + number)
         for role, name, other in ((Role.SENDER, sender, receiver), (Role.RECEIVER, receiver, sender)):
             drone = self.drones[name]
-            drone.harness.role, drone.harness.hub, drone.view.other = role, hub, other
+            drone.harness.role = role
+            drone.harness.hub = hub
+            drone.view.other = other
         self.monitors.on_leg(number, sender, receiver)
         self.legs.open_leg(number, sender, receiver)
 

@@ -82,7 +82,8 @@ async def _fly(request: RelayRequest, faults: dict[int, list[Fault]]) -> RelayRe
 
 
 def orders_of(request: RelayRequest) -> Orders:
-    config, processes = request.config, request.processes
+    config = request.config
+    processes = request.processes
     more = str(len(config.drones)), str(len(request.targets)), str(request.hours)
 
     def guard(name: str) -> Command | None:
@@ -104,7 +105,8 @@ class LiveField:
     """The field as those on the ground can act on it (``flight.harness.relay.TeamField``)."""
 
     def __init__(self, request: RelayRequest, run: RealTimeRun) -> None:
-        self._request, self._run = request, run
+        self._request = request
+        self._run = run
         self._pointed: dict[int, Pointed] = {}
         self._pointing = np.random.default_rng([request.seed, 0x706F696E74])
 
@@ -173,9 +175,11 @@ class LiveField:
 
 
 def report_of(request: RelayRequest, run: RealTimeRun, ending: Ending) -> RelayReport:
-    finished, wall_s = ending.finished, ending.wall_s
+    finished = ending.finished
+    wall_s = ending.wall_s
     unseen = [TargetWatch(None, 0.0, 0.0)] * max(1, len(request.targets))
-    aloft, closest_m = finished.get("aloft", ()), finished.get("closest_m", None)
+    aloft = finished.get("aloft", ())
+    closest_m = finished.get("closest_m", None)
     failed = [drone.result.log_failure for drone in run.drones.values() if drone.result is not None]
     return RelayReport(
         violations=finished.get("violations", {}),

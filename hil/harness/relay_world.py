@@ -25,7 +25,8 @@ from hil.world.targets import Point
 from hil.world.world import STEP_HZ, Fleet, SimDrone, at_home
 from path.messages import Role
 
-OWN, OTHER = Role.RECEIVER, Role.SENDER
+OWN = Role.RECEIVER
+OTHER = Role.SENDER
 THE_PILOTS = ("pilot_takeover", "rc_mode", "rc_sticks", "rc_lost")  # after these it is his, or holds and waits for him
 PILOT_LANDS_S = 15.0  # after he took a drone over he lands it where it is
 LETS_GO_S = 2.0  # before that, of the sticks: moved while it lands they would take it out of its landing
@@ -93,7 +94,8 @@ class RelayWorld(Fleet[str]):
 
     def swap(self, name: str, battery: float = 1.0) -> None:
         """Puts a drone at its home, with a battery of that charge, off; its autopilot will start anew."""
-        row, self._boots[name] = self.names.index(name), self._boots[name] + 1
+        row = self.names.index(name)
+        self._boots[name] = self._boots[name] + 1
         self._states[row] = at_home(self._homes[name], self.config.airframe.leg_m)
         self._commands[row] = 0.0
         seed = int(
@@ -106,7 +108,8 @@ class RelayWorld(Fleet[str]):
         self.close_leg(name, name)
 
     def _sense(self) -> None:
-        rows, time_s = self._sensors.tick(self._states), self._step / STEP_HZ
+        rows = self._sensors.tick(self._states)
+        time_s = self._step / STEP_HZ
         for i, (name, drone) in enumerate(self._drones.items()):
             if name in self.on:
                 drone.sense(time_s, rows[i].tolist())
@@ -184,7 +187,8 @@ class RelayWorld(Fleet[str]):
         """The truth at ``time_s`` as far as a pair is concerned."""
         truth = self.truth_of
         drones = {OWN: truth(own)} if other is None else {OTHER: truth(other), OWN: truth(own)}
-        covered, no_depth = other in self._covered, own in self._no_depth
+        covered = other in self._covered
+        no_depth = own in self._no_depth
         return Snapshot(
             self.time_s, drones, self.objects_near(own), covered, no_depth, self.detector, self.config.target.kind,
             self.config.target.stretch,
@@ -212,5 +216,6 @@ class PairView:
 
     def snapshot(self) -> Snapshot:
         if self._seen is None or self._seen.time_s != self._world.time_s or self._seen_other != self.other:
-            self._seen, self._seen_other = self._world.view(self._own, self.other), self.other
+            self._seen = self._world.view(self._own, self.other)
+            self._seen_other = self.other
         return self._seen

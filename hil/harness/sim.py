@@ -87,7 +87,8 @@ class _Flight:
 
     async def run(self) -> dict[str, Any]:
         """The fields of the FlightReport, without the wall's."""
-        request, rig = self._request, self._rig
+        request = self._request
+        rig = self._rig
         config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
         self._world = World(config, request.seed)
         built = as_built(rig, request.seed)
@@ -150,7 +151,8 @@ class _Flight:
 
     def _start(self, role: Role) -> Started:
         """A program with a log of its own, a further one after a restart."""
-        request, offset_ns = self._request, self._offsets_ns[role]
+        request = self._request
+        offset_ns = self._offsets_ns[role]
         log = virtual_log(new_part(request.out, role.value), role.value, offset_ns)
         self._logs.append(log)
         watched = WatchedLog(log, role, self._monitors.on_record, offset_ns)
@@ -190,7 +192,9 @@ class _Flight:
     # --- what is seen ---
 
     async def _watch_truth(self, truth: TruthLog) -> None:
-        loop, world, ticks = asyncio.get_running_loop(), self._world, 0
+        loop = asyncio.get_running_loop()
+        world = self._world
+        ticks = 0
         while True:
             world.advance(loop.time())
             truth.truth(world)

@@ -130,9 +130,11 @@ def _records(out: Path) -> Iterator[tuple[int, Role, LogRecord | None]]:
     """
     for role in Role:
         for part in parts(out, role.value):
-            newest_ns, ended = 0, False
+            newest_ns = 0
+            ended = False
             for record in read_log(part):
-                newest_ns, ended = max(newest_ns, record.stamp_ns), ended or record.topic == "/outcome"
+                newest_ns = max(newest_ns, record.stamp_ns)
+                ended = ended or record.topic == "/outcome"
                 yield record.stamp_ns, role, record
             if not ended:
                 yield newest_ns, role, None

@@ -28,8 +28,10 @@ class _Held:
     def __init__(
         self, loop: StallingLoop, program: str, callback: Callable[..., Any], args: tuple[Any, ...], context: Context
     ) -> None:
-        self._loop, self._program = loop, program
-        self._callback, self._args = callback, args
+        self._loop = loop
+        self._program = program
+        self._callback = callback
+        self._args = args
         self.context = context
         self.handle: asyncio.Handle | None = None
 

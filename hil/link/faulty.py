@@ -67,7 +67,8 @@ class FaultyChannel:
 
     def arrivals(self, data: bytes, now_s: float) -> list[tuple[float, bytes]]:
         """Returns when, on the clock of ``now_s``, and as what a packet arrives: never, once or twice."""
-        faults, chance = self.faults, self._random.random
+        faults = self.faults
+        chance = self._random.random
         arrivals: list[tuple[float, bytes]] = []
         if chance() < faults.loss or now_s < self._out_until_s:
             return arrivals
@@ -301,7 +302,8 @@ class UdpFaultProxy(FaultyLink[int]):
 
 class _Forward(asyncio.DatagramProtocol):
     def __init__(self, proxy: UdpFaultProxy, side: int) -> None:
-        self._proxy, self._side = proxy, side
+        self._proxy = proxy
+        self._side = side
 
     def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
         self._proxy.forward(data, self._side, (str(addr[0]), int(addr[1])))

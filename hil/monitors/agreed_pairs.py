@@ -141,7 +141,8 @@ class AgreedPairs:
         if self.method.gate == "count":
             self.pairs = 0
             return
-        iou, tau = record["iou"], record["tau"]
+        iou = record["iou"]
+        tau = record["tau"]
         if iou is None or tau is None:
             return
         self.agrees = False
@@ -153,14 +154,18 @@ class AgreedPairs:
 
     def agreed(self, record: Mapping[str, Any]) -> str | None:
         """An agreeing pair that the role counted; what is wrong with that, None when nothing is."""
-        capture_ns, iou, tau = int(record["capture_ns"]), record["iou"], record["tau"]
+        capture_ns = int(record["capture_ns"])
+        iou = record["iou"]
+        tau = record["tau"]
         if capture_ns <= self.last_ns or iou is None or tau is None or not iou >= tau:
             return f"a pair counted that must not: {dict(record)}"
         if self.method.gate != "count" and (record.get("oversize") or 0.0) > self.method.evidence.size_sigmas:
             return f"a box larger than the target counted: {dict(record)}"
         gap_ns = capture_ns - self.last_ns
         if record["epoch"] != self.epoch:
-            self.epoch, self.runs, self.pairs = record["epoch"], 0, 0
+            self.epoch = record["epoch"]
+            self.runs = 0
+            self.pairs = 0
         if (
             self.pairs == 0
             or (self.alone and record["count"] == 1)
@@ -169,7 +174,8 @@ class AgreedPairs:
         ):
             self._begin(capture_ns, int(record["target_id"]))
         self.pairs += 1
-        self.last_ns, self.agrees = capture_ns, True
+        self.last_ns = capture_ns
+        self.agrees = True
         if self.method.gate != "count" and record.get("offset_m") is not None:
             self.offsets.append((capture_ns, record["offset_m"], record.get("rival_offset_m")))
         if self.method.gate == "likelihood":
@@ -195,10 +201,16 @@ class AgreedPairs:
             self.sure_ns = capture_ns
 
     def _begin(self, capture_ns: int, target_id: int) -> None:
-        self.pairs, self.first_ns, self.target_id = 0, capture_ns, target_id
+        self.pairs = 0
+        self.first_ns = capture_ns
+        self.target_id = target_id
         self.runs += 1
-        self.logs, self.block_ns, self.block, self.offsets = 0.0, capture_ns, [], []
-        self.odd, self.sure_ns = 0, None
+        self.logs = 0.0
+        self.block_ns = capture_ns
+        self.block = []
+        self.offsets = []
+        self.odd = 0
+        self.sure_ns = None
 
     def _compare(self, capture_ns: int, iou: float, tau: float) -> None:
         own = self.method.evidence
@@ -214,6 +226,8 @@ class AgreedPairs:
             self.logs += math.log10((1.0 - (1.0 - own.next_rate) * own.setback) / own.next_rate)
         else:
             self.logs += math.log10(own.setback)
-        self.block_ns, self.block = capture_ns, []
+        self.block_ns = capture_ns
+        self.block = []
         if self.logs <= ROUNDING:
-            self.pairs, self.logs = 0, 0.0
+            self.pairs = 0
+            self.logs = 0.0

@@ -18,7 +18,8 @@ from path.protocol.values import ProtocolConfig
 Violated = Callable[[str, float, str], None]
 
 CONFIG = ProtocolConfig()
-DECISION_S, GAP_S = commit_bound_s(CONFIG), gap_bound_s(CONFIG)
+DECISION_S = commit_bound_s(CONFIG)
+GAP_S = gap_bound_s(CONFIG)
 
 
 @dataclass(slots=True)
@@ -73,7 +74,8 @@ class LeaseMonitor:
         self._duty[role] = ""  # it may have written down what it did not live to say
         self._alone_s = None
         if role is Role.SENDER:
-            self._awaited, self._died = False, True
+            self._awaited = False
+            self._died = True
 
     def _on_epoch(self, role: Role, now_s: float, epoch: int, duty: str) -> None:
         if epoch < self._highest[role]:
@@ -108,7 +110,8 @@ class LeaseMonitor:
             self.violated("S4", now_s, f"taken back {self._lease.end_s - now_s:.3f} s before the lease's end")
 
     def _took_over(self, now_s: float, until_s: float) -> None:
-        epoch, begun = self._highest[Role.RECEIVER], self._highest[Role.SENDER]
+        epoch = self._highest[Role.RECEIVER]
+        begun = self._highest[Role.SENDER]
         if epoch < begun:
             self.violated("S2", now_s, f"taken over in epoch {epoch}, when {begun} had begun")
         if self._lease is None or self._lease.epoch != self._highest[Role.RECEIVER]:
@@ -132,7 +135,8 @@ class LeaseMonitor:
         """Checks the gap from the sender's release until somebody is responsible again."""
         if self._claims.holders(now_s):
             if self._alone_s is not None:
-                alone_s, self._alone_s = now_s - self._alone_s, None
+                alone_s = now_s - self._alone_s
+                self._alone_s = None
                 self.gap_s = max(alone_s, self.gap_s or 0.0)
                 if alone_s > GAP_S:
                     self.violated(

@@ -60,7 +60,8 @@ def _independent(offsets: NDArray[np.float64], span_s: float) -> float:
     count = len(offsets)
     if count < 2 or not span_s > 0.0:
         return 1.0
-    variance, correlation = _variance(offsets), 0.0
+    variance = _variance(offsets)
+    correlation = 0.0
     if count > 2 and variance > 0.0:
         together = float(np.sum(offsets[1:] * offsets[:-1])) / (count - 1) - _length2(offsets)
         correlation = min(0.999, max(0.0, 0.5 * together / variance))

@@ -33,8 +33,10 @@ class ObservedTime:
         """The time since the last one counts as observed when it was looked at a moment ago."""
         if self._ticked_s is None or now_s <= self._ticked_s:
             return
-        since_s, began_s = now_s - self._ticked_s, self._ticked_s
-        self._ticked_s, self.of_s = now_s, self.of_s + since_s
+        since_s = now_s - self._ticked_s
+        began_s = self._ticked_s
+        self._ticked_s = now_s
+        self.of_s = self.of_s + since_s
         if now_s - self._looked_s <= LOOKED_S:
             self.observed_s += since_s
         elif self.spells and self.spells[-1][1] == began_s:

@@ -133,7 +133,8 @@ class RelayMonitors:
 
     def on_swap(self, name: str, now_s: float) -> None:
         """Ends a drone's flight, before its autopilot is started anew."""
-        flight, autopilot = self._flights.pop(name, None), self.world.drone(name).autopilot
+        flight = self._flights.pop(name, None)
+        autopilot = self.world.drone(name).autopilot
         if flight is not None:
             self.flown.append(FlightTruth(name, flight.began_s, now_s, min(flight.battery, autopilot.battery)))
 
@@ -155,7 +156,8 @@ class RelayMonitors:
         self._alone_s.pop(self.on_target(name), None)
 
     def on_record(self, name: str, topic: str, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
-        now_s, member = stamp_w_ns * 1e-9, self.members[name]
+        now_s = stamp_w_ns * 1e-9
+        member = self.members[name]
         leg = self._legs.get(name)
         if leg is not None:
             leg.monitors.on_record(leg.roles[name], topic, stamp_w_ns, record)
@@ -176,12 +178,14 @@ class RelayMonitors:
         world = self.world
         near = world.closest(self.mission.separation.minimum_m)
         if near.closest_m < self.closest_m:
-            self.closest_m, self.closest_pair = near.closest_m, near.pair
+            self.closest_m = near.closest_m
+            self.closest_pair = near.pair
         for one, other, apart_m in near.too_near:
             if (one, other) not in self._near:
                 self.violated("S9", now_s, f"{one} and {other} are {apart_m:.2f} m apart")
         self._near = {(one, other) for one, other, _ in near.too_near}
-        since_s, self._truth_s = now_s - (now_s if self._truth_s is None else self._truth_s), now_s
+        since_s = now_s - (now_s if self._truth_s is None else self._truth_s)
+        self._truth_s = now_s
         for name in world.airborne:
             self.aloft_s[name] = self.aloft_s.get(name, 0.0) + since_s
         for name, flight in self._flights.items():
@@ -262,7 +266,8 @@ class RelayMonitors:
         return tuple(name for name in self.claims.holders(now_s) if self.on_target(name) == target)
 
     def _on_responsibility(self, name: str, now_s: float, record: Mapping[str, Any]) -> None:
-        before, target = self.claims.holds(name, now_s), self.on_target(name)
+        before = self.claims.holds(name, now_s)
+        target = self.on_target(name)
         self.claims.note(name, record)
         holders = self._holders(target, now_s)
         if not record["responsible"]:
@@ -289,9 +294,11 @@ class RelayMonitors:
         if not responsible and not (target in self._alone_s and self._before.get(target) == name):
             return
         self._looked_s[name] = now_s
-        u, v = box[0] + 0.5 * box[2], box[1] + 0.5 * box[3]
+        u = box[0] + 0.5 * box[2]
+        v = box[1] + 0.5 * box[3]
         if self.seen is None:
-            drone, objects = self.world.truth_of(name), self.world.objects_near(name)
+            drone = self.world.truth_of(name)
+            objects = self.world.objects_near(name)
         else:
             drones, objects = self.seen(now_s)
             drone = drones[name]

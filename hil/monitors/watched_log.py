@@ -23,7 +23,11 @@ class WatchedLog(Generic[Who]):
         self, log: Log, who: Who, heard: Callable[[Who, str, int, Mapping[str, Any]], None], offset_ns: int,
         whole: bool = True,
     ) -> None:  # fmt: skip
-        self._log, self._who, self._heard, self._offset_ns, self._whole = log, who, heard, offset_ns, whole
+        self._log = log
+        self._who = who
+        self._heard = heard
+        self._offset_ns = offset_ns
+        self._whole = whole
         self.ended = False  # the program was killed: what it does on its way out has not happened
 
     def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:

@@ -30,7 +30,9 @@ MEANINGS: Mapping[FaultName, str] = {
 
 def conditions(believed: Believed, sizes: ErrorSizes) -> tuple[tuple[str, str], ...]:
     """(what, how much); standard deviations unless it is a range."""
-    noise, deg, boxes = believed.noise, math.degrees, believed.boxes
+    noise = believed.noise
+    deg = math.degrees
+    boxes = believed.boxes
     (behind_m, height_m), others = believed.sender_m, believed.look_alikes
     low, high = scene.SPEED_MPS
     return (

@@ -78,16 +78,20 @@ def run_cycles(
     cycles = _Cycles(setup, believed, method)
     kinds, which, now = setup.events
     events = list(zip(kinds.tolist(), which.tolist(), now.tolist(), strict=True))
-    limit_ns, until_s, first = _ns(attempt.limit_s), 0.0, 0
+    limit_ns = _ns(attempt.limit_s)
+    until_s = 0.0
+    first = 0
     step_s = 0.5 * BLOCK_S if attempt.whole else BLOCK_S
-    counts, decided = not attempt.whole, 0
+    counts = not attempt.whole
+    decided = 0
     while first < len(events) and until_s < attempt.limit_s:
         until_s = min(until_s + step_s, attempt.limit_s)
         setup.reach(until_s)
         last = int(np.searchsorted(now, _ns(until_s)))
         first += cycles.run(events[first:last], counts)
         if counts and (cycles.done is not None or cycles.hopeless(_ns(until_s), limit_ns)):
-            counts, decided = False, len(cycles.record)
+            counts = False
+            decided = len(cycles.record)
             if until is None or until(cycles.record.series):
                 break
             first += cycles.run(events[first:last], counts)
@@ -105,17 +109,20 @@ class _Cycles:
 
     def __init__(self, setup: HandoverSetup, believed: Believed, method: MethodConfig) -> None:
         rig = setup.rig
-        own, carried = rig.sender.mount, Mount(rig.receiver.mount.T_b_c, rig.sender.mount.T_b_v)
+        own = rig.sender.mount
+        carried = Mount(rig.receiver.mount.T_b_c, rig.sender.mount.T_b_v)
         mount = own.T_b_v.inverse() @ own.T_b_c
         self._setup = setup
-        camera_1, camera_2 = rig.sender.camera, rig.receiver.camera
+        camera_1 = rig.sender.camera
+        camera_2 = rig.receiver.camera
         # the paper's gate decides when to stop; others are told the series afterwards
         method = replace(method, gate="count")
         self._marker = MarkerView(rig.layout, camera_2, carried, method, believed.mission)
         self._window = AgreementWindow(method)
         self._hold_ns = round(method.hold_s * 1e9)
         self._begin_ns = 0  # of the run under way
-        cameras, attempt = PairCameras(camera_1, camera_2, mount), AttemptId(1, 1, 1)
+        cameras = PairCameras(camera_1, camera_2, mount)
+        attempt = AttemptId(1, 1, 1)
         self._sender = SenderSide(cameras, method, attempt, gate=self._window)
         self._receiver = ReceiverSide(cameras, method, attempt)
         self._targets: dict[int, Target] = {}
@@ -149,7 +156,8 @@ class _Cycles:
 
     def _sender_frame(self, k: int, now_ns: int) -> None:
         seen = self._setup.seen
-        stamp_ns, number = int(seen.stamp_1[k]), int(seen.number_1[k])
+        stamp_ns = int(seen.stamp_1[k])
+        number = int(seen.number_1[k])
         found, who = self._setup.followed(k)
         message = self._sender.observe(number, stamp_ns, found, _vector(seen.gravity_v[k])).message
         if isinstance(message, Target):
@@ -163,11 +171,14 @@ class _Cycles:
                 self._begin_ns = pair.capture_ns
 
     def _receiver_frame(self, k: int) -> None:
-        seen, side = self._setup.seen, self._receiver
-        stamp_ns, number = int(seen.stamp_2[k]), int(seen.number_2[k])
+        seen = self._setup.seen
+        side = self._receiver
+        stamp_ns = int(seen.stamp_2[k])
+        number = int(seen.number_2[k])
         view = self._setup.receiver_view(k)
         self._marker.note_motion(self._motion(k, stamp_ns))
-        gravity_v, gravity_c = side.gravity_v(stamp_ns), _vector(seen.gravity_c[k])
+        gravity_v = side.gravity_v(stamp_ns)
+        gravity_c = _vector(seen.gravity_c[k])
         fix = self._marker.look(view, seen.R_n_c[k], gravity_v, gravity_c)
         if isinstance(fix, MarkerFix):
             biased = Pose(seen.turn @ fix.T_c_v.R, fix.T_c_v.t + seen.shift_c)
@@ -217,7 +228,9 @@ class _Record:
         self._values.append((0.0, 0.0, 0.0, 0.0))
 
     def pair(self, pair: PairVerdict, now_ns: int) -> None:
-        candidate, verdict, at = pair.candidate, pair.verdict, pair.own
+        candidate = pair.candidate
+        verdict = pair.verdict
+        at = pair.own
         if candidate is None:
             return
         head = (now_ns, candidate.sequence, pair.capture_ns)
@@ -226,7 +239,8 @@ class _Record:
             self._values.append((0.0, 0.0, 0.0, 0.0))
             return
         theirs = self.whose[candidate.sequence]
-        right, same = int(theirs == TARGET), int(theirs == self.own_whose[at.before.frame])
+        right = int(theirs == TARGET)
+        same = int(theirs == self.own_whose[at.before.frame])
         own = (at.before.frame, at.before.stamp_ns, at.after.frame, at.after.stamp_ns)
         self._rows.append((PAIR, -1, *head, *own, right, same))
         scores = iou(pair.own_box, pair.mapped_box), self._by_other(candidate, at.values, candidate.box, pair.own_box)
@@ -253,8 +267,10 @@ class _Record:
         if self._rows:
             self._ints = np.concatenate((self._ints, np.array(self._rows, np.int64)))
             self._floats = np.concatenate((self._floats, np.array(self._values, float)))
-            self._rows, self._values = [], []
-        ints, floats = self._ints, self._floats
+            self._rows = []
+            self._values = []
+        ints = self._ints
+        floats = self._floats
         return Series(
             kind=ints[:, 0], reason=ints[:, 1], now_ns=ints[:, 2], sequence=ints[:, 3], capture_ns=ints[:, 4],
             own=ints[:, 5:9], iou=floats[:, :2], z_m=floats[:, 2], pose_sigma_m=floats[:, 3], right=ints[:, 9] != 0,

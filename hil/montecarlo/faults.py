@@ -13,7 +13,9 @@ from flight.harness.montecarlo import FaultName
 Array = NDArray[np.float64]
 Generator = np.random.Generator
 
-LINK_DELAY_S, LINK_JITTER_S, LINK_LOSS = 0.004, 0.002, 0.01
+LINK_DELAY_S = 0.004
+LINK_JITTER_S = 0.002
+LINK_LOSS = 0.01
 MIXABLE: tuple[FaultName, ...] = (
     "marker_occlusion", "marker_dropouts", "flip", "depth_holes", "link_loss", "link_delay", "clock_error",
     "camera_freeze", "attitude_jump", "look_alike_near", "look_alike_crossing", "detector_swap",
@@ -90,7 +92,8 @@ def _with_fault(faults: HandoverFaults, name: FaultName, rng: Generator) -> Hand
         case "camera_freeze":
             faults = replace(faults, frozen=_of_one(_spells(rng, 3, 0.1, 1.5), rng))
         case "attitude_jump":
-            spells, angle = _spells(rng, 2, 0.3, 4.0), math.radians(rng.uniform(2.0, 12.0))
+            spells = _spells(rng, 2, 0.3, 4.0)
+            angle = math.radians(rng.uniform(2.0, 12.0))
             vector = angle * np.array([*direction(rng), 0.0])
             faults = replace(faults, jump=_of_one(spells, rng), jump_vector=vector)
         case "detector_swap":

@@ -20,7 +20,9 @@ from path.config import MethodConfig
 from path.geometry.transforms import Pose
 from path.observations import MissReason
 
-FOLLOWED_S, STEPS = 1.0, 25  # for so long D1 has followed the target when an attempt begins
+# for so long D1 has followed the target when an attempt begins
+FOLLOWED_S = 1.0
+STEPS = 25
 TARGET = 0
 
 
@@ -38,7 +40,10 @@ class Follower:
     def __init__(
         self, camera: CameraModel, mission: MissionConfig, method: MethodConfig, things: Things, down_m: float
     ) -> None:
-        self._camera, self._mission, self._things, self._down_m = camera, mission, things, down_m
+        self._camera = camera
+        self._mission = mission
+        self._things = things
+        self._down_m = down_m
         self._largest = LargestBox.of(camera, method)
         self._ranging = Ranging.of(mission, method)
         self._track: TargetTrack | None = None

@@ -15,12 +15,21 @@ Array = NDArray[np.float64]
 
 WAVES = 4
 # Standard deviations and frequencies of what wavers; the trial prints them.
-WANDER_M, WANDER_HZ = (0.05, 0.05, 0.03), (0.05, 0.5)
-TILT_RAD, TILT_HZ = math.radians(1.0), (0.2, 1.5)
-YAW_RAD, YAW_HZ = math.radians(1.5), (0.05, 0.5)
-TILT_NOISE_RAD, YAW_NOISE_RAD, NOISE_HZ = math.radians(0.2), math.radians(0.3), (0.1, 2.0)
-DRIFT_M, DRIFT_HZ = 0.02, (0.05, 0.5)  # of D1's position estimate
-SPEED_NOISE_MPS, SPEED_NOISE_HZ = 0.03, (0.03, 0.3)  # of what either vehicle reports
+WANDER_M = (0.05, 0.05, 0.03)
+WANDER_HZ = (0.05, 0.5)
+TILT_RAD = math.radians(1.0)
+TILT_HZ = (0.2, 1.5)
+YAW_RAD = math.radians(1.5)
+YAW_HZ = (0.05, 0.5)
+TILT_NOISE_RAD = math.radians(0.2)
+YAW_NOISE_RAD = math.radians(0.3)
+NOISE_HZ = (0.1, 2.0)
+# of D1's position estimate
+DRIFT_M = 0.02
+DRIFT_HZ = (0.05, 0.5)
+# of what either vehicle reports
+SPEED_NOISE_MPS = 0.03
+SPEED_NOISE_HZ = (0.03, 0.3)
 P_W_N = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
@@ -46,7 +55,8 @@ ATTITUDE_NOISE = (slice(12, 15), slice(15, 18))
 DRIFT = slice(18, 21)
 SPEED_NOISE = (slice(21, 24), slice(24, 27))
 EVERYTHING = slice(None)
-SENDER, RECEIVER = 0, 1
+SENDER = 0
+RECEIVER = 1
 
 
 @kernel
@@ -97,7 +107,8 @@ class HandoverMotion:
 
     def poses(self, times_s: Array, target: Array) -> HandoverPoses:
         """Returns the poses at instants; ``target``: (n, 2) north and east of it then."""
-        drawn, errors = self._drawn, self._drawn.errors
+        drawn = self._drawn
+        errors = self._drawn.errors
         values = self._at(times_s)
         yaws = 0.0, drawn.place.receiver_yaw_rad
         sender_t = drawn.place.sender_n_m + values[:, WANDER[SENDER]]
@@ -110,7 +121,8 @@ class HandoverMotion:
 
     def reported(self, times_s: Array, drone: int) -> Array:
         """Velocities that a vehicle reports, NED (n, 3)."""
-        step, count = 1e-3, len(times_s)
+        step = 1e-3
+        count = len(times_s)
         around_s = np.concatenate((times_s - step, times_s + step))
         places = self._at(around_s, WANDER[SENDER])
         if drone == RECEIVER:
@@ -152,7 +164,8 @@ def within(times_s: Array, spells: Array) -> NDArray[np.bool_]:
 def exp_all(vectors: Array) -> Array:
     """Rotation matrices (n, 3, 3) of rotation vectors (n, 3)."""
     angle = np.linalg.norm(vectors, axis=1)
-    a, b = np.sinc(angle / math.pi), 0.5 * np.sinc(0.5 * angle / math.pi) ** 2
+    a = np.sinc(angle / math.pi)
+    b = 0.5 * np.sinc(0.5 * angle / math.pi) ** 2
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     K = np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=1).reshape(-1, 3, 3)
@@ -160,5 +173,8 @@ def exp_all(vectors: Array) -> Array:
 
 
 def _turned_about_down(yaw: Array) -> Array:
-    c, s, zero, one = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
+    c = np.cos(yaw)
+    s = np.sin(yaw)
+    zero = np.zeros_like(yaw)
+    one = np.ones_like(yaw)
     return np.stack((c, -s, zero, s, c, zero, zero, zero, one), axis=1).reshape(-1, 3, 3)

@@ -50,14 +50,16 @@ def place_frames(first, last, R_b_c, t_b_c, lens, target, drone, flown, boxes, e
     """
     things = np.empty((flown.things.shape[1], 4))
     for k in range(first, last):
-        row, count = k - first, 0
+        row = k - first
+        count = 0
         for i in range(flown.things.shape[1]):
             if not math.isnan(flown.things[k, i, 0]):
                 things[count] = flown.things[k, i]
                 ids[row, count] = i
                 count += 1
         counts[row] = count
-        bodies, bounds = boxes[row, : count * target.shape[0] + drone.shape[0]], extents[row, : count + 1]
+        bodies = boxes[row, : count * target.shape[0] + drone.shape[0]]
+        bounds = extents[row, : count + 1]
         place(
             flown.R[k], flown.t[k], R_b_c, t_b_c, lens, things[:count], target, flown.other_R[k], flown.other_t[k],
             drone, bodies, bounds, frames[row],
@@ -68,11 +70,13 @@ def place_frames(first, last, R_b_c, t_b_c, lens, target, drone, flown, boxes, e
 @kernel
 def nearest_outline(seen, ids, u, v):
     """Returns whose outline has its middle the nearest to a pixel, of those that are visible; NOBODY for none."""
-    best, who = np.inf, NOBODY
+    best = np.inf
+    who = NOBODY
     for k in range(seen.shape[0]):
         off = math.hypot(0.5 * (seen[k, X0] + seen[k, X1]) - u, 0.5 * (seen[k, Y0] + seen[k, Y1]) - v)
         if seen[k, SHARE] > 0.0 and off < best:
-            best, who = off, ids[k]
+            best = off
+            who = ids[k]
     return who
 
 
@@ -82,7 +86,8 @@ class HandoverView(GeometricView):
     def __init__(self, capture: Capture[Snapshot], sensor: Sensor, placed: Placed, seen: np.ndarray, ids: np.ndarray):
         super().__init__(capture, sensor)
         self._placed = self._placed_for_depth = placed  # both images are of one instant
-        self._outlines, self._ids = seen, ids
+        self._outlines = seen
+        self._ids = ids
 
     def whose(self, box: Box) -> int:
         """The thing that a box is of: that whose outline is the nearest."""
@@ -93,8 +98,12 @@ class HandoverCamera:
     """One camera as it truly is, and what is before it in every frame. Views are asked for in the order of frames."""
 
     def __init__(self, sensor: Sensor, kind: TargetKind, flown: CameraPath) -> None:
-        setup, shape, most = sensor.setup, parts_of(kind), flown.things.shape[1]
-        self._sensor, self._flown, self._shape = sensor, flown, shape
+        setup = sensor.setup
+        shape = parts_of(kind)
+        most = flown.things.shape[1]
+        self._sensor = sensor
+        self._flown = flown
+        self._shape = shape
         self._kind: TargetKind = kind
         # of a camera that looks for no marker
         self._alone = [Snapshot(0.0, {}, (), depth_holes=holes, kind=kind) for holes in (False, True)]
@@ -108,8 +117,10 @@ class HandoverCamera:
         """The view of a frame."""
         if k >= self._last:
             self._place_from(k)
-        flown, row = self._flown, k - self._first
-        count, per_object = int(self._counts[row]), len(self._shape)
+        flown = self._flown
+        row = k - self._first
+        count = int(self._counts[row])
+        per_object = len(self._shape)
         boxes = self._boxes[row, : count * per_object + len(self._sensor.setup.other)]
         placed = Placed(boxes, self._extents[row, : count + 1], self._frames[row], per_object)
         if self._sensor.markers:

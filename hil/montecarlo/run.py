@@ -53,8 +53,10 @@ class MonteCarloHandovers:
 
 def _result(attempt: Attempt, setup: HandoverSetup, ran: CyclesRun, method: MethodConfig) -> MonteCarloHandover:
     """Returns the result of an attempt by the paper's gate."""
-    series, done = ran.series, ran.done
-    agrees, pairs = agreeing(series, method)[: ran.decided], series.kind[: ran.decided] == PAIR
+    series = ran.series
+    done = ran.done
+    agrees = agreeing(series, method)[: ran.decided]
+    pairs = series.kind[: ran.decided] == PAIR
     misses = Counter(REASONS[code].value for code in series.reason[: ran.decided][~pairs].tolist())
     low = int(np.sum(pairs & ~agrees))
     if low:

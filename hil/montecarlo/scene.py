@@ -30,13 +30,20 @@ Array = NDArray[np.float64]
 Generator = np.random.Generator
 
 # Ranges and standard deviations of what is drawn; the trial prints them. Beside where the mission has D1:
-BEHIND_M, HEIGHT_M, SIDE_M = (-0.25, 0.25), (-0.2, 0.3), 0.10
-PLACE_SIGMA_M, YAW_SIGMA_RAD = 0.07, math.radians(3.0)  # D2 at its viewpoint
+BEHIND_M = (-0.25, 0.25)
+HEIGHT_M = (-0.2, 0.3)
+SIDE_M = 0.10
+# D2 at its viewpoint
+PLACE_SIGMA_M = 0.07
+YAW_SIGMA_RAD = math.radians(3.0)
 BIAS_RAD = (math.radians(0.5), math.radians(0.5), math.radians(2.0))  # of an attitude estimate: roll, pitch, yaw
 CLOCK_SIGMA_S = 0.002
-MOVING_SHARE, SPEED_MPS, TURN_RAD_S = 0.75, (0.05, 0.4), 0.15
+MOVING_SHARE = 0.75
+SPEED_MPS = (0.05, 0.4)
+TURN_RAD_S = 0.15
 PARKED_NEARER_M = 0.2  # than look-alikes are at first
-CROSSING_MPS, CROSSING_HALF_S = 1.0, 3.5
+CROSSING_MPS = 1.0
+CROSSING_HALF_S = 3.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +67,8 @@ class Believed:
         target = decode_table(rig.world.get("target", {}), TargetConfig, rig.where("[world.target]"))
         others = decode_table(rig.world.get("look_alikes", {}), LookAlikeConfig, rig.where("[world.look_alikes]"))
         parts = parts_of(target.kind)
-        top, bottom = np.max(parts[:, 2] + parts[:, 5]), np.min(parts[:, 2] - parts[:, 5])
+        top = np.max(parts[:, 2] + parts[:, 5])
+        bottom = np.min(parts[:, 2] - parts[:, 5])
         frame_m = target.height_m if target.kind == "drone" else 0.0
         middle_m = frame_m + 0.5 * float(top + bottom)
         return cls(rig, mission, ObservationNoise(), target.kind, others, frame_m, middle_m)
@@ -68,7 +76,8 @@ class Believed:
     @property
     def sender_m(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Ranges of D1's horizontal distance from the target and of its height above the ground."""
-        behind_m, height_m = self.mission.follow.behind_m, self.mission.follow.height_m
+        behind_m = self.mission.follow.behind_m
+        height_m = self.mission.follow.height_m
         return (behind_m + BEHIND_M[0], behind_m + BEHIND_M[1]), (height_m + HEIGHT_M[0], height_m + HEIGHT_M[1])
 
     @property
@@ -84,7 +93,8 @@ class Believed:
 
     def rolled(self, roll_deg: float) -> Rig:
         """The rig with D2's camera turned about its optical axis."""
-        receiver, mount = self.rig.receiver, self.rig.receiver.mount
+        receiver = self.rig.receiver
+        mount = self.rig.receiver.mount
         turned = Pose(mount.T_b_c.R @ exp(np.array([0.0, 0.0, math.radians(roll_deg)])), mount.T_b_c.t)
         return replace(self.rig, receiver=replace(receiver, mount=Mount(turned, mount.T_b_v)))
 
@@ -164,7 +174,8 @@ def draw(attempt: Attempt, believed: Believed, streams: list[Generator]) -> Draw
     errors = _errors(rig, streams[2])
     names, faults = draw_faults(attempt.fault, streams[3])
     things = _things(attempt, believed, names, streams[1])
-    shift, turn = np.zeros(3), np.zeros(3)
+    shift = np.zeros(3)
+    turn = np.zeros(3)
     if attempt.wrong is not None:
         shift, turn = _bias(attempt, believed, rig, place, things, streams[1])
         if attempt.wrong.kind == "lock":
@@ -174,18 +185,26 @@ def draw(attempt: Attempt, believed: Believed, streams: list[Generator]) -> Draw
 
 def _place(believed: Believed, reach: float, rng: Generator) -> Place:
     """Both drones as the mission would place them, each a little beside."""
-    mission, sender, receiver = believed.mission, believed.rig.sender, believed.rig.receiver
-    T_b_v, camera = sender.mount.T_b_v, receiver.camera
+    mission = believed.mission
+    sender = believed.rig.sender
+    receiver = believed.rig.receiver
+    T_b_v = sender.mount.T_b_v
+    camera = receiver.camera
     behind_m, height_m = believed.sender_m
     while True:
-        behind, height, side = rng.uniform(*behind_m), rng.uniform(*height_m), SIDE_M * rng.standard_normal()
-        behind, height = reach * behind, reach * height
+        behind = rng.uniform(*behind_m)
+        height = rng.uniform(*height_m)
+        side = SIDE_M * rng.standard_normal()
+        behind = reach * behind
+        height = reach * height
         sender_n = np.array([-behind, side, -height])
         target_h = -sender_n - T_b_v.t - np.array([0.0, 0.0, believed.middle_m])
-        side_m, half_m = believed.rig.layout.markers[0].side_m, mission.target.half_size_m
+        side_m = believed.rig.layout.markers[0].side_m
+        half_m = mission.target.half_size_m
         scene = ViewpointScene(target_h, T_b_v.R[:, 2], side_m, -T_b_v.t, target_radius_m=half_m)
         plan = plan_viewpoint(scene, camera, receiver.mount.T_b_c, mission.rendezvous, mission.separation)
-        beside, turn = PLACE_SIGMA_M * rng.standard_normal(3), YAW_SIGMA_RAD * rng.standard_normal()
+        beside = PLACE_SIGMA_M * rng.standard_normal(3)
+        turn = YAW_SIGMA_RAD * rng.standard_normal()
         mirrored = rng.random() < 0.5
         if isinstance(plan, Viewpoint):
             break
@@ -200,7 +219,8 @@ def _things(attempt: Attempt, believed: Believed, names: tuple[FaultName, ...], 
     """The target, three look-alikes that keep away, and what a fault adds."""
     others = believed.look_alikes
     moving = rng.random() < MOVING_SHARE
-    speed, heading = rng.uniform(*SPEED_MPS), rng.uniform(-math.pi, math.pi)
+    speed = rng.uniform(*SPEED_MPS)
+    heading = rng.uniform(-math.pi, math.pi)
     turn = rng.uniform(-TURN_RAD_S, TURN_RAD_S)
     rows: list[tuple[Array, Array, bool, tuple[float, float], float]] = []
     always = (-math.inf, math.inf)
@@ -239,7 +259,8 @@ def _things(attempt: Attempt, believed: Believed, names: tuple[FaultName, ...], 
 def _beside(distance_m: float, crossing: bool, rng: Generator) -> tuple[Array, Array, bool, tuple[float, float], float]:
     """A look-alike at a distance from the target, along with it or past it."""
     aside = direction(rng)
-    middle_s, yaw = rng.uniform(1.0, 6.0), rng.uniform(-math.pi, math.pi)
+    middle_s = rng.uniform(1.0, 6.0)
+    yaw = rng.uniform(-math.pi, math.pi)
     if not crossing:
         return distance_m * aside, np.zeros(2), True, (-math.inf, math.inf), yaw
     velocity = CROSSING_MPS * np.array([-aside[1], aside[0]])

@@ -33,14 +33,20 @@ Whole = NDArray[np.int64]
 
 RATE_HZ = 50.0
 STATUS_HZ = 10.0
-SENDER_LATENCY_S, RECEIVER_LATENCY_S = (0.008, 0.020), (0.010, 0.030)  # from a frame to the end of its processing
+# from a frame to the end of its processing
+SENDER_LATENCY_S = (0.008, 0.020)
+RECEIVER_LATENCY_S = (0.010, 0.030)
 LATENCY_JITTER_S = 0.002
 STREAMS = 7
 BLOCK_S = 0.5
 HORIZON_S = 8.2  # how far an attempt is made ready at first
 CLOSEST_STEP_S = 0.02
 EPOCH_S = 10.0  # of the clocks, when an attempt begins
-SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD = 0, 1, 2, 3  # what happens
+# what happens
+SENDER_FRAME = 0
+TARGET_HEARD = 1
+RECEIVER_FRAME = 2
+CANDIDATE_HEARD = 3
 
 
 class HandoverFrames(NamedTuple):
@@ -100,7 +106,8 @@ class HandoverSetup:
         streams = [np.random.default_rng(seed) for seed in seeds]
         self.drawn: Drawn = draw(attempt, believed, streams[:4])
         self.rig = believed.rolled(attempt.roll_deg)
-        self._frame_m, self._middle_m = believed.frame_m, believed.middle_m
+        self._frame_m = believed.frame_m
+        self._middle_m = believed.middle_m
         self._motion = HandoverMotion(self.drawn, streams[4])
         faults = self.drawn.faults
         self.clock_ns = round((self.drawn.errors.clock_s + faults.clock_s) * 1e9)
@@ -130,7 +137,8 @@ class HandoverSetup:
     def _timed(
         self, limit_s: float, latency: tuple[float, float], frozen: Array, sensor: SensorErrors, rng: Generator
     ) -> Timed:
-        faults, count = self.drawn.faults, math.ceil(limit_s * RATE_HZ)
+        faults = self.drawn.faults
+        count = math.ceil(limit_s * RATE_HZ)
         taken = rng.uniform(0.0, 1.0 / RATE_HZ) + np.arange(count) / RATE_HZ
         first = int(rng.integers(1, 60000))
         done = taken + rng.uniform(*latency) + rng.exponential(LATENCY_JITTER_S, count)
@@ -144,14 +152,17 @@ class HandoverSetup:
 
     def _prepare(self, horizon_s: float) -> None:
         """Poses of all frames up to a time, and what is before the cameras."""
-        self._horizon_s, drawn = horizon_s, self.drawn
-        own_1, own_2 = self.rig.sender.mount, self.rig.receiver.mount
+        self._horizon_s = horizon_s
+        drawn = self.drawn
+        own_1 = self.rig.sender.mount
+        own_2 = self.rig.receiver.mount
         faults = drawn.faults
         sender, receiver = (frames.until(horizon_s) for frames in self.frames)
         (things_1, target_1), (things_2, target_2) = (
             _things(each, drawn, self._frame_m) for each in (sender, receiver)
         )
-        at_1, at_2 = self._motion.poses(sender.taken_s, target_1), self._motion.poses(receiver.taken_s, target_2)
+        at_1 = self._motion.poses(sender.taken_s, target_1)
+        at_2 = self._motion.poses(receiver.taken_s, target_2)
         self.flown_1 = _flown(sender, at_1, SENDER, things_1)
         self.flown_2 = _flown(receiver, at_2, RECEIVER, things_2)
         self._times_1 = sender.taken_s
@@ -174,16 +185,19 @@ class HandoverSetup:
 
     def _reports(self, receiver: Timed) -> tuple[Array, Whole, Array, Array, Whole]:
         """Returns both vehicles' reports of their motion, D1's yaw in it, and how many D2 has by each of its frames."""
-        faults, motion = self.drawn.faults, self._motion
+        faults = self.drawn.faults
+        motion = self._motion
         said_s = np.arange(-2.0, self._horizon_s * STATUS_HZ) / STATUS_HZ
         heard = np.searchsorted(said_s + faults.delay_s + faults.jitter_s, receiver.done_s)
-        own, peer = motion.reported(receiver.taken_s, RECEIVER), motion.reported(said_s, SENDER)
+        own = motion.reported(receiver.taken_s, RECEIVER)
+        peer = motion.reported(said_s, SENDER)
         return own, _ns(said_s), peer, motion.yaw(said_s), np.maximum(heard, 1)
 
     def _gravity_c(self, R_n_c2: Array, receiver: Timed) -> Array:
         """Gravity in D2's camera as D2 believes; while flipped, what makes the other planar solution the likely one."""
         gravity_c = np.ascontiguousarray(R_n_c2[:, 2])
-        mount, flown = self.drawn.errors.built.rig.receiver.mount, self.flown_2
+        mount = self.drawn.errors.built.rig.receiver.mount
+        flown = self.flown_2
         for k in np.flatnonzero(within(receiver.taken_s, self.drawn.faults.flipped)).tolist():
             T_c_w = (Pose(flown.R[k], flown.t[k]) @ mount.T_b_c).inverse()
             T_w_v = Pose(flown.other_R[k], flown.other_t[k]) @ mount.T_b_v
@@ -278,5 +292,6 @@ def _things(frames: Timed, drawn: Drawn, up_m: float) -> tuple[Array, Array]:
 
 def _flown(frames: Timed, poses: HandoverPoses, own: int, things: Array) -> CameraPath:
     """Returns both bodies in the world, ENU."""
-    R, t = ([P_W_N @ each for each in poses.R_n_b], [each @ P_W_N.T for each in poses.t_n])
+    R = [P_W_N @ each for each in poses.R_n_b]
+    t = [each @ P_W_N.T for each in poses.t_n]
     return CameraPath(frames.number, R[own], t[own], R[1 - own], t[1 - own], things)

@@ -19,7 +19,8 @@ class DepthRenderer:
 
     def __init__(self, renderer: Renderer, camera: CameraModel, T_color_depth: Pose) -> None:
         """``renderer`` is that of the colour camera: the bodies, the noise model and the seed are its."""
-        self._renderer, self._T_color_depth = renderer, T_color_depth
+        self._renderer = renderer
+        self._T_color_depth = T_color_depth
         self._lens = lens_of(camera)
         rng = np.random.default_rng(sensor.mixed(renderer.seed, 1))
         shape = camera.height, camera.width
@@ -30,7 +31,10 @@ class DepthRenderer:
 
     def render(self, snapshot: Snapshot, role: Role, frame_seed: int) -> NDArray[np.uint16]:
         """Depth, shape (h, w), z along the depth camera's axis in millimetres, 0 where there is none."""
-        renderer, inverse_z, owner, edges = self._renderer, self._inverse_z, self._owner, self._edges
+        renderer = self._renderer
+        inverse_z = self._inverse_z
+        owner = self._owner
+        edges = self._edges
         T_w_d = renderer.T_w_c(snapshot, role) @ self._T_color_depth
         x, y = self._lens.rays[:2]
         owner.fill(-1)

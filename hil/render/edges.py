@@ -85,13 +85,24 @@ def _nearest(local, number, ground_w, ray, du, dv, best, nearest):
         best[s] = number
         nearest[s] = local[number, 4, 0] + along_u * du[s] + along_v * dv[s]
     for i in range(number):
-        a, ax, ay = local[i, 0, 0], local[i, 0, 1], local[i, 0, 2]
-        b, bx, by = local[i, 1, 0], local[i, 1, 1], local[i, 1, 2]
-        c, cx, cy = local[i, 2, 0], local[i, 2, 1], local[i, 2, 2]
-        d, dx, dy = local[i, 3, 0], local[i, 3, 1], local[i, 3, 2]
-        w0, wx, wy = local[i, 4, 0], local[i, 4, 1], local[i, 4, 2]
+        a = local[i, 0, 0]
+        ax = local[i, 0, 1]
+        ay = local[i, 0, 2]
+        b = local[i, 1, 0]
+        bx = local[i, 1, 1]
+        by = local[i, 1, 2]
+        c = local[i, 2, 0]
+        cx = local[i, 2, 1]
+        cy = local[i, 2, 2]
+        d = local[i, 3, 0]
+        dx = local[i, 3, 1]
+        dy = local[i, 3, 2]
+        w0 = local[i, 4, 0]
+        wx = local[i, 4, 1]
+        wy = local[i, 4, 2]
         for s in range(du.size):
-            u, v = du[s], dv[s]
+            u = du[s]
+            v = dv[s]
             inside = min(a + ax * u + ay * v, b + bx * u + by * v, c + cx * u + cy * v, d + dx * u + dy * v)
             w = w0 + wx * u + wy * v
             better = (inside >= 0.0) & (w > nearest[s])
@@ -120,22 +131,27 @@ def _shares(primitives, tags, found, number, looks, ray, du, dv, best, shares, l
         light[i] = shares[i]
         if samples == 0 or i == number:
             continue
-        p, inked = found[i], 0
+        p = found[i]
+        inked = 0
         if tags[p, KIND] == PATTERN or tags[p, KIND] == PRINT:
-            total, shade_table = 0, tables[tags[p, SHADES]]
+            total = 0
+            shade_table = tables[tags[p, SHADES]]
             for s in range(best.size):
                 if best[s] == i:
-                    x, y = ray[0] + ray[2] * du[s] + ray[3] * dv[s], ray[1] + ray[4] * du[s] + ray[5] * dv[s]
+                    x = ray[0] + ray[2] * du[s] + ray[3] * dv[s]
+                    y = ray[1] + ray[4] * du[s] + ray[5] * dv[s]
                     u, v = _over(primitives, p, x, y)
                     total += shade_at(shade_texels, shade_table, u, v)
             light[i] = total / (255.0 * best.size)
             continue
         if tags[p, KIND] != MARKER:
             continue
-        table, side = cells[tags[p, CELLS]], cells_per_side[tags[p, CELLS]]
+        table = cells[tags[p, CELLS]]
+        side = cells_per_side[tags[p, CELLS]]
         for s in range(best.size):
             if best[s] == i:
-                x, y = ray[0] + ray[2] * du[s] + ray[3] * dv[s], ray[1] + ray[4] * du[s] + ray[5] * dv[s]
+                x = ray[0] + ray[2] * du[s] + ray[3] * dv[s]
+                y = ray[1] + ray[4] * du[s] + ray[5] * dv[s]
                 u, v = _over(primitives, p, x, y)
                 inked += not marker_is_white(table, side, u, v)
         light[i] -= inked / best.size * (1.0 - INK[0] / PAPER[0])
@@ -171,10 +187,16 @@ def draw_edges(primitives, tags, count, order, rotors, looks, ground_w, rays, sa
     derivatives dx/du, dx/dv, dy/du, dy/dv, each (h, w). samples: (few, many), each (2, n).
     """
     few, many = samples
-    active, found, local = np.empty(count, np.int64), np.empty(MOST, np.int64), np.empty((MOST + 1, 5, 3))
-    opacity, rotor_w = np.empty(rotors), np.empty(rotors)
-    every_best, every_w = np.empty(many.shape[1], np.int64), np.empty(many.shape[1])
-    shares, light, ray = np.empty(MOST + 1), np.empty(MOST + 1), np.empty(6)
+    active = np.empty(count, np.int64)
+    found = np.empty(MOST, np.int64)
+    local = np.empty((MOST + 1, 5, 3))
+    opacity = np.empty(rotors)
+    rotor_w = np.empty(rotors)
+    every_best = np.empty(many.shape[1], np.int64)
+    every_w = np.empty(many.shape[1])
+    shares = np.empty(MOST + 1)
+    light = np.empty(MOST + 1)
+    ray = np.empty(6)
     for r in range(edges.shape[0]):
         actives, low, high = active_in_row(tags, count, r, active)
         for c in range(low, high):
@@ -187,8 +209,11 @@ def draw_edges(primitives, tags, count, order, rotors, looks, ground_w, rays, sa
             for i in range(number):
                 if tags[found[i], KIND] == MARKER or tags[found[i], KIND] == PRINT:
                     points = many
-            du, dv, n = points[0], points[1], points.shape[1]
-            best, nearest = every_best[:n], every_w[:n]
+            du = points[0]
+            dv = points[1]
+            n = points.shape[1]
+            best = every_best[:n]
+            nearest = every_w[:n]
             _nearest(local, number, ground_w, ray, du, dv, best, nearest)
             _shares(primitives, tags, found, number, looks, ray, du, dv, best, shares, light)
             blended = _rotors_at(primitives, tags, order, rotors, r, c, ray, opacity, rotor_w)

@@ -17,8 +17,11 @@ from hil.render.textures import GROUND_BITS, GROUND_LEVELS, GROUND_PERIOD_M, GRO
 from path.compiled import inner, kernel
 from path.geometry.transforms import Pose
 
-F, INT = np.float32, np.int32
-ZERO, HALF, ONE = F(0.0), F(0.5), F(1.0)
+F = np.float32
+INT = np.int32
+ZERO = F(0.0)
+HALF = F(0.5)
+ONE = F(1.0)
 
 BLOCK = 16  # columns that share a level of detail
 COARSE = 8  # the ground is modulated by itself, so many times larger, to hide the tiling
@@ -45,12 +48,19 @@ def ground_plane(T_w_c: Pose) -> NDArray[np.float64]:
 @inner
 def _meet(plane, rx, ry, z_row, u_row, v_row, inverse_z):
     """Computes where the rays of a row meet the ground, in tiles; 1/z is 0 above the horizon."""
-    u0, u1, u2 = F(plane[0, 0]), F(plane[0, 1]), F(plane[0, 2])
-    v0, v1, v2 = F(plane[1, 0]), F(plane[1, 1]), F(plane[1, 2])
-    w0, w1, w2 = F(plane[2, 0]), F(plane[2, 1]), F(plane[2, 2])
+    u0 = F(plane[0, 0])
+    u1 = F(plane[0, 1])
+    u2 = F(plane[0, 2])
+    v0 = F(plane[1, 0])
+    v1 = F(plane[1, 1])
+    v2 = F(plane[1, 2])
+    w0 = F(plane[2, 0])
+    w1 = F(plane[2, 1])
+    w2 = F(plane[2, 2])
     nearest = ONE / FARTHEST_M
     for c in range(rx.size):
-        x, y = rx[c], ry[c]
+        x = rx[c]
+        y = ry[c]
         w = w0 * x + w1 * y + w2
         z = ONE / max(w, nearest)
         inverse_z[c] = max(w, ZERO)
@@ -62,8 +72,10 @@ def _meet(plane, rx, ry, z_row, u_row, v_row, inverse_z):
 @inner
 def _detail(plane, x, y, u, v, z, pixel):
     """Level of detail (log2 texels per pixel) at one pixel, within the levels there are."""
-    a, b = plane[0, 0] - u * plane[2, 0], plane[0, 1] - u * plane[2, 1]
-    c, d = plane[1, 0] - v * plane[2, 0], plane[1, 1] - v * plane[2, 1]
+    a = plane[0, 0] - u * plane[2, 0]
+    b = plane[0, 1] - u * plane[2, 1]
+    c = plane[1, 0] - v * plane[2, 0]
+    d = plane[1, 1] - v * plane[2, 1]
     texels = z * pixel * GROUND_SIZE
     square = 0.5 * (a * a + b * b + c * c + d * d) * texels * texels + 1e-12
     return min(0.5 * np.log2(square), GROUND_LEVELS - 1.001) if square > 1.0 else 0.0
@@ -74,28 +86,44 @@ def _lookup(texture, level, scale, u, v, words, fraction_u, fraction_v, out):
     """Bilinear texture of one mip level at u, v (tiles) times ``scale``, into ``out``; all of one length."""
     size = INT(GROUND_SIZE >> level)
     first = INT((4 * (GROUND_SIZE * GROUND_SIZE - size * size)) // 3)
-    mask, shift, texels = INT(size - 1), INT(GROUND_BITS - level), F(size) * scale
+    mask = INT(size - 1)
+    shift = INT(GROUND_BITS - level)
+    texels = F(size) * scale
     for c in range(u.size):
-        tu, tv = u[c] * texels - HALF, v[c] * texels - HALF
-        iu, iv = np.floor(tu), np.floor(tv)
+        tu = u[c] * texels - HALF
+        tv = v[c] * texels - HALF
+        iu = np.floor(tu)
+        iv = np.floor(tv)
         fraction_u[c] = tu - iu
         fraction_v[c] = tv - iv
         words[c] = INT(first + INT(INT(INT(INT(iv) & mask) << shift) + INT(INT(iu) & mask)))
     for c in range(u.size):
         words[c] = texture[words[c]]
     for c in range(u.size):
-        word, a, b = words[c], fraction_u[c], fraction_v[c]
-        t00, t01 = F(INT(word & INT(255))), F(INT(INT(word >> INT(8)) & INT(255)))
-        t10, t11 = F(INT(INT(word >> INT(16)) & INT(255))), F(INT(INT(word >> INT(24)) & INT(255)))
-        top, bottom = t00 + a * (t01 - t00), t10 + a * (t11 - t10)
+        word = words[c]
+        a = fraction_u[c]
+        b = fraction_v[c]
+        t00 = F(INT(word & INT(255)))
+        t01 = F(INT(INT(word >> INT(8)) & INT(255)))
+        t10 = F(INT(INT(word >> INT(16)) & INT(255)))
+        t11 = F(INT(INT(word >> INT(24)) & INT(255)))
+        top = t00 + a * (t01 - t00)
+        bottom = t10 + a * (t11 - t10)
         out[c] = top + b * (bottom - top)
 
 
 @inner
 def _stretch(texture, level, finest, rows, words, c0, c1):
     """Grey levels of the columns c0..c1, which share a mip level. ``finest``: they have no share in the next one."""
-    u, v, share, fu, fv = rows[1, c0:c1], rows[2, c0:c1], rows[3, c0:c1], rows[4, c0:c1], rows[5, c0:c1]
-    fine, next_fine, rough, words = rows[6, c0:c1], rows[7, c0:c1], rows[8, c0:c1], words[c0:c1]
+    u = rows[1, c0:c1]
+    v = rows[2, c0:c1]
+    share = rows[3, c0:c1]
+    fu = rows[4, c0:c1]
+    fv = rows[5, c0:c1]
+    fine = rows[6, c0:c1]
+    next_fine = rows[7, c0:c1]
+    rough = rows[8, c0:c1]
+    words = words[c0:c1]
     _lookup(texture, level, ONE, u, v, words, fu, fv, fine)
     _lookup(texture, max(level + 1 - COARSE_FINER, 0), F(1.0 / COARSE), u, v, words, fu, fv, rough)
     if finest:
@@ -116,7 +144,9 @@ def draw_ground(plane, light, pixel, ray_x, ray_y, texture, tints, rows, words, 
     lit = F(light)
     for r in range(height):
         _meet(plane, ray_x[r], ray_y[r], rows[0, :width], rows[1, :width], rows[2, :width], inverse_z[r])
-        start, current, finest = 0, -1, False
+        start = 0
+        current = -1
+        finest = False
         for c0 in range(0, width, BLOCK):
             c1 = min(c0 + BLOCK, width)
             m = (c0 + c1) // 2
@@ -126,10 +156,15 @@ def draw_ground(plane, light, pixel, ray_x, ray_y, texture, tints, rows, words, 
             if level != current or finest != (detail == 0.0):
                 if c0 > 0:
                     _stretch(texture, current, finest, rows, words, start, c0)
-                start, current, finest = c0, level, detail == 0.0
+                start = c0
+                current = level
+                finest = detail == 0.0
         _stretch(texture, current, finest, rows, words, start, width)
         for k in range(3):
-            base, fine, rough, sky = tints[0, k], tints[1, k], tints[2, k], tints[3, k]
+            base = tints[0, k]
+            fine = tints[1, k]
+            rough = tints[2, k]
+            sky = tints[3, k]
             _tint(base, fine, rough, sky, lit, inverse_z[r], rows[6], rows[8], image[k, r])
 
 
@@ -144,8 +179,12 @@ def _tint(base, fine_gain, rough_gain, sky, lit, inverse_z, fine, rough, out):
 @kernel
 def ground_depth(plane, ray_x, ray_y, inverse_z):
     """1/z of the ground alone; 0 above the horizon."""
-    w0, w1, w2 = F(plane[2, 0]), F(plane[2, 1]), F(plane[2, 2])
+    w0 = F(plane[2, 0])
+    w1 = F(plane[2, 1])
+    w2 = F(plane[2, 2])
     for r in range(ray_x.shape[0]):
-        rx, ry, out = ray_x[r], ray_y[r], inverse_z[r]
+        rx = ray_x[r]
+        ry = ray_y[r]
+        out = inverse_z[r]
         for c in range(rx.size):
             out[c] = max(w0 * rx[c] + w1 * ry[c] + w2, ZERO)

@@ -35,15 +35,25 @@ from hil.render.scene import INK, MARKER, PAPER, PATTERN, PLATE_SCALE, PRINT, RO
 from path.compiled import inner, kernel
 
 F = np.float32
-ZERO, HALF, ONE, TWO, TINY = F(0.0), F(0.5), F(1.0), F(2.0), F(1e-6)
+ZERO = F(0.0)
+HALF = F(0.5)
+ONE = F(1.0)
+TWO = F(2.0)
+TINY = F(1e-6)
 
 # edge buffer
-INTERIOR, EDGE, MARKER_EDGE = 0, 1, 2
+INTERIOR = 0
+EDGE = 1
+MARKER_EDGE = 2
 
 # columns of the tables of shades
-FIRST, ROWS, TABLE_COLUMNS = 0, 1, 2
+FIRST = 0
+ROWS = 1
+TABLE_COLUMNS = 2
 
-FAINT, LOBE = F(0.22), F(0.26)  # opacity of a turning rotor: everywhere, and more where its blades are
+# opacity of a turning rotor: everywhere, and more where its blades are
+FAINT = F(0.22)
+LOBE = F(0.26)
 BLADE_HALF = F(0.11)  # half the width of a blade at rest, in radii of the disc
 HIDDEN = F(0.97)  # an edge this much deeper than what is drawn already, does not show
 
@@ -54,25 +64,40 @@ def draw_faces(primitives, tags, count, ray_x, ray_y, inverse_z, owner, edges):
 
     Nearer bodies should come first: the edges they hide are then left out.
     """
-    inside, w_row = np.empty(ray_x.shape[1], np.float32), np.empty(ray_x.shape[1], np.float32)
+    inside = np.empty(ray_x.shape[1], np.float32)
+    w_row = np.empty(ray_x.shape[1], np.float32)
     for p in range(count):
         if tags[p, KIND] == ROTOR:
             continue
         f = primitives[p].astype(np.float32)
-        a0, a1, a2 = f[EDGES], f[EDGES + 1], f[EDGES + 2]
-        b0, b1, b2 = f[EDGES + 3], f[EDGES + 4], f[EDGES + 5]
-        c0, c1, c2 = f[EDGES + 6], f[EDGES + 7], f[EDGES + 8]
-        d0, d1, d2 = f[EDGES + 9], f[EDGES + 10], f[EDGES + 11]
-        w0, w1, w2 = f[INVERSE_Z], f[INVERSE_Z + 1], f[INVERSE_Z + 2]
-        low, high = tags[p, COLUMN_0], tags[p, COLUMN_1]
+        a0 = f[EDGES]
+        a1 = f[EDGES + 1]
+        a2 = f[EDGES + 2]
+        b0 = f[EDGES + 3]
+        b1 = f[EDGES + 4]
+        b2 = f[EDGES + 5]
+        c0 = f[EDGES + 6]
+        c1 = f[EDGES + 7]
+        c2 = f[EDGES + 8]
+        d0 = f[EDGES + 9]
+        d1 = f[EDGES + 10]
+        d2 = f[EDGES + 11]
+        w0 = f[INVERSE_Z]
+        w1 = f[INVERSE_Z + 1]
+        w2 = f[INVERSE_Z + 2]
+        low = tags[p, COLUMN_0]
+        high = tags[p, COLUMN_1]
         for r in range(tags[p, ROW_0], tags[p, ROW_1]):
-            rx, ry = ray_x[r, low:high], ray_y[r, low:high]
+            rx = ray_x[r, low:high]
+            ry = ray_y[r, low:high]
             for c in range(rx.size):  # on its own, so that it vectorises
-                x, y = rx[c], ry[c]
+                x = rx[c]
+                y = ry[c]
                 inside[c] = min(a0 * x + a1 * y + a2, b0 * x + b1 * y + b2, c0 * x + c1 * y + c2, d0 * x + d1 * y + d2)
                 w_row[c] = w0 * x + w1 * y + w2
             for c in range(low, high):
-                within, w = inside[c - low], w_row[c - low]
+                within = inside[c - low]
+                w = w_row[c - low]
                 if within < -ONE:
                     continue
                 if within < ONE and w > HIDDEN * inverse_z[r, c]:
@@ -95,7 +120,8 @@ def marker_is_white(table, side, u, v):
 @inner
 def _under_pixel(primitive, x, y, pixel):
     """The place where a ray meets a face, (u, v), and how far its pixel reaches from there over u and v."""
-    over_x, over_y = primitive[INVERSE_Z], primitive[INVERSE_Z + 1]
+    over_x = primitive[INVERSE_Z]
+    over_y = primitive[INVERSE_Z + 1]
     z = 1.0 / (over_x * x + over_y * y + primitive[INVERSE_Z + 2])
     u = (primitive[OVER_U] * x + primitive[OVER_U + 1] * y + primitive[OVER_U + 2]) * z
     v = (primitive[OVER_V] * x + primitive[OVER_V + 1] * y + primitive[OVER_V + 2]) * z
@@ -114,7 +140,8 @@ def _marker_pixel(primitive, table, side, x, y, pixel):
         return 1 if outside else -1
     white = marker_is_white(table, side, u - reach_u, v - reach_v)
     for corner in range(1, 4):
-        du, dv = (reach_u if corner & 1 else -reach_u), (reach_v if corner >> 1 else -reach_v)
+        du = reach_u if corner & 1 else -reach_u
+        dv = reach_v if corner >> 1 else -reach_v
         if marker_is_white(table, side, u + du, v + dv) != white:
             return -1
     return 1 if white else 0
@@ -123,7 +150,8 @@ def _marker_pixel(primitive, table, side, x, y, pixel):
 @inner
 def shade_at(shades, table, u, v):
     """Shade (0..255) of a pattern or print at (u, v), both 0..1 over it. ``table``: its row of the tables of shades."""
-    rows, columns = table[ROWS], table[TABLE_COLUMNS]
+    rows = table[ROWS]
+    columns = table[TABLE_COLUMNS]
     row = min(max(int(np.floor(v * rows)), 0), rows - 1)
     column = min(max(int(np.floor(u * columns)), 0), columns - 1)
     return int(shades[table[FIRST] + row * columns + column])
@@ -137,7 +165,8 @@ def _shaded_pixel(primitive, shades, table, x, y, pixel):
         return -1
     shade = shade_at(shades, table, u - reach_u, v - reach_v)
     for corner in range(1, 4):
-        du, dv = (reach_u if corner & 1 else -reach_u), (reach_v if corner >> 1 else -reach_v)
+        du = reach_u if corner & 1 else -reach_u
+        dv = reach_v if corner >> 1 else -reach_v
         if shade_at(shades, table, u + du, v + dv) != shade:
             return -1
     return shade
@@ -146,12 +175,15 @@ def _shaded_pixel(primitive, shades, table, x, y, pixel):
 @inner
 def active_in_row(tags, count, r, active):
     """Faces whose bounds the row meets, into ``active``; how many, and the columns they span."""
-    actives, low, high = 0, 1 << 30, 0
+    actives = 0
+    low = 1 << 30
+    high = 0
     for p in range(count):
         if tags[p, KIND] != ROTOR and tags[p, ROW_0] <= r < tags[p, ROW_1]:
             active[actives] = p
             actives += 1
-            low, high = min(low, tags[p, COLUMN_0]), max(high, tags[p, COLUMN_1])
+            low = min(low, tags[p, COLUMN_0])
+            high = max(high, tags[p, COLUMN_1])
     return actives, low, high
 
 
@@ -186,7 +218,8 @@ def shade_faces(primitives, tags, count, looks, ray_x, ray_y, pixel, owner, edge
                     image[k, r, c] = np.uint8(level + 0.5)
                 continue
             if tags[p, KIND] == MARKER:
-                table, side = cells[tags[p, CELLS]], cells_per_side[tags[p, CELLS]]
+                table = cells[tags[p, CELLS]]
+                side = cells_per_side[tags[p, CELLS]]
                 white = _marker_pixel(primitives[p], table, side, ray_x[r, c], ray_y[r, c], pixel)
                 if white < 0:
                     edges[r, c] = MARKER_EDGE
@@ -219,7 +252,8 @@ def rotor_opacity(terms, x, y):
     radius2 = a * a + b * b
     sharp = sharpness * inverse_z
     rim = min(max(HALF * (ONE - radius2) * sharp, ZERO), ONE)  # 1 - radius, to first order at the rim
-    along, across = a * blades[0] + b * blades[1], abs(b * blades[0] - a * blades[1])
+    along = a * blades[0] + b * blades[1]
+    across = abs(b * blades[0] - a * blades[1])
     lobe = along * along / max(radius2, TINY)
     turning = FAINT + LOBE * lobe * lobe * lobe * lobe
     still = min(max((BLADE_HALF - across) * sharp + HALF, ZERO), ONE)
@@ -240,10 +274,14 @@ def draw_rotors(primitives, order, rotors, tags, ray_x, ray_y, inverse_z, edges,
     for i in range(rotors):
         p = order[i]
         terms = rotor_terms(primitives, p)
-        low, high = tags[p, COLUMN_0], tags[p, COLUMN_1]
+        low = tags[p, COLUMN_0]
+        high = tags[p, COLUMN_1]
         opacities = row[: high - low]
         for r in range(tags[p, ROW_0], tags[p, ROW_1]):
-            rx, ry, before, edge = ray_x[r, low:high], ray_y[r, low:high], inverse_z[r, low:high], edges[r, low:high]
+            rx = ray_x[r, low:high]
+            ry = ray_y[r, low:high]
+            before = inverse_z[r, low:high]
+            edge = edges[r, low:high]
             for c in range(rx.size):
                 opacity, w = rotor_opacity(terms, rx[c], ry[c])
                 opacities[c] = opacity if (w > before[c]) & (edge[c] == INTERIOR) else ZERO

@@ -99,13 +99,15 @@ class Look:
 
     def imaging(self, own: Imaging) -> Imaging:
         """The imaging of a camera in this light: its noise."""
-        read, shot = own.read_sigma * self.read_times, own.shot_gain * self.shot_times
+        read = own.read_sigma * self.read_times
+        shot = own.shot_gain * self.shot_times
         return replace(own, read_sigma=read, shot_gain=shot)
 
 
 def _sun(azimuth_deg: float, elevation_deg: float, strength: float) -> tuple[float, float, float]:
     """``azimuth_deg``: clockwise from north."""
-    a, e = math.radians(azimuth_deg), math.radians(elevation_deg)
+    a = math.radians(azimuth_deg)
+    e = math.radians(elevation_deg)
     return (
         strength * math.cos(e) * math.sin(a),
         strength * math.cos(e) * math.cos(a),

@@ -23,7 +23,9 @@ from path.compiled import kernel
 Image = NDArray[np.uint8]
 
 F = np.float32
-U_OF, V_OF = F(56.0 / 255.0 / (1.0 - 0.114)), F(56.0 / 255.0 / (1.0 - 0.299))  # BT.601, for each of two pixels
+# BT.601, for each of two pixels
+U_OF = F(56.0 / 255.0 / (1.0 - 0.114))
+V_OF = F(56.0 / 255.0 / (1.0 - 0.299))
 LIMITED = F(219.0 / 255.0)  # brightness is 16 to 235
 SCRATCH_PLANES = 7  # blue, green, red, brightness, that blurred, and YUYV in two
 
@@ -44,7 +46,8 @@ class MosaicSensor:
         """``pool``: of unit noise, as ``noise_pool`` makes it. Raises ValueError for an imaging that is not quick."""
         if not is_quick(imaging):
             raise ValueError(f"imaging: {imaging!r} takes more than this sensor does")
-        self._imaging, self._pool = imaging, pool
+        self._imaging = imaging
+        self._pool = pool
         most = blur_taps(blurred_px(imaging.blur_sigma_px, LONGEST_PX)).size
         self._rows = np.empty((3, width + 2 * most), np.float32)
         self._raw = np.empty((height, width), np.uint8)
@@ -72,8 +75,11 @@ def mosaic(light, taps, down, read_sigma, shot_gain, pool, offset_row, offset_co
     taps, down: as in ``blur_row``. rows: float32 scratch (3, w + 2 reach or more).
     """
     height, width = raw.shape
-    read2, gain = F(read_sigma * read_sigma / POOL_UNIT**2), F(shot_gain / POOL_UNIT**2)
-    padded, even, odd = rows[0, : width + 2 * (taps.size - 1)], rows[1, :width], rows[2, :width]
+    read2 = F(read_sigma * read_sigma / POOL_UNIT**2)
+    gain = F(shot_gain / POOL_UNIT**2)
+    padded = rows[0, : width + 2 * (taps.size - 1)]
+    even = rows[1, :width]
+    odd = rows[2, :width]
     top = F(255.0)
     for r in range(height):
         first = 2 if r % 2 == 0 else 1
@@ -108,7 +114,8 @@ def as_yuyv(color: Image, sharpen: float, sigma_px: float, scratch: Image | None
         cv2.GaussianBlur(grey, (size, size), sigma_px, blurred, borderType=cv2.BORDER_REPLICATE)
     else:
         blurred = grey
-    packed, rows = planes[5:7].reshape(-1).view(np.uint16).reshape(height, width), np.empty((2, width + 2), np.float32)
+    packed = planes[5:7].reshape(-1).view(np.uint16).reshape(height, width)
+    rows = np.empty((2, width + 2), np.float32)
     pack(grey, blurred, blue, red, sharpen, rows, packed)
     return np.asarray(cv2.cvtColor(packed.view(np.uint8).reshape(height, width, 2), cv2.COLOR_YUV2BGR_YUY2), np.uint8)
 
@@ -131,12 +138,22 @@ def pack(grey, blurred, blue, red, sharpen, rows, packed):
 
     U and V are those of two pixels each. rows: float32 scratch (2, w + 2).
     """
-    share, half, top, middle = F(sharpen), F(16.5), F(255.0), F(128.5)
+    share = F(sharpen)
+    half = F(16.5)
+    top = F(255.0)
+    middle = F(128.5)
     width = grey.shape[1]
-    u, v, u_after, v_before = rows[0, :width], rows[1, 1 : 1 + width], rows[0, 1 : 1 + width], rows[1, :width]
+    u = rows[0, :width]
+    v = rows[1, 1 : 1 + width]
+    u_after = rows[0, 1 : 1 + width]
+    v_before = rows[1, :width]
     rows[0, width], rows[1, 0] = F(0.0), F(0.0)
     for r in range(grey.shape[0]):
-        own, soft, blues, reds, out = grey[r], blurred[r], blue[r], red[r], packed[r]
+        own = grey[r]
+        soft = blurred[r]
+        blues = blue[r]
+        reds = red[r]
+        out = packed[r]
         for c in range(width):
             u[c] = U_OF * (F(blues[c]) - F(own[c]))
             v[c] = V_OF * (F(reds[c]) - F(own[c]))

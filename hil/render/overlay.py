@@ -25,9 +25,15 @@ SHIFT = 4  # bits of a pixel's fraction, in OpenCV's polygons
 NEAREST_M = 0.05
 AREA_M = 9.0  # litter lies within this much of the origin, north and east
 LOWEST_SUN = 0.05  # sine of the elevation: below it nothing casts a shadow
-LINE_M, GRID_M, PIECE_M = 0.05, 2.0, 0.5  # painted lines: width, distance, length of a piece
-LAMP_GRID_M, LAMP_HEIGHT_M, LAMP_M = 3.0, 5.0, 0.35
-LAMP_LEVELS, LAMP_BLUR_PX = 95.0, 5.0
+# painted lines: width, distance, length of a piece
+LINE_M = 0.05
+GRID_M = 2.0
+PIECE_M = 0.5
+LAMP_GRID_M = 3.0
+LAMP_HEIGHT_M = 5.0
+LAMP_M = 0.35
+LAMP_LEVELS = 95.0
+LAMP_BLUR_PX = 5.0
 VEIL_POWER = 3.0
 LEAVES = ((30.0, 62.0, 96.0), (26.0, 80.0, 120.0), (40.0, 96.0, 92.0), (24.0, 40.0, 66.0))
 STONES = ((118.0, 120.0, 122.0), (66.0, 70.0, 74.0), (150.0, 152.0, 150.0), (44.0, 44.0, 46.0))
@@ -48,7 +54,8 @@ def patches(look: Look, seed: int) -> GroundPatches:
         return _lines()
     rng = np.random.default_rng([seed, 0x6C6974])
     count = 0 if look.litter == "none" else look.pieces
-    middles, turn = rng.uniform(-AREA_M, AREA_M, (count, 1, 2)), rng.uniform(0.0, 2.0 * np.pi, (count, 1))
+    middles = rng.uniform(-AREA_M, AREA_M, (count, 1, 2))
+    turn = rng.uniform(0.0, 2.0 * np.pi, (count, 1))
     stones = look.litter == "stones"
     size = rng.uniform(0.015, 0.07, (count, 1)) if stones else rng.uniform(0.02, 0.06, (count, 1))
     angles = turn + np.arange(4) * (0.5 * np.pi) + rng.uniform(-0.4, 0.4, (count, 4))
@@ -60,7 +67,8 @@ def patches(look: Look, seed: int) -> GroundPatches:
 
 def _lines() -> GroundPatches:
     """The painted lines of a hall, in short pieces."""
-    half, along = 0.5 * LINE_M, np.arange(-AREA_M, AREA_M, PIECE_M)
+    half = 0.5 * LINE_M
+    along = np.arange(-AREA_M, AREA_M, PIECE_M)
     corners: list[Array] = []
     colors: list[tuple[float, float, float]] = []
     for number, at in enumerate(np.arange(-AREA_M + 0.5 * GRID_M, AREA_M, GRID_M)):
@@ -77,7 +85,8 @@ class Overlay:
 
     def __init__(self, look: Look, camera: CameraModel, rays: Sequence[NDArray[np.float32]], seed: int) -> None:
         """``rays``: x and y of each pixel's ray on z = 1, (h, w) each."""
-        self._look, self._camera = look, camera
+        self._look = look
+        self._camera = camera
         self._patches = patches(look, seed)
         length = np.sqrt(rays[0] ** 2 + rays[1] ** 2 + np.float32(1.0))
         self._directions = rays[0] / length, rays[1] / length, np.float32(1.0) / length
@@ -121,7 +130,8 @@ class Overlay:
         ahead &= np.hypot(seen[:, 0], seen[:, 1]) < self._camera.max_radius * seen[:, 2]
         whole = ahead.reshape(count, corners).all(axis=1)
         pixels = self._camera.project(seen).reshape(count, corners, 2)
-        low, high = pixels.min(axis=1), pixels.max(axis=1)
+        low = pixels.min(axis=1)
+        high = pixels.max(axis=1)
         size = np.array((self._camera.width, self._camera.height))
         kept = whole & (high > -1.0).all(axis=1) & (low < size).all(axis=1) & (high - low < 8.0 * size).all(axis=1)
         scaled = np.round(pixels[kept] * (1 << SHIFT)).astype(np.int32)
@@ -133,7 +143,9 @@ class Overlay:
         mask.fill(0)
         for body in casters:
             corners = body.model.corners[body.model.kinds != ROTOR]
-            p0, e1, e2 = corners[:, :3], corners[:, 3:6], corners[:, 6:9]
+            p0 = corners[:, :3]
+            e1 = corners[:, 3:6]
+            e2 = corners[:, 6:9]
             points = np.stack((p0, p0 + e1, p0 + e1 + e2, p0 + e2), axis=1)
             placed = body.T_w_body.apply(points.reshape(-1, 3)).reshape(points.shape)
             height = np.maximum(placed[..., 2:], 0.0)

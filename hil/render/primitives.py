@@ -34,20 +34,26 @@ COLUMNS = 33
 # Columns of the integers of a primitive.
 KIND = 0
 CELLS = 1  # MARKER: index of its cells
-ROW_0, ROW_1, COLUMN_0, COLUMN_1 = 2, 3, 4, 5  # half-open bounds in pixels
+# half-open bounds in pixels
+ROW_0 = 2
+ROW_1 = 3
+COLUMN_0 = 4
+COLUMN_1 = 5
 VEHICLE = 6  # 1: part of what is tracked
 SHADES = 7  # PATTERN, PRINT: index of its table
 TAGS = 8
 
 HALF_DIAGONAL_PX = 0.7072  # of a pixel, rounded up
 NEAR_M = 1e-3
-AMBIENT, DIFFUSE = 0.58, 0.42
+AMBIENT = 0.58
+DIFFUSE = 0.42
 
 
 @inner
 def first_at_least(values, threshold):
     """First index of a rising array whose value is >= threshold; its length when there is none."""
-    low, high = 0, values.size
+    low = 0
+    high = values.size
     while low < high:
         middle = (low + high) // 2
         if values[middle] >= threshold:
@@ -60,7 +66,9 @@ def first_at_least(values, threshold):
 @inner
 def _turned(R, vectors, i, first):
     """R times the three columns from ``first`` of row i, as a tuple (compiles faster than an array)."""
-    x, y, z = vectors[i, first], vectors[i, first + 1], vectors[i, first + 2]
+    x = vectors[i, first]
+    y = vectors[i, first + 1]
+    z = vectors[i, first + 2]
     return (
         R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
         R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
@@ -83,18 +91,24 @@ def _bounds(p0, e1, e2, column_x, row_y, pixel, tag):
 
     ``column_x`` (2, w) and ``row_y`` (2, h): smallest and largest ray coordinate of each column and row.
     """
-    x_low, x_high, y_low, y_high = np.inf, -np.inf, np.inf, -np.inf
+    x_low = np.inf
+    x_high = -np.inf
+    y_low = np.inf
+    y_high = -np.inf
     behind = 0
     for corner in range(4):
-        a, b = corner & 1, corner >> 1
+        a = corner & 1
+        b = corner >> 1
         z = p0[2] + a * e1[2] + b * e2[2]
         if z < NEAR_M:
             behind += 1
             continue
         x = (p0[0] + a * e1[0] + b * e2[0]) / z
         y = (p0[1] + a * e1[1] + b * e2[1]) / z
-        x_low, x_high = min(x_low, x), max(x_high, x)
-        y_low, y_high = min(y_low, y), max(y_high, y)
+        x_low = min(x_low, x)
+        x_high = max(x_high, x)
+        y_low = min(y_low, y)
+        y_high = max(y_high, y)
     if behind == 4:
         return False
     if behind > 0:  # reaches past the camera: its projection is not bounded by its corners
@@ -131,7 +145,8 @@ def _swept(point, sweep):
     """The place of a point (camera frame) when the row that shows it is read. sweep: as in ``add_body``."""
     x, y, z = point
     for _ in range(2):  # its row is where it is by then
-        down, radius2 = y / max(z, NEAR_M), (x * x + y * y) / max(z * z, NEAR_M * NEAR_M)
+        down = y / max(z, NEAR_M)
+        radius2 = (x * x + y * y) / max(z * z, NEAR_M * NEAR_M)
         late = sweep[6] + sweep[7] * down * (1.0 + radius2 * (sweep[9] + radius2 * sweep[10]))
         late = min(max(late, -sweep[8]), sweep[8])
         x = point[0] + late * (sweep[0] + sweep[4] * point[2] - sweep[5] * point[1])
@@ -163,7 +178,8 @@ def add_body(corners, looks, first_table, R, t, sun_c, motion, sweep, vehicle, v
     """
     column_x, row_y, pixel = view
     colors, seconds, kinds = looks
-    markers, tables = 0, 0
+    markers = 0
+    tables = 0
     for i in range(kinds.size):
         kind = kinds[i]
         if kind == MARKER:
@@ -172,11 +188,14 @@ def add_body(corners, looks, first_table, R, t, sun_c, motion, sweep, vehicle, v
             tables += 1
         p0 = _turned(R, corners, i, 0)
         p0 = (p0[0] + t[0], p0[1] + t[1], p0[2] + t[2])
-        e1, e2 = _turned(R, corners, i, 3), _turned(R, corners, i, 6)
+        e1 = _turned(R, corners, i, 3)
+        e2 = _turned(R, corners, i, 6)
         if sweep[8] > 0.0:
-            right, below = _swept(_sum(p0, e1), sweep), _swept(_sum(p0, e2), sweep)
+            right = _swept(_sum(p0, e1), sweep)
+            below = _swept(_sum(p0, e2), sweep)
             p0 = _swept(p0, sweep)
-            e1, e2 = _apart(p0, right), _apart(p0, below)
+            e1 = _apart(p0, right)
+            e2 = _apart(p0, below)
         normal = _cross(e1, e2, 1.0)  # away from the viewer
         determinant = p0[0] * normal[0] + p0[1] * normal[1] + p0[2] * normal[2]
         length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)

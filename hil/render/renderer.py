@@ -100,8 +100,10 @@ class Renderer:
             rows, columns = (camera.thinning.sensor_pixels(n, k) for n, k in ((camera.height, 1), (camera.width, 0)))
             self._kept = np.ix_(rows, columns)
             camera = sensor_of(camera)
-        height, width = camera.height, camera.width
-        self._T_b_c, self._camera = T_b_c, camera
+        height = camera.height
+        width = camera.width
+        self._T_b_c = T_b_c
+        self._camera = camera
         self._shutter = None if shutter is None else look.shutter(shutter)
         self._smear = 0.0, 0.0
         self._depth_error = depth_error
@@ -138,8 +140,10 @@ class Renderer:
             Colour, shape (h, w, 3), BGR, and depth, shape (h, w), z in millimetres, 0 where there is none.
         """
         key = self.key(role, frame_seed)
-        bodies, depth = self.bodies(snapshot, role), np.empty(self._inverse_z.shape, np.uint16)
-        seen, unseen = self._motion(snapshot, role), self._unseen(snapshot, role)
+        bodies = self.bodies(snapshot, role)
+        depth = np.empty(self._inverse_z.shape, np.uint16)
+        seen = self._motion(snapshot, role)
+        unseen = self._unseen(snapshot, role)
         for _ in self._stages(seen, bodies, key, depth, snapshot.depth_holes, unseen):
             pass
         light = self._image
@@ -149,7 +153,8 @@ class Renderer:
     def render_color(self, snapshot: Snapshot, role: Role, frame_seed: int) -> NDArray[np.uint8]:
         """The colour of ``render`` alone."""
         key = self.key(role, frame_seed)
-        bodies, unseen = self.bodies(snapshot, role), self._unseen(snapshot, role)
+        bodies = self.bodies(snapshot, role)
+        unseen = self._unseen(snapshot, role)
         for _ in self._stages(self._motion(snapshot, role), bodies, key, None, False, unseen):
             pass
         return self.expose(self._image, key)
@@ -165,7 +170,8 @@ class Renderer:
 
     def stages(self, snapshot: Snapshot, role: Role, frame_seed: int) -> Iterator[str]:
         """Do the work of one image, naming every stage before it starts."""
-        key, depth = self.key(role, frame_seed), np.empty(self._inverse_z.shape, np.uint16)
+        key = self.key(role, frame_seed)
+        depth = np.empty(self._inverse_z.shape, np.uint16)
         seen = self._motion(snapshot, role)
         yield from self._stages(seen, self.bodies(snapshot, role), key, depth, snapshot.depth_holes)
         yield "exposure"
@@ -223,7 +229,9 @@ class Renderer:
         unseen: Sequence[Body] = (),
     ) -> Iterator[str]:
         """Draw, naming every stage before it starts; leaves the light in ``_image``. No depth where it is None."""
-        rays, view, pixel = self._lens.rays, self._lens.view, self._lens.pixel
+        rays = self._lens.rays
+        view = self._lens.view
+        pixel = self._lens.pixel
         x, y, inverse_z, owner, edges, image = *rays[:2], self._inverse_z, self._owner, self._edges, self._image
         T_w_c = seen.T_w_c
         sun_c = T_w_c.R.T @ self._sun_w
@@ -255,7 +263,9 @@ class Renderer:
             self._overlay.over_all(T_w_c, image)
         if depth is not None:
             yield "depth"
-            noise, pool, error = self.noise, self._depth_pool, self._depth_error
+            noise = self.noise
+            pool = self._depth_pool
+            error = self._depth_error
             sense_depth(inverse_z, owner, tags, edges, depth_holes, noise, pool, key, depth, error)
             lost = lost_shares(faces, tags, count, sun_c, noise)
             if lost is not None:
@@ -265,7 +275,8 @@ class Renderer:
         """The drone of ``role`` itself: its camera sees its shadow."""
         if self._overlay is None:
             return []
-        own, marked = snapshot.drones[role], self._marked[snapshot.marker_hidden]
+        own = snapshot.drones[role]
+        marked = self._marked[snapshot.marker_hidden]
         model = marked if role is Role.SENDER else self._plain
         return [flying(model, own.T_w_b, own.rotor_phase_rad, own.armed)]
 
@@ -303,8 +314,11 @@ def sense_depth(
     error: DepthError = EXACT_DEPTH,
 ) -> None:
     """Fill ``depth`` with what a depth camera measures of 1/z: noise, limits, holes at steps, and its own error."""
-    sigma, near, far = noise.depth_sigma_at_1m_m, noise.min_depth_m, noise.max_depth_m
-    row, column = pool_offset(key, 0), pool_offset(key, 1)
+    sigma = noise.depth_sigma_at_1m_m
+    near = noise.min_depth_m
+    far = noise.max_depth_m
+    row = pool_offset(key, 0)
+    column = pool_offset(key, 1)
     off = error.factor, 1000.0 * error.bias_m
     sensor.measure_depth(inverse_z, owner, tags, hide_targets, sigma, near, far, off, pool, row, column, depth)
     sensor.punch_holes(inverse_z, edges, noise.depth_hole_rate, key >> 1, depth)
@@ -332,10 +346,12 @@ def set_up(
     total = sum(len(body.model.kinds) for body in bodies)
     faces = np.empty((total, primitives.COLUMNS))
     tags = np.empty((total, primitives.TAGS), np.int64)
-    count, tables = 0, 0
+    count = 0
+    tables = 0
     for body, pose, moved in placed:
         model = body.model
-        R, t = np.ascontiguousarray(pose.R), np.ascontiguousarray(pose.t)
+        R = np.ascontiguousarray(pose.R)
+        t = np.ascontiguousarray(pose.t)
         looks = model.colors, model.seconds, model.kinds
         count = primitives.add_body(
             model.corners, looks, tables, R, t, sun_c, body.motion, moved, body.target, view, faces, tags, count
@@ -379,14 +395,18 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
 @lru_cache(maxsize=3)
 def lens_of(camera: CameraModel) -> Lens:
     """Shared: nobody changes it. It takes about a second at 1080p, and cameras often come in several renderers."""
-    height, width = camera.height, camera.width
+    height = camera.height
+    width = camera.width
     columns, rows = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
     rays = camera.rays(np.stack((columns.ravel(), rows.ravel()), axis=1)).reshape(height, width, 2)
     if not np.isfinite(rays).all():
         raise ValueError(f"distortion: {camera.distortion!r} leaves pixels without a ray")
-    x, y = rays[..., 0], rays[..., 1]
-    x_column, x_row = np.gradient(x, axis=1), np.gradient(x, axis=0)
-    y_column, y_row = np.gradient(y, axis=1), np.gradient(y, axis=0)
+    x = rays[..., 0]
+    y = rays[..., 1]
+    x_column = np.gradient(x, axis=1)
+    x_row = np.gradient(x, axis=0)
+    y_column = np.gradient(y, axis=1)
+    y_row = np.gradient(y, axis=0)
     jacobians = np.stack((x_column, x_row, y_column, y_row), axis=-1).reshape(-1, 2, 2)
     largest = _largest_singular_value(jacobians)
     column_x = np.stack((np.minimum.accumulate(x.min(axis=0)[::-1])[::-1], np.maximum.accumulate(x.max(axis=0))))

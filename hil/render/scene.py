@@ -24,8 +24,12 @@ from path.marker.photometric.texture import cells as marker_cells
 Array = NDArray[np.float64]
 Color = tuple[float, float, float]  # BGR under full light
 
-SOLID, MARKER, ROTOR = 0, 1, 2
-PATTERN, PRINT = 3, 4  # both show a table of shades; a pixel of a print is sampled as often as one of a marker
+SOLID = 0
+MARKER = 1
+ROTOR = 2
+# both show a table of shades; a pixel of a print is sampled as often as one of a marker
+PATTERN = 3
+PRINT = 4
 
 PLATE_SCALE = 1.5  # side of the white plate over the side of the marker on it
 PAPER: Color = (228.0, 228.0, 228.0)
@@ -123,7 +127,8 @@ def printed_board(shades: NDArray[np.uint8], side_m: float, light: tuple[float, 
     ``shades``: (rows, columns) of the paper, 255 is white and 0 ink. ``light``: of ink and paper, 0..255.
     """
     rows, columns = shades.shape
-    e1, e2 = np.array([columns * side_m, 0.0, 0.0]), np.array([0.0, rows * side_m, 0.0])
+    e1 = np.array([columns * side_m, 0.0, 0.0])
+    e2 = np.array([0.0, rows * side_m, 0.0])
     ink, paper = light
     return model_of([Face(np.zeros(3), e1, e2, (paper, paper, paper), PRINT, (ink, ink, ink), shades)])
 
@@ -166,14 +171,16 @@ def _airframe() -> Sequence[Face]:
 
 
 def _rotor(center: tuple[float, float, float]) -> Face:
-    e1, e2 = np.array([2.0 * ROTOR_RADIUS_M, 0.0, 0.0]), np.array([0.0, 2.0 * ROTOR_RADIUS_M, 0.0])
+    e1 = np.array([2.0 * ROTOR_RADIUS_M, 0.0, 0.0])
+    e2 = np.array([0.0, 2.0 * ROTOR_RADIUS_M, 0.0])
     return Face(np.asarray(center) - 0.5 * (e1 + e2), e1, e2, BLADE, ROTOR)
 
 
 def _plate(T_b_m: Pose, side_m: float, kind: int) -> list[Face]:
     """White plate with its marker, and 1 mm behind it a slightly smaller backing."""
     right, up, out = T_b_m.R.T
-    e1, e2 = right * side_m, -up * side_m
+    e1 = right * side_m
+    e2 = -up * side_m
     front = Face(T_b_m.t - 0.5 * (e1 + e2), e1, e2, PAPER, kind)
     inner = side_m - 2.0 * GAP_M
     return [front, *box(T_b_m.t - out * (GAP_M + 0.001), (inner, inner, 0.002), FRAME, T_b_m.R)]

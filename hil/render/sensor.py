@@ -110,11 +110,14 @@ def blur_row(plane, r, taps, down, padded, out):
     height, width = plane.shape
     reach = taps.size - 1
     middle = padded[reach : reach + width]
-    row, weight = plane[r], down[0]
+    row = plane[r]
+    weight = down[0]
     for c in range(width):
         middle[c] = weight * F(row[c])
     for k in range(1, down.size):
-        above, below, weight = plane[max(r - k, 0)], plane[min(r + k, height - 1)], down[k]
+        above = plane[max(r - k, 0)]
+        below = plane[min(r + k, height - 1)]
+        weight = down[k]
         for c in range(width):
             middle[c] += weight * (F(above[c]) + F(below[c]))
     padded[:reach] = middle[0]
@@ -123,7 +126,9 @@ def blur_row(plane, r, taps, down, padded, out):
     for c in range(width):
         out[c] = weight * middle[c]
     for k in range(1, taps.size):
-        left, right, weight = padded[reach - k : reach - k + width], padded[reach + k : reach + k + width], taps[k]
+        left = padded[reach - k : reach - k + width]
+        right = padded[reach + k : reach + k + width]
+        weight = taps[k]
         for c in range(width):
             out[c] += weight * (left[c] + right[c])
 
@@ -135,8 +140,10 @@ def expose(image, taps, read_sigma, shot_gain, pool, offset_row, offset_column, 
     rows: float32 scratch, at least 2 rows of w + 2 reach.
     """
     height, width = image.shape[1:]
-    read2, gain = F(read_sigma * read_sigma / POOL_UNIT**2), F(shot_gain / POOL_UNIT**2)
-    padded, blurred = rows[0, : width + 2 * (taps.size - 1)], rows[1, :width]
+    read2 = F(read_sigma * read_sigma / POOL_UNIT**2)
+    gain = F(shot_gain / POOL_UNIT**2)
+    padded = rows[0, : width + 2 * (taps.size - 1)]
+    blurred = rows[1, :width]
     top = F(255.0)
     for k in range(3):
         first_row = (offset_row + k * CHANNEL_STEP) % POOL_MARGIN
@@ -158,10 +165,14 @@ def measure_depth(inverse_z, owner, tags, hide_vehicles, sigma, near, far, off, 
     """
     height, width = inverse_z.shape
     scale = F(sigma / 1000.0 / POOL_UNIT)  # of z^2 in mm^2
-    near_mm, far_mm, thousand = F(near * 1000.0), F(far * 1000.0), F(1000.0)
-    factor, bias = F(off[0]), F(off[1] + 0.5)
+    near_mm = F(near * 1000.0)
+    far_mm = F(far * 1000.0)
+    thousand = F(1000.0)
+    factor = F(off[0])
+    bias = F(off[1] + 0.5)
     for r in range(height):
-        w_row, out = inverse_z[r], depth[r]
+        w_row = inverse_z[r]
+        out = depth[r]
         noise = pool[(offset_row % POOL_MARGIN) + r, offset_column % POOL_MARGIN : offset_column % POOL_MARGIN + width]
         for c in range(width):
             z = thousand / max(w_row[c], F(1e-3))
@@ -192,7 +203,8 @@ def punch_holes(inverse_z, edges, rate, seed, depth):
         for c in range(1, width - 1):
             if edges[r, c] == INTERIOR:
                 continue
-            low, high = inverse_z[r, c], inverse_z[r, c]
+            low = inverse_z[r, c]
+            high = inverse_z[r, c]
             for i in range(-1, 2):
                 for j in range(-1, 2):
                     low = min(low, inverse_z[r + i, c + j])

@@ -63,7 +63,8 @@ def carried(T_w_b: Pose, T_b_c: Pose, velocity_w: Array, rates_w: Array) -> Came
 
 def twist(body: Body, seen: CameraMotion) -> Array:
     """(6,): a point X of the body, in the camera frame, moves by v + w x X: (v, w)."""
-    R_c_w, origin_w = seen.T_w_c.R.T, seen.T_w_c.t
+    R_c_w = seen.T_w_c.R.T
+    origin_w = seen.T_w_c.t
     rates = R_c_w @ (body.rates_w - seen.rates_w)
     at_camera_w = body.velocity_w + _cross(body.rates_w, origin_w - body.T_w_body.t)  # the body's, carried there
     return np.concatenate((R_c_w @ (at_camera_w - seen.velocity_w), rates))

@@ -31,7 +31,8 @@ def lost_shares(
     """
     if count == 0 or not (noise.depth_dark_lost or noise.depth_gleam_lost):
         return None
-    faces, solid = faces[:count], tags[:count, KIND] == SOLID
+    faces = faces[:count]
+    solid = tags[:count, KIND] == SOLID
     level = faces[:, COLOR : COLOR + 3].mean(axis=1) / np.maximum(faces[:, LIGHT], 1e-6)
     shares = np.where(solid & (level < BLACK), noise.depth_dark_lost, 0.0)
     if noise.depth_gleam_lost:

@@ -30,7 +30,8 @@ def ground_pyramid(kind: GroundKind = "soil") -> NDArray[np.int32]:
     words: list[NDArray[np.int32]] = []
     for _ in range(GROUND_LEVELS):
         texels = np.round(level).astype(np.uint8)
-        right, below = np.roll(texels, -1, axis=1), np.roll(texels, -1, axis=0)
+        right = np.roll(texels, -1, axis=1)
+        below = np.roll(texels, -1, axis=0)
         packed = np.stack((texels, right, below, np.roll(right, -1, axis=0)), axis=-1)
         words.append(packed.view("<i4").ravel())
         level = 0.25 * (level[::2, ::2] + level[1::2, ::2] + level[::2, 1::2] + level[1::2, 1::2])
@@ -55,7 +56,8 @@ def _strew(tile: NDArray[np.float64], rng: np.random.Generator, many: int, most:
     """Pebbles of radii up to ``most`` texels."""
     for _ in range(many):
         row, column = rng.integers(0, GROUND_SIZE, 2)
-        radius, shade = int(rng.integers(1, most + 1)), float(rng.uniform(*shades))
+        radius = int(rng.integers(1, most + 1))
+        shade = float(rng.uniform(*shades))
         offsets = np.arange(-radius, radius + 1)
         inside = offsets[:, None] ** 2 + offsets[None, :] ** 2 <= radius * radius
         rows, columns = np.ix_((row + offsets) % GROUND_SIZE, (column + offsets) % GROUND_SIZE)

@@ -21,7 +21,9 @@ from hil.tello.video import TelloVideo
 from hil.vehicle.arrival import Address, bound, packets
 from hil.world.world import SimDrone
 
-COMMAND_PORT, STATE_PORT, VIDEO_PORT = 8889, 8890, 11111
+COMMAND_PORT = 8889
+STATE_PORT = 8890
+VIDEO_PORT = 11111
 STATE_PERIOD_S = 0.1
 SDK2 = ("speed", "mdirection")  # settings that an early drone knows too
 
@@ -152,7 +154,8 @@ class TelloEmulator:
 
     def pump(self, now_s: float) -> None:
         """Take all that came in, fly, send what is due."""
-        dt, self._now_s = now_s - self._now_s, now_s
+        dt = now_s - self._now_s
+        self._now_s = now_s
         self._receive()
         self.flight.step(now_s, dt, self._heard_s)
         self._finish()

@@ -98,7 +98,8 @@ class TelloFlight:
 
     def move(self, word: str, arguments: list[str]) -> str | None:
         """``up 50``, ``cw 90``, ..."""
-        estimate, autopilot = self._drone.estimate, self._drone.autopilot
+        estimate = self._drone.estimate
+        autopilot = self._drone.autopilot
         move = move_of(word, arguments, estimate.position_n_m, yaw_of(estimate.q_n_b))
         if move is None:
             return f"unknown command: {word}"
@@ -113,7 +114,8 @@ class TelloFlight:
 
     def sticks(self, right: int, forward: int, up: int, clockwise: int, at_s: float) -> None:
         """They stay as they are until the next time: only silence for 15 s ends that. ``at_s``: when they came."""
-        self._move, self._rc = None, (right, forward, up, clockwise)
+        self._move = None
+        self._rc = (right, forward, up, clockwise)
         autopilot = self._drone.autopilot
         if autopilot.landed or autopilot.mode not in FLYING:
             return
@@ -162,8 +164,11 @@ class TelloFlight:
         right, forward, up, turn = self._rc
         ahead = wrapped(self._yaw_goal + self._stick_radps * turn * dt - yaw)
         self._yaw_goal = yaw + max(-YAW_LEAD_RAD, min(YAW_LEAD_RAD, ahead))
-        c, s, scale = math.cos(yaw), math.sin(yaw), self._stick_mps
-        north, east = scale * (c * forward - s * right), scale * (s * forward + c * right)
+        c = math.cos(yaw)
+        s = math.sin(yaw)
+        scale = self._stick_mps
+        north = scale * (c * forward - s * right)
+        east = scale * (s * forward + c * right)
         self._command((north, east, -scale * up), self._yaw_goal)
 
     def _command(self, velocity: tuple[float, float, float], yaw: float) -> None:
@@ -173,12 +178,15 @@ class TelloFlight:
             autopilot.request_mode(self._now_s, FlightMode.OFFBOARD)
 
     def _let_go(self, mode: FlightMode) -> None:
-        self._climbing, self._move, self._rc = False, None, (0, 0, 0, 0)
+        self._climbing = False
+        self._move = None
+        self._rc = (0, 0, 0, 0)
         self._end_session(mode)
 
     def _end_session(self, mode: FlightMode) -> None:
         if self._by_rc:
             session = self.sessions[-1]
             session.note_gap(self._rc_s, self._now_s)
-            session.end_s, session.ended_by = self._now_s, mode
+            session.end_s = self._now_s
+            session.ended_by = mode
         self._by_rc = False

@@ -21,9 +21,12 @@ NUMBERS = {"go": 4, "curve": 7}
 MOVES = (*AXES, *TURNS, *NUMBERS, "jump", "flip")
 FLIPS = ("l", "r", "f", "b")
 FLIP_S = 1.0
-THERE_M, THERE_RAD = 0.08, math.radians(3.0)
+THERE_M = 0.08
+THERE_RAD = math.radians(3.0)
 PASSED_M = 0.15
-MIN_RADIUS_M, MAX_RADIUS_M = 0.5, 10.0  # of a curve
+# of a curve
+MIN_RADIUS_M = 0.5
+MAX_RADIUS_M = 10.0
 ARC_RAD = math.radians(15.0)  # between two places on it
 
 
@@ -89,7 +92,8 @@ def _to_places(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: flo
     try:
         *coordinates, speed = (int(argument) for argument in arguments)
     except ValueError:
-        coordinates, speed = [], 0
+        coordinates = []
+        speed = 0
     if len(coordinates) + 1 != NUMBERS[word]:
         return "error"
     points = [_vec(coordinates[k : k + 3]) for k in range(0, len(coordinates), 3)]
@@ -108,7 +112,8 @@ def _to_places(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: flo
 
 def _arc(via: Vec3, end: Vec3) -> list[Vec3] | None:
     """Places on the circle from the drone through one place to another; None when there is none of a radius allowed."""
-    a, b = np.array(via), np.array(end)
+    a = np.array(via)
+    b = np.array(end)
     normal = np.cross(a, b)
     area2 = float(normal @ normal)
     if area2 < 1e-9:
@@ -141,6 +146,7 @@ def _metres(point: np.ndarray) -> Vec3:
 
 def _place(position_n_m: Vec3, yaw_rad: float, forward_left_up_m: Vec3) -> Vec3:
     forward, left, up = forward_left_up_m
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    c = math.cos(yaw_rad)
+    s = math.sin(yaw_rad)
     north, east, height = position_n_m
     return north + c * forward + s * left, east + s * forward - c * left, height - up

@@ -29,7 +29,8 @@ class TelloSensors:
         """One state packet, as of now."""
         drone = self._drone
         roll, pitch, yaw = self.attitude_deg()
-        c, s = math.cos(self._home_yaw_rad), math.sin(self._home_yaw_rad)
+        c = math.cos(self._home_yaw_rad)
+        s = math.sin(self._home_yaw_rad)
         vn, ve, vd = drone.estimate.velocity_n_mps
         x, y, z = (round(10.0 * v) for v in (c * vn + s * ve, c * ve - s * vn, vd))
         height_cm = 10 * self._height_dm() if drone.autopilot.armed else 0

@@ -75,7 +75,8 @@ class SimTello(SimVehicle):
         report = read_report(Tello.parse_state(self._sensors.state_text()), arrival_ns)
         assert report is not None
         self._reckoning.add(report)
-        self._newest, self._newest_ns = telemetry, arrival_ns
+        self._newest = telemetry
+        self._newest_ns = arrival_ns
         self._history.add(arrival_ns, self._attitude(report))
         self._report = report
 
@@ -83,7 +84,8 @@ class SimTello(SimVehicle):
         return quaternion(report.roll_rad, report.pitch_rad, self._reckoning.heading_rad)
 
     def _combined(self) -> VehicleState:
-        state, report = super()._combined(), self._report
+        state = super()._combined()
+        report = self._report
         if report is None:
             raise VehicleError("the vehicle is not connected", "enter it with `async with` first")
         return dataclasses.replace(

@@ -87,7 +87,8 @@ class TelloVideo:
             config = self._config
             rate_hz = max(1, round(config.rate_hz / self._step))
             self._encoder = new_encoder(config.width, config.height, rate_hz, config.bit_rate)
-            self._to, self._encoded = to, 0
+            self._to = to
+            self._encoded = 0
 
     def stop(self) -> None:
         with self._lock:
@@ -120,7 +121,8 @@ class TelloVideo:
                 self._send(data)
 
     def _send(self, data: bytes) -> None:
-        out, to = self._socket, self._to
+        out = self._socket
+        to = self._to
         if out is None or to is None:
             return
         for start in range(0, len(data), DATAGRAM):
@@ -136,7 +138,8 @@ class TelloVideo:
         self.sent += 1
 
     def _close(self) -> None:
-        self._encoder, self._to = None, None
+        self._encoder = None
+        self._to = None
         self._due.clear()
         if self._socket is not None:
             self._socket.close()
@@ -146,7 +149,9 @@ class TelloVideo:
 def new_encoder(width: int, height: int, rate_hz: int, bit_rate: int) -> Any:
     """An H.264 encoder without look-ahead that repeats key frame and parameter sets once a second."""
     encoder: Any = av.CodecContext.create("libx264", "w")
-    encoder.width, encoder.height, encoder.pix_fmt = width, height, "yuv420p"
+    encoder.width = width
+    encoder.height = height
+    encoder.pix_fmt = "yuv420p"
     encoder.time_base, encoder.framerate = Fraction(1, rate_hz), Fraction(rate_hz, 1)
     encoder.bit_rate = bit_rate
     encoder.thread_count = 1  # the same bytes on every machine

@@ -27,7 +27,8 @@ def is_meant(message: Any, sysid: int) -> bool:
 
     Commands name their system, but for the one that asks for a message: that is answered whoever is asked.
     """
-    system, component = getattr(message, "target_system", 0), getattr(message, "target_component", 0)
+    system = getattr(message, "target_system", 0)
+    component = getattr(message, "target_component", 0)
     kind = message.get_type()
     if kind in ("COMMAND_LONG", "COMMAND_INT"):
         if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:

@@ -43,7 +43,8 @@ class EmbeddedFarSide:
         self.kind = "px4"
         self.what = "embedded"
         self._world = World(config, seed)
-        options, origin = rig.sender.vehicle.options, rig.origin
+        options = rig.sender.vehicle.options
+        origin = rig.origin
         sysid = int(options["sysid"])
         self.relay = MavlinkRelay(self.kind, sysid, ("127.0.0.1", 0), _listener(url))
         tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
@@ -122,7 +123,8 @@ class EmbeddedBench:
     def __init__(self, rig: Rig, folder: Path, speed: float = 1.0, seed: int = 0) -> None:
         """``speed``: of the embedded vehicle's time; a simulator has its own. Raises PartError, NoBinary."""
         config = decode_table(rig.world, WorldConfig, rig.where("world"))
-        spec, url = rig.sender.vehicle, f"udpin://127.0.0.1:{_free_port()}"
+        spec = rig.sender.vehicle
+        url = f"udpin://127.0.0.1:{_free_port()}"
         options: dict[str, Any] = {**spec.options, "url": url}
         simulated = config.sender_simulator is not None
         if simulated:
@@ -131,10 +133,13 @@ class EmbeddedBench:
         self._rig = replace(rig, sender=replace(rig.sender, vehicle=vehicle))
         self._far: EmbeddedFarSide | SimulatorFarSide
         if simulated:
-            self._far, self._speed = SimulatorFarSide(self._rig, config, folder), 1.0
+            self._far = SimulatorFarSide(self._rig, config, folder)
+            self._speed = 1.0
         else:
-            self._far, self._speed = EmbeddedFarSide(self._rig, config, url, seed), speed
-        self.kind, self.what = self._far.kind, self._far.what
+            self._far = EmbeddedFarSide(self._rig, config, url, seed)
+            self._speed = speed
+        self.kind = self._far.kind
+        self.what = self._far.what
         self._modes = next(kind for kind in KINDS if kind.name == self.kind)
         self._mav: Any = mavlink.MAVLink(None)
         self._start_s = time.monotonic()
@@ -190,7 +195,8 @@ class EmbeddedBench:
 
     async def _run(self) -> None:
         """Step the far side, and write down the truth."""
-        sampled_s, step_s = -SAMPLE_S, STEP_S / self._speed
+        sampled_s = -SAMPLE_S
+        step_s = STEP_S / self._speed
         try:
             while True:
                 now_s = self.now_s
@@ -231,7 +237,8 @@ class EmbeddedBench:
         heard = self.heard
         match message.get_type():
             case "HEARTBEAT":
-                mode, armed = self._modes.mode(message.custom_mode), bool(message.base_mode & SAFETY_ARMED)
+                mode = self._modes.mode(message.custom_mode)
+                armed = bool(message.base_mode & SAFETY_ARMED)
                 heard.shown.append(HeartbeatShown(time_s, mode, message.custom_mode, armed))
             case "SYS_STATUS":
                 passed = message.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_PREARM_CHECK

@@ -73,7 +73,9 @@ class BoardPty:
         self, sysid: int, drone: SimDrone, leg_m: float, tangent: LocalTangent, companion: Path, truth: Path
     ) -> None:
         """The paths become links to pseudo terminals. Raises OSError when there are none left."""
-        self._drone, self._leg_m, self._tangent = drone, leg_m, tangent
+        self._drone = drone
+        self._leg_m = leg_m
+        self._tangent = tangent
         self._ends = _End(companion), _End(truth)
         self._mav: Any = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
         first, second = (end.socket.getsockname() for end in self._ends)
@@ -123,10 +125,12 @@ def boards_of(rig: Rig, world: World, stack: ExitStack) -> list[BoardPty]:
     tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
     boards: list[BoardPty] = []
     for role in Role:
-        options, simulator = rig.role(role).vehicle.options, world.config.simulator(role)
+        options = rig.role(role).vehicle.options
+        simulator = world.config.simulator(role)
         urls = str(options["url"]), simulator.truth_url if simulator else ""
         companion, truth = (_device(url) for url in urls)
-        drone, leg_m = world.drone(role), world.config.airframe.leg_m
+        drone = world.drone(role)
+        leg_m = world.config.airframe.leg_m
         boards.append(BoardPty(int(options["sysid"]), drone, leg_m, tangent, companion, truth))
         stack.callback(boards[-1].close)
     return boards
@@ -149,7 +153,8 @@ def main() -> None:
         boards = boards_of(rig, world, stack)
         sys.stdout.write("two boards in software are switched on; Ctrl-C switches them off\n")
         sys.stdout.flush()
-        start_s, steps = time.monotonic(), 0
+        start_s = time.monotonic()
+        steps = 0
         while True:
             now_s = time.monotonic() - start_s
             world.advance(max(now_s, world.time_s))

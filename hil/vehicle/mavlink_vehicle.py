@@ -29,13 +29,17 @@ from hil.world.world import SimDrone
 from path.geometry.rotation import wrapped, yaw_of
 from path.messages import Vec3
 
-ACCEPTED, DENIED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED
+ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
+DENIED = mavlink.MAV_RESULT_DENIED
 UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
 NOT_NOW = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 FORCE_MAGIC = 21196.0
 
 # POSITION_TARGET_TYPEMASK
-IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_YAW, IGNORE_YAW_RATE = 0b111, 0b111000, 1 << 10, 1 << 11
+IGNORE_POSITION = 0b111
+IGNORE_VELOCITY = 0b111000
+IGNORE_YAW = 1 << 10
+IGNORE_YAW_RATE = 1 << 11
 LARGEST_ID = 0xFFFF  # of a message, in MESSAGE_INTERVAL
 TURN_LEAD_RAD = 0.5  # how far ahead of the nose a rate commands the heading, at most
 TURN_PAUSE_S = 0.5  # after so long without one a rate begins from the heading as it is
@@ -101,7 +105,8 @@ class MavlinkVehicle:
                 self._channels.append(UdpChannel((config.bind[0], 0), further))
         self._mav: Any = mavlink.MAVLink(None, srcSystem=config.sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
         if config.key is not None:
-            self._mav.signing.secret_key, self._mav.signing.sign_outgoing = config.key, True
+            self._mav.signing.secret_key = config.key
+            self._mav.signing.sign_outgoing = True
             self._mav.signing.timestamp = signing_time()
         self._parameters = Parameters(drone.autopilot)
         self._shown: tuple[FlightMode, bool] | None = None
@@ -157,7 +162,8 @@ class MavlinkVehicle:
         if self._waiting:
             self._waiting.sort(key=_at_s)
             came = bisect_right(self._waiting, now_s, key=_at_s)
-            heard, self._waiting = self._waiting[:came], self._waiting[came:]
+            heard = self._waiting[:came]
+            self._waiting = self._waiting[came:]
             for each in heard:
                 self._receive(self._flight(each.at_s), each)
 
@@ -266,18 +272,21 @@ class MavlinkVehicle:
         In MAV_FRAME_BODY_NED velocity alone, ahead, right and down of the heading, as PX4 has it. The rest is not
         followed; of another frame a status text says so.
         """
-        mask, frame = message.type_mask, message.coordinate_frame
+        mask = message.type_mask
+        frame = message.coordinate_frame
         if frame not in (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_NED):
             self._refuse_setpoint(flight, f"SET_POSITION_TARGET_LOCAL_NED frame {frame}")
             return
         own = frame == mavlink.MAV_FRAME_BODY_NED
-        by_velocity, by_position = not mask & IGNORE_VELOCITY, not own and not mask & IGNORE_POSITION
+        by_velocity = not mask & IGNORE_VELOCITY
+        by_position = not own and not mask & IGNORE_POSITION
         if not (by_velocity or by_position):
             return
         north, east, down = (message.vx, message.vy, message.vz) if by_velocity else (0.0, 0.0, 0.0)
         if own:
             heading = yaw_of(flight.estimate.q_n_b)
-            c, s = math.cos(heading), math.sin(heading)
+            c = math.cos(heading)
+            s = math.sin(heading)
             north, east = c * north - s * east, s * north + c * east
         if by_position:
             gain_hz, (n, e, d) = flight.autopilot.config.hold_gain_hz, flight.local_n_m
@@ -291,7 +300,8 @@ class MavlinkVehicle:
 
     def _yaw(self, flight: FlightInstant, message: Any) -> float:
         """The heading that a setpoint asks for: itself, by a rate from the one before, or as it is."""
-        mask, yaw = message.type_mask, yaw_of(flight.estimate.q_n_b)
+        mask = message.type_mask
+        yaw = yaw_of(flight.estimate.q_n_b)
         if not mask & IGNORE_YAW:
             return message.yaw
         if mask & IGNORE_YAW_RATE or not math.isfinite(message.yaw_rate):
@@ -337,7 +347,8 @@ class MavlinkVehicle:
         self._send(channel, mavlink.MAVLink_command_ack_message(command, result, 255, 0, *to), sender)
 
     def _set_interval(self, flight: FlightInstant, channel: UdpChannel, message: Any) -> int:
-        which, interval_us = _whole(message.param1), _whole(message.param2)
+        which = _whole(message.param1)
+        interval_us = _whole(message.param2)
         if which is None or interval_us is None:
             return DENIED
         if which == mavlink.MAVLINK_MSG_ID_HEARTBEAT and self._own_beat_s is not None:
@@ -360,7 +371,8 @@ class MavlinkVehicle:
 
     def _take_off(self, flight: FlightInstant, message: Any) -> int:
         """Takes off. Without an altitude the height is MIS_TAKEOFF_ALT over home."""
-        home, altitude_m = flight.autopilot.home_n_m, height_above_sea_m(message)
+        home = flight.autopilot.home_n_m
+        altitude_m = height_above_sea_m(message)
         if altitude_m is None:
             return DENIED
         height_m = self._parameters.take_off_m(flight.now_s)

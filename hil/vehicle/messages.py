@@ -17,7 +17,8 @@ from path.geometry.rotation import rpy_from_quat, yaw_of
 from path.messages import Vec3
 
 # px4_custom_mode.h: main mode in bits 16-23, sub mode in bits 24-31. A pilot's mode shows as POSCTL.
-AUTO, OFFBOARD = 4, 6
+AUTO = 4
+OFFBOARD = 6
 AUTO_MODES = {2: FlightMode.TAKEOFF, 3: FlightMode.HOLD, 5: FlightMode.RETURN, 6: FlightMode.LAND}
 PILOT_MODES = {1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 5: "ACRO", 7: "STABILIZED"}
 CUSTOM_MODES = {
@@ -43,7 +44,9 @@ _CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
     | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
 )
-FULL_MV, EMPTY_MV = 16_800, 13_200  # four lithium cells
+# four lithium cells
+FULL_MV = 16_800
+EMPTY_MV = 13_200
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +83,8 @@ def heartbeat(flight: FlightInstant) -> Any:
     status = mavlink.MAV_STATE_STANDBY if autopilot.landed else mavlink.MAV_STATE_ACTIVE
     if autopilot.killed:
         status = mavlink.MAV_STATE_FLIGHT_TERMINATION
-    kind, make = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4
+    kind = mavlink.MAV_TYPE_QUADROTOR
+    make = mavlink.MAV_AUTOPILOT_PX4
     return mavlink.MAVLink_heartbeat_message(kind, make, base, CUSTOM_MODES[autopilot.mode], status, 3)
 
 
@@ -100,7 +104,8 @@ def sys_status(flight: FlightInstant) -> Any:
     if autopilot.radio_heard:
         there |= mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
     healthy |= there & mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
-    millivolts, percent = _voltage_mv(autopilot), round(autopilot.battery * 100.0)
+    millivolts = _voltage_mv(autopilot)
+    percent = round(autopilot.battery * 100.0)
     return mavlink.MAVLink_sys_status_message(there, there, healthy, 200, millivolts, -1, percent, 0, 0, 0, 0, 0, 0)
 
 
@@ -133,7 +138,8 @@ def attitude_quaternion(flight: FlightInstant) -> Any:
 
 
 def local_position_ned(flight: FlightInstant) -> Any:
-    position, velocity = flight.local_n_m, flight.estimate.velocity_n_mps
+    position = flight.local_n_m
+    velocity = flight.estimate.velocity_n_mps
     return mavlink.MAVLink_local_position_ned_message(flight.boot_ms, *position, *velocity)
 
 
@@ -178,7 +184,8 @@ def distance_sensor(flight: FlightInstant) -> Any | None:
         return None
     most_cm = round(1e2 * own.config.max_m)
     distance_cm = most_cm if own.below_m is None else round(1e2 * own.below_m)
-    laser, down = mavlink.MAV_DISTANCE_SENSOR_LASER, mavlink.MAV_SENSOR_ROTATION_PITCH_270
+    laser = mavlink.MAV_DISTANCE_SENSOR_LASER
+    down = mavlink.MAV_SENSOR_ROTATION_PITCH_270
     covariance_cm2 = max(1, min(254, round((1e2 * own.config.sigma_m) ** 2)))
     return mavlink.MAVLink_distance_sensor_message(
         flight.boot_ms, round(1e2 * own.config.min_m), most_cm, distance_cm, laser, 0, down, covariance_cm2

@@ -13,7 +13,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from hil.autopilot.autopilot import Autopilot
 from path.bounds import Bounds, bounded_fields
 
-REAL32, INT32 = mavlink.MAV_PARAM_TYPE_REAL32, mavlink.MAV_PARAM_TYPE_INT32
+REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
+INT32 = mavlink.MAV_PARAM_TYPE_INT32
 TAKE_OFF = "MIS_TAKEOFF_ALT"
 LOOKS_S = 1.0  # PX4's navigator looks at its parameters once a second at most: what was set just before is not flown
 FIXED: Mapping[str, int] = {"COM_OBL_RC_ACT": 4, "NAV_DLL_ACT": 0, "COM_LOW_BAT_ACT": 2}
@@ -66,7 +67,8 @@ class Parameters:
 
     def _look(self, now_s: float) -> None:
         if self._changed_s is not None and now_s >= (due_s := max(self._changed_s, self._looked_s + LOOKS_S)):
-            self._looked_s, self._changed_s = due_s, None
+            self._looked_s = due_s
+            self._changed_s = None
             self._take_off_m = self._autopilot.config.default_takeoff_m
 
     def answer(self, message: Any, now_s: float) -> list[Any]:
@@ -106,7 +108,8 @@ class Parameters:
         bounds: Bounds = bounded_fields(type(table))[inner][1]
         if not bounds.holds(wanted) or (name == TAKE_OFF and not 0.0 < wanted <= self._autopilot.config.max_height_m):
             return
-        changed, config = replace(table, **{inner: wanted}), self._autopilot.config
+        changed = replace(table, **{inner: wanted})
+        config = self._autopilot.config
         outer = FIELDS[name].rpartition(".")[0]
         self._autopilot.config = replace(config, **{outer: changed}) if outer else changed
 
@@ -116,5 +119,6 @@ class Parameters:
         # An integer travels in the bytes of the float, as PX4 sends it.
         wire = struct.unpack("<f", struct.pack("<i", value))[0] if whole else min(float(value), 3.4e38)
         assert not math.isnan(wire) or whole
-        index, count = self._names.index(name), len(self._names)
+        index = self._names.index(name)
+        count = len(self._names)
         return mavlink.MAVLink_param_value_message(name.encode(), wire, INT32 if whole else REAL32, count, index)

@@ -142,7 +142,8 @@ class SimVehicle:
         now_s = world.time_s
         if now_s == self._pulled_s:
             return
-        self._pulled_s, arrived_s = now_s, now_s - self._config.latency_s + 1e-9
+        self._pulled_s = now_s
+        arrived_s = now_s - self._config.latency_s + 1e-9
         if self._silent:
             self._taken_s = now_s
             return
@@ -160,7 +161,8 @@ class SimVehicle:
 
     def _take(self, telemetry: VehicleTelemetry, arrival_ns: int) -> None:
         self._take_heartbeat(telemetry, arrival_ns)
-        self._newest, self._newest_ns = telemetry, arrival_ns
+        self._newest = telemetry
+        self._newest_ns = arrival_ns
         if telemetry.below_m is None:
             self._below = None
         elif self._below is None or self._below.distance_m != telemetry.below_m:
@@ -170,11 +172,14 @@ class SimVehicle:
     def _take_heartbeat(self, telemetry: VehicleTelemetry, arrival_ns: int) -> None:
         beats = math.floor(telemetry.time_s / self._config.heartbeat_s + 1e-6)
         if beats > self._beats:
-            self._beat, self._beats, self._beat_ns = telemetry, beats, arrival_ns
+            self._beat = telemetry
+            self._beats = beats
+            self._beat_ns = arrival_ns
         self._taken_s = telemetry.time_s
 
     def _combined(self) -> VehicleState:
-        newest, beat = self._newest, self._beat
+        newest = self._newest
+        beat = self._beat
         if newest is None or beat is None:
             raise _not_connected()
         estimate = newest.estimate

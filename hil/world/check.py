@@ -10,7 +10,8 @@ from flight.config import MissionConfig
 from hil.world.config import WorldConfig
 from hil.world.detector import MEASURED
 
-DRAWN, FROM_GEOMETRY = "sim-rendered", "sim"
+DRAWN = "sim-rendered"
+FROM_GEOMETRY = "sim"
 CONFINES = "hil.harness.sitl:SitlHarness"
 
 
@@ -31,7 +32,8 @@ def check_world(rig: Rig) -> None:
     if config.slow is not None and rig.harness != CONFINES:
         what = f"{rig.name} does not fly each role as a process in real time: leave it out, or fly --rig sitl"
         problems.add(rig.where("world.slow"), what)
-    kind, scene = config.target.kind, config.scene.name
+    kind = config.target.kind
+    scene = config.scene.name
     if scene != "plain" and rig.level not in (DRAWN, FROM_GEOMETRY):
         what = f"scenes are drawn at level {DRAWN}, and {rig.name} is of level {rig.level}: leave it out"
         problems.add(rig.where("world.scene"), what)

@@ -31,7 +31,9 @@ def clearance(world: World) -> float:
     if body is None:
         return math.inf
     longer, wider, higher = world.config.target.stretch
-    half_m, high_m, middle_m = max(longer, wider) * body[0], higher * body[1], higher * body[2]
+    half_m = max(longer, wider) * body[0]
+    high_m = higher * body[1]
+    middle_m = higher * body[2]
     nearest_m = math.inf
     for drone in (world.drone(role) for role in Role):
         if not drone.on_ground:
@@ -69,12 +71,14 @@ def nearness(names: tuple[str, ...], places_m: NDArray[np.float64], within_m: fl
         to_next, _ = tree.query(places_m, k=2)
         reach_m = max(float(to_next[:, 1].min()), within_m) + 1e-9
         pairs = sorted(tree.query_pairs(reach_m))
-    closest_m, closest = math.inf, ()
+    closest_m = math.inf
+    closest = ()
     too_near: list[tuple[str, str, float]] = []
     for j, i in pairs:
         apart_m = math.dist(places[j], places[i])
         if apart_m < closest_m:
-            closest_m, closest = apart_m, (names[j], names[i])
+            closest_m = apart_m
+            closest = (names[j], names[i])
         if apart_m < within_m:
             too_near.append((names[j], names[i], apart_m))
     return Nearness(closest_m, closest, tuple(too_near))

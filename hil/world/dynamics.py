@@ -35,7 +35,9 @@ STATE_SIZE = 20
 
 # Columns of a command row: what the motors may do, velocity NED, yaw.
 MOTORS = 0
-MOTORS_OFF, MOTORS_IDLE, MOTORS_FLY = 0.0, 1.0, 2.0
+MOTORS_OFF = 0.0
+MOTORS_IDLE = 1.0
+MOTORS_FLY = 2.0
 COMMAND_SIZE = 5
 
 GRAVITY_MPS2 = 9.80665
@@ -92,10 +94,13 @@ def _wanted_force(s: Array, c: Array, velocity_error: Array, p: Parameters, dt: 
     ex = c[1] - s[3] - velocity_error[0]
     ey = c[2] - s[4] - velocity_error[1]
     ez = c[3] - s[5] - velocity_error[2]
-    ax, ay, az = p[0] * ex + s[14], p[0] * ey + s[15], p[2] * ez + s[16]
+    ax = p[0] * ex + s[14]
+    ay = p[0] * ey + s[15]
+    az = p[2] * ez + s[16]
     size = math.hypot(ax, ay)
     if size > p[4]:
-        ax, ay = ax * p[4] / size, ay * p[4] / size
+        ax = ax * p[4] / size
+        ay = ay * p[4] / size
     else:  # an integral that grows while the loop is saturated overshoots
         s[14] = _clamp(s[14] + p[1] * ex * dt, -MAX_INTEGRAL, MAX_INTEGRAL)
         s[15] = _clamp(s[15] + p[1] * ey * dt, -MAX_INTEGRAL, MAX_INTEGRAL)
@@ -110,29 +115,40 @@ def _wanted_force(s: Array, c: Array, velocity_error: Array, p: Parameters, dt: 
 def _wanted_attitude(fx: float, fy: float, fz: float, yaw: float) -> Quat:
     """Quaternion whose body z points against the force and whose nose is at ``yaw``: tilt after yaw."""
     size = math.sqrt(fx * fx + fy * fy + fz * fz)
-    zx, zy, zz = -fx / size, -fy / size, -fz / size
+    zx = -fx / size
+    zy = -fy / size
+    zz = -fz / size
     # Shortest rotation from the vertical to z: axis (-zy, zx, 0), angle acos(zz); half-angle form.
     w = math.sqrt(0.5 * (1.0 + zz))
-    tx, ty = -0.5 * zy / w, 0.5 * zx / w
-    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    tx = -0.5 * zy / w
+    ty = 0.5 * zx / w
+    cy = math.cos(0.5 * yaw)
+    sy = math.sin(0.5 * yaw)
     return w * cy, tx * cy + ty * sy, ty * cy - tx * sy, w * sy
 
 
 @inner
 def _turn(s: Array, goal: Quat, attitude_error: Array, p: Parameters, dt: float) -> None:
     """Second-order response of the attitude to the goal; integrates rates and quaternion."""
-    w, x, y, z = s[6], s[7], s[8], s[9]
+    w = s[6]
+    x = s[7]
+    y = s[8]
+    z = s[9]
     gw, gx, gy, gz = goal
     ew = w * gw + x * gx + y * gy + z * gz
     ex = w * gx - x * gw - y * gz + z * gy
     ey = w * gy + x * gz - y * gw - z * gx
     ez = w * gz - x * gy + y * gx - z * gw
     sign = 2.0 if ew >= 0.0 else -2.0
-    tilt2, yaw2, damping = p[6] * p[6], p[7] * p[7], 2.0 * p[8]
+    tilt2 = p[6] * p[6]
+    yaw2 = p[7] * p[7]
+    damping = 2.0 * p[8]
     s[10] += (tilt2 * (sign * ex - attitude_error[0]) - damping * p[6] * s[10]) * dt
     s[11] += (tilt2 * (sign * ey - attitude_error[1]) - damping * p[6] * s[11]) * dt
     s[12] += (yaw2 * (sign * ez - attitude_error[2]) - damping * p[7] * s[12]) * dt
-    hx, hy, hz = 0.5 * dt * s[10], 0.5 * dt * s[11], 0.5 * dt * s[12]
+    hx = 0.5 * dt * s[10]
+    hy = 0.5 * dt * s[11]
+    hz = 0.5 * dt * s[12]
     nw = w - x * hx - y * hy - z * hz
     nx = x + w * hx + y * hz - z * hy
     ny = y + w * hy + z * hx - x * hz
@@ -144,7 +160,10 @@ def _turn(s: Array, goal: Quat, attitude_error: Array, p: Parameters, dt: float)
 @inner
 def _move(s: Array, wind: Array, p: Parameters, dt: float) -> None:
     """Thrust, gravity and drag move the drone; the ground stops it."""
-    w, x, y, z = s[6], s[7], s[8], s[9]
+    w = s[6]
+    x = s[7]
+    y = s[8]
+    z = s[9]
     thrust = s[13]
     drag = p[11] * (1.0 - s[19])  # legs on the ground hold against wind
     ax = -thrust * 2.0 * (x * z + w * y) - drag * (s[3] - wind[0])
@@ -175,7 +194,10 @@ def _substep(
         turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
         s[17] += _clamp(turn, -step, step)
         goal = _wanted_attitude(fx, fy, fz, s[17])
-        w, x, y, z = s[6], s[7], s[8], s[9]
+        w = s[6]
+        x = s[7]
+        y = s[8]
+        z = s[9]
         along = -(fx * 2.0 * (x * z + w * y) + fy * 2.0 * (y * z - w * x) + fz * (1.0 - 2.0 * (x * x + y * y)))
         wanted = _clamp(along, IDLE_THRUST, p[12] * GRAVITY_MPS2)
         _turn(s, goal, attitude_error, p, dt)
@@ -220,9 +242,12 @@ def poses_w(states: Array, late_s: float, out: Array) -> None:
         out: (n, 12), written.
     """
     for i in range(states.shape[0]):
-        s, row = states[i], out[i]
+        s = states[i]
+        row = out[i]
         half = 0.5 * max(late_s, 0.0)
-        p, q, r = half * s[10], half * s[11], half * s[12]
+        p = half * s[10]
+        q = half * s[11]
+        r = half * s[12]
         w = s[6] - s[7] * p - s[8] * q - s[9] * r
         x = s[7] + s[6] * p + s[8] * r - s[9] * q
         y = s[8] + s[6] * q - s[7] * r + s[9] * p

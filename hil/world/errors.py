@@ -107,7 +107,8 @@ class ErrorsConfig:
 
 
 def sizes_of(level: ErrorLevel) -> ErrorSizes:
-    careful, times = ErrorSizes(), TIMES[level]
+    careful = ErrorSizes()
+    times = TIMES[level]
     return ErrorSizes(*(times * getattr(careful, each.name) for each in fields(careful)))
 
 
@@ -161,7 +162,8 @@ class StampErrors:
     """The errors of one camera's stamps, frame after frame. Never so much that they would run backwards."""
 
     def __init__(self, sensor: SensorErrors, rate_hz: float) -> None:
-        self._sensor, self._most_s = sensor, 0.45 / rate_hz
+        self._sensor = sensor
+        self._most_s = 0.45 / rate_hz
         self._random = np.random.default_rng(sensor.seed)
 
     def next_ns(self) -> int:
@@ -177,7 +179,8 @@ def as_built(rig: Rig, seed: int, drones: Mapping[Role, int] | None = None) -> B
     Args:
         drones: number of the drone in each role, where there are more than two: each has errors of its own.
     """
-    sizes, drones = sizes_of(level_of(rig)), drones or {role: k for k, role in enumerate(Role)}
+    sizes = sizes_of(level_of(rig))
+    drones = drones or {role: k for k, role in enumerate(Role)}
     streams = {role: [np.random.default_rng([seed, 0x6572726F, drones[role], k]) for k in range(4)] for role in Role}
     T_b_v = other_mount(rig.sender.mount.T_b_v, sizes, streams[Role.SENDER][2])
     sender, receiver = (_own(rig.role(role), T_b_v, sizes, streams[role]) for role in Role)

@@ -102,14 +102,20 @@ def sense(
     for i in range(states.shape[0]):
         for k in range(drift.shape[1]):
             drift[i, k] = decay[k] * drift[i, k] + drive[k] * normals[i, k]
-        s, out = states[i], estimates[i]
+        s = states[i]
+        out = estimates[i]
         for k in range(3):
             attitude_errors[i, k] = attitude_bias[i, k] + drift[i, 12 + k]
             out[k] = s[k] + position_bias[i, k] + drift[i, 3 + k] + drift[i, 6 + k]
             velocity_errors[i, k] = drift[i, 9 + k]
             out[3 + k] = s[3 + k] + velocity_errors[i, k]
-        hx, hy, hz = 0.5 * attitude_errors[i, 0], 0.5 * attitude_errors[i, 1], 0.5 * attitude_errors[i, 2]
-        w, x, y, z = s[6], s[7], s[8], s[9]
+        hx = 0.5 * attitude_errors[i, 0]
+        hy = 0.5 * attitude_errors[i, 1]
+        hz = 0.5 * attitude_errors[i, 2]
+        w = s[6]
+        x = s[7]
+        y = s[8]
+        z = s[9]
         scale = 1.0 / math.sqrt(1.0 + hx * hx + hy * hy + hz * hz)
         out[6] = (w - x * hx - y * hy - z * hz) * scale
         out[7] = (x + w * hx + y * hz - z * hy) * scale
@@ -138,7 +144,8 @@ class Sensors:
         streams = [[np.random.default_rng(child) for child in seed.spawn(2)] for seed in seeds]
         self._streams = streams
         self.position_bias = np.zeros((len(seeds), 3))
-        tilt, yaw = math.radians(config.tilt_bias_deg), math.radians(config.yaw_bias_deg)
+        tilt = math.radians(config.tilt_bias_deg)
+        yaw = math.radians(config.yaw_bias_deg)
         drawn = np.array([own.standard_normal(6) for _, own in streams])
         self.attitude_bias = drawn[:, 3:] * np.array([tilt, tilt, yaw])
         start = np.array(
@@ -176,7 +183,8 @@ class Sensors:
 
 def _channels(wind: WindConfig, config: EstimatorConfig) -> tuple[Array, Array]:
     """Stationary standard deviation and correlation time of every column of ``drift``."""
-    tilt, yaw = math.radians(config.tilt_noise_deg), math.radians(config.yaw_noise_deg)
+    tilt = math.radians(config.tilt_noise_deg)
+    yaw = math.radians(config.yaw_noise_deg)
     groups = (
         ((wind.gust_mps, wind.gust_mps, 0.5 * wind.gust_mps), wind.gust_time_s),
         ((config.position_m, config.position_m, config.height_m), config.position_time_s),

@@ -36,7 +36,8 @@ def foot_at(strides: float, speed_mps: float) -> tuple[float, float]:
 
     On the ground it stays where it is while the body goes on.
     """
-    phase, reach = strides % 1.0, reach_m(speed_mps)
+    phase = strides % 1.0
+    reach = reach_m(speed_mps)
     if phase < STANCE:
         return reach * (1.0 - 2.0 * phase / STANCE), 0.0
     swing = math.pi * (phase - STANCE) / (1.0 - STANCE)

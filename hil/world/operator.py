@@ -72,8 +72,10 @@ class Person:
 
     def __init__(self, config: PersonConfig, built: Built, role: Role, seed: int) -> None:
         own = built.rig.role(role)
-        self._config, self._role = config, role
-        self._camera, self._T_b_c = own.camera, own.mount.T_b_c
+        self._config = config
+        self._role = role
+        self._camera = own.camera
+        self._T_b_c = own.mount.T_b_c
         self._random = np.random.default_rng([seed, STREAM])
         north, east, down = (config.lasting_m * self._random.standard_normal(3)).tolist()
         self._lasting: Vec3 = (north, east, down)
@@ -145,7 +147,8 @@ class SimOperator:
     def __init__(self, config: PersonConfig, context: PartContext) -> None:
         if context.harness is None:
             raise PartError("a simulated operator needs a simulated world", "use it with hil.harness.sim, or the like")
-        self._harness, self._clock = cast(_Harness, context.harness), context.clock
+        self._harness = cast(_Harness, context.harness)
+        self._clock = context.clock
         self._person = Person(config, self._harness.built, context.role, self._harness.seed)
 
     async def __aenter__(self) -> Self:

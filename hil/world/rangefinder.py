@@ -48,8 +48,10 @@ class SimRangefinder:
         """Measure, when it is time. ``up_m``: the true height over the ground."""
         if time_s < self._next_s:
             return
-        self._next_s, self.stamp_s = time_s + EVERY_S, time_s
-        config, upright = self.config, float(R_from_quat(q_n_b)[2, 2])
+        self._next_s = time_s + EVERY_S
+        self.stamp_s = time_s
+        config = self.config
+        upright = float(R_from_quat(q_n_b)[2, 2])
         noise_m = config.sigma_m * self._random.standard_normal()
         along_m = up_m / upright if upright > 0.1 else math.inf
         measured_m = self._scale * along_m + noise_m

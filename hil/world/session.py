@@ -43,7 +43,8 @@ class WorldErrors:
         )
 
     def rows(self) -> tuple[tuple[str, str, str], ...]:
-        sizes, estimator = self._sizes, self._estimator
+        sizes = self._sizes
+        estimator = self._estimator
         return (
             ("focal lengths of each camera", f"{100 * sizes.focal:g} %, fx and fy together", "session"),
             ("principal point of each camera", f"{sizes.centre_px:g} px per axis", "session"),

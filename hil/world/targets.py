@@ -41,7 +41,9 @@ CROSSING_PAST_M: dict[TargetKind, tuple[float, float]] = {
     "person": (0.75, 0.8),
 }
 CROSSING_GAP_M: dict[TargetKind, float] = {"car": 0.45, "drone": 0.45, "person": 0.8}  # to every other object
-LOWEST_M, HIGHEST_M = 0.5, 3.0  # of what flies
+# of what flies
+LOWEST_M = 0.5
+HIGHEST_M = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +119,8 @@ class Pace:
 
     def __init__(self, target: TargetConfig, rng: np.random.Generator) -> None:
         self._speed_mps = target.speed_mps
-        self._drives_s, self._stands_s = target.drives_s, target.stands_s
+        self._drives_s = target.drives_s
+        self._stands_s = target.stands_s
         self._rng = rng
         self._ever_stands = target.stands_s[1] > 0.0
         begin_s = 0.0
@@ -185,7 +188,9 @@ class Loop:
         place = (along_m / self.length_m) % 1.0 * LOOP_POINTS
         k = min(int(place), LOOP_POINTS - 1)
         f = place - k
-        x, y, yaw = self._x, self._y, self._yaw
+        x = self._x
+        y = self._y
+        yaw = self._yaw
         return x[k] + f * (x[k + 1] - x[k]), y[k] + f * (y[k + 1] - y[k]), yaw[k] + f * (yaw[k + 1] - yaw[k])
 
     def closest(self, point: Point) -> float:
@@ -253,7 +258,8 @@ class GroundVehicles:
             return 0.0, 0.0
         if self._config.to_and_fro_s > 0.0:
             turn = 2.0 * math.pi / self._config.to_and_fro_s
-            speed, angle = self._config.speed_mps, turn * since_s
+            speed = self._config.speed_mps
+            angle = turn * since_s
             return speed / turn * (1.0 - math.cos(angle)), speed * math.sin(angle)
         return self._pace.at(since_s)
 
@@ -289,7 +295,8 @@ class GroundVehicles:
         (ax, ay), (bx, by), (x, y, z) = crossing.along, crossing.beside, target.position_w_m
         vx = CROSSING_MPS * ax + target.speed_mps * math.cos(target.yaw_rad)
         vy = CROSSING_MPS * ay + target.speed_mps * math.sin(target.yaw_rad)
-        position, speed = (x + way * ax + bx, y + way * ay + by, z), math.hypot(vx, vy)
+        position = (x + way * ax + bx, y + way * ay + by, z)
+        speed = math.hypot(vx, vy)
         strides = self._strides(speed * (time_s - crossing.start_s), speed)
         return ObjectTruth(crossing.object_id, position, math.atan2(vy, vx), speed, target.climb_mps, strides)
 
@@ -329,7 +336,8 @@ def _driving(loop: Loop, config: LookAlikeConfig) -> list[float]:
     """
     apart: list[float] = []
     for k in range(config.driving):
-        side, gap = (-1.0 if k % 2 == 0 else 1.0), config.min_distance_m * (1.2 + k // 2)
+        side = -1.0 if k % 2 == 0 else 1.0
+        gap = config.min_distance_m * (1.2 + k // 2)
         while loop.closest_chord(side * gap) < config.min_distance_m:
             gap += 0.05
             if gap > 0.5 * loop.length_m:
@@ -357,7 +365,8 @@ def _parked(
         reach = 1.5 if not placed else 0.5 * loop.length_m
         x, y, heading = loop.at(float(rng.uniform(-reach, reach)))
         aside = float(rng.uniform(config.min_distance_m, config.max_distance_m)) * (1.0 if rng.random() < 0.5 else -1.0)
-        x, y = x - aside * math.sin(heading), y + aside * math.cos(heading)
+        x = x - aside * math.sin(heading)
+        y = y + aside * math.cos(heading)
         yaw = float(rng.uniform(-math.pi, math.pi))
         free = all(math.hypot(x - p[0], y - p[1]) >= gap_m for p in placed)
         clear = all(math.hypot(x - p[0], y - p[1]) >= HOME_GAP_M for p in keep_clear)

@@ -211,7 +211,8 @@ class Fleet(Generic[Name]):
             self._changed()
 
     def _sense(self) -> None:
-        rows, time_s = self._sensors.tick(self._states).tolist(), self._step / STEP_HZ
+        rows = self._sensors.tick(self._states).tolist()
+        time_s = self._step / STEP_HZ
         altitude = self.config.altitude
         for number, (drone, row) in enumerate(zip(self._drones.values(), rows, strict=True)):
             drone.autopilot.altitude_error_m = altitude.error_m(number, time_s)
@@ -342,7 +343,8 @@ class World(Fleet[Role]):
 def receiver_off(apart: PositionOffsetConfig, seed: int) -> Vec3:
     """The constant part of the receiver's position error, NED: what it believes less what is true."""
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(4)[3])  # after the seeds of the fleet
-    angle, up = rng.uniform(0.0, 2.0 * math.pi), bool(rng.integers(2))
+    angle = rng.uniform(0.0, 2.0 * math.pi)
+    up = bool(rng.integers(2))
     return (
         apart.across_m * math.cos(angle), apart.across_m * math.sin(angle), -apart.height_m if up else apart.height_m
     )  # fmt: skip

@@ -38,7 +38,8 @@ class Timing:
 
     def line(self, name: str) -> str:
         """One line: median, 95th and 99th percentile. The first frame, in which things are loaded, is left out."""
-        wall, busy = self.wall_ms[1:] or self.wall_ms, self.busy_ms[1:] or self.busy_ms
+        wall = self.wall_ms[1:] or self.wall_ms
+        busy = self.busy_ms[1:] or self.busy_ms
         median, p95, p99 = np.percentile(wall, (50, 95, 99))
         return (
             f"{name}: {median:.1f} ms median, {p95:.1f} p95, {p99:.1f} p99 ({1000.0 / max(median, 1e-3):.0f} Hz); "
@@ -67,7 +68,8 @@ def _look(name: str, detector: Detector, recording: Recording, folder: Path | No
     with Bars(sys.stderr if stream is sys.stdout else stream).bar("frames", recording.count or 0) as advance:
         for frame in recording.frames():
             color = frame.load().color
-            begun, worked = stopwatch_ns(), busy_ns()
+            begun = stopwatch_ns()
+            worked = busy_ns()
             boxes = detector.detect(color, None)
             wall_ms.append((stopwatch_ns() - begun) / 1e6)
             busy.append((busy_ns() - worked) / 1e6)
@@ -110,7 +112,8 @@ def _detector(options: DetectOptions) -> tuple[str, Detector]:
 def _draw(file: Path, color: Any, boxes: Sequence[Detection]) -> None:
     picture = color.copy()
     for each in boxes:
-        x, y = round(each.box.x + 0.5), round(each.box.y + 0.5)
+        x = round(each.box.x + 0.5)
+        y = round(each.box.y + 0.5)
         cv2.rectangle(picture, (x, y), (round(x + each.box.w), round(y + each.box.h)), GREEN, 2)
         cv2.putText(picture, f"{each.score:.2f}", (x, max(y - 4, 10)), cv2.FONT_HERSHEY_SIMPLEX, 0.45, GREEN, 1)
     if not cv2.imwrite(str(file), picture):

@@ -56,7 +56,8 @@ def computer_findings(rig: Rig, role: Role, share: float = 1.0) -> Iterator[Find
     paces = pace_of(rig, role)
     own = paces[0]
     where = f"{role.value} computer"
-    cores, load = os.cpu_count() or 1, os.getloadavg()[0]
+    cores = os.cpu_count() or 1
+    load = os.getloadavg()[0]
     if load > cores:
         busy = f"{load:.1f} programs want to run on {cores} cores: what follows is what it could do without them"
         yield Finding("note", f"{where} busy", busy, "end what else runs on it before a flight")
@@ -78,7 +79,8 @@ def holds_hz(pace: Pace, share: float = 1.0, margin: float = MARGIN) -> float:
 
 def fits(pace: Pace, rate_hz: float | None, share: float = 1.0) -> Finding:
     """Finds whether the rig's own size and rate are held; what is missing is given up in flight, or is too much."""
-    name, held_hz = "rate", holds_hz(pace, share)
+    name = "rate"
+    held_hz = holds_hz(pace, share)
     size = f"{pace.size[0]}x{pace.size[1]}"
     detail = f"{size} at {held_hz:.0f} of {rate_hz:g} frames a second" if rate_hz else f"{size} at {held_hz:.0f} Hz"
     most_hz = holds_hz(pace, share, margin=0.0)
@@ -106,9 +108,11 @@ def refuse_share(rig: Rig, share: float) -> None:
     Neighbours only make a core slower: a role is refused when it was too slow each of several times.
     """
     for role in Role:
-        fault, times = _fault(rig, role, share), 1
+        fault = _fault(rig, role, share)
+        times = 1
         while fault is not None and times < TIMES:
-            fault, times = _fault(rig, role, share), times + 1
+            fault = _fault(rig, role, share)
+            times = times + 1
         if fault is not None:
             what = f"{share:g} of this core is too little for the {role.value}: {fault.name}: {fault.detail}"
             more = f"path-handoff doctor --rig {rig_library.name_of(rig)} --role {role.value} --slow {share:g}"

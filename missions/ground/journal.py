@@ -74,7 +74,8 @@ def told_record(told: Told | Chosen, *, used: bool) -> dict[str, Any]:
 
 def told_of(record: Mapping[str, Any]) -> Told | Chosen:
     """Read what ``told_record`` has written."""
-    kind, at_ns = record["kind"], record["at_ns"]
+    kind = record["kind"]
+    at_ns = record["at_ns"]
     if kind == "choice":
         return Chosen(record["question"], record["number"])
     if kind == "place":

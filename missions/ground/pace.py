@@ -47,13 +47,16 @@ from path.observations import Box, MarkerDetection, Missed, Region
 STAGE_S = 0.4  # that each stage is measured for, at least
 FEWEST = 10  # times
 SIZES = ((640, 480), (848, 480), (1280, 720))
-MARKER_PX, CAR_PX = 40, (72, 48)  # in 480 rows
+# in 480 rows
+MARKER_PX = 40
+CAR_PX = (72, 48)
 R_N_C = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # level, to the north
 _DOWN_C = (0.0, 1.0, 0.0)
 
 
 TARGET = Target(1, 1, 1, 1, 1_000_000_000, (0.1, -0.3, 1.2), (0.0, -1.0, 0.0), 0.01)
-BOX, LOOKED = Box(250.5, 180.25, 80.0, 60.0), (1.0, 0.0, 0.0, 0.0)
+BOX = Box(250.5, 180.25, 80.0, 60.0)
+LOOKED = (1.0, 0.0, 0.0, 0.0)
 CANDIDATE = Candidate(1, 1, 1, 1, 1, 1_000_000_000, BOX, None, (0.4, 0.1, 1.0), LOOKED, 0.004)
 MARKER = MarkerDetection(0, np.array([[300.0, 220.0], [340.0, 220.0], [340.0, 260.0], [300.0, 260.0]]), np.eye(8))
 FIX = MarkerFix(Pose(np.eye(3), np.array([0.4, 0.1, 1.0])), 1.6e-5 * np.eye(6), 40.0, (MARKER,))
@@ -119,10 +122,13 @@ class _Bench:
     """The mission's own parts of one role over a drawn picture, which is a new frame each time."""
 
     def __init__(self, rig: Rig, role: Role, camera: CameraModel) -> None:
-        self.rig, self.role, self.camera = rig, role, camera
+        self.rig = rig
+        self.role = role
+        self.camera = camera
         self.color, self.car = picture(rig, camera)
         self.depth_mm = np.full(self.color.shape[:2], 1500, np.uint16)
-        context, spec = replace(part_context(rig, role), camera=camera), detector_of(rig.role(role).perception)
+        context = replace(part_context(rig, role), camera=camera)
+        spec = detector_of(rig.role(role).perception)
         self._detector: Detector = create(spec[0], context) if spec is not None else _Blind()
         self._number = 0
 
@@ -133,7 +139,10 @@ class _Bench:
 
 
 def _stages(bench: _Bench, file: Path) -> Iterator[tuple[str, Stage]]:
-    rig, role, camera, car = bench.rig, bench.role, bench.camera, bench.car
+    rig = bench.rig
+    role = bench.role
+    camera = bench.camera
+    car = bench.car
     if "RealSense" in str(rig.role(role).perception.options.get("camera", "")):
         flat = replace(camera, distortion=(0.0,) * 5)
         registration = DepthRegistration(flat, camera, Pose(np.eye(3), np.array([0.015, 0.0, 0.0])), 1e-3, (0.3, 6.0))
@@ -163,7 +172,8 @@ def _pose_time(rig: Rig, camera: CameraModel, view: Callable[[], PixelView]) -> 
     R_v_c = marker.T_v_m.R @ np.diag((1.0, -1.0, -1.0))  # the marker faces the camera
     x, y, z = (R_v_c @ _DOWN_C).tolist()
     ahead_n = R_N_C @ R_v_c.T @ rig.sender.mount.T_b_v.R[0]  # the nose of the drone that carries the marker
-    yaw_rad, still = math.atan2(ahead_n[1], ahead_n[0]), (0.0, 0.0, 0.0)
+    yaw_rad = math.atan2(ahead_n[1], ahead_n[0])
+    still = (0.0, 0.0, 0.0)
 
     def look() -> MarkerFix | Missed:
         seen = view()
@@ -197,7 +207,8 @@ def _link_time(role: Role) -> Stage:
     """A message of each kind: one that is sent, and one that is heard. Signed."""
     codecs = {each: Codec(each, bytes(KEY_LENGTH)) for each in Role}
     introduce(*codecs.values())
-    own, peer = codecs[role], codecs[Role.RECEIVER if role is Role.SENDER else Role.SENDER]
+    own = codecs[role]
+    peer = codecs[Role.RECEIVER if role is Role.SENDER else Role.SENDER]
     sent, heard = (TARGET, CANDIDATE) if role is Role.SENDER else (CANDIDATE, TARGET)
     packets = [peer.encode(heard) for _ in range(4000)]
 
@@ -223,19 +234,24 @@ def timed(call: Callable[[], object], most: int = 1 << 30) -> Stage:
 
 def picture(rig: Rig, camera: CameraModel) -> tuple[NDArray[np.uint8], Box]:
     """A marker of the rig in the middle of a grainy floor, (h, w, 3) BGR, and an orange car with its box."""
-    height, width = camera.height, camera.width
-    rng, scale = np.random.default_rng(1), height / 480.0
+    height = camera.height
+    width = camera.width
+    rng = np.random.default_rng(1)
+    scale = height / 480.0
     color = cv2.GaussianBlur(rng.integers(70, 150, (height, width, 3), np.uint8), (0, 0), 1.5)
-    marker, side = rig.layout.markers[0], round(MARKER_PX * scale)
+    marker = rig.layout.markers[0]
+    side = round(MARKER_PX * scale)
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, rig.layout.dictionary))
     printed = cv2.aruco.generateImageMarker(dictionary, marker.id, 8 * side)
     border = 8 * (side // 4)
     framed = cv2.copyMakeBorder(printed, border, border, border, border, cv2.BORDER_CONSTANT, value=(255,))
     drawn = cv2.resize(framed, None, fx=1 / 8, fy=1 / 8, interpolation=cv2.INTER_AREA)
-    x, y = round(camera.cx - drawn.shape[1] / 2), round(camera.cy - drawn.shape[0] / 2)
+    x = round(camera.cx - drawn.shape[1] / 2)
+    y = round(camera.cy - drawn.shape[0] / 2)
     color[y : y + drawn.shape[0], x : x + drawn.shape[1]] = (30.0 + 0.65 * drawn)[..., None]
     w, h = (round(side * scale) for side in CAR_PX)
-    x, y = round(0.15 * width), round(0.7 * height)
+    x = round(0.15 * width)
+    y = round(0.7 * height)
     color[y : y + h, x : x + w] = (20, 120, 235)
     seen = cv2.GaussianBlur(color, (0, 0), 0.6) + rng.normal(0.0, 2.0, color.shape)
     return np.clip(seen, 0, 255).astype(np.uint8), Box(x, y, w, h)

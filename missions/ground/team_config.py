@@ -27,7 +27,8 @@ def team_of(rig: Rig, drones: int | None = None, targets: int | None = None) -> 
     config = checked_team(rig)
     if drones is None and targets is None:
         return config
-    wanted, objects = drones or len(config.drones), targets or len(config.targets)
+    wanted = drones or len(config.drones)
+    objects = targets or len(config.targets)
     if wanted < 2:
         raise PartError(f"--drones {wanted}: a team takes two at least", "give 2 or more")
     if objects > wanted:
@@ -152,7 +153,8 @@ def _heights(config: TeamConfig, mission: MissionConfig) -> Found:
 def laid_out(config: TeamConfig, drones: int, targets: int) -> TeamConfig:
     """A field of so many, built like those of the rig: targets on a square grid, the homes of each south of it."""
     across = math.ceil(math.sqrt(targets))
-    step_m, middle = config.spacing_m, (across - 1) / 2.0
+    step_m = config.spacing_m
+    middle = (across - 1) / 2.0
     places = [((k % across - middle) * step_m, (k // across - middle) * step_m) for k in range(targets)]
     named = tuple(NamedTarget(f"T{k + 1}", place, 0.0) for k, place in enumerate(places))
     made: list[NamedDrone] = []

@@ -109,7 +109,8 @@ def _of_area(area: Region | None, windows: Sequence[Region], seen: Sequence[Keyp
 
 def inside(keypoints: Keypoints, area: Region) -> Keypoints:
     """Returns the keypoints within an area."""
-    u, v = keypoints.points_px[:, 0], keypoints.points_px[:, 1]
+    u = keypoints.points_px[:, 0]
+    v = keypoints.points_px[:, 1]
     return keypoints.pick((u >= area.x0) & (u < area.x1) & (v >= area.y0) & (v < area.y1))
 
 
@@ -163,7 +164,8 @@ def _grown(box: Box, context: float) -> Region:
 
 def _in_window(features: Features, image: Image, window: Region, zoom: float) -> Keypoints:
     """Features of an enlarged window, in pixels of the image."""
-    u0, v0 = int(window.x0), int(window.y0)
+    u0 = int(window.x0)
+    v0 = int(window.y0)
     cut = image[v0 : int(np.ceil(window.y1)), u0 : int(np.ceil(window.x1))]
     if features.side_px is not None:  # what is larger than it takes is enlarged less
         zoom = min(zoom, features.side_px / max(cut.shape[:2]))

@@ -15,7 +15,8 @@ Model = Literal["similarity", "affine", "homography", "epipolar"]
 Pairs = NDArray[np.int64]
 
 MIN_PAIRS: dict[Model, int] = {"similarity": 2, "affine": 3, "homography": 4, "epipolar": 8}
-CONFIDENCE, ITERATIONS = 0.995, 1000
+CONFIDENCE = 0.995
+ITERATIONS = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +58,8 @@ class Nearest:
 def nearest(a: Keypoints, b: Keypoints, distance: Distance) -> Nearest:
     """The part of matching that does not depend on thresholds."""
     if len(a) == 0 or len(b) == 0:
-        none, nothing = np.zeros(0, np.int64), np.zeros(0, np.float32)
+        none = np.zeros(0, np.int64)
+        nothing = np.zeros(0, np.float32)
         return Nearest(none, none, np.zeros(0, np.bool_), nothing, nothing)
     if distance == "cosine":
         apart = np.sqrt(np.maximum(0.0, 2.0 - 2.0 * (a.descriptors @ b.descriptors.T)))
@@ -86,7 +88,8 @@ def accepted(found: Nearest, distance: Distance, config: MatchConfig) -> Pairs:
 
 def hamming(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """Number of bits that differ, (n, m), of (n, bytes) and (m, bytes)."""
-    words_a, words_b = a.view(np.uint64), b.view(np.uint64)
+    words_a = a.view(np.uint64)
+    words_b = b.view(np.uint64)
     total = np.zeros((len(a), len(b)), np.uint16)
     for word in range(words_a.shape[1]):
         total += np.bitwise_count(words_a[:, word, None] ^ words_b[None, :, word])

@@ -54,7 +54,8 @@ def associate(weights: Array) -> tuple[list[int | None], Array]:
 def _groups(weights: Array) -> list[tuple[list[int], list[int]]]:
     """Return rows and columns that weights connect; of a group that is too large the weakest connections are cut."""
     floor = _NEGLIGIBLE
-    left, found = [list(range(weights.shape[0]))], list[tuple[list[int], list[int]]]()
+    left = [list(range(weights.shape[0]))]
+    found = list[tuple[list[int], list[int]]]()
     while left:
         rows = left.pop()
         for group, columns in _connected(weights, rows, floor):
@@ -67,9 +68,12 @@ def _groups(weights: Array) -> list[tuple[list[int], list[int]]]:
 
 
 def _connected(weights: Array, rows: Sequence[int], floor: float) -> list[tuple[list[int], list[int]]]:
-    open_rows, groups = set(rows), list[tuple[list[int], list[int]]]()
+    open_rows = set(rows)
+    groups = list[tuple[list[int], list[int]]]()
     while open_rows:
-        group, columns, edge = set[int](), set[int](), {min(open_rows)}
+        group = set[int]()
+        columns = set[int]()
+        edge = {min(open_rows)}
         while edge:
             group |= edge
             columns |= {int(c) for row in edge for c in np.flatnonzero(weights[row] > floor)}
@@ -83,11 +87,14 @@ def _connected(weights: Array, rows: Sequence[int], floor: float) -> list[tuple[
 def _within(weights: Array) -> tuple[list[int | None], Array]:
     """The same of one group, over all subsets of its measurements."""
     rows = weights.tolist()
-    many, subsets = weights.shape[1], 1 << weights.shape[1]
-    totals, bests = [[1.0] + [0.0] * (subsets - 1)], [[1.0] + [0.0] * (subsets - 1)]
+    many = weights.shape[1]
+    subsets = 1 << weights.shape[1]
+    totals = [[1.0] + [0.0] * (subsets - 1)]
+    bests = [[1.0] + [0.0] * (subsets - 1)]
     choices: list[list[int | None]] = []
     for row in rows:
-        total, best = totals[-1].copy(), bests[-1].copy()
+        total = totals[-1].copy()
+        best = bests[-1].copy()
         choice: list[int | None] = [None] * subsets
         for used in range(subsets):
             for column in range(many):
@@ -115,7 +122,8 @@ def _marginals(rows: Sequence[Sequence[float]], totals: Sequence[Sequence[float]
     marginals = np.zeros((len(rows), many))
     after = [1.0] * subsets  # weight of what the later objects may take when these are used already
     for k in reversed(range(len(rows))):
-        row, earlier = rows[k], after.copy()
+        row = rows[k]
+        earlier = after.copy()
         for used in range(subsets):
             for column in range(many):
                 if not used >> column & 1:

@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 MANOEUVRE_S = 0.5
-ODD, ODD_TIMES = 0.05, 5.0
+ODD = 0.05
+ODD_TIMES = 5.0
 _EYE = np.eye(3)
 
 
@@ -71,18 +72,22 @@ class Motion:
             return
         density = accel_mps2**2 * MANOEUVRE_S
         P = self.covariance
-        pp, pv, vv = P[:3, :3], P[:3, 3:], P[3:, 3:]
+        pp = P[:3, :3]
+        pv = P[:3, 3:]
+        vv = P[3:, 3:]
         grown = np.empty((6, 6))
         grown[:3, :3] = pp + t * (pv + pv.T) + t * t * vv + density * t**3 / 3.0 * _EYE
         grown[:3, 3:] = pv + t * vv + density * t * t / 2.0 * _EYE
         grown[3:, :3] = grown[:3, 3:].T
         grown[3:, 3:] = vv + density * t * _EYE
         self.mean[:3] += t * self.mean[3:]
-        self.covariance, self.stamp_ns = grown, stamp_ns
+        self.covariance = grown
+        self.stamp_ns = stamp_ns
 
     def update(self, place_m: Array, noise_m2: Array) -> None:
         """Fuse a measured place, shape (3,), with its covariance (3, 3)."""
-        innovation, known = place_m - self.mean[:3], self.covariance[:3, :3]
+        innovation = place_m - self.mean[:3]
+        known = self.covariance[:3, :3]
         plain = (1.0 - ODD) * normal(innovation, known + noise_m2)
         odd = ODD * normal(innovation, known + ODD_TIMES**2 * noise_m2)
         share = odd / (plain + odd) if plain + odd > 0.0 else 1.0

@@ -186,8 +186,10 @@ class Belief:
             track.size_variance = 1.0
             other = self._begin(measured, stamp_ns)
             other.motion.covariance[:3, :3] = track.motion.place_covariance_m2
-            other.size_variance, other.log_odds = 1.0, _LOG_ODDS_CONFIRMED
-        track.log_odds, track.identity = _LOG_ODDS_CONFIRMED, 1.0
+            other.size_variance = 1.0
+            other.log_odds = _LOG_ODDS_CONFIRMED
+        track.log_odds = _LOG_ODDS_CONFIRMED
+        track.identity = 1.0
         self._stamp_ns = stamp_ns
 
     def update(self, measured: Sequence[Measured], sees: Callable[[Array], bool], stamp_ns: int) -> None:
@@ -287,7 +289,8 @@ class Belief:
             likely = track.existence * again
             unshown = 1.0 - (likely if sees(track.motion.place_m) and holders[i] is None else 0.5 * likely)
             for j, each in enumerate(measured):
-                off_m, known_m2 = each.place_m - track.motion.place_m, track.motion.place_covariance_m2
+                off_m = each.place_m - track.motion.place_m
+                known_m2 = track.motion.place_covariance_m2
                 anywhere_m2 = known_m2 + fits[i][j].within_m2
                 if mahalanobis2(off_m, anywhere_m2 + each.covariance_m2) > GATE2:
                     continue
@@ -317,8 +320,10 @@ class Belief:
         for k, column in enumerate(assigned):
             if column is None:
                 continue
-            follower, each = self.tracks[k], measured[column]
-            known_m2, fit = follower.motion.place_covariance_m2, fits[k][column]
+            follower = self.tracks[k]
+            each = measured[column]
+            known_m2 = follower.motion.place_covariance_m2
+            fit = fits[k][column]
             new = renewal(known_m2, fit.noise_m2, each.place_m - follower.motion.place_m)
             of_known = float(marginals[:, column].sum() + marginals[k].sum() - marginals[k, column])
             newcomers = min(1.0, each.newcomers_m3_s * dt_s / each.elsewhere_m3)
@@ -342,7 +347,8 @@ class Belief:
     def _shown(self, track: ObjectTrack, measured: Measured, fit: _Fit, stamp_ns: int, dt_s: float) -> None:
         track.motion.update(measured.place_m, fit.noise_m2)
         track.replaced *= (1.0 - SHOWN) ** (dt_s / SPELL_S)
-        track.shown, track.seen_ns = not fit.larger, stamp_ns
+        track.shown = not fit.larger
+        track.seen_ns = stamp_ns
         if not track.confirmed:
             track.log_odds += dt_s / SPELL_S
         off = np.log(measured.sides_m) - track.log_sides

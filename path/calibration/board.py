@@ -157,7 +157,8 @@ def find_corners(grey: Image, board: Board) -> FoundCorners | None:
         corners, ids, _, _ = _charuco_detector(board).detectBoard(grey)
         if ids is None or corners is None:  # pyright: ignore[reportUnnecessaryComparison]
             return None
-    ids, points = np.asarray(ids, np.int64).ravel(), np.asarray(corners, np.float64).reshape(-1, 2)
+    ids = np.asarray(ids, np.int64).ravel()
+    points = np.asarray(corners, np.float64).reshape(-1, 2)
     if len(ids) < FEWEST_CORNERS or not _spans_a_plane(ids, board):
         return None
     share = 0.5
@@ -184,7 +185,8 @@ def other_size(grey: Image) -> tuple[int, int] | None:
     steps = np.linalg.norm(ways, axis=2)
     sound = np.isfinite(steps).all(axis=1) & (steps > 1.0).all(axis=1)
     sound[sound] &= ((points[sound] >= 0.0) & (points[sound] <= np.array(grey.shape[::-1]) - 1.0)).all(axis=1)
-    edges, clear_px = ways[sound] / steps[sound][:, :, None], CLEAR * 0.5 * steps[sound].min(axis=1)
+    edges = ways[sound] / steps[sound][:, :, None]
+    clear_px = CLEAR * 0.5 * steps[sound].min(axis=1)
     sound[sound] &= refine_saddles(grey, points[sound], edges, clear_px).good
     rows, columns = _within_print(sound.reshape(grid.shape[:2])).shape
     return columns + 1, rows + 1
@@ -245,7 +247,8 @@ def _charuco_detector(board: Board) -> cv2.aruco.CharucoDetector:
 
 
 def _spans_a_plane(ids: NDArray[np.int64], board: Board) -> bool:
-    columns, rows = ids % (board.columns - 1), ids // (board.columns - 1)
+    columns = ids % (board.columns - 1)
+    rows = ids // (board.columns - 1)
     return len(np.unique(columns)) >= 2 and len(np.unique(rows)) >= 2
 
 
@@ -269,7 +272,8 @@ def _pitch_px(points: Array, ids: NDArray[np.int64], board: Board) -> Array:
     """Distance to the nearest neighbour on the grid, per corner; the smallest one of all where it has none."""
     width = board.columns - 1
     grid = np.full((board.rows + 1, board.columns + 1, 2), np.nan)
-    rows, columns = ids // width + 1, ids % width + 1
+    rows = ids // width + 1
+    columns = ids % width + 1
     grid[rows, columns] = points
     steps = [np.linalg.norm(grid[rows + dr, columns + dc] - points, axis=1)
              for dr, dc in ((0, 1), (0, -1), (1, 0), (-1, 0))]  # fmt: skip

@@ -18,11 +18,15 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 CURL_SIGMA = 0.005  # of a, b and c that is expected: 0.5 mm from the middle to the ends of 200 mm
-CAMERA, POSE, CURL = 9, 6, 3  # unknowns
+# unknowns
+CAMERA = 9
+POSE = 6
+CURL = 3
 MOST_STEPS = 20
 NOISES = 2  # times that the corners' noise is estimated
 SETTLED = 1e-10  # relative change of the cost
-DAMPING, STRONGEST = 1e-6, 1e6
+DAMPING = 1e-6
+STRONGEST = 1e6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +123,9 @@ def _settled(
         gain = _cost(state, sums, noise) - _cost(moved, after, noise)
         if gain >= 0.0:
             settled = gain <= SETTLED * sums.cost
-            state, sums, damping = moved, after, max(0.1 * damping, DAMPING)
+            state = moved
+            sums = after
+            damping = max(0.1 * damping, DAMPING)
             if settled:
                 break
         else:
@@ -139,7 +145,8 @@ def _sums(views: Sequence[BundleView], size_m: tuple[float, float], state: _Stat
     fx, fy, cx, cy, *lens = state.camera
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     h = 0.5 * max(size_m)
-    common, gradient = np.zeros((CAMERA + CURL, CAMERA + CURL)), np.zeros(CAMERA + CURL)
+    common = np.zeros((CAMERA + CURL, CAMERA + CURL))
+    gradient = np.zeros(CAMERA + CURL)
     own: list[Array] = []
     coupled: list[Array] = []
     pulls: list[Array] = []
@@ -170,7 +177,8 @@ def _cost(state: _State, sums: _Sums, noise: float) -> float:
 
 def _reduced(sums: _Sums, noise: float, damping: float) -> tuple[Array, Array]:
     """Normal equations of the common unknowns alone, the poses eliminated."""
-    matrix, gradient = sums.common.copy(), sums.gradient.copy()
+    matrix = sums.common.copy()
+    gradient = sums.gradient.copy()
     matrix[CAMERA:, CAMERA:] += noise / CURL_SIGMA**2 * np.eye(CURL)
     for own, coupled, pull in zip(sums.own, sums.coupled, sums.pulls, strict=True):
         gain = np.linalg.solve(own + damping * np.diag(np.diag(own)), np.column_stack([coupled.T, pull]))

@@ -17,9 +17,12 @@ from path.calibration.board import Board, BoardView
 from path.camera.thinning import Thinning
 
 ENDS = 0.22  # of an edge's length that is left out at each end: corners look otherwise
-REACH_PX, FLAT_PX = 3.4, 1.9  # from an edge: how far its pixels count; and from where on they show noise alone
+# from an edge: how far its pixels count; and from where on they show noise alone
+REACH_PX = 3.4
+FLAT_PX = 1.9
 BIN_PX = 0.125
-LEAST_PIXELS, LEAST_CONTRAST = 20, 25.0
+LEAST_PIXELS = 20
+LEAST_CONTRAST = 25.0
 PLACES = np.arange(-REACH_PX + 0.5 * BIN_PX, REACH_PX, BIN_PX)
 """Distances from an edge at which it is measured, px: the middles of bins."""
 
@@ -59,17 +62,23 @@ def see_edge(grey: NDArray[np.uint8], ends_px: Array, thinning: Thinning | None 
         return None
     v, u = np.mgrid[low[1] : high[1] + 1, low[0] : high[0] + 1]
     at_u, at_v = (u, v) if thinning is None else (thinning.places(u, 0), thinning.places(v, 1))
-    du, dv = at_u - start[0], at_v - start[1]
-    along, across = (du * way[0] + dv * way[1]) / length**2, (dv * way[0] - du * way[1]) / length
+    du = at_u - start[0]
+    dv = at_v - start[1]
+    along = (du * way[0] + dv * way[1]) / length**2
+    across = (dv * way[0] - du * way[1]) / length
     near = (along > ENDS) & (along < 1.0 - ENDS) & (np.abs(across) < REACH_PX)
-    across, along, levels = across[near], along[near], grey[v[near], u[near]].astype(float)
+    across = across[near]
+    along = along[near]
+    levels = grey[v[near], u[near]].astype(float)
     normal = np.array([-way[1], way[0]]) / length
-    left, right = levels[across < -FLAT_PX], levels[across > FLAT_PX]
+    left = levels[across < -FLAT_PX]
+    right = levels[across > FLAT_PX]
     if min(len(left), len(right)) < LEAST_PIXELS:
         return None
     if np.median(left) > np.median(right):
         across, normal, left, right = -across, -normal, right, left
-    black, white = float(np.median(left)), float(np.median(right))
+    black = float(np.median(left))
+    white = float(np.median(right))
     if white - black < LEAST_CONTRAST:
         return None
     across = across - _offset(across, (levels - black) / (white - black))

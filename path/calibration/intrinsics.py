@@ -108,7 +108,8 @@ def solve_intrinsics(
     Raises:
         NotSolvable: OpenCV finds no camera.
     """
-    ids, corners = [view.ids for view in views], [view.corners_px for view in views]
+    ids = [view.ids for view in views]
+    corners = [view.corners_px for view in views]
     fixed = _fixed(radial)
     matrix, lens = _solve(ids, corners, board, size, fixed)
     errors = [_refit(matrix, lens, board.corners_o[i], c)[1] for i, c in zip(ids, corners, strict=True)]
@@ -242,7 +243,8 @@ def _solve(
         _, matrix, lens, _, _ = cv2.calibrateCamera(points, images, size, matrix, lens, flags=flags, criteria=PRECISE)
     except cv2.error as error:
         raise NotSolvable(str(error).strip()) from error
-    matrix, lens = np.asarray(matrix, np.float64), np.asarray(lens, np.float64).ravel()[:5]
+    matrix = np.asarray(matrix, np.float64)
+    lens = np.asarray(lens, np.float64).ravel()[:5]
     if not (np.isfinite(matrix).all() and np.isfinite(lens).all() and min(matrix[0, 0], matrix[1, 1]) > 0.0):
         raise NotSolvable("the solution is not finite")
     return matrix, lens

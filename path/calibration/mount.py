@@ -25,7 +25,9 @@ from path.observations import MarkerDetection
 
 Array = NDArray[np.float64]
 
-GLOBAL, OWN = 7, 12  # T_v_c1 and the scale of the print; two poses of the board
+# T_v_c1 and the scale of the print; two poses of the board
+GLOBAL = 7
+OWN = 12
 ITERATIONS = 12
 STEP = 1e-6
 CONVERGED = 1e-9
@@ -159,7 +161,8 @@ def _first(
     """Returns, of both planar poses of every marker, the one that fits all pairs best."""
     matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
     lens = np.array(camera.distortion)
-    best, least = Pose(np.eye(3), np.zeros(3)), math.inf
+    best = Pose(np.eye(3), np.zeros(3))
+    least = math.inf
     for pair, (T_c1_o, T_c3_o) in zip(pairs, boards, strict=True):
         for found in pair.markers_3:
             printed = layout.marker(found.marker_id)
@@ -178,7 +181,8 @@ def _first(
                 ]
                 misfit = float(np.median(left))
                 if misfit < least:
-                    best, least = T_v_c1, misfit
+                    best = T_v_c1
+                    least = misfit
     return best
 
 
@@ -204,14 +208,16 @@ def _reduced(
         def residual(
             step: Array, one: Pose = T_c1_o, three: Pose = T_c3_o, terms_: _Terms = (board_1, board_3, marker)
         ) -> Array:
-            a, b = stepped(one, step[GLOBAL : GLOBAL + 6]), stepped(three, step[GLOBAL + 6 :])
+            a = stepped(one, step[GLOBAL : GLOBAL + 6])
+            b = stepped(three, step[GLOBAL + 6 :])
             seen = terms_[2](stepped(state.T_v_c1, step[:6]), a, b, state.scale + float(step[6]))
             return np.concatenate((terms_[0](a), terms_[1](b), seen))
 
         left = residual(np.zeros(GLOBAL + OWN))
         steps = STEP * np.eye(GLOBAL + OWN)
         J = np.stack([(residual(s) - residual(-s)) / (2.0 * STEP) for s in steps], axis=1)
-        H, g = J.T @ J, -J.T @ left
+        H = J.T @ J
+        g = -J.T @ left
         back = _solved(H[GLOBAL:, GLOBAL:], np.column_stack((H[GLOBAL:, :GLOBAL], g[GLOBAL:])))
         reduced.append((H[:GLOBAL, :GLOBAL] - H[:GLOBAL, GLOBAL:] @ back[:, :-1],
                         g[:GLOBAL] - H[:GLOBAL, GLOBAL:] @ back[:, -1]))  # fmt: skip

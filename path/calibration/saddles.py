@@ -56,15 +56,19 @@ def refine_saddles(
     middle = np.round(corners_px).astype(np.int64)
     offsets = np.arange(-reach, reach + 1)
     du, dv = (o.ravel() for o in np.meshgrid(offsets, offsets))
-    columns, rows = middle[:, :1] + du, middle[:, 1:] + dv
+    columns = middle[:, :1] + du
+    rows = middle[:, 1:] + dv
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     levels = grey[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)].astype(np.float64)
     distance = np.hypot(columns - corners_px[:, :1], rows - corners_px[:, 1:])
     weights = np.clip(radius[:, None] + 0.5 - distance, 0.0, 1.0) * inside
     whole = ((middle >= reach) & (middle < np.array([width, height]) - reach)).all(axis=1)
     if thinning is not None:
-        columns, rows, corners_px = thinning.places(columns, 0), thinning.places(rows, 1), thinning.even(corners_px)
-    columns, rows = columns.astype(np.float64), rows.astype(np.float64)
+        columns = thinning.places(columns, 0)
+        rows = thinning.places(rows, 1)
+        corners_px = thinning.even(corners_px)
+    columns = columns.astype(np.float64)
+    rows = rows.astype(np.float64)
     state = _start(levels, weights, corners_px, edges, columns, rows)
     for _ in range(ITERATIONS):
         state = _stepped(state, levels, weights, columns, rows)
@@ -79,7 +83,8 @@ def _start(levels: Array, weights: Array, corners: Array, edges: Array, columns:
     state[:, 6], state[:, 7] = 0.0, 1.0
     shape, _ = _model(state, columns, rows)
     total = weights.sum(axis=1)
-    mean_level, mean_shape = (weights * levels).sum(axis=1) / total, (weights * shape).sum(axis=1) / total
+    mean_level = (weights * levels).sum(axis=1) / total
+    mean_shape = (weights * shape).sum(axis=1) / total
     centred = shape - mean_shape[:, None]
     spread = (weights * centred * centred).sum(axis=1)
     state[:, 7] = (weights * centred * levels).sum(axis=1) / np.maximum(spread, 1e-9)
@@ -89,12 +94,15 @@ def _start(levels: Array, weights: Array, corners: Array, edges: Array, columns:
 
 def _model(state: Array, columns: Array, rows: Array) -> tuple[Array, Array]:
     """The image (n, p), and its derivatives by the unknowns (n, p, 8)."""
-    x, y = columns - state[:, :1], rows - state[:, 1:2]
-    mean, contrast = state[:, 6:7], state[:, 7:8]
+    x = columns - state[:, :1]
+    y = rows - state[:, 1:2]
+    mean = state[:, 6:7]
+    contrast = state[:, 7:8]
     jacobian = np.empty((*x.shape, UNKNOWNS))
     steps: list[tuple[Array, Array, Array, Array, Array]] = []
     for k in (0, 1):
-        cos, sin = np.cos(state[:, 2 + k : 3 + k]), np.sin(state[:, 2 + k : 3 + k])
+        cos = np.cos(state[:, 2 + k : 3 + k])
+        sin = np.sin(state[:, 2 + k : 3 + k])
         blur = state[:, 4 + k : 5 + k]
         s = (cos * x + sin * y) / blur
         slope = np.sqrt(2.0 / np.pi) * np.exp(-0.5 * s * s) / blur

@@ -15,7 +15,9 @@ from path.calibration.board import Board, BoardView, find_board
 from path.calibration.edges import PLACES, SeenEdge, edges_between, mean_edge
 from path.camera.thinning import Thinning
 
-MOST_KEPT, MOST_OF = 5, 3  # a period of the image; times as many of the sensor
+# a period of the image; times as many of the sensor
+MOST_KEPT = 5
+MOST_OF = 3
 STEEP_PX = 1.3  # from an edge: where the light tells a pixel's place
 LEAST_OFF_PX = 0.04  # rms of the places of an image that is thinned out
 MOST_LEFT = 0.5  # of what the pixels are off, share that a thinning may leave unexplained
@@ -68,10 +70,13 @@ def pixel_offsets(edges: Sequence[SeenEdge], edge: Array, period: int) -> Array 
     if np.count_nonzero(there) < 2:
         return None  # too few pixels for a mean edge
     slope = np.gradient(edge[there], PLACES[there])
-    normal, pulls, count = np.zeros((2 * period, 2 * period)), np.zeros(2 * period), 0
+    normal = np.zeros((2 * period, 2 * period))
+    pulls = np.zeros(2 * period)
+    count = 0
     for one in edges:
         near = np.abs(one.across_px) < STEEP_PX
-        across, pixels = one.across_px[near], one.pixels[near]
+        across = one.across_px[near]
+        pixels = one.pixels[near]
         steep = np.interp(across, PLACES[there], slope)
         left = (one.levels[near] - one.black) / (one.white - one.black) - np.interp(across, PLACES[there], edge[there])
         design = np.zeros((len(across), 2 * period))

@@ -42,11 +42,17 @@ def place(lens: Array, axis: int, pixel: int) -> float:
 @kernel
 def ray(lens: Array, u: float, v: float) -> tuple[float, float]:
     """Undistorted normalised coordinates of a pixel, by Newton's method to 1e-12; NaN where there are none."""
-    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
-    xd, yd = (u - lens[2]) / lens[0], (v - lens[3]) / lens[1]
+    k1 = lens[4]
+    k2 = lens[5]
+    p1 = lens[6]
+    p2 = lens[7]
+    k3 = lens[8]
+    xd = (u - lens[2]) / lens[0]
+    yd = (v - lens[3]) / lens[1]
     if k1 == 0.0 and k2 == 0.0 and p1 == 0.0 and p2 == 0.0 and k3 == 0.0:
         return xd, yd
-    x, y = xd, yd
+    x = xd
+    y = yd
     for _ in range(UNDISTORT_ITERATIONS):
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -60,7 +66,8 @@ def ray(lens: Array, u: float, v: float) -> tuple[float, float]:
         determinant = xx * yy - xy * xy
         if determinant == 0.0:
             break
-        dx, dy = (yy * gx - xy * gy) / determinant, (xx * gy - xy * gx) / determinant
+        dx = (yy * gx - xy * gy) / determinant
+        dy = (xx * gy - xy * gx) / determinant
         x -= dx
         y -= dy
         if abs(dx) + abs(dy) < UNDISTORT_STEP:
@@ -71,7 +78,8 @@ def ray(lens: Array, u: float, v: float) -> tuple[float, float]:
 @inner
 def project(lens: Array, x: float, y: float, z: float) -> tuple[float, float]:
     """Pixel of a point in the camera frame with z > 0."""
-    x, y = x / z, y / z
+    x = x / z
+    y = y / z
     r2 = x * x + y * y
     radial = 1.0 + r2 * (lens[4] + r2 * (lens[5] + r2 * lens[8]))
     xy2 = 2.0 * x * y
@@ -89,10 +97,16 @@ def extent(lens: Array, points_c: Array, nearest_m: float) -> tuple[float, float
     u0 = v0 = near = np.inf
     u1 = v1 = -np.inf
     for k in range(points_c.shape[0]):
-        x, y, z = points_c[k, 0], points_c[k, 1], points_c[k, 2]
+        x = points_c[k, 0]
+        y = points_c[k, 1]
+        z = points_c[k, 2]
         if not z > nearest_m or x * x + y * y > (lens[11] * z) * (lens[11] * z):
             continue
         u, v = project(lens, x, y, z)
         if -0.5 <= u < lens[9] - 0.5 and -0.5 <= v < lens[10] - 0.5:
-            u0, v0, u1, v1, near = min(u0, u), min(v0, v), max(u1, u), max(v1, v), min(near, z)
+            u0 = min(u0, u)
+            v0 = min(v0, v)
+            u1 = max(u1, u)
+            v1 = max(v1, v)
+            near = min(near, z)
     return u0, v0, u1, v1, near

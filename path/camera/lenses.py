@@ -40,7 +40,9 @@ COEFFICIENTS: dict[LensKind, int] = {
 
 MOST_PX = 0.25  # that a lens may be off where it is at its worst: 0.3 mm at 1 m and 800 px
 GRID = (41, 31)  # pixels that are compared
-STEPS, STEP = 60, 1e-12  # of Newton's method
+# of Newton's method
+STEPS = 60
+STEP = 1e-12
 NUDGE = 1e-6  # of a derivative
 TURNS = 16  # of the fit
 WIDEST = 8.0  # a ray 83 degrees off the axis
@@ -96,12 +98,14 @@ class Lens:
         """Return B of points (n, 2), or what stands for it."""
         if self.kind == "equidistant":
             return self._bent_to_angle(points)
-        x, y = points[:, 0], points[:, 1]
+        x = points[:, 0]
+        y = points[:, 1]
         k1, k2, p1, p2, k3 = self.coefficients[:5]
         if self.kind == "modified_brown_conrady":
             r2 = x * x + y * y
             radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            x, y = x * radial, y * radial
+            x = x * radial
+            y = y * radial
             across = x + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
             down = y + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y)
             return np.stack((across, down), axis=1)
@@ -202,11 +206,13 @@ def _fitted(lens: Lens, rays: Array, pixels: Array) -> Array:
 def _derivatives(values: Array, rays: Array) -> Array:
     """Return d(u, v) over fx fy cx cy k1 k2 p1 p2 k3, (n, 2, 9)."""
     fx, fy = values[:2]
-    x, y = rays[:, 0], rays[:, 1]
+    x = rays[:, 0]
+    y = rays[:, 1]
     r2 = x * x + y * y
     k1, k2, p1, p2, k3 = values[4:]
     xd, yd = distort(x, y, (k1, k2, p1, p2, k3))
-    none, one = np.zeros_like(x), np.ones_like(x)
+    none = np.zeros_like(x)
+    one = np.ones_like(x)
     xy2 = 2.0 * x * y
     across = (xd, none, one, none, fx * x * r2, fx * x * r2**2, fx * xy2, fx * (r2 + 2.0 * x * x), fx * x * r2**3)
     down = (none, yd, none, one, fy * y * r2, fy * y * r2**2, fy * (r2 + 2.0 * y * y), fy * xy2, fy * y * r2**3)

@@ -115,7 +115,8 @@ class CameraModel:
     def _check_invertible(self) -> None:
         if not any(self.distortion):
             return
-        right, bottom = self.width - 1.0, self.height - 1.0
+        right = self.width - 1.0
+        bottom = self.height - 1.0
         border = [
             pixel
             for s in BORDER_SAMPLES
@@ -167,7 +168,8 @@ class CameraModel:
     def jacobian(self, points_c: Array) -> Array:
         """d(u, v)/d(X, Y, Z) in px/m, shape (n, 2, 3), at points (n, 3) with z > 0; NaN otherwise."""
         inverse_z = 1.0 / np.where(points_c[:, 2] > 0.0, points_c[:, 2], np.nan)
-        x, y = points_c[:, 0] * inverse_z, points_c[:, 1] * inverse_z
+        x = points_c[:, 0] * inverse_z
+        y = points_c[:, 1] * inverse_z
         xx, xy, yy = distort_jacobian(x, y, self.distortion)
         u_row = np.stack((xx, xy, -(x * xx + y * xy)), axis=1) * (self.fx * inverse_z)[:, None]
         v_row = np.stack((xy, yy, -(x * xy + y * yy)), axis=1) * (self.fy * inverse_z)[:, None]
@@ -180,10 +182,12 @@ class CameraModel:
 
     def rays(self, pixels: Array) -> Array:
         """Undistorted normalised coordinates, shape (n, 2), of pixels (n, 2); as ``ray``, NaN rows included."""
-        xd, yd = (pixels[:, 0] - self.cx) / self.fx, (pixels[:, 1] - self.cy) / self.fy
+        xd = (pixels[:, 0] - self.cx) / self.fx
+        yd = (pixels[:, 1] - self.cy) / self.fy
         if not any(self.distortion):
             return np.stack((xd, yd), axis=1)
-        x, y = xd.copy(), yd.copy()
+        x = xd.copy()
+        y = yd.copy()
         step = np.full_like(x, np.inf)
         with np.errstate(all="ignore"):
             for _ in range(UNDISTORT_ITERATIONS):
@@ -192,7 +196,9 @@ class CameraModel:
                 determinant = xx * yy - xy * xy
                 dx = (yy * (gx - xd) - xy * (gy - yd)) / determinant
                 dy = (xx * (gy - yd) - xy * (gx - xd)) / determinant
-                x, y, step = x - dx, y - dy, np.abs(dx) + np.abs(dy)
+                x = x - dx
+                y = y - dy
+                step = np.abs(dx) + np.abs(dy)
                 if not np.any(step >= UNDISTORT_STEP):
                     break
             bad = ~(step < UNDISTORT_STEP) | (np.hypot(x, y) > self.max_radius)

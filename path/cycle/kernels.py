@@ -59,28 +59,48 @@ def projected(
     u, v = project(lens, x, y, z)
     if not (-0.5 <= u < lens[9] - 0.5 and -0.5 <= v < lens[10] - 0.5):
         return math.nan, math.nan, z, nothing, math.nan, math.nan
-    nx, ny = x / z, y / z
+    nx = x / z
+    ny = y / z
     xx, xy, yy = distort_jacobian(nx, ny, (lens[4], lens[5], lens[6], lens[7], lens[8]))
-    fx, fy = lens[0] / z, lens[1] / z
-    a, b, c = fx * xx, fx * xy, -fx * (nx * xx + ny * xy)
-    d, e, f = fy * xy, fy * yy, -fy * (nx * xy + ny * yy)
-    tx, ty, tz = T_c_v[9], T_c_v[10], T_c_v[11]
+    fx = lens[0] / z
+    fy = lens[1] / z
+    a = fx * xx
+    b = fx * xy
+    c = -fx * (nx * xx + ny * xy)
+    d = fy * xy
+    e = fy * yy
+    f = -fy * (nx * xy + ny * yy)
+    tx = T_c_v[9]
+    ty = T_c_v[10]
+    tz = T_c_v[11]
     # the rotation turns the point about the marker's origin: dX = dt + dw x q with q = R p_v
-    x, y, z0 = x - tx, y - ty, z - tz
+    x = x - tx
+    y = y - ty
+    z0 = z - tz
     along_u = a, b, c, c * y - b * z0, a * z0 - c * x, b * x - a * y
     along_v = d, e, f, f * y - e * z0, d * z0 - f * x, e * x - d * y
     depth = 0.0, 0.0, 1.0, y, -x, 0.0
-    point, along, pixel, du, dv = sigma_m * sigma_m, 0.0, sigma_px * sigma_px, 0.0, 0.0
+    point = sigma_m * sigma_m
+    along = 0.0
+    pixel = sigma_px * sigma_px
+    du = 0.0
+    dv = 0.0
     if across_m >= 0.0:
         ahead = transform(T_c_v, way_v)
-        rx, ry, rz = ahead[0] - tx, ahead[1] - ty, ahead[2] - tz
-        du, dv = a * rx + b * ry + c * rz, d * rx + e * ry + f * rz
-        along, point = point - across_m * across_m, across_m * across_m
+        rx = ahead[0] - tx
+        ry = ahead[1] - ty
+        rz = ahead[2] - tz
+        du = a * rx + b * ry + c * rz
+        dv = d * rx + e * ry + f * rz
+        along = point - across_m * across_m
+        point = across_m * across_m
     uu = _product(along_u, covariance, along_u) + point * (a * a + b * b + c * c) + along * du * du + pixel
     uv = _product(along_u, covariance, along_v) + point * (a * d + b * e + c * f) + along * du * dv
     vv = _product(along_v, covariance, along_v) + point * (d * d + e * e + f * f) + along * dv * dv + pixel
     # D2's position is -R^T t, in D2's own axes it moves by -(dt - dw x t)
-    own_x, own_y, own_z = (1.0, 0.0, 0.0, 0.0, -tz, ty), (0.0, 1.0, 0.0, tz, 0.0, -tx), (0.0, 0.0, 1.0, -ty, tx, 0.0)
+    own_x = (1.0, 0.0, 0.0, 0.0, -tz, ty)
+    own_y = (0.0, 1.0, 0.0, tz, 0.0, -tx)
+    own_z = (0.0, 0.0, 1.0, -ty, tx, 0.0)
     position = _product(own_x, covariance, own_x) + _product(own_y, covariance, own_y)
     position = math.sqrt(max(0.0, position + _product(own_z, covariance, own_z)) / 3.0)
     return u, v, z, (uu, uv, vv), position, math.sqrt(max(0.0, _product(depth, covariance, depth)))

@@ -54,7 +54,8 @@ class Prior(NamedTuple):
     def distance2(self, u: float, v: float) -> float:
         """Squared Mahalanobis distance of a pixel from the prior."""
         uu, uv, vv = self.covariance_px2
-        du, dv = u - self.pixel[0], v - self.pixel[1]
+        du = u - self.pixel[0]
+        dv = v - self.pixel[1]
         return (vv * du * du - 2.0 * uv * du * dv + uu * dv * dv) / (uu * vv - uv * uv)
 
 
@@ -98,9 +99,11 @@ def predict(
         be a hint, NON_FINITE when an input is not a number.
     """
     sigma_m = math.hypot(point_sigma_m, config.target_center_sigma_m)
-    way_v, across_m = AHEAD, EVENLY
+    way_v = AHEAD
+    across_m = EVENLY
     if ray is not None:
-        way_v, across_m = ray.direction_v, min(sigma_m, math.hypot(ray.across_sigma_m, config.target_center_sigma_m))
+        way_v = ray.direction_v
+        across_m = min(sigma_m, math.hypot(ray.across_sigma_m, config.target_center_sigma_m))
     u, v, z_m, (uu, uv, vv), pose_sigma_m, range_sigma_m = projected(
         lens, T_c2_v, np.array(covariance, np.float64, order="C"), point_v, sigma_m, config.pixel_sigma_px, way_v,
         across_m,
@@ -111,7 +114,8 @@ def predict(
         return Missed(MissReason.PRIOR_OUTSIDE)
     if not (math.isfinite(pose_sigma_m + uu + uv + vv) and uu * vv > uv * uv):
         return Missed(MissReason.NON_FINITE)
-    half_u, half_v = config.search_sigmas * math.sqrt(uu), config.search_sigmas * math.sqrt(vv)
+    half_u = config.search_sigmas * math.sqrt(uu)
+    half_v = config.search_sigmas * math.sqrt(vv)
     if pose_sigma_m > config.max_pose_sigma_m or max(half_u, half_v) > config.max_search_px:
         return Missed(MissReason.POSE_UNCERTAIN)
     half_u = max(half_u + 0.5 * box_size_at_1m_px[0] / z_m, config.min_search_px)

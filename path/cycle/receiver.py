@@ -112,12 +112,15 @@ class ReceiverCycle:
             between = self._track.at(stamp_ns)
             if between is None:
                 return Missed(MissReason.NO_TRACK)
-            values, sigma_m, beyond_s = between.values, between.values[6], 0.0
+            values = between.values
+            sigma_m = between.values[6]
+            beyond_s = 0.0
         else:
             values = self._track.ahead(stamp_ns, config.slope_span_s, config.max_extrapolation_s)
             if values is None or newest.values is None:
                 return Missed(MissReason.LINK_SILENT)
-            sigma_m, beyond_s = newest.values[6], (stamp_ns - newest.stamp_ns) / 1e9
+            sigma_m = newest.values[6]
+            beyond_s = (stamp_ns - newest.stamp_ns) / 1e9
         skew_m = config.clock_sigma_s * config.relative_speed_mps
         drift_m = 0.5 * config.relative_accel_mps2 * beyond_s * beyond_s
         point_v = values[0], values[1], values[2]
@@ -167,10 +170,14 @@ class ReceiverCycle:
         why = chosen.reason if isinstance(chosen, Missed) else None
         if why is not None:
             self.misses[why] += 1
-        rotation, position, sigma_m, answered = IDENTITY, NOWHERE, 0.0, 0
+        rotation = IDENTITY
+        position = NOWHERE
+        sigma_m = 0.0
+        answered = 0
         if isinstance(prior, Prior):
             rotation, position = inverse_as_quat(prior.T_c2_v)
-            sigma_m, answered = prior.pose_sigma_m, prior.target_sequence
+            sigma_m = prior.pose_sigma_m
+            answered = prior.target_sequence
             if box is not None:
                 self.found += 1
                 self._box_size_at_1m_px = (box.w * prior.depth_m, box.h * prior.depth_m)
@@ -204,7 +211,8 @@ class ReceiverCycle:
         if not w * h > 0.0:
             return near
         for other in others:
-            box, score = other[1].box, max(best.score, other[1].score)
+            box = other[1].box
+            score = max(best.score, other[1].score)
             whole = whole_of(best.box, box, (w / prior.depth_m, h / prior.depth_m))
             if whole is not None and iou(best.box, box) > 0.0:
                 rest = [each for each in others if each is not other]

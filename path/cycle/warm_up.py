@@ -15,7 +15,9 @@ from path.target.place import registered_depth
 from path.target.rivals import SEEN_TIMES, Rival
 
 CAMERA = CameraModel(160, 160, 600.0, 600.0, 80.0, 80.0)
-BOX, DEPTH, DOWN = Box(60.0, 60.0, 40.0, 40.0), Depth(2.0, 0.02), (0.0, 0.6, 0.8)
+BOX = Box(60.0, 60.0, 40.0, 40.0)
+DEPTH = Depth(2.0, 0.02)
+DOWN = (0.0, 0.6, 0.8)
 FRAME_NS = 20_000_000
 
 
@@ -23,7 +25,8 @@ def warm_up_cycles() -> None:
     """One pair of frames that agree, with something beside the target. Raises RuntimeError when they do not."""
     if registered_depth(np.full((160, 160), 2000, np.uint16), BOX, MethodConfig()) is None:
         raise RuntimeError("a flat surface has no depth: reinstall numba")
-    T_v_c, config = Pose(np.eye(3), np.array([0.1, 0.2, 0.3])), MethodConfig()
+    T_v_c = Pose(np.eye(3), np.array([0.1, 0.2, 0.3]))
+    config = MethodConfig()
     sender = SenderCycle(CAMERA, CAMERA, T_v_c, config, handoff_id=1, epoch=1, target_id=1)
     receiver = ReceiverCycle(CAMERA, config, handoff_id=1, epoch=1, target_id=1)
     beside = (Rival(Box(10.0, 60.0, 40.0, 40.0), DEPTH),)

@@ -143,7 +143,9 @@ class EvidenceGate:
         self._strengths: list[float] = []  # of its pairs
         self._identity = Identity()  # of the run under way
         self.judged = BlockCounts()
-        self._counted, self._by_blocks = (0, 0), 0.0  # blocks and setbacks, and what evidence follows from them
+        # blocks and setbacks, and what evidence follows from them
+        self._counted = (0, 0)
+        self._by_blocks = 0.0
 
     @property
     def count(self) -> int:
@@ -160,10 +162,12 @@ class EvidenceGate:
 
     @property
     def evidence(self) -> Evidence:
-        counted, needed = (self.blocks, self._setbacks), evidence_needed(1, self._config)
+        counted = (self.blocks, self._setbacks)
+        needed = evidence_needed(1, self._config)
         if counted != self._counted:
             self._counted, self._by_blocks = counted, evidence_of(counted[0], self._config, counted[1])
-        blocks, later = self._by_blocks, 0.0 if self._runs <= 1 else evidence_needed(self._runs, self._config) - needed
+        blocks = self._by_blocks
+        later = 0.0 if self._runs <= 1 else evidence_needed(self._runs, self._config) - needed
         # errors that last are drawn once: another run or test is another chance for an accident, not for them
         lasting = self._identity.reached(self._config) + later + self._shared
         return Evidence(min(blocks, lasting), needed + later)
@@ -211,7 +215,8 @@ class EvidenceGate:
         return self._run.refusal(peer_sequence)
 
     def _begin(self, capture_ns: int) -> None:
-        self._begin_ns, self._strengths = capture_ns, []
+        self._begin_ns = capture_ns
+        self._strengths = []
 
     def _compared(self, capture_ns: int, by: float) -> None:
         self._agreed = by >= 0.0

@@ -86,7 +86,8 @@ class Identity:
             return NOTHING
         found = against_unseen(_mean(self.target, self.pairs), config)
         if self.beside:
-            target_m, rival_m = _mean(self.target_then, self.beside), _mean(self.rival, self.beside)
+            target_m = _mean(self.target_then, self.beside)
+            rival_m = _mean(self.rival, self.beside)
             found = min(found, against_rival(target_m, rival_m, config))
         if self.near_m < config.apart_m:
             found = min(found, -math.log10(config.swap))

@@ -26,7 +26,8 @@ Own = tuple[float, ...]
 Judged = tuple[Four, float, Two, float, float, Vec3]
 """D2's box mapped, overlap, offset, overlap when placed by that, the target's depth for D2, ``sized``."""
 
-LENS_2, MOUNT = 16, 32
+LENS_2 = 16
+MOUNT = 32
 TINY_M = 1e-6
 
 as_it_is(rigid_from_quat)
@@ -67,10 +68,12 @@ def overlap(ax: float, ay: float, aw: float, ah: float, bx: float, by: float, bw
 @kernel
 def mapped(views: Array, T_v_c2: Rigid, box2: Four, z1: float, z2: float, corner: float) -> Four:
     """D2's box in D1's image; ``corner`` is 1 where the box's corner is mapped, 0 for its centre."""
-    lens1, lens2 = views[:LENS_2], views[LENS_2:MOUNT]
+    lens1 = views[:LENS_2]
+    lens2 = views[LENS_2:MOUNT]
     x, y, w, h = box2
     if corner == 0.0:
-        x, y = x + w / 2.0, y + h / 2.0
+        x = x + w / 2.0
+        y = y + h / 2.0
     ray_x, ray_y = ray(lens2, x, y)
     seen_v = transform(T_v_c2, (z2 * ray_x, z2 * ray_y, z2))
     x, y, z = transform_back(_mount(views), seen_v)
@@ -115,7 +118,8 @@ def _sized(
     fx: float, fy: float, body: Two, T_v_c: Rigid, w: float, h: float, z: float, point_v: Vec3, gravity_v: Vec3
 ) -> Vec3:
     """Width and height in m of a box, and how many times larger one is than the stated size allows."""
-    wide_m, high_m = max(TINY_M, w * z / fx), max(TINY_M, h * z / fy)
+    wide_m = max(TINY_M, w * z / fx)
+    high_m = max(TINY_M, h * z / fy)
     if not body[0] > 0.0:
         return wide_m, high_m, math.nan
     most_wide_m, most_high_m = reach_m(T_v_c, point_v, gravity_v, body[0], body[1])
@@ -126,7 +130,8 @@ def _sized(
 def located(views: Array, u: float, v: float, z: float) -> tuple[Vec3, float]:
     """The point at a pixel of D1 at a depth, in the marker's frame, and its distance; NaN when it has no ray."""
     x, y = ray(views[:LENS_2], u, v)
-    x, y = z * x, z * y
+    x = z * x
+    y = z * y
     return transform(_mount(views), (x, y, z)), math.sqrt(x * x + y * y + z * z)
 
 
@@ -139,8 +144,13 @@ def sized(views: Array, body: Two, w: float, h: float, z: float, point_v: Vec3, 
 @kernel
 def judged(views: Array, body: Two, corner: float, own: Own, rotation: Quat, position: Vec3, box2: Four) -> Judged:
     """All that is computed of a box of D2, and of D1's target at that instant."""
-    u, v, w, h = own[0], own[1], own[2], own[3]
-    point_v, z1, gravity_v = (own[4], own[5], own[6]), own[7], (own[9], own[10], own[11])
+    u = own[0]
+    v = own[1]
+    w = own[2]
+    h = own[3]
+    point_v = (own[4], own[5], own[6])
+    z1 = own[7]
+    gravity_v = (own[9], own[10], own[11])
     T_v_c2 = _turned(rotation, position)
     z2 = transform_back(T_v_c2, point_v)[2]
     center = u + w / 2.0, v + h / 2.0

@@ -210,7 +210,8 @@ class LikelihoodGate:
         return REACH_SIGMAS * self._config.offset_sigma_m
 
     def _judge(self, capture_ns: int) -> None:
-        evidence, run = self.evidence, self._run
+        evidence = self.evidence
+        run = self._run
         if evidence.reached < evidence.needed:
             run.sure_ns = None
         elif run.sure_ns is None:
@@ -218,7 +219,8 @@ class LikelihoodGate:
 
     def _reached(self) -> float:
         """Return the natural logarithm of the evidence of the run under way; never below 0."""
-        run, own = self._run, self._config
+        run = self._run
+        own = self._config
         if not (self._window.count and run.target.count):
             return 0.0
         independent = self._independent(run)

@@ -52,5 +52,7 @@ def transform(T_a_b: Rigid, point_b: Vec3) -> Vec3:
 def transform_back(T_a_b: Rigid, point_a: Vec3) -> Vec3:
     """``p_b = T_a_b^-1 p_a``."""
     a, b, c, d, e, f, g, h, i, tx, ty, tz = T_a_b
-    x, y, z = point_a[0] - tx, point_a[1] - ty, point_a[2] - tz
+    x = point_a[0] - tx
+    y = point_a[1] - ty
+    z = point_a[2] - tz
     return a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z

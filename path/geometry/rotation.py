@@ -48,7 +48,9 @@ def rotate(q: Quat, point: Vec3) -> Vec3:
     """Turn a vector by a unit quaternion: ``p_a = rotate(q_a_b, p_b)``."""
     w, a, b, c = q
     x, y, z = point
-    u, v, s = 2.0 * (b * z - c * y), 2.0 * (c * x - a * z), 2.0 * (a * y - b * x)
+    u = 2.0 * (b * z - c * y)
+    v = 2.0 * (c * x - a * z)
+    s = 2.0 * (a * y - b * x)
     return x + w * u + (b * s - c * v), y + w * v + (c * u - a * s), z + w * s + (a * v - b * u)
 
 
@@ -58,7 +60,8 @@ def slerp(a: Quat, b: Quat, fraction: float) -> Quat:
     sign = -1.0 if dot < 0.0 else 1.0
     dot = abs(dot)
     if dot > 0.9995:
-        wa, wb = 1.0 - fraction, sign * fraction
+        wa = 1.0 - fraction
+        wb = sign * fraction
     else:
         angle = math.acos(dot)
         wa = math.sin((1.0 - fraction) * angle) / math.sin(angle)
@@ -131,9 +134,12 @@ def yaw_of(q: Quat) -> float:
 
 def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Quat:
     """Body-to-local quaternion of aerospace angles in rad: yaw about z, then pitch about y, then roll about x."""
-    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
-    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
-    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    cr = math.cos(0.5 * roll)
+    sr = math.sin(0.5 * roll)
+    cp = math.cos(0.5 * pitch)
+    sp = math.sin(0.5 * pitch)
+    cy = math.cos(0.5 * yaw)
+    sy = math.sin(0.5 * yaw)
     return normalized(
         (
             cr * cp * cy + sr * sp * sy,
@@ -159,7 +165,8 @@ def stepped(pose: Pose, step: Vector) -> Pose:
 
 def R_from_yaw(yaw: float) -> Matrix:
     """Rotation matrix about z, angle in rad: of a level body, body-to-local."""
-    c, s = math.cos(yaw), math.sin(yaw)
+    c = math.cos(yaw)
+    s = math.sin(yaw)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 

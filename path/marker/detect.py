@@ -28,11 +28,20 @@ Refine = Literal["photometric", "subpix"]
 
 MAX_SCALE = 4.0
 DETECTION_PIXELS = 1.3e6  # an image is enlarged up to about this many pixels
-RETRY_SCALE, RETRY_PIXELS = 6.0, 4.0e4  # a small region that shows nothing is tried once more, larger and fainter
-THRESHOLD, RETRY_THRESHOLD = 7.0, 3.0  # grey levels below the neighbourhood's mean that are black
-THOROUGH_WINDOWS, THOROUGH_SMALL = (3, 23), (5, 5)  # of a whole image at its own size, and enlarged for small markers
-THOROUGH_SCALE, THOROUGH_PIXELS = 2.0, 4.0e6
-FULL_CORRECTION, THOROUGH_CORRECTION = 1.0, 0.6  # share of the bits corrected that the dictionary could correct
+# a small region that shows nothing is tried once more, larger and fainter
+RETRY_SCALE = 6.0
+RETRY_PIXELS = 4.0e4
+# grey levels below the neighbourhood's mean that are black
+THRESHOLD = 7.0
+RETRY_THRESHOLD = 3.0
+# of a whole image at its own size, and enlarged for small markers
+THOROUGH_WINDOWS = (3, 23)
+THOROUGH_SMALL = (5, 5)
+THOROUGH_SCALE = 2.0
+THOROUGH_PIXELS = 4.0e6
+# share of the bits corrected that the dictionary could correct
+FULL_CORRECTION = 1.0
+THOROUGH_CORRECTION = 0.6
 LARGE_WINDOW_SCALE = 2.5  # from this scale on the threshold looks at a wider neighbourhood
 MIN_EXPLAINED = 0.85  # of the image's variance, for the fit to be trusted
 MIN_CONTRAST = 8.0  # grey levels
@@ -43,7 +52,9 @@ MIN_BARE_BORDER = 0.7  # light around the frame below which there is hardly any 
 BITS_OF_ONE = 16  # of so many bits of the code one may be wrong: more is another code
 MOST_OFF = 0.5  # of a side, that a decoded corner may be from where the print has it
 SUBPIX_MOST_PX = 1.5  # that a corner is from where the print has it, as far as that tells
-SUBPIX_SIGMA_PX, SUBPIX_RADIAL_PX = 0.35, 0.5  # per axis; common to all corners, towards the centre or away from it
+# per axis; common to all corners, towards the centre or away from it
+SUBPIX_SIGMA_PX = 0.35
+SUBPIX_RADIAL_PX = 0.5
 
 
 def detect_markers(
@@ -82,7 +93,8 @@ def detect_markers(
         tracked = _tracked(image, expected, layout, camera)
         if tracked:
             return tracked
-    u0, v0 = int(area.x0), int(area.y0)
+    u0 = int(area.x0)
+    v0 = int(area.y0)
     cut = image[v0 : math.ceil(area.y1), u0 : math.ceil(area.x1)]
     grey = np.ascontiguousarray(cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY) if cut.ndim == 3 else cut, dtype=np.uint8)
     used = scale or _scale_for(grey.size)
@@ -160,7 +172,8 @@ def _united(quads: list[tuple[int, Array]], more: list[tuple[int, Array]]) -> li
     """Both lists, one physical marker once: as it was found first."""
     united = list(quads)
     for marker_id, quad in more:
-        centre, side = quad.mean(axis=0), _side(quad)
+        centre = quad.mean(axis=0)
+        side = _side(quad)
         if not any(other == marker_id and np.hypot(*(q.mean(axis=0) - centre)) < 0.5 * side for other, q in united):
             united.append((marker_id, quad))
     return united

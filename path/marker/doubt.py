@@ -27,13 +27,18 @@ def widen(
         The standard deviation of the position, mean over the axes; NaN when the pose is not determined.
     """
     rows = 8 * whitening.shape[0] + 3
-    left, jacobian = np.zeros(rows), np.zeros((rows, 6))
-    information, gradient, spread = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
+    left = np.zeros(rows)
+    jacobian = np.zeros((rows, 6))
+    information = np.zeros((6, 6))
+    gradient = np.zeros(6)
+    spread = np.zeros((6, 6))
     linearize(R, t, points, pixels, whitening, lens, down, weight, left, jacobian)
     normal(jacobian, left, information, gradient)
     if not inverse(information, spread):
         return math.nan
-    moved_px, pull, moved = np.empty(8), np.empty(6), np.empty(6)
+    moved_px = np.empty(8)
+    pull = np.empty(6)
+    moved = np.empty(6)
     for cause in range(doubts.shape[0]):
         d = doubts[cause]
         pull[:] = 0.0

@@ -27,7 +27,9 @@ OTHERS = (
     "DICT_APRILTAG_16h5",
 )
 SCALES = (1.0, 2.0)
-SURE_LIKENESS, SURE_BORDER = 0.8, 0.8  # of a print that nobody asked for
+# of a print that nobody asked for
+SURE_LIKENESS = 0.8
+SURE_BORDER = 0.8
 
 
 def seen_instead(grey: NDArray[np.uint8], layout: MarkerLayout) -> str | None:

@@ -19,7 +19,11 @@ Array = NDArray[np.float64]
 @inner
 def distort(x: float, y: float, lens: Array) -> tuple[float, float, float, float, float, float]:
     """Pixel of an undistorted ray and its derivatives: ``u, v, du/dx, du/dy, dv/dx, dv/dy``."""
-    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
+    k1 = lens[4]
+    k2 = lens[5]
+    p1 = lens[6]
+    p2 = lens[7]
+    k3 = lens[8]
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
@@ -51,7 +55,8 @@ def rays(pixels: Array, lens: Array) -> Array:
     """Undistorted rays, shape (n, 2), of pixels (n, 2)."""
     out = np.empty(pixels.shape)
     for k in range(pixels.shape[0]):
-        u, v = pixels[k, 0], pixels[k, 1]
+        u = pixels[k, 0]
+        v = pixels[k, 1]
         out[k, 0], out[k, 1] = undistort(u, v, lens, (u - lens[2]) / lens[0], (v - lens[3]) / lens[1])
     return out
 
@@ -155,8 +160,12 @@ def exp_times(w: Array, R: Array) -> Array:
     b = 0.5 if angle < 1e-6 else (1.0 - math.cos(angle)) / (angle * angle)
     out = np.empty((3, 3))
     for j in range(3):
-        x, y, z = R[0, j], R[1, j], R[2, j]
-        cx, cy, cz = w[1] * z - w[2] * y, w[2] * x - w[0] * z, w[0] * y - w[1] * x
+        x = R[0, j]
+        y = R[1, j]
+        z = R[2, j]
+        cx = w[1] * z - w[2] * y
+        cy = w[2] * x - w[0] * z
+        cz = w[0] * y - w[1] * x
         out[0, j] = x + a * cx + b * (w[1] * cz - w[2] * cy)
         out[1, j] = y + a * cy + b * (w[2] * cx - w[0] * cz)
         out[2, j] = z + a * cz + b * (w[0] * cy - w[1] * cx)

@@ -107,7 +107,8 @@ def locate_marker(
         used = dataclasses.replace(
             used, attitude_v_sigma_rad=gravity_v.sigma_rad, attitude_c_sigma_rad=gravity_c.sigma_rad
         )
-        down_v, down_c = gravity_v.unit, gravity_c.unit
+        down_v = gravity_v.unit
+        down_c = gravity_c.unit
     located: LocatedMarker | Missed = Missed(MissReason.NO_MARKER)
     for area in _areas(region, previous, layout, camera):
         detections = detect_markers(image, area, layout, camera, refine=refine)

@@ -37,7 +37,9 @@ MIN_CORNER_SIGMA_PX = 0.005
 MIN_GRAVITY_RAD = 1e-4  # of two directions together: better is known by none
 EYE = np.eye(3)
 NO_GRAVITY = np.zeros(6)
-WORST_PX, WORST_SHARE = 1.0, 0.06  # rms misfit of corners, px or share of the side, that no such marker has
+# rms misfit of corners, px or share of the side, that no such marker has
+WORST_PX = 1.0
+WORST_SHARE = 0.06
 ABSURD = 25.0  # chi-square per degree of freedom of errors that are all five times as large as was stated
 
 
@@ -188,7 +190,8 @@ def _contradicted(
     poses_R = [alone.R]
     if math.isfinite(alone.other_cost) and alone.other_cost - alone.cost < ABSURD * alone.misfit:
         poses_R.append(alone.other_R)
-    down_v, down_c = whole.down[:3], whole.down[3:]
+    down_v = whole.down[:3]
+    down_c = whole.down[3:]
     turn_rad2 = float(np.linalg.eigvalsh(alone.covariance[3:, 3:])[-1])
     variance = 1.0 / whole.weight + turn_rad2
     off2 = min(float(((R @ down_v - down_c) ** 2).sum()) for R in poses_R)
@@ -211,11 +214,13 @@ def _seen(
     for (each, _), whitener in zip(seen, whiteners, strict=True):
         if not whitening(np.ascontiguousarray(each.covariance_px2), MIN_CORNER_SIGMA_PX**2, whitener):
             raise np.linalg.LinAlgError(f"marker {each.marker_id}: its covariance is not positive definite")
-    down, weight = NO_GRAVITY, 0.0
+    down = NO_GRAVITY
+    weight = 0.0
     if gravity_v is not None and gravity_c is not None:
         # the misfit of one direction turned into the other has the errors of both
         variance = settings.attitude_v_sigma_rad**2 + settings.attitude_c_sigma_rad**2
-        down, weight = np.array([*gravity_v, *gravity_c]), 1.0 / max(variance, MIN_GRAVITY_RAD**2)
+        down = np.array([*gravity_v, *gravity_c])
+        weight = 1.0 / max(variance, MIN_GRAVITY_RAD**2)
     focal = 0.0 if camera.doubts else settings.focal_sigma
     return PoseProblem(
         points, pixels, whiteners, lens_of(camera), down, weight, middles, sizes, focal, settings.shape_sigma

@@ -26,10 +26,13 @@ def of_layout(turns: Array, shifts: Array, R_v_m: Array, t_v_m: Array) -> tuple[
             marker behind the camera, is left out.
     """
     many = 0
-    all_R, all_t = np.empty((turns.shape[0], 3, 3)), np.empty((turns.shape[0], 3))
-    turn, level = np.empty(3), identity(3)
+    all_R = np.empty((turns.shape[0], 3, 3))
+    all_t = np.empty((turns.shape[0], 3))
+    turn = np.empty(3)
+    level = identity(3)
     for k in range(turns.shape[0]):
-        R, t = all_R[many], all_t[many]
+        R = all_R[many]
+        t = all_t[many]
         for i in range(3):
             turn[i] = turns[k, i, 0]
         R_c_m = exp_times(turn, level)
@@ -72,7 +75,8 @@ def linearize(
 ) -> float:  # fmt: skip
     """Whitened residuals (8 a marker, then 3 of gravity) and their Jacobian by (dt, dw); returns the corners' cost."""
     markers = whitening.shape[0]
-    raw, slope = np.empty(8), np.empty((8, 6))
+    raw = np.empty(8)
+    slope = np.empty((8, 6))
     cost = 0.0
     for m in range(markers):
         for c in range(4):
@@ -83,12 +87,14 @@ def linearize(
             z = qz + t[2]
             if z < 1e-3:
                 return np.inf
-            x, y = (qx + t[0]) / z, (qy + t[1]) / z
+            x = (qx + t[0]) / z
+            y = (qy + t[1]) / z
             u, v, ux, uy, vx, vy = distort(x, y, lens)
             raw[2 * c], raw[2 * c + 1] = u - pixels[i, 0], v - pixels[i, 1]
             for k in range(2):
                 gx, gy = (ux, uy) if k == 0 else (vx, vy)
-                a, b = gx / z, gy / z
+                a = gx / z
+                b = gy / z
                 d = -(gx * x + gy * y) / z
                 row = slope[2 * c + k]
                 row[0], row[1], row[2] = a, b, d
@@ -105,7 +111,8 @@ def linearize(
                 for s in range(r + 1):
                     total += whitening[m, r, s] * slope[s, k]
                 jacobian[8 * m + r, k] = total
-    root, base = math.sqrt(weight), 8 * markers
+    root = math.sqrt(weight)
+    base = 8 * markers
     gx = R[0, 0] * down[0] + R[0, 1] * down[1] + R[0, 2] * down[2]
     gy = R[1, 0] * down[0] + R[1, 1] * down[1] + R[1, 2] * down[2]
     gz = R[2, 0] * down[0] + R[2, 1] * down[1] + R[2, 2] * down[2]
@@ -141,18 +148,24 @@ def refine(
     weight: float,
 ) -> tuple[float, Array, Array, Array, float]:  # fmt: skip
     """Levenberg-Marquardt from one solution: cost, pose, information (6, 6) and the corners' share of the cost."""
-    turn, shift = start_R, start_t
+    turn = start_R
+    shift = start_t
     rows = 8 * whitening.shape[0] + 3
-    residuals, jacobian = np.zeros(rows), np.zeros((rows, 6))
-    information, gradient = np.zeros((6, 6)), np.zeros(6)
-    tried_information, tried_gradient, factor = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
+    residuals = np.zeros(rows)
+    jacobian = np.zeros((rows, 6))
+    information = np.zeros((6, 6))
+    gradient = np.zeros(6)
+    tried_information = np.zeros((6, 6))
+    tried_gradient = np.zeros(6)
+    factor = np.zeros((6, 6))
     corners = linearize(turn, shift, points, pixels, whitening, lens, down, weight, residuals, jacobian)
     cost = normal(jacobian, residuals, information, gradient) if corners < np.inf else np.inf
     damping = 1e-6
     for _ in range(ITERATIONS):
         if not cost < np.inf:
             break
-        step, shifted = gradient.copy(), shift.copy()
+        step = gradient.copy()
+        shifted = shift.copy()
         for i in range(6):
             for j in range(6):
                 factor[i, j] = information[i, j]
@@ -167,7 +180,10 @@ def refine(
         cost_new = normal(jacobian, residuals, tried_information, tried_gradient) if corners_new < np.inf else np.inf
         if cost_new <= cost:
             done = cost - cost_new < CONVERGED * (1.0 + cost)
-            turn, shift, cost, corners = turned, shifted, cost_new, corners_new
+            turn = turned
+            shift = shifted
+            cost = cost_new
+            corners = corners_new
             information, tried_information = tried_information, information
             gradient, tried_gradient = tried_gradient, gradient
             damping = max(1e-9, 0.1 * damping)
@@ -195,9 +211,12 @@ def pulled(
         focal, shape: relative standard deviations, of the focal length, and of width against height and of skew.
         jacobian: of ``linearize``, at this pose.
     """
-    moved, u0, v0 = np.empty((CAUSES, 8)), 0.0, 0.0
+    moved = np.empty((CAUSES, 8))
+    u0 = 0.0
+    v0 = 0.0
     for i in range(pixels.shape[0]):
-        u0, v0 = u0 + pixels[i, 0] / pixels.shape[0], v0 + pixels[i, 1] / pixels.shape[0]
+        u0 = u0 + pixels[i, 0] / pixels.shape[0]
+        v0 = v0 + pixels[i, 1] / pixels.shape[0]
     for cause in range(CAUSES):
         for k in range(6):
             pulls[cause, k] = 0.0
@@ -207,13 +226,17 @@ def pulled(
             qx = R[0, 0] * p[0] + R[0, 1] * p[1] + R[0, 2] * p[2] + t[0]
             qy = R[1, 0] * p[0] + R[1, 1] * p[1] + R[1, 2] * p[2] + t[1]
             qz = R[2, 0] * p[0] + R[2, 1] * p[1] + R[2, 2] * p[2] + t[2]
-            x, y = qx / qz, qy / qz
+            x = qx / qz
+            y = qy / qz
             u, v, ux, uy, vx, vy = distort(x, y, lens)
-            ox, oy, oz = p[0] - middles[m, 0], p[1] - middles[m, 1], p[2] - middles[m, 2]
+            ox = p[0] - middles[m, 0]
+            oy = p[1] - middles[m, 1]
+            oz = p[2] - middles[m, 2]
             z = R[2, 0] * ox + R[2, 1] * oy + R[2, 2] * oz
             dx = (R[0, 0] * ox + R[0, 1] * oy + R[0, 2] * oz - x * z) / qz
             dy = (R[1, 0] * ox + R[1, 1] * oy + R[1, 2] * oz - y * z) / qz
-            i, j = 2 * c, 2 * c + 1
+            i = 2 * c
+            j = 2 * c + 1
             moved[0, i], moved[0, j] = sizes[m] * (ux * dx + uy * dy), sizes[m] * (vx * dx + vy * dy)
             moved[1, i], moved[1, j] = focal * (u - lens[2]), focal * (v - lens[3])
             moved[2, i], moved[2, j] = shape * (u - u0), shape * (v0 - v)
@@ -241,9 +264,11 @@ def covariance(
     if not inverse(information, out):
         return math.nan
     rows = 8 * whitening.shape[0] + 3
-    left, jacobian = np.zeros(rows), np.zeros((rows, 6))
+    left = np.zeros(rows)
+    jacobian = np.zeros((rows, 6))
     linearize(R, t, points, pixels, whitening, lens, down, weight, left, jacobian)
-    pulls, moved = np.empty((CAUSES, 6)), np.zeros((CAUSES, 6))
+    pulls = np.empty((CAUSES, 6))
+    moved = np.zeros((CAUSES, 6))
     pulled(R, t, points, pixels, middles, sizes, focal, shape, whitening, lens, jacobian, pulls)
     for cause in range(CAUSES):
         for i in range(6):
@@ -310,18 +335,32 @@ def fit(start_R: Array, start_t: Array, seen: PoseProblem) -> PoseFit:
 
     Where gravity leads all of them to one end, the other solution is the one that the corners alone keep.
     """
-    best_cost, best_corners, other_cost, rival = np.inf, np.inf, np.inf, False
-    best_R, best_t, best_information = identity(3), np.zeros(3), identity(6)
-    other_R, other_t = identity(3), np.zeros(3)
+    best_cost = np.inf
+    best_corners = np.inf
+    other_cost = np.inf
+    rival = False
+    best_R = identity(3)
+    best_t = np.zeros(3)
+    best_information = identity(6)
+    other_R = identity(3)
+    other_t = np.zeros(3)
     for k in range(start_R.shape[0]):
         cost, R, t, information, corners = refine(
             start_R[k], start_t[k], seen.points, seen.pixels, seen.whitening, seen.lens, seen.down, seen.weight
         )
         if cost < best_cost:
-            other_cost, other_R, other_t = best_cost, best_R, best_t
-            best_cost, best_R, best_t, best_information, best_corners = cost, R, t, information, corners
+            other_cost = best_cost
+            other_R = best_R
+            other_t = best_t
+            best_cost = cost
+            best_R = R
+            best_t = t
+            best_information = information
+            best_corners = corners
         elif cost < np.inf:
-            other_cost, other_R, other_t = cost, R, t
+            other_cost = cost
+            other_R = R
+            other_t = t
     spread = np.empty((6, 6))
     if not best_cost < np.inf:
         return PoseFit(np.inf, np.inf, 1.0, best_R, best_t, spread, np.inf, False, np.inf, other_R, other_t)
@@ -343,11 +382,13 @@ def fit(start_R: Array, start_t: Array, seen: PoseProblem) -> PoseFit:
 @inner
 def _mirrored(start_R: Array, start_t: Array, best_R: Array, seen: PoseProblem) -> tuple[float, Array, Array]:
     """The planar solution that gravity excluded, where the corners alone keep it; else with an infinite cost."""
-    farthest, far = 0, -1.0
+    farthest = 0
+    far = -1.0
     for k in range(start_R.shape[0]):
         turned = angle(best_R, start_R[k])
         if turned > far:
-            farthest, far = k, turned
+            farthest = k
+            far = turned
     if not seen.weight > 0.0:
         return np.inf, start_R[farthest], start_t[farthest]
     cost, R, t, _, _ = refine(

@@ -17,10 +17,13 @@ from numpy.typing import NDArray
 
 from path.marker.kernels import Array
 
-LOOK_SAMPLES, ALIGN_SAMPLES = 4, 6  # a cell
+# a cell
+LOOK_SAMPLES = 4
+ALIGN_SAMPLES = 6
 MARGIN = 2  # cells around the print that are brought along for aligning
 FRAME_CUT = 0.34  # of a cell: outside of it the frame's edge may be the plate's, or covered
-PASSES, ENOUGH = 30, 1e-3
+PASSES = 30
+ENOUGH = 1e-3
 MIN_CORRELATION = 0.6
 MIN_BORDER = 0.92  # light of a border that is there; a plate of another grey begins too near below it
 CLEARLY = 0.2  # of the contrast, from the middle grey level
@@ -50,18 +53,23 @@ def look(grey: NDArray[np.uint8], quad: Array, pattern: Array) -> Look:
         quad: the corners of the black frame, (4, 2) in pixels of ``grey``.
         pattern: cells of the print with a border of white ones, 0 black and 1 white.
     """
-    s, n = LOOK_SAMPLES, len(pattern)
+    s = LOOK_SAMPLES
+    n = len(pattern)
     patch = _flattened(grey, quad, s, n - 2, 1)
     inner = patch[s:-s, s:-s]
-    a, b = inner - inner.mean(), _blurred(pattern.tobytes(), n)
+    a = inner - inner.mean()
+    b = _blurred(pattern.tobytes(), n)
     likeness = float((a * b).sum() / (np.sqrt((a * a).sum() * (b * b).sum()) + 1e-9))
     # edges of cells are blurred: only their middles are looked at
     shades = patch.reshape(n, s, n, s)[:, 1:-1, :, 1:-1].mean(axis=(1, 3))
-    code, print_ = shades[1:-1, 1:-1], pattern[1:-1, 1:-1] > 0.5
-    white, black = float(code[print_].mean()), float(code[~print_].mean())
+    code = shades[1:-1, 1:-1]
+    print_ = pattern[1:-1, 1:-1] > 0.5
+    white = float(code[print_].mean())
+    black = float(code[~print_].mean())
     above = (code - 0.5 * (white + black)) / max(white - black, 1e-9)
     off = np.where(print_, -above, above)
-    wrong, bits = float(np.mean(off > 0.0)), int(np.sum(off[1:-1, 1:-1] > CLEARLY))
+    wrong = float(np.mean(off > 0.0))
+    bits = int(np.sum(off[1:-1, 1:-1] > CLEARLY))
     around = np.concatenate([shades[0, 1:-1], shades[-1, 1:-1], shades[1:-1, 0], shades[1:-1, -1]])
     border = (float(around.mean()) - black) / max(white - black, 1e-9)
     return Look(likeness, wrong, bits, border)
@@ -73,7 +81,8 @@ def aligned(grey: NDArray[np.uint8], quad: Array, pattern: Array) -> Array | Non
     Outside of the frame's middle nothing counts: neither a border that is missing nor a corner that is taken for the
     plate's. Good to some tenths of a pixel from corners that are off by a cell. Args as for ``look``.
     """
-    s, n = ALIGN_SAMPLES, len(pattern) - 2
+    s = ALIGN_SAMPLES
+    n = len(pattern) - 2
     flat = np.asarray(_flattened(grey, quad, s, n, MARGIN), np.float32)
     wanted, cut = _inside(pattern.tobytes(), n)
     place = np.eye(3, dtype=np.float32)
@@ -94,7 +103,8 @@ def aligned(grey: NDArray[np.uint8], quad: Array, pattern: Array) -> Array | Non
 
 def _homography(quad: Array, samples: int, cells: int, margin: int) -> Array:
     """From the print's plane, so many samples a cell and a margin of cells around, to the image."""
-    low, high = samples * margin - 0.5, samples * (margin + cells) - 0.5
+    low = samples * margin - 0.5
+    high = samples * (margin + cells) - 0.5
     square = np.array([[low, low], [high, low], [high, high], [low, high]], np.float32)
     return np.asarray(cv2.getPerspectiveTransform(square, quad.astype(np.float32)), np.float64)
 

@@ -55,7 +55,9 @@ def recognise(
         T_c_v: the pose of ``v``, good to about a cell of the print.
     """
     seen: list[Recognised] = []
-    lens, R, t = lens_of(camera), np.ascontiguousarray(T_c_v.R), T_c_v.t
+    lens = lens_of(camera)
+    R = np.ascontiguousarray(T_c_v.R)
+    t = T_c_v.t
     for marker in layout.markers:
         pattern = cells(layout.dictionary, marker.id)
         cosine, quad, H = seen_at(lens, R, t, marker.corners_v, len(pattern))
@@ -75,8 +77,10 @@ def _recognised(image: NDArray[np.uint8], quad: Array, H: Array, marker_id: int,
     (u0, v0), (u1, v1) = quad.min(axis=0).tolist(), quad.max(axis=0).tolist()
     reach = max(u1 - u0, v1 - v0)
     room = (MARGIN + 1) * reach / n
-    u, v = math.floor(u0 - room), math.floor(v0 - room)
-    u_end, v_end = math.ceil(u1 + room), math.ceil(v1 + room)
+    u = math.floor(u0 - room)
+    v = math.floor(v0 - room)
+    u_end = math.ceil(u1 + room)
+    v_end = math.ceil(v1 + room)
     if not (reach >= LEAST_SIDE_PX and u >= 0 and v >= 0 and u_end < image.shape[1] and v_end < image.shape[0]):
         return None
     cut = image[v : v_end + 1, u : u_end + 1]

@@ -24,20 +24,32 @@ def seen_at(lens: Array, R: Array, t: Array, corners_v: Array, n: int) -> tuple[
     """The view of a marker of n cells from a pose: cosine of its incidence, pixels (4, 2) of its corners (4, 3), and
     the homography (3, 3) from its plane as it is sampled to pixels. The cosine is -1 when the marker is not in front.
     """
-    points, pixels, H = np.empty((4, 3)), np.empty((4, 2)), np.empty((3, 3))
+    points = np.empty((4, 3))
+    pixels = np.empty((4, 2))
+    H = np.empty((3, 3))
     for k in range(4):
         for i in range(3):
             points[k, i] = R[i, 0] * corners_v[k, 0] + R[i, 1] * corners_v[k, 1] + R[i, 2] * corners_v[k, 2] + t[i]
-        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        x = points[k, 0]
+        y = points[k, 1]
+        z = points[k, 2]
         if not (z > 0.0 and x * x + y * y <= (lens[11] * z) * (lens[11] * z)):
             return -1.0, pixels, H
         pixels[k, 0], pixels[k, 1] = project(lens, x, y, z)
     _from_square(pixels, SAMPLES * MARGIN - 0.5, 1.0 / (SAMPLES * n), H)
     # corners follow each other clockwise from the top left: along the top times up looks at the viewer
-    ax, ay, az = points[1, 0] - points[0, 0], points[1, 1] - points[0, 1], points[1, 2] - points[0, 2]
-    bx, by, bz = points[0, 0] - points[3, 0], points[0, 1] - points[3, 1], points[0, 2] - points[3, 2]
-    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    x, y, z = points[0, 0], points[0, 1], points[0, 2]
+    ax = points[1, 0] - points[0, 0]
+    ay = points[1, 1] - points[0, 1]
+    az = points[1, 2] - points[0, 2]
+    bx = points[0, 0] - points[3, 0]
+    by = points[0, 1] - points[3, 1]
+    bz = points[0, 2] - points[3, 2]
+    nx = ay * bz - az * by
+    ny = az * bx - ax * bz
+    nz = ax * by - ay * bx
+    x = points[0, 0]
+    y = points[0, 1]
+    z = points[0, 2]
     size = math.sqrt((nx * nx + ny * ny + nz * nz) * (x * x + y * y + z * z))
     return -(nx * x + ny * y + nz * z) / size, pixels, H
 
@@ -45,12 +57,23 @@ def seen_at(lens: Array, R: Array, t: Array, corners_v: Array, n: int) -> tuple[
 @inner
 def _from_square(quad: Array, low: float, per_side: float, H: Array) -> None:
     """Homography from a square, whose sides begin at ``low`` and are 1/``per_side`` long, to a quadrilateral."""
-    x0, y0, x1, y1 = quad[0, 0], quad[0, 1], quad[1, 0], quad[1, 1]
-    x2, y2, x3, y3 = quad[2, 0], quad[2, 1], quad[3, 0], quad[3, 1]
-    ax, ay, bx, by = x1 - x2, y1 - y2, x3 - x2, y3 - y2
-    sx, sy = x0 - x1 + x2 - x3, y0 - y1 + y2 - y3
+    x0 = quad[0, 0]
+    y0 = quad[0, 1]
+    x1 = quad[1, 0]
+    y1 = quad[1, 1]
+    x2 = quad[2, 0]
+    y2 = quad[2, 1]
+    x3 = quad[3, 0]
+    y3 = quad[3, 1]
+    ax = x1 - x2
+    ay = y1 - y2
+    bx = x3 - x2
+    by = y3 - y2
+    sx = x0 - x1 + x2 - x3
+    sy = y0 - y1 + y2 - y3
     det = ax * by - bx * ay
-    g, h = (sx * by - sy * bx) / det * per_side, (ax * sy - ay * sx) / det * per_side
+    g = (sx * by - sy * bx) / det * per_side
+    h = (ax * sy - ay * sx) / det * per_side
     H[0, 0], H[0, 1] = (x1 - x0) * per_side + g * x1, (x3 - x0) * per_side + h * x3
     H[1, 0], H[1, 1] = (y1 - y0) * per_side + g * y1, (y3 - y0) * per_side + h * y3
     H[2, 0], H[2, 1] = g, h
@@ -73,22 +96,26 @@ def read(
         H: (3, 3), from the patch to pixels.
         least: correlation below which it is not there.
     """
-    x, y = 0, 0
+    x = 0
+    y = 0
     for i in range(likeness.shape[0]):
         for j in range(likeness.shape[1]):
             if likeness[i, j] > likeness[y, x]:
-                x, y = j, i
+                x = j
+                y = i
     if not (likeness[y, x] >= least and 0 < x < 2 * RANGE and 0 < y < 2 * RANGE):
         return math.nan
     border = _border_of_print(patch, x + SAMPLES // 2, y + SAMPLES // 2, pattern)
     if math.isnan(border):
         return math.nan
-    n, low = pattern.shape[0], SAMPLES * MARGIN - 0.5
+    n = pattern.shape[0]
+    low = SAMPLES * MARGIN - 0.5
     middle = likeness[y, x]
     at_x = low + x - RANGE + _peak(likeness[y, x - 1], middle, likeness[y, x + 1])
     at_y = low + y - RANGE + _peak(likeness[y - 1, x], middle, likeness[y + 1, x])
     for k in range(4):
-        u, v = at_x + (SAMPLES * n if k in (1, 2) else 0), at_y + (SAMPLES * n if k > 1 else 0)
+        u = at_x + (SAMPLES * n if k in (1, 2) else 0)
+        v = at_y + (SAMPLES * n if k > 1 else 0)
         w = H[2, 0] * u + H[2, 1] * v + H[2, 2]
         quad[k, 0] = (H[0, 0] * u + H[0, 1] * v + H[0, 2]) / w
         quad[k, 1] = (H[1, 0] * u + H[1, 1] * v + H[1, 2]) / w
@@ -128,7 +155,8 @@ def _border_of_print(patch: NDArray[np.uint8], x: int, y: int, pattern: Array) -
                 whites += 1
             else:
                 black += total
-    white, black = white / whites, black / (n * n - whites)
+    white = white / whites
+    black = black / (n * n - whites)
     middle = 0.5 * (white + black)
     for i in range(n):
         for j in range(n):

@@ -28,7 +28,8 @@ def likely_cause(
         poses_R: (3, 3) each, ``R_c_v`` of the poses that the corners alone allow.
         gravity_v, gravity_c: unit gravity in ``v`` and in the camera.
     """
-    down_v, down_c = np.asarray(gravity_v), np.asarray(gravity_c)
+    down_v = np.asarray(gravity_v)
+    down_c = np.asarray(gravity_c)
     apart_rad = min(_angle(R @ down_v, down_c) for R in poses_R)
     said = f"gravity contradicts the marker's corners by {math.degrees(apart_rad):.0f} degrees"
     normal_v = layout.markers[0].T_v_m.R[:, 2]

@@ -21,7 +21,8 @@ from path.marker.track import recognise
 from path.observations import MarkerDetection
 from path.relative_pose.filter import RelativeFilter
 
-EYE, EYE_6 = np.eye(3), np.eye(6)
+EYE = np.eye(3)
+EYE_6 = np.eye(6)
 CAMERA = CameraModel(
     160, 160, 600.0, 600.0, 80.0, 80.0, doubts=((1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),)
 )  # of a calibration's file
@@ -46,7 +47,9 @@ def warm_up(images: bool = True) -> None:
 
 def warm_up_image() -> None:
     """Compiles what finds a marker in an image. Raises RuntimeError when a drawn one gives no pose."""
-    layout, camera, T_c_v = single_marker(), CAMERA, POSE
+    layout = single_marker()
+    camera = CAMERA
+    T_c_v = POSE
     marker = layout.markers[0]
     pattern = np.pad(cells(layout.dictionary, marker.id), 1, constant_values=1.0)
     zoom = 12  # pixels of the drawing a cell
@@ -68,7 +71,9 @@ def warm_up_image() -> None:
 
 def warm_up_pose() -> None:
     """Compiles what turns a marker's corners into a pose. Raises RuntimeError when there is none."""
-    layout, camera, T_c_v = single_marker(), CAMERA, POSE
+    layout = single_marker()
+    camera = CAMERA
+    T_c_v = POSE
     marker = layout.markers[0]
     corners = camera.project(T_c_v.apply(marker.corners_v))
     down = np.array([0.0, -0.8, -0.6])

@@ -259,7 +259,8 @@ def _commit(config: ProtocolConfig, state: Verifying, agreed: AgreementComplete,
         why = Refusal.EPOCHS_EXHAUSTED
     if why is not None or agreed.uncertainty_ns is None or agreed.instance is None:
         return state, (Refused(why or Refusal.NO_CLOCK),)
-    live, lease_end = replace(state.live, instance=agreed.instance), now_ns + to_ns(config.lease_s)
+    live = replace(state.live, instance=agreed.instance)
+    lease_end = now_ns + to_ns(config.lease_s)
     commit = Commit(live.handoff_id, live.epoch, live.target_id, agreed.nonce, lease_end, now_ns, live.instance)
     awaiting = AwaitingAccept(live, commit, now_ns + to_ns(config.retry_s), lease_end + agreed.uncertainty_ns)
     return awaiting, (Persist(record(awaiting)), Release(), Send(commit))

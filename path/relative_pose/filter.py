@@ -24,7 +24,9 @@ from path.observations import Missed, MissReason
 from path.relative_pose.kernels import Drift, Reports, State, fused, known_by, predicted, velocity
 from path.values import value
 
-FREE_SPEED_MPS, FREE_WALK_MPS = 0.7, 1.0  # of an unreported velocity: its deviation, and its change in a second
+# of an unreported velocity: its deviation, and its change in a second
+FREE_SPEED_MPS = 0.7
+FREE_WALK_MPS = 1.0
 FREE_TURN_RAD = math.radians(5.0)  # of an unreported attitude, in ``wander_s``
 FLIPPED_RAD = math.radians(8.0)  # a refused attitude that is off by more has turned over
 ORIGIN: Vector = np.zeros(3)
@@ -99,7 +101,9 @@ class Travel:
                 return
             half = 0.5e-9 * (stamp_ns - newest_ns)
             a, b, c, x, y, z = values[count - 1].tolist()
-            x, y, z = x + half * (a + u), y + half * (b + v), z + half * (c + w)
+            x = x + half * (a + u)
+            y = y + half * (b + v)
+            z = z + half * (c + w)
             if count == len(stamps):
                 count -= self._KEPT
                 stamps[:count], values[:count] = stamps[-count:].copy(), values[-count:].copy()
@@ -150,7 +154,8 @@ class RelativeFilter:
         state = self._state
         if state is None or stamp_ns - state.stamp_ns > self._settings.coast_s * 1e9:
             return None
-        own, peer = self._own.reports, self._peer.reports
+        own = self._own.reports
+        peer = self._peer.reports
         p, moving, sigma_m, t_c, R_c_v, covariance = predicted(
             state, stamp_ns, state.R_n_c if R_n_c is None else np.ascontiguousarray(R_n_c),
             UPRIGHT if R_n_v is None else np.ascontiguousarray(R_n_v), R_n_v is not None, own, peer, self._drift,
@@ -173,19 +178,25 @@ class RelativeFilter:
         seen = self._seen(stamp_ns, T_c_v, covariance, np.ascontiguousarray(R_n_c), R_n_v)
         state = self._state
         if state is None or stamp_ns - state.stamp_ns > self._settings.coast_s * 1e9:
-            self._state, self._refused, self._refusals = seen, None, 0
+            self._state = seen
+            self._refused = None
+            self._refusals = 0
             return None
         if stamp_ns <= state.stamp_ns:
             return Missed(MissReason.STALE, ignored=True)
         updated, angle = self._fused(state, seen)
         if updated is not None:
-            self._state, self._refused, self._refusals = updated, None, 0
+            self._state = updated
+            self._refused = None
+            self._refusals = 0
             return None
         again = None if self._refused is None else self._fused(self._refused, seen)[0]
         self._refusals = 1 if again is None else self._refusals + 1
         self._refused = seen if again is None else again
         if self._refusals >= self._settings.settle:
-            self._state, self._refused, self._refusals = self._refused, None, 0
+            self._state = self._refused
+            self._refused = None
+            self._refusals = 0
             return None
         return Missed(MissReason.MARKER_FLIPPED if angle > FLIPPED_RAD else MissReason.POSE_UNCERTAIN)
 
@@ -212,6 +223,7 @@ class RelativeFilter:
     def _fused(self, before: State, seen: State) -> tuple[State | None, float]:
         """A state with a later measurement in it, None outside the gate; and by what angle they differ."""
         its = self._settings
-        own, peer = self._own.reports, self._peer.reports
+        own = self._own.reports
+        peer = self._peer.reports
         distance2, angle, state = fused(before, seen, own, peer, self._drift, its.persistent_s, its.gate)
         return (state if distance2 <= its.gate else None), angle

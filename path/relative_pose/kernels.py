@@ -82,9 +82,15 @@ def reported(reports: Reports, stamp_ns: int) -> tuple[float, float, float, floa
         after -= 1
     before = max(0, after - 1)
     dt = (stamp_ns - reports.stamps[before]) * 1e-9
-    a, b, c = reports.values[before, 0], reports.values[before, 1], reports.values[before, 2]
-    x, y, z = reports.values[before, 3], reports.values[before, 4], reports.values[before, 5]
-    u, v, w = a, b, c
+    a = reports.values[before, 0]
+    b = reports.values[before, 1]
+    c = reports.values[before, 2]
+    x = reports.values[before, 3]
+    y = reports.values[before, 4]
+    z = reports.values[before, 5]
+    u = a
+    v = b
+    w = c
     if 0 < after < reports.many:
         share = dt / ((reports.stamps[after] - reports.stamps[before]) * 1e-9)
         u = a + share * (reports.values[after, 0] - a)
@@ -132,16 +138,27 @@ def carried(
     walk = drift.walk if own.many > 0 and peer.many > 0 else drift.free_walk
     # of a wander, between two instants
     spread = 2.0 * (1.0 - math.exp(-dt / drift.wander_s))
-    tilt, yaw, free = spread * drift.tilt, spread * drift.yaw, spread * drift.free
+    tilt = spread * drift.tilt
+    yaw = spread * drift.yaw
+    free = spread * drift.free
     # the own one turns position and attitude together
-    own_turn, peer_turn = (tilt, tilt, yaw), (tilt, tilt, yaw)
+    own_turn = (tilt, tilt, yaw)
+    peer_turn = (tilt, tilt, yaw)
     both_levelled = levelled and state.levelled
     if not both_levelled:
         peer_turn = (free, free, free)
     way = _way(own, peer, state.stamp_ns, stamp_ns)
-    p, R, e, R_n_c, R_n_v = state.p, state.R, state.e, state.R_n_c, state.R_n_v
-    lever_c, lever_v = drift.lever_c, drift.lever_v
-    turn, turned_R, lever, moved = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
+    p = state.p
+    R = state.R
+    e = state.e
+    R_n_c = state.R_n_c
+    R_n_v = state.R_n_v
+    lever_c = drift.lever_c
+    lever_v = drift.lever_v
+    turn = np.empty((3, 3))
+    turned_R = np.empty((3, 3))
+    lever = np.empty(3)
+    moved = np.empty(3)
     for i in range(3):
         for j in range(3):
             turn[i, j] = 1.0 if i == j else 0.0
@@ -167,7 +184,8 @@ def predicted(
         covariance (6, 6).
     """
     p, R, P = carried(state, stamp_ns, R_n_c, R_n_v, levelled, own, peer, drift)
-    R_c_n, spread = np.empty((3, 3)), np.empty((6, 6))
+    R_c_n = np.empty((3, 3))
+    spread = np.empty((6, 6))
     for i in range(3):
         for j in range(3):
             R_c_n[i, j] = R_n_c[j, i]
@@ -203,7 +221,8 @@ def fused(
 @inner
 def _covariance(P: Array, turn: Array, dt: float, walk: float, p: Array, own: Vec3, lever: Array, peer: Vec3) -> Array:
     """``P`` after ``dt`` seconds; ``turn`` (3, 3) of the marker's drone, ``p`` and ``lever`` (3,) afterwards."""
-    half, out = np.empty((9, 9)), np.empty((9, 9))
+    half = np.empty((9, 9))
+    out = np.empty((9, 9))
     for j in range(9):
         for i in range(3):
             half[i, j] = P[i, j] + dt * P[6 + i, j]
@@ -240,7 +259,8 @@ def _add_turned(P: Array, arm: Array, variances: Vec3) -> None:
 @inner
 def turned(covariance: Array, R: Array) -> Array:
     """A pose's covariance (6, 6) in another frame: both halves turned by ``R`` (3, 3)."""
-    half, out = np.empty((6, 6)), np.empty((6, 6))
+    half = np.empty((6, 6))
+    out = np.empty((6, 6))
     for i in range(3):
         for j in range(6):
             for b in range(0, 6, 3):
@@ -257,7 +277,8 @@ def turned(covariance: Array, R: Array) -> Array:
 @inner
 def placed(R_a_b: Array, p_b: Array, R_b_v: Array, covariance: Array) -> tuple[Array, Array, Array]:
     """A pose and its covariance (6, 6) in another frame, which is only turned: ``R_a_b p``, ``R_a_b R`` and so on."""
-    p, R = np.empty(3), np.empty((3, 3))
+    p = np.empty(3)
+    R = np.empty((3, 3))
     for i in range(3):
         p[i] = R_a_b[i, 0] * p_b[0] + R_a_b[i, 1] * p_b[1] + R_a_b[i, 2] * p_b[2]
         for j in range(3):
@@ -289,12 +310,15 @@ def known_by(
 @inner
 def _surprise(p: Array, R: Array, seen_p: Array, seen_R: Array) -> Array:
     """Returns a measured pose's difference to the state's, (6,): ``seen_p - p``, the rotation vector to ``seen_R``."""
-    out, D = np.empty(6), np.empty((3, 3))
+    out = np.empty(6)
+    D = np.empty((3, 3))
     for i in range(3):
         out[i] = seen_p[i] - p[i]
         for j in range(3):
             D[i, j] = seen_R[i, 0] * R[j, 0] + seen_R[i, 1] * R[j, 1] + seen_R[i, 2] * R[j, 2]
-    x, y, z = D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]
+    x = D[2, 1] - D[1, 2]
+    y = D[0, 2] - D[2, 0]
+    z = D[1, 0] - D[0, 1]
     sine = 0.5 * math.sqrt(x * x + y * y + z * z)
     angle = math.atan2(sine, 0.5 * (D[0, 0] + D[1, 1] + D[2, 2] - 1.0))
     if sine > 1e-7:
@@ -302,7 +326,10 @@ def _surprise(p: Array, R: Array, seen_p: Array, seen_R: Array) -> Array:
     elif angle < 1.0:
         scale = 0.5
     else:  # half a turn, about whatever axis: no measurement that will be believed
-        x, y, z, scale = angle, 0.0, 0.0, 1.0
+        x = angle
+        y = 0.0
+        z = 0.0
+        scale = 1.0
     out[3], out[4], out[5] = scale * x, scale * y, scale * z
     return out
 
@@ -310,7 +337,9 @@ def _surprise(p: Array, R: Array, seen_p: Array, seen_R: Array) -> Array:
 @inner
 def _expected(P: Array, persistent: Array, seen_P: Array, seen_persistent: Array, kept: float) -> Array:
     """Covariance (6, 6) of the difference between a state and a measured pose; arguments as in ``fuse``."""
-    S, size, seen_size = np.empty((6, 6)), 0.0, 0.0
+    S = np.empty((6, 6))
+    size = 0.0
+    seen_size = 0.0
     for i in range(6):
         size += persistent[i, i]
         seen_size += seen_persistent[i, i]
@@ -324,7 +353,8 @@ def _expected(P: Array, persistent: Array, seen_P: Array, seen_persistent: Array
 @inner
 def _white(S: Array, difference: Array, P: Array) -> tuple[Array, Array]:
     """``S^-1/2`` of the difference (6,), and of the first six rows of P (6, 9); ``S`` is a Cholesky factor."""
-    white, W = np.empty(6), np.empty((6, 9))
+    white = np.empty(6)
+    W = np.empty((6, 9))
     for i in range(6):
         white[i] = difference[i]
         for j in range(9):

@@ -105,7 +105,8 @@ def triangulate(said: Sighted, ray_c: Vec3, ray_sigma_rad: float) -> BothViews:
         ray_c: of D2's, from its camera, any length.
         ray_sigma_rad: standard deviation of its direction, per axis: pixels and lens.
     """
-    x1, C1 = said.point_c, said.covariance
+    x1 = said.point_c
+    C1 = said.covariance
     across = _across(np.array(ray_c))
     noise_m = ray_sigma_rad * float(np.linalg.norm(x1))
     off = across @ x1

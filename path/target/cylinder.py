@@ -40,11 +40,14 @@ def reach_m(T_v_c: Rigid, point_v: Vec3, gravity_v: Vec3, span_m: float, height_
 @as_it_is
 def middle_v(T_v_c: Rigid, surface_v: Vec3, gravity_v: Vec3, span_m: float, height_m: float) -> Vec3:
     """The middle of a target, from the point of its surface in the middle of its box."""
-    rx, ry, rz = surface_v[0] - T_v_c[9], surface_v[1] - T_v_c[10], surface_v[2] - T_v_c[11]
+    rx = surface_v[0] - T_v_c[9]
+    ry = surface_v[1] - T_v_c[10]
+    rz = surface_v[2] - T_v_c[11]
     distance = max(_LEAST, math.sqrt(rx * rx + ry * ry + rz * rz))
     falling = (rx * gravity_v[0] + ry * gravity_v[1] + rz * gravity_v[2]) / distance
     level = math.sqrt(max(0.0, 1.0 - falling * falling))
-    by_side, by_top = BEHIND_SHARE * span_m / max(_LEAST, level), 0.5 * height_m / max(_LEAST, abs(falling))
+    by_side = BEHIND_SHARE * span_m / max(_LEAST, level)
+    by_top = 0.5 * height_m / max(_LEAST, abs(falling))
     further = behind_m(falling, span_m, height_m) / distance
     on_ray = surface_v[0] + further * rx, surface_v[1] + further * ry, surface_v[2] + further * rz
     across = _moved(T_v_c, on_ray, gravity_v, span_m, height_m, -1.0)
@@ -123,8 +126,10 @@ def _box_middle(g_side: float, g_ahead: float, side: float, ahead: float, span_m
     tangent = side / ahead
     upright, level = _upright_and_level(g_side, g_ahead, tangent)
     half = 0.5 * span_m / max(_LEAST, level)
-    out_side, out_ahead = half * (1.0 - upright * g_side), half * (-tangent - upright * g_ahead)
-    down_side, down_ahead = 0.5 * height_m * g_side, 0.5 * height_m * g_ahead
+    out_side = half * (1.0 - upright * g_side)
+    out_ahead = half * (-tangent - upright * g_ahead)
+    down_side = 0.5 * height_m * g_side
+    down_ahead = 0.5 * height_m * g_ahead
     a = (side + down_side + out_side) / (ahead + down_ahead + out_ahead)
     b = (side + down_side - out_side) / (ahead + down_ahead - out_ahead)
     c = (side - down_side + out_side) / (ahead - down_ahead + out_ahead)

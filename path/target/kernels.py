@@ -14,9 +14,13 @@ OUTLIER_SIGMAS = 3.0
 @inner
 def median(values: NDArray[np.float64], n: int) -> float:
     """The median of the first ``n`` values, which it puts into another order (Hoare's selection)."""
-    k, low, high = n // 2, 0, n - 1
+    k = n // 2
+    low = 0
+    high = n - 1
     while low < high:
-        pivot, i, j = values[(low + high) // 2], low, high
+        pivot = values[(low + high) // 2]
+        i = low
+        j = high
         while i <= j:
             while values[i] < pivot:
                 i += 1

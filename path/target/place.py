@@ -64,9 +64,12 @@ def _central_part(depth_mm: NDArray[np.uint16], box: Box, fraction: float) -> ND
         return None
     height, width = depth_mm.shape
     u, v = box.center
-    half_w, half_h = 0.5 * fraction * box.w, 0.5 * fraction * box.h
-    left, right = max(0, math.ceil(u - half_w)), min(width, math.floor(u + half_w) + 1)
-    top, bottom = max(0, math.ceil(v - half_h)), min(height, math.floor(v + half_h) + 1)
+    half_w = 0.5 * fraction * box.w
+    half_h = 0.5 * fraction * box.h
+    left = max(0, math.ceil(u - half_w))
+    right = min(width, math.floor(u + half_w) + 1)
+    top = max(0, math.ceil(v - half_h))
+    bottom = min(height, math.floor(v + half_h) + 1)
     if right <= left or bottom <= top:
         return None
     step = max(1, math.isqrt((right - left) * (bottom - top) // ENOUGH_PIXELS))

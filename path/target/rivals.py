@@ -26,7 +26,8 @@ from path.values import value
 
 SAME_M = 0.15
 """Two sightings that are nearer to each other than that are of one object."""
-MOST, REMEMBERED = 3, 8
+MOST = 3
+REMEMBERED = 8
 """The numbers of those told of and of those remembered: the nearest ones."""
 SEEN_TIMES = 3
 """One that was seen less often may be nothing: detectors invent, but hardly ever several times in the same place."""
@@ -60,7 +61,8 @@ class Rivals:
     """The objects beside the target that D1 saw in its last frames. One instance for one attempt."""
 
     def __init__(self, views: TwoViews, config: MethodConfig) -> None:
-        self._views, self._config = views, config
+        self._views = views
+        self._config = config
         self._body = config.evidence.span_m, config.evidence.height_m
         self._remember_ns = round(config.evidence.rival_s * 1e9)
         self._beside: list[_Beside] = []
@@ -114,7 +116,8 @@ class Rivals:
 
     def _place(self, rival: Rival, z_m: float, point_v: Vec3, gravity_v: Vec3) -> tuple[Vec3, float] | None:
         """A rival's place in ``v``, and its depth; None when its pixel has no ray."""
-        views, config = self._views, self._config
+        views = self._views
+        config = self._config
         depth = rival.depth
         if depth is not None and config.min_depth_m <= depth.z_m <= config.max_depth_m:
             found = locate(views, plain_box(rival.box), depth, config)

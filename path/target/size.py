@@ -54,11 +54,14 @@ class RunningSize:
     def note(self, stamp_ns: int, sides_m: tuple[float, float], sigma: float, most_sigmas: float) -> float:
         """By how many standard deviations a box is larger than those before it; learns from it when it fits."""
         logs = math.log(sides_m[0]), math.log(sides_m[1])
-        mean, since_s = self._mean, max(0.0, (stamp_ns - self._stamp_ns) * 1e-9)
+        mean = self._mean
+        since_s = max(0.0, (stamp_ns - self._stamp_ns) * 1e-9)
         grown = FITS if mean is None else max(logs[0] - mean[0], logs[1] - mean[1]) / sigma
         unsure = grown > most_sigmas and self._stamp_ns - self._first_ns < self._sure_ns
         if mean is None or unsure or since_s > LEARNED_S:
-            self._mean, self._first_ns, self._stamp_ns = logs, stamp_ns, stamp_ns
+            self._mean = logs
+            self._first_ns = stamp_ns
+            self._stamp_ns = stamp_ns
             return FITS
         if grown <= most_sigmas:
             self._mean = _followed(mean[0], logs[0], since_s), _followed(mean[1], logs[1], since_s)
@@ -74,7 +77,8 @@ class Sizes:
     """The sizes of both drones' boxes of the target in one attempt."""
 
     def __init__(self, views: TwoViews, config: MethodConfig) -> None:
-        self._views, self._config = views.numbers, config
+        self._views = views.numbers
+        self._config = config
         self._body = config.evidence.span_m, config.evidence.height_m
         self._own, self._theirs = RunningSize(), RunningSize()
 

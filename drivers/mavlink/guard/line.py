@@ -18,7 +18,8 @@ from drivers.mavlink.guard.seal import KeyReader, Opener, Seals, forget_key, kee
 
 _BEAT = struct.Struct("!4sBIffff")  # magic, script, setpoints, separation, peer's north, east, down
 _ANSWER = struct.Struct("!4sBB")  # magic, sees, hand; then reason and alarm
-_BEAT_MAGIC, _ANSWER_MAGIC = b"PGb1", b"PGa1"
+_BEAT_MAGIC = b"PGb1"
+_ANSWER_MAGIC = b"PGa1"
 _MOST_BYTES = 1024
 _KEY_LOOK_NS = 100_000_000  # a role whose guard's key is gone is silent; it is taken for dead after beat_age_s
 _MOST_READS = 1000  # at once: a flood does not keep a guard from its rules
@@ -195,7 +196,8 @@ class UdpBeatLine:
             if beat is None:
                 self.ignored[FOREIGN] = self.ignored.get(FOREIGN, 0) + 1
             else:
-                newest, self._from = beat, received[1]
+                newest = beat
+                self._from = received[1]
         return None if newest is None else (self._clock.now_ns(), newest)
 
     def answer(self, answer: GuardAnswer) -> None:

@@ -17,7 +17,8 @@ import time
 from pathlib import Path
 
 KEY_BYTES = 32
-_STAMP_BYTES, _TAG_BYTES = 8, 16
+_STAMP_BYTES = 8
+_TAG_BYTES = 16
 SEAL_BYTES = _STAMP_BYTES + _TAG_BYTES
 
 
@@ -75,7 +76,8 @@ class KeyReader:
             found = self._path.lstat()
             known = found.st_ino, found.st_ctime_ns
             if known != self._known:
-                self._key, self._known = _content(self._path), known
+                self._key = _content(self._path)
+                self._known = known
         except OSError:
             self._key = self._known = None
         return self._key

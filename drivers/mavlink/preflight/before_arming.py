@@ -28,7 +28,9 @@ class BeforeArming:
     """The pilot and the fence of one vehicle that is open."""
 
     def __init__(self, session: MavsdkSession, telemetry: TelemetrySlots, config: MavsdkVehicleConfig) -> None:
-        self._session, self._telemetry, self._config = session, telemetry, config
+        self._session = session
+        self._telemetry = telemetry
+        self._config = config
 
     @property
     def _access(self) -> ParameterAccess:

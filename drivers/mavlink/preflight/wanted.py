@@ -16,8 +16,12 @@ from drivers.mavlink.preflight.pilot_rules import SILENCING
 LONGEST_WITHOUT_SETPOINTS_S = 2.0
 LONGEST_OF_A_SIMULATOR_S = 10.0  # one that no pilot can take: its failsafe waits while what comes before it is measured
 LONGEST_WITHOUT_COMPANION_S = 5.0  # as ArduCopter is delivered
-ALT_MAX, CIRCLE = 1, 2  # bits of FENCE_TYPE
-HIGHEST_CM, LEAST_CM = 12_000.0, 100.0  # of RTL_ALT: as high as a fence may be; what is less was meant in metres
+# bits of FENCE_TYPE
+ALT_MAX = 1
+CIRCLE = 2
+# of RTL_ALT: as high as a fence may be; what is less was meant in metres
+HIGHEST_CM = 12_000.0
+LEAST_CM = 100.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-V1, V2 = 0xFE, 0xFD
+V1 = 0xFE
+V2 = 0xFD
 SIGNED = 0x01  # of the incompatibility flags
 SIGNATURE = 13
-_V1_HEADER, _V2_HEADER, _CRC = 6, 10, 2
-HEARTBEAT, TIMESYNC = 0, 111
+_V1_HEADER = 6
+_V2_HEADER = 10
+_CRC = 2
+HEARTBEAT = 0
+TIMESYNC = 111
 CRC_EXTRA = {HEARTBEAT: 50, TIMESYNC: 34}  # a byte that stands for the message's layout
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 

@@ -102,7 +102,8 @@ class MavsdkLine:
                 self._mavsdk.pass_received_raw_bytes(frame)
 
     def _believes(self, frame: bytes, source: Address | None) -> bool:
-        head, now_ns = head_of(frame), time.monotonic_ns()
+        head = head_of(frame)
+        now_ns = time.monotonic_ns()
         pinned = self._source.pinned
         if head.system != self._source.sysid:  # before there is a vehicle, a neighbour's heartbeat tells who is here
             return source in (None, pinned) or (pinned is None and head.message == HEARTBEAT)

@@ -142,7 +142,8 @@ class MavlinkPort:
         key: bytes | None = None,
     ) -> None:  # fmt: skip
         """``own``: system and component id that are sent from; ``key``: of the signatures, both ways."""
-        self._wanted, self._now_ns = wanted, now_ns
+        self._wanted = wanted
+        self._now_ns = now_ns
         self._source = VehicleSource(sysid, own)
         self._waiting = bytearray()
         self._mav: Any = mavlink.MAVLink(None, srcSystem=own[0], srcComponent=own[1])
@@ -228,7 +229,9 @@ def extras() -> dict[int, int]:
 def open_transport(url: str) -> Transport:
     match = URL.fullmatch(url)
     assert match is not None  # PortLock and the Config have read it
-    kind, host, number = match[1], match[2], int(match[3])
+    kind = match[1]
+    host = match[2]
+    number = int(match[3])
     if kind == "serial":
         return SerialPort(host, number)
     return UdpIn((host, number)) if kind == "udpin" else UdpOut((host, number))

@@ -9,7 +9,9 @@ from collections.abc import Callable, Mapping
 from drivers.link.key import signing_time
 from drivers.mavlink.transport.frames import SIGNATURE, SIGNED, V2, crc, head_of
 
-_HASH, _STAMP, _CRC = 6, 6, 2
+_HASH = 6
+_STAMP = 6
+_CRC = 2
 
 
 class Signer:
@@ -24,7 +26,10 @@ class Signer:
     def __init__(
         self, key: bytes, link: int, extras: Mapping[int, int], clock: Callable[[], int] = signing_time
     ) -> None:
-        self._key, self._link, self._extras, self._clock = key, link, extras, clock
+        self._key = key
+        self._link = link
+        self._extras = extras
+        self._clock = clock
         self._newest = 0
 
     def sign(self, frame: bytes) -> bytes | None:
@@ -51,7 +56,8 @@ class SignatureCheck:
             return False
         if not hmac.compare_digest(_hash(self._key, frame[:-_HASH]), frame[-_HASH:]):
             return False
-        head, stamp = head_of(frame), int.from_bytes(frame[1 - SIGNATURE : -_HASH], "little")
+        head = head_of(frame)
+        stamp = int.from_bytes(frame[1 - SIGNATURE : -_HASH], "little")
         stream = head.system, head.component, frame[-SIGNATURE]
         if stamp <= self._newest.get(stream, -1):
             return False

@@ -81,6 +81,7 @@ class VehicleSource:
         time, number = _TIMESYNC.unpack_from(payload_of(frame, _TIMESYNC.size))
         if number != asked or time == 0:
             return False
-        self.pinned, self.unproven = source, None
+        self.pinned = source
+        self.unproven = None
         self._asked.clear()
         return True

@@ -54,7 +54,8 @@ class SitlWorld(RealTimeWorld):
 
     def __init__(self, rig: Rig, seed: int, out: str) -> None:
         super().__init__(rig, [role.value for role in Role])
-        self._out, self._seed = Path(out), seed
+        self._out = Path(out)
+        self._seed = seed
         self._config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
         self._built = as_built(rig, seed)
         self._world = World(self._config, seed)
@@ -91,7 +92,8 @@ class SitlWorld(RealTimeWorld):
         return {"air": air.port}
 
     def _vehicle(self, role: Role) -> VehicleOnTheWire:
-        rig, world = self.rig, self._world
+        rig = self.rig
+        world = self._world
         if is_tello(rig.role(role).vehicle):
             emulator, self._videos[role] = tello_of(rig, role, world.drone(role), world.config, self._seed, self.when_s)
             return emulator
@@ -151,9 +153,12 @@ class SitlWorld(RealTimeWorld):
         inject_in_world(order["fault"], role, self._world, order["value"] or None)
 
     def findings(self) -> dict[str, Any]:
-        monitors, truth, world = self._monitors, self._truth, self._world
+        monitors = self._monitors
+        truth = self._truth
+        world = self._world
         for role in Role:
-            vehicle, cut_off_s = self.drones[role.value].vehicle, self.drones[role.value].cut_off_s
+            vehicle = self.drones[role.value].vehicle
+            cut_off_s = self.drones[role.value].cut_off_s
             by_sticks = isinstance(vehicle, TelloEmulator)
             sessions = vehicle.sessions if by_sticks else world.drone(role).autopilot.offboard_sessions
             truth.setpoint_gap(role, world)

@@ -25,7 +25,8 @@ class PersonOnTheWire:
     """Says by UDP what the person says, and shows it what is asked. Nothing here waits."""
 
     def __init__(self, person: Person, address: tuple[str, int]) -> None:
-        self._person, self._address = person, address
+        self._person = person
+        self._address = address
         self._socket = socket.socket(socket.AF_INET6 if ":" in address[0] else socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._hello_s = 0.0

@@ -11,11 +11,14 @@ from typing import Any
 from hil.monitors.setpoints import JudgedGap, excuse_of
 
 LEFT_OUT = 0.5  # of the pictures
-OLD_S, OLD_SHARE = 0.25, 0.2  # of the frames, when a program took them up
+# of the frames, when a program took them up
+OLD_S = 0.25
+OLD_SHARE = 0.2
 ENOUGH = 50  # frames
 STOOD_S = 0.5  # of a world: for longer no drone takes a silent vehicle for a living one
 STOPPED_S = 0.3  # of a program that has a share of a core: for longer no setpoint is in time, whatever the program does
-TOGETHER_S, LOOK_S = 0.3, 0.1
+TOGETHER_S = 0.3
+LOOK_S = 0.1
 STAT = Path("/proc/stat")
 
 
@@ -45,8 +48,10 @@ def overload_of(
     if excuse := excuse_of(gaps):
         late.append(excuse)
     for name in dict.fromkeys((*ages_s, *pictures)):
-        made, its = pictures.get(name, {}), whose.format(name)
-        rendered, left_out = int(made.get("rendered", 0)), int(made.get("left_out", 0))
+        made = pictures.get(name, {})
+        its = whose.format(name)
+        rendered = int(made.get("rendered", 0))
+        left_out = int(made.get("left_out", 0))
         if rendered + left_out >= ENOUGH and left_out > LEFT_OUT * (rendered + left_out):
             late.append(f"{its} pictures: {left_out} of {rendered + left_out} were not rendered in time")
         late += late_program(f"{its} program", ages_s.get(name, ()))

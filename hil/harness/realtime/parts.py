@@ -56,7 +56,8 @@ class CameraView:
         own = rig.role(role)
         self.errors = built.sensors[role]
         self.role = role
-        mount, imaging = own.mount, imaging_of(rig)
+        mount = own.mount
+        imaging = imaging_of(rig)
         self._renderer = Renderer(
             own.camera, mount.T_b_c, mount.T_b_v, rig.layout, seed=seed, imaging=imaging,
             shutter=shutter_of(self.errors),
@@ -85,7 +86,9 @@ class CameraThread(threading.Thread):
         self, scene: CameraScene, picture: CameraView, writer: FrameWriter, rate_hz: float, phase: float
     ) -> None:
         super().__init__(name=f"camera-{picture.role.value}", daemon=True)
-        self._scene, self._picture, self._writer = scene, picture, writer
+        self._scene = scene
+        self._picture = picture
+        self._writer = writer
         self._period_s = 1.0 / rate_hz
         self._phase_s = phase * self._period_s
         self.ending = threading.Event()
@@ -93,7 +96,8 @@ class CameraThread(threading.Thread):
         self.left_out = 0
 
     def run(self) -> None:
-        scene, period_s = self._scene, self._period_s
+        scene = self._scene
+        period_s = self._period_s
         stamps = StampErrors(self._picture.errors, 1.0 / period_s)
         frame = max(0, int((scene.now_s() - self._phase_s) / period_s))
         while not self.ending.is_set():
@@ -145,7 +149,8 @@ def depth_size(rig: Rig, role: Role) -> tuple[int, int]:
 def shared_camera(run: str, rig: Rig, role: Role) -> SharedCameraWriter:
     """Returns the writer of frames to where a role's driver looks for them."""
     color = rig.role(role).camera
-    size, fps = (color.width, color.height), camera_config(rig, role).fps
+    size = (color.width, color.height)
+    fps = camera_config(rig, role).fps
     return SharedCameraWriter(run, role, size, depth_size(rig, role), fps)
 
 

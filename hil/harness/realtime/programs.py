@@ -102,7 +102,10 @@ class LivePrograms:
         """
         drone = self.drones[name]
         while True:
-            drone.killed, drone.told, drone.restart_s, drone.result = False, {}, None, None
+            drone.killed = False
+            drone.told = {}
+            drone.restart_s = None
+            drone.result = None
             await self._begin(drone)
             assert drone.program is not None
             await self._listen(drone, drone.program)
@@ -115,7 +118,8 @@ class LivePrograms:
 
     async def _begin(self, drone: LiveDrone) -> None:
         """Starts its program; what was to happen to it meanwhile happens now."""
-        name, drone.begins = drone.name, True
+        name = drone.name
+        drone.begins = True
         try:
             drone.program = await self.spawn(self._orders.program(name), name, self._orders.shares(name))
         finally:
@@ -123,13 +127,15 @@ class LivePrograms:
         self._orders.begun(name, drone.program.pid)
         if self.stop.is_set():
             self._end_gently(drone.program)
-        due, drone.due = drone.due, []
+        due = drone.due
+        drone.due = []
         for leg, fault in due:
             self._inject(leg, fault)
 
     async def start_guard(self, name: str) -> None:
         """Beside the programs of one flight, in a rig with guards; that of the flight before has ended by then."""
-        drone, command = self.drones[name], self._orders.guard(name)
+        drone = self.drones[name]
+        command = self._orders.guard(name)
         if drone.guard_ends is not None:
             await drone.guard_ends
         if command is not None and drone.guard is None:
@@ -139,7 +145,8 @@ class LivePrograms:
     def end_guard(self, name: str) -> None:
         drone = self.drones[name]
         if drone.guard is not None:
-            drone.guard_ends, drone.guard = asyncio.ensure_future(end_gently(drone.guard)), None
+            drone.guard_ends = asyncio.ensure_future(end_gently(drone.guard))
+            drone.guard = None
 
     def interrupt(self) -> None:
         """Gently: they land."""
@@ -257,7 +264,8 @@ class LivePrograms:
 
     def _inject(self, leg: int, fault: Fault) -> None:
         """A fault at the drone that has, or had, its role in the leg; the world is told when it began."""
-        role, at_ns = fault.kind.role, time.monotonic_ns()
+        role = fault.kind.role
+        at_ns = time.monotonic_ns()
         name = None if role is None else self.legs.end_of(leg, role)
         if name is not None and not self._hit(leg, self.drones[name], fault):
             return

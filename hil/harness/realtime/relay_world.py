@@ -94,7 +94,8 @@ class RelaySitlWorld(RealTimeWorld):
     # --- stepping ---
 
     def watch(self, steps: int, now_s: float) -> None:
-        world, hindsight = self._world, self._hindsight
+        world = self._world
+        hindsight = self._hindsight
         if steps % TRUTH_STEPS == 0:
             self._monitors.on_truth(world.time_s)
             hindsight.put(world.time_s, "on_watched", world.time_s)
@@ -131,7 +132,8 @@ class RelaySitlWorld(RealTimeWorld):
         self._hindsight.put(stamp_w_ns * 1e-9, "on_record", name, topic, stamp_w_ns, seen)
 
     async def obey(self, order: Mapping[str, Any]) -> None:
-        now_s, put = self.now_s(), self._hindsight.put
+        now_s = self.now_s()
+        put = self._hindsight.put
         match order:
             case {"on": name}:
                 self._switch_on(name, now_s)
@@ -158,7 +160,8 @@ class RelaySitlWorld(RealTimeWorld):
 
     def _switch_on(self, name: str, now_s: float) -> None:
         """Its autopilot and its camera; what is on already stays so."""
-        drone, pair = self.drones[name], self._pairs[name]
+        drone = self.drones[name]
+        pair = self._pairs[name]
         with self.lock:
             if name not in self._world.on:
                 self._world.switch_on(name)
@@ -206,7 +209,8 @@ class RelaySitlWorld(RealTimeWorld):
     # --- the end ---
 
     def findings(self) -> dict[str, Any]:
-        monitors, world = self._monitors, self._world
+        monitors = self._monitors
+        world = self._world
         self._hindsight.judge(math.inf)
         now_s = self.now_s()
         aloft = [name for name in world.names if not world.landed(name)]

@@ -48,7 +48,11 @@ class RealTimeRun(LivePrograms):
             limit_s: what the mission may take before everybody is told to land.
             landing_s: what the vehicles are given to be down after it.
         """
-        start_s, cpu_s, failure, slow, finished = time.monotonic(), _children_s(), "", "", dict[str, Any]()
+        start_s = time.monotonic()
+        cpu_s = _children_s()
+        failure = ""
+        slow = ""
+        finished = dict[str, Any]()
         try:
             await self._start_world()
             await self._fly_until(asyncio.ensure_future(mission()), limit_s)

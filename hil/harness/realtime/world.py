@@ -173,7 +173,8 @@ class RealTimeWorld:
 
     def step(self, steps: int) -> bool:
         """The world as it is by now. Returns whether it is over."""
-        now_s, fleet = self.now_s(), self.fleet
+        now_s = self.now_s()
+        fleet = self.fleet
         with self.lock:
             if not self.landed():
                 self._note_stall(fleet.time_s, now_s)
@@ -233,7 +234,8 @@ class RealTimeWorld:
                 await self.obey(order)
 
     def _inject(self, order: Mapping[str, Any]) -> None:
-        fault, at_s = order["fault"], int(order["at_ns"]) * 1e-9 - self.start_s
+        fault = order["fault"]
+        at_s = int(order["at_ns"]) * 1e-9 - self.start_s
         if order["leg"] in self.proxies:
             inject_on_link(fault, order["value"] or 0.0, self.proxies[order["leg"]])
         with self.lock:

@@ -20,7 +20,8 @@ Vec3 = tuple[float, float, float]
 Boxes = tuple[tuple[Vec3, Vec3, Color], ...]
 
 WALKING_MPS = 0.3  # what the rigs' people walk at
-_ARM_M, _HULL_M = 0.12, (0.16, 0.11, 0.05)
+_ARM_M = 0.12
+_HULL_M = (0.16, 0.11, 0.05)
 DRONE_HULL: Boxes = (
     # centre, size, colour
     ((0.0, 0.0, 0.0), _HULL_M, ORANGE),

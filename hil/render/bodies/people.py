@@ -59,7 +59,10 @@ PARTS: tuple[_Part, ...] = (
     _Part((-0.158, 0.0, 1.230), (0.002, 0.240, 0.240), LOGO, 0.030, 0.5),
 )
 
-SHOE_PARTS, LEG_PARTS, ARM_PARTS = (0, 1), (2, 3), (5, 6, 7, 8)  # left, right; of arms the sleeves, then the hands
+# left, right; of arms the sleeves, then the hands
+SHOE_PARTS = (0, 1)
+LEG_PARTS = (2, 3)
+ARM_PARTS = (5, 6, 7, 8)
 SWUNG_M = {5: 0.11, 6: -0.11, 7: 0.12, 8: -0.12}  # how far forward these are
 
 
@@ -71,7 +74,8 @@ def person(variant: int) -> Model:
     faces: list[Face] = []
     for number, part in enumerate(PARTS):
         shade = own.uniform(0.92, 1.06)
-        center, size = np.array(part.center) * scale, np.array(part.size) * scale
+        center = np.array(part.center) * scale
+        size = np.array(part.size) * scale
         size -= 2.0 * GAP_M * (scale - 1.0).clip(0.0)  # growing, neighbours keep their distance
         first, second = (_shaded(color, shade) for color in part.colors)
         sides = box(center, size.tolist(), first)

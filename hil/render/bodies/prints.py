@@ -19,7 +19,10 @@ TEXELS = 1024  # about, along a side of the plate
 SHADED = 0.45  # light in a shadow, as a share
 PENUMBRA_M = 0.0006  # half the width of the edge of a hard shadow
 SOFT_SIDES = 1.0  # width of a soft shadow's gradient, in sides of the marker
-BLADE_M, BLADE_EDGE_M, BLADE_OPACITY = 0.008, 0.001, 0.55  # chord; blurred edge; of a blade that moves
+# chord; blurred edge; of a blade that moves
+BLADE_M = 0.008
+BLADE_EDGE_M = 0.001
+BLADE_OPACITY = 0.55
 OFF_CENTRE = 0.35  # shadows' edges and blades pass the centre within this part of the marker's side
 
 
@@ -74,7 +77,8 @@ def _spread(white: NDArray[np.uint8], spread: float) -> Array:
 
 def _across(size: int, texel_m: float, side_m: float, rng: np.random.Generator) -> Array:
     """Distance in m, shape (size, size), from a line in a random direction that passes near the centre."""
-    angle, offset = rng.uniform(0.0, 2.0 * np.pi), side_m * rng.uniform(-OFF_CENTRE, OFF_CENTRE)
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    offset = side_m * rng.uniform(-OFF_CENTRE, OFF_CENTRE)
     along = (np.arange(size) + 0.5 - 0.5 * size) * texel_m
     return np.cos(angle) * along[None, :] + np.sin(angle) * along[:, None] - offset
 

@@ -20,12 +20,20 @@ from hil.world.gait import OWN_PHASE, foot_at, reach_m
 
 Array = NDArray[np.float64]
 
-HIP_M, ANKLE_M, SHOULDER_M = 0.901, 0.093, 1.41  # above the ground
+# above the ground
+HIP_M = 0.901
+ANKLE_M = 0.093
+SHOULDER_M = 1.41
 KNEE_SHARE = 7.0 / 15.0  # of the leg, from the hip down: between two rows of the trousers' pattern
 STRETCHED = 0.997  # of the leg, at most
 ARM_SHARE = 0.87  # of the legs' angle
 FACES_OF_A_BOX = 6
-TRUNK, THIGH, SHIN, SHOE, ARM = 0, 1, 3, 5, 7  # the left one; the right one follows
+# the left one; the right one follows
+TRUNK = 0
+THIGH = 1
+SHIN = 3
+SHOE = 5
+ARM = 7
 LIMBS = 9
 SIGNS = np.array(np.meshgrid(*((-1.0, 1.0),) * 3)).reshape(3, -1).T
 Vec3 = tuple[float, float, float]
@@ -82,7 +90,8 @@ def _cut_at_the_knee(leg: list[Face]) -> tuple[list[Face], list[Face]]:
         if face.e1[2] == face.e2[2] == 0.0:
             continue
         along = 1 if face.e1[2] != 0.0 else 2  # the side that is upright, and the axis of the table along it
-        edge, table = face[along], face.shades
+        edge = face[along]
+        table = face.shades
         assert isinstance(edge, np.ndarray) and table is not None
         falls = edge[2] < 0.0
         share = KNEE_SHARE if falls else 1.0 - KNEE_SHARE
@@ -137,8 +146,10 @@ def boxes_around_a_walker(speed_mps: float) -> tuple[tuple[Vec3, Vec3, Color], .
     for limb, center, size, color in _boxes():
         corners = center + 0.5 * size * SIGNS
         points = corners @ turn[limb].T + shift[limb]
-        low, high = points.min(axis=0), points.max(axis=0)
-        middle, sides = 0.5 * (low + high), high - low
+        low = points.min(axis=0)
+        high = points.max(axis=0)
+        middle = 0.5 * (low + high)
+        sides = high - low
         boxes.append((_tuple(middle), _tuple(sides), color))
     return tuple(boxes)
 
@@ -162,12 +173,15 @@ def _now(scale: Array, strides: float, speed_mps: float) -> tuple[Array, Array]:
 def _boxes() -> Iterator[tuple[int, Array, Array, Color]]:
     """The limb, centre, size and first colour of each box of an upright body."""
     for number, part in enumerate(PARTS):
-        center, size, limb = np.array(part.center), np.array(part.size), _limb_of(number)
+        center = np.array(part.center)
+        size = np.array(part.size)
+        limb = _limb_of(number)
         if number in LEG_PARTS:
             share = np.array([1.0, 1.0, KNEE_SHARE])
             rise = np.array([0.0, 0.0, 0.5 * (1.0 - KNEE_SHARE) * size[2]])
             yield limb, center + rise, size * share, part.colors[0]
-            rise, share = np.array([0.0, 0.0, -0.5 * KNEE_SHARE * size[2]]), np.array([1.0, 1.0, 1.0 - KNEE_SHARE])
+            rise = np.array([0.0, 0.0, -0.5 * KNEE_SHARE * size[2]])
+            share = np.array([1.0, 1.0, 1.0 - KNEE_SHARE])
             yield limb + SHIN - THIGH, center + rise, size * share, part.colors[0]
             continue
         yield limb, center - np.array([SWUNG_M.get(number, 0.0), 0.0, 0.0]), size, part.colors[0]
@@ -196,11 +210,14 @@ def _posture(
         reach: of a foot ahead of the hips, at most.
         left_ahead: -1..1, how far the left leg is ahead, for the arms.
     """
-    turn, shift = np.tile(np.eye(3), (LIMBS, 1, 1)), np.zeros((LIMBS, 3))
+    turn = np.tile(np.eye(3), (LIMBS, 1, 1))
+    shift = np.zeros((LIMBS, 3))
     tall = float(scale[2])
-    hip, shoulder = tall * HIP_M, tall * SHOULDER_M
+    hip = tall * HIP_M
+    shoulder = tall * SHOULDER_M
     leg = hip - tall * ANKLE_M
-    thigh, shin = KNEE_SHARE * leg, (1.0 - KNEE_SHARE) * leg
+    thigh = KNEE_SHARE * leg
+    shin = (1.0 - KNEE_SHARE) * leg
     over = math.sqrt((STRETCHED * leg) ** 2 - reach**2)  # of the hips above the ankles
     shift[TRUNK, 2] = sunk = over - leg
     swing = ARM_SHARE * math.asin(reach / leg) * left_ahead
@@ -209,7 +226,8 @@ def _posture(
         far = math.hypot(ahead, down)
         bent = math.acos(min(1.0, (thigh**2 + far**2 - shin**2) / (2.0 * thigh * far)))
         first = math.atan2(ahead, down) + bent
-        knee_x, knee_down = thigh * math.sin(first), thigh * math.cos(first)
+        knee_x = thigh * math.sin(first)
+        knee_down = thigh * math.cos(first)
         second = math.atan2(ahead - knee_x, down - knee_down)
         _hinge(turn, shift, THIGH + side, first, (0.0, hip), (0.0, hip + sunk))
         _hinge(turn, shift, SHIN + side, second, (0.0, hip - thigh), (knee_x, hip + sunk - knee_down))
@@ -222,6 +240,7 @@ def _hinge(
     turn: Array, shift: Array, limb: int, forward_rad: float, joint: tuple[float, float], moved: tuple[float, float]
 ) -> None:
     """Turn a limb about a joint (x, z), what hangs below it forward, and put the joint where it has moved."""
-    c, s = math.cos(forward_rad), math.sin(forward_rad)
+    c = math.cos(forward_rad)
+    s = math.sin(forward_rad)
     turn[limb] = ((c, 0.0, -s), (0.0, 1.0, 0.0), (s, 0.0, c))
     shift[limb] = np.array([moved[0], 0.0, moved[1]]) - turn[limb] @ np.array([joint[0], 0.0, joint[1]])

@@ -55,7 +55,8 @@ class SimulatedVehicle:
         options = rig.role(role).vehicle.options
         self.sysid = int(options["sysid"])
         self.config = config
-        origin, home = rig.origin, world.true_home(role, seed) if config.to_start else world.home(role)
+        origin = rig.origin
+        home = world.true_home(role, seed) if config.to_start else world.home(role)
         # All of the simulation is as much higher as its GPS says too much: what is true is reckoned from there.
         altitude_m = origin.altitude_m + world.altitude.error_m(list(Role).index(role), 0.0)
         tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, altitude_m)
@@ -80,7 +81,8 @@ class SimulatedVehicle:
             truth = _address(config.truth_url, FIRST_TRUTH_PORT + self.sysid - 1)
         self.link = SimulatorLink(config.kind, self.sysid, truth, tangent, self.follower, "vision" in options)
         self.radio = SimulatedRadio(config.kind, self.sysid, self.link) if with_radio else None
-        self._home, self._home_n_m = place, (north, east)
+        self._home = place
+        self._home_n_m = (north, east)
         self._at_speed = config.speedup == 1.0
         self.epoch_s = time.monotonic()
 
@@ -111,14 +113,16 @@ class SimulatedVehicle:
 
     def listen(self) -> None:
         """Take packets as they come, from now on."""
-        loop, relay = asyncio.get_running_loop(), self.relay
+        loop = asyncio.get_running_loop()
+        relay = self.relay
         if relay is not None:
             for each in relay.sockets:
                 loop.add_reader(each, lambda: relay.receive(self.epoch_s))
         loop.add_reader(self.link, self.link.receive)
 
     def close(self) -> None:
-        loop, relay = asyncio.get_running_loop(), self.relay
+        loop = asyncio.get_running_loop()
+        relay = self.relay
         loop.remove_reader(self.link)
         if relay is not None:
             for each in relay.sockets:
@@ -206,7 +210,8 @@ class FollowedWorld(World):
             raise ValueError(f"the world is at {self.time_s} s and cannot go back to {to_s} s")
         for i, vehicle in enumerate(self._vehicles.values()):
             self._states[i] = vehicle.follower.row(to_s + vehicle.epoch_s)
-        self.time_s, self._snapshot = to_s, None
+        self.time_s = to_s
+        self._snapshot = None
         if self.both_in_air:
             self.min_separation_m = min(self.min_separation_m, self.separation_m)
 

@@ -23,9 +23,12 @@ from hil.vehicle.simulators.truth_follower import Fix, TrueMotion, TruthFollower
 from hil.vehicle.simulators.wire import open_wire
 from path.messages import Vec3
 
-OWN_SYSID, OWN_COMPONENT = 250, 191
+OWN_SYSID = 250
+OWN_COMPONENT = 191
 AUTOPILOT = 1
-TRUTH_HZ, SLOW_HZ, MODE_HZ = 100.0, 2.0, 20.0
+TRUTH_HZ = 100.0
+SLOW_HZ = 2.0
+MODE_HZ = 20.0
 ASK_AGAIN_S = 1.0
 PREARM_CHECK = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 

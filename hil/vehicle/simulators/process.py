@@ -70,7 +70,8 @@ class Home:
 
 def binary_of(kind: Kind) -> Path:
     """The simulator that was named. Raises NoBinary with what to do."""
-    variable, program = BINARY_VARIABLE[kind], PROGRAM[kind]
+    variable = BINARY_VARIABLE[kind]
+    program = PROGRAM[kind]
     written = os.environ.get(variable, "")
     remedy = f"build {program} for SITL (docs/autopilots.md), then give --{kind} PATH or set {variable}"
     if not written:
@@ -156,7 +157,8 @@ class AutopilotProcess:
 
     def stop(self) -> None:
         """End it and whatever it started. Idempotent; bounded by STOP_S, then it is killed."""
-        child, self._child = self._child, None
+        child = self._child
+        self._child = None
         if child is None:
             return
         for number, wait_s in ((signal.SIGTERM, STOP_S), (signal.SIGKILL, STOP_S)):
@@ -172,7 +174,8 @@ class AutopilotProcess:
 
     def _prepare_px4(self, binary: Path) -> tuple[list[str], dict[str, str]]:
         """PX4's rcS sources ``px4-rc.simulator`` from PATH after the airframe's defaults; ours goes on with its."""
-        home, instance = self._home, self.sysid - 1
+        home = self._home
+        instance = self.sysid - 1
         parameters = {"SIH_LOC_H0": home.altitude_m, "SDLOG_MODE": -1, **self._parameters}
         script = PX4_HOME.format(name="LAT", degrees=home.latitude_deg, whole=round(home.latitude_deg * 1e7))
         script += PX4_HOME.format(name="LON", degrees=home.longitude_deg, whole=round(home.longitude_deg * 1e7))
@@ -187,7 +190,8 @@ class AutopilotProcess:
         return [str(binary), "-i", str(instance), "-d", str(_px4_etc(binary))], variables
 
     def _prepare_ardupilot(self, binary: Path) -> tuple[list[str], dict[str, str]]:
-        home, instance = self._home, self.sysid - 1
+        home = self._home
+        instance = self.sysid - 1
         defaults = self.folder / "defaults.parm"
         # Under every name it had: a version passes over those it does not know.
         parameters = dict(ARDUPILOT_AIRFRAME)

@@ -21,8 +21,11 @@ from hil.autopilot.radio import CHANNELS, RadioConfig, Transmitter, channels_of
 from hil.autopilot.simulator import Kind
 
 SEND_S = 0.04
-FIRST_PORT, PORTS_APART = 5501, 10  # ArduPilot's for its first instance
-FAIL, NO_PULSES = "SIM_RC_FAIL", 1.0
+# ArduPilot's for its first instance
+FIRST_PORT = 5501
+PORTS_APART = 10
+FAIL = "SIM_RC_FAIL"
+NO_PULSES = 1.0
 
 _NUMBERS = range(1, CHANNELS + 1)
 SET_UP: Mapping[Kind, Mapping[str, float]] = {

@@ -24,10 +24,17 @@ _arrival_s = itemgetter(2)
 
 PILOT_SYSID = 251  # a second ground station
 AUTOPILOT = 1
-V2_OVERHEAD, V2_SIGNATURE, V1_OVERHEAD = 12, 13, 8
+V2_OVERHEAD = 12
+V2_SIGNATURE = 13
+V1_OVERHEAD = 8
 
-HEARTBEAT, COMMAND_LONG, SET_POSITION_TARGET, CURRENT_MODE = 0, 76, 84, 436
-DO_SET_MODE, NAV_LAND, NAV_RETURN = 176, 21, 20
+HEARTBEAT = 0
+COMMAND_LONG = 76
+SET_POSITION_TARGET = 84
+CURRENT_MODE = 436
+DO_SET_MODE = 176
+NAV_LAND = 21
+NAV_RETURN = 20
 # What a second ground station selects: LOITER; HOLD on a PX4, which refuses modes that need sticks while it has none.
 PILOT_MODE = {PX4.name: (4.0, 3.0), ARDUPILOT.name: (5.0, 0.0)}
 
@@ -99,7 +106,8 @@ class FlightWatch:
         session = self._open
         if session is not None:
             session.note_gap(self.newest_setpoint_s, now_s)
-            session.end_s, session.ended_by = now_s, mode
+            session.end_s = now_s
+            session.ended_by = mode
 
 
 class MavlinkRelay:

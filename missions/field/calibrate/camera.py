@@ -94,7 +94,8 @@ def _calibrate_camera(options: CalibrateCameraOptions, board: Board, out: TextIO
         out.write(f"no image shows the board ({board.text}); tried as {other.text}\n")
         again, _ = _collect(options, other, out)
         if _found(again):
-            board, collected = other, again
+            board = other
+            collected = again
     out.write(f"{_found(collected)} of {len(collected.looks)} images show the board ({board.text})\n")
     try:
         done = calibrate(collected, board)
@@ -262,7 +263,8 @@ def _file_of(done: Calibrated, collected: Collected, board: Board, serial: str, 
 
 
 def _report(done: Calibrated, calibration: CameraCalibration, out: TextIO) -> None:
-    solution, quality = done.solution, calibration.quality
+    solution = done.solution
+    quality = calibration.quality
     out.write(f"\n{'view':<28}{'corners':>8}{'left out':>9}{'blur px':>9}{'tilt deg':>10}{'dist m':>8}"
               f"{'rms px':>9}{'held out':>10}\n")  # fmt: skip
     tilts = tilts_deg(solution)

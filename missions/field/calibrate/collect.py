@@ -97,7 +97,8 @@ class Chooser:
 
     def offer(self, grey: Image) -> BoardView | None:
         """The board in a frame when it is taken as a view."""
-        view, before = find_board(grey, self._board), self._before
+        view = find_board(grey, self._board)
+        before = self._before
         self._before = view
         if view is None or before is None:
             return None
@@ -121,7 +122,8 @@ def _apart(a: BoardView, b: BoardView) -> float:
 def from_recording(file: Path, board: Board, wanted: int, bars: Bars) -> Collected:
     """Chosen views of a recording. Raises PartError when it cannot be played."""
     recording = open_recording(file, RecordingOptions(rate_hz=5.0 if file.is_dir() else 30.0))
-    chooser, collected = Chooser(board, wanted), Collected()
+    chooser = Chooser(board, wanted)
+    collected = Collected()
     last_ns: int | None = None
     with bars.bar("views", wanted) as advance:
         for frame in recording.frames():
@@ -149,7 +151,8 @@ async def from_camera(
         CameraError: the camera gives no frames.
     """
     loop = asyncio.get_running_loop()
-    chooser, collected = Chooser(board, wanted), Collected()
+    chooser = Chooser(board, wanted)
+    collected = Collected()
     async with camera:
         collected.serial = getattr(camera, "serial", "")
         end = loop.time() + seconds

@@ -13,7 +13,8 @@ from path.marker.photometric.texture import cells
 from path.marker.turned import OFFICIAL
 
 BORDER_CELLS = 1.5  # white around the outermost black frames; the outline is cut along
-RULER_MM, BELOW_MM = 50.0, 12.0
+RULER_MM = 50.0
+BELOW_MM = 12.0
 
 
 def draw_marker(options: CalibrateMarkerOptions, out: TextIO) -> int:
@@ -65,7 +66,8 @@ def _turned(dictionary: str) -> str:
 
 
 def _drawing(options: CalibrateMarkerOptions, cell_mm: float) -> str:
-    side_mm, border_mm = 1e3 * options.side_m, BORDER_CELLS * cell_mm
+    side_mm = 1e3 * options.side_m
+    border_mm = BORDER_CELLS * cell_mm
     step_mm = side_mm + 1e3 * options.gap_m
     wide_mm = 2.0 * border_mm + side_mm + step_mm * (len(options.ids) - 1)
     high_mm = 2.0 * border_mm + side_mm

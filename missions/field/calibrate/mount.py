@@ -47,7 +47,8 @@ from path.marker.detect import detect_markers
 from path.marker.turned import OFFICIAL
 
 FEWEST_PAIRS = 5
-MOST_POSITION_SIGMA_M, MOST_ROTATION_SIGMA_DEG = 0.003, 0.5
+MOST_POSITION_SIGMA_M = 0.003
+MOST_ROTATION_SIGMA_DEG = 0.5
 MOST_MISFIT = 16.0  # chi-square per number: of a pair that is left out, and of the whole that is refused
 TURNED_DEG = 20.0  # from the mounts in the rig, that nobody means
 MOST_LEFT_OUT = 0.25  # of the pairs
@@ -181,11 +182,13 @@ def _pairs(
     camera_1 = rig.sender.camera
     with Bars(sys.stderr if out is sys.stdout else out).bar("pairs", len(files)) as advance:
         for file in files:
-            color_1, color_3 = read_image(file), read_image(others[file.stem])
+            color_1 = read_image(file)
+            color_3 = read_image(others[file.stem])
             check_size((camera_1.width, camera_1.height), (color_1.shape[1], color_1.shape[0]), str(file))
             check_size((camera_3.width, camera_3.height), (color_3.shape[1], color_3.shape[0]), str(others[file.stem]))
             grey_1, grey_3 = (np.asarray(cv2.cvtColor(c, cv2.COLOR_BGR2GRAY), np.uint8) for c in (color_1, color_3))
-            board_1, board_3 = find_board(grey_1, board), find_board(grey_3, board)
+            board_1 = find_board(grey_1, board)
+            board_3 = find_board(grey_3, board)
             markers = detect_markers(color_3, None, rig.layout, camera_3)
             twice = len({m.marker_id for m in markers}) < len(markers)
             if board_1 is None or board_3 is None or not markers or twice:
@@ -200,7 +203,8 @@ def _pairs(
 
 def solve_pairs(pairs: list[MountPair], rig: Rig, camera_3: CameraModel, board: Board) -> MountSolution:
     """Solve; pairs that do not fit the others are left out, the worst first. Raises CalibrationError."""
-    solution, kept = _solve(pairs, rig, camera_3, board), pairs
+    solution = _solve(pairs, rig, camera_3, board)
+    kept = pairs
     while len(pairs) - len(kept) < int(MOST_LEFT_OUT * len(pairs)):
         worst = max(solution.pairs, key=lambda fit: fit.misfit)
         if worst.misfit <= MOST_MISFIT or len(kept) <= FEWEST_PAIRS:
@@ -208,7 +212,8 @@ def solve_pairs(pairs: list[MountPair], rig: Rig, camera_3: CameraModel, board: 
         kept = [pair for pair in kept if pair.name != worst.name]
         solution = _solve(kept, rig, camera_3, board)
     sigma = np.sqrt(solution.covariance.diagonal())
-    position_m, rotation_deg = float(sigma[:3].max()), math.degrees(float(sigma[3:].max()))
+    position_m = float(sigma[:3].max())
+    rotation_deg = math.degrees(float(sigma[3:].max()))
     if solution.misfit > MOST_MISFIT:
         raise CalibrationError(
             f"the pairs contradict each other: what is left is {math.sqrt(solution.misfit):.1f} times the noise",

@@ -14,7 +14,9 @@ from missions.look.report.palette import COUNT, DIM, FAULT
 from path.calibration.intrinsics import Intrinsics
 from path.calibration.judge import GRID, coverage, tilts_deg
 
-WIDTH_IN, HEIGHT_IN, DPI = 13.0, 5.2, 100
+WIDTH_IN = 13.0
+HEIGHT_IN = 5.2
+DPI = 100
 LONGEST_SHARE = 0.06  # of the image's width: length of the longest error as drawn
 
 
@@ -40,7 +42,8 @@ def _draw_coverage(axes: Axes, collected: Collected) -> None:
         axes.imshow(collected.sample, cmap="gray", alpha=0.35, extent=(-0.5, width - 0.5, height - 0.5, -0.5))
     for row, counts in enumerate(coverage(views, (width, height))):
         for column, count in enumerate(counts):
-            x, y = (column + 0.5) / GRID[0] * width, (row + 0.5) / GRID[1] * height
+            x = (column + 0.5) / GRID[0] * width
+            y = (row + 0.5) / GRID[1] * height
             axes.text(x, y, str(count), ha="center", va="center", fontsize=8, color=DIM if count else FAULT)
     if views:
         corners = np.concatenate([view.corners_px for view in views])

@@ -13,7 +13,8 @@ import numpy as np
 from drivers.interfaces import BeaconError, BeaconFix, Beacons, Clock
 from drivers.rig.part_check import Finding, examined
 
-FIRST_S, SAMPLE_S = 3.0, 3.0
+FIRST_S = 3.0
+SAMPLE_S = 3.0
 POOR = 50.0  # of 100, as the system rates its positions
 RARE_HZ = 2.0
 OLD_S = 1.0

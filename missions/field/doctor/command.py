@@ -89,7 +89,8 @@ def asked(options: DoctorOptions, doing: Callable[[str], None]) -> Iterator[Find
         doing("this computer: its disk and clock")
         yield write_finding(Path("runs"))
         yield clock_finding()
-        rig, role = rig_library.load(options.rig), Role(options.role)
+        rig = rig_library.load(options.rig)
+        role = Role(options.role)
         doing("this computer: its time for a frame of several sizes, up to half a minute")
         yield from of_computer(rig, role, options.slow or 1.0)
         for test in part_tests(rig, role):

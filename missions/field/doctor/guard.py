@@ -8,7 +8,8 @@ from collections.abc import AsyncIterator
 from drivers.mavlink.guard.interfaces import Watched
 from drivers.rig.part_check import Finding
 
-WAIT_S, POLL_S = 5.0, 0.01
+WAIT_S = 5.0
+POLL_S = 0.01
 
 
 async def check_guard(watched: Watched) -> AsyncIterator[Finding]:

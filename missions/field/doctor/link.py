@@ -15,8 +15,10 @@ from flight.clocks import ClockAlignment, answer
 from path.messages import Ping, Pong
 
 EVERY_S = 0.025
-MEASURE_S, LAST_S = 2.0, 0.5
-LOSSY, MOSTLY_LOST = 0.05, 0.3
+MEASURE_S = 2.0
+LAST_S = 0.5
+LOSSY = 0.05
+MOSTLY_LOST = 0.3
 SLOW_MS = 100.0
 DISTURBED = {
     Drop.BAD_SIGNATURE.value: "copy the same key file to both drones",
@@ -92,7 +94,8 @@ async def _exchanged(link: Link, clock: Clock, wait_s: float) -> PingExchange:
 async def _listen(link: Link, clock: Clock, exchange: PingExchange, met: asyncio.Event) -> None:
     while True:
         received = await link.receive()
-        message, arrival_ns = received.message, received.arrival_ns
+        message = received.message
+        arrival_ns = received.arrival_ns
         if isinstance(message, Ping):
             link.send(answer(message, arrival_ns, clock.now_ns()))
         elif isinstance(message, Pong):
@@ -108,7 +111,8 @@ def judged(exchange: PingExchange, counters: LinkCounters) -> Iterator[Finding]:
         yield _nobody(counters)
         return
     trips_ms = np.array(list(exchange.trips_ms.values()))
-    median, most = float(np.median(trips_ms)), float(trips_ms.max())
+    median = float(np.median(trips_ms))
+    most = float(trips_ms.max())
     detail = f"{median:.1f} ms median, {most:.1f} ms at most"
     fix = "nearer together, another Wi-Fi channel, or a faster radio"
     yield Finding("note", "round trip", detail, fix) if median > SLOW_MS else Finding("ok", "round trip", detail)
@@ -140,5 +144,6 @@ def _clocks(alignment: ClockAlignment) -> Finding:
         return Finding(
             "fault", "clocks", f"the other drone's clock cannot be used: {said}", "a quicker link; then again"
         )
-    offset_s, known_ms = alignment.offset_ns * 1e-9, alignment.uncertainty_ns * 1e-6
+    offset_s = alignment.offset_ns * 1e-9
+    known_ms = alignment.uncertainty_ns * 1e-6
     return Finding("ok", "clocks", f"the other drone's is {offset_s:+.4f} s from this one, known to {known_ms:.2f} ms")

@@ -36,9 +36,11 @@ class PartTest:
 
 def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
     """Yields the tests in the order in which a flight opens the parts. Raises RigError."""
-    own, context = rig.role(role), part_context(rig, role)
+    own = rig.role(role)
+    context = part_context(rig, role)
     mission = mission_of(rig)
-    min_battery, fence = mission.guard.min_battery, fence_of(mission)
+    min_battery = mission.guard.min_battery
+    fence = fence_of(mission)
     wanted = WantedMarker.of(rig) if role is Role.RECEIVER else None
 
     async def detector(spec: PartSpec, rate_hz: float | None) -> AsyncIterator[Finding]:

@@ -24,15 +24,22 @@ from path.marker.size_check import MEASURE, SizeCheck
 from path.messages import Vec3
 from path.observations import Box, MarkerDetection, Missed, MissReason
 
-SETTLE_S, SAMPLE_S, FRAME_S = 0.5, 2.0, 2.0
+SETTLE_S = 0.5
+SAMPLE_S = 2.0
+FRAME_S = 2.0
 KEPT = 6  # frames that are looked into
 LEAST_LOOKS = 3  # of them, at a marker with depth on it
 FRAMES = Enough(0.95, 0.8)  # of the rate that the rig sets: a hand-over counts each of them
 MANY_MISSED = 0.05
 OLD_MS = 500.0
-DARK, BLACK, GLARING = 40.0, 8.0, 0.2  # mean grey level; share of pixels at their limit
+# mean grey level; share of pixels at their limit
+DARK = 40.0
+BLACK = 8.0
+GLARING = 0.2
 WHITE = 250
-SURE_PX, SMALLEST_PX = 20.0, 12.0  # side of a marker: always found; found two times in three
+# side of a marker: always found; found two times in three
+SURE_PX = 20.0
+SMALLEST_PX = 12.0
 HELD_RAD = math.radians(3.0)  # how level each drone stands, so that a turn of 45 degrees is beyond doubt
 LEVEL_FIX = "stand both drones level, and look again; then mend the plate, or the mounts in the rig"
 STREAM_FIX = "a USB 3 port and cable, no other load on this computer, more light if its exposure is long"
@@ -143,7 +150,8 @@ def missed(sample: FrameSample) -> Finding:
 
 def age(sample: FrameSample) -> Finding:
     """Finds how old frames are when they come: below zero or very old means that another clock stamped them."""
-    median_ms, most_ms = float(np.median(sample.ages_ns)) * 1e-6, max(sample.ages_ns) * 1e-6
+    median_ms = float(np.median(sample.ages_ns)) * 1e-6
+    most_ms = max(sample.ages_ns) * 1e-6
     detail = f"frames are {median_ms:.0f} ms old when they come, {most_ms:.0f} ms at most"
     if median_ms < 0.0 or median_ms > OLD_MS:
         return Finding(
@@ -166,7 +174,8 @@ def _pictures(perception: Perception, sample: FrameSample) -> Iterator[Finding]:
 
 def brightness(image: NDArray[np.uint8]) -> Finding:
     """Finds whether there is a picture at all, and light enough to see by. ``image``: (h, w, 3) BGR."""
-    grey, glaring = float(image.mean()), float((image.max(axis=2) >= WHITE).mean())
+    grey = float(image.mean())
+    glaring = float((image.max(axis=2) >= WHITE).mean())
     detail = f"mean {grey:.0f} of 255, {100.0 * glaring:.0f} % overexposed"
     if grey < BLACK:
         return Finding("fault", "brightness", detail, "take the lens cap off, or put the light on")

@@ -10,7 +10,8 @@ from drivers.rig.parts import Rig, RoleRig
 from drivers.rig.tables import RigError
 from missions.ground import rig_library
 
-SHM_MIB, DISK_MIB = 64, 500
+SHM_MIB = 64
+DISK_MIB = 500
 MINUTES = 10.0  # of recorded flight that there should be room for
 COLOR_BITS_PER_PX = 0.2  # H.264 of rendered scenes; noise and texture take more
 DEPTH_BYTES_PER_PX = 1.4  # of two, with the noise of a D415

@@ -22,7 +22,10 @@ from missions.ground.rig_library import mission_of
 from path.messages import Role
 
 SET = "run doctor again with --vehicle ROLE --set-parameters, or set it from its ground station"
-SAMPLE_S, POLL_S, READY_S, RANGEFINDER_S = 2.0, 0.005, 5.0, 2.0
+SAMPLE_S = 2.0
+POLL_S = 0.005
+READY_S = 5.0
+RANGEFINDER_S = 2.0
 OLD_S = 0.5  # telemetry: the mission's own guard lands the vehicle when it is older (telemetry_age_s)
 SLOWEST_HEARTBEAT_S = 1.5
 

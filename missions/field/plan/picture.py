@@ -17,7 +17,9 @@ from missions.look.report.palette import COUNT, DIM, ROLE, tidy
 from path.geometry.transforms import Pose
 from path.messages import Role
 
-FORWARD, RIGHT, DOWN = 0, 1, 2
+FORWARD = 0
+RIGHT = 1
+DOWN = 2
 SIZE_IN = (12.0, 5.6)
 DPI = 110
 
@@ -35,7 +37,8 @@ def draw_plan(of: Flown, path: Path) -> None:
 
 def _draw(axes: Axes, of: Flown, across: int, label: str) -> None:
     """Draw one view. ``across``: the axis of ``h`` that goes up the page."""
-    facts, mission = of.facts, of.mission
+    facts = of.facts
+    mission = of.mission
     height_m = mission.follow.height_m
 
     def flat(point_h: Floats) -> tuple[float, float]:

@@ -118,7 +118,8 @@ async def watch_vehicles(
             vehicles.append(vehicle)
             _say(f"guard of the {role.value}: watching {vehicle.name}")
         if len(guards) == 2:
-            guards[0].peer, guards[1].peer = vehicles[1], vehicles[0]
+            guards[0].peer = vehicles[1]
+            guards[1].peer = vehicles[0]
         if until_input_ends:
             stop_at_end_of_input(stop.set)
         ending = asyncio.create_task(_stop_when_alone(stop, guards)) if while_flown else None

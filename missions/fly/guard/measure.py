@@ -39,7 +39,8 @@ MOMENTS = {
     Role.RECEIVER: ("take-off+2", "stand-off+3", "search", "approach+1", "verify+1", "follow+1", "depart+1", "land+1"),
 }
 ORDER = {phase.title: int(phase) for phase in Phase}
-PX4_FAILSAFE, WAITS_S = "COM_OF_LOSS_T", 5.0
+PX4_FAILSAFE = "COM_OF_LOSS_T"
+WAITS_S = 5.0
 
 
 def measure(options: GuardOptions) -> int:

@@ -74,7 +74,8 @@ def read_reaction(out: Path, fault: str, role: Role, moment: str, outcome: str, 
         elif record.topic == "/autopilot":
             other_armed = record.record["armed"]
         elif record.topic == "/truth":
-            one, two = record.record["sender"], record.record["receiver"]
+            one = record.record["sender"]
+            two = record.record["receiver"]
             if one["in_air"] and two["in_air"]:
                 apart_m.append((record.stamp_ns, math.dist(one["t"], two["t"])))
         elif record.topic == "/setpoint_gap" and record.record["role"] == role.value:

@@ -61,8 +61,11 @@ class Waiting:
     """
 
     def __init__(self, role: Role, wait_s: float, typed: str, now_s: float) -> None:
-        self._role, self._wait_s, self._typed = role, wait_s, typed
-        self._ends_s, self._says_s = now_s + wait_s, now_s
+        self._role = role
+        self._wait_s = wait_s
+        self._typed = typed
+        self._ends_s = now_s + wait_s
+        self._says_s = now_s
 
     def news(self, now_s: float) -> Progress | RoleResult | None:
         """Return what is to be said now; a result ends the wait."""
@@ -83,7 +86,8 @@ def _nobody(role: Role, outcome: Outcome, detail: str) -> RoleResult:
 
 def main() -> None:
     """Told to end, it waits for a program that runs: that is another shell's to stop, and then has to land."""
-    role, folder = Role(sys.argv[1]), Path(sys.argv[2])
+    role = Role(sys.argv[1])
+    folder = Path(sys.argv[2])
     waiting = Waiting(role, float(sys.argv[3]), sys.argv[4], time.monotonic())
     told_s: list[float] = []
 
@@ -93,7 +97,8 @@ def main() -> None:
 
     signal.signal(signal.SIGTERM, told)
     for said in events(role, folder):
-        event, now_s = said, time.monotonic()
+        event = said
+        now_s = time.monotonic()
         if event is None and not parts(folder, role.value):
             event = waiting.news(now_s)
             if told_s:

@@ -152,7 +152,8 @@ def unwritten(facts: RunFacts, error: OSError) -> RunFacts:
     """The facts of a run of which something could not be written or shown: a good end then has its own outcome."""
     if facts.exit_code != 0:
         return facts
-    end, detail = Outcome.LOG_FAILED, f"{error.filename or 'the report'}: {error.strerror or error}"
+    end = Outcome.LOG_FAILED
+    detail = f"{error.filename or 'the report'}: {error.strerror or error}"
     return replace(facts, outcome=end.label, exit_code=end.exit_code, detail=detail)
 
 

@@ -43,7 +43,9 @@ class Designating:
         first: PlaceTold | None = None,
         ranging: Ranging | None = None,
     ) -> None:
-        self._session, self._camera, self._look_round = session, camera, look_round
+        self._session = session
+        self._camera = camera
+        self._look_round = look_round
         self._acquisition = Acquisition(camera, session.rig.method, session.config, ranging)
         self._points = points
         self._first = first or session.config.target.told(session.now_ns())
@@ -61,7 +63,8 @@ class Designating:
 
     def hear(self) -> None:
         """Take up what was said since the last time, and show what is asked."""
-        session, operator = self._session, self._session.operator
+        session = self._session
+        operator = self._session.operator
         pointed = self._points()
         if pointed is not None:
             self._tell(pointed)
@@ -95,7 +98,8 @@ class Designating:
         self._session.log.write("/told", self._session.now_ns(), told_record(own, used=True))
 
     def _show(self, question: Question | None) -> None:
-        session, operator = self._session, self._session.operator
+        session = self._session
+        operator = self._session.operator
         assert operator is not None
         self._asked = question
         picture: bytes | None = None

@@ -17,7 +17,10 @@ class Frames:
     """
 
     def __init__(self, perception: Perception, clock: Clock, config: MissionConfig, log: Log) -> None:
-        self._perception, self._clock, self._config, self._log = perception, clock, config, log
+        self._perception = perception
+        self._clock = clock
+        self._config = config
+        self._log = log
         self.shedding = Shedding()
         self._recording = log if config.record == "all" and isinstance(log, FrameLog) else None
         self._image_ns = -(1 << 62)

@@ -43,12 +43,14 @@ class Guarding:
 
     def beat(self) -> Beat:
         """Returns what the guard is told; a measured distance once."""
-        session, script = self._session, self.script
+        session = self._session
+        script = self.script
         if session.pilot.override:
             script = Script.LET_GO
         elif session.pilot.in_control:
             script = Script.CONTROL
-        measured_m, self._measured_m = self._measured_m, math.nan
+        measured_m = self._measured_m
+        self._measured_m = math.nan
         near = session.peer is not None and session.peer_silence_s() < _PEER_PLACE_S
         place = NOWHERE
         if session.peer is not None and near:

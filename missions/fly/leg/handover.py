@@ -55,7 +55,8 @@ class SenderHandover(MachineRun[SenderMachine]):
     """D1's side."""
 
     def __init__(self, session: RoleSession, store: RecordStore) -> None:
-        config, kept = protocol_config(session), store.load()
+        config = protocol_config(session)
+        kept = store.load()
         machine = SenderMachine(config)
         if kept is not None:
             assert isinstance(kept.record, SenderRecord)
@@ -141,7 +142,9 @@ class SenderHandover(MachineRun[SenderMachine]):
         """
         if self.released:
             return
-        session, alignment, receivers = self._session, self._session.alignment, self.receivers
+        session = self._session
+        alignment = self._session.alignment
+        receivers = self.receivers
         if len(receivers) > 1 and not self._warned:
             self._warned = True
             session.say(f"{len(receivers)} receivers answer with this key on this link: no COMMIT until one is left")
@@ -197,7 +200,8 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
     """D2's side. ``able``: whether this drone sees the target and could follow it now."""
 
     def __init__(self, session: RoleSession, store: RecordStore, able: Callable[[], bool]) -> None:
-        config, kept = protocol_config(session), store.load()
+        config = protocol_config(session)
+        kept = store.load()
         machine = ReceiverMachine(config)
         if kept is not None:
             assert isinstance(kept.record, ReceiverRecord)
@@ -251,18 +255,21 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
 
         An attempt that the sender took back may be followed by another one, as long as there is time.
         """
-        carrier, end_s = self._carrier, asyncio.get_running_loop().time() + timeout_s
+        carrier = self._carrier
+        end_s = asyncio.get_running_loop().time() + timeout_s
         while await until(lambda: carrier.ended is not None, end_s) or self.within_lease or self.holds:
             # within a lease, the lease decides and not the deadline
             await until(lambda: carrier.ended is not None, math.inf)
             assert carrier.ended is not None
-            decision, carrier.ended = carrier.ended.outcome, None
+            decision = carrier.ended.outcome
+            carrier.ended = None
             if decision is Decision.HANDED_OVER:
                 return
             if decision is Decision.LET_GO:
                 await until(lambda: carrier.settled is not None, math.inf)
                 assert carrier.settled is not None
-                settled, carrier.settled = carrier.settled.outcome, None
+                settled = carrier.settled.outcome
+                carrier.settled = None
                 if settled is not Decision.TAKEN_BACK:
                     raise MissionEnd(Outcome.ORPHANED, f"the lease ended without the sender's word: {settled.value}")
             elif decision is not Decision.SUPERSEDED:

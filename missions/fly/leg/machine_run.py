@@ -216,7 +216,8 @@ class MachineRun(Generic[Machine]):
 
     def tick(self) -> float:
         """Let the machine know when time has brought something about; how long to wait before it is asked again, s."""
-        wake_ns, now_ns = self._machine.wake_ns, self._session.now_ns()
+        wake_ns = self._machine.wake_ns
+        now_ns = self._session.now_ns()
         if wake_ns is not None and now_ns >= wake_ns and self._writing is None:
             self._step(Tick())
             wake_ns = self._machine.wake_ns
@@ -242,7 +243,9 @@ class MachineRun(Generic[Machine]):
 
     def _go_through_waiting(self) -> None:
         while self._waiting and self._writing is None:
-            made, before, wake_ns = self._waiting.popleft()(), self._machine.state, self._machine.wake_ns
+            made = self._waiting.popleft()()
+            before = self._machine.state
+            wake_ns = self._machine.wake_ns
             actions = self._machine.step(made, self._session.now_ns())
             if self._machine.wake_ns != wake_ns:
                 self._moved.set()
@@ -294,7 +297,8 @@ class MachineRun(Generic[Machine]):
 
     def _over(self, action: Action) -> bool:
         """Taken within a lease, or said of one, that is over already."""
-        state, now_ns = self._machine.state, self._session.now_ns()
+        state = self._machine.state
+        now_ns = self._session.now_ns()
         match action:
             case TakeResponsibility():
                 return not action.at(now_ns)

@@ -8,15 +8,18 @@ from numpy.typing import NDArray
 
 from drivers.operator.interfaces import Question
 
-_INK, _PAPER = (0, 0, 0), (255, 255, 255)
+_INK = (0, 0, 0)
+_PAPER = (255, 255, 255)
 
 
 def numbered(image: NDArray[np.uint8], question: Question) -> NDArray[np.uint8]:
     """Return the image (h, w, 3) with a frame and a number for each object."""
     drawn = image.copy()
     for each in question.shown:
-        left, top = round(each.box.x), round(each.box.y)
-        right, bottom = round(each.box.x + each.box.w), round(each.box.y + each.box.h)
+        left = round(each.box.x)
+        top = round(each.box.y)
+        right = round(each.box.x + each.box.w)
+        bottom = round(each.box.y + each.box.h)
         for ink, width in ((_INK, 4), (_PAPER, 2)):
             cv2.rectangle(drawn, (left, top), (right, bottom), ink, width)
             above = left, max(24, top - 8)

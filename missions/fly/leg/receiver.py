@@ -72,7 +72,8 @@ class Receiver:
     """The receiver's course and what it does with every frame and message."""
 
     def __init__(self, session: RoleSession, store: RecordStore) -> None:
-        rig, config = session.rig, session.config
+        rig = session.rig
+        config = session.config
         self._session = session
         self._config: MissionConfig = config
         self._camera = rig.receiver.camera
@@ -109,7 +110,9 @@ class Receiver:
 
     async def take_over(self) -> None:
         """Wait for the sender's offer, fly to a viewpoint, and return once this drone holds the target for good."""
-        session, config, deadlines = self._session, self._config, self._config.deadlines
+        session = self._session
+        config = self._config
+        deadlines = self._config.deadlines
         session.spawn(self._watch_peer())
         self._handover.start()
 
@@ -139,7 +142,8 @@ class Receiver:
 
     async def still_in_view(self) -> None:
         """Wait until the target that was taken over is in view. Raises MissionEnd when it is lost."""
-        wait_s, lost = self._config.deadlines.target_regain_s, Outcome.TARGET_LOST
+        wait_s = self._config.deadlines.target_regain_s
+        lost = Outcome.TARGET_LOST
         try:
             await self._session.until(self._in_view, wait_s, lost, "the target was not seen")
         except MissionEnd as end:
@@ -152,7 +156,9 @@ class Receiver:
 
     async def _find_marker(self, near_enough: Callable[[], bool]) -> None:
         """Flies to the stand-off, or until it is near enough, within its bounds again; then looks for the marker."""
-        session, rendezvous, deadlines = self._session, self._rendezvous, self._config.deadlines
+        session = self._session
+        rendezvous = self._rendezvous
+        deadlines = self._config.deadlines
         session.enter(Phase.STAND_OFF)
         session.pilot.guidance = rendezvous.to_stand_off
         await session.until(
@@ -181,12 +187,15 @@ class Receiver:
 
         It has arrived once the camera is there, slow, for a while.
         """
-        session, rendezvous, deadlines = self._session, self._rendezvous, self._config.deadlines
+        session = self._session
+        rendezvous = self._rendezvous
+        deadlines = self._config.deadlines
         await self._until_planned(deadlines.viewpoint_s)
         session.enter(Phase.APPROACH)
         session.pilot.guidance = rendezvous.to_viewpoint
         loop = asyncio.get_running_loop()
-        end_s, steady_since_s = loop.time() + deadlines.approach_s, loop.time()
+        end_s = loop.time() + deadlines.approach_s
+        steady_since_s = loop.time()
         while loop.time() - steady_since_s <= _ARRIVED_S:
             unseen_s = self._marker.unseen_s(session.now_ns())
             if unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:
@@ -259,7 +268,8 @@ class Receiver:
         place = within_fence(add(target, self._keep_n_m), math.inf, highest_m)
         place = self._config.fence.nearest(place) if self._config.guard.corners_m else place
         error = subtract(place, state.position_n_m)
-        keep, accel_mps2 = self._config.follow, self._config.max_accel_mps2
+        keep = self._config.follow
+        accel_mps2 = self._config.max_accel_mps2
         velocity = approach(error, state.velocity_n_mps, moves, keep.answer(accel_mps2))
         return VelocitySetpoint(velocity, bearing(subtract(target, state.position_n_m)))
 
@@ -267,7 +277,8 @@ class Receiver:
 
     async def _watch(self) -> None:
         """Look at every frame, at some once the target is held. Raises CameraError when the camera stops."""
-        session, guard = self._session, self._config.guard
+        session = self._session
+        guard = self._config.guard
         while self._watching:
             view = await session.frames.view(guard.frame_age_s)
             session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
@@ -294,7 +305,8 @@ class Receiver:
 
     def _cycle_once(self, view: View, R_n_b: Matrix) -> None:
         """One cycle of PATH: the marker gives the pose, the pose the prior, the detector looks there, D1 gets a box."""
-        session, side = self._session, self._side
+        session = self._session
+        side = self._side
         if side is None:
             return
         stamp_ns = view.stamp_ns
@@ -332,8 +344,11 @@ class Receiver:
 
     def _look(self, view: View, R_n_c: Matrix, gravity_v: Vec3 | None) -> MarkerFix | Missed:
         """The marker, searched for no longer than setpoints can wait."""
-        session, shedding, began_ns = self._session, self._session.frames.shedding, self._session.now_ns()
-        self._marker.search_every, self._marker.thorough = shedding.search_every, shedding.thorough
+        session = self._session
+        shedding = self._session.frames.shedding
+        began_ns = self._session.now_ns()
+        self._marker.search_every = shedding.search_every
+        self._marker.thorough = shedding.thorough
         fix = self._marker.look(view, R_n_c, gravity_v, gravity_in(R_n_c))
         if self._marker.searched(view.stamp_ns):
             self._searched = view
@@ -368,13 +383,16 @@ class Receiver:
 
     def _motion(self) -> VehicleMotions:
         """Returns both vehicles' newest reports."""
-        session, peer, own = self._session, self._peer(), self._session.vehicle.state
+        session = self._session
+        peer = self._peer()
+        own = self._session.vehicle.state
         peer_ns = session.alignment.to_own_ns(peer.stamp_ns) if session.alignment.ready else session.peer_heard_ns
         return VehicleMotions(own.stamp_ns, own.velocity_n_mps, peer_ns, peer.velocity_n_mps, peer.yaw_rad)
 
     def _judge_marker(self, stamp_ns: int) -> None:
         """Separation from the marker's own measurement, and how long it may stay unseen."""
-        session, deadlines = self._session, self._config.deadlines
+        session = self._session
+        deadlines = self._config.deadlines
         relative = self._marker.predict(stamp_ns)
         if relative is not None:
             distance_m = norm(relative.marker_n_m)
@@ -393,20 +411,23 @@ class Receiver:
         """
         assert candidate.box is not None
         assert self._newest is not None
-        gravity_c, own = gravity_in(T_n_c.R), view.depth(candidate.box)
+        gravity_c = gravity_in(T_n_c.R)
+        own = view.depth(candidate.box)
         both = self._by_both.place(prior, self._newest.sigma_m, fix.covariance, gravity_c, candidate.box, own)
         self._session.log.write("/both_views", view.stamp_ns, both_record(candidate, both))
         position = place(candidate.box, both.depth, self._camera, T_n_c, -self._config.target.height_m)
         if self._track is None:
             method = self._session.rig.method
-            largest, ranging = LargestBox.of(self._camera, method), Ranging.of(self._config, method)
+            largest = LargestBox.of(self._camera, method)
+            ranging = Ranging.of(self._config, method)
             self._track = TargetTrack.of(self._config, position, view.stamp_ns, largest, ranging)
         else:
             self._track.update(position, view.stamp_ns)
 
     def _follow_once(self, view: View, R_n_b: Matrix) -> None:
         """Follows the target by this drone's own track, after the hand-over."""
-        session, track = self._session, self._track
+        session = self._session
+        track = self._track
         if track is None:
             raise MissionEnd(Outcome.TARGET_LOST, "the target was handed over but never located")
         if session.pilot.in_control and session.phase is Phase.FOLLOW and not self._following:
@@ -414,7 +435,8 @@ class Receiver:
             session.pilot.guidance = self._follow_target
             self._following = True
         seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
-        unseen_s, deadlines = (view.stamp_ns - track.stamp_ns) * 1e-9, self._config.deadlines
+        unseen_s = (view.stamp_ns - track.stamp_ns) * 1e-9
+        deadlines = self._config.deadlines
         session.log.write("/track", view.stamp_ns, track_record(seen))
         if unseen_s > deadlines.target_coast_s + deadlines.target_regain_s and session.phase is Phase.FOLLOW:
             raise self._lost(f"target not seen for {unseen_s:.1f} s")
@@ -438,7 +460,8 @@ class Receiver:
 
     def _on_target(self, target: Target) -> None:
         """Takes the target's place. The protocol has seen the message first and says which attempt is live."""
-        session, live = self._session, self._handover.live
+        session = self._session
+        live = self._handover.live
         if live is None or not session.alignment.ready:
             return
         if live.follows(self._live):
@@ -447,7 +470,8 @@ class Receiver:
             self._side = ReceiverSide(PairCameras.of(session.rig), session.rig.method, attempt)
             session.log.write("/attempt", session.now_ns(), attempt_record(attempt))
         assert self._side is not None
-        capture_ns, now_ns = session.alignment.to_own_ns(target.capture_ns), session.now_ns()
+        capture_ns = session.alignment.to_own_ns(target.capture_ns)
+        now_ns = session.now_ns()
         missed = self._side.hear(target, capture_ns, now_ns)
         session.log.write("/heard_target", now_ns, heard_target_record(target, capture_ns))
         if missed is None:
@@ -455,7 +479,8 @@ class Receiver:
 
     def _in_view(self) -> bool:
         """Returns whether the target that it follows was seen within the time that may be coasted."""
-        coast_s, track = self._config.deadlines.target_coast_s, self._track
+        coast_s = self._config.deadlines.target_coast_s
+        track = self._track
         return track is not None and (self._session.now_ns() - track.seen_ns) * 1e-9 <= coast_s
 
     def _able(self) -> bool:

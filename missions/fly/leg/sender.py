@@ -55,7 +55,8 @@ class Sender:
 
     def __init__(self, session: RoleSession, store: RecordStore, told: PlaceTold | None = None) -> None:
         """``told``: where the target is; None: what the rig's mission says."""
-        rig, config = session.rig, session.config
+        rig = session.rig
+        config = session.config
         self._session = session
         self._config: MissionConfig = config
         self._camera = rig.sender.camera
@@ -94,7 +95,8 @@ class Sender:
 
     async def acquire(self) -> None:
         """Finds the target from the air above the take-off place, until it is tracked."""
-        session, deadlines = self._session, self._config.deadlines
+        session = self._session
+        deadlines = self._config.deadlines
         session.enter(Phase.ACQUIRE)
         session.pilot.guidance = self._to_first_place
         session.spawn(self._watch())
@@ -114,7 +116,8 @@ class Sender:
 
     async def hand_over(self) -> None:
         """Follow the tracked target, and offer it, until the other drone is known to hold it."""
-        session, deadlines = self._session, self._config.deadlines
+        session = self._session
+        deadlines = self._config.deadlines
         session.enter(Phase.FOLLOW, "target acquired, waiting for the receiver")
         session.observing = True
         await self._handover.offer()
@@ -137,7 +140,8 @@ class Sender:
 
     def _begin_attempt(self) -> None:
         """A count of its own for every epoch."""
-        session, config = self._session, self._config
+        session = self._session
+        config = self._config
         attempt = AttemptId(config.handoff_id, self._handover.epoch, config.target_id)
         self._side = SenderSide(PairCameras.of(session.rig), session.rig.method, attempt)
         session.log.write("/attempt", session.now_ns(), attempt_record(attempt))
@@ -159,7 +163,8 @@ class Sender:
         It is so far away that the target cannot be under this drone before it is down, or twice the usual way.
         """
         if self._way_out is None:
-            state, usual_m = self._session.vehicle.state, self._config.depart_m
+            state = self._session.vehicle.state
+            usual_m = self._config.depart_m
             place = state.position_n_m
             if self._track is not None:
                 aside = from_heading((0.0, -self._side_of_receiver(state), 0.0), self._heading_rad)
@@ -173,7 +178,8 @@ class Sender:
         """-1 left, 1 right; by both drones' own positions until it was measured on the marker."""
         if self._receiver_side is not None:
             return self._receiver_side
-        session, peer = self._session, self._session.peer
+        session = self._session
+        peer = self._session.peer
         if peer is None:
             return -1.0
         # a receiver that died flew on at first, as it was flying when it was last heard
@@ -189,7 +195,8 @@ class Sender:
 
     def _comes_near(self) -> bool:
         """Return whether the receiver is near this drone, or was closing in on it when it was last heard."""
-        session, peer = self._session, self._session.peer
+        session = self._session
+        peer = self._session.peer
         return session.phase is Phase.VERIFY or (peer is not None and Phase.APPROACH.reached(peer.phase))
 
     def _regaining(self) -> bool:
@@ -201,8 +208,10 @@ class Sender:
 
     def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
         """Leads to where all the ground is in view that the target can be on, and round it where nothing is found."""
-        session, look_round = self._session, self._look_round
-        now_ns, went = session.now_ns(), look_round.going
+        session = self._session
+        look_round = self._look_round
+        now_ns = session.now_ns()
+        went = look_round.going
         there, wider = self._place_to_look_at(now_ns)
         if self._track is None:
             look_round.step(now_ns, math.dist(self._view_of(there, wider), state.position_n_m), there)
@@ -215,7 +224,8 @@ class Sender:
 
     def _approach(self, place_n_m: Vec3, velocity_n_mps: Vec3, state: VehicleState) -> VelocitySetpoint:
         """To a moving place, and to rest there: past it the target would be below the image."""
-        follow, error = self._config.follow, subtract(place_n_m, state.position_n_m)
+        follow = self._config.follow
+        error = subtract(place_n_m, state.position_n_m)
         accel_mps2 = self._config.max_accel_mps2
         spare_mps2 = spare_accel(accel_mps2, norm(velocity_n_mps), follow.target_accel_mps2, follow.response_s)
         velocity = approach(error, state.velocity_n_mps, velocity_n_mps, follow.answer(spare_mps2))
@@ -226,7 +236,8 @@ class Sender:
 
         However far up a target seems to be, it is below the fence. ``wider``: times as far off as usual.
         """
-        keep, wider = self._config.follow, max(wider, _WIDER if self._regaining() else 1.0)
+        keep = self._config.follow
+        wider = max(wider, _WIDER if self._regaining() else 1.0)
         below_m = wider * (keep.height_m - self._config.target.height_m)
         place = add(target_n_m, from_heading((-wider * keep.behind_m, 0.0, -below_m), self._heading_rad))
         place = add(place, self._tilt.aim(self._axis_b, self._heading_rad, below_m))
@@ -311,7 +322,8 @@ class Sender:
             seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
         if self._config.level_ground and isinstance(seen, Sighting):
             session.note_height(track.position_n_m[2] + self._config.target.height_m)
-        unseen_s, deadlines = (view.stamp_ns - track.stamp_ns) * 1e-9, self._config.deadlines
+        unseen_s = (view.stamp_ns - track.stamp_ns) * 1e-9
+        deadlines = self._config.deadlines
         bearable_s = deadlines.target_coast_s + deadlines.target_regain_s
         if unseen_s > bearable_s and not self._handover.handed_over:
             raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
@@ -352,10 +364,12 @@ class Sender:
             self._side.begin_evidence_anew(stamp_ns)
 
     def _on_candidate(self, candidate: Candidate) -> None:
-        session, side = self._session, self._side
+        session = self._session
+        side = self._side
         if side is None or not session.alignment.ready:
             return
-        capture_ns, now_ns = session.alignment.to_own_ns(candidate.capture_ns), session.now_ns()
+        capture_ns = session.alignment.to_own_ns(candidate.capture_ns)
+        now_ns = session.now_ns()
         missed = side.hear(candidate, capture_ns, now_ns)
         session.log.write("/heard_candidate", now_ns, heard_candidate_record(candidate, capture_ns))
         if missed is None:
@@ -367,7 +381,8 @@ class Sender:
 
     def _note_pair(self, pair: PairVerdict, side: SenderSide) -> None:
         """Log one verdict and show it."""
-        session, shown = self._session, self._session.shown
+        session = self._session
+        shown = self._session.shown
         shown.count, shown.evidence = counted(pair, side.gate)
         shown.iou = pair.verdict.iou
         session.log.write("/agreement", session.now_ns(), side.record(pair))

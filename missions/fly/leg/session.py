@@ -52,7 +52,8 @@ Result = TypeVar("Result")
 
 _NO_STAGE = nullcontext()
 _POLL_S = 0.05
-_GOODBYES, _GOODBYE_S = 5, 0.05
+_GOODBYES = 5
+_GOODBYE_S = 0.05
 _PROGRESS_PERIOD_S = 0.2
 _ENDS = (
     (CameraError, Outcome.CAMERA_LOST),
@@ -145,14 +146,16 @@ class RoleSession:
     def note_home(self, home_m: tuple[float, ...] | None) -> None:
         """Takes what this drone's position is off, where it stands, for what it will be off."""
         north, east = off_from(home_m, self.vehicle.state.position_n_m)
-        self.off_n_m, self._here = (north, east, 0.0), None
+        self.off_n_m = (north, east, 0.0)
+        self._here = None
         self.log.write("/home", self.now_ns(), {"off_m": (north, east)})
         self.note_ground()  # it stands on it
 
     def note_height(self, off_down_m: float) -> None:
         """Takes what a target that stands on level ground is too low by for what this drone is too low by itself."""
         north, east, _ = self.off_n_m
-        self.off_n_m, self._here = (north, east, off_down_m), None
+        self.off_n_m = (north, east, off_down_m)
+        self._here = None
 
     def note_ground(self) -> None:
         """Take what the vehicle says now of the ground below it, and tell the crew what contradicts itself."""
@@ -282,7 +285,8 @@ class RoleSession:
         self.log.write("/responsibility", self.now_ns(), record)
 
     def show(self) -> None:
-        counters, evidence = self.link.counters, self.shown.evidence
+        counters = self.link.counters
+        evidence = self.shown.evidence
         self._emit(
             Progress(
                 role=self.role,
@@ -351,7 +355,8 @@ class RoleSession:
             await asyncio.sleep(period_s)
 
     def _status(self) -> Status:
-        state, now_ns = self.vehicle.state, self.now_ns()
+        state = self.vehicle.state
+        now_ns = self.now_ns()
         return Status(
             role=self.role,
             stamp_ns=now_ns,

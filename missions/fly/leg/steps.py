@@ -95,7 +95,8 @@ def _unheard(counters: LinkCounters) -> str:
 
 def _unaligned(session: RoleSession) -> str:
     """Say how well the clocks are known, and what would be needed."""
-    alignment, needed_s = session.alignment, session.config.clock_uncertainty_s
+    alignment = session.alignment
+    needed_s = session.config.clock_uncertainty_s
     if not alignment.samples:
         return "the clocks were not aligned: no ping was answered"
     known_s = alignment.uncertainty_ns * 1e-9
@@ -159,7 +160,8 @@ async def bring_down(session: RoleSession, end: MissionEnd | None, way_out: Anch
 
     A pilot who took over keeps the vehicle; a vehicle that is lost or refuses is not flown any farther.
     """
-    pilot, guard = session.pilot, session.guarding.guard
+    pilot = session.pilot
+    guard = session.guarding.guard
     if end is not None and end.outcome in _SCRIPT_LET_GO and not (guard and guard.taken):
         return await _leave_to_pilot(session)
     if not (await _sure_state(session)).armed:

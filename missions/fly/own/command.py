@@ -50,5 +50,6 @@ def fly_mission(mission: Path, rig: Rig, seed: int, faults: tuple[str, ...], out
 
 def programs_of(mission: Path) -> FlightPrograms:
     """Returns how both drones fly a mission, in a harness's process or in processes of their own. Raises PartError."""
-    own, file = OwnMission(load_mission(mission)), str(mission.resolve())
+    own = OwnMission(load_mission(mission))
+    file = str(mission.resolve())
     return FlightPrograms(own, lambda role: ("fly", file, "--drone", role.value), Outcome.FLOWN, mission=str(mission))

@@ -78,7 +78,8 @@ class Crew(ABC, Generic[Config, Called, Field]):
             self._step(self._now_s() >= 3600.0 * self.hours)
             await asyncio.sleep(POLL_S)
         if stop.is_set():
-            self.outcome, self.detail = Outcome.INTERRUPTED, Outcome.INTERRUPTED.meaning
+            self.outcome = Outcome.INTERRUPTED
+            self.detail = Outcome.INTERRUPTED.meaning
         flying = self._flying()
         if flying:
             await asyncio.wait(flying)
@@ -116,7 +117,8 @@ class Crew(ABC, Generic[Config, Called, Field]):
                     self._say(name, "down", end_of(drone.result))
             elif drone.where == "swap" and now_s >= drone.ready_s:
                 self._field.swap(name, drone.battery)
-                drone.where, drone.ready_s = "ready", now_s
+                drone.where = "ready"
+                drone.ready_s = now_s
                 full = drone.battery == 1.0
                 self._say(
                     name, "ready", "full battery" if full else f"battery at {100 * drone.battery:.0f} %, as it was"
@@ -133,7 +135,9 @@ class Crew(ABC, Generic[Config, Called, Field]):
         return 0.0 if left >= _NOT_FLOWN else self.config.check_s
 
     def _call(self, drone: Called, order: TakeOffOrder) -> None:
-        drone.where, drone.order, drone.result = "flying", order, None
+        drone.where = "flying"
+        drone.order = order
+        drone.result = None
         drone.task = asyncio.ensure_future(self._fly(drone))
 
     async def _fly(self, drone: Called) -> None:

@@ -21,7 +21,8 @@ from missions.look.report.page import PageOf, write_page
 from missions.look.report.records import RunFolderError, by_topic, drone_names
 
 Values = dict[str, Any]
-SUMMARY, PAGE = "summary.json", "run.html"
+SUMMARY = "summary.json"
+PAGE = "run.html"
 
 
 def cause_of(report: RelayReport, outcome: Outcome, detail: str) -> tuple[Outcome, str]:
@@ -77,7 +78,8 @@ class Showing:
 def leave(summary: Values, record: Values, folder: Path, showing: Showing, picture_too: bool) -> int:
     """Writes what came of a run and shows it; returns the exit code, that of a full disk where it cannot be written."""
     exit_code = int(summary["exit_code"])
-    record_file, picture = folder / f"{showing.name}.json", folder / f"{showing.name}.png"
+    record_file = folder / f"{showing.name}.json"
+    picture = folder / f"{showing.name}.png"
     try:
         record_file.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")

@@ -43,17 +43,22 @@ class Base(Crew[RelayConfig, CalledDrone, RelayField]):
     def holds(self, name: str) -> None:
         leg = self.leg_of(name)
         if leg is not None:
-            leg.held_s, leg.outcome = self._now_s(), Outcome.COMMITTED.label
+            leg.held_s = self._now_s()
+            leg.outcome = Outcome.COMMITTED.label
             self._leg = None
             self._field.close_leg(leg.number)
-        self.holder, self._asking, self._alarmed = name, None, False
+        self.holder = name
+        self._asking = None
+        self._alarmed = False
         self._say(name, "holds", "responsible" if leg is None else f"responsible, relieved {leg.sender}")
 
     def leg_failed(self, name: str, end: MissionEnd) -> None:
         leg = self.leg_of(name)
         if leg is not None:
-            leg.outcome, leg.detail = end.outcome.label, end.detail
-            self._leg, self._asking = None, None
+            leg.outcome = end.outcome.label
+            leg.detail = end.detail
+            self._leg = None
+            self._asking = None
             self._field.close_leg(leg.number)
             self._say(name, "leg failed", f"leg {leg.number}, relief {leg.receiver}: {end}")
 
@@ -78,7 +83,8 @@ class Base(Crew[RelayConfig, CalledDrone, RelayField]):
             return False
         for name, result in ended.items():
             if result is not None and result.outcome is not Outcome.COMMITTED:
-                self.outcome, self.detail = result.outcome, f"{name}: {result.detail}"
+                self.outcome = result.outcome
+                self.detail = f"{name}: {result.detail}"
                 break
         return True
 

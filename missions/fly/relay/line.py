@@ -69,7 +69,8 @@ class FarBase:
     """
 
     def __init__(self, name: str, say: Say) -> None:
-        self._name, self._say = name, say
+        self._name = name
+        self._say = say
         self._order: TakeOffOrder | None = None
         self._leg: Leg | None = None
         self._ended = 0  # number of the newest leg that is over

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from missions.look.report.palette import DIM, FAULT, tidy
 
 COLOURS = ("#1f6fb4", "#c8620a", "#3a8f4d", "#7a4fb5", "#b0487a", "#5f6b76")
-HOUR_S, MINUTE_S = 3600.0, 60.0
+HOUR_S = 3600.0
+MINUTE_S = 60.0
 MANY = 16  # drones or targets: more have no names at the axis
 
 

@@ -65,7 +65,9 @@ class RelayedLog:
     """The log of a drone's program, of which the monitors in another process read what they judge by."""
 
     def __init__(self, log: Log, name: str, whole: bool) -> None:
-        self._log, self._name, self._whole = log, name, whole
+        self._log = log
+        self._name = name
+        self._whole = whole
         self._encoder = msgspec.json.Encoder(enc_hook=encode_other)
         self._shown_ns: dict[str, int] = {}
 
@@ -99,8 +101,11 @@ FarFlight = Callable[[FarBase, str, ProgramContext], DroneFlight]
 
 async def _fly(flight: FarFlight, name: str, log: Log, store: StateFile) -> RoleResult:
     """Listen until there is an order, then fly it to its end."""
-    base, stop, ordered = FarBase(name, _say), asyncio.Event(), asyncio.Event()
-    loop, standard_input = asyncio.get_running_loop(), sys.stdin.fileno()
+    base = FarBase(name, _say)
+    stop = asyncio.Event()
+    ordered = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    standard_input = sys.stdin.fileno()
     lines = JsonLines(standard_input)
 
     def read() -> None:

@@ -71,7 +71,8 @@ def _crosses(way: Airway, other: Airway, clear_m: float) -> bool:
 def _from(point: Point, begin: Point, end: Point) -> float:
     """From a point to a segment."""
     (px, py), (bx, by), (ex, ey) = point, begin, end
-    dx, dy = ex - bx, ey - by
+    dx = ex - bx
+    dy = ey - by
     length2 = dx * dx + dy * dy
     along = 0.0 if length2 == 0.0 else min(1.0, max(0.0, ((px - bx) * dx + (py - by) * dy) / length2))
     return math.hypot(px - bx - along * dx, py - by - along * dy)

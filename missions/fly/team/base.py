@@ -66,12 +66,16 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
             target.place_n_m = place_n_m
 
     def holds(self, name: str) -> None:
-        drone, target = self.drones[name], self.target_of(name)
+        drone = self.drones[name]
+        target = self.target_of(name)
         leg = drone.leg
         if leg is not None:
             leg.held_s = self._now_s()
             self._close_leg(leg, Outcome.COMMITTED.label)
-        target.holder, target.finder, target.asking, target.alarmed = name, None, None, False
+        target.holder = name
+        target.finder = None
+        target.asking = None
+        target.alarmed = False
         drone.has_nothing = False
         self._end_spell(target)
         self.spells.append(Custody(target.number, name, self._now_s()))
@@ -90,7 +94,8 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
             self._say(name, "leg failed", f"leg {leg.number}, relief {leg.receiver}: {end}")
 
     def gave_up(self, name: str, why: str) -> None:
-        drone, target = self.drones[name], self.target_of(name)
+        drone = self.drones[name]
+        target = self.target_of(name)
         if drone.leg is not None:
             self._close_leg(drone.leg, Outcome.PEER_ABORTED.label, why)
         drone.ways.append(self._back(name, target.number))
@@ -98,11 +103,13 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         self._lose(target, name, why)
 
     def may_find(self, name: str, wait_s: float) -> None:
-        drone, target = self.drones[name], self.target_of(name)
+        drone = self.drones[name]
+        target = self.target_of(name)
         drone.has_nothing = True
         if wait_s < _STAYS_S:
             if target.finder == name:  # it comes home after all
-                drone.turned_back, target.finder = "no", None
+                drone.turned_back = "no"
+                target.finder = None
             return
         if self.over or drone.turned_back != "no" or not self._nobody_has(target, name):
             return
@@ -111,11 +118,14 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
                 self._close_leg(drone.leg, Outcome.ORPHANED.label)
             self._lose(target, name, "nobody said that it holds it")
         if self._now_s() - target.lost_s >= self.config.point_s:
-            drone.turned_back, drone.order, target.finder = "wait", TakeOffOrder.FIND, name
+            drone.turned_back = "wait"
+            drone.order = TakeOffOrder.FIND
+            target.finder = name
             self._say(name, "find", f"{target.named.name}, turns back on its way home")
 
     def turned_back(self, name: str) -> TurnedBack:
-        drone, target = self.drones[name], self.target_of(name)
+        drone = self.drones[name]
+        target = self.target_of(name)
         if drone.turned_back == "wait":
             out = way_out(drone.home_m, target.place_m, self.config.area_m)
             if not in_the_way((out,), self._flown(but=drone), self.config.clear_route_m):
@@ -240,7 +250,8 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         return Airspace(self._flown(), config.clear_route_m, config.entry_m, config.transit_mps)
 
     def _send(self, choice: Assignment) -> None:
-        drone, target = self.drones[choice.drone], self.targets[choice.target]
+        drone = self.drones[choice.drone]
+        target = self.targets[choice.target]
         need = Need(target.number, target.place_m, choice.heading_deg)
         ways = self._ways(need, ReadyDrone(drone.name, drone.home_m, drone.battery))
         if in_the_way(ways, self._flown(), self.config.clear_route_m):
@@ -248,18 +259,22 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         drone.target, drone.heading_deg, target.heading_deg = target.number, choice.heading_deg, choice.heading_deg
         drone.ways.append(ways[0])
         if target.holder is None:
-            target.finder, order = drone.name, TakeOffOrder.FIND
+            target.finder = drone.name
+            order = TakeOffOrder.FIND
             self._field.assign(drone.name, target.number)
             self._say(drone.name, "find", f"{target.named.name}, heading {choice.heading_deg:.0f} degrees")
         else:
             order = TakeOffOrder.RELIEVE
             self._open_leg(drone, target, ways[1])
-        drone.called_home, drone.has_nothing, drone.turned_back = False, False, "no"
+        drone.called_home = False
+        drone.has_nothing = False
+        drone.turned_back = "no"
         self._call(drone, order)
 
     def _open_leg(self, drone: TeamDrone, target: TeamTarget, back: Airway) -> None:
         assert target.holder is not None and target.asking is not None
-        sender, battery = self.drones[target.holder], target.asking[0]
+        sender = self.drones[target.holder]
+        battery = target.asking[0]
         leg = Leg(len(self.legs) + 1, sender.name, drone.name, self._now_s(), battery, target=target.number)
         self.legs.append(leg)
         target.leg = sender.leg = drone.leg = leg
@@ -269,12 +284,14 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         self._say(drone.name, "call", what)
 
     def _close_leg(self, leg: Leg, outcome: str, detail: str = "") -> None:
-        leg.outcome, leg.detail = outcome, detail
+        leg.outcome = outcome
+        leg.detail = detail
         for name in (leg.sender, leg.receiver):
             if self.drones[name].leg is leg:
                 self.drones[name].leg = None
         target = self.targets[leg.target]
-        target.leg, target.asking = None, None
+        target.leg = None
+        target.asking = None
         self._field.close_leg(leg.number)
 
     def _alarm(self, target: TeamTarget, ready: bool) -> None:
@@ -298,13 +315,18 @@ class OwnGround:
     """
 
     def __init__(self, base: TeamBase, name: str) -> None:
-        self._base, self._name = base, name
+        self._base = base
+        self._name = name
         self.order_of, self.leg_of, self.sent_to, self.pointed_at = (
             base.order_of, base.leg_of, base.sent_to, base.pointed_at,
         )  # fmt: skip
-        self.ask, self.holds, self.leg_failed = base.ask, base.holds, base.leg_failed
-        self.follows, self.gave_up = base.follows, base.gave_up
-        self.may_find, self.turned_back = base.may_find, base.turned_back
+        self.ask = base.ask
+        self.holds = base.holds
+        self.leg_failed = base.leg_failed
+        self.follows = base.follows
+        self.gave_up = base.gave_up
+        self.may_find = base.may_find
+        self.turned_back = base.turned_back
 
     @property
     def over(self) -> bool:

@@ -27,7 +27,8 @@ def run(options: TeamOptions) -> int:
     rig = with_errors(rig_library.load(options.rig), options.errors)
     name_ground_station(rig, options.gcs)
     config = team_of(rig, options.drones, options.targets)
-    rig, hours = fenced(rig, config), hours_of(config, options)
+    rig = fenced(rig, config)
+    hours = hours_of(config, options)
     size = f"{len(config.drones)} drones, {len(config.targets)} targets, {hours:g} h"
     showing = Showing("team", "missions.fly.team.picture:draw_team", _why, team_rows, team_table)
     return carry_out(options, showing, size, partial(fly_team, rig, config, options))

@@ -38,7 +38,8 @@ class TeamFlight(DroneFlight):
 
     def __init__(self, rig: Rig, team: TeamConfig, ground: TeamGround, name: str, given: ProgramContext) -> None:
         super().__init__(rig, team, ground, name, given)
-        self._team, self._ground = team, ground
+        self._team = team
+        self._ground = ground
         self._mission = mission_on(self._mission, ground.sent_to(name))
         self._pointed: Pointed | None = None
         self._told_s = self._asked_s = -_TOLD_S
@@ -75,7 +76,9 @@ class TeamFlight(DroneFlight):
 
     async def go_out(self, session: RoleSession, place: Callable[[], Vec3]) -> None:
         """Up above its home, across at the height of those that go out, and down."""
-        pilot, vehicle, team = session.pilot, session.vehicle, self._team
+        pilot = session.pilot
+        vehicle = session.vehicle
+        team = self._team
         north, east, _ = vehicle.state.position_n_m
         up = Anchor((north, east, -team.out_height_m), bearing(subtract(place(), vehicle.state.position_n_m)))
         await self._within(session, _SLACK_S, lambda: up.position_n_m, team.transit_mps)

@@ -15,7 +15,8 @@ from missions.look.report.palette import DIM, FAULT, tidy
 
 def draw_team(record: Mapping[str, Any], summary: Mapping[str, Any], path: Path) -> None:
     """Write a PNG. ``record`` is ``team.json``, ``summary`` the team's ``summary.json``."""
-    targets, drones = len(record["targets"]), len(record["drones"])
+    targets = len(record["targets"])
+    drones = len(record["drones"])
     figure = Figure(figsize=(12.0, min(30.0, 3.6 + 0.42 * min(targets, 40) + 1.6)), dpi=110, layout="constrained")
     who, batteries = figure.subplots(2, 1, sharex=True, height_ratios=(max(1.0, 0.35 * min(targets, 40)), 1.6))
     unit_s, unit = (HOUR_S, "h") if summary["simulated_s"] >= HOUR_S else (MINUTE_S, "min")
@@ -38,7 +39,8 @@ def _draw_targets(axes: Axes, record: Mapping[str, Any], end_s: float, unit_s: f
     colours = {name: COLOURS[row % len(COLOURS)] for row, name in enumerate(record["drones"])}
     few = len(rows) <= MANY
     for spell in record["spells"]:
-        row, since_s = rows[spell["target"]], spell["from_s"]
+        row = rows[spell["target"]]
+        since_s = spell["from_s"]
         to_s = end_s if spell["to_s"] is None else spell["to_s"]
         long = (to_s - since_s) / unit_s
         axes.broken_barh([(since_s / unit_s, long)], (row - 0.34, 0.68), color=colours[spell["drone"]], ec="white")

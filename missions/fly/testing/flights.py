@@ -59,7 +59,8 @@ class FlownRun:
     """
 
     def __init__(self, folder: Path, facts: RunFacts) -> None:
-        self.folder, self.facts = folder, facts
+        self.folder = folder
+        self.facts = facts
         self._run = load_run(folder)
 
     @property
@@ -99,7 +100,10 @@ class PytestFlights:
     """
 
     def __init__(self, rig: Rig, folder: Path, base: Path, note: Callable[[Path], object]) -> None:
-        self._rig, self._folder, self._base, self._note = rig, folder, base, note
+        self._rig = rig
+        self._folder = folder
+        self._base = base
+        self._note = note
         self._runs = 0
 
     def mission(

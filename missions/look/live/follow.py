@@ -70,7 +70,8 @@ class LogFollower:
     """One log. Never raises for what is in it: what cannot be read ends it."""
 
     def __init__(self, path: Path) -> None:
-        self._name, self._path = name_of(path), path
+        self._name = name_of(path)
+        self._path = path
         self._file: IO[bytes] | None = None
         self._rest = b""
         self._begun = self._ended = False
@@ -100,7 +101,8 @@ class LogFollower:
         if not self._begun:
             if len(self._rest) < len(MAGIC):
                 return
-            at, self._begun = len(MAGIC), True
+            at = len(MAGIC)
+            self._begun = True
         while at + _HEAD.size <= len(self._rest):
             opcode, length = _HEAD.unpack_from(self._rest, at)
             if at + _HEAD.size + length > len(self._rest):

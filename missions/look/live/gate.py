@@ -13,7 +13,8 @@ from urllib.parse import parse_qs, urlsplit
 
 LOOPBACK = "127.0.0.1"
 TOKEN = "PATH_LIVE_TOKEN"  # the variable of the environment that has it
-HEAD_BYTES, HEAD_S = 8192, 15.0
+HEAD_BYTES = 8192
+HEAD_S = 15.0
 CLIENTS = 16
 UNKNOWN = 64
 ORIGINS = frozenset({"app.foxglove.dev"})
@@ -27,7 +28,8 @@ class TokenGate:
     """Before ``inner``, a port on loopback."""
 
     def __init__(self, token: str, inner: int) -> None:
-        self._token, self._inner = token, inner
+        self._token = token
+        self._inner = inner
         self._server: asyncio.Server | None = None
         self._clients = 0
         self._unknown: list[asyncio.StreamWriter] = []  # who has not asked for anything yet, the oldest first

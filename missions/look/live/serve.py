@@ -24,7 +24,9 @@ from missions.look.live.gate import LOOPBACK, TOKEN, TokenGate
 
 POLL_S = 0.03
 NEW_S = 0.05  # for clients to ask for a topic before its first message
-PIECE, PIECE_S = 128, 0.01  # many come at once from a log in virtual time
+# many come at once from a log in virtual time
+PIECE = 128
+PIECE_S = 0.01
 REST_S = 5.0  # after the flight, for what is left of it
 BACKLOG = 512
 """Messages that wait for a client; the oldest is dropped for a newer one."""
@@ -52,7 +54,9 @@ class Stream:
 
 
 def main() -> None:
-    folder, host, port = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+    folder = Path(sys.argv[1])
+    host = sys.argv[2]
+    port = int(sys.argv[3])
     with suppress(OSError):
         os.nice(10)  # the flight comes first
     log_to_stderr()

@@ -17,7 +17,9 @@ from missions.look.live.gate import LOOPBACK, TOKEN
 
 EXAMPLE = "127.0.0.1:8765"
 MIN_TOKEN = 16
-UP_S, END_S = 120.0, 8.0  # a busy computer begins a program slowly; one that dies is told at once
+# a busy computer begins a program slowly; one that dies is told at once
+UP_S = 120.0
+END_S = 8.0
 
 
 @contextmanager

@@ -35,7 +35,8 @@ from missions.look.logs.fetch import fetched
 from missions.look.report.records import MERGED
 
 MERGED_SIGN = "merged"  # among what the log says of itself
-GUARD, FRAMES = "_guard", "_frames"
+GUARD = "_guard"
+FRAMES = "_frames"
 Clock = Sequence[tuple[int, int]]
 """From which UTC of a log on (in order) how much is added to it."""
 
@@ -134,7 +135,8 @@ def _aligned(
     if first is None or name == first or not measured or len([n for n, found in records.items() if found]) != 2:
         same = name == first or first is None
         return Aligned(name, [(0, 0)], 0 if same else None)
-    own_ns, first_ns = utc_minus_stamp(logs[name]), utc_minus_stamp(logs[first])
+    own_ns = utc_minus_stamp(logs[name])
+    first_ns = utc_minus_stamp(logs[first])
     clock = [(r.stamp_ns + own_ns, r.record["clock_offset_ns"] + first_ns - own_ns) for r in measured]
     return Aligned(name, clock, max(r.record["clock_uncertainty_ns"] for r in measured))
 
@@ -160,7 +162,8 @@ def utc_minus_stamp(files: Sequence[Path]) -> int:
 def _stream(aligned: Aligned, files: Sequence[Path]) -> Iterator[tuple[int, str, LoggedMessage]]:
     """A log's messages in the order of their instants; what was logged up to a second late is put where it belongs."""
     waiting: list[tuple[int, int, LoggedMessage]] = []
-    number, newest_ns = 0, 0
+    number = 0
+    newest_ns = 0
     for path in files:
         with path.open("rb") as file:
             file.seek(len(MAGIC))
@@ -168,7 +171,8 @@ def _stream(aligned: Aligned, files: Sequence[Path]) -> Iterator[tuple[int, str,
                 if isinstance(found, Metadata):
                     continue
                 utc_ns = aligned.utc_ns(found.utc_ns)
-                newest_ns, number = max(newest_ns, utc_ns), number + 1
+                newest_ns = max(newest_ns, utc_ns)
+                number = number + 1
                 heapq.heappush(waiting, (utc_ns, number, found))
                 while waiting[0][0] < newest_ns - 1_000_000_000:
                     at_ns, _, message = heapq.heappop(waiting)

@@ -77,7 +77,8 @@ class RealSenseFilm:
 
     def __init__(self, file: Path) -> None:
         self._file, self._recording = file, RealSenseRecording(file)
-        self.serial, self.color_size = self._recording.serial, self._recording.color_size
+        self.serial = self._recording.serial
+        self.color_size = self._recording.color_size
         self.clock = "a computer's clock"
 
     def factory_color(self) -> StandIn:
@@ -85,7 +86,8 @@ class RealSenseFilm:
 
     def frames(self, color: CameraModel | None) -> Iterator[FilmFrame]:
         assert color is not None  # a RealSense recording says its own
-        recording, believed = self._recording, RealSenseConfig()
+        recording = self._recording
+        believed = RealSenseConfig()
         limits_m = believed.min_depth_m, believed.max_depth_m
         try:
             registration = DepthRegistration(
@@ -106,7 +108,8 @@ class RosFilm:
 
     def __init__(self, path: Path) -> None:
         self._images = RosImages(path)
-        self.serial, self.color_size = "", self._images.color_size
+        self.serial = ""
+        self.color_size = self._images.color_size
         self.clock = "the clock of who recorded it"
 
     def factory_color(self) -> StandIn | None:

@@ -120,7 +120,9 @@ def run_many(options: ReplayOptions) -> int:
             continue
         different = sum(not each.same for each in of)
         table.add_row(str(folder), kind_of(folder), str(len(of)), str(different))
-        decisions, differ, replayed = decisions + len(of), differ + different, replayed + bool(of)
+        decisions = decisions + len(of)
+        differ = differ + different
+        replayed = replayed + bool(of)
     show(Group(Text(), table), sys.stdout)
     sys.stdout.write(f"\n{replayed} runs, {decisions} decisions, {differ} differ\n")
     return EXIT_DIFFERENT if differ else 0

@@ -28,7 +28,8 @@ def as_logged(record: Record) -> dict[str, Any]:
 
 def camera_of(record: Record) -> CameraModel:
     """Logs of earlier versions tell neither doubts nor left-out pixels: there were none, as far as the log goes."""
-    doubts, thin = record.get("doubts") or (), record.get("thinning")
+    doubts = record.get("doubts") or ()
+    thin = record.get("thinning")
     values: dict[str, Any] = {
         **record,
         "distortion": tuple(record["distortion"]),

@@ -39,7 +39,8 @@ class RecordedViews:
     """The views of a drone's recorded frames, by their stamps, which are asked for in order."""
 
     def __init__(self, frames: Iterator[Frame], see: See) -> None:
-        self._frames, self._see = frames, see
+        self._frames = frames
+        self._see = see
         self._newest: Frame | None = None
 
     def at(self, stamp_ns: int) -> View | None:
@@ -66,7 +67,10 @@ class SenderPerceiver:
     ) -> None:
         """``begun_ns``: when the drone's program started."""
         self.missing = 0
-        self._views, self._mount, self._camera, self._mission = views, own.mount, camera, mission
+        self._views = views
+        self._mount = own.mount
+        self._camera = camera
+        self._mission = mission
         self._track: TargetTrack | None = None
         self._ranging = Ranging.of(mission, method)
         self._acquisition = Acquisition(camera, method, mission, self._ranging)
@@ -129,12 +133,14 @@ class ReceiverPerceiver:
 
     def look(self, stamp_ns: int, motion: Record, gravity_v: Vec3 | None) -> None:
         """One ``/motion``: the marker of its frame in ``fix``; None where the log's word stays."""
-        self._view, self.fix = self._views.at(stamp_ns), None
+        self._view = self._views.at(stamp_ns)
+        self.fix = None
         if self._view is None or motion["peer_yaw_rad"] is None:
             self.missing += 1
             return
         R_n_c = R_from_quat(tuple(motion["q_n_c"]))
-        own, peer = tuple(motion["own_n_mps"]), tuple(motion["peer_n_mps"])
+        own = tuple(motion["own_n_mps"])
+        peer = tuple(motion["peer_n_mps"])
         yaw_rad = motion["peer_yaw_rad"]
         self._marker.note_motion(VehicleMotions(motion["own_stamp_ns"], own, motion["peer_stamp_ns"], peer, yaw_rad))
         x, y, z = R_n_c[2].tolist()

@@ -119,14 +119,18 @@ class _SenderReplay:
     def __init__(
         self, setup: Record, method: MethodConfig, answers: Answers, perceiver: SenderPerceiver | None
     ) -> None:
-        self._setup, self._method, self._answers, self._perceiver = setup, method, answers, perceiver
+        self._setup = setup
+        self._method = method
+        self._answers = answers
+        self._perceiver = perceiver
         self._side: SenderSide | None = None
         self._epoch = 0
         self._complete = False
         self._due: deque[tuple[int, dict[str, Any]]] = deque()  # verdicts that the log must hold next
 
     def take(self, each: LogRecord) -> Iterator[DecisionPair | Complete]:
-        record, side = each.record, self._side
+        record = each.record
+        side = self._side
         if each.topic == "/told" and self._perceiver is not None:
             self._perceiver.note_told(record)
         if each.topic == "/frame" and self._perceiver is not None:
@@ -154,14 +158,17 @@ class _SenderReplay:
             yield DecisionPair("/agreement", stamp_ns, None, again)
 
     def _begin(self, attempt: Record) -> None:
-        setup, self._epoch, self._complete = self._setup, attempt["epoch"], False
+        setup = self._setup
+        self._epoch = attempt["epoch"]
+        self._complete = False
         cameras = PairCameras(camera_of(setup["camera"]), camera_of(setup["peer_camera"]), pose_of(setup["T_v_c1"]))
         self._side = SenderSide(cameras, self._method, _attempt_of(attempt))
 
     def _observe(self, side: SenderSide, record: Record) -> Iterator[DecisionPair | Complete]:
         yield from self.rest()
         seen, gravity_v = self._seen(record)
-        capture_ns, judged_ns = record["capture_ns"], record["judged_ns"]
+        capture_ns = record["capture_ns"]
+        judged_ns = record["judged_ns"]
         frame = side.observe(record["frame_id"], capture_ns, seen, gravity_v)
         yield DecisionPair("/target", capture_ns, record, as_logged(target_record(frame, judged_ns)))
         for pair in side.judge(judged_ns):
@@ -174,7 +181,8 @@ class _SenderReplay:
         """The observations in the frame of a ``/target``, by the log or perceived again, and down in frame ``v``."""
         if self._perceiver is not None and self._perceiver.seen is not None:
             return self._perceiver.seen
-        gravity_v, box = tuple(record["gravity_v"] or NAN3), box_of(record["box"])
+        gravity_v = tuple(record["gravity_v"] or NAN3)
+        box = box_of(record["box"])
         if box is None:
             return MissReason(record["reason"]), gravity_v
         return sighting_of(record, box), gravity_v
@@ -184,12 +192,15 @@ class _ReceiverReplay:
     """D2's cycle, for one session."""
 
     def __init__(self, setup: Record, method: MethodConfig, perceiver: ReceiverPerceiver | None) -> None:
-        self._setup, self._method, self._perceiver = setup, method, perceiver
+        self._setup = setup
+        self._method = method
+        self._perceiver = perceiver
         self._side: ReceiverSide | None = None
         self._newest: dict[str, Record] = {}
 
     def take(self, each: LogRecord) -> Iterator[DecisionPair | Complete]:
-        record, side = each.record, self._side
+        record = each.record
+        side = self._side
         if each.topic == "/attempt":
             self._begin(record)
         elif each.topic in ("/frame", "/marker", "/motion"):
@@ -222,7 +233,8 @@ class _ReceiverReplay:
 
     def _fix(self) -> MarkerFix | Missed:
         """The marker's pose in the newest frame as logged; its corners are not asked for again."""
-        marker, motion = self._newest["/marker"], self._newest["/motion"]
+        marker = self._newest["/marker"]
+        motion = self._newest["/motion"]
         if marker["reason"] is not None:
             return Missed(MissReason(marker["reason"]))
         covariance = np.reshape(np.array(motion["covariance"], float), (6, 6))

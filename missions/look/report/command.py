@@ -220,7 +220,8 @@ def _seconds(gone: Mapping[str, float]) -> str:
 
 def _pairs(summary: Mapping[str, Any]) -> str:
     pairs = f"{summary['pairs_agreed']} of {summary['pairs_judged']}, {figure(summary['pairs_hz'], 'Hz', 1)}"
-    most, row = summary["evidence_max"], summary["in_a_row"]
+    most = summary["evidence_max"]
+    row = summary["in_a_row"]
     if most is None or row is None:
         return pairs
     said = "enough" if row["complete"] else "not enough"
@@ -228,7 +229,8 @@ def _pairs(summary: Mapping[str, Any]) -> str:
 
 
 def _error(summary: Mapping[str, Any], name: str) -> str:
-    median_m, p95_m = summary[f"{name}_m"], summary[f"{name}_p95_m"]
+    median_m = summary[f"{name}_m"]
+    p95_m = summary[f"{name}_p95_m"]
     if median_m is None:
         return "-"
     return f"{median_m * 1000:.1f} mm median, {p95_m * 1000:.1f} mm p95"
@@ -251,7 +253,8 @@ def _following(summary: Mapping[str, Any]) -> str:
     if summary["follow_overshoot_m"] is None:
         return "-"
     off = figure(summary["follow_error_m"], "m", 2)
-    past, unseen = figure(summary["follow_overshoot_m"], "m", 2), figure(summary["target_unseen_s"], "s", 1)
+    past = figure(summary["follow_overshoot_m"], "m", 2)
+    unseen = figure(summary["target_unseen_s"], "s", 1)
     return f"{off} off its place in the median, {past} past it at most, target unseen for {unseen} at most"
 
 

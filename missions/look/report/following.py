@@ -47,7 +47,8 @@ class Following:
 
 def following_of(run: RunRecords, truth: Truth | None) -> Following | None:
     """None where D1 never followed, or nobody knows where it was meant to be."""
-    setup, phases = first(run.sender, "/setup"), run.sender.get("/phase", ())
+    setup = first(run.sender, "/setup")
+    phases = run.sender.get("/phase", ())
     begin = next((r.stamp_ns for r in phases if r.record["phase"] in FOLLOWING), None)
     if truth is None or setup is None or begin is None:
         return None
@@ -55,7 +56,8 @@ def following_of(run: RunRecords, truth: Truth | None) -> Following | None:
     if end is None:
         end = max(topic[-1].stamp_ns for topic in run.sender.values())
     stamps_ns, offset_m = truth.way_to(Role.SENDER, truth.scene.target_id)
-    begin_ns, end_ns = truth.to_world_ns(Role.SENDER, begin), truth.to_world_ns(Role.SENDER, end)
+    begin_ns = truth.to_world_ns(Role.SENDER, begin)
+    end_ns = truth.to_world_ns(Role.SENDER, end)
     within = (stamps_ns >= begin_ns) & (stamps_ns <= end_ns) & np.isfinite(offset_m[:, 0])
     if not within.any():
         return None

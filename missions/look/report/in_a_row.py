@@ -25,26 +25,35 @@ class LongestRow:
 
 def longest_row(run: RunRecords) -> LongestRow | None:
     """The same rules as ``path.gate.window``, from the sender's records; None when it judged nothing."""
-    setup, pairs = last(run.sender, "/setup"), judged_pairs(run)
+    setup = last(run.sender, "/setup")
+    pairs = judged_pairs(run)
     if setup is None or not pairs:
         return None
     method: Mapping[str, Any] = setup.record["method"]
-    max_gap_ns, hold_ns = round(method["max_gap_s"] * 1e9), round(method["hold_s"] * 1e9)
+    max_gap_ns = round(method["max_gap_s"] * 1e9)
+    hold_ns = round(method["hold_s"] * 1e9)
     missed = [r.record["capture_ns"] for r in run.sender.get("/target", ()) if r.record["reason"]]
     judged = [r.record for r in pairs if r.record["counted"]]
     events = [(record["capture_ns"], bool(record["agreed"])) for record in judged]
     events += [(capture_ns, False) for capture_ns in missed if capture_ns <= pairs[-1].record["capture_ns"]]
-    count, begin_ns, newest_ns = 0, 0, 0
-    most, longest_ns, complete = 0, 0, False
+    count = 0
+    begin_ns = 0
+    newest_ns = 0
+    most = 0
+    longest_ns = 0
+    complete = False
     for capture_ns, agreed in sorted(events):
         if not agreed:
             count = 0
             continue
         if count == 0 or capture_ns - newest_ns > max_gap_ns:
-            count, begin_ns = 0, capture_ns
-        count, newest_ns = count + 1, capture_ns
+            count = 0
+            begin_ns = capture_ns
+        count = count + 1
+        newest_ns = capture_ns
         span_ns = capture_ns - begin_ns
         if count > most:
-            most, longest_ns = count, span_ns
+            most = count
+            longest_ns = span_ns
         complete = complete or (count >= method["hold_frames"] and span_ns >= hold_ns)
     return LongestRow(most, longest_ns * 1e-9, complete)

@@ -76,7 +76,8 @@ def _drone(name: str, records: Records) -> Iterator[str]:
         image = min(images, key=lambda each: abs(each.stamp_ns - phase.stamp_ns), default=None)
         picture = ""
         if image is not None and abs(image.stamp_ns - phase.stamp_ns) < NEAR_S * 1e9 and shown < MAX_IMAGES:
-            picture, shown = f"<img alt='' src='{_embedded(image.record['data'], 'jpeg')}'>", shown + 1
+            picture = f"<img alt='' src='{_embedded(image.record['data'], 'jpeg')}'>"
+            shown = shown + 1
         at_s = (phase.stamp_ns - begin_ns) * 1e-9
         note = f"<br><span class='dim'>{escape(phase.record['note'])}</span>" if phase.record["note"] else ""
         caption = f"<figcaption><b>{escape(phase.record['phase'])}</b> at {at_s:.1f} s{note}</figcaption>"
@@ -93,10 +94,12 @@ def _link_and_load(records: Records) -> Iterator[tuple[str, str]]:
         yield "link", f"{end['packets_sent']} packets sent, {end['packets_received']} received; dropped: {dropped}"
         known = [r.record for r in of["/link"] if r.record["clock_uncertainty_ns"] is not None]
         if known:
-            offset_s, within_ms = known[-1]["clock_offset_ns"] * 1e-9, known[-1]["clock_uncertainty_ns"] * 1e-6
+            offset_s = known[-1]["clock_offset_ns"] * 1e-9
+            within_ms = known[-1]["clock_uncertainty_ns"] * 1e-6
             yield "other drone's clock", f"{offset_s:+.6f} s, known within {within_ms:.1f} ms"
     if len(of["/cpu"]) > 1:
-        first, end = of["/cpu"][0], of["/cpu"][-1]
+        first = of["/cpu"][0]
+        end = of["/cpu"][-1]
         share = (end.record["spent_ns"]["program"] - first.record["spent_ns"]["program"]) / (
             end.stamp_ns - first.stamp_ns
         )

@@ -22,9 +22,12 @@ from missions.look.report.truth import Truth, truth_of
 from path.messages import Role
 
 Clock = Callable[[Role, int], float]
-WIDTH_IN, HEIGHT_IN, DPI = 13.0, 10.6, 110
+WIDTH_IN = 13.0
+HEIGHT_IN = 10.6
+DPI = 110
 TIMELINE = (0.058, 0.838, 0.931, 0.122)
-AGREEMENT, SEPARATION = (0.058, 0.543, 0.262, 0.224), (0.393, 0.543, 0.262, 0.224)
+AGREEMENT = (0.058, 0.543, 0.262, 0.224)
+SEPARATION = (0.393, 0.543, 0.262, 0.224)
 FOLLOWING = (0.727, 0.543, 0.262, 0.224)
 VIEWS = {Role.SENDER: (0.058, 0.046, 0.428, 0.394), Role.RECEIVER: (0.561, 0.046, 0.428, 0.394)}
 """The places of the plots: left, bottom, width and height, as shares of the picture. Found by matplotlib they take half
@@ -77,7 +80,8 @@ def _draw_phases(axes: Axes, run: RunRecords, seconds: Clock) -> None:
         stamps.append(seconds(role, max((t[-1].stamp_ns for t in run.role(role).values()), default=0)))
         end_s = max(end_s, stamps[-1])
         for k, change in enumerate(changes):
-            name, length = change.record["phase"], stamps[k + 1] - stamps[k]
+            name = change.record["phase"]
+            length = stamps[k + 1] - stamps[k]
             axes.barh(row, length, left=stamps[k], height=0.52, color=PHASES.get(name, DIM), edgecolor="white")
             bars.append((stamps[k], length, row, name))
         for start_s, stop_s in _responsible(run.role(role).get("/responsibility", ()), role, seconds, stamps[-1]):

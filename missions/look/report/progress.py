@@ -172,7 +172,8 @@ class LineTally:
         self._outcomes: Counter[str] = Counter()
 
     def add(self, outcome: str) -> None:
-        before, self._outcomes[outcome] = self._outcomes.total(), self._outcomes[outcome] + 1
+        before = self._outcomes.total()
+        self._outcomes[outcome] = self._outcomes[outcome] + 1
         done = before + 1
         if done == self._total or done * 10 // self._total > before * 10 // self._total:
             self._stream.write(f"{done}/{self._total} runs: {counts_text(dict(self._outcomes.most_common()))}\n")

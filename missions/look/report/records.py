@@ -25,9 +25,15 @@ from drivers.log.mcap_log import LogRecord, parts, read_log
 from missions.ground.run_folder import RunKind
 from path.messages import Role
 
-SENDER_LOG, RECEIVER_LOG, WORLD_LOG = "sender.mcap", "receiver.mcap", "world.mcap"
-FACTS, SUMMARY, PICTURE, PAGE = "run.json", "summary.json", "run.png", "run.html"
-REPLAY, MERGED = "replay.png", "merged.mcap"
+SENDER_LOG = "sender.mcap"
+RECEIVER_LOG = "receiver.mcap"
+WORLD_LOG = "world.mcap"
+FACTS = "run.json"
+SUMMARY = "summary.json"
+PICTURE = "run.png"
+PAGE = "run.html"
+REPLAY = "replay.png"
+MERGED = "merged.mcap"
 
 RUN = RunKind(FACTS, (SUMMARY, PICTURE, PAGE, REPLAY, MERGED), ("sender", "receiver", "world", "attack"))
 

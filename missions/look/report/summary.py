@@ -72,7 +72,8 @@ def _verification(run: RunRecords) -> Verification | None:
     begins = [r.stamp_ns for r in run.sender.get("/phase", ()) if r.record["phase"] == "verify"]
     if not begins:
         return None
-    commit, outcome = last(run.sender, "/commit"), last(run.sender, "/outcome")
+    commit = last(run.sender, "/commit")
+    outcome = last(run.sender, "/outcome")
     ends = commit or outcome or last(run.sender, "/agreement")
     return Verification(begins[0], ends.stamp_ns if ends else begins[0], commit is not None)
 
@@ -212,7 +213,8 @@ def _errors(run: RunRecords, span: Verification | None, truth: Truth | None) -> 
         answers = {r.record["sequence"]: r.record for r in run.receiver.get("/candidate", ())}
         reckoned = {r.record["sequence"]: r.record for r in run.receiver.get("/both_views", ())}
         for pair in (r.record for r in judged_pairs(run) if r.record["agreed"]):
-            answer, point = answers.get(pair["sequence"]), sent.get(pair["target_sequence"])
+            answer = answers.get(pair["sequence"])
+            point = sent.get(pair["target_sequence"])
             if answer is None or answer["box"] is None:
                 continue
             d2.append(d2_error_m(truth, answer))

@@ -110,7 +110,8 @@ class Truth:
         """Values of shape (n, k), interpolated."""
         instant = self.to_world_ns(clock, stamp_ns) - self._start_ns
         k = min(max(int(self._since_ns.searchsorted(instant)), 1), len(self._since_ns) - 1)
-        before, after = int(self._since_ns[k - 1]), int(self._since_ns[k])
+        before = int(self._since_ns[k - 1])
+        after = int(self._since_ns[k])
         share = (instant - before) / (after - before)
         return (values[k - 1] + share * (values[k] - values[k - 1])).tolist()
 
@@ -129,7 +130,8 @@ def _objects(records: Sequence[Sequence[Mapping[str, Any]]]) -> dict[int, Array]
 
 def truth_of(world: Records) -> Truth | None:
     """The truth in a world's log; None when there is none."""
-    scene, records = first(world, "/scene"), world.get("/truth", ())
+    scene = first(world, "/scene")
+    records = world.get("/truth", ())
     if scene is None or len(records) < 2:
         return None
     return Truth(_scene(scene), records)

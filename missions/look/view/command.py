@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from rerun import ChunkBatcherConfig
 
 LAYOUT = "foxglove.json"
-LAYOUT_SIGN, RERUN_SIGN = '"configById"', "RRF2"  # in every earlier result
+# in every earlier result
+LAYOUT_SIGN = '"configById"'
+RERUN_SIGN = "RRF2"
 REMEDY = (
     "install it with `.venv/bin/uv pip install --python .venv/bin/python -c constraints.txt -e '.[view]'` in your copy "
     "of PATH; or open the log in Foxglove or Lichtblick, with the layout that `path-handoff view --layout FILE` writes"
@@ -104,7 +106,9 @@ def _large_batches() -> ChunkBatcherConfig:
     import rerun as rr  # noqa: PLC0415 (an extra)
 
     batches = rr.ChunkBatcherConfig.DEFAULT()
-    batches.flush_tick, batches.flush_num_bytes, batches.flush_num_rows = timedelta(seconds=60.0), 8 << 20, 1 << 20
+    batches.flush_tick = timedelta(seconds=60.0)
+    batches.flush_num_bytes = 8 << 20
+    batches.flush_num_rows = 1 << 20
     return batches
 
 
@@ -131,7 +135,10 @@ def _watch(options: ViewOptions) -> int:
     with suppress(KeyboardInterrupt), shown as (server, at):
         if server is not None:
             recording.connect_grpc(at)
-        drawing, watcher, names, flying = Drawing(recording), Watcher(*options.live), set[str](), 0
+        drawing = Drawing(recording)
+        watcher = Watcher(*options.live)
+        names = set[str]()
+        flying = 0
         with suppress(KeyboardInterrupt):
             while server is None or server.poll() is None:
                 heard = watcher.next(0.5)

@@ -29,12 +29,15 @@ from missions.look.view.figures import PlottedValues
 from path.geometry.rotation import R_from_quat
 from path.messages import Vec3
 
-UTC, RUN = "utc", "run"
+UTC = "utc"
+RUN = "run"
 OF_AN_ATTEMPT = ("overlap", "count", "evidence")
 """Plots that an attempt has, and nothing between two of them: no line joins its end to the next one's begin."""
 GAP_NS = 500_000_000
 """After so long without a pair the line ends where the last one was."""
-_LINE_LOOP, _LINE_LIST = 2, 4  # of foxglove.PointsAnnotation; LinePrimitive has 1 and 2
+# of foxglove.PointsAnnotation; LinePrimitive has 1 and 2
+_LINE_LOOP = 2
+_LINE_LIST = 4
 _LEVELS = {1: "DEBUG", 2: "INFO", 3: "WARN", 4: "ERROR", 5: "CRITICAL"}
 
 
@@ -137,7 +140,8 @@ class Drawing:
 
     def _transforms(self, name: str, message: Any) -> None:
         for each in message.transforms:
-            t, q = each.translation, each.rotation
+            t = each.translation
+            q = each.rotation
             if (each.parent_frame_id, each.child_frame_id) == ("world", "n"):
                 self._R_world_n = R_from_quat((q.w, q.x, q.y, q.z))
             elif each.child_frame_id == f"{name}/body" and self._R_world_n is not None:

@@ -26,7 +26,8 @@ AGAIN_S = 1.0
 _HEAD = struct.Struct("<BIQ")
 _IS_MESSAGE = 1
 UNKNOWN = re.compile(r"Unknown channel ID: (\d+)")
-ASK_AGAIN, ASK_AGAIN_S = 20, 0.05
+ASK_AGAIN = 20
+ASK_AGAIN_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +105,7 @@ def _dialled(address: str) -> ClientConnection:
 
 def _schema(channel: dict[str, str]) -> Schema:
     """Binary ones are in base64."""
-    encoding, text = channel.get("schemaEncoding", ""), channel["schema"]
+    encoding = channel.get("schemaEncoding", "")
+    text = channel["schema"]
     data = base64.b64decode(text) if encoding == "protobuf" else text.encode()
     return Schema(0, data, encoding, channel["schemaName"])

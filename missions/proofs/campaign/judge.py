@@ -25,7 +25,9 @@ CONFIG = ProtocolConfig(
     handoff_s=DEADLINES.receiver_ready_s + 2 * DEADLINES.verify_s,
 )  # as ``missions.fly.leg.handover.protocol_config`` makes it of the mission
 DRIFT = 1.0 + 1e-3
-COMMIT_BOUND_S, DECISION_BOUND_S, GAP_BOUND_S = commit_bound_s(CONFIG), decision_bound_s(CONFIG), gap_bound_s(CONFIG)
+COMMIT_BOUND_S = commit_bound_s(CONFIG)
+DECISION_BOUND_S = decision_bound_s(CONFIG)
+GAP_BOUND_S = gap_bound_s(CONFIG)
 LOOK_EVERY = 8  # events
 SURE_S = 1e-6  # two instants that are the same
 
@@ -155,7 +157,8 @@ class Judge:
             self._violated("S2", "taken over in an epoch that is past")
 
     def decided(self, program: Program, outcome: HandoffOutcome, reason: str | None) -> None:
-        role, now_s = program.role, self._world.now_s
+        role = program.role
+        now_s = self._world.now_s
         self._ends[role].append((outcome, reason))
         began = self._since[role]
         self._since[role] = None
@@ -205,12 +208,14 @@ class Judge:
         if role is Role.SENDER:
             if self._begun_s is None or not isinstance(state, sender.Offering | sender.Verifying):
                 return
-            epoch, last = state.live.epoch, max(self._epochs, default=0)
+            epoch = state.live.epoch
+            last = max(self._epochs, default=0)
             if epoch <= last:
                 self._violated("S2", f"an attempt in epoch {epoch}, after {last}")
             self._epochs.add(epoch)
             self._since[role] = (epoch, self._begun_s)
-            self._begun_s, self._anew = None, False
+            self._begun_s = None
+            self._anew = False
         elif isinstance(state, receiver.Observing) and state.live is not None:
             since = self._since[role]
             if since is None or since[0] != state.live.epoch:
@@ -238,7 +243,8 @@ class Judge:
 
         As ``missions.proofs.verify.moves`` has it.
         """
-        gives, takes = self._world.state(Role.SENDER), self._world.state(Role.RECEIVER)
+        gives = self._world.state(Role.SENDER)
+        takes = self._world.state(Role.RECEIVER)
         if not self._nobody(gives, takes):
             self._close_gap()
             return

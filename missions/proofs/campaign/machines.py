@@ -109,7 +109,8 @@ class Machines:
     """The world of one run. ``tell``: given every event when somebody wants to read the story."""
 
     def __init__(self, plan: RunPlan, open_channel: OpenChannel, tell: Tell | None = None) -> None:
-        self.plan, self._tell = plan, tell
+        self.plan = plan
+        self._tell = tell
         self.now_s = 0.0
         self.random = random.Random(f"{plan.seed} world")
         self.judge = Judge(self)
@@ -137,7 +138,8 @@ class Machines:
             self.at(at_s, lambda role=role: self._pilot(role))
         if plan.forged_hz > 0.5:
             self.at(self.random.expovariate(plan.forged_hz), self._forge)
-        quiet_s, events = 0.0, 0
+        quiet_s = 0.0
+        events = 0
         while self.now_s < LONGEST_S:
             self._next()
             events += 1
@@ -183,7 +185,8 @@ class Machines:
 
     def transmit(self, role: Role, message: Message, data: bytes) -> None:
         """Sends a program's packet on; each that arrives knows whether it is the genuine one (S6)."""
-        now_s, peer = self.now_s, PEER[role]
+        now_s = self.now_s
+        peer = PEER[role]
         if self._tell is not None and type(message).__name__ not in NOISY:
             self.tell(role, f"sends {_named(message)}")
         sent = Sent(data)
@@ -214,7 +217,8 @@ class Machines:
             self._deliver(role, bytes(altered), None)
         else:
             forger = Codec(PEER[role], rng.randbytes(KEY_LENGTH), stamp=lambda: rng.getrandbits(47))
-            epoch, nonce = rng.randint(1, 3), rng.getrandbits(32)
+            epoch = rng.randint(1, 3)
+            nonce = rng.getrandbits(32)
             lease_ns = self._drones[PEER[role]].clock.read_ns(self.now_s) + 1_500_000_000
             told = rng.getrandbits(24)
             if role is Role.RECEIVER:
@@ -244,7 +248,8 @@ class Machines:
         drone = self._drones[program.role]
         crash = drone.crash
         assert crash is not None
-        program.alive, program.claim = False, None
+        program.alive = False
+        program.claim = None
         drone.program = None
         if program.writing is not None and self.random.random() < 0.5:
             drone.store.save(program.writing)

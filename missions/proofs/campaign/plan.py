@@ -14,7 +14,9 @@ from path.messages import Role
 Forgotten = Literal["nothing", "newest", "all"]
 ROLES = (Role.SENDER, Role.RECEIVER)
 CLOCKS_S = (100.0, 2000.0)  # what the clocks say when the run begins
-EARLIEST_S, LATEST_S = 0.5, 8.0  # of what happens at any moment
+# of what happens at any moment
+EARLIEST_S = 0.5
+LATEST_S = 8.0
 AROUND_S = (-0.3, 2.5)  # of what happens around the commit
 STEP_S = 30.0
 
@@ -109,7 +111,8 @@ def seed_of(program: str, seed: int, level: str, number: int) -> str:
 
 def draw(seed: int, level: LevelName, number: int) -> RunPlan:
     """The plan of a run of the machines."""
-    of, name = MACHINE_LEVELS[level], seed_of("machines", seed, level, number)
+    of = MACHINE_LEVELS[level]
+    name = seed_of("machines", seed, level, number)
     rng = random.Random(name)
     start_s = {role: rng.uniform(0.0, 0.5) for role in ROLES}
     offer_s = rng.uniform(0.2, 1.2)

@@ -50,7 +50,9 @@ class Program:
     role: Role
 
     def __init__(self, world: Machines, clock: TrueClock, store: MemoryStore, life: int) -> None:
-        self.world, self.clock, self._store = world, clock, store
+        self.world = world
+        self.clock = clock
+        self._store = store
         self.config = MISSION
         self.alignment = ClockAlignment()
         self.entropy = random.Random(f"{world.plan.seed} {self.role.value} {life}")
@@ -70,7 +72,8 @@ class Program:
         self.writing: SenderRecord | ReceiverRecord | None = None
         self.vehicle = SimpleNamespace(state=SimpleNamespace(armed=world.flying))
         self._heard_s = self.began_s = world.now_s
-        self._pings, self._pinged_s = 0, 0.0
+        self._pings = 0
+        self._pinged_s = 0.0
         self._wake_ns: int | None = None
         self._ticks = 0
         self._codec = Codec(self.role, bytes(KEY_LENGTH), stamp=lambda: round(world.now_s * 1e5))
@@ -126,7 +129,8 @@ class Program:
 
     def when_written(self, saved: Future[None], go_on: Callable[[], None]) -> None:
         def written() -> None:
-            record, self.writing = self.writing, None
+            record = self.writing
+            self.writing = None
             assert record is not None
             self.save(record)
             saved.set_result(None)
@@ -189,7 +193,8 @@ class Program:
 
     def run(self, do: Callable[[], object]) -> object:
         """Do something now; nothing once it is dead."""
-        world, result = self.world, None
+        world = self.world
+        result = None
         if not self.alive:
             return None
         if self._standing:
@@ -227,7 +232,8 @@ class Program:
             self.handover.on_status(message)
         else:
             self.world.hear(self.role, message)
-            before, writing = self.handover.state, self.writing is not None
+            before = self.handover.state
+            writing = self.writing is not None
             self._on_message(Received(message, arrival_ns))
             self.world.judge.heard(self, None if writing else before, message)
 
@@ -277,7 +283,8 @@ class Program:
         if self.alignment.fault:
             self.end_mission(Outcome.CLOCK_FAULT)
         if not self.alignment.ready or self.world.now_s - self._pinged_s >= 1.0 / self.config.ping_hz:
-            self._pings, self._pinged_s = self._pings + 1, self.world.now_s
+            self._pings = self._pings + 1
+            self._pinged_s = self.world.now_s
             self.send(Ping(self._pings, self.now_ns()))
         return 1.0 / rate_hz
 

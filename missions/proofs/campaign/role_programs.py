@@ -17,7 +17,8 @@ from path.protocol.values import HandoffOutcome as Decision
 FRAME_S = 0.25
 ATTEMPTS = 3
 FREE_S = 5.0  # a sender that begins anew waits as long for the receiver to hold nothing
-DOWN, UPRIGHT = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0)
+DOWN = (0.0, 0.0, 1.0)
+UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
 class _AsWritten:
@@ -72,13 +73,15 @@ class SenderProgram(Program):
 
     def _attempt(self, begin: Callable[[], None]) -> None:
         self._attempts += 1
-        self._first_s, self._lied = None, False
+        self._first_s = None
+        self._lied = False
         self.world.judge.begun()
         begin()
 
     def _frame(self) -> float:
         """Says where the target is, and has the views agree when the script wants them to."""
-        epoch, script = self.handover.epoch, self.world.plan
+        epoch = self.handover.epoch
+        script = self.world.plan
         if not epoch or self.end is not None:
             return FRAME_S
         config = self.config
@@ -137,7 +140,8 @@ class ReceiverProgram(Program):
         return 10.0 * FRAME_S  # it answers
 
     def _on_message(self, received: Received) -> None:
-        message, handover = received.message, self.handover
+        message = received.message
+        handover = self.handover
         handover.on_message(received)
         live = handover.live
         if isinstance(message, Target) and live is not None and self.end is None and not handover.holds:

@@ -84,7 +84,8 @@ def _stalls(rng: random.Random) -> list[str]:
                 for_s = rng.choice((0.1, 0.39, 2.0))
                 moment = f"{DUTIES[role][0]}+{rng.choice((0.0, rng.uniform(0.0, 1.5))):.3f}"
             else:
-                for_s, moment = rng.uniform(0.05, 2.0), _moment(rng, role)
+                for_s = rng.uniform(0.05, 2.0)
+                moment = _moment(rng, role)
             faults.append(f"stall_{role.value}={for_s:.2f}@{moment}")
     return faults
 

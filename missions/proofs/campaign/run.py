@@ -27,7 +27,8 @@ from missions.proofs.campaign.levels import LEVELS
 from missions.proofs.campaign.results import RunLine, resumable_results
 from missions.proofs.campaign.summary import BROKEN, draw_outcomes, summarize, table
 
-SUMMARY, PICTURE = "summary.json", "outcomes.png"
+SUMMARY = "summary.json"
+PICTURE = "outcomes.png"
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,8 @@ from missions.proofs.conformance.track import (
 
 HEIGHT_M = 3.0
 HOLD_S = 8.0
-STEP_MPS, STEP_S = 1.0, 4.0
+STEP_MPS = 1.0
+STEP_S = 4.0
 IDLE_S = 30.0
 STREAMS = {
     "heartbeat_hz": 0,
@@ -135,7 +136,8 @@ async def _setpoints(stage: FlightStage) -> Values:
     found["offboard_unready_then"] = stage.heard.shown[-1].mode.value
     await stage.vehicle.hold()
     await stage.wait(1.0)
-    begun_s, yaw = stage.now_s, stage.yaw_rad
+    begun_s = stage.now_s
+    yaw = stage.yaw_rad
     await _offboard(stage, yaw)
     found["offboard_s"] = stage.now_s - begun_s
     start_s = await stage.fly((STEP_MPS, 0.0, 0.0), yaw, STEP_S)
@@ -176,7 +178,8 @@ async def _offboard(stage: FlightStage, yaw: float) -> None:
 
 async def _other_station(stage: FlightStage) -> Values:
     """Another ground station selects the hold while setpoints go on."""
-    yaw, sent_s = stage.yaw_rad, stage.now_s
+    yaw = stage.yaw_rad
+    sent_s = stage.now_s
     answer = await stage.order_mode(FlightMode.HOLD)
     seen_s = await stage.until(lambda: stage.vehicle.state.mode is FlightMode.HOLD, 3.0)
     seen_s = None if seen_s is None else stage.now_s - sent_s
@@ -195,7 +198,8 @@ async def _landing(stage: FlightStage) -> Values:
     touch_s = first(track.t, track.height < AIRBORNE_M, begun_s)
     shown = modes_since(stage.heard.shown, begun_s)
     landed = landed_since(stage.heard.landed, begun_s, stage.now_s)
-    ground_s, off_s = when(landed[1:], "on ground"), when(shown, "disarmed")
+    ground_s = when(landed[1:], "on ground")
+    off_s = when(shown, "disarmed")
     just_before = (track.height > AIRBORNE_M) & (track.height < 0.25)
     return {
         "descend_mps": fastest_mps(track.t, -track.height),
@@ -253,7 +257,8 @@ async def pilot(stage: FlightStage) -> Values:
     """A mode that needs sticks, of a vehicle that has no remote control."""
     await stage.up(5.0)
     await stage.wait(1.0)
-    from_s, height_m = stage.now_s, stage.height_m
+    from_s = stage.now_s
+    height_m = stage.height_m
     main, sub = (3.0, 0.0) if stage.kind.name == "px4" else (5.0, 0.0)
     answer = await stage.order(SET_MODE, 1.0, main, sub)
     seen_s = await stage.until(lambda: stage.vehicle.state.mode is not FlightMode.HOLD, 2.0)

@@ -12,7 +12,8 @@ from drivers.mavlink.bench import VehicleBench
 from missions.proofs.conformance.flights import FLIGHTS, SuiteFlight
 from missions.proofs.conformance.stage import ARM, POLL_S, READY_S, FlightStage, Values
 
-HEARTBEAT_S, OPEN_S = 60.0, 120.0
+HEARTBEAT_S = 60.0
+OPEN_S = 120.0
 TEXT_S = 0.5  # until the text that explains a refusal
 AGAIN_S = 20.0  # on the ground after a flight, until it is switched off and on
 FAILURES = (PartError, AssertionError, IndexError, ValueError)  # of a flight whose vehicle did what nobody foresaw
@@ -87,7 +88,9 @@ class FlightSuite:
         return stage
 
     async def _off(self) -> None:
-        stack, self._stack, self._stage = self._stack, AsyncExitStack(), None
+        stack = self._stack
+        self._stack = AsyncExitStack()
+        self._stage = None
         await stack.aclose()
 
 

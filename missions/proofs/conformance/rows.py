@@ -24,7 +24,9 @@ class Row:
     digits: int = 2
 
 
-TIME, SPEED, LENGTH = (0.3, 0.3), (0.1, 0.3), (0.1, 0.5)
+TIME = (0.3, 0.3)
+SPEED = (0.1, 0.3)
+LENGTH = (0.1, 0.5)
 NOISE = (0.01, 0.6)
 OWN_WORDS = None
 

@@ -77,7 +77,8 @@ def _wanted(options: ConformanceOptions) -> list[str]:
 def fly(vehicle: str, flights: Sequence[SuiteFlight], folder: Path) -> Record:
     """One vehicle through these flights. Raises PartError when it never becomes ready."""
     rig = rig_library.load(RIGS[vehicle])
-    made, load_before = f"{datetime.now():%Y-%m-%d %H:%M}", os.getloadavg()[0]
+    made = f"{datetime.now():%Y-%m-%d %H:%M}"
+    load_before = os.getloadavg()[0]
     bench = trial_part(rig, "bench")
     suite = FlightSuite(lambda: bench(rig, folder / vehicle), lambda text: _say(f"{vehicle}: {text}"))
     logging.getLogger("drivers.mavsdk").setLevel(logging.ERROR)  # a cable that is cut is no news here

@@ -17,10 +17,14 @@ Values = dict[str, Value]
 POLL_S = 0.01
 ANSWER_S = 3.0
 READY_S = 90.0
-TAKE_OFF_S, LAND_S = 40.0, 60.0
+TAKE_OFF_S = 40.0
+LAND_S = 60.0
 STATION = 251  # the bench's second ground station
 RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress", "cancelled")
-ARM, TAKE_OFF, SET_MODE = 400, 22, 176  # MAV_CMD
+# MAV_CMD
+ARM = 400
+TAKE_OFF = 22
+SET_MODE = 176
 FORCE = 21196.0  # with which disarming stops the motors in the air; only ever sent to a simulated vehicle
 
 

@@ -35,7 +35,10 @@ class Attacker(asyncio.DatagramProtocol):
     def __init__(
         self, air: Address, ends: tuple[Address, Address], rng: Random, earlier: list[tuple[int, bytes]]
     ) -> None:
-        self._air, self._ends, self._rng, self._earlier = air, ends, rng, earlier
+        self._air = air
+        self._ends = ends
+        self._rng = rng
+        self._earlier = earlier
         self._forgers = Forger(Random(rng.random())), Forger(Random(rng.random()))
         self._transport: asyncio.DatagramTransport | None = None
         self.heard: deque[tuple[int, bytes]] = deque(maxlen=MOST_RECORDED)
@@ -49,7 +52,8 @@ class Attacker(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
         del addr
-        side, packet = data[0], data[1:]
+        side = data[0]
+        packet = data[1:]
         self.heard.append((side, packet))
         self._forgers[side].toward.append(packet)
         self._forgers[1 - side].back.append(packet)
@@ -60,7 +64,8 @@ class Attacker(asyncio.DatagramProtocol):
     async def flood(self, rate_hz: float) -> None:
         """Sends for ever; what cannot be sent in time is left out."""
         loop = asyncio.get_running_loop()
-        begun_s, due = loop.time(), 0
+        begun_s = loop.time()
+        due = 0
         while True:
             await asyncio.sleep(TICK_S)
             now = round((loop.time() - begun_s) * rate_hz)
@@ -134,7 +139,8 @@ async def attack(rate_hz: float, air: int, ends: tuple[Address, Address], seed: 
     loop.add_reader(sys.stdin.fileno(), ended.set)
     attacker = Attacker(("127.0.0.1", air), ends, Random(f"attack {seed}"), earlier_flights(out))
     transport, _ = await loop.create_datagram_endpoint(lambda: attacker, local_addr=("127.0.0.1", 0))
-    flood, begun_s = asyncio.create_task(attacker.flood(rate_hz)), loop.time()
+    flood = asyncio.create_task(attacker.flood(rate_hz))
+    begun_s = loop.time()
     try:
         await asyncio.wait([flood, asyncio.ensure_future(ended.wait())], return_when=asyncio.FIRST_COMPLETED)
     finally:

@@ -149,7 +149,8 @@ class Effects:
         return effect
 
     def _effect(self, to: Side, what: str, state: int, actions: Actions, broken: str) -> Effect:
-        sent, kept = 0, -1
+        sent = 0
+        kept = -1
         commits: list[tuple[int, int]] = []
         halves: list[tuple[int, int]] = []
         for action in actions:
@@ -229,7 +230,8 @@ class Effects:
         found = self._words.get((state, held, skew, second))
         if found is None:
             packets: list[ModelPacket] = []
-            gives, takes = self.senders.values[state], self.receivers.values[held]
+            gives = self.senders.values[state]
+            takes = self.receivers.values[held]
             if not isinstance(gives, Dead):
                 packets.append(ModelPacket("receiver", status(Role.SENDER, sender.is_responsible(gives), 0)))
                 if not isinstance(gives, sender.Idle | sender.Keeping | sender.HandedOver):

@@ -139,7 +139,8 @@ class _Trail:
 
     def __init__(self, moves: Moves, until_broken: frozenset[str] | None) -> None:
         self.moves = moves
-        self.until_broken, self.ended = until_broken, False
+        self.until_broken = until_broken
+        self.ended = False
         self.came_from: dict[ModelWorld, tuple[ModelWorld, str] | None] = {}
         self.broken: Counter[str] = Counter()
         self.example: tuple[str, ...] = ()

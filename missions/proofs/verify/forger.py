@@ -13,7 +13,10 @@ from random import Random
 from drivers.link.dialect import path_dialect as dialect
 from drivers.link.wire import KEY_LENGTH
 
-HEADER, CRC, SIGNATURE, HASH = dialect.HEADER_LEN_V2, 2, dialect.MAVLINK_SIGNATURE_BLOCK_LEN, 6
+HEADER = dialect.HEADER_LEN_V2
+CRC = 2
+SIGNATURE = dialect.MAVLINK_SIGNATURE_BLOCK_LEN
+HASH = 6
 LARGEST = HEADER + 255 + CRC + SIGNATURE
 REMEMBERED = 400  # packets of each way
 EXTRAS = {message: kind.crc_extra for message, kind in dialect.mavlink_map.items()}
@@ -80,7 +83,8 @@ class Forger:
         return self._heard() + self._rng.randbytes(self._rng.randrange(1, 40))
 
     def _mixed(self) -> bytes:
-        first, second = self._heard(), self._heard()
+        first = self._heard()
+        second = self._heard()
         at = self._rng.randrange(1, min(len(first), len(second)))
         return first[:at] + second[at:]
 

@@ -27,8 +27,12 @@ from path.observations import MissReason
 from path.protocol.values import Handoff, ProtocolConfig
 
 TICK_S = 1e-9
-HANDOFF_ID, TARGET_ID, OTHER_ID = 1, 1, 2
-RECEIVER_ID, SECOND_ID, NOBODYS_ID = 1, 2, 3
+HANDOFF_ID = 1
+TARGET_ID = 1
+OTHER_ID = 2
+RECEIVER_ID = 1
+SECOND_ID = 2
+NOBODYS_ID = 3
 UNREAD = NOBODY = -1
 STATUS_AGE = -3  # ticks after which a delayed Status is dropped, as the link drops what is stale
 ORIGIN = (0.0, 0.0, 0.0)

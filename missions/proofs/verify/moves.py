@@ -69,9 +69,12 @@ class Moves:
 
     def start(self, skew: int) -> ModelWorld:
         """Returns the world in which nothing has begun; the receiver observes."""
-        effects, scope = self.effects, self.scope
-        state, held = effects.senders(sender.Idle()), effects.receivers(receiver.Observing())
-        kept, noted = effects.sender_records(SenderRecord()), effects.receiver_records(ReceiverRecord())
+        effects = self.effects
+        scope = self.scope
+        state = effects.senders(sender.Idle())
+        held = effects.receivers(receiver.Observing())
+        kept = effects.sender_records(SenderRecord())
+        noted = effects.receiver_records(ReceiverRecord())
         if not scope.crashes:
             kept = noted = UNREAD
         second = held if scope.receivers > 1 else NOBODY
@@ -113,8 +116,10 @@ class Moves:
 
     def _time(self, world: ModelWorld) -> Iterator[ModelStep]:
         """Either program notices what is due, at once or late by up to the guard; or a tick passes."""
-        guard, most = self.scope.guard, self.scope.uncertainty + self.scope.beyond
-        gives, takes = self.sender_of(world), self.receiver_of(world)
+        guard = self.scope.guard
+        most = self.scope.uncertainty + self.scope.beyond
+        gives = self.sender_of(world)
+        takes = self.receiver_of(world)
         due = None if isinstance(gives, Dead) else sender.wake_ns(gives)
         waiting = None if isinstance(takes, Dead) else receiver.wake_ns(takes)
         if due is not None and due <= 0:
@@ -184,7 +189,8 @@ class Moves:
 
     def _nobody(self, world: ModelWorld) -> bool:
         """Returns whether nobody is responsible, though whoever would have to be runs."""
-        gives, takes = self.sender_of(world), self.receiver_of(world)
+        gives = self.sender_of(world)
+        takes = self.receiver_of(world)
         if isinstance(gives, Dead | sender.Idle) or sender.is_responsible(gives):
             return False  # of a sender that is idle nothing is asked
         if isinstance(takes, Dead):
@@ -193,7 +199,8 @@ class Moves:
 
     def _overdue(self, world: ModelWorld) -> str:
         """L1: everything that waits, ends. L2: no gap but the orphan, and neither side takes that for all well."""
-        state, held = self.sender_of(world), self.receiver_of(world)
+        state = self.sender_of(world)
+        held = self.receiver_of(world)
         latest = -self.scope.guard
         match state:
             case sender.Offering() | sender.Verifying():
@@ -241,14 +248,16 @@ class Moves:
 
     def _free(self, world: ModelWorld) -> bool:
         """An idle sender takes off, and offers, only when it has heard that the receiver holds nothing."""
-        gives, takes = self.sender_of(world), self.receiver_of(world)
+        gives = self.sender_of(world)
+        takes = self.receiver_of(world)
         if not isinstance(gives, sender.Idle):
             return False
         return gives.epoch == 0 or not (isinstance(takes, Dead) or receiver.is_responsible(takes, world.skew))
 
     def _agreements(self, world: ModelWorld, live: Handoff) -> Iterator[ModelStep]:
         """The one that the window counted, and those of which nothing may come (S5)."""
-        nonce, told = 100 * live.epoch, self.scope.uncertainty
+        nonce = 100 * live.epoch
+        told = self.scope.uncertainty
         for instance in (RECEIVER_ID, SECOND_ID)[: self.scope.receivers]:  # whichever of them is heard
             whole = AgreementComplete(live.epoch, TARGET_ID, nonce, told, instance)
             yield from self._tell_sender(world._replace(agreed=live.epoch), whole, "the agreement is complete")
@@ -273,7 +282,8 @@ class Moves:
 
     def _crashes(self, world: ModelWorld) -> Iterator[ModelStep]:
         """Killed at any moment, with whatever is on disk; started again at any later one."""
-        gives, takes = self.sender_of(world), self.receiver_of(world)
+        gives = self.sender_of(world)
+        takes = self.receiver_of(world)
         if world.crashes and not isinstance(gives, Dead):
             yield ModelStep("the sender is killed", self._sender_killed(world, world.sender_kept))
         if world.crashes and not isinstance(takes, Dead):
@@ -348,11 +358,13 @@ class Moves:
 
     def _checked(self, before: ModelWorld, after: ModelWorld, what: str, broken: str) -> ModelStep:
         state, held, skew, packets, crashes, aborts, attempts, sender_kept, receiver_kept, second, agreed, alone = after
-        gives, takes = self._gives(state), self._takes(held, skew)
+        gives = self._gives(state)
+        takes = self._takes(held, skew)
         key = before.sender, state, before.receiver, held
         across = self._across.get(key)
         if across is None:
-            senders, receivers = self._senders, self._receivers
+            senders = self._senders
+            receivers = self._receivers
             across = across_rules(senders[key[0]], senders[state], receivers[key[2]], receivers[held])
             self._across[key] = across
         broken = broken or across

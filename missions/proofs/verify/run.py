@@ -158,7 +158,8 @@ def summarize(explored: list[Explored], tried: list[ModelMutant], wall_s: float)
 
 
 def _of_scope(one: Explored) -> dict[str, object]:
-    scope, found = one.job.scope, one.found
+    scope = one.job.scope
+    found = one.found
     return {
         "name": one.job.name,
         "receivers": scope.receivers,
@@ -186,12 +187,14 @@ def show(explored: list[Explored], tried: list[ModelMutant], wall_s: float, stre
     write = stream.write
     write(f"\n{'scope':<46}{'states':>10}{'steps':>11}{'depth':>7}{'in flight':>11}{'violations':>12}{'time':>9}\n")
     for one in explored:
-        found, name = one.found, one.job.name + ("" if one.job.exact else " *")
+        found = one.found
+        name = one.job.name + ("" if one.job.exact else " *")
         write(
             f"{name:<46}{found.states:>10,}{found.steps:>11,}{found.depth:>7}{found.in_flight:>11}"
             f"{sum(found.broken.values()):>12,}{one.wall_s:>7.1f} s\n"
         )
-    states, steps = sum(one.found.states for one in explored), sum(one.found.steps for one in explored)
+    states = sum(one.found.states for one in explored)
+    steps = sum(one.found.steps for one in explored)
     write(f"{'all':<46}{states:>10,}{steps:>11,}{'':>30}{wall_s:>7.1f} s\n")
     write("* worlds that no other covers: each stands for all with fewer packets or upsets to come\n\n")
     for one in explored:

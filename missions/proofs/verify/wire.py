@@ -100,8 +100,12 @@ def play(piece: Piece) -> Fuzzed:
     rng = Random(f"{piece.seed} {piece.number}")
     exchange = _Exchange(rng, tuple(Role)[piece.number % 2], piece.make)
     exchange.begin()
-    forged, dropped, failures = Counter[str](), Counter[str](), list[str]()
-    failed, decode_ns, before = 0, 0, _resident_kib()
+    forged = Counter[str]()
+    dropped = Counter[str]()
+    failures = list[str]()
+    failed = 0
+    decode_ns = 0
+    before = _resident_kib()
     while forged.total() < piece.packets:
         burst = [exchange.forger.forge() for _ in range(BURST)]
         results: list[Message | Drop | Exception] = []

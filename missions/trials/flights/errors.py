@@ -89,7 +89,8 @@ def alignments(sessions: Mapping[str, SessionErrors]) -> TrialTable:
 
 
 def _alignment(each: SessionErrors) -> tuple[str, ...]:
-    clock, frame = each.clock, each.frame
+    clock = each.clock
+    frame = each.frame
     offset_error = yaw_error = ""
     if isinstance(each, HarnessVerdict):
         offset_error = f"{1e3 * each.offset_error_s:+.1f}"

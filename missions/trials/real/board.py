@@ -86,7 +86,8 @@ class BoardSeen:
     def pose_under(self, T_o_m: Pose, side_m: float) -> Pose:
         """``T_c_m`` of the surface under a marker of this side, where the board is not flat."""
         square = np.column_stack([side_m * MARKER_CORNERS, np.zeros(4)])
-        start, pixels = self.T_c_o @ T_o_m, self.pixels(T_o_m.apply(square))
+        start = self.T_c_o @ T_o_m
+        pixels = self.pixels(T_o_m.apply(square))
         matrix, lens = matrices_of(self.camera)
         turn, _ = cv2.Rodrigues(start.R)
         turn, shift = cv2.solvePnPRefineLM(square, pixels, matrix, lens, turn, start.t.reshape(3, 1).copy())
@@ -131,7 +132,8 @@ def look_at_set(own: RealSet, images: Sequence[Path]) -> SetSeen:
     camera = _given(own, greys[0][1])
     if not seen or (len(seen) < 3 and camera is None):
         raise PartError(f"{own.name}: the board is found in {len(seen)} photographs", REMEDY)
-    views, sigmas = [view for _, _, view in seen], None
+    views = [view for _, _, view in seen]
+    sigmas = None
     even = seen_evenly([grey for _, grey, _ in seen], views, own.board)
     views, thinning = (views, None) if even is None else even
     if camera is not None:
@@ -145,7 +147,8 @@ def look_at_set(own: RealSet, images: Sequence[Path]) -> SetSeen:
             raise PartError(f"{own.name}: {error}", REMEDY) from error
         if solution.camera is None:
             raise PartError(f"{own.name}: {solution.camera_problem}", "name a [camera]")
-        camera, s = solution.camera, solution.sigmas
+        camera = solution.camera
+        s = solution.sigmas
         sigmas = (s[0] / camera.fx, s[1] / camera.fy, s[2], s[3])
         corners = [(view.ids, view.corners_px) for view in solution.views]
     shots = [
@@ -198,7 +201,8 @@ def _grown(corners_o: Array, side_m: float) -> Array:
 
 def growth(seen: Sequence[tuple[Array, BoardSeen, Array]]) -> float:
     """Returns how much larger markers are than their corners (4 n, 3) say, relative; seen at (4 n, 2) px."""
-    errors, pulls = [], []
+    errors = []
+    pulls = []
     for corners_px, board, points_o in seen:
         quads = points_o.reshape(-1, 4, 3)
         out = (quads - quads.mean(axis=1, keepdims=True)).reshape(-1, 3)[:, :2]
@@ -236,7 +240,8 @@ def see_board(camera: CameraModel, shot: Photograph, order: int) -> BoardSeen:
     except NotSolvable as error:
         raise PartError(f"{shot.name}: {error}", REMEDY) from error
     flat = shot.points_o[:, :2]
-    middle, reach = flat.mean(axis=0), float(np.ptp(flat, axis=0).max()) / 2.0
+    middle = flat.mean(axis=0)
+    reach = float(np.ptp(flat, axis=0).max()) / 2.0
     smooth = _powers((flat - middle) / reach, order)
     bend = np.column_stack([robust_solution(smooth, errors[:, axis]) for axis in (0, 1)])
     left = errors - smooth @ bend

@@ -97,7 +97,8 @@ def _edges_of(cells: NDArray[np.bool_]) -> CellEdges:
 
 
 def _on_board(share: Array, corners: Array) -> Array:
-    s, t = share[..., :1], share[..., 1:]
+    s = share[..., :1]
+    t = share[..., 1:]
     flat = (1 - s) * (1 - t) * corners[0] + s * (1 - t) * corners[1] + s * t * corners[2] + (1 - s) * t * corners[3]
     return np.concatenate([flat, np.zeros_like(s)], axis=-1)
 
@@ -121,7 +122,8 @@ def _wider(edges: Mapping[int, CellEdges], read: Mapping[int, Array]) -> float:
 
 def _read(rising: NDArray[np.bool_], points_o: Array, shot: Photograph, board: BoardSeen) -> Array:
     """By how far from its place (k, along, across, 3) each edge is in one view, in cells; nan where it is not seen."""
-    pixels, thinning = board.pixels(points_o.reshape(-1, 3)), board.camera.thinning
+    pixels = board.pixels(points_o.reshape(-1, 3))
+    thinning = board.camera.thinning
     if thinning is not None:
         for axis, size in enumerate(shot.grey.shape[::-1]):
             pixels[:, axis] = np.interp(pixels[:, axis], thinning.places(np.arange(size), axis), np.arange(size))
@@ -136,7 +138,8 @@ def _read(rising: NDArray[np.bool_], points_o: Array, shot: Photograph, board: B
 
 def _agreed(edges: CellEdges, read: Array, lines: int) -> tuple[Array, Array]:
     """By how much each line is off, and the standard error of that; 0 of both where it is not seen."""
-    off, doubt = np.zeros(lines), np.zeros(lines)
+    off = np.zeros(lines)
+    doubt = np.zeros(lines)
     for line in range(lines):
         sides = [read[:, (edges.lines == line) & (edges.rising == way)].ravel() for way in (True, False)]
         there = [side[~np.isnan(side)] for side in sides]

@@ -58,7 +58,8 @@ def by_photometry(own: RealSet, grey: Image, start: Mapping[int, Matrix], camera
     """The project's own corners; where the fit is not to be trusted those it falls back to."""
     found: Corners = {}
     for marker_id, quad in start.items():
-        pattern, begun = own.markers[marker_id].pattern, np.ascontiguousarray(quad)
+        pattern = own.markers[marker_id].pattern
+        begun = np.ascontiguousarray(quad)
         fitted = trusted_fit(grey, (0, 0), begun, pattern, camera)
         if fitted is not None:
             wrong = tuple(name for name, is_wrong in zip(NAMED, fitted.wrong, strict=True) if is_wrong)

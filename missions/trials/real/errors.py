@@ -20,7 +20,9 @@ from path.geometry.transforms import Matrix
 
 FEWEST_VIEWS = 3  # that tell a print from the errors of its views
 FEWEST_FOR_HEIGHT = 6  # the same of the paper's shape
-HEIGHT_SIGMA_M, CORNER_PX = 3e-4, 0.1  # of paper that is expected, against errors of this size
+# of paper that is expected, against errors of this size
+HEIGHT_SIGMA_M = 3e-4
+CORNER_PX = 0.1
 
 Array = NDArray[np.float64]
 

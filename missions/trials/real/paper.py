@@ -69,7 +69,8 @@ def ink_moves(own: RealSet, seen: SetSeen, measured: MethodPoses | None) -> InkM
     )  # fmt: skip
     errors: dict[tuple[float, float], list[tuple[Array, Array]]] = {}
     for shot, board in zip(seen.photographs if own.board is not None else (), seen.boards, strict=False):
-        left, slopes = shot.corners_px - board.pixels(shot.points_o), board.slopes(shot.points_o)
+        left = shot.corners_px - board.pixels(shot.points_o)
+        slopes = board.slopes(shot.points_o)
         for point, error, slope in zip(shot.points_o, left, slopes, strict=True):
             errors.setdefault((float(point[0]), float(point[1])), []).append((error, slope))
     told = {place: some for place, some in errors.items() if len(some) >= FEWEST_VIEWS}
@@ -120,7 +121,8 @@ def _between(places: Array, nodes: Array) -> NDArray[np.float32]:
 
 def _move_marker(moved: Array, corners: Array, off: Array, x: Array, y: Array) -> None:
     """A marker lies where its four corners do, and takes along half of the white about it."""
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low = corners.min(axis=0)
+    high = corners.max(axis=0)
     rim = 0.08 * (high - low)
     across, down = (
         slice(*np.searchsorted(places, (low[axis] - rim[axis], high[axis] + rim[axis])))
@@ -136,7 +138,8 @@ def _move_marker(moved: Array, corners: Array, off: Array, x: Array, y: Array) -
 
 def _move_inside(moved: Array, corners: Array, inner: Array, x: Array, y: Array) -> None:
     """Lines between cells are where they are seen; ink between them is stretched."""
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low = corners.min(axis=0)
+    high = corners.max(axis=0)
     n = inner.shape[1] + 1
     cell_m = (high - low) / n
     inside = [slice(*np.searchsorted(places, (low[axis], high[axis]))) for axis, places in enumerate((x, y))]

@@ -28,7 +28,8 @@ def draw_sets(scores: Sequence[SetScore], path: Path) -> None:
         twin = "" if score.twin is None else "; its twin"
         axes.set_title(f"{score.name}: {score.views} views{twin}", loc="left", fontsize=9)
         axes.set_axis_off()
-    corners, poses = figure.add_subplot(grid[:, 1]), figure.add_subplot(grid[:, 2])
+    corners = figure.add_subplot(grid[:, 1])
+    poses = figure.add_subplot(grid[:, 2])
     for number, (method, colour) in enumerate(SHOWN.items()):
         own = [(row, s.corners[method].robust_px) for row, s in enumerate(scores) if method in s.corners]
         _marks(corners, own, (number - 1) * SHIFT, 1.0, colour, METHOD_TITLES[method])

@@ -21,7 +21,8 @@ from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
 from path.messages import Vec3
 from path.observations import MarkerDetection, Missed
 
-POSE_STREAM, NOISE_STREAM = 1, 3
+POSE_STREAM = 1
+NOISE_STREAM = 3
 KNOWN_DEG = 0.01  # gravity that is known
 FLIPPED_RAD = math.radians(10.0)
 PERFECT_PX = 0.01  # stated deviation of corners that are the board's own
@@ -149,7 +150,8 @@ def estimate_all(
 
 
 def _error(task: PoseTask, pose: MarkerPose) -> PoseError:
-    estimate, true = pose.T_c_v, task.T_c_v
+    estimate = pose.T_c_v
+    true = task.T_c_v
     d2_m = float(np.linalg.norm(estimate.inverse().t - true.inverse().t)) * task.scale
     turn = rotation.log(estimate.R @ true.R.T)
     off = np.concatenate([estimate.t - true.t, turn])
@@ -175,9 +177,11 @@ def _print_frame(own: RealSet, measured: MethodPoses, marker_id: int) -> tuple[P
     Of a sheet that is not flat it lies in the plane through the corners that is nearest to them.
     """
     corners = _printed_at(own, measured, marker_id)
-    flat, middle = corners[:, :2], corners.mean(axis=0)
+    flat = corners[:, :2]
+    middle = corners.mean(axis=0)
     side_m = float(np.mean(np.hypot(*(np.roll(flat, -1, axis=0) - flat).T)))
-    x, y = (flat[1] + flat[2] - flat[0] - flat[3], flat[2] + flat[3] - flat[0] - flat[1])
+    x = flat[1] + flat[2] - flat[0] - flat[3]
+    y = flat[2] + flat[3] - flat[0] - flat[1]
     angle = math.atan2(float(x[1] - y[0]), float(x[0] + y[1]))
     rise = np.linalg.lstsq(flat - middle[:2], corners[:, 2] - middle[2], rcond=None)[0]
     turn = rotation.exp(np.array([rise[1], -rise[0], 0.0])) @ rotation.exp(np.array([0.0, 0.0, angle]))
@@ -185,7 +189,8 @@ def _print_frame(own: RealSet, measured: MethodPoses, marker_id: int) -> tuple[P
 
 
 def _detection(own: RealSet, measured: MethodPoses, marker: SeenMarker, squared: bool) -> MarkerDetection | None:
-    covariance, corners = marker.found.covariance_px2, marker.found.corners_px
+    covariance = marker.found.covariance_px2
+    corners = marker.found.corners_px
     if covariance is None:
         return None
     if squared:

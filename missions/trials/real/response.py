@@ -24,11 +24,17 @@ from path.calibration.edges import FLAT_PX, LEAST_PIXELS, PLACES, SeenEdge, mean
 from path.target.kernels import MAD_TO_SIGMA
 
 FEWEST_EDGES = 12
-PHASES, MODEL_REACH_PX = 16, 12  # of the modelled edge: places of it in a pixel; pixels each way
+# of the modelled edge: places of it in a pixel; pixels each way
+PHASES = 16
+MODEL_REACH_PX = 12
 BLUR_REACH = 3.3  # deviations
-STEEP_PX, FEWEST_ALIKE = 1.0, 6  # from an edge, where compression shows; edges of a photograph that look alike
+# from an edge, where compression shows; edges of a photograph that look alike
+STEEP_PX = 1.0
+FEWEST_ALIKE = 6
 SEEN = 0.5  # share of the mean edge that they show
-FINEST, QUALITIES = 95, (5, 99)  # of JPEG
+# of JPEG
+FINEST = 95
+QUALITIES = (5, 99)
 STANDARD_FIRST = 16.0  # first entry of JPEG's luminance table at quality 50
 TOP = 255.0
 
@@ -116,7 +122,8 @@ def noise_beside(edges: Sequence[SeenEdge]) -> tuple[float, float]:
         for side, sign in enumerate((-1.0, 1.0)):
             flat = sign * edge.across_px > FLAT_PX
             if np.count_nonzero(flat) >= LEAST_PIXELS:
-                x, y = edge.along[flat] - 0.5, sign * edge.across_px[flat] - FLAT_PX
+                x = edge.along[flat] - 0.5
+                y = sign * edge.across_px[flat] - FLAT_PX
                 design = np.column_stack([np.ones_like(x), x, y, y * y, x * x])
                 solution = np.linalg.lstsq(design, edge.levels[flat], rcond=None)[0]
                 free = len(x) / (len(x) - design.shape[1])

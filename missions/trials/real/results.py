@@ -143,7 +143,8 @@ class SetScore:
 
     def compared(self) -> dict[str, Figure95]:
         """The figures in which a twin should be like its photographs."""
-        own, single = self.corners.get("photometric"), self.poses.get("single")
+        own = self.corners.get("photometric")
+        single = self.poses.get("single")
         corners = {} if own is None else {
             "corners_px": own.robust_px, "across_px": own.across_px, "chi2_corners": own.chi2,
         }  # fmt: skip

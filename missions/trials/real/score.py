@@ -162,7 +162,8 @@ def _pose_scores(
     own: RealSet, seen: SetSeen, measured: MethodPoses, still: tuple[SetSeen, MethodPoses] | None, seed: int,
     rng: np.random.Generator,
 ) -> dict[str, PoseScore]:  # fmt: skip
-    singles, plates = single_tasks(own, seen, measured), plate_tasks(own, seen, measured)
+    singles = single_tasks(own, seen, measured)
+    plates = plate_tasks(own, seen, measured)
     kinds: dict[str, list[PoseTask]] = {
         "single": singles,
         "plate": plates,

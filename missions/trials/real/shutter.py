@@ -65,11 +65,13 @@ def held_still(own: RealSet, seen: SetSeen, measured: MethodPoses) -> tuple[SetS
 
 def _sheared(board: BoardSeen, shot: Photograph) -> tuple[Array, float, float]:
     """The shift (2,) by row, px / px, and the squares of what a pose leaves without it and with it."""
-    camera, points = board.camera, shot.points_o
+    camera = board.camera
+    points = shot.points_o
     here = camera.project(board.T_c_o.apply(points))
     columns = [(camera.project(rotation.stepped(board.T_c_o, step).apply(points)) - here).ravel() / STEP
                for step in STEP * np.eye(POSE_NUMBERS)]  # fmt: skip
-    row, none = here[:, 1] - camera.cy, np.zeros(len(here))
+    row = here[:, 1] - camera.cy
+    none = np.zeros(len(here))
     shifts = [np.column_stack(pair).ravel() for pair in ((row, none), (none, row))]
     errors = (shot.corners_px - here).ravel()
     designs = [np.column_stack(some) for some in (columns, columns + shifts)]

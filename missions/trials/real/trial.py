@@ -100,7 +100,8 @@ def _nothing() -> TrialResult:
 
 def _findings(score: SetScore) -> list[TrialFinding]:
     found: list[TrialFinding] = []
-    single, corners = score.poses.get("single"), score.corners.get("photometric")
+    single = score.poses.get("single")
+    corners = score.corners.get("photometric")
     if single is not None:
         large = score.side_px >= LARGE_PX
         found.append(_length(score, "D2, mean, mm", single.d2_mean_m, 0.010 if large else 0.015))

@@ -47,9 +47,12 @@ from path.messages import Role
 GRID_CELLS = 800  # a grid's pitch: its markers' side is what it is, and fits no coarser print
 BORDER = 0.6  # of the pitch, white around a grid
 PLAIN = Imaging(read_sigma=0.0, shot_gain=0.0)
-PASSES, PASS_VIEWS = 6, 4
+PASSES = 6
+PASS_VIEWS = 4
 COARSER = 1.5  # power of the scatter at edges with which steps of compression grow, for a pass
-CLEARLY, ALIKE = 1.05, 0.1  # times the scatter; share by which noise may differ
+# times the scatter; share by which noise may differ
+CLEARLY = 1.05
+ALIKE = 0.1
 NEARER = 0.8  # of what edges are off, which a pass may leave to be worth another
 LEAST_LIGHT = 0.5
 
@@ -115,7 +118,8 @@ class _Drawing:
         """Draw the boards in plain light, and see how much of it their paper has."""
         shares: dict[str, float] = {}
         for shot, board, image in zip(seen.photographs, seen.boards, self.images(seen, PLAIN), strict=True):
-            wanted, got = self.edges[shot.name], see_edges(self.own, replace(shot, grey=image), board)
+            wanted = self.edges[shot.name]
+            got = see_edges(self.own, replace(shot, grey=image), board)
             shares[shot.name] = _white(got) / _white(wanted) if wanted and got else 1.0
         return shares
 
@@ -139,7 +143,8 @@ def _sensor(camera: CameraModel, imaging: Imaging) -> tuple[CameraModel, Imaging
     if thinning is None:
         return camera, imaging
     finer = thinning.of / thinning.kept
-    blur_px, sharpen_px = finer * imaging.blur_sigma_px, finer * imaging.sharpen_sigma_px
+    blur_px = finer * imaging.blur_sigma_px
+    sharpen_px = finer * imaging.sharpen_sigma_px
     coarse = replace(imaging, blur_sigma_px=blur_px, sharpen_sigma_px=sharpen_px, jpeg_quality=None)
     return sensor_of(camera), coarse
 
@@ -168,7 +173,9 @@ def _like_it(drawing: _Drawing, seen: SetSeen, response: CameraResponse) -> Imag
     some = replace(seen, photographs=seen.photographs[few], boards=seen.boards[few])
     scatter = scatter_at([[edge.seen for edge in drawing.edges[shot.name]] for shot in some.photographs])
     imaging = response.imaging
-    least, best, nearing = math.inf, imaging, True
+    least = math.inf
+    best = imaging
+    nearing = True
     for _ in range(PASSES):
         pairs = zip(drawing.images(some, imaging), some.photographs, some.boards, strict=True)
         views = [
@@ -178,11 +185,14 @@ def _like_it(drawing: _Drawing, seen: SetSeen, response: CameraResponse) -> Imag
         edges = [edge for view in views for edge in view]
         if not edges:
             break
-        levels, got, edge = levels_of(edges), noise_beside(edges), mean_edge(edges)
+        levels = levels_of(edges)
+        got = noise_beside(edges)
+        edge = mean_edge(edges)
         off = float(np.nanmean((edge - response.edge) ** 2))
         nearing = nearing and off < NEARER * least
         if nearing:
-            least, best = off, imaging
+            least = off
+            best = imaging
         scattered = scatter_at(views)
         more = scatter / scattered if scattered > 0.0 else 1.0
         noisy = max(abs(w / max(g, 0.1) - 1.0) for w, g in zip(response.noise, got, strict=True))
@@ -210,12 +220,15 @@ def _light_sigma(imaging: Imaging, level: float) -> float:
 
 def _placed(board: BoardSeen, printed: Print, edges: Sequence[BoardEdge], gamma: float) -> PlacedBoard:
     """The print in the light of one photograph: black and white change evenly across the board."""
-    shades, cell_m, corner_o = printed.shades, printed.cell_m, printed.corner_o
+    shades = printed.shades
+    cell_m = printed.cell_m
+    corner_o = printed.corner_o
     rows, columns = shades.shape
     x = corner_o[0] + (np.arange(columns) + 0.5) * cell_m
     y = corner_o[1] + (np.arange(rows) + 0.5) * cell_m
     dark, bright = (_light(edges, name, x, y, gamma) for name in ("black", "white"))
-    low, high = float(dark.min()), float(bright.max())
+    low = float(dark.min())
+    high = float(bright.max())
     lit = dark + (bright - dark) * (shades / TOP)
     levels = np.round(TOP * (lit - low) / (high - low)).astype(np.uint8)
     T_w_o = T_W_C @ board.T_c_o @ Pose(np.eye(3), np.array([*corner_o, 0.0]))
@@ -224,7 +237,8 @@ def _placed(board: BoardSeen, printed: Print, edges: Sequence[BoardEdge], gamma:
 
 def _light(edges: Sequence[BoardEdge], name: str, x: Array, y: Array, gamma: float) -> Array:
     """Light of one side of the edges over the board, (rows, columns): a plane through all that were seen."""
-    middles, levels = np.stack([e.middle_o for e in edges]), np.array([getattr(e.seen, name) for e in edges])
+    middles = np.stack([e.middle_o for e in edges])
+    levels = np.array([getattr(e.seen, name) for e in edges])
     design = np.column_stack([np.ones(len(edges)), middles])
     plane = np.linalg.lstsq(design, levels, rcond=None)[0]
     seen = np.clip(plane[0] + plane[1] * x[None, :] + plane[2] * y[:, None], levels.min(), levels.max())

@@ -30,9 +30,13 @@ from path.observations import Box
 
 PRESENT_SHARE = 0.5  # of its shirt is in D2's view: the target is present; of stages with less, others are drawn
 HIDDEN_SHARE = 0.6  # of it is behind other people, and nothing of it to be seen: the target is hidden
-TRACKED_SHARE, TRACKED_IOU = 0.75, 0.4  # D1 sees the target's shirt well, and its detector gives it a box ...
+# D1 sees the target's shirt well, and its detector gives it a box ...
+TRACKED_SHARE = 0.75
+TRACKED_IOU = 0.4
 OWN_SHARE = 0.75  # ... of its own: of the people's pixels in it so many are the target's
-CHEST_M, TRACKED_DEPTH_M = 0.15, 0.45  # from the middle of a person to its surface; what a tracker keeps of depth
+# from the middle of a person to its surface; what a tracker keeps of depth
+CHEST_M = 0.15
+TRACKED_DEPTH_M = 0.45
 NOISE_M = DepthNoise().sigma_at_1m_m
 REDRAWS = 200
 

@@ -35,7 +35,8 @@ from path.target.monocular import TargetSize
 STAMP_NS = 1_000_000_000
 ATTEMPT = AttemptId(1, 1, 1)
 SHIRT = TargetSize(0.65, 0.13, longest_m=0.95)  # of clean boxes at known distances, any heading: for D2 without depth
-REGION_ERROR_PX, REGION_MARGIN_PX = 10.0, 60.0
+REGION_ERROR_PX = 10.0
+REGION_MARGIN_PX = 60.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,8 @@ from path.baselines.association import choose
 from path.observations import MissReason
 
 TITLES = {"path": "PATH", "path_color": "PATH, D2 without depth", "orb": "ORB", "xfeat": "XFeat"}
-GOAL_ACCURACY, GOAL_FP = 0.99, 0.003
+GOAL_ACCURACY = 0.99
+GOAL_FP = 0.003
 PAPER: dict[str, dict[str, str]] = {
     "path": {"accuracy": "96.0", "fp": "2.0", "fn": "2.0"},
     "orb": {"fn": "62.1"},
@@ -38,7 +39,8 @@ def of_path(judged: FrameResult, owned: Owned) -> Outcome:
 def findings(tallies: Mapping[str, FrameTally]) -> tuple[TrialFinding, ...]:
     found: list[TrialFinding] = []
     for method, counts in tallies.items():
-        paper, frames = PAPER.get(method, {}), counts.frames
+        paper = PAPER.get(method, {})
+        frames = counts.frames
         goals = method == "path"
         rows = (
             ("accuracy", "right", counts.tp + counts.tn, counts.interval("tp", "tn"), "≥ 99", GOAL_ACCURACY),

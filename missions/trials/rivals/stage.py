@@ -22,9 +22,12 @@ Case = Literal["present", "outside", "hidden"]
 Array = NDArray[np.float64]
 
 PEOPLE = 6
-PERSON_HEIGHT_M, PERSON_RADIUS_M = 1.8, 0.32  # room a person takes
+# room a person takes
+PERSON_HEIGHT_M = 1.8
+PERSON_RADIUS_M = 0.32
 SHIRT_M = (0.88, 1.48)  # heights; the detector finds shirts
-SHIRT_ACROSS_M, SHIRT_HEIGHTS_M = (-0.13, -0.065, 0.0, 0.065, 0.13), (0.95, 1.06, 1.18, 1.30, 1.41)
+SHIRT_ACROSS_M = (-0.13, -0.065, 0.0, 0.065, 0.13)
+SHIRT_HEIGHTS_M = (0.95, 1.06, 1.18, 1.30, 1.41)
 MIDDLE_M = 1.18  # height of the middle of a person's shirt
 LENS1 = (0.112, -0.236, 0.0006, -0.0004, 0.095)
 LENS2 = (0.104, -0.221, -0.0003, 0.0007, 0.088)
@@ -33,22 +36,29 @@ CAMERAS = {
     Role.RECEIVER: CameraModel(1280, 720, 918.2, 918.9, 636.4, 357.8, LENS2),
 }
 SIDES = 4  # D1 carries its marker at its back, left, front or right: where D2 flies
-PITCH_DOWN_RAD, TILT_UP_RAD = math.radians(22.0), math.radians(30.0)
+PITCH_DOWN_RAD = math.radians(22.0)
+TILT_UP_RAD = math.radians(30.0)
 MARKER_SIDE_M = 0.04
-MIN_MARKER_PX, MAX_INCIDENCE_RAD = 16.0, math.radians(58.0)
+MIN_MARKER_PX = 16.0
+MAX_INCIDENCE_RAD = math.radians(58.0)
 MARGIN_PX = 8.0  # between a person that is present and the image's border
 WIDEST_RAD = math.radians(20.0)  # viewpoint angle that drones that near to each other have
 NARROWEST_RAD: dict[Case, float] = {"hidden": math.radians(13.0), "outside": math.radians(6.0)}  # nearer, D2 sees it
 SEPARATION_M = (0.9, 1.6)  # between the cameras
 FARTHEST_M = 5.3  # of the target from D1: depth ends at 6 m
-SHOULDERS_M, HEAD_M = (0.22, 0.33), 0.07  # half of the width of who hides the target from D2, and at most from D1
+# half of the width of who hides the target from D2, and at most from D1
+SHOULDERS_M = (0.22, 0.33)
+HEAD_M = 0.07
 CROWD_M = 3.5  # around the target
-BODY_WIDTH_M, CLEAR_M = 0.75, 1.5  # arms included; no drone flies nearer to people, seen from above
+# arms included; no drone flies nearer to people, seen from above
+BODY_WIDTH_M = 0.75
+CLEAR_M = 1.5
 HOVER_TILT_RAD = math.radians(2.5)
 R_W_N = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FORWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # camera axes in the body: right, down, ahead
 BACKWARD = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # plate: right, up, out
-ATTEMPTS, CROWDS = 20_000, 12
+ATTEMPTS = 20_000
+CROWDS = 12
 
 
 class NoRoomError(Exception):
@@ -181,12 +191,16 @@ CameraPose = tuple[float, float]  # horizontal distance from the target, height
 def _eyes(wanted: Wanted, turn: float, rng: np.random.Generator) -> tuple[CameraPose, CameraPose] | None:
     """Returns both cameras' places, D2's turned by ``turn`` from D1's line of sight; None: too far aside to be near."""
     if wanted.viewpoint_rad is not None:
-        near, far = rng.uniform(2.3, 2.8), rng.uniform(3.8, 4.4)
+        near = rng.uniform(2.3, 2.8)
+        far = rng.uniform(3.8, 4.4)
         return (near, _height(near, wanted, rng)), (far, _height(far, wanted, rng))
-    reach, distance, rise = rng.uniform(2.4, 4.4), rng.uniform(*SEPARATION_M), rng.uniform(0.0, 0.8)
+    reach = rng.uniform(2.4, 4.4)
+    distance = rng.uniform(*SEPARATION_M)
+    rise = rng.uniform(0.0, 0.8)
     if wanted.case == "hidden":  # from high up, nobody is hidden behind another
         rise = rng.uniform(0.03, 0.2)
-    across, flat = reach * math.sin(turn), distance * math.cos(rise)
+    across = reach * math.sin(turn)
+    flat = distance * math.cos(rise)
     if abs(across) >= flat:
         return None
     height = _height(reach, wanted, rng)
@@ -254,7 +268,8 @@ def _aside(wanted: Wanted, target: Array, eye1: Array, eye2: Array, rng: np.rand
 
     Or the target is not.
     """
-    to_target, to_peer = target - eye2[:2], eye1[:2] - eye2[:2]
+    to_target = target - eye2[:2]
+    to_peer = eye1[:2] - eye2[:2]
     between = math.remainder(math.atan2(to_peer[1], to_peer[0]) - math.atan2(to_target[1], to_target[0]), 2.0 * math.pi)
     share = rng.uniform(0.3, 0.7) if wanted.case != "outside" else rng.uniform(1.0, 1.6)
     return share * between + rng.normal(0.0, math.radians(4.0))
@@ -276,7 +291,8 @@ def _best_side(T_w_b1: Pose, T_w_b2: Pose) -> int:
 
 def _target_fits(scene: DrawnStage) -> bool:
     """Returns whether D1 sees the target, D2 the marker, and D2 the target or, as wanted, not."""
-    target, receiver = scene.stage.things[0], _view(scene, Role.RECEIVER)
+    target = scene.stage.things[0]
+    receiver = _view(scene, Role.RECEIVER)
     sender = _view(scene, Role.SENDER)
     if not sender.holds(target) or math.dist(sender.T_w_c.t, scene.middle_w) > FARTHEST_M:
         return False
@@ -305,7 +321,8 @@ def _hidden_share(eye: Array, target: Array, other: Array, shoulder_m: float) ->
     reach = math.hypot(tx - x, ty - y)
     blocked = 0
     for aside in SHIRT_ACROSS_M:
-        dx, dy = tx - aside * (ty - y) / reach - x, ty + aside * (tx - x) / reach - y
+        dx = tx - aside * (ty - y) / reach - x
+        dy = ty + aside * (tx - x) / reach - y
         share = ((ox - x) * dx + (oy - y) * dy) / (dx * dx + dy * dy)
         past = math.hypot(x + share * dx - ox, y + share * dy - oy)
         for height in SHIRT_HEIGHTS_M:
@@ -336,7 +353,8 @@ class StageCamera:
 
     def touches(self, thing: Thing) -> bool:
         """Returns whether any of the person is in the image."""
-        low, high = np.array(thing.position_w_m), np.array(thing.position_w_m)
+        low = np.array(thing.position_w_m)
+        high = np.array(thing.position_w_m)
         high[2] += PERSON_HEIGHT_M
         across = self.T_w_c.R[:, 0] * PERSON_RADIUS_M
         line = np.linspace(low, high, 7)

@@ -25,11 +25,17 @@ NEEDS = ("renderer", "errors")
 
 FRAMES: dict[Case, int] = {"present": 317, "outside": 17, "hidden": 16}
 QUICK_FRAMES: dict[Case, int] = {"present": 4, "outside": 1, "hidden": 1}
-DISTANCES_M, VIEWPOINTS_DEG = (0.5, 0.7, 0.9, 1.3, 2.0), (0.0, 15.0, 30.0, 50.0, 70.0)
-QUICK_DISTANCES_M, QUICK_VIEWPOINTS_DEG = (0.9,), (30.0,)
-SWEEP_FRAMES, QUICK_SWEEP_FRAMES = 20, 1
-TRIED, QUICK_TRIED = 60, 2
-WIDE_MARKER_M, WIDE_NEAREST_M = 0.15, (0.8, 2.0)  # drones metres apart need a larger marker
+DISTANCES_M = (0.5, 0.7, 0.9, 1.3, 2.0)
+VIEWPOINTS_DEG = (0.0, 15.0, 30.0, 50.0, 70.0)
+QUICK_DISTANCES_M = (0.9,)
+QUICK_VIEWPOINTS_DEG = (30.0,)
+SWEEP_FRAMES = 20
+QUICK_SWEEP_FRAMES = 1
+TRIED = 60
+QUICK_TRIED = 2
+# drones metres apart need a larger marker
+WIDE_MARKER_M = 0.15
+WIDE_NEAREST_M = (0.8, 2.0)
 PATHS = ("path", "path_color")
 
 Variants = dict[str, tuple[BaselineConfig, ...]]

@@ -15,8 +15,11 @@ from path.observations import Box
 
 BODY_M = 0.45  # a surface this near to a person's axis, and nearest to it, is that person
 GROUND_M = 0.04
-BOX_COLUMNS, BOX_ROWS = 5, 5
-SHIRT_HALF_M, SHIRT_ENDS_M = (0.17, 0.33), (0.91, 1.45)  # forward and to the side, arms included; heights
+BOX_COLUMNS = 5
+BOX_ROWS = 5
+# forward and to the side, arms included; heights
+SHIRT_HALF_M = (0.17, 0.33)
+SHIRT_ENDS_M = (0.91, 1.45)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +91,10 @@ def shirt_box(scene: DrawnStage, role: Role, person: int) -> Box:
     """Returns about the box of a person's shirt, which is what the detector finds, when nothing hides it."""
     thing: Thing = scene.stage.things[person]
     T_w_c = scene.T_w_c(role)
-    c, s = math.cos(thing.yaw_rad), math.sin(thing.yaw_rad)
-    forward, left = SHIRT_HALF_M[0] * np.array([c, s, 0.0]), SHIRT_HALF_M[1] * np.array([-s, c, 0.0])
+    c = math.cos(thing.yaw_rad)
+    s = math.sin(thing.yaw_rad)
+    forward = SHIRT_HALF_M[0] * np.array([c, s, 0.0])
+    left = SHIRT_HALF_M[1] * np.array([-s, c, 0.0])
     points = [
         np.array(thing.position_w_m) + i * forward + j * left + np.array([0.0, 0.0, height])
         for i in (-1.0, 1.0)

@@ -30,7 +30,8 @@ def wilson(successes: int, trials: int) -> Interval:
     _check(successes, trials)
     if trials == 0:
         return 0.0, 1.0
-    p, zz = successes / trials, Z95 * Z95 / trials
+    p = successes / trials
+    zz = Z95 * Z95 / trials
     middle = (p + 0.5 * zz) / (1.0 + zz)
     reach = math.sqrt(zz * (p * (1.0 - p) + 0.25 * zz)) / (1.0 + zz)
     low = 0.0 if successes == 0 else middle - reach
@@ -65,7 +66,8 @@ def bootstrap(
             the interval claims what repeating the same error cannot show.
     """
     member = np.arange(len(values)) if groups is None else np.unique(groups, return_inverse=True)[1]
-    order, sizes = np.argsort(member, kind="stable"), np.bincount(member)
+    order = np.argsort(member, kind="stable")
+    sizes = np.bincount(member)
     firsts = np.cumsum(sizes) - sizes
     draws = rng.integers(0, len(sizes), (RESAMPLES, len(sizes)))
     lengths = sizes[draws].sum(axis=1)
@@ -135,7 +137,8 @@ def blocks_interval(values: Array, groups: NDArray[np.int64], rng: np.random.Gen
     if not len(values):
         return math.nan, math.nan
     _, member = np.unique(groups, return_inverse=True)
-    sums, counts = np.bincount(member, values), np.bincount(member)
+    sums = np.bincount(member, values)
+    counts = np.bincount(member)
     draws = rng.integers(0, len(sums), (RESAMPLES, len(sums)))
     low, high = np.percentile(sums[draws].sum(axis=1) / counts[draws].sum(axis=1), (2.5, 97.5))
     return float(low), float(high)

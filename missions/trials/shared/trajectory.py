@@ -28,7 +28,9 @@ BASE_S = 1.0  # over which speeds are compared there
 MIN_OVERLAP = 0.5
 ITERATIONS = 30
 RIDGE = 1e-10  # of a normal equation's diagonal
-HUBER, REJECT = 1.5, 4.0  # robust deviations from where a residual counts less, and not at all
+# robust deviations from where a residual counts less, and not at all
+HUBER = 1.5
+REJECT = 4.0
 BLOCK_S = 2.0  # residuals nearer in time than this are taken together
 RESAMPLES = 200
 
@@ -43,7 +45,8 @@ class Trajectory:
     def at(self, t: Array, max_gap_s: float = 0.3) -> Array:
         """Positions at instants, (m, 3), linear between neighbours; NaN outside and in gaps."""
         after = np.clip(np.searchsorted(self.t, t), 1, len(self.t) - 1)
-        t0, t1 = self.t[after - 1], self.t[after]
+        t0 = self.t[after - 1]
+        t1 = self.t[after]
         share = ((t - t0) / (t1 - t0))[:, None]
         found = (1.0 - share) * self.p[after - 1] + share * self.p[after]
         found[(t < self.t[0]) | (t > self.t[-1]) | (t1 - t0 > max_gap_s)] = np.nan
@@ -103,13 +106,16 @@ def coarse_offset(curve: Trajectory, samples: Trajectory) -> float:
     least = round(MIN_OVERLAP * min(len(a), len(b)))
     if least < 2.0 / GRID_S:
         raise ValueError("too short to find the offset between two clocks")
-    best, best_cost = 0, math.inf
+    best = 0
+    best_cost = math.inf
     for lag in range(least - len(b), len(a) - least + 1):
-        x, y = a[max(0, lag) : lag + len(b)], b[max(0, -lag) :]
+        x = a[max(0, lag) : lag + len(b)]
+        y = b[max(0, -lag) :]
         n = min(len(x), len(y))
         cost = float(np.nanmean((x[:n] - y[:n]) ** 2)) / max(float(np.nanvar(x[:n])) + float(np.nanvar(y[:n])), 1e-9)
         if cost < best_cost:
-            best, best_cost = lag, cost
+            best = lag
+            best_cost = cost
     return a_start + best * GRID_S - b_start
 
 
@@ -148,7 +154,8 @@ def align(
     for _ in range(ITERATIONS):
         residuals, jacobian, known = problem.linearized(state)
         weights, _ = problem.weights(residuals, known)
-        before, state = state, problem.stepped(state, residuals, jacobian, weights)
+        before = state
+        state = problem.stepped(state, residuals, jacobian, weights)
         if abs(state.offset_s - before.offset_s) < 1e-7 and float(np.abs(state.R - before.R).max()) < 1e-9:
             break
     residuals, jacobian, known = problem.linearized(state)
@@ -226,7 +233,8 @@ class _Problem:
         jacobian = np.zeros((count, 3, self._columns[-1].stop))
         known = np.zeros(count, bool)
         for k, pair in enumerate(self._pairs):
-            where, hats = self.parts[k], self._hats[k]
+            where = self.parts[k]
+            hats = self._hats[k]
             instants = pair.samples.t + state.offset_s
             placed = pair.curve.at(instants) @ state.R.T
             velocity = pair.curve.velocity_at(instants) @ state.R.T
@@ -244,7 +252,8 @@ class _Problem:
 
     def weights(self, residuals: Array, known: NDArray[np.bool_]) -> tuple[Array, tuple[float, ...]]:
         """Robust weights (n,), zero for outliers and unknown ones, and the spread of each pair."""
-        weights, scales = np.zeros(len(residuals)), list[float]()
+        weights = np.zeros(len(residuals))
+        scales = list[float]()
         for part in self.parts:
             own = residuals[part]
             scales.append(_scale(own[known[part]]))
@@ -264,7 +273,8 @@ class _Problem:
         How sure the solution is.
         """
         blocks = [np.flatnonzero(self.blocks == block) for block in np.unique(self.blocks)]
-        normals, gradients = list[Array](), list[Array]()
+        normals = list[Array]()
+        gradients = list[Array]()
         for block in blocks:
             rows = (jacobian[block] * np.sqrt(weights[block])[:, None, None]).reshape(-1, jacobian.shape[2])
             normals.append(rows.T @ rows)

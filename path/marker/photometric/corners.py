@@ -40,26 +40,39 @@ from path.marker.photometric.shadow import cell_light, find_shadow
 
 MAX_PASSES = 8
 FIRST_PIXELS = 600  # for the first pass from a near start, which only leads nearer
-MAX_MORE_PASSES, MAX_FEW_PASSES = 6, 2  # with what may be wrong: a shadow or much, or little
+# with what may be wrong: a shadow or much, or little
+MAX_MORE_PASSES = 6
+MAX_FEW_PASSES = 2
 MAX_COARSE_PASSES = 8  # with inner edges that may be off far
-STRONG_MISFIT, STRONG_CORRELATED_MISFIT = 0.055, 0.035  # residual over contrast that is worth all pixels and passes
+# residual over contrast that is worth all pixels and passes
+STRONG_MISFIT = 0.055
+STRONG_CORRELATED_MISFIT = 0.035
 LARGE_PX = 42.0  # side from which on less than that is not worth it: a pose is as good as print and lens are known
-MISFIT, CORRELATED_MISFIT = 0.025, 0.011  # residual over contrast above which it is asked what is wrong
-SHADOW_MISFIT, SHADOW_LEFT = 0.022, 0.45  # correlated misfit above which a shadow is looked for; share it may leave
-LEAST_OFF, LEAST_OFF_PX = 0.025, 0.12  # in cells, and px: inner edges that are off by less may be exact
+# residual over contrast above which it is asked what is wrong
+MISFIT = 0.025
+CORRELATED_MISFIT = 0.011
+# correlated misfit above which a shadow is looked for; share it may leave
+SHADOW_MISFIT = 0.022
+SHADOW_LEFT = 0.45
+# in cells, and px: inner edges that are off by less may be exact
+LEAST_OFF = 0.025
+LEAST_OFF_PX = 0.12
 COARSE_PASSES = 3  # with what is expected of inner edges, once that is known
 COARSE_SPREAD = 2.0  # times the residual that counts, for a first pass: edges that are off seem to be outliers
 WIDE_SPREAD = 4.0  # the same for all passes: edges that are off far
 WIDE_LEFT = 0.80  # of the residual with outliers, that it may leave
 LEAST_CELL_PX = 2.8  # below which inner edges cannot be told from other things, such as a second marker close by
 LEAST_DEPTH = 0.1  # of a shadow
-LEAST_BLUR_PX, MOST_BLUR_PX = 0.5, 0.8  # of a lens and pixel; what is beyond it is left to the filter
-MAX_FILTERED, FILTERED_BLOCK = 1000, 2  # pixels, and in squares of so many doublings: they share their surroundings
+# of a lens and pixel; what is beyond it is left to the filter
+LEAST_BLUR_PX = 0.5
+MOST_BLUR_PX = 0.8
+# pixels, and in squares of so many doublings: they share their surroundings
+MAX_FILTERED = 1000
+FILTERED_BLOCK = 2
 FILTER_REACH_PX = 0.75  # in deviations of blur that keep twice their size away from the plate's edge
-FILTERED_MISFIT, FILTERED_LEFT = (
-    0.016,
-    0.7,
-)  # residual over contrast that a filter may leave, and share of the ideal one's
+# residual over contrast that a filter may leave, and share of the ideal one's
+FILTERED_MISFIT = 0.016
+FILTERED_LEFT = 0.7
 SHARE_USED = 0.84  # mean weight below which something lies across the print, or much more is wrong
 NEAR_PX = 0.1  # a step shorter than this leads near enough to ask what is wrong
 MAX_DRIFT_PX = 3.0  # a step longer than this is not a refinement
@@ -174,7 +187,10 @@ class _FitState:
     def gather(self, blur_px: float, most: int = MAX_PIXELS, block: int = 0) -> bool:
         """Choose the pixels; False when there are too few."""
         u, v = self.offset
-        frame, lens, theta, self.measured = self.frame, self.lens, self.theta, None
+        frame = self.frame
+        lens = self.lens
+        theta = self.theta
+        self.measured = None
         self.pixels = gather(self.image, u, v, frame, lens, theta, self.n, blur_px, self.border, most, block)
         return len(self.pixels) >= 3 * UNKNOWNS
 
@@ -226,12 +242,15 @@ def _start(
 ) -> _FitState | None:
     n = cells.shape[0] - 2
     lens = lens_of(camera)
-    frame, rays, theta = np.empty(9), np.empty((4, 2)), np.zeros(UNKNOWNS)
+    frame = np.empty(9)
+    rays = np.empty((4, 2))
+    theta = np.zeros(UNKNOWNS)
     theta[BLUR] = START_BLUR_PX
     if not frame_of(start_px, lens, frame, rays) or not homography(rays, n, theta):
         return None
     ends = np.repeat(np.arange(n + 1.0)[None], 2, axis=0) if edges is None else edges
-    extra, groups = np.zeros(TAPS + 2 * (n - 1) + SHADOW), np.zeros(GROUPS, np.bool_)
+    extra = np.zeros(TAPS + 2 * (n - 1) + SHADOW)
+    groups = np.zeros(GROUPS, np.bool_)
     state = _FitState(image, offset, cells, ends, lens, frame, theta, rays, np.empty((0, 6)), extra, groups, border)
     if not state.gather(START_BLUR_PX, first_pixels):
         return None
@@ -244,7 +263,9 @@ def _fit_ideal(state: _FitState, ideal: bool, few: bool = False) -> bool:
 
     ``few``: the first pass has few pixels.
     """
-    normal, used, sigmas = np.empty((UNKNOWNS, UNKNOWNS + 1)), np.empty(0, np.int64), np.empty(0)
+    normal = np.empty((UNKNOWNS, UNKNOWNS + 1))
+    used = np.empty(0, np.int64)
+    sigmas = np.empty(0)
     for _ in range(MAX_PASSES):
         state.residuals = np.empty(len(state.pixels))
         accumulate(
@@ -313,7 +334,8 @@ def _of_coarse_print(state: _FitState) -> _FitState | None:
         loose = _tried(state, COARSE)  # what lies across a print moves edges too, and leaves as much as before
     if loose is None or loose.edges_off < least:
         return None
-    own, correlation = loose.copy(), loose.statistics[3]
+    own = loose.copy()
+    correlation = loose.statistics[3]
     own.edge_sigma = loose.edges_off * (1.0 - correlation) / (1.0 + correlation)
     rays, at = _places(own)
     for _ in range(COARSE_PASSES):
@@ -375,7 +397,8 @@ def _look_for_shadow(state: _FitState) -> bool:
     beside = find_shadow(light, state.extra[-SHADOW:])
     state.theta[[8, 11]] *= beside
     state.theta[[9, 10, 12, 13, TONE]] = 0.0
-    state.spread, state.measured = 1e3, None
+    state.spread = 1e3
+    state.measured = None
     return beside > 0.0
 
 
@@ -388,7 +411,8 @@ def _misfit_pass(state: _FitState, rays: Array, at: Indices) -> bool:
     normal = np.empty((UNKNOWNS + len(used), UNKNOWNS + len(used) + 1))
     state.residuals = np.empty(len(state.pixels))
     rows = model(rays, state.theta, state.extra, state.groups, state.frame, state.cells, state.edges)
-    taps, filtered = state.extra[:TAPS], bool(state.groups[FILTERED])
+    taps = state.extra[:TAPS]
+    filtered = bool(state.groups[FILTERED])
     accumulate_filtered(state.pixels, at, rows, taps, filtered, state.spread, normal, state.residuals)
     return _step(state, normal, used, sigmas)
 
@@ -396,7 +420,8 @@ def _misfit_pass(state: _FitState, rays: Array, at: Indices) -> bool:
 def _step(state: _FitState, normal: Array, used: Places, sigmas: Array) -> bool:
     """Change the unknowns; False when that leads away from the start."""
     state.noise = robust_scale(state.residuals)
-    state.spread, state.measured = 4.0 * state.noise, None
+    state.spread = 4.0 * state.noise
+    state.measured = None
     state.factor = np.empty((len(normal), len(normal)))
     state.passes += 1
     state.moved = step(
@@ -416,12 +441,14 @@ def _step(state: _FitState, normal: Array, used: Places, sigmas: Array) -> bool:
 
 
 def _finished(state: _FitState) -> PhotometricFit:
-    covariance, contrast = np.empty((8, 8)), float(state.theta[11])
+    covariance = np.empty((8, 8))
+    contrast = float(state.theta[11])
     measured = state.statistics
     blur_px = float(state.theta[BLUR])
     finish(
         state.factor, measured, state.lens, state.frame, contrast, blur_px, state.corners, state.jacobian, covariance
     )  # fmt: skip
     _, variance, explained, _ = measured
-    wrong, residual = tuple(bool(group) for group in state.groups), math.sqrt(variance)
+    wrong = tuple(bool(group) for group in state.groups)
+    residual = math.sqrt(variance)
     return PhotometricFit(state.corners, covariance, residual, contrast, blur_px, explained, state.passes, wrong)

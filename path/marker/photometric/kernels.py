@@ -21,7 +21,9 @@ SHADOW_DAMPING = 0.005
 MOST_CHANGE = (0.2, 0.2, 0.15, 0.5, 1.0)  # in a step, of a shadow's depth, direction, offset, log width; of others
 MAX_CORRELATION = 0.5  # of neighbouring residuals; counted in both directions, it divides the pixels by up to 9
 MISFIT_PX = 2.0  # what a correlated residual as large as the contrast moves a corner; from photographs of boards
-USUAL_BLUR_PX, LEAST_BLUR_PX = 0.63, 0.4  # more hides what moves a corner; less has too few pixels an edge
+# more hides what moves a corner; less has too few pixels an edge
+USUAL_BLUR_PX = 0.63
+LEAST_BLUR_PX = 0.4
 SHARP_MISFIT = 0.62  # the same where blur is less, times its power of 1.5 in px
 SURE_CORRELATION = 0.18  # of neighbouring residuals, from which on they are no noise
 CONSISTENCY = 1.6  # weights take 1.28 off the residual's variance; the rest is measured on exact images of markers
@@ -36,7 +38,8 @@ def robust_scale(residuals: Array) -> float:
         if residuals[k] != 0.0:
             bins[min(511, int(abs(residuals[k]) * 4.0))] += 1
             count += 1
-    half, total = count // 2, 0
+    half = count // 2
+    total = 0
     for k in range(512):
         total += bins[k]
         if total > half:
@@ -47,7 +50,8 @@ def robust_scale(residuals: Array) -> float:
 @kernel
 def tones(pixels: Array) -> tuple[float, float]:
     """Black and contrast to start from: what 10 % of the pixels stay below, and how far above it 10 % are."""
-    bins, total = np.zeros(256, np.int64), 0
+    bins = np.zeros(256, np.int64)
+    total = 0
     for k in range(pixels.shape[0]):
         bins[int(pixels[k, 2])] += 1
     low = high = -1
@@ -71,14 +75,17 @@ def _change(
         change[i] = normal[i, size]
         for j in range(i + 1):
             factor[i, j] = normal[j, i]
-        sigma, away = 0.0, 0.0
+        sigma = 0.0
+        away = 0.0
         if i >= UNKNOWNS:
-            sigma, away = sigmas[i - UNKNOWNS], extra[used[i - UNKNOWNS]]
+            sigma = sigmas[i - UNKNOWNS]
+            away = extra[used[i - UNKNOWNS]]
         elif i > 8 and i != 11:
             sigma = 0.5 if i >= BLUR else 0.25 * max(abs(theta[11]), 1.0)
             away = theta[i] - (START_BLUR_PX if i == BLUR else 0.0)
             if i == BLUR and size > UNKNOWNS:
-                sigma, away = FILTERED_BLUR_SIGMA_PX, 0.0
+                sigma = FILTERED_BLUR_SIGMA_PX
+                away = 0.0
         if sigma > 0.0:
             weight = (noise / sigma) ** 2
             factor[i, i] += weight
@@ -147,8 +154,10 @@ def statistics(pixels: Array, residuals: Array, spread: float, used: int) -> Sta
             w_before = 0.0
             continue
         w = 1.0 / (1.0 + (r / spread) ** 2) ** 2
-        total, squares = total + w, squares + w * r * r
-        grey, grey2 = grey + w * pixels[k, 2], grey2 + w * pixels[k, 2] ** 2
+        total = total + w
+        squares = squares + w * r * r
+        grey = grey + w * pixels[k, 2]
+        grey2 = grey2 + w * pixels[k, 2] ** 2
         if pixels[k, 3] > 0.5:
             pair = math.sqrt(w * w_before)
             beside += pair * r * residuals[k - 1]
@@ -185,7 +194,8 @@ def finish(
         u, v, ux, uy, vx, vy = distort(corners[k, 0] / frame[4] + frame[2], corners[k, 1] / frame[4] + frame[3], lens)
         corners[k, 0], corners[k, 1] = u, v
         for j in range(8):
-            p, q = jacobian[2 * k, j] / frame[4], jacobian[2 * k + 1, j] / frame[4]
+            p = jacobian[2 * k, j] / frame[4]
+            q = jacobian[2 * k + 1, j] / frame[4]
             jacobian[2 * k, j], jacobian[2 * k + 1, j] = ux * p + uy * q, vx * p + vy * q
     column = np.empty(factor.shape[0])
     for i in range(8):

@@ -27,9 +27,14 @@ Indices = NDArray[np.int32]
 Places = NDArray[np.int64]
 
 GROUPS = 3
-FILTERED, COARSE, SHADOWED = 0, 1, 2
-TAPS, SHADOW = 6, 4
-FILTER_SIGMA, EDGE_SIGMA = 0.3, 0.05  # deviations expected: of taps, and in cells
+FILTERED = 0
+COARSE = 1
+SHADOWED = 2
+TAPS = 6
+SHADOW = 4
+# deviations expected: of taps, and in cells
+FILTER_SIGMA = 0.3
+EDGE_SIGMA = 0.05
 
 _DU = np.array([1, 2, 0, 0, 1, 1])
 _DV = np.array([0, 0, 1, 2, 1, -1])
@@ -38,10 +43,17 @@ _DV = np.array([0, 0, 1, 2, 1, -1])
 @inner
 def _raster(pixels: Array) -> tuple[int, int, Indices]:
     """-1 for each pixel of the box around some pixels and 2 px more, and where that box begins."""
-    u0, v0, u1, v1 = int(pixels[0, 4]), int(pixels[0, 5]), int(pixels[0, 4]), int(pixels[0, 5])
+    u0 = int(pixels[0, 4])
+    v0 = int(pixels[0, 5])
+    u1 = int(pixels[0, 4])
+    v1 = int(pixels[0, 5])
     for k in range(pixels.shape[0]):
-        u, v = int(pixels[k, 4]), int(pixels[k, 5])
-        u0, v0, u1, v1 = min(u0, u), min(v0, v), max(u1, u), max(v1, v)
+        u = int(pixels[k, 4])
+        v = int(pixels[k, 5])
+        u0 = min(u0, u)
+        v0 = min(v0, v)
+        u1 = max(u1, u)
+        v1 = max(v1, v)
     places = np.empty((v1 - v0 + 5, u1 - u0 + 5), np.int32)
     for v in range(places.shape[0]):
         for u in range(places.shape[1]):
@@ -59,13 +71,15 @@ def stencil(pixels: Array, frame: Array, lens: Array) -> tuple[Array, Indices]:
     u0, v0, places = _raster(pixels)
     height, width = places.shape
     for k in range(count):
-        u, v = int(pixels[k, 4]) - u0, int(pixels[k, 5]) - v0
+        u = int(pixels[k, 4]) - u0
+        v = int(pixels[k, 5]) - v0
         for i in range(TAPS):
             for side in (-1, 1):
                 if places[v + side * _DV[i], u + side * _DU[i]] == -1:
                     places[v + side * _DV[i], u + side * _DU[i]] = -2
         places[v, u] = -3 - k
-    rays, at = np.empty((width * height, 2)), np.empty((count, 2 * TAPS + 1), np.int32)
+    rays = np.empty((width * height, 2))
+    at = np.empty((count, 2 * TAPS + 1), np.int32)
     total = 0
     for v in range(height):
         for u in range(width):
@@ -75,15 +89,19 @@ def stencil(pixels: Array, frame: Array, lens: Array) -> tuple[Array, Indices]:
             if k < -2:
                 rays[total, 0], rays[total, 1] = pixels[-3 - k, 0], pixels[-3 - k, 1]
             else:
-                at_u, at_v = place(lens, 0, u + u0), place(lens, 1, v + v0)
-                du, dv = at_u - frame[0], at_v - frame[1]
-                p, q = frame[5] * du + frame[6] * dv, frame[7] * du + frame[8] * dv
+                at_u = place(lens, 0, u + u0)
+                at_v = place(lens, 1, v + v0)
+                du = at_u - frame[0]
+                dv = at_v - frame[1]
+                p = frame[5] * du + frame[6] * dv
+                q = frame[7] * du + frame[8] * dv
                 x, y = undistort(at_u, at_v, lens, frame[2] + p / frame[4], frame[3] + q / frame[4])
                 rays[total, 0], rays[total, 1] = (x - frame[2]) * frame[4], (y - frame[3]) * frame[4]
             places[v, u] = total
             total += 1
     for k in range(count):
-        u, v = int(pixels[k, 4]) - u0, int(pixels[k, 5]) - v0
+        u = int(pixels[k, 4]) - u0
+        v = int(pixels[k, 5]) - v0
         at[k, 0] = places[v, u]
         for i in range(TAPS):
             at[k, 1 + 2 * i] = places[v - _DV[i], u - _DU[i]]
@@ -94,7 +112,8 @@ def stencil(pixels: Array, frame: Array, lens: Array) -> tuple[Array, Indices]:
 @kernel
 def own_places(pixels: Array) -> tuple[Array, Indices]:
     """The places of a model without a filter, as ``stencil`` gives them: the pixels' own."""
-    rays, at = np.empty((pixels.shape[0], 2)), np.empty((pixels.shape[0], 1), np.int32)
+    rays = np.empty((pixels.shape[0], 2))
+    at = np.empty((pixels.shape[0], 1), np.int32)
     for k in range(pixels.shape[0]):
         rays[k, 0], rays[k, 1], at[k, 0] = pixels[k, 0], pixels[k, 1], k
     return rays, at
@@ -104,16 +123,21 @@ def own_places(pixels: Array) -> tuple[Array, Indices]:
 def model(rays: Array, theta: Array, extra: Array, groups: Flags, frame: Array, cells: Array, edges: Array) -> Array:
     """The image without the filter at all places: derivatives to the 16, the offsets, the shadow; grey value last."""
     n = cells.shape[0] - 2
-    offsets, shadow = 2 * (n - 1) if groups[COARSE] else 0, SHADOW if groups[SHADOWED] else 0
+    offsets = 2 * (n - 1) if groups[COARSE] else 0
+    shadow = SHADOW if groups[SHADOWED] else 0
     lit = UNKNOWNS + offsets
     rows = np.empty((rays.shape[0], lit + shadow + 1))
-    work, row, edge_row = np.empty((6, n + 3)), np.empty(UNKNOWNS), np.empty(2 * (n - 1))
+    work = np.empty((6, n + 3))
+    row = np.empty(UNKNOWNS)
+    edge_row = np.empty(2 * (n - 1))
     moved = edges.copy()
     for i in range(1, n):
         moved[0, i] += extra[TAPS + i - 1]
         moved[1, i] += extra[TAPS + n + i - 2]
     for k in range(rays.shape[0]):
-        p, q, out = rays[k, 0], rays[k, 1], rows[k]
+        p = rays[k, 0]
+        q = rays[k, 1]
+        out = rows[k]
         if offsets:
             value = evaluate(p, q, theta, frame, cells, moved, work, row, edge_row)
             for j in range(offsets):
@@ -134,8 +158,12 @@ def model(rays: Array, theta: Array, extra: Array, groups: Flags, frame: Array, 
 @inner
 def _light(p: float, q: float, shadow: Array, value: float, row: Array) -> float:
     """Light that a shadow leaves; fills ``row`` with the derivatives of ``value`` in that light to the shadow's 4."""
-    d, a, c, w = shadow[0], shadow[1], shadow[2], math.exp(shadow[3])
-    across, along = p * math.cos(a) + q * math.sin(a), q * math.cos(a) - p * math.sin(a)
+    d = shadow[0]
+    a = shadow[1]
+    c = shadow[2]
+    w = math.exp(shadow[3])
+    across = p * math.cos(a) + q * math.sin(a)
+    along = q * math.cos(a) - p * math.sin(a)
     s = 1.0 / (1.0 + math.exp(-2.0 * max((across - c) / w, -20.0)))
     slope = -2.0 * d * s * (1.0 - s) / w * value
     row[0], row[1], row[2], row[3] = -s * value, slope * along, -slope, -slope * (across - c)
@@ -151,8 +179,12 @@ def accumulate_filtered(
     ``normal`` has shape (k, k + 1), its upper triangle is written; unknowns are 16, taps, then the rest of ``rows``.
     """
     clear(normal)
-    size, columns, own = normal.shape[0], rows.shape[1] - 1, TAPS if filtered else 0
-    row, mixed, filled = np.empty(size), np.empty(columns + 1), 0
+    size = normal.shape[0]
+    columns = rows.shape[1] - 1
+    own = TAPS if filtered else 0
+    row = np.empty(size)
+    mixed = np.empty(columns + 1)
+    filled = 0
     block = np.zeros((2 * BLOCK, size + 1))
     total = 0.0
     for i in range(TAPS):
@@ -163,7 +195,9 @@ def accumulate_filtered(
         for j in range(columns + 1):
             mixed[j] = centre * middle[j]
         for i in range(own):
-            f, one, other = taps[i], rows[at[k, 1 + 2 * i]], rows[at[k, 2 + 2 * i]]
+            f = taps[i]
+            one = rows[at[k, 1 + 2 * i]]
+            other = rows[at[k, 2 + 2 * i]]
             row[UNKNOWNS + i] = one[columns] + other[columns] - 2.0 * middle[columns]
             if f != 0.0:
                 for j in range(columns + 1):
@@ -187,7 +221,8 @@ def used_unknowns(groups: Flags, cells: int, edge_sigma: float = EDGE_SIGMA) -> 
     ``edge_sigma`` is that of inner edges, in cells.
     """
     offsets = 2 * (cells - 1)
-    counts, sigmas = (TAPS, offsets, SHADOW), (FILTER_SIGMA, edge_sigma, 0.0)
+    counts = (TAPS, offsets, SHADOW)
+    sigmas = (FILTER_SIGMA, edge_sigma, 0.0)
     all_sigmas = np.repeat(sigmas, counts)
     used = np.flatnonzero(np.repeat(groups[: len(counts)], counts))
     return used, all_sigmas[used]

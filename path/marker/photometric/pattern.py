@@ -22,7 +22,9 @@ from path.compiled import inner, kernel
 from path.marker.kernels import Array
 
 UNKNOWNS = 16
-BLUR, TONE = 14, 15  # places of blur and kappa in theta
+# places of blur and kappa in theta
+BLUR = 14
+TONE = 15
 SATURATED = 254.0  # grey level
 BLOCK = 4  # rows added at once
 REACH = 4.0  # standard deviations after which an edge is not blurred any more
@@ -40,7 +42,8 @@ def _edges(x: float, s: float, edges: Array, z: Array, pdf: Array, weight: Array
     ``first - 1..last`` their share ``weight[cell + 1]`` of the blur. Edges run 0..n, cells -1 (quiet) .. n (quiet).
     Phi and phi come from a table with a third-order Taylor step (error below 1e-9).
     """
-    first, last = 0, edges.shape[0] - 1
+    first = 0
+    last = edges.shape[0] - 1
     while first <= last and edges[first] < x - REACH * s:
         first += 1
     while last >= first and edges[last] > x + REACH * s:
@@ -84,14 +87,25 @@ def evaluate(  # noqa: PLR0915 - one formula, written out
     inv_w = 1.0 / (1.0 + theta[6] * p + theta[7] * q)
     x = min(max((theta[0] * p + theta[1] * q + theta[2]) * inv_w, -1.0), n + 1.0)
     y = min(max((theta[3] * p + theta[4] * q + theta[5]) * inv_w, -1.0), n + 1.0)
-    xp, xq = (theta[0] - x * theta[6]) * inv_w, (theta[1] - x * theta[7]) * inv_w
-    yp, yq = (theta[3] - y * theta[6]) * inv_w, (theta[4] - y * theta[7]) * inv_w
-    xu, xv = xp * frame[5] + xq * frame[7], xp * frame[6] + xq * frame[8]
-    yu, yv = yp * frame[5] + yq * frame[7], yp * frame[6] + yq * frame[8]
-    nx, ny = math.sqrt(xu * xu + xv * xv), math.sqrt(yu * yu + yv * yv)
+    xp = (theta[0] - x * theta[6]) * inv_w
+    xq = (theta[1] - x * theta[7]) * inv_w
+    yp = (theta[3] - y * theta[6]) * inv_w
+    yq = (theta[4] - y * theta[7]) * inv_w
+    xu = xp * frame[5] + xq * frame[7]
+    xv = xp * frame[6] + xq * frame[8]
+    yu = yp * frame[5] + yq * frame[7]
+    yv = yp * frame[6] + yq * frame[8]
+    nx = math.sqrt(xu * xu + xv * xv)
+    ny = math.sqrt(yu * yu + yv * yv)
     rho = (xu * yu + xv * yv) / (nx * ny)
-    sx, sy = theta[BLUR] * nx, theta[BLUR] * ny
-    zx, fx, wx, zy, fy, wy = work[0], work[1], work[2], work[3], work[4], work[5]
+    sx = theta[BLUR] * nx
+    sy = theta[BLUR] * ny
+    zx = work[0]
+    fx = work[1]
+    wx = work[2]
+    zy = work[3]
+    fy = work[4]
+    wy = work[5]
     x0, x1 = _edges(x, sx, edges[0], zx, fx, wx)
     y0, y1 = _edges(y, sy, edges[1], zy, fy, wy)
 
@@ -114,7 +128,8 @@ def evaluate(  # noqa: PLR0915 - one formula, written out
         t_y += wx[column] * d1
         curve_y -= wx[column] * dz
         if column > x0:
-            f, fz = fx[column - 1], fx[column - 1] * zx[column - 1]
+            f = fx[column - 1]
+            fz = fx[column - 1] * zx[column - 1]
             t_x += f * (value - left)
             curve_x -= fz * (value - left)
             s00 += f * (d1 - left_1)
@@ -123,14 +138,17 @@ def evaluate(  # noqa: PLR0915 - one formula, written out
                 edge_row[column - 2] -= f * (value - left) / sx
             s01 += f * (dz - left_z)
             s11 += fz * (dz - left_z)
-        left, left_1, left_z = value, d1, dz
+        left = value
+        left_1 = d1
+        left_z = dz
     t += rho * (s00 + 0.5 * rho * s11)
     t_x = (t_x - rho * s10) / sx
     t_y = (t_y - rho * s01) / sy
     t_blur = (curve_x + curve_y + 2.0 * rho * s00) / theta[BLUR]
 
     half = 0.5 * n
-    ex, ey = x / half - 1.0, y / half - 1.0
+    ex = x / half - 1.0
+    ey = y / half - 1.0
     black = theta[8] + theta[9] * ex + theta[10] * ey
     contrast = theta[11] + theta[12] * ex + theta[13] * ey
     tone = t + theta[TONE] * t * (1.0 - t)
@@ -167,8 +185,10 @@ def accumulate(
     ``normal`` has shape (16, 17), its upper triangle is written. Weights fall off with the residual over ``spread``.
     """
     clear(normal)
-    work, row = np.empty((6, cells.shape[0] + 1)), np.empty(UNKNOWNS)
-    block, filled = np.zeros((2 * BLOCK, UNKNOWNS + 1)), 0
+    work = np.empty((6, cells.shape[0] + 1))
+    row = np.empty(UNKNOWNS)
+    block = np.zeros((2 * BLOCK, UNKNOWNS + 1))
+    filled = 0
     for k in range(pixels.shape[0]):
         r = pixels[k, 2] - evaluate(pixels[k, 0], pixels[k, 1], theta, frame, cells, edges, work, row, None)
         if r < 0.0 and pixels[k, 2] >= SATURATED:  # as bright as a pixel can be: any brighter light explains it
@@ -194,7 +214,8 @@ def add_row(row: Array, r: float, spread: float, block: Array, filled: int, norm
     Several at once, because memory is the slow part. Returns how many rows the block holds.
     """
     w = 1.0 / (1.0 + (r / spread) ** 2) ** 2
-    own, weighted = block[filled], block[BLOCK + filled]
+    own = block[filled]
+    weighted = block[BLOCK + filled]
     for i in range(row.shape[0]):
         own[i] = row[i]
         weighted[i] = w * row[i]
@@ -217,9 +238,15 @@ def add_last(block: Array, filled: int, normal: Array) -> None:
 @inner
 def _add_block(block: Array, normal: Array) -> None:
     """Add products of four rows to the upper triangle."""
-    r0, r1, r2, r3 = block[0], block[1], block[2], block[3]
+    r0 = block[0]
+    r1 = block[1]
+    r2 = block[2]
+    r3 = block[3]
     for i in range(normal.shape[0]):
-        a, b, c, d = block[4, i], block[5, i], block[6, i], block[7, i]
+        a = block[4, i]
+        b = block[5, i]
+        c = block[6, i]
+        d = block[7, i]
         target = normal[i]
         for j in range(i, normal.shape[0] + 1):
             target[j] += a * r0[j] + b * r1[j] + c * r2[j] + d * r3[j]

@@ -54,8 +54,13 @@ class Aboard:
     _parts: Parts  # once they are open
 
     def __init__(self, rig: Rig, relay: RelayConfig, base: Ground, name: str, given: ProgramContext) -> None:
-        self._rig, self._relay, self._base, self._name = rig, relay, base, name
-        self._given, self._harness, self._store = given, given.harness, given.store
+        self._rig = rig
+        self._relay = relay
+        self._base = base
+        self._name = name
+        self._given = given
+        self._harness = given.harness
+        self._store = given.store
         self._me: NamedDrone = next(drone for drone in relay.drones if drone.name == name)
         self._mission = from_home(mission_of(rig), self._me)
         self._flying: RoleSession | None = None
@@ -103,7 +108,8 @@ class Aboard:
         rig = self._alone if leg is None else pair_of(self._rig, drones[leg.sender], drones[leg.receiver])
         number = 1 if leg is None else 1 + (leg.number - 1) % 65535
         config: MissionConfig = replace(self._mission, handoff_id=number, follow_after_s=self._relay.follow_s)
-        parts, given = self._parts, self._given
+        parts = self._parts
+        given = self._given
         made = (parts.clock, parts.vehicle, parts.perception, link)
         session = RoleSession(rig, role, config, given.log, given.emit, given.stop, made, self._entropy, parts.guard)
         self._flying = session
@@ -124,7 +130,8 @@ class Aboard:
         session.off_n_m = before.off_n_m
         holder = Holder(session, self._store, self, track)  # responsible by its record, or nothing has changed
         await before.cancel_spawned()
-        session.pilot, session.guarding.script = pilot, script
+        session.pilot = pilot
+        session.guarding.script = script
         pilot.in_control = True
         session.spawn(pilot.run())
         return session, holder
@@ -133,7 +140,9 @@ class Aboard:
 
     async def watch_battery(self, holder: Holder, *, ask: bool) -> None:
         """Ask for a relief in time, and go home in time without one. Raises MissionEnd(NO_RELIEF)."""
-        vehicle, relay, base = self._parts.vehicle, self._relay, self._base
+        vehicle = self._parts.vehicle
+        relay = self._relay
+        base = self._base
         loop = asyncio.get_running_loop()
         while True:
             battery = vehicle.state.battery
@@ -213,7 +222,8 @@ class Aboard:
 def from_home(mission: MissionConfig, drone: NamedDrone) -> MissionConfig:
     """The mission of a pair, by a drone that is put down at a home of its own."""
     east, north = drone.home_m
-    target, rendezvous = mission.target, mission.rendezvous
+    target = mission.target
+    rendezvous = mission.rendezvous
     return replace(
         mission, target=replace(target, home_m=(north, east)), rendezvous=replace(rendezvous, home_m=(north, east))
     )

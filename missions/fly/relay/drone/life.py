@@ -111,7 +111,8 @@ class DroneFlight(Aboard):
         """Started again: what was under way is settled by what the disk says, and the drone lands."""
         kept = self._store.load()
         sender = kept is not None and isinstance(kept.record, SenderRecord)
-        role, leg = (Role.SENDER if sender else Role.RECEIVER), self._base.leg_of(self._name)
+        role = Role.SENDER if sender else Role.RECEIVER
+        leg = self._base.leg_of(self._name)
         async with AsyncExitStack() as stack:
             in_leg = leg is not None and self._name == (leg.sender if sender else leg.receiver)
             link = await self._link(stack, role) if in_leg else Nobody()
@@ -122,7 +123,8 @@ class DroneFlight(Aboard):
 
     async def _end(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd | None) -> RoleResult:
         """Raises _TurnsBack for a drone that is not to come home."""
-        landed, flies_on = False, False
+        landed = False
+        flies_on = False
         try:
             if end is not None:
                 await self._give_up(session, flown, end)
@@ -146,4 +148,5 @@ class _TurnsBack(Exception):
 
     def __init__(self, session: RoleSession, holder: Holder) -> None:
         super().__init__()
-        self.session, self.holder = session, holder
+        self.session = session
+        self.holder = holder

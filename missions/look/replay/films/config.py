@@ -135,7 +135,8 @@ def read_films(file: Path) -> Films:
     sigma_deg = table.attitude_sigma_deg or (None if known else HANGING_SIGMA_DEG)
     if sigma_deg is not None:
         rig = replace(rig, mission={**rig.mission, "attitude_sigma_deg": sigma_deg})
-    sender, receiver = _film(table.sender, rig.sender, True), _film(table.receiver, rig.receiver, False)
+    sender = _film(table.sender, rig.sender, True)
+    receiver = _film(table.receiver, rig.receiver, False)
     both_ns, over_ns = (pick(a, b) for pick, a, b in zip((max, min), sender.span_ns, receiver.span_ns, strict=True))
     if over_ns <= both_ns:
         spans = "; ".join(f"{each.file.name} {_span(each)}" for each in (sender, receiver))

@@ -14,7 +14,9 @@ from drivers.interfaces import Framed, View
 from path.camera.model import CameraModel
 from path.observations import Box
 
-MOST, LEAST = 2.5, 0.3  # times as far: sizes are known no better, and a box may show a target's narrow side
+# times as far: sizes are known no better, and a box may show a target's narrow side
+MOST = 2.5
+LEAST = 0.3
 REMEDY = "say depth_unit_mm of the film (0.2 with 5000 steps a metre, 0.1 of a D405), or correct the rig's sizes"
 
 
@@ -48,8 +50,10 @@ def depth_against_size(view: View, box: Box, camera: CameraModel, side_m: float)
     if not isinstance(view, Framed) or view.frame.depth_mm is None:
         return None
     depth_mm = view.frame.depth_mm
-    left, top = max(round(box.x + 0.25 * box.w), 0), max(round(box.y + 0.25 * box.h), 0)
-    right, bottom = round(box.x + 0.75 * box.w) + 1, round(box.y + 0.75 * box.h) + 1
+    left = max(round(box.x + 0.25 * box.w), 0)
+    top = max(round(box.y + 0.25 * box.h), 0)
+    right = round(box.x + 0.75 * box.w) + 1
+    bottom = round(box.y + 0.75 * box.h) + 1
     inner = depth_mm[top:bottom, left:right]
     measured = inner[inner > 0]
     if not measured.size:

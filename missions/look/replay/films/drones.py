@@ -57,7 +57,8 @@ class FilmingBody:
     def camera(self, stamp_ns: int) -> tuple[Pose, Matrix]:
         """``T_n_c`` and ``R_n_b``."""
         body = self.at(stamp_ns)
-        R_n_b, T_b_c = R_from_quat(body.q_n_b), self.mount.T_b_c
+        R_n_b = R_from_quat(body.q_n_b)
+        T_b_c = self.mount.T_b_c
         return Pose(R_n_b @ T_b_c.R, R_n_b @ T_b_c.t + np.array(body.position_n_m)), R_n_b
 
 
@@ -66,7 +67,9 @@ class FilmedSender:
 
     def __init__(self, films: Films, config: MissionConfig, log: Log) -> None:
         rig = self._rig = films.rig
-        self._films, self._config, self._log = films, config, log
+        self._films = films
+        self._config = config
+        self._log = log
         self._body = FilmingBody(films.sender, rig.sender.mount)
         self._track: TargetTrack | None = None
         self._side_m = rig.method.evidence.span_m or 2.0 * config.target.half_size_m
@@ -75,7 +78,8 @@ class FilmedSender:
 
     def look(self, view: View) -> Target | None:
         """Returns D1's message about one frame. Raises PartError when the target is not where it was picked."""
-        stamp_ns, camera = view.stamp_ns, self._rig.sender.camera
+        stamp_ns = view.stamp_ns
+        camera = self._rig.sender.camera
         T_n_c, R_n_b = self._body.camera(stamp_ns)
         if self._track is None:
             if stamp_ns >= self._films.target_ns:
@@ -100,7 +104,8 @@ class FilmedSender:
 
     def _pick(self, view: View, T_n_c: Pose) -> TargetTrack | None:
         """The track of what was picked; None when this frame does not show it with a depth."""
-        camera, pixel = self._rig.sender.camera, self._films.target.pixel
+        camera = self._rig.sender.camera
+        pixel = self._films.target.pixel
         boxes = [d.box for d in view.targets(None) if d.score >= MIN_SCORE and not is_cut(d.box, camera)]
         picked = boxes if pixel is None else [box for box in boxes if _holds(box, pixel)]
         if pixel is None and len(boxes) > 1:
@@ -147,7 +152,9 @@ class FilmedReceiver:
 
     def look(self, view: View) -> Candidate | None:
         """Returns D2's message about one frame."""
-        stamp_ns, side, log = view.stamp_ns, self._side, self._log
+        stamp_ns = view.stamp_ns
+        side = self._side
+        log = self._log
         T_n_c, _ = self._body.camera(stamp_ns)
         motion = self._motion(stamp_ns)
         if self._together:
@@ -164,7 +171,8 @@ class FilmedReceiver:
         return answer.candidate
 
     def _motion(self, stamp_ns: int) -> VehicleMotions:
-        own, peer = self._body.at(stamp_ns), self._peer.at(stamp_ns)
+        own = self._body.at(stamp_ns)
+        peer = self._peer.at(stamp_ns)
         return VehicleMotions(stamp_ns, own.velocity_n_mps, stamp_ns, peer.velocity_n_mps, yaw_of(peer.q_n_b))
 
 

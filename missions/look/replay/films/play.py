@@ -36,7 +36,8 @@ def play(films: Films, folder: Path, change: PerceptionChange) -> FilmCount:
     try:
         sender = FilmedSender(films, mission, logs[Role.SENDER])
         receiver = FilmedReceiver(films, mission, logs[Role.RECEIVER])
-        counted, shown = dict.fromkeys(Role, 0), dict.fromkeys(Role, films.begin_ns - period_ns)
+        counted = dict.fromkeys(Role, 0)
+        shown = dict.fromkeys(Role, films.begin_ns - period_ns)
         order = count()
         coming: list[tuple[int, int, Target | Candidate]] = []  # messages, by when they are there
         for stamp_ns, role, view in _views(films, change):

@@ -37,7 +37,9 @@ class FlownPath:
     """Positions and attitudes by stamps, ns, that increase; what is between two of them is interpolated."""
 
     def __init__(self, stamps: Sequence[int], positions: Sequence[Vec3], attitudes: Sequence[Quat]) -> None:
-        self._stamps, self._positions, self._attitudes = stamps, positions, attitudes
+        self._stamps = stamps
+        self._positions = positions
+        self._attitudes = attitudes
 
     def covers(self, begin_ns: int, end_ns: int) -> bool:
         return self._stamps[0] <= begin_ns and end_ns <= self._stamps[-1]
@@ -63,7 +65,8 @@ class FlownPath:
     def _between(self, stamp_ns: int) -> tuple[int, float]:
         """The pose after a stamp, and how much of the way to it has passed since the one before."""
         k = min(max(bisect_right(self._stamps, stamp_ns), 1), len(self._stamps) - 1)
-        before_ns, after_ns = self._stamps[k - 1], self._stamps[k]
+        before_ns = self._stamps[k - 1]
+        after_ns = self._stamps[k]
         return k, min(1.0, max(0.0, (stamp_ns - before_ns) / (after_ns - before_ns)))
 
 

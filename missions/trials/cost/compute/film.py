@@ -22,7 +22,9 @@ from path.observations import Box
 SIZES = {"640x480": (640, 480), "1280x720": (1280, 720)}
 PERIOD_NS = 20_000_000
 BETWEEN_NS = 7_000_000  # D2's frames come this long after D1's: the two cameras are not synchronous
-SWAY_MPS2, SWAY_RAD = 2.3, math.radians(0.4)  # 6 mm in a period of 16 frames, less in a shorter one
+# 6 mm in a period of 16 frames, less in a shorter one
+SWAY_MPS2 = 2.3
+SWAY_RAD = math.radians(0.4)
 PLACES_W_M = {Role.SENDER: (0.0, 0.0, 1.4), Role.RECEIVER: (0.45, -0.95, 2.1)}
 HEADINGS_RAD = {Role.SENDER: 0.0, Role.RECEIVER: -0.25}
 CARS = (
@@ -70,7 +72,8 @@ class Film:
 
 def shoot_film(request: TrialRequest, size: str, count: int) -> Film:
     """Render ``count`` moments. Raises SceneError when the detector does not find the target in one of them."""
-    rig, renderer_of = request.rig, request.part("renderer")
+    rig = request.rig
+    renderer_of = request.part("renderer")
     cameras = {role: camera_of(rig, role, size) for role in Role}
     mounts = {role: rig.role(role).mount for role in Role}
     renderers: dict[Role, FrameRenderer] = {
@@ -111,7 +114,8 @@ def camera_of(rig: Rig, role: Role, size: str) -> CameraModel:
     factor = height / camera.height
     if (width, height) == (camera.width, camera.height):
         return camera
-    cx, cy = 0.5 * (width - 1) + factor * (camera.cx - 0.5 * (camera.width - 1)), factor * (camera.cy + 0.5) - 0.5
+    cx = 0.5 * (width - 1) + factor * (camera.cx - 0.5 * (camera.width - 1))
+    cy = factor * (camera.cy + 0.5) - 0.5
     return replace(camera, width=width, height=height, fx=factor * camera.fx, fy=factor * camera.fy, cx=cx, cy=cy)
 
 
@@ -124,7 +128,8 @@ def _stage(phase: float, count: int) -> RenderedInstant:
         sway = sway_m * np.array(
             [math.sin(turn + number), math.cos(turn + 2.0 * number), 0.5 * math.sin(turn - number)]
         )
-        roll, pitch = SWAY_RAD * math.sin(turn + 1.0 + number), SWAY_RAD * math.cos(turn - number)
+        roll = SWAY_RAD * math.sin(turn + 1.0 + number)
+        pitch = SWAY_RAD * math.cos(turn - number)
         attitude = R_W_N @ R_from_rpy(roll, pitch, HEADINGS_RAD[role])
         poses[role] = Pose(attitude, np.array(PLACES_W_M[role]) + sway)
     return RenderedInstant(poses, CARS, rotor_phase_rad=turn)

@@ -33,7 +33,8 @@ class Journals:
         self, view: View, own: OwnFrame, heard: Candidate, pairs: Sequence[PairVerdict], side: SenderSide
     ) -> None:
         """D1's frame, what it sent, what it heard, and what that was worth."""
-        log, stamp_ns = self._logs[Role.SENDER], view.stamp_ns
+        log = self._logs[Role.SENDER]
+        stamp_ns = view.stamp_ns
         log.write("/frame", stamp_ns, frame_record(view, stamp_ns))
         log.write("/target", stamp_ns, target_record(own, stamp_ns))
         log.write("/heard_candidate", stamp_ns, heard_candidate_record(heard, heard.capture_ns))
@@ -50,7 +51,8 @@ class Journals:
         answer: Answer,
     ) -> None:
         """D2's frame, what it heard, the marker, and its answer. ``attitudes`` are ``R_n_c`` and ``R_n_v``."""
-        log, stamp_ns = self._logs[Role.RECEIVER], view.stamp_ns
+        log = self._logs[Role.RECEIVER]
+        stamp_ns = view.stamp_ns
         log.write("/frame", stamp_ns, frame_record(view, stamp_ns))
         log.write("/heard_target", stamp_ns, heard_target_record(heard, heard.capture_ns))
         log.write("/marker", stamp_ns, marker_record(stamp_ns, fix))

@@ -61,7 +61,8 @@ class PathPair:
     """Both roles on a film. ``cycle`` goes on in time for ever; the film repeats."""
 
     def __init__(self, rig: Rig, mission: MissionConfig, film: Film, seed: int, logs: Mapping[Role, Log]) -> None:
-        self._rig, self._film = rig, film
+        self._rig = rig
+        self._film = film
         self._journals = Journals(logs)
         self._motion: VehicleMotions | None = None
         self._pairs: Sequence[PairVerdict] = ()
@@ -213,7 +214,8 @@ class PathPair:
         watch: Stopwatch,
     ) -> None:
         """Two parts of the marker's pose by themselves, as flown: all before the fit, and the pose from corners."""
-        camera, layout = self._film.cameras[Role.RECEIVER], self._rig.layout
+        camera = self._film.cameras[Role.RECEIVER]
+        layout = self._rig.layout
         color = moment.color[Role.RECEIVER]
         if view.expected is None or watch("d2_marker_detect", recognise, color, view.expected, layout, camera) is None:
             watch("d2_marker_detect", detect_markers, color, view.region, layout, camera, refine="subpix")

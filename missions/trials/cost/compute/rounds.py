@@ -101,10 +101,13 @@ class Baseline:
     def cycle(self) -> float:
         """The next pair of frames, us."""
         moment = self._moment()
-        one, two = moment.color[Role.SENDER], moment.color[Role.RECEIVER]
-        box1, boxes2 = moment.box1, moment.boxes2
+        one = moment.color[Role.SENDER]
+        two = moment.color[Role.RECEIVER]
+        box1 = moment.box1
+        boxes2 = moment.boxes2
         if self._whole:
-            box1, boxes2 = _all_of(one), (_all_of(two),)
+            box1 = _all_of(one)
+            boxes2 = (_all_of(two),)
         begin_ns = busy_ns()
         associate(self._features, one, box1, two, boxes2, self._config)
         return (busy_ns() - begin_ns) / 1e3

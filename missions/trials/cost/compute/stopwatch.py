@@ -41,7 +41,8 @@ class TimedView:
     """A view of D2 that times how long its markers take to find (``drivers.interfaces.View``)."""
 
     def __init__(self, view: PixelView, watch: Stopwatch) -> None:
-        self._view, self._watch = view, watch
+        self._view = view
+        self._watch = watch
         self.region: Region | None = None
         self.expected: Pose | None = None
 
@@ -57,7 +58,8 @@ class TimedView:
         return self._view.targets(region)
 
     def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
-        self.region, self.expected = region, expected
+        self.region = region
+        self.expected = expected
         return self._watch("d2_marker_corners", self._view.markers, region, expected)
 
     def depth(self, box: Box) -> Depth | None:

@@ -25,7 +25,8 @@ PAPER = "Hardware Performance"
 NEEDS = ("renderer",)
 
 MARKER_GOALS_MS = {"640x480": 1.3, "1280x720": 2.0}
-CYCLE_GOAL_MS, LOG_GOAL = 2.5, 0.05
+CYCLE_GOAL_MS = 2.5
+LOG_GOAL = 0.05
 TITLES = {
     "d1_depth": "D1 depth over the box",
     "d1_target": "D1 back-projection, point in v",
@@ -100,7 +101,8 @@ def _ratios(timing: Timings, rng: np.random.Generator) -> dict[str, dict[str, fl
     found: dict[str, dict[str, float]] = {}
     for method in (name for name in timing.us if name.startswith(("orb_", "xfeat_"))):
         for counted in COUNTED:
-            ours, theirs = np.median(timing.us[counted], axis=1), np.median(timing.us[method], axis=1)
+            ours = np.median(timing.us[counted], axis=1)
+            theirs = np.median(timing.us[method], axis=1)
             blocks = np.column_stack((theirs, ours))
             low, high = bootstrap(blocks, _ratios_of, rng)
             found[f"{counted}_vs_{method}"] = {"ratio": figure_of(_ratios_of, blocks), "low": low, "high": high}

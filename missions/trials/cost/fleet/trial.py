@@ -146,7 +146,8 @@ def _findings(
     teams: Sequence[TeamCost], fields: Sequence[TeamCost], violations: dict[str, int]
 ) -> tuple[TrialFinding, ...]:
     off = off_the_middle(teams)
-    least, most = teams[0].drones, teams[-1].drones
+    least = teams[0].drones
+    most = teams[-1].drones
     each = ", ".join(f"{cost.cpu_s_per_drone_hour:.1f}" for cost in teams)
     return (
         TrialFinding(f"processor time of a drone and hour, {least} to {most} drones, s", each),

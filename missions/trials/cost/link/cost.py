@@ -13,7 +13,9 @@ from missions.trials.cost.link.traffic import a_candidate, a_target
 from missions.trials.shared.trial import TrialRequest
 from path.messages import Candidate, Role, Target
 
-BATCHES, QUICK_BATCHES, BATCH = 120, 12, 50
+BATCHES = 120
+QUICK_BATCHES = 12
+BATCH = 50
 PACKETS = 2 * BATCH  # in a batch: targets and candidates
 
 Times = NDArray[np.float64]

@@ -43,7 +43,10 @@ from path.messages import (
 from path.observations import Box, MissReason
 
 HOST = "127.0.0.1"
-HANDOFF, EPOCH, TARGET_ID, INSTANCE = 1, 7, 1, 0xA3F01C
+HANDOFF = 1
+EPOCH = 7
+TARGET_ID = 1
+INSTANCE = 0xA3F01C
 SETTLE_S = 0.3
 
 
@@ -153,7 +156,8 @@ async def _one(hz: int, seconds: int, mission: MissionConfig, seed: int, key: Pa
             config = UdpLink.Config(f"{HOST}:{own[role]}", f"{HOST}:{port}", key)
             links[role] = await stack.enter_async_context(UdpLink(config, _Context(role, _Clock())))
             taps[role] = tap
-        taps[Role.SENDER].other, taps[Role.RECEIVER].other = taps[Role.RECEIVER], taps[Role.SENDER]
+        taps[Role.SENDER].other = taps[Role.RECEIVER]
+        taps[Role.RECEIVER].other = taps[Role.SENDER]
         pumps = [asyncio.create_task(_pump(link)) for link in links.values()]
         rngs = (np.random.default_rng([seed, hz, k]) for k in range(2))
         sides = [_Side(role, links[role], mission, hz, rng) for role, rng in zip(Role, rngs, strict=True)]
@@ -219,9 +223,12 @@ class _Side:
         self._link.send(make(self._rng, 1000 + k, stopwatch_ns()))
 
     def _status(self, _: int) -> None:
-        rng, responsible = self._rng, self._role is Role.SENDER
-        position, velocity = _vector(rng, 5.0), _vector(rng, 0.4)
-        yaw, battery = float(rng.uniform(-3.1, 3.1)), float(rng.uniform(0.3, 1.0))
+        rng = self._rng
+        responsible = self._role is Role.SENDER
+        position = _vector(rng, 5.0)
+        velocity = _vector(rng, 0.4)
+        yaw = float(rng.uniform(-3.1, 3.1))
+        battery = float(rng.uniform(0.3, 1.0))
         self._link.send(
             Status(
                 self._role,
@@ -256,7 +263,8 @@ def a_candidate(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Candi
     norm = float(np.linalg.norm((w, x, y, z)))
     rotation: Quat = (w / norm, x / norm, y / norm, z / norm)
     u, v, width, height = rng.uniform((0.0, 0.0, 30.0, 30.0), (1100.0, 600.0, 150.0, 100.0)).tolist()
-    box, sigma_m = Box(u, v, width, height), float(rng.uniform(0.002, 0.02))
+    box = Box(u, v, width, height)
+    sigma_m = float(rng.uniform(0.002, 0.02))
     return Candidate(
         HANDOFF, EPOCH, TARGET_ID, sequence, sequence - 1, stamp_ns, box, None, _vector(rng, 1.5), rotation, sigma_m
     )
@@ -268,7 +276,8 @@ def _vector(rng: np.random.Generator, reach: float) -> Vec3:
 
 
 def _handover(role: Role) -> tuple[Message, ...]:
-    now_ns, nonce = stopwatch_ns(), 0x8F3A61C4
+    now_ns = stopwatch_ns()
+    nonce = 0x8F3A61C4
     if role is Role.RECEIVER:
         return (Accept(HANDOFF, EPOCH, TARGET_ID, nonce, now_ns, INSTANCE),)
     commit = Commit(HANDOFF, EPOCH, TARGET_ID, nonce, now_ns + 2_000_000_000, now_ns, INSTANCE)
@@ -277,7 +286,9 @@ def _handover(role: Role) -> tuple[Message, ...]:
 
 def extremes(role: Role) -> tuple[Message, ...]:
     """One message of every kind the role sends, as long as it can be on the wire: its last byte is not zero."""
-    late, full, most = 2**64 - 1, 2**16 - 1, 2**32 - 1
+    late = 2**64 - 1
+    full = 2**16 - 1
+    most = 2**32 - 1
     alike = Alike(full, full, full, full, full, full, full, full, full)
     status = Status(
         role,
@@ -294,14 +305,13 @@ def extremes(role: Role) -> tuple[Message, ...]:
         steps=STEPS - 1,
         alike=alike,
     )
-    ping, pong = Ping(most, late), Pong(most, late, late, late)
+    ping = Ping(most, late)
+    pong = Pong(most, late, late, late)
     abort = Abort(full, full, AbortReason.SHUTDOWN, late, INSTANCE)
     if role is Role.SENDER:
         target = a_target(np.random.default_rng(1), full, late // 8)
-        commit, confirm = (
-            Commit(full, full, 255, most, late, late, INSTANCE),
-            Confirm(full, full, 255, most, late, INSTANCE),
-        )
+        commit = Commit(full, full, 255, most, late, late, INSTANCE)
+        confirm = Confirm(full, full, 255, most, late, INSTANCE)
         return target, status, ping, pong, commit, confirm, abort
     pose: Quat = (0.5, -0.5, 0.5, 0.5)
     missed = MissReason.NO_CANDIDATE

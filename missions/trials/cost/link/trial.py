@@ -26,16 +26,22 @@ TITLE = "Link: bytes on the socket at 30, 50 and 60 Hz, signed, and the cost of 
 PAPER = "Hardware Performance"
 
 RATES_HZ = (30, 50, 60)
-SECONDS, QUICK_SECONDS = 10, 1
-LIMIT_PACKET_B, GOAL_BYTES_PER_S, PAPER_LIMIT = 128, 12_000, 16_000
-FRAME_B, SIGNATURE_B = dialect.HEADER_LEN_V2 + 2, dialect.MAVLINK_SIGNATURE_BLOCK_LEN
+SECONDS = 10
+QUICK_SECONDS = 1
+LIMIT_PACKET_B = 128
+GOAL_BYTES_PER_S = 12_000
+PAPER_LIMIT = 16_000
+FRAME_B = dialect.HEADER_LEN_V2 + 2
+SIGNATURE_B = dialect.MAVLINK_SIGNATURE_BLOCK_LEN
 KINDS = ("target", "candidate", "status", "ping", "pong", "commit", "confirm", "accept", "abort")
 WHO = {
     "target": "D1, every frame", "candidate": "D2, every frame", "status": "both", "ping": "both", "pong": "both",
     "commit": "D1, once", "confirm": "D1, for each accept", "accept": "D2, until confirmed", "abort": "either, once",
 }  # fmt: skip
 ONCE = ("commit", "accept", "confirm", "abort")
-ALIKE_B, ENDED_B = 2 * len(fields(Alike)), 1  # the last fields of a Status: digests of 16 bits, and an exit code
+# the last fields of a Status: digests of 16 bits, and an exit code
+ALIKE_B = 2 * len(fields(Alike))
+ENDED_B = 1
 PICTURE = "link.png"
 
 

@@ -75,7 +75,9 @@ class _Now:
 def read(folder: Path) -> Responsibility:
     """Reads the responsibility of the run in a folder."""
     offsets = _offsets(folder)
-    told, commits, alarm = list[RoleEvent](), list[int](), False
+    told = list[RoleEvent]()
+    commits = list[int]()
+    alarm = False
     for role in Role:
         for one in _told(folder, role, offsets[role]):
             if isinstance(one, RoleEvent):
@@ -125,7 +127,9 @@ def judge(told: Sequence[RoleEvent], commit_ns: int | None = None, alarm: bool =
 def _told(folder: Path, role: Role, offset_ns: int) -> Iterator[RoleEvent | int | None]:
     """Changes of one role, instants of its COMMITs, and None for each alarm."""
     for part in parts(folder, role.value):
-        begun, ended, newest_ns = False, False, 0
+        begun = False
+        ended = False
+        newest_ns = 0
         until_ns: int | None = None  # the newest claim's end
         for record in read_log(part):
             at_ns = record.stamp_ns - offset_ns

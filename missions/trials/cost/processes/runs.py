@@ -19,7 +19,8 @@ from missions.trials.cost.processes.duty import Responsibility
 from missions.trials.shared import flown
 from path.messages import Role
 
-SIM, LIVE = "sim", "sitl-light"
+SIM = "sim"
+LIVE = "sitl-light"
 
 Kinds = Sequence[tuple[str, tuple[str, ...]]]
 LINKS: Kinds = (
@@ -82,7 +83,8 @@ class Came:
 
 def signed_rig(name: str, folder: Path) -> str:
     """A rig like the named one whose drones share a key, made in a folder; its file."""
-    key, file = folder / "pair.key", folder / f"{name}-signed.toml"
+    key = folder / "pair.key"
+    file = folder / f"{name}-signed.toml"
     key.write_bytes(os.urandom(KEY_LENGTH))
     key.chmod(0o600)
     links = {role.value: {"link": {"key_file": key.name}} for role in Role}

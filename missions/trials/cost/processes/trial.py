@@ -16,9 +16,12 @@ from path.protocol.values import ProtocolConfig
 TITLE = "Processes: the hand-over on bad links, killed at every step, and under attack"
 PAPER = "not in the paper: the hand-over protocol"
 
-LIVE_SEEDS, QUICK_SEEDS = (1, 2), (1,)
-SIM_PHASES_S, SIM_RESTARTS_S = (0.0, 0.7, 2.0), (None, 0.05, 0.5, 3.0)
-LIVE_PHASES_S, LIVE_RESTARTS_S = (0.2,), (None, 0.5)
+LIVE_SEEDS = (1, 2)
+QUICK_SEEDS = (1,)
+SIM_PHASES_S = (0.0, 0.7, 2.0)
+SIM_RESTARTS_S = (None, 0.05, 0.5, 3.0)
+LIVE_PHASES_S = (0.2,)
+LIVE_RESTARTS_S = (None, 0.5)
 QUICK_KILLS = 4
 
 Runs = Sequence[Came]
@@ -31,7 +34,8 @@ def bound_s(config: ProtocolConfig | None = None) -> float:
 
 
 def run(request: TrialRequest) -> TrialResult:
-    out, base = request.out / "runs", request.seed * 100
+    out = request.out / "runs"
+    base = request.seed * 100
     seeds = [base + seed for seed in (QUICK_SEEDS if request.quick else LIVE_SEEDS)]
     live_rig = runs.signed_rig(LIVE, new_folder(out))
     simulated = runs.kills(SIM, seeds[:1], SIM_PHASES_S, SIM_RESTARTS_S, out / SIM)
@@ -39,7 +43,10 @@ def run(request: TrialRequest) -> TrialResult:
     links = runs.links(live_rig, seeds, out / LIVE)
     attacks = runs.attacks(live_rig, seeds, out / LIVE)
     if request.quick:
-        simulated, live, links, attacks = simulated[-QUICK_KILLS:], [], [], []
+        simulated = simulated[-QUICK_KILLS:]
+        live = []
+        links = []
+        attacks = []
     in_sim = request.work.map("kills in virtual time", runs.fly, simulated)
     at_once = [runs.fly(one) for one in request.work.steps("kills of real processes", live)]
     linked = [runs.fly(one) for one in request.work.steps("bad links between real processes", links)]
@@ -93,7 +100,8 @@ def _figures(came: Runs) -> dict[str, Any]:
 
 
 def _row(came: Came) -> dict[str, Any]:
-    asked, duty = came.asked, came.duty
+    asked = came.asked
+    duty = came.duty
     return {
         "faults": list(asked.faults), "rig": asked.rig, "seed": asked.seed, "outcome": came.outcome,
         "detail": came.detail, "roles": came.outcomes, "both_s": duty.both_s, "gap_s": duty.gap_s,
@@ -110,7 +118,8 @@ def _findings(what: str, came: Runs) -> tuple[TrialFinding, ...]:
     gap = max((one.duty.gap_s for one in came if not one.duty.orphaned), default=0.0)
     down = sum(one.landed for one in came)
     broken = sum_of(one.violations for one in came)
-    count, none_two = f"{len(came)} runs", verdict(two == 0.0)
+    count = f"{len(came)} runs"
+    none_two = verdict(two == 0.0)
     return (
         TrialFinding(f"{what}: longest time with two responsible, s", f"{two:.3f}", count, goal="0", verdict=none_two),
         TrialFinding(
@@ -166,7 +175,8 @@ def _kill_tables(title: str, came: Runs) -> tuple[TrialTable, ...]:
         return ()
     rows: list[tuple[str, ...]] = []
     for one in came:
-        asked, duty = one.asked, one.duty
+        asked = one.asked
+        duty = one.duty
         rows.append((
             asked.what, "never" if asked.restart_s is None else f"{asked.restart_s:g} s later", one.outcomes["sender"],
             one.outcomes["receiver"], f"{duty.both_s:.0f}", f"{duty.gap_s:.2f}", f"{duty.dead_s:.1f}",

@@ -30,7 +30,8 @@ from path.messages import Role
 TITLE = "Soak: memory, processor and queues over a long verification in real time"
 PAPER = ""
 
-SECONDS, QUICK_SECONDS = 1200.0, 20.0
+SECONDS = 1200.0
+QUICK_SECONDS = 20.0
 SAMPLE_S = 2.0
 SETTLED = 0.25  # of the time: what is allocated once is allocated by then
 FLAT_MIB = 5.0
@@ -133,7 +134,8 @@ def growth_mib(taken: Sequence[ProgramSample]) -> float:
 
 def cpu_share(taken: Sequence[ProgramSample]) -> dict[str, float]:
     """Cores that a program kept busy, by thread name."""
-    first, last = taken[0], taken[-1]
+    first = taken[0]
+    last = taken[-1]
     elapsed_s = max(last.time_s - first.time_s, 1e-9)
     return {
         name: round((spent - first.cpu_s.get(name, 0.0)) / elapsed_s, 4)
@@ -143,13 +145,16 @@ def cpu_share(taken: Sequence[ProgramSample]) -> dict[str, float]:
 
 def stages_ms(records: Records) -> dict[str, float]:
     """Processor time of a frame's cycle by stage while the role verified; what is in no stage is ``rest``."""
-    cpu, frames = _verifying(records, "/cpu"), _verifying(records, "/frame")
+    cpu = _verifying(records, "/cpu")
+    frames = _verifying(records, "/frame")
     if len(cpu) < 2:
         return {}
-    first, last = cpu[0].record["spent_ns"], cpu[-1].record["spent_ns"]
+    first = cpu[0].record["spent_ns"]
+    last = cpu[-1].record["spent_ns"]
     cycles = sum(cpu[0].stamp_ns <= frame.stamp_ns < cpu[-1].stamp_ns for frame in frames)
     spent = {name: (of - first.get(name, 0)) * 1e-6 / max(cycles, 1) for name, of in last.items()}
-    program, thread = spent.pop("program"), spent.pop("thread")
+    program = spent.pop("program")
+    thread = spent.pop("thread")
     rest = {"rest of the main thread": thread - sum(spent.values()), "other threads": program - thread}
     return {name: round(of, 3) for name, of in (*sorted(spent.items(), key=lambda item: -item[1]), *rest.items())}
 
@@ -170,7 +175,8 @@ def _verifying(records: Records, topic: str) -> list[LogRecord]:
     begin = next((k for k, phase in enumerate(phases) if phase.record["phase"] == Phase.VERIFY.title), None)
     if begin is None:
         return []
-    from_ns, to_ns = phases[begin].stamp_ns, phases[begin + 1].stamp_ns if begin + 1 < len(phases) else 1 << 62
+    from_ns = phases[begin].stamp_ns
+    to_ns = phases[begin + 1].stamp_ns if begin + 1 < len(phases) else 1 << 62
     return [record for record in records.get(topic, ()) if from_ns <= record.stamp_ns < to_ns]
 
 
@@ -198,7 +204,8 @@ def _findings(samples: Samples, run: RunRecords, seconds: float) -> tuple[TrialF
 
 
 def _memory_findings(name: str, taken: Sequence[ProgramSample]) -> Iterator[TrialFinding]:
-    grown, most = growth_mib(taken), max(one.private_mib for one in taken)
+    grown = growth_mib(taken)
+    most = max(one.private_mib for one in taken)
     goal = f"<= {FLAT_MIB:.0f}"
     yield TrialFinding(f"memory grown, {name}, MiB", f"{grown:+.1f}", "", "", goal, verdict(grown <= FLAT_MIB))
     if name in [role.value for role in Role]:
@@ -209,7 +216,8 @@ def _memory_findings(name: str, taken: Sequence[ProgramSample]) -> Iterator[Tria
 
 def _age_findings(role: Role, ages: Mapping[str, float]) -> Iterator[TrialFinding]:
     if ages:
-        first, last = ages["first_quarter_p95"], ages["last_quarter_p95"]
+        first = ages["first_quarter_p95"]
+        last = ages["last_quarter_p95"]
         yield TrialFinding(
             f"age of frames at their cycle, {role.value}, ms: median, p95",
             f"{ages['p50']:.1f}, {ages['p95']:.1f}",

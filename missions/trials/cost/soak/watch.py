@@ -74,7 +74,8 @@ class Watch:
 
 def programs(ancestor: int) -> Iterator[tuple[int, str]]:
     """Descendants of a process that fly, guard, or are the world: (pid, name)."""
-    parents, names = dict(_parents()), dict[int, str]()
+    parents = dict(_parents())
+    names = dict[int, str]()
     for process in sorted(parents):
         if ancestor in _line(process, parents):
             names[process] = _name(process)

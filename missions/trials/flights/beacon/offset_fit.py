@@ -36,7 +36,8 @@ BLOCK_S = 0.5  # positions within this are one mean: nothing that moves a drone 
 WARP_LENGTH_M = 2.0  # half the way between stationary beacons, about; 1.5 m does as well
 START_M = (0.02, 0.02, 0.01, 0.01)  # noise, jitter, walk, warp: where the search for the likeliest begins
 LEAST_M = 0.001  # of each of them
-ROUNDS, SEARCH_STEPS = 5, 25
+ROUNDS = 5
+SEARCH_STEPS = 25
 MOST_CHANGE = 1.5  # of the logarithm of a variance in one step
 
 
@@ -76,13 +77,17 @@ def fit_offset(pairs: Sequence[MotionPair], start: Alignment, steady_s: float) -
     ]
     if any(not np.any(own > 0.5) for own in weights):
         raise ValueError("no sample of a vehicle's beacon fits its own motion")
-    offset_s, yaw_rad, sigma_s, spreads = start.offset_s, start.yaw_rad, math.inf, 2.0 * np.log(START_M)
+    offset_s = start.offset_s
+    yaw_rad = start.yaw_rad
+    sigma_s = math.inf
+    spreads = 2.0 * np.log(START_M)
     try:
         for _ in range(ROUNDS):
             means = _means(pairs, weights, offset_s, yaw_rad)
             spreads, solution = _likeliest(spreads, _kernels(means, steady_s), means)
             step_s, turn_rad = solution.unknowns[:2].tolist()
-            offset_s, yaw_rad = offset_s + step_s, yaw_rad + turn_rad
+            offset_s = offset_s + step_s
+            yaw_rad = yaw_rad + turn_rad
             sigma_s = math.sqrt(float(solution.covariance[0, 0]))
             if abs(step_s) < 1e-6:
                 break
@@ -112,10 +117,12 @@ class _Means:
 
 def _means(pairs: Sequence[MotionPair], weights: Sequence[Array], offset_s: float, yaw_rad: float) -> _Means:
     R = exp(np.array([0.0, 0.0, yaw_rad]))
-    rows, of = list[Array](), list[int]()
+    rows = list[Array]()
+    of = list[int]()
     for k, (pair, weight) in enumerate(zip(pairs, weights, strict=True)):
         t = pair.samples.t
-        placed, velocity = pair.curve.at(t + offset_s) @ R.T, pair.curve.velocity_at(t + offset_s) @ R.T
+        placed = pair.curve.at(t + offset_s) @ R.T
+        velocity = pair.curve.velocity_at(t + offset_s) @ R.T
         fine = (weight > 0.0) & np.isfinite(placed[:, 0]) & np.isfinite(velocity[:, 0])
         apart = pair.samples.p[fine] - placed[fine]
         turning = np.cross([0.0, 0.0, 1.0], placed[fine])
@@ -127,7 +134,8 @@ def _means(pairs: Sequence[MotionPair], weights: Sequence[Array], offset_s: floa
         sums[:, :-1] /= sums[:, -1:]
         rows.append(sums)
         of += [k] * len(sums)
-    table, pair_of = np.concatenate(rows), np.array(of)
+    table = np.concatenate(rows)
+    pair_of = np.array(of)
     jacobian = np.zeros((3, len(table), 2 + 3 * len(pairs)))
     for axis in range(3):
         jacobian[axis, :, 0], jacobian[axis, :, 1] = table[:, 7 + axis], table[:, 10 + axis]
@@ -194,7 +202,8 @@ def _solution(spreads: Array, kernels: Array, means: _Means) -> _Solution:
 
 def _likeliest(spreads: Array, kernels: Array, means: _Means) -> tuple[Array, _Solution]:
     """Steps by average information, damped (Levenberg) so that none makes the records less likely."""
-    now, damping = _solution(spreads, kernels, means), 1e-3
+    now = _solution(spreads, kernels, means)
+    damping = 1e-3
     for _ in range(SEARCH_STEPS):
         gradient, information = _slopes(now, spreads, kernels)
         better = None

@@ -102,7 +102,8 @@ def table(rows: Sequence[Row]) -> TrialTable:
 
 
 def summary(measured: SessionErrors, rows: Sequence[Row], offset_error_s: float | None) -> dict[str, Any]:
-    clock, frame = measured.clock, measured.frame
+    clock = measured.clock
+    frame = measured.frame
     return {
         "time_offset_s": clock.offset_s,
         "time_offset_sigma_s": clock.offset_sigma_s,

@@ -70,7 +70,8 @@ def fly_session(rig: Rig, seed: int, folder: Path) -> BeaconSession:
     else:
         with Listener(rig, reference.beacons, folder / BEACON_RECORD) as listener:
             facts = fly_once(rig, seed, (), folder, lambda _: None)
-        fixes, notes = listener.fixes, tuple(listener.notes)
+        fixes = listener.fixes
+        notes = tuple(listener.notes)
     if facts.outcome != "committed":
         notes += (f"The flight ended as '{facts.outcome}'.",)
     return BeaconSession(folder, tuple(fixes), notes, read_truth(folder / TRUTH_FILE))
@@ -83,11 +84,9 @@ def _hear_afterwards(rig: Rig, seed: int, folder: Path) -> list[BeaconFix]:
             f"{rig.where('[reference]')}: nobody listens to the beacons",
             'name the part: [reference.beacons] with factory = "drivers.beacons.marvelmind:Marvelmind" and ports',
         )
-    stream, recorder, fixes = (
-        MarvelmindStream(),
-        BeaconRecorder(folder / BEACON_RECORD, 0.0, virtual=True),
-        list[BeaconFix](),
-    )
+    stream = MarvelmindStream()
+    recorder = BeaconRecorder(folder / BEACON_RECORD, 0.0, virtual=True)
+    fixes = list[BeaconFix]()
 
     def hear(port: str, arrival_ns: int, data: bytes) -> None:
         recorder.write(port, arrival_ns, data)

@@ -79,7 +79,8 @@ def _fly(order: tuple[Rig, int, Path]) -> BeaconSession:
 
 def _draw(session: BeaconSession, flown: RunRecords, measured: SessionErrors, out: Path) -> float | None:
     """Draws both pictures; returns the error of the clock's offset where it is known."""
-    truth, beacons = truth_of(flown.world), session.truth
+    truth = truth_of(flown.world)
+    beacons = session.truth
     if truth is None or beacons is None:
         draw_map(measured, out / "map.png")
         draw_errors(measured, out / "errors.png")

@@ -20,8 +20,10 @@ from path.relative_pose.filter import Relative, RelativeFilter, RelativeSettings
 
 Array = NDArray[np.float64]
 
-SEEN_S, HIDDEN_S = 0.8, 1.05
-STEP_S, SLACK_S = 0.1, 0.009
+SEEN_S = 0.8
+HIDDEN_S = 1.05
+STEP_S = 0.1
+SLACK_S = 0.009
 STARTS = 6  # of the rows of gaps, in one replay each
 TRUTH_SIGMAS = np.array([3e-4] * 3 + [5e-4] * 3)  # of the true pose, m and rad: it is logged at 25 Hz only
 
@@ -109,7 +111,8 @@ def coasts(run: RunRecords, rig: Rig, truth: Truth) -> Coasts:
 def _replayed(
     frames: list[FilterInput], rig: Rig, true_at: Callable[[int], Pose], start: int
 ) -> Iterator[tuple[float, Array, float, float, float, int]]:
-    sender, receiver = rig.sender.mount, rig.receiver.mount
+    sender = rig.sender.mount
+    receiver = rig.receiver.mount
     filtered = RelativeFilter(
         RelativeSettings(coast_s=1.1),  # the last frame of a second shall not depend on rounding
         lever_c_m=receiver.T_b_c.R.T @ receiver.T_b_c.t,
@@ -130,7 +133,8 @@ def _replayed(
         relative = filtered.predict(frame.stamp_ns, frame.R_n_c, frame.R_n_v)
         if relative is not None:
             error, nees = judged(relative, true_at(frame.stamp_ns))
-            position, rotation = np.trace(relative.covariance[:3, :3]), np.trace(relative.covariance[3:, 3:])
+            position = np.trace(relative.covariance[:3, :3])
+            rotation = np.trace(relative.covariance[3:, 3:])
             yield unseen_s, error, position**0.5, rotation**0.5, nees, since_ns // period_ns
 
 

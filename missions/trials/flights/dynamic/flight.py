@@ -27,7 +27,8 @@ from path.geometry.transforms import Pose
 
 Array = NDArray[np.float64]
 
-BEACON_RECORD, BEACON_LIST = "beacons.mcap", "beacons.csv"
+BEACON_RECORD = "beacons.mcap"
+BEACON_LIST = "beacons.csv"
 TARGET_MPS = 0.45
 VERIFY_S = 20.0  # of agreement before the hand-over, so that there is something to compare
 FOLLOW_S = 1.0
@@ -120,8 +121,10 @@ def load_motions(run: RunRecords, rig: Rig) -> Motions:
     offsets = [r.record["clock_offset_ns"] for r in run.receiver["/link"]]  # D1's clock minus D2's, by their pings
     offset_ns = int(np.median([offset for offset in offsets if offset is not None]))
     armed = next((r.stamp_ns for r in states if r.record["armed"]), states[-1].stamp_ns)
-    T_v_b, T_c_b = rig.sender.mount.T_b_v.inverse(), rig.receiver.mount.T_b_c.inverse()
-    beacon_1_v, beacon_2_c = T_v_b.apply(levers["sender"]), T_c_b.apply(levers["receiver"])
+    T_v_b = rig.sender.mount.T_b_v.inverse()
+    T_c_b = rig.receiver.mount.T_b_c.inverse()
+    beacon_1_v = T_v_b.apply(levers["sender"])
+    beacon_2_c = T_c_b.apply(levers["receiver"])
     R_n_v = {r.stamp_ns: _R(r.record["q_n_v"]) for r in run.receiver["/motion"] if r.record["q_n_v"] is not None}
     d2: list[tuple[int, Array]] = []
     for r in run.receiver["/marker"]:
@@ -182,7 +185,8 @@ def _R(q: Sequence[float]) -> Array:
 def _trajectory(samples: Sequence[tuple[int, Array]]) -> Trajectory:
     if not samples:
         return Trajectory(np.zeros(0), np.zeros((0, 3)))
-    t, p = np.array([stamp for stamp, _ in samples]) * 1e-9, np.array([place for _, place in samples])
+    t = np.array([stamp for stamp, _ in samples]) * 1e-9
+    p = np.array([place for _, place in samples])
     newer = np.concatenate([[True], np.diff(t) > 0.0])
     return Trajectory(t[newer], p[newer] @ R_U_N.T)
 
@@ -215,7 +219,8 @@ def _clean(fixes: Sequence[BeaconFix]) -> Trajectory:
     rated = sorted((fix for fix in fixes if not fix.quality < MIN_QUALITY), key=_instant_ns)
     if len(rated) < MEDIAN_OVER:
         return Trajectory(np.zeros(0), np.zeros((0, 3)))
-    t, p = np.array([_instant_ns(fix) for fix in rated]) * 1e-9, np.array([fix.position_m for fix in rated])
+    t = np.array([_instant_ns(fix) for fix in rated]) * 1e-9
+    p = np.array([fix.position_m for fix in rated])
     half = MEDIAN_OVER // 2
     padded = np.pad(p, ((half, half), (0, 0)), mode="edge")
     median = np.median(np.lib.stride_tricks.sliding_window_view(padded, MEDIAN_OVER, axis=0), axis=2)

@@ -47,7 +47,8 @@ Array = NDArray[np.float64]
 SUBJECTS = ("d2", "target")
 LEAST_AT_REST = 3  # positions: of no more nothing is said
 WANDER_S = 4.0  # within this a vehicle's own position drifts by less than the beacons' noise
-RPE_S, RPE_M = 1.0, 1.0
+RPE_S = 1.0
+RPE_M = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +187,8 @@ def noise_at_rest(motions: Motions, heard: BeaconTrace, offset_s: float) -> tupl
 
 def _against_beacons(pair: MotionPair, frame: Alignment, k: int, noise_m: float, factors: Array) -> Compared:
     used = frame.used[k]
-    t, residuals = pair.samples.t[used] + frame.offset_s, frame.residuals[k][used]
+    t = pair.samples.t[used] + frame.offset_s
+    residuals = frame.residuals[k][used]
     places = pair.curve.at(t)
     return Compared(
         t,
@@ -204,7 +206,8 @@ def against_truth(run: RunRecords, truth: Truth, motions: Motions) -> dict[str, 
     errors = np.array([np.array(r.record["position_v_m"]) - truth.T_v_c2(r.stamp_ns).t for r in seen])
     d2 = Compared(t, ape(errors), rpe_after(t, errors, RPE_S), rpe_along(motions.d2.at(t), errors, RPE_M))
     sent = {r.record["sequence"]: r.record for r in run.sender["/target"] if r.record["reason"] is None}
-    times, lengths = list[float](), list[float]()
+    times = list[float]()
+    lengths = list[float]()
     for r in run.receiver.get("/candidate", ()):
         point = sent.get(r.record["target_sequence"])
         error_m = None if point is None else target_error_m(truth, r.record, point)

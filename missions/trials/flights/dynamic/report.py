@@ -31,7 +31,8 @@ def findings(summary: Mapping[str, Any]) -> tuple[TrialFinding, ...]:
         )
     ]
     for name in SUBJECTS:
-        beacons, truth = summary["ape"][name], summary["ape_truth"][name]
+        beacons = summary["ape"][name]
+        truth = summary["ape_truth"][name]
         found += [
             TrialFinding(
                 f"{NAMES[name]} against the beacons, mean, mm",

@@ -78,7 +78,8 @@ def fly(asked: RendezvousOrder) -> RendezvousResult:
     """One mission from take-off to landing. Its logs are kept only when a monitor was violated."""
     rig = rig_library.shorter(asked.rig)
     facts, run = flown.fly(rig, asked.seed, (), asked.folder)
-    began_s, arrived_s = _entered(run, Phase.STAND_OFF), _entered(run, Phase.VERIFY)
+    began_s = _entered(run, Phase.STAND_OFF)
+    arrived_s = _entered(run, Phase.VERIFY)
     places = list(_places(run.world))
     separation = mission_of(rig).separation
     result = RendezvousResult(
@@ -118,7 +119,8 @@ class _Place:
 
 def _places(world: Records) -> Iterator[_Place]:
     for one in world.get("/truth", ()):
-        gives, takes = one.record[Role.SENDER.value], one.record[Role.RECEIVER.value]
+        gives = one.record[Role.SENDER.value]
+        takes = one.record[Role.RECEIVER.value]
         if gives["in_air"] and takes["in_air"]:
             (e0, n0, u0), (e1, n1, u1) = gives["t"], takes["t"]
             yield _Place(one.stamp_ns * 1e-9, (e1 - e0, n1 - n0, u1 - u0), yaw_of(gives["q"]))
@@ -133,7 +135,8 @@ def _in_ellipsoids(place: _Place, separation: SeparationConfig) -> float:
 def _in_cone_s(places: Sequence[_Place], separation: SeparationConfig) -> float:
     """Returns how long one was in the downwash of the other, s."""
     slope = math.tan(math.radians(separation.downwash_half_angle_deg))
-    cone_s, before_s = 0.0, math.inf
+    cone_s = 0.0
+    before_s = math.inf
     for place in places:
         east, north, up = place.offset_w_m
         if math.hypot(east, north) < abs(up) * slope:
@@ -154,7 +157,8 @@ def _way(run: RunRecords, places: Sequence[_Place], began_s: float | None, arriv
 
 def _from_heading(place: _Place) -> Vec3:
     east, north, up = place.offset_w_m
-    c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
+    c = math.cos(place.heading_rad)
+    s = math.sin(place.heading_rad)
     return c * east + s * north, s * east - c * north, up
 
 

@@ -34,7 +34,8 @@ def draw(flown: Sequence[RendezvousResult], separation: SeparationConfig, path: 
 def _ways(axes: Axes, flown: Sequence[RendezvousResult], separation: SeparationConfig) -> None:
     for one in flown:
         if len(one.way_h_m) > 1:
-            ahead, right = np.array(one.way_h_m)[:, 0], np.array(one.way_h_m)[:, 1]
+            ahead = np.array(one.way_h_m)[:, 0]
+            right = np.array(one.way_h_m)[:, 1]
             axes.plot(right, ahead, color=COUNT if one.arrived else NEEDED, lw=0.6, alpha=0.5)
             axes.plot(right[-1:], ahead[-1:], ".", color=ROLE[Role.RECEIVER], ms=3)
     width = 2.0 * separation.horizontal_m

@@ -21,13 +21,16 @@ from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialReques
 TITLE = "Rendezvous: positions that are wrong by metres, in wind"
 PAPER = ""
 
-MISSIONS, QUICK_MISSIONS = 1000, 4
+MISSIONS = 1000
+QUICK_MISSIONS = 4
 GOAL = 0.95
-PICTURE, KEPT = "rendezvous.png", "missions.jsonl"
+PICTURE = "rendezvous.png"
+KEPT = "missions.jsonl"
 
 
 def run(request: TrialRequest) -> TrialResult:
-    rig, count = request.rig, QUICK_MISSIONS if request.quick else MISSIONS
+    rig = request.rig
+    count = QUICK_MISSIONS if request.quick else MISSIONS
     asked = flights.asked_for(rig, count, request.seed, request.out / "flights")
     flown = _flown(request, asked)
     separation = mission_of(rig).separation
@@ -69,7 +72,8 @@ def _flown(request: TrialRequest, asked: Sequence[RendezvousOrder]) -> list[Rend
 
 def _findings(flown: Sequence[RendezvousResult], minimum_m: float) -> tuple[TrialFinding, ...]:
     count = len(flown)
-    arrived, committed = sum(one.arrived for one in flown), sum(one.committed for one in flown)
+    arrived = sum(one.arrived for one in flown)
+    committed = sum(one.committed for one in flown)
     inside = sum(one.ellipsoid is not None and one.ellipsoid < 1.0 for one in flown)
     near = [(one.separation_m, one.seed) for one in flown if one.separation_m is not None]
     nearest_m, of_seed = min(near, default=(math.inf, 0))
@@ -124,9 +128,12 @@ def _times(flown: Sequence[RendezvousResult]) -> TrialTable:
 
 def _conditions(rig: Rig) -> tuple[tuple[str, ...], ...]:
     """Returns the conditions in the rig's own tables."""
-    world, mission = rig.world, mission_of(rig)
-    apart, wind = world.get("position_offset", {}), world.get("wind", {})
-    across_m, height_m = float(apart.get("across_m", 0.0)), float(apart.get("height_m", 0.0))
+    world = rig.world
+    mission = mission_of(rig)
+    apart = world.get("position_offset", {})
+    wind = world.get("wind", {})
+    across_m = float(apart.get("across_m", 0.0))
+    height_m = float(apart.get("height_m", 0.0))
     known = mission.rendezvous
     return (
         ("positions apart, besides each estimator's own error", f"{across_m:.1f} m across, {height_m:.1f} m in height"),

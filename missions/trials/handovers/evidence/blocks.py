@@ -60,7 +60,8 @@ def _blocks(series: Series, method: MethodConfig) -> Blocks:
     """Return the blocks of a test that goes on whatever it says."""
     never = EvidenceGate(replace(method, evidence=replace(method.evidence, alpha=NEVER)))
     tell(series, never, method)
-    first, later = never.judged.first, never.judged.later
+    first = never.judged.first
+    later = never.judged.later
     return Blocks((first[0], first[1]), (later[0], later[1]))
 
 

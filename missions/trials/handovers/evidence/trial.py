@@ -36,16 +36,27 @@ TITLE = "Evidence gate: the hand-over in less than two seconds, and what it is f
 PAPER = "Mutual Agreement Handshake"
 NEEDS = ("montecarlo",)
 
-TRUE, WRONG, FORCED = 200, 500, 24  # attempts: true pairs, persistently wrong ones, of each forced kind
+# attempts: true pairs, persistently wrong ones, of each forced kind
+TRUE = 200
+WRONG = 500
+FORCED = 24
 QUICK = 3
 BATCH = 12
-TRUE_S, WRONG_S, FORCED_S = 10.0, 12.0, 12.0
-FAR_M, BESIDE_M = 1.0, 0.09  # of the wrong object that measures the rates: D1 is not disturbed by it
+TRUE_S = 10.0
+WRONG_S = 12.0
+FORCED_S = 12.0
+# of the wrong object that measures the rates: D1 is not disturbed by it
+FAR_M = 1.0
+BESIDE_M = 0.09
 ACCIDENT = 0.05  # mean strength up to which a wrong pair agrees by accident only
 NEAR_ACCIDENT = 0.2  # up to which later blocks are counted: few of the others have any; the rate is flat up to here
 BELOW = 0.05  # a block's strength: later blocks are counted of attempts that are weaker than that by so much
-SIGMA_M, MEASURED = 0.03, 148  # of the persistent error, per axis across the line of sight; from so many attempts
-SIDE_M, TAU = 0.33, 0.37  # mean of both boxes' sides on the target, and a usual threshold
+# of the persistent error, per axis across the line of sight; from so many attempts
+SIGMA_M = 0.03
+MEASURED = 148
+# mean of both boxes' sides on the target, and a usual threshold
+SIDE_M = 0.33
+TAU = 0.37
 RATE_HZ = 50.0
 GOAL_S = 2.0
 PICTURE = "evidence.png"
@@ -122,7 +133,9 @@ def _times(told: Sequence[EvidenceAttempt], gate: GateKind) -> np.ndarray:
 
 
 def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
-    own, true, wrong = method.evidence, by_group["true"], by_group["wrong"]
+    own = method.evidence
+    true = by_group["true"]
+    wrong = by_group["wrong"]
     accident = [each for each in wrong if each.strength <= ACCIDENT]
     rates = [_rates(wrong, test, pace, seed) for pace, test in enumerate(own.paces)]
     times = _times(true, "evidence")
@@ -196,7 +209,8 @@ def _rates(wrong: Sequence[EvidenceAttempt], own: EvidenceConfig, pace: int, see
     """``own``: the settings of the test that is the ``pace``-th of its gate."""
     most = min(NEAR_ACCIDENT, max(ACCIDENT, own.strength - BELOW))
     accident, near = ([each for each in wrong if each.strength <= limit] for limit in (ACCIDENT, most))
-    first, later = rate(accident, False, seed, pace), rate(near, True, seed, pace)
+    first = rate(accident, False, seed, pace)
+    later = rate(near, True, seed, pace)
     long = f", blocks of {own.block_s:g} s" if pace else ""
     summary = {
         "first_rate": {"agreeing": first[0], "judged": first[1], "upper": first[2][1], "setting": own.first_rate},
@@ -239,7 +253,8 @@ def _blocks_table(wrong: Sequence[EvidenceAttempt]) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for low, high in pairwise(EDGES):
         told = [each for each in wrong if low < each.strength <= high]
-        first, later = _counted(told, later=False), _counted(told, later=True)
+        first = _counted(told, later=False)
+        later = _counted(told, later=True)
         rows.append(
             (
                 f"{low:.2f} to {high:.2f}", str(len(told)), _of(first), _of(later), *_wrong_of(told),
@@ -278,7 +293,8 @@ def _forced_table(forced: Groups) -> TrialTable:
 
 
 def _bound_table(method: MethodConfig) -> TrialTable:
-    own, reach = method.evidence, reach_m()
+    own = method.evidence
+    reach = reach_m()
     rows = tuple(
         (f"{d:.2f} m", f"{persistent_bound(d, reach, SIGMA_M, MEASURED):.1g}", f"{own.alpha:g}",
          f"{min(1.0, persistent_bound(d, reach, SIGMA_M, MEASURED) + own.alpha):.2g}")

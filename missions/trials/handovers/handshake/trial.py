@@ -60,11 +60,16 @@ ATTEMPTS = 10_010
 QUICK_MISSIONS: Mapping[GateKind, int] = {"count": 1, "evidence": 0}
 QUICK_ATTEMPTS = 14
 BATCH = 70
-TIMES, FAULTS = "handshake.png", "handshake-faults.png"
-PAPER_COMMITS, PAPER_MEDIAN_S, PAPER_P90_S = 42, 7.20, 7.95
+TIMES = "handshake.png"
+FAULTS = "handshake-faults.png"
+PAPER_COMMITS = 42
+PAPER_MEDIAN_S = 7.20
+PAPER_P90_S = 7.95
 GOAL_MEDIAN_S = 2.0
 GOAL_SPEED = 100.0  # times real time, on one core
-NEAR_M, BESIDE_M = 1.0, 0.5  # of a look-alike, at the closest
+# of a look-alike, at the closest
+NEAR_M = 1.0
+BESIDE_M = 0.5
 
 _DRAWN = (
     "Standard deviations unless it is a range; errors of the first kind last for a whole attempt, and are what no "

@@ -24,7 +24,8 @@ ALL_GATES: tuple[GateKind, ...] = (*GATES, "likelihood")
 LIMIT_S = 10.0
 FRAME_S = 0.02  # from one frame to the next, of both cameras
 FRAMES = 520  # more than any camera takes in that time
-FAR_M, FAR_S = 0.15, 1.0
+FAR_M = 0.15
+FAR_S = 1.0
 LATE_S = 0.5  # by less than that, what was captured is judged later
 LOCKED_M = (0.3, 0.4, 0.6, 1.0)  # from the target to the object that D2 sees instead of it, all the time
 FAULT_STREAM = 0x64657465
@@ -110,7 +111,8 @@ def can_complete(gate: Gate, method: MethodConfig, series: Series, faults: Fault
     The run under way may go on, or another begin with what is captured next. "count" needs a stretch of frames for it
     in which both detectors see the target and nothing else.
     """
-    span_s, first_ns = gate.span_s, int(series.capture_ns[0])
+    span_s = gate.span_s
+    first_ns = int(series.capture_ns[0])
     left_s = LIMIT_S - (int(series.now_ns[-1]) - first_ns) * 1e-9
     if left_s + LATE_S < shortest_s(method) - span_s:
         return False
@@ -136,7 +138,8 @@ def shortest_s(method: MethodConfig) -> float:
         return method.hold_s
     if method.gate == "likelihood":
         return method.evidence.min_s
-    blocks, needed = 1, evidence_needed(1, method.evidence)
+    blocks = 1
+    needed = evidence_needed(1, method.evidence)
     while evidence_of(blocks, method.evidence) < needed:
         blocks += 1
     return max(method.evidence.min_s, blocks * method.evidence.block_s)

@@ -54,7 +54,8 @@ def spells(share: float, mean_frames: float, count: int, rng: Generator) -> Flag
     ends = 1.0 / mean_frames
     begins = min(1.0, share * ends / (1.0 - share))
     on = np.empty(count, bool)
-    state, draws = rng.random() < share, rng.random(count)
+    state = rng.random() < share
+    draws = rng.random(count)
     for k, draw in enumerate(draws.tolist()):
         on[k] = state
         state = draw >= ends if state else draw < begins
@@ -85,7 +86,8 @@ class FaultyFrames:
 def faulty_frames(detector: DetectorFaults, many: int, rng: Generator) -> FaultyFrames:
     share = 1.0 - detector.recall
     missed = spells(share, detector.miss_frames, many, rng), spells(share, detector.miss_frames, many, rng)
-    rate, length = detector.false_positives, detector.miss_frames
+    rate = detector.false_positives
+    length = detector.miss_frames
     return FaultyFrames(missed, (spells(rate, length, many, rng), spells(rate, length, many, rng)))
 
 

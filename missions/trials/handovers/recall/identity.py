@@ -19,7 +19,8 @@ NOTHING_STATED: StatedCounts = ((0, 0),) * len(EDGES)
 
 def counted(stated: Sequence[StatedIdentity]) -> StatedCounts:
     """Count the frames of an attempt by what D1 stated in them."""
-    frames, wrong = [0] * len(EDGES), [0] * len(EDGES)
+    frames = [0] * len(EDGES)
+    wrong = [0] * len(EDGES)
     for each in stated:
         doubt = 1.0 - each.probability
         own = next(k for k, edge in enumerate(EDGES) if doubt >= edge or edge == 0.0)
@@ -36,7 +37,8 @@ def reliability(attempts: Sequence[StatedCounts]) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for k, edge in enumerate(EDGES):
         own = [each[k] for each in attempts if each[k][0]]
-        frames, wrong = sum(each[0] for each in own), sum(each[1] for each in own)
+        frames = sum(each[0] for each in own)
+        wrong = sum(each[1] for each in own)
         in_attempts = sum(each[1] > 0 for each in own)
         above = 1.0 if k == 0 else EDGES[k - 1]
         share = f"{wrong / frames:.2g}" if frames else "-"

@@ -43,15 +43,22 @@ TITLE = "Recall: detectors that miss and invent, and all gates"
 PAPER = "Mutual Agreement Handshake"
 NEEDS = ("montecarlo",)
 
-RECALLS, MISS_FRAMES, FALSE_POSITIVES = (1.0, 0.99, 0.97, 0.9, 0.7), (1.0, 5.0, 15.0), (0.0, 0.01, 0.05)
+RECALLS = (1.0, 0.99, 0.97, 0.9, 0.7)
+MISS_FRAMES = (1.0, 5.0, 15.0)
+FALSE_POSITIVES = (0.0, 0.01, 0.05)
 DETECTORS = tuple(DetectorFaults(*each) for each in product(RECALLS, MISS_FRAMES, FALSE_POSITIVES))
-OF_EACH, QUICK = 672, 2  # attempts
+# attempts
+OF_EACH = 672
+QUICK = 2
 BATCH = 45
 KEPT = "attempts.jsonl"
 TITLES = {**GATE_TITLES, "likelihood": "likelihood"}
 WRONG_LIMIT = 1e-4
-EASY, HARD = DetectorFaults(0.9, 5.0), DetectorFaults(0.7, 5.0)
-EASY_RATE, EASY_S, HARD_RATE = 0.95, 4.0, 0.80
+EASY = DetectorFaults(0.9, 5.0)
+HARD = DetectorFaults(0.7, 5.0)
+EASY_RATE = 0.95
+EASY_S = 4.0
+HARD_RATE = 0.80
 
 Pair = tuple[AttemptOrder, RecallAttempt]
 
@@ -142,7 +149,8 @@ def result(judged: Sequence[Pair], short: bool) -> TrialResult:
 
 def _commit_findings(cells: Sequence[Cell]) -> list[TrialFinding]:
     by_evidence = {cell.detector: cell for cell in cells if cell.gate == "evidence"}
-    easy, hard = by_evidence[EASY], by_evidence[HARD]
+    easy = by_evidence[EASY]
+    hard = by_evidence[HARD]
 
     def commits(cell: Cell, goal: float) -> TrialFinding:
         detector = cell.detector
@@ -168,7 +176,8 @@ def _commit_findings(cells: Sequence[Cell]) -> list[TrialFinding]:
 
 
 def _wrong_finding(summary: dict[str, Any]) -> TrialFinding:
-    wrong, bound = summary["wrong"], summary["wrong_upper"]
+    wrong = summary["wrong"]
+    bound = summary["wrong_upper"]
     return TrialFinding(
         "wrong objects handed over, by evidence",
         f"{wrong} of {summary['attempts']}",

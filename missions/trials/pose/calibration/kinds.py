@@ -125,7 +125,8 @@ class KindResult:
 
 
 def kind_findings(results: Sequence[KindResult]) -> list[TrialFinding]:
-    right, graded = sum(each.expected for each in results), [each for each in results if each.off]
+    right = sum(each.expected for each in results)
+    graded = [each for each in results if each.off]
     within = sum(each.within for each in graded)
     return [
         TrialFinding("kinds of sets that end in a calibration or a refusal, and are told what is wrong, as they should",
@@ -166,7 +167,8 @@ def calibrate_kind(work: tuple[type[FrameRenderer], str, int]) -> KindResult:
     if not any(look.view for look in collected.looks):
         again = _collected(images, otherwise(named))
         if any(look.view for look in again.looks):
-            collected, named = again, otherwise(named)
+            collected = again
+            named = otherwise(named)
     try:
         done = calibrate(collected, named)
     except BadViews as refusal:
@@ -189,7 +191,8 @@ def camera_of(size: tuple[int, int]) -> CameraModel:
 def _result(name: str, done: Calibrated, camera: CameraModel, expected: bool) -> KindResult:
     solution = done.solution
     truth = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    errors, sigmas = np.array(solution.values[:4]) - truth, np.array(solution.sigmas[:4])
+    errors = np.array(solution.values[:4]) - truth
+    sigmas = np.array(solution.sigmas[:4])
     focal = np.abs(errors[:2]) / truth[:2], sigmas[:2] / truth[:2]
     return KindResult(
         name,

@@ -30,9 +30,12 @@ CONDITIONS: Mapping[str, Imaging] = {
     "realistic_video": REALISTIC_VIDEO,
     "motion": replace(IDEAL, motion_px=(4.0, 2.0)),
 }
-SETS, VIEWS = 2, 20
-QUICK_SETS, QUICK_VIEWS = 1, 13
-FOCAL_GOAL, HELD_OUT_GOAL = 0.001, 0.10
+SETS = 2
+VIEWS = 20
+QUICK_SETS = 1
+QUICK_VIEWS = 13
+FOCAL_GOAL = 0.001
+HELD_OUT_GOAL = 0.10
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,14 +108,16 @@ def run(request: TrialRequest) -> TrialResult:
 
 def calibrate_set(work: Set) -> SetResult:
     """A piece of work."""
-    board, camera = BOARDS[work.board], work.camera
+    board = BOARDS[work.board]
+    camera = work.camera
     where = list(board_poses(camera, board, Held(), work.views, work.seed))
     images = photographs(work.renderer, camera, board, where, work.seed, CONDITIONS[work.condition])
     views: list[BoardView] = []
     own: list[np.ndarray[Any, np.dtype[np.float64]]] = []
     opencv: list[np.ndarray[Any, np.dtype[np.float64]]] = []
     for T_c_o, color in zip(where, images, strict=True):
-        raw, view = find_corners(grey(color), board), find_board(grey(color), board)
+        raw = find_corners(grey(color), board)
+        view = find_board(grey(color), board)
         if raw is None or view is None:
             continue
         true = camera.project(T_c_o.apply(board.corners_o))

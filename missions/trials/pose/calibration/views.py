@@ -40,7 +40,8 @@ def board_poses(camera: CameraModel, board: Board, held: Held, count: int, seed:
     for _ in range(count):
         u, v = np.array([camera.width, camera.height]) * (0.5 + rng.uniform(-held.reach, held.reach, 2))
         x, y = camera.ray(float(u), float(v))
-        tilt, towards = math.radians(rng.uniform(*held.tilt_deg)), rng.uniform(0.0, 2.0 * math.pi)
+        tilt = math.radians(rng.uniform(*held.tilt_deg))
+        towards = rng.uniform(0.0, 2.0 * math.pi)
         tilted = exp(np.array([math.cos(towards), math.sin(towards), 0.0]) * tilt)
         R = tilted @ exp(np.array([0.0, 0.0, rng.uniform(-MOST_ROLL_RAD, MOST_ROLL_RAD)]))
         yield Pose(R, np.array([x, y, 1.0]) * rng.uniform(*held.distance_m) - R @ middle)

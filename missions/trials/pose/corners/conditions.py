@@ -30,7 +30,8 @@ CAMERAS = {
     "1280x720": CameraModel(1280, 720, 920.0, 919.0, 642.0, 358.0, LENS),
     "1920x1080": CameraModel(1920, 1080, 1380.0, 1379.0, 963.0, 537.0, LENS),
 }
-MAIN, QUICK_MAIN = "1280x720", "640x480"
+MAIN = "1280x720"
+QUICK_MAIN = "640x480"
 
 RANGE_M = (0.7, 1.5)
 MOST_INCIDENCE_RAD = math.radians(60.0)
@@ -108,7 +109,8 @@ def view(seed: int, number: int, camera: CameraModel, T_b_v: Pose) -> ShotPose:
     )
     T_w_v = T_w_b1 @ T_b_v
     right, up, out = T_w_v.R.T
-    incidence, azimuth = rng.uniform(0.0, MOST_INCIDENCE_RAD), rng.uniform(0.0, 2.0 * math.pi)
+    incidence = rng.uniform(0.0, MOST_INCIDENCE_RAD)
+    azimuth = rng.uniform(0.0, 2.0 * math.pi)
     across = math.cos(azimuth) * right + math.sin(azimuth) * up
     toward = math.cos(incidence) * out + math.sin(incidence) * across
     R_w_c = _looking(-toward, rng.uniform(-MOST_ROLL_RAD, MOST_ROLL_RAD))
@@ -123,8 +125,12 @@ def view(seed: int, number: int, camera: CameraModel, T_b_v: Pose) -> ShotPose:
 def _turned(tilt_rad: Vector, heading_rad: float) -> Matrix:
     """Attitude of a hovering body (FRD) in ENU."""
     roll, pitch = tilt_rad.tolist()
-    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    cr = math.cos(roll)
+    sr = math.sin(roll)
+    cp = math.cos(pitch)
+    sp = math.sin(pitch)
+    c = math.cos(heading_rad)
+    s = math.sin(heading_rad)
     level = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
     pitched = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
     return level @ pitched @ np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])

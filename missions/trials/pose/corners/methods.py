@@ -61,7 +61,8 @@ def _by_opencv(method: str, image: NDArray[np.uint8], region: Region, layout: Ma
     area = region.clipped(image.shape[1], image.shape[0])
     if area is None:
         return None
-    u0, v0 = int(area.x0), int(area.y0)
+    u0 = int(area.x0)
+    v0 = int(area.y0)
     cut = cv2.cvtColor(image[v0 : math.ceil(area.y1), u0 : math.ceil(area.x1)], cv2.COLOR_BGR2GRAY)
     large = cv2.resize(cut, None, fx=ENLARGED, fy=ENLARGED, interpolation=cv2.INTER_CUBIC)
     corners, ids, _ = _detector(layout.dictionary, OPENCV[method]).detectMarkers(large)

@@ -79,7 +79,8 @@ def score(samples: Sequence[CornerShot], method: str, seed: int) -> Score | None
     calibration = interval = None
     if all(covariance is not None for covariance in covariances):
         honest = np.array([whitened(e, c) for e, c in zip(errors, covariances, strict=True) if c is not None])
-        calibration, interval = float(honest.mean()), _between(honest[picks].mean(axis=1))
+        calibration = float(honest.mean())
+        interval = _between(honest[picks].mean(axis=1))
     low, high = _between(squares[picks].mean(axis=1))
     return Score(
         len(samples),

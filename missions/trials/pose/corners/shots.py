@@ -17,8 +17,11 @@ from path.observations import Region
 
 AROUND = 0.6  # of the marker's extent: how far the predicted region reaches beyond it, each way
 OFF = 0.1  # of the extent: how wrong the prediction is
-OFF_M, OFF_RAD = 0.0015, 0.005  # per axis, an expected pose: what the motion between two frames leaves unknown
-REGION_STREAM, EXPECTED_STREAM = 2, 3
+# per axis, an expected pose: what the motion between two frames leaves unknown
+OFF_M = 0.0015
+OFF_RAD = 0.005
+REGION_STREAM = 2
+EXPECTED_STREAM = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +58,8 @@ class CornerShot:
 
 def shoot(shooting: CornerSeries) -> list[CornerShot]:
     """A piece of work. Views and noise of the sensor are the same in every condition."""
-    camera, condition = CAMERAS[shooting.camera], CONDITIONS[shooting.condition]
+    camera = CAMERAS[shooting.camera]
+    condition = CONDITIONS[shooting.condition]
     here = Pose(np.eye(3), np.zeros(3))
     setup = RendererSetup(camera, here, shooting.T_b_v, LAYOUT, condition.imaging, condition.printing)
     renderer = shooting.renderer(setup, shooting.seed)
@@ -74,7 +78,8 @@ def shoot(shooting: CornerSeries) -> list[CornerShot]:
 
 def _predicted(true_px: Matrix, rng: np.random.Generator) -> Region:
     """Returns the region in which flight would look for the marker."""
-    low, high = true_px.min(axis=0), true_px.max(axis=0)
+    low = true_px.min(axis=0)
+    high = true_px.max(axis=0)
     extent = float((high - low).max())
     low, high = (end + rng.uniform(-OFF, OFF, 2) * extent for end in (low - AROUND * extent, high + AROUND * extent))
     return Region(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
@@ -89,6 +94,7 @@ def _expected(T_c_v: Pose, seed: int, number: int) -> Pose:
 def _pictured(sample: CornerShot, image: NDArray[np.uint8]) -> CornerShot:
     u, v = sample.true_px.mean(axis=0)
     reach = 0.75 * float(np.ptp(sample.true_px, axis=0).max())
-    u0, v0 = max(round(u - reach), 0), max(round(v - reach), 0)
+    u0 = max(round(u - reach), 0)
+    v0 = max(round(v - reach), 0)
     cut = image[v0 : round(v + reach) + 1, u0 : round(u + reach) + 1].copy()
     return CornerShot(sample.camera, sample.condition, sample.view, sample.true_px, sample.found, cut, (u0, v0))

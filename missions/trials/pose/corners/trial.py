@@ -29,9 +29,11 @@ TITLE = "Corners of a 40 mm marker: five methods, on cameras and prints as they 
 PAPER = "Experimental Setup (corner detection is not evaluated there)"
 NEEDS = ("renderer",)
 
-VIEWS, QUICK_VIEWS = 20, 3
+VIEWS = 20
+QUICK_VIEWS = 3
 VIEWS_A_PIECE = 10
-ERRORS, STRIP = "corners_error.png", "corners_examples.png"
+ERRORS = "corners_error.png"
+STRIP = "corners_examples.png"
 NEEDED_PX = 0.05
 """Good enough for a mean of 8 mm of D2 and target at 720p, by simulation with every systematic error."""
 REALISTIC = ("realistic", "realistic_video", "webcam")
@@ -71,7 +73,8 @@ def run(request: TrialRequest) -> TrialResult:
 
 def _shots(request: TrialRequest, cameras: Sequence[str]) -> list[CornerShot]:
     views = range(QUICK_VIEWS if request.quick else VIEWS)
-    renderer, T_b_v = request.part("renderer"), request.rig.sender.mount.T_b_v
+    renderer = request.part("renderer")
+    T_b_v = request.rig.sender.mount.T_b_v
     pieces = [
         CornerSeries(
             renderer, T_b_v, camera, condition, request.seed, tuple(views[first : first + VIEWS_A_PIECE]), shown=0

@@ -30,7 +30,8 @@ from path.sensitivity import (
 TITLE = "Sensitivity: what 5 mm of depth, 4.3 mm and 1.83° of the marker's pose do to D2's prior"
 PAPER = "Sensor Sensitivity"
 
-DIRECTIONS, QUICK_DIRECTIONS = 500_000, 20_000
+DIRECTIONS = 500_000
+QUICK_DIRECTIONS = 20_000
 DEPTHS_M = tuple(round(0.6 + 0.05 * k, 2) for k in range(19))
 NOMINAL_DEPTH_M = 1.0
 LAWS = {"constant": 0.0, "linear": 1.0, "power_1.5": 1.5, "quadratic": 2.0}  # power of the depth, 5 mm at 1 m
@@ -54,14 +55,16 @@ class AtDepth:
 
     def terms(self, law: str) -> Terms:
         """Returns the terms with the depth term of a law of the depth's error."""
-        camera, T_c2_v = nominal_camera(), nominal_pose()
+        camera = nominal_camera()
+        T_c2_v = nominal_pose()
         squares = depth_error2(camera, T_c2_v, on_axis(self.depth_m), depth_error_m(law, self.depth_m))
         return Terms(math.sqrt(float(np.mean(squares))), self.translation, self.rotation)
 
     def interval(self, law: str | None = None) -> tuple[float, float]:
         """95 %, of the pose term or of what it makes of the combined one."""
         depth = 0.0 if law is None else self.terms(law).depth
-        pose, reach = math.hypot(self.translation, self.rotation), Z95 * self.pose_error
+        pose = math.hypot(self.translation, self.rotation)
+        reach = Z95 * self.pose_error
         return math.hypot(depth, pose - reach), math.hypot(depth, pose + reach)
 
 
@@ -72,7 +75,10 @@ def depth_error_m(law: str, depth_m: float) -> float:
 def at_depth(asked: tuple[float, int, int]) -> AtDepth:
     """The pose terms at (depth in m, number of directions, seed): the same directions at every depth."""
     depth_m, count, seed = asked
-    camera, T_c2_v, errors, point = nominal_camera(), nominal_pose(), ReferenceErrors(), on_axis(depth_m)
+    camera = nominal_camera()
+    T_c2_v = nominal_pose()
+    errors = ReferenceErrors()
+    point = on_axis(depth_m)
     toward = directions(count, np.random.default_rng([seed, 1]))
     moved = translation_error2(camera, T_c2_v, point, errors.translation_m, toward)
     turned = rotation_error2(camera, T_c2_v, point, errors.rotation_rad, toward)
@@ -88,7 +94,8 @@ def run(request: TrialRequest) -> TrialResult:
     depths = request.work.map("depths", at_depth, asked)
     nominal = next(depth for depth in depths if depth.depth_m == NOMINAL_DEPTH_M)
     terms = nominal.terms("constant")
-    camera, T_c2_v = nominal_camera(), nominal_pose()
+    camera = nominal_camera()
+    T_c2_v = nominal_pose()
     pixel = project(camera, T_c2_v, on_axis(NOMINAL_DEPTH_M))
     marker = project(camera, T_c2_v, np.zeros(3))
     diagonal = 100.0 * terms.combined / math.hypot(camera.width, camera.height)
@@ -118,7 +125,8 @@ def run(request: TrialRequest) -> TrialResult:
 
 
 def _nominal_findings(nominal: AtDepth, pixel: np.ndarray, diagonal: float) -> tuple[TrialFinding, ...]:
-    terms, tolerance = nominal.terms("constant"), TOLERANCE_PX
+    terms = nominal.terms("constant")
+    tolerance = TOLERANCE_PX
 
     def near(ours: float, paper: float, by: float) -> bool:
         return abs(ours - paper) <= by
@@ -140,7 +148,8 @@ def _nominal_findings(nominal: AtDepth, pixel: np.ndarray, diagonal: float) -> t
 
 
 def _range_findings(depths: list[AtDepth]) -> tuple[TrialFinding, ...]:
-    low, high = depths[0], depths[-1]
+    low = depths[0]
+    high = depths[-1]
     findings: list[TrialFinding] = []
     for law, title in LAW_TITLES.items():
         ends = low.terms(law).combined, high.terms(law).combined
@@ -196,7 +205,8 @@ def _linear_summary() -> dict[str, float]:
 def _linear_table(depths: list[AtDepth]) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for depth in (depths[0], next(d for d in depths if d.depth_m == NOMINAL_DEPTH_M), depths[-1]):
-        tried, linear = depth.terms("constant"), _linear(depth.depth_m)
+        tried = depth.terms("constant")
+        linear = _linear(depth.depth_m)
         pairs = (
             (tried.depth, linear.depth),
             (tried.translation, linear.translation),

@@ -42,7 +42,8 @@ CORNERS: dict[Method, str] = {
 SETTINGS = PoseSettings()  # as in flight
 NEVER_REFUSES = replace(SETTINGS, max_incidence_rad=math.pi, max_sigma_m=math.inf, max_ambiguity=1.0)
 FLIPPED_RAD = math.radians(10.0)
-SESSION_STREAM, FRAME_STREAM = 2, 3
+SESSION_STREAM = 2
+FRAME_STREAM = 3
 
 Error = Literal["side", "optics", "mount", "bias", "noise", "depth", "narrow"]
 ALL: tuple[Error, ...] = ("side", "optics", "mount", "bias", "noise", "depth")
@@ -151,8 +152,10 @@ def measure(judging: Judging) -> Results:
 
 def judge(sighting: StaticMeasurement, mounts: Mounts, method: Method, errors: MethodErrors) -> MethodResult:
     """One method on one sighting, told what its session believes."""
-    truth, found = sighting.T_c2_v, sighting.markers[CORNERS[method]]
-    sent_v, true_v = sent_point(sighting, errors), _true_point(sighting, mounts)
+    truth = sighting.T_c2_v
+    found = sighting.markers[CORNERS[method]]
+    sent_v = sent_point(sighting, errors)
+    true_v = _true_point(sighting, mounts)
     sent_m = math.nan if sent_v is None or true_v is None else float(np.linalg.norm(sent_v - true_v))
     refused = MethodResult(math.nan, math.nan, math.nan, sent_m, math.nan)
     if found is None:

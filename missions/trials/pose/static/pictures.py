@@ -34,9 +34,11 @@ def draw_configurations(mounts: Mounts, path: Path) -> None:
     """Seen from above and from the side."""
     figure = sheet(11.0, 5.6)
     grid = figure.add_gridspec(1, 2, width_ratios=(1.25, 1.0))
-    above, side = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
+    above = figure.add_subplot(grid[0, 0])
+    side = figure.add_subplot(grid[0, 1])
     D1, _, _ = nominal(CONFIGURATIONS[0], mounts)
-    marker_w, camera_w = (D1 @ mounts.T_b_v).t, (D1 @ mounts.T_b_c1).t
+    marker_w = (D1 @ mounts.T_b_v).t
+    camera_w = (D1 @ mounts.T_b_c1).t
     for axes, up in ((above, 1), (side, 2)):
         axes.plot([marker_w[0], camera_w[0]], [marker_w[up], camera_w[up]], color=ROLE[Role.SENDER], lw=5, zorder=3)
         axes.plot(marker_w[0], marker_w[up], "s", ms=7, color=NEEDED, zorder=4)
@@ -51,8 +53,10 @@ def draw_configurations(mounts: Mounts, path: Path) -> None:
         _, D2, _ = nominal(c, mounts)
         T_w_c = D2 @ mounts.T_b_c2
         for axes, up in ((above, 1), (side, 2)):
-            x, y = float(T_w_c.t[0]), float(T_w_c.t[up])
-            dx, dy = 0.22 * T_w_c.R[0, 2], 0.22 * T_w_c.R[up, 2]
+            x = float(T_w_c.t[0])
+            y = float(T_w_c.t[up])
+            dx = 0.22 * T_w_c.R[0, 2]
+            dy = 0.22 * T_w_c.R[up, 2]
             axes.plot([x, marker_w[0]], [y, marker_w[up]], color=colour, lw=0.6, alpha=0.5)
             axes.annotate("", (x + dx, y + dy), (x, y), arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.6})
             axes.plot(x, y, "o", ms=6, color=colour)
@@ -117,7 +121,8 @@ def draw_view(
     uu, uv, vv = prior.covariance_px2
     spread, axes_of = np.linalg.eigh(np.array([[uu, uv], [uv, vv]]))
     turn = math.degrees(math.atan2(axes_of[1, 1], axes_of[0, 1]))
-    width, height = 2.0 * SIGMAS * math.sqrt(spread[1]), 2.0 * SIGMAS * math.sqrt(spread[0])
+    width = 2.0 * SIGMAS * math.sqrt(spread[1])
+    height = 2.0 * SIGMAS * math.sqrt(spread[0])
     axes.add_patch(Ellipse(prior.pixel, width, height, angle=turn, fill=False, color=PRIOR, lw=1.4))
     region = prior.region
     sides = region.x1 - region.x0, region.y1 - region.y0

@@ -20,7 +20,8 @@ from missions.trials.shared.trial import TrialFinding, TrialTable, verdict
 Array = NDArray[np.float64]
 Statistic = Callable[[Array], Array]
 
-GOAL_MEAN_M, GOAL_P95_M = 0.008, 0.015
+GOAL_MEAN_M = 0.008
+GOAL_P95_M = 0.015
 DEFAULT: Method = "gravity_photometric"
 METHOD_TITLES: dict[Method, str] = {
     "ippe": "first IPPE solution, SUBPIX corners",
@@ -91,7 +92,9 @@ class Figures:
 
 def figures_of(results: Results, seed: int) -> Figures:
     """The unit of the intervals is the session: its measurements share print, calibration, mounting and biases."""
-    d2, target, turned = results.d2_m[:, SEVEN], results.target_m[:, SEVEN], results.rotation_rad[:, SEVEN]
+    d2 = results.d2_m[:, SEVEN]
+    target = results.target_m[:, SEVEN]
+    turned = results.rotation_rad[:, SEVEN]
     wanted: tuple[tuple[Array, dict[str, Statistic]], ...] = (
         (d2, {"d2_mean_m": mean, "d2_median_m": median, "d2_p95_m": p95}),
         (d2[:, SAME], {"d2_same_m": mean}),
@@ -164,7 +167,8 @@ def findings(
     alone: Sequence[tuple[str, Results]],
 ) -> tuple[TrialFinding, ...]:
     """The paper's numbers, and the goals, beside ours; ``alone``: the errors of the table one by one, with a title."""
-    own, raw = figures[HEADLINE][DEFAULT], figures[HEADLINE]["ippe"]
+    own = figures[HEADLINE][DEFAULT]
+    raw = figures[HEADLINE]["ippe"]
     parts = sorted(((float(mean(each.target_m[:, SEVEN].ravel())), title) for title, each in alone), reverse=True)
     target = "mean error with " + ", ".join(f"{title} {_mm(size)}" for size, title in parts) + " mm"
     worst = f"seen along its normal from 1.5 m, which is none of the seven: p95 {_mm(square_p95_m)} mm"

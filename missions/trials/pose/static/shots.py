@@ -113,9 +113,11 @@ def shot_seed(shooting: StaticSeries, session: int) -> int:
 
 
 def _sighting(shooting: StaticSeries, renderers: dict[Role, FrameRenderer], session: int) -> StaticMeasurement:
-    stage, mounts = stage_in(shooting, session), shooting.mounts
+    stage = stage_in(shooting, session)
+    mounts = shooting.mounts
     shots = {role: renderer.shoot(stage, role, shot_seed(shooting, session)) for role, renderer in renderers.items()}
-    T_w_b1, T_w_b2 = stage.T_w_b[Role.SENDER], stage.T_w_b[Role.RECEIVER]
+    T_w_b1 = stage.T_w_b[Role.SENDER]
+    T_w_b2 = stage.T_w_b[Role.RECEIVER]
     return StaticMeasurement(
         shooting.configuration,
         session,

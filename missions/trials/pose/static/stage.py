@@ -21,11 +21,16 @@ from path.messages import Role
 
 CAMERA = CameraModel(1280, 720, 920.0, 919.0, 642.0, 358.0, (0.06, -0.12, 0.001, -0.0008, 0.0))
 """Of both drones, as it truly is: colour of a D415 at 720p."""
-SIDE_M, SIDE_SIGMA_M = 0.040, 0.0001  # as the rigs state it
+# as the rigs state it
+SIDE_M = 0.040
+SIDE_SIGMA_M = 0.0001
 
 HEIGHT_M = 0.9  # of D1: its target is about a metre from its camera, the paper's nominal depth
 PLACES_M = ((1.05, 0.0), (0.9, 0.3), (1.25, -0.3))  # of the target: ahead of D1, to its left
-HOVER_M, HOVER_RAD, HOVER_YAW_RAD = 0.02, math.radians(1.5), math.radians(2.0)  # standard deviations per axis
+# standard deviations per axis
+HOVER_M = 0.02
+HOVER_RAD = math.radians(1.5)
+HOVER_YAW_RAD = math.radians(2.0)
 R_W_N = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # ENU from NED
 
 
@@ -100,7 +105,8 @@ def nominal(configuration: Configuration, mounts: Mounts) -> tuple[Pose, Pose, f
     """``T_w_b`` of D1 and of D2 without hover motion, and D2's heading relative to D1's, rad counter-clockwise."""
     D1 = Pose(attitude(0.0, 0.0, 0.0), np.array([0.0, 0.0, HEIGHT_M]))
     marker_w = (D1 @ mounts.T_b_v).t
-    azimuth, elevation = math.radians(configuration.azimuth_deg), math.radians(configuration.elevation_deg)
+    azimuth = math.radians(configuration.azimuth_deg)
+    elevation = math.radians(configuration.elevation_deg)
     level = math.cos(elevation)
     toward = np.array([-level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
     camera_w = marker_w + configuration.range_m * toward

@@ -145,7 +145,8 @@ def _judge(
 ) -> tuple[dict[str, dict[Method, Results]], list[tuple[str, str, Results]]]:
     """Every method on every pipeline's sightings, and the default method under each error alone."""
     names: list[tuple[str, Method]] = [(name, method) for name in sightings for method in METHODS]
-    count, table = 1 + max(each.session for shots in sightings.values() for each in shots), _table(request)
+    count = 1 + max(each.session for shots in sightings.values() for each in shots)
+    table = _table(request)
     drawn = [table.session(session_seed(request.seed, session)) for session in range(count)]
     items = [Judging(sightings[name], mounts, drawn, request.seed, method) for name, method in names]
     items += [Judging(sightings[HEADLINE], mounts, drawn, request.seed, DEFAULT, on) for _, _, on in BREAKDOWN]
@@ -267,7 +268,8 @@ def _draw_view(request: TrialRequest, mounts: Mounts) -> bool:
     (sighting,) = shoot(shooting)
     drawn = _table(request).session(session_seed(request.seed, 0))
     errors = errors_of(drawn, mounts, (request.seed, SHOWN, 0), ALL)
-    found, point_v = sighting.markers["photometric"], sent_point(sighting, errors)
+    found = sighting.markers["photometric"]
+    point_v = sent_point(sighting, errors)
     if found is None or point_v is None or sighting.target is None:
         return False
     pose = estimated(sighting, DEFAULT, errors, found)
