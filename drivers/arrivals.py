@@ -1,4 +1,6 @@
-"""How often something comes, and how regularly: counted where it arrives, read by the event loop."""
+"""How often something comes, and how regularly: counted where it arrives, read by the event
+loop.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ class Arrivals:
 
 
 def too_slow(streams: Mapping[str, Arrivals], now_ns: int, oldest_s: float) -> str:
-    """Return which streams come too seldom for a flight that ends when one is older than ``oldest_s``; else empty."""
+    """Return which streams come too seldom for a flight that ends when one is older than
+    ``oldest_s``; else empty.
+    """
     needed_hz = LEAST_IN_AGE / oldest_s
     slow: list[str] = []
     for name, arrivals in streams.items():
@@ -44,4 +48,6 @@ def too_slow(streams: Mapping[str, Arrivals], now_ns: int, oldest_s: float) -> s
             slow.append(f"{name} {rate_hz:.1f} times a second, up to {longest_s:.2f} s apart")
     if not slow:
         return ""
-    return f"{'; '.join(slow)}: this flight needs {needed_hz:.1f} a second, never {oldest_s:g} s apart"
+    return (
+        f"{'; '.join(slow)}: this flight needs {needed_hz:.1f} a second, never {oldest_s:g} s apart"
+    )

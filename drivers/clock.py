@@ -15,7 +15,9 @@ class SystemClockConfig:
 
 
 class SystemClock:
-    """CLOCK_MONOTONIC: the same for all processes of one computer, and unrelated to the other drone's."""
+    """CLOCK_MONOTONIC: the same for all processes of one computer, and unrelated to the other
+    drone's.
+    """
 
     Config = SystemClockConfig
 
@@ -46,10 +48,14 @@ def wall_offset_ns(now_ns: Callable[[], int]) -> int:
 
 
 def stopwatch_ns() -> int:
-    """Returns the time of the finest clock there is, from an arbitrary zero, for measuring how long something takes."""
+    """Returns the time of the finest clock there is, from an arbitrary zero, for measuring how long
+    something takes.
+    """
     return time.perf_counter_ns()
 
 
 def busy_ns() -> int:
-    """Returns how long this thread has run on a core, from an arbitrary zero: other programs' turns are not in it."""
+    """Returns how long this thread has run on a core, from an arbitrary zero: other programs' turns
+    are not in it.
+    """
     return time.thread_time_ns()

@@ -9,7 +9,8 @@ from contextlib import contextmanager
 
 @contextmanager
 def collector_off() -> Generator[None]:
-    """While modules are imported, logs are read, or time is virtual: all that was made would be walked for nothing.
+    """While modules are imported, logs are read, or time is virtual: all that was made would be
+    walked for nothing.
 
     Not while something flies in real time: what lives in cycles stays until it is on again.
     """

@@ -1,7 +1,9 @@
-"""A share of one core for chosen processes, held to by the kernel: a control group of our own, of version 1 or 2.
+"""A share of one core for chosen processes, held to by the kernel: a control group of our own, of
+version 1 or 2.
 
-The kernel lets the group run for ``share`` of every period and then stops all of it until the next: on the whole a
-slower core, and short periods make it one for a frame too. What such a process starts is in its group as well.
+The kernel lets the group run for ``share`` of every period and then stops all of it until the next:
+on the whole a slower core, and short periods make it one for a frame too. What such a process
+starts is in its group as well.
 """
 
 from __future__ import annotations
@@ -36,7 +38,9 @@ class Hierarchy:
 
 
 def hierarchies(proc: Path = Path("/proc/self")) -> Iterator[Hierarchy]:
-    """Yields those that this process is in: first version 1, which then has the controller, and then version 2."""
+    """Yields those that this process is in: first version 1, which then has the controller, and
+    then version 2.
+    """
     own = [line.split(":", 2) for line in (proc / "cgroup").read_text("utf-8").splitlines()]
     mounts = [line.split() for line in (proc / "mountinfo").read_text("utf-8").splitlines()]
     for _, controllers, path in own:
@@ -49,7 +53,11 @@ def hierarchies(proc: Path = Path("/proc/self")) -> Iterator[Hierarchy]:
             for root, point, kind, _ in map(_mount, mounts):
                 if kind == "cgroup2":
                     here = _below(point, root, path)
-                    above = [folder for folder in here.parents if folder == point or point in folder.parents]
+                    above = [
+                        folder
+                        for folder in here.parents
+                        if folder == point or point in folder.parents
+                    ]
                     yield Hierarchy(2, (here, *above))
 
 
@@ -66,15 +74,19 @@ def _below(point: Path, root: str, path: str) -> Path:
 
 
 class CpuShare:
-    """A group of processes that get ``share`` of one core together. Entering it makes it, leaving it removes it.
+    """A group of processes that get ``share`` of one core together. Entering it makes it, leaving
+    it removes it.
 
-    The group is named after this process. Groups of programs that were killed before they could remove theirs go when
-    the next one is made.
+    The group is named after this process. Groups of programs that were killed before they could
+    remove theirs go when the next one is made.
     """
 
     def __init__(self, name: str, share: float, found: Sequence[Hierarchy] | None = None) -> None:
         if not LEAST <= share <= 1.0:
-            raise PartError(f"a share of {share:g} of a core is not within {LEAST:g}..1", "0.2 is a fifth of one core")
+            raise PartError(
+                f"a share of {share:g} of a core is not within {LEAST:g}..1",
+                "0.2 is a fifth of one core",
+            )
         self._name = f"{PREFIX}-{os.getpid()}-{_began(os.getpid())}-{name}"
         self._period_us = max(PERIOD_US, round(SHORTEST_US / share))
         self._quota_us = max(SHORTEST_US, round(share * self._period_us))
@@ -95,7 +107,10 @@ class CpuShare:
                     reasons.append(f"{error.filename or parent}: {error.strerror or error}")
                 else:
                     return self
-        raise PartError(f"a share of a core needs a control group: {'; '.join(reasons) or 'none is mounted'}", _WAY_OUT)
+        raise PartError(
+            f"a share of a core needs a control group: {'; '.join(reasons) or 'none is mounted'}",
+            _WAY_OUT,
+        )
 
     def __exit__(self, *_: object) -> None:
         """Removes the group; its processes have ended by then, or are let out."""
@@ -120,13 +135,17 @@ class CpuShare:
         self._version = version
 
     def add(self, pid: int) -> None:
-        """Puts a process with all its threads into the group; one that has ended already is left alone."""
+        """Puts a process with all its threads into the group; one that has ended already is left
+        alone.
+        """
         assert self.folder is not None
         with suppress(ProcessLookupError):
             (self.folder / "cgroup.procs").write_text(str(pid))
 
     def stopped_s(self) -> float:
-        """Returns how long the group had work to do and was stopped because its share was used up."""
+        """Returns how long the group had work to do and was stopped because its share was used
+        up.
+        """
         assert self.folder is not None
         key, scale = ("throttled_time", 1e-9) if self._version == 1 else ("throttled_usec", 1e-6)
         for line in (self.folder / "cpu.stat").read_text("utf-8").splitlines():
@@ -148,7 +167,9 @@ def _let_limit(parent: Path, version: int) -> None:
 
 
 def remove_leftovers(parent: Path) -> None:
-    """Removes the groups of ours whose makers are gone. What still runs in one is let out of it: it has to end."""
+    """Removes the groups of ours whose makers are gone. What still runs in one is let out of it: it
+    has to end.
+    """
     for folder in parent.glob(f"{PREFIX}-*"):
         pid, began = folder.name.removeprefix(f"{PREFIX}-").split("-")[:2]
         if folder.stat().st_uid == os.geteuid() and _began(int(pid)) != began:
@@ -162,14 +183,17 @@ def _remove(folder: Path) -> None:
     except OSError:
         left = []
     for pid in left:
-        with suppress(OSError):  # it ended just now, or it may not: then the folder stays, and the next run tries again
+        # it ended just now, or it may not: then the folder stays, and the next run tries again
+        with suppress(OSError):
             (folder.parent / "cgroup.procs").write_text(pid)
     with suppress(OSError):
         folder.rmdir()
 
 
 def _began(pid: int) -> str:
-    """The instant a process began, in the kernel's ticks: with its number its name for good. "" when it is gone."""
+    """The instant a process began, in the kernel's ticks: with its number its name for good. ""
+    when it is gone.
+    """
     try:
         return Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()[19]
     except (OSError, IndexError):

@@ -1,7 +1,7 @@
 """The Protocols every part is behind. Missions and flight code know only these.
 
-Every part is an async context manager: entering it opens and checks the real thing with a bounded wait, leaving
-it is bounded in time and leaves no process, port or thread behind.
+Every part is an async context manager: entering it opens and checks the real thing with a bounded
+wait, leaving it is bounded in time and leaves no process, port or thread behind.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ from path.values import value
 
 
 class PartError(Exception):
-    """A part of the rig cannot do what was asked. ``remedy`` is the next step for the person reading it."""
+    """A part of the rig cannot do what was asked. ``remedy`` is the next step for the person
+    reading it.
+    """
 
     def __init__(self, message: str, remedy: str = "") -> None:
         super().__init__(message)
@@ -50,7 +52,9 @@ class LinkError(PartError):
 
 
 class BeaconError(PartError):
-    """The beacons give no positions, or their records are none. ``final``: reading again is of no use."""
+    """The beacons give no positions, or their records are none. ``final``: reading again is of no
+    use.
+    """
 
     def __init__(self, message: str, remedy: str = "", *, final: bool = False) -> None:
         super().__init__(message, remedy)
@@ -67,12 +71,17 @@ class Part(Protocol):
     async def __aenter__(self) -> Self: ...
 
     async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+        /,
     ) -> None: ...
 
 
 class Capability(Enum):
-    """An ability that a mission may need of a part. A part that lacks some says so in ``lacks``, a set of these.
+    """An ability that a mission may need of a part. A part that lacks some says so in ``lacks``, a
+    set of these.
 
     Attributes:
         GEOFENCE: the vehicle keeps a fence of its own.
@@ -103,7 +112,8 @@ class Kept:
     """The record that a role had written down before it was started again.
 
     Attributes:
-        same_clock: the record's instants are of the clock that runs now; after a reboot they are not.
+        same_clock: the record's instants are of the clock that runs now; after a reboot they are
+            not.
     """
 
     record: SenderRecord | ReceiverRecord
@@ -125,12 +135,13 @@ class RecordStore(Protocol):
         ...
 
     def begin_save(self, record: SenderRecord | ReceiverRecord) -> Future[None]:
-        """``save`` that does not wait for the disk: done, or failed with StateError, when ``save`` would have returned.
-        The next one may begin only then."""
+        """``save`` that does not wait for the disk: done, or failed with StateError, when ``save``
+        would have returned. The next one may begin only then."""
         ...
 
 
-# --- vehicle ---------------------------------------------------------------------------------------------------
+# --- vehicle
+# ---------------------------------------------------------------------------------------------------
 
 
 class FlightMode(Enum):
@@ -158,7 +169,8 @@ class Below:
     sigma_m: float | None = None
 
 
-SURE = 2  # messages in a row: then a mode, or that a vehicle is not armed, is more than one packet's word
+# messages in a row: then a mode, or that a vehicle is not armed, is more than one packet's word
+SURE = 2
 
 
 @value
@@ -172,12 +184,16 @@ class VehicleState:
         q_n_b: attitude wxyz, body FRD to NED.
         heartbeat_ns: arrival of the newest heartbeat, role clock.
         battery: 0..1, the newest that was told; NaN before the first.
-        battery_ns: when it was told, role clock; before the first, when the vehicle was first heard. None: with every
-            state.
-        position_sigma_m: horizontal standard deviation per axis, where the driver itself has to reckon the position.
-        mode_told, armed_told: how many messages in a row have said this mode, and whether it is armed.
-        resets: the autopilot's own count of the steps of its estimate; None where it does not tell one.
-        below: what a rangefinder that looks down says; None where there is none, or it says nothing at present.
+        battery_ns: when it was told, role clock; before the first, when the vehicle was first
+            heard. None: with every state.
+        position_sigma_m: horizontal standard deviation per axis, where the driver itself has to
+            reckon the position.
+        mode_told, armed_told: how many messages in a row have said this mode, and whether it is
+            armed.
+        resets: the autopilot's own count of the steps of its estimate; None where it does not tell
+            one.
+        below: what a rangefinder that looks down says; None where there is none, or it says nothing
+            at present.
     """
 
     stamp_ns: int
@@ -209,15 +225,17 @@ class VelocitySetpoint:
 class Vehicle(Part, Protocol):
     """A drone that can be flown by velocity setpoints.
 
-    No method retries a motion command. Every wait is bounded and ends in VehicleError. ``state`` never blocks;
-    how old it is, is the caller's business (``VehicleState.stamp_ns``).
+    No method retries a motion command. Every wait is bounded and ends in VehicleError. ``state``
+    never blocks; how old it is, is the caller's business (``VehicleState.stamp_ns``).
     """
 
     @property
     def state(self) -> VehicleState: ...
 
     def attitude_at(self, stamp_ns: int) -> tuple[float, float, float, float]:
-        """Attitude ``q_n_b`` (wxyz) at a role-clock stamp, interpolated; the nearest one when out of range."""
+        """Attitude ``q_n_b`` (wxyz) at a role-clock stamp, interpolated; the nearest one when out
+        of range.
+        """
         ...
 
     async def wait_armable(self, timeout_s: float) -> None: ...
@@ -253,7 +271,8 @@ class Wary(Protocol):
         ...
 
 
-# --- camera ----------------------------------------------------------------------------------------------------
+# --- camera
+# ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,7 +282,8 @@ class Frame:
     Attributes:
         stamp_ns: mid-exposure, role clock.
         color: (h, w, 3) uint8 BGR, distorted as the lens gives it.
-        depth_mm: (h, w) uint16, z along the optical axis in millimetres, 0 = no measurement; None without depth.
+        depth_mm: (h, w) uint16, z along the optical axis in millimetres, 0 = no measurement; None
+            without depth.
     """
 
     stamp_ns: int
@@ -273,16 +293,23 @@ class Frame:
 
     @property
     def sizes(self) -> Mapping[str, tuple[int, int]]:
-        """Width and height of each stream that there is; to ask for them is not to look at pixels."""
+        """Width and height of each stream that there is; to ask for them is not to look at
+        pixels.
+        """
         streams = {"colour": self.color, "depth": self.depth_mm}
-        return {kind: (image.shape[1], image.shape[0]) for kind, image in streams.items() if image is not None}
+        return {
+            kind: (image.shape[1], image.shape[0])
+            for kind, image in streams.items()
+            if image is not None
+        }
 
 
 class Camera(Part, Protocol):
-    """A calibrated camera. ``read`` gives the newest frame not yet given, waiting at most ``timeout_s``.
+    """A calibrated camera. ``read`` gives the newest frame not yet given, waiting at most
+    ``timeout_s``.
 
-    One that knows its serial number once it is open says so in an attribute ``serial``, and is then held against the
-    calibration's.
+    One that knows its serial number once it is open says so in an attribute ``serial``, and is then
+    held against the calibration's.
     """
 
     @property
@@ -306,15 +333,20 @@ class View(Protocol):
         """Target-like objects whose box centre is in ``region`` (None: whole image)."""
         ...
 
-    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
+    def markers(
+        self, region: Region | None, expected: Pose | None = None
+    ) -> Sequence[MarkerDetection]:
         """Markers of the layout in ``region`` (None: whole image), with corner covariance.
 
-        ``expected`` is ``T_c_v`` as far as it is known, where it is known well: a help to find them sooner.
+        ``expected`` is ``T_c_v`` as far as it is known, where it is known well: a help to find them
+        sooner.
         """
         ...
 
     def depth(self, box: Box) -> Depth | None:
-        """Robust depth over a box; None when there is none to be trusted (a hole, outside limits)."""
+        """Robust depth over a box; None when there is none to be trusted (a hole, outside
+        limits).
+        """
         ...
 
     def image(self) -> NDArray[np.uint8] | None:
@@ -324,7 +356,9 @@ class View(Protocol):
 
 @runtime_checkable
 class Framed(Protocol):
-    """A view that has its frame, as the camera gave it; where there are no pixels a view is none."""
+    """A view that has its frame, as the camera gave it; where there are no pixels a view is
+    none.
+    """
 
     @property
     def frame(self) -> Frame: ...
@@ -344,14 +378,16 @@ class Perception(Part, Protocol):
 class Detector(Protocol):
     """Finds target-like objects in an image, from its pixels alone.
 
-    One with an attribute ``whole_image`` that is true is shown every image once, as it is; other ones may be shown an
-    image from which depth has cut what is nearer or farther than what is looked for.
+    One with an attribute ``whole_image`` that is true is shown every image once, as it is; other
+    ones may be shown an image from which depth has cut what is nearer or farther than what is
+    looked for.
     """
 
     def detect(self, image: NDArray[np.uint8], region: Region | None) -> Sequence[Detection]: ...
 
 
-# --- link ------------------------------------------------------------------------------------------------------
+# --- link
+# ------------------------------------------------------------------------------------------------------
 
 
 @value
@@ -362,7 +398,9 @@ class Received:
 
 @dataclass(slots=True)
 class LinkCounters:
-    """Counted at the socket. ``bytes_*`` include UDP/IP headers (28 B a packet) where there are any."""
+    """Counted at the socket. ``bytes_*`` include UDP/IP headers (28 B a packet) where there are
+    any.
+    """
 
     packets_sent: int = 0
     packets_received: int = 0
@@ -372,7 +410,9 @@ class LinkCounters:
 
 
 class Link(Part, Protocol):
-    """Carries messages to and from the other drone. May lose, delay, duplicate and reorder; never raises on input."""
+    """Carries messages to and from the other drone. May lose, delay, duplicate and reorder; never
+    raises on input.
+    """
 
     @property
     def counters(self) -> LinkCounters: ...
@@ -382,7 +422,8 @@ class Link(Part, Protocol):
     async def receive(self) -> Received: ...
 
 
-# --- beacons ---------------------------------------------------------------------------------------------------
+# --- beacons
+# ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -392,10 +433,11 @@ class BeaconFix:
     Attributes:
         stamp_ns: its instant, by the beacon system's clock.
         address: of the beacon.
-        position_m: in the beacon system's frame: z up, turned about the vertical and shifted against any other.
+        position_m: in the beacon system's frame: z up, turned about the vertical and shifted
+            against any other.
         quality: 0..100, as the system rates it; NaN when it does not.
-        host_ns: the same instant by the clock of the computer that listens; None in records that do not have it. It
-            is late by what the system does not know of its own delay.
+        host_ns: the same instant by the clock of the computer that listens; None in records that do
+            not have it. It is late by what the system does not know of its own delay.
     """
 
     stamp_ns: int
@@ -406,18 +448,25 @@ class BeaconFix:
 
 
 class Beacons(Part, Protocol):
-    """Positions of beacons as a system or a record gives them, each once, in the order they came."""
+    """Positions of beacons as a system or a record gives them, each once, in the order they
+    came.
+    """
 
     async def read(self, timeout_s: float) -> BeaconFix | None:
-        """The next position; None at the end of a record. Raises BeaconError when none came in time, saying why."""
+        """The next position; None at the end of a record. Raises BeaconError when none came in
+        time, saying why.
+        """
         ...
 
 
-# --- log -------------------------------------------------------------------------------------------------------
+# --- log
+# -------------------------------------------------------------------------------------------------------
 
 
 class Log(Protocol):
-    """The log of all that a role sees and decides. Never raises: flight goes on with a full disk."""
+    """The log of all that a role sees and decides. Never raises: flight goes on with a full
+    disk.
+    """
 
     def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
         """One record: JSON-able mapping, stamp of the role clock."""
@@ -428,6 +477,8 @@ class Log(Protocol):
 
 @runtime_checkable
 class FrameLog(Protocol):
-    """A log that takes every frame of a camera too. Never raises, and never waits: what it cannot take is dropped."""
+    """A log that takes every frame of a camera too. Never raises, and never waits: what it cannot
+    take is dropped.
+    """
 
     def frame(self, frame: Frame) -> None: ...

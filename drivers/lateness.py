@@ -1,8 +1,10 @@
-"""How late this process is, and how much of that is the computer's doing: for whoever must send in time.
+"""How late this process is, and how much of that is the computer's doing: for whoever must send in
+time.
 
-The kernel counts for how long each thread was ready to run and had no core (``/proc/self/task/*/schedstat``), and what
-a virtual machine's host took from a core (``/proc/stat``). Neither grows while a thread computes, sleeps, or waits for
-anything else, so that a program cannot excuse itself. Where a system does not count, nothing was taken.
+The kernel counts for how long each thread was ready to run and had no core
+(``/proc/self/task/*/schedstat``), and what a virtual machine's host took from a core
+(``/proc/stat``). Neither grows while a thread computes, sleeps, or waits for anything else, so that
+a program cannot excuse itself. Where a system does not count, nothing was taken.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ STAT = Path("/proc/stat")
 
 
 class CoreWaits:
-    """The time that this process's threads, and all that runs, were ready and had no core. Close it.
+    """The time that this process's threads, and all that runs, were ready and had no core. Close
+    it.
 
     Args:
         own: number of the thread whose wait is told apart; by default the calling one.
@@ -42,14 +45,18 @@ class CoreWaits:
         self.look()
 
     def look(self) -> dict[str, int]:
-        """Since the last look, ns: ``waited_ns`` of the thread that is told apart, ``beside_ns`` the most of any other
-        thread, ``stolen_ns`` the most that a host took from one core."""
+        """Since the last look, ns: ``waited_ns`` of the thread that is told apart, ``beside_ns``
+        the most of any other thread, ``stolen_ns`` the most that a host took from one core."""
         if self._looks % LIST_EVERY == 0:
             self._list()
         self._looks += 1
         waits = self._waits_ns()
         own = waits.pop(self._own, 0)
-        return {"waited_ns": own, "beside_ns": max(waits.values(), default=0), "stolen_ns": self._taken_ns()}
+        return {
+            "waited_ns": own,
+            "beside_ns": max(waits.values(), default=0),
+            "stolen_ns": self._taken_ns(),
+        }
 
     def close(self) -> None:
         for file in self._files.values():
@@ -60,7 +67,9 @@ class CoreWaits:
             self._stat = None
 
     def _list(self) -> None:
-        """Threads that came are looked at from now on; those that ended are found when they are read."""
+        """Threads that came are looked at from now on; those that ended are found when they are
+        read.
+        """
         try:
             names = [each.name for each in self._tasks.iterdir()]
         except OSError:
@@ -92,7 +101,9 @@ class CoreWaits:
         if self._stat is None:
             return []
         lines = [line.split() for line in os.pread(self._stat, 8192, 0).splitlines()]
-        cores = (words for words in lines if words and words[0].startswith(b"cpu") and words[0] != b"cpu")
+        cores = (
+            words for words in lines if words and words[0].startswith(b"cpu") and words[0] != b"cpu"
+        )
         return [int(words[8]) * self._tick_ns for words in cores if len(words) > 8]
 
 
@@ -103,12 +114,13 @@ def _opened(file: Path) -> int | None:
 
 
 async def watch_lateness(
-    tell: Callable[[dict[str, Any]], None], sleep: Callable[[float], Awaitable[None]] = asyncio.sleep
+    tell: Callable[[dict[str, Any]], None],
+    sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
 ) -> None:
     """Tell how late this loop and its process were, whenever they were, until cancelled.
 
-    A record has ``since_ns``, the time that it is of, ``loop_ns``, by how much the loop woke later than it had asked
-    for, whatever the reason, and what ``CoreWaits.look`` gives.
+    A record has ``since_ns``, the time that it is of, ``loop_ns``, by how much the loop woke later
+    than it had asked for, whatever the reason, and what ``CoreWaits.look`` gives.
     """
     loop = asyncio.get_running_loop()
     waits = CoreWaits()

@@ -1,4 +1,6 @@
-"""Memory that a program holds and may not need again: pages of its libraries' files that are given back."""
+"""Memory that a program holds and may not need again: pages of its libraries' files that are given
+back.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ _DONTNEED = 4  # of madvise(2)
 
 
 class Mapping(NamedTuple):
-    """A part of the program's memory that is a file's. ``own_kb``: of it, what is not the file's any more."""
+    """A part of the program's memory that is a file's. ``own_kb``: of it, what is not the file's
+    any more.
+    """
 
     begin: int
     end: int
@@ -23,10 +27,11 @@ class Mapping(NamedTuple):
 
 
 def give_back(files: str = "/") -> int:
-    """Gives back what is resident of the code and constants of libraries, and returns how many kB that was.
+    """Gives back what is resident of the code and constants of libraries, and returns how many kB
+    that was.
 
-    Whoever calls them again has their pages again, out of their files: what was written to stays. Does nothing where
-    there is no Linux.
+    Whoever calls them again has their pages again, out of their files: what was written to stays.
+    Does nothing where there is no Linux.
 
     Args:
         files: part of the paths of those that are meant; all of them.
@@ -35,13 +40,20 @@ def give_back(files: str = "/") -> int:
         unchanged = [
             each
             for each in mappings(MAPS.read_text("utf-8", "replace"))
-            if files in each.file and "w" not in each.rights and "p" in each.rights and not each.own_kb
+            if files in each.file
+            and "w" not in each.rights
+            and "p" in each.rights
+            and not each.own_kb
         ]
         advise = ctypes.CDLL(None, use_errno=True).madvise
     except (OSError, AttributeError):
         return 0
     advise.argtypes = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int
-    return sum(each.resident_kb for each in unchanged if advise(each.begin, each.end - each.begin, _DONTNEED) == 0)
+    return sum(
+        each.resident_kb
+        for each in unchanged
+        if advise(each.begin, each.end - each.begin, _DONTNEED) == 0
+    )
 
 
 def mappings(text: str) -> Iterator[Mapping]:

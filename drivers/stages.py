@@ -8,7 +8,9 @@ from drivers.clock import busy_ns
 
 
 class _Stage:
-    """A context that adds up what its body spends. Written out: a generator takes three times as long."""
+    """A context that adds up what its body spends. Written out: a generator takes three times as
+    long.
+    """
 
     __slots__ = ("_began_ns", "spent_ns")
 
@@ -23,7 +25,9 @@ class _Stage:
 
 
 class Stages:
-    """Processor time of one thread by stage of its work. Stages do not contain one another; the rest is in none."""
+    """Processor time of one thread by stage of its work. Stages do not contain one another; the
+    rest is in none.
+    """
 
     def __init__(self) -> None:
         self._stages: dict[str, _Stage] = {}
@@ -36,6 +40,8 @@ class Stages:
         return found
 
     def spent_ns(self) -> dict[str, int]:
-        """Since the start: of each stage, of the calling thread as ``thread``, and of all threads as ``program``."""
+        """Since the start: of each stage, of the calling thread as ``thread``, and of all threads
+        as ``program``.
+        """
         spent_ns = {name: stage.spent_ns for name, stage in self._stages.items()}
         return {**spent_ns, "thread": busy_ns(), "program": time.process_time_ns()}

@@ -11,13 +11,21 @@ from collections.abc import Callable
 
 
 def stop_signals() -> tuple[signal.Signals, ...]:
-    """Ctrl-C, a request to end, and a terminal that went away, unless the program was started to outlive it (nohup)."""
+    """Ctrl-C, a request to end, and a terminal that went away, unless the program was started to
+    outlive it (nohup).
+    """
     outlives = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-    return (signal.SIGINT, signal.SIGTERM) if outlives else (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    return (
+        (signal.SIGINT, signal.SIGTERM)
+        if outlives
+        else (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    )
 
 
 def stop_on_signals(stop: Callable[[], None]) -> None:
-    """Have the running loop call ``stop`` for each of them. Off the main thread the signals are somebody else's."""
+    """Have the running loop call ``stop`` for each of them. Off the main thread the signals are
+    somebody else's.
+    """
     if threading.current_thread() is threading.main_thread():
         loop = asyncio.get_running_loop()
         for number in stop_signals():
@@ -32,7 +40,9 @@ def leave_signals() -> None:
 
 
 def stop_at_end_of_input(stop: Callable[[], None]) -> None:
-    """Have the running loop call ``stop`` once stdin is closed: the parent of this program is gone."""
+    """Have the running loop call ``stop`` once stdin is closed: the parent of this program is
+    gone.
+    """
     loop = asyncio.get_running_loop()
     standard_input = sys.stdin.fileno()
 

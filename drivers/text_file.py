@@ -8,11 +8,15 @@ import stat
 from pathlib import Path
 
 MOST_BYTES = 16 << 20
-"""More than any rig, calibration or table has. /dev/zero has no end, and a pipe that nobody writes none either."""
+"""More than any rig, calibration or table has. /dev/zero has no end, and a pipe that nobody writes
+none either.
+"""
 
 
 def read_file(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
-    """Return what is in a file. Raises OSError also for what is no regular file, and for a file that is too large."""
+    """Return what is in a file. Raises OSError also for what is no regular file, and for a file
+    that is too large.
+    """
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     with os.fdopen(descriptor, "rb") as file:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):

@@ -21,7 +21,9 @@ class CameraPose:
         return R_from_quat(self._vehicle.attitude_at(stamp_ns))
 
     def T_n_c(self, stamp_ns: int, R_n_b: Matrix) -> Pose:
-        """Camera pose in local NED; the newest position is carried to the stamp with its velocity."""
+        """Camera pose in local NED; the newest position is carried to the stamp with its
+        velocity.
+        """
         state = self._vehicle.state
         dt_s = (stamp_ns - state.stamp_ns) * 1e-9
         north, east, down = add(state.position_n_m, scale(state.velocity_n_mps, dt_s))

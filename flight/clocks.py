@@ -1,10 +1,11 @@
 """The other drone's clock, from pings over the link.
 
-Each answered ping bounds the offset ``theta`` (peer minus own) without any assumption but that packets take time:
-the ping left before it came in, the pong too, so ``sent - arrival <= theta <= received - ping_sent`` (the two sides of
-the NTP exchange). The filter keeps the intersection of all these intervals, widened by the drift that the clocks may
-have since. What is left is ruled by the quickest exchanges in each direction, as in minimum-RTT selection, but it is a
-bound, not an estimate: an exchange outside it is no noise, it shows that a clock was stepped.
+Each answered ping bounds the offset ``theta`` (peer minus own) without any assumption but that
+packets take time: the ping left before it came in, the pong too, so ``sent - arrival <= theta <=
+received - ping_sent`` (the two sides of the NTP exchange). The filter keeps the intersection of all
+these intervals, widened by the drift that the clocks may have since. What is left is ruled by the
+quickest exchanges in each direction, as in minimum-RTT selection, but it is a bound, not an
+estimate: an exchange outside it is no noise, it shows that a clock was stepped.
 """
 
 from __future__ import annotations
@@ -42,14 +43,17 @@ class PingResult(Enum):
 
 def answer(ping: Ping, received_ns: int, now_ns: int) -> Pong:
     """The pong for a ping that came in at ``received_ns``, to be sent at once."""
-    return Pong(nonce=ping.nonce, ping_sent_ns=ping.sent_ns, received_ns=received_ns, sent_ns=now_ns)
+    return Pong(
+        nonce=ping.nonce, ping_sent_ns=ping.sent_ns, received_ns=received_ns, sent_ns=now_ns
+    )
 
 
 class ClockAlignment:
     """Offset between this role's clock and the peer's. No I/O, no clock of its own.
 
-    ``nonce`` of the pings must grow. A clock step is never followed: the alignment is not ``ready`` from the first
-    exchange that contradicts it, and ``fault`` is set for good after ``max_inconsistent`` in a row, until ``reset``.
+    ``nonce`` of the pings must grow. A clock step is never followed: the alignment is not ``ready``
+    from the first exchange that contradicts it, and ``fault`` is set for good after
+    ``max_inconsistent`` in a row, until ``reset``.
     """
 
     def __init__(self, config: ClockConfig | None = None) -> None:
@@ -68,13 +72,16 @@ class ClockAlignment:
         self._fault = False
 
     def on_pong(self, pong: Pong, arrival_ns: int) -> PingResult:
-        """Take an answered ping. ``arrival_ns`` is of this role's clock, as is the echoed ``ping_sent_ns``."""
+        """Take an answered ping. ``arrival_ns`` is of this role's clock, as is the echoed
+        ``ping_sent_ns``.
+        """
         if pong.nonce <= self._last_nonce:
             return PingResult.DUPLICATE
         self._last_nonce = pong.nonce
         low = pong.sent_ns - arrival_ns
         high = pong.received_ns - pong.ping_sent_ns
-        high += math.ceil(abs(arrival_ns - pong.ping_sent_ns) * self._drift)  # that bound is as old as the exchange
+        # that bound is as old as the exchange
+        high += math.ceil(abs(arrival_ns - pong.ping_sent_ns) * self._drift)
         if self._samples:
             widening = self._widening_ns(arrival_ns)
             low = max(low, self._low_ns - widening)

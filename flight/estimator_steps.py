@@ -1,15 +1,16 @@
-"""Steps of an estimator: a place, height or heading that moved faster than the reported velocity and rate allow.
+"""Steps of an estimator: a place, height or heading that moved faster than the reported velocity
+and rate allow.
 
-An autopilot's estimate of its place, height or heading may step: it goes over to another estimator, or its GPS or its
-compass is believed again. The vehicle has not moved. ``StepWatch`` sees such a step in the states of one vehicle;
-``flight.steady_vehicle`` takes it out of them.
+An autopilot's estimate of its place, height or heading may step: it goes over to another estimator,
+or its GPS or its compass is believed again. The vehicle has not moved. ``StepWatch`` sees such a
+step in the states of one vehicle; ``flight.steady_vehicle`` takes it out of them.
 
 A step is what the velocity and the heading's rate do not explain. Between two states dt apart a
-vehicle moves by the mean of its two velocities, but for what an acceleration g can add (g dt²/4), an
-error of the velocity as large as the speed that is flown (v dt), and stamps that are late. What the
-estimator's noise adds besides is learned in flight. An estimator that walks a glitch off is slower
-than all that: it is followed. Where the autopilot counts its resets, half of it is enough for a step
-shortly after the count has changed.
+vehicle moves by the mean of its two velocities, but for what an acceleration g can add (g dt²/4),
+an error of the velocity as large as the speed that is flown (v dt), and stamps that are late. What
+the estimator's noise adds besides is learned in flight. An estimator that walks a glitch off is
+slower than all that: it is followed. Where the autopilot counts its resets, half of it is enough
+for a step shortly after the count has changed.
 """
 
 from __future__ import annotations
@@ -24,12 +25,14 @@ from path.geometry.rotation import wrapped, yaw_of
 from path.values import value
 
 SIGMAS = 5.0
-COUNTED_SHARE = 0.5  # of that is enough, shortly after the autopilot's own count of its resets has changed
+# of that is enough, shortly after the autopilot's own count of its resets has changed
+COUNTED_SHARE = 0.5
 COUNTED_NS = 500_000_000  # for so long: the count comes in another message than the place
 GRAVITY_MPS2 = 9.81
 TURN_RPS2 = 10.0  # no multicopter turns its nose harder
 LATE_S = 0.04  # what a state's stamp may be late by more than the one before
-LEAST_NS = 10_000_000  # states nearer to each other came in one burst: the older one is compared with the next
+# states nearer to each other came in one burst: the older one is compared with the next
+LEAST_NS = 10_000_000
 LATELY_NS = 150_000_000  # the last moments: what came late is here by then
 SETTLED_NS = 1_000_000_000  # after arming: the height is counted anew when a vehicle arms
 MADE_UP = 0.3  # of a leap: so much was missing before, and it is none
@@ -75,7 +78,9 @@ class _Residuals:
         self._noted = 0
         self._lately: deque[tuple[int, Sequence[float]]] = deque()
 
-    def is_step(self, stamp_ns: int, residual: Sequence[float], explained: float, share: float) -> bool:
+    def is_step(
+        self, stamp_ns: int, residual: Sequence[float], explained: float, share: float
+    ) -> bool:
         """Returns whether a residual is a step: more than what explains it, and than noise.
 
         ``share``: of that which is enough.
@@ -104,7 +109,10 @@ class _Residuals:
 
         Telemetry that comes late and then at once stands still first and leaps then.
         """
-        along = [sum(a * b for a, b in zip(earlier, residual, strict=True)) for _, earlier in self._lately]
+        along = [
+            sum(a * b for a, b in zip(earlier, residual, strict=True))
+            for _, earlier in self._lately
+        ]
         return min(along, default=0.0) > -MADE_UP * size * size
 
 
@@ -139,7 +147,9 @@ class StepWatch:
         return newest.in_air or newest.stamp_ns - self._armed_ns > SETTLED_NS
 
     def look(self, state: VehicleState) -> Step | None:
-        """Return the step between the state that was looked at before and this one; None where there is none."""
+        """Return the step between the state that was looked at before and this one; None where
+        there is none.
+        """
         before = self._before
         if before is not None and state.stamp_ns - before.stamp_ns < LEAST_NS:
             return None
@@ -177,9 +187,12 @@ class StepWatch:
         mean_mps = scale(add(before.velocity_n_mps, state.velocity_n_mps), 0.5)
         moved_m = subtract(state.position_n_m, before.position_n_m)
         north, east, down = subtract(moved_m, scale(mean_mps, dt_s))
-        explained_m = 0.25 * GRAVITY_MPS2 * dt_s * dt_s + self._fastest_mps * dt_s + norm(mean_mps) * LATE_S
+        explained_m = (
+            0.25 * GRAVITY_MPS2 * dt_s * dt_s + self._fastest_mps * dt_s + norm(mean_mps) * LATE_S
+        )
         share = COUNTED_SHARE if self._counted(state) else 1.0
-        landed = self._flew and not state.in_air  # some vehicles take the ground for their height then
+        # some vehicles take the ground for their height then
+        landed = self._flew and not state.in_air
         across = self._across.is_step(state.stamp_ns, (north, east), explained_m, share)
         high = self._height.is_step(state.stamp_ns, (down,), explained_m, share)
         return (

@@ -1,7 +1,8 @@
-"""The space in which drones may be: a circle with a ceiling, and inside it a polygon where the site has edges. Pure.
+"""The space in which drones may be: a circle with a ceiling, and inside it a polygon where the site
+has edges. Pure.
 
-Script, guard and monitors ask the same fence. A polygon has walls: besides ending a flight that crosses one, it slows
-every setpoint so that the drone can stop before it.
+Script, guard and monitors ask the same fence. A polygon has walls: besides ending a flight that
+crosses one, it slows every setpoint so that the drone can stop before it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ class Fence:
 
     Attributes:
         radius_m, height_m: of a circle around the origin, and of its ceiling.
-        corners_m: (north, east) of the site's corners, in order either way; empty: the circle alone.
+        corners_m: (north, east) of the site's corners, in order either way; empty: the circle
+            alone.
         body_m: radius of a drone: its middle stays so far from an edge.
     """
 
@@ -40,12 +42,18 @@ class Fence:
         """Return the distance to the nearest edge, negative outside; infinite without edges."""
         if not self.corners_m:
             return math.inf
-        nearest_m = min(math.dist((north_m, east_m), point) for point in self._on_edges(north_m, east_m))
+        nearest_m = min(
+            math.dist((north_m, east_m), point) for point in self._on_edges(north_m, east_m)
+        )
         return nearest_m if self._inside(north_m, east_m) else -nearest_m
 
     def nearest(self, place_n_m: Vec3, clear_m: float = 0.0) -> Vec3:
-        """Return the nearest place that is inside, and so far from its limits as far as there is room."""
-        north, east, down = within_fence(place_n_m, self.radius_m - clear_m, self.height_m - clear_m)
+        """Return the nearest place that is inside, and so far from its limits as far as there is
+        room.
+        """
+        north, east, down = within_fence(
+            place_n_m, self.radius_m - clear_m, self.height_m - clear_m
+        )
         wanted_m = self.body_m + clear_m
         for _ in range(_ROUNDS if self.corners_m else 0):
             room_m = self.room_m(north, east)
@@ -54,11 +62,13 @@ class Fence:
             north, east = self._moved_in(north, east, room_m, wanted_m - room_m)
         return north, east, down
 
-    def stoppable(self, velocity_n_mps: Vec3, position_n_m: Vec3, accel_mps2: float, response_s: float) -> Vec3:
+    def stoppable(
+        self, velocity_n_mps: Vec3, position_n_m: Vec3, accel_mps2: float, response_s: float
+    ) -> Vec3:
         """Return a velocity without what would take a drone to an edge faster than it can stop.
 
-        Towards an edge with room d the drone may have v with d = 2 v response + v^2 / (2 accel): a setpoint that is
-        slowed is answered late all the way.
+        Towards an edge with room d the drone may have v with d = 2 v response + v^2 / (2 accel): a
+        setpoint that is slowed is answered late all the way.
         """
         if not self.corners_m:
             return velocity_n_mps
@@ -90,7 +100,9 @@ class Fence:
         return [_on_edge((north_m, east_m), first, second) for first, second in self._edges()]
 
     def _inside(self, north_m: float, east_m: float) -> bool:
-        """Return whether a place is inside the polygon: a ray from it crosses the edges an odd number of times."""
+        """Return whether a place is inside the polygon: a ray from it crosses the edges an odd
+        number of times.
+        """
         crossings = 0
         for (n1, e1), (n2, e2) in self._edges():
             if (e1 > east_m) == (e2 > east_m):
@@ -108,12 +120,17 @@ class Fence:
         length_m = math.hypot(*away)
         if length_m > 1e-9:
             inward = 1.0 if room_m >= 0.0 else -1.0
-            return north_m + inward * by_m * away[0] / length_m, east_m + inward * by_m * away[1] / length_m
+            return north_m + inward * by_m * away[0] / length_m, east_m + inward * by_m * away[
+                1
+            ] / length_m
         # on the edge itself: to that side of it which is inside
         first, second = self._edges()[nearest]
         edge_m = max(math.dist(first, second), 1e-9)
         square = (first[1] - second[1]) / edge_m, (second[0] - first[0]) / edge_m
-        sides = [(north_m + way * by_m * square[0], east_m + way * by_m * square[1]) for way in (1.0, -1.0)]
+        sides = [
+            (north_m + way * by_m * square[0], east_m + way * by_m * square[1])
+            for way in (1.0, -1.0)
+        ]
         return max(sides, key=lambda side: self.room_m(*side))
 
 

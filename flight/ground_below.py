@@ -1,15 +1,18 @@
-"""The ground below a drone, in the drone's own frame: by a rangefinder, and by its own height where that says nothing.
+"""The ground below a drone, in the drone's own frame: by a rangefinder, and by its own height where
+that says nothing.
 
-The state is one number, ``g``, how far down the ground is in the frame in which the drone tells its position, with its
-variance ``p``. It is 0 by definition where the drone stood before take-off, and changes only as the drone's own height
-drifts, a random walk: ``p`` grows by ``drift^2`` a minute. With a distance ``d`` along the body's down axis, whose
-part along gravity is ``c``, a measurement is ``z = down + c d``, with the variance ``r`` of the distance.
+The state is one number, ``g``, how far down the ground is in the frame in which the drone tells its
+position, with its variance ``p``. It is 0 by definition where the drone stood before take-off, and
+changes only as the drone's own height drifts, a random walk: ``p`` grows by ``drift^2`` a minute.
+With a distance ``d`` along the body's down axis, whose part along gravity is ``c``, a measurement
+is ``z = down + c d``, with the variance ``r`` of the distance.
 
     k = p / (p + r),   g <- g + k (z - g),   p <- (1 - k) p
 
-A measurement with ``(z - g)^2 > 10.8 (p + r)``, one in a thousand, contradicts the drone's own height: a roof, a table,
-a body below it, or a height that is wrong. It is not believed, and that is told once. It is believed again when it fits
-again, at the latest when the drift could explain it. Pure.
+A measurement with ``(z - g)^2 > 10.8 (p + r)``, one in a thousand, contradicts the drone's own
+height: a roof, a table, a body below it, or a height that is wrong. It is not believed, and that is
+told once. It is believed again when it fits again, at the latest when the drift could explain it.
+Pure.
 """
 
 from __future__ import annotations
@@ -23,7 +26,8 @@ from path.geometry.rotation import R_from_quat
 from path.observations import RangeSource
 
 CHI2 = 10.83  # one in a thousand, one degree of freedom
-LEAST_UPRIGHT = 0.7  # of the body's down axis along gravity: beyond 45 degrees it looks at the scenery
+# of the body's down axis along gravity: beyond 45 degrees it looks at the scenery
+LEAST_UPRIGHT = 0.7
 MINUTE_NS = 60_000_000_000
 BELIEVED_NS = 1_000_000_000  # for so long after a measurement the ground is by it
 

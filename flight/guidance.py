@@ -47,10 +47,14 @@ def bearing(to_n_m: Vec3) -> float:
 
 
 LEAST_SPARE = 0.2
-"""Of a vehicle's acceleration, in any case: else it would never come to what brakes as hard as it can itself."""
+"""Of a vehicle's acceleration, in any case: else it would never come to what brakes as hard as it
+can itself.
+"""
 
 BELOW_FENCE_M = 0.5
-"""So much below the fence's height a drone that follows a target stays: it comes to rest late, and wind lifts it."""
+"""So much below the fence's height a drone that follows a target stays: it comes to rest late, and
+wind lifts it.
+"""
 
 
 def within_fence(place_n_m: Vec3, radius_m: float, height_m: float) -> Vec3:
@@ -61,7 +65,8 @@ def within_fence(place_n_m: Vec3, radius_m: float, height_m: float) -> Vec3:
 
 
 def way_until_away(offset_n_m: Vec3, along_n: Vec3, distance_m: float) -> float:
-    """Returns the way along a level unit vector until the level distance from something is so large; 0: it is already.
+    """Returns the way along a level unit vector until the level distance from something is so
+    large; 0: it is already.
 
     Args:
         offset_n_m: of the beginning, from that thing.
@@ -72,8 +77,12 @@ def way_until_away(offset_n_m: Vec3, along_n: Vec3, distance_m: float) -> float:
     return math.sqrt(missing + passed * passed) - passed if missing > 0.0 else 0.0
 
 
-def close_in(error_n_m: Vec3, feed_forward_n_mps: Vec3, gain_per_s: float, max_speed_mps: float) -> Vec3:
-    """Proportional pursuit of a (moving) point: the correction is limited, the feed-forward is not."""
+def close_in(
+    error_n_m: Vec3, feed_forward_n_mps: Vec3, gain_per_s: float, max_speed_mps: float
+) -> Vec3:
+    """Proportional pursuit of a (moving) point: the correction is limited, the feed-forward is
+    not.
+    """
     return add(feed_forward_n_mps, limit(scale(error_n_m, gain_per_s), max_speed_mps))
 
 
@@ -81,7 +90,8 @@ def close_in(error_n_m: Vec3, feed_forward_n_mps: Vec3, gain_per_s: float, max_s
 class Answer:
     """The limits within which a vehicle is flown towards a moving point.
 
-    ``response_s``: until it has answered to 63 % of a new velocity. ``accel_mps2``: of setpoints, at most.
+    ``response_s``: until it has answered to 63 % of a new velocity. ``accel_mps2``: of setpoints,
+    at most.
     """
 
     gain_per_s: float
@@ -90,11 +100,14 @@ class Answer:
     accel_mps2: float
 
 
-def approach(error_n_m: Vec3, velocity_n_mps: Vec3, feed_forward_n_mps: Vec3, answer: Answer) -> Vec3:
-    """The velocity towards a (moving) point at which a vehicle that answers late comes to rest, and not behind it.
+def approach(
+    error_n_m: Vec3, velocity_n_mps: Vec3, feed_forward_n_mps: Vec3, answer: Answer
+) -> Vec3:
+    """The velocity towards a (moving) point at which a vehicle that answers late comes to rest, and
+    not behind it.
 
-    It is made from what will be left of the way once the vehicle has answered, and is no faster than it can stop with
-    half of the acceleration: wind, and a point that turns, want the rest.
+    It is made from what will be left of the way once the vehicle has answered, and is no faster
+    than it can stop with half of the acceleration: wind, and a point that turns, want the rest.
 
     Args:
         velocity_n_mps: of the vehicle.
@@ -105,11 +118,15 @@ def approach(error_n_m: Vec3, velocity_n_mps: Vec3, feed_forward_n_mps: Vec3, an
     return add(feed_forward_n_mps, limit(scale(left, answer.gain_per_s), fastest))
 
 
-def spare_accel(accel_mps2: float, speed_mps: float, target_accel_mps2: float, response_s: float) -> float:
-    """Return what is left of a vehicle's acceleration to come nearer with, if what it comes to brakes meanwhile.
+def spare_accel(
+    accel_mps2: float, speed_mps: float, target_accel_mps2: float, response_s: float
+) -> float:
+    """Return what is left of a vehicle's acceleration to come nearer with, if what it comes to
+    brakes meanwhile.
 
-    What moves can stop: it does so with ``target_accel_mps2`` at most, and takes no more than its speed off within the
-    time in which the vehicle answers. Without that share D1 comes in too fast, and slides over what has stopped.
+    What moves can stop: it does so with ``target_accel_mps2`` at most, and takes no more than its
+    speed off within the time in which the vehicle answers. Without that share D1 comes in too fast,
+    and slides over what has stopped.
     """
     braked_mps2 = min(target_accel_mps2, speed_mps / response_s)
     return max(LEAST_SPARE * accel_mps2, accel_mps2 - braked_mps2)
@@ -122,12 +139,18 @@ class Anchor:
     position_n_m: Vec3
     yaw_rad: float
 
-    def hold(self, state: VehicleState, gain_per_s: float = 0.8, max_speed_mps: float = 0.8) -> VelocitySetpoint:
+    def hold(
+        self, state: VehicleState, gain_per_s: float = 0.8, max_speed_mps: float = 0.8
+    ) -> VelocitySetpoint:
         error = subtract(self.position_n_m, state.position_n_m)
-        return VelocitySetpoint(close_in(error, (0.0, 0.0, 0.0), gain_per_s, max_speed_mps), self.yaw_rad)
+        return VelocitySetpoint(
+            close_in(error, (0.0, 0.0, 0.0), gain_per_s, max_speed_mps), self.yaw_rad
+        )
 
 
-def slew(previous: VelocitySetpoint, wanted: VelocitySetpoint, dt_s: float, max_accel: float) -> VelocitySetpoint:
+def slew(
+    previous: VelocitySetpoint, wanted: VelocitySetpoint, dt_s: float, max_accel: float
+) -> VelocitySetpoint:
     """Limit the change of velocity between two setpoints to ``max_accel`` (m/s^2)."""
     change = limit(subtract(wanted.velocity_n_mps, previous.velocity_n_mps), max_accel * dt_s)
     return VelocitySetpoint(add(previous.velocity_n_mps, change), wanted.yaw_rad)

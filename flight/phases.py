@@ -25,7 +25,8 @@ class Phase(IntEnum):
     MISSION = 12  # of a mission of your own, from preflight to its end
 
     def reached(self, phase: int) -> bool:
-        """Return whether a drone in ``phase`` has come so far on the course of a hand-over, or farther.
+        """Return whether a drone in ``phase`` has come so far on the course of a hand-over, or
+        farther.
 
         A drone that flies a mission of its own is nowhere on that course.
         """

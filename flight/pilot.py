@@ -1,4 +1,6 @@
-"""The control loop of one drone: one setpoint per tick, from whatever guidance is in force, guarded."""
+"""The control loop of one drone: one setpoint per tick, from whatever guidance is in force,
+guarded.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +21,17 @@ Guidance = Callable[[VehicleState], VelocitySetpoint]
 
 
 class Pilot:
-    """Flies a vehicle in offboard control. ``guidance`` may be exchanged at any time; it must not block."""
+    """Flies a vehicle in offboard control. ``guidance`` may be exchanged at any time; it must not
+    block.
+    """
 
     def __init__(
-        self, vehicle: Vehicle, clock: Clock, config: MissionConfig, log: Log, guard: UnderGuard | None = None
+        self,
+        vehicle: Vehicle,
+        clock: Clock,
+        config: MissionConfig,
+        log: Log,
+        guard: UnderGuard | None = None,
     ) -> None:
         self._vehicle = vehicle
         self._guard = guard
@@ -34,7 +43,8 @@ class Pilot:
         self.in_control = False
         self.setpoints = 0  # sent since the beginning
         self._doubt_ns: int | None = None  # since when one message says that somebody else took it
-        self.taken_back = 0  # how often one message said that somebody else took it, and the next that nobody did
+        # how often one message said that somebody else took it, and the next that nobody did
+        self.taken_back = 0
         self.override = ""  # how somebody else took the vehicle: nothing may be commanded any more
 
     def _stay(self, state: VehicleState) -> VelocitySetpoint:
@@ -74,7 +84,8 @@ class Pilot:
             self._check_clock(set_by_ns)
             state = self._vehicle.state
             if self._guard is not None:
-                self._guard.check_hand()  # first: that the guard changed the mode says more than that it was changed
+                # first: that the guard changed the mode says more than that it was changed
+                self._guard.check_hand()
             if self._doubts(state, now_ns):
                 await asyncio.sleep(period_s)
                 continue
@@ -85,17 +96,24 @@ class Pilot:
             self._vehicle.fly(self._last)
             self.setpoints += 1
             self._log.write(
-                "/setpoint", now_ns, {"velocity_n_mps": self._last.velocity_n_mps, "yaw_rad": self._last.yaw_rad}
+                "/setpoint",
+                now_ns,
+                {"velocity_n_mps": self._last.velocity_n_mps, "yaw_rad": self._last.yaw_rad},
             )
-            # Late ticks are not made up for: after a stall one comes at once, and then again one each period.
+            # Late ticks are not made up for: after a stall one comes at once, and then again one
+            # each period.
             due_s = max(due_s + period_s, loop.time())
             await asyncio.sleep(due_s - loop.time())
 
     def _check_clock(self, before_ns: int) -> None:
-        """Raise MissionEnd(CLOCK_FAULT) when this drone's clock was set since it was set by so much."""
+        """Raise MissionEnd(CLOCK_FAULT) when this drone's clock was set since it was set by so
+        much.
+        """
         step_ns = self._clock.set_by_ns - before_ns
         if step_ns:
-            raise MissionEnd(Outcome.CLOCK_FAULT, f"this drone's own clock was set by {step_ns * 1e-9:+.3g} s")
+            raise MissionEnd(
+                Outcome.CLOCK_FAULT, f"this drone's own clock was set by {step_ns * 1e-9:+.3g} s"
+            )
 
     def _doubts(self, state: VehicleState, now_ns: int) -> bool:
         """Returns whether a takeover is still to be confirmed or taken back.
@@ -113,13 +131,20 @@ class Pilot:
         return (now_ns - self._doubt_ns) * 1e-9 < DOUBT_S
 
     def _before_walls(self, setpoint: VelocitySetpoint, state: VehicleState) -> VelocitySetpoint:
-        """Return a setpoint from which the drone can stop before it comes to an edge of the site."""
+        """Return a setpoint from which the drone can stop before it comes to an edge of the
+        site.
+        """
         config = self._config
         velocity = config.fence.stoppable(
-            setpoint.velocity_n_mps, state.position_n_m, 0.5 * config.max_accel_mps2, config.follow.response_s
+            setpoint.velocity_n_mps,
+            state.position_n_m,
+            0.5 * config.max_accel_mps2,
+            config.follow.response_s,
         )
         return VelocitySetpoint(velocity, setpoint.yaw_rad)
 
     def let_go(self) -> None:
-        """Stop sending setpoints; the caller has commanded, or is about to command, another mode."""
+        """Stop sending setpoints; the caller has commanded, or is about to command, another
+        mode.
+        """
         self.in_control = False

@@ -1,8 +1,9 @@
-"""The checks that a rig's parts fit together for a mission to be flown as it says, before anything moves.
+"""The checks that a rig's parts fit together for a mission to be flown as it says, before anything
+moves.
 
-Each number by itself has bounds (``path.bounds``). Here they are held against each other: places and heights against
-the fence, ranges against the cameras, waits against what they wait for. Whether the world of a simulated rig fits is
-for its harness to say.
+Each number by itself has bounds (``path.bounds``). Here they are held against each other: places
+and heights against the fence, ranges against the cameras, waits against what they wait for. Whether
+the world of a simulated rig fits is for its harness to say.
 """
 
 from __future__ import annotations
@@ -21,14 +22,18 @@ from flight.rendezvous.viewpoint import NoViewpoint, ViewpointScene, plan_viewpo
 from path.messages import Role
 
 FAST_MPS = 1.0
-"""No autopilot is asked to climb or land faster: a wait that is shorter than that ends in the air."""
+"""No autopilot is asked to climb or land faster: a wait that is shorter than that ends in the
+air.
+"""
 
 Found = Iterator[tuple[str, str]]
 """Table and key, and what is wrong with it."""
 
 
 def check_plausible(rig: Rig) -> None:
-    """Raises RigError with everything in a rig's ``[mission]``, ``[method]`` and ``[relay]`` that cannot be flown."""
+    """Raises RigError with everything in a rig's ``[mission]``, ``[method]`` and ``[relay]`` that
+    cannot be flown.
+    """
     mission = decode_table(rig.mission, MissionConfig, rig.where("mission"))
     problems = Problems()
     checks: tuple[Callable[[Rig, MissionConfig], Found], ...] = (
@@ -65,7 +70,10 @@ def _fence(rig: Rig, mission: MissionConfig) -> Found:
         ("follow.height_m", mission.follow.height_m),
     ):
         if height_m > guard.fence_height_m:
-            yield f"mission.{key}", f"{height_m:g} m; mission.guard.fence_height_m is {guard.fence_height_m:g} m"
+            yield (
+                f"mission.{key}",
+                f"{height_m:g} m; mission.guard.fence_height_m is {guard.fence_height_m:g} m",
+            )
 
 
 def _ground(rig: Rig, mission: MissionConfig) -> Found:
@@ -79,7 +87,9 @@ def _ground(rig: Rig, mission: MissionConfig) -> Found:
 
 
 def _ranges(rig: Rig, mission: MissionConfig) -> Found:
-    """Checks that the sender's camera sees the target from where it follows it, and can range it."""
+    """Checks that the sender's camera sees the target from where it follows it, and can range
+    it.
+    """
     target_b = _target_from_sender(mission)
     own = rig.sender
     method = rig.method
@@ -108,7 +118,9 @@ def _viewpoint(rig: Rig, mission: MissionConfig) -> Found:
         _target_from_sender(mission) - T_b_v.t, T_b_v.R[:, 2], side_m, -T_b_v.t,
         target_radius_m=mission.target.half_size_m,
     )  # fmt: skip
-    plan = plan_viewpoint(scene, own.camera, own.mount.T_b_c, mission.rendezvous, mission.separation)
+    plan = plan_viewpoint(
+        scene, own.camera, own.mount.T_b_c, mission.rendezvous, mission.separation
+    )
     if isinstance(plan, NoViewpoint):
         yield (
             "mission.rendezvous",
@@ -138,21 +150,41 @@ def _waits(rig: Rig, mission: MissionConfig) -> Found:
     """A deadline leaves time for what it bounds."""
     method = rig.method
     deadlines = mission.deadlines
-    highest_m = max(mission.take_off_height_m, mission.receiver_take_off_height_m, mission.follow.height_m)
+    highest_m = max(
+        mission.take_off_height_m, mission.receiver_take_off_height_m, mission.follow.height_m
+    )
     hold_s = method.hold_s if method.gate == "count" else method.evidence.min_s
     climb_s = highest_m / FAST_MPS
     descent_s = highest_m / FAST_MPS
     approach_s = mission.rendezvous.stand_off_m / mission.rendezvous.max_speed_mps
     pairs = method.needed_pairs
-    rate_hz = min((rate for role in Role if (rate := camera_rate_hz(rig.role(role))) is not None), default=math.inf)
+    rate_hz = min(
+        (rate for role in Role if (rate := camera_rate_hz(rig.role(role))) is not None),
+        default=math.inf,
+    )
     for key, wait_s, least_s, what in (
         ("take_off_s", deadlines.take_off_s, climb_s, f"the climb to {highest_m:g} m takes"),
         ("land_s", deadlines.land_s, descent_s, f"the way down from {highest_m:g} m takes"),
         ("verify_s", deadlines.verify_s, hold_s, "the views have to agree for"),
-        ("verify_s", deadlines.verify_s, pairs / rate_hz, f"{pairs} pairs at {rate_hz:g} frames a second take"),
+        (
+            "verify_s",
+            deadlines.verify_s,
+            pairs / rate_hz,
+            f"{pairs} pairs at {rate_hz:g} frames a second take",
+        ),
         ("approach_s", deadlines.approach_s, approach_s, "the way from the stand-off takes"),
-        ("receiver_ready_s", deadlines.receiver_ready_s, climb_s + approach_s, "the receiver's way takes"),
-        ("depart_s", deadlines.depart_s, mission.depart_m / mission.follow.max_speed_mps, "the way off takes"),
+        (
+            "receiver_ready_s",
+            deadlines.receiver_ready_s,
+            climb_s + approach_s,
+            "the receiver's way takes",
+        ),
+        (
+            "depart_s",
+            deadlines.depart_s,
+            mission.depart_m / mission.follow.max_speed_mps,
+            "the way off takes",
+        ),
     ):
         if wait_s <= least_s:
             yield f"mission.deadlines.{key}", f"{wait_s:g} s; {what} {least_s:.3g} s at least"
@@ -199,4 +231,6 @@ def _relay(relay: RelayConfig, mission: MissionConfig) -> Found:
 
 def _target_from_sender(mission: MissionConfig) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """The target in the body (FRD) of a level sender that follows it, m."""
-    return np.array([mission.follow.behind_m, 0.0, mission.follow.height_m - mission.target.height_m])
+    return np.array(
+        [mission.follow.behind_m, 0.0, mission.follow.height_m - mission.target.height_m]
+    )

@@ -1,8 +1,9 @@
-"""The things a program gives up, in order, on a computer that does not keep up; never setpoints, guard and protocol.
+"""The things a program gives up, in order, on a computer that does not keep up; never setpoints,
+guard and protocol.
 
-How busy the program is, is seen from inside: a beat that is due at an even pace wakes late whenever the one thread is
-at work, so the share of late beats is the share of the time at work, whatever the reason: a slow core, a share of one,
-or neighbours. Pure: what is due when is passed in.
+How busy the program is, is seen from inside: a beat that is due at an even pace wakes late whenever
+the one thread is at work, so the share of late beats is the share of the time at work, whatever the
+reason: a slow core, a share of one, or neighbours. Pure: what is due when is passed in.
 """
 
 from __future__ import annotations
@@ -20,12 +21,16 @@ BEATS = 40  # that are judged together: 2 s
 # of the beats late: one thing more goes; one may come back
 BUSY = 0.6
 CALM = 0.3
-CALM_S = 10.0  # in a row, before anything comes back; twice as long each time that it had to go again
+# in a row, before anything comes back; twice as long each time that it had to go again
+CALM_S = 10.0
 LONGEST_S = 160.0
 _SEARCHES = 4  # times as rarely the whole image is searched
-LOOKS = 7.0  # times as long as one look at the whole image three take: 17 ms for 5 at 640x480, 35 for 5 at 1280x720
+# times as long as one look at the whole image three take: 17 ms for 5 at 640x480, 35 for 5 at
+# 1280x720
+LOOKS = 7.0
 HOLD_S = 0.1  # that setpoints wait for a search, at most; 0.2 s are allowed between two
-QUICK_LOOKS = 8  # in a row, before three are taken: a share of a core comes in pieces, and one look may fit into one
+# in a row, before three are taken: a share of a core comes in pieces, and one look may fit into one
+QUICK_LOOKS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +56,15 @@ class Shedding:
         self._quick_due: float = 0  # looks at the whole image, before three of them are one search
 
     def begin(self) -> None:
-        """Takes that the program runs in real time, and what a search takes is not known: it begins with one look."""
+        """Takes that the program runs in real time, and what a search takes is not known: it begins
+        with one look.
+        """
         self._quick_due = QUICK_LOOKS
 
     def beat(self, late_s: float) -> Shed | None:
-        """Takes one beat, ``BEAT_S`` after the last one and so late; returns what changes with it."""
+        """Takes one beat, ``BEAT_S`` after the last one and so late; returns what changes with
+        it.
+        """
         self._late.append(late_s > LATE_S)
         if len(self._late) < BEATS:
             return None
@@ -87,11 +96,15 @@ class Shedding:
 
     @property
     def thorough(self) -> bool:
-        """Returns whether a search of the whole image takes three looks, for which setpoints wait, and not one."""
+        """Returns whether a search of the whole image takes three looks, for which setpoints wait,
+        and not one.
+        """
         return self.gone < 2 and self._quick_due <= 0
 
     def searched(self, took_s: float) -> None:
-        """Takes how long a search took that was as ``thorough`` says. Three looks that took too long are the last."""
+        """Takes how long a search took that was as ``thorough`` says. Three looks that took too
+        long are the last.
+        """
         if self.thorough:
             if took_s > HOLD_S:
                 self._quick_due = math.inf
@@ -104,7 +117,9 @@ class Shedding:
         return max(1, self.gone - 1)
 
     def took(self, frame_id: int, stamp_ns: int, now_ns: int) -> None:
-        """Takes a frame that was taken up now. The camera's interval and latency are learned from ids and stamps."""
+        """Takes a frame that was taken up now. The camera's interval and latency are learned from
+        ids and stamps.
+        """
         if self._newest is not None and frame_id > self._newest[0]:
             interval_ns = (stamp_ns - self._newest[1]) // (frame_id - self._newest[0])
             self._interval_ns = min(self._interval_ns or interval_ns, interval_ns)
@@ -112,7 +127,9 @@ class Shedding:
         self._latency_ns = min(self._latency_ns, max(0, now_ns - stamp_ns))
 
     def until_next_s(self, now_ns: int) -> float:
-        """Returns how long to wait before the next frame is taken up, so that those between are left out."""
+        """Returns how long to wait before the next frame is taken up, so that those between are
+        left out.
+        """
         if self.frames_every == 1 or self._newest is None:
             return 0.0
         due_ns = self._newest[1] + self.frames_every * self._interval_ns + self._latency_ns

@@ -1,14 +1,15 @@
 """A vehicle whose estimator may step: its states go on in the frame in which the flight began.
 
-Everything that a flight knows (the track of the target, the designated place, homes, the fence, ways, what the other
-drone was told) was reckoned before the estimator stepped, and the vehicle has not moved. So the step is taken out here,
-once, of every state and attitude, and put back into what is commanded: above this seam nothing has moved. That is the
-same as to move all that is known by the step, and to turn it about the vehicle.
+Everything that a flight knows (the track of the target, the designated place, homes, the fence,
+ways, what the other drone was told) was reckoned before the estimator stepped, and the vehicle has
+not moved. So the step is taken out here, once, of every state and attitude, and put back into what
+is commanded: above this seam nothing has moved. That is the same as to move all that is known by
+the step, and to turn it about the vehicle.
 
     place of the autopilot = place of the flight + shift,   heading of the autopilot = heading of the flight + turn
 
-``RoleSession`` wraps every vehicle so. The guard, which is a program of its own, and the autopilot's own fence go by
-what the autopilot says: ``as_reported`` is for them.
+``RoleSession`` wraps every vehicle so. The guard, which is a program of its own, and the
+autopilot's own fence go by what the autopilot says: ``as_reported`` is for them.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from path.messages import Quat
 
 
 class SteadyVehicle:
-    """A vehicle whose estimator's steps are taken out of its states. The Vehicle Protocol on another one.
+    """A vehicle whose estimator's steps are taken out of its states. The Vehicle Protocol on
+    another one.
 
     Attributes:
         steps: all that were seen so far.
@@ -41,7 +43,8 @@ class SteadyVehicle:
         self._shift_n_m: Vec3 = (0.0, 0.0, 0.0)
         self._turn_rad = 0.0
         self.steps: list[Step] = []
-        self._ends: list[tuple[Quat, Quat]] = []  # of each step: the attitudes before and after it, without it
+        # of each step: the attitudes before and after it, without it
+        self._ends: list[tuple[Quat, Quat]] = []
 
     @classmethod
     def of(cls, vehicle: Vehicle, config: MissionConfig) -> Self:
@@ -53,7 +56,11 @@ class SteadyVehicle:
         return self
 
     async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+        /,
     ) -> None:
         await self._vehicle.__aexit__(kind, error, trace)
 
@@ -82,7 +89,9 @@ class SteadyVehicle:
         return steady
 
     def attitude_at(self, stamp_ns: int) -> Quat:
-        """As the vehicle's own; between the states around a step, whose instant nobody knows, from one to the other."""
+        """As the vehicle's own; between the states around a step, whose instant nobody knows, from
+        one to the other.
+        """
         turn_rad = self._turned_by_now()
         for step, ends in zip(reversed(self.steps), reversed(self._ends), strict=True):
             if stamp_ns >= step.stamp_ns:
@@ -149,7 +158,9 @@ class SteadyVehicle:
 
     @property
     def ignored(self) -> Mapping[str, int]:
-        """Everything that the vehicle did not believe, in words, and its count; nothing where it does not say."""
+        """Everything that the vehicle did not believe, in words, and its count; nothing where it
+        does not say.
+        """
         return getattr(self._vehicle, "ignored", {})
 
     def __getattr__(self, name: str) -> Any:

@@ -24,7 +24,8 @@ class Tilt:
         self.down_n = add(scale(self.down_n, 1.0 - _SHARE), scale((north, east, down), _SHARE))
 
     def aim(self, axis_b: Vec3, heading_rad: float, below_m: float) -> Vec3:
-        """Returns how much farther to one side a drone has to be for its camera to look where a level one would.
+        """Returns how much farther to one side a drone has to be for its camera to look where a
+        level one would.
 
         Args:
             axis_b: of the camera, in the body; it looks downward.
@@ -35,14 +36,21 @@ class Tilt:
         """
         level = from_heading(axis_b, heading_rad)
         north, east, down = (tilted(np.array(self.down_n)) @ level).tolist()
-        if down < 0.1 or level[2] < 0.1:  # it looks at the horizon: the tilt leads to no place on the ground
+        # it looks at the horizon: the tilt leads to no place on the ground
+        if down < 0.1 or level[2] < 0.1:
             return 0.0, 0.0, 0.0
-        farther = subtract(scale(level, below_m / level[2]), scale((north, east, down), below_m / down))
+        farther = subtract(
+            scale(level, below_m / level[2]), scale((north, east, down), below_m / down)
+        )
         return limit((farther[0], farther[1], 0.0), _FARTHEST_M)
 
 
 def tilted(down: NDArray[np.float64]) -> Matrix:
-    """The smallest rotation that takes the vertical, (0, 0, 1), to a drone's own z axis (of any length), (3, 3)."""
+    """The smallest rotation that takes the vertical, (0, 0, 1), to a drone's own z axis (of any
+    length), (3, 3).
+    """
     x, y, z = (down / np.linalg.norm(down)).tolist()
     k = 1.0 / (1.0 + z)
-    return np.array([[1.0 - k * x * x, -k * x * y, x], [-k * x * y, 1.0 - k * y * y, y], [-x, -y, z]])
+    return np.array(
+        [[1.0 - k * x * x, -k * x * y, x], [-k * x * y, 1.0 - k * y * y, y], [-x, -y, z]]
+    )

@@ -1,4 +1,6 @@
-"""How far a drone goes before it lands, so that the target it watched cannot be below it by then. Pure."""
+"""How far a drone goes before it lands, so that the target it watched cannot be below it by then.
+Pure.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +13,17 @@ FARTHEST = 2.0  # times the usual way out, for a target that could come there
 
 
 def way_out_m(
-    track: TargetTrack, place_n_m: Vec3, along_n: Vec3, config: MissionConfig, now_ns: int, least_m: float
+    track: TargetTrack,
+    place_n_m: Vec3,
+    along_n: Vec3,
+    config: MissionConfig,
+    now_ns: int,
+    least_m: float,
 ) -> float:
     """Return how far to go from a place along a level unit vector.
 
-    So far that the target, as fast as it may be, cannot come there before the drone is down; ``least_m`` in any case,
-    and at most ``FARTHEST`` times the usual way.
+    So far that the target, as fast as it may be, cannot come there before the drone is down;
+    ``least_m`` in any case, and at most ``FARTHEST`` times the usual way.
     """
     target, _ = track.believed(now_ns)
     height_m = max(0.0, -place_n_m[2])

@@ -1,1 +1,3 @@
-"""Hardware-in-the-loop harness: substitutes for what the drivers talk to. Nothing imports it; a rig names it."""
+"""Hardware-in-the-loop harness: substitutes for what the drivers talk to. Nothing imports it; a rig
+names it.
+"""

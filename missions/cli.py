@@ -46,7 +46,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "calibrate": ("calibrate:CalibrateOptions", "field.calibrate.run"),
     "detect": ("field:DetectOptions", "field.detect"),
 }
-"""Each command's options, in ``missions.ground.options``, and the module that has its ``run(options) -> exit code``."""
+"""Each command's options, in ``missions.ground.options``, and the module that has its
+``run(options) -> exit code``.
+"""
 
 EXIT_REFUSED = CommandEnd.REFUSED.exit_code
 MOST_SHOWN = 160
@@ -55,7 +57,15 @@ EXIT_BROKEN_PIPE = CommandEnd.READER_GONE.exit_code
 USUAL = {"--live": "127.0.0.1:8765", "--gcs": "127.0.0.1:14550"}
 WRITTEN = ("out", "junit", "page", "save", "layout")
 """Options that name what is written; a device may be."""
-UNWRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM)
+UNWRITTEN = (
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+    errno.EIO,
+    errno.EROFS,
+    errno.EACCES,
+    errno.EPERM,
+)
 """Errors of the place that is written to, and not of PATH."""
 
 DESCRIPTION = """Two drones pass a moving target, with proof that it is the same target.
@@ -96,21 +106,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _have_streams() -> None:
-    """A program that is started with a closed stdout or stderr has none: what it says goes nowhere."""
+    """A program that is started with a closed stdout or stderr has none: what it says goes
+    nowhere.
+    """
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
 
 
 def _carry_out(arguments: Sequence[str] | None) -> int:
-    """The exit code of a command line. Raises SystemExit for one that was not understood, or asked for help."""
+    """The exit code of a command line. Raises SystemExit for one that was not understood, or asked
+    for help.
+    """
     if (sys.argv[1:] if arguments is None else list(arguments)) == ["--version"]:
         from importlib.metadata import version  # noqa: PLC0415 (brings e-mail's parser along)
 
         sys.stdout.write(f"path-handoff {version('path-handoff')}\n")
         sys.exit(0)
     try:
-        return _run_whole(_understood(_spelled_out(sys.argv[1:] if arguments is None else arguments)))
+        return _run_whole(
+            _understood(_spelled_out(sys.argv[1:] if arguments is None else arguments))
+        )
     except KeyboardInterrupt:
         return EXIT_CTRL_C
     except BrokenPipeError:  # as in `path-handoff --help | head`
@@ -119,7 +135,11 @@ def _carry_out(arguments: Sequence[str] | None) -> int:
     except OSError as error:
         if error.errno == errno.ENAMETOOLONG:
             name = str(error.filename)
-            shown = name if len(name) <= MOST_SHOWN else f"{name[:60]}...{name[-60:]} ({len(name)} characters)"
+            shown = (
+                name
+                if len(name) <= MOST_SHOWN
+                else f"{name[:60]}...{name[-60:]} ({len(name)} characters)"
+            )
             with suppress(OSError):
                 sys.stderr.write(error_text(f"{shown}: {error.strerror}", "name something shorter"))
             return EXIT_REFUSED
@@ -140,7 +160,9 @@ def _carry_out(arguments: Sequence[str] | None) -> int:
 
 
 def _run_whole(command: object) -> int:
-    """Carry out a command whose exit code only it decides: no command calls ``sys.exit``, code of a rig may."""
+    """Carry out a command whose exit code only it decides: no command calls ``sys.exit``, code of a
+    rig may.
+    """
     try:
         return run(command)
     except SystemExit as error:
@@ -153,10 +175,11 @@ def _run_whole(command: object) -> int:
 
 
 def _understood(arguments: list[str]) -> object:
-    """The options of the command that is asked for. Raises SystemExit when help is, or what it says is not understood.
+    """The options of the command that is asked for. Raises SystemExit when help is, or what it says
+    is not understood.
 
-    Only the command that is named is made, which takes half as long. What is not understood is told, and help given,
-    by all of them together, which know what else may have been meant.
+    Only the command that is named is made, which takes half as long. What is not understood is
+    told, and help given, by all of them together, which know what else may have been meant.
     """
     import tyro  # noqa: PLC0415 (a second on a busy computer, in which Ctrl-C is to end in silence)
 
@@ -165,8 +188,12 @@ def _understood(arguments: list[str]) -> object:
     if name in COMMANDS:
         with suppress(SystemExit), redirect_stdout(StringIO()), redirect_stderr(StringIO()):
             return tyro.cli(_options_of(name), args=arguments[1:], config=known)
-    every: Any = reduce(or_, (Annotated[_options_of(name), tyro.conf.subcommand(name)] for name in COMMANDS))
-    return tyro.cli(every, args=arguments, prog="path-handoff", description=DESCRIPTION, config=known)
+    every: Any = reduce(
+        or_, (Annotated[_options_of(name), tyro.conf.subcommand(name)] for name in COMMANDS)
+    )
+    return tyro.cli(
+        every, args=arguments, prog="path-handoff", description=DESCRIPTION, config=known
+    )
 
 
 def _options_of(name: str) -> Any:
@@ -200,13 +227,16 @@ def run(command: object) -> int:
     have_temporary_folder()
     have_kernel_cache()
     of = {options.partition(":")[2]: module for options, module in COMMANDS.values()}
-    with collector_off():  # of cycles: a module's classes and functions are kept, and are walked for nothing
+    # of cycles: a module's classes and functions are kept, and are walked for nothing
+    with collector_off():
         module = importlib.import_module(f"missions.{of[type(command).__name__]}")
     return module.run(command)
 
 
 def _refuse_endless(command: object) -> None:
-    """Raise PartError for a pipe or a device that is to be read: it may have no end, or never give a byte."""
+    """Raise PartError for a pipe or a device that is to be read: it may have no end, or never give
+    a byte.
+    """
     for name in getattr(command, "__dataclass_fields__", {}):
         given = getattr(command, name)
         if hasattr(given, "__dataclass_fields__"):
@@ -217,7 +247,10 @@ def _refuse_endless(command: object) -> None:
                     continue
                 from drivers.interfaces import PartError  # noqa: PLC0415
 
-                raise PartError(f"{path} is neither a file nor a folder: a pipe or a device", "name a file or a folder")
+                raise PartError(
+                    f"{path} is neither a file nor a folder: a pipe or a device",
+                    "name a file or a folder",
+                )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """What both drones of a pair must have alike, as each tells the other.
 
-The marker that one drone carries is measured by the other: a side that is written wrongly in one of two rigs scales
-every distance between the drones. So each says digests of what both must have alike, and a pair that differs is refused
-before anything moves. Pure.
+The marker that one drone carries is measured by the other: a side that is written wrongly in one of
+two rigs scales every distance between the drones. So each says digests of what both must have
+alike, and a pair that differs is refused before anything moves. Pure.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ class Alike:
         places: of the markers in ``v``.
         method: its settings.
         separation: what is kept between the drones.
-        first_side: of the marker with the lowest id, in 0.1 mm: no digest, so that both can be told.
+        first_side: of the marker with the lowest id, in 0.1 mm: no digest, so that both can be
+            told.
     """
 
     dialect: int
@@ -59,7 +60,9 @@ def differing(own: Alike, other: Alike | None) -> list[str]:
     ``other``: None when the other drone does not say what it has.
     """
     if other is None:
-        return ["the version of PATH (the other drone's is older: it does not say what its rig has)"]
+        return [
+            "the version of PATH (the other drone's is older: it does not say what its rig has)"
+        ]
     found = [what for name, what in _WHAT.items() if getattr(own, name) != getattr(other, name)]
     sides = own.first_side, other.first_side
     if own.sides != other.sides and sides[0] != sides[1]:

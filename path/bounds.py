@@ -3,8 +3,9 @@
     take_off_height_m: Annotated[float, Bounds(0.3, 100.0)] = 1.5
     hold_frames: Annotated[int, Bounds(1, 100_000, "frames")] = 350
 
-Bounds say what is plausible, so that a value in another unit is not flown. What must fit together is checked by whoever
-knows all of it (``flight.plausible``, and the ``__post_init__`` of a configuration).
+Bounds say what is plausible, so that a value in another unit is not flown. What must fit together
+is checked by whoever knows all of it (``flight.plausible``, and the ``__post_init__`` of a
+configuration).
 """
 
 from __future__ import annotations
@@ -32,14 +33,17 @@ _MISTAKES: Mapping[str, tuple[tuple[float, str], ...]] = {
     "of 1": ((1e-2, "per cent"),),
     "us": ((1e-3, "nanoseconds"),),
 }
-"""By unit: what a value that is too large may have been meant in, and how much of the unit that is."""
+"""By unit: what a value that is too large may have been meant in, and how much of the unit that
+is.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
     """The least and the largest plausible value.
 
-    ``unit``: where the field's name does not end with it; in brackets when it is no measure, such as ``(an id)``.
+    ``unit``: where the field's name does not end with it; in brackets when it is no measure, such
+    as ``(an id)``.
 
     ``above``: the least value itself is already too small.
     """
@@ -59,33 +63,49 @@ AutopilotValues = Annotated[dict[str, float], Bounds(-3.4e38, 3.4e38, "as the au
 
 
 def check_bounds(config: object) -> None:
-    """Raises ValueError naming the first field of a dataclass that is out of its bounds, and what is allowed."""
+    """Raises ValueError naming the first field of a dataclass that is out of its bounds, and what
+    is allowed.
+    """
     for name, (kind, bounds) in bounded_fields(type(config)).items():
         value = getattr(config, name)
         if kind is int and (isinstance(value, bool) or not isinstance(value, int)):
             raise ValueError(f"{name}: {value!r} is not a whole number")
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, (int, float))
+            or not math.isfinite(value)
+        ):
             raise ValueError(f"{name}: {value!r} is not a finite number")
         if not bounds.holds(value):
             raise ValueError(f"{name}: {refusal(name, value, bounds)}")
 
 
 def out_of_bounds(config: object) -> list[tuple[str, str]]:
-    """Every field of a dataclass with a number that is out of its bounds, and why it is not taken."""
+    """Every field of a dataclass with a number that is out of its bounds, and why it is not
+    taken.
+    """
     wrong: list[tuple[str, str]] = []
     for name, bounds in _bounds_by_field(type(config)).items():
         value = getattr(config, name)
         if dataclasses.is_dataclass(value):
             wrong += out_of_bounds(value)
-        wrong += [(name, refusal(name, each, bounds)) for each in numbers(value) if bounds and not bounds.holds(each)]
+        wrong += [
+            (name, refusal(name, each, bounds))
+            for each in numbers(value)
+            if bounds and not bounds.holds(each)
+        ]
     return wrong
 
 
 def refusal(name: str, value: float, bounds: Bounds) -> str:
-    """Returns why a field's value is refused: the value, what is allowed, and the likely mistake."""
+    """Returns why a field's value is refused: the value, what is allowed, and the likely
+    mistake.
+    """
     unit = unit_of(name, bounds)
     shown = f" {unit}" if unit and not unit.startswith("(") else ""
-    low, high = (str(each) if isinstance(each, int) else f"{each:g}" for each in (bounds.low, bounds.high))
+    low, high = (
+        str(each) if isinstance(each, int) else f"{each:g}" for each in (bounds.low, bounds.high)
+    )
     between = f"above {low} and at most " if bounds.above else f"within {low}.."
     return f"{value!r}{shown} is not {between}{high}{shown}{_likely(value, bounds, unit)}"
 
@@ -120,7 +140,9 @@ def bounded_fields(kind: type[Any]) -> dict[str, tuple[type[Any], Bounds]]:
 
 @cache
 def _bounds_by_field(kind: type[Any]) -> dict[str, Bounds | None]:
-    return {name: bounds_of(hint) for name, hint in get_type_hints(kind, include_extras=True).items()}
+    return {
+        name: bounds_of(hint) for name, hint in get_type_hints(kind, include_extras=True).items()
+    }
 
 
 def bounds_of(hint: Any) -> Bounds | None:

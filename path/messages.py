@@ -1,7 +1,8 @@
 """The messages two drones exchange, as values. How they look on the wire is ``drivers.link.wire``.
 
-Stamps are nanoseconds of the *sending* drone's clock; the receiver converts them (``flight.clocks``). An ``instance``
-names one receiver: a number of 24 bits that its program draws when it starts, or takes over from its record; never 0.
+Stamps are nanoseconds of the *sending* drone's clock; the receiver converts them
+(``flight.clocks``). An ``instance`` names one receiver: a number of 24 bits that its program draws
+when it starts, or takes over from its record; never 0.
 """
 
 from __future__ import annotations
@@ -40,7 +41,9 @@ class Target:
 
 @value
 class Candidate:
-    """D2 -> D1: the box D2's own detector found (eq. d2_candidate), and the pose it used; or why there is none."""
+    """D2 -> D1: the box D2's own detector found (eq. d2_candidate), and the pose it used; or why
+    there is none.
+    """
 
     handoff_id: int
     epoch: int
@@ -61,7 +64,9 @@ STEPS = 64
 
 @value
 class Status:
-    """A drone's state for coarse rendezvous, feed-forward and the console, sent both ways, a few times a second."""
+    """A drone's state for coarse rendezvous, feed-forward and the console, sent both ways, a few
+    times a second.
+    """
 
     role: Role
     stamp_ns: int
@@ -72,10 +77,13 @@ class Status:
     responsible: bool
     observing: bool
     battery: float  # 0..1; NaN: the vehicle does not tell it
-    instance: int = 0  # of a receiver its own; of a sender that of the receiver it committed to, 0 for none
-    ended: int = 0  # exit code of the end that its flight has come to; 0: it goes on, or has come to its own end
+    # of a receiver its own; of a sender that of the receiver it committed to, 0 for none
+    instance: int = 0
+    # exit code of the end that its flight has come to; 0: it goes on, or has come to its own end
+    ended: int = 0
     steps: int = 0  # how often the drone's estimator has stepped, modulo STEPS
-    alike: Alike | None = None  # what both must have alike; None from a version of PATH that does not say
+    # what both must have alike; None from a version of PATH that does not say
+    alike: Alike | None = None
 
 
 @value

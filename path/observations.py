@@ -1,4 +1,6 @@
-"""Observations of a camera view: boxes, marker corners, depths, and the reasons when there are none."""
+"""Observations of a camera view: boxes, marker corners, depths, and the reasons when there are
+none.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from path.values import value
 
 @value
 class Box:
-    """An axis-aligned box ``(x, y, w, h)`` in px; ``x, y`` is the top-left corner, floats allowed."""
+    """An axis-aligned box ``(x, y, w, h)`` in px; ``x, y`` is the top-left corner, floats
+    allowed.
+    """
 
     x: float
     y: float
@@ -34,7 +38,9 @@ def around(boxes: Sequence[Box]) -> Box:
     """The smallest box that holds them all; at least one."""
     x = min(each.x for each in boxes)
     y = min(each.y for each in boxes)
-    return Box(x, y, max(each.x + each.w for each in boxes) - x, max(each.y + each.h for each in boxes) - y)
+    return Box(
+        x, y, max(each.x + each.w for each in boxes) - x, max(each.y + each.h for each in boxes) - y
+    )
 
 
 def common_area(a: Box, b: Box) -> float:
@@ -48,8 +54,8 @@ def common_area(a: Box, b: Box) -> float:
 class Extent:
     """The size that the box of one object has at some distance, in px.
 
-    ``usual_px``, ``most_px``: of the geometric mean of its sides, as a rule and at most; ``longest_px``: of its longer
-    side, at most.
+    ``usual_px``, ``most_px``: of the geometric mean of its sides, as a rule and at most;
+    ``longest_px``: of its longer side, at most.
     """
 
     usual_px: float = 0.0
@@ -65,7 +71,8 @@ class Region:
     """A part of an image in px: ``x0 <= x < x1``, ``y0 <= y < y1``. May reach beyond the image.
 
     ``near_m, far_m``: how far away along the optical axis what is looked for can be.
-    ``extent``: the size that the box of one such object has there, for a detector that can tell apart what touches.
+    ``extent``: the size that the box of one such object has there, for a detector that can tell
+    apart what touches.
     """
 
     x0: float
@@ -138,7 +145,8 @@ class RangeSource(Enum):
 
 @value
 class Depth:
-    """The range of what is in a box: ``z_m`` along the optical axis, ``sigma_m`` its standard deviation.
+    """The range of what is in a box: ``z_m`` along the optical axis, ``sigma_m`` its standard
+    deviation.
 
     ``source``: what most of it rests on; robust registered depth unless it says otherwise.
     """
@@ -181,8 +189,9 @@ class Missed:
 
     Attributes:
         iou: what the boxes gave, when it came to comparing them.
-        ignored: the input was no new evidence at all (an old or repeated frame or packet, or a broken one): it leaves
-            the count of consecutive agreements as it was, while every other miss restarts it.
+        ignored: the input was no new evidence at all (an old or repeated frame or packet, or a
+            broken one): it leaves the count of consecutive agreements as it was, while every other
+            miss restarts it.
         cause: a sentence for the crew about what is likely wrong, where that can be told.
     """
 

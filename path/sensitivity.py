@@ -1,14 +1,17 @@
-"""The effect of errors of depth and of the marker's pose on D2's prior (paper, section "Sensor Sensitivity").
+"""The effect of errors of depth and of the marker's pose on D2's prior (paper, section "Sensor
+Sensitivity").
 
 The printed text leaves conventions open; these reproduce its nominal projection:
 
-- The handoff-local frame ``v`` has the axes of D1's camera, and its origin there: D1's mounting plays no part.
-- The relative yaw turns about the camera's vertical axis y, ``R_c2_v = Ry(+25 deg)``, and the translation is the origin
-  of ``v`` in D2's camera frame: ``X_c2 = R_c2_v X_v + t_2v``.
+- The handoff-local frame ``v`` has the axes of D1's camera, and its origin there: D1's mounting
+  plays no part.
+- The relative yaw turns about the camera's vertical axis y, ``R_c2_v = Ry(+25 deg)``, and the
+  translation is the origin of ``v`` in D2's camera frame: ``X_c2 = R_c2_v X_v + t_2v``.
 - A pose error changes one of the two: ``t <- t + dt``, or ``R <- exp(dw) R`` with ``t`` untouched.
 
-The marker itself, the origin of ``v``, then lies at u = -426 px, outside D2's image: the geometry is good for
-arithmetic, and no rendezvous. All functions are pure; lengths in m, angles in rad, errors in px.
+The marker itself, the origin of ``v``, then lies at u = -426 px, outside D2's image: the geometry
+is good for arithmetic, and no rendezvous. All functions are pure; lengths in m, angles in rad,
+errors in px.
 """
 
 from __future__ import annotations
@@ -87,28 +90,45 @@ def project(camera: CameraModel, T_c2_v: Pose, point_v: Vector) -> Array:
 
 
 def depth_error2(camera: CameraModel, T_c2_v: Pose, point_v: Vector, error_m: float) -> Array:
-    """Squared displacements, px^2, shape (2,), for a depth that is too large and one that is too small."""
+    """Squared displacements, px^2, shape (2,), for a depth that is too large and one that is too
+    small.
+    """
     scale = 1.0 + np.array([error_m, -error_m]) / point_v[2]
     return _displaced2(camera, T_c2_v, point_v, T_c2_v.apply(point_v * scale[:, None]))
 
 
-def translation_error2(camera: CameraModel, T_c2_v: Pose, point_v: Vector, error_m: float, toward: Array) -> Array:
-    """Squared displacements, px^2, shape (n,), for errors of the translation in the directions ``toward``, (n, 3)."""
+def translation_error2(
+    camera: CameraModel, T_c2_v: Pose, point_v: Vector, error_m: float, toward: Array
+) -> Array:
+    """Squared displacements, px^2, shape (n,), for errors of the translation in the directions
+    ``toward``, (n, 3).
+    """
     return _displaced2(camera, T_c2_v, point_v, T_c2_v.apply(point_v) + error_m * toward)
 
 
-def rotation_error2(camera: CameraModel, T_c2_v: Pose, point_v: Vector, error_rad: float, axes: Array) -> Array:
-    """Squared displacements, px^2, shape (n,), for errors of the rotation about ``axes``, (n, 3) unit vectors."""
+def rotation_error2(
+    camera: CameraModel, T_c2_v: Pose, point_v: Vector, error_rad: float, axes: Array
+) -> Array:
+    """Squared displacements, px^2, shape (n,), for errors of the rotation about ``axes``, (n, 3)
+    unit vectors.
+    """
     turned = T_c2_v.R @ point_v
     along = (axes @ turned)[:, None] * axes
-    moved = math.cos(error_rad) * (turned - along) + math.sin(error_rad) * np.cross(axes, turned) + along
+    moved = (
+        math.cos(error_rad) * (turned - along)
+        + math.sin(error_rad) * np.cross(axes, turned)
+        + along
+    )
     return _displaced2(camera, T_c2_v, point_v, moved + T_c2_v.t)
 
 
-def first_order(camera: CameraModel, T_c2_v: Pose, point_v: Vector, errors: ReferenceErrors) -> Terms:
+def first_order(
+    camera: CameraModel, T_c2_v: Pose, point_v: Vector, errors: ReferenceErrors
+) -> Terms:
     """The terms by the projection's derivatives, averaged over all directions in closed form.
 
-    For a linear map ``A`` and unit vectors uniform on the sphere, the mean of ``|A e|^2`` is ``|A|_F^2 / 3``.
+    For a linear map ``A`` and unit vectors uniform on the sphere, the mean of ``|A e|^2`` is
+    ``|A|_F^2 / 3``.
     """
     J = camera.jacobian(T_c2_v.apply(point_v)[None])[0]
     x, y, z = T_c2_v.R @ point_v

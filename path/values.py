@@ -1,8 +1,8 @@
 """The decorator of values that are made hundreds of times a second.
 
-To the type checker, which looks at every line, such a class is a frozen dataclass with slots. In flight it is one whose
-fields are simply set when it is made: a frozen one asks ``object.__setattr__`` for each field, which takes four times
-as long.
+To the type checker, which looks at every line, such a class is a frozen dataclass with slots. In
+flight it is one whose fields are simply set when it is made: a frozen one asks
+``object.__setattr__`` for each field, which takes four times as long.
 """
 
 from __future__ import annotations

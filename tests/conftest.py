@@ -1,4 +1,5 @@
-"""The settings of all tests: what they share, which may run side by side, and property tests that repeat.
+"""The settings of all tests: what they share, which may run side by side, and property tests that
+repeat.
 
 Property tests have the same examples each time everywhere, and no limit of wall time.
 
@@ -20,11 +21,13 @@ from hypothesis import settings
 from tests.overloaded import REPEATED, Repeating, repetitions
 from tests.scheduling import Groups, be_nice
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in missions, and before any test loads numpy
+# as in missions, and before any test loads numpy
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
-# Signals that whoever began the tests ignores (nohup, a shell's `&`) would be ignored by the programs under test too:
-# a handler keeps the tests running as before, and does not pass on to programs that they start.
+# Signals that whoever began the tests ignores (nohup, a shell's `&`) would be ignored by the
+# programs under test too: a handler keeps the tests running as before, and does not pass on to
+# programs that they start.
 def _go_on(_number: int, _frame: object) -> None:
     """Does nothing, as a signal that is ignored."""
 
@@ -40,7 +43,9 @@ settings.load_profile("steady")
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """All modules and tests stay to the end: they are not walked for garbage while they come, nor ever after."""
+    """All modules and tests stay to the end: they are not walked for garbage while they come, nor
+    ever after.
+    """
     gc.disable()
     try:
         return (yield)
@@ -50,7 +55,8 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """All tests on two cores: after the flights, what waits is in three workers, and two others compute meanwhile.
+    """All tests on two cores: after the flights, what waits is in three workers, and two others
+    compute meanwhile.
 
     Some of the tests are run without workers, which take seconds to start and cannot show output.
     """
@@ -68,10 +74,14 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Flights that a computer was too slow for are not hidden by those that were flown in their place."""
+    """Flights that a computer was too slow for are not hidden by those that were flown in their
+    place.
+    """
     again = repetitions(report for reports in terminalreporter.stats.values() for report in reports)
     if again:
-        terminalreporter.section(f"{len(again)} flights were flown again: the computer was too slow")
+        terminalreporter.section(
+            f"{len(again)} flights were flown again: the computer was too slow"
+        )
         for each in again:
             terminalreporter.write_line(each)
 

@@ -8,7 +8,9 @@ from hil.world.errors import ErrorsConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
 from hil.world.world import World
 
-QUICK = AutopilotConfig(settle_s=0.2, spool_s=0.1, climb_mps=1.5, land_mps=1.0, touchdown_mps=0.8, land_disarm_s=0.2)
+QUICK = AutopilotConfig(
+    settle_s=0.2, spool_s=0.1, climb_mps=1.5, land_mps=1.0, touchdown_mps=0.8, land_disarm_s=0.2
+)
 
 
 def exact_world(autopilot: AutopilotConfig = QUICK, **others: Any) -> World:

@@ -1,7 +1,8 @@
-"""Whether this computer's cores are free, and waiting until they are: before a flight in real time is flown again.
+"""Whether this computer's cores are free, and waiting until they are: before a flight in real time
+is flown again.
 
-A neighbour that is busy for minutes would make each repetition as late as the first. ``python -m tests.free_cores``
-waits as the tests do.
+A neighbour that is busy for minutes would make each repetition as late as the first. ``python -m
+tests.free_cores`` waits as the tests do.
 """
 
 from __future__ import annotations
@@ -58,4 +59,8 @@ def wait_until_free(
 
 
 if __name__ == "__main__":
-    print("the cores are free" if wait_until_free() else f"the cores were not free within {WAIT_S:g} s")
+    print(
+        "the cores are free"
+        if wait_until_free()
+        else f"the cores were not free within {WAIT_S:g} s"
+    )

@@ -14,9 +14,11 @@ _hosts = count(2)
 
 @cache
 def _slot() -> tuple[int, socket.socket]:
-    """Return this process's own slot, and what nobody else on this computer can have as long as it lives.
+    """Return this process's own slot, and what nobody else on this computer can have as long as it
+    lives.
 
-    The first port of each slot says whose it is: runs of tests share the ports, and not always a folder for locks.
+    The first port of each slot says whose it is: runs of tests share the ports, and not always a
+    folder for locks.
     """
     for slot in range(SLOTS):
         mark = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -29,8 +31,12 @@ def _slot() -> tuple[int, socket.socket]:
     raise OSError(f"{SLOTS} runs of tests are under way")
 
 
-def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM, family: socket.AddressFamily = socket.AF_INET) -> int:
-    """Returns a port that is free, and stays it until it is used: no other run, nor worker of it, is given it."""
+def free_port(
+    kind: socket.SocketKind = socket.SOCK_DGRAM, family: socket.AddressFamily = socket.AF_INET
+) -> int:
+    """Returns a port that is free, and stays it until it is used: no other run, nor worker of it,
+    is given it.
+    """
     first, ports = FIRST + EACH * _slot()[0] + 1, EACH - 1
     for _ in range(ports):
         port = first + next(_next) % ports
@@ -41,12 +47,16 @@ def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM, family: socket.Addres
 
 
 def free_ports(
-    number: int, kind: socket.SocketKind = socket.SOCK_DGRAM, family: socket.AddressFamily = socket.AF_INET
+    number: int,
+    kind: socket.SocketKind = socket.SOCK_DGRAM,
+    family: socket.AddressFamily = socket.AF_INET,
 ) -> list[int]:
     return [free_port(kind, family) for _ in range(number)]
 
 
 def free_host() -> str:
-    """Returns a loopback address that no test had before: for a device whose ports are the same everywhere."""
+    """Returns a loopback address that no test had before: for a device whose ports are the same
+    everywhere.
+    """
     number = next(_hosts)
     return f"127.{1 + _slot()[0]}.{number // 250}.{number % 250}"

@@ -1,4 +1,6 @@
-"""A flying embedded vehicle with two MAVLink ports, and what a hung role's MAVSDK would go on sending to the first."""
+"""A flying embedded vehicle with two MAVLink ports, and what a hung role's MAVSDK would go on
+sending to the first.
+"""
 
 from __future__ import annotations
 
@@ -52,8 +54,12 @@ class Bench:
         self.ground.bind(("127.0.0.1", 0))
         self.ground.setblocking(False)
         self.port = free_port()
-        tangent = LocalTangent(ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.altitude_m + altitude_off_m)
-        config = MavlinkVehicleConfig(SYSID, self.ground.getsockname(), second=("127.0.0.1", self.port), key=key)
+        tangent = LocalTangent(
+            ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.altitude_m + altitude_off_m
+        )
+        config = MavlinkVehicleConfig(
+            SYSID, self.ground.getsockname(), second=("127.0.0.1", self.port), key=key
+        )
         self.vehicle = MavlinkVehicle(config, self.drone, tangent)
         self.vehicle.tap = lambda _, message: self.wire.append(message)
         self.wire: list[Any] = []
@@ -106,7 +112,9 @@ class Bench:
 
     def commands(self, *numbers: int) -> list[int]:
         """Commands that reached the vehicle, of these numbers, in order."""
-        return [m.command for m in self.wire if m.get_type() == "COMMAND_LONG" and m.command in numbers]
+        return [
+            m.command for m in self.wire if m.get_type() == "COMMAND_LONG" and m.command in numbers
+        ]
 
 
 @contextmanager
@@ -116,9 +124,11 @@ def bench(
     altitude_off_m: float = 0.0,
     altitude: AltitudeConfig = RIGHT,
 ) -> Generator[Bench]:
-    """The vehicle's time runs ``speed`` times as fast as ours; with a ``key`` it signs, and takes what is signed.
+    """The vehicle's time runs ``speed`` times as fast as ours; with a ``key`` it signs, and takes
+    what is signed.
 
-    ``altitude_off_m``: of what it takes for its altitude above sea level; ``altitude``: the same, and how it moves.
+    ``altitude_off_m``: of what it takes for its altitude above sea level; ``altitude``: the same,
+    and how it moves.
     """
     own, stop = Bench(speed, key, altitude_off_m, altitude), threading.Event()
     thread = threading.Thread(target=own.run, args=(stop,))

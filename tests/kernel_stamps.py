@@ -1,4 +1,6 @@
-"""The kernel's stamps of packets: they begin a moment after the first socket on a computer asks for them."""
+"""The kernel's stamps of packets: they begin a moment after the first socket on a computer asks for
+them.
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,11 @@
-"""Measure the code by what a reader has to hold: tokens, tokens per line of code, classes, settings, words of pages.
+"""Measure the code by what a reader has to hold: tokens, tokens per line of code, classes,
+settings, words of pages.
 
-``python -m tests.measures`` prints a table of the tracked modules outside ``tests``. It judges nothing.
+``python -m tests.measures`` prints a table of the tracked modules outside ``tests``. It judges
+nothing.
 
-A token is one of Python's tokenizer, without comments, docstrings, line ends and indentation. A line of code is one on
-which such a token begins.
+A token is one of Python's tokenizer, without comments, docstrings, line ends and indentation. A
+line of code is one on which such a token begins.
 """
 
 from __future__ import annotations
@@ -112,7 +114,9 @@ def total(files: Iterable[Path]) -> Measure:
 
 def tracked(pattern: str) -> list[Path]:
     """Return the tracked files that match a pattern of git's, without what a program wrote."""
-    listed = subprocess.run(("git", "ls-files", "--", pattern), cwd=ROOT, check=True, capture_output=True, text=True)
+    listed = subprocess.run(
+        ("git", "ls-files", "--", pattern), cwd=ROOT, check=True, capture_output=True, text=True
+    )
     files = [ROOT / name for name in listed.stdout.splitlines()]
     return [file for file in files if file.exists()]
 

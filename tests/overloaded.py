@@ -1,8 +1,10 @@
-"""Flights in real time that a computer was too slow for say nothing: they are flown again, counted, and told.
+"""Flights in real time that a computer was too slow for say nothing: they are flown again, counted,
+and told.
 
-Before it is flown again, the computer's cores are waited for: whoever took them may be busy for minutes. Only an end as
-``overloaded`` is repeated, and it is one only where lateness explains what was seen (``missions/ground/lateness.py``). A
-violation, or any other end, is what the flight came to the first time.
+Before it is flown again, the computer's cores are waited for: whoever took them may be busy for
+minutes. Only an end as ``overloaded`` is repeated, and it is one only where lateness explains what
+was seen (``missions/ground/lateness.py``). A violation, or any other end, is what the flight came
+to the first time.
 """
 
 from __future__ import annotations
@@ -36,7 +38,8 @@ class Flown(Generic[_T]):
 
 @dataclass(frozen=True, slots=True)
 class Repeating:
-    """Flies a flight of one test, and again while the computer is too slow. Each has a folder of its own.
+    """Flies a flight of one test, and again while the computer is too slow. Each has a folder of
+    its own.
 
     Attributes:
         folder: of the test.
@@ -49,7 +52,9 @@ class Repeating:
     wait: Callable[[], bool] = wait_until_free
 
     def __call__(self, fly: Callable[[Path], Flown[_T]]) -> _T:
-        """Returns what was seen of the flight that counts. Fails the test when the computer was too slow each time."""
+        """Returns what was seen of the flight that counts. Fails the test when the computer was too
+        slow each time.
+        """
         flown: list[Flown[_T]] = []
         while len(flown) < TRIES:
             out = self.folder / f"flight-{len(flown) + 1}"
@@ -58,9 +63,14 @@ class Repeating:
             if flown[-1].outcome != Outcome.OVERLOADED.label:
                 return flown[-1].seen
             busy = len(flown) < TRIES and not self.wait()
-            self.tell(flown[-1].detail + (f"; no cores were free for {WAIT_S:g} s after it" if busy else ""))
+            self.tell(
+                flown[-1].detail
+                + (f"; no cores were free for {WAIT_S:g} s after it" if busy else "")
+            )
         told = "\n".join(each.detail for each in flown)
-        pytest.fail(f"this computer was too slow {TRIES} times out of {TRIES}:\n{told}", pytrace=False)
+        pytest.fail(
+            f"this computer was too slow {TRIES} times out of {TRIES}:\n{told}", pytrace=False
+        )
 
 
 def repetitions(reports: Iterable[Any]) -> list[str]:

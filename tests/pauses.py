@@ -1,4 +1,6 @@
-"""How evenly a test was run: what is measured in real time is the computer's own where it stood still."""
+"""How evenly a test was run: what is measured in real time is the computer's own where it stood
+still.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ _T = TypeVar("_T")
 
 @contextmanager
 def pauses() -> Generator[list[float]]:
-    """Yields the pauses of this process, s: one for each step of a thread that has nothing to do."""
+    """Yields the pauses of this process, s: one for each step of a thread that has nothing to
+    do.
+    """
     ending, found = threading.Event(), list[float]()
 
     def run() -> None:
@@ -44,7 +48,8 @@ def undisturbed(
 ) -> _T:
     """Returns what is measured without a longer pause, or raises what is raised then.
 
-    It is measured again when the cores are free, or after a while. Where there is a pause each time the last counts.
+    It is measured again when the cores are free, or after a while. Where there is a pause each time
+    the last counts.
     """
     for _ in range(tries - 1):
         with pauses() as found:

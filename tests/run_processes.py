@@ -21,7 +21,9 @@ def processes_of(name: str) -> list[str]:
 
 
 def left_of(name: str, within_s: float = 30.0) -> list[str]:
-    """Those that are still there after a while, in which one that was ended may be on its way out."""
+    """Those that are still there after a while, in which one that was ended may be on its way
+    out.
+    """
     end_s = time.monotonic() + within_s
     while (found := processes_of(name)) and time.monotonic() < end_s:
         time.sleep(0.05)
@@ -29,7 +31,9 @@ def left_of(name: str, within_s: float = 30.0) -> list[str]:
 
 
 def says(process: subprocess.Popen[str], wanted: str, seen: list[str], within_s: float) -> bool:
-    """Read what it says, into ``seen``, up to a line with ``wanted`` in it. Return False when it ended before that."""
+    """Read what it says, into ``seen``, up to a line with ``wanted`` in it. Return False when it
+    ended before that.
+    """
     assert process.stdout is not None
     end_s = time.monotonic() + within_s
     for line in process.stdout:

@@ -1,11 +1,14 @@
-"""Which tests may run side by side, and in which order: the plan of the one command that runs them all.
+"""Which tests may run side by side, and in which order: the plan of the one command that runs them
+all.
 
-Used by ``tests/conftest.py``. A run has two phases. First flights in real time, one after another in one worker, while
-the other workers wait: what is measured then is the flight's, not that of whatever shared its two cores. Then
-everything else side by side. It is decided where tests are handed out, so that a worker that dies holds nobody up.
+Used by ``tests/conftest.py``. A run has two phases. First flights in real time, one after another
+in one worker, while the other workers wait: what is measured then is the flight's, not that of
+whatever shared its two cores. Then everything else side by side. It is decided where tests are
+handed out, so that a worker that dies holds nobody up.
 
-A kernel that groups processes by session (autogroup) gives each of a flight's processes and all workers together equal
-shares of a core, whatever their nice: niceness alone never kept a computing worker off a flight.
+A kernel that groups processes by session (autogroup) gives each of a flight's processes and all
+workers together equal shares of a core, whatever their nice: niceness alone never kept a computing
+worker off a flight.
 """
 
 from __future__ import annotations
@@ -24,7 +27,8 @@ FLYING = (
     "scenarios/test_relay_sitl",
     "scenarios/test_sitl",
 )
-# What has sockets, threads, processes and limits of its own: one at a time, and beside it what computes, and BESIDE.
+# What has sockets, threads, processes and limits of its own: one at a time, and beside it what
+# computes, and BESIDE.
 REAL_TIME = (
     "contracts/",
     "drivers/",
@@ -67,14 +71,19 @@ COMPUTES = (
     "hil/world/",
 )
 FLIGHTS, IN_REAL_TIME = "flights", "real time"
-# What of it waits most of its time, and has no port that is not its own: in workers of their own, beside the rest. Each
-# takes about as long as what is left.
+# What of it waits most of its time, and has no port that is not its own: in workers of their own,
+# beside the rest. Each takes about as long as what is left.
 BESIDE = {
-    "real time, vehicles": ("drivers/mavlink/", "flight/test_ceiling", "missions/fly/guard/test_command"),
+    "real time, vehicles": (
+        "drivers/mavlink/",
+        "flight/test_ceiling",
+        "missions/fly/guard/test_command",
+    ),
     "real time, contracts": ("contracts/", "drivers/tello/", "hil/vehicle/"),
 }
 APART = ("scenarios/test_sim",)  # long tests that share nothing
-# What takes longest of what computes. A worker is given up to three groups ahead: the last ones must be short.
+# What takes longest of what computes. A worker is given up to three groups ahead: the last ones
+# must be short.
 LONG = (
     *APART,
     "contracts/test_log_for_strangers",
@@ -83,7 +92,8 @@ LONG = (
     "missions/trials/",
     "scenarios/",
 )
-NICER = 15  # than the run itself: two computing workers together take less of a core than one at 10 would
+# than the run itself: two computing workers together take less of a core than one at 10 would
+NICER = 15
 
 
 MOST = 19
@@ -91,14 +101,18 @@ BEGAN = os.getpriority(os.PRIO_PROCESS, 0)
 
 
 def group_of(nodeid: str) -> str:
-    """The group of a test, which stays in one worker: flights, one of those in real time, or its module."""
+    """The group of a test, which stays in one worker: flights, one of those in real time, or its
+    module.
+    """
     test = nodeid.removeprefix("tests/")
     if test.startswith(FLYING):
         return FLIGHTS
     if test.startswith(APART):
         return nodeid
     if test.startswith(REAL_TIME) and not test.startswith(COMPUTES):
-        return next((group for group, tests in BESIDE.items() if test.startswith(tests)), IN_REAL_TIME)
+        return next(
+            (group for group, tests in BESIDE.items() if test.startswith(tests)), IN_REAL_TIME
+        )
     return test.split("::", maxsplit=1)[0]
 
 
@@ -119,8 +133,8 @@ def computes(nodeid: str) -> bool:
 def be_nice(nodeid: str) -> None:
     """Make this worker as urgent as the test that comes next.
 
-    Whoever may not become more urgent again (anybody but root) stays as nice as a computing test was: real-time groups
-    are handed out first.
+    Whoever may not become more urgent again (anybody but root) stays as nice as a computing test
+    was: real-time groups are handed out first.
     """
     wanted = min(MOST, BEGAN + NICER) if computes(nodeid) else BEGAN
     if os.getpriority(os.PRIO_PROCESS, 0) != wanted:
@@ -129,7 +143,9 @@ def be_nice(nodeid: str) -> None:
 
 
 class Groups(LoadScopeScheduling):
-    """Hands out flights first, to one worker and to nobody else anything; then the other groups, by their urgency."""
+    """Hands out flights first, to one worker and to nobody else anything; then the other groups, by
+    their urgency.
+    """
 
     _ordered = False
 
@@ -158,7 +174,9 @@ class Groups(LoadScopeScheduling):
             self.workqueue.move_to_end(group)
 
     def _may_have_more(self, node: Any) -> bool:
-        """While there are flights, only whoever has them, or may take them because nobody else has anything to do."""
+        """While there are flights, only whoever has them, or may take them because nobody else has
+        anything to do.
+        """
         if not self._flying() or FLIGHTS in self.assigned_work[node]:
             return True
         busy = any(self._pending_of(work) for work in self.assigned_work.values())

@@ -10,7 +10,8 @@ LONGEST_S = 0.05
 class SteadyTime:
     """Passes ``speed`` times as fast as ours, and stands still while this process does.
 
-    A vehicle whose time went on meanwhile would have missed seconds of setpoints when both go on, and be on its own.
+    A vehicle whose time went on meanwhile would have missed seconds of setpoints when both go on,
+    and be on its own.
     """
 
     def __init__(self, speed: float = 1.0, begin_s: float = 0.0) -> None:

@@ -1,4 +1,6 @@
-"""Companions are aarch64: everything that PATH needs there comes as a wheel at the pinned versions, says the index."""
+"""Companions are aarch64: everything that PATH needs there comes as a wheel at the pinned versions,
+says the index.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +17,14 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 TIMEOUT_S = 60.0
-REALSENSE_WHEELS = {"3.11": False, "3.12": True}  # docs/arm.md; the marker in pyproject.toml says the same
+# docs/arm.md; the marker in pyproject.toml says the same
+REALSENSE_WHEELS = {"3.11": False, "3.12": True}
 NO_WHEEL = re.compile(r"has no (\S+ )?wheels", re.ASCII)
-NOT_ASKED = re.compile(r"network was disabled|offline|error sending request|timed out|[Ff]ailed to fetch", re.ASCII)
-ENVIRONMENT = {**os.environ, "UV_PYTHON_DOWNLOADS": "never"}  # it would fetch the Python that it resolves for
+NOT_ASKED = re.compile(
+    r"network was disabled|offline|error sending request|timed out|[Ff]ailed to fetch", re.ASCII
+)
+# it would fetch the Python that it resolves for
+ENVIRONMENT = {**os.environ, "UV_PYTHON_DOWNLOADS": "never"}
 PIN = re.compile(r"^([\w.-]+)==", re.MULTILINE)
 
 
@@ -32,7 +38,9 @@ def uv() -> str:
 
 
 def resolved(python: str, *what: str, given: str = "") -> str:
-    """What uv resolves to wheels for aarch64, glibc 2.28; skips where the index could not be asked."""
+    """What uv resolves to wheels for aarch64, glibc 2.28; skips where the index could not be
+    asked.
+    """
     order = [
         uv(), "pip", "compile", "--quiet", "--no-header", "--no-annotate", "--only-binary", ":all:",
         "--python-platform", "aarch64-unknown-linux-gnu", "--python-version", python, *what,
@@ -59,7 +67,9 @@ def resolved(python: str, *what: str, given: str = "") -> str:
 
 
 def wheels_of(python: str, *what: str) -> set[str]:
-    """Names of what is needed; fails in uv's words when a pin has no wheel, skips where the index has none at all."""
+    """Names of what is needed; fails in uv's words when a pin has no wheel, skips where the index
+    has none at all.
+    """
     try:
         return set(PIN.findall(resolved(python, *what)))
     except LookupError as missing:
@@ -77,7 +87,14 @@ def wheels_of(python: str, *what: str) -> set[str]:
 def test_everything_that_flies_comes_as_a_wheel_for_aarch64(python: str) -> None:
     """The extra ``view`` too: a companion may be looked at."""
     names = wheels_of(python, "pyproject.toml", "--extra", "view", "-c", "constraints.txt")
-    assert {"numba", "opencv-contrib-python-headless", "mavsdk", "av", "onnxruntime", "rerun-sdk"} <= names
+    assert {
+        "numba",
+        "opencv-contrib-python-headless",
+        "mavsdk",
+        "av",
+        "onnxruntime",
+        "rerun-sdk",
+    } <= names
     assert ("pyrealsense2" in names) == REALSENSE_WHEELS[python]
 
 

@@ -6,7 +6,9 @@ from tests.free_cores import FREE_SHARE, IN_A_ROW, least_share, wait_until_free
 
 
 class Computer:
-    """Looks that come out as they are to, the last one for good, and a clock that a wait moves on."""
+    """Looks that come out as they are to, the last one for good, and a clock that a wait moves
+    on.
+    """
 
     def __init__(self, *shares: float) -> None:
         self.now_s = 0.0

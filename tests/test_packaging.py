@@ -1,4 +1,6 @@
-"""The installed package: the right packages, pinned, one OpenCV, and a wheel with everything in it."""
+"""The installed package: the right packages, pinned, one OpenCV, and a wheel with everything in
+it.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,11 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 OURS = ("path", "drivers", "flight", "missions", "hil")
 REQUIREMENTS = [Requirement(line) for line in PROJECT["project"]["dependencies"]]
 EXTRAS = [Requirement(line) for line in PROJECT["project"]["optional-dependencies"]["dev"]]
-PINS = [Requirement(line) for line in (ROOT / "constraints.txt").read_text().splitlines() if not line.startswith("#")]
+PINS = [
+    Requirement(line)
+    for line in (ROOT / "constraints.txt").read_text().splitlines()
+    if not line.startswith("#")
+]
 
 
 def canonical(name: str) -> str:
@@ -56,8 +62,16 @@ def test_constraints_pin_what_is_required(requirement: Requirement) -> None:
 
 def test_every_command_that_installs_names_its_python() -> None:
     """Uv installs into the environment that is active in the shell, whichever uv it is."""
-    folders = [*(ROOT / "docs").rglob("*.md"), *(ROOT / "install").rglob("*.sh"), *(ROOT / "missions").rglob("*.py")]
-    lines = [line for page in (ROOT / "README.md", *folders) for line in page.read_text("utf-8").splitlines()]
+    folders = [
+        *(ROOT / "docs").rglob("*.md"),
+        *(ROOT / "install").rglob("*.sh"),
+        *(ROOT / "missions").rglob("*.py"),
+    ]
+    lines = [
+        line
+        for page in (ROOT / "README.md", *folders)
+        for line in page.read_text("utf-8").splitlines()
+    ]
     commands = [line for line in lines if "uv pip install" in line]
     assert len(commands) >= 6
     assert [line for line in commands if "--python .venv/bin/python" not in line] == []
@@ -105,7 +119,9 @@ def test_a_clean_copy_without_the_dialect_builds_a_wheel_that_has_it(tmp_path: P
         (tmp_path / package / "__init__.py").touch()
     left_out = shutil.ignore_patterns("path_dialect.py", "__pycache__")
     shutil.copytree(ROOT / "drivers" / "link", tmp_path / "drivers" / "link", ignore=left_out)
-    (wheel,) = WheelBuilder(str(tmp_path)).build(directory=str(tmp_path / "dist"), versions=["standard"])
+    (wheel,) = WheelBuilder(str(tmp_path)).build(
+        directory=str(tmp_path / "dist"), versions=["standard"]
+    )
     dialect = Path("drivers") / "link" / "dialect" / "path_dialect.py"
     assert zipfile.ZipFile(wheel).read(dialect.as_posix()) == (ROOT / dialect).read_bytes()
 

@@ -1,4 +1,6 @@
-"""What is measured in real time is measured again where the computer stood still, and not where it did not."""
+"""What is measured in real time is measured again where the computer stood still, and not where it
+did not.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ def stands_still(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
 
 class Measurement:
-    """Measurements that come out as their number, those that are ``wrong`` as a failure, and when was waited."""
+    """Measurements that come out as their number, those that are ``wrong`` as a failure, and when
+    was waited.
+    """
 
     def __init__(self, *wrong: int) -> None:
         self.made = 0

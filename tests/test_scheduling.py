@@ -1,4 +1,6 @@
-"""Flights in real time have the machine to themselves: nobody else is given a test before the last of them is down."""
+"""Flights in real time have the machine to themselves: nobody else is given a test before the last
+of them is down.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from tests.scheduling import FLIGHTS, Groups, computes, group_of, urgency
 
 FLIGHT = "tests/scenarios/test_own_sitl.py::test_flies"
 OTHER_FLIGHT = "tests/scenarios/test_guard_sitl.py::test_flies_too"
-COMPUTING = [f"tests/path/gate/test_{letter}.py::test_{number}" for letter in "abcdef" for number in range(3)]
+COMPUTING = [
+    f"tests/path/gate/test_{letter}.py::test_{number}" for letter in "abcdef" for number in range(3)
+]
 WAITING = [f"tests/drivers/tello/test_a.py::test_{number}" for number in range(5)]
 ALL = [*COMPUTING, *WAITING, FLIGHT, OTHER_FLIGHT]
 
@@ -61,7 +65,9 @@ def workers() -> list[Worker]:
     return [Worker(f"gw{number}") for number in range(4)]
 
 
-def test_flights_are_given_to_one_worker_and_nobody_else_is_given_anything(workers: list[Worker]) -> None:
+def test_flights_are_given_to_one_worker_and_nobody_else_is_given_anything(
+    workers: list[Worker],
+) -> None:
     scheduled(ALL, workers)
     first, *others = workers
     assert first.given[:2] == [FLIGHT, OTHER_FLIGHT]
@@ -69,18 +75,23 @@ def test_flights_are_given_to_one_worker_and_nobody_else_is_given_anything(worke
     assert not any(worker.shutting_down for worker in workers)
 
 
-def test_everybody_gets_work_when_the_last_flight_is_down_and_not_before(workers: list[Worker]) -> None:
+def test_everybody_gets_work_when_the_last_flight_is_down_and_not_before(
+    workers: list[Worker],
+) -> None:
     groups = scheduled(ALL, workers)
     first, *others = workers
     complete(groups, first, FLIGHT)
     assert not any(worker.given for worker in others)
     complete(groups, first, OTHER_FLIGHT)
     assert all(len(worker.given) >= 3 for worker in others)
-    # What waits goes to whoever flew and has not computed: a worker that has cannot be urgent again.
+    # What waits goes to whoever flew and has not computed: a worker that has cannot be urgent
+    # again.
     assert first.given[2:] == WAITING
 
 
-def test_flights_of_a_worker_that_died_are_flown_by_another_while_the_rest_waits(workers: list[Worker]) -> None:
+def test_flights_of_a_worker_that_died_are_flown_by_another_while_the_rest_waits(
+    workers: list[Worker],
+) -> None:
     groups = scheduled(ALL, workers)
     first, second, *others = workers
     died: Any = first
@@ -96,7 +107,11 @@ def test_flights_of_a_worker_that_died_are_flown_by_another_while_the_rest_waits
 def test_every_test_is_given_to_somebody_once(workers: list[Worker]) -> None:
     groups = scheduled(ALL, workers)
     done: set[str] = set()
-    while any(waiting := [(worker, each) for worker in workers for each in worker.given if each not in done]):
+    while any(
+        waiting := [
+            (worker, each) for worker in workers for each in worker.given if each not in done
+        ]
+    ):
         worker, each = waiting[0]
         done.add(each)
         complete(groups, worker, each)
@@ -113,8 +128,12 @@ def test_without_flights_everybody_begins_at_once(workers: list[Worker]) -> None
 def test_what_flies_waits_or_computes_is_told_apart() -> None:
     assert group_of(FLIGHT) == group_of(OTHER_FLIGHT) == FLIGHTS
     assert [computes(each) for each in (FLIGHT, WAITING[0], COMPUTING[0])] == [False, False, True]
-    assert urgency(group_of(FLIGHT)) < urgency(group_of(WAITING[0])) < urgency(group_of(COMPUTING[0]))
-    assert computes("tests/hil/render/test_looks.py::test_a") and not computes("tests/hil/tello/test_video.py::test_a")
+    assert (
+        urgency(group_of(FLIGHT)) < urgency(group_of(WAITING[0])) < urgency(group_of(COMPUTING[0]))
+    )
+    assert computes("tests/hil/render/test_looks.py::test_a") and not computes(
+        "tests/hil/tello/test_video.py::test_a"
+    )
 
 
 NICE_BY_TEST = """
@@ -129,7 +148,9 @@ for nodeid in {nodeids!r}:
 def test_a_worker_is_as_nice_as_the_test_that_comes_next_not_as_its_first_was() -> None:
     """A worker that began with contracts computed at nice 0 beside a flight."""
     program = NICE_BY_TEST.format(nodeids=[WAITING[0], COMPUTING[0], WAITING[0]])
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
     began, computing, again = map(int, ran.stdout.split())
     assert computing == min(19, began + 15)
     assert again == (began if os.geteuid() == 0 else computing)

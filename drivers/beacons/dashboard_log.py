@@ -1,14 +1,17 @@
-"""The log that Marvelmind's Dashboard itself writes: a line for each position, in CSV without a header.
+"""The log that Marvelmind's Dashboard itself writes: a line for each position, in CSV without a
+header.
 
     1763891105120,63,48211,5,4.102,1.733,1.498,1,3.912,2,4.877
 
-Its columns are Unix time in ms, time since the line before and since the Dashboard's start in ms, the address of the
-mobile beacon, x, y, z in m, and then pairs of a stationary beacon's address and the raw distance to it (Marvelmind,
-"Indoor Navigation System, Operating manual", "CSV format"). What follows z differs between versions and is passed over,
-as are the lines that begin with a T, which versions of today write between the positions.
+Its columns are Unix time in ms, time since the line before and since the Dashboard's start in ms,
+the address of the mobile beacon, x, y, z in m, and then pairs of a stationary beacon's address and
+the raw distance to it (Marvelmind, "Indoor Navigation System, Operating manual", "CSV format").
+What follows z differs between versions and is passed over, as are the lines that begin with a T,
+which versions of today write between the positions.
 
-Spreadsheets save it again with quotes, semicolons or tabs, decimal commas, in UTF-16: that is read. What is not is a
-decimal comma between columns that commas separate, where 4,102 may be one number or two.
+Spreadsheets save it again with quotes, semicolons or tabs, decimal commas, in UTF-16: that is read.
+What is not is a decimal comma between columns that commas separate, where 4,102 may be one number
+or two.
 """
 
 from __future__ import annotations
@@ -48,14 +51,18 @@ def read_dashboard_log(file: Path) -> list[BeaconFix]:
     lines = [line.strip() for line in _decoded(file.read_bytes()).split("\n")[:-1]]
     numbered = [(k, line) for k, line in enumerate(lines, 1) if line and not MARK.match(line)]
     if not numbered:
-        raise BeaconError(f"{file} holds no position of a beacon", f"the Dashboard's log has lines of {IN_WORDS}")
+        raise BeaconError(
+            f"{file} holds no position of a beacon", f"the Dashboard's log has lines of {IN_WORDS}"
+        )
     first = numbered[0][1]
     separator = next((each for each in SEPARATORS if each in first), ",")
     return [_fix(file, number, line, separator) for number, line in numbered]
 
 
 def _decoded(content: bytes) -> str:
-    """Return text of UTF-8, or of the UTF-16 that a spreadsheet calls Unicode, without its byte order mark."""
+    """Return text of UTF-8, or of the UTF-16 that a spreadsheet calls Unicode, without its byte
+    order mark.
+    """
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return content.decode("utf-16", errors="replace")
     return content.decode("utf-8-sig", errors="replace")
@@ -89,4 +96,6 @@ def _fix(file: Path, number: int, line: str, separator: str) -> BeaconFix:
 
 
 def _bad(file: Path, number: int, line: str, what: str) -> BeaconError:
-    return BeaconError(f"{file}, line {number}: {line!r} {what}", f"a line is {IN_WORDS}; leave others out")
+    return BeaconError(
+        f"{file}, line {number}: {line!r} {what}", f"a line is {IN_WORDS}; leave others out"
+    )

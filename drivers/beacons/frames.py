@@ -1,8 +1,9 @@
 """Marvelmind's streaming protocol: frames out of a stream of bytes, and what they say.
 
-A frame is ``ff 47 code:u16 length:u8 payload crc:u16``, little-endian throughout; the CRC is Modbus' CRC-16 over all
-before it (Marvelmind, "Interfaces and protocols of data exchange", streaming packets). Codes that are not used here,
-the inertial ones among them, are taken whole and ignored: their bytes are never taken for the beginning of another.
+A frame is ``ff 47 code:u16 length:u8 payload crc:u16``, little-endian throughout; the CRC is
+Modbus' CRC-16 over all before it (Marvelmind, "Interfaces and protocols of data exchange",
+streaming packets). Codes that are not used here, the inertial ones among them, are taken whole and
+ignored: their bytes are never taken for the beginning of another.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ LENGTHS: dict[tuple[int, int], range] = {
     (STREAM, IMU_FUSION): range(42, 43),
     (STREAM, TELEMETRY): range(16, 17),
     (STREAM, QUALITY): range(16, 17),
-    (STREAM, POSITION_MM): range(22, 64),  # newer firmware appends to it, as to those with stamps of 64 bits
+    # newer firmware appends to it, as to those with stamps of 64 bits
+    (STREAM, POSITION_MM): range(22, 64),
     (STREAM, STATIONARY_MM): range(1, 254, 14),
     (STREAM, POSITION_NT): range(26, 64),
     (STREAM, 0x0083): range(32, 64),
@@ -50,7 +52,9 @@ LENGTHS: dict[tuple[int, int], range] = {
     (USER, 0x0201): range(12, 13),
     (USER, 0x0280): range(8, 128),
 }
-"""Payload bytes there can be, by packet type and code: the rest of what cannot be is not waited for."""
+"""Payload bytes there can be, by packet type and code: the rest of what cannot be is not waited
+for.
+"""
 
 UNAVAILABLE = 1 << 0  # flag of a position
 ANGLE_MASK = 0x0FFF
@@ -142,7 +146,9 @@ class FrameCounters:
 
 
 class BeaconFramer:
-    """Cuts a stream into packets. What looks like a frame and is none costs one byte, and no true frame behind it."""
+    """Cuts a stream into packets. What looks like a frame and is none costs one byte, and no true
+    frame behind it.
+    """
 
     def __init__(self) -> None:
         self._waiting = bytearray()
@@ -162,7 +168,9 @@ class BeaconFramer:
             if size is None or (size > 0 and len(waiting) < begin + size):
                 break  # the rest of it is still to come
             frame = bytes(waiting[begin : begin + size])
-            if size > 0 and crc16(frame[:-CRC_BYTES]) == int.from_bytes(frame[-CRC_BYTES:], "little"):
+            if size > 0 and crc16(frame[:-CRC_BYTES]) == int.from_bytes(
+                frame[-CRC_BYTES:], "little"
+            ):
                 packet, code = _decoded(frame)
                 packets.append(packet)
                 counters.frames[code] = counters.frames.get(code, 0) + 1
@@ -184,7 +192,9 @@ class BeaconFramer:
 
 
 def _frame_size(waiting: bytearray, begin: int) -> int | None:
-    """Bytes of the whole frame that begins here; 0 when none can, None when too little has come to tell."""
+    """Bytes of the whole frame that begins here; 0 when none can, None when too little has come to
+    tell.
+    """
     if len(waiting) > begin + 1 and waiting[begin + 1] not in (STREAM, USER):
         return 0
     if len(waiting) < begin + HEADER.size:
@@ -217,7 +227,9 @@ def _stationary(layout: str, unit_m: float, body: bytes) -> StationaryPositions 
     if len(body) != 1 + body[0] * each:
         return None
     found = (struct.unpack_from(layout, body, 1 + k * each) for k in range(body[0]))
-    return StationaryPositions({address: (unit_m * x, unit_m * y, unit_m * z) for address, x, y, z in found})
+    return StationaryPositions(
+        {address: (unit_m * x, unit_m * y, unit_m * z) for address, x, y, z in found}
+    )
 
 
 def _rating(body: bytes) -> Rating:

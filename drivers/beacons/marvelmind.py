@@ -28,10 +28,12 @@ MAX_WAITING = 4096  # positions that nobody has read yet; the oldest are given u
 class MarvelmindConfig:
     """
     Attributes:
-        ports: one each for beacons that are connected by themselves, one alone for a modem or for a beacon that streams
-            all; such as ``/dev/serial/by-id/usb-...``, which stays the same when it is plugged in again.
+        ports: one each for beacons that are connected by themselves, one alone for a modem or for a
+            beacon that streams all; such as ``/dev/serial/by-id/usb-...``, which stays the same
+            when it is plugged in again.
         baud: 500000 is what the beacons' own UART starts with; over USB any will do.
-        latency_s: from the ultrasound to the frame at least, of firmware whose frames do not say how old they are.
+        latency_s: from the ultrasound to the frame at least, of firmware whose frames do not say
+            how old they are.
         reopen_s: a port that vanished must be back within this.
     """
 
@@ -60,13 +62,13 @@ class _Port:
 class Marvelmind:
     """Implements ``drivers.interfaces.Beacons``.
 
-    A port that vanishes is opened again when it is back; the others go on meanwhile. When it is not back within
-    ``reopen_s``, reading ends with an error that names it.
+    A port that vanishes is opened again when it is back; the others go on meanwhile. When it is not
+    back within ``reopen_s``, reading ends with an error that names it.
 
     Attributes:
         stream: what has come in, by port: counters, batteries, stationary beacons.
-        on_bytes: called with (port, arrival_ns, bytes) for all that is read, for a record of it; without bytes when a
-            port was lost.
+        on_bytes: called with (port, arrival_ns, bytes) for all that is read, for a record of it;
+            without bytes when a port was lost.
         given_up: positions that nobody read in time.
     """
 
@@ -101,7 +103,9 @@ class Marvelmind:
         self._close()
 
     async def read(self, timeout_s: float) -> BeaconFix:
-        """The oldest position not yet given. Raises BeaconError when none came in time or a port stays gone."""
+        """The oldest position not yet given. Raises BeaconError when none came in time or a port
+        stays gone.
+        """
         self._check_open()
         try:
             async with asyncio.timeout(timeout_s):
@@ -115,7 +119,9 @@ class Marvelmind:
         return self._waiting.popleft()
 
     async def examine(self) -> Sequence[Finding]:
-        """Returns what each port sent besides positions: damage, and the battery of what is connected."""
+        """Returns what each port sent besides positions: damage, and the battery of what is
+        connected.
+        """
         return [_port_finding(name, state) for name, state in self.stream.ports.items()]
 
     # --- inside ---
@@ -222,11 +228,18 @@ class Marvelmind:
 def _port_finding(name: str, state: PortState) -> Finding:
     counters = state.counters
     frames = sum(counters.frames.values())
-    detail = f"{name}: {frames} frames, {counters.damaged} damaged, {counters.skipped} bytes of no frame"
+    detail = (
+        f"{name}: {frames} frames, {counters.damaged} damaged, {counters.skipped} bytes of no frame"
+    )
     if state.power is not None:
         detail += f", battery {state.power.battery_v:.2f} V, radio {state.power.rssi_dbm} dBm"
     if counters.damaged > MANY_DAMAGED * frames:
-        return Finding("note", "port", detail, "a shorter cable, the right baud, and no other program on this port")
+        return Finding(
+            "note",
+            "port",
+            detail,
+            "a shorter cable, the right baud, and no other program on this port",
+        )
     return Finding("ok", "port", detail)
 
 
@@ -236,7 +249,9 @@ def ailment_of(state: PortState | None) -> str:
         return "is silent"
     counters = state.counters
     if not counters.frames:
-        return f"sent {state.bytes_read} bytes and no whole frame (another protocol, or another baud?)"
+        return (
+            f"sent {state.bytes_read} bytes and no whole frame (another protocol, or another baud?)"
+        )
     if state.unavailable:
         return "streams, but the system has no position for its beacons (out of reach of the stationary ones?)"
     if state.newest_fix_ns is None:

@@ -1,7 +1,9 @@
-"""A recorded session of beacons: the bytes of the serial ports as they came, played back through the same parser.
+"""A recorded session of beacons: the bytes of the serial ports as they came, played back through
+the same parser.
 
-The file is a log (``drivers.log.mcap_log``): topic ``/serial``, stamp of arrival by the listener's clock, fields
-``port`` and ``bytes`` (hexadecimal); once, first, ``/beacons`` with what the parser was told (``latency_s``).
+The file is a log (``drivers.log.mcap_log``): topic ``/serial``, stamp of arrival by the listener's
+clock, fields ``port`` and ``bytes`` (hexadecimal); once, first, ``/beacons`` with what the parser
+was told (``latency_s``).
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ from drivers.rig.parts import PartContext
 
 
 class BeaconRecorder:
-    """Writes a record while the ports are read. ``write`` fits ``Marvelmind.on_bytes`` and never raises."""
+    """Writes a record while the ports are read. ``write`` fits ``Marvelmind.on_bytes`` and never
+    raises.
+    """
 
     def __init__(self, file: Path, latency_s: float, *, virtual: bool = False) -> None:
         """``virtual``: what is written was heard in virtual time."""
@@ -34,11 +38,14 @@ class BeaconRecorder:
         """Raises BeaconError when the record is not whole."""
         self._log.close()
         if self._log.failed is not None:
-            raise BeaconError(f"the record of the beacons is not whole: {self._log.failed}", "free some disk")
+            raise BeaconError(
+                f"the record of the beacons is not whole: {self._log.failed}", "free some disk"
+            )
 
 
 def replay(file: Path, stream: MarvelmindStream | None = None) -> Iterator[BeaconFix]:
-    """The positions of a record, as they came live. Raises BeaconError for a file that is none, OSError.
+    """The positions of a record, as they came live. Raises BeaconError for a file that is none,
+    OSError.
 
     Args:
         stream: takes the bytes, for who wants its counters; one of its own otherwise.
@@ -50,18 +57,23 @@ def replay(file: Path, stream: MarvelmindStream | None = None) -> Iterator[Beaco
     parser = stream or MarvelmindStream(float(told.record["latency_s"]))
     for record in records:
         if record.topic == "/serial":
-            yield from parser.feed(record.record["port"], record.stamp_ns, bytes.fromhex(record.record["bytes"]))
+            yield from parser.feed(
+                record.record["port"], record.stamp_ns, bytes.fromhex(record.record["bytes"])
+            )
 
 
 def _records(file: Path):
     try:
         yield from read_log(file)
     except ValueError as error:
-        raise BeaconError(f"{file} is no record of beacons: {error}", "name the beacons.mcap of a session") from error
+        raise BeaconError(
+            f"{file} is no record of beacons: {error}", "name the beacons.mcap of a session"
+        ) from error
 
 
 def read_any(file: Path) -> list[BeaconFix]:
-    """All positions of a session: a record of its ports (``.mcap``), a list of positions, or the Dashboard's own log.
+    """All positions of a session: a record of its ports (``.mcap``), a list of positions, or the
+    Dashboard's own log.
 
     Raises:
         BeaconError: for a file that is none of them.
@@ -74,7 +86,9 @@ def read_any(file: Path) -> list[BeaconFix]:
 
 @dataclass(frozen=True, slots=True)
 class RecordedBeaconsConfig:
-    """``file``: a record of ports (``.mcap``), a list of positions or the Dashboard's own log (``.csv``)."""
+    """``file``: a record of ports (``.mcap``), a list of positions or the Dashboard's own log
+    (``.csv``).
+    """
 
     file: Path
 
@@ -94,7 +108,9 @@ class RecordedBeacons:
         try:
             self._fixes = iter(read_any(self._file))
         except OSError as error:
-            raise BeaconError(f"{self._file}: {error.strerror}", "name the file of a session") from error
+            raise BeaconError(
+                f"{self._file}: {error.strerror}", "name the file of a session"
+            ) from error
         return self
 
     async def __aexit__(self, *_: object) -> None:

@@ -1,6 +1,8 @@
-"""Positions from the bytes of Marvelmind's serial ports, on the listener's clock: the same live and from a record.
+"""Positions from the bytes of Marvelmind's serial ports, on the listener's clock: the same live and
+from a record.
 
-Nothing here waits or knows a port: bytes with the instant of their arrival go in, positions come out.
+Nothing here waits or knows a port: bytes with the instant of their arrival go in, positions come
+out.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ from drivers.beacons.frames import (
 from drivers.interfaces import BeaconFix
 from path.messages import Vec3
 
-WINDOW_NS = 10_000_000_000  # over which the least delay is taken: at 50 ppm two clocks part by half a ms in it
+# over which the least delay is taken: at 50 ppm two clocks part by half a ms in it
+WINDOW_NS = 10_000_000_000
 RATED_WITHIN_NS = 1_000_000_000
 RESTART_NS = 2_000_000_000  # stamps that go back by more: the system's clock has begun again
 
@@ -29,12 +32,14 @@ RESTART_NS = 2_000_000_000  # stamps that go back by more: the system's clock ha
 class ClockMap:
     """The map from the clock of a beacon system to the listener's.
 
-    A frame arrives later than its ultrasound by its age, which it says itself, and by a way over the wire that is never
-    negative: the least of ``arrival - age - stamp`` in a window is nearest to the truth, and late by the fastest way.
+    A frame arrives later than its ultrasound by its age, which it says itself, and by a way over
+    the wire that is never negative: the least of ``arrival - age - stamp`` in a window is nearest
+    to the truth, and late by the fastest way.
     """
 
     def __init__(self) -> None:
-        self._least: deque[tuple[int, int]] = deque()  # (stamp, offset), offsets growing: the first is the least
+        # (stamp, offset), offsets growing: the first is the least
+        self._least: deque[tuple[int, int]] = deque()
         self.restarts = 0
 
     def add(self, stamp_ns: int, arrival_ns: int, age_ns: int) -> int:
@@ -62,7 +67,9 @@ class _Hedge:
     stamp_ns: int = -1
 
     def stamp(self, packet: MobilePosition) -> int:
-        """Returns the packet's stamp in ns, carried on over the wrap of the counter (after 49 days)."""
+        """Returns the packet's stamp in ns, carried on over the wrap of the counter (after 49
+        days).
+        """
         if packet.bits < 64 and packet.stamp_ms < self.newest_ms - (1 << (packet.bits - 1)):
             self.wrapped += 1 << packet.bits
         self.newest_ms = packet.stamp_ms
@@ -108,7 +115,8 @@ class MarvelmindStream:
 
         Args:
             arrival_ns: listener's clock, when they were read.
-            data: nothing stands for a port that was lost: what came of a frame so far will not be completed.
+            data: nothing stands for a port that was lost: what came of a frame so far will not be
+                completed.
         """
         state = self.ports.setdefault(port, PortState())
         if not data:
@@ -139,7 +147,9 @@ class MarvelmindStream:
     def _fix(self, state: PortState, packet: MobilePosition, arrival_ns: int) -> BeaconFix | None:
         hedge = state.hedges.setdefault(packet.address, _Hedge())
         stamp_ns = hedge.stamp(packet)
-        offset_ns = hedge.clock.add(stamp_ns, arrival_ns, packet.age_ms * 1_000_000 or self._latency_ns)
+        offset_ns = hedge.clock.add(
+            stamp_ns, arrival_ns, packet.age_ms * 1_000_000 or self._latency_ns
+        )
         if packet.position_m is None:
             state.unavailable += 1
             return None

@@ -1,8 +1,9 @@
-"""A classical detector for saturated-colour vehicles: it needs no weights and looks at pixels alone.
+"""A classical detector for saturated-colour vehicles: it needs no weights and looks at pixels
+alone.
 
-A coarse pass on every ``coarse_step``-th pixel finds connected patches of the wanted colour, and the dark parts
-(tires, glass) that touch them; each is then measured at full resolution, its edges placed where the colour is half
-way between object and surroundings.
+A coarse pass on every ``coarse_step``-th pixel finds connected patches of the wanted colour, and
+the dark parts (tires, glass) that touch them; each is then measured at full resolution, its edges
+placed where the colour is half way between object and surroundings.
 """
 
 from __future__ import annotations
@@ -40,20 +41,25 @@ class ColorDetectorConfig:
     """The colour, sizes and shapes that count as a vehicle.
 
     Attributes:
-        hue_deg: centre of the wanted hue (0 red, 120 green); ``hue_halfwidth_deg`` 180 takes every hue.
+        hue_deg: centre of the wanted hue (0 red, 120 green); ``hue_halfwidth_deg`` 180 takes every
+            hue.
         min_saturation, min_value: 0..1 (HSV); below, a pixel is not of the wanted colour.
         dark_value: pixels darker than this (0..1) belong to the vehicle whose colour they touch.
-        dark_reach: how far dark parts may stick out, as a fraction of the size of the coloured patch.
+        dark_reach: how far dark parts may stick out, as a fraction of the size of the coloured
+            patch.
         coarse_step: pixels between the samples of the coarse pass.
-        min_side_px, max_side_px: limits of the longer side of a box, in the image as given. ``max_side_px`` also says
-            how far outside a search region an object with its centre inside can reach.
+        min_side_px, max_side_px: limits of the longer side of a box, in the image as given.
+            ``max_side_px`` also says how far outside a search region an object with its centre
+            inside can reach.
         merge_gap: coloured parts of one vehicle may be this fraction of its size apart.
-        split_solidity: a patch that fills less of its convex hull than this is cut at its waist, when it has one, into
-            two vehicles that touch.
-        odd_solidity: one that fills even less and has no waist is not taken for a whole vehicle, or for only one.
+        split_solidity: a patch that fills less of its convex hull than this is cut at its waist,
+            when it has one, into two vehicles that touch.
+        odd_solidity: one that fills even less and has no waist is not taken for a whole vehicle, or
+            for only one.
         max_aspect: a patch longer than this many times its width is taken for vehicles in line.
         odd_score: factor on the score of what is odd in shape.
-        border_score: factor on the score of a box that the image border cuts: it is not the object's box.
+        border_score: factor on the score of a box that the image border cuts: it is not the
+            object's box.
     """
 
     hue_deg: Annotated[float, Bounds(0.0, 360.0)] = 26.0
@@ -89,8 +95,9 @@ class ColorDetector:
 
         Args:
             image: (h, w, 3) uint8 BGR.
-            region: only objects whose box centre is inside; None for the whole image. What is larger than its
-                ``extent`` is cut into those that touch in it, where it has a dent; what is smaller is one.
+            region: only objects whose box centre is inside; None for the whole image. What is
+                larger than its ``extent`` is cut into those that touch in it, where it has a dent;
+                what is smaller is one.
         """
         height, width = image.shape[:2]
         step = self._config.coarse_step
@@ -101,7 +108,12 @@ class ColorDetector:
         # Nearest neighbour at exactly 1/step takes the pixels (i * step, j * step).
         size = ((x1 - x0) // step, (y1 - y0) // step)
         small = cv2.resize(
-            image[y0 : y0 + size[1] * step, x0 : x0 + size[0] * step], size, None, 0, 0, cv2.INTER_NEAREST
+            image[y0 : y0 + size[1] * step, x0 : x0 + size[0] * step],
+            size,
+            None,
+            0,
+            0,
+            cv2.INTER_NEAREST,
         )
         hsv = cv2.cvtColor(small, cv2.COLOR_BGR2HSV)
         colored = self._colored(hsv)
@@ -133,26 +145,35 @@ class ColorDetector:
         smallest = 0.5 * self._config.min_side_px / self._config.coarse_step
         return [p for p in patches if max(p.w, p.h) >= smallest]
 
-    def _vehicles(self, patch: Patch, dark: Image, colored: Image, extent: Extent) -> list[tuple[Patch, Patch, Shape]]:
-        """Coloured part, whole with dark parts, and shape of the whole: of one vehicle, or of those that touch."""
+    def _vehicles(
+        self, patch: Patch, dark: Image, colored: Image, extent: Extent
+    ) -> list[tuple[Patch, Patch, Shape]]:
+        """Coloured part, whole with dark parts, and shape of the whole: of one vehicle, or of those
+        that touch.
+        """
         pieces = divide(patch, extent)
         if len(pieces) == 1:
             whole = self._with_dark(patch, dark, colored, extent)
             shape = shape_of(whole.mask)
             small = math.sqrt(patch.w * patch.h) < extent.usual_px
-            pieces = [patch] if small or shape.solidity >= self._config.split_solidity else split(patch)
+            pieces = (
+                [patch] if small or shape.solidity >= self._config.split_solidity else split(patch)
+            )
             if len(pieces) == 1:
                 return [(patch, whole, shape)]
         wholes = [(piece, self._with_dark(piece, dark, colored, extent)) for piece in pieces]
         return [(piece, w, shape_of(w.mask)) for piece, w in wholes]
 
     def _with_dark(self, piece: Patch, dark: Image, colored: Image, extent: Extent) -> Patch:
-        """A coloured part with the dark ones that touch it, unless those make it longer than one vehicle can be."""
+        """A coloured part with the dark ones that touch it, unless those make it longer than one
+        vehicle can be.
+        """
         whole = with_dark(piece, dark, colored, self._config.dark_reach)
         return whole if max(whole.w, whole.h) <= extent.longest_px else piece
 
     def _cover_tables(self, hsv: Image, piece: Patch, whole: Patch) -> tuple[Image, Image]:
-        """Tables from a pixel's saturation, and from its value, to how much of it (0..255) the vehicle covers.
+        """Tables from a pixel's saturation, and from its value, to how much of it (0..255) the
+        vehicle covers.
 
         What vehicle and surroundings look like is taken from the coarse samples around it.
         """
@@ -163,11 +184,17 @@ class ColorDetector:
         by_color = _ramp(min(ground[1], 0.8 * saturation), saturation)
         return by_color, _ramp(max(min(ground[2], 1.75 * self._dark), self._dark), 0.6 * self._dark)
 
-    def _measure(self, image: Image, whole: Patch, tables: tuple[Image, Image], left: int, top: int) -> Box | None:
-        """Refine a coarse patch, found in a window at ``left, top`` of the image, to a box with interpolated edges."""
+    def _measure(
+        self, image: Image, whole: Patch, tables: tuple[Image, Image], left: int, top: int
+    ) -> Box | None:
+        """Refine a coarse patch, found in a window at ``left, top`` of the image, to a box with
+        interpolated edges.
+        """
         step = self._config.coarse_step
         height, width = image.shape[:2]
-        gate = cv2.dilate(cv2.copyMakeBorder(whole.mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0,)), CROSS)
+        gate = cv2.dilate(
+            cv2.copyMakeBorder(whole.mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0,)), CROSS
+        )
         gate = cv2.resize(gate, None, fx=step, fy=step, interpolation=cv2.INTER_NEAREST)
         # A coarse pixel stands for the block around its sample, hence the shift by half a block.
         gx = left + (whole.x - 1) * step - step // 2
@@ -186,17 +213,31 @@ class ColorDetector:
         if across is None or down is None:
             return None
         box = Box(x0 + across[0], y0 + down[0], across[1] - across[0], down[1] - down[0])
-        return box if self._config.min_side_px <= max(box.w, box.h) <= self._config.max_side_px else None
+        return (
+            box
+            if self._config.min_side_px <= max(box.w, box.h) <= self._config.max_side_px
+            else None
+        )
 
     def _score(self, box: Box, piece: Patch, shape: Shape, width: int, height: int) -> float:
-        """1 for a compact patch of colour that fills its box; low for what is no whole vehicle, or more than one."""
+        """1 for a compact patch of colour that fills its box; low for what is no whole vehicle, or
+        more than one.
+        """
         config = self._config
         colored = cv2.countNonZero(piece.mask) * config.coarse_step**2
         score = shape.solidity * min(1.0, colored / (0.2 * box.area))
         # A small patch has a ragged outline: its shape is not known so well.
-        if shape.aspect > config.max_aspect or shape.solidity < config.odd_solidity - RAGGED / piece.size:
+        if (
+            shape.aspect > config.max_aspect
+            or shape.solidity < config.odd_solidity - RAGGED / piece.size
+        ):
             score *= config.odd_score
-        if box.x < 0.0 or box.y < 0.0 or box.x + box.w > width - 1.0 or box.y + box.h > height - 1.0:
+        if (
+            box.x < 0.0
+            or box.y < 0.0
+            or box.x + box.w > width - 1.0
+            or box.y + box.h > height - 1.0
+        ):
             score *= config.border_score
         return score
 
@@ -205,12 +246,18 @@ _LEVELS = np.arange(256, dtype=np.float64)
 
 
 def _ramp(background: float, thing: float) -> Image:
-    """Table from a channel's level to the share (0..255) of ``thing`` in a mixture with ``background``."""
-    return np.clip((_LEVELS - background) * (255.0 / (thing - background)), 0.0, 255.0).astype(np.uint8)
+    """Table from a channel's level to the share (0..255) of ``thing`` in a mixture with
+    ``background``.
+    """
+    return np.clip((_LEVELS - background) * (255.0 / (thing - background)), 0.0, 255.0).astype(
+        np.uint8
+    )
 
 
 def _hue_ranges(config: ColorDetectorConfig) -> list[tuple[Image, Image]]:
-    """HSV bounds in OpenCV units (hue in half degrees); two of them when the hue window wraps around red."""
+    """HSV bounds in OpenCV units (hue in half degrees); two of them when the hue window wraps
+    around red.
+    """
     saturation = round(config.min_saturation * 255)
     value = round(config.min_value * 255)
 
@@ -234,18 +281,27 @@ def _hue_ranges(config: ColorDetectorConfig) -> list[tuple[Image, Image]]:
 def _window(
     region: Region | None, reach_px: float, width: int, height: int, step: int
 ) -> tuple[int, int, int, int] | None:
-    """The part of the image to look at, ``x0 y0 x1 y1`` with its corner on a multiple of ``step``."""
+    """The part of the image to look at, ``x0 y0 x1 y1`` with its corner on a multiple of
+    ``step``.
+    """
     if region is None:
         return 0, 0, width, height
     if region.clipped(width, height) is None:
         return None
     x0 = max(int(region.x0 - reach_px) // step * step, 0)
     y0 = max(int(region.y0 - reach_px) // step * step, 0)
-    return x0, y0, min(int(region.x1 + reach_px) + 1, width), min(int(region.y1 + reach_px) + 1, height)
+    return (
+        x0,
+        y0,
+        min(int(region.x1 + reach_px) + 1, width),
+        min(int(region.y1 + reach_px) + 1, height),
+    )
 
 
 def _may_reach(patch: Patch, region: Region, left: int, top: int, step: int) -> bool:
-    """Returns whether a part of the patch can have its centre in the region: it may be two vehicles that touch."""
+    """Returns whether a part of the patch can have its centre in the region: it may be two vehicles
+    that touch.
+    """
     x0 = left + (patch.x - 0.5) * step
     y0 = top + (patch.y - 0.5) * step
     x1 = x0 + patch.w * step
@@ -254,7 +310,9 @@ def _may_reach(patch: Patch, region: Region, left: int, top: int, step: int) -> 
 
 
 def _may_be_inside(patch: Patch, region: Region, left: int, top: int, step: int) -> bool:
-    """Returns whether the centre of the patch, known to about a coarse pixel, can lie in the region."""
+    """Returns whether the centre of the patch, known to about a coarse pixel, can lie in the
+    region.
+    """
     u = left + (patch.x + patch.w / 2) * step
     v = top + (patch.y + patch.h / 2) * step
     slack = 2.0 * step
@@ -262,7 +320,9 @@ def _may_be_inside(patch: Patch, region: Region, left: int, top: int, step: int)
 
 
 def _edges(profile: Image) -> tuple[float, float] | None:
-    """Returns where a profile (0..255) first rises and last falls through half, interpolated between pixel centres."""
+    """Returns where a profile (0..255) first rises and last falls through half, interpolated
+    between pixel centres.
+    """
     above = np.flatnonzero(profile >= 128)
     if len(above) == 0:
         return None

@@ -30,7 +30,9 @@ CROSS = np.ones((3, 3), np.uint8)
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """A connected patch in the coarse mask: its corner there, and its own pixels (0 or 255) from that corner on."""
+    """A connected patch in the coarse mask: its corner there, and its own pixels (0 or 255) from
+    that corner on.
+    """
 
     x: int
     y: int
@@ -59,7 +61,9 @@ class Shape:
 
 
 def _labels(mask: Image) -> tuple[int, Image, Image, Image]:
-    """Connected components with their statistics; with 16-bit labels in two thirds of the usual time."""
+    """Connected components with their statistics; with 16-bit labels in two thirds of the usual
+    time.
+    """
     return cv2.connectedComponentsWithStatsWithAlgorithm(mask, 8, cv2.CV_16U, cv2.CCL_SPAGHETTI)
 
 
@@ -90,7 +94,9 @@ def join(patches: list[Patch], gap: float, longest: float = math.inf) -> list[Pa
         whole = patches.pop(0)
         rest: list[Patch] = []
         for other in patches:
-            if _longest_side(whole, other) <= longest and _distance(whole, other) <= max(1.5, gap * whole.size):
+            if _longest_side(whole, other) <= longest and _distance(whole, other) <= max(
+                1.5, gap * whole.size
+            ):
                 whole = _union(whole, other)
             else:
                 rest.append(other)
@@ -100,7 +106,8 @@ def join(patches: list[Patch], gap: float, longest: float = math.inf) -> list[Pa
 
 
 def with_dark(patch: Patch, dark: Image, colored: Image, reach: float) -> Patch:
-    """The patch with the dark parts that touch it; a dark thing that goes on beyond ``reach`` is not part of it.
+    """The patch with the dark parts that touch it; a dark thing that goes on beyond ``reach`` is
+    not part of it.
 
     What is nearer to another coloured patch is that one's.
     """
@@ -114,7 +121,8 @@ def with_dark(patch: Patch, dark: Image, colored: Image, reach: float) -> Patch:
     others = cv2.subtract(colored[y0 : y0 + height, x0 : x0 + width], own)
     if cv2.countNonZero(others) > 0:
         to_own, to_others = (
-            cv2.distanceTransform(cv2.bitwise_not(m), cv2.DIST_L2, cv2.DIST_MASK_3) for m in (own, others)
+            cv2.distanceTransform(cv2.bitwise_not(m), cv2.DIST_L2, cv2.DIST_MASK_3)
+            for m in (own, others)
         )
         around = np.where(to_own < to_others, around, np.uint8(0))
     count, labels, stats, _ = _labels(around)
@@ -129,7 +137,9 @@ def with_dark(patch: Patch, dark: Image, colored: Image, reach: float) -> Patch:
 
 
 def _distance(a: Patch, b: Patch) -> float:
-    """Least distance between the pixels of two patches, in coarse pixels; boxes far apart are not looked into."""
+    """Least distance between the pixels of two patches, in coarse pixels; boxes far apart are not
+    looked into.
+    """
     gap_x = max(a.x - (b.x + b.w), b.x - (a.x + a.w), 0)
     gap_y = max(a.y - (b.y + b.h), b.y - (a.y + a.h), 0)
     if gap_x + gap_y > 16:
@@ -172,11 +182,15 @@ def shape_of(mask: Image) -> Shape:
     cv2.drawContours(filled, outlines, -1, (1,), cv2.FILLED)
     cv2.fillConvexPoly(whole, hull, (1,))
     a, b = cv2.minAreaRect(hull)[1]
-    return Shape(cv2.countNonZero(filled) / cv2.countNonZero(whole), (max(a, b) + 1.0) / (min(a, b) + 1.0))
+    return Shape(
+        cv2.countNonZero(filled) / cv2.countNonZero(whole), (max(a, b) + 1.0) / (min(a, b) + 1.0)
+    )
 
 
 def split(patch: Patch) -> list[Patch]:
-    """Cut a patch at its waist, between the two deepest dents of its outline; the patch itself when it has none."""
+    """Cut a patch at its waist, between the two deepest dents of its outline; the patch itself when
+    it has none.
+    """
     outline = _longest_outline(patch.mask)
     dents = _dents(outline, SHALLOWEST_DENT * patch.size)
     if len(dents) < 2:
@@ -184,18 +198,27 @@ def split(patch: Patch) -> list[Patch]:
     ends = outline[dents[0]].tolist(), outline[dents[1]].tolist()
     pieces = components(cv2.line(patch.mask.copy(), *ends, (0,), 1, cv2.LINE_4))
     pieces = [p for p in pieces if p.size > SMALLEST_PIECE * patch.size]
-    return [Patch(p.x + patch.x, p.y + patch.y, p.mask) for p in pieces] if len(pieces) == 2 else [patch]
+    return (
+        [Patch(p.x + patch.x, p.y + patch.y, p.mask) for p in pieces]
+        if len(pieces) == 2
+        else [patch]
+    )
 
 
 def divide(patch: Patch, extent: Extent) -> list[Patch]:
-    """Cut a patch that is larger than one object can be, in coarse pixels, into those that touch in it.
+    """Cut a patch that is larger than one object can be, in coarse pixels, into those that touch in
+    it.
 
-    Where two touch there may be one dent alone, between their heads, and a straight outline at their feet. So a cut may
-    begin at any dent and end anywhere; of all it is the one that is shortest for what it cuts off. What has no such cut
-    stays whole: it is too large, but it is one. So does what fills its convex hull and is too large in both directions:
-    those that touch are so in one, and this is nearer.
+    Where two touch there may be one dent alone, between their heads, and a straight outline at
+    their feet. So a cut may begin at any dent and end anywhere; of all it is the one that is
+    shortest for what it cuts off. What has no such cut stays whole: it is too large, but it is one.
+    So does what fills its convex hull and is too large in both directions: those that touch are so
+    in one, and this is nearer.
     """
-    if max(patch.w, patch.h) <= extent.longest_px and math.sqrt(patch.w * patch.h) <= extent.most_px:
+    if (
+        max(patch.w, patch.h) <= extent.longest_px
+        and math.sqrt(patch.w * patch.h) <= extent.most_px
+    ):
         return [patch]
     if min(patch.w, patch.h) > extent.most_px and shape_of(patch.mask).solidity >= SOLID:
         return [patch]
@@ -205,10 +228,16 @@ def divide(patch: Patch, extent: Extent) -> list[Patch]:
     ends = _shortest_cut(outline, filled, _dents(outline, SHALLOWEST_DENT * patch.size))
     if ends is None:
         return [patch]
-    count, sides = cv2.connectedComponents(cv2.line(filled, *ends, (0,), 1, cv2.LINE_4), connectivity=4)
+    count, sides = cv2.connectedComponents(
+        cv2.line(filled, *ends, (0,), 1, cv2.LINE_4), connectivity=4
+    )
     pieces = [_only(patch, sides == side) for side in range(1, count)]
-    pieces = [each for each in pieces if each is not None and each.size > SMALLEST_SLIVER * patch.size]
-    return [each for piece in pieces for each in divide(piece, extent)] if len(pieces) > 1 else [patch]
+    pieces = [
+        each for each in pieces if each is not None and each.size > SMALLEST_SLIVER * patch.size
+    ]
+    return (
+        [each for piece in pieces for each in divide(piece, extent)] if len(pieces) > 1 else [patch]
+    )
 
 
 def _only(patch: Patch, where: NDArray[np.bool_]) -> Patch | None:
@@ -225,7 +254,8 @@ def _longest_outline(mask: Image) -> Image:
 
 def _dents(outline: Image, least: float) -> list[int]:
     """Returns where an outline's dents are deepest, those at least so deep, the deepest first."""
-    hull = np.sort(cv2.convexHull(outline, returnPoints=False), axis=0)[::-1]  # OpenCV may start in the middle
+    # OpenCV may start in the middle
+    hull = np.sort(cv2.convexHull(outline, returnPoints=False), axis=0)[::-1]
     defects = cv2.convexityDefects(outline, hull) if len(hull) > 3 else None
     if defects is None:
         return []
@@ -236,7 +266,9 @@ def _dents(outline: Image, least: float) -> list[int]:
 def _shortest_cut(
     outline: Image, filled: Image, dents: Sequence[int]
 ) -> tuple[tuple[int, int], tuple[int, int]] | None:
-    """Ends of the cut from a dent that is shortest for the smaller part's size, within the outline; None: none is."""
+    """Ends of the cut from a dent that is shortest for the smaller part's size, within the outline;
+    None: none is.
+    """
     points = outline.astype(np.float64)
     x, y = points.T
     swept = np.concatenate([[0.0], np.cumsum(x * np.roll(y, -1) - y * np.roll(x, -1))])
@@ -250,7 +282,9 @@ def _shortest_cut(
         part = 0.5 * np.abs(swept[high] - swept[low] + x[high] * y[low] - y[high] * x[low])
         smaller = np.minimum(part, area - part)
         length = np.hypot(x - x[dent], y - y[dent]) + 1.0
-        worth = np.where(smaller >= SMALLEST_CUT_OFF * area, length / np.sqrt(np.maximum(smaller, 1.0)), np.inf)
+        worth = np.where(
+            smaller >= SMALLEST_CUT_OFF * area, length / np.sqrt(np.maximum(smaller, 1.0)), np.inf
+        )
         for end in np.argsort(worth)[:CUTS].tolist():
             if worth[end] >= best:
                 break

@@ -1,4 +1,6 @@
-"""A network in ONNX through onnxruntime, on the CPU: its inputs and outputs are checked before it is used."""
+"""A network in ONNX through onnxruntime, on the CPU: its inputs and outputs are checked before it
+is used.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def open_session(file: Path, threads: int, remedy: str) -> onnxruntime.Inference
     if not file.is_file():
         raise ModelError(f"{file}: there is no such file; expected a network in ONNX", remedy)
     if (other := _other_weights(file)) is not None:
-        raise ModelError(f"{file}: expected a network in ONNX, found {other}", f"export it to ONNX: {remedy}")
+        raise ModelError(
+            f"{file}: expected a network in ONNX, found {other}", f"export it to ONNX: {remedy}"
+        )
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1

@@ -1,7 +1,8 @@
 """XFeat (Potje et al., CVPR 2024) through onnxruntime: the learned baseline of the paper.
 
-The network is a file that the caller names; PATH comes without it. The graph ends at dense maps; what the authors' own
-code does with them (keypoints, their suppression, scores, sampled descriptors) is done here, the same way.
+The network is a file that the caller names; PATH comes without it. The graph ends at dense maps;
+what the authors' own code does with them (keypoints, their suppression, scores, sampled
+descriptors) is done here, the same way.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ SIDE_PX = 640
 CELL_PX = 8  # one cell of the maps
 MAP = SIDE_PX // CELL_PX
 INPUT = (1, 3, SIDE_PX, SIDE_PX)
-OUTPUTS = ((1, 64, MAP, MAP), (1, 65, MAP, MAP), (1, 1, MAP, MAP))  # descriptors, keypoint logits, reliability
+# descriptors, keypoint logits, reliability
+OUTPUTS = ((1, 64, MAP, MAP), (1, 65, MAP, MAP), (1, 1, MAP, MAP))
 THRESHOLD = 0.05  # of a keypoint's probability
 NMS_SIDE_PX = 5
 BICUBIC = -0.75  # the free parameter of torch's bicubic sampling
@@ -53,9 +55,11 @@ class XFeat:
         self._top_k = top_k
 
     def extract(self, image: Image) -> Keypoints:
-        """Features of a uint8 BGR image (h, w, 3); one larger than 640 px is made smaller, a smaller one gets a border.
+        """Features of a uint8 BGR image (h, w, 3); one larger than 640 px is made smaller, a
+        smaller one gets a border.
 
-        The border is of the image's mean, which the network subtracts anyway; nothing is found in it.
+        The border is of the image's mean, which the network subtracts anyway; nothing is found in
+        it.
         """
         height, width = image.shape[:2]
         scale = min(1.0, SIDE_PX / max(height, width))
@@ -80,7 +84,10 @@ class XFeat:
 def _session(weights: Path, threads: int) -> onnxruntime.InferenceSession:
     """The network, checked. Raises PartError."""
     session = open_session(weights, threads, REMEDY)
-    found = tuple(_shape(each) for each in session.get_inputs()), tuple(_shape(each) for each in session.get_outputs())
+    found = (
+        tuple(_shape(each) for each in session.get_inputs()),
+        tuple(_shape(each) for each in session.get_outputs()),
+    )
     if found != ((INPUT,), OUTPUTS):
         raise PartError(
             f"{weights}: not XFeat's network: expected {_told((INPUT,))} -> {_told(OUTPUTS)}, "
@@ -100,7 +107,9 @@ def _told(shapes: tuple[tuple[Any, ...], ...]) -> str:
 
 
 def _heatmap(logits: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Probability of a keypoint at each pixel, (640, 640), from (65, 80, 80): 64 pixels of a cell, and "none"."""
+    """Probability of a keypoint at each pixel, (640, 640), from (65, 80, 80): 64 pixels of a cell,
+    and "none".
+    """
     grown = np.exp(logits - logits.max(axis=0))
     share = grown[:64] / grown.sum(axis=0)
     cells = share.transpose(1, 2, 0).reshape(MAP, MAP, CELL_PX, CELL_PX)
@@ -130,7 +139,9 @@ def _on_map(points: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _sample(descriptors: NDArray[np.float32], points: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Descriptors (n, 64) at pixels: normalised map (64, 80, 80), bicubic with zeros around it, normalised again."""
+    """Descriptors (n, 64) at pixels: normalised map (64, 80, 80), bicubic with zeros around it,
+    normalised again.
+    """
     norm = np.sqrt((descriptors * descriptors).sum(axis=0))
     padded = np.zeros((MAP + 4, MAP + 4, 64), np.float32)
     padded[2:-2, 2:-2] = (descriptors / np.maximum(norm, 1e-12)).transpose(1, 2, 0)

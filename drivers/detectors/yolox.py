@@ -1,4 +1,6 @@
-"""Detectors of the YOLOX family through onnxruntime. The weights are a file that a rig names; PATH comes without."""
+"""Detectors of the YOLOX family through onnxruntime. The weights are a file that a rig names; PATH
+comes without.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,8 @@ from path.bounds import Bounds
 from path.observations import Box, Detection, Region
 
 FILL = 114.0  # grey level around an image that does not fill the input
-BELIEVED = 0.3  # the score from which on a whole object is one to the flight (``flight.tracking.objects``)
+# the score from which on a whole object is one to the flight (``flight.tracking.objects``)
+BELIEVED = 0.3
 MODEL_VARIABLE = "PATH_YOLOX"
 NAME_ONE = (
     "name one: --model yolox_nano.onnx, PATH_YOLOX=yolox_nano.onnx in the environment, or `model` in the rig's table "
@@ -39,10 +42,11 @@ class YoloxDetectorConfig:
         model: the ONNX file, relative to the rig; None: the one that PATH_YOLOX names.
         classes: names of what is looked for; empty: everything.
         names: file with the names of the model's classes, one a line; None: the 80 of COCO.
-        min_score: objectness times class, below it nothing is found; what is found is told of with scores on a scale on
-            which this is ``BELIEVED``.
+        min_score: objectness times class, below it nothing is found; what is found is told of with
+            scores on a scale on which this is ``BELIEVED``.
         max_iou: of two boxes of one class that overlap more, the better one stays.
-        max_side_px: how large an object can be in the image; with a search region, the image is cut so far around it.
+        max_side_px: how large an object can be in the image; with a search region, the image is cut
+            so far around it.
         max_zoom: a cut-out is enlarged at most so much to fill the network's input.
         threads: of onnxruntime.
     """
@@ -61,7 +65,9 @@ class YoloxDetectorConfig:
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ValueError(f"{name}: {getattr(self, name)!r} is not within 0..1")
         if self.max_side_px <= 0.0 or self.max_zoom < 1.0 or self.threads < 0:
-            raise ValueError("max_side_px must be positive, max_zoom at least 1, threads not negative")
+            raise ValueError(
+                "max_side_px must be positive, max_zoom at least 1, threads not negative"
+            )
 
     def check_ready(self) -> None:
         """Raises ModelError when no model is named, or there is no such file."""
@@ -71,7 +77,9 @@ class YoloxDetectorConfig:
         """Returns the ONNX file. Raises ModelError when none is named, or there is no such file."""
         named = os.environ.get(MODEL_VARIABLE, "")
         if self.model is None and not named:
-            raise ModelError("YOLOX finds nothing without a model file, and none was named", NAME_ONE)
+            raise ModelError(
+                "YOLOX finds nothing without a model file, and none was named", NAME_ONE
+            )
         file = Path(named) if self.model is None else self.model
         if not file.is_file():
             raise ModelError(f"{file}: there is no such file; expected a network in ONNX", EXPORT)
@@ -85,7 +93,9 @@ class YoloxDetector:
     whole_image = True  # what depth would cut off belongs to how a thing looks
 
     def __init__(self, config: YoloxDetectorConfig, context: object | None = None) -> None:
-        """Raises ModelError (a missing file, or expected and found), PartError (a class that the model has not)."""
+        """Raises ModelError (a missing file, or expected and found), PartError (a class that the
+        model has not).
+        """
         del context  # made like every part of a rig, but needs nothing of the role
         self._config = config
         file = config.weights()
@@ -103,8 +113,8 @@ class YoloxDetector:
 
         Args:
             image: (h, w, 3) uint8 BGR.
-            region: only objects whose box centre is inside: the network sees the image around it, enlarged; None for
-                the whole image.
+            region: only objects whose box centre is inside: the network sees the image around it,
+                enlarged; None for the whole image.
         """
         height, width = image.shape[:2]
         window = _window(region, 0.5 * self._config.max_side_px, width, height)
@@ -130,7 +140,9 @@ class YoloxDetector:
         return found
 
     def _letterboxed(self, part: NDArray[np.uint8]) -> tuple[NDArray[np.float32], float, float]:
-        """The network's input, (1, 3, h, w) BGR 0..255 with grey right and below; how much larger it is, each way."""
+        """The network's input, (1, 3, h, w) BGR 0..255 with grey right and below; how much larger
+        it is, each way.
+        """
         height, width = part.shape[:2]
         scale = min(self._height / height, self._width / width, self._config.max_zoom)
         w = max(1, round(width * scale))
@@ -149,7 +161,9 @@ def _scored(config: YoloxDetectorConfig, file: Path, count: int) -> NDArray[np.b
     if len(names) != count:
         source = "COCO has" if config.names is None else f"{config.names} names"
         other = len(names) == count + 1
-        perhaps = " (is it an export without an objectness, as of YOLOv8 or YOLO11?)" if other else ""
+        perhaps = (
+            " (is it an export without an objectness, as of YOLOv8 or YOLO11?)" if other else ""
+        )
         raise PartError(
             f"{file}: expected {count} names of classes, {source} {len(names)}{perhaps}",
             'name a file with one class a line: names = "classes.txt"',
@@ -163,12 +177,18 @@ def _scored(config: YoloxDetectorConfig, file: Path, count: int) -> NDArray[np.b
 
 def _read_names(file: Path) -> tuple[str, ...]:
     try:
-        return tuple(line.strip() for line in read_file(file).decode("utf-8").splitlines() if line.strip())
+        return tuple(
+            line.strip() for line in read_file(file).decode("utf-8").splitlines() if line.strip()
+        )
     except (OSError, UnicodeDecodeError) as error:
-        raise PartError(f"{file}: {error}", "write the names of the model's classes into it, one a line") from error
+        raise PartError(
+            f"{file}: {error}", "write the names of the model's classes into it, one a line"
+        ) from error
 
 
-def _window(region: Region | None, reach_px: float, width: int, height: int) -> tuple[int, int, int, int] | None:
+def _window(
+    region: Region | None, reach_px: float, width: int, height: int
+) -> tuple[int, int, int, int] | None:
     """The part of the image to look at, ``x0 y0 x1 y1``; None when the region is outside."""
     if region is None:
         return 0, 0, width, height
@@ -176,4 +196,9 @@ def _window(region: Region | None, reach_px: float, width: int, height: int) -> 
         return None
     x0 = max(int(region.x0 - reach_px), 0)
     y0 = max(int(region.y0 - reach_px), 0)
-    return x0, y0, min(int(region.x1 + reach_px) + 1, width), min(int(region.y1 + reach_px) + 1, height)
+    return (
+        x0,
+        y0,
+        min(int(region.x1 + reach_px) + 1, width),
+        min(int(region.y1 + reach_px) + 1, height),
+    )

@@ -1,4 +1,5 @@
-"""Boxes from what a network of the YOLOX family says about its grid cells (Ge et al. 2021, arXiv:2107.08430).
+"""Boxes from what a network of the YOLOX family says about its grid cells (Ge et al. 2021,
+arXiv:2107.08430).
 
 Box coordinates here are of edges in the network's input: a pixel with index i covers i to i + 1.
 """
@@ -15,7 +16,9 @@ MOST_KEPT = 300  # boxes that suppression looks at, the best
 
 
 def grid(height: int, width: int, strides: tuple[int, ...] = STRIDES) -> tuple[Floats, Floats]:
-    """Cells of all levels in the order of the output: their indices (n, 2), column first, and their strides (n, 1)."""
+    """Cells of all levels in the order of the output: their indices (n, 2), column first, and their
+    strides (n, 1).
+    """
     cells: list[Floats] = []
     steps: list[Floats] = []
     for stride in strides:
@@ -25,18 +28,23 @@ def grid(height: int, width: int, strides: tuple[int, ...] = STRIDES) -> tuple[F
     return np.concatenate(cells), np.concatenate(steps)
 
 
-def decode(raw: Floats, cells: Floats, steps: Floats, scored: NDArray[np.bool_], least: float) -> tuple[Floats, ...]:
+def decode(
+    raw: Floats, cells: Floats, steps: Floats, scored: NDArray[np.bool_], least: float
+) -> tuple[Floats, ...]:
     """Boxes that score at least ``least``, of an output in cells.
 
     Args:
-        raw: (n, 5 + classes): offset of the centre in cells, logarithm of the size in cells, objectness, classes.
+        raw: (n, 5 + classes): offset of the centre in cells, logarithm of the size in cells,
+            objectness, classes.
         cells, steps: as ``grid`` gives them.
         scored, least: as of ``best_boxes``, whose results these are.
     """
     keep, scores, best = _best(raw, scored, least)
     part = raw[keep]
     with np.errstate(over="ignore"):
-        boxes = np.concatenate(((part[:, :2] + cells[keep]) * steps[keep], np.exp(part[:, 2:4]) * steps[keep]), axis=1)
+        boxes = np.concatenate(
+            ((part[:, :2] + cells[keep]) * steps[keep], np.exp(part[:, 2:4]) * steps[keep]), axis=1
+        )
     return _finite(boxes, scores, best)
 
 
@@ -48,14 +56,16 @@ def best_boxes(raw: Floats, scored: NDArray[np.bool_], least: float) -> tuple[Fl
         scored: (classes,), which of them are looked for.
 
     Returns:
-        Centre and size (m, 4) as x, y, w, h in px of the input; scores (m,): objectness times the best class that is
-        looked for; and that class (m,). What is not finite is left out.
+        Centre and size (m, 4) as x, y, w, h in px of the input; scores (m,): objectness times the
+        best class that is looked for; and that class (m,). What is not finite is left out.
     """
     keep, scores, best = _best(raw, scored, least)
     return _finite(raw[keep, :4], scores, best)
 
 
-def _best(raw: Floats, scored: NDArray[np.bool_], least: float) -> tuple[NDArray[np.int64], Floats, Floats]:
+def _best(
+    raw: Floats, scored: NDArray[np.bool_], least: float
+) -> tuple[NDArray[np.int64], Floats, Floats]:
     """Return the rows that score enough, best first, their scores and their classes."""
     classes = np.flatnonzero(scored)
     best = classes[np.argmax(raw[:, 5:][:, classes], axis=1)]
@@ -71,7 +81,9 @@ def _finite(boxes: Floats, scores: Floats, classes: Floats) -> tuple[Floats, ...
 
 
 def suppress(boxes: Floats, scores: Floats, classes: Floats, most_iou: float) -> NDArray[np.int64]:
-    """Indices of boxes (m, 4) kept, best first: none overlaps a better one of its class by more than ``most_iou``."""
+    """Indices of boxes (m, 4) kept, best first: none overlaps a better one of its class by more
+    than ``most_iou``.
+    """
     low = boxes[:, :2] - 0.5 * boxes[:, 2:]
     high = boxes[:, :2] + 0.5 * boxes[:, 2:]
     areas = boxes[:, 2] * boxes[:, 3]

@@ -1,10 +1,11 @@
-"""Which export of a detector a model file is. There are many, and some differ in nothing but their values.
+"""Which export of a detector a model file is. There are many, and some differ in nothing but their
+values.
 
-An export of YOLOX gives for each cell of its grid the offset of a box's centre from the cell, in cells,
-and the logarithm of its size. With ``--decode_in_inference`` it gives the centre and size in pixels
-instead, in an output of the very same shape: read as the other one, nothing is ever found. So the shapes
-are judged first, and then what the network says to one test picture. ``drivers.detectors.yolox`` asks;
-nothing here looks for objects.
+An export of YOLOX gives for each cell of its grid the offset of a box's centre from the cell, in
+cells, and the logarithm of its size. With ``--decode_in_inference`` it gives the centre and size in
+pixels instead, in an output of the very same shape: read as the other one, nothing is ever found.
+So the shapes are judged first, and then what the network says to one test picture.
+``drivers.detectors.yolox`` asks; nothing here looks for objects.
 """
 
 from __future__ import annotations
@@ -29,15 +30,20 @@ EXPORT = (
 NO_YOLOX = f"its boxes are not read here: {EXPORT}"
 
 FOLLOWS = 0.9  # correlation with the cells' places from which on a number is a place in the image
-NEAR_CELLS = 4.0  # YOLOX-nano: half of its centres are within 0.6 cells of their cell, all within 4.1
+# YOLOX-nano: half of its centres are within 0.6 cells of their cell, all within 4.1
+NEAR_CELLS = 4.0
 MOST_LOG = 10.0  # a box of e^10 cells would be as large as no image is
-LITTLE = 1e-3  # YOLOX never taught its classes what background is: theirs are 0.08 to 0.16 there, others' below 1e-4
+# YOLOX never taught its classes what background is: theirs are 0.08 to 0.16 there, others' below
+# 1e-4
+LITTLE = 1e-3
 SLACK = 0.01  # of float16, beyond 0..1
 
 
 @dataclass(frozen=True, slots=True)
 class YoloxExport:
-    """What a network takes and gives. ``decoded``: centre and size in px, not in cells and their logarithm."""
+    """What a network takes and gives. ``decoded``: centre and size in px, not in cells and their
+    logarithm.
+    """
 
     height: int
     width: int
@@ -49,7 +55,8 @@ def identify(model: OnnxModel, file: Path) -> YoloxExport:
     """Return how a network's output is to be read.
 
     Raises:
-        ModelError: it is none of YOLOX, by shape or by what it says to a test picture; with which export it is.
+        ModelError: it is none of YOLOX, by shape or by what it says to a test picture; with which
+            export it is.
     """
     height, width, classes = _by_shape(model, file)
     try:
@@ -59,24 +66,36 @@ def identify(model: OnnxModel, file: Path) -> YoloxExport:
         raise ModelError(f"{file}: it fails on a test picture: {said}", EXPORT) from error
     if raw.shape != (len(grid(height, width)[0]), 5 + classes):
         found = shown(raw.shape)
-        raise ModelError(f"{file}: its output is said to be of another shape than it has, {found}", EXPORT)
+        raise ModelError(
+            f"{file}: its output is said to be of another shape than it has, {found}", EXPORT
+        )
     if not np.isfinite(raw).all():
-        raise ModelError(f"{file}: its output is not finite on a test picture", f"was it cut to float16? {EXPORT}")
+        raise ModelError(
+            f"{file}: its output is not finite on a test picture",
+            f"was it cut to float16? {EXPORT}",
+        )
     return YoloxExport(height, width, classes, decoded=_is_decoded(raw, height, width, file))
 
 
 def test_picture(height: int, width: int) -> Floats:
-    """Return a picture for a network, (1, 3, h, w) BGR 0..255: slopes of grey with a disc and a plate on them."""
+    """Return a picture for a network, (1, 3, h, w) BGR 0..255: slopes of grey with a disc and a
+    plate on them.
+    """
     picture = np.zeros((height, width, 3), np.float32)
     picture[..., 0] = np.linspace(0.0, 255.0, width)
     picture[..., 1] = np.linspace(0.0, 255.0, height)[:, None]
     picture[..., 2] = 114.0
-    cv2.circle(picture, (width // 2, height // 2), min(height, width) // 5, (255.0, 255.0, 255.0), -1)
-    cv2.rectangle(picture, (width // 10, height // 10), (width // 4, height // 3), (0.0, 0.0, 0.0), -1)
+    cv2.circle(
+        picture, (width // 2, height // 2), min(height, width) // 5, (255.0, 255.0, 255.0), -1
+    )
+    cv2.rectangle(
+        picture, (width // 10, height // 10), (width // 4, height // 3), (0.0, 0.0, 0.0), -1
+    )
     return np.ascontiguousarray(picture.transpose(2, 0, 1)[None])
 
 
-# --- by shape ----------------------------------------------------------------------------------------------------
+# --- by shape
+# ----------------------------------------------------------------------------------------------------
 
 
 def _by_shape(model: OnnxModel, file: Path) -> tuple[int, int, int]:
@@ -105,24 +124,31 @@ def _input_size(image: Tensor, file: Path, found: str) -> tuple[int, int]:
     if len(shape) != 4:
         raise ModelError(f"{file}: {expected}", EXPORT)
     if shape[3] == 3:
-        raise ModelError(f"{file}: {expected}: its colours come last, as of an export for TensorFlow", EXPORT)
+        raise ModelError(
+            f"{file}: {expected}: its colours come last, as of an export for TensorFlow", EXPORT
+        )
     batch, channels, height, width = shape
     if isinstance(batch, int) and batch != 1:
         raise ModelError(
-            f"{file}: {expected}: it takes {batch} images at once", f"export it with a batch of 1: {EXPORT}"
+            f"{file}: {expected}: it takes {batch} images at once",
+            f"export it with a batch of 1: {EXPORT}",
         )
     if channels != 3:
         raise ModelError(f"{file}: {expected}", EXPORT)
     if not isinstance(height, int) or not isinstance(width, int):
         any_size = "height and width were left open when it was exported (dynamic axes)"
-        raise ModelError(f"{file}: {expected}: {any_size}", f"export it at the size it was trained for: {EXPORT}")
+        raise ModelError(
+            f"{file}: {expected}: {any_size}", f"export it at the size it was trained for: {EXPORT}"
+        )
     if height <= 0 or width <= 0 or height % stride or width % stride:
         raise ModelError(f"{file}: {expected}", EXPORT)
     return height, width
 
 
 def _classes(shape: Shape, height: int, width: int, file: Path, found: str) -> int:
-    """Return the number of classes of an output of YOLOX. Raises ModelError naming what else it is."""
+    """Return the number of classes of an output of YOLOX. Raises ModelError naming what else it
+    is.
+    """
     cells = len(grid(height, width)[0])
     expected = f"{file}: expected an output of 1x{cells}x(5 + classes), {found}"
     if len(shape) == 3:
@@ -135,14 +161,23 @@ def _classes(shape: Shape, height: int, width: int, file: Path, found: str) -> i
             what = f"as of YOLOv8 or YOLO11: {rows} numbers for each of {cells} places, classes without an objectness"
             raise ModelError(f"{expected}: {what}", NO_YOLOX)
         if 3 * cells in (rows, columns):
-            raise ModelError(f"{expected}: as of YOLOv5 or YOLOv7, with three anchors a cell", NO_YOLOX)
+            raise ModelError(
+                f"{expected}: as of YOLOv5 or YOLOv7, with three anchors a cell", NO_YOLOX
+            )
         with_coarsest = cells + (height // 64) * (width // 64)
         if with_coarsest in (rows, columns) or 3 * with_coarsest in (rows, columns):
-            raise ModelError(f"{expected}: of a model with a fourth level, of stride 64 (P6)", NO_YOLOX)
+            raise ModelError(
+                f"{expected}: of a model with a fourth level, of stride 64 (P6)", NO_YOLOX
+            )
         if columns in (6, 7):
-            raise ModelError(f"{expected}: {_SUPPRESSED}", f"export it without suppression (NMS) inside; {NO_YOLOX}")
+            raise ModelError(
+                f"{expected}: {_SUPPRESSED}",
+                f"export it without suppression (NMS) inside; {NO_YOLOX}",
+            )
     if len(shape) == 2 and shape[1] in (6, 7):
-        raise ModelError(f"{expected}: {_SUPPRESSED}", f"export it without suppression (NMS) inside; {NO_YOLOX}")
+        raise ModelError(
+            f"{expected}: {_SUPPRESSED}", f"export it without suppression (NMS) inside; {NO_YOLOX}"
+        )
     raise ModelError(expected, NO_YOLOX)
 
 
@@ -167,19 +202,24 @@ def _many_outputs(outputs: Sequence[Tensor]) -> str:
 
 
 def _told(tensors: Sequence[Tensor]) -> str:
-    """Return shapes for a message, with the names where there are several, and kinds where they are not usual."""
+    """Return shapes for a message, with the names where there are several, and kinds where they are
+    not usual.
+    """
     if len(tensors) == 1 and tensors[0].kind == FLOAT:
         return shown(tensors[0].shape)
     return ", ".join(tensor.text for tensor in tensors) or "nothing"
 
 
-# --- by values ---------------------------------------------------------------------------------------------------
+# --- by values
+# ---------------------------------------------------------------------------------------------------
 
 
 def _is_decoded(raw: Floats, height: int, width: int, file: Path) -> bool:
-    """Return whether an output (n, 5 + classes) on the test picture has its boxes in pixels. Raises ModelError.
+    """Return whether an output (n, 5 + classes) on the test picture has its boxes in pixels. Raises
+    ModelError.
 
-    In pixels, a box's centre follows its cell from left to right and from top to bottom; in cells it does not.
+    In pixels, a box's centre follows its cell from left to right and from top to bottom; in cells
+    it does not.
     """
     _check_scores(raw, file)
     cells, steps = grid(height, width)
@@ -196,9 +236,13 @@ def _is_decoded(raw: Floats, height: int, width: int, file: Path) -> bool:
         raise ModelError(f"{file}: its boxes are two corners each, not centre and size", EXPORT)
     reach = float(np.median(raw[:, 0] / places[:, 0]))
     if not 0.5 < reach < 2.0:
-        raise ModelError(f"{file}: its boxes are in fractions of the image, not in its pixels", EXPORT)
+        raise ModelError(
+            f"{file}: its boxes are in fractions of the image, not in its pixels", EXPORT
+        )
     if float(raw[:, 2:4].min()) <= 0.0:
-        raise ModelError(f"{file}: on a test picture there are boxes in pixels without a size", EXPORT)
+        raise ModelError(
+            f"{file}: on a test picture there are boxes in pixels without a size", EXPORT
+        )
     if float(np.median(raw[:, 5:].max(axis=1))) < LITTLE:
         raise ModelError(
             f"{file}: {raw.shape[1]} numbers a place, as of YOLOv8 or YOLO11: classes without an objectness",

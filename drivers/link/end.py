@@ -32,12 +32,13 @@ Item = TypeVar("Item")
 class Waiting(Generic[Item]):
     """A queue that keeps the newest of each stream, and every word of the rest up to a number.
 
-    A Target, Candidate or Status that waits is replaced by a newer one, so that no latency builds up. What the
-    hand-over and the clocks say comes first, in its order.
+    A Target, Candidate or Status that waits is replaced by a newer one, so that no latency builds
+    up. What the hand-over and the clocks say comes first, in its order.
 
     Args:
         most: words that wait; then the oldest goes.
-        superseded, full: what is counted when a stream's message is replaced, and when the oldest word goes.
+        superseded, full: what is counted when a stream's message is replaced, and when the oldest
+            word goes.
     """
 
     def __init__(self, counters: LinkCounters, most: int, superseded: str, full: str) -> None:
@@ -134,7 +135,9 @@ class LinkEnd:
         self._false = RateLimit()  # of what is not the peer's: only to tell by reason what it was
 
     def pack(self, message: Message) -> bytes | None:
-        """The packet to send; None, and counted as dropped, when a number in the message does not fit the wire."""
+        """The packet to send; None, and counted as dropped, when a number in the message does not
+        fit the wire.
+        """
         try:
             data = self._codec.encode(message)
         except EncodeError:
@@ -145,14 +148,17 @@ class LinkEnd:
         return data
 
     def arrived(self, data: bytes, arrival_ns: int, stranger: bool = False) -> None:
-        """Take a packet as it came: counted, and put into the inbox or dropped by reason. Never raises."""
+        """Take a packet as it came: counted, and put into the inbox or dropped by reason. Never
+        raises.
+        """
         self.counters.packets_received += 1
         self.counters.bytes_received += len(data) + self._overhead
         if stranger:
             count(self.counters, "stranger")
             return
         limit = self._limit if self._codec.authentic(data) else self._false
-        if not limit.admits(arrival_ns):  # a flood shall not take the time that the vehicle is flown in
+        # a flood shall not take the time that the vehicle is flown in
+        if not limit.admits(arrival_ns):
             count(self.counters, "flooded")
             return
         message = self._codec.decode(data)

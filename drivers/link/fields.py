@@ -1,4 +1,5 @@
-"""Each message's fields as the dialect's numbers, and back (``drivers/dialect/path.xml`` has the layout).
+"""Each message's fields as the dialect's numbers, and back (``drivers/dialect/path.xml`` has the
+layout).
 
 Every number is checked both ways; ``drivers.link.units`` has the units and what a round trip costs.
 """
@@ -65,7 +66,9 @@ _BATTERY = 200.0
 _UNKNOWN_BATTERY = 255
 
 _MISS_CODE = {
-    reason: code for reason in MissReason if (code := getattr(dialect, f"PATH_MISS_{reason.name}", None)) is not None
+    reason: code
+    for reason in MissReason
+    if (code := getattr(dialect, f"PATH_MISS_{reason.name}", None)) is not None
 }
 _MISS = {code: reason for reason, code in _MISS_CODE.items()}
 _ABORT_CODE = {reason: getattr(dialect, f"PATH_ABORT_{reason.name}") for reason in AbortReason}
@@ -101,7 +104,9 @@ def _target_from(p: Any) -> Target:
         target_id=p.target_id,
         sequence=p.sequence,
         capture_ns=instant_from(p.capture_low, p.capture_high),
-        point_v_m=point_from((p.point_x, p.point_y, p.point_z), (p.point_x_part, p.point_y_part, p.point_z_part)),
+        point_v_m=point_from(
+            (p.point_x, p.point_y, p.point_z), (p.point_x_part, p.point_y_part, p.point_z_part)
+        ),
         gravity_v=direction_from(p.gravity_a, p.gravity_b),
         sigma_m=sigma_from(p.sigma),
     )
@@ -157,7 +162,8 @@ def _candidate_from(p: Any) -> Candidate:
         box=box,
         reason=reason,
         position_v_m=point_from(
-            (p.position_x, p.position_y, p.position_z), (p.position_x_part, p.position_y_part, p.position_z_part)
+            (p.position_x, p.position_y, p.position_z),
+            (p.position_x_part, p.position_y_part, p.position_z_part),
         ),
         rotation_v_c2=rotation_from("rotation", (p.rotation_x, p.rotation_y, p.rotation_z)),
         sigma_m=sigma_from(p.sigma),
@@ -176,7 +182,9 @@ def _three(name: str, values: Vec3, scale: float, limit: int) -> tuple[int, int,
 def _status_to(m: Status) -> Numbers:
     if not math.isfinite(m.yaw_rad):
         raise OutOfRange(f"yaw_rad = {m.yaw_rad} is not finite")
-    flags = dialect.PATH_FLAG_RESPONSIBLE * m.responsible | dialect.PATH_FLAG_OBSERVING * m.observing
+    flags = (
+        dialect.PATH_FLAG_RESPONSIBLE * m.responsible | dialect.PATH_FLAG_OBSERVING * m.observing
+    )
     flags |= whole("steps", m.steps, STEPS - 1) << _STEPS_BIT
     low, high = instant_to("stamp_ns", m.stamp_ns)
     instance_high, instance_low = divmod(whole("instance", m.instance, U24), 1 << 16)
@@ -190,7 +198,9 @@ def _status_to(m: Status) -> Numbers:
         _ROLE_CODE[m.role],
         whole("phase", m.phase, U8),
         flags,
-        _UNKNOWN_BATTERY if math.isnan(m.battery) else scaled("battery", m.battery, _BATTERY, 0, round(_BATTERY)),
+        _UNKNOWN_BATTERY
+        if math.isnan(m.battery)
+        else scaled("battery", m.battery, _BATTERY, 0, round(_BATTERY)),
         instance_high,
         whole("ended", m.ended, U8),
         *_alike_to(m.alike),
@@ -309,14 +319,18 @@ NAMED: dict[type[Any], Callable[[Iterable[int]], Any]] = {
     kind: namedtuple(kind.__name__, kind.ordered_fieldnames)._make  # pyright: ignore[reportUntypedNamedTuple]
     for kind in KINDS.values()
 }
-"""Gives numbers that came, in the order in which they were sent, the dialect's names, as ``FROM_WIRE`` takes them."""
+"""Gives numbers that came, in the order in which they were sent, the dialect's names, as
+``FROM_WIRE`` takes them.
+"""
 
 FROM_WIRE: dict[type[Any], Callable[[Any], Message]] = {
     dialect.MAVLink_path_target_message: _target_from,
     dialect.MAVLink_path_candidate_message: _candidate_from,
     dialect.MAVLink_path_status_message: _status_from,
     dialect.MAVLink_path_ping_message: lambda p: Ping(p.nonce, p.sent_ns),
-    dialect.MAVLink_path_pong_message: lambda p: Pong(p.nonce, p.ping_sent_ns, p.received_ns, p.sent_ns),
+    dialect.MAVLink_path_pong_message: lambda p: Pong(
+        p.nonce, p.ping_sent_ns, p.received_ns, p.sent_ns
+    ),
     dialect.MAVLink_path_commit_message: lambda p: Commit(
         p.handoff_id, p.epoch, p.target_id, p.nonce, p.lease_end_ns, p.stamp_ns, _instance(p)
     ),

@@ -6,7 +6,9 @@ from drivers.interfaces import LinkCounters
 from drivers.link.wire import Drop
 
 NOT_THE_PEERS = frozenset({"stranger", "flooded", *(drop.value for drop in Drop)})
-"""Reasons for which a link does not take what came in. The others drop what was the peer's, or this side's own."""
+"""Reasons for which a link does not take what came in. The others drop what was the peer's, or this
+side's own.
+"""
 QUIET_LOOKS = 3  # before it is over: one that comes and goes is told once
 FLOOD_HZ = 300  # a link that sends every packet twice and damages a tenth comes to half of it
 

@@ -11,8 +11,9 @@ MARKER = dialect.PROTOCOL_MARKER_V2
 class PacketFramer:
     """Cuts a stream into whole packets.
 
-    A packet is taken only when its header can be one of ours and its checksum holds; otherwise a single byte is
-    skipped and the search begins again, so that noise which looks like a beginning costs no true packet behind it.
+    A packet is taken only when its header can be one of ours and its checksum holds; otherwise a
+    single byte is skipped and the search begins again, so that noise which looks like a beginning
+    costs no true packet behind it.
     """
 
     def __init__(self) -> None:

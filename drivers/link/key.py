@@ -1,4 +1,6 @@
-"""The signing of a pair's packets: the key that only the two drones have, and the clock of the signatures."""
+"""The signing of a pair's packets: the key that only the two drones have, and the clock of the
+signatures.
+"""
 
 from __future__ import annotations
 
@@ -16,18 +18,25 @@ SIGNING_EPOCH_S = 1_420_070_400  # 2015-01-01, the zero of MAVLink signing time
 
 
 def signing_key(path: Path | None) -> bytes | None:
-    """The pair's key for packets that are signed from now on; None where nothing is signed. Raises LinkError."""
+    """The pair's key for packets that are signed from now on; None where nothing is signed. Raises
+    LinkError.
+    """
     if path is None:
         return None
     key = read_key(path)
     if not 0 <= signing_time() <= LAST_STAMP:
         said = datetime.fromtimestamp(time.time(), UTC).date()
-        raise LinkError(f"this computer's clock says {said}: signatures reach from 2015 to 2104", "set the clock")
+        raise LinkError(
+            f"this computer's clock says {said}: signatures reach from 2015 to 2104",
+            "set the clock",
+        )
     return key
 
 
 def read_key(path: Path) -> bytes:
-    """The pair's key. Raises LinkError for a file that is missing, open to others or of a wrong length."""
+    """The pair's key. Raises LinkError for a file that is missing, open to others or of a wrong
+    length.
+    """
     make = f"head -c {KEY_LENGTH} /dev/urandom > {path} && chmod 600 {path}, and copy it to the other drone"
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -39,7 +48,10 @@ def read_key(path: Path) -> bytes:
     if not stat.S_ISREG(mode):
         raise LinkError(f"key file {path} is not a file", make)
     if mode & 0o077:
-        raise LinkError(f"key file {path} has mode {stat.S_IMODE(mode):04o}: others can read it", f"chmod 600 {path}")
+        raise LinkError(
+            f"key file {path} has mode {stat.S_IMODE(mode):04o}: others can read it",
+            f"chmod 600 {path}",
+        )
     if len(key) != KEY_LENGTH:
         found = f"more than {KEY_LENGTH}" if len(key) > KEY_LENGTH else str(len(key))
         raise LinkError(f"key file {path} has {found} bytes, not {KEY_LENGTH}", make)
@@ -53,7 +65,10 @@ def key_finding(path: Path | None) -> Finding:
     """
     if path is None:
         return Finding(
-            "note", "key", "none: packets are unsigned", "name a `key_file` unless nobody else can send to it"
+            "note",
+            "key",
+            "none: packets are unsigned",
+            "name a `key_file` unless nobody else can send to it",
         )
     return Finding("ok", "key", f"{path.name}, {KEY_LENGTH} bytes, readable by its owner alone")
 

@@ -1,4 +1,6 @@
-"""The link between the drones over a pair of serial radios: the same signed packets, one after the other."""
+"""The link between the drones over a pair of serial radios: the same signed packets, one after the
+other.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +34,10 @@ REOPEN_S = 0.5
 class SerialLinkConfig:
     """
     Attributes:
-        port: such as ``/dev/serial/by-id/usb-...``, which stays the same when it is plugged in again.
-        baud: of the port and the radio; the method needs 6 kB/s each way at 60 Hz, so 115200 or more.
+        port: such as ``/dev/serial/by-id/usb-...``, which stays the same when it is plugged in
+            again.
+        baud: of the port and the radio; the method needs 6 kB/s each way at 60 Hz, so 115200 or
+            more.
         key_file: 32 bytes, mode 0600; the same on both drones.
         allow_unsigned: fly without a key. Anyone with such a radio can then speak.
     """
@@ -46,15 +50,17 @@ class SerialLinkConfig:
     def __post_init__(self) -> None:
         check_bounds(self)
         if self.key_file is None and not self.allow_unsigned:
-            raise ValueError("key_file: a radio can be heard by anyone, so it needs a key (or allow_unsigned = true)")
+            raise ValueError(
+                "key_file: a radio can be heard by anyone, so it needs a key (or allow_unsigned = true)"
+            )
 
 
 class SerialLink:
     """Implements ``drivers.interfaces.Link``.
 
-    What is to be sent waits here and not in the port, at most ``MAX_WAITING`` words of the hand-over and the newest of
-    each stream, so that a slow radio carries the present. A port that vanishes is silence, and is opened again when it
-    is back.
+    What is to be sent waits here and not in the port, at most ``MAX_WAITING`` words of the
+    hand-over and the newest of each stream, so that a slow radio carries the present. A port that
+    vanishes is silence, and is opened again when it is back.
     """
 
     Config = SerialLinkConfig
@@ -93,7 +99,9 @@ class SerialLink:
         return (key_finding(self._config.key_file),)
 
     def send(self, message: Message) -> None:
-        """Now, or as soon as the radio has room; a stream's message waits until a newer one takes its place."""
+        """Now, or as soon as the radio has room; a stream's message waits until a newer one takes
+        its place.
+        """
         if not self._open:
             raise LinkError("the link is not open", "enter it with `async with` first")
         if self._port is None:
@@ -113,7 +121,9 @@ class SerialLink:
     def _open_port(self) -> None:
         config = self._config
         try:
-            port = serial.Serial(config.port, config.baud, timeout=0, write_timeout=0, exclusive=True)
+            port = serial.Serial(
+                config.port, config.baud, timeout=0, write_timeout=0, exclusive=True
+            )
         except (serial.SerialException, termios.error, ValueError, OSError) as error:
             raise LinkError(
                 f"serial port {config.port}: {error}",
@@ -173,12 +183,16 @@ class SerialLink:
                 self._lost()
                 return
             self._left = data[written:]
-            self._free_s = max(self._free_s, loop.time()) + max(written, 1) * BITS_PER_BYTE / self._config.baud
+            self._free_s = (
+                max(self._free_s, loop.time()) + max(written, 1) * BITS_PER_BYTE / self._config.baud
+            )
             if written == 0:  # flow control holds it back
                 self._free_s = max(self._free_s, loop.time() + 2.0 * AHEAD_S)
 
     def _next_packet(self) -> bytes:
-        """Signed only now, so that stamps are in the order of the air. Empty for what cannot be encoded."""
+        """Signed only now, so that stamps are in the order of the air. Empty for what cannot be
+        encoded.
+        """
         return self._end.pack(self._waiting.pop()) or b""
 
     def _lost(self) -> None:

@@ -1,4 +1,6 @@
-"""The link between the drones as UDP datagrams, one packet each, signed with a key that only the pair has."""
+"""The link between the drones as UDP datagrams, one packet each, signed with a key that only the
+pair has.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ from drivers.rig.part_check import Finding
 from path.messages import Message
 
 IPV6_EXTRA = 20  # an IPv6 header is that much longer than an IPv4 one
-READ_AT_ONCE = 256  # datagrams in one turn of the event loop: whatever comes in, the rest of the program has its turn
+# datagrams in one turn of the event loop: whatever comes in, the rest of the program has its turn
+READ_AT_ONCE = 256
 MOST_BYTES = 512  # of a datagram: what is longer is none of ours, and is cut
 WAITING_BYTES = 1 << 20  # what the kernel keeps while this program is busy, if it may
 
@@ -33,8 +36,8 @@ class UdpLinkConfig:
     Attributes:
         bind: own end.
         peer: the other end; datagrams from anywhere else are dropped.
-        key_file: 32 bytes, mode 0600; the same on both drones. Without it packets are unsigned, which is refused
-            unless both ends are on this computer or ``allow_unsigned`` says so.
+        key_file: 32 bytes, mode 0600; the same on both drones. Without it packets are unsigned,
+            which is refused unless both ends are on this computer or ``allow_unsigned`` says so.
         allow_unsigned: fly without a key although the link leaves this computer.
     """
 
@@ -48,10 +51,14 @@ class UdpLinkConfig:
         if ends[0] == ends[1]:
             raise ValueError(f"peer: {self.peer!r} is this end itself")
         if len({":" in host for host, _ in ends}) > 1:
-            raise ValueError(f"peer: {self.peer!r} and bind {self.bind!r} must both be IPv4 or both be IPv6")
+            raise ValueError(
+                f"peer: {self.peer!r} and bind {self.bind!r} must both be IPv4 or both be IPv6"
+            )
         local = all(ipaddress.ip_address(host).is_loopback for host, _ in ends)
         if self.key_file is None and not (local or self.allow_unsigned):
-            raise ValueError("key_file: a link that leaves this computer needs a key (or allow_unsigned = true)")
+            raise ValueError(
+                "key_file: a link that leaves this computer needs a key (or allow_unsigned = true)"
+            )
 
 
 def address_of(text: str, name: str) -> Address:
@@ -114,7 +121,9 @@ class UdpLink:
         return (key_finding(self._key_file),)
 
     def send(self, message: Message) -> None:
-        """One datagram, now or never: what the network cannot take at once is dropped, not queued."""
+        """One datagram, now or never: what the network cannot take at once is dropped, not
+        queued.
+        """
         if self._socket is None:
             raise LinkError("the link is not open", "enter it with `async with` first")
         data = self._end.pack(message)
@@ -151,5 +160,9 @@ def open_error(bind: Address, error: OSError) -> LinkError:
     """Returns the error for a person when a UDP port cannot be had."""
     host, port = bind
     if error.errno == errno.EADDRINUSE:
-        return LinkError(f"UDP port {port} is in use", "end the other run, or change the port in the rig")
-    return LinkError(f"cannot listen on {host}:{port}: {error.strerror}", "is this computer's address right?")
+        return LinkError(
+            f"UDP port {port} is in use", "end the other run, or change the port in the rig"
+        )
+    return LinkError(
+        f"cannot listen on {host}:{port}: {error.strerror}", "is this computer's address right?"
+    )

@@ -1,6 +1,7 @@
 """Numbers as the dialect's whole numbers, and back. Every one is checked when it is sent.
 
-No field is a floating point number: NaN and infinity have no form on the wire. What a round trip costs at the most:
+No field is a floating point number: NaN and infinity have no form on the wire. What a round trip
+costs at the most:
 
 =============  =========================================  ===========================
 quantity       on the wire                                error
@@ -68,7 +69,9 @@ def scaled(name: str, value: float, scale: float, low: int, high: int) -> int:
 
 
 def instant_to(name: str, stamp_ns: int) -> tuple[int, int]:
-    """Low 32 and high 16 bits of a stamp in 10 us; rounded down, so that nothing is claimed to be newer than it is."""
+    """Low 32 and high 16 bits of a stamp in 10 us; rounded down, so that nothing is claimed to be
+    newer than it is.
+    """
     number = whole(name, stamp_ns, _NEWEST_NS) // INSTANT_NS
     return number % _HIGH, number // _HIGH
 
@@ -97,9 +100,11 @@ def point_from(mm: tuple[int, int, int], parts: tuple[int, int, int]) -> Vec3:
 
 
 def direction_to(name: str, direction: Vec3) -> tuple[int, int]:
-    """A unit vector, projected onto an octahedron that is folded out into a square; its length is checked.
+    """A unit vector, projected onto an octahedron that is folded out into a square; its length is
+    checked.
 
-    ``(a, b) = (x, y) / (|x| + |y| + |z|)``; for z < 0 that is folded outward over the square's diagonals.
+    ``(a, b) = (x, y) / (|x| + |y| + |z|)``; for z < 0 that is folded outward over the square's
+    diagonals.
     """
     _length(name, direction, _DIRECTION_TOLERANCE)
     x, y, z = direction

@@ -1,15 +1,18 @@
 """Messages to packets and back: the ``path`` MAVLink 2 dialect, signed, one packet a datagram.
 
-pymavlink's generated dialect has the messages, their layout and the CRC; packets are framed, signed and checked here,
-as the MAVLink guide says, because of what its parser leaves out, and in two thirds of its time:
+pymavlink's generated dialect has the messages, their layout and the CRC; packets are framed, signed
+and checked here, as the MAVLink guide says, because of what its parser leaves out, and in two
+thirds of its time:
 
-* Its signing check stores a packet's time stamp *before* it compares the hash, so that one forged packet with a huge
-  stamp locks the true sender out. Here the hash comes first, in constant time, and only then the stamp.
+* Its signing check stores a packet's time stamp *before* it compares the hash, so that one forged
+  packet with a huge stamp locks the true sender out. Here the hash comes first, in constant time,
+  and only then the stamp.
 * Ids it does not know come back with neither CRC nor signature checked; here they are dropped.
-* A process that was just started knows no stamps, and would believe a recording of the last minute. Here a stream is
-  believed only once it has answered a ping of this process, which no recording can; until then it may ask, not tell.
-* Lengths, source, numbers and ranges are checked, so that whatever bytes come in, what comes out is a valid message
-  of the other drone or a ``Drop`` with its reason. ``decode`` never raises.
+* A process that was just started knows no stamps, and would believe a recording of the last minute.
+  Here a stream is believed only once it has answered a ping of this process, which no recording
+  can; until then it may ask, not tell.
+* Lengths, source, numbers and ranges are checked, so that whatever bytes come in, what comes out is
+  a valid message of the other drone or a ``Drop`` with its reason. ``decode`` never raises.
 """
 
 from __future__ import annotations
@@ -37,12 +40,15 @@ _SIGNATURE = dialect.MAVLINK_SIGNATURE_BLOCK_LEN
 _HASH = 6
 _STAMP = 6
 _SIGNED = dialect.MAVLINK_IFLAG_SIGNED
-LAST_STAMP = 2**48 - 1 - 24 * 3600 * 100_000  # of the year 2104; a day before the end, so that no flight reaches it
+# of the year 2104; a day before the end, so that no flight reaches it
+LAST_STAMP = 2**48 - 1 - 24 * 3600 * 100_000
 _ASKED = 16  # pings that an answer may be awaited to: a second of them
 
 
 class EncodeError(ValueError):
-    """A message holds a number that cannot go on the wire: not finite, or outside the field's range."""
+    """A message holds a number that cannot go on the wire: not finite, or outside the field's
+    range.
+    """
 
 
 class Drop(Enum):
@@ -58,28 +64,34 @@ class Drop(Enum):
     UNEXPECTED_SIGNATURE = "unexpected_signature"  # signed, and this side has no key
     BAD_SIGNATURE = "bad_signature"
     REPLAYED = "replayed"
-    CLOCK_AT_END = "clock_at_end"  # rightly signed, at the end of what a stamp can say: ours is not pulled there
-    UNPROVEN = "unproven"  # rightly signed, but perhaps a recording: the peer has not answered this process yet
+    # rightly signed, at the end of what a stamp can say: ours is not pulled there
+    CLOCK_AT_END = "clock_at_end"
+    # rightly signed, but perhaps a recording: the peer has not answered this process yet
+    UNPROVEN = "unproven"
     OUT_OF_RANGE = "out_of_range"
 
 
 class Codec:
     """One end of a link: encodes this role's messages, decodes the other role's.
 
-    With a key, a stream of the peer's (one for each of its signing link ids) is proven by a Pong that answers a Ping
-    which this codec encoded. Before that its Pings come through, so that both ends can prove themselves, and all else
-    is dropped: what was recorded before this process began cannot know when its pings are sent.
+    With a key, a stream of the peer's (one for each of its signing link ids) is proven by a Pong
+    that answers a Ping which this codec encoded. Before that its Pings come through, so that both
+    ends can prove themselves, and all else is dropped: what was recorded before this process began
+    cannot know when its pings are sent.
 
     Args:
         role: whose end this is; packets of any other system than the peer's are dropped.
         key: 32 bytes shared by the pair, or None for unsigned packets.
         link_id: MAVLink signing link id, names the channel.
-        stamp: signing clock in units of 10 us, in the field wall time since 2015. It need not agree with the peer's:
-            every packet of the peer's pulls a slow one forward, also that of a process which began with a wrong time.
-            A time that no stamp can say is as if the clock stood still.
+        stamp: signing clock in units of 10 us, in the field wall time since 2015. It need not agree
+            with the peer's: every packet of the peer's pulls a slow one forward, also that of a
+            process which began with a wrong time. A time that no stamp can say is as if the clock
+            stood still.
     """
 
-    def __init__(self, role: Role, key: bytes | None, link_id: int = 0, stamp: Callable[[], int] = lambda: 0) -> None:
+    def __init__(
+        self, role: Role, key: bytes | None, link_id: int = 0, stamp: Callable[[], int] = lambda: 0
+    ) -> None:
         if key is not None and len(key) != KEY_LENGTH:
             raise ValueError(f"a key has {KEY_LENGTH} bytes, not {len(key)}")
         peer = Role.RECEIVER if role is Role.SENDER else Role.SENDER
@@ -104,7 +116,9 @@ class Codec:
             raise EncodeError(f"{type(message).__name__}: {error}") from error
         payload = kind.unpacker.pack(*numbers).rstrip(b"\0") or b"\0"
         flags = _SIGNED if self._signed else 0
-        header = bytes((_MARKER[0], len(payload), flags, 0, self._sequence, self._system, COMPONENT_ID))
+        header = bytes(
+            (_MARKER[0], len(payload), flags, 0, self._sequence, self._system, COMPONENT_ID)
+        )
         data = header + kind.id.to_bytes(3, "little") + payload
         data += _crc(data[1:], kind.crc_extra).to_bytes(_CRC, "little")
         self._sequence = (self._sequence + 1) % 256
@@ -119,7 +133,8 @@ class Codec:
         return data + self._hash(data)
 
     def authentic(self, data: bytes) -> bool:
-        """Returns whether a datagram is signed by the peer and not heard before, or nothing is signed here.
+        """Returns whether a datagram is signed by the peer and not heard before, or nothing is
+        signed here.
 
         In a few us.
         """
@@ -143,7 +158,9 @@ class Codec:
             if fault is not None:
                 return fault
         kind = dialect.mavlink_map[int.from_bytes(data[7:HEADER_LENGTH], "little")]
-        values = kind.unpacker.unpack(data[HEADER_LENGTH : HEADER_LENGTH + data[1]].ljust(kind.unpacker.size, b"\0"))
+        values = kind.unpacker.unpack(
+            data[HEADER_LENGTH : HEADER_LENGTH + data[1]].ljust(kind.unpacker.size, b"\0")
+        )
         try:
             message = FROM_WIRE[kind](NAMED[kind](values))
         except OutOfRange:
@@ -179,7 +196,8 @@ class Codec:
         return message if isinstance(message, Ping) else Drop.UNPROVEN
 
     def _origin(self, data: bytes) -> Drop | None:
-        """Returns why a well-formed packet is none of ours, of the other role, rightly signed or unsigned.
+        """Returns why a well-formed packet is none of ours, of the other role, rightly signed or
+        unsigned.
 
         None when it is.
         """
@@ -196,22 +214,33 @@ class Codec:
 
 
 def expected_length(header: bytes) -> int | None:
-    """Length of the packet that begins with these bytes, at least ``HEADER_LENGTH``; None when it is none of ours."""
+    """Length of the packet that begins with these bytes, at least ``HEADER_LENGTH``; None when it
+    is none of ours.
+    """
     kind = dialect.mavlink_map.get(int.from_bytes(header[7:HEADER_LENGTH], "little"))
-    if header[:1] != _MARKER or header[2] & ~_SIGNED or kind not in FROM_WIRE or header[1] > kind.unpacker.size:
+    if (
+        header[:1] != _MARKER
+        or header[2] & ~_SIGNED
+        or kind not in FROM_WIRE
+        or header[1] > kind.unpacker.size
+    ):
         return None
     return _whole_length(header)
 
 
 def checksum_holds(packet: bytes) -> bool:
-    """Returns whether a packet of its ``expected_length`` is undamaged, as far as its checksum tells."""
+    """Returns whether a packet of its ``expected_length`` is undamaged, as far as its checksum
+    tells.
+    """
     kind = dialect.mavlink_map[int.from_bytes(packet[7:HEADER_LENGTH], "little")]
     end = HEADER_LENGTH + packet[1]
     return _crc(packet[1:end], kind.crc_extra) == int.from_bytes(packet[end : end + _CRC], "little")
 
 
 def introduce(one: Codec, other: Codec) -> None:
-    """Let two ends in one process prove themselves to each other, as the first pings of a link do."""
+    """Let two ends in one process prove themselves to each other, as the first pings of a link
+    do.
+    """
     for asking, answering in ((one, other), (other, one)):
         ping = Ping(0, 0)
         answering.decode(asking.encode(ping))
@@ -223,7 +252,9 @@ def _stamp_of(data: bytes) -> int:
 
 
 def _crc(data: bytes, extra: int) -> int:
-    """Returns the checksum of everything after the marker, and a byte that stands for the message's layout."""
+    """Returns the checksum of everything after the marker, and a byte that stands for the message's
+    layout.
+    """
     return dialect.x25crc(data + bytes((extra,))).crc
 
 
@@ -232,7 +263,9 @@ def _whole_length(header: bytes) -> int:
 
 
 def _shape(data: bytes) -> Drop | None:
-    """Returns why a datagram is not exactly one MAVLink 2 packet, as far as its header tells; None when it is."""
+    """Returns why a datagram is not exactly one MAVLink 2 packet, as far as its header tells; None
+    when it is.
+    """
     size = len(data)
     if data[:1] != _MARKER or (size > 2 and data[2] & ~_SIGNED):
         return Drop.NOT_MAVLINK

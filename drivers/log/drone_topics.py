@@ -2,7 +2,19 @@
 
 from __future__ import annotations
 
-from drivers.log.topic_fields import CAMERA, Topic, box, flag, number, numbers, reason, table, tables, text, whole
+from drivers.log.topic_fields import (
+    CAMERA,
+    Topic,
+    box,
+    flag,
+    number,
+    numbers,
+    reason,
+    table,
+    tables,
+    text,
+    whole,
+)
 
 DRONE: dict[str, Topic] = {
     "/setup": Topic(
@@ -20,9 +32,15 @@ DRONE: dict[str, Topic] = {
             "T_b_c": numbers("this drone's camera to its body (FRD), m"),
             "T_b_v": numbers("the marker's frame to the sender's body (FRD), m"),
             "T_v_c1": numbers("the sender's camera to the marker's frame, m"),
-            "markers_v_m": numbers("x, y, z of the four corners of every marker, marker's frame, m"),
-            "origin": numbers("latitude and longitude in degrees, altitude in m, of the local frame's zero"),
-            "fence_m": numbers("radius about the origin and height, beyond which nothing is flown, m"),
+            "markers_v_m": numbers(
+                "x, y, z of the four corners of every marker, marker's frame, m"
+            ),
+            "origin": numbers(
+                "latitude and longitude in degrees, altitude in m, of the local frame's zero"
+            ),
+            "fence_m": numbers(
+                "radius about the origin and height, beyond which nothing is flown, m"
+            ),
         },
     ),
     "/frame": Topic(
@@ -30,10 +48,14 @@ DRONE: dict[str, Topic] = {
         {
             "frame_id": whole("of the camera; it only grows"),
             "age_ns": whole("capture to begin of the cycle, ns"),
-            "ground_down_m": number("of D1, where it is known: how far down the ground is in its frame, m"),
+            "ground_down_m": number(
+                "of D1, where it is known: how far down the ground is in its frame, m"
+            ),
             "ground_sigma_m": number("standard deviation of that, m"),
             "ground_by": text("what it is known by: ground (its own height) or rangefinder"),
-            "T_n_c": numbers("camera to north-east-down as believed, of D1 with record = all: rows of its matrix, m"),
+            "T_n_c": numbers(
+                "camera to north-east-down as believed, of D1 with record = all: rows of its matrix, m"
+            ),
         },
     ),
     "/recording": Topic(
@@ -47,13 +69,19 @@ DRONE: dict[str, Topic] = {
     ),
     "/cpu": Topic(
         "processor time, once a second, in real time only",
-        {"spent_ns": table("ns since the start by stage; thread: the main thread; program: all threads")},
+        {
+            "spent_ns": table(
+                "ns since the start by stage; thread: the main thread; program: all threads"
+            )
+        },
     ),
     "/late": Topic(
         "the program was late, or was given no core; in real time only",
         {
             "since_ns": whole("until the record's stamp, ns: the time that it is of"),
-            "loop_ns": whole("its event loop woke so much later than it had asked for, whatever the reason, ns"),
+            "loop_ns": whole(
+                "its event loop woke so much later than it had asked for, whatever the reason, ns"
+            ),
             "waited_ns": whole("its main thread was ready to run and had no core, ns"),
             "beside_ns": whole("the longest that any other of its threads had none, ns"),
             "stolen_ns": whole("the most that a virtual machine's host took from one core, ns"),
@@ -67,7 +95,9 @@ DRONE: dict[str, Topic] = {
             "busy": number("share of the time at work before, 0 to 1"),
         },
     ),
-    "/phase": Topic("a phase of the course begins", {"phase": text("its name"), "note": text("for the crew")}),
+    "/phase": Topic(
+        "a phase of the course begins", {"phase": text("its name"), "note": text("for the crew")}
+    ),
     "/note": Topic("a line for the crew", {"note": text("the line")}),
     "/state": Topic(
         "where the vehicle believes to be, ten times a second; what its estimator stepped by is taken out",
@@ -84,7 +114,9 @@ DRONE: dict[str, Topic] = {
         "the vehicle's estimate stepped; the flight goes on without the step. Stamped with the first state after",
         {
             "before_ns": whole("stamp of the last state before, own clock"),
-            "shift_n_m": numbers("how much farther the place is than before: north, east, down in m"),
+            "shift_n_m": numbers(
+                "how much farther the place is than before: north, east, down in m"
+            ),
             "turn_rad": number("how much farther clockwise the heading is than before, rad"),
             "counted": flag("the autopilot's count of its resets changed too"),
         },
@@ -95,11 +127,19 @@ DRONE: dict[str, Topic] = {
     ),
     "/alike": Topic(
         "what both drones must have alike was compared, before anything moved",
-        {"differing": text("what they have not alike, the first cause first; empty when they agree")},
+        {
+            "differing": text(
+                "what they have not alike, the first cause first; empty when they agree"
+            )
+        },
     ),
     "/home": Topic(
         "the drone stands where the crew put it down, before take-off",
-        {"off_m": numbers("how far its position is off there, north and east in m; 0 where no home is stated")},
+        {
+            "off_m": numbers(
+                "how far its position is off there, north and east in m; 0 where no home is stated"
+            )
+        },
     ),
     "/told": Topic(
         "D1 was told something of which object is meant; places are in its own frame",
@@ -145,7 +185,10 @@ DRONE: dict[str, Topic] = {
     ),
     "/setpoint": Topic(
         "what the vehicle was told",
-        {"velocity_n_mps": numbers("north, east, down in m/s"), "yaw_rad": number("heading from north, rad")},
+        {
+            "velocity_n_mps": numbers("north, east, down in m/s"),
+            "yaw_rad": number("heading from north, rad"),
+        },
     ),
     "/doubt": Topic(
         "whether the pilot has taken the vehicle is not known for a moment",
@@ -155,7 +198,9 @@ DRONE: dict[str, Topic] = {
         "whose the target is, when that changes",
         {
             "responsible": flag("this drone's"),
-            "until_ns": whole("end of its lease, own clock; left out: for good. Nobody need say that it is over"),
+            "until_ns": whole(
+                "end of its lease, own clock; left out: for good. Nobody need say that it is over"
+            ),
         },
     ),
     "/link": Topic(

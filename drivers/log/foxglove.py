@@ -9,7 +9,8 @@
     /position      LocationFix, where the vehicle believes to be
     /log           Log: phases, notes, decisions
 
-Nothing here is read back by PATH. What changes with every frame is told ten times a second, and for every logged image.
+Nothing here is read back by PATH. What changes with every frame is told ten times a second, and for
+every logged image.
 """
 
 from __future__ import annotations
@@ -114,7 +115,9 @@ class Standards:
 
     def of_image(self, stamp_ns: int) -> Iterable[Standard]:
         """Returns what is drawn over an image; nothing when it was just told."""
-        return () if self._said_ns.get("/annotations") == stamp_ns else (self._annotations(stamp_ns),)
+        return (
+            () if self._said_ns.get("/annotations") == stamp_ns else (self._annotations(stamp_ns),)
+        )
 
     def _due(self, topic: str, stamp_ns: int, period_ns: int = PERIOD_NS) -> bool:
         if not self._is_due(topic, stamp_ns, period_ns):
@@ -128,10 +131,14 @@ class Standards:
     def _line(self, topic: str, stamp_ns: int, record: Record) -> Standard:
         level = LEVELS.get(topic, LogLevel.Info)
         return "/log", Line(
-            timestamp=draw.time_of(stamp_ns), level=level, name=self._name, message=_LINES[topic](record)
+            timestamp=draw.time_of(stamp_ns),
+            level=level,
+            name=self._name,
+            message=_LINES[topic](record),
         )
 
-    # --- what does not change ------------------------------------------------------------------------------------
+    # --- what does not change
+    # ------------------------------------------------------------------------------------
 
     def _on_setup(self, stamp_ns: int, record: Record) -> Iterator[Standard]:
         self._setup = record
@@ -151,7 +158,9 @@ class Standards:
         yield "/tf", FrameTransforms(transforms=[north, *mounts])
         entities = self._bodies(stamp_ns, self._setup)
         if self._setup["fence_m"] is not None:
-            entities.append(self._entity(stamp_ns, "n", "fence", lines=draw.fence(*self._setup["fence_m"])))
+            entities.append(
+                self._entity(stamp_ns, "n", "fence", lines=draw.fence(*self._setup["fence_m"]))
+            )
         yield "/3d", SceneUpdate(entities=entities)
 
     def _calibration(self, stamp_ns: int, camera: Record) -> Message:
@@ -170,10 +179,14 @@ class Standards:
 
     def _bodies(self, stamp_ns: int, setup: Record) -> list[SceneEntity]:
         color = draw.BLUE if setup["role"] == "sender" else draw.ORANGE
-        body = CubePrimitive(pose=draw.pose((0.0, 0.0, 0.0), draw.AS_IT_IS), size=draw.vector(BODY_M), color=color)
+        body = CubePrimitive(
+            pose=draw.pose((0.0, 0.0, 0.0), draw.AS_IT_IS), size=draw.vector(BODY_M), color=color
+        )
         entities = [
             self._entity(stamp_ns, self._body, "body", cubes=[body]),
-            self._entity(stamp_ns, self.camera, "frustum", lines=[draw.frustum(setup["camera"], color)]),
+            self._entity(
+                stamp_ns, self.camera, "frustum", lines=[draw.frustum(setup["camera"], color)]
+            ),
         ]
         if setup["role"] == "sender":
             squares = [
@@ -190,15 +203,27 @@ class Standards:
 
     def _entity(self, stamp_ns: int, frame: str, name: str, **parts: Any) -> SceneEntity:
         entity_id = f"{self._name}/{name}"
-        return SceneEntity(timestamp=draw.time_of(stamp_ns), frame_id=frame, id=entity_id, frame_locked=True, **parts)
+        return SceneEntity(
+            timestamp=draw.time_of(stamp_ns),
+            frame_id=frame,
+            id=entity_id,
+            frame_locked=True,
+            **parts,
+        )
 
-    # --- what a drone knows --------------------------------------------------------------------------------------
+    # --- what a drone knows
+    # --------------------------------------------------------------------------------------
 
     def _on_state(self, stamp_ns: int, record: Record) -> Iterator[Standard]:
         position = record["position_n_m"]
         if not all(map(math.isfinite, position)):
             return
-        yield "/tf", FrameTransforms(transforms=[draw.moved(stamp_ns, "n", self._body, position, record["q_n_b"])])
+        yield (
+            "/tf",
+            FrameTransforms(
+                transforms=[draw.moved(stamp_ns, "n", self._body, position, record["q_n_b"])]
+            ),
+        )
         if self._setup is not None:
             yield "/position", draw.fix(stamp_ns, self._setup["origin"], position)
 
@@ -206,7 +231,10 @@ class Standards:
         point = record["point_v_m"]
         if point is not None and self._due("/3d", stamp_ns):
             target = self._entity(
-                stamp_ns, self._marker, "target", spheres=[draw.sphere(point, record["sigma_m"], draw.PALE_BLUE)]
+                stamp_ns,
+                self._marker,
+                "target",
+                spheres=[draw.sphere(point, record["sigma_m"], draw.PALE_BLUE)],
             )
             yield "/3d", SceneUpdate(entities=[target])
         yield from self._draw(stamp_ns)
@@ -226,7 +254,12 @@ class Standards:
             w, x, y, z = record["rotation_v_c2"]
             back = (w, -x, -y, -z)
             marker_c = [-along for along in rotate(back, position)]
-            yield "/tf", FrameTransforms(transforms=[draw.moved(stamp_ns, self.camera, self._seen, marker_c, back)])
+            yield (
+                "/tf",
+                FrameTransforms(
+                    transforms=[draw.moved(stamp_ns, self.camera, self._seen, marker_c, back)]
+                ),
+            )
             yield "/3d", SceneUpdate(entities=[self._distance(stamp_ns, marker_c)])
         candidate = self._newest.get("/candidate")
         if candidate is None or stamp_ns - candidate[0] > 3 * PERIOD_NS:
@@ -241,11 +274,16 @@ class Standards:
         )
         middle = draw.pose([c / 2 for c in marker_c], draw.AS_IT_IS)
         text = TextPrimitive(
-            pose=middle, billboard=True, font_size=0.08, color=draw.PINK, text=f"{math.hypot(*marker_c):.2f} m"
+            pose=middle,
+            billboard=True,
+            font_size=0.08,
+            color=draw.PINK,
+            text=f"{math.hypot(*marker_c):.2f} m",
         )
         return self._entity(stamp_ns, self.camera, "separation", lines=[line], texts=[text])
 
-    # --- over the images -----------------------------------------------------------------------------------------
+    # --- over the images
+    # -----------------------------------------------------------------------------------------
 
     def _draw(self, stamp_ns: int) -> Iterator[Standard]:
         if self._due("/annotations", stamp_ns):
@@ -255,13 +293,19 @@ class Standards:
         self._said_ns["/annotations"] = stamp_ns
         points: list[PointsAnnotation] = []
         texts: list[TextAnnotation] = []
-        for topic, color in (("/target", draw.BLUE), ("/track", draw.BLUE), ("/candidate", draw.ORANGE)):
+        for topic, color in (
+            ("/target", draw.BLUE),
+            ("/track", draw.BLUE),
+            ("/candidate", draw.ORANGE),
+        ):
             record = self._lately(topic, stamp_ns)
             points += draw.box(stamp_ns, record.get("box"), color)
         pair = self._lately("/agreement", stamp_ns)
         points += draw.box(stamp_ns, pair.get("mapped_box"), draw.ORANGE)
         if pair:
-            texts.append(draw.text(stamp_ns, _verdict(pair), draw.GREEN if pair["agreed"] else draw.RED))
+            texts.append(
+                draw.text(stamp_ns, _verdict(pair), draw.GREEN if pair["agreed"] else draw.RED)
+            )
         answer = self._lately("/candidate", stamp_ns)
         if region := answer.get("region"):
             x0, y0, x1, y1 = region
@@ -278,14 +322,21 @@ class Standards:
             if reason := self._lately(topic, stamp_ns).get("reason"):
                 texts.append(draw.text(stamp_ns, reason, draw.RED, line=1))
                 break
-        return "/annotations", ImageAnnotations(timestamp=draw.time_of(stamp_ns), points=points, texts=texts)
+        return "/annotations", ImageAnnotations(
+            timestamp=draw.time_of(stamp_ns), points=points, texts=texts
+        )
 
     def _lately(self, topic: str, stamp_ns: int) -> Record:
         """The newest record of a topic, when it is of about this instant."""
         newest = self._newest.get(topic)
-        return {**blank(topic), **newest[1]} if newest is not None and abs(stamp_ns - newest[0]) < 3 * PERIOD_NS else {}
+        return (
+            {**blank(topic), **newest[1]}
+            if newest is not None and abs(stamp_ns - newest[0]) < 3 * PERIOD_NS
+            else {}
+        )
 
-    # --- the world -----------------------------------------------------------------------------------------------
+    # --- the world
+    # -----------------------------------------------------------------------------------------------
 
     def _on_scene(self, stamp_ns: int, record: Record) -> Iterable[Standard]:
         del stamp_ns
@@ -298,7 +349,9 @@ class Standards:
             return
         bodies = [body for body in record.values() if isinstance(body, Mapping) and "q" in body]
         cubes = [
-            CubePrimitive(pose=draw.pose(body["t"], body["q"]), size=draw.vector(BODY_M), color=draw.GHOST)
+            CubePrimitive(
+                pose=draw.pose(body["t"], body["q"]), size=draw.vector(BODY_M), color=draw.GHOST
+            )
             for body in bodies
         ]
         for each in record["objects"]:
@@ -317,7 +370,9 @@ _LINES: dict[str, Callable[[Record], str]] = {
     "/phase": lambda r: f"phase {r['phase']}" + (f": {r['note']}" if r["note"] else ""),
     "/note": lambda r: str(r["note"]),
     "/outcome": lambda r: f"outcome {r['outcome']}" + (f": {r['detail']}" if r["detail"] else ""),
-    "/responsibility": lambda r: f"responsible: {r['responsible']}" + ("" if r["until_ns"] is None else ", in a lease"),
+    "/responsibility": lambda r: (
+        f"responsible: {r['responsible']}" + ("" if r["until_ns"] is None else ", in a lease")
+    ),
     "/commit": lambda r: f"commit of target {r['target_id']} in epoch {r['epoch']}",
     "/decision": lambda r: f"decision {r['outcome']}" + (f": {r['reason']}" if r["reason"] else ""),
     "/refused": lambda r: f"refused: {r['why']}",

@@ -1,4 +1,6 @@
-"""Foxglove's primitives from PATH's numbers: images, poses and transforms, lines, boxes and texts."""
+"""Foxglove's primitives from PATH's numbers: images, poses and transforms, lines, boxes and
+texts.
+"""
 
 from __future__ import annotations
 
@@ -107,7 +109,9 @@ def point(p: Sequence[float]) -> Point3:
     return Point3(x=p[0], y=p[1], z=p[2])
 
 
-def moved(stamp_ns: int, parent: str, child: str, t: Sequence[float], q: Sequence[float]) -> FrameTransform:
+def moved(
+    stamp_ns: int, parent: str, child: str, t: Sequence[float], q: Sequence[float]
+) -> FrameTransform:
     return FrameTransform(
         timestamp=time_of(stamp_ns), parent_frame_id=parent, child_frame_id=child, translation=vector(t),
         rotation=quaternion(q),
@@ -128,7 +132,8 @@ def fix(stamp_ns: int, origin: Sequence[float], position_n_m: Sequence[float]) -
         timestamp=time_of(stamp_ns),
         frame_id="n",
         latitude=latitude_deg + math.degrees(north / EARTH_M),
-        longitude=longitude_deg + math.degrees(east / (EARTH_M * math.cos(math.radians(latitude_deg)))),
+        longitude=longitude_deg
+        + math.degrees(east / (EARTH_M * math.cos(math.radians(latitude_deg)))),
         altitude=altitude_m - down,
     )
 
@@ -136,13 +141,24 @@ def fix(stamp_ns: int, origin: Sequence[float], position_n_m: Sequence[float]) -
 def frustum(camera: Record, color: Color) -> LinePrimitive:
     """The frustum of the camera, without distortion."""
     edges = [
-        ((u - camera["cx"]) / camera["fx"] * FRUSTUM_M, (v - camera["cy"]) / camera["fy"] * FRUSTUM_M, FRUSTUM_M)
-        for u, v in ((0, 0), (camera["width"], 0), (camera["width"], camera["height"]), (0, camera["height"]))
+        (
+            (u - camera["cx"]) / camera["fx"] * FRUSTUM_M,
+            (v - camera["cy"]) / camera["fy"] * FRUSTUM_M,
+            FRUSTUM_M,
+        )
+        for u, v in (
+            (0, 0),
+            (camera["width"], 0),
+            (camera["width"], camera["height"]),
+            (0, camera["height"]),
+        )
     ]
     points: list[Point3] = []
     for k, edge in enumerate(edges):
         points += [Point3(), point(edge), point(edge), point(edges[(k + 1) % 4])]
-    return LinePrimitive(type=LinePrimitiveLineType.LineList, points=points, color=color, thickness=0.01)
+    return LinePrimitive(
+        type=LinePrimitiveLineType.LineList, points=points, color=color, thickness=0.01
+    )
 
 
 def fence(radius_m: float, height_m: float) -> list[LinePrimitive]:
@@ -151,7 +167,9 @@ def fence(radius_m: float, height_m: float) -> list[LinePrimitive]:
     return [
         LinePrimitive(
             type=LinePrimitiveLineType.LineLoop,
-            points=[Point3(x=radius_m * math.cos(a), y=radius_m * math.sin(a), z=-up_m) for a in turns],
+            points=[
+                Point3(x=radius_m * math.cos(a), y=radius_m * math.sin(a), z=-up_m) for a in turns
+            ],
             color=RED,
             thickness=0.02,
         )
@@ -161,7 +179,9 @@ def fence(radius_m: float, height_m: float) -> list[LinePrimitive]:
 
 def sphere(point: Sequence[float], sigma_m: float, color: Color) -> SpherePrimitive:
     size = 2.0 * SIGMAS * sigma_m
-    return SpherePrimitive(pose=pose(point, AS_IT_IS), size=Vector3(x=size, y=size, z=size), color=color)
+    return SpherePrimitive(
+        pose=pose(point, AS_IT_IS), size=Vector3(x=size, y=size, z=size), color=color
+    )
 
 
 def box(stamp_ns: int, box: Sequence[float] | None, color: Color) -> list[PointsAnnotation]:

@@ -1,11 +1,13 @@
-"""Every frame of a camera in a file of its own beside the log: ``NAME.frames.mcap``; ``drivers.log.video`` reads it.
+"""Every frame of a camera in a file of its own beside the log: ``NAME.frames.mcap``;
+``drivers.log.video`` reads it.
 
     /video   foxglove.CompressedVideo, H.264 (Annex B, no B frames, a key frame every KEY_FRAMES)
     /depth   foxglove.RawImage, 16UC1 in millimetres, as the camera gave it
 
-A thread of lower priority encodes and writes; a program that flies puts frames into its queue, which drops, and never
-waits. Each frame is a chunk of its own, on its way to the disk when the next one is encoded: a killed program loses
-what was in the queue. In virtual time nobody waits for anything, and frames are encoded at once.
+A thread of lower priority encodes and writes; a program that flies puts frames into its queue,
+which drops, and never waits. Each frame is a chunk of its own, on its way to the disk when the next
+one is encoded: a killed program loses what was in the queue. In virtual time nobody waits for
+anything, and frames are encoded at once.
 """
 
 from __future__ import annotations
@@ -36,16 +38,25 @@ DEPTH_SCHEMA = "foxglove.RawImage"
 SUFFIX = ".frames"
 QUEUED = 12  # frames that wait; 1.5 MB each at 640 x 480
 KEY_FRAMES = 30
-QUALITY = "18"  # of x264, constant rate factor: 0 loses nothing of what 4:2:0 leaves, 23 is usual for films
+# of x264, constant rate factor: 0 loses nothing of what 4:2:0 leaves, 23 is usual for films
+QUALITY = "18"
 NICE = 10
 CLOSE_S = 3.0
-_OPTIONS = {"preset": "ultrafast", "tune": "zerolatency", "crf": QUALITY, "g": str(KEY_FRAMES), "bf": "0"}
+_OPTIONS = {
+    "preset": "ultrafast",
+    "tune": "zerolatency",
+    "crf": QUALITY,
+    "g": str(KEY_FRAMES),
+    "bf": "0",
+}
 _MICROSECONDS = Fraction(1, 1_000_000)
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingCounts:
-    """``taken``: frames that were asked for; ``dropped`` of them were not recorded. ``spent_ns``: of a processor."""
+    """``taken``: frames that were asked for; ``dropped`` of them were not recorded. ``spent_ns``:
+    of a processor.
+    """
 
     taken: int
     dropped: int
@@ -54,10 +65,16 @@ class RecordingCounts:
 
 
 class FrameRecorder:
-    """The frames of one program. Never raises: what goes wrong is kept in ``failed``, and the flight goes on."""
+    """The frames of one program. Never raises: what goes wrong is kept in ``failed``, and the
+    flight goes on.
+    """
 
-    def __init__(self, log: Path, name: str, utc_minus_stamp_ns: int, *, waits: bool = False) -> None:
-        """``log``: the program's log, whose neighbour this is. ``waits``: each frame is encoded at once, here."""
+    def __init__(
+        self, log: Path, name: str, utc_minus_stamp_ns: int, *, waits: bool = False
+    ) -> None:
+        """``log``: the program's log, whose neighbour this is. ``waits``: each frame is encoded at
+        once, here.
+        """
         self.failed: str | None = None
         self._path = frames_of(log)
         self._utc_ns = utc_minus_stamp_ns
@@ -86,7 +103,9 @@ class FrameRecorder:
         else:
             depth_mm = None if frame.depth_mm is None else frame.depth_mm.copy()
             with suppress(queue.Full):  # there is one who puts
-                self._queue.put_nowait(Frame(frame.stamp_ns, frame.frame_id, frame.color.copy(), depth_mm))
+                self._queue.put_nowait(
+                    Frame(frame.stamp_ns, frame.frame_id, frame.color.copy(), depth_mm)
+                )
 
     def close(self) -> None:
         """Record what waits, for a bounded time, and close. Closing twice does nothing."""
@@ -119,19 +138,26 @@ class FrameRecorder:
         began_ns = time.thread_time_ns()
         try:
             self._writer.write(frame)
-        except Exception as error:  # whatever was wrong with this frame or the disk: the flight goes on
-            self.failed = f"frames not recorded: {getattr(error, 'strerror', None) or error}: {self._path}"
+        # whatever was wrong with this frame or the disk: the flight goes on
+        except Exception as error:
+            self.failed = (
+                f"frames not recorded: {getattr(error, 'strerror', None) or error}: {self._path}"
+            )
         self._spent_ns += time.thread_time_ns() - began_ns
 
     def _end(self) -> None:
         try:
             self._writer.close()
         except OSError as error:
-            self.failed = self.failed or f"frames not recorded: {error.strerror or error}: {self._path}"
+            self.failed = (
+                self.failed or f"frames not recorded: {error.strerror or error}: {self._path}"
+            )
 
 
 class _FrameFile:
-    """The file and its encoder, opened with the first frame. Raises OSError, ValueError and what FFmpeg raises."""
+    """The file and its encoder, opened with the first frame. Raises OSError, ValueError and what
+    FFmpeg raises.
+    """
 
     def __init__(self, path: Path, name: str, utc_minus_stamp_ns: int) -> None:
         self.bytes = 0
@@ -155,7 +181,9 @@ class _FrameFile:
         video = self._encoded(frame.color, (frame.stamp_ns - self._first_ns) // 1000)
         self._message(1, utc_ns, foxglove.compressed_video(utc_ns, self._frame_id, video).encode())
         if frame.depth_mm is not None:
-            self._message(2, utc_ns, foxglove.depth_image(utc_ns, self._frame_id, frame.depth_mm).encode())
+            self._message(
+                2, utc_ns, foxglove.depth_image(utc_ns, self._frame_id, frame.depth_mm).encode()
+            )
         assert self._file is not None
         self.bytes += self._file.end_chunk()
 
@@ -182,15 +210,21 @@ class _FrameFile:
         file.say(Opcode.HEADER, built(Header("", "path")))
         about = {"name": self._name, OFFSET: str(self._utc_ns)}
         file.say(Opcode.METADATA, built(Metadata(name=ABOUT, metadata=about)))
-        for number, (topic, schema) in enumerate(((VIDEO, foxglove.VIDEO), (DEPTH, foxglove.RAW)), 1):
-            file.say(Opcode.SCHEMA, built(Schema(number, schema.data, schema.encoding, schema.name)))
+        for number, (topic, schema) in enumerate(
+            ((VIDEO, foxglove.VIDEO), (DEPTH, foxglove.RAW)), 1
+        ):
+            file.say(
+                Opcode.SCHEMA, built(Schema(number, schema.data, schema.encoding, schema.name))
+            )
             file.say(Opcode.CHANNEL, built(Channel(number, topic, "protobuf", {}, number)))
 
     def _encoded(self, color: NDArray[np.uint8], at_us: int) -> bytes:
         import cv2  # noqa: PLC0415
 
         av: Any = importlib.import_module("av")
-        frame = av.VideoFrame.from_ndarray(cv2.cvtColor(color, cv2.COLOR_BGR2YUV_I420), format="yuv420p")
+        frame = av.VideoFrame.from_ndarray(
+            cv2.cvtColor(color, cv2.COLOR_BGR2YUV_I420), format="yuv420p"
+        )
         frame.pts = at_us
         frame.time_base = _MICROSECONDS
         return b"".join(bytes(packet) for packet in self._encoder.encode(frame))

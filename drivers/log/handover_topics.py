@@ -1,8 +1,22 @@
-"""Topics of a hand-over: the protocol's, and every frame of the sender (D1) and of the receiver (D2)."""
+"""Topics of a hand-over: the protocol's, and every frame of the sender (D1) and of the receiver
+(D2).
+"""
 
 from __future__ import annotations
 
-from drivers.log.topic_fields import ATTEMPT, CAPTURE, Topic, box, flag, number, numbers, reason, tables, text, whole
+from drivers.log.topic_fields import (
+    ATTEMPT,
+    CAPTURE,
+    Topic,
+    box,
+    flag,
+    number,
+    numbers,
+    reason,
+    tables,
+    text,
+    whole,
+)
 
 HANDOVER: dict[str, Topic] = {
     # --- protocol of the hand-over ---
@@ -24,9 +38,12 @@ HANDOVER: dict[str, Topic] = {
         {"outcome": text("path.protocol.values.HandoffOutcome"), "reason": text("of an abort")},
     ),
     "/settled": Topic(
-        "what became known later of an attempt", {"outcome": text("path.protocol.values.HandoffOutcome")}
+        "what became known later of an attempt",
+        {"outcome": text("path.protocol.values.HandoffOutcome")},
     ),
-    "/refused": Topic("what the protocol did not let happen", {"why": text("path.protocol.values.Refusal")}),
+    "/refused": Topic(
+        "what the protocol did not let happen", {"why": text("path.protocol.values.Refusal")}
+    ),
     "/attempt": Topic("from here on a cycle of its own decides: another attempt", ATTEMPT),
     # --- D1 ---
     "/heard_candidate": Topic(
@@ -54,13 +71,17 @@ HANDOVER: dict[str, Topic] = {
             "box": box("the target as tracked"),
             "depth_m": number("of the target along the optical axis, m"),
             "depth_sigma_m": number("standard deviation of that, m"),
-            "range_by": text("what it rests on, the surest first: depth, size, ground, rangefinder, with + between"),
+            "range_by": text(
+                "what it rests on, the surest first: depth, size, ground, rangefinder, with + between"
+            ),
             "range_against": text("what contradicts it and is not believed"),
             "point_v_m": numbers("the target in the marker's frame, m"),
             "gravity_v": numbers("direction of gravity in the marker's frame, unit vector"),
             "sigma_m": number("standard deviation of the point, m"),
             "reason": reason("nothing was sent"),
-            "beside": numbers("objects beside the target, six each: box x y w h in px, depth, its deviation in m or 0"),
+            "beside": numbers(
+                "objects beside the target, six each: box x y w h in px, depth, its deviation in m or 0"
+            ),
         },
     ),
     "/both_views": Topic(
@@ -73,7 +94,9 @@ HANDOVER: dict[str, Topic] = {
             "depth_sigma_m": number("standard deviation of that, m"),
             "range_by": text("what that rests on most: views, depth, size"),
             "chi2": number("of D2's line of sight against D1's point, two degrees of freedom"),
-            "agree": flag("no more than happens to one in a thousand; else the point is D1's alone"),
+            "agree": flag(
+                "no more than happens to one in a thousand; else the point is D1's alone"
+            ),
         },
     ),
     "/agreement": Topic(
@@ -97,8 +120,12 @@ HANDOVER: dict[str, Topic] = {
             "mapped_box": box("D2's, mapped into D1's image"),
             "offset_m": numbers("of D2's box from D1's, in D1's image at the target's depth, m"),
             "rival_offset_m": numbers("the same from the nearest other object that D1 sees, m"),
-            "oversize": number("by how much a box is larger than the target can be, standard deviations"),
-            "placed_iou": number("overlap with D2's box where a body of the stated size has its middle, 0 to 1"),
+            "oversize": number(
+                "by how much a box is larger than the target can be, standard deviations"
+            ),
+            "placed_iou": number(
+                "overlap with D2's box where a body of the stated size has its middle, 0 to 1"
+            ),
         },
     ),
     # --- D2 ---
@@ -137,7 +164,9 @@ HANDOVER: dict[str, Topic] = {
             "peer_yaw_rad": number("heading of the other drone from north, rad"),
             "q_n_c": numbers("camera to north-east-down as reported, quaternion wxyz"),
             "q_n_v": numbers("marker's frame to north-east-down as reported, quaternion wxyz"),
-            "T_c_v": numbers("the marker's pose in the camera: three rows of its matrix, one after another, m"),
+            "T_c_v": numbers(
+                "the marker's pose in the camera: three rows of its matrix, one after another, m"
+            ),
             "covariance": numbers("of that pose, 6 x 6 by rows; convention of path.cycle.prior"),
         },
     ),
@@ -156,7 +185,11 @@ HANDOVER: dict[str, Topic] = {
             "point_v_m": numbers("the target's point as carried to the capture, marker's frame, m"),
             "prior_px": numbers("[u, v] where the target must appear, px"),
             "region": numbers("[x0, y0, x1, y1] of the image that was searched, px"),
-            "found": tables("what the detector found there", box=numbers("[x, y, w, h], px"), score=number("0 to 1")),
+            "found": tables(
+                "what the detector found there",
+                box=numbers("[x, y, w, h], px"),
+                score=number("0 to 1"),
+            ),
         },
     ),
 }

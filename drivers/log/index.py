@@ -1,8 +1,10 @@
-"""Puts a closed log into chunks with an index, as the viewers want it: they seek, and read only what they show.
+"""Puts a closed log into chunks with an index, as the viewers want it: they seek, and read only
+what they show.
 
-A log is written message by message, so that whoever is killed loses nothing. Here its bytes are copied, a megabyte at a
-time, into compressed chunks; no message is decoded. The file is replaced when the copy is whole: whatever happens
-meanwhile, one of the two is there. A log in virtual time goes straight into chunks.
+A log is written message by message, so that whoever is killed loses nothing. Here its bytes are
+copied, a megabyte at a time, into compressed chunks; no message is decoded. The file is replaced
+when the copy is whole: whatever happens meanwhile, one of the two is there. A log in virtual time
+goes straight into chunks.
 """
 
 from __future__ import annotations
@@ -39,7 +41,9 @@ Record = (
 MAGIC = b"\x89MCAP0\r\n"
 ABOUT = "path"
 OFFSET = "utc_minus_stamp_ns"
-"""Metadata of every log: a record of this name, and the key of how far its UTC is from its program's clock."""
+"""Metadata of every log: a record of this name, and the key of how far its UTC is from its
+program's clock.
+"""
 CHUNK_BYTES = 1 << 20
 LEVEL = 1  # of the compression: as fast as the disk
 _HEAD = struct.Struct("<BQ")
@@ -57,7 +61,10 @@ def index_log(path: Path) -> None:
         return
     copy = path.with_name(path.name + ".indexing")
     try:
-        with path.open("rb") as loose, mmap.mmap(loose.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        with (
+            path.open("rb") as loose,
+            mmap.mmap(loose.fileno(), 0, access=mmap.ACCESS_READ) as data,
+        ):
             chunked = ChunkedFile(copy)
             try:
                 _copy(data, chunked)
@@ -85,12 +92,15 @@ def _copy(data: mmap.mmap, chunked: ChunkedFile) -> None:
 
 
 class ChunkedFile:
-    """A log in chunks; of one that was not closed the newest megabyte is missing. Raises OSError."""
+    """A log in chunks; of one that was not closed the newest megabyte is missing. Raises
+    OSError.
+    """
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("wb")
         self._chunk = bytearray()
-        self._in_chunk: dict[int, array[int]] = {}  # by channel: log time and place, one after the other
+        # by channel: log time and place, one after the other
+        self._in_chunk: dict[int, array[int]] = {}
         self._chunks: list[ChunkIndex] = []
         self._counts: dict[int, int] = {}
         self._said: dict[int, list[bytes]] = {int(Opcode.SCHEMA): [], int(Opcode.CHANNEL): []}
@@ -140,15 +150,23 @@ class ChunkedFile:
         end_ns = max(map(max, stamps))
         data = zstandard.compress(records, LEVEL)
         at = self._file.tell()
-        length = self._file.write(built(Chunk("zstd", data, end_ns, begin_ns, zlib.crc32(records), len(records))))
+        length = self._file.write(
+            built(Chunk("zstd", data, end_ns, begin_ns, zlib.crc32(records), len(records)))
+        )
         places: dict[int, int] = {}
         for channel, index in self._in_chunk.items():
             places[channel] = self._file.tell()
             entries = index.tobytes()
-            self._file.write(_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)) + entries)
+            self._file.write(
+                _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)) + entries
+            )
             self._counts[channel] = self._counts.get(channel, 0) + len(index) // 2
         indices = self._file.tell() - at - length
-        self._chunks.append(ChunkIndex(length, at, "zstd", len(data), end_ns, indices, places, begin_ns, len(records)))
+        self._chunks.append(
+            ChunkIndex(
+                length, at, "zstd", len(data), end_ns, indices, places, begin_ns, len(records)
+            )
+        )
         self._file.flush()  # for whoever follows the flight
         self._in_chunk.clear()
         self._chunk.clear()
@@ -165,7 +183,9 @@ class ChunkedFile:
         ):
             if records:
                 at = self._file.tell()
-                offsets.append(SummaryOffset(Opcode(opcode), at, self._file.write(b"".join(records))))
+                offsets.append(
+                    SummaryOffset(Opcode(opcode), at, self._file.write(b"".join(records)))
+                )
         offsets_at = self._file.tell()
         self._file.write(b"".join(built(offset) for offset in offsets))
         self._file.write(built(Footer(begin, offsets_at, 0)) + MAGIC)
@@ -179,7 +199,9 @@ class ChunkedFile:
                 chunk_count=len(self._chunks),
                 message_count=sum(self._counts.values()),
                 message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
-                message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
+                message_start_time=min(
+                    (chunk.message_start_time for chunk in self._chunks), default=0
+                ),
                 metadata_count=len(self._metadata),
                 schema_count=len(self._said[Opcode.SCHEMA]),
             )

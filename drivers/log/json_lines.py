@@ -10,8 +10,8 @@ from typing import Any
 class JsonLines:
     """Lines of JSON that come in on a file, each as soon as it is whole.
 
-    Not ``sys.stdin.readline``: of two lines that come at once it would keep the second to itself, and nothing more
-    comes in to be told of.
+    Not ``sys.stdin.readline``: of two lines that come at once it would keep the second to itself,
+    and nothing more comes in to be told of.
     """
 
     def __init__(self, file: int) -> None:

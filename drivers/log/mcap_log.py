@@ -1,12 +1,14 @@
 """The log of a program: one MCAP file, readable to the last record whatever ended it.
 
-PATH's own records are JSON, with a JSON Schema each (``drivers.log.topics``); images, and what viewers draw, are
-Foxglove's messages (``drivers.log.foxglove``). Stamps in the file are UTC; the program's own clock, which is what
-records are written and read with, differs by a constant that the file's metadata tell.
+PATH's own records are JSON, with a JSON Schema each (``drivers.log.topics``); images, and what
+viewers draw, are Foxglove's messages (``drivers.log.foxglove``). Stamps in the file are UTC; the
+program's own clock, which is what records are written and read with, differs by a constant that the
+file's metadata tell.
 
-Records are written unbuffered, each with one system call, so that a killed program loses nothing it has logged; only a
-run in virtual time, which cannot lose a drone, buffers them. A file that is closed is then put into chunks with an
-index (``drivers.log.index``). Nothing in the log of a run in virtual time depends on the wall clock or the machine.
+Records are written unbuffered, each with one system call, so that a killed program loses nothing it
+has logged; only a run in virtual time, which cannot lose a drone, buffers them. A file that is
+closed is then put into chunks with an index (``drivers.log.index``). Nothing in the log of a run in
+virtual time depends on the wall clock or the machine.
 """
 
 from __future__ import annotations
@@ -46,18 +48,26 @@ IMAGE_SCHEMA = "foxglove.CompressedImage"
 
 
 class McapLog:
-    """A ``drivers.interfaces.Log``. Never raises: what goes wrong is kept in ``failed``, and the flight goes on.
+    """A ``drivers.interfaces.Log``. Never raises: what goes wrong is kept in ``failed``, and the
+    flight goes on.
 
-    Numbers that are not finite become null. NumPy scalars and arrays, enums (by value) and dataclasses may be in one.
+    Numbers that are not finite become null. NumPy scalars and arrays, enums (by value) and
+    dataclasses may be in one.
     """
 
     def __init__(
-        self, path: Path, name: str = "", *, utc_minus_stamp_ns: int | None = None, buffered: bool = False
+        self,
+        path: Path,
+        name: str = "",
+        *,
+        utc_minus_stamp_ns: int | None = None,
+        buffered: bool = False,
     ) -> None:
         """``name``: of the drone, for the frames that viewers draw.
 
-        ``utc_minus_stamp_ns``: UTC minus the clock of the stamps; None: that is this computer's monotonic one.
-        ``buffered``: what was logged last is lost when the process is killed; for runs in virtual time.
+        ``utc_minus_stamp_ns``: UTC minus the clock of the stamps; None: that is this computer's
+        monotonic one. ``buffered``: what was logged last is lost when the process is killed; for
+        runs in virtual time.
         """
         from drivers.log.foxglove import Standards  # noqa: PLC0415 (whoever only reads logs does not need it)
 
@@ -68,7 +78,9 @@ class McapLog:
         self._recorder: FrameRecorder | None = None
         self._recording_told_ns = 0
         self._standards = Standards(name)
-        self._utc_ns = wall_offset_ns(time.monotonic_ns) if utc_minus_stamp_ns is None else utc_minus_stamp_ns
+        self._utc_ns = (
+            wall_offset_ns(time.monotonic_ns) if utc_minus_stamp_ns is None else utc_minus_stamp_ns
+        )
         self._channels: dict[str, int] = {}
         self._count = 0
         self._encode = msgspec.json.Encoder(enc_hook=encode_other).encode
@@ -99,15 +111,20 @@ class McapLog:
             return
         try:
             utc_ns = self._utc(stamp_ns)
-            data = self._encode({name: value for name, value in record.items() if value is not None})
+            data = self._encode(
+                {name: value for name, value in record.items() if value is not None}
+            )
             if topic not in self._channels:
-                self._register(topic, "json", "path" + topic.replace("/", "."), "jsonschema", schema_of(topic))
+                self._register(
+                    topic, "json", "path" + topic.replace("/", "."), "jsonschema", schema_of(topic)
+                )
             self._write(topic, utc_ns, data)
             for standard in self._standards.of(topic, utc_ns, record):
                 self._message(utc_ns, *standard)
         except OSError as error:
             self._fail(error)
-        except Exception as error:  # whatever was wrong with this record: the others go on, and so does the flight
+        # whatever was wrong with this record: the others go on, and so does the flight
+        except Exception as error:
             self._failed = self._failed or f"{topic}: {error}"
 
     def image(self, topic: str, stamp_ns: int, image: NDArray[np.uint8]) -> None:
@@ -116,7 +133,9 @@ class McapLog:
             return
         jpeg = _jpeg(image)
         if jpeg is None:
-            self._failed = self._failed or f"{topic}: the image could not be encoded as JPEG, of 8 bits"
+            self._failed = (
+                self._failed or f"{topic}: the image could not be encoded as JPEG, of 8 bits"
+            )
             return
         from drivers.log.foxglove_primitives import compressed_image  # noqa: PLC0415
 
@@ -131,13 +150,17 @@ class McapLog:
             self._failed = self._failed or f"{topic}: {error}"
 
     def frame(self, frame: Frame) -> None:
-        """One frame, whole, into the file beside the log (``drivers.log.frames``); or it is dropped."""
+        """One frame, whole, into the file beside the log (``drivers.log.frames``); or it is
+        dropped.
+        """
         if self._recorder is None:
             if self._file is None:
                 return
             from drivers.log.frames import FrameRecorder  # noqa: PLC0415 (few programs record frames)
 
-            self._recorder = FrameRecorder(self._path, self._name, self._utc_ns, waits=self._buffered)
+            self._recorder = FrameRecorder(
+                self._path, self._name, self._utc_ns, waits=self._buffered
+            )
         self._recorder.take(frame)
         if frame.stamp_ns - self._recording_told_ns >= RECORDING_PERIOD_NS:
             self._recording_told_ns = frame.stamp_ns
@@ -155,7 +178,11 @@ class McapLog:
         except OSError as error:
             self._fail(error)
         if not there:
-            self._fail(FileNotFoundError(errno.ENOENT, "it was taken away while it was written", str(self._path)))
+            self._fail(
+                FileNotFoundError(
+                    errno.ENOENT, "it was taken away while it was written", str(self._path)
+                )
+            )
         if self._recorder is not None:
             self._recorder.close()
 
@@ -193,7 +220,9 @@ class McapLog:
 
     def _fail(self, error: OSError) -> None:
         """Ends the log: from here on nothing is written, and what is in the file stays readable."""
-        self._failed = f"log not written: {error.strerror or error}" + (f": {error.filename}" if error.filename else "")
+        self._failed = f"log not written: {error.strerror or error}" + (
+            f": {error.filename}" if error.filename else ""
+        )
         file = self._file
         self._file = None
         if file is not None:
@@ -207,7 +236,9 @@ def virtual_log(path: Path, name: str, clock_offset_ns: int = 0) -> McapLog:
 
 
 class LooseFile:
-    """A log message by message: each is on its way to the disk when ``message`` returns. Raises OSError."""
+    """A log message by message: each is on its way to the disk when ``message`` returns. Raises
+    OSError.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -239,7 +270,9 @@ class LooseFile:
 
 
 def _jpeg(image: NDArray[np.uint8]) -> bytes | None:
-    """None for what is no image of 8 bits: OpenCV would cut the bits of others off, and only print a warning."""
+    """None for what is no image of 8 bits: OpenCV would cut the bits of others off, and only print
+    a warning.
+    """
     import cv2  # noqa: PLC0415 (a log without images does not need it)
 
     if image.dtype != np.uint8:
@@ -261,11 +294,15 @@ def encode_other(value: Any) -> Any:
 
 
 def new_part(folder: Path, name: str) -> Path:
-    """The file of a program's log: ``NAME.mcap``, after a restart ``NAME.2.mcap`` and so on. It is there from now on.
+    """The file of a program's log: ``NAME.mcap``, after a restart ``NAME.2.mcap`` and so on. It is
+    there from now on.
 
-    An earlier program's log is never written over; where nothing can be written the log will say so.
+    An earlier program's log is never written over; where nothing can be written the log will say
+    so.
     """
-    files = (folder / (f"{name}.mcap" if number == 1 else f"{name}.{number}.mcap") for number in count(1))
+    files = (
+        folder / (f"{name}.mcap" if number == 1 else f"{name}.{number}.mcap") for number in count(1)
+    )
     path = next(file for file in files if not file.exists())
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -293,10 +330,11 @@ class LogRecord:
 
 
 def read_log(path: Path, topics: Collection[str] | None = None) -> Iterator[LogRecord]:
-    """PATH's own records and the images of a log in the order they were written, up to where the file ends.
+    """PATH's own records and the images of a log in the order they were written, up to where the
+    file ends.
 
-    That may be in the middle of one. Stamps are those they were written with; what a record leaves out is null.
-    ``topics``: those that are read; None: all.
+    That may be in the middle of one. Stamps are those they were written with; what a record leaves
+    out is null. ``topics``: those that are read; None: all.
 
     Raises:
         OSError: when the file cannot be read.
@@ -313,20 +351,28 @@ def read_log(path: Path, topics: Collection[str] | None = None) -> Iterator[LogR
         try:
             for found in messages(file):
                 if isinstance(found, Metadata):
-                    offset_ns = int(found.metadata.get(OFFSET, offset_ns)) if found.name == ABOUT else offset_ns
+                    offset_ns = (
+                        int(found.metadata.get(OFFSET, offset_ns))
+                        if found.name == ABOUT
+                        else offset_ns
+                    )
                 elif topics is not None and found.channel.topic not in topics:
                     continue
                 elif found.channel.encoding == "json":
                     record = {**found.channel.blank, **decode(found.data)}
                     yield LogRecord(found.channel.topic, found.utc_ns - offset_ns, record)
                 elif found.channel.schema.name == IMAGE_SCHEMA:
-                    yield LogRecord(found.channel.topic, found.utc_ns - offset_ns, image_record(found.data))
+                    yield LogRecord(
+                        found.channel.topic, found.utc_ns - offset_ns, image_record(found.data)
+                    )
         except (UnicodeDecodeError, msgspec.DecodeError):
             return  # the process that wrote it was killed here
 
 
 def image_record(data: bytes) -> dict[str, Any]:
-    """A Foxglove CompressedImage: ``frame_id``, ``format`` and ``data``. Raises ValueError for what is none."""
+    """A Foxglove CompressedImage: ``frame_id``, ``format`` and ``data``. Raises ValueError for what
+    is none.
+    """
     names = {2: "data", 3: "format", 4: "frame_id"}
     record: dict[str, Any] = {"data": b"", "format": "", "frame_id": ""}
     for number, value in fields(data):

@@ -6,7 +6,9 @@ from collections.abc import Iterator
 
 
 def fields(message: bytes) -> Iterator[tuple[int, int | bytes]]:
-    """The fields of a message: number, and an integer or what is in it. Raises ValueError for what is none."""
+    """The fields of a message: number, and an integer or what is in it. Raises ValueError for what
+    is none.
+    """
     at = 0
 
     def varint() -> int:

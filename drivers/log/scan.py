@@ -1,4 +1,5 @@
-"""The messages of a log in the order it was written, from chunks or loose, up to where the file ends.
+"""The messages of a log in the order it was written, from chunks or loose, up to where the file
+ends.
 
 What tells viewers where things are is passed over unread: it is as much again, and is for seeking.
 """
@@ -49,7 +50,9 @@ class LoggedMessage(NamedTuple):
 
 
 def messages(file: IO[bytes]) -> Iterator[LoggedMessage | Metadata]:
-    """Yields the messages and metadata of a log, after its magic. A record that is cut off or damaged ends it."""
+    """Yields the messages and metadata of a log, after its magic. A record that is cut off or
+    damaged ends it.
+    """
     schemas: dict[int, Schema] = {}
     channels: dict[int, LoggedChannel] = {}
     raw = _records(file)
@@ -63,7 +66,9 @@ def messages(file: IO[bytes]) -> Iterator[LoggedMessage | Metadata]:
                 found = _SAID[opcode].read(ReadDataStream(BytesIO(record)))
                 if isinstance(found, Channel):
                     known = schemas[found.schema_id]
-                    channels[found.id] = LoggedChannel(found.topic, found.message_encoding, known, blank(found.topic))
+                    channels[found.id] = LoggedChannel(
+                        found.topic, found.message_encoding, known, blank(found.topic)
+                    )
         except StopIteration:
             return
         except (McapError, struct.error, UnicodeDecodeError, KeyError, ZstdError):
@@ -75,7 +80,9 @@ def messages(file: IO[bytes]) -> Iterator[LoggedMessage | Metadata]:
 
 
 def _records(file: IO[bytes]) -> Iterator[Raw]:
-    """Messages, schemas, channels and metadata, out of their chunks; what follows the data is said again."""
+    """Messages, schemas, channels and metadata, out of their chunks; what follows the data is said
+    again.
+    """
     while len(head := file.read(_HEAD.size)) == _HEAD.size:
         opcode, length = _HEAD.unpack(head)
         if opcode == _END or length > _LONGEST:

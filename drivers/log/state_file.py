@@ -1,4 +1,6 @@
-"""The record that a role needs after a restart, in a file that is always whole: the old record or the new one."""
+"""The record that a role needs after a restart, in a file that is always whole: the old record or
+the new one.
+"""
 
 from __future__ import annotations
 
@@ -48,13 +50,13 @@ class MemoryStore:
 class StateFile:
     """A ``RecordStore`` on disk, as JSON that a person can read.
 
-    Saving writes a file beside it, waits until the disk has it, renames it over the old one and waits for the folder
-    too. A check sum tells a damaged file from a whole one.
+    Saving writes a file beside it, waits until the disk has it, renames it over the old one and
+    waits for the folder too. A check sum tells a damaged file from a whole one.
 
     Args:
         path: the file; its folder must exist.
-        role: whose record it is; a file of the other role is refused. None: of a drone that changes its role in the
-            air; there is one record of it at any time, of the role that it is in.
+        role: whose record it is; a file of the other role is refused. None: of a drone that changes
+            its role in the air; there is one record of it at any time, of the role that it is in.
         boot: of this run of the computer's clock; "" where the computer does not say.
     """
 
@@ -69,10 +71,14 @@ class StateFile:
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise StateError(f"cannot read {self._path}: {error.strerror}", "make it readable for this user") from error
+            raise StateError(
+                f"cannot read {self._path}: {error.strerror}", "make it readable for this user"
+            ) from error
         content = self._whole(text)
         if content.get("format") != FORMAT:
-            raise StateError(f"{self._path} is no state file of this version of PATH", f"move {self._path} away")
+            raise StateError(
+                f"{self._path} is no state file of this version of PATH", f"move {self._path} away"
+            )
         if self._role is not None and content.get("role") != self._role.value:
             raise StateError(
                 f"{self._path} is of the {content.get('role')}, and this is the {self._role.value}",
@@ -111,7 +117,9 @@ class StateFile:
         """Saves in a thread of its own, which ends with it: there are half a dozen in a mission."""
         saved = Future[None]()
         saved.set_running_or_notify_cancel()  # from here on nobody can take it back
-        threading.Thread(target=_settle, args=(saved, lambda: self.save(record)), name="state-file").start()
+        threading.Thread(
+            target=_settle, args=(saved, lambda: self.save(record)), name="state-file"
+        ).start()
         return saved
 
     def _whole(self, text: bytes) -> dict[str, Any]:
@@ -134,7 +142,9 @@ class StateFile:
 
 
 def boot_id() -> str:
-    """Returns an id that differs from one start of this computer to the next; "" where it does not say."""
+    """Returns an id that differs from one start of this computer to the next; "" where it does not
+    say.
+    """
     try:
         return BOOT_ID.read_text().strip()
     except OSError:

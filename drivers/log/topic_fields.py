@@ -1,4 +1,6 @@
-"""The parts that topics are made of: fields with their units, and groups of fields that several topics share."""
+"""The parts that topics are made of: fields with their units, and groups of fields that several
+topics share.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +72,9 @@ CAMERA = {
     "cx": number("principal point, px"),
     "cy": number("principal point, px"),
     "distortion": numbers("Brown-Conrady, OpenCV's order"),
-    "doubts": numbers("by how much fx, fy, cx, cy, k1, k2, p1, p2, k3 are off together: nine for each cause"),
+    "doubts": numbers(
+        "by how much fx, fy, cx, cy, k1, k2, p1, p2, k3 are off together: nine for each cause"
+    ),
     "thinning": table(
         "how the camera leaves out pixels",
         kept=whole("pixels of the image ..."),

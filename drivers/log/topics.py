@@ -1,8 +1,8 @@
 """Every topic that PATH logs as JSON: its fields, with their units, and what one record of it is.
 
-The one place they are told from: JSON Schemas in the logs, what a reader fills in, and docs/logs.md. A field that does
-not apply is left out of a record and comes back as null. The schemas use only what Foxglove's reader of them
-understands: one type a field, and no list of lists.
+The one place they are told from: JSON Schemas in the logs, what a reader fills in, and
+docs/logs.md. A field that does not apply is left out of a record and comes back as null. The
+schemas use only what Foxglove's reader of them understands: one type a field, and no list of lists.
 """
 
 from __future__ import annotations
@@ -14,7 +14,19 @@ import msgspec
 
 from drivers.log.drone_topics import DRONE
 from drivers.log.handover_topics import HANDOVER
-from drivers.log.topic_fields import CAMERA, MOUNT, Schema, Topic, flag, number, numbers, table, tables, text, whole
+from drivers.log.topic_fields import (
+    CAMERA,
+    MOUNT,
+    Schema,
+    Topic,
+    flag,
+    number,
+    numbers,
+    table,
+    tables,
+    text,
+    whole,
+)
 from path.camera.model import CameraModel
 
 _INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy", "distortion")
@@ -62,7 +74,11 @@ TOPICS: dict[str, Topic] = {
             "target_id": whole("of the object that is the target"),
             "min_separation_m": number("limit, m"),
             "kind": text("of all objects: car, person or drone"),
-            "boxes": tables("parts of every object, in its own frame", c=numbers("centre, m"), s=numbers("size, m")),
+            "boxes": tables(
+                "parts of every object, in its own frame",
+                c=numbers("centre, m"),
+                s=numbers("size, m"),
+            ),
             "clock_offset_ns": table("clock of a role minus the world's, ns"),
             "cameras": table("by role", sender=table("", **CAMERA), receiver=table("", **CAMERA)),
             "mounts": table("by role", sender=table("", **MOUNT), receiver=table("", **MOUNT)),
@@ -74,7 +90,11 @@ TOPICS: dict[str, Topic] = {
             role: table("body", t=numbers("m"), q=numbers("wxyz"), in_air=flag("not on the ground"))
             for role in ("sender", "receiver")
         }
-        | {"objects": tables("every object", id=whole(""), t=numbers("position, m"), yaw=number("rad"))},
+        | {
+            "objects": tables(
+                "every object", id=whole(""), t=numbers("position, m"), yaw=number("rad")
+            )
+        },
     ),
     "/autopilot": Topic(
         "what an autopilot does, when it changes",
@@ -83,9 +103,15 @@ TOPICS: dict[str, Topic] = {
     "/fault": Topic("a fault was injected", {"fault": text("its name, docs/faults.md")}),
     "/setpoint_gap": Topic(
         "longest time between two setpoints of a vehicle, at the end",
-        {"role": text("whose"), "gap_s": number("s"), "last_ns": whole("stamp of the last setpoint, ns")},
+        {
+            "role": text("whose"),
+            "gap_s": number("s"),
+            "last_ns": whole("stamp of the last setpoint, ns"),
+        },
     ),
-    "/violation": Topic("a safety monitor speaks", {"monitor": text("its name"), "detail": text("what was seen")}),
+    "/violation": Topic(
+        "a safety monitor speaks", {"monitor": text("its name"), "detail": text("what was seen")}
+    ),
     # --- beacons ---
     "/beacons": Topic("how late beacons' positions are", {"latency_s": number("s")}),
     "/serial": Topic(
@@ -105,7 +131,11 @@ def schema_of(topic: str) -> bytes:
     if listed is None:
         schema["properties"] = {}
     else:
-        schema |= {"description": listed.text, "properties": listed.fields, "additionalProperties": False}
+        schema |= {
+            "description": listed.text,
+            "properties": listed.fields,
+            "additionalProperties": False,
+        }
     return msgspec.json.encode(schema)
 
 

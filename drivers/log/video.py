@@ -19,7 +19,8 @@ from drivers.log.scan import messages
 
 
 def recorded_frames(file: Path, count: int | None = None) -> Iterator[Frame]:
-    """The frames of such a file in order, numbered from 0, up to where it ends; ``count`` of them at the most.
+    """The frames of such a file in order, numbered from 0, up to where it ends; ``count`` of them
+    at the most.
 
     Stamps are of the program's clock. Raises OSError, and ValueError for what holds no such frames.
     """
@@ -66,12 +67,17 @@ class VideoDecoder:
             (frame,) = self._codec.decode(self._av.Packet(data))
         except (self._av.FFmpegError, ValueError) as error:
             raise ValueError(f"a frame that is none: {error}") from error
-        return np.asarray(cv2.cvtColor(frame.to_ndarray(format="yuv420p"), cv2.COLOR_YUV2BGR_I420), np.uint8)
+        return np.asarray(
+            cv2.cvtColor(frame.to_ndarray(format="yuv420p"), cv2.COLOR_YUV2BGR_I420), np.uint8
+        )
 
 
 def video_data(message: bytes) -> bytes:
     """The bytes of the stream in a CompressedVideo."""
-    return next((value for number, value in fields(message) if number == 3 and isinstance(value, bytes)), b"")
+    return next(
+        (value for number, value in fields(message) if number == 3 and isinstance(value, bytes)),
+        b"",
+    )
 
 
 def depth_of(message: bytes) -> NDArray[np.uint16]:

@@ -1,1 +1,3 @@
-"""PX4 and ArduPilot: the vehicle behind MAVSDK, its telemetry, modes and parameters, and its guard's own link."""
+"""PX4 and ArduPilot: the vehicle behind MAVSDK, its telemetry, modes and parameters, and its
+guard's own link.
+"""

@@ -1,8 +1,10 @@
-"""Which of a vehicle's batteries flies it, and how full it is. One rule for the script's link and for the guard's.
+"""Which of a vehicle's batteries flies it, and how full it is. One rule for the script's link and
+for the guard's.
 
-A vehicle tells BATTERY_STATUS of each battery by its id, those of a payload or a companion computer among them, and
-SYS_STATUS of "the" battery, which on PX4 is the emptiest of all. MAVSDK hands on whichever came last. A percentage
-that the autopilot does not know is -1, or 255 where it is read as unsigned: unknown is not empty.
+A vehicle tells BATTERY_STATUS of each battery by its id, those of a payload or a companion computer
+among them, and SYS_STATUS of "the" battery, which on PX4 is the emptiest of all. MAVSDK hands on
+whichever came last. A percentage that the autopilot does not know is -1, or 255 where it is read as
+unsigned: unknown is not empty.
 """
 
 from __future__ import annotations
@@ -18,11 +20,14 @@ class FlightBattery:
 
     Attributes:
         level: 0..1, the newest that was told; NaN before the first.
-        told_ns: when it was told last, on the listener's clock; before that, when the vehicle was first heard.
+        told_ns: when it was told last, on the listener's clock; before that, when the vehicle was
+            first heard.
     """
 
     def __init__(self, wanted_id: int = LOWEST_ID) -> None:
-        """``wanted_id``: as the rig says; else the lowest id of those that do not say they serve something else."""
+        """``wanted_id``: as the rig says; else the lowest id of those that do not say they serve
+        something else.
+        """
         self._wanted_id = wanted_id
         self._heard: set[int] = set()  # ids that may fly it
         self._silent: set[int] = set()  # of these, the ids whose newest message tells no percentage
@@ -56,7 +61,9 @@ class FlightBattery:
             self._silent.add(battery_id)
 
     def on_sys_status(self, percent: float, now_ns: int) -> None:
-        """Take a SYS_STATUS: believed as long as no BATTERY_STATUS tells more, and there is but one battery."""
+        """Take a SYS_STATUS: believed as long as no BATTERY_STATUS tells more, and there is but one
+        battery.
+        """
         self.hear(now_ns)
         one_battery = self._wanted_id == LOWEST_ID and len(self._heard) <= 1
         if one_battery and not self._by_status and _known(percent):

@@ -1,7 +1,8 @@
-"""A vehicle on a bench: flown through its real driver, with ears on its cable, a second ground station and the truth.
+"""A vehicle on a bench: flown through its real driver, with ears on its cable, a second ground
+station and the truth.
 
-What is measured on it is how an autopilot behaves; the rig names the bench (``[trials] bench``). Times are seconds of
-the vehicle's own time since it was switched on.
+What is measured on it is how an autopilot behaves; the rig names the bench (``[trials] bench``).
+Times are seconds of the vehicle's own time since it was switched on.
 """
 
 from __future__ import annotations
@@ -44,7 +45,9 @@ class HeartbeatShown:
 
 @dataclass(frozen=True, slots=True)
 class CommandAnswer:
-    """A COMMAND_ACK. ``to``: the system it was sent to, 0 when it does not say; ``result`` is MAV_RESULT."""
+    """A COMMAND_ACK. ``to``: the system it was sent to, 0 when it does not say; ``result`` is
+    MAV_RESULT.
+    """
 
     time_s: float
     command: int
@@ -96,7 +99,9 @@ class VehicleBench(Protocol):
 
     @property
     def cut(self) -> bool:
-        """Returns whether the companion's cable is cut, both ways; the bench goes on hearing the vehicle."""
+        """Returns whether the companion's cable is cut, both ways; the bench goes on hearing the
+        vehicle.
+        """
         ...
 
     @cut.setter
@@ -105,7 +110,11 @@ class VehicleBench(Protocol):
     async def __aenter__(self) -> Self: ...
 
     async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+        /,
     ) -> None: ...
 
     @property

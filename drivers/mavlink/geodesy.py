@@ -1,4 +1,6 @@
-"""Global positions to the mission's local NED frame and back, good to millimetres over a few hundred metres."""
+"""Global positions to the mission's local NED frame and back, good to millimetres over a few
+hundred metres.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +12,11 @@ ECCENTRICITY_SQUARED = 6.694_379_990_14e-3
 
 
 class LocalTangent:
-    """Equirectangular map around one origin, with the ellipsoid's two radii of curvature at that origin.
+    """Equirectangular map around one origin, with the ellipsoid's two radii of curvature at that
+    origin.
 
-    East is scaled by the origin's latitude only: the error is n e tan(latitude) / R, 1.6 mm at 100 m by 100 m and 45°.
+    East is scaled by the origin's latitude only: the error is n e tan(latitude) / R, 1.6 mm at 100
+    m by 100 m and 45°.
     """
 
     def __init__(self, latitude_deg: float, longitude_deg: float, altitude_m: float) -> None:
@@ -22,9 +26,13 @@ class LocalTangent:
         normal_m = SEMI_MAJOR_M / math.sqrt(curvature)
         self._origin = (latitude_deg, longitude_deg, altitude_m)
         self._north_m_per_deg = math.radians(meridian_m + altitude_m)
-        self._east_m_per_deg = math.radians((normal_m + altitude_m) * math.cos(math.radians(latitude_deg)))
+        self._east_m_per_deg = math.radians(
+            (normal_m + altitude_m) * math.cos(math.radians(latitude_deg))
+        )
 
-    def to_ned(self, latitude_deg: float, longitude_deg: float, altitude_m: float) -> tuple[float, float, float]:
+    def to_ned(
+        self, latitude_deg: float, longitude_deg: float, altitude_m: float
+    ) -> tuple[float, float, float]:
         """(north, east, down) in metres; ``altitude_m`` above mean sea level, like the origin's."""
         east_deg = math.remainder(longitude_deg - self._origin[1], 360.0)
         north_m = (latitude_deg - self._origin[0]) * self._north_m_per_deg

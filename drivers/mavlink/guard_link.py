@@ -1,4 +1,6 @@
-"""The guard's own MAVLink link to one vehicle, PX4 or ArduPilot: what it must see, and two commands."""
+"""The guard's own MAVLink link to one vehicle, PX4 or ArduPilot: what it must see, and two
+commands.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,15 @@ from drivers.link.udp import address_of
 from drivers.mavlink.battery import LOWEST_ID, FlightBattery
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.mavlink.guard.interfaces import GuardView
-from drivers.mavlink.modes import CUSTOM_MODE_ENABLED, KINDS, PX4, SAFETY_ARMED, AutopilotKind, powered, stopped_by
+from drivers.mavlink.modes import (
+    CUSTOM_MODE_ENABLED,
+    KINDS,
+    PX4,
+    SAFETY_ARMED,
+    AutopilotKind,
+    powered,
+    stopped_by,
+)
 from drivers.mavlink.transport.port import URL, MavlinkPort
 from drivers.rig.parts import PartContext
 from path.bounds import Bounds, check_bounds
@@ -52,16 +62,21 @@ class GuardMavlinkConfig:
     """The ``[sender.guard]`` and ``[receiver.guard]`` tables of a rig.
 
     Attributes:
-        url: a second way to the autopilot, ``udpin://127.0.0.1:14551`` (an endpoint of a MAVLink router),
-            ``udpout://10.0.0.2:14550``, ``serial:///dev/ttyTHS2:57600``; never the one the role uses.
+        url: a second way to the autopilot, ``udpin://127.0.0.1:14551`` (an endpoint of a MAVLink
+            router), ``udpout://10.0.0.2:14550``, ``serial:///dev/ttyTHS2:57600``; never the one the
+            role uses.
         vehicle_sysid: of the vehicle, as in ``[*.vehicle]``.
         bind: where the role's program and its guard meet, on this computer.
-        key_file: of MAVLink 2's signatures, 32 bytes, mode 0600, the one that the autopilot was given
-            (SETUP_SIGNING); then only what is rightly signed is believed, and all that is sent is signed.
-        height_from: as of the vehicle that is flown, and taken from its table where this one does not say it.
-        battery_id: as of the vehicle that is flown, and taken from its table where this one does not say it.
-        own_sysid, own_compid: who the guard is on MAVLink. Not the number that ArduPilot's MAV_GCS_SYSID or PX4's data
-            link loss watches: a guard that lives must not hide that the role's program died.
+        key_file: of MAVLink 2's signatures, 32 bytes, mode 0600, the one that the autopilot was
+            given (SETUP_SIGNING); then only what is rightly signed is believed, and all that is
+            sent is signed.
+        height_from: as of the vehicle that is flown, and taken from its table where this one does
+            not say it.
+        battery_id: as of the vehicle that is flown, and taken from its table where this one does
+            not say it.
+        own_sysid, own_compid: who the guard is on MAVLink. Not the number that ArduPilot's
+            MAV_GCS_SYSID or PX4's data link loss watches: a guard that lives must not hide that the
+            role's program died.
     """
 
     url: str
@@ -80,14 +95,18 @@ class GuardMavlinkConfig:
             )
         host, _ = address_of(self.bind, "bind")
         if not host.startswith("127."):
-            raise ValueError("bind: a guard listens on its own computer only, such as 127.0.0.1:14561")
+            raise ValueError(
+                "bind: a guard listens on its own computer only, such as 127.0.0.1:14561"
+            )
         check_bounds(self)
         if self.vehicle_sysid == self.own_sysid:
             raise ValueError("vehicle_sysid and own_sysid must differ")
 
 
 class GuardMavlink:
-    """A ``drivers.mavlink.guard.interfaces.Watched``. A command is one packet a call, never repeated here."""
+    """A ``drivers.mavlink.guard.interfaces.Watched``. A command is one packet a call, never
+    repeated here.
+    """
 
     Config = GuardMavlinkConfig
 
@@ -101,10 +120,12 @@ class GuardMavlink:
         self._heartbeat: tuple[int, Any] | None = None
         self._mode = FlightMode.OTHER
         self._mode_told = 0
-        self._local_down_m = self._ground_down_m = math.nan  # the latter: where it stood before it was armed
+        # the latter: where it stood before it was armed
+        self._local_down_m = self._ground_down_m = math.nan
         self._position: tuple[int, tuple[float, float, float]] = (0, (math.nan, math.nan, math.nan))
         self._stopped = False  # by a pilot's switch, as a text says
-        self._in_air = True  # until it is told: nothing is done in the air that would be wrong on the ground
+        # until it is told: nothing is done in the air that would be wrong on the ground
+        self._in_air = True
         self._battery = FlightBattery(config.battery_id)
         self._commanded: int | None = None
         self._acked: bool | None = None
@@ -124,7 +145,9 @@ class GuardMavlink:
         config = self._config
         own = config.own_sysid, config.own_compid
         key = signing_key(config.key_file)
-        self._port = MavlinkPort(config.url, config.vehicle_sysid, own, WANTED, self._clock.now_ns, key)
+        self._port = MavlinkPort(
+            config.url, config.vehicle_sysid, own, WANTED, self._clock.now_ns, key
+        )
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -189,12 +212,16 @@ class GuardMavlink:
         if (now_ns - self._beat_ns) * 1e-9 >= OWN_HEARTBEAT_S:
             self._beat_ns = now_ns
             companion = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
-            self._send(mavlink.MAVLink_heartbeat_message(*companion, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
+            self._send(
+                mavlink.MAVLink_heartbeat_message(*companion, 0, 0, mavlink.MAV_STATE_ACTIVE, 3)
+            )
         if self._heartbeat is not None and (now_ns - self._asked_ns) * 1e-9 >= ASK_AGAIN_S:
             self._ask(now_ns)
 
     def _ask(self, now_ns: int) -> None:
-        """Ask for everything when positions are late, and a few times for the batteries while none is told of."""
+        """Ask for everything when positions are late, and a few times for the batteries while none
+        is told of.
+        """
         late = (now_ns - self._position[0]) * 1e-9 > STALE_S
         wanted = RATES_HZ if late else {BATTERY_STATUS: RATES_HZ[BATTERY_STATUS]}
         if not late and (self._battery.heard or self._asked_battery >= MOST_ASKED):
@@ -207,28 +234,35 @@ class GuardMavlink:
     def _take(self, message: Any, now_ns: int) -> None:
         match message.get_msgId():
             case 0:  # HEARTBEAT
-                self._kind = next((kind for kind in KINDS if kind.mav_autopilot == message.autopilot), self._kind)
+                self._kind = next(
+                    (kind for kind in KINDS if kind.mav_autopilot == message.autopilot), self._kind
+                )
                 self._heartbeat = now_ns, message
                 self._battery.hear(now_ns)
                 self._stopped = self._stopped and bool(message.base_mode & SAFETY_ARMED)
                 self._note_mode(message.custom_mode)
             case 1:  # SYS_STATUS
                 self._battery.on_sys_status(message.battery_remaining, now_ns)
-            case 147 if message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:  # BATTERY_STATUS
-                self._battery.on_battery(message.id, message.battery_function, message.battery_remaining, now_ns)
+            # BATTERY_STATUS
+            case 147 if message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
+                self._battery.on_battery(
+                    message.id, message.battery_function, message.battery_remaining, now_ns
+                )
             case 33:  # GLOBAL_POSITION_INT
                 self._position = now_ns, self._place(message)
             case 32:  # LOCAL_POSITION_NED
                 self._local_down_m = float(message.z)
                 if self._heartbeat is not None and not self._heartbeat[1].base_mode & SAFETY_ARMED:
                     self._ground_down_m = self._local_down_m
-            case 77 if message.command == self._commanded and message.result != IN_PROGRESS:  # COMMAND_ACK
+            # COMMAND_ACK
+            case 77 if message.command == self._commanded and message.result != IN_PROGRESS:
                 self._acked = message.result == mavlink.MAV_RESULT_ACCEPTED
             case 245:  # EXTENDED_SYS_STATE
                 self._in_air = message.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND
             case 253:  # STATUSTEXT
                 self._stopped = stopped_by(str(message.text), self._stopped)
-            case 436 if self._kind is not None:  # CURRENT_MODE: PX4 beats once a second, whatever it is asked for
+            # CURRENT_MODE: PX4 beats once a second, whatever it is asked for
+            case 436 if self._kind is not None:
                 if self._kind.news(message.custom_mode, self._mode, self._mode_told):
                     self._note_mode(message.custom_mode)
             case _:
@@ -239,7 +273,9 @@ class GuardMavlink:
 
         Of a PX4 the local one (``Telemetry`` says why).
         """
-        north, east, down = self._tangent.to_ned(message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
+        north, east, down = self._tangent.to_ned(
+            message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3
+        )
         if self._config.height_from == "sea_level":
             return north, east, down
         above_m = self._ground_down_m - self._local_down_m

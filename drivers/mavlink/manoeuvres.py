@@ -16,26 +16,32 @@ NAV_LAND = 21
 NAV_TAKEOFF = 22
 DO_SET_MODE = 176
 SETTLED_MPS = 0.3
-STOPPED_SHORT_M = 2.0  # PX4 ends a take-off up to 0.8 m before the height (NAV_MC_ALT_RAD), which it may have wrong
+# PX4 ends a take-off up to 0.8 m before the height (NAV_MC_ALT_RAD), which it may have wrong
+STOPPED_SHORT_M = 2.0
 DISARM_NEWS_S = 1.5  # PX4 beats once a second
 TEXT_WAIT_S = 0.5  # STATUSTEXT may come before or after the refusal it explains
 SAFE_TRIES = 3  # what only ends motion, or starts none, is resent when no acknowledgement came
 
 
 class Manoeuvres:
-    """Changes of mode, take-offs and landings, each from its command to its end. All raise VehicleError.
+    """Changes of mode, take-offs and landings, each from its command to its end. All raise
+    VehicleError.
 
     ``kind``: the autopilot's, once it is known.
     """
 
-    def __init__(self, session: MavsdkSession, telemetry: TelemetrySlots, config: MavsdkVehicleConfig) -> None:
+    def __init__(
+        self, session: MavsdkSession, telemetry: TelemetrySlots, config: MavsdkVehicleConfig
+    ) -> None:
         self._session = session
         self._telemetry = telemetry
         self._config = config
         self._clock = telemetry.clock
         self.kind: AutopilotKind = PX4
 
-    async def do(self, what: str, command: int, params: tuple[float | None, ...], tries: int = 1) -> None:
+    async def do(
+        self, what: str, command: int, params: tuple[float | None, ...], tries: int = 1
+    ) -> None:
         """One command that must be accepted. Raises with the vehicle's own reason."""
         sent_ns = self._clock.now_ns()
         result = await self._session.command(command, params, tries)
@@ -48,7 +54,9 @@ class Manoeuvres:
             )
         telemetry = self._telemetry
         await self._session.until(lambda: bool(telemetry.texts_since(sent_ns)), TEXT_WAIT_S)
-        reasons = telemetry.texts_since(sent_ns) or [f"{name} missing" for name in telemetry.missing()]
+        reasons = telemetry.texts_since(sent_ns) or [
+            f"{name} missing" for name in telemetry.missing()
+        ]
         answer = RESULTS[result] if result < len(RESULTS) else f"result {result}"
         raise VehicleError(
             f"the vehicle refused to {what} ({answer}): {' | '.join(reasons) or 'it gave no reason'}",
@@ -65,8 +73,9 @@ class Manoeuvres:
     async def take_off(self, height_m: float, timeout_s: float) -> None:
         """Climbs to a height above where it stands, and waits until it is there."""
         if self.kind is PX4:
-            # An older one climbs no less than this. It is not what is flown: PX4 looks at its parameters once a second,
-            # and has acknowledged a height and climbed to the one it had before.
+            # An older one climbs no less than this. It is not what is flown: PX4 looks at its
+            # parameters once a second, and has acknowledged a height and climbed to the one it had
+            # before.
             await self._session.set_float_parameter("MIS_TAKEOFF_ALT", height_m)
             await self.do("take off", NAV_TAKEOFF, (*[None] * 6, self._altitude_m() + height_m))
             there = FlightMode.HOLD
@@ -81,7 +90,9 @@ class Manoeuvres:
         climbs = telemetry.mode is FlightMode.TAKEOFF
 
         def held() -> bool:
-            """A PX4 whose take-off is over in this very moment goes on to hold, over a landing that it acknowledged."""
+            """A PX4 whose take-off is over in this very moment goes on to hold, over a landing that
+            it acknowledged.
+            """
             return climbs and telemetry.mode is FlightMode.HOLD and telemetry.mode_told >= SURE
 
         await self._begin_landing(held)
@@ -90,12 +101,17 @@ class Manoeuvres:
         await self._until_down(self._clock.now_ns() + int(timeout_s * 1e9), timeout_s)
 
     async def _until_mode(
-        self, mode: FlightMode, before: FlightMode, sent_ns: int, what: str, or_else: Callable[[], bool] = lambda: False
+        self,
+        mode: FlightMode,
+        before: FlightMode,
+        sent_ns: int,
+        what: str,
+        or_else: Callable[[], bool] = lambda: False,
     ) -> None:
         """Waits until a report younger than the command shows the mode.
 
-        An older one may still show the last but one. A mode that is neither this one nor that of before the command
-        is somebody's who took it meanwhile.
+        An older one may still show the last but one. A mode that is neither this one nor that of
+        before the command is somebody's who took it meanwhile.
         """
         telemetry = self._telemetry
         expected = {before, mode}
@@ -120,10 +136,14 @@ class Manoeuvres:
             )
 
     def _altitude_m(self) -> float:
-        """Of where it stands, as it says itself, whatever that is above the sea in truth. Raises VehicleError."""
+        """Of where it stands, as it says itself, whatever that is above the sea in truth. Raises
+        VehicleError.
+        """
         position = self._telemetry.position
         if position is None or not math.isfinite(position.altitude_m):
-            raise VehicleError("take-off refused: the vehicle tells no altitude", "see its ground station")
+            raise VehicleError(
+                "take-off refused: the vehicle tells no altitude", "see its ground station"
+            )
         return position.altitude_m
 
     async def _climb(self, height_m: float, there: FlightMode, timeout_s: float) -> None:
@@ -157,16 +177,21 @@ class Manoeuvres:
             return not self._telemetry.state().armed or (late and (held() or other))
 
         if not await self._session.until(lambda: arrived() or ended(), timeout_s):
-            raise VehicleError(f"not at {height_m:g} m {timeout_s:g} s after the take-off began", "hold or land")
+            raise VehicleError(
+                f"not at {height_m:g} m {timeout_s:g} s after the take-off began", "hold or land"
+            )
         if ended():
             if self._telemetry.state().armed:
                 said = f"take-off ended on the way: mode {telemetry.mode.value}"
                 raise TakenOver(said, "the pilot has control, or a failsafe acted")
             heartbeat = telemetry.heartbeat
             if heartbeat is not None and not heartbeat.disarmed:
-                raise TakenOver("take-off ended on the way: the motors were stopped", "the pilot's kill switch")
+                raise TakenOver(
+                    "take-off ended on the way: the motors were stopped", "the pilot's kill switch"
+                )
             raise VehicleError(
-                "take-off ended on the way: disarmed", "a failsafe acted, or it was never off the ground"
+                "take-off ended on the way: disarmed",
+                "a failsafe acted, or it was never off the ground",
             )
 
     async def _begin_landing(self, or_else: Callable[[], bool]) -> None:
@@ -175,14 +200,18 @@ class Manoeuvres:
         unset = self.kind.unset
         await self.do("land", NAV_LAND, (0.0, 0.0, 0.0, unset, unset, unset, 0.0), SAFE_TRIES)
         await self._until_mode(
-            FlightMode.LAND, before, sent_ns, "land", lambda: not self._telemetry.state().armed or or_else()
+            FlightMode.LAND,
+            before,
+            sent_ns,
+            "land",
+            lambda: not self._telemetry.state().armed or or_else(),
         )
 
     async def _until_down(self, end_ns: int, timeout_s: float) -> None:
         """Waits until it is disarmed.
 
-        Having landed, PX4 goes back to the mode before it, and tells so up to a heartbeat before it tells that it is
-        disarmed. So a mode of a script's is another's only when it stays armed.
+        Having landed, PX4 goes back to the mode before it, and tells so up to a heartbeat before it
+        tells that it is disarmed. So a mode of a script's is another's only when it stays armed.
         """
         session = self._session
         telemetry = self._telemetry
@@ -203,4 +232,7 @@ class Manoeuvres:
                 raise VehicleError(what, "land by remote control")
             await session.until(lambda: down() or lands() or pilots(), DISARM_NEWS_S)
             if not (down() or lands()):
-                raise TakenOver(f"landing ended by a change to mode {telemetry.mode.value}", "the pilot has control")
+                raise TakenOver(
+                    f"landing ended by a change to mode {telemetry.mode.value}",
+                    "the pilot has control",
+                )

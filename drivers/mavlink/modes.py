@@ -1,4 +1,6 @@
-"""Flight modes as PX4 and ArduPilot number them in HEARTBEAT.custom_mode and MAV_CMD_DO_SET_MODE."""
+"""Flight modes as PX4 and ArduPilot number them in HEARTBEAT.custom_mode and
+MAV_CMD_DO_SET_MODE.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,8 @@ from drivers.interfaces import SURE, FlightMode
 # HEARTBEAT.base_mode (MAV_MODE_FLAG).
 CUSTOM_MODE_ENABLED = 1
 SAFETY_ARMED = 128
-# HEARTBEAT.system_status (MAV_STATE): so PX4 shows a pilot's kill switch, and calls itself armed for 5 s more.
+# HEARTBEAT.system_status (MAV_STATE): so PX4 shows a pilot's kill switch, and calls itself armed
+# for 5 s more.
 FLIGHT_TERMINATION = 8
 # "RC7: MotorEStop HIGH"
 ESTOP = "MotorEStop"
@@ -18,15 +21,18 @@ STOPPED = "HIGH"
 
 
 def powered(base_mode: int, system_status: int) -> bool:
-    """Returns whether a heartbeat says that the motors may turn: armed, and not stopped by a kill switch."""
+    """Returns whether a heartbeat says that the motors may turn: armed, and not stopped by a kill
+    switch.
+    """
     return bool(base_mode & SAFETY_ARMED) and system_status != FLIGHT_TERMINATION
 
 
 def stopped_by(text: str, before: bool) -> bool:
-    """Returns whether a pilot's switch has stopped the motors, after a text; ``before``: whether it had before it.
+    """Returns whether a pilot's switch has stopped the motors, after a text; ``before``: whether it
+    had before it.
 
-    ArduCopter calls itself armed, and in GUIDED, for 5 s more. It tells of its Motor Emergency Stop by a text alone,
-    whichever channel that is on.
+    ArduCopter calls itself armed, and in GUIDED, for 5 s more. It tells of its Motor Emergency Stop
+    by a text alone, whichever channel that is on.
     """
     return text.endswith(STOPPED) if ESTOP in text else before
 
@@ -55,8 +61,8 @@ class AutopilotKind:
     def news(self, custom_mode: int, before: FlightMode, told: int) -> bool:
         """Returns whether a CURRENT_MODE is believed before a heartbeat says the same.
 
-        OFFBOARD is only against a pilot's mode that one message alone has told: having landed, PX4 goes back to it
-        before it says that it is disarmed.
+        OFFBOARD is only against a pilot's mode that one message alone has told: having landed, PX4
+        goes back to it before it says that it is disarmed.
         """
         one_alone = before is FlightMode.OTHER and told < SURE
         return self.mode(custom_mode) is not FlightMode.OFFBOARD or one_alone
@@ -81,8 +87,8 @@ PX4 = AutopilotKind(
     unset=None,
 )
 
-# GUIDED is both where a take-off is commanded and where setpoints are flown, so a take-off shows as OFFBOARD.
-# BRAKE is the hold that needs no sticks; LOITER is a pilot's mode.
+# GUIDED is both where a take-off is commanded and where setpoints are flown, so a take-off shows as
+# OFFBOARD. BRAKE is the hold that needs no sticks; LOITER is a pilot's mode.
 ARDUPILOT = AutopilotKind(
     name="ardupilot",
     mav_autopilot=3,

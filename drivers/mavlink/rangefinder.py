@@ -1,9 +1,11 @@
-"""What a vehicle's rangefinder that looks down measures, from DISTANCE_SENSOR (132). One rule, whoever listens.
+"""What a vehicle's rangefinder that looks down measures, from DISTANCE_SENSOR (132). One rule,
+whoever listens.
 
-Field facts (common.xml, PX4's and ArduPilot's senders): distances are centimetres; ``orientation`` 25 looks down, a
-vehicle may carry others that look elsewhere; one that measures nothing tells a value at or beyond its own limits, or a
-``signal_quality`` of 1, while 0 is "not known"; ``covariance`` is a variance in cm2, of which 255 and, by PX4, 0 mean
-that it is not known. What is not measured is unknown: neither 0 nor the limit is a distance.
+Field facts (common.xml, PX4's and ArduPilot's senders): distances are centimetres; ``orientation``
+25 looks down, a vehicle may carry others that look elsewhere; one that measures nothing tells a
+value at or beyond its own limits, or a ``signal_quality`` of 1, while 0 is "not known";
+``covariance`` is a variance in cm2, of which 255 and, by PX4, 0 mean that it is not known. What is
+not measured is unknown: neither 0 nor the limit is a distance.
 """
 
 from __future__ import annotations
@@ -22,10 +24,12 @@ CM = 0.01
 
 
 class Rangefinder:
-    """The newest distance downward. Of several sensors that look down the one with the lowest id counts.
+    """The newest distance downward. Of several sensors that look down the one with the lowest id
+    counts.
 
     Attributes:
-        trouble: why the newest message tells no distance, in words; empty when it does, or none came.
+        trouble: why the newest message tells no distance, in words; empty when it does, or none
+            came.
     """
 
     def __init__(self) -> None:
@@ -44,13 +48,17 @@ class Rangefinder:
         if int(fields["orientation"]) != DOWN or (self._id is not None and number > self._id):
             return
         self._id = number
-        least, most, distance = (_number(fields, f"{which}_distance") for which in ("min", "max", "current"))
+        least, most, distance = (
+            _number(fields, f"{which}_distance") for which in ("min", "max", "current")
+        )
         quality = _number(fields, "signal_quality")
         self.trouble = ""
         if quality == INVALID_SIGNAL:
             self.trouble = "it says that its signal is invalid"
         elif not (least < distance < most):
-            said = f"{CM * distance:.2f} m, and it measures from {CM * least:.2f} to {CM * most:.2f} m"
+            said = (
+                f"{CM * distance:.2f} m, and it measures from {CM * least:.2f} to {CM * most:.2f} m"
+            )
             self.trouble = f"it says {said}"
         if self.trouble:
             self._newest = None
@@ -67,6 +75,8 @@ class Rangefinder:
 
 
 def _number(fields: Mapping[str, Any], name: str) -> float:
-    """Return a field of a message, NaN where it is null or left out, as an extension of an older sender is."""
+    """Return a field of a message, NaN where it is null or left out, as an extension of an older
+    sender is.
+    """
     value = fields.get(name)
     return math.nan if value is None else float(value)

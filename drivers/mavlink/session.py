@@ -1,7 +1,8 @@
 """One MAVSDK instance on one connection, talking to one vehicle chosen by its system id.
 
-Everything is sent through MavlinkDirect, one message a call. MAVSDK's Offboard plugin would repeat the last setpoint
-from its own thread while Python hangs, and its Action plugin resends commands that were not acknowledged.
+Everything is sent through MavlinkDirect, one message a call. MAVSDK's Offboard plugin would repeat
+the last setpoint from its own thread while Python hangs, and its Action plugin resends commands
+that were not acknowledged.
 """
 
 from __future__ import annotations
@@ -40,14 +41,25 @@ ARM_DISARM = 400  # MAV_CMD_COMPONENT_ARM_DISARM
 ACCEPTED = 0
 IN_PROGRESS = 5
 REAL32 = 9  # MAV_PARAM_TYPE
-RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress", "cancelled")
+RESULTS = (
+    "accepted",
+    "temporarily rejected",
+    "denied",
+    "unsupported",
+    "failed",
+    "in progress",
+    "cancelled",
+)
 
 _log = logging.getLogger("drivers.mavsdk")
-_logging: set[MavsdkSession] = set()  # the open ones; MAVSDK has one log for all, and prints it when nobody takes it
+# the open ones; MAVSDK has one log for all, and prints it when nobody takes it
+_logging: set[MavsdkSession] = set()
 
 
 class MavsdkSession:
-    """Opened by ``open``, closed by ``close``. All methods belong to the event loop and raise VehicleError."""
+    """Opened by ``open``, closed by ``close``. All methods belong to the event loop and raise
+    VehicleError.
+    """
 
     def __init__(self, config: MavsdkVehicleConfig, telemetry: TelemetrySlots) -> None:
         self._config = config
@@ -55,14 +67,17 @@ class MavsdkSession:
         self._telemetry = telemetry
         self._mavsdk: Any = None
         self._direct: Any = None
-        self._plugin: Any = None  # as the others: when it is collected, its subscriptions end without a word
+        # as the others: when it is collected, its subscriptions end without a word
+        self._plugin: Any = None
         self.parameters: ParameterAccess | None = None  # while open
         self._lock: PortLock | None = None
         self._line: MavsdkLine | None = None
         self._start_s = time.monotonic()
 
     async def open(self) -> AutopilotKind:
-        """Connect and wait for the vehicle's heartbeat. Says what was heard instead when it is not there."""
+        """Connect and wait for the vehicle's heartbeat. Says what was heard instead when it is not
+        there.
+        """
         url = self._config.url
         try:
             key = signing_key(self._config.key_file)
@@ -72,7 +87,9 @@ class MavsdkSession:
         self._lock = PortLock(url)
         _logging.add(self)
         mavsdk_logging.log_subscribe(_to_python_log)
-        self._mavsdk = Mavsdk(Configuration.create_manual(self._config.own_sysid, self._config.own_compid, True))
+        self._mavsdk = Mavsdk(
+            Configuration.create_manual(self._config.own_sysid, self._config.own_compid, True)
+        )
         if needs_line(url, key):
             own = self._config.own_sysid, self._config.own_compid
             self._line = MavsdkLine(url, self._config.sysid, own, key)
@@ -82,7 +99,9 @@ class MavsdkSession:
             else:
                 self._line.start(self._mavsdk)
         except MavsdkError as error:
-            raise VehicleError(f"cannot open {url}: {error}", "check that the device or address exists") from error
+            raise VehicleError(
+                f"cannot open {url}: {error}", "check that the device or address exists"
+            ) from error
         system = await self._find_system()
         self._direct = MavlinkDirect(system)
         self._telemetry.subscribe_heartbeat(self._direct)
@@ -108,7 +127,9 @@ class MavsdkSession:
             if self._line is not None:
                 self._line.stop()
             if mavsdk is not None:
-                await _destroy([part for part in (parameters, plugin, direct, mavsdk) if part is not None])
+                await _destroy(
+                    [part for part in (parameters, plugin, direct, mavsdk) if part is not None]
+                )
         finally:
             _logging.discard(self)
             if not _logging:
@@ -137,9 +158,11 @@ class MavsdkSession:
         return True
 
     async def check_alive(self) -> None:
-        """Raises when closed, when telemetry could not be understood or the newest heartbeat is too old.
+        """Raises when closed, when telemetry could not be understood or the newest heartbeat is too
+        old.
 
-        A program that stood still finds old heartbeats first: those that wait for it are read before it judges.
+        A program that stood still finds old heartbeats first: those that wait for it are read
+        before it judges.
         """
         limit_s = self._config.heartbeat_timeout_s
         end_s = time.monotonic() + SECOND_LOOK_S
@@ -155,7 +178,9 @@ class MavsdkSession:
         self._telemetry.check()
         heartbeat = self._telemetry.heartbeat
         if self._direct is None or heartbeat is None:
-            raise VehicleError(f"{self._config.url} is not open", "enter the vehicle with `async with` first")
+            raise VehicleError(
+                f"{self._config.url} is not open", "enter the vehicle with `async with` first"
+            )
         return (self._clock.now_ns() - heartbeat.arrival_ns) * 1e-9
 
     def send(self, name: str, fields: dict[str, Any]) -> None:
@@ -163,47 +188,63 @@ class MavsdkSession:
         direct = self._direct
         config = self._config
         if direct is None:
-            raise VehicleError(f"{config.url} is not open", "enter the vehicle with `async with` first")
+            raise VehicleError(
+                f"{config.url} is not open", "enter the vehicle with `async with` first"
+            )
         fields = {"target_system": config.sysid, "target_component": AUTOPILOT_COMPONENT, **fields}
         message = MavlinkMessage(
-            name, config.own_sysid, config.own_compid, config.sysid, AUTOPILOT_COMPONENT, json.dumps(fields)
+            name,
+            config.own_sysid,
+            config.own_compid,
+            config.sysid,
+            AUTOPILOT_COMPONENT,
+            json.dumps(fields),
         )
         try:
             direct.send_message(message)
         except (MavsdkError, RuntimeError) as error:
-            raise VehicleError(f"cannot send {name} on {config.url}: {error}", "check cable or radio") from error
+            raise VehicleError(
+                f"cannot send {name} on {config.url}: {error}", "check cable or radio"
+            ) from error
 
     def boot_ms(self) -> int:
         return int((time.monotonic() - self._start_s) * 1e3) & 0xFFFFFFFF
 
-    async def command(self, command: int, params: Sequence[float | None], tries: int = 1) -> int | None:
+    async def command(
+        self, command: int, params: Sequence[float | None], tries: int = 1
+    ) -> int | None:
         """Send COMMAND_LONG and wait for its final acknowledgement.
 
         Args:
             command: MAV_CMD number.
-            params: param1 to at most param7; None and what is missing go as the autopilot's "unset".
+            params: param1 to at most param7; None and what is missing go as the autopilot's
+                "unset".
             tries: 1 for everything that starts motion.
 
         Returns:
-            The MAV_RESULT, or None when no acknowledgement came: whether it was carried out is then unknown.
+            The MAV_RESULT, or None when no acknowledgement came: whether it was carried out is then
+            unknown.
         """
         kind = self._telemetry.kind
         unset = kind.unset if kind else None
         filled = [*params, *([unset] * (7 - len(params)))]
         if command == ARM_DISARM and filled[1] == FORCE_DISARM_MAGIC:
-            raise VehicleError("forced arming or disarming is never sent")  # it stops the motors in the air
+            # it stops the motors in the air
+            raise VehicleError("forced arming or disarming is never sent")
         fields: dict[str, Any] = {f"param{index}": value for index, value in enumerate(filled, 1)}
         telemetry = self._telemetry
         for confirmation in range(tries):
             telemetry.acks.pop(command, None)
             self.send("COMMAND_LONG", {"command": command, "confirmation": confirmation, **fields})
-            left_s = self._config.command_timeout_s  # not counting time in which this program stood still
+            # not counting time in which this program stood still
+            left_s = self._config.command_timeout_s
             while left_s > 0.0:
                 await self.check_alive()
                 ack = telemetry.acks.get(command)
                 if ack is not None and ack.result != IN_PROGRESS:
                     return ack.result
-                if ack is not None:  # the vehicle is at it: it has until three seconds after saying so
+                # the vehicle is at it: it has until three seconds after saying so
+                if ack is not None:
                     left_s = max(left_s, 3.0 - (self._clock.now_ns() - ack.arrival_ns) * 1e-9)
                 left_s -= await _polled()
         return None
@@ -213,13 +254,20 @@ class MavsdkSession:
         for _ in range(3):
             self._telemetry.parameter = None
             self.send("PARAM_SET", {"param_id": name, "param_value": value, "param_type": REAL32})
-            if await self.until(lambda: self._parameter_is(name, value), self._config.command_timeout_s):
+            if await self.until(
+                lambda: self._parameter_is(name, value), self._config.command_timeout_s
+            ):
                 return
-        raise VehicleError(f"the vehicle did not take parameter {name} = {value}", "is it the right kind of autopilot?")
+        raise VehicleError(
+            f"the vehicle did not take parameter {name} = {value}",
+            "is it the right kind of autopilot?",
+        )
 
     def _parameter_is(self, name: str, value: float) -> bool:
         parameter = self._telemetry.parameter
-        close = parameter is not None and math.isclose(parameter.value, value, rel_tol=1e-6, abs_tol=1e-6)
+        close = parameter is not None and math.isclose(
+            parameter.value, value, rel_tol=1e-6, abs_tol=1e-6
+        )
         return parameter is not None and parameter.name == name and close
 
     async def _find_system(self) -> Any:
@@ -250,7 +298,8 @@ class MavsdkSession:
         heartbeat = self._telemetry.heartbeat
         if heartbeat is None:
             raise VehicleError(
-                f"heartbeats of vehicle {config.sysid} stopped on {config.url} while connecting", "check cable or radio"
+                f"heartbeats of vehicle {config.sysid} stopped on {config.url} while connecting",
+                "check cable or radio",
             )
         kind = next((kind for kind in KINDS if kind.mav_autopilot == heartbeat.autopilot), None)
         if kind is None:
@@ -268,17 +317,21 @@ class MavsdkSession:
 
 
 async def _polled() -> float:
-    """Waits for POLL_S; returns how long that was, s, as far as this program did not stand still."""
+    """Waits for POLL_S; returns how long that was, s, as far as this program did not stand
+    still.
+    """
     begun_s = time.monotonic()
     await asyncio.sleep(POLL_S)
     return min(time.monotonic() - begun_s, LONGEST_POLL_S)
 
 
 async def _destroy(parts: Sequence[Any]) -> None:
-    """Destroys MAVSDK's parts in this order. It joins its threads here without a bound, so it is watched from outside.
+    """Destroys MAVSDK's parts in this order. It joins its threads here without a bound, so it is
+    watched from outside.
 
-    MAVSDK would end its plugins too, but not those that the garbage collector has come to know as unreachable: they
-    would be ended by it in another thread at the same time, which aborts the process.
+    MAVSDK would end its plugins too, but not those that the garbage collector has come to know as
+    unreachable: they would be ended by it in another thread at the same time, which aborts the
+    process.
     """
 
     def destroy() -> None:
@@ -290,10 +343,17 @@ async def _destroy(parts: Sequence[Any]) -> None:
     end_s = time.monotonic() + CLOSE_S
     while thread.is_alive():
         if time.monotonic() >= end_s:
-            raise VehicleError(f"MAVSDK did not close within {CLOSE_S:g} s", "end this process before the next flight")
+            raise VehicleError(
+                f"MAVSDK did not close within {CLOSE_S:g} s",
+                "end this process before the next flight",
+            )
         await asyncio.sleep(POLL_S)
 
 
-def _to_python_log(level: mavsdk_logging.LogLevel, message: str, _file: str | None, _line: int) -> bool:
-    _log.log(logging.WARNING if level >= mavsdk_logging.LogLevel.ERROR else logging.DEBUG, "%s", message)
+def _to_python_log(
+    level: mavsdk_logging.LogLevel, message: str, _file: str | None, _line: int
+) -> bool:
+    _log.log(
+        logging.WARNING if level >= mavsdk_logging.LogLevel.ERROR else logging.DEBUG, "%s", message
+    )
     return True

@@ -1,6 +1,8 @@
-"""The newest of everything a vehicle says, kept by MAVSDK's callback thread and read by the role's event loop.
+"""The newest of everything a vehicle says, kept by MAVSDK's callback thread and read by the role's
+event loop.
 
-Each slot is one immutable value, replaced whole, so that a reader needs no lock and never sees half an update.
+Each slot is one immutable value, replaced whole, so that a reader needs no lock and never sees half
+an update.
 """
 
 from __future__ import annotations
@@ -40,7 +42,9 @@ class Heartbeat:
 
 @dataclass(frozen=True, slots=True)
 class ReportedMode:
-    """The mode as a heartbeat says it, or CURRENT_MODE: PX4 beats once a second whatever it is asked for."""
+    """The mode as a heartbeat says it, or CURRENT_MODE: PX4 beats once a second whatever it is
+    asked for.
+    """
 
     arrival_ns: int
     custom_mode: int
@@ -49,7 +53,9 @@ class ReportedMode:
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """Global position as mission NED, the height above the vehicle's own home, and the altitude it says."""
+    """Global position as mission NED, the height above the vehicle's own home, and the altitude it
+    says.
+    """
 
     arrival_ns: int
     n_m: Vec3
@@ -88,9 +94,11 @@ class Parameter:
 
 
 class ThreadClock:
-    """The role's clock as MAVSDK's thread may read it: some clocks can be read only where the event loop runs.
+    """The role's clock as MAVSDK's thread may read it: some clocks can be read only where the event
+    loop runs.
 
-    ``follow`` belongs to the event loop and is called often, so that a clock that drifts is followed.
+    ``follow`` belongs to the event loop and is called often, so that a clock that drifts is
+    followed.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -120,7 +128,9 @@ class TelemetrySlots:
         without_gps: bool = False,
         battery_id: int = LOWEST_ID,
     ) -> None:
-        """``without_gps``: MAVSDK's word on the global position is the GPS's health, and not asked for."""
+        """``without_gps``: MAVSDK's word on the global position is the GPS's health, and not asked
+        for.
+        """
         self._without_gps = without_gps
         self._sysid = sysid
         self._height_from_home = height_from_home
@@ -146,7 +156,8 @@ class TelemetrySlots:
         self.parameter: Parameter | None = None
         self.firmware: str | None = None
         self.radio_heard = False  # a pilot's
-        self.resets: int | None = None  # of its estimator, as it counts them where it sends ODOMETRY
+        # of its estimator, as it counts them where it sends ODOMETRY
+        self.resets: int | None = None
         self._stopped = False  # by a pilot's switch, as a text says
 
     def subscribe(self, telemetry: Any, direct: Any) -> None:
@@ -166,7 +177,9 @@ class TelemetrySlots:
         telemetry.subscribe_attitude_quaternion(self._guarded(self._on_attitude))
 
     def subscribe_heartbeat(self, direct: Any) -> None:
-        """Straight from the message: it has mode, arming and autopilot in one, and MAVSDK's own copies come later."""
+        """Straight from the message: it has mode, arming and autopilot in one, and MAVSDK's own
+        copies come later.
+        """
         direct.subscribe_message("HEARTBEAT", self._guarded(self._on_heartbeat))
         direct.subscribe_message("CURRENT_MODE", self._guarded(self._on_current_mode))
 
@@ -180,11 +193,14 @@ class TelemetrySlots:
         return self.kind
 
     def check(self) -> None:
-        """Raise VehicleError when a handler failed: MAVSDK itself prints such an exception and goes on."""
+        """Raise VehicleError when a handler failed: MAVSDK itself prints such an exception and goes
+        on.
+        """
         self.clock.follow()
         if self._failure is not None:
             raise VehicleError(
-                f"telemetry cannot be understood: {self._failure!r}", "report this; the vehicle is no longer followed"
+                f"telemetry cannot be understood: {self._failure!r}",
+                "report this; the vehicle is no longer followed",
             ) from self._failure
 
     def state(self) -> VehicleState:
@@ -228,10 +244,11 @@ class TelemetrySlots:
         return self._history.attitude_at(stamp_ns)
 
     def missing(self) -> list[str]:
-        """Returns what is not ready for flight. ``is_armable`` alone comes seconds before there is a position.
+        """Returns what is not ready for flight. ``is_armable`` alone comes seconds before there is
+        a position.
 
-        ArduPilot tells a global position, and MAVSDK finds it well, 15 s before it has one that it would fly with: then
-        it begins to tell the local one.
+        ArduPilot tells a global position, and MAVSDK finds it well, 15 s before it has one that it
+        would fly with: then it begins to tell the local one.
         """
         wanted = {
             "is_armable": "arming checks",
@@ -243,11 +260,17 @@ class TelemetrySlots:
             del wanted["is_global_position_ok"]
         missing = [what for name, what in wanted.items() if not self.health.get(name, False)]
         missing += ["position telemetry"] if self.position is None else []
-        return missing + (["local position telemetry"] if math.isnan(self.velocity_n_mps[0]) else [])
+        return missing + (
+            ["local position telemetry"] if math.isnan(self.velocity_n_mps[0]) else []
+        )
 
     def texts_since(self, stamp_ns: int, severity: int = 3) -> list[str]:
         """Texts of warning or worse that came after a stamp, oldest first, each once."""
-        texts = [text.text for text in self.texts if text.arrival_ns >= stamp_ns and text.severity >= severity]
+        texts = [
+            text.text
+            for text in self.texts
+            if text.arrival_ns >= stamp_ns and text.severity >= severity
+        ]
         return list(dict.fromkeys(texts))
 
     # --- on MAVSDK's thread ---
@@ -257,7 +280,8 @@ class TelemetrySlots:
         def guarded(value: Any, _user_data: Any) -> None:
             try:
                 handler(value)
-            except Exception as error:  # kept for ``check``: whoever raised it must not end MAVSDK's thread
+            # kept for ``check``: whoever raised it must not end MAVSDK's thread
+            except Exception as error:
                 self._failure = self._failure or error
 
         return guarded
@@ -274,7 +298,9 @@ class TelemetrySlots:
         self._stopped = self._stopped and bool(base_mode & SAFETY_ARMED)
         armed = powered(base_mode, int(fields.get("system_status", 0))) and not self._stopped
         told = before.told + 1 if before is not None and before.armed is armed else 1
-        self.heartbeat = Heartbeat(now_ns, int(fields["autopilot"]), armed, told, not base_mode & SAFETY_ARMED)
+        self.heartbeat = Heartbeat(
+            now_ns, int(fields["autopilot"]), armed, told, not base_mode & SAFETY_ARMED
+        )
 
     def _on_current_mode(self, message: Any) -> None:
         if self._of_autopilot(message) and self.kind is not None:
@@ -300,7 +326,9 @@ class TelemetrySlots:
         if message.system_id == self._sysid:
             fields = json.loads(message.fields_json)
             value = fields["param_value"]
-            self.parameter = Parameter(str(fields["param_id"]), math.nan if value is None else float(value))
+            self.parameter = Parameter(
+                str(fields["param_id"]), math.nan if value is None else float(value)
+            )
 
     def _on_version(self, message: Any) -> None:
         if message.system_id == self._sysid:
@@ -324,11 +352,16 @@ class TelemetrySlots:
             fields = json.loads(message.fields_json)
             parts = ("present", "enabled", "health")
             self.battery.on_sys_status(_percent(fields), self.clock.now_ns())
-            self.radio_heard = all(int(fields[f"onboard_control_sensors_{part}"]) & RC_RECEIVER for part in parts)
+            self.radio_heard = all(
+                int(fields[f"onboard_control_sensors_{part}"]) & RC_RECEIVER for part in parts
+            )
 
     def _on_text(self, text: Any) -> None:
         self._stopped = stopped_by(str(text.text), self._stopped)
-        self.texts = (*self.texts[1 - KEPT_TEXTS :], Text(self.clock.now_ns(), int(text.type), str(text.text)))
+        self.texts = (
+            *self.texts[1 - KEPT_TEXTS :],
+            Text(self.clock.now_ns(), int(text.type), str(text.text)),
+        )
 
     def _on_health(self, health: Any) -> None:
         self.health = {name: bool(value) for name, value in vars(health).items()}
@@ -356,12 +389,17 @@ class TelemetrySlots:
     def _above_home_m(self, position: Any) -> float:
         """Returns the height above home, m: of a PX4 from the local frame, else as it is told.
 
-        PX4 flies on one of several estimators. When it goes over to another one its altitude steps, by a metre in
-        simulation, and its home's place in the local frame with it; its own place in that frame does not. It puts its
-        home where it is armed. What was met in the air is believed: nothing better is known.
+        PX4 flies on one of several estimators. When it goes over to another one its altitude steps,
+        by a metre in simulation, and its home's place in the local frame with it; its own place in
+        that frame does not. It puts its home where it is armed. What was met in the air is
+        believed: nothing better is known.
         """
         above_m = self._ground_down_m - self._local_down_m
-        return above_m if self.kind is PX4 and math.isfinite(above_m) else float(position.relative_altitude_m)
+        return (
+            above_m
+            if self.kind is PX4 and math.isfinite(above_m)
+            else float(position.relative_altitude_m)
+        )
 
     def _on_velocity(self, ned: Any) -> None:
         velocity = ned.velocity
@@ -369,7 +407,11 @@ class TelemetrySlots:
         self._local_down_m = float(ned.position.down_m)
         if self.heartbeat is not None and self.heartbeat.disarmed:
             self._ground_down_m = self._local_down_m
-        self.velocity_n_mps = (float(velocity.north_m_s), float(velocity.east_m_s), float(velocity.down_m_s))
+        self.velocity_n_mps = (
+            float(velocity.north_m_s),
+            float(velocity.east_m_s),
+            float(velocity.down_m_s),
+        )
 
     def _on_attitude(self, quaternion: Any) -> None:
         now_ns = self.clock.now_ns()

@@ -50,15 +50,18 @@ _FASTER = (
     "rates for this port; telemetry_age_s in [mission.guard] says how old it may be"
 )
 USUAL_AGE_S = 0.5  # of telemetry, at which a mission ends that does not say another
-_NO_CHARGE = "set its capacity, or name the battery that flies with battery_id in the vehicle's table"
+_NO_CHARGE = (
+    "set its capacity, or name the battery that flies with battery_id in the vehicle's table"
+)
 _log = logging.getLogger(__name__)
 
 
 class MavsdkVehicle:
     """A drone flown by velocity setpoints over MAVLink.
 
-    Commands that start motion (arm, take-off, offboard) are sent once; a missing acknowledgement is an error and
-    leaves it unknown whether the vehicle acts. Those that end motion (hold, land) are resent.
+    Commands that start motion (arm, take-off, offboard) are sent once; a missing acknowledgement is
+    an error and leaves it unknown whether the vehicle acts. Those that end motion (hold, land) are
+    resent.
     """
 
     Config = MavsdkVehicleConfig
@@ -79,7 +82,9 @@ class MavsdkVehicle:
         self._session = MavsdkSession(config, self._telemetry)
         self._manoeuvres = Manoeuvres(self._session, self._telemetry, config)
         self._before = BeforeArming(self._session, self._telemetry, config)
-        self._vision = config.vision and VisionFeed(config.vision, context, self._session, self._telemetry)
+        self._vision = config.vision and VisionFeed(
+            config.vision, context, self._session, self._telemetry
+        )
         self._feeding: asyncio.Task[None] | None = None
         self._oldest_s = USUAL_AGE_S
 
@@ -89,14 +94,19 @@ class MavsdkVehicle:
             await self._set_rates()
             config = self._config
             telemetry = self._telemetry
-            if not await self._session.until(lambda: telemetry.attitude is not None, config.connect_timeout_s):
+            if not await self._session.until(
+                lambda: telemetry.attitude is not None, config.connect_timeout_s
+            ):
                 raise VehicleError(
                     f"no attitude from vehicle {config.sysid} on {config.url} in {config.connect_timeout_s:g} s",
                     "is the link fast enough for telemetry_hz?",
                 )
             if self._vision is not None:
                 if self._manoeuvres.kind is PX4 and config.height_from != "home":
-                    raise VehicleError("a PX4 without GPS knows no altitude", 'write height_from = "home" in its table')
+                    raise VehicleError(
+                        "a PX4 without GPS knows no altitude",
+                        'write height_from = "home" in its table',
+                    )
                 self._feeding = asyncio.create_task(self._vision.run())
                 self._feeding.add_done_callback(_log_failure)
         except BaseException:
@@ -123,13 +133,25 @@ class MavsdkVehicle:
         return self._telemetry.attitude_at(stamp_ns)
 
     async def examine(self) -> Sequence[Finding]:
-        """Returns which autopilot it is, how often it tells what was asked of it, and what arming waits for."""
+        """Returns which autopilot it is, how often it tells what was asked of it, and what arming
+        waits for.
+        """
         telemetry = self._telemetry
         await self._session.command(REQUEST_MESSAGE, (AUTOPILOT_VERSION,), SAFE_TRIES)
-        await self._session.until(lambda: telemetry.firmware is not None, self._config.command_timeout_s)
-        firmware = "that does not tell its firmware" if telemetry.firmware is None else f"firmware {telemetry.firmware}"
+        await self._session.until(
+            lambda: telemetry.firmware is not None, self._config.command_timeout_s
+        )
+        firmware = (
+            "that does not tell its firmware"
+            if telemetry.firmware is None
+            else f"firmware {telemetry.firmware}"
+        )
         findings = [
-            Finding("ok", "autopilot", f"{self._manoeuvres.kind.name}, {firmware}, system id {self._config.sysid}")
+            Finding(
+                "ok",
+                "autopilot",
+                f"{self._manoeuvres.kind.name}, {firmware}, system id {self._config.sysid}",
+            )
         ]
         streams = {
             "attitude": lambda: telemetry.attitude and telemetry.attitude.arrival_ns,
@@ -144,18 +166,25 @@ class MavsdkVehicle:
         return findings
 
     async def rangefinder(self, timeout_s: float) -> tuple[str, str]:
-        """Listen for a rangefinder that looks down. Return what is wrong, empty when nothing is, and what it says."""
+        """Listen for a rangefinder that looks down. Return what is wrong, empty when nothing is,
+        and what it says.
+        """
         own = self._telemetry.rangefinder
         await self._session.until(lambda: own.heard, timeout_s)
         if not own.heard:
             return "no DISTANCE_SENSOR that looks down (orientation 25) came", ""
         below = own.at(self._clock.now_ns())
         if below is None:  # on the ground it may be too near to it
-            return "", f"heard, it measures nothing at present: {own.trouble or 'its newest word is old'}"
+            return (
+                "",
+                f"heard, it measures nothing at present: {own.trouble or 'its newest word is old'}",
+            )
         return "", f"{below.distance_m:.2f} m above the ground"
 
     async def parameter_differences(self) -> tuple[Difference, ...]:
-        """Returns the parameters that are not as the rig's ``parameters`` want them. Raises VehicleError."""
+        """Returns the parameters that are not as the rig's ``parameters`` want them. Raises
+        VehicleError.
+        """
         wanted = self._config.parameters
         return differences(wanted, await self._access.read(wanted))
 
@@ -172,13 +201,17 @@ class MavsdkVehicle:
         return await self._before.pilot_findings()
 
     async def plan_geofence(self, fence: Geofence) -> FencePlan:
-        """Returns what has to be done about the autopilot's own fence; nothing is set. Raises VehicleError."""
+        """Returns what has to be done about the autopilot's own fence; nothing is set. Raises
+        VehicleError.
+        """
         return await self._before.plan_geofence(fence)
 
     async def keep_geofence(self, fence: Geofence) -> Mapping[str, float]:
-        """Gives the autopilot a fence of its own, one step wider than the script's, and reads it back.
+        """Gives the autopilot a fence of its own, one step wider than the script's, and reads it
+        back.
 
-        What was set, by name. Raises VehicleError where that is not possible: then nothing is to be armed.
+        What was set, by name. Raises VehicleError where that is not possible: then nothing is to be
+        armed.
         """
         return await self._before.keep_geofence(fence)
 
@@ -208,29 +241,40 @@ class MavsdkVehicle:
         missing = telemetry.missing() + ([battery] if battery else [])
         if not missing:
             raise VehicleError(
-                f"vehicle {self._config.sysid} on {self._config.url} tells its {self._too_slow()}", _FASTER
+                f"vehicle {self._config.sysid} on {self._config.url} tells its {self._too_slow()}",
+                _FASTER,
             )
         texts = telemetry.texts_since(start_ns)[-3:]
         said = f"; the vehicle says: {' | '.join(texts)}" if texts else ""
         raise VehicleError(
             f"vehicle {self._config.sysid} not ready to arm after {timeout_s:g} s: waiting for "
             f"{', '.join(missing)}{said}",
-            _NO_CHARGE if missing == [battery] else "give it a clear sky and do what its ground station shows",
+            _NO_CHARGE
+            if missing == [battery]
+            else "give it a clear sky and do what its ground station shows",
         )
 
     def expect_telemetry(self, oldest_s: float) -> None:
-        """Take how old telemetry may be in the flight to come: what comes too seldom for it is not armable."""
+        """Take how old telemetry may be in the flight to come: what comes too seldom for it is not
+        armable.
+        """
         self._oldest_s = oldest_s
 
     def _too_slow(self) -> str:
         return too_slow(self._telemetry.arrivals, self._clock.now_ns(), self._oldest_s)
 
     def _check_ground(self) -> None:
-        """A ceiling that is counted from an altitude of GPS holds only as far as that altitude is right."""
+        """A ceiling that is counted from an altitude of GPS holds only as far as that altitude is
+        right.
+        """
         config = self._config
         state = self.state
         height_m = -state.position_n_m[2]
-        if config.height_from == "sea_level" and not state.in_air and not abs(height_m) <= config.ground_within_m:
+        if (
+            config.height_from == "sea_level"
+            and not state.in_air
+            and not abs(height_m) <= config.ground_within_m
+        ):
             raise VehicleError(
                 f"vehicle {config.sysid} stands on the ground and says that it is {height_m:.1f} m above [origin]",
                 'write height_from = "home" in its table, or correct altitude_m in [origin]',
@@ -238,11 +282,14 @@ class MavsdkVehicle:
 
     async def arm(self) -> None:
         if self._manoeuvres.kind is ARDUPILOT:
-            # After a landing it is left in a mode that refuses to arm, and only GUIDED takes the take-off command.
+            # After a landing it is left in a mode that refuses to arm, and only GUIDED takes the
+            # take-off command.
             await self._manoeuvres.change_mode(FlightMode.OFFBOARD, "select GUIDED")
         await self._manoeuvres.do("arm", ARM_DISARM, (1.0, 0.0))
         if not await self._session.until(lambda: self.state.armed, self._config.mode_timeout_s):
-            raise VehicleError("arming was accepted, but the vehicle is not armed", "see its ground station")
+            raise VehicleError(
+                "arming was accepted, but the vehicle is not armed", "see its ground station"
+            )
 
     async def take_off(self, height_m: float, timeout_s: float) -> None:
         await self._session.check_alive()
@@ -311,7 +358,9 @@ class MavsdkVehicle:
         for message, rate_hz in rates.items():
             if rate_hz <= 0.0:
                 continue
-            result = await self._session.command(SET_MESSAGE_INTERVAL, (message, 1e6 / rate_hz, 0.0), SAFE_TRIES)
+            result = await self._session.command(
+                SET_MESSAGE_INTERVAL, (message, 1e6 / rate_hz, 0.0), SAFE_TRIES
+            )
             if result is None:
                 raise VehicleError(
                     f"vehicle {config.sysid} on {config.url} sends heartbeats but answers no command",
@@ -327,6 +376,8 @@ class MavsdkVehicle:
 
 
 def _log_failure(feeding: asyncio.Task[None]) -> None:
-    """The vehicle goes on as its autopilot decides when the positions stop; that they did must not go unseen."""
+    """The vehicle goes on as its autopilot decides when the positions stop; that they did must not
+    go unseen.
+    """
     if not feeding.cancelled() and feeding.exception() is not None:
         _log.error("external vision has ended: %s", feeding.exception())

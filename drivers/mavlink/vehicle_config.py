@@ -52,18 +52,20 @@ class MavsdkVehicleConfig:
         heartbeat_timeout_s: any wait ends with an error when the newest heartbeat is older.
         take_off_tolerance_m: height error at which a take-off is over.
         vision: a beacon's positions for an autopilot without GPS.
-        height_from: ``sea_level``: the altitude it says against the origin's. ``home``: what it says to be above its
-            home, which must then lie at the origin's altitude. Two GPS differ by metres in altitude, two barometers
-            that started on the same ground by decimetres.
-        key_file: of MAVLink 2's signatures, 32 bytes, mode 0600, the one that the autopilot was given (SETUP_SIGNING);
-            then only what is rightly signed is believed, and all that is sent is signed.
-        parameters: of the autopilot, without which a companion-driven flight is not safe; checked before arming. What
-            they are wanted to be is judged first (``preflight/wanted.py``).
-        rc: ``required``: nothing is armed unless a pilot's radio is heard and can take the vehicle. ``none``: there is
-            none, and nobody can take it but by a ground station.
-        battery_id: of the battery that flies it, as its BATTERY_STATUS says; -1: the lowest of those that do not say
-            that they serve a payload or avionics.
-        ground_within_m: of the origin's altitude, as far as the vehicle says with ``sea_level`` while it stands there.
+        height_from: ``sea_level``: the altitude it says against the origin's. ``home``: what it
+            says to be above its home, which must then lie at the origin's altitude. Two GPS differ
+            by metres in altitude, two barometers that started on the same ground by decimetres.
+        key_file: of MAVLink 2's signatures, 32 bytes, mode 0600, the one that the autopilot was
+            given (SETUP_SIGNING); then only what is rightly signed is believed, and all that is
+            sent is signed.
+        parameters: of the autopilot, without which a companion-driven flight is not safe; checked
+            before arming. What they are wanted to be is judged first (``preflight/wanted.py``).
+        rc: ``required``: nothing is armed unless a pilot's radio is heard and can take the vehicle.
+            ``none``: there is none, and nobody can take it but by a ground station.
+        battery_id: of the battery that flies it, as its BATTERY_STATUS says; -1: the lowest of
+            those that do not say that they serve a payload or avionics.
+        ground_within_m: of the origin's altitude, as far as the vehicle says with ``sea_level``
+            while it stands there.
     """
 
     url: str

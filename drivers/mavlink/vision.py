@@ -1,4 +1,6 @@
-"""Positions of a beacon as external vision of an autopilot that has no GPS: VISION_POSITION_ESTIMATE, once each."""
+"""Positions of a beacon as external vision of an autopilot that has no GPS:
+VISION_POSITION_ESTIMATE, once each.
+"""
 
 from __future__ import annotations
 
@@ -41,12 +43,16 @@ class VisionFeed:
 
     Attributes:
         sent: positions passed on.
-        origin_sent: whether the autopilot was told where on earth its zero is: only after it has begun to use the
-            positions and has come to rest on them.
+        origin_sent: whether the autopilot was told where on earth its zero is: only after it has
+            begun to use the positions and has come to rest on them.
     """
 
     def __init__(
-        self, config: VisionConfig, context: PartContext, session: MavsdkSession, telemetry: TelemetrySlots
+        self,
+        config: VisionConfig,
+        context: PartContext,
+        session: MavsdkSession,
+        telemetry: TelemetrySlots,
     ) -> None:
         self._config = config
         self._origin = context.origin
@@ -58,7 +64,9 @@ class VisionFeed:
         self._rests_since_ns: int | None = None
 
     async def run(self) -> None:
-        """Raises BeaconError for beacons that cannot be opened, VehicleError when nothing can be sent any more."""
+        """Raises BeaconError for beacons that cannot be opened, VehicleError when nothing can be
+        sent any more.
+        """
         async with self._beacons as beacons:
             while True:
                 try:
@@ -74,17 +82,26 @@ class VisionFeed:
 
     def _take(self, fix: BeaconFix) -> None:
         config = self._config
-        if fix.address != config.address or fix.quality < config.least_quality or fix.host_ns is None:
+        if (
+            fix.address != config.address
+            or fix.quality < config.least_quality
+            or fix.host_ns is None
+        ):
             return
         self._session.send("VISION_POSITION_ESTIMATE", self._estimate(fix, fix.host_ns))
         self.sent += 1
         if not self.origin_sent and self._at_rest(fix.host_ns):
-            self._session.send("SET_GPS_GLOBAL_ORIGIN", origin_fields(self._origin, self._telemetry.kind))
+            self._session.send(
+                "SET_GPS_GLOBAL_ORIGIN", origin_fields(self._origin, self._telemetry.kind)
+            )
             self.origin_sent = True
 
     def _at_rest(self, now_ns: int) -> bool:
         telemetry = self._telemetry
-        rests = telemetry.health.get("is_local_position_ok", False) and math.hypot(*telemetry.velocity_n_mps) < REST_MPS
+        rests = (
+            telemetry.health.get("is_local_position_ok", False)
+            and math.hypot(*telemetry.velocity_n_mps) < REST_MPS
+        )
         if not rests:
             self._rests_since_ns = None
         elif self._rests_since_ns is None:
@@ -94,7 +111,9 @@ class VisionFeed:
     def _estimate(self, fix: BeaconFix, host_ns: int) -> dict[str, object]:
         """The body's position; the angles are the autopilot's own and told as unknown."""
         R_n_b = R_from_quat(self._telemetry.attitude_at(host_ns))
-        x, y, z = (np.array(beacon_in_n(fix.position_m, self._config)) - R_n_b @ self._config.lever_b_m).tolist()
+        x, y, z = (
+            np.array(beacon_in_n(fix.position_m, self._config)) - R_n_b @ self._config.lever_b_m
+        ).tolist()
         covariance = [0.0] * COVARIANCES
         for k in POSITION_VARIANCES:
             covariance[k] = self._config.sigma_m**2
@@ -116,8 +135,8 @@ class VisionFeed:
 def origin_fields(origin: Origin, kind: AutopilotKind | None) -> dict[str, object]:
     """Returns the fields of SET_GPS_GLOBAL_ORIGIN, at sea level for a PX4.
 
-    Whenever that begins with vision anew, after a second without, it takes its height for an altitude, and its local
-    frame would jump by the origin's.
+    Whenever that begins with vision anew, after a second without, it takes its height for an
+    altitude, and its local frame would jump by the origin's.
     """
     altitude_m = 0.0 if kind is PX4 else origin.altitude_m
     return {

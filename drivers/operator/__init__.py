@@ -1,1 +1,3 @@
-"""Whoever knows which object is meant: a person, or a program that does, and how a drone hears from them."""
+"""Whoever knows which object is meant: a person, or a program that does, and how a drone hears from
+them.
+"""

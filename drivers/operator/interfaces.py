@@ -1,8 +1,8 @@
 """What can be said of the object that is meant, and what a drone asks back.
 
-A statement claims no more than whoever makes it knows: where something was at an instant, to a stated error; in which
-direction; within which edges. Places are north, east and down in the mission's local frame, in m. Stamps are of the
-clock of the drone that is told.
+A statement claims no more than whoever makes it knows: where something was at an instant, to a
+stated error; in which direction; within which edges. Places are north, east and down in the
+mission's local frame, in m. Stamps are of the clock of the drone that is told.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ class PlaceTold:
 
 @value
 class BearingTold:
-    """The object was in this direction (rad, clockwise from north) as seen from a place, to a standard deviation."""
+    """The object was in this direction (rad, clockwise from north) as seen from a place, to a
+    standard deviation.
+    """
 
     stamp_ns: int
     from_n_m: Ground
@@ -96,5 +98,7 @@ class Operator(Part, Protocol):
         ...
 
     def ask(self, question: Question | None, picture: bytes | None) -> None:
-        """Show a question, in place of the last one; None: it is settled. ``picture``: its frame as JPEG, if any."""
+        """Show a question, in place of the last one; None: it is settled. ``picture``: its frame as
+        JPEG, if any.
+        """
         ...

@@ -1,7 +1,8 @@
-"""Hearing from a person's tablet, a tag's receiver or another program by UDP: one line of JSON a datagram.
+"""Hearing from a person's tablet, a tag's receiver or another program by UDP: one line of JSON a
+datagram.
 
-Whoever says something is asked back for a while. Only programs on this computer are heard unless the rig says so:
-nothing here is signed, and who points decides what is followed.
+Whoever says something is asked back for a while. Only programs on this computer are heard unless
+the rig says so: nothing here is signed, and who points decides what is followed.
 """
 
 from __future__ import annotations
@@ -43,7 +44,9 @@ class UdpOperatorConfig:
     def __post_init__(self) -> None:
         host, _ = address_of(self.bind, "bind")
         if not (ipaddress.ip_address(host).is_loopback or self.allow_unsigned):
-            raise ValueError("bind: other computers could say which object is meant (or allow_unsigned = true)")
+            raise ValueError(
+                "bind: other computers could say which object is meant (or allow_unsigned = true)"
+            )
 
 
 class UdpOperator:
@@ -66,7 +69,9 @@ class UdpOperator:
     async def __aenter__(self) -> Self:
         loop = asyncio.get_running_loop()
         try:
-            transport, _ = await loop.create_datagram_endpoint(lambda: _Ear(self), local_addr=self._bind)
+            transport, _ = await loop.create_datagram_endpoint(
+                lambda: _Ear(self), local_addr=self._bind
+            )
         except OSError as error:
             host, port = self._bind
             raise LinkError(
@@ -87,7 +92,9 @@ class UdpOperator:
         return said
 
     def ask(self, question: Question | None, picture: bytes | None) -> None:
-        """Show a question to everybody who was heard lately, and to whoever comes in while it is open."""
+        """Show a question to everybody who was heard lately, and to whoever comes in while it is
+        open.
+        """
         self._question = None if question is None else (question, picture)
         for address in self._listeners():
             self._tell(address)

@@ -1,4 +1,5 @@
-"""What is said to D1 and what it asks, as one line of JSON each. ``docs/targets.md`` shows every kind.
+"""What is said to D1 and what it asks, as one line of JSON each. ``docs/targets.md`` shows every
+kind.
 
 {"place": [4.0, 1.5], "error_m": 0.3, "age_s": 0.5}           north and east, m; "down_m", "velocity_mps", "holds_s"
 {"bearing_deg": 40, "from": [0, 0], "error_deg": 5}           clockwise from north, as seen from a place
@@ -15,7 +16,15 @@ from typing import Any
 
 import msgspec
 
-from drivers.operator.interfaces import BearingTold, Chosen, Ground, PlaceTold, Question, RegionTold, Told
+from drivers.operator.interfaces import (
+    BearingTold,
+    Chosen,
+    Ground,
+    PlaceTold,
+    Question,
+    RegionTold,
+    Told,
+)
 
 MOST_BYTES = 60_000
 _FARTHEST_M = 10_000.0
@@ -45,7 +54,9 @@ def decode(line: bytes, now_ns: int) -> Told | Chosen | None:
     elif "bearing_deg" in said:
         bearing = words.number("bearing_deg", -360.0, 360.0)
         error = words.number("error_deg", 0.01, 90.0)
-        told = BearingTold(stamp_ns, words.ground("from"), math.radians(bearing), math.radians(error))
+        told = BearingTold(
+            stamp_ns, words.ground("from"), math.radians(bearing), math.radians(error)
+        )
     elif "region" in said:
         told = RegionTold(stamp_ns, words.corners("region"))
     elif "question" in said:
@@ -65,7 +76,14 @@ def _place(words: _Words, stamp_ns: int) -> PlaceTold:
     holds_s = words.number("holds_s", 0.0, _LONGEST_S, 0.0)
     error_m = words.number("error_m", 0.01, 1000.0)
     height_told = not math.isnan(down)
-    return PlaceTold(stamp_ns, (north, east, down if height_told else 0.0), error_m, height_told, velocity, holds_s)
+    return PlaceTold(
+        stamp_ns,
+        (north, east, down if height_told else 0.0),
+        error_m,
+        height_told,
+        velocity,
+        holds_s,
+    )
 
 
 class _Words:
@@ -83,7 +101,11 @@ class _Words:
         value = self._said.get(name, usual)
         if value is usual and usual is not None:
             return usual
-        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not low <= value <= high
+        ):
             raise WordsError(f"{name}: {value!r} is no number from {low:g} to {high:g}")
         return float(value)
 
@@ -114,14 +136,20 @@ class _Words:
 
 def _ground(name: str, value: Any) -> Ground:
     good = isinstance(value, list) and len(value) == 2
-    numbers = [each for each in value if isinstance(each, int | float) and abs(each) <= _FARTHEST_M] if good else []
+    numbers = (
+        [each for each in value if isinstance(each, int | float) and abs(each) <= _FARTHEST_M]
+        if good
+        else []
+    )
     if len(numbers) != 2:
         raise WordsError(f"{name}: {value!r} is not north and east in m")
     return float(numbers[0]), float(numbers[1])
 
 
 def encode_question(question: Question | None, now_ns: int, picture: bytes | None) -> bytes:
-    """Return what D1 asks: the objects with their numbers, boxes and places, and the picture if it fits."""
+    """Return what D1 asks: the objects with their numbers, boxes and places, and the picture if it
+    fits.
+    """
     if question is None:
         return msgspec.json.encode({"asks": None})
     shown = [

@@ -1,1 +1,3 @@
-"""Observations from frames: detections, markers and depth of one image, and the instants they belong to."""
+"""Observations from frames: detections, markers and depth of one image, and the instants they
+belong to.
+"""

@@ -42,10 +42,11 @@ def without_elsewhere(
     sigma_at_1m_m: float,
     region: Region | None = None,
 ) -> NDArray[np.uint8]:
-    """The image, grey where it is known to show something nearer or farther, and along steps of what is between.
+    """The image, grey where it is known to show something nearer or farther, and along steps of
+    what is between.
 
-    What has no depth stays, cut from what is between, but for the edges of what is elsewhere: nothing is lost because
-    depth is missing.
+    What has no depth stays, cut from what is between, but for the edges of what is elsewhere:
+    nothing is lost because depth is missing.
 
     Args:
         image: (h, w, 3) BGR.
@@ -57,7 +58,9 @@ def without_elsewhere(
     height, width = depth_mm.shape
     reach = REACH * width
     asked = Region(0.0, 0.0, width, height) if region is None else region
-    window = Region(asked.x0 - reach, asked.y0 - reach, asked.x1 + reach, asked.y1 + reach).clipped(width, height)
+    window = Region(asked.x0 - reach, asked.y0 - reach, asked.x1 + reach, asked.y1 + reach).clipped(
+        width, height
+    )
     shown = np.full_like(image, GREY)
     if window is None:
         return shown
@@ -68,25 +71,40 @@ def without_elsewhere(
     return shown
 
 
-def _kept(depth_mm: NDArray[np.uint16], limits_m: tuple[float, float], sigma_at_1m_m: float) -> Image:
+def _kept(
+    depth_mm: NDArray[np.uint16], limits_m: tuple[float, float], sigma_at_1m_m: float
+) -> Image:
     """Mask (h, w) of what is shown."""
-    smooth = cv2.medianBlur(cv2.medianBlur(np.ascontiguousarray(depth_mm[::HALF, ::HALF]), MEDIAN_PX), MEDIAN_PX)
+    smooth = cv2.medianBlur(
+        cv2.medianBlur(np.ascontiguousarray(depth_mm[::HALF, ::HALF]), MEDIAN_PX), MEDIAN_PX
+    )
     near_mm, far_mm = (np.array([min(max(0.0, 1000.0 * each), 65535.0)]) for each in limits_m)
     nothing = np.zeros(1)
     inside = cv2.inRange(smooth, near_mm, far_mm)
-    unknown = cv2.morphologyEx(cv2.inRange(smooth, nothing, nothing), cv2.MORPH_OPEN, _square(HOLE_PX))
+    unknown = cv2.morphologyEx(
+        cv2.inRange(smooth, nothing, nothing), cv2.MORPH_OPEN, _square(HOLE_PX)
+    )
     kept = cv2.morphologyEx(cv2.bitwise_or(inside, unknown), cv2.MORPH_OPEN, _square(SPECK_PX))
     kept[_steps(smooth, inside, sigma_at_1m_m) > 0] = 0
-    border = cv2.bitwise_and(cv2.dilate(unknown, _square(CUT_PX)), cv2.dilate(inside, _square(2 * CUT_PX + 1)))
-    kept[border > 0] = 0  # nearly all of it on the side that has no depth: the other keeps its outline
+    border = cv2.bitwise_and(
+        cv2.dilate(unknown, _square(CUT_PX)), cv2.dilate(inside, _square(2 * CUT_PX + 1))
+    )
+    # nearly all of it on the side that has no depth: the other keeps its outline
+    kept[border > 0] = 0
     return cv2.resize(kept, depth_mm.shape[::-1], interpolation=cv2.INTER_NEAREST)
 
 
 def _steps(smooth: Image, inside: Image, sigma_at_1m_m: float) -> Image:
     """Mask of lines along the steps between things that are both inside."""
-    highest = cv2.dilate(np.where(inside > 0, smooth, np.uint16(0)), _square(STEP_PX)).astype(np.float32)
-    lowest = cv2.erode(np.where(inside > 0, smooth, np.uint16(65535)), _square(STEP_PX)).astype(np.float32)
-    share = (highest - lowest) / (np.float32(1000.0) * step_limit_m(lowest / np.float32(1000.0), sigma_at_1m_m))
+    highest = cv2.dilate(np.where(inside > 0, smooth, np.uint16(0)), _square(STEP_PX)).astype(
+        np.float32
+    )
+    lowest = cv2.erode(np.where(inside > 0, smooth, np.uint16(65535)), _square(STEP_PX)).astype(
+        np.float32
+    )
+    share = (highest - lowest) / (
+        np.float32(1000.0) * step_limit_m(lowest / np.float32(1000.0), sigma_at_1m_m)
+    )
     found: tuple[int, Image] = cv2.connectedComponents((share > FAINT).astype(np.uint8))
     count, labels = found
     is_step = np.zeros(count, np.uint8)

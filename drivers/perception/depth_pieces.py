@@ -1,7 +1,8 @@
-"""The detections in an image that depth has cut: which pieces are one thing, and which are only what was left.
+"""The detections in an image that depth has cut: which pieces are one thing, and which are only
+what was left.
 
-A colour detector judges shapes, and a cut changes them: it may see two things in what remains of one, or one in the
-rim that remains of what is elsewhere. Depth tells.
+A colour detector judges shapes, and a cut changes them: it may see two things in what remains of
+one, or one in the rim that remains of what is elsewhere. Depth tells.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 from drivers.perception.depth_mask import step_limit_m
 from path.observations import Box, Detection, around, common_area
 
-SAME_LAP = 0.2  # of the smaller box lies in the other: pieces of one thing, when they are equally far away
+# of the smaller box lies in the other: pieces of one thing, when they are equally far away
+SAME_LAP = 0.2
 OWN_SHARE = 0.25  # of a box is at a depth that is asked for: what it shows is there
 # shorter over longer side, and a detector's score: less is a rim
 THINNEST = 1 / 3
@@ -49,21 +51,32 @@ class DepthSlice:
         return float(np.median(own)) / 1000.0 if own.size > OWN_SHARE * patch.size else None
 
     def united(self, pieces: Sequence[Detection]) -> list[Detection]:
-        """Pieces whose boxes overlap, and between whose depths there is no step, as one; it scores as its best."""
+        """Pieces whose boxes overlap, and between whose depths there is no step, as one; it scores
+        as its best.
+        """
         rest = list(pieces)
         found = list[Detection]()
         while rest:
             whole = rest.pop(0)
             while parts := [each for each in rest if self._is_one(whole.box, each.box)]:
                 rest = [each for each in rest if each not in parts]
-                whole = Detection(around([whole.box, *(each.box for each in parts)]), max(whole.score, parts[0].score))
+                whole = Detection(
+                    around([whole.box, *(each.box for each in parts)]),
+                    max(whole.score, parts[0].score),
+                )
             found.append(whole)
         return found
 
     def is_thing(self, piece: Detection) -> bool:
-        """Returns whether a piece of odd shape is more than a rim, and itself between the limits."""
+        """Returns whether a piece of odd shape is more than a rim, and itself between the
+        limits.
+        """
         narrow, wide = sorted((piece.box.w, piece.box.h))
-        return narrow >= THINNEST * wide and piece.score >= RAREST_SCORE and self.inside(piece.box) is not None
+        return (
+            narrow >= THINNEST * wide
+            and piece.score >= RAREST_SCORE
+            and self.inside(piece.box) is not None
+        )
 
     def _is_one(self, a: Box, b: Box) -> bool:
         if common_area(a, b) < SAME_LAP * min(a.area, b.area):

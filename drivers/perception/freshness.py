@@ -35,14 +35,17 @@ class Freshness:
         """The next frame of ``read(timeout_s)`` that is newer than all before it.
 
         Raises:
-            CameraError: as ``read`` does, or when only old frames came: ``max_old_frames`` in a row or all the time.
+            CameraError: as ``read`` does, or when only old frames came: ``max_old_frames`` in a row
+                or all the time.
         """
         loop = asyncio.get_running_loop()
         deadline_s = loop.time() + timeout_s
         old = 0
         while True:
             frame = await read(max(deadline_s - loop.time(), 0.0))
-            if self._stamp_ns is None or (frame.stamp_ns > self._stamp_ns and frame.frame_id > self._frame_id):
+            if self._stamp_ns is None or (
+                frame.stamp_ns > self._stamp_ns and frame.frame_id > self._frame_id
+            ):
                 self._stamp_ns = frame.stamp_ns
                 self._frame_id = frame.frame_id
                 return frame
@@ -50,8 +53,12 @@ class Freshness:
             self.dropped += 1
             behind = f"{(frame.stamp_ns - self._stamp_ns) / 1e9:+.3f} s, {frame.frame_id - self._frame_id:+d} frames"
             if old >= self._max_old:
-                raise CameraError(f"{old} frames in a row are no newer than the one before them ({behind})", REMEDY)
+                raise CameraError(
+                    f"{old} frames in a row are no newer than the one before them ({behind})",
+                    REMEDY,
+                )
             if loop.time() >= deadline_s:
                 raise CameraError(
-                    f"no new frame for {timeout_s:g} s, only {old} old or repeated ones ({behind})", REMEDY
+                    f"no new frame for {timeout_s:g} s, only {old} old or repeated ones ({behind})",
+                    REMEDY,
                 )

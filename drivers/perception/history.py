@@ -1,4 +1,6 @@
-"""The last few seconds of a vehicle's attitude, to ask for the one at the instant a frame was taken."""
+"""The last few seconds of a vehicle's attitude, to ask for the one at the instant a frame was
+taken.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ class StateHistory:
         return min(len(self._stamps), self._capacity)
 
     def add(self, stamp_ns: int, q_n_b: Quat) -> bool:
-        """Append an attitude (unit, wxyz). False, and not kept, when it is not newer than the newest."""
+        """Append an attitude (unit, wxyz). False, and not kept, when it is not newer than the
+        newest.
+        """
         with self._lock:
             if self._stamps and stamp_ns <= self._stamps[-1]:
                 return False
@@ -40,13 +44,16 @@ class StateHistory:
             return True
 
     def attitude_at(self, stamp_ns: int) -> Quat:
-        """Attitude at a stamp, on the shorter arc between its neighbours; the nearest one when out of range.
+        """Attitude at a stamp, on the shorter arc between its neighbours; the nearest one when out
+        of range.
 
         Raises VehicleError when nothing was added yet.
         """
         with self._lock:
             if not self._stamps:
-                raise VehicleError("no attitude of the vehicle is known yet", "enter it with `async with` first")
+                raise VehicleError(
+                    "no attitude of the vehicle is known yet", "enter it with `async with` first"
+                )
             after = bisect_left(self._stamps, stamp_ns)
             if after == 0:
                 return self._attitudes[0]

@@ -1,4 +1,6 @@
-"""The perception of a role with a camera: its frames, and what a detector and the marker finder see in them."""
+"""The perception of a role with a camera: its frames, and what a detector and the marker finder see
+in them.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ from path.target.place import depth_sigma, registered_depth
 
 Corners = Literal["photometric", "subpix"]
 DEPTH_SIGMAS = 2.0  # of the depth camera's own noise
-_TURNS = 3  # of the event loop before a frame that waits already: a setpoint takes as many from its timer to the wire
+# of the event loop before a frame that waits already: a setpoint takes as many from its timer to
+# the wire
+_TURNS = 3
 RANGE_SIGMAS = 3.0  # of a range by the target's size
 # of a box with the same before depth cut something off; of a piece that looks whole
 UNCUT_IOU = 0.85
@@ -47,8 +51,10 @@ class PixelPerceptionConfig:
         camera, detector: parts by name.
         corners: how marker corners are refined.
         method: of the method's settings, those about depth.
-        target: size of the target, for a camera without depth: how far away it is, is taken from its box.
-        max_old_frames: this many frames in a row with an old or repeated stamp are a fault of the camera's clock.
+        target: size of the target, for a camera without depth: how far away it is, is taken from
+            its box.
+        max_old_frames: this many frames in a row with an old or repeated stamp are a fault of the
+            camera's clock.
     """
 
     camera: PartSpec
@@ -60,7 +66,9 @@ class PixelPerceptionConfig:
 
 
 class PixelPerception:
-    """Implements ``drivers.interfaces.Perception`` over a camera, which it opens, and a detector."""
+    """Implements ``drivers.interfaces.Perception`` over a camera, which it opens, and a
+    detector.
+    """
 
     Config = PixelPerceptionConfig
 
@@ -70,7 +78,9 @@ class PixelPerception:
         self._detector: Detector = create(config.detector, context)
         if not callable(getattr(self._detector, "detect", None)):
             named = f"{config.detector.where}.factory: {config.detector.factory}"
-            raise RigError([f"{named} is no detector: it has no detect(image, region) -> list of Detection"])
+            raise RigError(
+                [f"{named} is no detector: it has no detect(image, region) -> list of Detection"]
+            )
         self._layout = context.layout
         self._calibrated_serial = context.camera_serial
         self._freshness = Freshness(config.max_old_frames)
@@ -110,11 +120,17 @@ class PixelPerception:
             if self._calibrated_serial
             else "does not say of which camera it is"
         )
-        fix = "calibrate it: `path-handoff calibrate camera` writes the serial number down" if serial else ""
+        fix = (
+            "calibrate it: `path-handoff calibrate camera` writes the serial number down"
+            if serial
+            else ""
+        )
         return Finding("note", "calibration", f"{of}; {silent}", fix)
 
     async def __aenter__(self) -> Self:
-        """Opens the camera. Raises CameraError, also when it is not the one that the calibration is of."""
+        """Opens the camera. Raises CameraError, also when it is not the one that the calibration is
+        of.
+        """
         camera = await self._camera.__aenter__()
         try:
             check_serial(self._calibrated_serial, getattr(camera, "serial", ""), "camera")
@@ -124,7 +140,10 @@ class PixelPerception:
         return self
 
     async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         await self._camera.__aexit__(kind, error, trace)
 
@@ -132,21 +151,34 @@ class PixelPerception:
         """The newest view not yet given.
 
         Raises:
-            CameraError: none came in time, its size is not that of the calibration, or the camera's clock went back.
+            CameraError: none came in time, its size is not that of the calibration, or the camera's
+                clock went back.
         """
         for _ in range(_TURNS):
             await asyncio.sleep(0)
         return self.view_of(await self._freshness.next(self._camera.read, timeout_s))
 
     def view_of(self, frame: Frame) -> PixelView:
-        """The view of a frame, whoever has it; the camera need not be open. Raises CameraError for another size."""
+        """The view of a frame, whoever has it; the camera need not be open. Raises CameraError for
+        another size.
+        """
         _check_size(frame, self.model)
         config = self._config
-        return PixelView(frame, self.model, self._layout, self._detector, config.method, config.corners, config.target)
+        return PixelView(
+            frame,
+            self.model,
+            self._layout,
+            self._detector,
+            config.method,
+            config.corners,
+            config.target,
+        )
 
 
 class PixelView:
-    """Implements ``drivers.interfaces.View`` on one frame. Every question is answered from the pixels when asked."""
+    """Implements ``drivers.interfaces.View`` on one frame. Every question is answered from the
+    pixels when asked.
+    """
 
     __slots__ = ("_corners", "_detector", "_frame", "_layout", "_method", "_model", "_size")
 
@@ -179,8 +211,9 @@ class PixelView:
     def targets(self, region: Region | None) -> Sequence[Detection]:
         """Target-like objects with their box centre in ``region``, best score first.
 
-        With a depth stream, only those that are not known to be nearer or farther than the region says. What touches
-        them in the image, at another depth, is cut off; what is left of other things by that is odd in shape.
+        With a depth stream, only those that are not known to be nearer or farther than the region
+        says. What touches them in the image, at another depth, is cut off; what is left of other
+        things by that is odd in shape.
         """
         frame = self._frame
         detector = self._detector
@@ -192,16 +225,24 @@ class PixelView:
         far_m = region.far_m + DEPTH_SIGMAS * depth_sigma(region.far_m, self._method)
         if getattr(detector, "whole_image", False):
             found = detector.detect(frame.color, region)
-            return [each for each in found if (z := self.depth(each.box)) is None or near_m <= z.z_m <= far_m]
+            return [
+                each
+                for each in found
+                if (z := self.depth(each.box)) is None or near_m <= z.z_m <= far_m
+            ]
         depths = DepthSlice(frame.depth_mm, (near_m, far_m), self._method.depth_sigma_at_1m_m)
-        shown = without_elsewhere(frame.color, depths.depth_mm, depths.limits_m, depths.sigma_at_1m_m, region)
+        shown = without_elsewhere(
+            frame.color, depths.depth_mm, depths.limits_m, depths.sigma_at_1m_m, region
+        )
         cut = depths.united(detector.detect(shown, region))
         found = detector.detect(frame.color, region) if cut else ()
         kept = [whole if (whole := _whole_of(each, found)) is not None else each for each in cut]
         sure = [each for each in kept if each in found or each.score >= CUT_SCORE]
         return sure or [each for each in kept if depths.is_thing(each)]
 
-    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
+    def markers(
+        self, region: Region | None, expected: Pose | None = None
+    ) -> Sequence[MarkerDetection]:
         """Markers of the layout in ``region``, looked for first where they are expected."""
         image = self._frame.color
         layout = self._layout
@@ -211,7 +252,9 @@ class PixelView:
         )  # fmt: skip
 
     def depth(self, box: Box) -> Depth | None:
-        """Robust depth over a box (``path.target.place``); without a depth stream, by the target's size."""
+        """Robust depth over a box (``path.target.place``); without a depth stream, by the target's
+        size.
+        """
         depth_mm = self._frame.depth_mm
         if depth_mm is not None:
             return registered_depth(depth_mm, box, self._method)
@@ -225,7 +268,9 @@ class PixelView:
         return self._frame
 
     def _by_size(self, region: Region) -> Sequence[Detection]:
-        """Those that can be as far away as the region says, by the target's size; all where that is not known."""
+        """Those that can be as far away as the region says, by the target's size; all where that is
+        not known.
+        """
         size = self._size
         if size is not None and size.longest_m > 0.0 and region.far_m < math.inf:
             z_m = 0.5 * (region.near_m + region.far_m)
@@ -235,7 +280,9 @@ class PixelView:
         return [each for each in found if self._may_be_within(region, each.box)]
 
     def _may_be_within(self, region: Region, box: Box) -> bool:
-        """Returns whether a target in this box can be as far away as the region says; yes where that is not known."""
+        """Returns whether a target in this box can be as far away as the region says; yes where
+        that is not known.
+        """
         if max(box.w, box.h) > region.extent.longest_px:
             return False
         depth = None if self._size is None else monocular_range(box, self._model, self._size)
@@ -246,7 +293,9 @@ class PixelView:
 
 
 def _whole_of(part: Detection, found: Sequence[Detection]) -> Detection | None:
-    """The same thing where nothing is cut off, and its edges are exact; None when there was something to cut off."""
+    """The same thing where nothing is cut off, and its edges are exact; None when there was
+    something to cut off.
+    """
     whole = max(found, key=lambda each: iou(each.box, part.box), default=None)
     return whole if whole is not None and iou(whole.box, part.box) >= UNCUT_IOU else None
 

@@ -1,10 +1,11 @@
 """A camera's own time stamps in the clock of the role.
 
-Two kinds of clock stamp the frames of a RealSense. Its own counts from some zero and drifts: a frame never arrives
-before it was taken, so the quickest arrivals bound the offset, and the bound is let go at the rate at which such clocks
-may drift. The computer's wall clock (``global_time``, to which librealsense converts by asking the camera for its
-time, and ``system_time``) is compared with the role's clock at each frame; what would come from the future or from long
-ago is refused, because then the wall clock was set.
+Two kinds of clock stamp the frames of a RealSense. Its own counts from some zero and drifts: a
+frame never arrives before it was taken, so the quickest arrivals bound the offset, and the bound is
+let go at the rate at which such clocks may drift. The computer's wall clock (``global_time``, to
+which librealsense converts by asking the camera for its time, and ``system_time``) is compared with
+the role's clock at each frame; what would come from the future or from long ago is refused, because
+then the wall clock was set.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-WRAP_NS = (1 << 32) * 1000  # the counter of a D400 has 32 bits of microseconds: it begins anew every 71.6 minutes
+# the counter of a D400 has 32 bits of microseconds: it begins anew every 71.6 minutes
+WRAP_NS = (1 << 32) * 1000
 
 
 class Domain(Enum):
@@ -34,12 +36,14 @@ class StampRefused(Enum):
 class StampConfig:
     """
     Attributes:
-        latency_ns: shortest time from the middle of the exposure to the arrival; for ``hardware_clock`` only, where it
-            cannot be seen and would else be missing in every stamp.
+        latency_ns: shortest time from the middle of the exposure to the arrival; for
+            ``hardware_clock`` only, where it cannot be seen and would else be missing in every
+            stamp.
         max_drift_ppm: largest rate by which the camera's clock and the role's may part.
         max_age_ns: a frame is no older than this when it arrives, by the wall clock.
         max_ahead_ns: nor is it from further in the future than this.
-        follow: False takes one offset from the first frame: the distances between stamps stay those of a recording.
+        follow: False takes one offset from the first frame: the distances between stamps stay those
+            of a recording.
     """
 
     latency_ns: int = 0
@@ -78,8 +82,11 @@ class StampClock:
         self._arrival_ns = 0
         self._mapped_ns: int | None = None
 
-    def to_role(self, stamp_ns: int, domain: Domain, arrival_ns: int, wall_offset_ns: int) -> int | StampRefused:
-        """The stamp in the role's clock, always later than the one before; never after the arrival while it follows.
+    def to_role(
+        self, stamp_ns: int, domain: Domain, arrival_ns: int, wall_offset_ns: int
+    ) -> int | StampRefused:
+        """The stamp in the role's clock, always later than the one before; never after the arrival
+        while it follows.
 
         Args:
             stamp_ns: mid-exposure, in the clock of ``domain``; grows.

@@ -1,7 +1,7 @@
 """Intel RealSense D400 cameras (D415): colour with depth registered to it.
 
-A device comes from this computer's USB, from a recording or from a factory that the rig names; all that follows is the
-same for the three. See docs/cameras.md.
+A device comes from this computer's USB, from a recording or from a factory that the rig names; all
+that follows is the same for the three. See docs/cameras.md.
 """
 
 from __future__ import annotations
@@ -39,11 +39,13 @@ class RealSenseConfig:
         fps: of both streams.
         depth_size: width and height of the depth stream; by default that of the colour stream.
         min_depth_m, max_depth_m: nearer and farther there is no depth.
-        filters: librealsense's, in this order; none by default: they smooth over the edges of things and fill holes
-            with what is beside them, and the method counts on the noise of measured depth.
+        filters: librealsense's, in this order; none by default: they smooth over the edges of
+            things and fill holes with what is beside them, and the method counts on the noise of
+            measured depth.
         emitter: the infrared pattern that gives plain surfaces texture.
         exposure_us: of the colour camera; 0 is automatic.
-        latency_s: shortest time from the middle of an exposure to its arrival, for stamps of ``hardware_clock``.
+        latency_s: shortest time from the middle of an exposure to its arrival, for stamps of
+            ``hardware_clock``.
         record: folder to write a recording into.
         silence_s, reopen_s: no frame for so long: open it again; for so long: give up.
         open_timeout_s: to the first frame, when there is nothing left to compile.
@@ -69,7 +71,9 @@ class RealSenseConfig:
         if sum((bool(self.serial), self.recording is not None, self.source is not None)) > 1:
             raise ValueError("only one of serial, recording and source can be the camera")
         if not 0.0 <= self.min_depth_m < self.max_depth_m <= 65.0:
-            raise ValueError(f"max_depth_m: {self.max_depth_m!r} is not above min_depth_m and at most 65 m")
+            raise ValueError(
+                f"max_depth_m: {self.max_depth_m!r} is not above min_depth_m and at most 65 m"
+            )
         if self.record is not None and self.recording is not None:
             raise ValueError("record: a recording is not recorded again")
         check_bounds(self)
@@ -108,11 +112,15 @@ class RealSense:
         return self._config.fps
 
     async def examine(self) -> Sequence[Finding]:
-        """Returns which device it is, whose clock stamps its frames, and how many images were of no use."""
+        """Returns which device it is, whose clock stamps its frames, and how many images were of no
+        use.
+        """
         stream = self._stream
         counters = self._counters
         if stream is None or stream.identity is None or counters.domain is None:
-            raise CameraError(f"{self.source.name} has given no frame yet", "open it, and wait for one")
+            raise CameraError(
+                f"{self.source.name} has given no frame yet", "open it, and wait for one"
+            )
         return (*_device(stream.identity), _stamped(counters.domain), _paired(counters))
 
     async def __aenter__(self) -> Self:
@@ -122,12 +130,21 @@ class RealSense:
         config = self._config
         size = (self._model.width, self._model.height)
         streams = Streams(
-            size, config.depth_size or size, config.fps, config.filters, config.emitter, config.exposure_us
+            size,
+            config.depth_size or size,
+            config.fps,
+            config.filters,
+            config.emitter,
+            config.exposure_us,
         )
         stamps = StampConfig(latency_ns=round(config.latency_s * 1e9))
         limits_m = (config.min_depth_m, config.max_depth_m)
-        settings = StreamConfig(streams, limits_m, stamps, config.record, config.silence_s, config.reopen_s)
-        self._stream = PairStream(self.source, settings, self._model, self._clock, lambda: wake(loop, self._news))
+        settings = StreamConfig(
+            streams, limits_m, stamps, config.record, config.silence_s, config.reopen_s
+        )
+        self._stream = PairStream(
+            self.source, settings, self._model, self._clock, lambda: wake(loop, self._news)
+        )
         self._counters = self._stream.counters
         self._stream.start()
         try:
@@ -144,7 +161,8 @@ class RealSense:
         """The newest frame not yet given.
 
         Raises:
-            CameraError: none came in time (the camera is opened again meanwhile), or it was given up.
+            CameraError: none came in time (the camera is opened again meanwhile), or it was given
+                up.
         """
         stream = self._stream
         if stream is None:
@@ -199,7 +217,8 @@ class RealSense:
                     await self._news.wait()
         except TimeoutError:
             raise CameraError(
-                f"{self.source.name} does not close within {CLOSE_S:g} s", "unplug it, and end this program"
+                f"{self.source.name} does not close within {CLOSE_S:g} s",
+                "unplug it, and end this program",
             ) from None
         stream.join()
 
@@ -208,11 +227,18 @@ def _device(identity: DeviceIdentity) -> Iterator[Finding]:
     detail = f"{identity.name}, serial {identity.serial or 'not said'}, firmware {identity.firmware or 'not said'}"
     if identity.recommended and identity.firmware != identity.recommended:
         fix = "librealsense's rs-fw-update sets it; measure its latency again afterwards"
-        yield Finding("note", "device", f"{detail}, librealsense recommends {identity.recommended}", fix)
+        yield Finding(
+            "note", "device", f"{detail}, librealsense recommends {identity.recommended}", fix
+        )
     else:
         yield Finding("ok", "device", detail)
     if identity.usb.startswith(("1", "2")):
-        yield Finding("note", "USB", f"{identity.usb}: large images do not fit", "another port, and a cable for USB 3")
+        yield Finding(
+            "note",
+            "USB",
+            f"{identity.usb}: large images do not fit",
+            "another port, and a cable for USB 3",
+        )
     elif identity.usb:
         yield Finding("ok", "USB", identity.usb)
 
@@ -235,4 +261,8 @@ def _paired(counters: StreamCounters) -> Finding:
 def _source(config: RealSenseConfig, context: PartContext) -> DeviceSource:
     if config.source is not None:
         return create(config.source, context)
-    return RecordingSource(config.recording) if config.recording is not None else UsbSource(config.serial)
+    return (
+        RecordingSource(config.recording)
+        if config.recording is not None
+        else UsbSource(config.serial)
+    )

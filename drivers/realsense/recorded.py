@@ -1,7 +1,9 @@
-"""A RealSense recording (``.db3``, ``.bag``) read to its end, frame by frame, as fast as they are taken.
+"""A RealSense recording (``.db3``, ``.bag``) read to its end, frame by frame, as fast as they are
+taken.
 
-The driver plays a recording as the camera it was, in real time, and passes over what is late. Here nothing is passed
-over: playback waits while a frame is not taken. Whoever recorded it need not have known of PATH.
+The driver plays a recording as the camera it was, in real time, and passes over what is late. Here
+nothing is passed over: playback waits while a frame is not taken. Whoever recorded it need not have
+known of PATH.
 """
 
 from __future__ import annotations
@@ -47,7 +49,9 @@ POLL_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class RecordedPair:
-    """Colour (h, w, 3) BGR and depth (h, w) in the device's unit, taken together at ``stamp_ns`` of its ``domain``."""
+    """Colour (h, w, 3) BGR and depth (h, w) in the device's unit, taken together at ``stamp_ns`` of
+    its ``domain``.
+    """
 
     stamp_ns: int
     domain: Domain
@@ -87,9 +91,12 @@ class RealSenseRecording:
         found: dict[tuple[str, str], tuple[Any, Any]] = {}
         for sensor in self._device.query_sensors():
             for profile in sensor.get_stream_profiles():
-                found.setdefault((profile.stream_type().name, profile.format().name), (sensor, profile))
+                found.setdefault(
+                    (profile.stream_type().name, profile.format().name), (sensor, profile)
+                )
         wanted: dict[Kind, list[tuple[Any, Any]]] = {
-            kind: [found[kind, form] for form in FORMATS[kind] if (kind, form) in found] for kind in FORMATS
+            kind: [found[kind, form] for form in FORMATS[kind] if (kind, form) in found]
+            for kind in FORMATS
         }
         missing = [kind for kind in ("color", "depth") if not wanted[kind]]
         if missing:
@@ -101,11 +108,14 @@ class RealSenseRecording:
         return wanted["depth"][0], wanted["color"][0]
 
     def factory_color(self) -> StandIn:
-        """The colour camera as its maker calibrated it. Raises CameraError for a lens that cannot be described."""
+        """The colour camera as its maker calibrated it. Raises CameraError for a lens that cannot
+        be described.
+        """
         return intrinsics_of(import_realsense(), self._color, "color")
 
     def pairs(self) -> Iterator[RecordedPair]:
-        """Yields all pairs from where it is to the end; images without their other half are left out.
+        """Yields all pairs from where it is to the end; images without their other half are left
+        out.
 
         Raises CameraError when nothing comes and it has not ended.
         """
@@ -120,7 +130,9 @@ class RealSenseRecording:
             stamp_ns = mid_exposure_ns(rs, frame, domain)
             data = frame.get_data()
             pixels = np.asanyarray(data) if kind == "depth" else bgr_of(data, self._color_format)
-            image = RawImage(kind, frame.get_frame_number(), stamp_ns, domain, np.array(pixels, order="C"), None)
+            image = RawImage(
+                kind, frame.get_frame_number(), stamp_ns, domain, np.array(pixels, order="C"), None
+            )
             while not ending.is_set():
                 try:
                     waiting.put(image, timeout=POLL_S)
@@ -136,11 +148,14 @@ class RealSenseRecording:
                 sensor.open(profiles)
                 running.append(sensor)
                 sensor.start(take)
-            # It may wait for images that have come to be taken, for ten seconds: they are taken here meanwhile.
+            # It may wait for images that have come to be taken, for ten seconds: they are taken
+            # here meanwhile.
             begun = beginning.submit(self._playback.resume)
             yield from self._paired(waiting, begun)
         except RuntimeError as error:  # all that librealsense ever raises
-            raise CameraError(f"{self._file} cannot be played: {error}", "is the file whole?") from error
+            raise CameraError(
+                f"{self._file} cannot be played: {error}", "is the file whole?"
+            ) from error
         finally:
             ending.set()
             beginning.shutdown()
@@ -150,7 +165,9 @@ class RealSenseRecording:
                 with suppress(RuntimeError):
                     sensor.close()
 
-    def _paired(self, waiting: queue.Queue[RawImage], begun: Future[None]) -> Iterator[RecordedPair]:
+    def _paired(
+        self, waiting: queue.Queue[RawImage], begun: Future[None]
+    ) -> Iterator[RecordedPair]:
         pairing = Pairing(self._tolerance_ns)
         heard_s = time.monotonic()
         while True:

@@ -1,8 +1,8 @@
 """Depth as the colour camera sees it, by the colour camera's own calibration.
 
-librealsense's ``align`` leaves out the distortion of the colour camera (its Brown-Conrady models are not honoured),
-which is some pixels towards the corners. So every depth pixel is projected here, as a square as large as its neighbours
-are apart, and the nearest one wins.
+librealsense's ``align`` leaves out the distortion of the colour camera (its Brown-Conrady models
+are not honoured), which is some pixels towards the corners. So every depth pixel is projected here,
+as a square as large as its neighbours are apart, and the nearest one wins.
 """
 
 # pyright: reportMissingParameterType=false
@@ -24,14 +24,17 @@ ZERO = F(0.0)
 HALF = F(0.5)
 ONE = F(1.0)
 TWO = F(2.0)
-OVERLAP_PX = 0.1  # of neighbouring squares: depth noise moves them apart, and would leave gaps between them
+# of neighbouring squares: depth noise moves them apart, and would leave gaps between them
+OVERLAP_PX = 0.1
 MAX_HALF_PX = 1.0  # so that a square covers at most two pixels each way
 NEAREST_MM = F(10.0)
 LARGEST = F(NOTHING)
 
 
 class DepthRegistration:
-    """Projects depth images of one camera into another. Keeps scratch buffers: use it from one thread at a time."""
+    """Projects depth images of one camera into another. Keeps scratch buffers: use it from one
+    thread at a time.
+    """
 
     def __init__(
         self,
@@ -48,15 +51,19 @@ class DepthRegistration:
             limits_m: nearest and farthest depth that is believed, along the depth camera's axis.
 
         Raises:
-            ValueError: depth that is not rectified, far coarser than colour, or of what the colour camera does not see.
+            ValueError: depth that is not rectified, far coarser than colour, or of what the colour
+                camera does not see.
         """
         if any(depth.distortion):
             raise ValueError(
                 f"distortion of the depth stream: {depth.distortion!r}; only rectified depth can be registered"
             )
-        # The ray of a depth pixel, turned into the colour camera's frame, is linear in column and row.
+        # The ray of a depth pixel, turned into the colour camera's frame, is linear in column and
+        # row.
         linear = T_color_depth.R @ np.linalg.inv(depth.K)
-        columns, rows = np.meshgrid(np.arange(depth.width, dtype=float), np.arange(depth.height, dtype=float))
+        columns, rows = np.meshgrid(
+            np.arange(depth.width, dtype=float), np.arange(depth.height, dtype=float)
+        )
         rays = np.stack((columns, rows, np.ones_like(columns)), axis=2) @ linear.T
         if rays[..., 2].min() < 0.1:
             raise ValueError("depth and colour camera look in different directions")
@@ -64,14 +71,17 @@ class DepthRegistration:
         self._t_mm = (T_color_depth.t * 1000.0).astype(np.float32)
         self._unit_mm = F(unit_m * 1000.0)
         self._limits_mm = F(limits_m[0] * 1000.0), F(limits_m[1] * 1000.0)
-        self._lens = np.array([color.fx, color.fy, color.cx, color.cy, *color.distortion], np.float32)
+        self._lens = np.array(
+            [color.fx, color.fy, color.cx, color.cy, *color.distortion], np.float32
+        )
         self._max_r2 = F(min(color.max_radius, 1e3) ** 2)
         self._half = _half_px(depth, color, rays)
         self._columns = np.arange(depth.width, dtype=np.float32)
         self._cells = np.empty((4, depth.width), np.int32)
 
     def register(self, depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Depth of the colour image's pixels, z along the colour camera's axis in mm, 0 where there is none.
+        """Depth of the colour image's pixels, z along the colour camera's axis in mm, 0 where there
+        is none.
 
         Args:
             depth: (h, w) uint16 of the depth camera, in its own units, 0 = none.
@@ -83,14 +93,34 @@ class DepthRegistration:
         linear = self._linear
         t_mm = self._t_mm
         unit_mm = self._unit_mm
-        _register(depth, linear, self._columns, t_mm, unit_mm, *limits, lens, self._max_r2, self._half, cells, out)
+        _register(
+            depth,
+            linear,
+            self._columns,
+            t_mm,
+            unit_mm,
+            *limits,
+            lens,
+            self._max_r2,
+            self._half,
+            cells,
+            out,
+        )
         return out
 
 
-def _half_px(depth: CameraModel, color: CameraModel, rays: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Half the side of a depth pixel in the colour image, where it is largest there (parallax aside)."""
+def _half_px(
+    depth: CameraModel, color: CameraModel, rays: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Half the side of a depth pixel in the colour image, where it is largest there (parallax
+    aside).
+    """
     pixels = color.project(rays.reshape(-1, 3)).reshape(depth.height, depth.width, 2)
-    seen = (pixels > -1.0).all(axis=2) & (pixels[..., 0] < color.width) & (pixels[..., 1] < color.height)
+    seen = (
+        (pixels > -1.0).all(axis=2)
+        & (pixels[..., 0] < color.width)
+        & (pixels[..., 1] < color.height)
+    )
     seen &= np.hypot(rays[..., 0], rays[..., 1]) <= color.max_radius * rays[..., 2]
     across = np.abs(np.diff(pixels[..., 0], axis=1))[seen[:, 1:] & seen[:, :-1]]
     down = np.abs(np.diff(pixels[..., 1], axis=0))[seen[1:] & seen[:-1]]
@@ -108,8 +138,9 @@ def _half_px(depth: CameraModel, color: CameraModel, rays: NDArray[np.float64]) 
 def _place(measured, linear, columns, r, t_mm, unit_mm, near, far, lens, max_r2, half, size, cells):
     """Computes where a row of depth pixels lies in the colour image.
 
-    A loop without branches, so that it vectorises. ``cells``, int32 (4, w): number of the first pixel, whether there is
-    a second one to its right, and one below, z in mm. z is NOTHING where there is no depth or it is not in the image.
+    A loop without branches, so that it vectorises. ``cells``, int32 (4, w): number of the first
+    pixel, whether there is a second one to its right, and one below, z in mm. z is NOTHING where
+    there is no depth or it is not in the image.
     """
     fx = lens[0]
     fy = lens[1]
@@ -155,7 +186,9 @@ def _place(measured, linear, columns, r, t_mm, unit_mm, near, far, lens, max_r2,
         top = np.ceil(max(v - half_v, ZERO))
         bottom = np.floor(min(v + half_v, last_v))
         inside = (left <= right) & (top <= bottom) & (r2 <= max_r2)
-        believed = inside & (d >= near) & (d <= far) & (d > ZERO) & (z >= NEAREST_MM) & (z < LARGEST)
+        believed = (
+            inside & (d >= near) & (d <= far) & (d > ZERO) & (z >= NEAREST_MM) & (z < LARGEST)
+        )
         first[c] = INT(top * width + left)  # exact: below 2^24
         wide[c] = INT(right - left)
         high[c] = INT(bottom - top)
@@ -169,7 +202,21 @@ def _register(depth, linear, columns, t_mm, unit_mm, near, far, lens, max_r2, ha
     flat = out.reshape(-1)
     width = np.uint32(out.shape[1])
     for r in range(depth.shape[0]):
-        _place(depth[r], linear, columns, r, t_mm, unit_mm, near, far, lens, max_r2, half, out.shape, cells)
+        _place(
+            depth[r],
+            linear,
+            columns,
+            r,
+            t_mm,
+            unit_mm,
+            near,
+            far,
+            lens,
+            max_r2,
+            half,
+            out.shape,
+            cells,
+        )
         for c in range(depth.shape[1]):
             # unsigned: no look whether it counts from the end
             z = np.uint16(cells[3, c])

@@ -1,7 +1,8 @@
-"""The part of ``pyrealsense2`` that the driver uses, with types; nothing else here knows that library.
+"""The part of ``pyrealsense2`` that the driver uses, with types; nothing else here knows that
+library.
 
-Frames are taken from the sensors through one bounded queue, not from librealsense's pipeline: it takes devices of the
-computer's USB only, and its syncer holds frames back.
+Frames are taken from the sensors through one bounded queue, not from librealsense's pipeline: it
+takes devices of the computer's USB only, and its syncer holds frames back.
 """
 
 from __future__ import annotations
@@ -56,7 +57,8 @@ class RawImage:
     Attributes:
         number: counted by the device.
         stamp_ns: middle of the exposure, clock of ``domain``.
-        pixels: (h, w, 3) uint8 BGR or (h, w) uint16 of the device's depth unit; a view of ``frame``'s memory.
+        pixels: (h, w, 3) uint8 BGR or (h, w) uint16 of the device's depth unit; a view of
+            ``frame``'s memory.
     """
 
     kind: Kind
@@ -71,7 +73,8 @@ class RealSenseDevice:
     """A device with both of its streams running, from construction to ``close``.
 
     Attributes:
-        depth: intrinsics of the depth stream; T_color_depth: factory extrinsics; unit_m: metres of one depth step.
+        depth: intrinsics of the depth stream; T_color_depth: factory extrinsics; unit_m: metres of
+            one depth step.
     """
 
     def __init__(self, device: Any, streams: Streams, record: Path | None = None) -> None:
@@ -124,7 +127,10 @@ class RealSenseDevice:
     @property
     def at_end(self) -> bool:
         """A recording that was played to its end."""
-        return self._playback is not None and self._playback.current_status() == self._rs.playback_status.stopped
+        return (
+            self._playback is not None
+            and self._playback.current_status() == self._rs.playback_status.stopped
+        )
 
     def next(self, timeout_s: float) -> RawImage | None:
         """The oldest image that waits, filtered if it is depth; None when none came in time."""
@@ -155,13 +161,18 @@ class RealSenseDevice:
 def described(device: Any) -> str:
     """``Intel RealSense D415 (serial 0123)``."""
     info = import_realsense().camera_info
-    name, serial = (device.get_info(key) if device.supports(key) else "?" for key in (info.name, info.serial_number))
+    name, serial = (
+        device.get_info(key) if device.supports(key) else "?"
+        for key in (info.name, info.serial_number)
+    )
     return f"{name} (serial {serial})"
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceIdentity:
-    """A device's words about itself; "" for what it does not say. ``recommended``: firmware, by this librealsense."""
+    """A device's words about itself; "" for what it does not say. ``recommended``: firmware, by
+    this librealsense.
+    """
 
     name: str
     serial: str
@@ -173,7 +184,10 @@ class DeviceIdentity:
 def identity_of(device: Any) -> DeviceIdentity:
     info = import_realsense().camera_info
     keys = info.name, info.serial_number, info.firmware_version, info.recommended_firmware_version
-    said = [str(device.get_info(key)) if device.supports(key) else "" for key in (*keys, info.usb_type_descriptor)]
+    said = [
+        str(device.get_info(key)) if device.supports(key) else ""
+        for key in (*keys, info.usb_type_descriptor)
+    ]
     return DeviceIdentity(*said)
 
 
@@ -190,13 +204,16 @@ def connected() -> list[Any]:
 def load_recording(file: Path) -> Any:
     """A recording as a device. Raises CameraError when it cannot be read."""
     if not file.is_file():
-        raise CameraError(f"{file}: there is no such file", "name a RealSense recording (.db3, .bag)")
+        raise CameraError(
+            f"{file}: there is no such file", "name a RealSense recording (.db3, .bag)"
+        )
     refuse_ros(file)
     try:
         return import_realsense().context().load_device(str(file))
     except RuntimeError as error:
         raise CameraError(
-            f"{file} cannot be played: {error}", "name a RealSense recording (.db3, or .bag of an older library)"
+            f"{file} cannot be played: {error}",
+            "name a RealSense recording (.db3, or .bag of an older library)",
         ) from error
 
 
@@ -204,11 +221,15 @@ def _recorder(rs: Any, device: Any, file: Path) -> Any:
     try:
         return rs.recorder(str(file), device)
     except RuntimeError as error:
-        raise CameraError(f"{file} cannot be recorded: {error}", "name a folder that can be written to") from error
+        raise CameraError(
+            f"{file} cannot be recorded: {error}", "name a folder that can be written to"
+        ) from error
 
 
 def _find(device: Any, kind: Kind, streams: Streams) -> tuple[Any, Any]:
-    """Sensor and profile of one stream, in the best of its formats. Raises CameraError listing what there is."""
+    """Sensor and profile of one stream, in the best of its formats. Raises CameraError listing what
+    there is.
+    """
     (width, height), offered = streams.size(kind), set[tuple[int, int, int]]()
     matching: dict[str, tuple[Any, Any]] = {}
     for sensor in device.query_sensors():
@@ -251,7 +272,9 @@ def _profiles(sensor: Any) -> list[int]:
 
 
 def unit_of(depth_sensor: Any, whose: str) -> float:
-    """Return metres of one step of depth. Raises CameraError where it is not said: it is never guessed."""
+    """Return metres of one step of depth. Raises CameraError where it is not said: it is never
+    guessed.
+    """
     option = import_realsense().option.depth_units
     try:
         return float(depth_sensor.get_option(option))
@@ -280,10 +303,14 @@ def intrinsics_of(rs: Any, profile: Any, kind: Kind) -> StandIn:
     if not any(coefficients) and it.model != rs.distortion.kannala_brandt4:
         lens = "brown_conrady"
     if lens is None:
-        raise CameraError(f"the {kind} stream has a lens of a kind that is not known: {it.model.name}", remedy)
+        raise CameraError(
+            f"the {kind} stream has a lens of a kind that is not known: {it.model.name}", remedy
+        )
     wanted = coefficients[:4] if lens == "equidistant" else coefficients
     try:
-        return as_brown_conrady(Lens(lens, it.width, it.height, it.fx, it.fy, it.ppx, it.ppy, wanted))
+        return as_brown_conrady(
+            Lens(lens, it.width, it.height, it.fx, it.fy, it.ppx, it.ppy, wanted)
+        )
     except ValueError as error:
         raise CameraError(f"the {kind} stream: {error}", remedy) from error
 
@@ -303,21 +330,28 @@ def _set_up(rs: Any, depth_sensor: Any, color_sensor: Any, streams: Streams) -> 
         (color_sensor, rs.option.enable_auto_exposure, float(streams.exposure_us == 0)),
     ]
     if streams.exposure_us:
-        wanted.append((color_sensor, rs.option.exposure, streams.exposure_us / 100.0))  # in steps of 100 us
+        # in steps of 100 us
+        wanted.append((color_sensor, rs.option.exposure, streams.exposure_us / 100.0))
     for sensor, option, value in wanted:
         if not sensor.supports(option):
             continue
         try:
             sensor.set_option(option, value)
         except RuntimeError as error:
-            raise CameraError(f"{option.name} cannot be set to {value:g}: {error}", "leave that option out") from error
+            raise CameraError(
+                f"{option.name} cannot be set to {value:g}: {error}", "leave that option out"
+            ) from error
 
 
 def mid_exposure_ns(rs: Any, frame: Any, domain: Domain) -> int:
-    """The frame's stamp is taken when its transfer begins; where the metadata tell, go back to the exposure."""
+    """The frame's stamp is taken when its transfer begins; where the metadata tell, go back to the
+    exposure.
+    """
     stamp_us = frame.get_timestamp() * 1000.0
     keys = rs.frame_metadata_value
-    if frame.supports_frame_metadata(keys.frame_timestamp) and frame.supports_frame_metadata(keys.sensor_timestamp):
+    if frame.supports_frame_metadata(keys.frame_timestamp) and frame.supports_frame_metadata(
+        keys.sensor_timestamp
+    ):
         sent_us = frame.get_frame_metadata(keys.frame_timestamp)
         exposed_us = frame.get_frame_metadata(keys.sensor_timestamp)
         already = domain is Domain.HARDWARE and abs(stamp_us - exposed_us) < abs(stamp_us - sent_us)

@@ -1,4 +1,6 @@
-"""``pyrealsense2`` without system packages: its wheel needs a libusb that a minimal Debian does not have."""
+"""``pyrealsense2`` without system packages: its wheel needs a libusb that a minimal Debian does not
+have.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def import_realsense() -> ModuleType:
 
 
 def _load_libusb() -> None:
-    """Into the global namespace, where the wheel looks for it: the system's, else the one of ``libusb-package``."""
+    """Into the global namespace, where the wheel looks for it: the system's, else the one of
+    ``libusb-package``.
+    """
     try:
         ctypes.CDLL(LIBUSB, mode=ctypes.RTLD_GLOBAL)
     except OSError:
@@ -33,6 +37,7 @@ def _load_libusb() -> None:
         path = libusb_package.get_library_path()
         if path is None:
             raise CameraError(
-                "libusb-1.0 is missing", "install libusb-1.0-0, or the Python package libusb-package"
+                "libusb-1.0 is missing",
+                "install libusb-1.0-0, or the Python package libusb-package",
             ) from None
         ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)

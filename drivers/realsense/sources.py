@@ -1,4 +1,6 @@
-"""Sources of a RealSense device: this computer's USB, a recording, or what a rig names by a factory."""
+"""Sources of a RealSense device: this computer's USB, a recording, or what a rig names by a
+factory.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ from drivers.realsense.sdk import connected, load_recording, serial_of
 class DeviceSource(Protocol):
     """Gives the ``pyrealsense2.device`` of one camera. All calls come from one thread.
 
-    ``live``: its wall-clock stamps are of now. ``returns``: a device that fell silent may be there again later.
+    ``live``: its wall-clock stamps are of now. ``returns``: a device that fell silent may be there
+    again later.
     """
 
     @property
@@ -26,11 +29,15 @@ class DeviceSource(Protocol):
     def returns(self) -> bool: ...
 
     def open(self) -> Any:
-        """A device nobody else uses. Bounded in time. Raises CameraError with what was found instead."""
+        """A device nobody else uses. Bounded in time. Raises CameraError with what was found
+        instead.
+        """
         ...
 
     def missing(self) -> CameraError | None:
-        """Returns why it gives no frames and what to do, as far as that is known; None when it is there."""
+        """Returns why it gives no frames and what to do, as far as that is known; None when it is
+        there.
+        """
         ...
 
     def close(self) -> None:
@@ -68,9 +75,14 @@ class UsbSource:
             )
         if not self._serial and len(devices) > 1:
             raise CameraError(
-                f"{len(devices)} RealSense cameras are connected: {listed}", "set `serial` to one of them"
+                f"{len(devices)} RealSense cameras are connected: {listed}",
+                "set `serial` to one of them",
             )
-        matching = [device for device, serial in zip(devices, serials, strict=True) if self._serial in ("", serial)]
+        matching = [
+            device
+            for device, serial in zip(devices, serials, strict=True)
+            if self._serial in ("", serial)
+        ]
         if len(matching) != 1:
             what = "no" if not matching else f"{len(matching)}"
             raise CameraError(
@@ -83,14 +95,18 @@ class UsbSource:
     def missing(self) -> CameraError | None:
         if self._serial in [serial_of(device) for device in self._query()]:
             return None
-        return CameraError("it is no longer connected", "see whether its cable holds, and plug it in again")
+        return CameraError(
+            "it is no longer connected", "see whether its cable holds, and plug it in again"
+        )
 
     def close(self) -> None:
         pass
 
 
 class RecordingSource:
-    """A file that ``record`` or librealsense's viewer wrote, played at the rate it was recorded at, once."""
+    """A file that ``record`` or librealsense's viewer wrote, played at the rate it was recorded at,
+    once.
+    """
 
     live = False
     returns = False

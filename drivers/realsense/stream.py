@@ -1,8 +1,9 @@
 """The thread of a RealSense camera: device to frames, and again when the device comes back.
 
-Colour and depth come as they are taken, each with a stamp of its own; two that were taken together make a pair. Only
-the newest is kept, and it is made a frame when somebody takes it: what nobody sees costs next to nothing. The thread
-ends when it is told to, when a device cannot come back, or when it did not in time.
+Colour and depth come as they are taken, each with a stamp of its own; two that were taken together
+make a pair. Only the newest is kept, and it is made a frame when somebody takes it: what nobody
+sees costs next to nothing. The thread ends when it is told to, when a device cannot come back, or
+when it did not in time.
 """
 
 from __future__ import annotations
@@ -58,9 +59,11 @@ class StreamConfig:
 
 @dataclass(slots=True)
 class StreamCounters:
-    """Counters of a stream. ``*_ns`` are CPU time of the thread that did it: of the stream's, and of who takes frames.
+    """Counters of a stream. ``*_ns`` are CPU time of the thread that did it: of the stream's, and
+    of who takes frames.
 
-    ``domain`` is whose clock stamps the frames, ``age_ns`` how old the newest pair was when it arrived.
+    ``domain`` is whose clock stamps the frames, ``age_ns`` how old the newest pair was when it
+    arrived.
     """
 
     domain: Domain | None = None
@@ -90,7 +93,9 @@ class ImagePair:
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """An image, its stamp in its device's clock, growing with every image of its kind, and its arrival, role clock."""
+    """An image, its stamp in its device's clock, growing with every image of its kind, and its
+    arrival, role clock.
+    """
 
     stamp_ns: int
     arrival_ns: int
@@ -98,7 +103,9 @@ class Taken:
 
 
 class Pairing:
-    """Finds colour and depth that were taken together. ``unpaired`` counts images that were passed over."""
+    """Finds colour and depth that were taken together. ``unpaired`` counts images that were passed
+    over.
+    """
 
     def __init__(self, tolerance_ns: int) -> None:
         self._tolerance_ns = tolerance_ns
@@ -126,10 +133,17 @@ class Pairing:
 
 
 class PairStream(threading.Thread):
-    """Runs until ``end``. ``on_news`` is called in this thread after every frame, every trouble and at the end."""
+    """Runs until ``end``. ``on_news`` is called in this thread after every frame, every trouble and
+    at the end.
+    """
 
     def __init__(
-        self, source: DeviceSource, config: StreamConfig, color: CameraModel, clock: Clock, on_news: Callable[[], None]
+        self,
+        source: DeviceSource,
+        config: StreamConfig,
+        color: CameraModel,
+        clock: Clock,
+        on_news: Callable[[], None],
     ) -> None:
         super().__init__(name=source.name, daemon=True)
         self._source = source
@@ -159,7 +173,8 @@ class PairStream(threading.Thread):
             return None
         counters = self.counters
         start = busy_ns()
-        color = np.array(pair.color.pixels, np.uint8, order="C")  # the library will use its memory again
+        # the library will use its memory again
+        color = np.array(pair.color.pixels, np.uint8, order="C")
         copied = busy_ns()
         depth_mm = pair.registration.register(np.asarray(pair.depth.pixels, np.uint16))
         counters.copy_ns += copied - start
@@ -178,7 +193,9 @@ class PairStream(threading.Thread):
             self._started_ns = busy_ns()
             self._run()
         except Exception as error:
-            self.trouble = CameraError(f"{self._source.name}: {error!r}", "this is a fault of the program: report it")
+            self.trouble = CameraError(
+                f"{self._source.name}: {error!r}", "this is a fault of the program: report it"
+            )
         finally:
             self.ended = True
             self._on_news()
@@ -191,8 +208,11 @@ class PairStream(threading.Thread):
                 self._use_device()
             except CameraError as error:
                 self.trouble = error
-            except RuntimeError as error:  # all that librealsense ever raises, such as on a device that was pulled out
-                self.trouble = CameraError(f"librealsense says: {error}", "plug it in again, or into another port")
+            # all that librealsense ever raises, such as on a device that was pulled out
+            except RuntimeError as error:
+                self.trouble = CameraError(
+                    f"librealsense says: {error}", "plug it in again, or into another port"
+                )
             if self._ending.is_set():
                 return
             now_s = time.monotonic()
@@ -224,7 +244,9 @@ class PairStream(threading.Thread):
             return None
         stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{re.sub('[^A-Za-z0-9]+', '-', self._source.name)}"
         taken = {file.name for file in folder.glob(f"{stem}*")}
-        return folder / next(name for i in range(len(taken) + 1) if (name := f"{stem}-{i}.db3") not in taken)
+        return folder / next(
+            name for i in range(len(taken) + 1) if (name := f"{stem}-{i}.db3") not in taken
+        )
 
     def _watch(self, device: RealSenseDevice) -> None:
         """Publish what comes. Raises CameraError when nothing does any more."""
@@ -237,7 +259,8 @@ class PairStream(threading.Thread):
         heard_s = paired_s = time.monotonic()
         while not self._ending.is_set():
             newest = None
-            # Asked before what waits is taken: a short recording may play from its beginning to its end meanwhile.
+            # Asked before what waits is taken: a short recording may play from its beginning to its
+            # end meanwhile.
             played_out = device.at_end
             for image in _waiting(device):
                 heard_s = time.monotonic()
@@ -247,7 +270,8 @@ class PairStream(threading.Thread):
             stamp_ns = None if newest is None else self._mapped(newest[0], clock)
             if newest is not None and stamp_ns is not None:
                 color, depth = (each.image for each in newest)
-                if base is None:  # a device that was opened again may count from the beginning again
+                # a device that was opened again may count from the beginning again
+                if base is None:
                     base = max(self._last_id + 1 - color.number, 0)
                 frame_id = max(base + color.number, self._last_id + 1)
                 self._publish(ImagePair(stamp_ns, frame_id, color, depth, registration))
@@ -259,14 +283,18 @@ class PairStream(threading.Thread):
     def _registration(self, device: RealSenseDevice) -> DepthRegistration:
         limits_m = self._config.limits_m
         try:
-            return DepthRegistration(device.depth, self._color, device.T_color_depth, device.unit_m, limits_m)
+            return DepthRegistration(
+                device.depth, self._color, device.T_color_depth, device.unit_m, limits_m
+            )
         except ValueError as error:
             raise CameraError(
                 f"{self._source.name}: depth cannot be registered to colour: {error}",
                 "see whether the calibration is of this camera, and choose another depth_size",
             ) from error
 
-    def _paired(self, image: RawImage, line: StampLine, pairing: Pairing) -> tuple[Taken, Taken] | None:
+    def _paired(
+        self, image: RawImage, line: StampLine, pairing: Pairing
+    ) -> tuple[Taken, Taken] | None:
         arrival_ns = self._clock.now_ns()
         stamp_ns = line.next(image.stamp_ns, image.domain)
         if stamp_ns is None:

@@ -1,4 +1,6 @@
-"""Any recording as a camera: a video file, a folder of images, or a log of PATH, paced by its own stamps."""
+"""Any recording as a camera: a video file, a folder of images, or a log of PATH, paced by its own
+stamps.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,13 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from drivers.interfaces import CameraError, Frame
-from drivers.recordings.recording import Loaded, RecordedFrame, Recording, RecordingOptions, open_recording
+from drivers.recordings.recording import (
+    Loaded,
+    RecordedFrame,
+    Recording,
+    RecordingOptions,
+    open_recording,
+)
 from drivers.rig.calibration_file import check_size
 from drivers.rig.parts import PartContext
 from path.bounds import Bounds, check_bounds
@@ -28,8 +36,8 @@ class RecordedCameraConfig:
     """
     Attributes:
         file: video file, folder of images, or .mcap log; relative to the rig.
-        pace: "real": a frame comes when its stamp says, and late ones are skipped, as of a camera; "fast": each frame,
-            as soon as it is asked for.
+        pace: "real": a frame comes when its stamp says, and late ones are skipped, as of a camera;
+            "fast": each frame, as soon as it is asked for.
         speed: of pace "real": 2 plays twice as fast, with stamps accordingly closer together.
         loop: begin again at the end.
         serial: serial number of the camera that it was recorded with, "" when it is not known.
@@ -66,8 +74,9 @@ class _Ready:
 class RecordedCamera:
     """Implements ``drivers.interfaces.Camera``.
 
-    The first frame is due when the camera is opened; stamps are of the role's clock from then on, as far apart as they
-    were recorded. A thread decodes the frame that comes next while the one before is looked at.
+    The first frame is due when the camera is opened; stamps are of the role's clock from then on,
+    as far apart as they were recorded. A thread decodes the frame that comes next while the one
+    before is looked at.
     """
 
     Config = RecordedCameraConfig
@@ -96,7 +105,9 @@ class RecordedCamera:
         return self._given
 
     async def __aenter__(self) -> Self:
-        """Raises CameraError when the recording cannot be played, or is not of the calibration's size."""
+        """Raises CameraError when the recording cannot be played, or is not of the calibration's
+        size.
+        """
         recording = open_recording(self._config.file, self._config.options())
         self._frames = _played(recording, self._config.loop)
         self._peeked = None
@@ -136,11 +147,16 @@ class RecordedCamera:
         self._coming = self._thread.submit(self._fetch)
         self._given += 1
         return Frame(
-            self._start_ns + round(ready.at_ns / self._speed), ready.number, ready.loaded.color, ready.loaded.depth_mm
+            self._start_ns + round(ready.at_ns / self._speed),
+            ready.number,
+            ready.loaded.color,
+            ready.loaded.depth_mm,
         )
 
     async def _due(self, ready: _Ready, timeout_s: float, thread: ThreadPoolExecutor) -> _Ready:
-        """Wait until a frame is due; when it is overdue, the newest one that is due takes its place."""
+        """Wait until a frame is due; when it is overdue, the newest one that is due takes its
+        place.
+        """
         loop = asyncio.get_running_loop()
         elapsed_s = loop.time() - self._start_s
         wait_s = ready.at_ns / 1e9 / self._speed - elapsed_s
@@ -157,7 +173,8 @@ class RecordedCamera:
         return newer or ready
 
     def _fetch(self, until_ns: int | None = None) -> _Ready | None:
-        """Returns the next frame; or with ``until_ns`` the last one up to then, None when there is none.
+        """Returns the next frame; or with ``until_ns`` the last one up to then, None when there is
+        none.
 
         Runs in the thread.
         """
@@ -175,7 +192,11 @@ class RecordedCamera:
             return None
         loaded = found.recorded.load()
         size = loaded.color.shape[1], loaded.color.shape[0]
-        check_size((self._model.width, self._model.height), size, f"{self._config.file}, {found.recorded.name}")
+        check_size(
+            (self._model.width, self._model.height),
+            size,
+            f"{self._config.file}, {found.recorded.name}",
+        )
         return _Ready(found.number, found.at_ns, loaded)
 
 
@@ -187,7 +208,9 @@ class _Frame:
 
 
 def _played(recording: Recording, loop: bool) -> Iterator[_Frame]:
-    """Frames with times that increase from 0 on, over and over when asked; those with an old stamp are left out."""
+    """Frames with times that increase from 0 on, over and over when asked; those with an old stamp
+    are left out.
+    """
     begin_ns = 0
     number = 0
     while True:

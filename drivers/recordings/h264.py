@@ -1,9 +1,11 @@
-"""Bare H.264 streams (Annex B), as people save a Tello's video: pictures without any stamps, some of them lost.
+"""Bare H.264 streams (Annex B), as people save a Tello's video: pictures without any stamps, some
+of them lost.
 
-FFmpeg gives what it can make of such a stream: pictures that lean on lost ones come out smeared, as if they
-were whole, and what is missing closes up in time. Here the stream is taken apart first (ITU-T H.264, 7.3 and
-7.4): every picture says its number (``frame_num``), so that lost ones are counted and time keeps their places,
-and after a loss nothing is believed until the next picture that leans on none.
+FFmpeg gives what it can make of such a stream: pictures that lean on lost ones come out smeared, as
+if they were whole, and what is missing closes up in time. Here the stream is taken apart first
+(ITU-T H.264, 7.3 and 7.4): every picture says its number (``frame_num``), so that lost ones are
+counted and time keeps their places, and after a loss nothing is believed until the next picture
+that leans on none.
 """
 
 from __future__ import annotations
@@ -29,11 +31,13 @@ class Picture:
     Attributes:
         data: its slices, with what stands before them.
         fresh: it leans on no other.
-        number: ``frame_num``; None when nothing said how to read it. ``is_start``: numbers begin again with it.
+        number: ``frame_num``; None when nothing said how to read it. ``is_start``: numbers begin
+            again with it.
         is_reference: others lean on it, so that the next one's number is higher.
         is_cut: its first slice is missing.
         modulo: numbers begin again there.
-        index: its place in time, in pictures from the stream's first one. ``gap``: so many were lost before it.
+        index: its place in time, in pictures from the stream's first one. ``gap``: so many were
+            lost before it.
     """
 
     data: bytes
@@ -86,7 +90,8 @@ def pictures(stream: bytes) -> list[Picture]:
 
 
 def _usual_length(found: list[Picture]) -> int | None:
-    """Return how many pictures a group has, if the stream lost some and its groups are of one length; else None.
+    """Return how many pictures a group has, if the stream lost some and its groups are of one
+    length; else None.
 
     Of a whole stream nothing is missing at the end of a group, however short it is.
     """
@@ -112,7 +117,9 @@ def _step(before: Picture, after: Picture) -> int:
 
 
 def _gap(before: Picture, after: Picture, since: int, usual: int | None) -> int:
-    """Return how many pictures were lost between two: also with a key frame, where numbers begin again."""
+    """Return how many pictures were lost between two: also with a key frame, where numbers begin
+    again.
+    """
     missing = _step(before, after)
     if usual is None:
         return missing
@@ -141,7 +148,9 @@ def _taken_apart(stream: bytes) -> Iterator[Picture]:
                 current.data = b"".join(parts)
                 yield current
             is_cut = one.first_block != 0
-            current = Picture(b"", one.fresh, one.number, one.is_start, one.is_reference, is_cut, one.modulo)
+            current = Picture(
+                b"", one.fresh, one.number, one.is_start, one.is_reference, is_cut, one.modulo
+            )
             parts = before
             before = []
         current.fresh = current.fresh and one.fresh
@@ -213,7 +222,9 @@ def _read_sequence(unit: bytes, sets: _Sets) -> None:
 
 
 class _Bits:
-    """Bits of a unit's beginning, without what was put between its bytes. Raises IndexError behind the end."""
+    """Bits of a unit's beginning, without what was put between its bytes. Raises IndexError behind
+    the end.
+    """
 
     def __init__(self, unit: bytes) -> None:
         self._bytes = unit[1:HEAD_BYTES].replace(b"\0\0\3", b"\0\0")

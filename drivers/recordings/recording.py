@@ -1,7 +1,8 @@
-"""Recordings of a camera as frames with stamps: a video file, a folder of images, or a log of PATH with images in it.
+"""Recordings of a camera as frames with stamps: a video file, a folder of images, or a log of PATH
+with images in it.
 
-A recording is opened once to see that it can be played at all, and then gives its frames in order as often as it is
-asked. Nothing is decoded before a frame is loaded.
+A recording is opened once to see that it can be played at all, and then gives its frames in order
+as often as it is asked. Nothing is decoded before a frame is loaded.
 """
 
 from __future__ import annotations
@@ -22,7 +23,13 @@ from drivers.log.mcap_log import LogRecord, decode_image, read_log
 from drivers.log.video import recorded_frames
 from drivers.recordings.ros_bag import refuse_ros
 from drivers.recordings.stamps import RecordingError, frame_stamps, natural, stamped_files
-from drivers.recordings.video_file import VIDEO_SUFFIXES, Damage, RateMissing, VideoError, video_frames
+from drivers.recordings.video_file import (
+    VIDEO_SUFFIXES,
+    Damage,
+    RateMissing,
+    VideoError,
+    video_frames,
+)
 
 Image = NDArray[np.uint8]
 
@@ -42,7 +49,9 @@ class Loaded:
 
 @dataclass(frozen=True, slots=True)
 class RecordedFrame:
-    """One frame, not decoded yet. ``stamp_ns``: of the recording's own clock. ``load`` raises RecordingError."""
+    """One frame, not decoded yet. ``stamp_ns``: of the recording's own clock. ``load`` raises
+    RecordingError.
+    """
 
     name: str
     stamp_ns: int
@@ -50,7 +59,9 @@ class RecordedFrame:
 
 
 class Recording(Protocol):
-    """A recording's frames. ``count``: their number, None when that is not known before they are read."""
+    """A recording's frames. ``count``: their number, None when that is not known before they are
+    read.
+    """
 
     @property
     def name(self) -> str: ...
@@ -72,12 +83,14 @@ class Recording(Protocol):
 class RecordingOptions:
     """
     Attributes:
-        rate_hz: of images without stamps, and of a bare video stream, which has none; None: they are refused.
-        stamps: CSV with columns ``file`` and ``stamp_ns`` or ``stamp_s``; None: ``stamps.csv`` in the folder if there
-            is one, or else the names of the files when they are times. Of a video file: one of the latter columns, and
-            a line for each frame; None: its presentation times.
-        depth: folder with a 16-bit image in mm of the same name for each image; None: no depth. Of a video file: with
-            one for each frame, in the order of their names.
+        rate_hz: of images without stamps, and of a bare video stream, which has none; None: they
+            are refused.
+        stamps: CSV with columns ``file`` and ``stamp_ns`` or ``stamp_s``; None: ``stamps.csv`` in
+            the folder if there is one, or else the names of the files when they are times. Of a
+            video file: one of the latter columns, and a line for each frame; None: its presentation
+            times.
+        depth: folder with a 16-bit image in mm of the same name for each image; None: no depth. Of
+            a video file: with one for each frame, in the order of their names.
         topic: of a log, which images; "" when it has only one kind.
     """
 
@@ -95,7 +108,8 @@ def open_recording(file: Path, options: RecordingOptions | None = None) -> Recor
     """A recording by what it is.
 
     Raises:
-        RecordingError: there is none, of no known kind, empty or damaged at its first frame; with what was found.
+        RecordingError: there is none, of no known kind, empty or damaged at its first frame; with
+            what was found.
     """
     options = options or RecordingOptions()
     if not file.exists():
@@ -125,7 +139,8 @@ def open_recording(file: Path, options: RecordingOptions | None = None) -> Recor
 
 
 class Video:
-    """A video file, read with FFmpeg; its stamps are the presentation times of the frames, or those of a table.
+    """A video file, read with FFmpeg; its stamps are the presentation times of the frames, or those
+    of a table.
 
     Depth images, if there are any, and the table's lines are one for each frame.
     """
@@ -157,7 +172,9 @@ class Video:
                     self._check_counts(number + 1 + sum(1 for _ in shown))
                 stamp_ns = shown_ns if stamps is None else stamps[number]
                 behind = None if depth is None else depth[number]
-                yield RecordedFrame(f"frame {number}", stamp_ns, partial(_with_depth, pixels, behind))
+                yield RecordedFrame(
+                    f"frame {number}", stamp_ns, partial(_with_depth, pixels, behind)
+                )
                 number += 1
         except RateMissing as error:
             raise RecordingError(
@@ -185,7 +202,9 @@ class Video:
 
 
 class Folder:
-    """Images in a folder, in the order of their stamps. All must be of one size, which is seen when they are loaded."""
+    """Images in a folder, in the order of their stamps. All must be of one size, which is seen when
+    they are loaded.
+    """
 
     damage = ""
 
@@ -193,8 +212,12 @@ class Folder:
         self.name = str(folder)
         self._folder = folder
         self._depth = options.depth
-        files = sorted((f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES), key=natural)
-        self._stamped = stamped_files(folder, files, options.stamps, options.rate_hz) if files else []
+        files = sorted(
+            (f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES), key=natural
+        )
+        self._stamped = (
+            stamped_files(folder, files, options.stamps, options.rate_hz) if files else []
+        )
 
     @property
     def count(self) -> int | None:
@@ -212,7 +235,12 @@ class Folder:
                     f"{file}: {color.shape[1]}x{color.shape[0]} px, the images before it have {size[1]}x{size[0]} px",
                     "put images of one camera at one size into a folder of their own",
                 )
-            return Loaded(color, None if self._depth is None else _read_depth(self._depth / f"{file.stem}.png", color))
+            return Loaded(
+                color,
+                None
+                if self._depth is None
+                else _read_depth(self._depth / f"{file.stem}.png", color),
+            )
 
         for stamp_ns, file in self._stamped:
             yield RecordedFrame(file.name, stamp_ns, lambda file=file: load(file))
@@ -227,12 +255,16 @@ class RecordedLog:
     def __init__(self, file: Path, topic: str) -> None:
         self.name = str(file)
         self._file = file
-        topics = sorted({r.topic for r in islice(self._records(), SEARCHED) if r.record.get("format") == "jpeg"})
+        topics = sorted(
+            {r.topic for r in islice(self._records(), SEARCHED) if r.record.get("format") == "jpeg"}
+        )
         if not topics:
             raise RecordingError(f"{file}: there are no images in this log", REMEDY)
         if topic not in topics and (topic or len(topics) > 1):
             found = f"images at '{topic}'" if topic else "one kind of images"
-            raise RecordingError(f"{file}: expected {found}, found {', '.join(topics)}", "name one as topic")
+            raise RecordingError(
+                f"{file}: expected {found}, found {', '.join(topics)}", "name one as topic"
+            )
         self._topic = topic or topics[0]
 
     def _records(self) -> Iterator[LogRecord]:
@@ -242,14 +274,20 @@ class RecordedLog:
             raise RecordingError(f"{self._file}: {error}", REMEDY) from error
 
     def frames(self) -> Iterator[RecordedFrame]:
-        for number, record in enumerate(each for each in self._records() if each.topic == self._topic):
-            yield RecordedFrame(f"image {number}", record.stamp_ns, lambda record=record: self._load(record))
+        for number, record in enumerate(
+            each for each in self._records() if each.topic == self._topic
+        ):
+            yield RecordedFrame(
+                f"image {number}", record.stamp_ns, lambda record=record: self._load(record)
+            )
 
     def _load(self, record: LogRecord) -> Loaded:
         try:
             return Loaded(decode_image(record.record))
         except (KeyError, ValueError) as error:
-            raise RecordingError(f"{self._file}: {self._topic} at {record.stamp_ns} ns: {error}", REMEDY) from error
+            raise RecordingError(
+                f"{self._file}: {self._topic} at {record.stamp_ns} ns: {error}", REMEDY
+            ) from error
 
 
 class RecordedFrames:
@@ -266,7 +304,9 @@ class RecordedFrames:
         try:
             for frame in recorded_frames(self._file):
                 loaded = Loaded(frame.color, frame.depth_mm)
-                yield RecordedFrame(f"frame {frame.frame_id}", frame.stamp_ns, lambda loaded=loaded: loaded)
+                yield RecordedFrame(
+                    f"frame {frame.frame_id}", frame.stamp_ns, lambda loaded=loaded: loaded
+                )
         except (OSError, ValueError) as error:
             raise RecordingError(f"{self._file}: {error}", REMEDY) from error
 
@@ -275,7 +315,9 @@ def read_image(file: Path) -> Image:
     """BGR pixels (h, w, 3) of an image file. Raises RecordingError."""
     pixels = cv2.imread(str(file), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if pixels is None:
-        raise RecordingError(f"{file}: this is no image that can be read", "remove it, or record it again")
+        raise RecordingError(
+            f"{file}: this is no image that can be read", "remove it, or record it again"
+        )
     return np.asarray(pixels, np.uint8)
 
 
@@ -287,14 +329,19 @@ def _with_depth(pixels: Callable[[], Image], depth: Path | None) -> Loaded:
 def _images(folder: Path) -> list[Path]:
     """The images of a folder in the order of their names. Raises RecordingError."""
     if not folder.is_dir():
-        raise RecordingError(f"{folder}: there is no such folder", "name the folder of the depth images")
+        raise RecordingError(
+            f"{folder}: there is no such folder", "name the folder of the depth images"
+        )
     return sorted((f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES), key=natural)
 
 
 def _read_depth(file: Path, color: Image) -> NDArray[np.uint16]:
     pixels = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
     if pixels is None:
-        raise RecordingError(f"{file}: there is no depth image", "each image needs one of the same name, as 16-bit PNG")
+        raise RecordingError(
+            f"{file}: there is no depth image",
+            "each image needs one of the same name, as 16-bit PNG",
+        )
     if pixels.dtype != np.uint16 or pixels.shape != color.shape[:2]:
         raise RecordingError(
             f"{file}: expected 16-bit depth of {color.shape[1]}x{color.shape[0]} px, found {pixels.dtype} of "

@@ -1,8 +1,10 @@
-"""Bags of ROS, told by what they hold: their names end as those of RealSense recordings and of PATH's own logs do.
+"""Bags of ROS, told by what they hold: their names end as those of RealSense recordings and of
+PATH's own logs do.
 
-librealsense writes bags too (``.bag`` of ROS 1 in older versions, ``.db3`` of ROS 2 today), with topics of its own:
-those are recordings of a camera. Any other bag is one of ROS: ``path-handoff export`` writes its images out
-(``drivers.recordings.ros_images``), everything else refuses it as that.
+librealsense writes bags too (``.bag`` of ROS 1 in older versions, ``.db3`` of ROS 2 today), with
+topics of its own: those are recordings of a camera. Any other bag is one of ROS: ``path-handoff
+export`` writes its images out (``drivers.recordings.ros_images``), everything else refuses it as
+that.
 """
 
 from __future__ import annotations
@@ -41,7 +43,9 @@ class RosBag:
 
 
 def refuse_ros(path: Path) -> None:
-    """Raises RecordingError when a file or folder is a bag of ROS, or a database that holds no recording at all."""
+    """Raises RecordingError when a file or folder is a bag of ROS, or a database that holds no
+    recording at all.
+    """
     if (bag := ros_bag_at(path)) is not None:
         raise RecordingError(
             f"{path} is {bag.text}, not a recording of librealsense or of PATH",
@@ -123,4 +127,6 @@ def _ros2_mcap(path: Path) -> RosBag | None:
     if profile not in (b"ros1", b"ros2"):
         return None
     topics = re.findall(rb"/[a-z][a-z0-9_/]*image[a-z0-9_/]*", content)
-    return RosBag(f"ROS {profile[3:].decode()} bag (MCAP)", tuple(dict.fromkeys(t.decode() for t in topics)))
+    return RosBag(
+        f"ROS {profile[3:].decode()} bag (MCAP)", tuple(dict.fromkeys(t.decode() for t in topics))
+    )

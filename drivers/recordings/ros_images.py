@@ -1,9 +1,9 @@
 """Colour and registered depth out of a bag of ROS 1 or 2, through ``rosbags`` (the extra ``ros``).
 
-``path-handoff export`` reads them; what else of a bag there is, is left alone. Depth is taken only where the
-bag says that it is of the colour camera: by its topic's name (``aligned_depth_to_color``, ``depth_registered``
-…) or by a camera_info that equals colour's in frame and matrix. Depth of another camera would have to be
-registered, and no bag says reliably where that camera was.
+``path-handoff export`` reads them; what else of a bag there is, is left alone. Depth is taken only
+where the bag says that it is of the colour camera: by its topic's name (``aligned_depth_to_color``,
+``depth_registered`` …) or by a camera_info that equals colour's in frame and matrix. Depth of
+another camera would have to be registered, and no bag says reliably where that camera was.
 """
 
 from __future__ import annotations
@@ -59,7 +59,9 @@ NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class RosFrame:
-    """Colour (h, w, 3) BGR and depth (h, w) in mm of the colour camera's pixels, at ``stamp_ns`` of the bag's clock."""
+    """Colour (h, w, 3) BGR and depth (h, w) in mm of the colour camera's pixels, at ``stamp_ns`` of
+    the bag's clock.
+    """
 
     stamp_ns: int
     color: NDArray[np.uint8]
@@ -100,7 +102,9 @@ class RosImages:
         model = str(info.distortion_model)
         where = f"{self._path}: {self.color_topic}"
         if model not in LENSES:
-            raise RecordingError(f"{where}: a lens of a kind that is not known: {model}", "name a calibration")
+            raise RecordingError(
+                f"{where}: a lens of a kind that is not known: {model}", "name a calibration"
+            )
         kind, count = LENSES[model]
         coefficients = [float(k) for k in _of(info, "d")]
         matrix = _matrix(info, "k", 3)
@@ -110,21 +114,29 @@ class RosImages:
             count = 5
             coefficients = []
         if any(coefficients[count:]):
-            raise RecordingError(f"{where}: a lens of {len(coefficients)} coefficients", "name a calibration")
+            raise RecordingError(
+                f"{where}: a lens of {len(coefficients)} coefficients", "name a calibration"
+            )
         filled = tuple((coefficients + [0.0] * count)[:count])
         if not any(filled) and kind == "rational":
             kind = "brown_conrady"
             filled = (0.0,) * 5
         fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
         try:
-            return as_brown_conrady(Lens(kind, int(info.width), int(info.height), fx, fy, cx, cy, filled))
+            return as_brown_conrady(
+                Lens(kind, int(info.width), int(info.height), fx, fy, cx, cy, filled)
+            )
         except ValueError as error:
             raise RecordingError(f"{where}: {error}", "name a calibration") from error
 
     def frames(self) -> Iterator[RosFrame]:
-        """Yield colour and depth that were taken together. Raises RecordingError where the bag is damaged."""
+        """Yield colour and depth that were taken together. Raises RecordingError where the bag is
+        damaged.
+        """
         try:
-            stamps = {topic: sorted(self._stamps(topic)) for topic in (self.color_topic, self.depth_topic)}
+            stamps = {
+                topic: sorted(self._stamps(topic)) for topic in (self.color_topic, self.depth_topic)
+            }
             partner = _partners(stamps[self.color_topic], stamps[self.depth_topic])
             yield from self._paired(partner)
         except (ValueError, KeyError, RuntimeError, OSError) as error:
@@ -133,7 +145,9 @@ class RosImages:
             self._reader.close()
 
     def _paired(self, partner: Mapping[int, int]) -> Iterator[RosFrame]:
-        """Yield pairs, by colour's stamp and its depth's. Depth often comes some messages after its colour."""
+        """Yield pairs, by colour's stamp and its depth's. Depth often comes some messages after its
+        colour.
+        """
         wanted = {depth_ns: color_ns for color_ns, depth_ns in partner.items()}
         waiting: dict[int, dict[str, Any]] = {}
         topics = (self.color_topic, self.depth_topic)
@@ -174,16 +188,25 @@ class RosImages:
 
     def _info(self, topic: str) -> Any | None:
         """The first camera_info beside a topic."""
-        beside = topic.removesuffix("/compressed").removesuffix("/compressedDepth").rpartition("/")[0]
+        beside = (
+            topic.removesuffix("/compressed").removesuffix("/compressedDepth").rpartition("/")[0]
+        )
         named = f"{beside}/camera_info"
-        return next((message for _, message in self._messages(named)), None) if self._has(named) else None
+        return (
+            next((message for _, message in self._messages(named)), None)
+            if self._has(named)
+            else None
+        )
 
     def _has(self, topic: str) -> bool:
         return any(c.topic == topic and c.msgtype == CAMERA_INFO for c in self._reader.connections)
 
     def _only(self, topics: list[str], what: str) -> str:
         """Return the one topic, or the one of several forms of it. Raises RecordingError."""
-        found = sorted(set(topics), key=lambda topic: ("compressed" in topic, "rect" in topic, len(topic), topic))
+        found = sorted(
+            set(topics),
+            key=lambda topic: ("compressed" in topic, "rect" in topic, len(topic), topic),
+        )
         if not found:
             listed = ", ".join(sorted({c.topic for c in self._reader.connections})) or "nothing"
             raise RecordingError(f"{self._path} has no {what} to be read; it has: {listed}", REMEDY)
@@ -196,7 +219,9 @@ class RosImages:
         return found[0]
 
     def _registered(self, topics: list[str]) -> str:
-        """Return the topic of depth of colour's pixels. Raises RecordingError when there is none."""
+        """Return the topic of depth of colour's pixels. Raises RecordingError when there is
+        none.
+        """
         named = [topic for topic in topics if any(word in topic for word in REGISTERED)]
         alike = [topic for topic in topics if topic not in named and self._is_alike(topic)]
         if topics and not named and not alike:
@@ -208,7 +233,9 @@ class RosImages:
         return self._only(named or alike, "depth")
 
     def _is_alike(self, topic: str) -> bool:
-        """Return whether depth says that it is of colour's pixels: the same frame, size and matrix."""
+        """Return whether depth says that it is of colour's pixels: the same frame, size and
+        matrix.
+        """
         own = self._info(topic)
         color = self._color_info
         if own is None or color is None or own.header.frame_id != color.header.frame_id:
@@ -219,7 +246,9 @@ class RosImages:
     def _damaged(self, error: Exception) -> RecordingError:
         if isinstance(error, RecordingError):
             return error
-        return RecordingError(f"{self._path}: the bag is damaged: {error}", "is it whole, and was it closed?")
+        return RecordingError(
+            f"{self._path}: the bag is damaged: {error}", "is it whole, and was it closed?"
+        )
 
 
 def _opened(path: Path) -> Any:
@@ -230,13 +259,17 @@ def _opened(path: Path) -> Any:
     except ImportError as error:
         bag = ros_bag_at(path)
         what = bag.text if bag is not None else "a bag of ROS"
-        raise RecordingError(f"{path} is {what}, not a recording of librealsense or of PATH", INSTALL) from error
+        raise RecordingError(
+            f"{path} is {what}, not a recording of librealsense or of PATH", INSTALL
+        ) from error
     kind = typesys.Stores.ROS1_NOETIC if path.suffix == ".bag" else typesys.Stores.ROS2_HUMBLE
     try:
         reader = highlevel.AnyReader([path], default_typestore=typesys.get_typestore(kind))
         reader.open()
     except Exception as error:  # of storage plug-ins, which share no base
-        raise RecordingError(f"{path}: the bag cannot be read: {error}", "is it whole, and was it closed?") from error
+        raise RecordingError(
+            f"{path}: the bag cannot be read: {error}", "is it whole, and was it closed?"
+        ) from error
     return reader
 
 
@@ -265,14 +298,18 @@ def _stamp_of(message: Any) -> int:
 
 
 def _partners(colors: list[int], depths: list[int]) -> dict[int, int]:
-    """Return for colour's stamps the depth's nearest one, within half of colour's usual period; each at most once."""
+    """Return for colour's stamps the depth's nearest one, within half of colour's usual period;
+    each at most once.
+    """
     steps = [after - before for before, after in pairwise(colors) if after > before]
     tolerance_ns = int(np.median(steps)) // 2 if steps else NS // 60
     found: dict[int, int] = {}
     taken: set[int] = set()
     places = np.searchsorted(np.array(depths, np.int64), np.array(colors, np.int64))
     for stamp_ns, place in zip(colors, places.tolist(), strict=True):
-        near = [depth_ns for depth_ns in depths[max(place - 1, 0) : place + 1] if depth_ns not in taken]
+        near = [
+            depth_ns for depth_ns in depths[max(place - 1, 0) : place + 1] if depth_ns not in taken
+        ]
         best = min(near, key=lambda each: abs(each - stamp_ns), default=None)
         if best is not None and abs(best - stamp_ns) <= tolerance_ns:
             found[stamp_ns] = best
@@ -285,7 +322,10 @@ def _bgr(message: Any) -> NDArray[np.uint8]:
         return _decompressed(message, cv2.IMREAD_COLOR, np.uint8)
     encoding = str(message.encoding)
     if encoding not in COLORS:
-        raise RecordingError(f"colour is encoded as {encoding}", f"one of {', '.join(COLORS)}, or compressed, is read")
+        raise RecordingError(
+            f"colour is encoded as {encoding}",
+            f"one of {', '.join(COLORS)}, or compressed, is read",
+        )
     channels, conversion = COLORS[encoding]
     pixels = _rows(message, np.dtype(np.uint8), channels)
     return np.asarray(pixels if conversion is None else cv2.cvtColor(pixels, conversion), np.uint8)
@@ -295,21 +335,29 @@ def _millimetres(message: Any) -> NDArray[np.uint16]:
     """Return depth in mm: of REP 118, metres as float32 or millimetres as uint16."""
     if not hasattr(message, "encoding"):
         if not str(message.format).startswith("16UC1"):
-            raise RecordingError(f"depth is compressed as {message.format}", "16UC1 in millimetres is read")
+            raise RecordingError(
+                f"depth is compressed as {message.format}", "16UC1 in millimetres is read"
+            )
         return _decompressed(message, cv2.IMREAD_UNCHANGED, np.uint16)
     encoding = str(message.encoding)
     if encoding not in DEPTHS:
-        raise RecordingError(f"depth is encoded as {encoding}", f"one of {', '.join(DEPTHS)} is read")
+        raise RecordingError(
+            f"depth is encoded as {encoding}", f"one of {', '.join(DEPTHS)} is read"
+        )
     if encoding == "32FC1":
         metres = _rows(message, np.dtype(np.float32), 1)
         with np.errstate(invalid="ignore"):
             believed = np.isfinite(metres) & (metres > 0.0) & (metres < 65.0)
-        return np.where(believed, np.round(np.where(believed, metres, 0.0) * 1000.0), 0.0).astype(np.uint16)
+        return np.where(believed, np.round(np.where(believed, metres, 0.0) * 1000.0), 0.0).astype(
+            np.uint16
+        )
     return np.ascontiguousarray(_rows(message, np.dtype(np.uint16), 1))
 
 
 def _rows(message: Any, kind: np.dtype[Any], channels: int) -> NDArray[Any]:
-    """Return pixels (h, w) or (h, w, channels), whatever the order of bytes and what follows each row."""
+    """Return pixels (h, w) or (h, w, channels), whatever the order of bytes and what follows each
+    row.
+    """
     height = int(message.height)
     width = int(message.width)
     step = int(message.step)
@@ -331,5 +379,7 @@ def _decompressed(message: Any, flags: int, kind: type[Any]) -> NDArray[Any]:
     begins = bytes(data[:64]).find(b"\x89PNG")  # compressed depth has a header of its own before it
     pixels = cv2.imdecode(data[max(begins, 0) :], flags) if data.size else None
     if pixels is None or pixels.dtype != kind:
-        raise RecordingError(f"an image compressed as {message.format} cannot be read", "is the bag whole?")
+        raise RecordingError(
+            f"an image compressed as {message.format} cannot be read", "is the bag whole?"
+        )
     return pixels

@@ -1,4 +1,6 @@
-"""The stamps of a recording's images and frames: from a table, from the names of files, or by a rate."""
+"""The stamps of a recording's images and frames: from a table, from the names of files, or by a
+rate.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ class RecordingError(CameraError):
 
 
 def frame_stamps(file: Path) -> list[int]:
-    """The stamps, ns, of a film's frames, from a column ``stamp_ns`` or ``stamp_s`` with a line for each.
+    """The stamps, ns, of a film's frames, from a column ``stamp_ns`` or ``stamp_s`` with a line for
+    each.
 
     Raises RecordingError.
     """
@@ -31,13 +34,17 @@ def frame_stamps(file: Path) -> list[int]:
     ]
     for number, (before, stamp_ns) in enumerate(pairwise(stamps), 3):
         if stamp_ns <= before:
-            raise RecordingError(f"{file}: line {number}: no later than the line before", "correct the stamps")
+            raise RecordingError(
+                f"{file}: line {number}: no later than the line before", "correct the stamps"
+            )
     return stamps
 
 
 def natural(file: Path) -> list[tuple[int, str]]:
     """Sorts img2 before img10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file.name)]
+    return [
+        (int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file.name)
+    ]
 
 
 def stamped_files(
@@ -45,7 +52,8 @@ def stamped_files(
 ) -> list[tuple[int, Path]]:
     """Files with their stamps, ns, in order. Raises RecordingError.
 
-    ``given``: the table of stamps, if it is not the folder's own. ``rate_hz``: of images that have no stamps.
+    ``given``: the table of stamps, if it is not the folder's own. ``rate_hz``: of images that have
+    no stamps.
     """
     table = given or (folder / STAMPS_FILE if (folder / STAMPS_FILE).exists() else None)
     if table is not None:
@@ -58,15 +66,21 @@ def stamped_files(
     elif rate_hz is not None:
         stamped = [(round(1e9 * number / rate_hz), file) for number, file in enumerate(files)]
     else:
-        stamped = sorted(((_time_of(file, folder), file) for file in files), key=lambda pair: pair[0])
+        stamped = sorted(
+            ((_time_of(file, folder), file) for file in files), key=lambda pair: pair[0]
+        )
     for (before, _), (stamp_ns, file) in pairwise(stamped):
         if stamp_ns <= before:
-            raise RecordingError(f"{folder}: {file.name} has the stamp of another image", "correct the stamps")
+            raise RecordingError(
+                f"{folder}: {file.name} has the stamp of another image", "correct the stamps"
+            )
     return stamped
 
 
 def _time_of(file: Path, folder: Path) -> int:
-    """A stamp from a file's name: nanoseconds when it has as many digits, seconds when it has a decimal point."""
+    """A stamp from a file's name: nanoseconds when it has as many digits, seconds when it has a
+    decimal point.
+    """
     if file.stem.isdigit() and len(file.stem) >= NS_DIGITS:
         return int(file.stem)
     if re.fullmatch(r"\d+\.\d+", file.stem):

@@ -19,8 +19,11 @@ VIDEO_SUFFIXES = (
     ".mjpeg", ".mjpg",
 )  # fmt: skip
 BARE = ("h264", "hevc", "mjpeg", "mpegvideo", "m4v", "obu")
-"""FFmpeg's names of streams without a container: they have no stamps, and whatever rate it says is a guess."""
-STRICT = "explode+aggressive+compliant+careful+bitstream+buffer"  # a slice that ends early or late is torn
+"""FFmpeg's names of streams without a container: they have no stamps, and whatever rate it says is
+a guess.
+"""
+# a slice that ends early or late is torn
+STRICT = "explode+aggressive+compliant+careful+bitstream+buffer"
 NS = 1_000_000_000
 Pixels = Callable[[], NDArray[np.uint8]]
 
@@ -35,7 +38,9 @@ class RateMissing(VideoError):
 
 @dataclass(slots=True)
 class Damage:
-    """What of a video gave no frame: ``lost`` pictures are missing, ``torn`` ones lean on those or are damaged."""
+    """What of a video gave no frame: ``lost`` pictures are missing, ``torn`` ones lean on those or
+    are damaged.
+    """
 
     lost: int = 0
     torn: int = 0
@@ -46,14 +51,17 @@ class Damage:
         if not self.lost and not self.torn:
             return ""
         return (
-            f"{self.lost} pictures are missing and {self.torn} are torn: they are no frames, and time goes on over them"
+            f"{self.lost} pictures are missing and {self.torn} are torn: they are no frames, "
+            "and time goes on over them"
         )
 
 
 def video_frames(file: Path, rate_hz: float | None, damage: Damage) -> Iterator[tuple[int, Pixels]]:
-    """Presentation stamp (ns from the first frame) and pixels, BGR (h, w, 3) when called, of each frame in order.
+    """Presentation stamp (ns from the first frame) and pixels, BGR (h, w, 3) when called, of each
+    frame in order.
 
-    A picture that leans on a lost or damaged one is none: until the next one that leans on nothing there is no frame.
+    A picture that leans on a lost or damaged one is none: until the next one that leans on nothing
+    there is no frame.
 
     Args:
         rate_hz: of a bare stream, which has no stamps. ``damage``: is counted anew.
@@ -71,7 +79,9 @@ def video_frames(file: Path, rate_hz: float | None, damage: Damage) -> Iterator[
             stream = container.streams.video[0]
             bare = str(container.format.name)
             if bare in BARE and rate_hz is None:
-                raise RateMissing(f"it is a bare stream ({bare}), which does not say how many pictures a second it has")
+                raise RateMissing(
+                    f"it is a bare stream ({bare}), which does not say how many pictures a second it has"
+                )
             if bare == "h264":
                 yield from _bare_h264(av, file, rate_hz or 0.0, damage)
                 return
@@ -79,7 +89,9 @@ def video_frames(file: Path, rate_hz: float | None, damage: Damage) -> Iterator[
             rate = Fraction(rate_hz) if bare in BARE and rate_hz else None
             yield from _stamped(container.decode(stream), stream, rate, damage)
     except (av.FFmpegError, OSError, ValueError) as error:
-        raise VideoError(f"it cannot be read: {getattr(error, 'strerror', None) or error}") from error
+        raise VideoError(
+            f"it cannot be read: {getattr(error, 'strerror', None) or error}"
+        ) from error
 
 
 def _stamped(
@@ -102,7 +114,9 @@ def _stamped(
 
 
 def _bare_h264(av: Any, file: Path, rate_hz: float, damage: Damage) -> Iterator[tuple[int, Pixels]]:
-    """Decode picture by picture: each has its place in time, and what leans on a lost one is left out."""
+    """Decode picture by picture: each has its place in time, and what leans on a lost one is left
+    out.
+    """
     codec = av.CodecContext.create("h264", "r")
     codec.thread_type = "NONE"
     codec.options = {"err_detect": STRICT}  # else it conceals, and does not always say so

@@ -1,4 +1,5 @@
-"""Calibrations on disk: TOML that a person can read, with a version, tied to one camera and one image size.
+"""Calibrations on disk: TOML that a person can read, with a version, tied to one camera and one
+image size.
 
 A rig names them: ``[sender.camera] calibration = "d1.camera.toml"`` instead of the numbers, and
 ``[sender.mount.marker] calibration = "d1.mount.toml"`` instead of measures.
@@ -41,8 +42,8 @@ class CalibrationError(CameraError):
 class CameraTable:
     """Intrinsics at exactly this stream size; distortion is Brown–Conrady k1 k2 p1 p2 k3.
 
-    ``doubts``: as ``CameraModel.doubts``; empty where nothing is stated, and then the method's own figure is used.
-    ``thinning``: how the camera leaves out pixels; None where it does not.
+    ``doubts``: as ``CameraModel.doubts``; empty where nothing is stated, and then the method's own
+    figure is used. ``thinning``: how the camera leaves out pixels; None where it does not.
     """
 
     width: Annotated[int, Bounds(16, 16384, "px")]
@@ -65,13 +66,23 @@ class CameraTable:
     def model(self) -> CameraModel:
         """Raises ValueError for a distortion that cannot be inverted."""
         return CameraModel(
-            self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.distortion, self.doubts, self.thinning
+            self.width,
+            self.height,
+            self.fx,
+            self.fy,
+            self.cx,
+            self.cy,
+            self.distortion,
+            self.doubts,
+            self.thinning,
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """The quality of a calibration: rms of corners in px, of the solution and of views that were left out."""
+    """The quality of a calibration: rms of corners in px, of the solution and of views that were
+    left out.
+    """
 
     rms_px: float
     held_out_px: float
@@ -89,7 +100,8 @@ class CameraCalibration:
         serial: of the camera, "" when it is not known.
         source, board: what it was made from, for people.
         standard_errors: of each parameter.
-        grade: good, or fair or weak where ``weak`` names what its views lacked (docs/calibration.md).
+        grade: good, or fair or weak where ``weak`` names what its views lacked
+            (docs/calibration.md).
     """
 
     kind: Literal["camera"]
@@ -121,7 +133,8 @@ class MountCalibration:
     """``T_v_c1`` as written: where D1's camera is, seen from the marker.
 
     Attributes:
-        serial: of D1's camera, "" when it is not known. ``markers``: the layout that defines frame ``v``.
+        serial: of D1's camera, "" when it is not known. ``markers``: the layout that defines frame
+            ``v``.
         position_v_m, q_v_c: of ``T_v_c1``, quaternion wxyz.
         position_sigma_m, rotation_sigma_deg: standard errors, along the axes of ``v``.
     """
@@ -156,7 +169,9 @@ class MountCalibration:
 
 def _check_version(version: int) -> None:
     if version != VERSION:
-        raise ValueError(f"version {version} of this file is not known; this program writes and reads {VERSION}")
+        raise ValueError(
+            f"version {version} of this file is not known; this program writes and reads {VERSION}"
+        )
 
 
 def read_camera(file: Path) -> CameraCalibration:
@@ -174,13 +189,17 @@ MADE_BY = "Made by `path-handoff calibrate"  # the sign of every file and pictur
 
 def write_calibration(file: Path, calibration: CameraCalibration | MountCalibration) -> None:
     """Raises CalibrationError when it cannot be written."""
-    key = "[sender.camera]" if isinstance(calibration, CameraCalibration) else "[sender.mount.marker]"
+    key = (
+        "[sender.camera]" if isinstance(calibration, CameraCalibration) else "[sender.mount.marker]"
+    )
     comment = f'{MADE_BY} {calibration.kind}`. In a rig: {key} calibration = "{file.name}"'
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(toml_text(_plain(asdict(calibration)), comment), "utf-8")
     except OSError as error:
-        raise CalibrationError(f"cannot write {file}: {error.strerror}", "name another file with --out") from error
+        raise CalibrationError(
+            f"cannot write {file}: {error.strerror}", "name another file with --out"
+        ) from error
 
 
 def quaternion(pose: Pose) -> tuple[float, float, float, float]:

@@ -15,15 +15,19 @@ from path.messages import Role
 EXCLUSIVE = ("url", "bind", "sysid", "interface", "device", "serial")
 """Options of a part that name something only one part of a rig may use."""
 OF_ROLE = ("host", "state_port", "video_port", "interface", "serial", "namespace")
-"""Options that all parts of one role may share, when they mean the same drone, and nothing of the other role."""
+"""Options that all parts of one role may share, when they mean the same drone, and nothing of the
+other role.
+"""
 
 
 def check_rig(rig: Rig, *, harness: bool = True) -> None:
-    """Check all that can be checked without touching hardware. Raises RigError with every problem found.
+    """Check all that can be checked without touching hardware. Raises RigError with every problem
+    found.
 
-    Factories import and take their options, files that are named exist, no two parts share a port, system id, interface
-    or device, cameras are those that their calibrations are of, the two links point at each other, and the harness (its
-    ``check_rig(rig)``, when it has one) agrees, if it is asked.
+    Factories import and take their options, files that are named exist, no two parts share a port,
+    system id, interface or device, cameras are those that their calibrations are of, the two links
+    point at each other, and the harness (its ``check_rig(rig)``, when it has one) agrees, if it is
+    asked.
     """
     problems = Problems()
     configs = _decode_parts(rig, problems)
@@ -38,7 +42,9 @@ def check_rig(rig: Rig, *, harness: bool = True) -> None:
 
 
 def check_ready(rig: Rig) -> None:
-    """Check what parts need besides their options, such as a model's file. Raises PartError, or RigError."""
+    """Check what parts need besides their options, such as a model's file. Raises PartError, or
+    RigError.
+    """
     for config in _decode_parts(rig, Problems()).values():
         if hasattr(config, "check_ready"):
             config.check_ready()
@@ -67,11 +73,21 @@ def _decode_parts(rig: Rig, problems: Problems) -> dict[str, Any]:
 
 
 def _exclusive(config: Any) -> list[tuple[str, Any]]:
-    """The options of a part that occupy something. In a network namespace of its own a role has its own ports."""
+    """The options of a part that occupy something. In a network namespace of its own a role has its
+    own ports.
+    """
     apart = bool(getattr(config, "namespace", ""))
-    named = [(f.name, getattr(config, f.name)) for f in dataclasses.fields(config) if f.name in (*EXCLUSIVE, *OF_ROLE)]
+    named = [
+        (f.name, getattr(config, f.name))
+        for f in dataclasses.fields(config)
+        if f.name in (*EXCLUSIVE, *OF_ROLE)
+    ]
     taken = [(name, value) for name, value in named if value not in (None, "")]
-    return [(name, value) for name, value in taken if not (apart and name in ("host", "state_port", "video_port"))]
+    return [
+        (name, value)
+        for name, value in taken
+        if not (apart and name in ("host", "state_port", "video_port"))
+    ]
 
 
 def _check_part(spec: PartSpec, configs: dict[str, Any], problems: Problems) -> None:
@@ -99,7 +115,10 @@ def _check_exclusive(configs: Mapping[str, Any], problems: Problems) -> None:
             if key in used and one_drone and used[key].partition(".")[0] == role:
                 continue  # vehicle and camera of one drone
             if key in used:
-                problems.add(f"{where}.{name}", f"{value!r} is already used by {used[key]}; each needs its own")
+                problems.add(
+                    f"{where}.{name}",
+                    f"{value!r} is already used by {used[key]}; each needs its own",
+                )
             used.setdefault(key, f"{where.partition(': ')[2]}.{name}")
 
 
@@ -110,13 +129,17 @@ def _check_serials(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> 
         for where, config in configs.items():
             serial = getattr(config, "serial", "") if where.startswith(own.perception.where) else ""
             try:
-                check_serial(own.camera_serial, str(serial or ""), rig.where(f"{role.value}.camera"))
+                check_serial(
+                    own.camera_serial, str(serial or ""), rig.where(f"{role.value}.camera")
+                )
             except CalibrationError as error:
                 problems.add(f"{where}.serial", str(error))
 
 
 def _resource(name: str, value: Any) -> tuple[str, str]:
-    """Returns what an option occupies. Two listeners on one UDP port collide whatever their addresses say."""
+    """Returns what an option occupies. Two listeners on one UDP port collide whatever their
+    addresses say.
+    """
     text = str(value)
     if name in ("state_port", "video_port"):
         return "port", text
@@ -130,14 +153,21 @@ def _check_guards(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> N
     """A guard that watches another vehicle than the one that is flown guards nothing."""
     for role in Role:
         own = rig.role(role)
-        watched = getattr(configs.get(own.guard.where), "vehicle_sysid", None) if own.guard else None
+        watched = (
+            getattr(configs.get(own.guard.where), "vehicle_sysid", None) if own.guard else None
+        )
         flown = getattr(configs.get(own.vehicle.where), "sysid", None)
         if own.guard and watched is not None and flown is not None and watched != flown:
-            problems.add(f"{own.guard.where}.vehicle_sysid", f"{watched} is not the vehicle that is flown, {flown}")
+            problems.add(
+                f"{own.guard.where}.vehicle_sysid",
+                f"{watched} is not the vehicle that is flown, {flown}",
+            )
         for name in SHARED_WITH_THE_VEHICLE:
             theirs = own.vehicle.options.get(name)
             if own.guard and own.guard.options.get(name, theirs) != theirs:
-                problems.add(f"{own.guard.where}.{name}", f"not the vehicle's, {theirs!r}: leave it out")
+                problems.add(
+                    f"{own.guard.where}.{name}", f"not the vehicle's, {theirs!r}: leave it out"
+                )
 
 
 def _check_mirrored(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> None:
@@ -148,7 +178,10 @@ def _check_mirrored(rig: Rig, configs: Mapping[str, Any], problems: Problems) ->
         peer, bind = str(getattr(own, "peer")), str(getattr(other, "bind"))  # noqa: B009 (Config of any link)
         same_host = bind.rpartition(":")[0] in ("0.0.0.0", "", peer.rpartition(":")[0])
         if peer.rpartition(":")[2] != bind.rpartition(":")[2] or not same_host:
-            problems.add(rig.where(f"{role}.link.peer"), f"{peer!r} is not where the other drone listens: {bind!r}")
+            problems.add(
+                rig.where(f"{role}.link.peer"),
+                f"{peer!r} is not where the other drone listens: {bind!r}",
+            )
 
 
 def _check_harness(rig: Rig, harness: str, problems: Problems) -> None:

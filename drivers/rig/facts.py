@@ -41,7 +41,8 @@ class TargetFacts:
     """The target's body and motion.
 
     Attributes:
-        length_m, width_m, height_m: of a box around it and what sticks out of it; the same whichever way it heads.
+        length_m, width_m, height_m: of a box around it and what sticks out of it; the same
+            whichever way it heads.
         max_speed_mps, max_accel_mps2: the most it may do in this mission, in any direction.
         flies: it moves up and down too.
     """
@@ -86,10 +87,11 @@ class SiteFacts:
 
     Attributes:
         wind_mps, gust_mps: the mean wind, and the standard deviation about it.
-        corners_m: (north, east) of the corners of a site with walls, in order; empty: there are none.
+        corners_m: (north, east) of the corners of a site with walls, in order; empty: there are
+            none.
         ceiling_m: above the ground; None: there is none.
-        position_m: standard deviation per axis of where the drones take themselves to be in flight; walls are kept
-            from by twice that besides.
+        position_m: standard deviation per axis of where the drones take themselves to be in flight;
+            walls are kept from by twice that besides.
     """
 
     wind_mps: Annotated[float, Bounds(0.0, 30.0)] = 1.5
@@ -128,13 +130,17 @@ class LinkFacts:
 
 @dataclass(frozen=True, slots=True)
 class HeightFacts:
-    """How well the drones know their height over the ground that the target stands on. Level ground is meant.
+    """How well the drones know their height over the ground that the target stands on. Level ground
+    is meant.
 
     Attributes:
-        drift_m: how far the autopilot's own height wanders in a minute (barometer; of PX4 and ArduPilot alike).
-        rangefinder_max_m, rangefinder_min_m: what rangefinders that look down measure between; 0: there are none.
+        drift_m: how far the autopilot's own height wanders in a minute (barometer; of PX4 and
+            ArduPilot alike).
+        rangefinder_max_m, rangefinder_min_m: what rangefinders that look down measure between; 0:
+            there are none.
         rangefinder_sigma_m: of one measurement, scale included.
-        uneven_m: by how much the ground below a drone may be higher or lower than that at the target.
+        uneven_m: by how much the ground below a drone may be higher or lower than that at the
+            target.
     """
 
     drift_m: Annotated[float, Bounds(0.0, 10.0)] = 0.3

@@ -17,16 +17,19 @@ harness = "hil.harness.sitl:Sitl"            # left out in the field
 [[markers]]                          # the marker layout on the sender, in frame v
 [sender.vehicle]                     # a part: its factory, and the options of its Config
 factory = "drivers.mavlink.vehicle:MavsdkVehicle"
-[sender.perception], [sender.link], [sender.clock], [sender.camera], [sender.mount.camera], [sender.mount.marker]
+[sender.perception], [sender.link], [sender.clock], [sender.camera], [sender.mount.camera],
+[sender.mount.marker]
 [sender.guard]                       # may be left out: the guard's own link to the vehicle
 [sender.operator]                    # may be left out: whoever says which object is meant while D1 is in the air
 [receiver. ...]                      # the same, without mount.marker
 
-``like = "sitl"`` takes all of another rig but what is written; the other one is a name, or a file beside this one. A
-table that says ``factory`` or ``calibration`` is another part and taken as it is written, and so is a list; of any
-other table only the keys that are written differ. Relative paths start at the folder of the file that is flown.
+``like = "sitl"`` takes all of another rig but what is written; the other one is a name, or a file
+beside this one. A table that says ``factory`` or ``calibration`` is another part and taken as it is
+written, and so is a list; of any other table only the keys that are written differ. Relative paths
+start at the folder of the file that is flown.
 
-A camera may be ``calibration = "d1.camera.toml"`` instead of its numbers, and so may ``[sender.mount.marker]``.
+A camera may be ``calibration = "d1.camera.toml"`` instead of its numbers, and so may
+``[sender.mount.marker]``.
 """
 
 from __future__ import annotations
@@ -39,8 +42,21 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from drivers.rig.calibration_file import CalibrationError, CameraTable, MountCalibration, read_camera
-from drivers.rig.facts import DepthFacts, DroneFacts, HeightFacts, LinkFacts, SiteFacts, TargetFacts, without_derived
+from drivers.rig.calibration_file import (
+    CalibrationError,
+    CameraTable,
+    MountCalibration,
+    read_camera,
+)
+from drivers.rig.facts import (
+    DepthFacts,
+    DroneFacts,
+    HeightFacts,
+    LinkFacts,
+    SiteFacts,
+    TargetFacts,
+    without_derived,
+)
 from drivers.rig.mounts import CalibrationName, CameraMount, MarkerPlace, Vec3, axis_turn
 from drivers.rig.parts import Level, Mount, Origin, PartSpec, Reference, Rig, RoleRig
 from drivers.rig.tables import RigError, decode_table, read_toml, suggestion
@@ -56,7 +72,9 @@ _WHOLE = frozenset(("factory", "calibration"))
 
 @dataclass(frozen=True, slots=True)
 class _Camera:
-    """Intrinsics, written out or from a file. ``serial``: of the camera they are of, "" when it is not known."""
+    """Intrinsics, written out or from a file. ``serial``: of the camera they are of, "" when it is
+    not known.
+    """
 
     model: CameraModel
     serial: str
@@ -88,7 +106,9 @@ class _ReceiverMount:
 
 @dataclass(frozen=True, slots=True)
 class _Marker:
-    """One fiducial of the layout: ``roll_deg`` turns it about its own normal, pitch and yaw about ``v``'s x and y."""
+    """One fiducial of the layout: ``roll_deg`` turns it about its own normal, pitch and yaw about
+    ``v``'s x and y.
+    """
 
     id: Annotated[int, Bounds(0, 1023, "(an id)")]
     side_m: Annotated[float, Bounds(0.005, 2.0)]
@@ -103,7 +123,9 @@ class _Marker:
         """Raises ValueError for a marker that cannot be."""
         roll, pitch, yaw = self.rpy_deg
         turn = axis_turn(1, yaw) @ axis_turn(0, pitch) @ axis_turn(2, roll)
-        return Marker(self.id, self.side_m, self.side_sigma_m, Pose(turn, np.array(self.position_v_m)))
+        return Marker(
+            self.id, self.side_m, self.side_sigma_m, Pose(turn, np.array(self.position_v_m))
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,19 +189,28 @@ class _RigTable:
 
 
 def _check_mount(mount: MountCalibration, rig: _RigTable) -> None:
-    """Raises ValueError when a mount is of other markers or another camera, or less sure than the method is told."""
+    """Raises ValueError when a mount is of other markers or another camera, or less sure than the
+    method is told.
+    """
     here = "sender.mount.marker.calibration"
     printed = {m.id: m.side_m for m in rig.markers}
     calibrated = {m.id: m.side_m for m in mount.markers}
-    if printed.keys() != calibrated.keys() or any(abs(printed[i] - calibrated[i]) > 1e-6 for i in printed):
-        raise ValueError(f"{here}: it is of the markers {_shown(calibrated)}, this rig has {_shown(printed)}")
+    if printed.keys() != calibrated.keys() or any(
+        abs(printed[i] - calibrated[i]) > 1e-6 for i in printed
+    ):
+        raise ValueError(
+            f"{here}: it is of the markers {_shown(calibrated)}, this rig has {_shown(printed)}"
+        )
     if mount.serial and rig.sender.camera.serial and mount.serial != rig.sender.camera.serial:
         raise ValueError(
             f"{here}: it is of the camera with serial number {mount.serial}, "
             f"sender.camera.calibration of {rig.sender.camera.serial}"
         )
     position_m, angle_deg = mount.largest_sigmas
-    if position_m > rig.method.mount_sigma_m * 1.001 or angle_deg > rig.method.mount_sigma_deg * 1.001:
+    if (
+        position_m > rig.method.mount_sigma_m * 1.001
+        or angle_deg > rig.method.mount_sigma_deg * 1.001
+    ):
         raise ValueError(
             f"method: mount_sigma_m = {rig.method.mount_sigma_m:g} and mount_sigma_deg = "
             f"{rig.method.mount_sigma_deg:g} promise more than {here} has: {position_m:.2g} m and {angle_deg:.2g} deg"
@@ -191,7 +222,9 @@ def _shown(markers: Mapping[int, float]) -> str:
 
 
 def find_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Path:
-    """The TOML file of a rig: a path, or a bare name looked up in the folders of ``search``. Raises RigError."""
+    """The TOML file of a rig: a path, or a bare name looked up in the folders of ``search``. Raises
+    RigError.
+    """
     path = Path(name_or_path)
     if path.suffix == ".toml" or len(path.parts) > 1:
         if is_file(path):
@@ -202,13 +235,17 @@ def find_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Path:
             return folder / f"{path}.toml"
     names = sorted(file.stem for folder in search for file in folder.glob("*.toml"))
     raise RigError(
-        [f"no rig named '{path}'{suggestion(str(path), names)}; there are: {', '.join(names) or 'none'}"],
+        [
+            f"no rig named '{path}'{suggestion(str(path), names)}; there are: {', '.join(names) or 'none'}"
+        ],
         "name one of these, or the path of a rig's .toml file",
     )
 
 
 def read_rig(path: Path, search: Sequence[Path] = ()) -> dict[str, Any]:
-    """The tables of a rig file, those of the rig that it is like among them; not checked. Raises RigError."""
+    """The tables of a rig file, those of the rig that it is like among them; not checked. Raises
+    RigError.
+    """
     return _read(path, search, ())
 
 
@@ -222,13 +259,17 @@ def _read(path: Path, search: Sequence[Path], after: tuple[Path, ...]) -> dict[s
     like = table.pop("like")
     where = f"{path.name}: like"
     if not isinstance(like, str):
-        raise RigError([f"{where} is {like!r}; expected the name of a rig, or a rig file beside this one"])
+        raise RigError(
+            [f"{where} is {like!r}; expected the name of a rig, or a rig file beside this one"]
+        )
     try:
         other = find_rig(path.parent / like if like.endswith(".toml") else like, search)
     except RigError as error:
         raise RigError([f"{where}: {line}" for line in error.problems], error.remedy) from error
     if other.resolve() in (each.resolve() for each in (*after, path)):
-        raise RigError([f"{where} = {like!r} leads back to {other.name}"], "let one of them stand on its own")
+        raise RigError(
+            [f"{where} = {like!r} leads back to {other.name}"], "let one of them stand on its own"
+        )
     base = _read(other, search, (*after, path))
     if "target" in table:
         # another target: what the other rig says of heights and distances is of its own

@@ -1,7 +1,9 @@
-"""Calibrations that other programs wrote: what they are is told, and their lens; none is taken for one of PATH's.
+"""Calibrations that other programs wrote: what they are is told, and their lens; none is taken for
+one of PATH's.
 
-A lens of another model has numbers of the same names: eight of a rational one, four of a fisheye. Taken as
-Brown-Conrady's they give a camera that looks right in the middle of the image and is wrong at its edges.
+A lens of another model has numbers of the same names: eight of a rational one, four of a fisheye.
+Taken as Brown-Conrady's they give a camera that looks right in the middle of the image and is wrong
+at its edges.
 """
 
 from __future__ import annotations
@@ -36,12 +38,15 @@ LENSES: Sequence[tuple[str, str]] = (
 )
 """Models that are none of this program's; the first that is named counts."""
 OWN_LENS = (
-    "[sender.camera] or [receiver.camera] of the rig: width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3]"
+    "[sender.camera] or [receiver.camera] of the rig: "
+    "width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3]"
 )
 
 
 def foreign_calibration(text: str) -> tuple[str, str] | None:
-    """Return what another program's calibration is, and how to go on; None for what is none that is known."""
+    """Return what another program's calibration is, and how to go on; None for what is none that is
+    known.
+    """
     program = next((name for name, words in PROGRAMS if all(word in text for word in words)), None)
     if program is None:
         return None
@@ -50,4 +55,7 @@ def foreign_calibration(text: str) -> tuple[str, str] | None:
     if lens is None:
         return f"this is {program}", f"write its numbers into {OWN_LENS}"
     again = "calibrate this camera with `path-handoff calibrate camera`, which says whether such a lens fits"
-    return f"this is {program}, of {lens}: a rig's lens is Brown-Conrady's, with k1 k2 p1 p2 k3", again
+    return (
+        f"this is {program}, of {lens}: a rig's lens is Brown-Conrady's, with k1 k2 p1 p2 k3",
+        again,
+    )

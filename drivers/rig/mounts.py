@@ -38,7 +38,8 @@ class CameraMount:
     yaw_deg: Annotated[float, Bounds(-180.0, 180.0)] = 0.0
 
     def pose(self) -> Pose:
-        forward = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # columns: x right, y down, z ahead
+        # columns: x right, y down, z ahead
+        forward = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
         turn = _turn(self.roll_deg, -self.pitch_down_deg, self.yaw_deg)
         return Pose(turn @ forward, np.array(self.position_b_m))
 
@@ -53,7 +54,8 @@ class MarkerMount:
     yaw_deg: Annotated[float, Bounds(-180.0, 180.0)] = 0.0
 
     def pose(self) -> Pose:
-        backward = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # columns: x right, y up, z out
+        # columns: x right, y up, z out
+        backward = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
         turn = _turn(self.roll_deg, -self.tilt_up_deg, self.yaw_deg)
         return Pose(turn @ backward, np.array(self.position_b_m))
 
@@ -71,7 +73,9 @@ class MarkerPlace:
         if not (isinstance(table, Mapping) and "calibration" in table):
             return cls(decode_table(table, MarkerMount, where, base), None)
         try:
-            return cls(None, read_mount(decode_table(table, CalibrationName, where, base).calibration))
+            return cls(
+                None, read_mount(decode_table(table, CalibrationName, where, base).calibration)
+            )
         except CalibrationError as error:
             raise RigError([f"{where}.calibration: {error}"], error.remedy) from error
 

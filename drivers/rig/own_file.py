@@ -1,4 +1,6 @@
-"""Python files of somebody's own, beside a rig or a mission, from which a class or a coroutine is taken."""
+"""Python files of somebody's own, beside a rig or a mission, from which a class or a coroutine is
+taken.
+"""
 
 from __future__ import annotations
 
@@ -33,13 +35,19 @@ def module_of(file: Path, what: str) -> ModuleType:
         spec.loader.exec_module(module)
     except SystemExit as error:
         del sys.modules[name]
-        raise PartError(f"{file} cannot be loaded: it {ended_by(error)}", "mend the file") from error
+        raise PartError(
+            f"{file} cannot be loaded: it {ended_by(error)}", "mend the file"
+        ) from error
     except Exception as error:
         del sys.modules[name]
-        raise PartError(f"{file} cannot be loaded: {type(error).__name__}: {error}", "mend the file") from error
+        raise PartError(
+            f"{file} cannot be loaded: {type(error).__name__}: {error}", "mend the file"
+        ) from error
     return module
 
 
 def ended_by(error: SystemExit) -> str:
-    """Say that code of a rig or a mission ends the program. With 0 it would look like a flight that went well."""
+    """Say that code of a rig or a mission ends the program. With 0 it would look like a flight that
+    went well.
+    """
     return f"ends the program, by sys.exit({error.code!r}) or the like; let it raise an exception"

@@ -1,8 +1,9 @@
 """Findings that a part may give ``doctor`` besides what its Protocol asks of it.
 
 The short test of each kind of part is the same for all of its drivers and uses the Protocol alone
-(``missions.field.doctor.perception``, ``link``, ``vehicle``, ``beacons``). What only a driver can know,
-such as a firmware, whose clock stamps its frames or why a vehicle does not arm, it says itself.
+(``missions.field.doctor.perception``, ``link``, ``vehicle``, ``beacons``). What only a driver can
+know, such as a firmware, whose clock stamps its frames or why a vehicle does not arm, it says
+itself.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ State = Literal["ok", "note", "fault"]
 
 @dataclass(frozen=True, slots=True)
 class Enough:
-    """Shares of a rate that was asked for: below ``well`` it is a note, below ``at_all`` a fault."""
+    """Shares of a rate that was asked for: below ``well`` it is a note, below ``at_all`` a
+    fault.
+    """
 
     well: float
     at_all: float
@@ -31,7 +34,8 @@ REPORTS = Enough(0.9, 0.5)  # of a state: the next one is as good
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A finding about one thing. ``note``: a flight is possible, something else is not, or was not tested.
+    """A finding about one thing. ``note``: a flight is possible, something else is not, or was not
+    tested.
 
     ``untested``: nothing is known of it, so that nothing may be promised.
     """
@@ -48,7 +52,8 @@ class Examined(Protocol):
     """A part that knows more of itself than its Protocol asks."""
 
     async def examine(self) -> Sequence[Finding]:
-        """Asked while the part is open and has run for a while. Moves nothing, sets nothing, and is bounded in time.
+        """Asked while the part is open and has run for a while. Moves nothing, sets nothing, and is
+        bounded in time.
 
         ``Finding.name`` is what was looked at; of whom is added by who asks. Raises PartError.
         """
@@ -61,11 +66,15 @@ async def examined(part: object) -> Sequence[Finding]:
 
 
 def rate_of(part: object) -> float | None:
-    """Returns how often a part is set to give something, Hz: its attribute ``rate_hz``; None when it has none."""
+    """Returns how often a part is set to give something, Hz: its attribute ``rate_hz``; None when
+    it has none.
+    """
     return getattr(part, "rate_hz", None)
 
 
-async def counted(newest: Mapping[str, Callable[[], int | None]], wanted_hz: float, fix: str) -> Sequence[Finding]:
+async def counted(
+    newest: Mapping[str, Callable[[], int | None]], wanted_hz: float, fix: str
+) -> Sequence[Finding]:
     """Counts how often each of some streams brings something new, against what was asked for.
 
     Args:
@@ -79,10 +88,15 @@ async def counted(newest: Mapping[str, Callable[[], int | None]], wanted_hz: flo
         for name, read in newest.items():
             seen[name].add(read())
         await asyncio.sleep(POLL_S)
-    return [rate_finding(name, (len(stamps) - 1) / seconds, wanted_hz, fix) for name, stamps in seen.items()]
+    return [
+        rate_finding(name, (len(stamps) - 1) / seconds, wanted_hz, fix)
+        for name, stamps in seen.items()
+    ]
 
 
-def rate_finding(name: str, found_hz: float, wanted_hz: float, fix: str, enough: Enough = REPORTS) -> Finding:
+def rate_finding(
+    name: str, found_hz: float, wanted_hz: float, fix: str, enough: Enough = REPORTS
+) -> Finding:
     detail = f"{found_hz:.1f} of {wanted_hz:g} a second"
     if found_hz >= enough.well * wanted_hz:
         return Finding("ok", name, detail)

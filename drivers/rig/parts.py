@@ -1,6 +1,7 @@
 """A rig as values: the parts of both drones by name, and how a part is made from its name.
 
-How a rig is written is ``drivers.rig.file``; what is checked before anything moves is ``drivers.rig.check``.
+How a rig is written is ``drivers.rig.file``; what is checked before anything moves is
+``drivers.rig.check``.
 """
 
 from __future__ import annotations
@@ -33,20 +34,26 @@ GONE = {  # parts that rigs may still name: what to do instead
         "it cost more than the detector in it; put the table 'detector' in its place"
     ),
 }
-_SUCH_AS = 'such as "drivers.mavlink.vehicle:MavsdkVehicle", or "own.py:Name" of a file beside the rig'
+_SUCH_AS = (
+    'such as "drivers.mavlink.vehicle:MavsdkVehicle", or "own.py:Name" of a file beside the rig'
+)
 
 Level = Literal["sim", "sim-rendered", "sitl", "hitl", "field"]
 
 
 SHARED_WITH_THE_VEHICLE = ("height_from", "battery_id")
-"""Options of a guard that are those of the vehicle that it watches: its table gives them where the guard's does not."""
+"""Options of a guard that are those of the vehicle that it watches: its table gives them where the
+guard's does not.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class PartSpec:
-    """A part by name: ``factory`` is ``module:Class`` or ``file.py:Class``; ``options`` are ``Class.Config``.
+    """A part by name: ``factory`` is ``module:Class`` or ``file.py:Class``; ``options`` are
+    ``Class.Config``.
 
-    May be a field of another part's Config (``[sender.perception.camera]``), which then opens it itself.
+    May be a field of another part's Config (``[sender.perception.camera]``), which then opens it
+    itself.
     """
 
     factory: str
@@ -56,7 +63,9 @@ class PartSpec:
 
     @classmethod
     def from_table(cls, table: Any, where: str, base: Path | None) -> PartSpec:
-        """Used by ``decode_table``. Raises RigError when ``factory`` is missing or no ``module:Class``."""
+        """Used by ``decode_table``. Raises RigError when ``factory`` is missing or no
+        ``module:Class``.
+        """
         if not isinstance(table, Mapping):
             raise RigError([f"{where}: expected a table with a factory"])
         factory = table.get("factory")
@@ -67,7 +76,9 @@ class PartSpec:
         file, _, name = factory.rpartition(":")
         if file.endswith(".py") and base is not None:
             factory = f"{base / file}:{name}"
-        return cls(factory, {key: value for key, value in table.items() if key != "factory"}, where, base)
+        return cls(
+            factory, {key: value for key, value in table.items() if key != "factory"}, where, base
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +112,8 @@ class Mount:
 class PartContext:
     """The facts that a part may know of its role besides its own options.
 
-    ``harness`` is the in-process substitute world at the sim levels (parts of ``hil`` cast it), else None.
-    ``camera_serial``: as in ``RoleRig``.
+    ``harness`` is the in-process substitute world at the sim levels (parts of ``hil`` cast it),
+    else None. ``camera_serial``: as in ``RoleRig``.
     """
 
     role: Role
@@ -117,13 +128,16 @@ class PartContext:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The ultrasonic system that trials in flight measure against: its beacons, and who listens to them.
+    """The ultrasonic system that trials in flight measure against: its beacons, and who listens to
+    them.
 
     Attributes:
         sender, receiver: with the lever in the drone's body (FRD).
         target: with the lever in the target's frame, x ahead and z up.
-        beacons: a part that is a ``drivers.interfaces.Beacons``; None where a harness makes their records up.
-        telemetry_late_s: what the vehicles' states, stamped on arrival, are late by as far as it is known.
+        beacons: a part that is a ``drivers.interfaces.Beacons``; None where a harness makes their
+            records up.
+        telemetry_late_s: what the vehicles' states, stamped on arrival, are late by as far as it is
+            known.
     """
 
     sender: Mounted
@@ -143,7 +157,9 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class RoleRig:
-    """One drone of the rig. ``camera_serial``: of the camera that ``camera`` is the calibration of, "" if not known."""
+    """One drone of the rig. ``camera_serial``: of the camera that ``camera`` is the calibration of,
+    "" if not known.
+    """
 
     vehicle: PartSpec
     perception: PartSpec
@@ -165,15 +181,15 @@ class RoleRig:
 class Rig:
     """A whole rig.
 
-    ``mission``, ``world``, ``relay``, ``team``, ``drones`` and ``targets`` stay tables: who uses them decodes them with
-    ``decode_table``.
+    ``mission``, ``world``, ``relay``, ``team``, ``drones`` and ``targets`` stay tables: who uses
+    them decodes them with ``decode_table``.
 
-    ``trials`` names what trials measure against, ``module:name`` by purpose; ``reference`` is None without beacons;
-    ``folders`` are where a rig that this one is like was looked up by name.
+    ``trials`` names what trials measure against, ``module:name`` by purpose; ``reference`` is None
+    without beacons; ``folders`` are where a rig that this one is like was looked up by name.
 
-    ``target``, ``drone``, ``depth``, ``link``, ``height`` and ``site`` are what was measured (``drivers.rig.facts``);
-    None where the rig says what follows from it by itself. ``named`` are the values of ``[method]`` and
-    ``[mission]`` that
+    ``target``, ``drone``, ``depth``, ``link``, ``height`` and ``site`` are what was measured
+    (``drivers.rig.facts``); None where the rig says what follows from it by itself. ``named`` are
+    the values of ``[method]`` and ``[mission]`` that
     the rig names, by dotted key.
     """
 
@@ -217,7 +233,9 @@ def with_errors(rig: Rig, level: str | None) -> Rig:
 
     Raises RigError for a rig that flies in the real world.
     """
-    return _with_world(rig, "errors", level and {"level": level}, "world of its own to be drawn with errors")
+    return _with_world(
+        rig, "errors", level and {"level": level}, "world of its own to be drawn with errors"
+    )
 
 
 def with_scene(rig: Rig, name: str | None) -> Rig:
@@ -225,11 +243,14 @@ def with_scene(rig: Rig, name: str | None) -> Rig:
 
     Raises RigError for a rig that flies in the real world.
     """
-    return _with_world(rig, "scene", name and {"name": name}, "world of its own that could look otherwise")
+    return _with_world(
+        rig, "scene", name and {"name": name}, "world of its own that could look otherwise"
+    )
 
 
 def with_slow(rig: Rig, share: float | None) -> Rig:
-    """The rig with another share of a core for each role's program (``world.slow``), if one is given.
+    """The rig with another share of a core for each role's program (``world.slow``), if one is
+    given.
 
     Raises RigError for a rig whose programs nobody starts but their crews.
     """
@@ -253,7 +274,9 @@ def import_factory(factory: str, where: str) -> Any:
     module_name, _, class_name = factory.rpartition(":")
     try:
         own = module_name.endswith(".py")
-        module = module_of(Path(module_name), "part") if own else importlib.import_module(module_name)
+        module = (
+            module_of(Path(module_name), "part") if own else importlib.import_module(module_name)
+        )
     except PartError as error:
         raise RigError([f"{where}: {error}"], error.remedy) from error
     except ImportError as error:
@@ -261,7 +284,9 @@ def import_factory(factory: str, where: str) -> Any:
     except SystemExit as error:
         raise RigError([f"{where}: cannot import {module_name}: it {ended_by(error)}"]) from error
     except Exception as error:
-        raise RigError([f"{where}: cannot import {module_name}: {type(error).__name__}: {error}"]) from error
+        raise RigError(
+            [f"{where}: cannot import {module_name}: {type(error).__name__}: {error}"]
+        ) from error
     if not hasattr(module, class_name):
         classes = [name for name, value in vars(module).items() if hasattr(value, "Config")]
         hint = suggestion(class_name, classes)
@@ -274,12 +299,16 @@ def decode_part(spec: PartSpec) -> tuple[Any, Any]:
     kind = import_factory(spec.factory, f"{spec.where}.factory")
     config = getattr(kind, "Config", None)
     if config is None or not dataclasses.is_dataclass(config):
-        raise RigError([f"{spec.where}.factory: {spec.factory} is no part: it has no Config dataclass"])
+        raise RigError(
+            [f"{spec.where}.factory: {spec.factory} is no part: it has no Config dataclass"]
+        )
     return kind, decode_table(spec.options, config, spec.where, spec.base)  # type: ignore[arg-type]
 
 
 def create(spec: PartSpec, context: PartContext) -> Any:
-    """Make the part a spec names. Entering it, with ``async with``, is what opens it. Raises RigError."""
+    """Make the part a spec names. Entering it, with ``async with``, is what opens it. Raises
+    RigError.
+    """
     kind, config = decode_part(spec)
     try:
         inspect.signature(kind).bind(config, context)
@@ -289,7 +318,9 @@ def create(spec: PartSpec, context: PartContext) -> Any:
     try:
         return kind(config, context)
     except SystemExit as error:
-        raise RigError([f"{spec.where}.factory: {spec.factory} cannot be made: it {ended_by(error)}"]) from error
+        raise RigError(
+            [f"{spec.where}.factory: {spec.factory} cannot be made: it {ended_by(error)}"]
+        ) from error
 
 
 class _NoClock:
@@ -300,9 +331,18 @@ class _NoClock:
 
 
 def part_context(rig: Rig, role: Role, harness: object | None = None) -> PartContext:
-    """The context of one role's parts, with its clock made, which goes on evenly if it is set. Raises RigError."""
+    """The context of one role's parts, with its clock made, which goes on evenly if it is set.
+    Raises RigError.
+    """
     own = rig.role(role)
     early = PartContext(
-        role, _NoClock(), own.camera, own.mount, rig.layout, rig.origin, harness, camera_serial=own.camera_serial
+        role,
+        _NoClock(),
+        own.camera,
+        own.mount,
+        rig.layout,
+        rig.origin,
+        harness,
+        camera_serial=own.camera_serial,
     )
     return dataclasses.replace(early, clock=SteadyClock(create(own.clock, early)))

@@ -1,4 +1,6 @@
-"""TOML tables to frozen dataclasses, strictly: every unknown key and wrong value is named, all at once."""
+"""TOML tables to frozen dataclasses, strictly: every unknown key and wrong value is named, all at
+once.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +26,15 @@ LARGEST = sys.float_info.max
 
 
 class RigError(PartError):
-    """A rig cannot be used as written. ``problems`` has one line each: file, table, key, and what is allowed."""
+    """A rig cannot be used as written. ``problems`` has one line each: file, table, key, and what
+    is allowed.
+    """
 
     def __init__(self, problems: Sequence[str], remedy: str = "") -> None:
-        super().__init__("\n".join(problems), remedy or "correct the rig file; `path-handoff rigs` lists working ones")
+        super().__init__(
+            "\n".join(problems),
+            remedy or "correct the rig file; `path-handoff rigs` lists working ones",
+        )
         self.problems = tuple(problems)
 
 
@@ -52,16 +59,20 @@ class _Bad(Exception):
     """A value was refused and the problem noted."""
 
 
-def decode_table(table: Mapping[str, Any], kind: type[T], where: str, base: Path | None = None) -> T:
+def decode_table(
+    table: Mapping[str, Any], kind: type[T], where: str, base: Path | None = None
+) -> T:
     """Decode a TOML table as the dataclass ``kind``.
 
-    Understands nested dataclasses, tuples, dicts with string keys, enums (by value), Literals, unions, ``Path``, floats
-    written as integers, and any type with a class method ``from_table(table, where, base)``. Numbers must be finite,
-    and within their field's ``path.bounds.Bounds``.
+    Understands nested dataclasses, tuples, dicts with string keys, enums (by value), Literals,
+    unions, ``Path``, floats written as integers, and any type with a class method
+    ``from_table(table, where, base)``. Numbers must be finite, and within their field's
+    ``path.bounds.Bounds``.
 
     Args:
         table: as tomllib gives it.
-        kind: a dataclass; its ``__post_init__`` may raise ValueError to refuse a combination of values.
+        kind: a dataclass; its ``__post_init__`` may raise ValueError to refuse a combination of
+            values.
         where: names file and table in messages, such as ``sitl.toml: sender.vehicle``.
         base: relative paths in the table start here.
 
@@ -78,7 +89,8 @@ def decode_table(table: Mapping[str, Any], kind: type[T], where: str, base: Path
 
 
 def read_toml(file: Path) -> dict[str, Any]:
-    """The tables of a TOML file, also of one that begins with a byte-order mark, as editors on Windows write it.
+    """The tables of a TOML file, also of one that begins with a byte-order mark, as editors on
+    Windows write it.
 
     Raises OSError, UnicodeDecodeError and tomllib.TOMLDecodeError, whatever is in the file.
     """
@@ -87,15 +99,19 @@ def read_toml(file: Path) -> dict[str, Any]:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError:
         raise
-    except (RecursionError, ValueError) as error:  # nested without end, a number of thousands of digits
+    # nested without end, a number of thousands of digits
+    except (RecursionError, ValueError) as error:
         raise tomllib.TOMLDecodeError(str(error)) from error
 
 
-RENAMED = {"sight": "perception", "studio": "renderer", "apart": "position_offset"}  # as rigs once called it
+# as rigs once called it
+RENAMED = {"sight": "perception", "studio": "renderer", "apart": "position_offset"}
 
 
 def suggestion(key: str, allowed: Sequence[str]) -> str:
-    """`` (did you mean 'height_m'?)`` for an old name, a near miss, a missing or different unit; else nothing."""
+    """`` (did you mean 'height_m'?)`` for an old name, a near miss, a missing or different unit;
+    else nothing.
+    """
     if RENAMED.get(key) in allowed:
         return f" (called '{RENAMED[key]}' now)"
     same_stem = [name for name in allowed if _stem(name) == _stem(key)]
@@ -117,7 +133,9 @@ def _inside(where: str, key: str) -> str:
     return f"{where}.{key}" if ": " in where else f"{where}: {key}"
 
 
-def _dataclass(table: Any, kind: type[Any], where: str, problems: Problems, base: Path | None) -> Any:
+def _dataclass(
+    table: Any, kind: type[Any], where: str, problems: Problems, base: Path | None
+) -> Any:
     if not isinstance(table, Mapping):
         problems.add(where, f"expected a table, found {_shown(table)}")
         raise _Bad
@@ -132,7 +150,9 @@ def _dataclass(table: Any, kind: type[Any], where: str, problems: Problems, base
     for name, spec in fields.items():
         if name in table:
             try:
-                values[name] = _value(table[name], _hints(kind)[name], _inside(where, name), problems, base)
+                values[name] = _value(
+                    table[name], _hints(kind)[name], _inside(where, name), problems, base
+                )
             except _Bad:
                 continue
         elif spec.default is dataclasses.MISSING and spec.default_factory is dataclasses.MISSING:
@@ -154,7 +174,9 @@ def _value(value: Any, kind: Any, where: str, problems: Problems, base: Path | N
     if origin in (Union, types.UnionType):
         return _union(value, kind, where, problems, base)
     if origin is Literal:
-        if value not in get_args(kind) or isinstance(value, bool) not in {isinstance(a, bool) for a in get_args(kind)}:
+        if value not in get_args(kind) or isinstance(value, bool) not in {
+            isinstance(a, bool) for a in get_args(kind)
+        }:
             _refuse(value, kind, where, problems)
         return value
     if origin is tuple:
@@ -194,7 +216,12 @@ def _scalar(value: Any, kind: Any, where: str, problems: Problems, base: Path | 
         return value
     if kind is Path and isinstance(value, str):
         return base / value if base else Path(value)
-    if kind is float and isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST:
+    if (
+        kind is float
+        and isinstance(value, int | float)
+        and not isinstance(value, bool)
+        and abs(value) <= LARGEST
+    ):
         return float(value)
     if kind in (int, str, bool, type(None)) and type(value) is kind:
         return value
@@ -209,14 +236,21 @@ def _union(value: Any, kind: Any, where: str, problems: Problems, base: Path | N
             return _value(value, choice, where, attempt, base)
         except _Bad:
             attempts.append(attempt)
-    tables = [a for a, choice in zip(attempts, get_args(kind), strict=True) if dataclasses.is_dataclass(choice)]
-    if isinstance(value, Mapping) and len(tables) == 1:  # `Wind | None`: what is wrong inside says more than the union
+    tables = [
+        a
+        for a, choice in zip(attempts, get_args(kind), strict=True)
+        if dataclasses.is_dataclass(choice)
+    ]
+    # `Wind | None`: what is wrong inside says more than the union
+    if isinstance(value, Mapping) and len(tables) == 1:
         problems.lines.extend(tables[0].lines)
         raise _Bad
     return _refuse(value, kind, where, problems)
 
 
-def _tuple(value: Any, kind: Any, where: str, problems: Problems, base: Path | None) -> tuple[Any, ...]:
+def _tuple(
+    value: Any, kind: Any, where: str, problems: Problems, base: Path | None
+) -> tuple[Any, ...]:
     kinds = get_args(kind)
     if not isinstance(value, list | tuple):
         _refuse(value, kind, where, problems)
@@ -224,20 +258,30 @@ def _tuple(value: Any, kind: Any, where: str, problems: Problems, base: Path | N
         kinds = (kinds[0],) * len(value)
     if len(kinds) != len(value):
         _refuse(value, kind, where, problems)
-    items = [(item, k, f"{where}[{i}]") for i, (item, k) in enumerate(zip(value, kinds, strict=True))]
+    items = [
+        (item, k, f"{where}[{i}]") for i, (item, k) in enumerate(zip(value, kinds, strict=True))
+    ]
     return _each(items, problems, base)
 
 
-def _mapping(value: Any, kind: Any, where: str, problems: Problems, base: Path | None) -> dict[str, Any]:
+def _mapping(
+    value: Any, kind: Any, where: str, problems: Problems, base: Path | None
+) -> dict[str, Any]:
     if not isinstance(value, Mapping):
         _refuse(value, kind, where, problems)
     item_kind = get_args(kind)[1] if get_args(kind) else Any
-    decoded = _each([(item, item_kind, f"{where}.{key}") for key, item in value.items()], problems, base)
+    decoded = _each(
+        [(item, item_kind, f"{where}.{key}") for key, item in value.items()], problems, base
+    )
     return dict(zip(value, decoded, strict=True))
 
 
-def _each(items: Sequence[tuple[Any, Any, str]], problems: Problems, base: Path | None) -> tuple[Any, ...]:
-    """Decode all of (value, kind, where), so that all problems are noted, then fail if any failed."""
+def _each(
+    items: Sequence[tuple[Any, Any, str]], problems: Problems, base: Path | None
+) -> tuple[Any, ...]:
+    """Decode all of (value, kind, where), so that all problems are noted, then fail if any
+    failed.
+    """
     values: list[Any] = []
     failed = False
     for value, kind, where in items:

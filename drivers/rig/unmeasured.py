@@ -1,8 +1,8 @@
 """A rig of which not everything is measured yet, for the commands that measure it.
 
-A new rig names the calibrations that are still to be made, and says MEASURE where a number is missing. Who calibrates
-a camera needs that camera's part of the rig and nothing else: the rest is filled with stand-ins, none of which may
-reach a result.
+A new rig names the calibrations that are still to be made, and says MEASURE where a number is
+missing. Who calibrates a camera needs that camera's part of the rig and nothing else: the rest is
+filled with stand-ins, none of which may reach a result.
 """
 
 from __future__ import annotations
@@ -19,7 +19,17 @@ UNMEASURED = "MEASURE"
 _ORIGIN = {"latitude_deg": 0.0, "longitude_deg": 0.0, "altitude_m": 0.0}
 _MARKERS = [{"id": 0, "side_m": 0.04}]
 _MARKER_PLACE = {"position_b_m": [0.0, 0.0, 0.0], "tilt_up_deg": 0.0}
-_UNUSED = ("mission", "world", "trials", "reference", "relay", "team", "drones", "targets", "harness")
+_UNUSED = (
+    "mission",
+    "world",
+    "trials",
+    "reference",
+    "relay",
+    "team",
+    "drones",
+    "targets",
+    "harness",
+)
 """Tables that have nothing to do with a camera or where it sits."""
 
 
@@ -50,7 +60,9 @@ def load_for_camera(name_or_path: str | Path, search: Sequence[Path], size: tupl
 
 
 def load_for_mount(name_or_path: str | Path, search: Sequence[Path]) -> tuple[Rig, bool]:
-    """Load a rig to calibrate its marker's mount; also whether it says how the marker hangs. Raises RigError."""
+    """Load a rig to calibrate its marker's mount; also whether it says how the marker hangs. Raises
+    RigError.
+    """
     path = find_rig(name_or_path, search)
     table = _needed(read_rig(path, search))
     receiver = _table(table, "receiver")
@@ -72,7 +84,9 @@ def _needed(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _table(table: dict[str, Any], key: str) -> dict[str, Any]:
-    """Return a table in a table as one that may be changed; what is no table stays, and is refused later."""
+    """Return a table in a table as one that may be changed; what is no table stays, and is refused
+    later.
+    """
     inner = table.get(key)
     if not isinstance(inner, dict):
         return {}

@@ -21,13 +21,16 @@ SIOCGIFADDR = 0x8915
 
 @dataclass(frozen=True, slots=True)
 class TelloAddress:
-    """The address of a drone, and the ports that its packets come to. Two drones on one computer: docs/tello.md.
+    """The address of a drone, and the ports that its packets come to. Two drones on one computer:
+    docs/tello.md.
 
     Attributes:
         host: the drone's address; 192.168.10.1 while it is its own access point.
-        state_port, video_port: of this computer; others than 8890 and 11111 need a drone that knows ``port`` (SDK 3).
+        state_port, video_port: of this computer; others than 8890 and 11111 need a drone that knows
+            ``port`` (SDK 3).
         interface: network interface that the drone must be reached through; empty: whichever.
-        namespace: network namespace that this program must run in (``ip netns exec NAME``); empty: whichever.
+        namespace: network namespace that this program must run in (``ip netns exec NAME``); empty:
+            whichever.
         serial: what the drone must answer to ``sn?``; empty: any drone.
         command_port: of the drone.
     """
@@ -44,7 +47,9 @@ class TelloAddress:
         try:
             ipaddress.IPv4Address(self.host)
         except ValueError:
-            raise ValueError(f'host: {self.host!r} is no IPv4 address, such as "192.168.10.1"') from None
+            raise ValueError(
+                f'host: {self.host!r} is no IPv4 address, such as "192.168.10.1"'
+            ) from None
         for name in ("state_port", "video_port", "command_port"):
             if not 1024 < getattr(self, name) < 65536:
                 raise ValueError(f"{name}: {getattr(self, name)} is not within 1025..65535")
@@ -53,7 +58,8 @@ class TelloAddress:
 
 
 def check_ports(address: TelloAddress, listening: int | None) -> None:
-    """Raise VehicleError when a port is taken: the library would fail in a thread, where nobody hears it.
+    """Raise VehicleError when a port is taken: the library would fail in a thread, where nobody
+    hears it.
 
     ``listening``: the port on which djitellopy takes state packets in this program already.
     """
@@ -69,7 +75,9 @@ def check_ports(address: TelloAddress, listening: int | None) -> None:
                 probe.bind(("", port))
             except OSError as error:
                 if error.errno != errno.EADDRINUSE:
-                    raise VehicleError(f"{name}: cannot listen on UDP port {port}: {error.strerror}") from error
+                    raise VehicleError(
+                        f"{name}: cannot listen on UDP port {port}: {error.strerror}"
+                    ) from error
                 raise VehicleError(
                     f"{name}: UDP port {port} is in use",
                     f"end the other program (`ss -lunp 'sport = :{port}'` names it); two drones with stock ports need "
@@ -86,7 +94,8 @@ def check_namespace(name: str) -> None:
         same = wanted.stat().st_ino == Path("/proc/self/ns/net").stat().st_ino
     except OSError as error:
         raise VehicleError(
-            f"namespace: there is no network namespace {name!r} ({error.strerror})", "make it as docs/tello.md says"
+            f"namespace: there is no network namespace {name!r} ({error.strerror})",
+            "make it as docs/tello.md says",
         ) from error
     if not same:
         raise VehicleError(
@@ -96,19 +105,24 @@ def check_namespace(name: str) -> None:
 
 
 def check_route(address: TelloAddress) -> None:
-    """Raise VehicleError when there is no way to the drone, or another than the interface that the rig names."""
+    """Raise VehicleError when there is no way to the drone, or another than the interface that the
+    rig names.
+    """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect((address.host, address.command_port))
         except OSError as error:
             raise VehicleError(
-                f"no route to {address.host}: {error.strerror}", "connect this computer to the drone's Wi-Fi"
+                f"no route to {address.host}: {error.strerror}",
+                "connect this computer to the drone's Wi-Fi",
             ) from error
         own = str(probe.getsockname()[0])
         if not address.interface:
             return
         try:
-            packed = fcntl.ioctl(probe.fileno(), SIOCGIFADDR, struct.pack("256s", address.interface.encode()[:15]))
+            packed = fcntl.ioctl(
+                probe.fileno(), SIOCGIFADDR, struct.pack("256s", address.interface.encode()[:15])
+            )
             theirs = socket.inet_ntoa(packed[20:24])
         except OSError as error:
             raise VehicleError(

@@ -1,7 +1,8 @@
 """The camera of a Tello: H.264 over UDP through djitellopy's reader. Newest frame only, no depth.
 
-The stream carries no time. A frame's stamp is its arrival less the latency that was measured (docs/tello.md), and no
-frame is given before the reader, which starts with what it buffered, has caught up with the stream.
+The stream carries no time. A frame's stamp is its arrival less the latency that was measured
+(docs/tello.md), and no frame is given before the reader, which starts with what it buffered, has
+caught up with the stream.
 """
 
 from __future__ import annotations
@@ -29,10 +30,13 @@ from path.bounds import Bounds
 from path.camera.model import CameraModel
 
 FPS_NAMES: dict[int, str] = {30: "high", 15: "middle", 5: "low"}
-PROBE_S = 12.0  # for djitellopy to recognise the stream, which takes some 40 frames; its own 5 s are too few at 5 Hz
+# for djitellopy to recognise the stream, which takes some 40 frames; its own 5 s are too few at 5
+# Hz
+PROBE_S = 12.0
 OPEN_S = PROBE_S + 3.0
 COMMAND_S = 3.0
-STALL_US = 1_500_000  # silence for so long ends the reader's thread; long before, no frame is an error
+# silence for so long ends the reader's thread; long before, no frame is an error
+STALL_US = 1_500_000
 CLOSE_S = 3.0
 PACE_S = 1.0
 CAUGHT_UP = 1.3  # of the frames that a second should bring: more than that were buffered
@@ -63,7 +67,9 @@ class TelloCameraConfig(TelloAddress):
 
 
 class _Reader(BackgroundFrameRead):
-    """djitellopy's reader with its loop replaced: arrival stamps, BGR, no damaged frames, a bounded end."""
+    """djitellopy's reader with its loop replaced: arrival stamps, BGR, no damaged frames, a bounded
+    end.
+    """
 
     def __init__(self, tello: Any, address: str, take: Callable[[NDArray[np.uint8]], None]) -> None:
         self._take = take
@@ -169,7 +175,8 @@ class TelloCamera:
         """The newest frame not yet given.
 
         Raises:
-            CameraError: none came within ``timeout_s``: the stream stopped, or all of it is damaged; or it is not open.
+            CameraError: none came within ``timeout_s``: the stream stopped, or all of it is
+                damaged; or it is not open.
         """
         self._open_link().clock.follow()
         try:
@@ -227,7 +234,9 @@ class TelloCamera:
         wake(loop, self._wake)
 
     async def _until_caught_up(self) -> None:
-        """Waits until frames come at the stream's own pace: then they are as old as the latency says."""
+        """Waits until frames come at the stream's own pace: then they are as old as the latency
+        says.
+        """
         end_s = time.monotonic() + CATCH_UP_S
         most = CAUGHT_UP * self._config.rate_hz * PACE_S
         while True:
@@ -262,10 +271,14 @@ class TelloCamera:
         assert self._link is not None
         answer = await self._link.ask(command, COMMAND_S)
         if answer is None or answer.lower() != "ok":
-            raise CameraError(f"{command} to {self._config.host}: {said(answer)}", "restart the drone")
+            raise CameraError(
+                f"{command} to {self._config.host}: {said(answer)}", "restart the drone"
+            )
 
     async def _open_reader(self, link: TelloLink) -> _Reader:
-        """The library's constructor waits for the stream, so it runs in a thread, and that is waited for."""
+        """The library's constructor waits for the stream, so it runs in a thread, and that is
+        waited for.
+        """
         link.tello.__class__.FRAME_GRAB_TIMEOUT = PROBE_S
         address = f"{link.tello.get_udp_video_address()}?timeout={STALL_US}&overrun_nonfatal=1"
         opened: list[_Reader | BaseException] = []
@@ -281,7 +294,8 @@ class TelloCamera:
         while not opened:
             if time.monotonic() > end_s:
                 raise CameraError(
-                    f"no video on UDP port {self._config.video_port} in {OPEN_S:g} s", "see docs/tello.md"
+                    f"no video on UDP port {self._config.video_port} in {OPEN_S:g} s",
+                    "see docs/tello.md",
                 )
             await asyncio.sleep(POLL_S)
         result = opened[0]

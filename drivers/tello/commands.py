@@ -1,13 +1,16 @@
-"""One Tello behind an unmodified djitellopy, with typed edges and answers that belong to the command they came for.
+"""One Tello behind an unmodified djitellopy, with typed edges and answers that belong to the
+command they came for.
 
-djitellopy does the sockets, the state packets and the video container. Its blocking commands are not used: they wait in
-``time.sleep`` for seconds, resend motion, and take whatever answer comes next for their own, a late one included.
+djitellopy does the sockets, the state packets and the video container. Its blocking commands are
+not used: they wait in ``time.sleep`` for seconds, resend motion, and take whatever answer comes
+next for their own, a late one included.
 
-Its two receiving threads are made with a process's first drone and live as long as the process; what they run is ours
-(``receivers``). Their sockets are the library's own.
+Its two receiving threads are made with a process's first drone and live as long as the process;
+what they run is ours (``receivers``). Their sockets are the library's own.
 
-A drone's command port also sends packets of its app's binary protocol. They are no answers, and neither is what has no
-letter or digit in it: both are passed over and counted, and the answer is waited for.
+A drone's command port also sends packets of its app's binary protocol. They are no answers, and
+neither is what has no letter or digit in it: both are passed over and counted, and the answer is
+waited for.
 """
 
 from __future__ import annotations
@@ -82,7 +85,8 @@ class _Answers(list[bytes]):
 
 
 class TelloLink:
-    """Opened with ``acquire``, closed with ``release``. Methods belong to the event loop and raise VehicleError.
+    """Opened with ``acquire``, closed with ``release``. Methods belong to the event loop and raise
+    VehicleError.
 
     Attributes:
         report: the newest state packet; ``bad_reports`` counts those that could not be read.
@@ -103,7 +107,8 @@ class TelloLink:
         self._slot: _TelloSlot | None = None
         self._users = 0
         self._asking = asyncio.Lock()
-        self._owed: list[tuple[str, float]] = []  # commands without an answer yet, and when they were given up
+        # commands without an answer yet, and when they were given up
+        self._owed: list[tuple[str, float]] = []
         self._sent_s = time.monotonic()
 
     @property
@@ -118,7 +123,11 @@ class TelloLink:
 
     def report_age_s(self) -> float:
         self.clock.follow()
-        return (self.clock.now_ns() - self.report.arrival_ns) * 1e-9 if self.report is not None else float("inf")
+        return (
+            (self.clock.now_ns() - self.report.arrival_ns) * 1e-9
+            if self.report is not None
+            else float("inf")
+        )
 
     def send(self, command: str) -> None:
         """One datagram, no answer expected. Never blocks."""
@@ -129,14 +138,17 @@ class TelloLink:
             self.tello.send_command_without_return(command)
         except OSError as error:
             raise VehicleError(
-                f"cannot send to {self.address.host}: {error.strerror}", "is its Wi-Fi still connected?"
+                f"cannot send to {self.address.host}: {error.strerror}",
+                "is its Wi-Fi still connected?",
             ) from error
 
     async def ask(self, command: str, timeout_s: float, urgent: bool = False) -> str | None:
-        """Send a command once and wait for its own answer; None when none came that is certainly its.
+        """Send a command once and wait for its own answer; None when none came that is certainly
+        its.
 
-        Answers carry no name. While an earlier command is still owed one, an ordinary command waits until that came or
-        will not come any more; an ``urgent`` one goes at once, and takes only what comes beyond what is owed.
+        Answers carry no name. While an earlier command is still owed one, an ordinary command waits
+        until that came or will not come any more; an ``urgent`` one goes at once, and takes only
+        what comes beyond what is owed.
         """
         async with self._asking:
             if not urgent:
@@ -251,7 +263,9 @@ class TelloLink:
         return made
 
     async def _enter_sdk_mode(self) -> None:
-        """Say "command" until an "ok" to any of them comes: it moves nothing, and they all ask for the same."""
+        """Say "command" until an "ok" to any of them comes: it moves nothing, and they all ask for
+        the same.
+        """
         host = self.address.host
         for tried in range(COMMAND_TRIES):
             self._owed.clear()
@@ -263,7 +277,9 @@ class TelloLink:
                     await asyncio.sleep(DRAIN_S)
                     self._take_late()
                 return
-            raise VehicleError(f"the drone at {host} refused SDK mode: it said {answer!r}", "restart the drone")
+            raise VehicleError(
+                f"the drone at {host} refused SDK mode: it said {answer!r}", "restart the drone"
+            )
         unread = f" but {self.passed_over} packets that are no answers" if self.passed_over else ""
         raise VehicleError(
             f"no answer from {host}:{self.address.command_port}{unread} in {COMMAND_TRIES * COMMAND_S:g} s",
@@ -286,7 +302,9 @@ class TelloLink:
         end_s = time.monotonic() + STATE_S
         while self.report is None:
             if time.monotonic() >= end_s:
-                unread = f" that can be read ({self.bad_reports} cannot)" if self.bad_reports else ""
+                unread = (
+                    f" that can be read ({self.bad_reports} cannot)" if self.bad_reports else ""
+                )
                 raise VehicleError(
                     f"{self.address.host} answers, but no state packet{unread} came to UDP port "
                     f"{self.address.state_port} in {STATE_S:g} s",
@@ -309,7 +327,8 @@ class TelloLink:
 def is_answer(data: bytes) -> bool:
     """Return whether a packet from the command port is an answer in words.
 
-    The app's binary packets begin with 0xCC; a few of them are UTF-8 by chance, with control characters inside.
+    The app's binary packets begin with 0xCC; a few of them are UTF-8 by chance, with control
+    characters inside.
     """
     if not data or data[0] == APP_PACKET:
         return False
@@ -325,7 +344,9 @@ def said(answer: str | None) -> str:
 
 
 def link_to(address: TelloAddress, clock: Clock) -> TelloLink:
-    """The link to a drone: the one that is open in this process, or a new one. Raises VehicleError when they differ."""
+    """The link to a drone: the one that is open in this process, or a new one. Raises VehicleError
+    when they differ.
+    """
     existing = _open.get(address.host)
     if existing is None:
         return TelloLink(address, clock)

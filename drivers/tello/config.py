@@ -15,12 +15,15 @@ class TelloVehicleConfig(TelloAddress):
     """Options of the vehicle in a rig, besides the drone's address.
 
     Attributes:
-        north_m, east_m, heading_deg: where the drone stands when it is connected, and which way it looks, clockwise
-            from north: it knows no position of its own, everything is reckoned from here.
+        north_m, east_m, heading_deg: where the drone stands when it is connected, and which way it
+            looks, clockwise from north: it knows no position of its own, everything is reckoned
+            from here.
         placement_sigma_m: how well it was put there.
-        velocity_sigma_mps: constant error of the velocity that it reports: the position's error grows with it.
+        velocity_sigma_mps: constant error of the velocity that it reports: the position's error
+            grows with it.
         velocity_frame: axes of vgx and vgy: those in which it was switched on, or its present ones.
-        full_stick_mps, full_stick_dps: what 100 of ``rc`` makes of it; measure it once (docs/tello.md).
+        full_stick_mps, full_stick_dps: what 100 of ``rc`` makes of it; measure it once
+            (docs/tello.md).
         max_yaw_dps: of heading commands.
         take_off_tolerance_m: height error at which a take-off is over.
         min_battery: below, it is not armable.

@@ -1,19 +1,24 @@
-"""Whether a Tello flies, by its state packets: its clock of running motors, its height, its rangefinder.
+"""Whether a Tello flies, by its state packets: its clock of running motors, its height, its
+rangefinder.
 
-What it says in words is no evidence: "ok" may come and nothing happen, "error" may come and it flies.
+What it says in words is no evidence: "ok" may come and nothing happen, "error" may come and it
+flies.
 """
 
 from __future__ import annotations
 
 from drivers.tello.state import TOF_FLOOR_M, TelloReport
 
-MOTORS_OFF_S = 1.6  # its clock of running motors counts whole seconds: not for so long, and they stand
+# its clock of running motors counts whole seconds: not for so long, and they stand
+MOTORS_OFF_S = 1.6
 ON_GROUND_M = 0.25
 _NEVER_NS = -(1 << 62)
 
 
 class FlightEvidence:
-    """What state packets have shown. ``add`` takes each of them, on the thread that receives them."""
+    """What state packets have shown. ``add`` takes each of them, on the thread that receives
+    them.
+    """
 
     def __init__(self) -> None:
         self._motors_s: int | None = None
@@ -22,12 +27,16 @@ class FlightEvidence:
         self._sent_up = False
 
     def send_up(self) -> None:
-        """Note that a take-off is about to be sent: from here on it may fly, until packets show that it landed."""
+        """Note that a take-off is about to be sent: from here on it may fly, until packets show
+        that it landed.
+        """
         self._counted_since_sent = False
         self._sent_up = True
 
     def call_off(self) -> None:
-        """Note that the take-off was refused, or that it is down: what packets show is all there is to it."""
+        """Note that the take-off was refused, or that it is down: what packets show is all there is
+        to it.
+        """
         self._sent_up = False
 
     def add(self, report: TelloReport, height_m: float) -> None:
@@ -45,11 +54,15 @@ class FlightEvidence:
         return at_ns - self._counted_ns < MOTORS_OFF_S * 1e9
 
     def up(self, report: TelloReport) -> bool:
-        """Return whether it flies: it was sent up and nothing shows that it landed, or this packet shows it."""
+        """Return whether it flies: it was sent up and nothing shows that it landed, or this packet
+        shows it.
+        """
         high = report.height_m > ON_GROUND_M and report.tof_m > ON_GROUND_M
         return self._sent_up or high or self.motors_run(report.arrival_ns)
 
     def down(self, report: TelloReport, height_m: float) -> bool:
-        """Return whether a packet shows it on the ground: motors stand, low above whatever is below it."""
+        """Return whether a packet shows it on the ground: motors stand, low above whatever is below
+        it.
+        """
         low = height_m < ON_GROUND_M or report.tof_m < TOF_FLOOR_M
         return low and not self.motors_run(report.arrival_ns)

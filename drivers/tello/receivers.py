@@ -1,9 +1,10 @@
 """The two threads that receive for djitellopy, made so that no packet ends them.
 
-djitellopy has one thread for the state packets of all drones of a program, and one for their answers. Its own loops end
-for good at the first packet that is no ASCII or whose number is too long, and tell nobody: every drone of the program
-looks lost from then on. These take their place on the library's class, before its first drone starts the threads. They
-keep the library's names, by which ``ended_receivers`` finds either kind.
+djitellopy has one thread for the state packets of all drones of a program, and one for their
+answers. Its own loops end for good at the first packet that is no ASCII or whose number is too
+long, and tell nobody: every drone of the program looks lost from then on. These take their place on
+the library's class, before its first drone starts the threads. They keep the library's names, by
+which ``ended_receivers`` finds either kind.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ import djitellopy.tello  # type: ignore[import-untyped]
 library: Any = djitellopy.tello
 
 LONGEST_PACKET = 2048
-NAMES = ("udp_state_receiver", "udp_response_receiver")  # of the functions that the library runs in its threads
+# of the functions that the library runs in its threads
+NAMES = ("udp_state_receiver", "udp_response_receiver")
 
 _log = logging.getLogger("drivers.tello.vehicle")
 
@@ -35,7 +37,9 @@ def udp_state_receiver() -> None:
 
 
 def _take_state(entry: dict[str, Any], data: bytes) -> None:
-    """Read one packet into a drone's entry of djitellopy's table; what cannot be read is counted there."""
+    """Read one packet into a drone's entry of djitellopy's table; what cannot be read is counted
+    there.
+    """
     try:
         entry["state"] = library.Tello.parse_state(data.decode("ascii"))
     except Exception as error:  # whatever it is: it must not end the thread of all drones
@@ -63,7 +67,9 @@ def udp_response_receiver() -> None:
 
 
 def _received(listening: socket.socket) -> tuple[bytes, str]:
-    """Return the next packet and the host that sent it. Raises OSError, which ends the thread, and says so."""
+    """Return the next packet and the host that sent it. Raises OSError, which ends the thread, and
+    says so.
+    """
     try:
         data, sender = listening.recvfrom(LONGEST_PACKET)
     except OSError as error:

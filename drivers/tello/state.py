@@ -1,7 +1,9 @@
-"""A Tello's state, ten times a second, and its place from that: whole degrees, decimetres a second, no position.
+"""A Tello's state, ten times a second, and its place from that: whole degrees, decimetres a second,
+no position.
 
-Axes are those of the SDK: x forward, y right, z down at the heading in which the drone was switched on (``vgx vgy
-vgz``, dm/s); pitch is positive nose up, roll right side down, yaw clockwise from that heading; ``h``, ``tof`` are cm.
+Axes are those of the SDK: x forward, y right, z down at the heading in which the drone was switched
+on (``vgx vgy vgz``, dm/s); pitch is positive nose up, roll right side down, yaw clockwise from that
+heading; ``h``, ``tof`` are cm.
 """
 
 from __future__ import annotations
@@ -13,7 +15,8 @@ from typing import Literal, TypeGuard
 
 from path.messages import Quat, Vec3
 
-MOST: dict[str, tuple[float, float]] = {  # of each field that is needed, in its own unit: beyond is no measurement
+# of each field that is needed, in its own unit: beyond is no measurement
+MOST: dict[str, tuple[float, float]] = {
     "pitch": (-360.0, 360.0), "roll": (-360.0, 360.0), "yaw": (-360.0, 360.0),
     "vgx": (-1e3, 1e3), "vgy": (-1e3, 1e3), "vgz": (-1e3, 1e3),
     "tof": (-1e5, 1e5), "h": (-1e5, 1e5), "bat": (0.0, 100.0), "time": (0.0, 1e6),
@@ -30,7 +33,9 @@ VelocityFrame = Literal["start", "body"]
 
 @dataclass(frozen=True, slots=True)
 class TelloReport:
-    """One state packet. Angles rad, ``velocity_mps`` in the drone's axes (see the module), heights above the ground."""
+    """One state packet. Angles rad, ``velocity_mps`` in the drone's axes (see the module), heights
+    above the ground.
+    """
 
     arrival_ns: int
     roll_rad: float
@@ -45,7 +50,8 @@ class TelloReport:
 
 
 def read_report(fields: Mapping[str, object], arrival_ns: int) -> TelloReport | None:
-    """Return a packet that djitellopy parsed; None when what is needed is missing, no number or beyond any range.
+    """Return a packet that djitellopy parsed; None when what is needed is missing, no number or
+    beyond any range.
 
     Never raises: it runs on the one thread that receives for all drones.
     """
@@ -71,8 +77,12 @@ def read_report(fields: Mapping[str, object], arrival_ns: int) -> TelloReport | 
 
 
 def _within(value: object, least: float, most: float) -> TypeGuard[int | float]:
-    """Return whether this is a number within bounds; a comparison bears integers that are too long for a float."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and least <= value <= most
+    """Return whether this is a number within bounds; a comparison bears integers that are too long
+    for a float.
+    """
+    return (
+        isinstance(value, (int, float)) and not isinstance(value, bool) and least <= value <= most
+    )
 
 
 def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quat:
@@ -93,7 +103,8 @@ def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quat:
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """The place of the drone when it is connected: north and east of the mission's origin in m, and its heading.
+    """The place of the drone when it is connected: north and east of the mission's origin in m, and
+    its heading.
 
     ``*_sigma``: how well whoever put it there did.
     """
@@ -106,7 +117,9 @@ class Placement:
 
 
 class DeadReckoning:
-    """Position in NED from the velocities reported, starting where the drone was put; height from the rangefinder."""
+    """Position in NED from the velocities reported, starting where the drone was put; height from
+    the rangefinder.
+    """
 
     def __init__(self, placement: Placement, frame: VelocityFrame) -> None:
         self._placement = placement
@@ -131,8 +144,12 @@ class DeadReckoning:
 
     @property
     def position_sigma_m(self) -> float:
-        """Horizontal standard deviation per axis: the placement's, and what a constant velocity error made of it."""
-        return math.hypot(self._placement.position_sigma_m, self._placement.velocity_sigma_mps * self._flown_s)
+        """Horizontal standard deviation per axis: the placement's, and what a constant velocity
+        error made of it.
+        """
+        return math.hypot(
+            self._placement.position_sigma_m, self._placement.velocity_sigma_mps * self._flown_s
+        )
 
     def add(self, report: TelloReport) -> None:
         """Take in the next packet. Standing on the ground, it stays where it is."""
@@ -140,12 +157,20 @@ class DeadReckoning:
         if last is None:
             self._yaw0_rad = report.yaw_rad
         self._last = report
-        turn = self._placement.heading_rad - self._yaw0_rad if self._frame == "start" else self.heading_rad
+        turn = (
+            self._placement.heading_rad - self._yaw0_rad
+            if self._frame == "start"
+            else self.heading_rad
+        )
         c = math.cos(turn)
         s = math.sin(turn)
         x, y, down = report.velocity_mps
         velocity = (c * x - s * y, s * x + c * y, down)
-        dt = min((report.arrival_ns - last.arrival_ns) * 1e-9, LONGEST_STEP_S) if last is not None else 0.0
+        dt = (
+            min((report.arrival_ns - last.arrival_ns) * 1e-9, LONGEST_STEP_S)
+            if last is not None
+            else 0.0
+        )
         north, east, _ = self.velocity_n_mps
         standing = report.height_m <= 0.0 and report.tof_m < TOF_FLOOR_M
         if not standing:
@@ -156,7 +181,9 @@ class DeadReckoning:
         self.velocity_n_mps = velocity
 
     def _height(self, report: TelloReport, dt: float) -> float:
-        """The rangefinder, smoothed by the climb rate; what jumps is not the ground that it took off from."""
+        """The rangefinder, smoothed by the climb rate; what jumps is not the ground that it took
+        off from.
+        """
         reckoned = self.height_m - report.velocity_mps[2] * dt
         if TOF_FLOOR_M <= report.tof_m <= TOF_CEILING_M:
             measured = report.tof_m * math.cos(report.roll_rad) * math.cos(report.pitch_rad)

@@ -1,4 +1,6 @@
-"""DJI Tello through djitellopy, behind the Vehicle Protocol: flown by its sticks, confirmed by its state packets."""
+"""DJI Tello through djitellopy, behind the Vehicle Protocol: flown by its sticks, confirmed by its
+state packets.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,8 @@ SECOND_LOOK_S = 0.3  # in which a packet that waits to be read must come
 TAKE_OFF_ANSWER_S = 20.0  # it answers once it hovers
 OFF_GROUND_M = 0.35
 HOVER_S = 0.8  # without climbing or sinking: its own take-off is over, whatever it answers
-JUDGE_S = 5.0  # after a refusal, or no answer, in which motors that were started show in state packets
+# after a refusal, or no answer, in which motors that were started show in state packets
+JUDGE_S = 5.0
 CLIMB_GAIN_HZ = 1.0
 CLIMB_MPS = 0.5
 SETTLED_MPS = 0.25
@@ -49,10 +52,11 @@ _log = logging.getLogger(__name__)
 class TelloVehicle:
     """Implements ``drivers.interfaces.Vehicle``.
 
-    Every command is sent once, landing excepted. What it did is taken from state packets (motors' clock, height,
-    rangefinder), never from words: an ``ok`` may come and nothing happen, an ``error`` may come and it flies.
-    Landing is commanded whatever the script believes, until state packets show it down. It is kept awake only while
-    somebody wishes it to fly; else it lands by itself after 15 s of silence.
+    Every command is sent once, landing excepted. What it did is taken from state packets (motors'
+    clock, height, rangefinder), never from words: an ``ok`` may come and nothing happen, an
+    ``error`` may come and it flies. Landing is commanded whatever the script believes, until state
+    packets show it down. It is kept awake only while somebody wishes it to fly; else it lands by
+    itself after 15 s of silence.
 
     ``mode`` is what this driver last commanded: the drone itself does not say.
     """
@@ -76,7 +80,8 @@ class TelloVehicle:
         self._mode = FlightMode.HOLD
         self._armed = False  # by the script; a take-off uses it up
         self._evidence = FlightEvidence()
-        self._wanted_up = False  # the script wishes it to fly: only then is it kept awake in the air
+        # the script wishes it to fly: only then is it kept awake in the air
+        self._wanted_up = False
         self._keeper: asyncio.Task[None] | None = None
         self._said_error_and_flew = 0
         self._arrivals = Arrivals()
@@ -135,7 +140,9 @@ class TelloVehicle:
         counts = {
             "packets that are no answers (the drone's app protocol)": link.passed_over,
             "state packets that cannot be read": link.bad_reports,
-            f"that the thread {link.deaf} has ended: this program hears no Tello any more": int(bool(link.deaf)),
+            f"that the thread {link.deaf} has ended: this program hears no Tello any more": int(
+                bool(link.deaf)
+            ),
             "what the drone said: it said error and flew": self._said_error_and_flew,
         }
         return {what: count for what, count in counts.items() if count}
@@ -189,7 +196,8 @@ class TelloVehicle:
     async def _check_alive(self) -> None:
         """Raises when the newest state packet is too old.
 
-        A program that stood still finds an old one first: those that wait for it are read before it judges.
+        A program that stood still finds an old one first: those that wait for it are read before it
+        judges.
         """
         end_s = time.monotonic() + SECOND_LOOK_S
         while not self._heard():
@@ -214,7 +222,8 @@ class TelloVehicle:
             return
         if self.state.armable:
             raise VehicleError(
-                f"{self._config.host} sends {self._too_slow()}", "nearer to the drone, or another Wi-Fi channel"
+                f"{self._config.host} sends {self._too_slow()}",
+                "nearer to the drone, or another Wi-Fi channel",
             )
         raise VehicleError(
             f"battery at {100 * self.state.battery:.0f} %, below {100 * self._config.min_battery:.0f} %",
@@ -222,17 +231,23 @@ class TelloVehicle:
         )
 
     def expect_telemetry(self, oldest_s: float) -> None:
-        """Take how old state packets may be in the flight to come: a drone that sends too few is not armable."""
+        """Take how old state packets may be in the flight to come: a drone that sends too few is
+        not armable.
+        """
         self._oldest_s = oldest_s
 
     def _too_slow(self) -> str:
         return too_slow({"state packets": self._arrivals}, self._now_ns(), self._oldest_s)
 
     async def arm(self) -> None:
-        """Arms by a flag alone: its motors start with the take-off, which is refused until this was called."""
+        """Arms by a flag alone: its motors start with the take-off, which is refused until this was
+        called.
+        """
         await self._check_alive()
         if self._up():
-            raise VehicleError("the drone is in the air already, or its motors run", "land it first")
+            raise VehicleError(
+                "the drone is in the air already, or its motors run", "land it first"
+            )
         self._armed = True
 
     async def take_off(self, height_m: float, timeout_s: float) -> None:
@@ -250,12 +265,14 @@ class TelloVehicle:
             await self._rise(end_s)
             await self._climb(height_m, end_s)
         except BaseException:
-            self._wanted_up = False  # whoever goes on says so by a command; who does not, lets it land by itself
+            # whoever goes on says so by a command; who does not, lets it land by itself
+            self._wanted_up = False
             raise
         self._set_mode(FlightMode.HOLD)
 
     async def _rise(self, end_s: float) -> None:
-        """Say "takeoff" once and wait until it hovers at its own height. Raises VehicleError when it stays down.
+        """Say "takeoff" once and wait until it hovers at its own height. Raises VehicleError when
+        it stays down.
 
         State packets decide: it may say "error", or nothing, and fly.
         """
@@ -273,13 +290,16 @@ class TelloVehicle:
             return
         answer = asking.result()
         agreed = answer is not None and answer.lower() == "ok"
-        if await self._until(lambda: self._reckoning.height_m > OFF_GROUND_M, 2.0 if agreed else JUDGE_S):
+        if await self._until(
+            lambda: self._reckoning.height_m > OFF_GROUND_M, 2.0 if agreed else JUDGE_S
+        ):
             if not agreed:
                 await self._rise_unasked(answer, end_s)
             return
         if agreed:
             raise VehicleError(
-                "the drone said ok to the take-off, but its rangefinder shows no height", "is it held by something?"
+                "the drone said ok to the take-off, but its rangefinder shows no height",
+                "is it held by something?",
             )
         self._evidence.call_off()
         self._set_mode(FlightMode.HOLD)
@@ -296,7 +316,8 @@ class TelloVehicle:
         _log.warning("%s: it takes off, but %s", self._config.host, said(answer))
         if not await self._until(self._hovering(), max(0.5, end_s - time.monotonic())):
             raise VehicleError(
-                f"the drone takes off, but {said(answer)}, and does not come to rest", "land, or take it by hand"
+                f"the drone takes off, but {said(answer)}, and does not come to rest",
+                "land, or take it by hand",
             )
 
     def _hovering(self) -> Callable[[], bool]:
@@ -316,7 +337,9 @@ class TelloVehicle:
         """The sticks are taken: there is no mode to ask for."""
         await self._check_alive()
         if not self._up():
-            raise VehicleError("offboard control refused: the drone is not in the air", "take off first")
+            raise VehicleError(
+                "offboard control refused: the drone is not in the air", "take off first"
+            )
         self._wanted_up = True
         self._set_mode(FlightMode.OFFBOARD)
         self.fly(first)
@@ -325,12 +348,16 @@ class TelloVehicle:
         north, east, down = setpoint.velocity_n_mps
         if not all(map(math.isfinite, (north, east, down, setpoint.yaw_rad))):
             raise VehicleError(f"setpoint not sent: {setpoint} is not finite")
-        turn_dps = math.degrees(YAW_GAIN_HZ * wrapped(setpoint.yaw_rad - self._reckoning.heading_rad))
+        turn_dps = math.degrees(
+            YAW_GAIN_HZ * wrapped(setpoint.yaw_rad - self._reckoning.heading_rad)
+        )
         limit = self._config.max_yaw_dps
         self._sticks((north, east, down), max(-limit, min(limit, turn_dps)))
 
     async def hold(self) -> None:
-        """Holds by centred sticks. It does not answer to that; that it is still there must be news."""
+        """Holds by centred sticks. It does not answer to that; that it is still there must be
+        news.
+        """
         self._wanted_up = True
         sent_ns = self._now_ns()
         for _ in range(HOLD_TIMES):
@@ -342,10 +369,11 @@ class TelloVehicle:
         self._set_mode(FlightMode.HOLD)
 
     async def land(self, timeout_s: float) -> None:
-        """Land. Told again while it does not sink, whatever it answers, and blindly when it is not heard any more.
+        """Land. Told again while it does not sink, whatever it answers, and blindly when it is not
+        heard any more.
 
-        Nothing is said to a drone that state packets show down. One that is not down in time is an alarm: it is told
-        once more, and nothing keeps it awake any more.
+        Nothing is said to a drone that state packets show down. One that is not down in time is an
+        alarm: it is told once more, and nothing keeps it awake any more.
         """
         self._wanted_up = False
         end_s = time.monotonic() + timeout_s
@@ -360,10 +388,13 @@ class TelloVehicle:
             await self._land_blindly()
             raise
         if not down:
-            _log.error("%s: not on the ground %g s after the landing began", self._config.host, timeout_s)
+            _log.error(
+                "%s: not on the ground %g s after the landing began", self._config.host, timeout_s
+            )
             await self._land_blindly()
             raise VehicleError(
-                f"not on the ground {timeout_s:g} s after the landing began; {said(heard)}", "take it by hand"
+                f"not on the ground {timeout_s:g} s after the landing began; {said(heard)}",
+                "take it by hand",
             )
         self._evidence.call_off()
         self._set_mode(FlightMode.HOLD)
@@ -390,7 +421,9 @@ class TelloVehicle:
         patience_s = max(0.1, min(self._config.answer_s, end_s - time.monotonic()))
         answering = asyncio.create_task(self._open_link().ask("land", patience_s, urgent=True))
         try:
-            await self._until(lambda: answering.done() or self._landed() or self._sinking(), 2.0 * patience_s)
+            await self._until(
+                lambda: answering.done() or self._landed() or self._sinking(), 2.0 * patience_s
+            )
         finally:
             if not answering.done():
                 answering.cancel()
@@ -417,10 +450,14 @@ class TelloVehicle:
             self._state = replace(state, mode=mode, armed=armed, in_air=armed and state.in_air)
 
     def _sticks(self, velocity_n_mps: Vec3, turn_dps: float) -> None:
-        self._open_link().send(sticks(self._config, self._reckoning.heading_rad, velocity_n_mps, turn_dps))
+        self._open_link().send(
+            sticks(self._config, self._reckoning.heading_rad, velocity_n_mps, turn_dps)
+        )
 
     async def _climb(self, height_m: float, end_s: float) -> None:
-        """Climbs by the sticks from where the automatic take-off ends to the height, until it is steady there."""
+        """Climbs by the sticks from where the automatic take-off ends to the height, until it is
+        steady there.
+        """
         tolerance = self._config.take_off_tolerance_m
         steady_since: float | None = None
         while True:
@@ -437,7 +474,8 @@ class TelloVehicle:
             if now_s >= end_s:
                 self._open_link().send(CENTRE)
                 raise VehicleError(
-                    f"not at {height_m:g} m in time: at {self._reckoning.height_m:.2f} m", "hold or land"
+                    f"not at {height_m:g} m in time: at {self._reckoning.height_m:.2f} m",
+                    "hold or land",
                 )
             await asyncio.sleep(RC_PERIOD_S)
 
@@ -461,9 +499,11 @@ class TelloVehicle:
         return True
 
     async def _keep_alive(self) -> None:
-        """Say something while nobody else does, but only while it holds: never in place of a script that flies.
+        """Say something while nobody else does, but only while it holds: never in place of a script
+        that flies.
 
-        A drone that flies though nobody wishes it to is told nothing: after 15 s of silence it lands.
+        A drone that flies though nobody wishes it to is told nothing: after 15 s of silence it
+        lands.
         """
         deaf = ""
         while True:
@@ -471,7 +511,10 @@ class TelloVehicle:
             link = self._open_link()
             if link.deaf != deaf:
                 deaf = link.deaf
-                _log.error("ALARM: the thread %s has ended: no Tello is heard by this program any more", deaf)
+                _log.error(
+                    "ALARM: the thread %s has ended: no Tello is heard by this program any more",
+                    deaf,
+                )
             if link.silent_s < KEEP_ALIVE_S or self._mode is not FlightMode.HOLD:
                 continue
             try:

@@ -17,8 +17,12 @@ REASONS = {  # texts that drones were seen to answer with
 }
 
 
-def sticks(config: TelloVehicleConfig, heading_rad: float, velocity_n_mps: Vec3, turn_dps: float) -> str:
-    """``rc``: right, forward, up, clockwise, each -100..100, for a velocity in NED of a drone with this heading."""
+def sticks(
+    config: TelloVehicleConfig, heading_rad: float, velocity_n_mps: Vec3, turn_dps: float
+) -> str:
+    """``rc``: right, forward, up, clockwise, each -100..100, for a velocity in NED of a drone with
+    this heading.
+    """
     north, east, down = velocity_n_mps
     c = math.cos(heading_rad)
     s = math.sin(heading_rad)
@@ -34,4 +38,6 @@ def sticks(config: TelloVehicleConfig, heading_rad: float, velocity_n_mps: Vec3,
 def refused(what: str, answer: str, battery: float) -> VehicleError:
     """Its own words, and what to do about them. ``battery``: 0..1."""
     reason = REASONS.get(answer.lower(), "remedy what it names, then start again")
-    return VehicleError(f"the drone refused to {what}: it said {answer!r} (battery {100 * battery:.0f} %)", reason)
+    return VehicleError(
+        f"the drone refused to {what}: it said {answer!r} (battery {100 * battery:.0f} %)", reason
+    )

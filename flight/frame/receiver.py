@@ -1,4 +1,6 @@
-"""D2's side of one attempt, put together once: its cycle over looks at the marker and at the target."""
+"""D2's side of one attempt, put together once: its cycle over looks at the marker and at the
+target.
+"""
 
 from __future__ import annotations
 
@@ -18,24 +20,30 @@ from path.observations import Detection, Missed
 class ReceiverSide:
     """D2 in one attempt.
 
-    For each frame: a look at the marker with ``gravity_v``, ``prior``, a look for targets in its region, ``answer``.
-    What D1 says goes to ``hear`` as it comes in.
+    For each frame: a look at the marker with ``gravity_v``, ``prior``, a look for targets in its
+    region, ``answer``. What D1 says goes to ``hear`` as it comes in.
     """
 
     def __init__(self, cameras: PairCameras, method: MethodConfig, attempt: AttemptId) -> None:
         x, y, z = cameras.T_v_c1.t.tolist()
-        self._cycle = ReceiverCycle(cameras.receiver, method, **attempt._asdict(), sender=(cameras.sender, (x, y, z)))
+        self._cycle = ReceiverCycle(
+            cameras.receiver, method, **attempt._asdict(), sender=(cameras.sender, (x, y, z))
+        )
 
     def hear(self, target: Target, capture_ns: int, now_ns: int) -> Missed | None:
         """Take in a message of D1; None when it is used, else why not. Stamps are of D2's clock."""
         return self._cycle.on_target(target, capture_ns, now_ns)
 
     def gravity_v(self, stamp_ns: int) -> Vec3 | None:
-        """Return gravity in the marker's frame at an instant of D2's clock, as D1 says; None when it does not."""
+        """Return gravity in the marker's frame at an instant of D2's clock, as D1 says; None when
+        it does not.
+        """
         return self._cycle.gravity_v(stamp_ns)
 
     def prior(self, fix: MarkerFix | Missed, stamp_ns: int) -> Prior | Missed:
-        """Return where the target is expected in D2's frame of this stamp, by the marker's pose in it."""
+        """Return where the target is expected in D2's frame of this stamp, by the marker's pose in
+        it.
+        """
         if isinstance(fix, Missed):
             return fix
         return self._cycle.prior(fix.T_c_v, fix.covariance, stamp_ns)
@@ -45,8 +53,11 @@ class ReceiverSide:
         found = view.targets(prior.region) if isinstance(prior, Prior) else ()
         return self.answer(view.frame_id, view.stamp_ns, found, prior)
 
-    def answer(self, frame_id: int, stamp_ns: int, found: Sequence[Detection], prior: Prior | Missed) -> Answer | None:
-        """Return the answer to send, a miss with its reason too; None for a frame that is old or was answered.
+    def answer(
+        self, frame_id: int, stamp_ns: int, found: Sequence[Detection], prior: Prior | Missed
+    ) -> Answer | None:
+        """Return the answer to send, a miss with its reason too; None for a frame that is old or
+        was answered.
 
         Args:
             frame_id: strictly increasing.

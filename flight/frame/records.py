@@ -36,7 +36,8 @@ class AttemptId(NamedTuple):
 
 
 class OwnFrame(NamedTuple):
-    """What one frame of D1 gave: the target as it was seen, or why not, and the message to send, or why there is none.
+    """What one frame of D1 gave: the target as it was seen, or why not, and the message to send, or
+    why there is none.
 
     ``stamp_ns``: mid-exposure, D1's clock.
     """
@@ -98,7 +99,9 @@ def box_record(box: Box | None) -> list[float] | None:
 
 
 def beside_record(beside: Sequence[Rival]) -> list[float]:
-    """Objects that D1 sees beside the target, six numbers each: box, depth and its standard deviation, or 0 without."""
+    """Objects that D1 sees beside the target, six numbers each: box, depth and its standard
+    deviation, or 0 without.
+    """
     numbers: list[float] = []
     for each in beside:
         depth = (0.0, 0.0) if each.depth is None else (each.depth.z_m, each.depth.sigma_m)
@@ -109,11 +112,16 @@ def beside_record(beside: Sequence[Rival]) -> list[float]:
 def beside_of(numbers: Sequence[float] | None) -> tuple[Rival, ...]:
     """Reads what ``beside_record`` has written."""
     rows = np.asarray(numbers or (), float).reshape(-1, RIVAL_NUMBERS).tolist()
-    return tuple(Rival(Box(x, y, w, h), Depth(z, sigma) if z > 0.0 else None) for x, y, w, h, z, sigma in rows)
+    return tuple(
+        Rival(Box(x, y, w, h), Depth(z, sigma) if z > 0.0 else None)
+        for x, y, w, h, z, sigma in rows
+    )
 
 
 def target_record(frame: OwnFrame, judged_ns: int) -> dict[str, Any]:
-    """``/target``: what one frame of D1 gave; ``judged_ns``: when D2's answers were judged after it, D1's clock."""
+    """``/target``: what one frame of D1 gave; ``judged_ns``: when D2's answers were judged after
+    it, D1's clock.
+    """
     seen = frame.seen
     message = frame.message
     sent = isinstance(message, Target)
@@ -140,15 +148,22 @@ def target_record(frame: OwnFrame, judged_ns: int) -> dict[str, Any]:
 
 
 def _range_fields(seen: Sighting) -> dict[str, Any]:
-    """What the range rests on, the surest first, and what contradicts it; nothing where there is none."""
+    """What the range rests on, the surest first, and what contradicts it; nothing where there is
+    none.
+    """
     if seen.depth is None or seen.ranged is None:
         return {}
     against = "+".join(each.value for each in seen.ranged.against)
-    return {"range_by": "+".join(each.value for each in seen.ranged.by), "range_against": against or None}
+    return {
+        "range_by": "+".join(each.value for each in seen.ranged.by),
+        "range_against": against or None,
+    }
 
 
 def sighting_of(record: Mapping[str, Any], box: Box) -> Sighting:
-    """Read what D1 saw in the frame of a ``/target``; logs from before there were several ranges have depth alone."""
+    """Read what D1 saw in the frame of a ``/target``; logs from before there were several ranges
+    have depth alone.
+    """
     beside = beside_of(record["beside"])
     if record["depth_m"] is None:
         return Sighting(box, None, beside)
@@ -162,7 +177,9 @@ def _sources(text: str | None) -> tuple[RangeSource, ...]:
     return tuple(RangeSource(each) for each in text.split("+")) if text else ()
 
 
-def agreement_record(pair: PairVerdict, gate: Gate, needed_pairs: int, target_id: int) -> dict[str, Any]:
+def agreement_record(
+    pair: PairVerdict, gate: Gate, needed_pairs: int, target_id: int
+) -> dict[str, Any]:
     """``/agreement``: what one answer of D2 was worth."""
     verdict = pair.verdict
     candidate = pair.candidate
@@ -196,7 +213,11 @@ def agreement_record(pair: PairVerdict, gate: Gate, needed_pairs: int, target_id
 def counted(pair: PairVerdict, gate: Gate) -> tuple[int, Evidence | None]:
     """Count and evidence as of this pair: the gate may already have seen the next."""
     verdict = pair.verdict
-    return (verdict.count, verdict.evidence) if isinstance(verdict, Agreed) else (gate.count, gate.evidence)
+    return (
+        (verdict.count, verdict.evidence)
+        if isinstance(verdict, Agreed)
+        else (gate.count, gate.evidence)
+    )
 
 
 def marker_record(stamp_ns: int, fix: MarkerFix | Missed) -> dict[str, Any]:
@@ -263,7 +284,9 @@ def candidate_record(answer: Answer) -> dict[str, Any]:
 
 
 def both_record(candidate: Candidate, both: ByBoth) -> dict[str, Any]:
-    """``/both_views``: D2's own reckoning of the target's place from both drones' views, for one answer."""
+    """``/both_views``: D2's own reckoning of the target's place from both drones' views, for one
+    answer.
+    """
     return {
         "sequence": candidate.sequence,
         "point_v_m": both.point_v_m,

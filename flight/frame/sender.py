@@ -1,4 +1,6 @@
-"""D1's side of one attempt, put together once: its cycle over frames as they are tracked, and what is logged of it."""
+"""D1's side of one attempt, put together once: its cycle over frames as they are tracked, and what
+is logged of it.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from path.observations import Missed, MissReason
 
 
 class PairCameras(NamedTuple):
-    """Both drones' cameras, and the calibrated place of D1's in the frame of the marker that it carries."""
+    """Both drones' cameras, and the calibrated place of D1's in the frame of the marker that it
+    carries.
+    """
 
     sender: CameraModel
     receiver: CameraModel
@@ -31,11 +35,16 @@ class PairCameras(NamedTuple):
 class SenderSide:
     """D1 in one attempt.
 
-    For each frame: ``observe``, its message goes out, then ``judge``. What D2 answers goes to ``hear`` as it comes in.
+    For each frame: ``observe``, its message goes out, then ``judge``. What D2 answers goes to
+    ``hear`` as it comes in.
     """
 
     def __init__(
-        self, cameras: PairCameras, method: MethodConfig, attempt: AttemptId, gate: Gate | None = None
+        self,
+        cameras: PairCameras,
+        method: MethodConfig,
+        attempt: AttemptId,
+        gate: Gate | None = None,
     ) -> None:
         """``gate``: what decides, when it is not to be the one that ``method`` names."""
         self._needed_pairs = method.needed_pairs
@@ -46,7 +55,9 @@ class SenderSide:
     def gate(self) -> Gate:
         return self._cycle.gate
 
-    def observe(self, frame_id: int, stamp_ns: int, seen: Sighting | MissReason, gravity_v: Vec3) -> OwnFrame:
+    def observe(
+        self, frame_id: int, stamp_ns: int, seen: Sighting | MissReason, gravity_v: Vec3
+    ) -> OwnFrame:
         """Take in D1's newest frame.
 
         Args:
@@ -56,21 +67,29 @@ class SenderSide:
             gravity_v: unit vector of gravity in the marker's frame at that instant.
         """
         if isinstance(seen, Sighting):
-            message = self._cycle.observe(frame_id, stamp_ns, seen.box, seen.depth, gravity_v, seen.beside)
+            message = self._cycle.observe(
+                frame_id, stamp_ns, seen.box, seen.depth, gravity_v, seen.beside
+            )
         else:
             message = self._cycle.observe(frame_id, stamp_ns, None, None, gravity_v)
         return OwnFrame(frame_id, stamp_ns, seen, message)
 
     def hear(self, candidate: Candidate, capture_ns: int, now_ns: int) -> Missed | None:
-        """Take in an answer of D2; None when it will be judged, else why not. Stamps are of D1's clock."""
+        """Take in an answer of D2; None when it will be judged, else why not. Stamps are of D1's
+        clock.
+        """
         return self._cycle.offer(candidate, capture_ns, now_ns)
 
     def judge(self, now_ns: int) -> list[PairVerdict]:
-        """Return the verdicts on all answers whose instant D1's frames have passed, or that waited too long."""
+        """Return the verdicts on all answers whose instant D1's frames have passed, or that waited
+        too long.
+        """
         return self._cycle.evaluate_ready(now_ns)
 
     def begin_evidence_anew(self, stamp_ns: int) -> None:
-        """Add nothing up across this instant of D1's clock: either drone's reckoning was interrupted there."""
+        """Add nothing up across this instant of D1's clock: either drone's reckoning was
+        interrupted there.
+        """
         self._cycle.begin_evidence_anew(stamp_ns)
 
     def record(self, pair: PairVerdict) -> dict[str, Any]:

@@ -1,4 +1,6 @@
-"""The role's side of its guard: it beats, hears who has the vehicle, and flies only while it is watched."""
+"""The role's side of its guard: it beats, hears who has the vehicle, and flies only while it is
+watched.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +16,17 @@ _BY_A_VEHICLE = (Outcome.VEHICLE_REFUSED, Outcome.VEHICLE_LOST)
 
 
 class UnderGuard:
-    """``taken``: the guard has the vehicle, until it is disarmed; nothing may be commanded any more."""
+    """``taken``: the guard has the vehicle, until it is disarmed; nothing may be commanded any
+    more.
+    """
 
     def __init__(self, line: GuardLine, clock: Clock, rules: GuardRules) -> None:
         self._line = line
         self._clock = clock
         self._rules = rules
         self._checked_ns = clock.now_ns()
-        self._since_ns = self._checked_ns  # nothing can have been heard while this program did not run
+        # nothing can have been heard while this program did not run
+        self._since_ns = self._checked_ns
         self.taken = ""  # why, once it is
 
     @property
@@ -65,16 +70,20 @@ class UnderGuard:
             raise MissionEnd(Outcome.GUARD_LOST, missing)
 
     async def confirm(self, beat: Beat) -> None:
-        """Asks the guard before anything moves, and waits for an answer that is younger than the question.
+        """Asks the guard before anything moves, and waits for an answer that is younger than the
+        question.
 
-        A program that slept does not go on where it was: what happened meanwhile is in that answer. Raises MissionEnd.
+        A program that slept does not go on where it was: what happened meanwhile is in that answer.
+        Raises MissionEnd.
         """
         asked_ns = self._clock.now_ns()
         end_s = asyncio.get_running_loop().time() + self._rules.answer_age_s
         self._line.beat(beat)
         while (newest := self._line.answer()) is None or newest[0] <= asked_ns:
             if asyncio.get_running_loop().time() > end_s:
-                raise MissionEnd(Outcome.GUARD_LOST, f"the guard does not answer at {self._line.name}")
+                raise MissionEnd(
+                    Outcome.GUARD_LOST, f"the guard does not answer at {self._line.name}"
+                )
             await asyncio.sleep(_POLL_S)
         self.check()
 

@@ -1,4 +1,6 @@
-"""The guard of one vehicle: its rules behind one loop, with the vehicle and the role's program on Protocols."""
+"""The guard of one vehicle: its rules behind one loop, with the vehicle and the role's program on
+Protocols.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ class GuardWatch:
         tell: Callable[[GuardState, Act], None] = lambda _state, _act: None,
         warn: Callable[[str], None] = lambda _what: None,
     ) -> None:
-        """``tell`` is called with every decision, ``warn`` with each kind of thing that is ignored, once."""
+        """``tell`` is called with every decision, ``warn`` with each kind of thing that is ignored,
+        once.
+        """
         self._tell = tell
         self._warn = warn
         self._alarms: list[str] = []
@@ -84,7 +88,10 @@ class GuardWatch:
     def hears(self) -> bool:
         """The role's program beats."""
         heard = self._heard
-        return heard is not None and (self._clock.now_ns() - heard.beat_ns) * 1e-9 <= self._rules.beat_age_s
+        return (
+            heard is not None
+            and (self._clock.now_ns() - heard.beat_ns) * 1e-9 <= self._rules.beat_age_s
+        )
 
     def sees(self, now_ns: int) -> bool:
         """Returns whether the own link brings telemetry."""
@@ -104,7 +111,9 @@ class GuardWatch:
         if view is not None and not view.armed:
             self._forget(now_ns)
         before = self._state
-        self._state, act = decide(before, view, self._heard_now(), now_ns, self._rules, self._limits)
+        self._state, act = decide(
+            before, view, self._heard_now(), now_ns, self._rules, self._limits
+        )
         if act is Act.HOLD:
             self._vehicle.hold()
         elif act is Act.LAND:
@@ -128,7 +137,9 @@ class GuardWatch:
                 self._warn(what)
 
     def _forgive_own_stall(self, now_ns: int) -> None:
-        """Time in which this program did not run says nothing about another one that may have had no core either."""
+        """Time in which this program did not run says nothing about another one that may have had
+        no core either.
+        """
         ticked_ns = self._ticked_ns
         self._ticked_ns = now_ns
         if ticked_ns is None or self._heard is None or (now_ns - ticked_ns) * 1e-9 < STALL_S:
@@ -149,7 +160,11 @@ class GuardWatch:
             return False
         arrival_ns, beat = newest
         before = self._heard
-        moved = before is None or beat.setpoints != self._setpoints or before.script is not Script.CONTROL
+        moved = (
+            before is None
+            or beat.setpoints != self._setpoints
+            or before.script is not Script.CONTROL
+        )
         measured = not math.isnan(beat.separation_m)
         self._heard = ProgramBeat(
             beat_ns=arrival_ns,
@@ -165,7 +180,9 @@ class GuardWatch:
     def _heard_now(self) -> ProgramBeat | None:
         heard = self._heard
         peer = self.peer.view() if self.peer else None
-        return replace(heard, peer_n_m=peer.position_n_m) if heard and peer and peer.in_air else heard
+        return (
+            replace(heard, peer_n_m=peer.position_n_m) if heard and peer and peer.in_air else heard
+        )
 
     def _forget(self, now_ns: int) -> None:
         """A program that fell silent on the ground has no part in whatever flies next."""
@@ -177,7 +194,9 @@ class GuardWatch:
         script = Script.IDLE if self._heard is None else self._heard.script
         armed = view is not None and view.armed
         alarm = self._alarms[-1] if self._alarms else ""
-        return GuardAnswer(self._sees(view, now_ns), self._state.hand(script, armed), self._state.reason, alarm)
+        return GuardAnswer(
+            self._sees(view, now_ns), self._state.hand(script, armed), self._state.reason, alarm
+        )
 
     def _log_decision(self, now_ns: int, act: Act) -> None:
         state = self._state
@@ -205,7 +224,9 @@ class GuardWatch:
         self._log.write("/guard_view", now_ns, record)
 
 
-async def watch(guards: tuple[GuardWatch, ...], until: asyncio.Event, tick_s: float = TICK_S) -> None:
+async def watch(
+    guards: tuple[GuardWatch, ...], until: asyncio.Event, tick_s: float = TICK_S
+) -> None:
     """Tick until told to end and nothing is flown by a script or held by a guard any more."""
     loop = asyncio.get_running_loop()
     due_s = loop.time()

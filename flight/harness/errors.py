@@ -1,6 +1,7 @@
 """The errors of what drones believe in one session, for trials that judge single frames.
 
-The rig names who draws it (``[trials] errors``): the world's own table of errors, as large as the rig's level says.
+The rig names who draws it (``[trials] errors``): the world's own table of errors, as large as the
+rig's level says.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ class DrawnErrors:
     """The beliefs of two drones about themselves in one session, and the errors of their sensors.
 
     Attributes:
-        cameras, T_b_c: of each drone; ``T_b_v`` of the marker on D1; ``layout`` as it is believed to be printed.
+        cameras, T_b_c: of each drone; ``T_b_v`` of the marker on D1; ``layout`` as it is believed
+            to be printed.
         depth: of each drone's camera.
         tilt_bias_rad: of each drone's roll and pitch.
         tilt_noise_rad: standard deviation of what comes on top in every frame.
@@ -62,7 +64,9 @@ class DrawnErrors:
 
 
 class TrialErrors(Protocol):
-    """The table of errors of a rig's level, around what the rig says, which is the truth of the trial."""
+    """The table of errors of a rig's level, around what the rig says, which is the truth of the
+    trial.
+    """
 
     def __init__(self, rig: Rig) -> None: ...
 
@@ -71,5 +75,7 @@ class TrialErrors(Protocol):
         ...
 
     def rows(self) -> tuple[tuple[str, str, str], ...]:
-        """Returns what is drawn, how large it is, and for how long it lasts, as rows of a report."""
+        """Returns what is drawn, how large it is, and for how long it lasts, as rows of a
+        report.
+        """
         ...

@@ -1,4 +1,6 @@
-"""The tables of a rig about many drones: ``[relay]``, or ``[team]`` with its ``[[drones]]`` and ``[[targets]]``."""
+"""The tables of a rig about many drones: ``[relay]``, or ``[team]`` with its ``[[drones]]`` and
+``[[targets]]``.
+"""
 
 from __future__ import annotations
 
@@ -44,16 +46,22 @@ class RelayConfig:
         drones: in the order in which they are called for the first time.
         hours: for how long, when nothing else is asked for.
         reserve: of the charge; no drone may be below it before it has landed.
-        endurance_s: how long a full battery carries a drone, as far as is known before it is seen to run down.
+        endurance_s: how long a full battery carries a drone, as far as is known before it is seen
+            to run down.
         swap_s: from landing until the drone stands ready with a full battery.
-        keep_battery, check_s: a drone whose leg ended early by no fault of its own, and that lands with as much of its
-            charge, keeps its battery: so long after landing it stands ready again.
+        keep_battery, check_s: a drone whose leg ended early by no fault of its own, and that lands
+            with as much of its charge, keeps its battery: so long after landing it stands ready
+            again.
         home_s: what a drone is granted for its way home and the landing.
-        attempts: how many reliefs may fail, one after the other, before the target has to be given up.
-        least_s: no relief takes off for less time than this: it could not take over before the other has to go home.
+        attempts: how many reliefs may fail, one after the other, before the target has to be given
+            up.
+        least_s: no relief takes off for less time than this: it could not take over before the
+            other has to go home.
         return_height_m: of the way home, above everything that goes on below.
-        follow_s: how long the drone that took over stays a receiver, for the other to hear that it did.
-        clear_m, clear_s: how far, and how long after it was last heard, a relief that failed is kept away from.
+        follow_s: how long the drone that took over stays a receiver, for the other to hear that it
+            did.
+        clear_m, clear_s: how far, and how long after it was last heard, a relief that failed is
+            kept away from.
     """
 
     harness: str
@@ -100,13 +108,15 @@ class NamedTarget:
 
 @dataclass(frozen=True, slots=True)
 class TeamConfig(RelayConfig):
-    """The ``[team]`` table of a rig with its ``[[drones]]`` and ``[[targets]]``; the rest is as in ``[relay]``.
+    """The ``[team]`` table of a rig with its ``[[drones]]`` and ``[[targets]]``; the rest is as in
+    ``[relay]``.
 
     Attributes:
         targets: in the order in which they are counted.
         out_height_m: of the way from a home to a target; the way back is at ``return_height_m``.
         transit_mps: on either way.
-        entry_m: behind the place from which a target is followed, where a drone that comes to it goes down.
+        entry_m: behind the place from which a target is followed, where a drone that comes to it
+            goes down.
         clear_route_m: between two ways that are flown at once, seen from above.
         area_m: around a target, within which its drones go up and down.
         point_s: from when a target is lost until a person points at it again.
@@ -142,7 +152,9 @@ def team_of_rig(rig: Rig) -> TeamConfig:
 
 def pair_of(rig: Rig, sender: NamedDrone, receiver: NamedDrone) -> Rig:
     """The rig of one leg: these two drones in these two roles."""
-    return replace(rig, sender=_role(rig, sender, "sender"), receiver=_role(rig, receiver, "receiver"))
+    return replace(
+        rig, sender=_role(rig, sender, "sender"), receiver=_role(rig, receiver, "receiver")
+    )
 
 
 def _role(rig: Rig, drone: NamedDrone, role: str) -> RoleRig:

@@ -23,7 +23,8 @@ from path.messages import Role
 class Progress:
     """A role's report to the console, a few times a second.
 
-    ``count`` of the ``needed`` agreeing pairs; ``evidence``: reached and needed, when pairs are not all that counts.
+    ``count`` of the ``needed`` agreeing pairs; ``evidence``: reached and needed, when pairs are not
+    all that counts.
     """
 
     role: Role
@@ -52,8 +53,8 @@ class RoleResult:
 
     Attributes:
         log_failure: why the log is not whole; the flight went on.
-        ended_s: when its course ended, by the loop's time, which is the same in all programs of one computer; None: it
-            is not known.
+        ended_s: when its course ended, by the loop's time, which is the same in all programs of one
+            computer; None: it is not known.
     """
 
     role: Role
@@ -66,7 +67,9 @@ class RoleResult:
 
 
 def with_log(result: RoleResult, failure: str | None) -> RoleResult:
-    """The result, with what went wrong with the role's log: a good end whose log is not whole has its own outcome."""
+    """The result, with what went wrong with the role's log: a good end whose log is not whole has
+    its own outcome.
+    """
     if not failure:
         return result
     outcome = Outcome.LOG_FAILED if result.outcome.exit_code == 0 else result.outcome
@@ -91,7 +94,9 @@ def decode_event(line: str | bytes) -> Progress | RoleResult | None:
             evidence = record.pop("evidence")
             return Progress(role=role, evidence=tuple(evidence) if evidence else None, **record)
         if kind == "result":
-            return RoleResult(role=role, outcome=Outcome.from_label(record.pop("outcome")), **record)
+            return RoleResult(
+                role=role, outcome=Outcome.from_label(record.pop("outcome")), **record
+            )
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         pass
     return None
@@ -128,7 +133,9 @@ class ProgramContext:
 
 
 RoleMain = Callable[[Rig, Role, ProgramContext], Awaitable[RoleResult]]
-"""One role's whole program, from opening its parts to the vehicle on the ground. Raises PartError."""
+"""One role's whole program, from opening its parts to the vehicle on the ground. Raises
+PartError.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,17 +171,21 @@ class FlightReport:
         violations: number of violations by monitor name; empty when all held.
         simulated_s, wall_s: duration of the run on the mission's clock and on the wall.
         failure: why the harness itself failed; empty when it did not.
-        overload: what of a run in real time was late, and how late; empty when the computer kept up.
+        overload: what of a run in real time was late, and how late; empty when the computer kept
+            up.
         explained: the monitors of which this lateness explains every violation, by its own time.
-        figures: what the monitors timed, in s by name: "commit_s", from COMMIT to the sender's decision, and "gap_s",
-            the longest time with nobody responsible; without what did not happen.
-        errors: what the world was drawn with: the level's name, and standard deviations by what they are of; empty in
-            the real one.
-        broken: the assumptions that were: "stall" (a program was made to stand still), "disk" (one lost a record).
+        figures: what the monitors timed, in s by name: "commit_s", from COMMIT to the sender's
+            decision, and "gap_s", the longest time with nobody responsible; without what did not
+            happen.
+        errors: what the world was drawn with: the level's name, and standard deviations by what
+            they are of; empty in the real one.
+        broken: the assumptions that were: "stall" (a program was made to stand still), "disk" (one
+            lost a record).
         beyond: what broke after that, which the promises do not bear.
-        scene: what its cameras saw, by name; empty for the plain one, and where no frames were drawn.
-        slow: of a run whose programs were confined: "share" of a core of each, and by role for how long they had work
-            to do and were stopped, s.
+        scene: what its cameras saw, by name; empty for the plain one, and where no frames were
+            drawn.
+        slow: of a run whose programs were confined: "share" of a core of each, and by role for how
+            long they had work to do and were stopped, s.
     """
 
     results: Mapping[Role, RoleResult | None]
@@ -199,5 +210,7 @@ class Harness(Protocol):
     """Flies both roles in a world of its own."""
 
     def fly(self, request: FlightRequest) -> FlightReport:
-        """Blocks until both programs ended and both vehicles are down, or the bound on that is over."""
+        """Blocks until both programs ended and both vehicles are down, or the bound on that is
+        over.
+        """
         ...

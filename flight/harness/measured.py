@@ -1,7 +1,8 @@
-"""The imaging of a camera that was measured on photographs: the one that the simulated drones carry.
+"""The imaging of a camera that was measured on photographs: the one that the simulated drones
+carry.
 
-A D435's colour camera, of the D415's family, by 28 public photographs of a board at 1280x720, stored without
-compression (docs/real.md has what corners and poses are on them).
+A D435's colour camera, of the D415's family, by 28 public photographs of a board at 1280x720,
+stored without compression (docs/real.md has what corners and poses are on them).
 """
 
 from __future__ import annotations
@@ -11,10 +12,16 @@ from collections.abc import Mapping
 from flight.harness.renderer import Imaging
 
 MEASURED = Imaging(
-    blur_sigma_px=0.75, read_sigma=1.16, shot_gain=0.0, mosaic=True, sharpen=1.75, sharpen_sigma_px=0.81, yuyv=True
+    blur_sigma_px=0.75,
+    read_sigma=1.16,
+    shot_gain=0.0,
+    mosaic=True,
+    sharpen=1.75,
+    sharpen_sigma_px=0.81,
+    yuyv=True,
 )
-"""Its edge is off that of the photographs by 1.1 % of the contrast (root mean square). Its noise is 2.05 and 1.84 grey
-levels on black and white, where the photographs have 2.05 and 1.74."""
+"""Its edge is off that of the photographs by 1.1 % of the contrast (root mean square). Its noise is
+2.05 and 1.84 grey levels on black and white, where the photographs have 2.05 and 1.74."""
 
 SOURCES: Mapping[str, str] = {
     "blur_sigma_px": "811 straight edges of the board on 14 of the photographs, fitted together with the sharpening",

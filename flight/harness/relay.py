@@ -1,7 +1,7 @@
 """The seam of a relay or a team: what a harness with many drones is asked for and what it answers.
 
-A relay hands one target from drone to drone as batteries run down. Each drone runs one program at a time, and each
-hand-over is a *leg* between two of them, on a link of its own.
+A relay hands one target from drone to drone as batteries run down. Each drone runs one program at a
+time, and each hand-over is a *leg* between two of them, on a link of its own.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ WATCHED: Mapping[str, float] = {
     "/frame": 0.2, "/target": 0.2, "/track": 0.2, "/link": 0.5,
     "/late": 0.0,
 }  # fmt: skip
-"""The topics that the monitors read of a drone's log, and the least seconds between two of a kind."""
+"""The topics that the monitors read of a drone's log, and the least seconds between two of a
+kind.
+"""
 
 
 class OneFlight(Protocol):
@@ -65,7 +67,9 @@ class RelayField(Protocol):
         ...
 
     def swap(self, name: str, battery: float) -> None:
-        """Carry a drone to its home, with a battery of that charge in it, and switch it off until it is called."""
+        """Carry a drone to its home, with a battery of that charge in it, and switch it off until
+        it is called.
+        """
         ...
 
 
@@ -87,11 +91,13 @@ class TeamField(RelayField, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class DroneProcesses:
-    """The drones' programs as processes, and their way to those on the ground: lines of JSON, either way.
+    """The drones' programs as processes, and their way to those on the ground: lines of JSON,
+    either way.
 
     Attributes:
-        command: of a drone's program. It prints ``flight.harness.flights.encode_event``'s lines, ``{"event": "record",
-            "record": [drone, topic, stamp_ns, record]}`` of what is ``WATCHED``, and what it has to say to the ground.
+        command: of a drone's program. It prints ``flight.harness.flights.encode_event``'s lines,
+            ``{"event": "record", "record": [drone, topic, stamp_ns, record]}`` of what is
+            ``WATCHED``, and what it has to say to the ground.
         guard_command: of the guard beside it, in a rig with guards.
         news: what a drone has to know at present; it is told whenever that changes, on its stdin.
         heard: takes what a drone's program said to the ground.
@@ -105,7 +111,9 @@ class DroneProcesses:
 
 @dataclass(frozen=True, slots=True)
 class Pointed:
-    """A person's word on a target's place: NED in m and m/s, at an instant of the ground's clock."""
+    """A person's word on a target's place: NED in m and m/s, at an instant of the ground's
+    clock.
+    """
 
     place_n_m: tuple[float, float, float]
     velocity_n_mps: tuple[float, float, float]
@@ -114,7 +122,9 @@ class Pointed:
     def at(self, time_s: float) -> tuple[float, float, float]:
         """Returns its place by then."""
         since_s = time_s - self.time_s
-        n, e, d = (p + since_s * v for p, v in zip(self.place_n_m, self.velocity_n_mps, strict=True))
+        n, e, d = (
+            p + since_s * v for p, v in zip(self.place_n_m, self.velocity_n_mps, strict=True)
+        )
         return n, e, d
 
 
@@ -170,7 +180,8 @@ class TargetWatch:
 
     Attributes:
         first_s: when a drone was responsible for it for the first time; None: never.
-        observed_s: for how long since then somebody responsible for it looked at it, and at nothing else.
+        observed_s: for how long since then somebody responsible for it looked at it, and at nothing
+            else.
         of_s: out of how many seconds.
         spells: (from, to) of the times in which nobody did.
     """
@@ -185,10 +196,10 @@ class TargetWatch:
 class RelayReport:
     """The harness's report of a relay.
 
-    ``gaps_s``: by leg, the longest time with nobody responsible in its hand-over; ``errors``: as in ``FlightReport``;
-    ``watched``: by target, in their order; ``bytes_sent``, ``aloft_s``: by drone, on its links and in the air;
-    ``cpu_s``: of this process; ``overload``: what of a relay in real time was late, and how late, and ``explained``,
-    as in ``FlightReport``.
+    ``gaps_s``: by leg, the longest time with nobody responsible in its hand-over; ``errors``: as in
+    ``FlightReport``; ``watched``: by target, in their order; ``bytes_sent``, ``aloft_s``: by drone,
+    on its links and in the air; ``cpu_s``: of this process; ``overload``: what of a relay in real
+    time was late, and how late, and ``explained``, as in ``FlightReport``.
     """
 
     violations: Mapping[str, int]

@@ -1,8 +1,9 @@
-"""Pictures of known truth, for measuring perception: the stage, the camera that looks at it, and who draws it.
+"""Pictures of known truth, for measuring perception: the stage, the camera that looks at it, and
+who draws it.
 
-A trial arranges a stage and shoots it; the rig names the renderer (``[trials] renderer``). World frame ``w`` is ENU,
-the ground at z = 0. All values are the truth: what a trial lets the method believe (calibration, printed size,
-attitude) is the trial's own choice of errors.
+A trial arranges a stage and shoots it; the rig names the renderer (``[trials] renderer``). World
+frame ``w`` is ENU, the ground at z = 0. All values are the truth: what a trial lets the method
+believe (calibration, printed size, attitude) is the trial's own choice of errors.
 """
 
 from __future__ import annotations
@@ -77,23 +78,26 @@ class RenderedInstant:
 
 @dataclass(frozen=True, slots=True)
 class Imaging:
-    """A camera's imaging of the light it gets. The default is a sensor that is linear and uncompressed.
+    """A camera's imaging of the light it gets. The default is a sensor that is linear and
+    uncompressed.
 
-    What is done comes in this order: blur, motion, exposure, mosaic, noise, interpolation of the mosaic, gamma,
-    sharpening, 8 bit, YUYV, compression.
+    What is done comes in this order: blur, motion, exposure, mosaic, noise, interpolation of the
+    mosaic, gamma, sharpening, 8 bit, YUYV, compression.
 
     Attributes:
         blur_sigma_px: Gaussian blur of the optics.
-        read_sigma, shot_gain: noise, grey levels; and variance in grey levels squared per grey level.
+        read_sigma, shot_gain: noise, grey levels; and variance in grey levels squared per grey
+            level.
         exposure: factor on the light; above 1 white paper saturates.
         motion_px: length and direction of the motion during the exposure, (u, v) px.
         mosaic: the light is sampled through a Bayer pattern and interpolated again.
         gamma: the image is light to the power of 1 / gamma.
-        sharpen, sharpen_sigma_px: unsharp mask: share of the difference to the blurred image that is added.
+        sharpen, sharpen_sigma_px: unsharp mask: share of the difference to the blurred image that
+            is added.
         jpeg_quality: 1..100, None for no JPEG.
         h264_crf: 0..51 constant rate factor, None for no H.264.
-        yuyv: delivered as YUYV, colour at half the width, as USB cameras do without compression; the sharpening is of
-            brightness alone.
+        yuyv: delivered as YUYV, colour at half the width, as USB cameras do without compression;
+            the sharpening is of brightness alone.
 
     Raises:
         ValueError: naming the field that cannot be right.
@@ -121,13 +125,13 @@ class Imaging:
 
 IDEAL = Imaging()
 REALISTIC = Imaging(mosaic=True, gamma=2.2, sharpen=1.0, sharpen_sigma_px=1.1, jpeg_quality=90)
-"""A webcam. Beside the edges of a print its halo is 12 % of the contrast on black and 9 % on white; on a photograph of
-a marker board it is 15 % and 6 %."""
+"""A webcam. Beside the edges of a print its halo is 12 % of the contrast on black and 9 % on white;
+on a photograph of a marker board it is 15 % and 6 %."""
 REALISTIC_VIDEO = replace(REALISTIC, jpeg_quality=None, h264_crf=23)
 """The same camera, streamed as H.264."""
 WEBCAM = replace(REALISTIC, blur_sigma_px=0.4, sharpen=1.5)
-"""A sharper one. The photometric fit leaves 7 % of the contrast unexplained, and 4 to 5 % with ``REALISTIC``; on a
-photograph of a marker board it leaves 8 %."""
+"""A sharper one. The photometric fit leaves 7 % of the contrast unexplained, and 4 to 5 % with
+``REALISTIC``; on a photograph of a marker board it leaves 8 %."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,10 +141,12 @@ class Printing:
     Attributes:
         ink_spread_m: how far black reaches beyond its edges.
         black_spread: standard deviation of black over the cells, grey levels of the light.
-        shadow: "none", "soft" (a gradient of light across the plate) or "hard" (an edge of shadow across it).
+        shadow: "none", "soft" (a gradient of light across the plate) or "hard" (an edge of shadow
+            across it).
         blade: a rotor blade is before the plate, blurred by its own motion.
-        picture_px: pixels across the marker in the picture that was printed, in which every cell ends with a whole one
-            as OpenCV draws it; 0 for exact edges. The outer edges of the black frame are exact either way.
+        picture_px: pixels across the marker in the picture that was printed, in which every cell
+            ends with a whole one as OpenCV draws it; 0 for exact edges. The outer edges of the
+            black frame are exact either way.
 
     Raises:
         ValueError: naming the field that cannot be right.
@@ -187,7 +193,9 @@ class RendererSetup:
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """``color``: uint8 (h, w, 3) BGR. ``depth_mm``: uint16 (h, w), registered to it, 0 where there is none."""
+    """``color``: uint8 (h, w, 3) BGR. ``depth_mm``: uint16 (h, w), registered to it, 0 where there
+    is none.
+    """
 
     color: NDArray[np.uint8]
     depth_mm: NDArray[np.uint16]
@@ -203,5 +211,7 @@ class FrameRenderer(Protocol):
         ...
 
     def true_depth_m(self, stage: RenderedInstant, role: Role, u: float, v: float) -> float | None:
-        """Exact depth along the optical axis of the surface seen at a pixel; None when there is none in reach."""
+        """Exact depth along the optical axis of the surface seen at a pixel; None when there is
+        none in reach.
+        """
         ...

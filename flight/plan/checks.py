@@ -1,7 +1,9 @@
-"""What a rig cannot do, found before anything moves, each with the smallest change that makes it possible. Pure.
+"""What a rig cannot do, found before anything moves, each with the smallest change that makes it
+possible. Pure.
 
-A check takes facts and geometry and returns a Problem or None. The smallest change is found by asking the same check
-again with the fact changed, and halving what lies between what fails and what passes.
+A check takes facts and geometry and returns a Problem or None. The smallest change is found by
+asking the same check again with the fact changed, and halving what lies between what fails and what
+passes.
 """
 
 from __future__ import annotations
@@ -32,8 +34,10 @@ from flight.rendezvous.viewpoint import NoViewpoint, Viewpoint
 from flight.tracking.association import UNSEEN_S
 from path.camera.model import CameraModel
 
-LEAST_TARGET_PX = 20.0  # of a box's shorter side: detectors lose objects below it (docs/detectors.md)
-MOST_OFFSET = 0.2  # of the target's box: boxes that lasting errors put farther apart do not overlap enough
+# of a box's shorter side: detectors lose objects below it (docs/detectors.md)
+LEAST_TARGET_PX = 20.0
+# of the target's box: boxes that lasting errors put farther apart do not overlap enough
+MOST_OFFSET = 0.2
 MOST_DEPTH_SIGMA = 1.0 / 3.0  # of the target's diameter
 CATCH_UP = 1.15  # times the target's speed, to come closer at all
 FRAMES_TO_FOLLOW = 2.0  # within the time after which what was not seen may be anything
@@ -44,7 +48,9 @@ _FINE = 1.001
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Something that this rig cannot do. ``change``: the smallest that would do, "" when none was found."""
+    """Something that this rig cannot do. ``change``: the smallest that would do, "" when none was
+    found.
+    """
 
     where: str
     what: str
@@ -74,7 +80,9 @@ def flown(facts: Facts, mission: MissionConfig) -> Flown:
 
 
 def check_plan(rig: Rig) -> None:
-    """Raise RigError with everything that a rig's drones cannot do, each with the smallest change that would do."""
+    """Raise RigError with everything that a rig's drones cannot do, each with the smallest change
+    that would do.
+    """
     mission = decode_table(rig.mission, MissionConfig, rig.where("mission"))
     found = Problems()
     for problem in problems(flown(facts_of(rig, mission), mission)):
@@ -84,7 +92,19 @@ def check_plan(rig: Rig) -> None:
 
 def problems(of: Flown) -> Iterator[Problem]:
     """Yield everything that cannot be done."""
-    for check in (_target_px, _fits, _depth, _behind, _viewpoint, _site, _offset, _wind, _speed, _rate, _latency):
+    for check in (
+        _target_px,
+        _fits,
+        _depth,
+        _behind,
+        _viewpoint,
+        _site,
+        _offset,
+        _wind,
+        _speed,
+        _rate,
+        _latency,
+    ):
         found = check(of)
         if found is not None:
             yield found
@@ -100,7 +120,12 @@ def _times(of: Flown, share: float) -> Floats:
 
 
 def _placed(
-    facts: Facts, mission: MissionConfig, target_h: Floats, *, share: float = 1.0, tilt_h: Floats | None = None
+    facts: Facts,
+    mission: MissionConfig,
+    target_h: Floats,
+    *,
+    share: float = 1.0,
+    tilt_h: Floats | None = None,
 ) -> Layout:
     """Plan D2's viewpoint. ``share``: of the margin to the image's border that is asked for."""
     rendezvous = mission.rendezvous
@@ -144,7 +169,9 @@ def _fits(of: Flown) -> Problem | None:
 
 
 def _depth(of: Flown) -> Problem | None:
-    """Check that D1's depth camera reaches the target, or something else tells how far away it is."""
+    """Check that D1's depth camera reaches the target, or something else tells how far away it
+    is.
+    """
     method = of.facts.method
     range_m = of.range_m
     if range_of(of.facts, range_m) is not None:
@@ -158,7 +185,9 @@ def _depth(of: Flown) -> Problem | None:
 
 
 def _behind(of: Flown) -> Problem | None:
-    """Check that depth tells the target from what is right behind it, which a detector may put into one box with it."""
+    """Check that depth tells the target from what is right behind it, which a detector may put into
+    one box with it.
+    """
     method = of.facts.method
     span_m = of.facts.target.span_m
     sigma_m = method.depth_sigma_at_1m_m * of.range_m**2
@@ -189,10 +218,14 @@ def _viewpoint(of: Flown) -> Problem | None:
     ways: list[str] = []
     if side_m is not None:
         ways.append(f"a plate of {_mm(side_m)} would do")
-    focal = _least(1.0, 10.0, lambda times: _has_viewpoint(replace(of, facts=_zoomed(of.facts, times))))
+    focal = _least(
+        1.0, 10.0, lambda times: _has_viewpoint(replace(of, facts=_zoomed(of.facts, times)))
+    )
     if focal is not None:
         ways.append(f"f {of.facts.receiver.camera.fx * focal:.0f} px of D2's camera")
-    farther = _least(1.0, 10.0, lambda times: _has_viewpoint(_at(of.facts, of.mission, _times(of, times))))
+    farther = _least(
+        1.0, 10.0, lambda times: _has_viewpoint(_at(of.facts, of.mission, _times(of, times)))
+    )
     if farther is not None:
         ways.append(f"D1 {farther * of.range_m:.1f} m from the target")
     return Problem("mission.rendezvous", said, ", or ".join(ways))
@@ -205,7 +238,9 @@ def _main_reason(none: NoViewpoint) -> str:
 
 
 def _viewpoint_in_wind(of: Flown) -> Problem | None:
-    """Check that a steady wind, from wherever, leaves D2 a viewpoint: it tilts D2 and its camera."""
+    """Check that a steady wind, from wherever, leaves D2 a viewpoint: it tilts D2 and its
+    camera.
+    """
     wind_mps = of.facts.site.wind_mps
     if _sees_both(of, wind_mps):
         return None
@@ -222,12 +257,17 @@ def _viewpoint_in_wind(of: Flown) -> Problem | None:
 def _sees_both(of: Flown, wind_mps: float) -> bool:
     """Return whether D2 has a viewpoint in a wind from each of eight directions."""
     angle = math.radians(of.facts.drone.tilt_per_mps_deg * wind_mps)
-    found = [_placed(of.facts, of.mission, of.placed.target_h, share=IN_WIND, tilt_h=tilt) for tilt in tilts(angle)]
+    found = [
+        _placed(of.facts, of.mission, of.placed.target_h, share=IN_WIND, tilt_h=tilt)
+        for tilt in tilts(angle)
+    ]
     return all(isinstance(each.viewpoint, Viewpoint) for each in found)
 
 
 def _site(of: Flown) -> Problem | None:
-    """Check that both drones have room inside the site where they hand over a target at its designated place."""
+    """Check that both drones have room inside the site where they hand over a target at its
+    designated place.
+    """
     fence = of.mission.fence
     target = of.mission.target
     if not fence.corners_m:
@@ -283,7 +323,9 @@ def _most_offset_m(of: Flown) -> float:
 
 
 def _overlap(of: Flown) -> bool:
-    """Return whether there is a viewpoint from which lasting errors leave both boxes over each other."""
+    """Return whether there is a viewpoint from which lasting errors leave both boxes over each
+    other.
+    """
     if not isinstance(of.placed.viewpoint, Viewpoint):
         return False
     return predict(of.facts, of.placed).offset_sigma_m <= _most_offset_m(of)
@@ -312,7 +354,9 @@ def _corrects_deg(of: Flown) -> float:
 
 
 def _upright_wind_mps(of: Flown) -> float:
-    """Return the mean wind in which gusts and following still leave the drones within their tilt."""
+    """Return the mean wind in which gusts and following still leave the drones within their
+    tilt.
+    """
     drone = of.facts.drone
     if drone.tilt_per_mps_deg <= 0.0:
         return math.inf
@@ -321,7 +365,9 @@ def _upright_wind_mps(of: Flown) -> float:
 
 
 def most_wind_mps(of: Flown) -> float:
-    """Return the mean wind that can be borne: D2 sees marker and target, and both drones keep to their tilt."""
+    """Return the mean wind that can be borne: D2 sees marker and target, and both drones keep to
+    their tilt.
+    """
     upright_mps = _upright_wind_mps(of)
     if not isinstance(of.placed.viewpoint, Viewpoint) or math.isinf(upright_mps):
         return upright_mps
@@ -376,7 +422,9 @@ def _latency(of: Flown) -> Problem | None:
     searched_px = _searched_px(of, link.latency_s)
     if searched_px <= method.max_search_px:
         return None
-    most_s = _most(0.0, link.latency_s, lambda late_s: _searched_px(of, late_s) <= method.max_search_px)
+    most_s = _most(
+        0.0, link.latency_s, lambda late_s: _searched_px(of, late_s) <= method.max_search_px
+    )
     return Problem(
         "link.latency_s",
         f"what D1 says comes {link.latency_s:g} s late: D2 would have to search {searched_px:.0f} px around the target;"
@@ -386,7 +434,9 @@ def _latency(of: Flown) -> Problem | None:
 
 
 def _searched_px(of: Flown, late_s: float) -> float:
-    """Return the half side of D2's search when the target is foretold over a latency and half of it again."""
+    """Return the half side of D2's search when the target is foretold over a latency and half of it
+    again.
+    """
     method = of.facts.method
     foretold_m = 0.5 * method.relative_accel_mps2 * (1.5 * late_s) ** 2
     focal_px = of.facts.receiver.camera.fx
@@ -394,7 +444,9 @@ def _searched_px(of: Flown, late_s: float) -> float:
 
 
 def agreement_s(facts: Facts, rate_hz: float) -> float:
-    """Return how long the views must agree before the hand-over at a rate of frames, when nothing is missed."""
+    """Return how long the views must agree before the hand-over at a rate of frames, when nothing
+    is missed.
+    """
     evidence = facts.method.evidence
     least_s = facts.method.hold_s if facts.method.gate == "count" else evidence.min_s
     return max(least_s, facts.method.needed_pairs / rate_hz) + 0.5
@@ -405,7 +457,9 @@ def _has_viewpoint(of: Flown) -> bool:
 
 
 def _zoomed(facts: Facts, times: float) -> Facts:
-    """Return facts with more focal length in D2's camera, and as many more pixels: the same field of view."""
+    """Return facts with more focal length in D2's camera, and as many more pixels: the same field
+    of view.
+    """
     lens = facts.receiver.camera
     camera = CameraModel(
         round(times * lens.width),
@@ -420,7 +474,9 @@ def _zoomed(facts: Facts, times: float) -> Facts:
 
 
 def _least(fails: float, passes: float, holds: Callable[[float], bool]) -> float | None:
-    """Return the least value that holds between one that fails and a larger one; None when that fails too."""
+    """Return the least value that holds between one that fails and a larger one; None when that
+    fails too.
+    """
     if not holds(passes):
         # what is too large may fail for another reason: try on the way up
         value = fails
@@ -456,10 +512,11 @@ def _mm(length_m: float) -> str:
 
 
 def nearest_told_apart_m(of: Flown) -> float:
-    """Return how near to the target a look-alike may be for the boxes to tell them apart, m; NaN without a viewpoint.
+    """Return how near to the target a look-alike may be for the boxes to tell them apart, m; NaN
+    without a viewpoint.
 
-    A likelihood ratio of 1 / alpha between an offset of 0 and one of d, with standard deviation s, asks for
-    d = s sqrt(2 ln(1 / alpha)).
+    A likelihood ratio of 1 / alpha between an offset of 0 and one of d, with standard deviation s,
+    asks for d = s sqrt(2 ln(1 / alpha)).
     """
     if not isinstance(of.placed.viewpoint, Viewpoint):
         return math.nan

@@ -66,7 +66,8 @@ def complete(rig: Rig) -> Rig:
 def _with_site(mission: dict[str, Any], rig: Rig) -> dict[str, Any]:
     """Return the mission with the site's walls and ceiling for its fence, where it names none.
 
-    Walls are kept from by how far a drone wanders, and by twice the standard deviation of its position.
+    Walls are kept from by how far a drone wanders, and by twice the standard deviation of its
+    position.
     """
     site = rig.site
     if site is None:
@@ -82,7 +83,9 @@ def _with_site(mission: dict[str, Any], rig: Rig) -> dict[str, Any]:
 
 
 def _with_body(rig: Rig) -> Mapping[str, Any]:
-    """Return a simulated world whose target has the body of the rig's, and room around it, unless it says otherwise."""
+    """Return a simulated world whose target has the body of the rig's, and room around it, unless
+    it says otherwise.
+    """
     facts = rig.target
     if facts is None or rig.harness is None:
         return rig.world
@@ -94,15 +97,21 @@ def _with_body(rig: Rig) -> Mapping[str, Any]:
 def room_of(target: TargetFacts) -> dict[str, Any]:
     """Return how far look-alikes keep from a simulated target.
 
-    As far as a target's bodies do not hide each other from where it is followed, and no nearer than small cars do.
+    As far as a target's bodies do not hide each other from where it is followed, and no nearer than
+    small cars do.
     """
     usual = LOOK_ALIKES_M
     least_m = max(usual[0], SPANS_APART * target.span_m, target.height_m)
-    return {"min_distance_m": round(least_m, 2), "max_distance_m": round(least_m * usual[1] / usual[0], 2)}
+    return {
+        "min_distance_m": round(least_m, 2),
+        "max_distance_m": round(least_m * usual[1] / usual[0], 2),
+    }
 
 
 def _with_rangefinder(rig: Rig, world: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return a simulated world whose drones have the rig's rangefinders, unless it says otherwise."""
+    """Return a simulated world whose drones have the rig's rangefinders, unless it says
+    otherwise.
+    """
     height = rig.height
     if height is None or rig.harness is None or not height.has_rangefinder:
         return world
@@ -111,7 +120,9 @@ def _with_rangefinder(rig: Rig, world: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def body_of(target: TargetFacts) -> dict[str, Any]:
-    """Return the body that a simulated target has: of the kind that is nearest in shape, as large as stated."""
+    """Return the body that a simulated target has: of the kind that is nearest in shape, as large
+    as stated.
+    """
     upright = target.height_m > target.span_m
     kind = "drone" if target.flies else "person" if upright else "car"
     return {"kind": kind, "size_m": [target.length_m, target.width_m, target.height_m]}
@@ -152,7 +163,9 @@ def _method_with(method: MethodConfig, key: str, value: float) -> MethodConfig:
 
 
 def _with_depth(own: RoleRig, method: MethodConfig) -> RoleRig:
-    """Return a drone whose perception takes depth as the method does, where it does not say otherwise."""
+    """Return a drone whose perception takes depth as the method does, where it does not say
+    otherwise.
+    """
     options = own.perception.options
     said = options.get("method", {})
     usual = MethodConfig()

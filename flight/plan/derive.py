@@ -1,13 +1,13 @@
 """From what was measured to what is flown: heights, distances, times, thresholds. Pure.
 
-Everything follows from the facts, and grows with them: bodies of twice the size are flown round at twice the distance.
-What stays as it is has its reason here: ``TILT_RAD`` is an angle, so the acceleration that it stands for contains
-gravity; a vehicle's response time is its own.
+Everything follows from the facts, and grows with them: bodies of twice the size are flown round at
+twice the distance. What stays as it is has its reason here: ``TILT_RAD`` is an angle, so the
+acceleration that it stands for contains gravity; a vehicle's response time is its own.
 
 The range R between D1's camera and the target is the least at which
 
-- the whole target, and what D1 sways by, is inside the image while D1 tilts as much as a correction tilts it:
-  (half the box + sway) / R + tan(tilt) <= EDGE * half the image / f, both ways;
+- the whole target, and what D1 sways by, is inside the image while D1 tilts as much as a correction
+  tilts it: (half the box + sway) / R + tan(tilt) <= EDGE * half the image / f, both ways;
 - D1's body stays clear of the target: R >= its radius + the least separation;
 - there is a viewpoint for D2 (``flight.rendezvous.viewpoint``): R grows until there is.
 """
@@ -30,9 +30,11 @@ from path.config import MethodConfig
 
 GRAVITY_MPS2 = 9.81
 HARDEST = 1.1  # times what the target does: to follow it
-WANDERS = 3.0  # times hold_m, within the square of its response: the acceleration that a drone wanders with
+# times hold_m, within the square of its response: the acceleration that a drone wanders with
+WANDERS = 3.0
 USUAL_FOCAL_PX = 614.0  # of the camera for which the method's own pixels are
-MOST_TARGET_PX = 280.0  # of a box's longer side: detectors were measured up to 300 (docs/detectors.md)
+# of a box's longer side: detectors were measured up to 300 (docs/detectors.md)
+MOST_TARGET_PX = 280.0
 EDGE = 0.9  # of half the image: what a box keeps from the border
 WIDER = 1.05  # the next range to try
 MOST_WIDER = 40  # times: seven times the least range
@@ -42,7 +44,9 @@ Named = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Derived:
-    """One derived value. ``why``: from what it follows; ``limit``: what would break if it were less, or more."""
+    """One derived value. ``why``: from what it follows; ``limit``: what would break if it were
+    less, or more.
+    """
 
     key: str
     value: float
@@ -55,7 +59,8 @@ def derive(facts: Facts, named: Named) -> tuple[Derived, ...]:
     """Derive all that can be, in the order in which it is used.
 
     Args:
-        named: values that the rig names itself, by dotted key: they are taken as they are, and what follows from them.
+        named: values that the rig names itself, by dotted key: they are taken as they are, and what
+            follows from them.
     """
     found = _Found(named)
     _separation(facts.drone, found)
@@ -68,7 +73,9 @@ def derive(facts: Facts, named: Named) -> tuple[Derived, ...]:
 
 
 def derive_rates(facts: Facts, named: Named) -> tuple[Derived, ...]:
-    """Derive what follows from the rate of frames alone, for a rig that says everything else itself."""
+    """Derive what follows from the rate of frames alone, for a rig that says everything else
+    itself.
+    """
     found = _Found(named)
     _rates(facts, found)
     return tuple(found.values)
@@ -102,7 +109,9 @@ def _rounded(value: float) -> float:
 
 
 def swing(facts: Facts) -> float:
-    """Return how far a drone swings that follows what turns harder than it wanders by itself, in m."""
+    """Return how far a drone swings that follows what turns harder than it wanders by itself, in
+    m.
+    """
     own_mps2 = WANDERS * facts.drone.hold_m / facts.drone.response_s**2
     harder_mps2 = max(0.0, facts.target.max_accel_mps2 - own_mps2)
     return 0.5 * harder_mps2 * facts.drone.response_s**2
@@ -129,8 +138,12 @@ def _following(facts: Facts, found: _Found) -> None:
     height_m = found.add("mission.target.height_m", height_m, "m", "half of target.height_m")
     found.add("mission.target.half_size_m", target_radius_m(facts), "m", "the target as D1 sees it")
     accel_mps2 = max(GRAVITY_MPS2 * math.tan(TILT_RAD), HARDEST * target.max_accel_mps2)
-    found.add("mission.max_accel_mps2", accel_mps2, "m/s2", "a tilt of 4.7 deg, or target.max_accel_mps2")
-    found.add("mission.follow.target_accel_mps2", target.max_accel_mps2, "m/s2", "target.max_accel_mps2")
+    found.add(
+        "mission.max_accel_mps2", accel_mps2, "m/s2", "a tilt of 4.7 deg, or target.max_accel_mps2"
+    )
+    found.add(
+        "mission.follow.target_accel_mps2", target.max_accel_mps2, "m/s2", "target.max_accel_mps2"
+    )
     fastest_mps = 1.3 * target.max_speed_mps + 4.0 * drone.hold_m / drone.response_s
     found.add(
         "mission.follow.max_speed_mps",
@@ -139,7 +152,9 @@ def _following(facts: Facts, found: _Found) -> None:
         "1.3 target.max_speed_mps, and to catch up",
         "drone.max_speed_mps",
     )
-    found.add("mission.target.fastest_mps", max(target.max_speed_mps, 0.01), "m/s", "target.max_speed_mps")
+    found.add(
+        "mission.target.fastest_mps", max(target.max_speed_mps, 0.01), "m/s", "target.max_speed_mps"
+    )
     found.add("mission.follow.response_s", drone.response_s, "s", "drone.response_s")
     margin_px = facts.receiver.camera.height / 6.0
     found.add("mission.rendezvous.image_margin_px", margin_px, "px", "a sixth of D2's image")
@@ -164,7 +179,9 @@ def _range(facts: Facts, found: _Found) -> tuple[float, str]:
     fits_m = least_range_m(facts)
     radius_m = found["mission.target.half_size_m"]
     clear_m = radius_m + found["mission.separation.minimum_m"]
-    range_m, why = (fits_m, "the target fits the image") if fits_m >= clear_m else (clear_m, "clear of it")
+    range_m, why = (
+        (fits_m, "the target fits the image") if fits_m >= clear_m else (clear_m, "clear of it")
+    )
     separation = separation_of(found)
     rendezvous = RendezvousConfig(image_margin_px=found["mission.rendezvous.image_margin_px"])
     for _ in range(MOST_WIDER):
@@ -192,7 +209,9 @@ def least_range_m(facts: Facts) -> float:
 
 
 def sway(facts: Facts) -> float:
-    """Return how far D1 is off its place beside a target that turns: what it does within D1's response, in m."""
+    """Return how far D1 is off its place beside a target that turns: what it does within D1's
+    response, in m.
+    """
     turn_m = 0.5 * facts.target.max_accel_mps2 * facts.drone.response_s**2
     return max(turn_m, facts.drone.hold_m)
 
@@ -212,16 +231,27 @@ def _rendezvous(facts: Facts, found: _Found) -> None:
         found["mission.follow.height_m"] - found["mission.target.height_m"],
     )
     stand_off_m = separation.viewpoint_m + 3.5 * hold_m
-    found.add("mission.rendezvous.stand_off_m", stand_off_m, "m", "the viewpoint, and 3.5 drone.hold_m")
+    found.add(
+        "mission.rendezvous.stand_off_m", stand_off_m, "m", "the viewpoint, and 3.5 drone.hold_m"
+    )
     found.add("mission.rendezvous.clearance_m", 1.5 * hold_m, "m", "1.5 drone.hold_m")
     found.add("mission.rendezvous.stand_off_tolerance_m", 1.25 * hold_m, "m", "1.25 drone.hold_m")
     found.add("mission.rendezvous.search_slide_m", 4.0 * hold_m, "m", "4 drone.hold_m")
     swing_m = 0.3 * swing(facts)
-    found.add("mission.rendezvous.arrived_m", 0.6 * hold_m + swing_m, "m", "0.6 drone.hold_m, and how it swings")
+    found.add(
+        "mission.rendezvous.arrived_m",
+        0.6 * hold_m + swing_m,
+        "m",
+        "0.6 drone.hold_m, and how it swings",
+    )
     slow_mps = 1.25 * hold_m / facts.drone.response_s
     arrived_mps = slow_mps + swing_m / facts.drone.response_s
-    found.add("mission.rendezvous.arrived_speed_mps", arrived_mps, "m/s", "it wanders and swings so fast")
-    found.add("mission.rendezvous.max_speed_mps", 2.0 * slow_mps, "m/s", "twice as fast as it wanders")
+    found.add(
+        "mission.rendezvous.arrived_speed_mps", arrived_mps, "m/s", "it wanders and swings so fast"
+    )
+    found.add(
+        "mission.rendezvous.max_speed_mps", 2.0 * slow_mps, "m/s", "twice as fast as it wanders"
+    )
     found.add("mission.rendezvous.max_position_sigma_m", 0.4 * hold_m, "m", "0.4 drone.hold_m")
     most_m = range_m + 2.0 * farthest_m(separation)
     found.add("mission.rendezvous.max_range_m", most_m, "m", "the farthest viewpoint")
@@ -239,8 +269,12 @@ def _method(facts: Facts, found: _Found) -> None:
     lens = facts.receiver.camera
     usual = MethodConfig()
     wider = 0.5 * (lens.fx + lens.fy) / USUAL_FOCAL_PX
-    found.add("method.min_search_px", wider * usual.min_search_px, "px", "the same angle with any camera")
-    found.add("method.max_search_px", wider * usual.max_search_px, "px", "the same angle with any camera")
+    found.add(
+        "method.min_search_px", wider * usual.min_search_px, "px", "the same angle with any camera"
+    )
+    found.add(
+        "method.max_search_px", wider * usual.max_search_px, "px", "the same angle with any camera"
+    )
     accel_mps2 = 3.0 * found["mission.max_accel_mps2"]
     found.add("method.relative_accel_mps2", accel_mps2, "m/s2", "target and both drones")
     placed = layout(
@@ -257,7 +291,9 @@ def _method(facts: Facts, found: _Found) -> None:
         return
     offset_m = predict(facts, placed).offset_sigma_m
     found.add("method.evidence.offset_sigma_m", offset_m, "m", "all errors that last, there")
-    found.add("method.evidence.apart_m", max(15.0 * offset_m, 1.25 * span_m), "m", "a track's reach")
+    found.add(
+        "method.evidence.apart_m", max(15.0 * offset_m, 1.25 * span_m), "m", "a track's reach"
+    )
 
 
 def _waits(found: _Found) -> None:
@@ -269,19 +305,32 @@ def _waits(found: _Found) -> None:
         found["mission.follow.behind_m"],
         found["mission.follow.height_m"] - found["mission.target.height_m"],
     )
-    climb_s = found.add("mission.deadlines.take_off_s", 25.0 + 2.0 * high_m, "s", "the climb at 0.5 m/s")
+    climb_s = found.add(
+        "mission.deadlines.take_off_s", 25.0 + 2.0 * high_m, "s", "the climb at 0.5 m/s"
+    )
     found.add("mission.deadlines.land_s", 35.0 + 3.0 * high_m, "s", "the way down at 0.35 m/s")
-    close_s = found.add("mission.deadlines.approach_s", 20.0 + 3.0 * way_m / slow_mps, "s", "the way in, three times")
+    close_s = found.add(
+        "mission.deadlines.approach_s",
+        20.0 + 3.0 * way_m / slow_mps,
+        "s",
+        "the way in, three times",
+    )
     way_s = found.add("mission.deadlines.stand_off_s", 30.0 + 4.0 * way_m, "s", "the way there")
     # D1 takes its target from 1.4 times as far as it follows it from, and D2 plans once it is there
-    comes_s = found.add("mission.deadlines.viewpoint_s", 15.0 + 2.0 * range_m, "s", "D1 comes near its target")
+    comes_s = found.add(
+        "mission.deadlines.viewpoint_s", 15.0 + 2.0 * range_m, "s", "D1 comes near its target"
+    )
     look_s = Deadlines().search_s
     ready_s = comes_s + climb_s + way_s + look_s + close_s
-    found.add("mission.deadlines.receiver_ready_s", ready_s, "s", "all that D2 does until then, together")
+    found.add(
+        "mission.deadlines.receiver_ready_s", ready_s, "s", "all that D2 does until then, together"
+    )
 
 
 def _rates(facts: Facts, found: _Found) -> None:
-    """Derive the gaps that are no loss where frames come slowly, or packets late and not all of them."""
+    """Derive the gaps that are no loss where frames come slowly, or packets late and not all of
+    them.
+    """
     rates = [eye.rate_hz for eye in (facts.sender, facts.receiver) if eye.rate_hz is not None]
     every_s = 1.0 / min(rates) if rates else 0.0
     link = facts.link
@@ -300,8 +349,18 @@ def _rates(facts: Facts, found: _Found) -> None:
             "two frames and one lost, and link.latency_s",
         ),
         ("method.slope_span_s", usual.slope_span_s, 3.0 * every_s, "three frames"),
-        ("method.max_age_s", usual.max_age_s, 4.0 * link.latency_s + 2.0 * every_s, "link.latency_s both ways"),
-        ("mission.clock_uncertainty_s", 0.1, 1.5 * link.latency_s, "half a round trip by link.latency_s"),
+        (
+            "method.max_age_s",
+            usual.max_age_s,
+            4.0 * link.latency_s + 2.0 * every_s,
+            "link.latency_s both ways",
+        ),
+        (
+            "mission.clock_uncertainty_s",
+            0.1,
+            1.5 * link.latency_s,
+            "half a round trip by link.latency_s",
+        ),
         ("mission.guard.frame_age_s", guard.frame_age_s, 4.0 * every_s, "four frames"),
     )
     for key, usual_s, needed_s, why in waits:

@@ -1,17 +1,21 @@
-"""What a hand-over's geometry makes of the errors that last: how far D2's box of the target is off D1's own. Pure.
+"""What a hand-over's geometry makes of the errors that last: how far D2's box of the target is off
+D1's own. Pure.
 
-D2 sees the target at a pixel, puts it at the depth that D1's point has for it, and maps it into D1's image. What it is
-off there, across D1's line of sight at the target's depth, is a function o(e) of small errors e that are drawn once: of
-D1's depth, of lens, mount and plate, of D2's pose, of both boxes. To first order
+D2 sees the target at a pixel, puts it at the depth that D1's point has for it, and maps it into
+D1's image. What it is off there, across D1's line of sight at the target's depth, is a function
+o(e) of small errors e that are drawn once: of D1's depth, of lens, mount and plate, of D2's pose,
+of both boxes. To first order
 
     o = sum_s J_s e_s,    B = sum_s J_s C_s J_s^T,    J_s = do/de_s at 0
 
-J is found by differences of the very chain (equations target_backprojection to bbox_rescaling of the
-paper), C_s is what the rig states or the table of docs/errors.md has. For a body of k times the size at k
-times the distance o is k times as large, as far as the errors themselves are angles or shares.
+J is found by differences of the very chain (equations target_backprojection to bbox_rescaling of
+the paper), C_s is what the rig states or the table of docs/errors.md has. For a body of k times the
+size at k times the distance o is k times as large, as far as the errors themselves are angles or
+shares.
 
-The target's point, as D2 has it in its own camera, errs by D1's depth and mount, by D2's pose (its angle with the whole
-way to the target for a lever), and by how the target moves in D1's frame, which sways, until D2's frame is taken.
+The target's point, as D2 has it in its own camera, errs by D1's depth and mount, by D2's pose (its
+angle with the whole way to the target for a lever), and by how the target moves in D1's frame,
+which sways, until D2's frame is taken.
 """
 
 from __future__ import annotations
@@ -41,8 +45,10 @@ BOX_PX = 1.5
 LASTING_CORNER_PX = 0.05
 LATE_S = 0.005
 MOUNT_DEG = 0.3
-DEPTH_ON_BODY = 0.02  # of the target's diameter: the middle depth of its box against the surface in the box's middle
-FORETOLD_S = 0.05  # from D1's frame to D2's, over which D2 carries the target on, and what of that it does not know
+# of the target's diameter: the middle depth of its box against the surface in the box's middle
+DEPTH_ON_BODY = 0.02
+# from D1's frame to D2's, over which D2 carries the target on, and what of that it does not know
+FORETOLD_S = 0.05
 USUAL_SPEED = 0.6  # of the target's fastest
 TILT_RAD = math.radians(4.7)  # of a correction; a camera that is fixed to the body tilts with it
 BODY_SHARE = 0.05  # of the target's diameter, by which its box's middle differs from two sides
@@ -51,7 +57,9 @@ _LEAST_SLANT = math.radians(20.0)
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """One kind of error that lasts: its standard deviation per component, and what it adds to B, shape (2, 2), m^2."""
+    """One kind of error that lasts: its standard deviation per component, and what it adds to B,
+    shape (2, 2), m^2.
+    """
 
     name: str
     sigma: str
@@ -79,7 +87,9 @@ class Predicted:
 
 
 def predict(facts: Facts, placed: Layout) -> Predicted:
-    """Predict the errors of a hand-over at a layout that has a viewpoint. Raises ValueError for one without."""
+    """Predict the errors of a hand-over at a layout that has a viewpoint. Raises ValueError for one
+    without.
+    """
     if placed.T_h_c2 is None or not isinstance(placed.viewpoint, Viewpoint):
         raise ValueError("a layout without a viewpoint has no errors")
     chain = _Chain(facts, placed.target_h, placed.T_h_c2)
@@ -121,7 +131,9 @@ def predict(facts: Facts, placed: Layout) -> Predicted:
 
 @dataclass(frozen=True, slots=True)
 class _PoseSigmas:
-    """Of the plate in D2's camera per axis, of its turn per axis, and of D2's camera in the plate's frame."""
+    """Of the plate in D2's camera per axis, of its turn per axis, and of D2's camera in the plate's
+    frame.
+    """
 
     place_m: float
     angle_rad: float
@@ -131,13 +143,15 @@ class _PoseSigmas:
 def _pose_sigmas(facts: Facts, viewpoint: Viewpoint) -> _PoseSigmas:
     """Return the lasting uncertainty of D2's pose by the plate, per axis.
 
-    Gravity bounds the turn about level axes; the turn about the vertical is read off the plate's foreshortening, the
-    better the more it is slanted. The place errs by the plate's size, and by that turn times the distance.
+    Gravity bounds the turn about level axes; the turn about the vertical is read off the plate's
+    foreshortening, the better the more it is slanted. The place errs by the plate's size, and by
+    that turn times the distance.
     """
     distance_m = math.hypot(*viewpoint.camera_h_m)
     slant = max(viewpoint.incidence_rad, _LEAST_SLANT)
     turn_rad = LASTING_CORNER_PX / (viewpoint.marker_px * math.sin(slant))
-    level_rad = facts.attitude_sigma_rad / 3.0  # corners and the other drone's gravity have their say too
+    # corners and the other drone's gravity have their say too
+    level_rad = facts.attitude_sigma_rad / 3.0
     angle_rad = math.sqrt((turn_rad**2 + 2.0 * level_rad**2) / 3.0)
     along_m = distance_m * math.hypot(SIDE_SHARE, LASTING_CORNER_PX / viewpoint.marker_px)
     place_m = along_m / math.sqrt(3.0)
@@ -146,7 +160,9 @@ def _pose_sigmas(facts: Facts, viewpoint: Viewpoint) -> _PoseSigmas:
 
 
 def _lens_rad(focal_px: float) -> float:
-    """Return the angle by which a careful calibration's centre and focal length put a ray off, near the axis."""
+    """Return the angle by which a careful calibration's centre and focal length put a ray off, near
+    the axis.
+    """
     return math.hypot(CENTER_PX / focal_px, 0.2 * FOCAL_SHARE)
 
 
@@ -165,9 +181,13 @@ class _Chain:
         self._point_c1 = sender.T_b_c.inverse().apply(target_h)
         self._point_c2 = T_h_c2.inverse().apply(target_h)
 
-    def source(self, name: str, size: int, sigma: float, unit: str, off: Callable[[Floats], Floats]) -> Source:
+    def source(
+        self, name: str, size: int, sigma: float, unit: str, off: Callable[[Floats], Floats]
+    ) -> Source:
         """Return what an error of ``size`` independent components adds to B."""
-        jacobian = np.column_stack([(off(STEP * axis) - off(-STEP * axis)) / (2.0 * STEP) for axis in np.eye(size)])
+        jacobian = np.column_stack(
+            [(off(STEP * axis) - off(-STEP * axis)) / (2.0 * STEP) for axis in np.eye(size)]
+        )
         said = f"{math.degrees(sigma):.2g} deg" if unit == "rad" else f"{1e3 * sigma:.2g} mm"
         return Source(name, said, sigma * sigma * jacobian @ jacobian.T)
 
@@ -182,7 +202,9 @@ class _Chain:
 
     def by_mount_angle(self, error: Floats) -> Floats:
         """Its angle is off, rad."""
-        return self._offset(self._point_c1, mount=Pose(_turn(error) @ self._T_v_c1.R, self._T_v_c1.t))
+        return self._offset(
+            self._point_c1, mount=Pose(_turn(error) @ self._T_v_c1.R, self._T_v_c1.t)
+        )
 
     def by_pose(self, error: Floats) -> Floats:
         """The place of the plate, as D2 has it, is off, m."""
@@ -190,7 +212,9 @@ class _Chain:
 
     def by_pose_angle(self, error: Floats) -> Floats:
         """Its angle is off, rad."""
-        return self._offset(self._point_c1, pose=Pose(_turn(error) @ self._T_c2_v.R, self._T_c2_v.t))
+        return self._offset(
+            self._point_c1, pose=Pose(_turn(error) @ self._T_c2_v.R, self._T_c2_v.t)
+        )
 
     def by_sight1(self, error: Floats) -> Floats:
         """D1's ray to the target is off, rad right and down."""
@@ -209,7 +233,9 @@ class _Chain:
         pose: Pose | None = None,
         sight2: tuple[float, float] = (0.0, 0.0),
     ) -> Floats:
-        """Return D2's box, mapped into D1's image, from D1's own: m at the target's depth, shape (2,)."""
+        """Return D2's box, mapped into D1's image, from D1's own: m at the target's depth, shape
+        (2,).
+        """
         T_v_c1 = mount or self._T_v_c1
         T_c2_v = pose or self._T_c2_v
         depth2_m = float(T_c2_v.apply(T_v_c1.apply(point_c1))[2])

@@ -1,7 +1,7 @@
 """The facts that a plan rests on, taken from a rig. Pure: nothing here opens a part.
 
-A rig that has no ``[target]`` says its geometry itself; its facts are then what that geometry implies, so that the same
-checks and predictions hold for both.
+A rig that has no ``[target]`` says its geometry itself; its facts are then what that geometry
+implies, so that the same checks and predictions hold for both.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from path.config import MethodConfig
 
 @dataclass(frozen=True, slots=True)
 class Eye:
-    """One drone's camera: its lens, its place on the drone, and its frames a second (None: not stated)."""
+    """One drone's camera: its lens, its place on the drone, and its frames a second (None: not
+    stated).
+    """
 
     camera: CameraModel
     mount: Mount
@@ -90,11 +92,15 @@ def _site_of_world(rig: Rig) -> SiteFacts:
     """Return the wind of a simulated rig's world; of one that flies outdoors what is usual."""
     wind: dict[str, Any] = dict(rig.world.get("wind", {}))
     usual = SiteFacts()
-    return SiteFacts(float(wind.get("speed_mps", usual.wind_mps)), float(wind.get("gust_mps", usual.gust_mps)))
+    return SiteFacts(
+        float(wind.get("speed_mps", usual.wind_mps)), float(wind.get("gust_mps", usual.gust_mps))
+    )
 
 
 def camera_rate_hz(own: RoleRig) -> float | None:
-    """Return a role's camera rate in frames a second; None when its part does not say. Raises RigError."""
+    """Return a role's camera rate in frames a second; None when its part does not say. Raises
+    RigError.
+    """
     config = decode_part(own.perception)[1]
     inner = getattr(config, "camera", None)
     if isinstance(inner, PartSpec):

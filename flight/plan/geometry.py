@@ -1,9 +1,10 @@
 """Where both drones and the target are at the hand-over, and what their cameras then see. Pure.
 
-Frame ``h``: D1's heading (forward, right, down), origin at D1's body, level. Lengths in m, angles in rad.
+Frame ``h``: D1's heading (forward, right, down), origin at D1's body, level. Lengths in m, angles
+in rad.
 
-D1's camera is fixed at an angle below the horizon. At a range R along its axis it is R sin(angle) above the target and
-R cos(angle) behind it. D2 is where ``flight.rendezvous.viewpoint`` puts it.
+D1's camera is fixed at an angle below the horizon. At a range R along its axis it is R sin(angle)
+above the target and R cos(angle) behind it. D2 is where ``flight.rendezvous.viewpoint`` puts it.
 """
 
 from __future__ import annotations
@@ -62,7 +63,9 @@ class Layout:
 
     @property
     def between_rad(self) -> float:
-        """Return the angle at the target between both lines of sight, D1's body standing for its camera."""
+        """Return the angle at the target between both lines of sight, D1's body standing for its
+        camera.
+        """
         if self.T_h_c2 is None:
             return math.nan
         to_sender = -self.target_h
@@ -80,15 +83,17 @@ def depression_rad(facts: Facts) -> float:
 def apparent(facts: Facts, range_m: float) -> Apparent:
     """Return how the target fills D1's image at a range along its axis.
 
-    An upright cylinder of diameter s and height H, seen from an angle a above the horizon, is s wide and
-    H cos(a) + s sin(a) high.
+    An upright cylinder of diameter s and height H, seen from an angle a above the horizon, is s
+    wide and H cos(a) + s sin(a) high.
     """
     target = facts.target
     camera = facts.sender.camera
     angle = depression_rad(facts)
     width_m = target.span_m
     height_m = target.height_m * math.cos(angle) + target.span_m * math.sin(angle)
-    return Apparent(width_m, height_m, camera.fx * width_m / range_m, camera.fy * height_m / range_m)
+    return Apparent(
+        width_m, height_m, camera.fx * width_m / range_m, camera.fy * height_m / range_m
+    )
 
 
 def place_of_target(facts: Facts, range_m: float) -> Floats:
@@ -98,8 +103,12 @@ def place_of_target(facts: Facts, range_m: float) -> Floats:
 
 
 def followed_at(mission: MissionConfig) -> Floats:
-    """Return the target's middle in ``h`` where a mission's own settings have D1 follow it, shape (3,)."""
-    return np.array([mission.follow.behind_m, 0.0, mission.follow.height_m - mission.target.height_m])
+    """Return the target's middle in ``h`` where a mission's own settings have D1 follow it, shape
+    (3,).
+    """
+    return np.array(
+        [mission.follow.behind_m, 0.0, mission.follow.height_m - mission.target.height_m]
+    )
 
 
 def range_to(facts: Facts, target_h: Floats) -> float:
@@ -141,7 +150,9 @@ def layout(
 
 
 def target_radius_m(facts: Facts) -> float:
-    """Return the radius about the target's middle that must be in view, between half its width and half its height."""
+    """Return the radius about the target's middle that must be in view, between half its width and
+    half its height.
+    """
     seen = apparent(facts, 1.0)
     return 0.25 * (seen.width_m + seen.height_m)
 

@@ -1,4 +1,6 @@
-"""What to expect of a hand-over at a planned geometry: pixels, errors, times, and what can be borne. Pure."""
+"""What to expect of a hand-over at a planned geometry: pixels, errors, times, and what can be
+borne. Pure.
+"""
 
 from __future__ import annotations
 
@@ -130,6 +132,8 @@ def _limits(of: Flown) -> list[Prediction]:
     speed_mps = of.mission.follow.max_speed_mps / CATCH_UP
     wind_mps = most_wind_mps(of)
     return [
-        Prediction("speed_mps", "fastest target that is followed", speed_mps, f"{speed_mps:.1f} m/s"),
+        Prediction(
+            "speed_mps", "fastest target that is followed", speed_mps, f"{speed_mps:.1f} m/s"
+        ),
         Prediction("wind_mps", "wind that can be borne", wind_mps, f"{wind_mps:.1f} m/s"),
     ]

@@ -1,4 +1,6 @@
-"""What D1's range of the target will be worth: by depth, by the ground and by the target's size. Pure."""
+"""What D1's range of the target will be worth: by depth, by the ground and by the target's size.
+Pure.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +12,13 @@ from path.observations import Box, Depth, RangeSource
 from path.target.range import Body, Ranged, Sight, by_ground, by_size, together
 
 DEPTH_BIAS_M = 0.003  # docs/errors.md
-FLOWN_MIN = 3.0  # from take-off to the hand-over: so long a height without a rangefinder has drifted
+# from take-off to the hand-over: so long a height without a rangefinder has drifted
+FLOWN_MIN = 3.0
 
 
 def range_of(facts: Facts, range_m: float) -> Ranged | None:
-    """Return the range along D1's optical axis with what lasts of its errors; None where nothing tells it.
+    """Return the range along D1's optical axis with what lasts of its errors; None where nothing
+    tells it.
 
     Without ``[height]`` depth is all there is.
     """
@@ -23,8 +27,13 @@ def range_of(facts: Facts, range_m: float) -> Ranged | None:
     if method.min_depth_m <= range_m <= method.max_depth_m:
         found.append(Depth(range_m, DEPTH_BIAS_M))
     if facts.height is not None:
-        found += [each for each in (_ground(facts, range_m), _size(facts, range_m, bool(found))) if each is not None]
-    # All are of one target: what they say is as far away as it is, and only their deviations differ.
+        found += [
+            each
+            for each in (_ground(facts, range_m), _size(facts, range_m, bool(found)))
+            if each is not None
+        ]
+    # All are of one target: what they say is as far away as it is, and only their deviations
+    # differ.
     return together([Depth(range_m, each.sigma_m, each.source) for each in found])
 
 
@@ -43,12 +52,16 @@ def _ground(facts: Facts, range_m: float) -> Depth | None:
         return None
     sight = _sight(facts)
     above_m = range_m * sight.sinking
-    reaches = height.rangefinder_min_m < above_m + 0.5 * facts.target.height_m < height.rangefinder_max_m
+    reaches = (
+        height.rangefinder_min_m < above_m + 0.5 * facts.target.height_m < height.rangefinder_max_m
+    )
     known_m = height.rangefinder_sigma_m if reaches else height.drift_m * math.sqrt(FLOWN_MIN)
     source = RangeSource.RANGEFINDER if reaches else RangeSource.GROUND
     pixels = facts.method.pixel_sigma_px / facts.sender.camera.fy
     angle = math.hypot(facts.attitude_sigma_rad, pixels)
-    return by_ground(above_m, math.hypot(known_m, height.uneven_m), angle, sight, _body(facts), source)
+    return by_ground(
+        above_m, math.hypot(known_m, height.uneven_m), angle, sight, _body(facts), source
+    )
 
 
 def _size(facts: Facts, range_m: float, measured: bool) -> Depth | None:

@@ -1,4 +1,6 @@
-"""D2's way to D1: stand-off by reported positions, search for the marker, approach by the marker alone."""
+"""D2's way to D1: stand-off by reported positions, search for the marker, approach by the marker
+alone.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,17 @@ import numpy as np
 from drivers.interfaces import VehicleState, VelocitySetpoint
 from drivers.rig.parts import Mount
 from flight.config import MissionConfig
-from flight.guidance import Vec3, add, bearing, close_in, from_heading, norm, scale, subtract, within_fence
+from flight.guidance import (
+    Vec3,
+    add,
+    bearing,
+    close_in,
+    from_heading,
+    norm,
+    scale,
+    subtract,
+    within_fence,
+)
 from flight.rendezvous.marker_view import MarkerView, levelled
 from flight.rendezvous.viewpoint import (
     Floats,
@@ -49,11 +61,14 @@ def stand_off_m(config: MissionConfig) -> float:
     """
     rendezvous = config.rendezvous
     wrong_m = math.hypot(rendezvous.positions_within_m, rendezvous.heights_within_m)
-    return max(rendezvous.stand_off_m, config.separation.minimum_m + rendezvous.clearance_m + wrong_m)
+    return max(
+        rendezvous.stand_off_m, config.separation.minimum_m + rendezvous.clearance_m + wrong_m
+    )
 
 
 class Rendezvous:
-    """Guidance of the receiver until the target is its own. The guidance methods are ``flight.pilot.Guidance``.
+    """Guidance of the receiver until the target is its own. The guidance methods are
+    ``flight.pilot.Guidance``.
 
     Args:
         peer: the sender's newest Status; asked only once there is one.
@@ -79,8 +94,10 @@ class Rendezvous:
         self._now_ns = now_ns
         self._viewpoint: Viewpoint | None = None
         self._search_began_ns = 0
-        self._shift_n_m: Vec3 | None = None  # of the sender's reported position, once its marker was measured
-        self._steepness_rad = math.asin(float(mount.T_b_c.R[2, 2]))  # how far below the horizon the camera looks
+        # of the sender's reported position, once its marker was measured
+        self._shift_n_m: Vec3 | None = None
+        # how far below the horizon the camera looks
+        self._steepness_rad = math.asin(float(mount.T_b_c.R[2, 2]))
         self.tilt = Tilt()
 
     @property
@@ -89,7 +106,9 @@ class Rendezvous:
         return self._viewpoint
 
     def plan(self, target: Target) -> Viewpoint | NoViewpoint:
-        """Plan the viewpoint for the geometry the sender reports now; a found one is flown to from now on."""
+        """Plan the viewpoint for the geometry the sender reports now; a found one is flown to from
+        now on.
+        """
         R_h_v = levelled(target.gravity_v, self._mount.T_b_v.R)
         scene = ViewpointScene(
             target_h_m=R_h_v @ np.array(target.point_v_m),
@@ -101,17 +120,22 @@ class Rendezvous:
         )
         tilt_h = np.array(from_heading(self.tilt.down_n, -self._peer().yaw_rad))
         config = self._config
-        plan = plan_viewpoint(scene, self._camera, self._mount.T_b_c, config.rendezvous, config.separation, tilt_h)
+        plan = plan_viewpoint(
+            scene, self._camera, self._mount.T_b_c, config.rendezvous, config.separation, tilt_h
+        )
         if isinstance(plan, Viewpoint):
             self._viewpoint = plan
         return plan
 
-    # --- stand-off and search: by the positions both drones report -------------------------------------------------
+    # --- stand-off and search: by the positions both drones report
+    # -------------------------------------------------
 
     def to_stand_off(self, state: VehicleState) -> VelocitySetpoint:
-        """Leads to where the marker faces D2, in the middle of the image, if both positions are right.
+        """Leads to where the marker faces D2, in the middle of the image, if both positions are
+        right.
 
-        That is not on the viewpoint's side: with positions off by a metre the marker would be seen edge-on there.
+        That is not on the viewpoint's side: with positions off by a metre the marker would be seen
+        edge-on there.
         """
         place, yaw = self._facing_marker(self.stand_off_m)
         return self._by_position(place, state, yaw)
@@ -124,11 +148,13 @@ class Rendezvous:
         self._search_began_ns = self._now_ns()
 
     def search(self, state: VehicleState) -> VelocitySetpoint:
-        """Come in as near as the marker wants; look to and fro, wider as time goes, and slide outward and back.
+        """Come in as near as the marker wants; look to and fro, wider as time goes, and slide
+        outward and back.
 
-        It comes in along the camera's axis, through the space it has looked into: a marker that is in D2's way, or
-        near it, shows before D2 is there. Nowhere else does it come nearer: the positions may be wrong by more than is
-        left. A drone that is nearly above the other sees it only from farther out.
+        It comes in along the camera's axis, through the space it has looked into: a marker that is
+        in D2's way, or near it, shows before D2 is there. Nowhere else does it come nearer: the
+        positions may be wrong by more than is left. A drone that is nearly above the other sees it
+        only from farther out.
         """
         rendezvous = self._config.rendezvous
         searching_s = (self._now_ns() - self._search_began_ns) * 1e-9
@@ -136,18 +162,28 @@ class Rendezvous:
         to_m = self._search_from_m()
         place, yaw = self._facing_marker(max(to_m, from_m - _COME_IN_MPS * searching_s))
         searched_s = max(0.0, searching_s - (from_m - to_m) / _COME_IN_MPS - _SETTLE_S)
-        turn = math.radians(rendezvous.search_turn_deg) * min(1.0, 0.3 * searched_s) * math.sin(_TURN * searched_s)
-        back_m = _swing(max(rendezvous.search_slide_m, rendezvous.positions_within_m), _SLIDE * searched_s)
+        turn = (
+            math.radians(rendezvous.search_turn_deg)
+            * min(1.0, 0.3 * searched_s)
+            * math.sin(_TURN * searched_s)
+        )
+        back_m = _swing(
+            max(rendezvous.search_slide_m, rendezvous.positions_within_m), _SLIDE * searched_s
+        )
         up_m = _swing(rendezvous.heights_within_m, _CLIMB * searched_s)
         place = self._within_fence(add(place, from_heading((-back_m, 0.0, -up_m), yaw)))
         return self._by_position(place, state, yaw + turn)
 
     def note_seen(self, state: VehicleState, marker_n_m: Vec3) -> None:
-        """The marker, from the camera: from here on the sender is where this says, and not where it reports to be."""
+        """The marker, from the camera: from here on the sender is where this says, and not where it
+        reports to be.
+        """
         self._shift_n_m = subtract(marker_n_m, self._reported(state, (0.0, 0.0, 0.0)))
 
     def _reported(self, state: VehicleState, shift_n_m: Vec3) -> Vec3:
-        """The way from the camera to the marker by reported positions, with the sender's shifted."""
+        """The way from the camera to the marker by reported positions, with the sender's
+        shifted.
+        """
         peer = self._peer()
         own = add(state.position_n_m, from_heading(_vec3(self._mount.T_b_c.t), yaw_of(state.q_n_b)))
         marker = add(peer.position_n_m, from_heading(_vec3(self._mount.T_b_v.t), peer.yaw_rad))
@@ -155,8 +191,14 @@ class Rendezvous:
 
     @property
     def stand_off_m(self) -> float:
-        """The least distance by reported positions; nearer once the marker has told what those are worth."""
-        return stand_off_m(self._config) if self._shift_n_m is None else self._config.rendezvous.stand_off_m
+        """The least distance by reported positions; nearer once the marker has told what those are
+        worth.
+        """
+        return (
+            stand_off_m(self._config)
+            if self._shift_n_m is None
+            else self._config.rendezvous.stand_off_m
+        )
 
     def _search_from_m(self) -> float:
         """Returns how far from the marker the search is.
@@ -167,14 +209,20 @@ class Rendezvous:
         return min(self.stand_off_m, max(self._config.rendezvous.stand_off_m, findable_m))
 
     def _facing_marker(self, distance_m: float) -> tuple[Vec3, float]:
-        """The place from which the marker is this far along the camera's axis, and the yaw there."""
+        """The place from which the marker is this far along the camera's axis, and the yaw
+        there.
+        """
         peer = self._peer()
         steepness = self._steepness_rad
         level_m = distance_m * math.cos(steepness)
         height_m = distance_m * math.sin(steepness)
         normal_b = self._mount.T_b_v.R[:, 2]  # of the plate, in D1's body
         facing = math.hypot(float(normal_b[0]), float(normal_b[1]))
-        ahead, right = (float(normal_b[0]) / facing, float(normal_b[1]) / facing) if facing > 0.1 else (-1.0, 0.0)
+        ahead, right = (
+            (float(normal_b[0]) / facing, float(normal_b[1]) / facing)
+            if facing > 0.1
+            else (-1.0, 0.0)
+        )
         offset = from_heading((level_m * ahead, level_m * right, -height_m), peer.yaw_rad)
         place = add(peer.position_n_m, offset)
         place = place if self._shift_n_m is None else add(place, self._shift_n_m)
@@ -189,15 +237,22 @@ class Rendezvous:
         radius_m = guard.fence_radius_m - rendezvous.positions_within_m
         return within_fence(place_n_m, radius_m, guard.fence_height_m - rendezvous.heights_within_m)
 
-    def _by_position(self, place_n_m: Vec3, state: VehicleState, yaw_rad: float) -> VelocitySetpoint:
+    def _by_position(
+        self, place_n_m: Vec3, state: VehicleState, yaw_rad: float
+    ) -> VelocitySetpoint:
         error = subtract(place_n_m, state.position_n_m)
         gain = self._config.rendezvous.gain_per_s
-        return VelocitySetpoint(close_in(error, self._peer().velocity_n_mps, gain, _TRANSIT_MPS), yaw_rad)
+        return VelocitySetpoint(
+            close_in(error, self._peer().velocity_n_mps, gain, _TRANSIT_MPS), yaw_rad
+        )
 
-    # --- approach: by the marker alone -----------------------------------------------------------------------------
+    # --- approach: by the marker alone
+    # -----------------------------------------------------------------------------
 
     def to_viewpoint(self, state: VehicleState) -> VelocitySetpoint:
-        """Close in on the planned place; when the marker was not seen for too long, back off to see it again."""
+        """Close in on the planned place; when the marker was not seen for too long, back off to see
+        it again.
+        """
         relative = self._marker.predict(self._now_ns())
         peer = self._peer()
         if relative is None:
@@ -213,8 +268,9 @@ class Rendezvous:
     def _back_off(self, state: VehicleState) -> tuple[Vec3, float]:
         """Away from the sender, relative to it, and the yaw.
 
-        Where the marker has told what reported positions are worth, they say where it is: D2 turns to it, and climbs
-        as long as that is above what its camera has in the middle of the image. It never sinks: that could lead nearer.
+        Where the marker has told what reported positions are worth, they say where it is: D2 turns
+        to it, and climbs as long as that is above what its camera has in the middle of the image.
+        It never sinks: that could lead nearer.
         """
         heading = yaw_of(state.q_n_b)
         climb_mps = 0.0

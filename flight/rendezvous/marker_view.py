@@ -1,4 +1,6 @@
-"""The sender's marker as the receiver sees it: where to look, the pose, and the way there is left."""
+"""The sender's marker as the receiver sees it: where to look, the pose, and the way there is
+left.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,12 @@ class MarkerView:
     """Marker measurements of one receiver over time. Not for two cameras."""
 
     def __init__(
-        self, layout: MarkerLayout, camera: CameraModel, mount: Mount, method: MethodConfig, mission: MissionConfig
+        self,
+        layout: MarkerLayout,
+        camera: CameraModel,
+        mount: Mount,
+        method: MethodConfig,
+        mission: MissionConfig,
     ) -> None:
         self._layout = layout
         self._camera = camera
@@ -82,13 +89,17 @@ class MarkerView:
         self._frame_ns = 0  # between the two newest views
         self._searched_ns = 0
         self._search_period_ns = round(1e9 / mission.search_hz)
-        self.search_every = 1  # times as rarely as the mission says, on a computer that does not keep up
+        # times as rarely as the mission says, on a computer that does not keep up
+        self.search_every = 1
         self.thorough = True  # three looks in a search, for which setpoints wait, or one
         self.target_n_m: Vec3 | None = None
-        self.R_n_v: Matrix | None = None  # the marker's attitude at the newest look, as its drone reports it
+        # the marker's attitude at the newest look, as its drone reports it
+        self.R_n_v: Matrix | None = None
 
     def fixes(self, now_ns: int) -> int:
-        """Return the number of poses found in the last half second, or in the last eight frames if that is longer."""
+        """Return the number of poses found in the last half second, or in the last eight frames if
+        that is longer.
+        """
         lately_ns = max(_FIXED_NS, _FIXED_FRAMES * self._frame_ns)
         self._fixes = [stamp_ns for stamp_ns in self._fixes if now_ns - stamp_ns < lately_ns]
         return len(self._fixes)
@@ -113,7 +124,9 @@ class MarkerView:
         """Returns whether the look at this instant was one at the whole image."""
         return self._searched_ns == stamp_ns
 
-    def look(self, view: View, R_n_c: Matrix, gravity_v: Vec3 | None, gravity_c: Vec3) -> MarkerFix | Missed:
+    def look(
+        self, view: View, R_n_c: Matrix, gravity_v: Vec3 | None, gravity_c: Vec3
+    ) -> MarkerFix | Missed:
         """The pose of the marker in one view, or why there is none."""
         if self._looked_ns:
             self._frame_ns = view.stamp_ns - self._looked_ns
@@ -131,7 +144,9 @@ class MarkerView:
             if not self.thorough:  # as in a region
                 region = self._everywhere
         detections = view.markers(region, expected)
-        pose = estimate_pose(detections, self._layout, self._camera, gravity_v, gravity_c, self._settings)
+        pose = estimate_pose(
+            detections, self._layout, self._camera, gravity_v, gravity_c, self._settings
+        )
         if isinstance(pose, Missed):
             return pose
         refused = self._filter.update(view.stamp_ns, pose.T_c_v, pose.covariance, R_n_c, R_n_v)
@@ -141,23 +156,31 @@ class MarkerView:
         return MarkerFix(pose.T_c_v, pose.covariance, pose.side_px, detections)
 
     def note_target(self, prior: Prior, R_n_c: Matrix) -> None:
-        """Takes the target's place from the camera, in ``n``, for the heading that keeps both in view."""
+        """Takes the target's place from the camera, in ``n``, for the heading that keeps both in
+        view.
+        """
         x, y = self._camera.ray(*prior.pixel)
         north, east, down = (R_n_c @ (x * prior.depth_m, y * prior.depth_m, prior.depth_m)).tolist()
         self.target_n_m = (north, east, down)
 
-    def _where(self, stamp_ns: int, R_n_c: Matrix, R_n_v: Matrix | None) -> tuple[Region | None, Pose | None]:
-        """Around where the markers must be, None when that is not known: then everywhere; and where they are expected,
-        shortly after a fix."""
+    def _where(
+        self, stamp_ns: int, R_n_c: Matrix, R_n_v: Matrix | None
+    ) -> tuple[Region | None, Pose | None]:
+        """Around where the markers must be, None when that is not known: then everywhere; and where
+        they are expected, shortly after a fix."""
         relative = self._filter.predict(stamp_ns, R_n_c, R_n_v)
         if relative is None:
             return None, None
-        u0, v0, u1, v1, near_m = extent(self._lens, relative.T_c_v.apply(self._corners_v), _NEAREST_M)
+        u0, v0, u1, v1, near_m = extent(
+            self._lens, relative.T_c_v.apply(self._corners_v), _NEAREST_M
+        )
         if math.isinf(near_m):
             return None, None
         room_px = self._camera.fx * (self._room_m + 3.0 * relative.sigma_m) / near_m + 12.0
         known = self._filter.unseen_s(stamp_ns) <= _EXPECTED_S
-        return Region(u0 - room_px, v0 - room_px, u1 + room_px, v1 + room_px), relative.T_c_v if known else None
+        return Region(
+            u0 - room_px, v0 - room_px, u1 + room_px, v1 + room_px
+        ), relative.T_c_v if known else None
 
 
 def _relative_settings(mission: MissionConfig) -> RelativeSettings:
@@ -171,7 +194,8 @@ def _relative_settings(mission: MissionConfig) -> RelativeSettings:
 
 
 def levelled(gravity_v: Vec3, R_b_v: Matrix, yaw_rad: float = 0.0) -> Matrix:
-    """Marker frame to the levelled heading frame (forward, right, down) of the drone that carries it, ``R_h_v``.
+    """Marker frame to the levelled heading frame (forward, right, down) of the drone that carries
+    it, ``R_h_v``.
 
     With that drone's heading it is ``R_n_v``.
     """

@@ -1,4 +1,6 @@
-"""The viewpoint planner: where D2 must be to see marker and target, well and safely (section 3 of the mission)."""
+"""The viewpoint planner: where D2 must be to see marker and target, well and safely (section 3 of
+the mission).
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ _SAME_M = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class ViewpointScene:
-    """The planner's knowledge, in D1's heading frame ``h`` (forward, right, down), origin at the marker."""
+    """The planner's knowledge, in D1's heading frame ``h`` (forward, right, down), origin at the
+    marker.
+    """
 
     target_h_m: Floats  # (3,)
     marker_normal_h: Floats  # (3,), out of the print
@@ -56,7 +60,10 @@ class NoViewpoint:
     rejected: dict[str, int]
 
     def __str__(self) -> str:
-        reasons = ", ".join(f"{name} {count}" for name, count in sorted(self.rejected.items(), key=lambda kv: -kv[1]))
+        reasons = ", ".join(
+            f"{name} {count}"
+            for name, count in sorted(self.rejected.items(), key=lambda kv: -kv[1])
+        )
         return f"no viewpoint: {reasons}"
 
 
@@ -70,14 +77,15 @@ def plan_viewpoint(
 ) -> Viewpoint | NoViewpoint:
     """The best place for D2's camera among a grid around the marker.
 
-    ``tilt_h`` is D2's body z axis in ``h`` while it hovers (unit, (3,)): wind tilts a drone, and with it a camera that
-    is fixed to it. None: level.
+    ``tilt_h`` is D2's body z axis in ``h`` while it hovers (unit, (3,)): wind tilts a drone, and
+    with it a camera that is fixed to it. None: level.
 
-    Rules, in this order: separation ellipsoid, downwash cone of the upper drone, marker size in the image,
-    incidence on the marker, range to the target, not too near to it, marker and target inside the image with margin,
-    D1's body not in front of the target. The best of the rest has the largest margin for its marker size. One that is
-    nearer to the marker than ``separation.marker_m`` is taken only where there is no other, and then the farthest: two
-    drones swing.
+    Rules, in this order: separation ellipsoid, downwash cone of the upper drone, marker size in the
+    image, incidence on the marker, range to the target, not too near to it, marker and target
+    inside the image with margin, D1's body not in front of the target. The best of the rest has the
+    largest margin for its marker size. One that is nearer to the marker than
+    ``separation.marker_m`` is taken only where there is no other, and then the farthest: two drones
+    swing.
     """
     candidates = _candidates(separation)
     distance = np.linalg.norm(candidates, axis=1)
@@ -92,12 +100,15 @@ def plan_viewpoint(
     rules: list[tuple[str, NDArray[np.bool_]]] = [
         (
             "separation",
-            (horizontal / separation.horizontal_m) ** 2 + (to_body[:, 2] / separation.vertical_m) ** 2 >= 1.0,
+            (horizontal / separation.horizontal_m) ** 2
+            + (to_body[:, 2] / separation.vertical_m) ** 2
+            >= 1.0,
         ),
         ("too close", np.linalg.norm(to_body, axis=1) >= separation.viewpoint_m),
         (
             "downwash",
-            horizontal >= np.abs(to_body[:, 2]) * math.tan(math.radians(separation.downwash_half_angle_deg)),
+            horizontal
+            >= np.abs(to_body[:, 2]) * math.tan(math.radians(separation.downwash_half_angle_deg)),
         ),
         ("marker too small", marker_px >= rendezvous.min_marker_px),
         ("too oblique", incidence <= math.radians(rendezvous.max_incidence_deg)),
@@ -114,7 +125,9 @@ def plan_viewpoint(
         return NoViewpoint(rejected)
 
     places = candidates[alive]
-    yaw, margin = _look(places, scene, camera, T_b_c, np.eye(3) if tilt_h is None else tilted(tilt_h))
+    yaw, margin = _look(
+        places, scene, camera, T_b_c, np.eye(3) if tilt_h is None else tilted(tilt_h)
+    )
     # a wider margin is worth a smaller marker, up to what a drone swings in a gust
     score = np.minimum(margin, 150.0) + (2.0 * marker_px[alive] - 20.0 * incidence[alive])[:, None]
     score[margin < rendezvous.image_margin_px] = -np.inf
@@ -134,16 +147,22 @@ def plan_viewpoint(
 
 
 def farthest_m(separation: SeparationConfig) -> float:
-    """Return the farthest from the marker that a viewpoint is looked for: it grows with the bodies."""
+    """Return the farthest from the marker that a viewpoint is looked for: it grows with the
+    bodies.
+    """
     return max(_FARTHEST * separation.minimum_m, _BEYOND * separation.viewpoint_m)
 
 
 def _candidates(separation: SeparationConfig) -> Floats:
     """Return places behind and above the marker, shape (n, 3) in ``h``."""
     distances_m = np.linspace(_NEAREST * separation.minimum_m, farthest_m(separation), _DISTANCES)
-    distance, azimuth, elevation = np.meshgrid(distances_m, _AZIMUTHS_RAD, _ELEVATIONS_RAD, indexing="ij")
+    distance, azimuth, elevation = np.meshgrid(
+        distances_m, _AZIMUTHS_RAD, _ELEVATIONS_RAD, indexing="ij"
+    )
     level = distance * np.cos(elevation)
-    places = np.stack([-level * np.cos(azimuth), level * np.sin(azimuth), -distance * np.sin(elevation)], axis=-1)
+    places = np.stack(
+        [-level * np.cos(azimuth), level * np.sin(azimuth), -distance * np.sin(elevation)], axis=-1
+    )
     return places.reshape(-1, 3)
 
 
@@ -153,17 +172,22 @@ def _clear_of_body(to_body: Floats, to_target: Floats, scene: ViewpointScene) ->
     target_range = np.linalg.norm(to_target, axis=1)
     cosine = np.sum(to_body * to_target, axis=1) / (body_range * target_range)
     apart = np.arccos(np.clip(cosine, -1.0, 1.0))
-    return apart >= np.arctan2(scene.body_radius_m, body_range) + np.arctan2(scene.target_radius_m, target_range)
+    return apart >= np.arctan2(scene.body_radius_m, body_range) + np.arctan2(
+        scene.target_radius_m, target_range
+    )
 
 
 def _look(
     places_h: Floats, scene: ViewpointScene, camera: CameraModel, T_b_c: Pose, tilt: Floats
 ) -> tuple[Floats, Floats]:
-    """Yaws between the bearings of marker and target, and the smaller margin (px) of the two, of shape (n, shares).
+    """Yaws between the bearings of marker and target, and the smaller margin (px) of the two, of
+    shape (n, shares).
 
-    The margin is minus infinity where one of them is behind the camera, or beyond the rim of the lens.
+    The margin is minus infinity where one of them is behind the camera, or beyond the rim of the
+    lens.
     """
-    points_h = np.stack([np.zeros(3), scene.target_h_m])[None] - places_h[:, None]  # (n, 2, 3) from the camera
+    # (n, 2, 3) from the camera
+    points_h = np.stack([np.zeros(3), scene.target_h_m])[None] - places_h[:, None]
     bearings = np.arctan2(points_h[:, :, 1], points_h[:, :, 0])
     turn = bearings[:, 1] - bearings[:, 0]
     turn = np.arctan2(np.sin(turn), np.cos(turn))
@@ -172,15 +196,21 @@ def _look(
     s = np.sin(yaw)
     zero = np.zeros_like(yaw)
     one = np.ones_like(yaw)
-    R_level_b = np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1).reshape(*yaw.shape, 3, 3)
+    R_level_b = np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1).reshape(
+        *yaw.shape, 3, 3
+    )
     R_h_c = tilt @ R_level_b @ T_b_c.R
     points_c = np.einsum("nkji,nmj->nkmi", R_h_c, points_h)  # (n, shares, 2, 3)
     pixels = camera.project(points_c.reshape(-1, 3)).reshape(*points_c.shape[:-1], 2)
     radius = camera.fx * np.array([scene.marker_side_m, scene.target_radius_m]) / points_c[..., 2]
     left_top = pixels.min(axis=-1) - radius
-    right_bottom = np.minimum(camera.width - pixels[..., 0], camera.height - pixels[..., 1]) - radius
+    right_bottom = (
+        np.minimum(camera.width - pixels[..., 0], camera.height - pixels[..., 1]) - radius
+    )
     margin = np.minimum(left_top, right_bottom).min(axis=-1)
     # beyond its largest radius a lens folds what is outside back into the image
     off_axis = np.hypot(points_c[..., 0], points_c[..., 1])
-    seen = np.all((points_c[..., 2] > 0.1) & (off_axis <= camera.max_radius * points_c[..., 2]), axis=-1)
+    seen = np.all(
+        (points_c[..., 2] > 0.1) & (off_axis <= camera.max_radius * points_c[..., 2]), axis=-1
+    )
     return yaw, np.where(seen & np.isfinite(margin), margin, -np.inf)

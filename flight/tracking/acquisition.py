@@ -1,8 +1,9 @@
 """Taking one object for the target: the one that, by all that was said, is the one meant, or none.
 
-D1 tracks everything it sees (``candidates``) and asks which of it is meant (``statements``). It takes an object only
-when it is the one with a probability of at least ``SURE``, is in the image as a whole, and is alone in its box. As
-long as none is, it waits, looks on, and has a question for whoever can answer. Nothing is ever taken for lack of time.
+D1 tracks everything it sees (``candidates``) and asks which of it is meant (``statements``). It
+takes an object only when it is the one with a probability of at least ``SURE``, is in the image as
+a whole, and is alone in its box. As long as none is, it waits, looks on, and has a question for
+whoever can answer. Nothing is ever taken for lack of time.
 """
 
 from __future__ import annotations
@@ -17,7 +18,14 @@ from drivers.interfaces import View
 from drivers.operator.interfaces import Chosen, Question, Shown, Told
 from flight.config import MissionConfig
 from flight.guidance import Vec3
-from flight.tracking.candidates import COASTED_S, REMEMBERED_S, STEADY_FRAMES, Candidate, Candidates, Observed
+from flight.tracking.candidates import (
+    COASTED_S,
+    REMEMBERED_S,
+    STEADY_FRAMES,
+    Candidate,
+    Candidates,
+    Observed,
+)
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.objects import MIN_SCORE
 from flight.tracking.ranging import Ranging
@@ -31,11 +39,14 @@ SURE = 0.999
 ROOM = 0.2  # of the image, at each side
 INSIDE = 0.9  # of a box that is in another one
 PLAUSIBLE = 0.05  # the share from which on an object is worth staying for
-ASKED_AFTER_S = 2.0  # of looking at something that it can be: by then what can be told by itself is told
-ASKED_AGAIN_S = 3.0  # where something else has come into view, or what was shown is not known to be the same any more
+# of looking at something that it can be: by then what can be told by itself is told
+ASKED_AFTER_S = 2.0
+# where something else has come into view, or what was shown is not known to be the same any more
+ASKED_AGAIN_S = 3.0
 REMINDED_S = 6.0  # nobody answered
 MOST_SHOWN = 9
-NEAR = 1.4  # times as far off as it is followed from: what is surely the target is taken once D1 is so near
+# times as far off as it is followed from: what is surely the target is taken once D1 is so near
+NEAR = 1.4
 LOOKS_EVERY_S = 0.1
 
 
@@ -53,22 +64,34 @@ class Acquisition:
     """Which of the objects in view is the one that is meant.
 
     Attributes:
-        ambiguous: in the newest frame there was something that it can be, and none that it surely is.
+        ambiguous: in the newest frame there was something that it can be, and none that it surely
+            is.
         question: what is to be asked of whoever can answer; None when nothing is.
         shares: how likely each object of the newest frame is the one meant.
     """
 
     def __init__(
-        self, camera: CameraModel, method: MethodConfig, mission: MissionConfig, ranging: Ranging | None = None
+        self,
+        camera: CameraModel,
+        method: MethodConfig,
+        mission: MissionConfig,
+        ranging: Ranging | None = None,
     ) -> None:
-        """``ranging``: what tells how far away something is beyond the reach of depth; its ground is kept up."""
+        """``ranging``: what tells how far away something is beyond the reach of depth; its ground
+        is kept up.
+        """
         self._ranging = ranging or Ranging.of(mission, method)
         motion = Motion.of(mission)
         self._camera, self._largest = camera, LargestBox.of(camera, method)
         self._statements = Statements(motion)
         attitude_rad = math.radians(mission.attitude_sigma_deg)
         self._candidates = Candidates(
-            camera, method, attitude_rad, motion.fastest_mps, motion.accel_mps2, flies=mission.target.flies
+            camera,
+            method,
+            attitude_rad,
+            motion.fastest_mps,
+            motion.accel_mps2,
+            flies=mission.target.flies,
         )
         self._usual_down_m = -mission.target.height_m
         self._flies = mission.target.flies
@@ -94,18 +117,27 @@ class Acquisition:
         self._statements.tell(told)
 
     def choose(self, answer: Chosen) -> bool:
-        """Take up an answer. Returns whether it is of use: the object is still known to be the one that was shown."""
+        """Take up an answer. Returns whether it is of use: the object is still known to be the one
+        that was shown.
+        """
         question = next((each for each in self._asked if each.number == answer.question), None)
         if question is None:
             return False
-        known = {each.number: each for each in self._candidates.all if each.since_ns <= question.stamp_ns}
+        known = {
+            each.number: each for each in self._candidates.all if each.since_ns <= question.stamp_ns
+        }
         if answer.number == 0:
             self._none_of |= {
-                (each.number, known[each.number].since_ns) for each in question.shown if each.number in known
+                (each.number, known[each.number].since_ns)
+                for each in question.shown
+                if each.number in known
             }
             self.question = None
             return True
-        if answer.number not in {each.number for each in question.shown} or answer.number not in known:
+        if (
+            answer.number not in {each.number for each in question.shown}
+            or answer.number not in known
+        ):
             self.question = None
             return False
         self._chosen = known[answer.number]
@@ -115,7 +147,9 @@ class Acquisition:
         return True
 
     def where(self, stamp_ns: int) -> tuple[Vec3, float] | None:
-        """Return the place to look at, and how far from it the object may be; None when nobody said where it is."""
+        """Return the place to look at, and how far from it the object may be; None when nobody said
+        where it is.
+        """
         said = self._statements.where(stamp_ns)
         best = self._likeliest(stamp_ns)
         if best is None:
@@ -126,7 +160,8 @@ class Acquisition:
         return place, 3.0 * sigma_m if said is None else said[1] + math.dist(place, said[0])
 
     def moves(self, stamp_ns: int) -> Vec3:
-        """Return the velocity of the object at the place to look at; nothing where none is the likeliest.
+        """Return the velocity of the object at the place to look at; nothing where none is the
+        likeliest.
 
         Whoever only flies to where a fast one is stays behind it, and never comes near.
         """
@@ -144,7 +179,9 @@ class Acquisition:
 
         What a detector misses in a frame is in view all the same.
         """
-        in_view = [each for each in self._candidates.all if stamp_ns - each.stamp_ns <= COASTED_S * 1e9]
+        in_view = [
+            each for each in self._candidates.all if stamp_ns - each.stamp_ns <= COASTED_S * 1e9
+        ]
         best = max(in_view, key=lambda each: self.shares.of.get(each.number, 0.0), default=None)
         return best if best is not None and self.shares.of.get(best.number, 0.0) > 0.5 else None
 
@@ -175,7 +212,9 @@ class Acquisition:
         parts = [
             f"object {each.number} at {each.position_n_m[0]:.1f} m north, {each.position_n_m[1]:.1f} m east "
             f"({100.0 * self.shares.of.get(each.number, 0.0):.0f} %)"
-            for each in sorted(self._seen, key=lambda each: -self.shares.of.get(each.number, 0.0))[:MOST_SHOWN]
+            for each in sorted(self._seen, key=lambda each: -self.shares.of.get(each.number, 0.0))[
+                :MOST_SHOWN
+            ]
         ]
         told = f"out of sight {100.0 * self.shares.elsewhere:.0f} %"
         return f"{', '.join(parts)}, {told}; a later place, a smaller error or an answer would tell"
@@ -183,7 +222,9 @@ class Acquisition:
     # --- which ---
 
     def _settle(self, one: Candidate, share: float) -> None:
-        """What is surely the one stays it, as long as it is known to be the same: D1 may look from nearer now."""
+        """What is surely the one stays it, as long as it is known to be the same: D1 may look from
+        nearer now.
+        """
         if self._chosen is not one:
             self._chosen = one
             self._chosen_since_ns = one.since_ns
@@ -201,14 +242,25 @@ class Acquisition:
         chosen = self._chosen
         if chosen is not None:
             if chosen in self._candidates.all and chosen.since_ns == self._chosen_since_ns:
-                return Shares({each.number: float(each is chosen) for each in self._candidates.all}, 0.0)
+                return Shares(
+                    {each.number: float(each is chosen) for each in self._candidates.all}, 0.0
+                )
             self._chosen = None  # it was lost from sight, or might have been exchanged
-        possible = [each for each in self._candidates.all if (each.number, each.since_ns) not in self._none_of]
+        possible = [
+            each
+            for each in self._candidates.all
+            if (each.number, each.since_ns) not in self._none_of
+        ]
         shares = self._statements.shares(possible, tuple(self._looks), self._camera)
-        return Shares({each.number: shares.of.get(each.number, 0.0) for each in self._candidates.all}, shares.elsewhere)
+        return Shares(
+            {each.number: shares.of.get(each.number, 0.0) for each in self._candidates.all},
+            shares.elsewhere,
+        )
 
     def _ask(self, stamp_ns: int, share: float) -> None:
-        """Have a question once something that it can be has been in view for a while, and again when it is stale."""
+        """Have a question once something that it can be has been in view for a while, and again
+        when it is stale.
+        """
         if share < PLAUSIBLE:
             self._plausible_ns = None
             return
@@ -221,7 +273,9 @@ class Acquisition:
             if stamp_ns - self.question.stamp_ns < again_s * 1e9:
                 return
         ranked = sorted(self._seen, key=lambda each: -self.shares.of[each.number])
-        shown = tuple(self._shown(each) for each in ranked if each.frames >= STEADY_FRAMES)[:MOST_SHOWN]
+        shown = tuple(self._shown(each) for each in ranked if each.frames >= STEADY_FRAMES)[
+            :MOST_SHOWN
+        ]
         if shown and shown[0].number == ranked[0].number:
             self._questions += 1
             self.question = Question(self._questions, stamp_ns, shown)
@@ -246,7 +300,9 @@ class Acquisition:
         return steady and self._well_inside(seen.box) and self._alone(seen, depth, view, T_n_c)
 
     def _depth_of(self, seen: Observed, T_n_c: Pose) -> Depth | None:
-        """Returns its depth; beyond the reach of the depth camera what else tells how far away it is."""
+        """Returns its depth; beyond the reach of the depth camera what else tells how far away it
+        is.
+        """
         if seen.depth is not None:
             return seen.depth
         _, _, expected_z_m = T_n_c.inverse().apply(np.array(seen.place_n_m)).tolist()
@@ -254,14 +310,20 @@ class Acquisition:
         return None if ranged is None else ranged.depth
 
     def _well_inside(self, box: Box) -> bool:
-        """Returns whether the box is so far inside the image that a gust would not take it out at once."""
+        """Returns whether the box is so far inside the image that a gust would not take it out at
+        once.
+        """
         u, v = box.center
         room_u = ROOM * self._camera.width
         room_v = ROOM * self._camera.height
-        return room_u <= u <= self._camera.width - room_u and room_v <= v <= self._camera.height - room_v
+        return (
+            room_u <= u <= self._camera.width - room_u
+            and room_v <= v <= self._camera.height - room_v
+        )
 
     def _alone(self, seen: Observed, depth: Depth | None, view: View, T_n_c: Pose) -> bool:
-        """Returns whether the box is no larger than the target can be, and nothing nearer or farther off is in it.
+        """Returns whether the box is no larger than the target can be, and nothing nearer or
+        farther off is in it.
 
         Two, one behind the other, are one box; at times the detector gives one of them besides.
         """
@@ -270,6 +332,12 @@ class Acquisition:
             return True
         if not largest.holds(seen.box, depth.z_m, depth.sigma_m, T_n_c):
             return False
-        others = [each.box for each in view.targets(None) if each.score >= MIN_SCORE and each.box != seen.box]
-        within = [view.depth(box) for box in others if common_area(box, seen.box) >= INSIDE * box.area]
+        others = [
+            each.box
+            for each in view.targets(None)
+            if each.score >= MIN_SCORE and each.box != seen.box
+        ]
+        within = [
+            view.depth(box) for box in others if common_area(box, seen.box) >= INSIDE * box.area
+        ]
         return not any(other is not None and largest.apart(depth, other) for other in within)

@@ -1,6 +1,8 @@
-"""D2's target by both drones' views: what its own track begins with, and what the log says of the target's place.
+"""D2's target by both drones' views: what its own track begins with, and what the log says of the
+target's place.
 
-Called with each answer that has been sent. Nothing of it goes back into an answer: ``path.target.both_views`` says why.
+Called with each answer that has been sent. Nothing of it goes back into an answer:
+``path.target.both_views`` says why.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ class ByBoth:
 
     Attributes:
         depth: of its surface on D2's line of sight, for D2's own track.
-        point_v_m: as D1 means it, in the marker's frame; ``sigma_m`` its standard deviation where it is the least sure.
+        point_v_m: as D1 means it, in the marker's frame; ``sigma_m`` its standard deviation where
+            it is the least sure.
         chi2: of D2's line of sight against D1's point; ``agree``: that is believed.
     """
 
@@ -46,13 +49,16 @@ class ByBoth:
 
 
 class FromBothViews:
-    """D2's reckoning, for one leg. ``T_v_c1``: the mounting of D1's camera; ``sender``: that camera, ``own``: D2's.
+    """D2's reckoning, for one leg. ``T_v_c1``: the mounting of D1's camera; ``sender``: that
+    camera, ``own``: D2's.
 
-    What D2's own range is off D1's is mostly what both depth cameras are wrong by in scale, which lasts: it is
-    averaged, and the noise of single frames with it.
+    What D2's own range is off D1's is mostly what both depth cameras are wrong by in scale, which
+    lasts: it is averaged, and the noise of single frames with it.
     """
 
-    def __init__(self, method: MethodConfig, sender: CameraModel, T_v_c1: Pose, own: CameraModel) -> None:
+    def __init__(
+        self, method: MethodConfig, sender: CameraModel, T_v_c1: Pose, own: CameraModel
+    ) -> None:
         self._method = method
         self._sender = sender
         self._T_v_c1 = T_v_c1
@@ -63,12 +69,19 @@ class FromBothViews:
         self._frames = 0
 
     def place(
-        self, prior: Prior, point_sigma_m: float, pose: Matrix, gravity_c: Vec3, box: Box, depth: Depth | None
+        self,
+        prior: Prior,
+        point_sigma_m: float,
+        pose: Matrix,
+        gravity_c: Vec3,
+        box: Box,
+        depth: Depth | None,
     ) -> ByBoth:
         """Return the target's place in a frame of D2.
 
         Args:
-            prior: of the frame, with D1's point and D2's pose; ``pose``: (6, 6), that pose's covariance.
+            prior: of the frame, with D1's point and D2's pose; ``pose``: (6, 6), that pose's
+                covariance.
             point_sigma_m: what D1 says of its point.
             gravity_c: unit vector of gravity in D2's camera frame.
             box, depth: D2's own of the target.
@@ -100,13 +113,20 @@ class FromBothViews:
             both.agree,
         )
 
-    def _said(self, point_sigma_m: float, T_c_v: Pose, surface_c: Vector, middle_c: Vector, pose: Matrix) -> Sighted:
-        """Return D1's word. Its one standard deviation is the range's, mostly: across it pixels and mount are known."""
+    def _said(
+        self, point_sigma_m: float, T_c_v: Pose, surface_c: Vector, middle_c: Vector, pose: Matrix
+    ) -> Sighted:
+        """Return D1's word. Its one standard deviation is the range's, mostly: across it pixels and
+        mount are known.
+        """
         eye_c = T_c_v.apply(self._T_v_c1.t)
         from_eye_c = surface_c - eye_c
         distance_m = float(np.linalg.norm(from_eye_c))
-        across_m = math.hypot(across_sigma(self._sender, distance_m, self._method), self._method.mount_sigma_m)
-        # Of a range that is measured what lasts counts against what lasts of D2's own; its noise is averaged below.
+        across_m = math.hypot(
+            across_sigma(self._sender, distance_m, self._method), self._method.mount_sigma_m
+        )
+        # Of a range that is measured what lasts counts against what lasts of D2's own; its noise is
+        # averaged below.
         measured = point_sigma_m <= COARSE * distance_m
         along_m = DEPTH_SHARE * distance_m if measured else point_sigma_m
         own_m = self._of_body()
@@ -121,7 +141,11 @@ class FromBothViews:
 
     def _of_body(self) -> float:
         """Return by how much the two cameras mean different points of the body, m."""
-        return BODY_SHARE * self._body.span_m if self._body.known else self._method.target_center_sigma_m
+        return (
+            BODY_SHARE * self._body.span_m
+            if self._body.known
+            else self._method.target_center_sigma_m
+        )
 
     def _middle(self, surface_c: Vector, T_c_v: Pose, gravity_c: Vec3) -> Vector:
         """Return the middle of the body that D1 has that point of."""
@@ -129,10 +153,14 @@ class FromBothViews:
             return surface_c
         x, y, z = surface_c.tolist()
         T_c2_c1 = rigid(T_c_v @ self._T_v_c1)
-        return np.array(middle_v(T_c2_c1, (x, y, z), gravity_c, self._body.span_m, self._body.height_m))
+        return np.array(
+            middle_v(T_c2_c1, (x, y, z), gravity_c, self._body.span_m, self._body.height_m)
+        )
 
     def _to_middle(self, ray_c: Vec3, z_m: float, gravity_c: Vec3) -> Vec3:
-        """Return the line of sight to the body's middle, from that to its box's, per metre of depth."""
+        """Return the line of sight to the body's middle, from that to its box's, per metre of
+        depth.
+        """
         if not self._body.known:
             return ray_c
         x, y, _ = ray_c
@@ -149,7 +177,9 @@ class FromBothViews:
 
     def _ray_sigma_rad(self, distance_m: float) -> float:
         """Return the standard deviation of D2's line of sight: pixels, lens, and the body."""
-        pixels = math.hypot(self._method.pixel_sigma_px, CENTER_PX) / min(self._own.fx, self._own.fy)
+        pixels = math.hypot(self._method.pixel_sigma_px, CENTER_PX) / min(
+            self._own.fx, self._own.fy
+        )
         return math.hypot(pixels, self._of_body() / distance_m)
 
     def _with_own(self, both: BothViews, sight: Vec3, depth: Depth, behind: float) -> BothViews:
@@ -157,8 +187,12 @@ class FromBothViews:
         length = math.hypot(*sight)
         by_other_m = length * both.along(sight)[0]
         measured = depth.source is RangeSource.DEPTH
-        noise_m, lasting_m = (depth.sigma_m, DEPTH_SHARE * depth.z_m) if measured else (0.0, depth.sigma_m)
+        noise_m, lasting_m = (
+            (depth.sigma_m, DEPTH_SHARE * depth.z_m) if measured else (0.0, depth.sigma_m)
+        )
         self._frames = min(self._frames + 1, AVERAGED)
         self._off_m += (length * depth.z_m + behind - by_other_m - self._off_m) / self._frames
         sigma_m = length * math.hypot(noise_m / math.sqrt(self._frames), lasting_m)
-        return with_range(both, sight, by_other_m + self._off_m, math.hypot(sigma_m, self._of_body()))
+        return with_range(
+            both, sight, by_other_m + self._off_m, math.hypot(sigma_m, self._of_body())
+        )

@@ -1,13 +1,15 @@
 """Every object that D1 sees before it has a target: where each is, how it moves, and where it was.
 
-Each is tracked with a constant-velocity filter, and every detection has the covariance that it has where it is: across
-the line of sight that of an attitude and a pixel, along it that of its depth, or of where its ray meets the ground. Far
-off, two that go one beside the other are told apart by the one, however little the other says.
+Each is tracked with a constant-velocity filter, and every detection has the covariance that it has
+where it is: across the line of sight that of an attitude and a pixel, along it that of its depth,
+or of where its ray meets the ground. Far off, two that go one beside the other are told apart by
+the one, however little the other says.
 
-Detections are given to tracks one to one, the surest first. Whose history a track tells is known only as long as
-nothing else could have been in its place: where detections could have been given otherwise, nearly as likely, the
-histories of all that compete begin anew. One that is out of sight is not forgotten for a while: it may be the one that
-is meant. What then comes to where it can be is taken for it, anew.
+Detections are given to tracks one to one, the surest first. Whose history a track tells is known
+only as long as nothing else could have been in its place: where detections could have been given
+otherwise, nearly as likely, the histories of all that compete begin anew. One that is out of sight
+is not forgotten for a while: it may be the one that is meant. What then comes to where it can be is
+taken for it, anew.
 """
 
 from __future__ import annotations
@@ -35,15 +37,18 @@ GATE_SIGMAS = 4.0
 REMEMBERED_S = 20.0  # where something was, and that there was something
 COASTED_S = 0.6  # unseen for longer, what comes to its place may be another one
 STEADY_FRAMES = 5  # detectors invent things for a frame
-LIKELIER = 9.0  # twice the logarithm of how much: a way to give detections to tracks is the right one
-_ON_BODY = 0.1  # of a box's larger side: how far from the object's middle its place is taken, from frame to frame
+# twice the logarithm of how much: a way to give detections to tracks is the right one
+LIKELIER = 9.0
+# of a box's larger side: how far from the object's middle its place is taken, from frame to frame
+_ON_BODY = 0.1
 _LEVEL_MPS = 0.02  # of what moves along the ground: how much it climbs
 _CUT = 0.5  # the same, of a box that the border cuts
 
 
 @dataclass(slots=True)
 class Observed:
-    """A detection in the local frame. ``depth`` is None where only its line of sight is known, or the border cuts it.
+    """A detection in the local frame. ``depth`` is None where only its line of sight is known, or
+    the border cuts it.
 
     ``covariance_m2``: of the place, shape (3, 3).
     """
@@ -89,7 +94,9 @@ class Candidate:
         return 0.5 * float(self.motion.covariance[3, 3] + self.motion.covariance[4, 4])
 
     def predicted(self, stamp_ns: int, accel_mps2: float) -> tuple[Vec3, float]:
-        """Return its place at a stamp, and the standard deviation of that along the ground, per axis."""
+        """Return its place at a stamp, and the standard deviation of that along the ground, per
+        axis.
+        """
         motion = self.ahead(stamp_ns, accel_mps2)
         known = motion.place_covariance_m2
         return _vec3(motion.place_m), math.sqrt(0.5 * float(known[0, 0] + known[1, 1]))
@@ -101,12 +108,16 @@ class Candidate:
         return motion
 
     def likely_velocity_n_mps(self, fastest_mps: float) -> Vec3:
-        """Return its velocity as far as it is known, along each axis: nothing of where it may as well stand.
+        """Return its velocity as far as it is known, along each axis: nothing of where it may as
+        well stand.
 
-        Before anything is measured it is normal with half of the fastest speed for a standard deviation.
+        Before anything is measured it is normal with half of the fastest speed for a standard
+        deviation.
         """
         usual = np.eye(3) * (0.5 * fastest_mps) ** 2
-        return _vec3(usual @ np.linalg.solve(usual + self.motion.covariance[3:, 3:], self.motion.mean[3:]))
+        return _vec3(
+            usual @ np.linalg.solve(usual + self.motion.covariance[3:, 3:], self.motion.mean[3:])
+        )
 
     def unknown_s(self, stamp_ns: int) -> float:
         """Return how long a stamp is before or after all that is known of it; 0 within."""
@@ -115,7 +126,9 @@ class Candidate:
         return max(0.0, before_ns * 1e-9, after_ns * 1e-9 - COASTED_S)
 
     def at(self, stamp_ns: int) -> Vec3:
-        """Return where it was at a stamp; before and after all that is known, where it was first and last."""
+        """Return where it was at a stamp; before and after all that is known, where it was first
+        and last.
+        """
         stamps = [stamp for stamp, _ in self.path]
         k = bisect_left(stamps, stamp_ns)
         if k == len(stamps):
@@ -149,7 +162,9 @@ class Candidate:
             self.path.popleft()
 
     def _keep_level(self) -> None:
-        """Take its climb to be none: what depth errs along the line of sight is then no motion along the ground."""
+        """Take its climb to be none: what depth errs along the line of sight is then no motion
+        along the ground.
+        """
         motion = self.motion
         gain = motion.covariance[:, 5] / (float(motion.covariance[5, 5]) + _LEVEL_MPS**2)
         motion.mean = motion.mean - gain * motion.mean[5]
@@ -186,10 +201,13 @@ class Candidates:
         """Take up one frame; return the objects that are in it.
 
         Args:
-            down_m: height of the object that is looked for, on which a line of sight without depth ends.
+            down_m: height of the object that is looked for, on which a line of sight without depth
+                ends.
         """
         stamp_ns = view.stamp_ns
-        self.all = [each for each in self.all if stamp_ns - each.stamp_ns <= self._kept_s(each) * 1e9]
+        self.all = [
+            each for each in self.all if stamp_ns - each.stamp_ns <= self._kept_s(each) * 1e9
+        ]
         seen = self._observed(view, T_n_c, down_m)
         costs = self._within_gates(seen, stamp_ns)
         given: dict[int, int] = {}
@@ -221,22 +239,37 @@ class Candidates:
             else:
                 there = place(box, depth, self._camera, T_n_c, down_m)
             if there is not None:
-                found.append(Observed(box, depth, there, self._covariance(box, depth, cut, there, T_n_c)))
+                found.append(
+                    Observed(box, depth, there, self._covariance(box, depth, cut, there, T_n_c))
+                )
         return found
 
-    def _covariance(self, box: Box, depth: Depth | None, cut: bool, there: Vec3, T_n_c: Pose) -> Array:
-        """Return the covariance (3, 3) of a place: across its line of sight, along it, and on the body."""
+    def _covariance(
+        self, box: Box, depth: Depth | None, cut: bool, there: Vec3, T_n_c: Pose
+    ) -> Array:
+        """Return the covariance (3, 3) of a place: across its line of sight, along it, and on the
+        body.
+        """
         ray = np.asarray(there) - T_n_c.t
         range_m = float(np.linalg.norm(ray))
         ray /= max(range_m, 1e-9)
         across_m = self._angle_rad * range_m
-        on_ground_m = across_m / max(abs(float(ray[2])), 1e-3)  # where a ray that errs so much meets the ground
-        along_m = on_ground_m if depth is None else min(depth.sigma_m, max(on_ground_m, COARSE * depth.z_m))
+        # where a ray that errs so much meets the ground
+        on_ground_m = across_m / max(abs(float(ray[2])), 1e-3)
+        along_m = (
+            on_ground_m
+            if depth is None
+            else min(depth.sigma_m, max(on_ground_m, COARSE * depth.z_m))
+        )
         on_body_m = (_CUT if cut else _ON_BODY) * max(box.w, box.h) / self._camera.fx * range_m
         return (across_m**2 + on_body_m**2) * np.eye(3) + along_m**2 * np.outer(ray, ray)
 
-    def _within_gates(self, seen: Sequence[Observed], stamp_ns: int) -> dict[tuple[int, int], float]:
-        """Every track and detection that may be the same object, with minus twice the log likelihood that they are."""
+    def _within_gates(
+        self, seen: Sequence[Observed], stamp_ns: int
+    ) -> dict[tuple[int, int], float]:
+        """Every track and detection that may be the same object, with minus twice the log
+        likelihood that they are.
+        """
         costs: dict[tuple[int, int], float] = {}
         for t, track in enumerate(self.all):
             if stamp_ns - track.stamp_ns > COASTED_S * 1e9:
@@ -261,7 +294,9 @@ class Candidates:
             off = np.asarray(seen.place_n_m) - one.motion.place_m
             off_m = float(np.linalg.norm(off))
             way = off / max(off_m, 1e-9)
-            unknown_m = math.sqrt(float(way @ (seen.covariance_m2 + one.observed.covariance_m2) @ way))
+            unknown_m = math.sqrt(
+                float(way @ (seen.covariance_m2 + one.observed.covariance_m2) @ way)
+            )
             reach_m = self._fastest_mps * unseen_s + GATE_SIGMAS * unknown_m
             if unseen_s > COASTED_S and off_m <= min(reach_m, nearest_m):
                 nearest = one
@@ -281,8 +316,12 @@ class Candidates:
         one.path.append((stamp_ns, seen.place_n_m))
 
     def _motion_of(self, seen: Observed, stamp_ns: int) -> Motion:
-        """Return the motion of what is seen for the first time: it may be as fast as such a thing can be."""
-        motion = Motion.at(np.asarray(seen.place_n_m), seen.covariance_m2, self._accel_mps2, stamp_ns)
+        """Return the motion of what is seen for the first time: it may be as fast as such a thing
+        can be.
+        """
+        motion = Motion.at(
+            np.asarray(seen.place_n_m), seen.covariance_m2, self._accel_mps2, stamp_ns
+        )
         motion.covariance[3:, 3:] = np.eye(3) * (0.5 * self._fastest_mps) ** 2
         return motion
 
@@ -293,10 +332,11 @@ def _vec3(of: Array) -> Vec3:
 
 
 def competing(costs: Mapping[tuple[int, int], float], given: Mapping[int, int]) -> set[int]:
-    """Return the tracks that may have been given another object's detection: another way to give is nearly as likely.
+    """Return the tracks that may have been given another object's detection: another way to give is
+    nearly as likely.
 
-    Two may have changed places; one may be where a detection is that nobody was given; or it may be one that was given
-    nothing, where another one was given something.
+    Two may have changed places; one may be where a detection is that nobody was given; or it may be
+    one that was given nothing, where another one was given something.
 
     Args:
         costs: of each track and detection that may be the same.

@@ -1,4 +1,6 @@
-"""Whether the box that a drone follows is of the designated object: ``path.belief`` fed by what a camera shows."""
+"""Whether the box that a drone follows is of the designated object: ``path.belief`` fed by what a
+camera shows.
+"""
 
 from __future__ import annotations
 
@@ -22,24 +24,36 @@ from path.observations import Box, Detection, Region, common_area
 BOX_SIGMA_PX = 1.5
 """Noise of a box's middle; twice that of its sides."""
 _ON_BODY = 0.1
-"""Of a box's larger side: how far from the object's middle its depth is taken, from frame to frame."""
+"""Of a box's larger side: how far from the object's middle its depth is taken, from frame to
+frame.
+"""
 _BY_HEIGHT = 0.1
 _UNKNOWN = 0.3
-"""Of a distance: the error of one by the height of the ground, and of one that is taken to be as it was."""
+"""Of a distance: the error of one by the height of the ground, and of one that is taken to be as it
+was.
+"""
 _ELSEWHERE = 0.01
-"""The number of boxes of a frame that are of nothing known: inventions, and what comes into view."""
+"""The number of boxes of a frame that are of nothing known: inventions, and what comes into
+view.
+"""
 _NEWCOMERS_HZ = 0.05
 """The number of objects that come into view in a second."""
 _POOR = 10.0
 """Times as many are among boxes with a low score."""
 _AROUND = 3.0
-"""Standard deviations of a known object's place, and times half its size: there it is looked for."""
+"""Standard deviations of a known object's place, and times half its size: there it is looked
+for.
+"""
 LEAST_IDENTITY = 0.9
-"""Nothing is offered that is the designated object with a lower probability (docs/decisions/0130)."""
+"""Nothing is offered that is the designated object with a lower probability
+(docs/decisions/0130).
+"""
 
 
 class Identity:
-    """The belief of one drone over what is around the object that it follows. One instance for one track."""
+    """The belief of one drone over what is around the object that it follows. One instance for one
+    track.
+    """
 
     def __init__(self, mission: MissionConfig, largest: LargestBox | None) -> None:
         self._wander_rad = math.radians(mission.attitude_wander_deg)
@@ -49,7 +63,8 @@ class Identity:
         self._boxes: list[Box] = []
 
     def region(self, own: Region | None, T_n_c: Pose, camera: CameraModel) -> Region | None:
-        """Return a region with everything in it that is known to be in view: what is lost from sight is mistaken.
+        """Return a region with everything in it that is known to be in view: what is lost from
+        sight is mistaken.
 
         Args:
             own: where the followed object is looked for; None when that is outside the image.
@@ -62,7 +77,9 @@ class Identity:
                 continue
             u, v = camera.project_point((x, y, z))
             sigma_m = math.sqrt(float(np.trace(track.motion.place_covariance_m2)) / 3.0)
-            half_px = _AROUND * (sigma_m + 0.5 * float(np.max(np.exp(track.log_sides)))) * camera.fx / z
+            half_px = (
+                _AROUND * (sigma_m + 0.5 * float(np.max(np.exp(track.log_sides)))) * camera.fx / z
+            )
             around = Region(u - half_px, v - half_px, u + half_px, v + half_px)
             whole = around if whole is None else _both(whole, around)
         return whole
@@ -81,7 +98,11 @@ class Identity:
         Args:
             expected: the followed object's place in the local frame, and its depth.
         """
-        seen = [each for each in found if each.score >= CUT_SCORE and each.box.w > 0.0 and each.box.h > 0.0]
+        seen = [
+            each
+            for each in found
+            if each.score >= CUT_SCORE and each.box.w > 0.0 and each.box.h > 0.0
+        ]
         place_n, z_m = expected
         measured = [self._measured(view, T_n_c, camera, each, place_n[2], z_m) for each in seen]
         self._boxes = [each.box for each in seen]
@@ -97,7 +118,11 @@ class Identity:
 
         def sees(place_m: Array) -> bool:
             x, y, z = T_c_n.apply(place_m).tolist()
-            return z > 0.0 and camera.sees((x, y, z)) and region.contains(*camera.project_point((x, y, z)))
+            return (
+                z > 0.0
+                and camera.sees((x, y, z))
+                and region.contains(*camera.project_point((x, y, z)))
+            )
 
         self.belief.update(measured, sees, view.stamp_ns)
 
@@ -112,7 +137,9 @@ class Identity:
         return 0.0 if self.belief is None or column is None else self.belief.identity_of(column)
 
     def is_other(self, box: Box) -> bool:
-        """Return whether a box of the newest frame is of an object that is surely not the designated one."""
+        """Return whether a box of the newest frame is of an object that is surely not the
+        designated one.
+        """
         column = self._column(box)
         track = None if self.belief is None or column is None else self.belief.track_of(column)
         if self.belief is None or track is None or not track.confirmed:
@@ -121,7 +148,8 @@ class Identity:
 
     @property
     def stated(self) -> tuple[Box, float] | None:
-        """Return the likeliest object's own box in the newest frame, and the probability that it is the designated one.
+        """Return the likeliest object's own box in the newest frame, and the probability that it is
+        the designated one.
 
         None where the frame does not show it, or not alone.
         """
@@ -129,13 +157,17 @@ class Identity:
         likeliest = None if belief is None else belief.likeliest
         if belief is None or likeliest is None:
             return None
-        own = (box for column, box in enumerate(self._boxes) if belief.track_of(column) is likeliest)
+        own = (
+            box for column, box in enumerate(self._boxes) if belief.track_of(column) is likeliest
+        )
         box = next(own, None)
         return None if box is None else (box, belief.probability(likeliest.number))
 
     @property
     def sure(self) -> Motion | None:
-        """Return where the designated object is by the newest frame, which shows it; None when it is not sure."""
+        """Return where the designated object is by the newest frame, which shows it; None when it
+        is not sure.
+        """
         stated = self.stated
         if self.belief is None or stated is None or stated[1] < LEAST_IDENTITY:
             return None
@@ -143,12 +175,21 @@ class Identity:
         return None if likeliest is None else likeliest.motion
 
     def _column(self, box: Box) -> int | None:
-        shared = [(common_area(box, each) / max(each.area, box.area), k) for k, each in enumerate(self._boxes)]
+        shared = [
+            (common_area(box, each) / max(each.area, box.area), k)
+            for k, each in enumerate(self._boxes)
+        ]
         most, column = max(shared, default=(0.0, -1))
         return column if most > 0.0 else None
 
     def _measured(
-        self, view: View, T_n_c: Pose, camera: CameraModel, detection: Detection, down_m: float, expected_z_m: float
+        self,
+        view: View,
+        T_n_c: Pose,
+        camera: CameraModel,
+        detection: Detection,
+        down_m: float,
+        expected_z_m: float,
     ) -> Measured:
         box = detection.box
         x, y = camera.ray(*box.center)
@@ -171,7 +212,9 @@ class Identity:
         across = math.hypot(BOX_SIGMA_PX / min(camera.fx, camera.fy), self._wander_rad) * z_m
         ray = T_n_c.R @ (x, y, 1.0)
         covariance = across**2 * np.eye(3) + (along_m**2) * np.outer(ray, ray)
-        most = (math.inf, math.inf) if self._largest is None else self._largest.most_m(box, z_m, T_n_c)
+        most = (
+            (math.inf, math.inf) if self._largest is None else self._largest.most_m(box, z_m, T_n_c)
+        )
         share = _ELSEWHERE * (1.0 if detection.score >= MIN_SCORE else _POOR)
         view_m3 = camera.width * camera.height * z_m**3 / (camera.fx * camera.fy)
         side_sigma = math.hypot(2.0 * BOX_SIGMA_PX / max(1.0, min(box.w, box.h)), along_m / z_m)

@@ -1,4 +1,6 @@
-"""The objects a detector shows in an image, nearest first to where one is expected; what the border cuts of them."""
+"""The objects a detector shows in an image, nearest first to where one is expected; what the border
+cuts of them.
+"""
 
 from __future__ import annotations
 
@@ -14,16 +16,19 @@ Pixel = tuple[float, float]
 Sides = tuple[float, float]
 
 MIN_SCORE = 0.3
-CUT_SCORE = 0.1  # of a box that the image's border cuts, which detectors score low: it is an object, not its box
+# of a box that the image's border cuts, which detectors score low: it is an object, not its box
+CUT_SCORE = 0.1
 LARGER = 1.3  # than the object's own box was: there is more in it
 _BORDER_PX = 1.5
 
 
 @value
 class ImageObject:
-    """An object in an image. ``cut``: by the border; ``pixel`` is where its middle must be, and may be outside.
+    """An object in an image. ``cut``: by the border; ``pixel`` is where its middle must be, and may
+    be outside.
 
-    ``more``: what is left of the cut box is larger than the expected object is, which is not alone in it.
+    ``more``: what is left of the cut box is larger than the expected object is, which is not alone
+    in it.
     """
 
     box: Box
@@ -40,8 +45,8 @@ def by_distance(
     """The objects of ``found``, the nearest to the expected pixel first and in one piece.
 
     Args:
-        size_m: width and height of the expected one's box where it is, when it was last seen whole; ``usual_m``: over
-            the last frames.
+        size_m: width and height of the expected one's box where it is, when it was last seen whole;
+            ``usual_m``: over the last frames.
         z_m: its depth.
     """
     objects: list[ImageObject] = []
@@ -68,8 +73,11 @@ def is_larger(box: Box, side_px: Sides) -> bool:
     return max(box.w / side_px[0], box.h / side_px[1]) > LARGER
 
 
-def _joined(ranked: list[ImageObject], expected: Pixel, side_px: Sides, usual_px: Sides) -> list[ImageObject]:
-    """The objects with the first one in one piece: detectors at times show one object as two boxes, for a frame.
+def _joined(
+    ranked: list[ImageObject], expected: Pixel, side_px: Sides, usual_px: Sides
+) -> list[ImageObject]:
+    """The objects with the first one in one piece: detectors at times show one object as two boxes,
+    for a frame.
 
     What is of the first one besides its box is no other object.
     """
@@ -81,11 +89,16 @@ def _joined(ranked: list[ImageObject], expected: Pixel, side_px: Sides, usual_px
         if both is not None:
             whole = ImageObject(both, both.center, math.dist(both.center, expected), cut=False)
             return [whole, *(each for each in others if each is not other)]
-    return [first, *(each for each in others if each.cut or not _is_of(each.box, first.box, usual_px))]
+    return [
+        first,
+        *(each for each in others if each.cut or not _is_of(each.box, first.box, usual_px)),
+    ]
 
 
 def _is_of(box: Box, whole: Box, side_px: Sides) -> bool:
-    """True for a box around a part of an object: it overlaps the whole's, and both are no larger than the object."""
+    """True for a box around a part of an object: it overlaps the whole's, and both are no larger
+    than the object.
+    """
     part = min(box.w / side_px[0], box.h / side_px[1]) * LARGER < 1.0
     return part and common_area(box, whole) > 0.0 and not is_larger(around((box, whole)), side_px)
 
@@ -96,7 +109,9 @@ def is_cut(box: Box, camera: CameraModel) -> bool:
 
 
 def cut_sides(low: float, side: float, size: int) -> tuple[bool, bool]:
-    """Returns whether the border cuts a box's side where it begins, and where it ends, in an image of that size."""
+    """Returns whether the border cuts a box's side where it begins, and where it ends, in an image
+    of that size.
+    """
     return low < _BORDER_PX - 0.5, low + side > size - 0.5 - _BORDER_PX
 
 

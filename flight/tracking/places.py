@@ -1,4 +1,6 @@
-"""From a pixel and a depth to a place in the local frame, and from a pixel alone to where its ray meets a height."""
+"""From a pixel and a depth to a place in the local frame, and from a pixel alone to where its ray
+meets a height.
+"""
 
 from __future__ import annotations
 
@@ -25,10 +27,12 @@ def to_local(point_c: Vec3, T_n_c: Pose) -> Vec3:
 
 
 def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3:
-    """Returns the place of a box's object in ``n``: by its depth, or where its ray meets a height if that is better.
+    """Returns the place of a box's object in ``n``: by its depth, or where its ray meets a height
+    if that is better.
 
     Args:
-        down_m: of the object, when it stands on the ground that the drone measures its own height from.
+        down_m: of the object, when it stands on the ground that the drone measures its own height
+            from.
     """
     if depth.sigma_m > COARSE * depth.z_m:
         on_ground = at_height(box.center, camera, T_n_c, down_m)
@@ -38,7 +42,9 @@ def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: floa
 
 
 def at_height(pixel: Pixel, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3 | None:
-    """Returns the point at which a pixel's ray comes down to a height; None for a ray that hardly does."""
+    """Returns the point at which a pixel's ray comes down to a height; None for a ray that hardly
+    does.
+    """
     x, y = camera.ray(*pixel)
     ray = T_n_c.R @ (x, y, 1.0)
     if ray[2] < MIN_DESCENT:

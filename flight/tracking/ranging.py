@@ -1,9 +1,10 @@
-"""Every range that a drone has of the object that it follows, asked for where it has something to say.
+"""Every range that a drone has of the object that it follows, asked for where it has something to
+say.
 
-What they are and how they count is ``path.target.range``. Here is when they are asked. Where the depth camera has
-depth, that counts, and the ground betters it. Where it has none within its reach the frame stays a miss, since a hole
-says nothing of how far away the object is. Beyond its reach, and for cameras without depth, the object's size and the
-ground stand in.
+What they are and how they count is ``path.target.range``. Here is when they are asked. Where the
+depth camera has depth, that counts, and the ground betters it. Where it has none within its reach
+the frame stays a miss, since a hole says nothing of how far away the object is. Beyond its reach,
+and for cameras without depth, the object's size and the ground stand in.
 """
 
 from __future__ import annotations
@@ -17,7 +18,16 @@ from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.geometry.transforms import Pose
 from path.observations import Box, Depth, RangeSource
-from path.target.range import LEAST_DESCENT, UNKNOWN, Body, Ranged, Sight, by_ground, by_size, together
+from path.target.range import (
+    LEAST_DESCENT,
+    UNKNOWN,
+    Body,
+    Ranged,
+    Sight,
+    by_ground,
+    by_size,
+    together,
+)
 from path.values import value
 
 MIN_DESCENT = LEAST_DESCENT
@@ -26,7 +36,9 @@ COARSE = 0.058  # of a range: one that is known no better is estimated, not meas
 
 @value
 class Ground:
-    """The ground that the object stands on: how far down it is in this drone's own frame, and by what that is known."""
+    """The ground that the object stands on: how far down it is in this drone's own frame, and by
+    what that is known.
+    """
 
     down_m: float
     sigma_m: float
@@ -41,7 +53,8 @@ class Ranging:
         height_m: of the object's middle above the ground.
         angle_sigma_rad: of a line of sight against gravity.
         body: 0 where its size is not known.
-        ground: None where it is not known, or where the object flies. Kept up by whoever measures it.
+        ground: None where it is not known, or where the object flies. Kept up by whoever measures
+            it.
         reach_m: as far as the depth camera can be trusted.
     """
 
@@ -54,7 +67,9 @@ class Ranging:
 
     @classmethod
     def of(cls, mission: MissionConfig, method: MethodConfig) -> Self:
-        """Take what mission and method state; the ground is where it took off, where the height's error is stated."""
+        """Take what mission and method state; the ground is where it took off, where the height's
+        error is stated.
+        """
         known = mission.height_sigma_m > 0.0 and not mission.target.flies
         return cls(
             mission.target.height_m,
@@ -79,12 +94,22 @@ class Ranging:
         if depth is not None and self.ground is None and depth.sigma_m <= COARSE * depth.z_m:
             return together([depth])
         sight = _sight(box, camera, T_n_c)
-        ranges = [depth, self._by_size(depth, box, camera, sight), self._by_ground(camera, T_n_c, sight)]
+        ranges = [
+            depth,
+            self._by_size(depth, box, camera, sight),
+            self._by_ground(camera, T_n_c, sight),
+        ]
         return together([each for each in ranges if each is not None])
 
-    def _by_size(self, depth: Depth | None, box: Box, camera: CameraModel, sight: Sight) -> Depth | None:
-        """Ask the size only where depth is none or coarse: what hides a part of an object makes it seem farther off."""
-        if depth is not None and (depth.source is RangeSource.SIZE or depth.sigma_m <= COARSE * depth.z_m):
+    def _by_size(
+        self, depth: Depth | None, box: Box, camera: CameraModel, sight: Sight
+    ) -> Depth | None:
+        """Ask the size only where depth is none or coarse: what hides a part of an object makes it
+        seem farther off.
+        """
+        if depth is not None and (
+            depth.source is RangeSource.SIZE or depth.sigma_m <= COARSE * depth.z_m
+        ):
             return None
         return by_size(box, camera, sight, self.body, self.pixel_sigma_px)
 

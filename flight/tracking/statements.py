@@ -1,19 +1,22 @@
 """What was said of the object that is meant, as probabilities of where it is.
 
-Theory. A priori the object is any one of those that are there, each as likely as the other: one of the n that D1 sees,
-or one that it does not see, of which there are lambda per square metre, as many as it sees where it looks. A statement
-z says with which density the object is at a place x. So, with L_i the density at the place of object i,
+Theory. A priori the object is any one of those that are there, each as likely as the other: one of
+the n that D1 sees, or one that it does not see, of which there are lambda per square metre, as many
+as it sees where it looks. A statement z says with which density the object is at a place x. So,
+with L_i the density at the place of object i,
 
     P(i) = L_i / (sum over j of L_j + L_0),     L_0 = lambda * integral over x of density(x) * miss(x)
 
 where miss(x) is 1 where D1 did not look and MISSED where it did. The integral is a sum over a grid.
 
-Where the object was at the statement's instant counts, not where it is now: D1 remembers where those that it sees were.
-Of the time before it saw an object nothing is known but how fast such a thing can be; the density widens by that.
+Where the object was at the statement's instant counts, not where it is now: D1 remembers where
+those that it sees were. Of the time before it saw an object nothing is known but how fast such a
+thing can be; the density widens by that.
 
-Several places of one source err together (a map that is off, a person who looks along a slope), so their mean residual
-counts once, with the error of one: r ~ N(0, e^2). How the residuals scatter about that mean counts for each, and tells
-apart what moves from what stands. Of an object that is not seen they scatter as little as of any that is.
+Several places of one source err together (a map that is off, a person who looks along a slope), so
+their mean residual counts once, with the error of one: r ~ N(0, e^2). How the residuals scatter
+about that mean counts for each, and tells apart what moves from what stands. Of an object that is
+not seen they scatter as little as of any that is.
 """
 
 from __future__ import annotations
@@ -35,7 +38,8 @@ from path.geometry.transforms import Pose
 
 Array = NDArray[np.float64]
 
-MISSED = 0.002  # of the objects in view: those that a detector does not show in any frame while D1 looks
+# of the objects in view: those that a detector does not show in any frame while D1 looks
+MISSED = 0.002
 KEPT_S = 15.0
 APART_S = 1.0  # places that come more often do not err independently of each other
 _CELLS = 32
@@ -46,8 +50,8 @@ _SIGMAS = 4.0
 class Motion:
     """What such an object may do: the most along the ground, m/s and m/s^2.
 
-    ``farthest_m``: from where somebody stands who points at it. ``down_m``: of its middle, where nothing else is said.
-    ``flies_to_m``: height above the ground, if it flies.
+    ``farthest_m``: from where somebody stands who points at it. ``down_m``: of its middle, where
+    nothing else is said. ``flies_to_m``: height above the ground, if it flies.
     """
 
     fastest_mps: float
@@ -81,7 +85,9 @@ class Look:
 
 @dataclass(frozen=True, slots=True)
 class Shares:
-    """The probability that an object is the one meant, by its number; ``elsewhere``: that it is none of them."""
+    """The probability that an object is the one meant, by its number; ``elsewhere``: that it is
+    none of them.
+    """
 
     of: Mapping[int, float]
     elsewhere: float
@@ -109,16 +115,23 @@ class Statements:
             if len(places) > 1 and told.stamp_ns - places[-2].stamp_ns < APART_S * 1e9:
                 places.pop()
             places.append(told)
-            self._places = [each for each in places if told.stamp_ns - each.stamp_ns <= KEPT_S * 1e9]
+            self._places = [
+                each for each in places if told.stamp_ns - each.stamp_ns <= KEPT_S * 1e9
+            ]
 
     @property
     def newest_ns(self) -> int | None:
         """Return the stamp of the newest statement."""
-        stamps = [each.stamp_ns for each in (*self._places[-1:], self._bearing, self._region) if each is not None]
+        stamps = [
+            each.stamp_ns
+            for each in (*self._places[-1:], self._bearing, self._region)
+            if each is not None
+        ]
         return max(stamps, default=None)
 
     def where(self, stamp_ns: int) -> tuple[Vec3, float] | None:
-        """Return where to look at a stamp: the middle of where the object can be, and how far off it may be.
+        """Return where to look at a stamp: the middle of where the object can be, and how far off
+        it may be.
 
         None where nothing but a bearing was said, which has no middle.
         """
@@ -135,7 +148,9 @@ class Statements:
             return (north, east, self._motion.down_m), reach_m + self._motion.fastest_mps * gap_s
         return None
 
-    def shares(self, seen: Sequence[Candidate], looks: Sequence[Look], camera: CameraModel) -> Shares:
+    def shares(
+        self, seen: Sequence[Candidate], looks: Sequence[Look], camera: CameraModel
+    ) -> Shares:
         """Return how likely each object is the one meant.
 
         Args:
@@ -151,12 +166,16 @@ class Statements:
         weights = np.exp(logs - logs.max())
         weights /= weights.sum()
         shares = weights.tolist()
-        return Shares({each.number: share for each, share in zip(seen, shares, strict=False)}, shares[-1])
+        return Shares(
+            {each.number: share for each, share in zip(seen, shares, strict=False)}, shares[-1]
+        )
 
     # --- of one object ---
 
     def _scatter(self, one: Candidate) -> tuple[float, int]:
-        """Mean square of the residuals about their mean, in squared errors of one; and of how many differences."""
+        """Mean square of the residuals about their mean, in squared errors of one; and of how many
+        differences.
+        """
         tracked = [told for told in self._places if one.unknown_s(told.stamp_ns) == 0.0]
         if len(tracked) < 2:
             return 0.0, 0
@@ -167,7 +186,9 @@ class Statements:
         return float(((about / errors[:, None]) ** 2).sum()) / count, count
 
     def _residuals(self, one: Candidate, tracked: Sequence[PlaceTold]) -> Array:
-        return np.array([[told.place_n_m[k] - one.at(told.stamp_ns)[k] for k in (0, 1)] for told in tracked])
+        return np.array(
+            [[told.place_n_m[k] - one.at(told.stamp_ns)[k] for k in (0, 1)] for told in tracked]
+        )
 
     def _log_density(self, one: Candidate, scatter: tuple[float, int], usual: float) -> float:
         total = 0.0
@@ -211,7 +232,9 @@ class Statements:
         assert told.velocity_n_mps is not None
         (north, east), (own_north, own_east, _) = told.velocity_n_mps, one.velocity_n_mps
         gap_s = abs(one.stamp_ns - told.stamp_ns) * 1e-9
-        sigma = math.sqrt(0.25 * (north**2 + east**2) + (self._motion.accel_mps2 * gap_s) ** 2 + one.vv)
+        sigma = math.sqrt(
+            0.25 * (north**2 + east**2) + (self._motion.accel_mps2 * gap_s) ** 2 + one.vv
+        )
         usual = math.pi * self._motion.fastest_mps**2
         return _log_normal2(math.hypot(north - own_north, east - own_east), sigma) + _log(usual)
 
@@ -243,13 +266,17 @@ class Statements:
         for told in (self._bearing, self._region):
             if told is not None:
                 density *= self._density(told, cells, max(0.0, (at_ns - told.stamp_ns) * 1e-9))
-        in_view = _seen_from(look.T_n_c, np.column_stack((cells, np.full(len(cells), down_m))), camera)
+        in_view = _seen_from(
+            look.T_n_c, np.column_stack((cells, np.full(len(cells), down_m))), camera
+        )
         hidden = float((density * np.where(in_view, MISSED, 1.0)).sum()) * area_m2
         self._known_hidden = key, hidden
         return hidden
 
     def _grid(self, at_ns: int) -> tuple[Array, float, float]:
-        """Places that cover where the object can be, what each stands for in m^2, and down of them."""
+        """Places that cover where the object can be, what each stands for in m^2, and down of
+        them.
+        """
         down_m = self._places[-1].place_n_m[2] if self._places else self._motion.down_m
         if self._places:
             north, east, sigma_m = self._expected(self._places[-1], at_ns)
@@ -275,7 +302,9 @@ class Statements:
     # --- densities ---
 
     def _expected(self, told: PlaceTold, stamp_ns: int) -> tuple[float, float, float]:
-        """North, east and the standard deviation per axis of where the object is at a stamp, by one place."""
+        """North, east and the standard deviation per axis of where the object is at a stamp, by one
+        place.
+        """
         gap_s = (stamp_ns - told.stamp_ns) * 1e-9
         free_s = abs(gap_s) if gap_s < 0.0 else max(0.0, gap_s - told.holds_s)
         north, east, _ = told.place_n_m
@@ -302,7 +331,9 @@ class Statements:
         corners = np.array(told.corners_n_m)
         outside_m = outside(corners, points)
         soft = (
-            outside_m <= 0.0 if spread_m <= 0.0 else np.exp(-0.5 * (np.maximum(outside_m, 0.0) / spread_m * 2.0) ** 2)
+            outside_m <= 0.0
+            if spread_m <= 0.0
+            else np.exp(-0.5 * (np.maximum(outside_m, 0.0) / spread_m * 2.0) ** 2)
         )
         around_m = float(np.hypot(*(corners - np.roll(corners, 1, axis=0)).T).sum())
         return soft / (_area_m2(corners) + 0.63 * spread_m * around_m)
@@ -333,10 +364,14 @@ def _seen_from(T_n_c: Pose, points_n: Array, camera: CameraModel) -> NDArray[np.
     """Whether points (n, 3) are in the image."""
     points_c = T_n_c.inverse().apply(points_n)
     z = points_c[:, 2]
-    ahead = (z > 0.0) & (np.hypot(points_c[:, 0], points_c[:, 1]) <= camera.max_radius * np.where(z > 0.0, z, 1.0))
+    ahead = (z > 0.0) & (
+        np.hypot(points_c[:, 0], points_c[:, 1]) <= camera.max_radius * np.where(z > 0.0, z, 1.0)
+    )
     pixels = camera.project(points_c)
     with np.errstate(invalid="ignore"):
-        inside = (pixels > -0.5).all(axis=1) & (pixels < (camera.width - 0.5, camera.height - 0.5)).all(axis=1)
+        inside = (pixels > -0.5).all(axis=1) & (
+            pixels < (camera.width - 0.5, camera.height - 0.5)
+        ).all(axis=1)
     return ahead & inside
 
 

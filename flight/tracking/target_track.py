@@ -1,7 +1,9 @@
-"""The track of one object: a constant-velocity filter in NED, how far it can have come, and what to fly by.
+"""The track of one object: a constant-velocity filter in NED, how far it can have come, and what to
+fly by.
 
-What errs is mostly a camera's direction, and what is told apart is so by its place in an image: lengths are shares of
-the distance at which the object is, so that a world so many times as large is followed the same.
+What errs is mostly a camera's direction, and what is told apart is so by its place in an image:
+lengths are shares of the distance at which the object is, so that a world so many times as large is
+followed the same.
 """
 
 from __future__ import annotations
@@ -30,8 +32,10 @@ GATE_MOST = 0.22  # a track that knows no better does not know which object it w
 GATE_LEAST = 0.024
 UNSEEN_REACH = 0.96  # no object is looked for farther off
 _CUT_SIGMA = 0.072  # of the place that such a box gives
-_CARRIED_SIGMA = 0.072  # of the place by depth alone: a fifth of that, the same for as long as a miss lasts
-RIVAL_SHARE = 0.4  # of the way to the nearest other object: where that is known to be, the gate ends before it
+# of the place by depth alone: a fifth of that, the same for as long as a miss lasts
+_CARRIED_SIGMA = 0.072
+# of the way to the nearest other object: where that is known to be, the gate ends before it
+RIVAL_SHARE = 0.4
 RIVAL_S = 3.0  # for so long an object that was seen beside the target is taken to be there still
 FASTEST_SIGMAS = 2.0
 _USUAL_M = math.hypot(FollowConfig().behind_m, FollowConfig().height_m)
@@ -41,13 +45,14 @@ _GROWN = 4.0
 
 
 class TargetTrack:
-    """Position and velocity of one object in ``n``; the same filter on each axis (Kalman, constant velocity).
+    """Position and velocity of one object in ``n``; the same filter on each axis (Kalman, constant
+    velocity).
 
-    ``accel_mps2``: how hard it may be expected to speed up, brake and turn. ``flies``: it moves up and down too; of one
-    that does not, what seems to is its box. ``ranging``: what tells its range besides depth. ``largest``: the largest
-    box that it can have, where that is stated.
-    ``carry_s``: for so long after it was seen its depth alone carries it. ``range_m``: about how far off it is.
-    ``stamp_ns`` is of what the track rests on, ``seen_ns`` of the last box.
+    ``accel_mps2``: how hard it may be expected to speed up, brake and turn. ``flies``: it moves up
+    and down too; of one that does not, what seems to is its box. ``ranging``: what tells its range
+    besides depth. ``largest``: the largest box that it can have, where that is stated.
+    ``carry_s``: for so long after it was seen its depth alone carries it. ``range_m``: about how
+    far off it is. ``stamp_ns`` is of what the track rests on, ``seen_ns`` of the last box.
     """
 
     def __init__(
@@ -72,7 +77,8 @@ class TargetTrack:
         self.seen_ns = stamp_ns
         self.rival_m = math.inf  # from the target to the nearest other object
         self.rival_ns = stamp_ns
-        self._company_ns: int | None = None  # when another one than the target was last as far as it can have come
+        # when another one than the target was last as far as it can have come
+        self._company_ns: int | None = None
         self._accel_mps2 = accel_mps2
         self._flies = flies
         self._carry_ns = round(carry_s * 1e9)
@@ -106,25 +112,34 @@ class TargetTrack:
     def predict(self, stamp_ns: int) -> tuple[Vec3, float]:
         """Position (m) and its standard deviation per axis at a stamp, the filter left as it is."""
         dt = max(0.0, (stamp_ns - self.stamp_ns) * 1e-9)
-        variance = self._pp + 2.0 * dt * self._pv + dt * dt * self._vv + (self._accel_mps2 * dt * dt / 2) ** 2
+        variance = (
+            self._pp
+            + 2.0 * dt * self._pv
+            + dt * dt * self._vv
+            + (self._accel_mps2 * dt * dt / 2) ** 2
+        )
         return add(self.position_n_m, scale(self.velocity_n_mps, dt)), math.sqrt(variance)
 
     def reach_m(self, stamp_ns: int) -> float:
-        """The most that the object can be from its prediction at a stamp: by what is not known of it, and by driving.
+        """The most that the object can be from its prediction at a stamp: by what is not known of
+        it, and by driving.
 
         ``accel_mps2`` is a bound here: what is farther off is another object.
         """
         dt = max(0.0, (stamp_ns - self.stamp_ns) * 1e-9)
         sigma_m = math.sqrt(self._pp + 2.0 * dt * self._pv + dt * dt * self._vv)
         return min(
-            GATE_FLOOR * self.range_m + 3.0 * sigma_m + 0.5 * self._accel_mps2 * dt * dt, UNSEEN_REACH * self.range_m
+            GATE_FLOOR * self.range_m + 3.0 * sigma_m + 0.5 * self._accel_mps2 * dt * dt,
+            UNSEEN_REACH * self.range_m,
         )
 
     def believed(self, stamp_ns: int) -> tuple[Vec3, Vec3]:
-        """Position (m) and velocity to fly by: the velocity counts as far as it is known, and less the longer ago.
+        """Position (m) and velocity to fly by: the velocity counts as far as it is known, and less
+        the longer ago.
 
-        It counts v^4 / (v^4 + s^4), where s is its standard deviation, and after t seconds v^2 / (v^2 + (a t)^2) of
-        that, where a is ``accel_mps2``: an object that is out of sight may brake.
+        It counts v^4 / (v^4 + s^4), where s is its standard deviation, and after t seconds v^2 /
+        (v^2 + (a t)^2) of that, where a is ``accel_mps2``: an object that is out of sight may
+        brake.
         """
         dt = max(0.0, (stamp_ns - self.stamp_ns) * 1e-9)
         speed2 = sum(v * v for v in self.velocity_n_mps)
@@ -132,29 +147,43 @@ class TargetTrack:
         braked = self._accel_mps2 * dt / math.sqrt(speed2) if speed2 > 1e-9 else 0.0
         driven_s = dt * known * (math.atan(braked) / braked if braked > 1e-6 else 1.0)
         share = known / (1.0 + braked * braked)
-        return add(self.position_n_m, scale(self.velocity_n_mps, driven_s)), scale(self.velocity_n_mps, share)
+        return add(self.position_n_m, scale(self.velocity_n_mps, driven_s)), scale(
+            self.velocity_n_mps, share
+        )
 
     def fastest_mps(self, stamp_ns: int) -> float:
-        """The speed along the ground that the object may have at a stamp: to keep out of its way, not to fly by."""
+        """The speed along the ground that the object may have at a stamp: to keep out of its way,
+        not to fly by.
+        """
         dt = max(0.0, (stamp_ns - self.stamp_ns) * 1e-9)
         north, east, _ = self.velocity_n_mps
-        return math.hypot(north, east) + FASTEST_SIGMAS * math.sqrt(self._vv + (self._accel_mps2 * dt) ** 2)
+        return math.hypot(north, east) + FASTEST_SIGMAS * math.sqrt(
+            self._vv + (self._accel_mps2 * dt) ** 2
+        )
 
     def gate_m(self, sigma_m: float, stamp_ns: int) -> float:
-        """The farthest from its prediction, with this standard deviation, that the object may be found at a stamp."""
+        """The farthest from its prediction, with this standard deviation, that the object may be
+        found at a stamp.
+        """
         most_m = GATE_MOST * self.range_m
         if self._rival_known(stamp_ns):
             most_m = min(most_m, RIVAL_SHARE * self.rival_m)
-        return max(GATE_LEAST * self.range_m, min(3.0 * sigma_m + GATE_FLOOR * self.range_m, most_m))
+        return max(
+            GATE_LEAST * self.range_m, min(3.0 * sigma_m + GATE_FLOOR * self.range_m, most_m)
+        )
 
     def note_rival(self, distance_m: float, stamp_ns: int) -> None:
-        """Another object was seen that far from this one; a nearer one is remembered for a while."""
+        """Another object was seen that far from this one; a nearer one is remembered for a
+        while.
+        """
         if distance_m <= self.rival_m or not self._rival_known(stamp_ns):
             self.rival_m = distance_m
             self.rival_ns = stamp_ns
 
     def note_company(self, stamp_ns: int) -> None:
-        """While the target was out of sight, more than one object was as far as it can have come."""
+        """While the target was out of sight, more than one object was as far as it can have
+        come.
+        """
         self._company_ns = stamp_ns
 
     def accompanied(self, stamp_ns: int) -> bool:
@@ -168,31 +197,41 @@ class TargetTrack:
 
     @property
     def usual_m(self) -> tuple[float, float] | None:
-        """Width and height of its box over the last frames: a detector at times gives a part of it."""
+        """Width and height of its box over the last frames: a detector at times gives a part of
+        it.
+        """
         return self._sizes.sides_m
 
     def outgrown(self, sides_m: tuple[float, float], noise: float, stamp_ns: int) -> bool:
-        """Returns whether a box is so much larger than the object's was a moment ago that there is more in it.
+        """Returns whether a box is so much larger than the object's was a moment ago that there is
+        more in it.
 
         One that is not is remembered. ``noise``: standard deviation of a side, relative.
         """
-        return self._sizes.note(stamp_ns, sides_m, math.hypot(noise, _GROWTH_SIGMA), _GROWN) > _GROWN
+        return (
+            self._sizes.note(stamp_ns, sides_m, math.hypot(noise, _GROWTH_SIGMA), _GROWN) > _GROWN
+        )
 
     def _rival_known(self, stamp_ns: int) -> bool:
         return stamp_ns - self.rival_ns <= RIVAL_S * 1e9
 
     def carriable(self, stamp_ns: int) -> bool:
-        """Returns whether depth alone may carry the track at a stamp: its box's size is known, and was seen lately.
+        """Returns whether depth alone may carry the track at a stamp: its box's size is known, and
+        was seen lately.
 
         One that flies is not carried: depth along one row of the image does not say how high it is.
         """
-        return self.size_m is not None and not self._flies and stamp_ns - self.seen_ns <= self._carry_ns
+        return (
+            self.size_m is not None
+            and not self._flies
+            and stamp_ns - self.seen_ns <= self._carry_ns
+        )
 
     def update(self, measured_n_m: Vec3, stamp_ns: int, *, cut: bool = False) -> None:
         """Fuse one measured position; older stamps than the newest are ignored.
 
-        ``cut``: from a box that the image's border cuts, or that has more in it; it bounds the position, and says
-        nothing of the velocity.
+        ``cut``: from a box that the image's border cuts, or that has more in it; it bounds the
+        position, and says nothing of the velocity.
         """
         if stamp_ns >= self.stamp_ns:
             sigma_m = self.range_m * (_CUT_SIGMA if cut else MEASUREMENT_SIGMA)
@@ -205,13 +244,17 @@ class TargetTrack:
         self.position_n_m = north, east, down if self._flies else self.position_n_m[2]
         self.velocity_n_mps = v_north, v_east, v_down if self._flies else 0.0
         P = motion.covariance
-        self._pp, self._pv, self._vv = (float(np.trace(each)) / 3.0 for each in (P[:3, :3], P[:3, 3:], P[3:, 3:]))
+        self._pp, self._pv, self._vv = (
+            float(np.trace(each)) / 3.0 for each in (P[:3, :3], P[:3, 3:], P[3:, 3:])
+        )
         self.stamp_ns = motion.stamp_ns
 
     def carry(self, measured_n_m: Vec3, stamp_ns: int) -> None:
         """Fuse where the object's depth is, along the ground: it was not seen."""
         north, east, _ = measured_n_m
-        self._fuse((north, east, self.position_n_m[2]), stamp_ns, _CARRIED_SIGMA * self.range_m, moves=True)
+        self._fuse(
+            (north, east, self.position_n_m[2]), stamp_ns, _CARRIED_SIGMA * self.range_m, moves=True
+        )
 
     def _fuse(self, measured_n_m: Vec3, stamp_ns: int, sigma_m: float, *, moves: bool) -> None:
         dt = (stamp_ns - self.stamp_ns) * 1e-9

@@ -1,7 +1,9 @@
-"""A multicopter autopilot in the manner of PX4: modes, failsafes and acknowledgements, stepped and without I/O.
+"""A multicopter autopilot in the manner of PX4: modes, failsafes and acknowledgements, stepped and
+without I/O.
 
-The same object flies behind the in-process vehicle and behind the MAVLink endpoint. Nothing here knows truth except
-``truth_on_ground``, which stands for the land detector. Times are seconds of the world's clock.
+The same object flies behind the in-process vehicle and behind the MAVLink endpoint. Nothing here
+knows truth except ``truth_on_ground``, which stands for the land detector. Times are seconds of the
+world's clock.
 """
 
 from __future__ import annotations
@@ -49,15 +51,19 @@ __all__ = [
 
 OK = Ack(True)
 STICKS_MPS = 1.0
-AT_FENCE = {HOLD_AT_FENCE: FlightMode.HOLD, RETURN_AT_FENCE: FlightMode.RETURN, LAND_AT_FENCE: FlightMode.LAND}
+AT_FENCE = {
+    HOLD_AT_FENCE: FlightMode.HOLD,
+    RETURN_AT_FENCE: FlightMode.RETURN,
+    LAND_AT_FENCE: FlightMode.LAND,
+}
 
 
 class Autopilot:
     """Modes, arming, failsafes and the position loop of one multicopter.
 
-    Call ``step`` at a steady rate (50 Hz is enough) and the ``request_*`` methods and ``setpoint`` between steps.
-    Every command is idempotent: MAVSDK resends without saying so. ``status_texts`` and ``offboard_sessions`` only
-    grow; readers keep their own index.
+    Call ``step`` at a steady rate (50 Hz is enough) and the ``request_*`` methods and ``setpoint``
+    between steps. Every command is idempotent: MAVSDK resends without saying so. ``status_texts``
+    and ``offboard_sessions`` only grow; readers keep their own index.
     """
 
     def __init__(self, config: AutopilotConfig, seed: int) -> None:
@@ -68,9 +74,11 @@ class Autopilot:
         self.battery = 1.0
         self.pilot_in_control = False
         self.pilots_mode: FlightMode | None = None  # the newest that a pilot selected
-        self.altitude_error_m = 0.0  # of what it takes for its altitude above the sea; its local frame has none of it
+        # of what it takes for its altitude above the sea; its local frame has none of it
+        self.altitude_error_m = 0.0
         self._home_error_m = 0.0  # as it was when home was set
-        self.failsafe = ""  # which of its own holds it or brings it down, until somebody changes the mode
+        # which of its own holds it or brings it down, until somebody changes the mode
+        self.failsafe = ""
         self.killed = False  # by the pilot's switch: the motors stand still
         self.radio = Radio()
         self.home_n_m: Vec3 | None = None
@@ -93,7 +101,8 @@ class Autopilot:
         self._outside = False  # its own fence
         self._radio_lost_s: float | None = None  # since when it holds because of that
         self._radio_optional = False  # it was armed without one
-        self._battery_landing = False  # the low battery has made it land already; the pilot may still take over
+        # the low battery has made it land already; the pilot may still take over
+        self._battery_landing = False
         self._guidance = Guidance(config)
 
     @property
@@ -106,12 +115,16 @@ class Autopilot:
 
     @property
     def altitude_drift_m(self) -> float:
-        """Of what it takes for its height above home: its own fence is kept by that, as PX4's is."""
+        """Of what it takes for its height above home: its own fence is kept by that, as PX4's
+        is.
+        """
         return self.altitude_error_m - self._home_error_m
 
     @property
     def powered(self) -> bool:
-        """Armed, and no kill switch keeps the motors still. PX4 goes on calling itself armed while one does."""
+        """Armed, and no kill switch keeps the motors still. PX4 goes on calling itself armed while
+        one does.
+        """
         return self.armed and not self.killed
 
     @property
@@ -140,7 +153,9 @@ class Autopilot:
         self.battery = min(1.0, max(0.0, fraction))
 
     def kill(self, now_s: float) -> None:
-        """The motors stop at once and for good, wherever the vehicle is, and it is disarmed. The mode stays."""
+        """The motors stop at once and for good, wherever the vehicle is, and it is disarmed. The
+        mode stays.
+        """
         self.killed = True
         self.armed = False
         if self.mode is FlightMode.OFFBOARD:
@@ -148,7 +163,9 @@ class Autopilot:
         self._say(now_s, Severity.CRITICAL, "Kill switch engaged")
 
     def request_arm(self, now_s: float, arm: bool, force: bool = False) -> Ack:
-        """Arm or disarm. ``force`` skips no check of arming; disarming by it stops the motors, in the air too."""
+        """Arm or disarm. ``force`` skips no check of arming; disarming by it stops the motors, in
+        the air too.
+        """
         if arm == self.armed:
             return OK
         if arm:
@@ -173,7 +190,10 @@ class Autopilot:
         if not self.landed:
             return self._refuse(now_s, "Takeoff denied: already in the air")
         if not 0.0 < height_m <= self.config.max_height_m:
-            return self._refuse(now_s, f"Takeoff denied: height {height_m:g} m outside 0..{self.config.max_height_m:g}")
+            return self._refuse(
+                now_s,
+                f"Takeoff denied: height {height_m:g} m outside 0..{self.config.max_height_m:g}",
+            )
         self._guidance.climb_to_m = height_m
         self._landed_s = None
         self.failsafe = ""
@@ -181,7 +201,9 @@ class Autopilot:
         return OK
 
     def request_mode(self, now_s: float, mode: FlightMode, by_pilot: bool = False) -> Ack:
-        """Change the mode. OFFBOARD wants a setpoint younger than ``offboard_loss_s``; OTHER is the pilot's alone."""
+        """Change the mode. OFFBOARD wants a setpoint younger than ``offboard_loss_s``; OTHER is the
+        pilot's alone.
+        """
         if mode is FlightMode.TAKEOFF:
             return self.request_takeoff(now_s, math.nan)
         if mode is FlightMode.OTHER and not by_pilot:
@@ -200,7 +222,9 @@ class Autopilot:
         return OK
 
     def setpoint(self, now_s: float, setpoint: VelocitySetpoint) -> bool:
-        """Take a setpoint; False (ignored, not counted as arrived) when it has a non-finite number."""
+        """Take a setpoint; False (ignored, not counted as arrived) when it has a non-finite
+        number.
+        """
         if not all(map(math.isfinite, (*setpoint.velocity_n_mps, setpoint.yaw_rad))):
             return False
         self._note_gap(now_s)
@@ -213,7 +237,9 @@ class Autopilot:
         self._companion_s = now_s
 
     def step(self, now_s: float, estimate: Estimate, truth_on_ground: bool) -> RateCommand:
-        """Advance to ``now_s``: failsafes, then the position loop of the mode. Times must not go back."""
+        """Advance to ``now_s``: failsafes, then the position loop of the mode. Times must not go
+        back.
+        """
         if self._boot_s is None:
             self._boot_s = self._now_s = now_s
             self._guidance.enter(now_s, estimate)
@@ -282,7 +308,9 @@ class Autopilot:
         if pilot.kill is not None:
             self.killed = pilot.kill
             self._killed_s = now_s
-            self._say(now_s, Severity.CRITICAL, f"Kill switch {'engaged' if pilot.kill else 'disengaged'}")
+            self._say(
+                now_s, Severity.CRITICAL, f"Kill switch {'engaged' if pilot.kill else 'disengaged'}"
+            )
         if pilot.mode is not None:
             self.request_mode(now_s, pilot.mode, by_pilot=True)
         elif pilot.moved and self.armed and self._yields_to_sticks():
@@ -301,7 +329,12 @@ class Autopilot:
         """Without the radio: hold, and after a while what ``loss_act`` says."""
         config = self.config.radio
         mode = self.mode
-        if self._pilot.heard or self._radio_optional or self.landed or mode in (FlightMode.LAND, FlightMode.RETURN):
+        if (
+            self._pilot.heard
+            or self._radio_optional
+            or self.landed
+            or mode in (FlightMode.LAND, FlightMode.RETURN)
+        ):
             return
         bit = {FlightMode.OFFBOARD: EXCEPT_OFFBOARD, FlightMode.OTHER: 0}.get(mode, EXCEPT_HOLD)
         if self._radio_lost_s is None:
@@ -311,8 +344,13 @@ class Autopilot:
             self._radio_lost_s = now_s
             self.failsafe = "radio lost"
             self._say(now_s, Severity.CRITICAL, "Manual control lost, holding")
-        elif now_s - self._radio_lost_s >= config.act_after_s and config.loss_act in (LOSS_LANDS, LOSS_RETURNS):
-            self._enter(now_s, FlightMode.LAND if config.loss_act == LOSS_LANDS else FlightMode.RETURN)
+        elif now_s - self._radio_lost_s >= config.act_after_s and config.loss_act in (
+            LOSS_LANDS,
+            LOSS_RETURNS,
+        ):
+            self._enter(
+                now_s, FlightMode.LAND if config.loss_act == LOSS_LANDS else FlightMode.RETURN
+            )
             self._say(now_s, Severity.CRITICAL, f"Manual control lost, {self.mode.value}")
 
     def _watch_fence(self, now_s: float) -> None:
@@ -321,12 +359,20 @@ class Autopilot:
         home = self.home_n_m
         if home is None:
             return
-        north, east, down = (here - there for here, there in zip(self._estimate.position_n_m, home, strict=True))
+        north, east, down = (
+            here - there for here, there in zip(self._estimate.position_n_m, home, strict=True)
+        )
         wide = fence.radius_m > 0.0 and math.hypot(north, east) > fence.radius_m
         high = fence.height_m > 0.0 and -down + self.altitude_drift_m > fence.height_m
         before = self._outside
         self._outside = wide or high
-        if before or not self._outside or self.landed or self.mode is FlightMode.LAND or fence.action not in AT_FENCE:
+        if (
+            before
+            or not self._outside
+            or self.landed
+            or self.mode is FlightMode.LAND
+            or fence.action not in AT_FENCE
+        ):
             return
         self._enter(now_s, AT_FENCE[fence.action])
         self.failsafe = "outside the autopilot's fence"
@@ -336,7 +382,9 @@ class Autopilot:
 
     def _drain_battery(self, dt: float) -> None:
         if self.armed:
-            self.set_battery(self.battery - dt / self.config.endurance_s * (0.1 if self.landed else 1.0))
+            self.set_battery(
+                self.battery - dt / self.config.endurance_s * (0.1 if self.landed else 1.0)
+            )
 
     def _check_health(self, now_s: float) -> None:
         assert self._boot_s is not None
@@ -386,14 +434,19 @@ class Autopilot:
             self._say(now_s, Severity.CRITICAL, "No ground station, landing")
 
     def _watch_setpoints(self, now_s: float) -> None:
-        """OFFBOARD without setpoints holds, and lands when nobody speaks up for ``offboard_land_s``."""
+        """OFFBOARD without setpoints holds, and lands when nobody speaks up for
+        ``offboard_land_s``.
+        """
         config = self.config
         self._note_gap(now_s)
         if self.mode is FlightMode.OFFBOARD and now_s - self._setpoint_s > config.offboard_loss_s:
             self._enter(now_s, FlightMode.HOLD)
             self._offboard_lost_s = now_s
             self._say(now_s, Severity.CRITICAL, "No offboard setpoints, holding")
-        elif self._offboard_lost_s is not None and now_s - self._offboard_lost_s >= config.offboard_land_s:
+        elif (
+            self._offboard_lost_s is not None
+            and now_s - self._offboard_lost_s >= config.offboard_land_s
+        ):
             self._enter(now_s, FlightMode.LAND)
             self._say(now_s, Severity.CRITICAL, "No offboard setpoints, landing")
 
@@ -408,21 +461,32 @@ class Autopilot:
         assert self.home_n_m is not None
         velocity = None
         yaw = self._guidance.yaw_rad
-        if self.mode is FlightMode.TAKEOFF and self._guidance.height_reached(self._estimate, self.home_n_m):
+        if self.mode is FlightMode.TAKEOFF and self._guidance.height_reached(
+            self._estimate, self.home_n_m
+        ):
             self._enter(now_s, FlightMode.HOLD)
             self._guidance.hold_height(self.home_n_m)
         if self.mode is FlightMode.OFFBOARD:
-            limits = self.config.max_horizontal_mps, self.config.max_up_mps, self.config.max_down_mps
+            limits = (
+                self.config.max_horizontal_mps,
+                self.config.max_up_mps,
+                self.config.max_down_mps,
+            )
             stale = now_s - self._setpoint_s > self.config.setpoint_stale_s
             wanted = (0.0, 0.0, 0.0) if stale else self._setpoint.velocity_n_mps
             velocity = limited(wanted, *limits)
             yaw = self._setpoint.yaw_rad
-        elif self.mode is FlightMode.OTHER and (asked := flown_by(self._pilot.sticks, yaw, STICKS_MPS)) is not None:
+        elif (
+            self.mode is FlightMode.OTHER
+            and (asked := flown_by(self._pilot.sticks, yaw, STICKS_MPS)) is not None
+        ):
             velocity = asked
             self._guidance.enter(now_s, self._estimate)  # where the sticks are let go of it stays
         else:
             velocity = self._guidance.velocity(now_s, self.mode, self._estimate, self.home_n_m)
         climbing = velocity is not None and velocity[2] < 0.0
-        if self.landed and not (climbing and self.mode in (FlightMode.TAKEOFF, FlightMode.OFFBOARD)):
+        if self.landed and not (
+            climbing and self.mode in (FlightMode.TAKEOFF, FlightMode.OFFBOARD)
+        ):
             velocity = None  # on the ground only these two modes lift off
         return RateCommand(velocity, yaw, True)

@@ -21,13 +21,19 @@ LOW_M = 1.0  # below this height over home the descent slows down
 MIN_CLIMB_MPS = 0.2
 
 
-def toward(position: Vec3, goal: Vec3, gain_hz: float, max_horizontal_mps: float, max_vertical_mps: float) -> Vec3:
-    """Velocity proportional to the distance left, limited horizontally (as a vector) and vertically."""
+def toward(
+    position: Vec3, goal: Vec3, gain_hz: float, max_horizontal_mps: float, max_vertical_mps: float
+) -> Vec3:
+    """Velocity proportional to the distance left, limited horizontally (as a vector) and
+    vertically.
+    """
     vn, ve, vd = (gain_hz * (g - p) for g, p in zip(goal, position, strict=True))
     return limited((vn, ve, vd), max_horizontal_mps, max_vertical_mps, max_vertical_mps)
 
 
-def limited(velocity: Vec3, max_horizontal_mps: float, max_up_mps: float, max_down_mps: float) -> Vec3:
+def limited(
+    velocity: Vec3, max_horizontal_mps: float, max_up_mps: float, max_down_mps: float
+) -> Vec3:
     """The same direction over ground, no faster than the limits."""
     vn, ve, vd = velocity
     speed = math.hypot(vn, ve)
@@ -69,7 +75,9 @@ class Guidance:
         north, east, _ = self._hold
         self._hold = (north, east, home[2] - self.climb_to_m)
 
-    def velocity(self, now_s: float, mode: FlightMode, estimate: Estimate, home: Vec3) -> Vec3 | None:
+    def velocity(
+        self, now_s: float, mode: FlightMode, estimate: Estimate, home: Vec3
+    ) -> Vec3 | None:
         """Velocity of every mode but OFFBOARD; None while the motors spool up for a take-off."""
         if mode is FlightMode.TAKEOFF:
             return self._take_off(now_s, estimate, home)
@@ -80,7 +88,13 @@ class Guidance:
         return self._go_to(self._hold, HOLD_MPS, estimate)
 
     def _go_to(self, goal: Vec3, speed_mps: float, estimate: Estimate) -> Vec3:
-        return toward(estimate.position_n_m, goal, self._config.hold_gain_hz, speed_mps, self._config.climb_mps)
+        return toward(
+            estimate.position_n_m,
+            goal,
+            self._config.hold_gain_hz,
+            speed_mps,
+            self._config.climb_mps,
+        )
 
     def _take_off(self, now_s: float, estimate: Estimate, home: Vec3) -> Vec3 | None:
         climb_mps = self._config.climb_mps

@@ -1,8 +1,9 @@
-"""The pilot's transmitter, and what an autopilot in the manner of PX4 makes of it: switches, sticks, loss.
+"""The pilot's transmitter, and what an autopilot in the manner of PX4 makes of it: switches,
+sticks, loss.
 
-Channels are pulse widths in µs: 1 to 4 are roll, pitch, throttle and yaw, the mode switch and the kill switch are where
-the parameters say. Only what changes is an order: a switch that already stood there when the radio was first heard, or
-heard again, orders nothing.
+Channels are pulse widths in µs: 1 to 4 are roll, pitch, throttle and yaw, the mode switch and the
+kill switch are where the parameters say. Only what changes is an order: a switch that already stood
+there when the radio was first heard, or heard again, orders nothing.
 """
 
 from __future__ import annotations
@@ -27,7 +28,14 @@ RELEASED = 0
 UNCHANGED = 0xFFFF
 DEADBAND = 0.1
 STICK_MEMORY_S = 0.5  # a stick that moves slower than this is no grab
-SLOTS = (FlightMode.HOLD, FlightMode.OTHER, FlightMode.LAND, FlightMode.RETURN, FlightMode.HOLD, FlightMode.HOLD)
+SLOTS = (
+    FlightMode.HOLD,
+    FlightMode.OTHER,
+    FlightMode.LAND,
+    FlightMode.RETURN,
+    FlightMode.HOLD,
+    FlightMode.HOLD,
+)
 """The modes that the switch's positions select; OTHER is flown by sticks."""
 
 HOLD_SLOT = 0
@@ -49,13 +57,16 @@ class RadioConfig:
 
     Attributes:
         in_mode: COM_RC_IN_MODE. 1 and 4 hear no transmitter.
-        override: COM_RC_OVERRIDE. Bit 0: sticks take over from modes that fly by themselves; bit 1: from OFFBOARD.
+        override: COM_RC_OVERRIDE. Bit 0: sticks take over from modes that fly by themselves; bit 1:
+            from OFFBOARD.
         stick_override: COM_RC_STICK_OV, as a share of the stick's half way.
         loss_s: COM_RC_LOSS_T.
-        loss_except: COM_RCL_EXCEPT. Bit 1: loss does not count in HOLD and take-off; bit 2: nor in OFFBOARD.
+        loss_except: COM_RCL_EXCEPT. Bit 1: loss does not count in HOLD and take-off; bit 2: nor in
+            OFFBOARD.
         loss_act: NAV_RCL_ACT. 1 hold, 2 return, 3 land.
         act_after_s: COM_FAIL_ACT_T, in hold before that.
-        kill_disarm_s: COM_KILL_DISARM. Until then the motors stand still and the vehicle calls itself armed.
+        kill_disarm_s: COM_KILL_DISARM. Until then the motors stand still and the vehicle calls
+            itself armed.
         mode_channel, kill_channel: RC_MAP_FLTMODE and RC_MAP_KILL_SW; 0: there is no such switch.
         fitted: a receiver is on board, and a transmitter is switched on.
     """
@@ -125,8 +136,10 @@ class Radio:
         self._switches: tuple[int, bool] | None = None  # None: not known since it was last lost
         self._slow: Sticks = CENTRED
         self._stepped_s = -math.inf
-        self._sent: tuple[RadioConfig, Transmitter, tuple[int, ...]] | None = None  # as both were, and what came then
-        self._steady: tuple[tuple[int, ...], PilotInput] | None = None  # while nothing moves, step after step
+        # as both were, and what came then
+        self._sent: tuple[RadioConfig, Transmitter, tuple[int, ...]] | None = None
+        # while nothing moves, step after step
+        self._steady: tuple[tuple[int, ...], PilotInput] | None = None
 
     def override(self, now_s: float, channels: Sequence[int]) -> None:
         """Channels from a ground station, in the transmitter's place where they say something."""
@@ -150,9 +163,13 @@ class Radio:
         self._switches = (slot, kill)
         if before is None:
             self._slow = sticks
-        moved = any(abs(a - b) > config.stick_override for a, b in zip(sticks, self._slow, strict=True))
+        moved = any(
+            abs(a - b) > config.stick_override for a, b in zip(sticks, self._slow, strict=True)
+        )
         share = min(1.0, dt_s / STICK_MEMORY_S)
-        r, p, t, y = (slow + share * (now - slow) for now, slow in zip(sticks, self._slow, strict=True))
+        r, p, t, y = (
+            slow + share * (now - slow) for now, slow in zip(sticks, self._slow, strict=True)
+        )
         self._slow = r, p, t, y
         known = before or (slot, kill)
         heard = PilotInput(
@@ -191,7 +208,9 @@ def channels_of(own: Transmitter, config: RadioConfig) -> tuple[int, ...]:
     channels = [round(MIDDLE_US + 500.0 * min(1.0, max(-1.0, stick))) for stick in own.sticks]
     channels += [LOW_US] * (CHANNELS - len(channels))
     if config.mode_channel:
-        channels[config.mode_channel - 1] = LOW_US + 1000 * own.slot // len(SLOTS) + 1000 // (2 * len(SLOTS))
+        channels[config.mode_channel - 1] = (
+            LOW_US + 1000 * own.slot // len(SLOTS) + 1000 // (2 * len(SLOTS))
+        )
     if config.kill_channel:
         channels[config.kill_channel - 1] = HIGH_US if own.kill else LOW_US
     return tuple(channels)
@@ -205,9 +224,13 @@ def _slot(us: int) -> int:
     return min(len(SLOTS) - 1, max(0, (us - LOW_US) * len(SLOTS) // 1000))
 
 
-def flown_by(sticks: Sticks, yaw_rad: float, fastest_mps: float) -> tuple[float, float, float] | None:
+def flown_by(
+    sticks: Sticks, yaw_rad: float, fastest_mps: float
+) -> tuple[float, float, float] | None:
     """The velocity that sticks ask for, NED m/s; None while they are centred."""
-    right, forward, up = (0.0 if abs(stick) < DEADBAND else stick * fastest_mps for stick in sticks[:3])
+    right, forward, up = (
+        0.0 if abs(stick) < DEADBAND else stick * fastest_mps for stick in sticks[:3]
+    )
     if right == forward == up == 0.0:
         return None
     cos = math.cos(yaw_rad)

@@ -21,7 +21,8 @@ MAX_SETPOINT_GAP_S = 0.2  # of a script that flies (S8)
 
 @dataclass(frozen=True, slots=True)
 class FenceConfig:
-    """The autopilot's own fence, around and above its home: GF_ACTION, GF_MAX_HOR_DIST and GF_MAX_VER_DIST of PX4.
+    """The autopilot's own fence, around and above its home: GF_ACTION, GF_MAX_HOR_DIST and
+    GF_MAX_VER_DIST of PX4.
 
     ``action``: 2 hold, 3 return, 5 land; anything else does nothing. A distance of 0 is none.
     """
@@ -33,12 +34,15 @@ class FenceConfig:
 
 @dataclass(frozen=True, slots=True)
 class AutopilotConfig:
-    """Times and limits. Defaults are near PX4's, shortened where a wait would only cost simulation time.
+    """Times and limits. Defaults are near PX4's, shortened where a wait would only cost simulation
+    time.
 
-    What PX4 and ArduCopter were measured to do is in docs/conformance.md; rig ``sitl`` has PX4's figures.
+    What PX4 and ArduCopter were measured to do is in docs/conformance.md; rig ``sitl`` has PX4's
+    figures.
     """
 
-    settle_s: Annotated[float, Bounds(0.0, 120.0)] = 2.5  # from the first step until armable, ± 10 % by seed
+    # from the first step until armable, ± 10 % by seed
+    settle_s: Annotated[float, Bounds(0.0, 120.0)] = 2.5
     arming_fault: str = ""  # when set, never armable, for this reason
     # kept to whatever is asked for, changes shown with the next; 0: as asked, changes at once
     heartbeat_hz: Annotated[float, Bounds(0.0, 50.0)] = 0.0
@@ -55,25 +59,29 @@ class AutopilotConfig:
     return_height_m: Annotated[float, Bounds(0.3, 100.0)] = 2.5
     return_mps: Annotated[float, Bounds(0.1, 30.0)] = 1.5
     offboard_loss_s: Annotated[float, Bounds(0.05, 60.0)] = 0.5
-    offboard_land_s: Annotated[float, Bounds(0.0, 600.0)] = 1.0  # in HOLD after the loss, before LAND
+    # in HOLD after the loss, before LAND
+    offboard_land_s: Annotated[float, Bounds(0.0, 600.0)] = 1.0
     setpoint_stale_s: Annotated[float, Bounds(0.05, 600.0)] = (
         math.inf
     )  # a setpoint older than this counts as standing still
     companion_loss_s: Annotated[float, Bounds(0.1, 600.0)] = (
         math.inf
     )  # without a ground station's heartbeat for this long it lands
-    land_detect_s: Annotated[float, Bounds(0.0, 10.0)] = 0.3  # ground contact this long is a landing
+    # ground contact this long is a landing
+    land_detect_s: Annotated[float, Bounds(0.0, 10.0)] = 0.3
     land_disarm_s: Annotated[float, Bounds(0.0, 60.0)] = 1.0  # after that
     idle_disarm_s: Annotated[float, Bounds(0.1, 3600.0)] = 10.0
     endurance_s: Annotated[float, Bounds(10.0, 36000.0)] = 900.0  # full battery, flying
-    low_battery: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.1  # lands by itself; scripts should come down earlier
+    # lands by itself; scripts should come down earlier
+    low_battery: Annotated[float, Bounds(0.0, 1.0, "of 1")] = 0.1
     radio: RadioConfig = field(default_factory=RadioConfig)
     fence: FenceConfig = field(default_factory=FenceConfig)
 
 
 @value
 class Estimate:
-    """The estimator's output. Position (N, E, D) from the mission origin, velocity NED, attitude wxyz body to NED.
+    """The estimator's output. Position (N, E, D) from the mission origin, velocity NED, attitude
+    wxyz body to NED.
 
     ``resets``: how often it has stepped.
     """
@@ -122,7 +130,8 @@ class StatusText:
 
 @dataclass(slots=True)
 class OffboardSession:
-    """One stay in OFFBOARD, with the times between setpoints (S8); the last one counts while it is open.
+    """One stay in OFFBOARD, with the times between setpoints (S8); the last one counts while it is
+    open.
 
     Attributes:
         max_gap_s: the longest.
@@ -136,7 +145,9 @@ class OffboardSession:
     long_gaps: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
 
     def note_gap(self, from_s: float, to_s: float) -> None:
-        """No setpoint came between these instants. An open gap may be noted again and again, as it grows."""
+        """No setpoint came between these instants. An open gap may be noted again and again, as it
+        grows.
+        """
         self.max_gap_s = max(self.max_gap_s, to_s - from_s)
         if to_s - from_s <= MAX_SETPOINT_GAP_S:
             return

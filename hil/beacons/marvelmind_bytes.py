@@ -1,4 +1,6 @@
-"""The bytes that Marvelmind's beacons send, written from the document, independent of the driver that reads them."""
+"""The bytes that Marvelmind's beacons send, written from the document, independent of the driver
+that reads them.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def frame(code: int, body: bytes) -> bytes:
     return told + checksum(told).to_bytes(2, "little")
 
 
-def position(stamp_ms: int, address: int, place_m: Vec3 | None, age_ms: int, flags: int = ANOTHER) -> bytes:
+def position(
+    stamp_ms: int, address: int, place_m: Vec3 | None, age_ms: int, flags: int = ANOTHER
+) -> bytes:
     """Code 0x0011, mm. Without a place the system has lost the beacon."""
     x, y, z = (round(1e3 * each) for each in place_m or (0.0, 0.0, 0.0))
     flags |= 0 if place_m is not None else UNAVAILABLE
@@ -61,5 +65,8 @@ def ranges(address: int, ranges_m: Mapping[int, float]) -> bytes:
 
 
 def stationary(places_m: Mapping[int, Vec3]) -> bytes:
-    told = (struct.pack("<Biiix", address, *(round(1e3 * e) for e in place)) for address, place in places_m.items())
+    told = (
+        struct.pack("<Biiix", address, *(round(1e3 * e) for e in place))
+        for address, place in places_m.items()
+    )
     return frame(0x0012, bytes((len(places_m),)) + b"".join(told))

@@ -1,6 +1,8 @@
-"""The errors of an ultrasonic positioning system: noise, warp, reflections, drop-outs, clocks, and its serial line.
+"""The errors of an ultrasonic positioning system: noise, warp, reflections, drop-outs, clocks, and
+its serial line.
 
-The warp is static: the stationary beacons are surveyed by themselves. The line delays, damages, cuts and adds bytes.
+The warp is static: the stationary beacons are surveyed by themselves. The line delays, damages,
+cuts and adds bytes.
 """
 
 from __future__ import annotations
@@ -22,15 +24,21 @@ class BeaconConfig:
         rate_hz: of each beacon; they take turns.
         noise_m: new in every position.
         warp_m, warp_length_m: static error of the frame, and over what way it changes.
-        reflection_rate, reflection_m: share of the positions at which a row of wrong ones begins (1 to 3 of them), and
-            how far off these are; two thirds of them are rated poorly by the system itself.
-        drop_rate, gap_rate, gap_s: single positions missing; gaps, per second, and how long they last.
+        reflection_rate, reflection_m: share of the positions at which a row of wrong ones begins (1
+            to 3 of them), and how far off these are; two thirds of them are rated poorly by the
+            system itself.
+        drop_rate, gap_rate, gap_s: single positions missing; gaps, per second, and how long they
+            last.
         latency_s, jitter_s: from the ultrasound to the frame, which says it.
-        stamp_jitter_s: of the stamped instant itself: ranges to several beacons are not taken at one instant.
-        wire_s, wire_jitter_s: least way from the frame to the listener, and the mean of what comes on top.
+        stamp_jitter_s: of the stamped instant itself: ranges to several beacons are not taken at
+            one instant.
+        wire_s, wire_jitter_s: least way from the frame to the listener, and the mean of what comes
+            on top.
         late_rate, late_s: share of the frames that the line holds back, and for how long at most.
-        damage_rate: share of the frames that are cut, have a bit turned, or have noise before them, each.
-        clock_offset_s: of the system's and of the listener's clock, evenly within plus and minus this.
+        damage_rate: share of the frames that are cut, have a bit turned, or have noise before them,
+            each.
+        clock_offset_s: of the system's and of the listener's clock, evenly within plus and minus
+            this.
         drift_ppm: of both, likewise.
     """
 
@@ -59,7 +67,10 @@ class BeaconConfig:
         return (
             ("beacon positions", f"{self.rate_hz:g} Hz each, taking turns"),
             ("noise of a position", f"{1e3 * self.noise_m:g} mm per axis, white"),
-            ("static warp of the beacons' frame", f"{1e3 * self.warp_m:g} mm per axis over {self.warp_length_m:g} m"),
+            (
+                "static warp of the beacons' frame",
+                f"{1e3 * self.warp_m:g} mm per axis over {self.warp_length_m:g} m",
+            ),
             (
                 "reflections",
                 f"begin at {100 * self.reflection_rate:g} % of the positions, last 1 to 3 of them, "
@@ -69,8 +80,14 @@ class BeaconConfig:
                 "missing positions",
                 f"{100 * self.drop_rate:g} %, and gaps of {self.gap_s:g} s, {60 * self.gap_rate:g} a minute",
             ),
-            ("age of a position", f"{1e3 * self.latency_s:g} ms, jitter {1e3 * self.jitter_s:g} ms; its frame says it"),
-            ("stamp of a position", f"in whole ms, {1e3 * self.stamp_jitter_s:g} ms from the instant it stands for"),
+            (
+                "age of a position",
+                f"{1e3 * self.latency_s:g} ms, jitter {1e3 * self.jitter_s:g} ms; its frame says it",
+            ),
+            (
+                "stamp of a position",
+                f"in whole ms, {1e3 * self.stamp_jitter_s:g} ms from the instant it stands for",
+            ),
             (
                 "serial line",
                 f"{1e3 * self.wire_s:g} ms and {1e3 * self.wire_jitter_s:g} ms more on average, "

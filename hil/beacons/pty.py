@@ -1,4 +1,6 @@
-"""The far side of a serial port: made-up beacons behind a pseudo terminal, in real time, for an unmodified pyserial."""
+"""The far side of a serial port: made-up beacons behind a pseudo terminal, in real time, for an
+unmodified pyserial.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ POLL_S = 0.05
 
 
 class SerialCable:
-    """One end is a port with a name that stays (``link``), into the other goes what ``send`` is given."""
+    """One end is a port with a name that stays (``link``), into the other goes what ``send`` is
+    given.
+    """
 
     def __init__(self, link: Path) -> None:
         self.link = link
@@ -90,7 +94,8 @@ class BeaconThread(threading.Thread):
         Args:
             cable_of: where that goes which a beacon's turn brought, by its name.
             now_s: the world's time.
-            place: by its name, where a beacon is now, (3,), and when that is: a busy computer comes late to a turn.
+            place: by its name, where a beacon is now, (3,), and when that is: a busy computer comes
+                late to a turn.
         """
         super().__init__(name="beacons", daemon=True)
         self._system = system
@@ -124,18 +129,25 @@ class BeaconThread(threading.Thread):
 def open_beacons(
     rig: Rig, seed: int, out: Path, now_s: Callable[[], float], snapshot: Callable[[], Snapshot]
 ) -> Generator[None, None, None]:
-    """Beacons behind this run's own serial port, when the rig's driver is the one that looks there; else nothing.
+    """Beacons behind this run's own serial port, when the rig's driver is the one that looks there;
+    else nothing.
 
     Args:
         out: folder for what is true of them.
         now_s: the world's time; ``snapshot`` is the world at that time.
     """
     reference = rig.reference
-    if reference is None or reference.beacons is None or not reference.beacons.factory.startswith(f"{__name__}:"):
+    if (
+        reference is None
+        or reference.beacons is None
+        or not reference.beacons.factory.startswith(f"{__name__}:")
+    ):
         yield
         return
     config = BeaconConfig()
-    system = BeaconSystem(config, seed, {name: own.address for name, own in reference.mounted.items()})
+    system = BeaconSystem(
+        config, seed, {name: own.address for name, own in reference.mounted.items()}
+    )
     mounted = reference.mounted
 
     def place(name: str) -> tuple[float, Array]:
@@ -165,9 +177,11 @@ def open_beacons(
 def open_hedges(
     rig: Rig, seed: int, now_s: Callable[[], float], snapshot: Callable[[], Snapshot]
 ) -> Generator[None, None, None]:
-    """A beacon on each drone whose autopilot is fed by one that this run makes up, each with a port of its own.
+    """A beacon on each drone whose autopilot is fed by one that this run makes up, each with a port
+    of its own.
 
-    Their frame is the one that the rig says it is. Raises RigError when the drones' tables differ in it.
+    Their frame is the one that the rig says it is. Raises RigError when the drones' tables differ
+    in it.
     """
     tables = {role: table for role in Role if (table := _vision(rig, role)) is not None}
     if not tables:
@@ -175,7 +189,9 @@ def open_hedges(
         return
     frames = [(table.x_heading_deg, table.zero_n_m) for table in tables.values()]
     if len(set(frames)) > 1:
-        raise RigError([f"{rig.where('vehicle.vision')}: the drones' x_heading_deg and zero_n_m differ"])
+        raise RigError(
+            [f"{rig.where('vehicle.vision')}: the drones' x_heading_deg and zero_n_m differ"]
+        )
     system = BeaconSystem(
         replace(BeaconConfig(), rate_hz=HEDGE_HZ), seed, {role.value: table.address for role, table in tables.items()},
         surveyed=frame_of(*frames[0]),
@@ -217,7 +233,10 @@ def frame_of(x_heading_deg: float, zero_n_m: Vec3) -> BeaconFrame:
 
 def link_of(run: str, role: Role | None = None) -> Path:
     """The port's name in a run: a drone's own, or the listener's."""
-    return Path(tempfile.gettempdir()) / f"path-{run}-{'beacons' if role is None else f'{role.value}-hedge'}"
+    return (
+        Path(tempfile.gettempdir())
+        / f"path-{run}-{'beacons' if role is None else f'{role.value}-hedge'}"
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,8 @@
-"""An ultrasonic positioning system in a simulated world: beacons on both drones and on the target, and what they send.
+"""An ultrasonic positioning system in a simulated world: beacons on both drones and on the target,
+and what they send.
 
-What a system of this kind gets wrong (``hil.beacons.noise``) is put onto the truth. The bytes are Marvelmind's; who
-listens parses them as it would the real ones.
+What a system of this kind gets wrong (``hil.beacons.noise``) is put onto the truth. The bytes are
+Marvelmind's; who listens parses them as it would the real ones.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ Array = NDArray[np.float64]
 
 EPOCH_S = 3600.0  # of all clocks: they have been on for a while
 PORT = "modem"
-STATIONARY_M: dict[int, Vec3] = {k: (4.0 * (k % 2), 4.0 * (k // 2), 2.0) for k in range(1, 5)}  # in the system's frame
+# in the system's frame
+STATIONARY_M: dict[int, Vec3] = {k: (4.0 * (k % 2), 4.0 * (k // 2), 2.0) for k in range(1, 5)}
 
 
 class BeaconFrame(NamedTuple):
@@ -49,7 +51,8 @@ class _Beacon:
     """One mobile beacon: what it is in the middle of."""
 
     silent_until_s: float = -math.inf
-    wrong: list[tuple[Vec3, float]] = field(default_factory=list[tuple[Vec3, float]])  # to come, with their quality
+    # to come, with their quality
+    wrong: list[tuple[Vec3, float]] = field(default_factory=list[tuple[Vec3, float]])
 
 
 class BeaconSystem:
@@ -70,10 +73,13 @@ class BeaconSystem:
     ) -> None:
         """``surveyed``: the frame, where it was laid out with care; drawn by seed when None."""
         self._config, self._rng = config, np.random.default_rng([seed, 0xBEAC])
-        self._distances_rng = np.random.default_rng([seed, 0xBEAC, 1])  # positions are the same with and without them
+        # positions are the same with and without them
+        self._distances_rng = np.random.default_rng([seed, 0xBEAC, 1])
         self._addresses = dict(addresses)
         rng = self._rng
-        self._clock_s, self.listener_offset_s = EPOCH_S + rng.uniform(-1.0, 1.0, 2) * config.clock_offset_s
+        self._clock_s, self.listener_offset_s = (
+            EPOCH_S + rng.uniform(-1.0, 1.0, 2) * config.clock_offset_s
+        )
         self._drift, self._listener_drift = 1e-6 * config.drift_ppm * rng.uniform(-1.0, 1.0, 2)
         self._drift_from_s = drift_from_s
         drawn = BeaconFrame(float(rng.uniform(-math.pi, math.pi)), rng.uniform(-10.0, 10.0, 3))
@@ -95,7 +101,9 @@ class BeaconSystem:
 
     def listener_s(self, world_s: float) -> float:
         """The listener's clock at an instant of the world."""
-        return world_s + self.listener_offset_s + self._listener_drift * (world_s - self._drift_from_s)
+        return (
+            world_s + self.listener_offset_s + self._listener_drift * (world_s - self._drift_from_s)
+        )
 
     def hear(self, name: str, time_s: float, place_w: Array) -> ByteChunk:
         """One turn of one beacon: what the line brings because of it, perhaps nothing of use.
@@ -110,14 +118,20 @@ class BeaconSystem:
         data = b"".join(self._frames(name, time_s, place_w, latency_s))
         late_s = rng.uniform(0.0, config.late_s) if rng.random() < config.late_rate else 0.0
         way_s = config.wire_s + rng.exponential(config.wire_jitter_s) + late_s
-        self._line_free_s = max(self._line_free_s, time_s + latency_s + way_s)  # bytes do not overtake each other
+        # bytes do not overtake each other
+        self._line_free_s = max(self._line_free_s, time_s + latency_s + way_s)
         return ByteChunk(self._line_free_s, data)
 
-    def _frames(self, name: str, time_s: float, place_w: Array, latency_s: float) -> Iterator[bytes]:
+    def _frames(
+        self, name: str, time_s: float, place_w: Array, latency_s: float
+    ) -> Iterator[bytes]:
         address = self._addresses[name]
         shown_s = time_s + self._clock_s + self._drift * (time_s - self._drift_from_s)
-        stamp_ms = math.floor(1e3 * (shown_s + self._config.stamp_jitter_s * self._rng.standard_normal()))
-        age_ms = math.floor(1e3 * (shown_s + latency_s)) - stamp_ms  # of the stamp: what the system itself can know
+        stamp_ms = math.floor(
+            1e3 * (shown_s + self._config.stamp_jitter_s * self._rng.standard_normal())
+        )
+        # of the stamp: what the system itself can know
+        age_ms = math.floor(1e3 * (shown_s + latency_s)) - stamp_ms
         self._turns += 1
         shown = self._shown(self._beacons[name], time_s, place_w)
         rng = self._rng
@@ -125,7 +139,9 @@ class BeaconSystem:
             place, quality = shown
             yield self._damaged(sent.quality(address, round(quality)), rng)
             yield self._damaged(sent.position(stamp_ms, address, place, max(1, age_ms)), rng)
-            ranges_m = {beacon: math.dist(place, stands_m) for beacon, stands_m in STATIONARY_M.items()}
+            ranges_m = {
+                beacon: math.dist(place, stands_m) for beacon, stands_m in STATIONARY_M.items()
+            }
             yield self._damaged(sent.distances(stamp_ms, address, ranges_m), self._distances_rng)
         yield self._damaged(sent.imu(stamp_ms, rng.bytes(18)), rng)
         if self._turns % 24 == 1:
@@ -164,13 +180,17 @@ class BeaconSystem:
 
 
 def listen(
-    world_log: Path, hear: Callable[[str, int, bytes], object], seed: int, mounted: Mapping[str, Mounted]
+    world_log: Path,
+    hear: Callable[[str, int, bytes], object],
+    seed: int,
+    mounted: Mapping[str, Mounted],
 ) -> BeaconTruth:
     """Let somebody with a computer of his own hear what the beacons would have sent during a run.
 
     Args:
         hear: called with (port, arrival_ns, bytes), by the listener's clock, in order.
-        mounted: by body: "sender", "receiver" (lever in the body, FRD) or "target" (in the frame of an object).
+        mounted: by body: "sender", "receiver" (lever in the body, FRD) or "target" (in the frame of
+            an object).
 
     Returns:
         What is true of the beacons.
@@ -211,7 +231,8 @@ def _paths(world_log: Path, mounted: Mapping[str, Mounted]) -> tuple[Array, dict
     if len(rows) < 2:
         raise ValueError(f"{world_log} holds no truth")
     paths = {
-        name: np.array([_place(name, row, target_id, own.lever_m) for _, row in rows]) for name, own in mounted.items()
+        name: np.array([_place(name, row, target_id, own.lever_m) for _, row in rows])
+        for name, own in mounted.items()
     }
     return np.array([time_s for time_s, _ in rows]), paths
 

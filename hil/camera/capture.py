@@ -1,6 +1,8 @@
-"""The timing of a simulated camera's pictures: fixed instants of the loop's time, newest first, none for nobody.
+"""The timing of a simulated camera's pictures: fixed instants of the loop's time, newest first,
+none for nobody.
 
-Perception at both sim levels is built on it, so that the two differ in what a view holds and in nothing else.
+Perception at both sim levels is built on it, so that the two differ in what a view holds and in
+nothing else.
 """
 
 from __future__ import annotations
@@ -46,8 +48,9 @@ class SnapshotSource(Protocol):
 class SensorHarness(Protocol):
     """The part of ``PartContext.harness`` that the cameras of the sim levels need.
 
-    ``frozen_cameras``: the cameras that fail at this moment; the harness changes it while the run goes on.
-    ``built``: how the cameras, mounts and markers truly are; None when they are as the rig says.
+    ``frozen_cameras``: the cameras that fail at this moment; the harness changes it while the run
+    goes on. ``built``: how the cameras, mounts and markers truly are; None when they are as the rig
+    says.
     """
 
     @property
@@ -65,7 +68,9 @@ class SensorHarness(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class TrueCamera:
-    """A role's camera and what it looks at, as they truly are. ``imaging``: None for an ideal sensor."""
+    """A role's camera and what it looks at, as they truly are. ``imaging``: None for an ideal
+    sensor.
+    """
 
     camera: CameraModel
     T_b_c: Pose
@@ -86,7 +91,9 @@ def true_camera(context: PartContext, built: Built | None) -> TrueCamera:
     sensors = built.sensors[context.role]
     scene = scene_of(built.rig)
     imaging = imaging_of(built.rig)
-    return TrueCamera(own.camera, mounts.T_b_c, mounts.T_b_v, built.rig.layout, sensors, scene, imaging)
+    return TrueCamera(
+        own.camera, mounts.T_b_c, mounts.T_b_v, built.rig.layout, sensors, scene, imaging
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +118,9 @@ class CaptureTiming:
 
 
 def timing_of(role: Role, rate_hz: float, phase_s: float | None, latency_s: float) -> CaptureTiming:
-    """The timing of one role's camera; by default the receiver's is out of step with the sender's, as real ones are."""
+    """The timing of one role's camera; by default the receiver's is out of step with the sender's,
+    as real ones are.
+    """
     if phase_s is None:
         phase_s = 0.0 if role is Role.SENDER else RECEIVER_PHASE / rate_hz
     return CaptureTiming(rate_hz, phase_s, latency_s)
@@ -119,7 +128,9 @@ def timing_of(role: Role, rate_hz: float, phase_s: float | None, latency_s: floa
 
 @value
 class Capture(Generic[T]):
-    """One picture: when (role clock), which (its index since the loop's time 0), and what came of it."""
+    """One picture: when (role clock), which (its index since the loop's time 0), and what came of
+    it.
+    """
 
     stamp_ns: int
     frame_id: int
@@ -127,11 +138,12 @@ class Capture(Generic[T]):
 
 
 class CaptureTicker(Generic[T]):
-    """Takes a picture at each instant while somebody reads, and hands out the newest one not yet given.
+    """Takes a picture at each instant while somebody reads, and hands out the newest one not yet
+    given.
 
-    It stops when a picture lies unread, and starts again with the next read: a camera nobody looks at costs nothing.
-    ``take(snapshot, frame_id)`` makes the content at the instant of capture. ``skipped`` counts pictures replaced by a
-    newer one before they were read.
+    It stops when a picture lies unread, and starts again with the next read: a camera nobody looks
+    at costs nothing. ``take(snapshot, frame_id)`` makes the content at the instant of capture.
+    ``skipped`` counts pictures replaced by a newer one before they were read.
     """
 
     def __init__(
@@ -185,7 +197,9 @@ class CaptureTicker(Generic[T]):
         capture = self._arrived
         self._arrived = None
         if capture is None:
-            raise CameraError(f"no frame from {self._name} for {timeout_s:g} s", "the simulated camera is frozen")
+            raise CameraError(
+                f"no frame from {self._name} for {timeout_s:g} s", "the simulated camera is frozen"
+            )
         return capture
 
     def close(self) -> None:
@@ -209,14 +223,17 @@ class CaptureTicker(Generic[T]):
         freeze = self._harness.frozen_cameras.get(self._role)
         if freeze is None:
             snapshot = self._harness.world.snapshot()
-            self._last = Capture(self._clock.now_ns() + self._stamps.next_ns(), index, self._take(snapshot, index))
+            self._last = Capture(
+                self._clock.now_ns() + self._stamps.next_ns(), index, self._take(snapshot, index)
+            )
         if self._last is not None and freeze is not Freeze.SILENT:
             if self._timing.latency_s > 0.0:
                 due = loop.call_at(loop.time() + self._timing.latency_s, self._on_arrival)
                 self._under_way.append((due, self._last))
             else:
                 self._arrive(self._last)
-        # Late pictures: the next one is taken before these are read, else the latency would cost frames.
+        # Late pictures: the next one is taken before these are read, else the latency would cost
+        # frames.
         if self._waiting is not None or (self._under_way and self._arrived is None):
             self._schedule(loop)
 

@@ -1,4 +1,6 @@
-"""Pictures that are drawn when somebody looks at them, or before, in a thread, when somebody is likely to."""
+"""Pictures that are drawn when somebody looks at them, or before, in a thread, when somebody is
+likely to.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +18,16 @@ Images = tuple[NDArray[np.uint8], NDArray[np.uint16]]
 
 
 class PendingPicture:
-    """One picture: drawn once, by whoever comes first. ``looked`` says whether anybody but the thread asked for it."""
+    """One picture: drawn once, by whoever comes first. ``looked`` says whether anybody but the
+    thread asked for it.
+    """
 
     __slots__ = ("_draw", "_images", "_lock", "looked")
 
     def __init__(self, draw: Callable[[], Images], lock: Lock) -> None:
-        """``lock``: held while it is drawn; shared by all pictures of one renderer, which draws one at a time."""
+        """``lock``: held while it is drawn; shared by all pictures of one renderer, which draws one
+        at a time.
+        """
         self._draw: Callable[[], Images] | None = draw
         self._images: Images | None = None
         self._lock = lock
@@ -50,9 +56,16 @@ class DrawnFrame(Frame):
 
     __slots__ = ("_picture", "_size")
 
-    def __init__(self, stamp_ns: int, frame_id: int, picture: PendingPicture, size: tuple[int, int]) -> None:
+    def __init__(
+        self, stamp_ns: int, frame_id: int, picture: PendingPicture, size: tuple[int, int]
+    ) -> None:
         """``size``: width and height of both images."""
-        for name, told in (("stamp_ns", stamp_ns), ("frame_id", frame_id), ("_picture", picture), ("_size", size)):
+        for name, told in (
+            ("stamp_ns", stamp_ns),
+            ("frame_id", frame_id),
+            ("_picture", picture),
+            ("_size", size),
+        ):
             object.__setattr__(self, name, told)
 
     @property

@@ -1,4 +1,6 @@
-"""The renderer of trials: implements ``flight.harness.renderer.FrameRenderer`` with that of the simulated world."""
+"""The renderer of trials: implements ``flight.harness.renderer.FrameRenderer`` with that of the
+simulated world.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,18 @@ from hil.render.bodies.people import person
 from hil.render.bodies.prints import marker_print
 from hil.render.mosaic import is_quick
 from hil.render.renderer import Renderer
-from hil.render.scene import ROTOR, Body, Model, car, drone, flying, lying, marked_drone, printed_board, standing
+from hil.render.scene import (
+    ROTOR,
+    Body,
+    Model,
+    car,
+    drone,
+    flying,
+    lying,
+    marked_drone,
+    printed_board,
+    standing,
+)
 from hil.render.sensor import SensorNoise, mixed
 from path.geometry.transforms import Pose
 from path.marker.photometric.texture import cells
@@ -52,21 +65,32 @@ class CameraRenderer:
         noise = _sensor_noise(setup.imaging, setup.depth)
         quick = setup.imaging if is_quick(setup.imaging) else None
         self._direct = quick is not None or is_plain(setup.imaging)
-        self._renderer = Renderer(setup.camera, setup.T_b_c, setup.T_b_v, setup.layout, noise, seed, imaging=quick)
+        self._renderer = Renderer(
+            setup.camera, setup.T_b_c, setup.T_b_v, setup.layout, noise, seed, imaging=quick
+        )
         self._blank = marked_drone(setup.T_b_v, setup.layout, hidden=True)
         self._marked: dict[int, Model] = {}
 
     def shoot(self, stage: RenderedInstant, role: Role, shot_seed: int) -> Shot:
-        """Returns the image that the role's camera delivers. The drone of the role must be on the stage."""
+        """Returns the image that the role's camera delivers. The drone of the role must be on the
+        stage.
+        """
         key = self._renderer.key(role, shot_seed)
-        light, depth = self._renderer.draw(stage.T_w_b[role], self._bodies(stage, role, key % LIGHTS), key)
+        light, depth = self._renderer.draw(
+            stage.T_w_b[role], self._bodies(stage, role, key % LIGHTS), key
+        )
         kept = self._renderer.thinned(depth)
         if self._direct:
             return Shot(self._renderer.expose(light, key), kept)
-        return Shot(self._renderer.thinned(develop(light, self._setup.imaging, np.random.default_rng(key))), kept)
+        return Shot(
+            self._renderer.thinned(develop(light, self._setup.imaging, np.random.default_rng(key))),
+            kept,
+        )
 
     def true_depth_m(self, stage: RenderedInstant, role: Role, u: float, v: float) -> float | None:
-        """Exact depth along the optical axis of what is seen at a pixel, rotors excepted; None for the sky."""
+        """Exact depth along the optical axis of what is seen at a pixel, rotors excepted; None for
+        the sky.
+        """
         x, y = self._setup.camera.ray(u, v)
         if not math.isfinite(x):
             return None
@@ -99,7 +123,9 @@ class CameraRenderer:
                     )
                     for number, marker in enumerate(setup.layout.markers)
                 )
-            self._marked[light] = marked_drone(setup.T_b_v, setup.layout, hidden=False, prints=prints)
+            self._marked[light] = marked_drone(
+                setup.T_b_v, setup.layout, hidden=False, prints=prints
+            )
         return self._marked[light]
 
     def _bodies(self, stage: RenderedInstant, role: Role, light: int = 0) -> list[Body]:
@@ -119,7 +145,9 @@ class CameraRenderer:
 
 def _standing(things: Sequence[Thing]) -> list[Body]:
     return [
-        standing(CAR if thing.kind == "car" else person(thing.variant), thing.position_w_m, thing.yaw_rad)
+        standing(
+            CAR if thing.kind == "car" else person(thing.variant), thing.position_w_m, thing.yaw_rad
+        )
         for thing in things
     ]
 
@@ -174,7 +202,9 @@ def _solid(model: Model) -> _Solid:
 
 
 def _depth_of(model: Model, T_c_body: Pose, ray: Array) -> float:
-    """Depth of the nearest face that a ray (x, y, 1) meets from its front; inf when it meets none."""
+    """Depth of the nearest face that a ray (x, y, 1) meets from its front; inf when it meets
+    none.
+    """
     solid = _solid(model)
     # in the model's frame
     eye = -T_c_body.t @ T_c_body.R

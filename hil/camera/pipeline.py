@@ -1,4 +1,5 @@
-"""The imaging of a camera, from light to image: what ``flight.harness.renderer.Imaging`` describes, in its order.
+"""The imaging of a camera, from light to image: what ``flight.harness.renderer.Imaging`` describes,
+in its order.
 
 Optics and sensor work on light, 0..255 linear; gamma and everything after it on the image.
 """
@@ -21,7 +22,8 @@ Image = NDArray[np.uint8]  # (h, w, 3) BGR
 BLUR_REACH = 3.3  # standard deviations
 SLOWEST_MOTION_PX = 1e-6
 FINE = 256.0  # steps of a grey level that the interpolation of the mosaic keeps
-STREAM_FRAMES = 3  # an intra frame and two that follow: what comes out is a frame of a running stream
+# an intra frame and two that follow: what comes out is a frame of a running stream
+STREAM_FRAMES = 3
 STREAM_STEP_PX = 4  # most that the view moves between frames of a stream, per axis
 STREAM_RATE = 30
 
@@ -69,7 +71,9 @@ def blur_kernel(sigma_px: float, motion_px: tuple[float, float]) -> NDArray[np.f
 
 
 def _filtered(light: Light, kernel: NDArray[np.float64]) -> Light:
-    """The kernel is symmetric about its centre. A Gaussian without motion is separable, and faster so."""
+    """The kernel is symmetric about its centre. A Gaussian without motion is separable, and faster
+    so.
+    """
     column = kernel.sum(axis=1)
     row = kernel.sum(axis=0)
     if np.allclose(np.outer(column, row), kernel, atol=1e-12):
@@ -104,7 +108,8 @@ def _mosaic(lit: Light) -> Light:
 def _interpolated(raw: Light) -> Light:
     """Colours again, interpolated along edges; a border of one pixel is copied from within."""
     fine = np.round(raw * np.float32(FINE)).astype(np.uint16)
-    color = cv2.demosaicing(fine, cv2.COLOR_BayerBG2BGR_EA)  # OpenCV names the pattern by its second row
+    # OpenCV names the pattern by its second row
+    color = cv2.demosaicing(fine, cv2.COLOR_BayerBG2BGR_EA)
     return np.asarray(color, np.float32) / np.float32(FINE)
 
 
@@ -118,8 +123,12 @@ def process(measured: Light, imaging: Imaging) -> Image:
         return as_yuyv(plain, imaging.sharpen, imaging.sharpen_sigma_px)
     if imaging.sharpen == 0.0:
         return (image + np.float32(0.5)).astype(np.uint8)
-    blurred = cv2.GaussianBlur(image, (0, 0), imaging.sharpen_sigma_px, borderType=cv2.BORDER_REPLICATE)
-    sharp = cv2.addWeighted(image, 1.0 + imaging.sharpen, blurred, -imaging.sharpen, 0.0, dtype=cv2.CV_8U)
+    blurred = cv2.GaussianBlur(
+        image, (0, 0), imaging.sharpen_sigma_px, borderType=cv2.BORDER_REPLICATE
+    )
+    sharp = cv2.addWeighted(
+        image, 1.0 + imaging.sharpen, blurred, -imaging.sharpen, 0.0, dtype=cv2.CV_8U
+    )
     return np.asarray(sharp, np.uint8)
 
 
@@ -132,7 +141,9 @@ def jpeg(image: Image, quality: int) -> Image:
 
 
 def _last_of_stream(seen: Light, imaging: Imaging, crf: int, rng: np.random.Generator) -> Image:
-    """The last frame of a short stream in which the view moves evenly by a few pixels a frame, to its place."""
+    """The last frame of a short stream in which the view moves evenly by a few pixels a frame, to
+    its place.
+    """
     step = rng.integers(-STREAM_STEP_PX, STREAM_STEP_PX, 2, endpoint=True)
     frames: list[Image] = []
     for ahead in range(STREAM_FRAMES - 1, -1, -1):

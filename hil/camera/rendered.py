@@ -1,9 +1,9 @@
 """The camera of level ``sim-rendered``: frames drawn by the renderer, in virtual time.
 
-The truth is looked at when the picture is taken. A picture that somebody waits for, of a camera whose last frame was
-looked at, is drawn in a thread while other events happen, and only who looks at it waits for it: so two cameras draw on
-two cores. Any other picture is drawn when it is looked at, and most of those never are. What is drawn depends on
-nothing but the seed.
+The truth is looked at when the picture is taken. A picture that somebody waits for, of a camera
+whose last frame was looked at, is drawn in a thread while other events happen, and only who looks
+at it waits for it: so two cameras draw on two cores. Any other picture is drawn when it is looked
+at, and most of those never are. What is drawn depends on nothing but the seed.
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ class RenderedCamera:
     def __init__(self, config: RenderedCameraConfig, context: PartContext) -> None:
         if context.harness is None:
             raise CameraError(
-                "a rendered camera needs a simulated world", "use it with a harness such as hil.harness.sim"
+                "a rendered camera needs a simulated world",
+                "use it with a harness such as hil.harness.sim",
             )
         harness = cast(SensorHarness, context.harness)
         self._model = context.camera
@@ -100,7 +101,8 @@ class RenderedCamera:
         return self._ticker.skipped
 
     async def __aenter__(self) -> Self:
-        # One thread: the renderer keeps scratch buffers, and frames of one camera come one after the other anyway.
+        # One thread: the renderer keeps scratch buffers, and frames of one camera come one after
+        # the other anyway.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=f"draw-{self._role.value}")
         return self
 
@@ -116,7 +118,12 @@ class RenderedCamera:
             raise CameraError("the rendered camera is not open", "open it with `async with`")
         capture = await self._ticker.next(timeout_s)
         self._last = capture.content
-        return DrawnFrame(capture.stamp_ns, capture.frame_id, capture.content, (self._model.width, self._model.height))
+        return DrawnFrame(
+            capture.stamp_ns,
+            capture.frame_id,
+            capture.content,
+            (self._model.width, self._model.height),
+        )
 
     def _take(self, snapshot: Snapshot, frame_id: int) -> PendingPicture:
         assert self._thread is not None, "nothing is captured before somebody reads"

@@ -1,4 +1,6 @@
-"""The shared memory and the socket under ``hil.camera.shared``: where they are, who lives, and what they hold."""
+"""The shared memory and the socket under ``hil.camera.shared``: where they are, who lives, and what
+they hold.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ def segment_path(run: str, role: Role) -> Path:
 
 
 def remove_abandoned() -> list[Path]:
-    """Remove segments and sockets whose writer is dead (it was killed before it could); returns what was removed."""
+    """Remove segments and sockets whose writer is dead (it was killed before it could); returns
+    what was removed.
+    """
     removed: list[Path] = []
     for path in folder().glob(f"{PREFIX}*"):
         if path.suffix in (".sock", ".new") or writer_lives(path):
@@ -106,9 +110,9 @@ class Layout:
 class FrameSegment:
     """NumPy views into a mapped segment.
 
-    ``header``: magic, colour width and height, depth width and height, fps, slots, newest sequence number (0: none).
-    ``slot_headers[i]``: 2 n - 1 while frame n is being written and 2 n once it is whole, stamp in ns of
-    CLOCK_MONOTONIC.
+    ``header``: magic, colour width and height, depth width and height, fps, slots, newest sequence
+    number (0: none). ``slot_headers[i]``: 2 n - 1 while frame n is being written and 2 n once it is
+    whole, stamp in ns of CLOCK_MONOTONIC.
     """
 
     NEWEST = 7
@@ -124,12 +128,16 @@ class FrameSegment:
             start = HEADER_BYTES + i * layout.slot_bytes
             self.slot_headers.append(np.frombuffer(memory, np.int64, 2, start))
             color = np.frombuffer(memory, np.uint8, layout.color_bytes, start + SLOT_HEADER_BYTES)
-            depth = np.frombuffer(memory, np.uint16, layout.depth_bytes // 2, start + layout.depth_start)
+            depth = np.frombuffer(
+                memory, np.uint16, layout.depth_bytes // 2, start + layout.depth_start
+            )
             self.colors.append(color.reshape(*reversed(layout.color_size), 3))
             self.depths.append(depth.reshape(*reversed(layout.depth_size)))
 
     def close(self) -> None:
-        """Drop the views, then the mapping; while somebody holds a frame's pixels, it stays for as long as these do."""
+        """Drop the views, then the mapping; while somebody holds a frame's pixels, it stays for as
+        long as these do.
+        """
         self.header = np.zeros(0, np.int64)
         self.slot_headers = []
         self.colors = []
@@ -150,15 +158,21 @@ def map_segment(path: Path) -> FrameSegment | None:
         memory = mmap.mmap(handle, 0, prot=mmap.PROT_READ)
     finally:
         os.close(handle)
-    magic, width, height, depth_width, depth_height, fps, slots = np.frombuffer(memory, np.int64, 7).tolist()
+    magic, width, height, depth_width, depth_height, fps, slots = np.frombuffer(
+        memory, np.int64, 7
+    ).tolist()
     if magic != MAGIC:
         memory.close()
-        raise CameraError(f"{path} holds no camera frames of this version", "remove it and start again")
+        raise CameraError(
+            f"{path} holds no camera frames of this version", "remove it and start again"
+        )
     return FrameSegment(memory, Layout((width, height), (depth_width, depth_height), fps, slots))
 
 
 def bind(path: Path) -> socket.socket:
-    """A datagram socket at ``path``; one left behind by a killed reader is replaced, a live one refused."""
+    """A datagram socket at ``path``; one left behind by a killed reader is replaced, a live one
+    refused.
+    """
     waker = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     waker.setblocking(False)
     try:
@@ -166,7 +180,9 @@ def bind(path: Path) -> socket.socket:
     except OSError as error:
         if error.errno != errno.EADDRINUSE or _answers(path):
             waker.close()
-            raise CameraError(f"{path.name} already has a reader", "end the other process of this role") from error
+            raise CameraError(
+                f"{path.name} already has a reader", "end the other process of this role"
+            ) from error
         path.unlink(missing_ok=True)
         waker.bind(str(path))
     return waker

@@ -1,10 +1,12 @@
-"""Camera frames from the world process to a role process: a ring of slots in shared memory and a socket that wakes.
+"""Camera frames from the world process to a role process: a ring of slots in shared memory and a
+socket that wakes.
 
-The writer never waits for a reader. Each slot says which frame it holds and whether that is whole, so that a
-reader that was overtaken notices and takes a newer frame; it never sees a torn one. The segment is a plain mapped
-file, not ``multiprocessing.shared_memory``, whose tracker process unlinks a segment when any one side ends. The writer
-holds a lock on the file for as long as it lives: that is how a reader knows at once that the world is gone, and how
-what a killed writer left behind is told from what is in use.
+The writer never waits for a reader. Each slot says which frame it holds and whether that is whole,
+so that a reader that was overtaken notices and takes a newer frame; it never sees a torn one. The
+segment is a plain mapped file, not ``multiprocessing.shared_memory``, whose tracker process unlinks
+a segment when any one side ends. The writer holds a lock on the file for as long as it lives: that
+is how a reader knows at once that the world is gone, and how what a killed writer left behind is
+told from what is in use.
 """
 
 from __future__ import annotations
@@ -44,7 +46,9 @@ RUN_VARIABLE = "PATH_HANDOFF_RUN"
 
 
 class SharedCameraWriter:
-    """The world's end: publishes frames of one role's camera. One writer a name; a context manager."""
+    """The world's end: publishes frames of one role's camera. One writer a name; a context
+    manager.
+    """
 
     def __init__(
         self,
@@ -57,7 +61,9 @@ class SharedCameraWriter:
         slots: int = 4,
     ) -> None:
         if slots < 4:
-            raise ValueError(f"slots: {slots} is below 4, so that a slow reader would be overtaken at once")
+            raise ValueError(
+                f"slots: {slots} is below 4, so that a slow reader would be overtaken at once"
+            )
         self._path = segment_path(run, role)
         self._layout = Layout(color_size, depth_size, fps, slots)
         self._sequence = 0
@@ -68,7 +74,10 @@ class SharedCameraWriter:
     def __enter__(self) -> Self:
         remove_abandoned()
         if writer_lives(self._path):
-            raise CameraError(f"{self._path} is already being written", "use another run name, or end the other run")
+            raise CameraError(
+                f"{self._path} is already being written",
+                "use another run name, or end the other run",
+            )
         # Made and locked under another name: nobody can take the finished one for abandoned.
         new = self._path.with_name(f"{self._path.name}.{os.getpid()}.new")
         self._handle = os.open(new, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o600)
@@ -98,7 +107,8 @@ class SharedCameraWriter:
         """Publish one frame and wake the reader.
 
         Args:
-            stamp_ns: mid-exposure, CLOCK_MONOTONIC (``time.monotonic_ns``), which all processes share.
+            stamp_ns: mid-exposure, CLOCK_MONOTONIC (``time.monotonic_ns``), which all processes
+                share.
             color: (h, w, 3) uint8 BGR.
             depth_mm: (h, w) uint16 of the depth camera, which is another one.
         """
@@ -113,14 +123,17 @@ class SharedCameraWriter:
         header[0] = 2 * self._sequence
         segment.header[FrameSegment.NEWEST] = self._sequence
         assert self._socket is not None
-        # No reader yet, or one whose queue is full and that will wake anyway: either is no concern of the world's.
+        # No reader yet, or one whose queue is full and that will wake anyway: either is no concern
+        # of the world's.
         with suppress(OSError):
             self._socket.sendto(b"\0", str(socket_path(self._path)))
 
 
 @dataclass(frozen=True, slots=True)
 class SharedFrame:
-    """One frame where it lies, in memory that the writer will use again: see ``SharedCameraReader.is_whole``."""
+    """One frame where it lies, in memory that the writer will use again: see
+    ``SharedCameraReader.is_whole``.
+    """
 
     number: int
     stamp_ns: int
@@ -129,7 +142,9 @@ class SharedFrame:
 
 
 class SharedCameraReader:
-    """The role's end, for one thread; a context manager. ``skipped`` counts frames replaced before they were read."""
+    """The role's end, for one thread; a context manager. ``skipped`` counts frames replaced before
+    they were read.
+    """
 
     def __init__(self, run: str, role: Role, open_timeout_s: float) -> None:
         self._path = segment_path(run, role)
@@ -182,10 +197,11 @@ class SharedCameraReader:
         return frame
 
     def is_whole(self, frame: SharedFrame) -> bool:
-        """Ask when it was copied: False when the writer came back to its slot meanwhile, and a newer one is there.
+        """Ask when it was copied: False when the writer came back to its slot meanwhile, and a
+        newer one is there.
 
-        On CPUs that reorder loads this look at the lock word is no proof by itself; the ring is: the writer comes
-        back to a slot only after three other frames.
+        On CPUs that reorder loads this look at the lock word is no proof by itself; the ring is:
+        the writer comes back to a slot only after three other frames.
         """
         segment = self._segment
         assert segment is not None
@@ -211,10 +227,14 @@ class SharedCameraReader:
         self.skipped += newest - self._given - 1
         self._given = newest
         slot = newest % segment.layout.slots
-        return SharedFrame(newest, int(segment.slot_headers[slot][1]), segment.colors[slot], segment.depths[slot])
+        return SharedFrame(
+            newest, int(segment.slot_headers[slot][1]), segment.colors[slot], segment.depths[slot]
+        )
 
     def _wait(self, timeout_s: float) -> None:
-        """Waits until the writer says that there is something new; what else it said before is of the same."""
+        """Waits until the writer says that there is something new; what else it said before is of
+        the same.
+        """
         assert self._socket is not None
         self._socket.settimeout(timeout_s)
         with suppress(TimeoutError):

@@ -2,8 +2,8 @@
 
     python -m hil.camera.soak [FRAMES] [WIDTHxHEIGHT]
 
-Frames go through pyrealsense2's software device as fast as they are taken, nothing is drawn. Exit code 1 when memory
-grew.
+Frames go through pyrealsense2's software device as fast as they are taken, nothing is drawn. Exit
+code 1 when memory grew.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ READ_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class SoakReport:
-    """Memory in MiB when it had settled, at its highest after that, and at the end; times in ms of CPU a frame."""
+    """Memory in MiB when it had settled, at its highest after that, and at the end; times in ms of
+    CPU a frame.
+    """
 
     frames: int
     settled_mib: float
@@ -62,7 +64,9 @@ class BenchDeviceConfig:
 
 
 class BenchDevice:
-    """A ``DeviceSource`` that gives a frame whenever ``wanted`` is set: random colours, a wall with noise."""
+    """A ``DeviceSource`` that gives a frame whenever ``wanted`` is set: random colours, a wall with
+    noise.
+    """
 
     Config = BenchDeviceConfig
     live = True
@@ -82,7 +86,9 @@ class BenchDevice:
 
     def open(self) -> Any:
         color = self._camera
-        software = SoftwareDevice(color, depth_camera(color.width, color.height), T_COLOR_DEPTH, FPS)
+        software = SoftwareDevice(
+            color, depth_camera(color.width, color.height), T_COLOR_DEPTH, FPS
+        )
         self._ending.clear()
         self._thread = threading.Thread(target=self._feed, args=(software,), daemon=True)
         self._thread.start()
@@ -137,7 +143,9 @@ def _driver(size: tuple[int, int]) -> tuple[RealSense, BenchDevice]:
     camera = CameraModel(width, height, focal, focal, 0.5 * width + 1.0, 0.5 * height - 1.0, lens)
     level = Pose(np.eye(3), np.zeros(3))
     no_clock: Any = None
-    context = PartContext(Role.SENDER, no_clock, camera, Mount(level, level), single_marker(), Origin(0.0, 0.0, 0.0))
+    context = PartContext(
+        Role.SENDER, no_clock, camera, Mount(level, level), single_marker(), Origin(0.0, 0.0, 0.0)
+    )
     context = replace(context, clock=SystemClock(SystemClockConfig(), context))
     spec = PartSpec("hil.camera.soak:BenchDevice", {}, "bench")
     driver = RealSense(RealSenseConfig(source=spec, fps=FPS), context)
@@ -145,7 +153,9 @@ def _driver(size: tuple[int, int]) -> tuple[RealSense, BenchDevice]:
     return driver, source
 
 
-def _report(counters: StreamCounters, source: BenchDevice, memory: tuple[float, float, float]) -> SoakReport:
+def _report(
+    counters: StreamCounters, source: BenchDevice, memory: tuple[float, float, float]
+) -> SoakReport:
     def ms(total_ns: int, count: int) -> float:
         return total_ns / max(count, 1) / 1e6
 

@@ -88,7 +88,9 @@ class SoftwareD415:
     def missing(self) -> CameraError | None:
         if self._reader.writer_lives:
             return None
-        return CameraError("the world process that draws its frames is gone", "see why it ended in its log")
+        return CameraError(
+            "the world process that draws its frames is gone", "see why it ended in its log"
+        )
 
     def close(self) -> None:
         if self._feeder is None:
@@ -102,8 +104,8 @@ class SoftwareD415:
 class _Feeder(threading.Thread):
     """Puts every frame of the world into the device; the newest when they come faster than it can.
 
-    None is given out before a device would have read it out, by the frame's own stamp: a small picture is drawn within
-    less, and a stamp that errs by some milliseconds would be of the future.
+    None is given out before a device would have read it out, by the frame's own stamp: a small
+    picture is drawn within less, and a stamp that errs by some milliseconds would be of the future.
     """
 
     def __init__(self, reader: SharedCameraReader, device: SoftwareDevice) -> None:
@@ -123,6 +125,8 @@ class _Feeder(threading.Thread):
             color = device.image("color", frame.color, frame.stamp_ns, frame.number)
             if not reader.is_whole(frame):
                 continue
-            self.ending.wait(max(0, frame.stamp_ns + device.readout_ns - time.monotonic_ns()) * 1e-9)
+            self.ending.wait(
+                max(0, frame.stamp_ns + device.readout_ns - time.monotonic_ns()) * 1e-9
+            )
             device.give("depth", depth, frame.stamp_ns)
             device.give("color", color, frame.stamp_ns)

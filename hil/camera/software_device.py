@@ -1,4 +1,6 @@
-"""A D415 in software: ``pyrealsense2``'s own device. Images are put in, and the driver takes them out."""
+"""A D415 in software: ``pyrealsense2``'s own device. Images are put in, and the driver takes them
+out.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +31,8 @@ class DeviceClock:
         domain: whose clock; a real D415 gives ``global_time`` unless told otherwise.
         offset_ns: what the device's own clock shows at CLOCK_MONOTONIC's zero.
         drift_ppm: by how much that clock is too fast.
-        readout_ns: from the middle of the exposure to the beginning of the transfer, which is what a D415 stamps; the
-            frame's metadata tell both, as a D415's do.
+        readout_ns: from the middle of the exposure to the beginning of the transfer, which is what
+            a D415 stamps; the frame's metadata tell both, as a D415's do.
     """
 
     domain: Domain = Domain.GLOBAL
@@ -43,7 +45,8 @@ class DeviceClock:
 
 
 class SoftwareDevice:
-    """One device with a colour and a depth sensor, each a camera of its own. Use it from one thread.
+    """One device with a colour and a depth sensor, each a camera of its own. Use it from one
+    thread.
 
     ``device`` is what the driver is given.
     """
@@ -80,8 +83,12 @@ class SoftwareDevice:
     def readout_ns(self) -> int:
         return self._clock.readout_ns
 
-    def image(self, kind: Kind, pixels: NDArray[np.uint8] | NDArray[np.uint16], stamp_ns: int, number: int) -> Any:
-        """A copy of the pixels as an image that can be given out. ``stamp_ns``: mid-exposure, CLOCK_MONOTONIC."""
+    def image(
+        self, kind: Kind, pixels: NDArray[np.uint8] | NDArray[np.uint16], stamp_ns: int, number: int
+    ) -> Any:
+        """A copy of the pixels as an image that can be given out. ``stamp_ns``: mid-exposure,
+        CLOCK_MONOTONIC.
+        """
         frame = self._rs.software_video_frame()
         frame.pixels = pixels
         frame.bpp = BYTES[kind]
@@ -99,7 +106,8 @@ class SoftwareDevice:
         sensor = self._sensors[kind]
         keys = self._rs.frame_metadata_value
         exposed_us, sent_us = (
-            self._clock.own_ns(at_ns) % WRAP_NS // 1000 for at_ns in (stamp_ns, stamp_ns + self._clock.readout_ns)
+            self._clock.own_ns(at_ns) % WRAP_NS // 1000
+            for at_ns in (stamp_ns, stamp_ns + self._clock.readout_ns)
         )
         sensor.set_metadata(keys.sensor_timestamp, exposed_us)
         sensor.set_metadata(keys.frame_timestamp, sent_us)

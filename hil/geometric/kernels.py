@@ -1,7 +1,8 @@
-"""The arithmetic of the geometric perception: bodies made of boxes, projected and hit by rays. Compiled.
+"""The arithmetic of the geometric perception: bodies made of boxes, projected and hit by rays.
+Compiled.
 
-A body is a car or the other drone. Camera coordinates throughout (x right, y down, z forward, metres), pixels
-distorted.
+A body is a car or the other drone. Camera coordinates throughout (x right, y down, z forward,
+metres), pixels distorted.
 """
 
 # pyright: reportMissingParameterType=false
@@ -14,15 +15,16 @@ import numpy as np
 
 from path.compiled import inner, kernel
 
-# Columns of a placed box: rotation camera -> box (3 x 3), the camera's centre in box coordinates, half sides; x0 y0 x1
-# y1 in the image, with a margin for edges that the lens bends.
+# Columns of a placed box: rotation camera -> box (3 x 3), the camera's centre in box coordinates,
+# half sides; x0 y0 x1 y1 in the image, with a margin for edges that the lens bends.
 TURN = 0
 CENTRE = 9
 HALF = 12
 RECT = 15
 BOX_COLUMNS = 19
 MARGIN_PX = 4.0
-# Columns of a body's extent in the image: corners of its bounding box, nearest depth, whether it can be drawn.
+# Columns of a body's extent in the image: corners of its bounding box, nearest depth, whether it
+# can be drawn.
 X0 = 0
 Y0 = 1
 X1 = 2
@@ -33,7 +35,8 @@ EXTENT_COLUMNS = 6
 # The camera in the world: rotation world -> camera by rows, then its centre.
 EYE = 9
 FRAME_COLUMNS = 12
-# The lens: fx fy cx cy k1 k2 p1 p2 k3 width height, largest radius at which the distortion is one-to-one.
+# The lens: fx fy cx cy k1 k2 p1 p2 k3 width height, largest radius at which the distortion is
+# one-to-one.
 NEAREST_M = 0.05
 UNDISTORT_STEPS = 8
 
@@ -50,7 +53,9 @@ def distorted(lens, x, y):
 
 @inner
 def ray(lens, u, v):
-    """Normalised coordinates of a pixel, by Newton's method with the derivative of the radial part only."""
+    """Normalised coordinates of a pixel, by Newton's method with the derivative of the radial part
+    only.
+    """
     xd = (u - lens[2]) / lens[0]
     yd = (v - lens[3]) / lens[1]
     x = xd
@@ -66,17 +71,25 @@ def ray(lens, u, v):
 
 @inner
 def _place_box(R, t, parts, part, lens, boxes, k, extents, body):
-    """Box ``part`` of a body with pose R, t (body to camera): fills its row ``k`` and widens the body's extent."""
+    """Box ``part`` of a body with pose R, t (body to camera): fills its row ``k`` and widens the
+    body's extent.
+    """
     for i in range(3):  # box coordinates = axes^T R^T (p_c - t) - axes^T centre
         for j in range(3):
             boxes[k, TURN + 3 * i + j] = (
-                R[j, 0] * parts[part, 6 + i] + R[j, 1] * parts[part, 9 + i] + R[j, 2] * parts[part, 12 + i]
+                R[j, 0] * parts[part, 6 + i]
+                + R[j, 1] * parts[part, 9 + i]
+                + R[j, 2] * parts[part, 12 + i]
             )
         along = (
             parts[part, 6 + i] * parts[part, 0] + parts[part, 9 + i] * parts[part, 1]
             + parts[part, 12 + i] * parts[part, 2]
         )  # fmt: skip
-        turned = boxes[k, TURN + 3 * i] * t[0] + boxes[k, TURN + 3 * i + 1] * t[1] + boxes[k, TURN + 3 * i + 2] * t[2]
+        turned = (
+            boxes[k, TURN + 3 * i] * t[0]
+            + boxes[k, TURN + 3 * i + 1] * t[1]
+            + boxes[k, TURN + 3 * i + 2] * t[2]
+        )
         boxes[k, CENTRE + i] = -turned - along
         boxes[k, HALF + i] = parts[part, 3 + i]
     xx = boxes[k, TURN]
@@ -128,7 +141,9 @@ def _place_box(R, t, parts, part, lens, boxes, k, extents, body):
 
 @inner
 def _place_body(R_c_w, eye, R_w, at, row, parts, lens, boxes, first, extents, body, R, t):
-    """The boxes of one body with orientation R_w and position ``at[row]`` in the world; its pose R, t is worked out."""
+    """The boxes of one body with orientation R_w and position ``at[row]`` in the world; its pose R,
+    t is worked out.
+    """
     extents[body, X0] = extents[body, Y0] = extents[body, NEAR] = np.inf
     extents[body, X1] = extents[body, Y1] = -np.inf
     extents[body, DRAWN] = 1.0 if parts.shape[0] > 0 else 0.0
@@ -142,22 +157,28 @@ def _place_body(R_c_w, eye, R_w, at, row, parts, lens, boxes, first, extents, bo
 
 
 @kernel
-def place(R_w_b, t_w_b, R_b_c, t_b_c, lens, things, car, other_R, other_t, drone, boxes, extents, frame):
+def place(
+    R_w_b, t_w_b, R_b_c, t_b_c, lens, things, car, other_R, other_t, drone, boxes, extents, frame
+):
     """Put every body before the camera.
 
     Args:
         R_w_b, t_w_b, R_b_c, t_b_c: the camera's drone in the world, the camera on it.
-        things: (n, 4) position (m, world) and yaw of each car; car: (b, 15) centre, half sides, axes of its boxes, or
-            (n b, 15) when each has its own.
-        other_R, other_t: the other drone in the world; drone: (d, 15) its boxes, none when there is no other drone.
-        boxes: (n b + d, BOX_COLUMNS), extents: (n + 1, EXTENT_COLUMNS): filled, car by car, the other drone last.
+        things: (n, 4) position (m, world) and yaw of each car; car: (b, 15) centre, half sides,
+            axes of its boxes, or (n b, 15) when each has its own.
+        other_R, other_t: the other drone in the world; drone: (d, 15) its boxes, none when there is
+            no other drone.
+        boxes: (n b + d, BOX_COLUMNS), extents: (n + 1, EXTENT_COLUMNS): filled, car by car, the
+            other drone last.
         frame: (12,) filled: rotation world to camera by rows, the camera's centre in the world.
     """
     R_c_w = np.empty((3, 3))
     eye = np.empty(3)
     for i in range(3):
         for j in range(3):
-            R_c_w[i, j] = R_w_b[j, 0] * R_b_c[0, i] + R_w_b[j, 1] * R_b_c[1, i] + R_w_b[j, 2] * R_b_c[2, i]
+            R_c_w[i, j] = (
+                R_w_b[j, 0] * R_b_c[0, i] + R_w_b[j, 1] * R_b_c[1, i] + R_w_b[j, 2] * R_b_c[2, i]
+            )
             frame[3 * i + j] = R_c_w[i, j]
         eye[i] = R_w_b[i, 0] * t_b_c[0] + R_w_b[i, 1] * t_b_c[1] + R_w_b[i, 2] * t_b_c[2] + t_w_b[i]
         frame[EYE + i] = eye[i]
@@ -186,7 +207,9 @@ def _hit(boxes, k, x, y):
     enter = 0.0
     leave = np.inf
     for i in range(3):
-        speed = boxes[k, TURN + 3 * i] * x + boxes[k, TURN + 3 * i + 1] * y + boxes[k, TURN + 3 * i + 2]
+        speed = (
+            boxes[k, TURN + 3 * i] * x + boxes[k, TURN + 3 * i + 1] * y + boxes[k, TURN + 3 * i + 2]
+        )
         start = boxes[k, CENTRE + i]
         half = boxes[k, HALF + i]
         if abs(speed) < 1e-12:
@@ -206,8 +229,8 @@ def _hit(boxes, k, x, y):
 def nearest(boxes, extents, per_car, x, y, u, v, only):
     """Depth and body of the first box that the ray of pixel (u, v) meets; inf and -1 for none.
 
-    ``per_car``: boxes of a car; those of the other drone come after all cars'. ``only``: look at this body alone; -1
-    for all.
+    ``per_car``: boxes of a car; those of the other drone come after all cars'. ``only``: look at
+    this body alone; -1 for all.
     """
     best = np.inf
     who = -1
@@ -215,10 +238,20 @@ def nearest(boxes, extents, per_car, x, y, u, v, only):
     for body in range(cars + 1) if only < 0 else range(only, only + 1):
         if extents[body, DRAWN] == 0.0:
             continue
-        if u < extents[body, X0] or u > extents[body, X1] or v < extents[body, Y0] or v > extents[body, Y1]:
+        if (
+            u < extents[body, X0]
+            or u > extents[body, X1]
+            or v < extents[body, Y0]
+            or v > extents[body, Y1]
+        ):
             continue
         for k in range(body * per_car, (body + 1) * per_car if body < cars else boxes.shape[0]):
-            if u < boxes[k, RECT] or u > boxes[k, RECT + 2] or v < boxes[k, RECT + 1] or v > boxes[k, RECT + 3]:
+            if (
+                u < boxes[k, RECT]
+                or u > boxes[k, RECT + 2]
+                or v < boxes[k, RECT + 1]
+                or v > boxes[k, RECT + 3]
+            ):
                 continue
             z = _hit(boxes, k, x, y)
             if z < best:
@@ -229,7 +262,9 @@ def nearest(boxes, extents, per_car, x, y, u, v, only):
 
 @inner
 def sample_rays(lens, x0, y0, x1, y1, n, pixels, rays):
-    """Centres of n x n cells of a rectangle: pixels and rays (n * n, 2), rays interpolated between its corners."""
+    """Centres of n x n cells of a rectangle: pixels and rays (n * n, 2), rays interpolated between
+    its corners.
+    """
     corners = np.empty((4, 2))
     corners[0, 0], corners[0, 1] = ray(lens, x0, y0)
     corners[1, 0], corners[1, 1] = ray(lens, x1, y0)
@@ -247,8 +282,8 @@ def sample_rays(lens, x0, y0, x1, y1, n, pixels, rays):
 
 
 # --- random numbers ---
-# A hash of seed, frame and question: no question changes the answer to another, and the same question has the same
-# answer however often it is asked.
+# A hash of seed, frame and question: no question changes the answer to another, and the same
+# question has the same answer however often it is asked.
 
 
 @inner

@@ -14,7 +14,9 @@ from path.compiled import inner, kernel
 
 
 class MarkerNoise(NamedTuple):
-    """The difference of found marker corners to the true ones, and the chance that a marker is found."""
+    """The difference of found marker corners to the true ones, and the chance that a marker is
+    found.
+    """
 
     half_side_px: float
     half_side_per_scale_px: float
@@ -34,22 +36,28 @@ PLATE_GAP_M = 0.004  # what is so little in front of a marker is its own plate
 
 
 @kernel
-def marker(boxes, extents, per_car, frame, lens, R, t, corners, region, scale, noise, key, slow_key, found):
+def marker(
+    boxes, extents, per_car, frame, lens, R, t, corners, region, scale, noise, key, slow_key, found
+):
     """The corners of one marker as the finder gives them.
 
     Args:
-        R, t: the sender in the world; corners: (4, 3) of the marker in the sender's body frame, in the order of the
-            print.
+        R, t: the sender in the world; corners: (4, 3) of the marker in the sender's body frame, in
+            the order of the print.
         slow_key: changes only now and then: for what goes wrong for a while.
         region: x0 y0 x1 y1, what is searched; scale: how much the finder enlarges it.
-        found: (9,) filled: u v of each corner, then the standard deviation that is claimed for each coordinate (px).
+        found: (9,) filled: u v of each corner, then the standard deviation that is claimed for each
+            coordinate (px).
 
     Returns:
         Whether the marker is found.
     """
     at = np.empty((4, 3))
     pixels = np.empty((4, 2))
-    if not _project(frame, lens, R, t, corners, at, pixels) or _facing(at) < noise.max_incidence_cos:
+    if (
+        not _project(frame, lens, R, t, corners, at, pixels)
+        or _facing(at) < noise.max_incidence_cos
+    ):
         return False
     side = np.inf
     for k in range(4):
@@ -77,11 +85,19 @@ def marker(boxes, extents, per_car, frame, lens, R, t, corners, region, scale, n
 
 @inner
 def _project(frame, lens, R, t, corners, at, pixels):
-    """Corners in the camera frame, ``at`` (4, 3), and their pixels (4, 2); False when one is behind the camera."""
+    """Corners in the camera frame, ``at`` (4, 3), and their pixels (4, 2); False when one is behind
+    the camera.
+    """
     for k in range(4):
         at[k] = 0.0
         for i in range(3):
-            w = R[i, 0] * corners[k, 0] + R[i, 1] * corners[k, 1] + R[i, 2] * corners[k, 2] + t[i] - frame[EYE + i]
+            w = (
+                R[i, 0] * corners[k, 0]
+                + R[i, 1] * corners[k, 1]
+                + R[i, 2] * corners[k, 2]
+                + t[i]
+                - frame[EYE + i]
+            )
             for j in range(3):
                 at[k, j] += frame[3 * j + i] * w
         z = at[k, 2]
@@ -93,7 +109,9 @@ def _project(frame, lens, R, t, corners, at, pixels):
 
 @inner
 def _inside(pixels, region, lens, margin):
-    """Returns whether all corners, and ``margin`` px of white around them, are in the region and in the image."""
+    """Returns whether all corners, and ``margin`` px of white around them, are in the region and in
+    the image.
+    """
     low_u = max(region[0], -0.5) + margin
     low_v = max(region[1], -0.5) + margin
     high_u = min(region[2], lens[9] - 0.5) - margin
@@ -107,7 +125,9 @@ def _inside(pixels, region, lens, margin):
 
 @inner
 def _facing(at):
-    """Cosine between the print's normal and the line of sight; ``at`` (4, 3): corners in the camera frame."""
+    """Cosine between the print's normal and the line of sight; ``at`` (4, 3): corners in the camera
+    frame.
+    """
     across = np.empty(3)
     up = np.empty(3)
     middle = np.empty(3)
@@ -117,13 +137,17 @@ def _facing(at):
     nx = across[1] * up[2] - across[2] * up[1]
     ny = across[2] * up[0] - across[0] * up[2]
     nz = across[0] * up[1] - across[1] * up[0]
-    size = math.sqrt((nx * nx + ny * ny + nz * nz) * (middle[0] ** 2 + middle[1] ** 2 + middle[2] ** 2))
+    size = math.sqrt(
+        (nx * nx + ny * ny + nz * nz) * (middle[0] ** 2 + middle[1] ** 2 + middle[2] ** 2)
+    )
     return -(nx * middle[0] + ny * middle[1] + nz * middle[2]) / size
 
 
 @inner
 def _covered(boxes, extents, per_car, lens, at):
-    """Returns whether a part of the sender is in front of the marker's middle or of a point near a corner."""
+    """Returns whether a part of the sender is in front of the marker's middle or of a point near a
+    corner.
+    """
     for k in range(5):
         x = 0.0
         y = 0.0

@@ -1,10 +1,11 @@
-"""The noise of level ``sim``: how what the real perception gives differs from the geometry, in numbers.
+"""The noise of level ``sim``: how what the real perception gives differs from the geometry, in
+numbers.
 
-They were measured on rendered frames (640x480, fx 615, the measured camera, ``ColorDetector`` and the photometric
-marker finder as they are by default) by tests/hil/geometric/noise_measurement.py, and a test holds them to that. The
-rare things (an edge that is off, an odd shape, a marker missed, two cars taken for one) last for some frames: on
-rendered frames they go with the geometry, and come back in half to none of the frames when bodies move by 2 mm to 1 cm.
-All else is new in every frame.
+They were measured on rendered frames (640x480, fx 615, the measured camera, ``ColorDetector`` and
+the photometric marker finder as they are by default) by tests/hil/geometric/noise_measurement.py,
+and a test holds them to that. The rare things (an edge that is off, an odd shape, a marker missed,
+two cars taken for one) last for some frames: on rendered frames they go with the geometry, and come
+back in half to none of the frames when bodies move by 2 mm to 1 cm. All else is new in every frame.
 There are no false positives, as none was found on 1600 frames of ground.
 """
 
@@ -55,7 +56,9 @@ DRONE_NOISE = TARGET_NOISE._replace(
     score_sigma=0.045,
     odd_rate=0.032,
 )
-"""Of the hull of a micro-UAV. A motor or an arm in its box makes the edge wander, and now and then puts it far off."""
+"""Of the hull of a micro-UAV. A motor or an arm in its box makes the edge wander, and now and then
+puts it far off.
+"""
 
 PERSON_NOISE = TARGET_NOISE._replace(
     bias_left_px=-2.2,
@@ -70,8 +73,8 @@ PERSON_NOISE = TARGET_NOISE._replace(
     merge_contact=-0.3,
     max_side_px=1000.0,
 )
-"""Of a person, 190 to 290 px high from where the drones look, as YOLOX-nano finds one; it takes two that touch for one,
-and now and then a person for one without a head.
+"""Of a person, 190 to 290 px high from where the drones look, as YOLOX-nano finds one; it takes two
+that touch for one, and now and then a person for one without a head.
 
 By tests/hil/geometric/detector_films.py."""
 
@@ -100,23 +103,28 @@ class ObservationNoise:
 
     Attributes:
         drones, people: as ``targets``, for objects of that kind.
-        targets: Boxes against true visible outlines. ``bias_*``, ``edge_sigma_px``: of an edge; one edge of a share
-            ``outlier_rate`` of the boxes is off by ``outlier_sigma_px`` instead. A share ``cut_rate`` of them leaves
-            out the top, by ``cut_px`` (scale of a half-normal). ``score``, ``score_sigma``: of a whole vehicle; a share
-            ``odd_rate`` of the boxes has its score multiplied by ``odd_score`` for no reason. Two cars that touch in
-            the image are taken for one with a probability that is 1/2 at ``merge_contact`` (common border over box
-            width), and for one odd one at ``touching_odd_rate``. A car of which no more than
-            ``hidden_share`` is visible is not found; one that is partly hidden has edges off by ``occluded_sigma_px``
-            and is odd at ``occluded_odd_rate``. ``border_score``: factor when the image cuts it.
-        marker: A marker is found with a probability that is 1/2 where its shortest side has ``half_side_px`` px when
-            it is searched at four times the size, ``half_side_per_scale_px`` more for each time less, and whose logit
-            grows by ``side_slope_per_px``; a share ``lapse_rate`` is missed at any size. Its corners are off by
-            ``corner_sigma_px2`` / side and ``corner_floor_px`` (root of the sum of squares), independently, in one
-            frame more than in another (log-normal, standard deviation ``corner_spread`` of the logarithm), and claim
-            ``claimed_factor`` times that; at ``coarse_rate`` the photometric fit fails and they are off by
-            ``coarse_sigma_px``.
-        depth_sigma_at_1m_m: noise of one pixel of the depth camera at 1 m; it grows with the square of the depth.
-        depth_common_sigma_at_1m_m: the part that is left of it over a box, as neighbours err together.
+        targets: Boxes against true visible outlines. ``bias_*``, ``edge_sigma_px``: of an edge; one
+            edge of a share ``outlier_rate`` of the boxes is off by ``outlier_sigma_px`` instead. A
+            share ``cut_rate`` of them leaves out the top, by ``cut_px`` (scale of a half-normal).
+            ``score``, ``score_sigma``: of a whole vehicle; a share ``odd_rate`` of the boxes has
+                its score multiplied by ``odd_score`` for no reason. Two cars that touch in
+            the image are taken for one with a probability that is 1/2 at ``merge_contact`` (common
+            border over box width), and for one odd one at ``touching_odd_rate``. A car of which no
+            more than ``hidden_share`` is visible is not found; one that is partly hidden has edges
+            off by ``occluded_sigma_px`` and is odd at ``occluded_odd_rate``. ``border_score``:
+            factor when the image cuts it.
+        marker: A marker is found with a probability that is 1/2 where its shortest side has
+            ``half_side_px`` px when it is searched at four times the size,
+            ``half_side_per_scale_px`` more for each time less, and whose logit grows by
+            ``side_slope_per_px``; a share ``lapse_rate`` is missed at any size. Its corners are off
+            by ``corner_sigma_px2`` / side and ``corner_floor_px`` (root of the sum of squares),
+            independently, in one frame more than in another (log-normal, standard deviation
+            ``corner_spread`` of the logarithm), and claim ``claimed_factor`` times that; at
+            ``coarse_rate`` the photometric fit fails and they are off by ``coarse_sigma_px``.
+        depth_sigma_at_1m_m: noise of one pixel of the depth camera at 1 m; it grows with the square
+            of the depth.
+        depth_common_sigma_at_1m_m: the part that is left of it over a box, as neighbours err
+            together.
     """
 
     targets: TargetNoise = TARGET_NOISE
@@ -127,14 +135,18 @@ class ObservationNoise:
     depth_common_sigma_at_1m_m: float = 0.0012
 
     def with_depth(self, sigma_at_1m_m: float) -> ObservationNoise:
-        """Return this noise with another depth camera's: as the rig states it, neighbours err together as much."""
+        """Return this noise with another depth camera's: as the rig states it, neighbours err
+        together as much.
+        """
         common = sigma_at_1m_m * self.depth_common_sigma_at_1m_m / self.depth_sigma_at_1m_m
         return replace(self, depth_sigma_at_1m_m=sigma_at_1m_m, depth_common_sigma_at_1m_m=common)
 
 
 def noise_in(scene: SceneName) -> ObservationNoise:
     """The noise in a scene: that of the plain one, but for what was measured to differ."""
-    return ObservationNoise(people=PERSON_NOISE._replace(cut_rate=HEADLESS.get(scene, PERSON_NOISE.cut_rate)))
+    return ObservationNoise(
+        people=PERSON_NOISE._replace(cut_rate=HEADLESS.get(scene, PERSON_NOISE.cut_rate))
+    )
 
 
 _EXACT_BOXES = TARGET_NOISE._replace(

@@ -1,8 +1,10 @@
-"""The perception of level ``sim``: observations straight from the truth's geometry, with measured noise; no pixels.
+"""The perception of level ``sim``: observations straight from the truth's geometry, with measured
+noise; no pixels.
 
-On each capture the truth is looked at; what a mission then asks of the view is worked out when it asks: the visible
-outlines of the cars, the corners of the markers, rays over a box for its depth (``hil.geometric.scene``), each with
-noise from a generator that depends on the run's seed, the role, the frame and the question alone.
+On each capture the truth is looked at; what a mission then asks of the view is worked out when it
+asks: the visible outlines of the cars, the corners of the markers, rays over a box for its depth
+(``hil.geometric.scene``), each with noise from a generator that depends on the run's seed, the
+role, the frame and the question alone.
 """
 
 from __future__ import annotations
@@ -18,7 +20,14 @@ import numpy as np
 from drivers.interfaces import CameraError
 from drivers.perception.freshness import Freshness
 from drivers.rig.parts import PartContext
-from hil.camera.capture import Capture, CaptureTicker, CaptureTiming, SensorHarness, timing_of, true_camera
+from hil.camera.capture import (
+    Capture,
+    CaptureTicker,
+    CaptureTiming,
+    SensorHarness,
+    timing_of,
+    true_camera,
+)
 from hil.geometric.kernels import fold, fold_both
 from hil.geometric.markers import LARGEST_SCALE, marker
 from hil.geometric.noise import ObservationNoise, noise_in
@@ -71,16 +80,22 @@ class GeometricPerceptionConfig:
 
 
 class GeometricPerception:
-    """Implements ``drivers.interfaces.Perception`` for a rig whose harness is a ``SensorHarness``."""
+    """Implements ``drivers.interfaces.Perception`` for a rig whose harness is a
+    ``SensorHarness``.
+    """
 
     Config = GeometricPerceptionConfig
 
     def __init__(
-        self, config: GeometricPerceptionConfig, context: PartContext, noise: ObservationNoise | None = None
+        self,
+        config: GeometricPerceptionConfig,
+        context: PartContext,
+        noise: ObservationNoise | None = None,
     ) -> None:
         if context.harness is None:
             raise CameraError(
-                "a geometric perception needs a simulated world", "use it with a harness such as hil.harness.sim"
+                "a geometric perception needs a simulated world",
+                "use it with a harness such as hil.harness.sim",
             )
         harness = cast(SensorHarness, context.harness)
         true = true_camera(context, harness.built)
@@ -164,7 +179,9 @@ class Sensor:
 
 
 class GeometricView:
-    """Implements ``drivers.interfaces.View`` on one snapshot. The same question has the same answer."""
+    """Implements ``drivers.interfaces.View`` on one snapshot. The same question has the same
+    answer.
+    """
 
     def __init__(self, capture: Capture[Snapshot], sensor: Sensor) -> None:
         self.stamp_ns = capture.stamp_ns
@@ -217,7 +234,9 @@ class GeometricView:
             detected.append(invented)
         return detected
 
-    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
+    def markers(
+        self, region: Region | None, expected: Pose | None = None
+    ) -> Sequence[MarkerDetection]:
         """The markers on the sender that would be found in ``region``, with corner covariance."""
         sensor = self._sensor
         snapshot = self._snapshot
@@ -250,11 +269,15 @@ class GeometricView:
                 fold(slow_key, marker_id),
                 found,
             ):
-                detected.append(MarkerDetection(marker_id, found[:8].reshape(4, 2), found[8] ** 2 * ALIKE))
+                detected.append(
+                    MarkerDetection(marker_id, found[:8].reshape(4, 2), found[8] ** 2 * ALIKE)
+                )
         return detected
 
     def depth(self, box: Box) -> Depth | None:
-        """Returns the depth that ``path.target.place.registered_depth`` would make of the depth image."""
+        """Returns the depth that ``path.target.place.registered_depth`` would make of the depth
+        image.
+        """
         sensor = self._sensor
         placed = self._placed_for_depth
         setup = sensor.setup
@@ -267,7 +290,8 @@ class GeometricView:
             placed.frame,
             setup.lens,
             self._snapshot.depth_holes,
-            (float(box.x), float(box.y), float(box.w), float(box.h)),  # one compiled version for all numbers
+            # one compiled version for all numbers
+            (float(box.x), float(box.y), float(box.w), float(box.h)),
             sensor.depth,
             sensor.depth_noise,
             key,
@@ -280,7 +304,8 @@ class GeometricView:
 
 
 def warm_up() -> None:
-    """Compile the kernels or load them from numba's cache: some seconds the first time, so once before processes fly.
+    """Compile the kernels or load them from numba's cache: some seconds the first time, so once
+    before processes fly.
 
     Asks every question of a view of one car and one marker.
     """
@@ -290,7 +315,9 @@ def warm_up() -> None:
     setup = CameraSetup(Role.RECEIVER, camera, level, level, single_marker())
     drones = {role: DroneTruth(down, (0.0, 0.0, 0.0), 0.0, True) for role in Role}
     snapshot = Snapshot(0.0, drones, (ObjectTruth(0, (0.0, 0.0, 0.0), 0.0, 0.0),))
-    view = GeometricView(Capture(0, 0, snapshot), Sensor(setup, ObservationNoise(), MethodConfig(), 0))
+    view = GeometricView(
+        Capture(0, 0, snapshot), Sensor(setup, ObservationNoise(), MethodConfig(), 0)
+    )
     view.targets(None)
     view.markers(None)
     view.depth(Box(20.0, 12.0, 24.0, 24.0))
@@ -305,4 +332,7 @@ def _search_scale(region: Region | None, camera: CameraModel) -> float:
     """Returns by how much ``path.marker.detect`` enlarges what it searches."""
     area = (region or EVERYWHERE).clipped(camera.width, camera.height)
     pixels = 1.0 if area is None else (area.x1 - area.x0) * (area.y1 - area.y0)
-    return max(1.0, min(LARGEST_SCALE, math.floor(2.0 * math.sqrt(DETECTION_PIXELS / max(pixels, 1.0))) / 2.0))
+    return max(
+        1.0,
+        min(LARGEST_SCALE, math.floor(2.0 * math.sqrt(DETECTION_PIXELS / max(pixels, 1.0))) / 2.0),
+    )

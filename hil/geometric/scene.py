@@ -1,4 +1,6 @@
-"""The geometric perception's picture of one instant: what the truth puts where in one camera's image."""
+"""The geometric perception's picture of one instant: what the truth puts where in one camera's
+image.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,10 @@ def parts_of(kind: TargetKind, stretch: Vec3 = AS_IT_IS) -> Array:
 
     A person's are around a whole walk.
     """
-    rows = [[*centre, *(0.5 * side for side in size), *np.eye(3).ravel()] for centre, size, _ in BOXES[kind]]
+    rows = [
+        [*centre, *(0.5 * side for side in size), *np.eye(3).ravel()]
+        for centre, size, _ in BOXES[kind]
+    ]
     return _stretched(np.array(rows, float), stretch)
 
 
@@ -47,7 +52,9 @@ def _stretched(parts: Array, stretch: Vec3) -> Array:
 
 
 def drone_parts(T_b_v: Pose, layout: MarkerLayout, *, marked: bool) -> Array:
-    """Boxes of a drone in body FRD, (d, 15), with the backs of its marker plates when it carries them."""
+    """Boxes of a drone in body FRD, (d, 15), with the backs of its marker plates when it carries
+    them.
+    """
     return _boxes(marked_drone(T_b_v, layout, hidden=False) if marked else drone())
 
 
@@ -55,7 +62,8 @@ def _boxes(model: Model) -> Array:
     """The boxes a model's solid faces make up: six each, in opposite pairs."""
     corners = model.corners[model.kinds == SOLID].reshape(-1, FACES_OF_A_BOX, 9)
     middles = corners[:, :, 0:3] + 0.5 * (corners[:, :, 3:6] + corners[:, :, 6:9])
-    across = 0.5 * (middles[:, 0::2] - middles[:, 1::2])  # (d, 3, 3): half sides as vectors, one a row
+    # (d, 3, 3): half sides as vectors, one a row
+    across = 0.5 * (middles[:, 0::2] - middles[:, 1::2])
     half = np.linalg.norm(across, axis=2)
     axes = np.swapaxes(across / half[:, :, None], 1, 2)
     return np.concatenate((middles.mean(axis=1), half, axes.reshape(-1, 9)), axis=1)
@@ -85,7 +93,8 @@ STILL = Pose(np.eye(3), np.zeros(3))
 
 @value
 class Placed:
-    """The bodies of one instant before one camera; columns as in ``hil.geometric.kernels``. The other drone is last.
+    """The bodies of one instant before one camera; columns as in ``hil.geometric.kernels``. The
+    other drone is last.
 
     ``per_object``: boxes of every object.
     """
@@ -97,8 +106,13 @@ class Placed:
 
 
 def place(setup: CameraSetup, snapshot: Snapshot, later_s: float = 0.0) -> Placed:
-    """Put the snapshot's objects, and the other drone, before the camera, as ``Snapshot.carried_on`` by ``later_s``."""
-    poses = {role: truth.T_w_b_after(later_s) if later_s else truth.T_w_b for role, truth in snapshot.drones.items()}
+    """Put the snapshot's objects, and the other drone, before the camera, as
+    ``Snapshot.carried_on`` by ``later_s``.
+    """
+    poses = {
+        role: truth.T_w_b_after(later_s) if later_s else truth.T_w_b
+        for role, truth in snapshot.drones.items()
+    }
     own = poses[setup.role]
     others = [T_w_b for role, T_w_b in poses.items() if role is not setup.role]
     other, parts = (others[0], setup.other) if others else (STILL, NO_DRONE)
@@ -111,7 +125,9 @@ def place(setup: CameraSetup, snapshot: Snapshot, later_s: float = 0.0) -> Place
     shape = parts_of(snapshot.kind, snapshot.stretch)
     per_object = len(shape)
     if snapshot.kind == "person" and count > 0:
-        shape = np.concatenate([_walking(thing, later_s, snapshot.stretch) for thing in snapshot.objects])
+        shape = np.concatenate(
+            [_walking(thing, later_s, snapshot.stretch) for thing in snapshot.objects]
+        )
     boxes = np.empty((count * per_object + len(parts), kernels.BOX_COLUMNS))
     extents = np.empty((count + 1, kernels.EXTENT_COLUMNS))
     frame = np.empty(kernels.FRAME_COLUMNS)
@@ -125,12 +141,16 @@ def place(setup: CameraSetup, snapshot: Snapshot, later_s: float = 0.0) -> Place
 def _walking(thing: ObjectTruth, later_s: float, stretch: Vec3) -> Array:
     """Return the boxes of a person in their gait."""
     strides = thing.strides_after(later_s) + OWN_PHASE * thing.object_id
-    return _posture(round(strides * POSTURES) % POSTURES, round(thing.speed_mps / SPEED_STEP_MPS), stretch)
+    return _posture(
+        round(strides * POSTURES) % POSTURES, round(thing.speed_mps / SPEED_STEP_MPS), stretch
+    )
 
 
 @lru_cache(2048)
 def _posture(number: int, speed: int, stretch: Vec3) -> Array:
-    return _stretched(np.array(boxes_of_a_walker(number / POSTURES, speed * SPEED_STEP_MPS)), stretch)
+    return _stretched(
+        np.array(boxes_of_a_walker(number / POSTURES, speed * SPEED_STEP_MPS)), stretch
+    )
 
 
 def outlines(setup: CameraSetup, placed: Placed) -> Array:

@@ -28,7 +28,8 @@ class Spell:
 class Spells:
     """The spells of one camera's detector.
 
-    Frames must be asked for in their order; what is drawn depends on their numbers and the seed alone.
+    Frames must be asked for in their order; what is drawn depends on their numbers and the seed
+    alone.
     """
 
     def __init__(self, seed: int) -> None:

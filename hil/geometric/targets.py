@@ -1,4 +1,6 @@
-"""Cars and depth of the geometric perception: visible outlines, noisy detections, depth over a box. Compiled."""
+"""Cars and depth of the geometric perception: visible outlines, noisy detections, depth over a box.
+Compiled.
+"""
 
 # pyright: reportMissingParameterType=false
 
@@ -28,7 +30,9 @@ from path.target.place import CORRELATED_PIXELS, MEDIAN_TO_MEAN
 
 
 class TargetNoise(NamedTuple):
-    """The difference of the detector's boxes to the true visible outlines; see ``hil.geometric.noise``."""
+    """The difference of the detector's boxes to the true visible outlines; see
+    ``hil.geometric.noise``.
+    """
 
     bias_left_px: float
     bias_top_px: float
@@ -77,8 +81,8 @@ class DepthSettings(NamedTuple):
     sigma_at_1m_m: float
 
 
-# Columns of what is seen of a car: visible box, share of it that is visible, its neighbour in the image and the length
-# of their common border in cells over the cells across the box.
+# Columns of what is seen of a car: visible box, share of it that is visible, its neighbour in the
+# image and the length of their common border in cells over the cells across the box.
 SHARE = 4
 TOUCHED = 5
 CONTACT = 6
@@ -89,7 +93,8 @@ NEIGHBOUR_PX = 4.0
 
 @kernel
 def outlines(boxes, extents, per_car, lens, seen):
-    """Finds the visible part of each car, others and the other drone in front of it taken into account.
+    """Finds the visible part of each car, others and the other drone in front of it taken into
+    account.
 
     ``seen`` (cars, SEEN_COLUMNS) is filled; share 0: nothing is visible.
     """
@@ -144,7 +149,9 @@ def outlines(boxes, extents, per_car, lens, seen):
 
 @inner
 def _visible_part(own, who, car, cars, left, top, cell_w, cell_h, out):
-    """Shrink a car's box to the cells where it is visible (``who``) of those it covers (``own``), and note contacts."""
+    """Shrink a car's box to the cells where it is visible (``who``) of those it covers (``own``),
+    and note contacts.
+    """
     n = CELLS
     bounds = np.empty((2, 4))  # of all, of the visible: first and last column, first and last row
     for k in range(2):
@@ -242,7 +249,10 @@ def detections(seen, lens, region, noise, key, slow_key, found):
         own = mix(mix(key, TARGETS), car)
         slow = mix(mix(slow_key, TARGETS), car)
         gauss(own, draws)
-        odd = _join(seen, car, taken, noise, slow_key, edges) or uniform(mix(slow, 100)) < noise.odd_rate
+        odd = (
+            _join(seen, car, taken, noise, slow_key, edges)
+            or uniform(mix(slow, 100)) < noise.odd_rate
+        )
         spread = noise.edge_sigma_px
         if seen[car, SHARE] < 1.0:
             spread = noise.occluded_sigma_px
@@ -251,7 +261,9 @@ def detections(seen, lens, region, noise, key, slow_key, found):
             continue
         if uniform(mix(slow, 103)) < noise.outlier_rate:
             gauss(slow, off)
-            draws[int(4.0 * uniform(mix(slow, 104)))] = off[0] * noise.outlier_sigma_px / max(spread, 1e-9)
+            draws[int(4.0 * uniform(mix(slow, 104)))] = (
+                off[0] * noise.outlier_sigma_px / max(spread, 1e-9)
+            )
         if uniform(mix(slow, 105)) < noise.cut_rate:
             gauss(mix(slow, 105), off)
             draws[1] = abs(off[0]) * noise.cut_px / max(spread, 1e-9)
@@ -273,7 +285,9 @@ def detections(seen, lens, region, noise, key, slow_key, found):
 
 @inner
 def _join(seen, car, taken, noise, key, edges):
-    """Widen ``edges`` to both cars when two that touch in the image are taken for one; whether that one looks odd."""
+    """Widen ``edges`` to both cars when two that touch in the image are taken for one; whether that
+    one looks odd.
+    """
     other = int(seen[car, TOUCHED])
     cars = seen.shape[0]
     if other < 0 or taken[other] or seen[other, SHARE] <= noise.hidden_share:
@@ -291,7 +305,9 @@ def _join(seen, car, taken, noise, key, edges):
 
 @inner
 def _shift(edges, lens, noise, spread, draws):
-    """Add bias and noise to the edges that the image's border does not cut; whether there are only such."""
+    """Add bias and noise to the edges that the image's border does not cut; whether there are only
+    such.
+    """
     cut_0 = edges[0] <= -0.5
     cut_1 = edges[1] <= -0.5
     cut_2 = edges[2] >= lens[9] - 0.5
@@ -309,13 +325,15 @@ DEPTH_CELLS = 10  # rays across the asked part of a box
 
 @kernel
 def depth_over(boxes, extents, per_car, frame, lens, hidden, box, settings, noise, key):
-    """Returns a registered depth camera's value over the middle of a box, as ``path.target.place`` has it, on rays.
+    """Returns a registered depth camera's value over the middle of a box, as ``path.target.place``
+    has it, on rays.
 
     Args:
         hidden: nothing is measured on cars.
         box: x y w h.
         settings: the method's, as ``DepthSettings``.
-        noise: of one pixel, and of all together, at 1 m, in m; it grows with the square of the depth.
+        noise: of one pixel, and of all together, at 1 m, in m; it grows with the square of the
+            depth.
 
     Returns:
         Depth and its standard deviation in m; negative when there is none.
@@ -352,7 +370,9 @@ def depth_over(boxes, extents, per_car, frame, lens, hidden, box, settings, nois
             z = floor
             who = -1
         z += noise[0] * z * z * draws[k]
-        if settings.min_m <= z <= settings.max_m and not (hidden and 0 <= who < extents.shape[0] - 1):
+        if settings.min_m <= z <= settings.max_m and not (
+            hidden and 0 <= who < extents.shape[0] - 1
+        ):
             found[count] = z
             count += 1
     valid = asked * count / (n * n)

@@ -21,13 +21,16 @@ from path.protocol.values import ReceiverRecord, SenderRecord
 
 
 class PairWorld(GuardWorld, Protocol):
-    """The world as the parts of one drone know it: their own vehicle, and what a pair of cameras can see."""
+    """The world as the parts of one drone know it: their own vehicle, and what a pair of cameras
+    can see.
+    """
 
     def snapshot(self) -> Snapshot: ...
 
 
 class Disk(MemoryStore):
-    """The disk of one drone. It outlives the drone's programs; ``saved`` is told each duty that was written.
+    """The disk of one drone. It outlives the drone's programs; ``saved`` is told each duty that was
+    written.
 
     Attributes:
         loses: how many of the newest records are gone when a program is started again.
@@ -39,7 +42,8 @@ class Disk(MemoryStore):
         self._earlier: list[Kept | None] = []
         self.loses = 0
         self.writable = True  # not by a program that was killed
-        self.stands_until_s = -math.inf  # of its program, which is told of what is on the disk no sooner
+        # of its program, which is told of what is on the disk no sooner
+        self.stands_until_s = -math.inf
 
     def save(self, record: SenderRecord | ReceiverRecord) -> None:
         if self.writable:
@@ -66,7 +70,8 @@ class Disk(MemoryStore):
 
 
 class DroneHarness:
-    """``PartContext.harness`` of one drone's parts, and ``flight.harness.flights.InProcess`` of its program.
+    """``PartContext.harness`` of one drone's parts, and ``flight.harness.flights.InProcess`` of its
+    program.
 
     Args:
         view: the world as this drone's parts know it.
@@ -82,7 +87,13 @@ class DroneHarness:
     """
 
     def __init__(
-        self, view: PairWorld, advance: Callable[[float], None], seed: int, built: Built, role: Role, hub: MemoryHub
+        self,
+        view: PairWorld,
+        advance: Callable[[float], None],
+        seed: int,
+        built: Built,
+        role: Role,
+        hub: MemoryHub,
     ) -> None:
         self._view = view
         self._advance = advance

@@ -1,4 +1,6 @@
-"""The guard of the sim levels: the same rules behind the same loop, in this process and in virtual time."""
+"""The guard of the sim levels: the same rules behind the same loop, in this process and in virtual
+time.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ class GuardWorld(Protocol):
 
 
 class GuardHarness(Protocol):
-    """The part of ``PartContext.harness`` that the guard needs; ``lost_vehicles`` have lost every link."""
+    """The part of ``PartContext.harness`` that the guard needs; ``lost_vehicles`` have lost every
+    link.
+    """
 
     @property
     def world(self) -> GuardWorld: ...
@@ -104,7 +108,9 @@ class SimGuard:
         self._acked = None
         if self._reached:
             world = self._harness.world
-            self._acked = world.drone(self._role).autopilot.request_mode(world.time_s, mode).accepted
+            self._acked = (
+                world.drone(self._role).autopilot.request_mode(world.time_s, mode).accepted
+            )
 
 
 @dataclass(slots=True)

@@ -62,7 +62,9 @@ def need_radios(rig: Rig, faults: Sequence[Fault]) -> None:
             )
 
 
-def inject_in_world(name: str, role: Name | None, world: Fleet[Name], value: float | None = None) -> None:
+def inject_in_world(
+    name: str, role: Name | None, world: Fleet[Name], value: float | None = None
+) -> None:
     """A fault of the world; any other changes nothing here."""
     match name:
         case "lookalike":

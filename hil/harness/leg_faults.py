@@ -17,7 +17,9 @@ class LegFaults:
         inject: called with the leg when a fault of it begins.
     """
 
-    def __init__(self, faults: Mapping[int, Sequence[Fault]], inject: Callable[[int, Fault], None]) -> None:
+    def __init__(
+        self, faults: Mapping[int, Sequence[Fault]], inject: Callable[[int, Fault], None]
+    ) -> None:
         self._faults = faults
         self._inject = inject
         self._ends: dict[int, dict[Role, str]] = {}

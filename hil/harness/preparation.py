@@ -1,6 +1,7 @@
 """Compile every kernel that a run will use, or load it compiled, before the run's clock starts.
 
-At the first start two processes compile different parts: compiling keeps one core busy, whatever the number of threads.
+At the first start two processes compile different parts: compiling keeps one core busy, whatever
+the number of threads.
 """
 
 from __future__ import annotations
@@ -38,20 +39,28 @@ def prepare(rig: Rig, say: Callable[[str], None]) -> None:
     _carry_out(others, first, len(own) + len(others), len(own), say)
 
 
-def _carry_out(names: Sequence[str], first: bool, of: int, done: int, say: Callable[[str], None]) -> None:
+def _carry_out(
+    names: Sequence[str], first: bool, of: int, done: int, say: Callable[[str], None]
+) -> None:
     for number, name in enumerate(names, done):
-        say(f"preparing: {'compiling' if first else 'loading'} kernels, {of - number} of {of} parts left ({name})")
+        say(
+            f"preparing: {'compiling' if first else 'loading'} kernels, {of - number} of {of} parts left ({name})"
+        )
         compile_part(name)
 
 
 @contextmanager
 def helped(names: Sequence[str]) -> Generator[None]:
-    """While another process compiles some parts, which are then found compiled. It is waited for, not for ever."""
+    """While another process compiles some parts, which are then found compiled. It is waited for,
+    not for ever.
+    """
     if not names:
         yield
         return
     command = [sys.executable, "-m", "hil.harness.preparation", *names]
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     try:
         yield
         process.wait(HELP_WITHIN_S)
@@ -83,7 +92,9 @@ PARTS: Mapping[str, Sequence[str]] = {
     "renderer": ("hil.render.renderer:warm_up",),
     "depth": ("hil.render.depth:warm_up", "drivers.realsense.registration:warm_up"),
 }
-"""The functions that compile each part, named: each process imports what it compiles, and no more."""
+"""The functions that compile each part, named: each process imports what it compiles, and no
+more.
+"""
 
 
 def compile_part(name: str) -> None:

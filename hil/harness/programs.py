@@ -1,7 +1,7 @@
 """The drones' programs in one process, in virtual time: begun, killed and started again.
 
-A program that is killed ends without a word. It may be in the middle of writing its record down: that is on the disk,
-and nothing of what it does on its way out reaches anything.
+A program that is killed ends without a word. It may be in the middle of writing its record down:
+that is on the disk, and nothing of what it does on its way out reaches anything.
 """
 
 from __future__ import annotations
@@ -53,7 +53,9 @@ class Programs:
         interrupted: whether they were told; then nothing is started again.
     """
 
-    def __init__(self, died: Callable[[str], None], forgot: Callable[[str], None] = lambda _: None) -> None:
+    def __init__(
+        self, died: Callable[[str], None], forgot: Callable[[str], None] = lambda _: None
+    ) -> None:
         self._died = died
         self._forgot = forgot
         self._slots: dict[str, _Slot] = {}
@@ -65,7 +67,9 @@ class Programs:
         self._slots[name] = _Slot(name, harness, disk)
 
     def begin(self, name: str, start: Callable[[], Started]) -> Awaitable[RoleResult | None]:
-        """Start a drone's program now; its result in the end, None when it died. Raises what ended it otherwise."""
+        """Start a drone's program now; its result in the end, None when it died. Raises what ended
+        it otherwise.
+        """
         slot = self._slots[name]
         slot.start = start
         slot.again = False
@@ -73,7 +77,9 @@ class Programs:
         return _until_ended(slot)
 
     def kill(self, name: str, restart_s: float | None) -> None:
-        """End a program without a word, and start it again after ``restart_s`` if that is not None."""
+        """End a program without a word, and start it again after ``restart_s`` if that is not
+        None.
+        """
         slot = self._slots[name]
         if slot.task is None or slot.log is None or slot.task.done() or slot.killed:
             return
@@ -93,10 +99,17 @@ class Programs:
             slot.restart = asyncio.ensure_future(self._start_again(slot, slot.task, restart_s))
 
     def stall(self, name: str, for_s: float) -> None:
-        """Has a program stand still. What its record is to be followed by waits too, if it is just written."""
+        """Has a program stand still. What its record is to be followed by waits too, if it is just
+        written.
+        """
         slot = self._slots[name]
         loop = asyncio.get_running_loop()
-        if slot.task is not None and not slot.task.done() and not slot.killed and isinstance(loop, StallingLoop):
+        if (
+            slot.task is not None
+            and not slot.task.done()
+            and not slot.killed
+            and isinstance(loop, StallingLoop)
+        ):
             slot.disk.stands_until_s = loop.stand_still(name, for_s)
 
     def disk(self, name: str) -> Disk:
@@ -132,8 +145,12 @@ class Programs:
         context.run(PROGRAM.set, slot.name)
         slot.log, slot.task = started.log, context.run(asyncio.ensure_future, started.result)
 
-    async def _start_again(self, slot: _Slot, dead: asyncio.Future[RoleResult], after_s: float) -> None:
-        """Starts a program again with the old one's disk; its vehicle and the world have gone on."""
+    async def _start_again(
+        self, slot: _Slot, dead: asyncio.Future[RoleResult], after_s: float
+    ) -> None:
+        """Starts a program again with the old one's disk; its vehicle and the world have gone
+        on.
+        """
         await asyncio.sleep(after_s)
         await asyncio.wait([dead])
         slot.harness.hub.mend(slot.harness.role)

@@ -1,4 +1,5 @@
-"""The harness of a relay and of a team: one field of many drones and targets, their programs in one process.
+"""The harness of a relay and of a team: one field of many drones and targets, their programs in one
+process.
 
 It runs in virtual time, and knows nothing of missions: in a relay all drones are around one target.
 """
@@ -34,11 +35,15 @@ class RelaySim:
 
     def fly(self, request: RelayRequest) -> RelayReport:
         refuse_slow(request.rig)
-        faults = {leg: [_parse(text, request.rig.level) for text in texts] for leg, texts in request.faults.items()}
+        faults = {
+            leg: [_parse(text, request.rig.level) for text in texts]
+            for leg, texts in request.faults.items()
+        }
         prepare(request.rig, lambda what: request.emit(starting(Role.SENDER, what)))
         start_s = time.perf_counter()
         cpu_s = time.process_time()
-        with collector_off():  # nothing here lives in cycles, and collecting takes a tenth of the time
+        # nothing here lives in cycles, and collecting takes a tenth of the time
+        with collector_off():
             findings = run_virtual(_RelayFlight(request, faults).run())
         cpu_s = time.process_time() - cpu_s
         return RelayReport(**findings, wall_s=time.perf_counter() - start_s, cpu_s=cpu_s)
@@ -48,11 +53,13 @@ def _parse(text: str, level: str) -> Fault:
     (fault,) = parse_faults([text], level)
     if fault.kind.virtual:
         raise FaultError(
-            f"fault {fault.name} is one of a single hand-over", "fly it with handoff, on a rig of level sim"
+            f"fault {fault.name} is one of a single hand-over",
+            "fly it with handoff, on a rig of level sim",
         )
     if fault.name == "attack" or fault.kind.own:
         raise FaultError(
-            f"fault {fault.name} needs programs of their own", "fly it with handoff, on a rig of level sitl"
+            f"fault {fault.name} needs programs of their own",
+            "fly it with handoff, on a rig of level sitl",
         )
     return fault
 

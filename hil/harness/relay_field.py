@@ -1,6 +1,8 @@
-"""The field of a relay or a team in virtual time: drones switched on by name, their programs, the links of their legs.
+"""The field of a relay or a team in virtual time: drones switched on by name, their programs, the
+links of their legs.
 
-It is what the ground of a mission acts on (``flight.harness.relay.TeamField``), and where faults take effect.
+It is what the ground of a mission acts on (``flight.harness.relay.TeamField``), and where faults
+take effect.
 """
 
 from __future__ import annotations
@@ -54,7 +56,9 @@ class VirtualField:
         faults: by the number of their leg; of 0 those of all legs.
     """
 
-    def __init__(self, request: RelayRequest, mission: MissionConfig, faults: Mapping[int, Sequence[Fault]]) -> None:
+    def __init__(
+        self, request: RelayRequest, mission: MissionConfig, faults: Mapping[int, Sequence[Fault]]
+    ) -> None:
         rig = request.rig
         config = request.config
         self._request = request
@@ -67,14 +71,17 @@ class VirtualField:
         self.world = RelayWorld(world_config, request.seed, config.drones, request.targets)
         self._pairs = {drone.name: pair_of(rig, drone, drone) for drone in config.drones}
         built = {
-            name: as_built(pair, request.seed, {OTHER: 0, OWN: k}) for k, (name, pair) in enumerate(self._pairs.items())
+            name: as_built(pair, request.seed, {OTHER: 0, OWN: k})
+            for k, (name, pair) in enumerate(self._pairs.items())
         }
         owns = {name: each.rig.receiver for name, each in built.items()}
         targets = max(1, len(request.targets))
         self.monitors = RelayMonitors(rig, config, mission, self.world, owns, targets=targets)
         if request.targets:
             self.monitors.watched_until_s = 3600.0 * request.hours
-        self.drones = {name: self._new(name, pair.receiver, built[name]) for name, pair in self._pairs.items()}
+        self.drones = {
+            name: self._new(name, pair.receiver, built[name]) for name, pair in self._pairs.items()
+        }
 
     def close(self) -> None:
         """Ends guards and logs, and tells the monitors of the last flights."""
@@ -87,7 +94,8 @@ class VirtualField:
     def _new(self, name: str, own: RoleRig, built: Built) -> VirtualDrone:
         """Makes a drone.
 
-        To its own parts it is always the receiver, with a link to nobody until it is called to a leg.
+        To its own parts it is always the receiver, with a link to nobody until it is called to a
+        leg.
         """
         view = PairView(self.world, name)
         seed = self._request.seed * 64 + self.world.names.index(name)
@@ -100,9 +108,13 @@ class VirtualField:
     def begin(self, name: str, program: DroneProgram) -> Awaitable[RoleResult | None]:
         drone = self.drones[name]
         self._switch_on(drone)
-        return self._until_over(name, self.programs.begin(name, lambda: self._start(drone, program)))
+        return self._until_over(
+            name, self.programs.begin(name, lambda: self._start(drone, program))
+        )
 
-    async def _until_over(self, name: str, program: Awaitable[RoleResult | None]) -> RoleResult | None:
+    async def _until_over(
+        self, name: str, program: Awaitable[RoleResult | None]
+    ) -> RoleResult | None:
         try:
             return await program
         finally:
@@ -123,12 +135,19 @@ class VirtualField:
         thing = world.target(target)
         east, north, _ = thing.position_w_m
         off_n_m, off_e_m = (POINTING_M * self._pointing.standard_normal(2)).tolist()
-        velocity = thing.speed_mps * math.sin(thing.yaw_rad), thing.speed_mps * math.cos(thing.yaw_rad), 0.0
+        velocity = (
+            thing.speed_mps * math.sin(thing.yaw_rad),
+            thing.speed_mps * math.cos(thing.yaw_rad),
+            0.0,
+        )
         return Pointed((north + off_n_m, east + off_e_m, 0.0), velocity, now_s)
 
     def open_leg(self, number: int, sender: str, receiver: str) -> None:
         hub = self._hubs[number] = MemoryHub(self._request.seed * 4096 + number)
-        for role, name, other in ((Role.SENDER, sender, receiver), (Role.RECEIVER, receiver, sender)):
+        for role, name, other in (
+            (Role.SENDER, sender, receiver),
+            (Role.RECEIVER, receiver, sender),
+        ):
             drone = self.drones[name]
             drone.harness.role = role
             drone.harness.hub = hub
@@ -162,10 +181,14 @@ class VirtualField:
             if drone.own.guard is not None and drone.guard is None:
                 context = part_context(self._pairs[drone.name], OWN, drone.harness)
                 beats = drone.harness.beats = MemoryBeatLine(context.clock)
-                drone.guard = asyncio.create_task(keep_watch(drone.own.guard, context, beats, self._mission, _NoLog()))
+                drone.guard = asyncio.create_task(
+                    keep_watch(drone.own.guard, context, beats, self._mission, _NoLog())
+                )
 
     def _start(self, drone: VirtualDrone, program: DroneProgram) -> Started:
-        log = WatchedLog(drone.log, drone.name, self.monitors.on_record, drone.offset_ns, self._request.whole_log)
+        log = WatchedLog(
+            drone.log, drone.name, self.monitors.on_record, drone.offset_ns, self._request.whole_log
+        )
         disk = self.programs.disk(drone.name)
         given = ProgramContext(log, self._emit_of(drone), self.programs.stop, drone.harness, disk)
         return Started(log, program(drone.name, given).run())
@@ -195,7 +218,9 @@ class VirtualField:
             inject_at_drone(fault, name, self.drones[name].harness, self.programs)
 
     def _close_flight(self, drone: VirtualDrone) -> None:
-        """Closes one flight: its autopilot's record goes to the monitors before it is started anew."""
+        """Closes one flight: its autopilot's record goes to the monitors before it is started
+        anew.
+        """
         self.monitors.on_offboard(drone.name, drone.harness.cut_off_s)
         self.monitors.on_swap(drone.name, present_s())
         drone.harness.cut_off_s = []

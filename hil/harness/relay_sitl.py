@@ -1,4 +1,6 @@
-"""A relay or a team in real time: drones that are called, relieved and swapped by those on the ground."""
+"""A relay or a team in real time: drones that are called, relieved and swapped by those on the
+ground.
+"""
 
 from __future__ import annotations
 
@@ -45,10 +47,15 @@ class RelaySitl:
     """Flies a relay or a team of level ``sitl``."""
 
     def fly(self, request: RelayRequest) -> RelayReport:
-        """Raises PartError for a rig whose drones are not told apart, and for faults that there are not."""
+        """Raises PartError for a rig whose drones are not told apart, and for faults that there are
+        not.
+        """
         check_drones(request.rig, request.config)
         refuse_slow(request.rig)
-        faults = {leg: [_parse(text, request.rig.level) for text in texts] for leg, texts in request.faults.items()}
+        faults = {
+            leg: [_parse(text, request.rig.level) for text in texts]
+            for leg, texts in request.faults.items()
+        }
         return asyncio.run(_fly(request, faults))
 
 
@@ -56,7 +63,11 @@ def check_drones(rig: Rig, config: RelayConfig) -> None:
     """Raises RigError when two drones are the same on the wire."""
     table = "drones" if rig.team else "[relay] drones"
     for drone in config.drones:
-        if drone.vehicle is None or drone.link is None or (rig.sender.guard is not None and drone.guard is None):
+        if (
+            drone.vehicle is None
+            or drone.link is None
+            or (rig.sender.guard is not None and drone.guard is None)
+        ):
             what = f"{drone.name} needs a vehicle, a link, and in a rig with guards a guard, of its own in real time"
             raise RigError([rig.where(f"{table}: {what}")])
     for one, other in combinations(config.drones, 2):
@@ -66,7 +77,9 @@ def check_drones(rig: Rig, config: RelayConfig) -> None:
 def _parse(text: str, level: str) -> Fault:
     (fault,) = parse_faults([text], level)
     if fault.name == "attack":
-        raise FaultError("fault attack needs a pair with a key", "fly it with handoff, on a rig of level sitl")
+        raise FaultError(
+            "fault attack needs a pair with a key", "fly it with handoff, on a rig of level sitl"
+        )
     return fault
 
 
@@ -129,7 +142,9 @@ class LiveField:
         self._run.legs.open_leg(number, sender, receiver)
 
     def close_leg(self, number: int) -> None:
-        sender, receiver = (self._run.legs.end_of(number, role) for role in (Role.SENDER, Role.RECEIVER))
+        sender, receiver = (
+            self._run.legs.end_of(number, role) for role in (Role.SENDER, Role.RECEIVER)
+        )
         self._run.tell_world({"close": number, "sender": sender, "receiver": receiver})
 
     def landed(self, name: str) -> bool:
@@ -138,7 +153,9 @@ class LiveField:
     def battery(self, name: str) -> float:
         """As it was when it landed; of a drone that has not flown, the rig's."""
         own = next(drone for drone in self._request.config.drones if drone.name == name)
-        return float(self._run.said.get("landed", {"batteries": {}})["batteries"].get(name, own.battery))
+        return float(
+            self._run.said.get("landed", {"batteries": {}})["batteries"].get(name, own.battery)
+        )
 
     def swap(self, name: str, battery: float) -> None:
         self._run.end_guard(name)

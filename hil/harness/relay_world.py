@@ -1,7 +1,8 @@
-"""The world of a relay or a team: drones and targets on one field, and what the parts of one drone are connected to.
+"""The world of a relay or a team: drones and targets on one field, and what the parts of one drone
+are connected to.
 
-A drone's parts are made once and stay open while its role changes. To its own vehicle and its own camera it is always
-the receiver, who sees the other drone's marker when there is another drone.
+A drone's parts are made once and stay open while its role changes. To its own vehicle and its own
+camera it is always the receiver, who sees the other drone's marker when there is another drone.
 """
 
 from __future__ import annotations
@@ -27,18 +28,26 @@ from path.messages import Role
 
 OWN = Role.RECEIVER
 OTHER = Role.SENDER
-THE_PILOTS = ("pilot_takeover", "rc_mode", "rc_sticks", "rc_lost")  # after these it is his, or holds and waits for him
+# after these it is his, or holds and waits for him
+THE_PILOTS = ("pilot_takeover", "rc_mode", "rc_sticks", "rc_lost")
 PILOT_LANDS_S = 15.0  # after he took a drone over he lands it where it is
-LETS_GO_S = 2.0  # before that, of the sticks: moved while it lands they would take it out of its landing
+# before that, of the sticks: moved while it lands they would take it out of its landing
+LETS_GO_S = 2.0
 
 
 class RelayWorld(Fleet[str]):
     """Drones that are switched on one by one. What is off stands at its home and costs nothing."""
 
     def __init__(
-        self, config: WorldConfig, seed: int, drones: tuple[NamedDrone, ...], targets: Sequence[NamedTarget] = ()
+        self,
+        config: WorldConfig,
+        seed: int,
+        drones: tuple[NamedDrone, ...],
+        targets: Sequence[NamedTarget] = (),
     ) -> None:
-        """``targets``: none for the one of ``config``. Raises ValueError when the objects do not fit."""
+        """``targets``: none for the one of ``config``. Raises ValueError when the objects do not
+        fit.
+        """
         self._targets = targets
         sizes = config.errors.sizes
         self._homes = {
@@ -50,7 +59,8 @@ class RelayWorld(Fleet[str]):
         self.on: set[str] = set()
         self._rows = {name: k for k, name in enumerate(self._homes)}
         self._truths: dict[str, DroneTruth] = {}
-        self._aloft: list[int] | None = None  # the rows of those in the air, once they were asked for
+        # the rows of those in the air, once they were asked for
+        self._aloft: list[int] | None = None
         self._covered: set[str] = set()  # whose markers are
         self._no_depth: set[str] = set()  # whose depth cameras measure nothing on objects
         self._pilot_lands_s: dict[str, float] = {}  # when, of drones that a pilot took over
@@ -59,17 +69,25 @@ class RelayWorld(Fleet[str]):
             self.battery(drone.name, drone.battery)
 
     def _place_traffic(self, keep_clear: Sequence[Point], seed: np.random.SeedSequence) -> None:
-        starts = [(each.place_m, each.named_at_s) for each in self._targets] or [(self.config.target.start_m, 0.0)]
+        starts = [(each.place_m, each.named_at_s) for each in self._targets] or [
+            (self.config.target.start_m, 0.0)
+        ]
         seeds = seed.spawn(len(starts)) if self._targets else [seed]
-        self._field = TargetField(self.config.target, self.config.look_alikes, starts, keep_clear, seeds)
+        self._field = TargetField(
+            self.config.target, self.config.look_alikes, starts, keep_clear, seeds
+        )
 
     def send_lookalike(self, target: int = 0) -> None:
         """Past one of the targets; see ``Fleet.send_lookalike``."""
         self._field.send_lookalike(target, self.traffic_s)
         self._changed()
 
-    def inject(self, fault: str, drone: str | None, value: float | None, leg: Sequence[str]) -> None:
-        """A fault of a leg: of a drone, or of the field around it. ``leg``: its sender and receiver."""
+    def inject(
+        self, fault: str, drone: str | None, value: float | None, leg: Sequence[str]
+    ) -> None:
+        """A fault of a leg: of a drone, or of the field around it. ``leg``: its sender and
+        receiver.
+        """
         if fault == "marker_hidden":
             self._covered.add(leg[0])
         elif fault == "depth_holes":
@@ -81,7 +99,9 @@ class RelayWorld(Fleet[str]):
         self._changed()
 
     def close_leg(self, sender: str, receiver: str) -> None:
-        """The cameras and markers of a leg's drones are as before: what was wrong in it alone is over."""
+        """The cameras and markers of a leg's drones are as before: what was wrong in it alone is
+        over.
+        """
         self._covered -= {sender, receiver}
         self._no_depth -= {sender, receiver}
         self._changed()
@@ -93,13 +113,17 @@ class RelayWorld(Fleet[str]):
         self.on.add(name)
 
     def swap(self, name: str, battery: float = 1.0) -> None:
-        """Puts a drone at its home, with a battery of that charge, off; its autopilot will start anew."""
+        """Puts a drone at its home, with a battery of that charge, off; its autopilot will start
+        anew.
+        """
         row = self.names.index(name)
         self._boots[name] = self._boots[name] + 1
         self._states[row] = at_home(self._homes[name], self.config.airframe.leg_m)
         self._commands[row] = 0.0
         seed = int(
-            np.random.SeedSequence((*self._seeds[row].generate_state(2), self._boots[name])).generate_state(1)[0]
+            np.random.SeedSequence(
+                (*self._seeds[row].generate_state(2), self._boots[name])
+            ).generate_state(1)[0]
         )
         self._drones[name].autopilot = Autopilot(self.config.autopilot, seed)
         self.battery(name, battery)
@@ -215,7 +239,11 @@ class PairView:
         return self._world.drone(self._own)
 
     def snapshot(self) -> Snapshot:
-        if self._seen is None or self._seen.time_s != self._world.time_s or self._seen_other != self.other:
+        if (
+            self._seen is None
+            or self._seen.time_s != self._world.time_s
+            or self._seen_other != self.other
+        ):
             self._seen = self._world.view(self._own, self.other)
             self._seen_other = self.other
         return self._seen

@@ -1,6 +1,8 @@
-"""The ``sim`` and ``sim-rendered`` harness: both roles and the world in one process, in virtual time.
+"""The ``sim`` and ``sim-rendered`` harness: both roles and the world in one process, in virtual
+time.
 
-One seed gives one history: wake-ups are ordered by the loop's own clock, and every noise has its own generator.
+One seed gives one history: wake-ups are ordered by the loop's own clock, and every noise has its
+own generator.
 """
 
 from __future__ import annotations
@@ -17,7 +19,14 @@ from drivers.rig.parts import Rig, part_context
 from drivers.rig.tables import decode_table
 from drivers.stop_signals import stop_on_signals
 from flight.config import MissionConfig
-from flight.harness.flights import FlightReport, FlightRequest, ProgramContext, Progress, RoleResult, with_log
+from flight.harness.flights import (
+    FlightReport,
+    FlightRequest,
+    ProgramContext,
+    Progress,
+    RoleResult,
+    with_log,
+)
 from hil.harness.drone import Disk, DroneHarness, until
 from hil.harness.guard import MemoryBeatLine, keep_watch
 from hil.harness.inject import inject_at_drone, inject_in_world, inject_on_link
@@ -57,13 +66,18 @@ class SimHarness:
     def fly(self, request: FlightRequest) -> FlightReport:
         faults = parse_faults(request.faults, request.rig.level)
         if any(fault.name == "attack" for fault in faults):
-            raise FaultError("fault attack needs real sockets", "fly it with --rig sitl, or a rig like it")
+            raise FaultError(
+                "fault attack needs real sockets", "fly it with --rig sitl, or a rig like it"
+            )
         for fault in faults:
             if fault.kind.own and not fault.stalls:
-                raise FaultError(f"fault {fault.name} needs programs of their own", "use a rig of level sitl")
+                raise FaultError(
+                    f"fault {fault.name} needs programs of their own", "use a rig of level sitl"
+                )
         prepare(request.rig, lambda what: show_start(request, what))
         start_s = time.perf_counter()
-        with collector_off():  # nothing here lives in cycles, and collecting takes a tenth of the time
+        # nothing here lives in cycles, and collecting takes a tenth of the time
+        with collector_off():
             loop = StallingLoop if any(fault.stalls for fault in faults) else VirtualTimeLoop
             findings = run_virtual(_Flight(request, faults).run(), loop)
         return FlightReport(**findings, wall_s=time.perf_counter() - start_s)
@@ -102,7 +116,9 @@ class _Flight:
         with virtual_log(request.out / "world.mcap", "world") as log:
             guarding = list(self._guards(mission))
             truth = self._truth = TruthLog(log)
-            truth.scene(self._true_rig, self._monitors.min_separation_m, self._offsets_ns, config.target)
+            truth.scene(
+                self._true_rig, self._monitors.min_separation_m, self._offsets_ns, config.target
+            )
             self._faults.open_leg(LEG, Role.SENDER.value, Role.RECEIVER.value)
             watching = asyncio.create_task(self._watch_truth(truth))
             results = await self._fly_roles()
@@ -114,7 +130,9 @@ class _Flight:
 
     def _new(self, role: Role, built: Built) -> DroneHarness:
         name = role.value
-        drone = DroneHarness(self._world, self._world.advance, self._request.seed, built, role, self._hub)
+        drone = DroneHarness(
+            self._world, self._world.advance, self._request.seed, built, role, self._hub
+        )
         self._programs.add(name, drone, Disk(lambda duty: self._faults.on_duty(name, duty)))
         return drone
 
@@ -125,8 +143,14 @@ class _Flight:
             if spec is not None:
                 context = part_context(self._rig, role, drone)
                 drone.beats = MemoryBeatLine(context.clock)
-                log = virtual_log(self._request.out / f"{role.value}.guard.mcap", role.value, self._offsets_ns[role])
-                yield asyncio.create_task(_logged(keep_watch(spec, context, drone.beats, mission, log), log))
+                log = virtual_log(
+                    self._request.out / f"{role.value}.guard.mcap",
+                    role.value,
+                    self._offsets_ns[role],
+                )
+                yield asyncio.create_task(
+                    _logged(keep_watch(spec, context, drone.beats, mission, log), log)
+                )
 
     # --- programs ---
 
@@ -167,10 +191,14 @@ class _Flight:
         self._monitors.on_forgotten(self._world.time_s, Role(name))
 
     def _result(self, role: Role, end: asyncio.Future[RoleResult | None]) -> RoleResult | None:
-        """None for a program that died, or could not begin once more. Raises what ended it otherwise."""
+        """None for a program that died, or could not begin once more. Raises what ended it
+        otherwise.
+        """
         error = end.exception()
         if isinstance(error, PartError) and self._programs.began_again(role.value):
-            self._monitors.details.append(f"the {role.value}'s program could not begin again: {error}")
+            self._monitors.details.append(
+                f"the {role.value}'s program could not begin again: {error}"
+            )
             return None
         return end.result()
 
@@ -250,4 +278,6 @@ def mission_config(rig: Rig) -> MissionConfig:
 
 def clock_offsets(rig: Rig) -> dict[Role, int]:
     """Role clock minus world clock in ns, as the rig sets the clocks of its roles apart."""
-    return {role: round(float(rig.role(role).clock.options.get("offset_s", 0.0)) * 1e9) for role in Role}
+    return {
+        role: round(float(rig.role(role).clock.options.get("offset_s", 0.0)) * 1e9) for role in Role
+    }

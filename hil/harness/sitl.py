@@ -1,4 +1,6 @@
-"""A handoff in real time: the two drones of one leg, which are called by their roles, and how their logs are judged."""
+"""A handoff in real time: the two drones of one leg, which are called by their roles, and how their
+logs are judged.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,15 @@ from hil.harness.realtime.run import Ending, RealTimeRun
 from hil.harness.realtime.world import world_command
 from hil.harness.sim import LEG, mission_config
 from hil.monitors.monitors import Monitors
-from hil.monitors.setpoints import LATE, Late, SetpointGap, all_explained, judged, late_of, told_with
+from hil.monitors.setpoints import (
+    LATE,
+    Late,
+    SetpointGap,
+    all_explained,
+    judged,
+    late_of,
+    told_with,
+)
 from hil.vehicle.simulators.process import binary_of
 from hil.world.check import check_world
 from hil.world.config import WorldConfig, drawn_imaging
@@ -35,20 +45,31 @@ ENDS = Role.SENDER.value, Role.RECEIVER.value
 
 
 class SitlHarness:
-    """Real MAVSDK, real sockets, rendered frames through pyrealsense2; vehicles embedded, or real autopilots."""
+    """Real MAVSDK, real sockets, rendered frames through pyrealsense2; vehicles embedded, or real
+    autopilots.
+    """
 
     check_rig = staticmethod(check_world)
     prepare = staticmethod(prepare)
 
     def fly(self, request: FlightRequest) -> FlightReport:
-        """Raises PartError when the rig needs an autopilot that was not named, or a share of a core it cannot have."""
+        """Raises PartError when the rig needs an autopilot that was not named, or a share of a core
+        it cannot have.
+        """
         config = decode_table(request.rig.world, WorldConfig, request.rig.where("[world]"))
         for role in Role:
             simulator = config.simulator(role)
             if simulator is not None and simulator.to_start:
                 binary_of(simulator.kind)
-            if simulator is not None and simulator.on_board and "fc_link_loss" in " ".join(request.faults):
-                raise FaultError("fault fc_link_loss: the harness has no hold of the board's cable", "pull it yourself")
+            if (
+                simulator is not None
+                and simulator.on_board
+                and "fc_link_loss" in " ".join(request.faults)
+            ):
+                raise FaultError(
+                    "fault fc_link_loss: the harness has no hold of the board's cable",
+                    "pull it yourself",
+                )
         faults = parse_faults(request.faults, request.rig.level)
         if any(fault.name == "attack" for fault in faults):
             _need_keys(request.rig)
@@ -60,7 +81,9 @@ class SitlHarness:
                 shares = {name: stack.enter_context(CpuShare(name, config.slow)) for name in ENDS}
             report = asyncio.run(_fly(request, faults, shares))
             share = {} if config.slow is None else {"share": config.slow}
-            stopped = {f"{name}_stopped_s": round(each.stopped_s(), 3) for name, each in shares.items()}
+            stopped = {
+                f"{name}_stopped_s": round(each.stopped_s(), 3) for name, each in shares.items()
+            }
             return replace(report, slow={**share, **stopped})
 
 
@@ -75,7 +98,9 @@ def _need_keys(rig: Rig) -> None:
             )
 
 
-async def _fly(request: FlightRequest, faults: list[Fault], shares: Mapping[str, CpuShare]) -> FlightReport:
+async def _fly(
+    request: FlightRequest, faults: list[Fault], shares: Mapping[str, CpuShare]
+) -> FlightReport:
     run = RealTimeRun(orders_of(request, shares), ENDS, {LEG: faults})
     mission = mission_config(request.rig)
 
@@ -109,10 +134,19 @@ def orders_of(request: FlightRequest, shares: Mapping[str, CpuShare]) -> Orders:
         """The third process: it knows where both drones listen, and hears and sends on the air."""
         assert isinstance(ready, dict)
         ends = [str(rig.role(Role(name)).link.options["bind"]) for name in ENDS]
-        return [*request.attack_command, f"{rate:g}", str(ready["air"]), *ends, str(request.seed), str(request.out)]
+        return [
+            *request.attack_command,
+            f"{rate:g}",
+            str(ready["air"]),
+            *ends,
+            str(request.seed),
+            str(request.out),
+        ]
 
     return Orders(
-        world=world_command("hil.harness.realtime.handoff_world", rig, request.seed, str(request.out)),
+        world=world_command(
+            "hil.harness.realtime.handoff_world", rig, request.seed, str(request.out)
+        ),
         program=lambda name: request.role_command(Role(name)),
         guard=guard,
         out=request.out,
@@ -159,7 +193,10 @@ def report_of(request: FlightRequest, run: RealTimeRun, ending: Ending) -> Fligh
     for name, count in finished.get("violations", {}).items():
         violations[name] = violations.get(name, 0) + count
     stalls = finished.get("stalls", ())
-    gaps = [judged(gap, late[gap.who], stalls) for gap in (SetpointGap(**each) for each in finished.get("gaps", ()))]
+    gaps = [
+        judged(gap, late[gap.who], stalls)
+        for gap in (SetpointGap(**each) for each in finished.get("gaps", ()))
+    ]
     dead = [name for name, drone in run.drones.items() if drone.result is None]
     return FlightReport(
         results={role: run.drones[role.value].result for role in Role},

@@ -1,8 +1,9 @@
 """Programs that stand still in virtual time, while the world, the link and everybody else go on.
 
-Whatever a program has under way knows whose it is: tasks and timers inherit the context in which they were begun
-(``PROGRAM``). While a program stands still nothing of it runs. What came due meanwhile runs when it goes on, in the
-order in which it came due, as after a SIGSTOP and a SIGCONT: packets have waited at its socket, and are stamped then.
+Whatever a program has under way knows whose it is: tasks and timers inherit the context in which
+they were begun (``PROGRAM``). While a program stands still nothing of it runs. What came due
+meanwhile runs when it goes on, in the order in which it came due, as after a SIGSTOP and a SIGCONT:
+packets have waited at its socket, and are stamped then.
 """
 
 from __future__ import annotations
@@ -26,7 +27,12 @@ class _Held:
     __slots__ = ("_args", "_callback", "_loop", "_program", "context", "handle")
 
     def __init__(
-        self, loop: StallingLoop, program: str, callback: Callable[..., Any], args: tuple[Any, ...], context: Context
+        self,
+        loop: StallingLoop,
+        program: str,
+        callback: Callable[..., Any],
+        args: tuple[Any, ...],
+        context: Context,
     ) -> None:
         self._loop = loop
         self._program = program
@@ -44,7 +50,9 @@ class _Held:
 
 
 class StallingLoop(VirtualTimeLoop):
-    """A loop in which ``stand_still`` stops one program. It costs a little more than the plain one."""
+    """A loop in which ``stand_still`` stops one program. It costs a little more than the plain
+    one.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -76,16 +84,26 @@ class StallingLoop(VirtualTimeLoop):
         if program in self._until_s and self.time() >= self._until_s[program]:
             self.wake(program)
 
-    def call_soon(self, callback: Any, *args: Any, context: Context | None = None) -> asyncio.Handle:
+    def call_soon(
+        self, callback: Any, *args: Any, context: Context | None = None
+    ) -> asyncio.Handle:
         return self._begin(super().call_soon, callback, args, context)
 
-    def call_at(self, when: float, callback: Any, *args: Any, context: Context | None = None) -> asyncio.TimerHandle:
+    def call_at(
+        self, when: float, callback: Any, *args: Any, context: Context | None = None
+    ) -> asyncio.TimerHandle:
         return self._begin(partial(super().call_at, when), callback, args, context)
 
     def _begin(
-        self, schedule: Callable[..., AnyHandle], callback: Any, args: tuple[Any, ...], context: Context | None
+        self,
+        schedule: Callable[..., AnyHandle],
+        callback: Any,
+        args: tuple[Any, ...],
+        context: Context | None,
     ) -> AnyHandle:
-        """Schedules what a program has begun so that it can be kept, and what is nobody's as it is."""
+        """Schedules what a program has begun so that it can be kept, and what is nobody's as it
+        is.
+        """
         context = copy_context() if context is None else context
         program = context.get(PROGRAM, "")
         if not program:

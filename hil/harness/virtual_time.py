@@ -1,7 +1,7 @@
 """An asyncio event loop in which sleeping costs nothing: time jumps to the next scheduled event.
 
-The same coroutines run here and on a real loop; as every wake-up happens in the order of its due time, and nothing
-depends on the wall clock, one seed gives one history.
+The same coroutines run here and on a real loop; as every wake-up happens in the order of its due
+time, and nothing depends on the wall clock, one seed gives one history.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ class Deadlock(RuntimeError):
 
 
 class _JumpingSelector(selectors.DefaultSelector):
-    """Never waits: reports what is ready (signals arrive this way) or moves the loop's clock by the time-out.
+    """Never waits: reports what is ready (signals arrive this way) or moves the loop's clock by the
+    time-out.
 
-    The system is asked once in ``ASK_EVERY`` calls, which is still every few milliseconds, and whenever nothing else
-    is left to do.
+    The system is asked once in ``ASK_EVERY`` calls, which is still every few milliseconds, and
+    whenever nothing else is left to do.
     """
 
     loop: VirtualTimeLoop
@@ -36,7 +37,9 @@ class _JumpingSelector(selectors.DefaultSelector):
         if ready:
             return ready
         if timeout is None:
-            raise Deadlock("every task waits for something that no timer, and no input, will bring about")
+            raise Deadlock(
+                "every task waits for something that no timer, and no input, will bring about"
+            )
         if timeout > 0:
             self.loop.jump(timeout)
         return ready

@@ -1,8 +1,9 @@
 """The air between the drones, for a process that listens to it and sends on it what it likes.
 
-One UDP socket on loopback. Whoever sends to it hears every packet from then on, and what it sent goes to one drone as
-if the other had sent it. The first byte of a datagram is the side that the rest is for: 0 the sender, 1 the receiver.
-With ``MANY`` added to it the rest is many packets, each behind its length in two bytes.
+One UDP socket on loopback. Whoever sends to it hears every packet from then on, and what it sent
+goes to one drone as if the other had sent it. The first byte of a datagram is the side that the
+rest is for: 0 the sender, 1 the receiver. With ``MANY`` added to it the rest is many packets, each
+behind its length in two bytes.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ class Air(asyncio.DatagramProtocol):
 
     async def __aenter__(self) -> Self:
         loop = asyncio.get_running_loop()
-        self._transport, _ = await loop.create_datagram_endpoint(lambda: self, local_addr=("127.0.0.1", 0))
+        self._transport, _ = await loop.create_datagram_endpoint(
+            lambda: self, local_addr=("127.0.0.1", 0)
+        )
         self._proxy.overheard = self._pass_on
         return self
 

@@ -1,4 +1,6 @@
-"""A link that loses, delays, repeats, damages and reorders: in memory for the sim levels, between sockets for sitl."""
+"""A link that loses, delays, repeats, damages and reorders: in memory for the sim levels, between
+sockets for sitl.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,8 @@ class LinkFaults:
 
     Attributes:
         loss: share that never arrives.
-        delay_s, jitter_s: every packet is late by the delay and a uniform part of the jitter, in the order of sending.
+        delay_s, jitter_s: every packet is late by the delay and a uniform part of the jitter, in
+            the order of sending.
         duplicate: share that arrives twice.
         corrupt: share that arrives damaged, with bits turned over or cut short.
         reorder: share that is held back, so that later ones overtake it.
@@ -47,11 +50,13 @@ class LinkFaults:
             raise ValueError("delay_s and jitter_s must be finite and not negative")
 
 
-AIR = LinkFaults(delay_s=0.002, jitter_s=0.002)  # a good radio link, the in-memory link's normal state
+# a good radio link, the in-memory link's normal state
+AIR = LinkFaults(delay_s=0.002, jitter_s=0.002)
 
 
 class FaultyChannel:
-    """One direction of a link: applies faults to packets, by seed. ``faults`` may change at any time.
+    """One direction of a link: applies faults to packets, by seed. ``faults`` may change at any
+    time.
 
     The same packets at the same times with the same seed fare the same.
     """
@@ -66,7 +71,9 @@ class FaultyChannel:
         self._out_until_s = max(self._out_until_s, until_s)
 
     def arrivals(self, data: bytes, now_s: float) -> list[tuple[float, bytes]]:
-        """Returns when, on the clock of ``now_s``, and as what a packet arrives: never, once or twice."""
+        """Returns when, on the clock of ``now_s``, and as what a packet arrives: never, once or
+        twice.
+        """
         faults = self.faults
         chance = self._random.random
         arrivals: list[tuple[float, bytes]] = []
@@ -98,7 +105,9 @@ class FaultyChannel:
 
 
 def faulty_channel(seed: str, faults: Mapping[str, float]) -> FaultyChannel:
-    """Returns the channel for faults by name. Raises ValueError, and TypeError for a name that there is not."""
+    """Returns the channel for faults by name. Raises ValueError, and TypeError for a name that
+    there is not.
+    """
     return FaultyChannel(seed, LinkFaults(**faults))
 
 
@@ -138,7 +147,9 @@ class MemoryHub(FaultyLink[Role]):
     def join(self, role: Role, end: MemoryLink) -> None:
         """Raises LinkError when the role is there already."""
         if role in self._ends:
-            raise LinkError(f"the {role.value}'s end of the link is in use", "open one link for each role")
+            raise LinkError(
+                f"the {role.value}'s end of the link is in use", "open one link for each role"
+            )
         self._ends[role] = end
 
     def leave(self, role: Role) -> None:
@@ -183,16 +194,19 @@ class MemoryLinkConfig:
     """The faults are the harness's.
 
     Attributes:
-        signed: sign and check packets with a key made up for the simulation, as on the air. Costs 30 us a message.
+        signed: sign and check packets with a key made up for the simulation, as on the air. Costs
+            30 us a message.
     """
 
     signed: bool = True
 
 
 class MemoryLink:
-    """Implements ``drivers.interfaces.Link`` in one process; packets are encoded and decoded as on the air.
+    """Implements ``drivers.interfaces.Link`` in one process; packets are encoded and decoded as on
+    the air.
 
-    Bytes are counted as if each packet were a UDP datagram, so that the figures compare with the real link's.
+    Bytes are counted as if each packet were a UDP datagram, so that the figures compare with the
+    real link's.
     """
 
     Config = MemoryLinkConfig
@@ -200,7 +214,8 @@ class MemoryLink:
     def __init__(self, config: MemoryLinkConfig, context: HubContext) -> None:
         if context.harness is None:
             raise LinkError(
-                "an in-memory link needs both roles in one process", "use it with a harness such as hil.harness.sim"
+                "an in-memory link needs both roles in one process",
+                "use it with a harness such as hil.harness.sim",
             )
         self._hub = cast("HubHarness", context.harness).hub
         self._role = context.role
@@ -254,13 +269,18 @@ class ProxySide:
 
 
 class UdpFaultProxy(FaultyLink[int]):
-    """Two UDP sockets back to back: what one side's end sends comes out of the other side, with faults."""
+    """Two UDP sockets back to back: what one side's end sends comes out of the other side, with
+    faults.
+    """
 
-    def __init__(self, sender: ProxySide, receiver: ProxySide, seed: int, faults: LinkFaults | None = None) -> None:
+    def __init__(
+        self, sender: ProxySide, receiver: ProxySide, seed: int, faults: LinkFaults | None = None
+    ) -> None:
         super().__init__({side: f"proxy {side} {seed}" for side in (0, 1)}, faults or LinkFaults())
         self._sides = sender, receiver
         self._transports: list[asyncio.DatagramTransport] = []
-        self.overheard: Callable[[bytes, int], None] | None = None  # told each packet, and the side it is for
+        # told each packet, and the side it is for
+        self.overheard: Callable[[bytes, int], None] | None = None
 
     async def __aenter__(self) -> Self:
         """Raises LinkError naming the port that is in use."""
@@ -268,7 +288,9 @@ class UdpFaultProxy(FaultyLink[int]):
         for number, side in enumerate(self._sides):
             forward = _Forward(self, number)
             try:
-                transport, _ = await loop.create_datagram_endpoint(lambda f=forward: f, local_addr=side.listen)
+                transport, _ = await loop.create_datagram_endpoint(
+                    lambda f=forward: f, local_addr=side.listen
+                )
             except OSError as error:
                 await self._close()
                 raise open_error(side.listen, error) from error

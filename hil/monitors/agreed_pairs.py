@@ -18,7 +18,9 @@ ROUNDING = 1e-9
 
 
 class PairsAtPaces:
-    """The runs of each test that the gate makes of the same pairs, any of which may decide; one, as a rule."""
+    """The runs of each test that the gate makes of the same pairs, any of which may decide; one, as
+    a rule.
+    """
 
     def __init__(self, method: MethodConfig) -> None:
         paces = method.evidence.paces if method.gate == "evidence" else (method.evidence,)
@@ -44,7 +46,9 @@ class PairsAtPaces:
             pace.missed(record)
 
     def agreed(self, record: Mapping[str, Any]) -> str | None:
-        """An agreeing pair that the role counted; what is wrong with that, None when it is right by one of them."""
+        """An agreeing pair that the role counted; what is wrong with that, None when it is right by
+        one of them.
+        """
         wrong = [pace.agreed(record) for pace in self._paces]
         return None if None in wrong else wrong[0]
 
@@ -53,8 +57,8 @@ class PairsAtPaces:
 class AgreedPairs:
     """The run of agreeing pairs, and its blocks when the gate goes by evidence (S5, S6).
 
-    It takes a role's word only where that claims less: a run that begins again for a reason the records of D2's answers
-    do not show, such as a frame of D1's own without the target.
+    It takes a role's word only where that claims less: a run that begins again for a reason the
+    records of D2's answers do not show, such as a frame of D1's own without the target.
     """
 
     method: MethodConfig
@@ -68,7 +72,8 @@ class AgreedPairs:
     logs: float = 0.0  # log10 of the run's evidence
     agrees: bool = False  # the newest pair that was compared
     block_ns: int = 0  # where the block under way begins
-    block: list[tuple[float, bool]] = field(default_factory=list[tuple[float, bool]])  # strength, and whether it agrees
+    # strength, and whether it agrees
+    block: list[tuple[float, bool]] = field(default_factory=list[tuple[float, bool]])
     offsets: list[tuple[int, Any, Any]] = field(default_factory=list[tuple[int, Any, Any]])
     """Of the run: capture stamp, offset from the target and from what is beside it."""
     odd: int = 0  # pairs of the run that were compared and did not agree
@@ -85,13 +90,18 @@ class AgreedPairs:
             return 0.0
         if self.method.gate == "likelihood":
             return recounted(self.offsets, self.first_ns, self.odd, self.method.evidence)
-        # what later runs, and tests that share alpha, need more is against accidents; errors that last are drawn once
+        # what later runs, and tests that share alpha, need more is against accidents; errors that
+        # last are drawn once
         share = self.method.evidence.accident_share
-        return min(self.logs, self._identified + math.log10(0.5 * self.runs * (self.runs + 1) / share))
+        return min(
+            self.logs, self._identified + math.log10(0.5 * self.runs * (self.runs + 1) / share)
+        )
 
     @property
     def _identified(self) -> float:
-        """log10 of what the offsets of D2's box say for the target: against one unseen, and against one beside it."""
+        """log10 of what the offsets of D2's box say for the target: against one unseen, and against
+        one beside it.
+        """
         own = self.method.evidence
         if not self.offsets:
             return 0.0
@@ -128,16 +138,28 @@ class AgreedPairs:
             own = self.method.evidence
             enough = self.agrees and self.reached >= self._needed - ROUNDING
             if self.method.gate == "likelihood":
-                enough = enough and self.sure_ns is not None and (self.last_ns - self.sure_ns) * 1e-9 >= HELD_S
+                enough = (
+                    enough
+                    and self.sure_ns is not None
+                    and (self.last_ns - self.sure_ns) * 1e-9 >= HELD_S
+                )
             return enough and self.pairs >= own.min_pairs and self.span_s >= own.min_s - ROUNDING
-        return self.pairs >= self.method.hold_frames and self.span_s >= self.method.hold_s - ROUNDING
+        return (
+            self.pairs >= self.method.hold_frames and self.span_s >= self.method.hold_s - ROUNDING
+        )
 
     def __str__(self) -> str:
-        evidence = f", evidence {self.reached:.2f} in run {self.runs}" if self.method.gate != "count" else ""
+        evidence = (
+            f", evidence {self.reached:.2f} in run {self.runs}"
+            if self.method.gate != "count"
+            else ""
+        )
         return f"{self.pairs} pairs, {self.span_s:.2f} s{evidence}"
 
     def missed(self, record: Mapping[str, Any]) -> None:
-        """An answer that does not agree: the end of pairs in a row; as evidence, only what was compared counts."""
+        """An answer that does not agree: the end of pairs in a row; as evidence, only what was
+        compared counts.
+        """
         if self.method.gate == "count":
             self.pairs = 0
             return
@@ -149,7 +171,8 @@ class AgreedPairs:
         if self.method.gate == "likelihood":
             self.odd += 1
             self._note_sure(int(record["capture_ns"]))
-        elif self.pairs:  # boxes that overlap and are too large for the target disagree as much as any
+        # boxes that overlap and are too large for the target disagree as much as any
+        elif self.pairs:
             self._compare(int(record["capture_ns"]), iou if iou < tau else -math.inf, tau)
 
     def agreed(self, record: Mapping[str, Any]) -> str | None:
@@ -159,7 +182,10 @@ class AgreedPairs:
         tau = record["tau"]
         if capture_ns <= self.last_ns or iou is None or tau is None or not iou >= tau:
             return f"a pair counted that must not: {dict(record)}"
-        if self.method.gate != "count" and (record.get("oversize") or 0.0) > self.method.evidence.size_sigmas:
+        if (
+            self.method.gate != "count"
+            and (record.get("oversize") or 0.0) > self.method.evidence.size_sigmas
+        ):
             return f"a box larger than the target counted: {dict(record)}"
         gap_ns = capture_ns - self.last_ns
         if record["epoch"] != self.epoch:
@@ -192,7 +218,9 @@ class AgreedPairs:
 
     @property
     def max_gap_s(self) -> float:
-        return self.method.max_gap_s if self.method.gate == "count" else self.method.evidence.max_gap_s
+        return (
+            self.method.max_gap_s if self.method.gate == "count" else self.method.evidence.max_gap_s
+        )
 
     def _note_sure(self, capture_ns: int) -> None:
         if self.reached < self._needed - ROUNDING:
@@ -215,7 +243,10 @@ class AgreedPairs:
     def _compare(self, capture_ns: int, iou: float, tau: float) -> None:
         own = self.method.evidence
         self.block.append(((iou - tau) / max(1.0 - tau, ROUNDING), iou >= tau))
-        if capture_ns - self.block_ns < round(own.block_s * 1e9) or len(self.block) < own.block_pairs:
+        if (
+            capture_ns - self.block_ns < round(own.block_s * 1e9)
+            or len(self.block) < own.block_pairs
+        ):
             return
         middle = float(np.median([strength for strength, _ in self.block]))
         share = sum(agrees for _, agrees in self.block) / len(self.block)

@@ -1,6 +1,7 @@
 """The claims of responsibility, and until when, as the drones' records tell them.
 
-A claim that has run out is none, whether or not its program was awake to say so (``path.protocol.values``).
+A claim that has run out is none, whether or not its program was awake to say so
+(``path.protocol.values``).
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ _INSTANTS = ("lease_end_ns", "until_ns")
 
 
 def in_world_time(record: Mapping[str, Any], offset_ns: int) -> Mapping[str, Any]:
-    """A record with its instants of the drone's clock on the world's. ``offset_ns``: drone's clock less the world's."""
+    """A record with its instants of the drone's clock on the world's. ``offset_ns``: drone's clock
+    less the world's.
+    """
     moved = {name: record[name] - offset_ns for name in _INSTANTS if record.get(name) is not None}
     return {**record, **moved} if moved else record
 

@@ -1,4 +1,6 @@
-"""Monitors that are told of late: they judge everything in the order of its stamps, with the truth of then."""
+"""Monitors that are told of late: they judge everything in the order of its stamps, with the truth
+of then.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ REMEMBERED_S = 3.0
 
 
 class Hindsight:
-    """Has the monitors judge everything in the order of its stamps: what happened last may be told of first."""
+    """Has the monitors judge everything in the order of its stamps: what happened last may be told
+    of first.
+    """
 
     def __init__(self, monitors: RelayMonitors) -> None:
         self._monitors = monitors

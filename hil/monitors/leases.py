@@ -1,7 +1,7 @@
 """Epochs, leases and gaps, from the roles' records of a hand-over: S2, S3, S4, L1 and L2.
 
-What a role wrote down (``/epoch``) is there before it acts on it, so the order of the records is the order of the acts,
-across restarts too. Stamps are of the world's clock.
+What a role wrote down (``/epoch``) is there before it acts on it, so the order of the records is
+the order of the acts, across restarts too. Stamps are of the world's clock.
 """
 
 from __future__ import annotations
@@ -79,14 +79,21 @@ class LeaseMonitor:
 
     def _on_epoch(self, role: Role, now_s: float, epoch: int, duty: str) -> None:
         if epoch < self._highest[role]:
-            self.violated("S2", now_s, f"the {role.value} wrote epoch {epoch} down after {self._highest[role]}")
+            self.violated(
+                "S2",
+                now_s,
+                f"the {role.value} wrote epoch {epoch} down after {self._highest[role]}",
+            )
         self._highest[role] = max(self._highest[role], epoch)
         self._duty[role] = duty
         if duty == "idle":  # landed, and begins a new mission: what it had is over
             self._alone_s = None
 
     def _on_commit(self, now_s: float, epoch: int, end_s: float) -> None:
-        if Role.SENDER in self._claims.holders(now_s) or self._duty[Role.SENDER] not in ("released", ""):
+        if Role.SENDER in self._claims.holders(now_s) or self._duty[Role.SENDER] not in (
+            "released",
+            "",
+        ):
             self.violated("S4", now_s, "COMMIT before the release was written down and done")
         self._died = False
         if self._lease is None or self._lease.epoch != epoch:
@@ -107,7 +114,9 @@ class LeaseMonitor:
         if self._duty[Role.SENDER] == "handed_over":
             self.violated("S4", now_s, "the sender took back what was accepted")
         if self._lease is not None and now_s < self._lease.end_s:
-            self.violated("S4", now_s, f"taken back {self._lease.end_s - now_s:.3f} s before the lease's end")
+            self.violated(
+                "S4", now_s, f"taken back {self._lease.end_s - now_s:.3f} s before the lease's end"
+            )
 
     def _took_over(self, now_s: float, until_s: float) -> None:
         epoch = self._highest[Role.RECEIVER]
@@ -118,9 +127,15 @@ class LeaseMonitor:
             if not self._died:
                 self.violated("S3", now_s, "taken over without a COMMIT of this epoch")
         elif now_s >= self._lease.end_s:
-            self.violated("S3", now_s, f"taken over {now_s - self._lease.end_s:.3f} s after the lease's end")
+            self.violated(
+                "S3", now_s, f"taken over {now_s - self._lease.end_s:.3f} s after the lease's end"
+            )
         elif until_s > self._lease.end_s:
-            self.violated("S3", now_s, f"taken until {until_s - self._lease.end_s:.3f} s after the lease's end")
+            self.violated(
+                "S3",
+                now_s,
+                f"taken until {until_s - self._lease.end_s:.3f} s after the lease's end",
+            )
 
     def _on_decision(self, now_s: float) -> None:
         if not self._awaited or self._lease is None:
@@ -129,7 +144,11 @@ class LeaseMonitor:
         waited_s = now_s - self._lease.given_s
         self.decision_s = max(waited_s, self.decision_s or 0.0)
         if waited_s > DECISION_S:
-            self.violated("L1", now_s, f"decided {waited_s:.2f} s after the COMMIT, the bound is {DECISION_S:.2f} s")
+            self.violated(
+                "L1",
+                now_s,
+                f"decided {waited_s:.2f} s after the COMMIT, the bound is {DECISION_S:.2f} s",
+            )
 
     def _on_gap(self, role: Role, before: bool, now_s: float) -> None:
         """Checks the gap from the sender's release until somebody is responsible again."""
@@ -140,7 +159,9 @@ class LeaseMonitor:
                 self.gap_s = max(alone_s, self.gap_s or 0.0)
                 if alone_s > GAP_S:
                     self.violated(
-                        "L2", now_s, f"nobody was responsible for {alone_s:.2f} s, the bound is {GAP_S:.2f} s"
+                        "L2",
+                        now_s,
+                        f"nobody was responsible for {alone_s:.2f} s, the bound is {GAP_S:.2f} s",
                     )
         elif role is Role.SENDER and before:
             self._alone_s = now_s

@@ -1,8 +1,9 @@
-"""What offsets say for the target by the gate "likelihood", recounted over whole runs from the records alone.
+"""What offsets say for the target by the gate "likelihood", recounted over whole runs from the
+records alone.
 
-The records have the nearest object beside the target, not each: against those D1 sees the gate is held only to having
-D2's box nearer to the target than to the nearest of them, in the mean. Against an object that nobody sees it is held
-to the pair (``path.gate.likelihood`` has the equations).
+The records have the nearest object beside the target, not each: against those D1 sees the gate is
+held only to having D2's box nearer to the target than to the nearest of them, in the mean. Against
+an object that nobody sees it is held to the pair (``path.gate.likelihood`` has the equations).
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ from path.config import EvidenceConfig
 from path.gate.likelihood import CORRELATED_S, ODD, PRIOR_PAIRS, REACH_SIGMAS
 
 Offsets = Sequence[tuple[int, Any, Any]]
-"""Of each agreeing pair: its capture stamp, D2's box from the target, and from the nearest object beside it."""
+"""Of each agreeing pair: its capture stamp, D2's box from the target, and from the nearest object
+beside it.
+"""
 
 
 def recounted(offsets: Offsets, first_ns: int, odd: int, own: EvidenceConfig) -> float:
@@ -40,7 +43,9 @@ def recounted(offsets: Offsets, first_ns: int, odd: int, own: EvidenceConfig) ->
     many = _independent(targets, span_s)
     variance = own.offset_sigma_m**2 + _variance(targets) / many
     reach_m = REACH_SIGMAS * own.offset_sigma_m
-    of_target = -own.offset_known * math.log1p(0.5 * _length2(targets) / variance / own.offset_known)
+    of_target = -own.offset_known * math.log1p(
+        0.5 * _length2(targets) / variance / own.offset_known
+    )
     reached = of_target - math.log(own.unseen) + math.log(0.5 * reach_m**2 / variance)
     share = odd / (len(targets) + odd)
     odds = many * (share * math.log(2.0 * ODD) + (1.0 - share) * math.log(2.0 * (1.0 - ODD)))

@@ -1,4 +1,5 @@
-"""Safety monitors of a run: they see truth and every decision of both roles, and count what must never happen.
+"""Safety monitors of a run: they see truth and every decision of both roles, and count what must
+never happen.
 
 Records are those the roles log; a monitor recomputes from them and believes no role's own count.
 """
@@ -25,7 +26,8 @@ from path.messages import Role
 MAX_FAILSAFE_S = 1.0
 LEASES = frozenset({"/responsibility", "/commit", "/epoch", "/decision"})
 OF_THE_AWAKE = frozenset({"S7", "L1", "L2"})  # bounds in time, of programs that run
-OF_THE_RECORD = frozenset({"S1", "S2", "S3", "S4", "S5", "L1", "L2"})  # of programs that find what they wrote down
+# of programs that find what they wrote down
+OF_THE_RECORD = frozenset({"S1", "S2", "S3", "S4", "S5", "L1", "L2"})
 
 
 @dataclass(slots=True)
@@ -35,9 +37,10 @@ class Monitors:
     S1, S5, S6, S8 and S9 are here; S2, S3, S4, L1 and L2 in ``leases``; S7 and S10 in ``scripts``.
 
     Attributes:
-        stalls: a program is made to stand still: the bounds in time of programs that run are then not violated.
-        forgotten: a disk has lost a record that it said it had: what was promised of responsibility is since then not
-            violated.
+        stalls: a program is made to stand still: the bounds in time of programs that run are then
+            not violated.
+        forgotten: a disk has lost a record that it said it had: what was promised of responsibility
+            is since then not violated.
         beyond: what broke after one of these.
         gaps: the gaps between setpoints that were violations of a script that nobody had cut off.
     """
@@ -82,34 +85,49 @@ class Monitors:
                 self._on_commit(stamp_w_ns, record)
 
     def on_death(self, role: Role) -> None:
-        """Its program does not run any more: it does nothing, until it is started again and says what it is."""
+        """Its program does not run any more: it does nothing, until it is started again and says
+        what it is.
+        """
         self._claims.drop(role)
         self.leases.on_death(role)
         self.scripts.on_death(role)
 
     def on_truth(self, time_s: float, separation_m: float, both_in_air: bool) -> None:
-        """True distance between the two bodies (S9); each excursion below the minimum counts once."""
+        """True distance between the two bodies (S9); each excursion below the minimum counts
+        once.
+        """
         if not both_in_air:
             return
         self.closest_m = min(self.closest_m, separation_m)
         too_close = separation_m < self.min_separation_m
         if too_close and not self._too_close:
-            self._violated("S9", time_s, f"separation {separation_m:.2f} m is below {self.min_separation_m:.2f} m")
+            self._violated(
+                "S9",
+                time_s,
+                f"separation {separation_m:.2f} m is below {self.min_separation_m:.2f} m",
+            )
         self._too_close = too_close
 
     def on_target(self, time_s: float, nearest_m: float) -> None:
-        """True distance in m from the target's body to a drone's in the air (S9); each time below the least counts."""
+        """True distance in m from the target's body to a drone's in the air (S9); each time below
+        the least counts.
+        """
         too_close = nearest_m < LEAST_M
         if too_close and not self._too_close_to_target:
-            self._violated("S9", time_s, f"{nearest_m:.2f} m from the target, below {LEAST_M:.2f} m")
+            self._violated(
+                "S9", time_s, f"{nearest_m:.2f} m from the target, below {LEAST_M:.2f} m"
+            )
         self._too_close_to_target = too_close
 
-    def on_offboard(self, role: Role, sessions: Iterable[OffboardSession], cut_off_s: Sequence[float] = ()) -> None:
+    def on_offboard(
+        self, role: Role, sessions: Iterable[OffboardSession], cut_off_s: Sequence[float] = ()
+    ) -> None:
         """Setpoint gaps of one vehicle (S8).
 
         Args:
-            cut_off_s: when the harness itself stopped the setpoints (a killed program, a dead link to the vehicle):
-                then a gap is no violation as long as the vehicle held and landed in time. World's clock.
+            cut_off_s: when the harness itself stopped the setpoints (a killed program, a dead link
+                to the vehicle): then a gap is no violation as long as the vehicle held and landed
+                in time. World's clock.
         """
         for session in sessions:
             end_s = math.inf if session.end_s is None else session.end_s
@@ -123,19 +141,25 @@ class Monitors:
                 self._violated("S8", gap.from_s, detail_of(gap))
 
     def _on_cut_off(self, gaps: Sequence[SetpointGap], goes_on: bool) -> None:
-        """The setpoints stopped through no fault of the script's: its vehicle is to hold and land in time."""
+        """The setpoints stopped through no fault of the script's: its vehicle is to hold and land
+        in time.
+        """
         if not gaps:
             return
         longest = max(gaps, key=lambda gap: gap.long_s)
         if longest.long_s > MAX_FAILSAFE_S:
             self._violated("S8", longest.from_s, detail_of(longest))
         elif goes_on:
-            self._violated("S8", longest.from_s, f"{longest.who}: no failsafe after the setpoints stopped")
+            self._violated(
+                "S8", longest.from_s, f"{longest.who}: no failsafe after the setpoints stopped"
+            )
 
     def on_forgotten(self, time_s: float, role: Role) -> None:
         """A program that is started again finds an older record than it had written, or none."""
         self.forgotten = True
-        self.details.append(f"at {time_s:.2f} s the {role.value}'s disk had lost what it said it had")
+        self.details.append(
+            f"at {time_s:.2f} s the {role.value}'s disk had lost what it said it had"
+        )
 
     @property
     def broken(self) -> tuple[str, ...]:

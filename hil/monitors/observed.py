@@ -1,4 +1,6 @@
-"""For how much of the time each target was truly observed: by somebody who is responsible for it, and looks at it."""
+"""For how much of the time each target was truly observed: by somebody who is responsible for it,
+and looks at it.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +8,15 @@ from dataclasses import dataclass, field
 
 from flight.harness.relay import TargetWatch
 
-LOOKED_S = 1.0  # a look is worth that long: frames come 12 times a second, and one in the half second is judged
+# a look is worth that long: frames come 12 times a second, and one in the half second is judged
+LOOKED_S = 1.0
 
 
 @dataclass(slots=True)
 class ObservedTime:
-    """Of one target. ``look`` and ``tick`` are told of in the order of time, ``tick`` more often than ``LOOKED_S``."""
+    """Of one target. ``look`` and ``tick`` are told of in the order of time, ``tick`` more often
+    than ``LOOKED_S``.
+    """
 
     first_s: float | None = None
     observed_s: float = 0.0
@@ -26,7 +31,9 @@ class ObservedTime:
             self.first_s = self._ticked_s = self._looked_s = now_s
 
     def look(self, now_s: float) -> None:
-        """A drone that is responsible for it, or has been until this very hand-over, had it in its box, in truth."""
+        """A drone that is responsible for it, or has been until this very hand-over, had it in its
+        box, in truth.
+        """
         self._looked_s = max(self._looked_s, now_s)
 
     def tick(self, now_s: float) -> None:

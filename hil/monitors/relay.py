@@ -1,9 +1,11 @@
-"""Monitors of what must never happen in a relay or a team: a handoff's for each leg, and those of all drones at once.
+"""Monitors of what must never happen in a relay or a team: a handoff's for each leg, and those of
+all drones at once.
 
-Of all drones: for each target at most one is responsible (S1), nobody is for no longer than lease, uncertainty and
-guard allow (L2), every two that are in the air keep their separation (S9), none is below the reserve before it has
-landed, and who is responsible has the right object (S12). Gaps that a dead program, an orphan or a target that was
-given up leaves are outcomes, not gaps of the protocol. A relay is a team with one target.
+Of all drones: for each target at most one is responsible (S1), nobody is for no longer than lease,
+uncertainty and guard allow (L2), every two that are in the air keep their separation (S9), none is
+below the reserve before it has landed, and who is responsible has the right object (S12). Gaps that
+a dead program, an orphan or a target that was given up leaves are outcomes, not gaps of the
+protocol. A relay is a team with one target.
 """
 
 from __future__ import annotations
@@ -53,10 +55,12 @@ class _WatchedFlight:
 
 @dataclass(slots=True)
 class RelayMonitors:
-    """Stamps are of the world's clock. ``on_truth`` is to be called often while drones are in the air.
+    """Stamps are of the world's clock. ``on_truth`` is to be called often while drones are in the
+    air.
 
     Attributes:
-        seen: drones and objects at a time of the world's clock, for records that are older than the world's present.
+        seen: drones and objects at a time of the world's clock, for records that are older than the
+            world's present.
     """
 
     rig: Rig
@@ -81,22 +85,29 @@ class RelayMonitors:
     observed: list[ObservedTime] = field(init=False)
     bytes_sent: Counter[str] = field(default_factory=Counter[str])
     aloft_s: dict[str, float] = field(default_factory=dict[str, float])
-    _on: dict[str, int] = field(default_factory=dict[str, int])  # which target a drone is on; the first if not said
-    _before: dict[int, str] = field(default_factory=dict[int, str])  # who had it until the hand-over under way
-    _sent: dict[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])  # leg, and bytes in it
+    # which target a drone is on; the first if not said
+    _on: dict[str, int] = field(default_factory=dict[str, int])
+    # who had it until the hand-over under way
+    _before: dict[int, str] = field(default_factory=dict[int, str])
+    # leg, and bytes in it
+    _sent: dict[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
     _truth_s: float | None = None
     _legs: dict[str, WatchedLeg] = field(default_factory=dict[str, WatchedLeg])
     _all_legs: list[WatchedLeg] = field(default_factory=list[WatchedLeg])
     _flights: dict[str, _WatchedFlight] = field(default_factory=dict[str, _WatchedFlight])
-    _alone_s: dict[int, float] = field(default_factory=dict[int, float])  # by target, since when nobody is
+    # by target, since when nobody is
+    _alone_s: dict[int, float] = field(default_factory=dict[int, float])
     _near: set[tuple[str, ...]] = field(default_factory=set[tuple[str, ...]])
     _looked_s: dict[str, float] = field(default_factory=dict[str, float])
     _wrong: set[str] = field(default_factory=set[str])
 
     def __post_init__(self) -> None:
-        drones: Any = Enum("Drone", {name: name for name in self.world.names})  # made of the rig's names
+        # made of the rig's names
+        drones: Any = Enum("Drone", {name: name for name in self.world.names})
         self.members = drones.__members__
-        self.scripts = ScriptMonitor(self.violated, self.mission.guard, tuple(self.members.values()))
+        self.scripts = ScriptMonitor(
+            self.violated, self.mission.guard, tuple(self.members.values())
+        )
         self.observed = [ObservedTime() for _ in range(self.targets)]
 
     def violated(self, name: str, time_s: float, what: str) -> None:
@@ -121,7 +132,9 @@ class RelayMonitors:
         self._on[name] = target
 
     def on_given_up(self, target: int) -> None:
-        """Nobody has it, and everybody knows: no gap of the protocol, until somebody finds it again."""
+        """Nobody has it, and everybody knows: no gap of the protocol, until somebody finds it
+        again.
+        """
         self._alone_s.pop(target, None)
 
     def on_over(self, name: str) -> None:
@@ -136,12 +149,16 @@ class RelayMonitors:
         flight = self._flights.pop(name, None)
         autopilot = self.world.drone(name).autopilot
         if flight is not None:
-            self.flown.append(FlightTruth(name, flight.began_s, now_s, min(flight.battery, autopilot.battery)))
+            self.flown.append(
+                FlightTruth(name, flight.began_s, now_s, min(flight.battery, autopilot.battery))
+            )
 
     def on_offboard(self, name: str, cut_off_s: list[float]) -> None:
         """S8 of one flight, before its autopilot is started anew."""
         judge = Monitors(self.rig.method, 0.0)
-        judge.on_offboard(Role.SENDER, self.world.drone(name).autopilot.offboard_sessions, cut_off_s)
+        judge.on_offboard(
+            Role.SENDER, self.world.drone(name).autopilot.offboard_sessions, cut_off_s
+        )
         self.setpoint_gaps += [replace(gap, who=name) for gap in judge.gaps]
         for detail in judge.details:
             self.violations["S8"] += 1
@@ -195,7 +212,11 @@ class RelayMonitors:
             flight.battery = min(flight.battery, autopilot.battery)
             if flight.battery < self.config.reserve and not flight.told:
                 flight.told = True
-                self.violated("reserve", now_s, f"{name} flies with its battery at {100 * flight.battery:.1f} %")
+                self.violated(
+                    "reserve",
+                    now_s,
+                    f"{name} flies with its battery at {100 * flight.battery:.1f} %",
+                )
 
     def on_watched(self, now_s: float) -> None:
         """As often as ``on_truth``, when what drones looked at until then is known."""
@@ -223,11 +244,15 @@ class RelayMonitors:
 
     def sample(self, now_s: float, batteries: tuple[float, ...], airborne: tuple[str, ...]) -> None:
         self.samples.append(
-            FieldSample(round(now_s, 2), tuple(sorted(self.claims.holders(now_s))), batteries, airborne)
+            FieldSample(
+                round(now_s, 2), tuple(sorted(self.claims.holders(now_s))), batteries, airborne
+            )
         )
 
     def findings(self) -> dict[str, Any]:
-        """Returns what was seen, after ``close``, as fields of a ``flight.harness.relay.RelayReport``."""
+        """Returns what was seen, after ``close``, as fields of a
+        ``flight.harness.relay.RelayReport``.
+        """
         return {
             "violations": dict(self.violations),
             "notes": tuple(self.details),
@@ -244,11 +269,14 @@ class RelayMonitors:
     def close(self) -> None:
         """The relay is over: what the legs' monitors found counts."""
         for leg in self._all_legs:
-            # two of a leg that are responsible at once are already told of, and so is what S7 and S10 found
+            # two of a leg that are responsible at once are already told of, and so is what S7 and
+            # S10 found
             for name, count in leg.monitors.violations.items():
                 if name not in ("S1", "L2"):
                     self.violations[name] += count
-            kept = [detail for detail in leg.monitors.details if not detail.startswith(("S1 ", "L2 "))]
+            kept = [
+                detail for detail in leg.monitors.details if not detail.startswith(("S1 ", "L2 "))
+            ]
             self.details += [f"leg {leg.number}: {detail}" for detail in kept]
             gap_s = leg.monitors.leases.gap_s
             if gap_s is not None:
@@ -283,10 +311,16 @@ class RelayMonitors:
         if target in self._alone_s:
             alone_s = now_s - self._alone_s.pop(target)
             if alone_s > GAP_S:
-                self.violated("L2", now_s, f"nobody was responsible for {alone_s:.2f} s, the bound is {GAP_S:.2f} s")
+                self.violated(
+                    "L2",
+                    now_s,
+                    f"nobody was responsible for {alone_s:.2f} s, the bound is {GAP_S:.2f} s",
+                )
 
     def _on_box(self, name: str, now_s: float, box: list[float] | None) -> None:
-        """The object in the middle of what the responsible drone takes for the target must be the target."""
+        """The object in the middle of what the responsible drone takes for the target must be the
+        target.
+        """
         if box is None or now_s - self._looked_s.get(name, -LOOK_S) < LOOK_S:
             return
         target = self.on_target(name)
@@ -310,4 +344,6 @@ class RelayMonitors:
             self.observed[target].look(now_s)
         elif responsible and name not in self._wrong:
             self._wrong.add(name)
-            self.violated(OBJECT_MONITOR, now_s, f"{name} is responsible and looks at object {found}")
+            self.violated(
+                OBJECT_MONITOR, now_s, f"{name} is responsible and looks at object {found}"
+            )

@@ -1,12 +1,15 @@
-"""The monitors of what no script may do, from true states and the roles' phases: S7, S10, and S11 at a site's walls.
+"""The monitors of what no script may do, from true states and the roles' phases: S7, S10, and S11
+at a site's walls.
 
-S7 is held as far as it can be measured: while the camera of a drone whose mission goes on truly has the target's middle
-in its image, one such drone looks at its frames (a record of one, at most ``LOOKS_S`` old). A mission goes on from the
-moment a role follows the target, or searches for the other drone, until it departs, lands or its program dies.
+S7 is held as far as it can be measured: while the camera of a drone whose mission goes on truly has
+the target's middle in its image, one such drone looks at its frames (a record of one, at most
+``LOOKS_S`` old). A mission goes on from the moment a role follows the target, or searches for the
+other drone, until it departs, lands or its program dies.
 
-S10: once a pilot has the vehicle, no setpoint comes any more and no script changes the mode; once a pilot has stopped
-its motors, it is sent nothing and not armed again; once the autopilot itself holds it, no script flies it on; below the
-battery's limit, or outside the fence, the mission ends. What was under way when it happened may still arrive.
+S10: once a pilot has the vehicle, no setpoint comes any more and no script changes the mode; once a
+pilot has stopped its motors, it is sent nothing and not armed again; once the autopilot itself
+holds it, no script flies it on; below the battery's limit, or outside the fence, the mission ends.
+What was under way when it happened may still arrive.
 """
 
 from __future__ import annotations
@@ -34,7 +37,9 @@ NOTICED_S = 1.5  # mode and battery come with heartbeats; then the script ends i
 FENCE_SLACK_M = 0.5  # of the vehicle's own estimate
 BODY_M = 0.16  # around the middle of a drone
 
-WATCHING = frozenset(phase.title for phase in (Phase.FOLLOW, Phase.SEARCH, Phase.APPROACH, Phase.VERIFY))
+WATCHING = frozenset(
+    phase.title for phase in (Phase.FOLLOW, Phase.SEARCH, Phase.APPROACH, Phase.VERIFY)
+)
 ENDING = frozenset(phase.title for phase in (Phase.DEPART, Phase.LAND, Phase.DONE))
 
 
@@ -94,7 +99,10 @@ class ScriptMonitor:
         self._phase[role] = ""
 
     def on_truth(
-        self, now_s: float, vehicles: Mapping[Any, VehicleTruth], together: Iterable[Iterable[Any]] | None = None
+        self,
+        now_s: float,
+        vehicles: Mapping[Any, VehicleTruth],
+        together: Iterable[Iterable[Any]] | None = None,
     ) -> None:
         """``together``: those that are on one target; all when it is not said."""
         for group in (vehicles,) if together is None else together:
@@ -141,21 +149,42 @@ class ScriptMonitor:
             if now_s - since_s > NOTICED_S:
                 self._after(reason, role, since_s, now_s, vehicle)
 
-    def _after(self, reason: str, role: Enum, since_s: float, now_s: float, vehicle: VehicleTruth) -> None:
+    def _after(
+        self, reason: str, role: Enum, since_s: float, now_s: float, vehicle: VehicleTruth
+    ) -> None:
         who = role.value
         if reason == "pilot":
             if vehicle.setpoint_s > since_s + NOTICED_S:
                 self._once("S10", now_s, f"the {who}'s script sends setpoints to a pilot's vehicle")
             mode = self._mode.setdefault(role, vehicle.mode)
-            if vehicle.mode not in (mode, vehicle.pilots_mode) and vehicle.battery > vehicle.low_battery:
-                self._once("S10", now_s, f"the {who}'s script took the vehicle from its pilot: {vehicle.mode.value}")
+            if (
+                vehicle.mode not in (mode, vehicle.pilots_mode)
+                and vehicle.battery > vehicle.low_battery
+            ):
+                self._once(
+                    "S10",
+                    now_s,
+                    f"the {who}'s script took the vehicle from its pilot: {vehicle.mode.value}",
+                )
         elif reason == "kill":
             if vehicle.armed or vehicle.setpoint_s > since_s + NOTICED_S:
-                self._once("S10", now_s, f"the {who}'s script flies a vehicle whose motors the pilot stopped")
+                self._once(
+                    "S10",
+                    now_s,
+                    f"the {who}'s script flies a vehicle whose motors the pilot stopped",
+                )
         elif reason == "failsafe":
             if vehicle.mode is FlightMode.OFFBOARD or vehicle.setpoint_s > since_s + NOTICED_S:
-                self._once("S10", now_s, f"the {who}'s script flies on against its autopilot: {vehicle.failsafe}")
-        elif vehicle.mode is FlightMode.OFFBOARD and self._phase[role] not in ENDING and self._phase[role]:
+                self._once(
+                    "S10",
+                    now_s,
+                    f"the {who}'s script flies on against its autopilot: {vehicle.failsafe}",
+                )
+        elif (
+            vehicle.mode is FlightMode.OFFBOARD
+            and self._phase[role] not in ENDING
+            and self._phase[role]
+        ):
             self._once("S10", now_s, f"the {who}'s mission goes on against its limit: {reason}")
 
     def _once(self, name: str, now_s: float, what: str) -> None:
@@ -173,7 +202,9 @@ def vehicles_of(world: World, rig: Rig) -> dict[Role, VehicleTruth]:
     }
 
 
-def vehicle_truth(autopilot: Autopilot, drone: DroneTruth, own: RoleRig, target: ObjectTruth) -> VehicleTruth:
+def vehicle_truth(
+    autopilot: Autopilot, drone: DroneTruth, own: RoleRig, target: ObjectTruth
+) -> VehicleTruth:
     """The truth about one vehicle."""
     u, v = pixel_of(drone, own, target)
     east, north, up = drone.T_w_b.t.tolist()
@@ -188,7 +219,8 @@ def vehicle_truth(autopilot: Autopilot, drone: DroneTruth, own: RoleRig, target:
         low_battery=autopilot.config.low_battery,
         setpoint_s=autopilot.newest_setpoint_s,
         position_n_m=(north, east, -up),
-        sees_target=0.0 <= u < own.camera.width and 0.0 <= v < own.camera.height,  # NaN behind the camera
+        # NaN behind the camera
+        sees_target=0.0 <= u < own.camera.width and 0.0 <= v < own.camera.height,
     )
 
 

@@ -1,7 +1,9 @@
-"""S8 in real time: the gaps between a drone's setpoints, and what of each the computer has to answer for.
+"""S8 in real time: the gaps between a drone's setpoints, and what of each the computer has to
+answer for.
 
-A gap is the script's, unless the drone's own program says that it was given no core just then, for so long that the
-rest of the gap is within the bound. A program that kept its loop busy, or slept, was late by its own doing.
+A gap is the script's, unless the drone's own program says that it was given no core just then, for
+so long that the rest of the gap is within the bound. A program that kept its loop busy, or slept,
+was late by its own doing.
 """
 
 from __future__ import annotations
@@ -49,7 +51,9 @@ class Late:
 def late_of(record: Mapping[str, Any], to_s: float) -> Late:
     """What a record of ``LATE`` says, which was written at ``to_s`` of the world's clock."""
     unserved_ns = record["waited_ns"] + record["beside_ns"] + record["stolen_ns"]
-    return Late(to_s - record["since_ns"] * 1e-9, to_s, record["loop_ns"] * 1e-9, unserved_ns * 1e-9)
+    return Late(
+        to_s - record["since_ns"] * 1e-9, to_s, record["loop_ns"] * 1e-9, unserved_ns * 1e-9
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +63,8 @@ class JudgedGap:
     gap: SetpointGap
     loop_s: float
     unserved_s: float
-    stood_s: float = 0.0  # the world, which takes setpoints by their arrival and so explains nothing
+    # the world, which takes setpoints by their arrival and so explains nothing
+    stood_s: float = 0.0
 
     @property
     def explained(self) -> bool:
@@ -72,10 +77,16 @@ class JudgedGap:
         late = f"then its program's loop was {self.loop_s:.2f} s late and had no core for {self.unserved_s:.2f} s"
         if max(self.loop_s, self.unserved_s) == 0.0:
             late = "its program was not late then"
-        return f"{late}, the world stood still for {self.stood_s:.2f} s" if self.stood_s > 0.0 else late
+        return (
+            f"{late}, the world stood still for {self.stood_s:.2f} s"
+            if self.stood_s > 0.0
+            else late
+        )
 
 
-def judged(gap: SetpointGap, late: Iterable[Late], stood: Iterable[Sequence[float]] = ()) -> JudgedGap:
+def judged(
+    gap: SetpointGap, late: Iterable[Late], stood: Iterable[Sequence[float]] = ()
+) -> JudgedGap:
     """A gap beside all that its own drone's program says of its lateness.
 
     Args:
@@ -106,12 +117,18 @@ def detail_of(gap: SetpointGap) -> str:
 
 
 def all_explained(violations: Mapping[str, int], gaps: Sequence[JudgedGap]) -> bool:
-    """Whether the computer explains every violation of S8 of a run; others of S8 are of vehicles and failsafes."""
-    return bool(gaps) and violations.get("S8", 0) == len(gaps) and all(each.explained for each in gaps)
+    """Whether the computer explains every violation of S8 of a run; others of S8 are of vehicles
+    and failsafes.
+    """
+    return (
+        bool(gaps) and violations.get("S8", 0) == len(gaps) and all(each.explained for each in gaps)
+    )
 
 
 def excuse_of(gaps: Sequence[JudgedGap]) -> str:
-    """What a computer was too slow for, by the setpoints that it explains; empty where it explains none."""
+    """What a computer was too slow for, by the setpoints that it explains; empty where it explains
+    none.
+    """
     gaps = [each for each in gaps if each.explained]
     if not gaps:
         return ""

@@ -1,4 +1,6 @@
-"""The world's own log: what was true, in the fields that the report reads (topics ``/scene``, ``/truth`` ...)."""
+"""The world's own log: what was true, in the fields that the report reads (topics ``/scene``,
+``/truth`` ...).
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ class TruthLog:
             "target_id": 0,
             "min_separation_m": min_separation_m,
             "kind": own.kind,
-            "boxes": [{"c": row[0:3], "s": [2.0 * half for half in row[3:6]]} for row in parts.tolist()],
+            "boxes": [
+                {"c": row[0:3], "s": [2.0 * half for half in row[3:6]]} for row in parts.tolist()
+            ],
             "clock_offset_ns": {role.value: offset for role, offset in clock_offset_ns.items()},
             "cameras": {role.value: camera_record(rig.role(role).camera) for role in Role},
             "mounts": {role.value: _mount(rig.role(role)) for role in Role},
@@ -53,7 +57,9 @@ class TruthLog:
             role.value: {**_pose(drone.T_w_b), "in_air": not world.drone(role).on_ground}
             for role, drone in snapshot.drones.items()
         }
-        record["objects"] = [{"id": o.object_id, "t": o.position_w_m, "yaw": o.yaw_rad} for o in snapshot.objects]
+        record["objects"] = [
+            {"id": o.object_id, "t": o.position_w_m, "yaw": o.yaw_rad} for o in snapshot.objects
+        ]
         self._log.write("/truth", self._epoch_ns + round(world.time_s * 1e9), record)
 
     def modes(self, world: World) -> None:
@@ -63,7 +69,11 @@ class TruthLog:
             shown = autopilot.mode.value, autopilot.armed
             if self._shown.get(role) != shown:
                 self._shown[role] = shown
-                record = {"role": role.value, "mode": autopilot.mode.value, "armed": autopilot.armed}
+                record = {
+                    "role": role.value,
+                    "mode": autopilot.mode.value,
+                    "armed": autopilot.armed,
+                }
                 self._log.write("/autopilot", self._epoch_ns + round(world.time_s * 1e9), record)
 
     def fault(self, name: str, at_ns: int) -> None:
@@ -71,7 +81,9 @@ class TruthLog:
         self._log.write("/fault", at_ns, {"fault": name})
 
     def setpoint_gap(self, role: Role, world: World) -> None:
-        """The longest time between two setpoints of a vehicle in offboard control, and when the last one came."""
+        """The longest time between two setpoints of a vehicle in offboard control, and when the
+        last one came.
+        """
         autopilot = world.drone(role).autopilot
         last_ns = None
         if math.isfinite(autopilot.newest_setpoint_s):
@@ -80,7 +92,11 @@ class TruthLog:
         self._log.write("/setpoint_gap", self._epoch_ns + round(world.time_s * 1e9), record)
 
     def violation(self, time_s: float, monitor: str, detail: str) -> None:
-        self._log.write("/violation", self._epoch_ns + round(time_s * 1e9), {"monitor": monitor, "detail": detail})
+        self._log.write(
+            "/violation",
+            self._epoch_ns + round(time_s * 1e9),
+            {"monitor": monitor, "detail": detail},
+        )
 
 
 def _mount(own: RoleRig) -> dict[str, Any]:

@@ -1,4 +1,6 @@
-"""The distributions that Monte-Carlo hand-overs are drawn from, in words, for the page of a trial."""
+"""The distributions that Monte-Carlo hand-overs are drawn from, in words, for the page of a
+trial.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Both drones' cycles of one Monte-Carlo hand-over, and a record of what D1's window was given.
 
-``MarkerView``, ``ReceiverSide`` and ``SenderSide`` are the flight's own. They are given frames and messages in the
-order of time.
+``MarkerView``, ``ReceiverSide`` and ``SenderSide`` are the flight's own. They are given frames and
+messages in the order of time.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def run_cycles(
     """Both cycles from the attempt's beginning until it is decided, or over.
 
     Args:
-        until: asked some times a second with what the gate was told so far; True ends the attempt. Of one that is not
-            ``whole`` it is asked once D1's window has decided.
+        until: asked some times a second with what the gate was told so far; True ends the attempt.
+            Of one that is not ``whole`` it is asked once D1's window has decided.
     """
     cycles = _Cycles(setup, believed, method)
     kinds, which, now = setup.events
@@ -131,7 +131,9 @@ class _Cycles:
         self.done: int | None = None
 
     def run(self, events: Sequence[tuple[int, int, int]], to_done: bool) -> int:
-        """Runs these events in order, ``to_done`` up to the one that completes the window. Returns how many it ran."""
+        """Runs these events in order, ``to_done`` up to the one that completes the window. Returns
+        how many it ran.
+        """
         setup = self._setup
         for many, (kind, which, now_ns) in enumerate(events, 1):
             if kind == SENDER_FRAME:
@@ -146,11 +148,15 @@ class _Cycles:
                 candidate = self._candidates[which]
                 self._sender.hear(candidate, candidate.capture_ns, now_ns)
             elif which in self._targets:
-                self._receiver.hear(self._targets[which], int(setup.seen.stamp_1[which]), now_ns + setup.clock_ns)
+                self._receiver.hear(
+                    self._targets[which], int(setup.seen.stamp_1[which]), now_ns + setup.clock_ns
+                )
         return len(events)
 
     def hopeless(self, now_ns: int, limit_ns: int) -> bool:
-        """Returns whether no run can be long enough before the limit: not even one that goes on, or begins now."""
+        """Returns whether no run can be long enough before the limit: not even one that goes on, or
+        begins now.
+        """
         begin_ns = self._begin_ns if self._window.count else now_ns
         return begin_ns - SLACK_NS + self._hold_ns > limit_ns
 
@@ -164,7 +170,9 @@ class _Cycles:
             self._targets[k] = message
             self.record.own_whose[number] = who
         else:
-            self.record.own_miss(message.reason if isinstance(found, Sighting) else found, number, stamp_ns, now_ns)
+            self.record.own_miss(
+                message.reason if isinstance(found, Sighting) else found, number, stamp_ns, now_ns
+            )
         for pair in self._sender.judge(now_ns):
             self.record.pair(pair, now_ns)
             if self._window.count == 1:
@@ -196,7 +204,11 @@ class _Cycles:
         """Returns D2's knowledge of both vehicles' motion by its frame."""
         seen = self._setup.seen
         last = int(seen.heard[k]) - 1
-        peer = int(seen.peer_stamp[last]), _vector(seen.peer_velocity[last]), float(seen.peer_yaw[last])
+        peer = (
+            int(seen.peer_stamp[last]),
+            _vector(seen.peer_velocity[last]),
+            float(seen.peer_yaw[last]),
+        )
         return VehicleMotions(stamp_ns, _vector(seen.own_velocity[k]), *peer)
 
 
@@ -224,7 +236,9 @@ class _Record:
         return len(self._ints) + len(self._rows)
 
     def own_miss(self, reason: MissReason, number: int, stamp_ns: int, now_ns: int) -> None:
-        self._rows.append((OWN_MISS, REASONS.index(reason), now_ns, 0, stamp_ns, number, stamp_ns, 0, 0, 0, 0))
+        self._rows.append(
+            (OWN_MISS, REASONS.index(reason), now_ns, 0, stamp_ns, number, stamp_ns, 0, 0, 0, 0)
+        )
         self._values.append((0.0, 0.0, 0.0, 0.0))
 
     def pair(self, pair: PairVerdict, now_ns: int) -> None:
@@ -243,7 +257,10 @@ class _Record:
         same = int(theirs == self.own_whose[at.before.frame])
         own = (at.before.frame, at.before.stamp_ns, at.after.frame, at.after.stamp_ns)
         self._rows.append((PAIR, -1, *head, *own, right, same))
-        scores = iou(pair.own_box, pair.mapped_box), self._by_other(candidate, at.values, candidate.box, pair.own_box)
+        scores = (
+            iou(pair.own_box, pair.mapped_box),
+            self._by_other(candidate, at.values, candidate.box, pair.own_box),
+        )
         center, corner = scores if self._other == "corner" else scores[::-1]
         self._values.append((center, corner, at.values[7], candidate.sigma_m))
         if pair.offsets is not None:
@@ -254,7 +271,9 @@ class _Record:
         if pair.placed_iou is not None:
             self._placed_iou[len(self) - 1] = pair.placed_iou
 
-    def _by_other(self, candidate: Candidate, values: tuple[float, ...], box: Box, own_box: Box) -> float:
+    def _by_other(
+        self, candidate: Candidate, values: tuple[float, ...], box: Box, own_box: Box
+    ) -> float:
         """The overlap by the mapping that the method does not use."""
         T_v_c2 = rigid_from_quat(normalized(candidate.rotation_v_c2), candidate.position_v_m)
         depths = values[7], depth_in(T_v_c2, (values[4], values[5], values[6]))

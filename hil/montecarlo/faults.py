@@ -65,7 +65,9 @@ def direction(rng: Generator) -> Array:
 
 
 def _spells(rng: Generator, most: int, low_s: float, high_s: float) -> Array:
-    """One to ``most`` spells within the first five seconds, lengths spread evenly over their logarithm."""
+    """One to ``most`` spells within the first five seconds, lengths spread evenly over their
+    logarithm.
+    """
     count = int(rng.integers(1, most + 1))
     start = rng.uniform(0.0, 5.0, count)
     length = np.exp(rng.uniform(math.log(low_s), math.log(high_s), count))
@@ -88,7 +90,9 @@ def _with_fault(faults: HandoverFaults, name: FaultName, rng: Generator) -> Hand
             delay_s = rng.uniform(0.01, 0.12)
             faults = replace(faults, delay_s=delay_s, jitter_s=delay_s)
         case "clock_error":
-            faults = replace(faults, clock_s=float(rng.choice((-1.0, 1.0))) * rng.uniform(0.005, 0.06))
+            faults = replace(
+                faults, clock_s=float(rng.choice((-1.0, 1.0))) * rng.uniform(0.005, 0.06)
+            )
         case "camera_freeze":
             faults = replace(faults, frozen=_of_one(_spells(rng, 3, 0.1, 1.5), rng))
         case "attitude_jump":

@@ -1,4 +1,6 @@
-"""D1 in a Monte-Carlo hand-over follows the target as it does in flight (``flight.tracking.association``)."""
+"""D1 in a Monte-Carlo hand-over follows the target as it does in flight
+(``flight.tracking.association``).
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ TARGET = 0
 
 
 class Follower:
-    """D1's track of the target. D1 is given the right object in the first frame that shows it, and has followed it.
+    """D1's track of the target. D1 is given the right object in the first frame that shows it, and
+    has followed it.
 
     Args:
         camera: as D1 believes it to be.
@@ -38,7 +41,12 @@ class Follower:
     """
 
     def __init__(
-        self, camera: CameraModel, mission: MissionConfig, method: MethodConfig, things: Things, down_m: float
+        self,
+        camera: CameraModel,
+        mission: MissionConfig,
+        method: MethodConfig,
+        things: Things,
+        down_m: float,
     ) -> None:
         self._camera = camera
         self._mission = mission
@@ -50,7 +58,9 @@ class Follower:
         self.stated: list[StatedIdentity] = []
 
     def look(self, view: HandoverView, time_s: float, T_n_c: Pose) -> Sighting | MissReason:
-        """The target in D1's next frame, taken at an instant of the attempt. ``T_n_c``: as D1 believes."""
+        """The target in D1's next frame, taken at an instant of the attempt. ``T_n_c``: as D1
+        believes.
+        """
         track = self._track
         if track is None:
             found = self._shown(view, T_n_c)

@@ -61,7 +61,9 @@ RECEIVER = 1
 
 @kernel
 def _waves(waves: Array, times: Array, out: Array) -> None:
-    """Sums of sines: ``waves`` (channels, WAVES, 3) with amplitude, rate and phase, ``out`` (n, channels) filled."""
+    """Sums of sines: ``waves`` (channels, WAVES, 3) with amplitude, rate and phase, ``out`` (n,
+    channels) filled.
+    """
     for k in range(times.size):
         for c in range(waves.shape[0]):
             total = 0.0
@@ -83,7 +85,8 @@ def _drawn(rng: np.random.Generator) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class HandoverPoses:
-    """Both drones at some instants, by drone: bodies in NED ``n``; and how far off the attitude estimates are.
+    """Both drones at some instants, by drone: bodies in NED ``n``; and how far off the attitude
+    estimates are.
 
     ``attitude_error``: rotation vectors in the body. ``drift``: of the sender's position estimate.
     """
@@ -114,10 +117,15 @@ class HandoverMotion:
         sender_t = drawn.place.sender_n_m + values[:, WANDER[SENDER]]
         sender_t[:, :2] += target
         receiver_t = sender_t + drawn.place.receiver_n_m + values[:, WANDER[RECEIVER]]
-        R = [_attitude(values[:, ATTITUDE[i]] + errors.mean_tilt[i], yaws[i]) for i in (SENDER, RECEIVER)]
+        R = [
+            _attitude(values[:, ATTITUDE[i]] + errors.mean_tilt[i], yaws[i])
+            for i in (SENDER, RECEIVER)
+        ]
         noise = [errors.attitude_noise * values[:, ATTITUDE_NOISE[i]] for i in (SENDER, RECEIVER)]
         off = [noise[i] + errors.tilt_bias[i] + self._jump(times_s, i) for i in (SENDER, RECEIVER)]
-        return HandoverPoses((R[0], R[1]), (sender_t, receiver_t), (off[0], off[1]), values[:, DRIFT])
+        return HandoverPoses(
+            (R[0], R[1]), (sender_t, receiver_t), (off[0], off[1]), values[:, DRIFT]
+        )
 
     def reported(self, times_s: Array, drone: int) -> Array:
         """Velocities that a vehicle reports, NED (n, 3)."""
@@ -128,7 +136,9 @@ class HandoverMotion:
         if drone == RECEIVER:
             places += self._at(around_s, WANDER[RECEIVER])
         places[:, :2] += self._drawn.things.at(around_s)[0][:, 0]
-        return (places[count:] - places[:count]) / (2.0 * step) + self._at(times_s, SPEED_NOISE[drone])
+        return (places[count:] - places[:count]) / (2.0 * step) + self._at(
+            times_s, SPEED_NOISE[drone]
+        )
 
     def yaw(self, times_s: Array) -> Array:
         """The sender's, as it reports it."""

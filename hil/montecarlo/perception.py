@@ -1,4 +1,5 @@
-"""The views of both cameras in a Monte-Carlo hand-over: placed many at once, and asked one by one as in flight.
+"""The views of both cameras in a Monte-Carlo hand-over: placed many at once, and asked one by one
+as in flight.
 
 What is asked of them ``hil.geometric.perception`` answers, with its noise and its rules.
 """
@@ -29,7 +30,9 @@ BLOCK = 25  # frames placed at a time
 
 
 class CameraPath(NamedTuple):
-    """Frames of one drone: number (n,), poses of both drones in the world, everything on the ground (n, m, 4)."""
+    """Frames of one drone: number (n,), poses of both drones in the world, everything on the ground
+    (n, m, 4).
+    """
 
     frame: NDArray[np.int64]
     R: np.ndarray
@@ -40,8 +43,11 @@ class CameraPath(NamedTuple):
 
 
 @kernel
-def place_frames(first, last, R_b_c, t_b_c, lens, target, drone, flown, boxes, extents, frames, seen, ids, counts):
-    """Puts everything before the camera in frames ``first`` to ``last``; arguments from ``boxes`` on are filled.
+def place_frames(
+    first, last, R_b_c, t_b_c, lens, target, drone, flown, boxes, extents, frames, seen, ids, counts
+):
+    """Puts everything before the camera in frames ``first`` to ``last``; arguments from ``boxes``
+    on are filled.
 
     Args:
         R_b_c, t_b_c: of the camera on its drone. lens: as in ``hil.geometric.kernels``.
@@ -69,11 +75,15 @@ def place_frames(first, last, R_b_c, t_b_c, lens, target, drone, flown, boxes, e
 
 @kernel
 def nearest_outline(seen, ids, u, v):
-    """Returns whose outline has its middle the nearest to a pixel, of those that are visible; NOBODY for none."""
+    """Returns whose outline has its middle the nearest to a pixel, of those that are visible;
+    NOBODY for none.
+    """
     best = np.inf
     who = NOBODY
     for k in range(seen.shape[0]):
-        off = math.hypot(0.5 * (seen[k, X0] + seen[k, X1]) - u, 0.5 * (seen[k, Y0] + seen[k, Y1]) - v)
+        off = math.hypot(
+            0.5 * (seen[k, X0] + seen[k, X1]) - u, 0.5 * (seen[k, Y0] + seen[k, Y1]) - v
+        )
         if seen[k, SHARE] > 0.0 and off < best:
             best = off
             who = ids[k]
@@ -83,7 +93,14 @@ def nearest_outline(seen, ids, u, v):
 class HandoverView(GeometricView):
     """A view whose bodies have been placed."""
 
-    def __init__(self, capture: Capture[Snapshot], sensor: Sensor, placed: Placed, seen: np.ndarray, ids: np.ndarray):
+    def __init__(
+        self,
+        capture: Capture[Snapshot],
+        sensor: Sensor,
+        placed: Placed,
+        seen: np.ndarray,
+        ids: np.ndarray,
+    ):
         super().__init__(capture, sensor)
         self._placed = self._placed_for_depth = placed  # both images are of one instant
         self._outlines = seen
@@ -95,7 +112,9 @@ class HandoverView(GeometricView):
 
 
 class HandoverCamera:
-    """One camera as it truly is, and what is before it in every frame. Views are asked for in the order of frames."""
+    """One camera as it truly is, and what is before it in every frame. Views are asked for in the
+    order of frames.
+    """
 
     def __init__(self, sensor: Sensor, kind: TargetKind, flown: CameraPath) -> None:
         setup = sensor.setup
@@ -106,14 +125,24 @@ class HandoverCamera:
         self._shape = shape
         self._kind: TargetKind = kind
         # of a camera that looks for no marker
-        self._alone = [Snapshot(0.0, {}, (), depth_holes=holes, kind=kind) for holes in (False, True)]
+        self._alone = [
+            Snapshot(0.0, {}, (), depth_holes=holes, kind=kind) for holes in (False, True)
+        ]
         self._boxes = np.empty((BLOCK, most * len(shape) + len(setup.other), BOX_COLUMNS))
-        self._extents, self._frames = np.empty((BLOCK, most + 1, EXTENT_COLUMNS)), np.empty((BLOCK, FRAME_COLUMNS))
-        self._seen, self._ids = np.empty((BLOCK, most, SEEN_COLUMNS)), np.empty((BLOCK, most), np.int64)
+        self._extents, self._frames = (
+            np.empty((BLOCK, most + 1, EXTENT_COLUMNS)),
+            np.empty((BLOCK, FRAME_COLUMNS)),
+        )
+        self._seen, self._ids = (
+            np.empty((BLOCK, most, SEEN_COLUMNS)),
+            np.empty((BLOCK, most), np.int64),
+        )
         self._counts = np.empty(BLOCK, np.int64)
         self._first = self._last = 0  # frames that have been placed
 
-    def view(self, k: int, stamp_ns: int, *, marker_hidden: bool = False, depth_holes: bool = False) -> HandoverView:
+    def view(
+        self, k: int, stamp_ns: int, *, marker_hidden: bool = False, depth_holes: bool = False
+    ) -> HandoverView:
         """The view of a frame."""
         if k >= self._last:
             self._place_from(k)
@@ -124,12 +153,18 @@ class HandoverCamera:
         boxes = self._boxes[row, : count * per_object + len(self._sensor.setup.other)]
         placed = Placed(boxes, self._extents[row, : count + 1], self._frames[row], per_object)
         if self._sensor.markers:
-            sender = DroneTruth(Pose(flown.other_R[k], flown.other_t[k]), (0.0, 0.0, 0.0), 0.0, armed=True)
-            snapshot = Snapshot(0.0, {Role.SENDER: sender}, (), marker_hidden, depth_holes, kind=self._kind)
+            sender = DroneTruth(
+                Pose(flown.other_R[k], flown.other_t[k]), (0.0, 0.0, 0.0), 0.0, armed=True
+            )
+            snapshot = Snapshot(
+                0.0, {Role.SENDER: sender}, (), marker_hidden, depth_holes, kind=self._kind
+            )
         else:
             snapshot = self._alone[depth_holes]
         capture = Capture(stamp_ns, int(flown.frame[k]), snapshot)
-        return HandoverView(capture, self._sensor, placed, self._seen[row, :count], self._ids[row, :count])
+        return HandoverView(
+            capture, self._sensor, placed, self._seen[row, :count], self._ids[row, :count]
+        )
 
     def _place_from(self, k: int) -> None:
         setup = self._sensor.setup

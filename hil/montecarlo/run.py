@@ -1,7 +1,9 @@
-"""Monte-Carlo hand-overs: without flights, many times faster than they would take (``flight.harness.montecarlo``).
+"""Monte-Carlo hand-overs: without flights, many times faster than they would take
+(``flight.harness.montecarlo``).
 
-A hand-over starts where an approach ends. Everything is drawn from the attempt's seed and index; observations are
-those of the geometric perception with errors that last on top. They go through the method itself.
+A hand-over starts where an approach ends. Everything is drawn from the attempt's seed and index;
+observations are those of the geometric perception with errors that last on top. They go through the
+method itself.
 """
 
 from __future__ import annotations
@@ -40,9 +42,16 @@ class MonteCarloHandovers:
         self.run(Attempt(0, 0, limit_s=0.3))
         return self
 
-    def run(self, attempt: Attempt, until: Callable[[Series], bool] | None = None) -> MonteCarloHandover:
+    def run(
+        self, attempt: Attempt, until: Callable[[Series], bool] | None = None
+    ) -> MonteCarloHandover:
         setup = HandoverSetup(attempt, self._believed, self._method)
-        return _result(attempt, setup, run_cycles(attempt, setup, self._believed, self._method, until), self._method)
+        return _result(
+            attempt,
+            setup,
+            run_cycles(attempt, setup, self._believed, self._method, until),
+            self._method,
+        )
 
     def conditions(self) -> tuple[tuple[str, str], ...]:
         return conditions(self._believed, sizes_of(level_of(self._believed.rig)))
@@ -51,7 +60,9 @@ class MonteCarloHandovers:
         return MEANINGS
 
 
-def _result(attempt: Attempt, setup: HandoverSetup, ran: CyclesRun, method: MethodConfig) -> MonteCarloHandover:
+def _result(
+    attempt: Attempt, setup: HandoverSetup, ran: CyclesRun, method: MethodConfig
+) -> MonteCarloHandover:
     """Returns the result of an attempt by the paper's gate."""
     series = ran.series
     done = ran.done

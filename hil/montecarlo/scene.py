@@ -1,4 +1,5 @@
-"""The draws for one Monte-Carlo hand-over: who stands where, errors that last, what goes wrong and when.
+"""The draws for one Monte-Carlo hand-over: who stands where, errors that last, what goes wrong and
+when.
 
 Every group has its own stream of random numbers, so that one fault or another changes nothing else.
 """
@@ -29,14 +30,16 @@ from path.geometry.transforms import Pose
 Array = NDArray[np.float64]
 Generator = np.random.Generator
 
-# Ranges and standard deviations of what is drawn; the trial prints them. Beside where the mission has D1:
+# Ranges and standard deviations of what is drawn; the trial prints them. Beside where the mission
+# has D1:
 BEHIND_M = (-0.25, 0.25)
 HEIGHT_M = (-0.2, 0.3)
 SIDE_M = 0.10
 # D2 at its viewpoint
 PLACE_SIGMA_M = 0.07
 YAW_SIGMA_RAD = math.radians(3.0)
-BIAS_RAD = (math.radians(0.5), math.radians(0.5), math.radians(2.0))  # of an attitude estimate: roll, pitch, yaw
+# of an attitude estimate: roll, pitch, yaw
+BIAS_RAD = (math.radians(0.5), math.radians(0.5), math.radians(2.0))
 CLOCK_SIGMA_S = 0.002
 MOVING_SHARE = 0.75
 SPEED_MPS = (0.05, 0.4)
@@ -64,8 +67,12 @@ class Believed:
     @classmethod
     def of(cls, rig: Rig) -> Believed:
         mission = decode_table(rig.mission, MissionConfig, rig.where("[mission]"))
-        target = decode_table(rig.world.get("target", {}), TargetConfig, rig.where("[world.target]"))
-        others = decode_table(rig.world.get("look_alikes", {}), LookAlikeConfig, rig.where("[world.look_alikes]"))
+        target = decode_table(
+            rig.world.get("target", {}), TargetConfig, rig.where("[world.target]")
+        )
+        others = decode_table(
+            rig.world.get("look_alikes", {}), LookAlikeConfig, rig.where("[world.look_alikes]")
+        )
         parts = parts_of(target.kind)
         top = np.max(parts[:, 2] + parts[:, 5])
         bottom = np.min(parts[:, 2] - parts[:, 5])
@@ -78,7 +85,10 @@ class Believed:
         """Ranges of D1's horizontal distance from the target and of its height above the ground."""
         behind_m = self.mission.follow.behind_m
         height_m = self.mission.follow.height_m
-        return (behind_m + BEHIND_M[0], behind_m + BEHIND_M[1]), (height_m + HEIGHT_M[0], height_m + HEIGHT_M[1])
+        return (behind_m + BEHIND_M[0], behind_m + BEHIND_M[1]), (
+            height_m + HEIGHT_M[0],
+            height_m + HEIGHT_M[1],
+        )
 
     @property
     def parked_gap_m(self) -> float:
@@ -95,13 +105,17 @@ class Believed:
         """The rig with D2's camera turned about its optical axis."""
         receiver = self.rig.receiver
         mount = self.rig.receiver.mount
-        turned = Pose(mount.T_b_c.R @ exp(np.array([0.0, 0.0, math.radians(roll_deg)])), mount.T_b_c.t)
+        turned = Pose(
+            mount.T_b_c.R @ exp(np.array([0.0, 0.0, math.radians(roll_deg)])), mount.T_b_c.t
+        )
         return replace(self.rig, receiver=replace(receiver, mount=Mount(turned, mount.T_b_v)))
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """The places where the drones hold: D1 from the target, D2's body from D1's, local NED; D1 heads north."""
+    """The places where the drones hold: D1 from the target, D2's body from D1's, local NED; D1
+    heads north.
+    """
 
     sender_n_m: Array
     receiver_n_m: Array
@@ -137,7 +151,11 @@ class Things:
         half = 0.5 * self.turn_rad_s * times_s
         chord = self.speed_mps * times_s * np.sinc(half / math.pi)
         target = np.stack((chord * np.cos(mean), chord * np.sin(mean)), axis=1)
-        there = self.start + self.velocity * times_s[:, None, None] + self.attached[:, None] * target[:, None]
+        there = (
+            self.start
+            + self.velocity * times_s[:, None, None]
+            + self.attached[:, None] * target[:, None]
+        )
         there[:, 0] = target
         gone = (times_s[:, None] < self.span_s[:, 0]) | (times_s[:, None] > self.span_s[:, 1])
         there[gone] = np.nan
@@ -146,7 +164,9 @@ class Things:
 
 @dataclass(frozen=True, slots=True)
 class LastingErrors:
-    """The differences to what is believed, for the whole attempt: the truth where it can be given."""
+    """The differences to what is believed, for the whole attempt: the truth where it can be
+    given.
+    """
 
     built: Built
     tilt_bias: Array  # (2, 3) of each drone's attitude estimate, rotation vector in the body
@@ -157,7 +177,9 @@ class LastingErrors:
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """One attempt's circumstances. ``shift_c``, ``turn_c``: of D2's pose, m and rad in its camera's axes."""
+    """One attempt's circumstances. ``shift_c``, ``turn_c``: of D2's pose, m and rad in its camera's
+    axes.
+    """
 
     place: Place
     things: Things
@@ -202,20 +224,25 @@ def _place(believed: Believed, reach: float, rng: Generator) -> Place:
         side_m = believed.rig.layout.markers[0].side_m
         half_m = mission.target.half_size_m
         scene = ViewpointScene(target_h, T_b_v.R[:, 2], side_m, -T_b_v.t, target_radius_m=half_m)
-        plan = plan_viewpoint(scene, camera, receiver.mount.T_b_c, mission.rendezvous, mission.separation)
+        plan = plan_viewpoint(
+            scene, camera, receiver.mount.T_b_c, mission.rendezvous, mission.separation
+        )
         beside = PLACE_SIGMA_M * rng.standard_normal(3)
         turn = YAW_SIGMA_RAD * rng.standard_normal()
         mirrored = rng.random() < 0.5
         if isinstance(plan, Viewpoint):
             break
-    across = -1.0 if mirrored and abs(side) < SIDE_M else 1.0  # the other side is as good when the target is ahead
+    # the other side is as good when the target is ahead
+    across = -1.0 if mirrored and abs(side) < SIDE_M else 1.0
     yaw = across * plan.yaw_h_rad + turn
     camera_h = np.array(plan.camera_h_m) * (1.0, across, 1.0)
     receiver_n = T_b_v.t + camera_h - R_from_yaw(yaw) @ receiver.mount.T_b_c.t + beside
     return Place(sender_n, receiver_n, yaw)
 
 
-def _things(attempt: Attempt, believed: Believed, names: tuple[FaultName, ...], rng: Generator) -> Things:
+def _things(
+    attempt: Attempt, believed: Believed, names: tuple[FaultName, ...], rng: Generator
+) -> Things:
     """The target, three look-alikes that keep away, and what a fault adds."""
     others = believed.look_alikes
     moving = rng.random() < MOVING_SHARE
@@ -256,7 +283,9 @@ def _things(attempt: Attempt, believed: Believed, names: tuple[FaultName, ...], 
     )  # fmt: skip
 
 
-def _beside(distance_m: float, crossing: bool, rng: Generator) -> tuple[Array, Array, bool, tuple[float, float], float]:
+def _beside(
+    distance_m: float, crossing: bool, rng: Generator
+) -> tuple[Array, Array, bool, tuple[float, float], float]:
     """A look-alike at a distance from the target, along with it or past it."""
     aside = direction(rng)
     middle_s = rng.uniform(1.0, 6.0)
@@ -265,7 +294,13 @@ def _beside(distance_m: float, crossing: bool, rng: Generator) -> tuple[Array, A
         return distance_m * aside, np.zeros(2), True, (-math.inf, math.inf), yaw
     velocity = CROSSING_MPS * np.array([-aside[1], aside[0]])
     span = middle_s - CROSSING_HALF_S, middle_s + CROSSING_HALF_S
-    return distance_m * aside - middle_s * velocity, velocity, True, span, math.atan2(velocity[1], velocity[0])
+    return (
+        distance_m * aside - middle_s * velocity,
+        velocity,
+        True,
+        span,
+        math.atan2(velocity[1], velocity[0]),
+    )
 
 
 def _errors(rig: Rig, rng: Generator) -> LastingErrors:
@@ -289,7 +324,9 @@ def _bias(
     things: Things,
     rng: Generator,
 ) -> tuple[Array, Array]:
-    """Returns the errors of D2's pose, m and rad in its camera, that put the prior on the look-alike."""
+    """Returns the errors of D2's pose, m and rad in its camera, that put the prior on the
+    look-alike.
+    """
     wrong = attempt.wrong
     assert wrong is not None
     residual = wrong.residual_m * rng.standard_normal(3)
@@ -304,12 +341,16 @@ def _bias(
     offset = R_c_n @ np.array([away[0], away[1], 0.0]) + residual
     if wrong.kind == "shift":
         return offset, np.zeros(3)
-    to_target = R_c_n @ (-place.sender_n_m - rig.sender.mount.T_b_v.t - np.array([0.0, 0.0, believed.middle_m]))
+    to_target = R_c_n @ (
+        -place.sender_n_m - rig.sender.mount.T_b_v.t - np.array([0.0, 0.0, believed.middle_m])
+    )
     return np.zeros(3), _turn_between(to_target, to_target + offset)
 
 
 def _turn_between(a: Array, b: Array) -> Array:
-    """Rotation vector of the smallest turn that takes the direction of one vector to that of another."""
+    """Rotation vector of the smallest turn that takes the direction of one vector to that of
+    another.
+    """
     axis = np.cross(a, b)
     size = float(np.linalg.norm(axis))
     return axis * (math.atan2(size, float(a @ b)) / size) if size > 0.0 else axis

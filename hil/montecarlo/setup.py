@@ -1,6 +1,7 @@
 """A Monte-Carlo hand-over made ready: frames, poses, messages and their arrivals as arrays.
 
-What is before the cameras is placed as far as the hand-over is run; what they see, when they are asked.
+What is before the cameras is placed as far as the hand-over is run; what they see, when they are
+asked.
 """
 
 from __future__ import annotations
@@ -18,7 +19,15 @@ from hil.geometric.noise import ObservationNoise
 from hil.geometric.perception import Sensor
 from hil.geometric.scene import CameraSetup
 from hil.montecarlo.follower import Follower
-from hil.montecarlo.motion import P_W_N, RECEIVER, SENDER, HandoverMotion, HandoverPoses, exp_all, within
+from hil.montecarlo.motion import (
+    P_W_N,
+    RECEIVER,
+    SENDER,
+    HandoverMotion,
+    HandoverPoses,
+    exp_all,
+    within,
+)
 from hil.montecarlo.perception import NOBODY, CameraPath, HandoverCamera, HandoverView
 from hil.montecarlo.scene import Believed, Drawn, Generator, draw
 from hil.world.errors import SensorErrors
@@ -52,10 +61,10 @@ CANDIDATE_HEARD = 3
 class HandoverFrames(NamedTuple):
     """Both cameras' frames: numbers, stamps, and what is known beside the images.
 
-    ``gravity_v``, ``gravity_c``: (n, 3) as each drone believes; ``R_n_c``: of D2's camera, (n, 3, 3).
-    ``shift_c``, ``turn``: what D2's pose is off by, (3,) and (3, 3).
-    ``own_velocity``: of D2 with each of its frames; ``peer_stamp``, ``peer_velocity``, ``peer_yaw``: D1's reports, and
-    ``heard``: (n,) how many of them D2 has by a frame.
+    ``gravity_v``, ``gravity_c``: (n, 3) as each drone believes; ``R_n_c``: of D2's camera, (n, 3,
+    3). ``shift_c``, ``turn``: what D2's pose is off by, (3,) and (3, 3).
+    ``own_velocity``: of D2 with each of its frames; ``peer_stamp``, ``peer_velocity``,
+    ``peer_yaw``: D1's reports, and ``heard``: (n,) how many of them D2 has by a frame.
     """
 
     number_1: Whole
@@ -80,8 +89,8 @@ class Timed:
 
     Attributes:
         number: (n,) running number; frames that a frozen camera did not give are left out.
-        taken_s, done_s, heard_s: (n,) when it was taken, when its processing ended, when the other drone heard of it;
-            infinite for a message that was lost.
+        taken_s, done_s, heard_s: (n,) when it was taken, when its processing ended, when the other
+            drone heard of it; infinite for a message that was lost.
         stamped_s: (n,) when it was taken, by its stamp.
     """
 
@@ -112,20 +121,29 @@ class HandoverSetup:
         faults = self.drawn.faults
         self.clock_ns = round((self.drawn.errors.clock_s + faults.clock_s) * 1e9)
         self.frames = tuple(
-            self._timed(attempt.limit_s, latency, frozen, self.drawn.errors.built.sensors[role], streams[5])
-            for role, latency, frozen in zip(Role, (SENDER_LATENCY_S, RECEIVER_LATENCY_S), faults.frozen, strict=True)
+            self._timed(
+                attempt.limit_s, latency, frozen, self.drawn.errors.built.sensors[role], streams[5]
+            )
+            for role, latency, frozen in zip(
+                Role, (SENDER_LATENCY_S, RECEIVER_LATENCY_S), faults.frozen, strict=True
+            )
         )
         look_seeds = streams[6].integers(1 << 62, size=2).tolist()
         self._kind: TargetKind = believed.kind
         self._sensor_1, self._sensor_2 = (
-            self._sensor(role, believed.noise, method, seed) for role, seed in zip(Role, look_seeds, strict=True)
+            self._sensor(role, believed.noise, method, seed)
+            for role, seed in zip(Role, look_seeds, strict=True)
         )
         self._T_v_m = believed.rig.layout.markers[0].T_v_m
-        self.follower = Follower(self.rig.sender.camera, believed.mission, method, self.drawn.things, -self._middle_m)
+        self.follower = Follower(
+            self.rig.sender.camera, believed.mission, method, self.drawn.things, -self._middle_m
+        )
         self._limit_s = attempt.limit_s
         self._prepare(min(HORIZON_S, attempt.limit_s))
 
-    def _sensor(self, role: Role, noise: ObservationNoise, method: MethodConfig, seed: int) -> Sensor:
+    def _sensor(
+        self, role: Role, noise: ObservationNoise, method: MethodConfig, seed: int
+    ) -> Sensor:
         """A camera as it truly is, with the perception behind it."""
         built = self.drawn.errors.built
         own = built.rig.role(role)
@@ -135,7 +153,12 @@ class HandoverSetup:
         return Sensor(setup, noise, method, seed, built.sensors[role])
 
     def _timed(
-        self, limit_s: float, latency: tuple[float, float], frozen: Array, sensor: SensorErrors, rng: Generator
+        self,
+        limit_s: float,
+        latency: tuple[float, float],
+        frozen: Array,
+        sensor: SensorErrors,
+        rng: Generator,
     ) -> Timed:
         faults = self.drawn.faults
         count = math.ceil(limit_s * RATE_HZ)
@@ -145,10 +168,14 @@ class HandoverSetup:
         done = np.maximum.accumulate(done)
         heard = done + faults.delay_s + rng.uniform(0.0, faults.jitter_s, count)
         heard[rng.random(count) < faults.loss] = math.inf
-        jitter = np.clip(sensor.stamp_jitter_s * rng.standard_normal(count), -0.45 / RATE_HZ, 0.45 / RATE_HZ)
+        jitter = np.clip(
+            sensor.stamp_jitter_s * rng.standard_normal(count), -0.45 / RATE_HZ, 0.45 / RATE_HZ
+        )
         stamped = taken + sensor.stamp_late_s + jitter
         there = ~within(taken, frozen)
-        return Timed(first + np.flatnonzero(there), taken[there], done[there], heard[there], stamped[there])
+        return Timed(
+            first + np.flatnonzero(there), taken[there], done[there], heard[there], stamped[there]
+        )
 
     def _prepare(self, horizon_s: float) -> None:
         """Poses of all frames up to a time, and what is before the cameras."""
@@ -184,7 +211,9 @@ class HandoverSetup:
         )  # fmt: skip
 
     def _reports(self, receiver: Timed) -> tuple[Array, Whole, Array, Array, Whole]:
-        """Returns both vehicles' reports of their motion, D1's yaw in it, and how many D2 has by each of its frames."""
+        """Returns both vehicles' reports of their motion, D1's yaw in it, and how many D2 has by
+        each of its frames.
+        """
         faults = self.drawn.faults
         motion = self._motion
         said_s = np.arange(-2.0, self._horizon_s * STATUS_HZ) / STATUS_HZ
@@ -194,7 +223,9 @@ class HandoverSetup:
         return own, _ns(said_s), peer, motion.yaw(said_s), np.maximum(heard, 1)
 
     def _gravity_c(self, R_n_c2: Array, receiver: Timed) -> Array:
-        """Gravity in D2's camera as D2 believes; while flipped, what makes the other planar solution the likely one."""
+        """Gravity in D2's camera as D2 believes; while flipped, what makes the other planar
+        solution the likely one.
+        """
         gravity_c = np.ascontiguousarray(R_n_c2[:, 2])
         mount = self.drawn.errors.built.rig.receiver.mount
         flown = self.flown_2
@@ -211,17 +242,25 @@ class HandoverSetup:
             self._prepare(self._limit_s)
 
     def followed(self, k: int) -> tuple[Sighting | MissReason, int]:
-        """D1's frame: the target that it follows there, and whose box that is. Frames are asked for in their order."""
+        """D1's frame: the target that it follows there, and whose box that is. Frames are asked for
+        in their order.
+        """
         view = self._camera_1.view(k, int(self.seen.stamp_1[k]), depth_holes=bool(self._holes[k]))
-        found = self.follower.look(view, float(self._times_1[k]), Pose(self._R_n_c1[k], self._t_n_c1[k]))
+        found = self.follower.look(
+            view, float(self._times_1[k]), Pose(self._R_n_c1[k], self._t_n_c1[k])
+        )
         return found, view.whose(found.box) if isinstance(found, Sighting) else NOBODY
 
     def receiver_view(self, k: int) -> HandoverView:
-        return self._camera_2.view(k, int(self.seen.stamp_2[k]), marker_hidden=bool(self._hidden[k]))
+        return self._camera_2.view(
+            k, int(self.seen.stamp_2[k]), marker_hidden=bool(self._hidden[k])
+        )
 
     @property
     def events(self) -> tuple[Whole, Whole, Whole]:
-        """Returns the kinds of events, their frames, and their instants (ns), in the order of time."""
+        """Returns the kinds of events, their frames, and their instants (ns), in the order of
+        time.
+        """
         sender, receiver = self.frames
         when = (sender.done_s, sender.heard_s, receiver.done_s, receiver.heard_s)
         kinds = (SENDER_FRAME, TARGET_HEARD, RECEIVER_FRAME, CANDIDATE_HEARD)
@@ -257,9 +296,11 @@ class HandoverSetup:
 
 
 def mirrored(T_c_v: Pose, T_v_m: Pose) -> Array:
-    """``R_c_v`` of a marker that faces the other way of the line of sight: about the second planar solution.
+    """``R_c_v`` of a marker that faces the other way of the line of sight: about the second planar
+    solution.
 
-    The marker's centre stays where it is; its axes turn by pi about the line to it, and by pi about its own normal.
+    The marker's centre stays where it is; its axes turn by pi about the line to it, and by pi about
+    its own normal.
     """
     centre = T_c_v.apply(T_v_m.t)
     line = centre / np.linalg.norm(centre)
@@ -268,7 +309,9 @@ def mirrored(T_c_v: Pose, T_v_m: Pose) -> Array:
 
 
 def relative_roll(T_w_c1: Pose, T_w_c2: Pose) -> float:
-    """Angle in rad by which "up" differs between two images: between the image directions of D1's x axis in both."""
+    """Angle in rad by which "up" differs between two images: between the image directions of D1's x
+    axis in both.
+    """
     across = (T_w_c2.R.T @ T_w_c1.R)[:, 0]
     return math.atan2(across[1], across[0])
 
@@ -278,7 +321,9 @@ def _ns(times_s: Array) -> Whole:
 
 
 def _things(frames: Timed, drawn: Drawn, up_m: float) -> tuple[Array, Array]:
-    """Everything so high in the world, ENU and yaw (n, m, 4), and the target's north and east, (n, 2)."""
+    """Everything so high in the world, ENU and yaw (n, m, 4), and the target's north and east, (n,
+    2).
+    """
     places, yaw = drawn.things.at(frames.taken_s)
     things = np.zeros((*yaw.shape, 4))
     things[..., 0], things[..., 1], things[..., 2], things[..., 3] = (

@@ -1,4 +1,5 @@
-"""Compiled antialiasing: pixels that an edge crosses are sampled 16 times, or 64 times where a marker is in them.
+"""Compiled antialiasing: pixels that an edge crosses are sampled 16 times, or 64 times where a
+marker is in them.
 
 An edge is that of a face, or one between two cells of a marker or of another pattern.
 """
@@ -11,7 +12,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.render.kernels import INTERIOR, active_in_row, marker_is_white, rotor_opacity, rotor_terms, shade_at
+from hil.render.kernels import (
+    INTERIOR,
+    active_in_row,
+    marker_is_white,
+    rotor_opacity,
+    rotor_terms,
+    shade_at,
+)
 from hil.render.primitives import (
     CELLS,
     COLOR,
@@ -34,7 +42,9 @@ MOST = 48  # primitives that are looked at in one pixel; more than any view of t
 
 
 def hammersley(count: int) -> NDArray[np.float64]:
-    """Hammersley's points in a pixel, shape (2, count), within -0.5..0.5; ``count`` is a power of two."""
+    """Hammersley's points in a pixel, shape (2, count), within -0.5..0.5; ``count`` is a power of
+    two.
+    """
     index = np.arange(count)
     reversed_bits = np.zeros(count)
     for bit in range(count.bit_length() - 1):
@@ -52,8 +62,8 @@ def _at(primitives, p, k, ray):
 def _gather(primitives, tags, active, actives, c, ray, found, local):
     """Faces that may cover some of a pixel, into ``found``; returns how many.
 
-    ray (6,): x, y and their derivatives dx/du, dx/dv, dy/du, dy/dv. local (MOST, 5, 3): of the four edges and of 1/z,
-    the value at the pixel's centre and its change per column and row.
+    ray (6,): x, y and their derivatives dx/du, dx/dv, dy/du, dy/dv. local (MOST, 5, 3): of the four
+    edges and of 1/z, the value at the pixel's centre and its change per column and row.
     """
     number = 0
     for i in range(actives):
@@ -77,7 +87,9 @@ def _gather(primitives, tags, active, actives, c, ray, found, local):
 
 @inner
 def _nearest(local, number, ground_w, ray, du, dv, best, nearest):
-    """Index of the nearest face and its 1/z at every sample; ``number`` and the ground's where there is none."""
+    """Index of the nearest face and its 1/z at every sample; ``number`` and the ground's where
+    there is none.
+    """
     local[number, 4, 0] = max(0.0, ground_w[0] * ray[0] + ground_w[1] * ray[1] + ground_w[2])
     along_u = ground_w[0] * ray[2] + ground_w[1] * ray[4]
     along_v = ground_w[0] * ray[3] + ground_w[1] * ray[5]
@@ -103,7 +115,9 @@ def _nearest(local, number, ground_w, ray, du, dv, best, nearest):
         for s in range(du.size):
             u = du[s]
             v = dv[s]
-            inside = min(a + ax * u + ay * v, b + bx * u + by * v, c + cx * u + cy * v, d + dx * u + dy * v)
+            inside = min(
+                a + ax * u + ay * v, b + bx * u + by * v, c + cx * u + cy * v, d + dx * u + dy * v
+            )
             w = w0 + wx * u + wy * v
             better = (inside >= 0.0) & (w > nearest[s])
             nearest[s] = w if better else nearest[s]
@@ -113,7 +127,11 @@ def _nearest(local, number, ground_w, ray, du, dv, best, nearest):
 @inner
 def _over(primitives, p, x, y):
     """Returns the place on a face where a ray meets it: (u, v)."""
-    z = 1.0 / (primitives[p, INVERSE_Z] * x + primitives[p, INVERSE_Z + 1] * y + primitives[p, INVERSE_Z + 2])
+    z = 1.0 / (
+        primitives[p, INVERSE_Z] * x
+        + primitives[p, INVERSE_Z + 1] * y
+        + primitives[p, INVERSE_Z + 2]
+    )
     u = (primitives[p, OVER_U] * x + primitives[p, OVER_U + 1] * y + primitives[p, OVER_U + 2]) * z
     v = (primitives[p, OVER_V] * x + primitives[p, OVER_V + 1] * y + primitives[p, OVER_V + 2]) * z
     return u, v
@@ -121,7 +139,9 @@ def _over(primitives, p, x, y):
 
 @inner
 def _shares(primitives, tags, found, number, looks, ray, du, dv, best, shares, light):
-    """Share of the pixel that every face shows (last: the ground), and the share times what its colour is taken at."""
+    """Share of the pixel that every face shows (last: the ground), and the share times what its
+    colour is taken at.
+    """
     cells, cells_per_side, shade_texels, tables = looks
     for i in range(number + 1):
         samples = 0
@@ -165,14 +185,18 @@ def _rotors_at(primitives, tags, order, rotors, r, c, ray, opacity, rotor_w):
         p = order[i]
         opacity[i], rotor_w[i] = 0.0, 0.0
         if tags[p, ROW_0] <= r < tags[p, ROW_1] and tags[p, COLUMN_0] <= c < tags[p, COLUMN_1]:
-            opacity[i], rotor_w[i] = rotor_opacity(rotor_terms(primitives, p), np.float32(ray[0]), np.float32(ray[1]))
+            opacity[i], rotor_w[i] = rotor_opacity(
+                rotor_terms(primitives, p), np.float32(ray[0]), np.float32(ray[1])
+            )
             there = there or opacity[i] > 0.0
     return there
 
 
 @inner
 def _under_rotors(primitives, k, level, share, w, order, rotors, opacity, rotor_w):
-    """``level`` (channel k, already times ``share``) of something at 1/z = w, seen through the rotors before it."""
+    """``level`` (channel k, already times ``share``) of something at 1/z = w, seen through the
+    rotors before it.
+    """
     for i in range(rotors):
         if opacity[i] > 0.0 and rotor_w[i] > w:
             level += opacity[i] * (share * primitives[order[i], COLOR + k] - level)
@@ -180,11 +204,14 @@ def _under_rotors(primitives, k, level, share, w, order, rotors, opacity, rotor_
 
 
 @kernel
-def draw_edges(primitives, tags, count, order, rotors, looks, ground_w, rays, samples, edges, image):
+def draw_edges(
+    primitives, tags, count, order, rotors, looks, ground_w, rays, samples, edges, image
+):
     """Sample every pixel that ``edges`` marks. ``image`` holds the ground there.
 
-    looks: as in ``kernels.shade_faces``. ground_w (3,): coefficients of the ground's 1/z. rays: x, y and their
-    derivatives dx/du, dx/dv, dy/du, dy/dv, each (h, w). samples: (few, many), each (2, n).
+    looks: as in ``kernels.shade_faces``. ground_w (3,): coefficients of the ground's 1/z. rays: x,
+    y and their derivatives dx/du, dx/dv, dy/du, dy/dv, each (h, w). samples: (few, many), each (2,
+    n).
     """
     few, many = samples
     active = np.empty(count, np.int64)
@@ -222,10 +249,13 @@ def draw_edges(primitives, tags, count, order, rotors, looks, ground_w, rays, sa
                 for i in range(number + 1):
                     color = primitives[found[i], COLOR + k] if i < number else float(image[k, r, c])
                     level = color * light[i]
-                    if i < number and light[i] != shares[i]:  # the second colour; black for a marker
+                    # the second colour; black for a marker
+                    if i < number and light[i] != shares[i]:
                         level += primitives[found[i], SECOND + k] * (shares[i] - light[i])
                     if blended:
                         w = local[i, 4, 0]
-                        level = _under_rotors(primitives, k, level, shares[i], w, order, rotors, opacity, rotor_w)
+                        level = _under_rotors(
+                            primitives, k, level, shares[i], w, order, rotors, opacity, rotor_w
+                        )
                     total += level
                 image[k, r, c] = np.uint8(total + 0.5)

@@ -1,6 +1,7 @@
 """Compiled drawing of the ground and the sky: trilinear texture on a plane, row by row.
 
-Every step is a loop of its own over a long stretch of a row, so that all but the gather itself vectorise.
+Every step is a loop of its own over a long stretch of a row, so that all but the gather itself
+vectorise.
 """
 
 # pyright: reportMissingParameterType=false
@@ -33,15 +34,21 @@ SCRATCH_ROWS = 9
 
 
 def ground_plane(T_w_c: Pose) -> NDArray[np.float64]:
-    """Coefficients of u/z, v/z, 1/z of the ground, shape (3, 3); u to the east, v to the north, in tiles.
+    """Coefficients of u/z, v/z, 1/z of the ground, shape (3, 3); u to the east, v to the north, in
+    tiles.
 
-    Counted from a multiple of the texture's whole period near the camera, to keep the numbers small.
+    Counted from a multiple of the texture's whole period near the camera, to keep the numbers
+    small.
     """
     whole = GROUND_PERIOD_M * COARSE
-    anchor = np.array([math.floor(T_w_c.t[0] / whole) * whole, math.floor(T_w_c.t[1] / whole) * whole, 0.0])
+    anchor = np.array(
+        [math.floor(T_w_c.t[0] / whole) * whole, math.floor(T_w_c.t[1] / whole) * whole, 0.0]
+    )
     camera = np.array([T_w_c.t[0], T_w_c.t[1], max(float(T_w_c.t[2]), LOWEST_M)])
     R_c_w = T_w_c.R.T
-    M = np.column_stack((R_c_w[:, 0] * GROUND_PERIOD_M, R_c_w[:, 1] * GROUND_PERIOD_M, R_c_w @ (anchor - camera)))
+    M = np.column_stack(
+        (R_c_w[:, 0] * GROUND_PERIOD_M, R_c_w[:, 1] * GROUND_PERIOD_M, R_c_w @ (anchor - camera))
+    )
     return np.asarray(np.linalg.inv(M), float)
 
 
@@ -83,7 +90,9 @@ def _detail(plane, x, y, u, v, z, pixel):
 
 @inner
 def _lookup(texture, level, scale, u, v, words, fraction_u, fraction_v, out):
-    """Bilinear texture of one mip level at u, v (tiles) times ``scale``, into ``out``; all of one length."""
+    """Bilinear texture of one mip level at u, v (tiles) times ``scale``, into ``out``; all of one
+    length.
+    """
     size = INT(GROUND_SIZE >> level)
     first = INT((4 * (GROUND_SIZE * GROUND_SIZE - size * size)) // 3)
     mask = INT(size - 1)
@@ -114,7 +123,9 @@ def _lookup(texture, level, scale, u, v, words, fraction_u, fraction_v, out):
 
 @inner
 def _stretch(texture, level, finest, rows, words, c0, c1):
-    """Grey levels of the columns c0..c1, which share a mip level. ``finest``: they have no share in the next one."""
+    """Grey levels of the columns c0..c1, which share a mip level. ``finest``: they have no share in
+    the next one.
+    """
     u = rows[1, c0:c1]
     v = rows[2, c0:c1]
     share = rows[3, c0:c1]
@@ -137,20 +148,30 @@ def _stretch(texture, level, finest, rows, words, c0, c1):
 def draw_ground(plane, light, pixel, ray_x, ray_y, texture, tints, rows, words, image, inverse_z):
     """Ground and sky everywhere, and the ground's 1/z.
 
-    plane: of ``ground_plane``. light: shading factor. pixel: size of a pixel on z = 1. tints: as ``looks.Tints.rows``.
-    rows: float32 scratch (SCRATCH_ROWS, >= w); words: int32 scratch (w,).
+    plane: of ``ground_plane``. light: shading factor. pixel: size of a pixel on z = 1. tints: as
+    ``looks.Tints.rows``. rows: float32 scratch (SCRATCH_ROWS, >= w); words: int32 scratch (w,).
     """
     height, width = ray_x.shape
     lit = F(light)
     for r in range(height):
-        _meet(plane, ray_x[r], ray_y[r], rows[0, :width], rows[1, :width], rows[2, :width], inverse_z[r])
+        _meet(
+            plane,
+            ray_x[r],
+            ray_y[r],
+            rows[0, :width],
+            rows[1, :width],
+            rows[2, :width],
+            inverse_z[r],
+        )
         start = 0
         current = -1
         finest = False
         for c0 in range(0, width, BLOCK):
             c1 = min(c0 + BLOCK, width)
             m = (c0 + c1) // 2
-            detail = _detail(plane, ray_x[r, m], ray_y[r, m], rows[1, m], rows[2, m], rows[0, m], pixel)
+            detail = _detail(
+                plane, ray_x[r, m], ray_y[r, m], rows[1, m], rows[2, m], rows[0, m], pixel
+            )
             level = int(detail)
             rows[3, c0:c1] = F(detail - level)
             if level != current or finest != (detail == 0.0):

@@ -1,7 +1,8 @@
 """Compiled passes over the image: visibility, interior of the faces, rotor discs.
 
-All images are planes of shape (h, w); colour is (3, h, w) in the order B, G, R. ``ray_x`` and ``ray_y`` are the
-undistorted normalised coordinates of every pixel centre. Long rows are float32 so that they vectorise.
+All images are planes of shape (h, w); colour is (3, h, w) in the order B, G, R. ``ray_x`` and
+``ray_y`` are the undistorted normalised coordinates of every pixel centre. Long rows are float32 so
+that they vectorise.
 """
 
 # pyright: reportMissingParameterType=false
@@ -60,7 +61,8 @@ HIDDEN = F(0.97)  # an edge this much deeper than what is drawn already, does no
 
 @kernel
 def draw_faces(primitives, tags, count, ray_x, ray_y, inverse_z, owner, edges):
-    """Visibility: 1/z and index of the nearest face (-1: none) at every pixel centre; which pixels an edge crosses.
+    """Visibility: 1/z and index of the nearest face (-1: none) at every pixel centre; which pixels
+    an edge crosses.
 
     Nearer bodies should come first: the edges they hide are then left out.
     """
@@ -93,7 +95,12 @@ def draw_faces(primitives, tags, count, ray_x, ray_y, inverse_z, owner, edges):
             for c in range(rx.size):  # on its own, so that it vectorises
                 x = rx[c]
                 y = ry[c]
-                inside[c] = min(a0 * x + a1 * y + a2, b0 * x + b1 * y + b2, c0 * x + c1 * y + c2, d0 * x + d1 * y + d2)
+                inside[c] = min(
+                    a0 * x + a1 * y + a2,
+                    b0 * x + b1 * y + b2,
+                    c0 * x + c1 * y + c2,
+                    d0 * x + d1 * y + d2,
+                )
                 w_row[c] = w0 * x + w1 * y + w2
             for c in range(low, high):
                 within = inside[c - low]
@@ -119,20 +126,28 @@ def marker_is_white(table, side, u, v):
 
 @inner
 def _under_pixel(primitive, x, y, pixel):
-    """The place where a ray meets a face, (u, v), and how far its pixel reaches from there over u and v."""
+    """The place where a ray meets a face, (u, v), and how far its pixel reaches from there over u
+    and v.
+    """
     over_x = primitive[INVERSE_Z]
     over_y = primitive[INVERSE_Z + 1]
     z = 1.0 / (over_x * x + over_y * y + primitive[INVERSE_Z + 2])
     u = (primitive[OVER_U] * x + primitive[OVER_U + 1] * y + primitive[OVER_U + 2]) * z
     v = (primitive[OVER_V] * x + primitive[OVER_V + 1] * y + primitive[OVER_V + 2]) * z
-    reach_u = (abs(primitive[OVER_U] - u * over_x) + abs(primitive[OVER_U + 1] - u * over_y)) * (0.51 * z * pixel)
-    reach_v = (abs(primitive[OVER_V] - v * over_x) + abs(primitive[OVER_V + 1] - v * over_y)) * (0.51 * z * pixel)
+    reach_u = (abs(primitive[OVER_U] - u * over_x) + abs(primitive[OVER_U + 1] - u * over_y)) * (
+        0.51 * z * pixel
+    )
+    reach_v = (abs(primitive[OVER_V] - v * over_x) + abs(primitive[OVER_V + 1] - v * over_y)) * (
+        0.51 * z * pixel
+    )
     return u, v, reach_u, reach_v
 
 
 @inner
 def _marker_pixel(primitive, table, side, x, y, pixel):
-    """Colour of the plate at a ray when it is one over the whole pixel: 1 white, 0 black; -1 when it is not."""
+    """Colour of the plate at a ray when it is one over the whole pixel: 1 white, 0 black; -1 when
+    it is not.
+    """
     u, v, reach_u, reach_v = _under_pixel(primitive, x, y, pixel)
     if max(reach_u, reach_v) * PLATE_SCALE * side > 0.5:
         border = 0.5 + 0.5 / PLATE_SCALE
@@ -149,7 +164,9 @@ def _marker_pixel(primitive, table, side, x, y, pixel):
 
 @inner
 def shade_at(shades, table, u, v):
-    """Shade (0..255) of a pattern or print at (u, v), both 0..1 over it. ``table``: its row of the tables of shades."""
+    """Shade (0..255) of a pattern or print at (u, v), both 0..1 over it. ``table``: its row of the
+    tables of shades.
+    """
     rows = table[ROWS]
     columns = table[TABLE_COLUMNS]
     row = min(max(int(np.floor(v * rows)), 0), rows - 1)
@@ -189,9 +206,11 @@ def active_in_row(tags, count, r, active):
 
 @kernel
 def shade_faces(primitives, tags, count, looks, ray_x, ray_y, pixel, owner, edges, image):
-    """Colour the interior of every face; pixels a marker's or other pattern crosses become MARKER_EDGE.
+    """Colour the interior of every face; pixels a marker's or other pattern crosses become
+    MARKER_EDGE.
 
-    looks: cells (m, s, s) and cells_per_side (m,) of the markers; shades, flat, and their tables (k, 3).
+    looks: cells (m, s, s) and cells_per_side (m,) of the markers; shades, flat, and their tables
+    (k, 3).
     """
     cells, cells_per_side, shades, tables = looks
     active = np.empty(count, np.int64)
@@ -208,13 +227,17 @@ def shade_faces(primitives, tags, count, looks, ray_x, ray_y, pixel, owner, edge
                 continue
             white = 1
             if tags[p, KIND] == PATTERN or tags[p, KIND] == PRINT:
-                shade = _shaded_pixel(primitives[p], shades, tables[tags[p, SHADES]], ray_x[r, c], ray_y[r, c], pixel)
+                shade = _shaded_pixel(
+                    primitives[p], shades, tables[tags[p, SHADES]], ray_x[r, c], ray_y[r, c], pixel
+                )
                 if shade < 0:
                     edges[r, c] = MARKER_EDGE
                     continue
                 first = shade / 255.0
                 for k in range(3):
-                    level = primitives[p, COLOR + k] * first + primitives[p, SECOND + k] * (1.0 - first)
+                    level = primitives[p, COLOR + k] * first + primitives[p, SECOND + k] * (
+                        1.0 - first
+                    )
                     image[k, r, c] = np.uint8(level + 0.5)
                 continue
             if tags[p, KIND] == MARKER:
@@ -230,11 +253,17 @@ def shade_faces(primitives, tags, count, looks, ray_x, ray_y, pixel, owner, edge
 
 @inner
 def rotor_terms(primitives, p):
-    """Returns a rotor's terms for ``rotor_opacity``: u/z, v/z, 1/z (3 x 3), blades' direction, turning, sharpness."""
+    """Returns a rotor's terms for ``rotor_opacity``: u/z, v/z, 1/z (3 x 3), blades' direction,
+    turning, sharpness.
+    """
     return (
         (F(primitives[p, OVER_U]), F(primitives[p, OVER_U + 1]), F(primitives[p, OVER_U + 2])),
         (F(primitives[p, OVER_V]), F(primitives[p, OVER_V + 1]), F(primitives[p, OVER_V + 2])),
-        (F(primitives[p, INVERSE_Z]), F(primitives[p, INVERSE_Z + 1]), F(primitives[p, INVERSE_Z + 2])),
+        (
+            F(primitives[p, INVERSE_Z]),
+            F(primitives[p, INVERSE_Z + 1]),
+            F(primitives[p, INVERSE_Z + 2]),
+        ),
         (F(primitives[p, BLADE_COS]), F(primitives[p, BLADE_SIN])),
         F(primitives[p, SPIN]),
         F(primitives[p, SHARPNESS]),
@@ -243,7 +272,9 @@ def rotor_terms(primitives, p):
 
 @inner
 def rotor_opacity(terms, x, y):
-    """(opacity, 1/z) of a rotor at a ray; antialiased by itself. Turning: a faint disc with two blurred lobes."""
+    """(opacity, 1/z) of a rotor at a ray; antialiased by itself. Turning: a faint disc with two
+    blurred lobes.
+    """
     u, v, w, blades, spin, sharpness = terms
     inverse_z = w[0] * x + w[1] * y + w[2]
     twice = TWO / max(inverse_z, TINY)
@@ -251,7 +282,8 @@ def rotor_opacity(terms, x, y):
     b = twice * (v[0] * x + v[1] * y + v[2]) - ONE
     radius2 = a * a + b * b
     sharp = sharpness * inverse_z
-    rim = min(max(HALF * (ONE - radius2) * sharp, ZERO), ONE)  # 1 - radius, to first order at the rim
+    # 1 - radius, to first order at the rim
+    rim = min(max(HALF * (ONE - radius2) * sharp, ZERO), ONE)
     along = a * blades[0] + b * blades[1]
     across = abs(b * blades[0] - a * blades[1])
     lobe = along * along / max(radius2, TINY)
@@ -269,7 +301,9 @@ def _blend(color, opacity, out):
 
 @kernel
 def draw_rotors(primitives, order, rotors, tags, ray_x, ray_y, inverse_z, edges, image):
-    """Blend the rotors (indices ``order[:rotors]``, farthest first) over what is behind them, edge pixels excepted."""
+    """Blend the rotors (indices ``order[:rotors]``, farthest first) over what is behind them, edge
+    pixels excepted.
+    """
     row = np.empty(ray_x.shape[1], np.float32)
     for i in range(rotors):
         p = order[i]

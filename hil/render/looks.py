@@ -1,6 +1,7 @@
 """The look of each scene: sun, ground, sky, shadows, glare, lamps, and what they do to the sensor.
 
-All figures are assumed, so that pictures look like what the name says; none was measured on a place.
+All figures are assumed, so that pictures look like what the name says; none was measured on a
+place.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ Litter = Literal["none", "leaves", "stones", "lines"]
 
 @dataclass(frozen=True, slots=True)
 class Tints:
-    """The ground's colour: base + fine gain x fine grey level + rough gain x rough grey level; and the sky's. BGR."""
+    """The ground's colour: base + fine gain x fine grey level + rough gain x rough grey level; and
+    the sky's. BGR.
+    """
 
     base: Bgr = (24.0, 34.0, 38.0)
     fine: Bgr = (0.42, 0.46, 0.42)
@@ -45,17 +48,19 @@ class Look:
     """One scene as cameras see it.
 
     Attributes:
-        sun: towards the sun or the brightest part of the sky, world ENU; its length is how strong it is, 1 as in
-            "plain".
+        sun: towards the sun or the brightest part of the sky, world ENU; its length is how strong
+            it is, 1 as in "plain".
         ground, tints: the ground's texture and colours.
         gain: of all light, by colour, before the sensor.
-        shadow: share of the light that a shadow on the ground takes; ``penumbra_px``: width of its soft edge.
+        shadow: share of the light that a shadow on the ground takes; ``penumbra_px``: width of its
+            soft edge.
         veil: grey levels of glare towards the sun; it falls with the angle from it.
         lamps: lamps above, whose reflections the floor shows.
         litter: what lies about, ``pieces`` of it, at places drawn by the seed.
         exposure_times: exposures as times the camera's.
         read_times, shot_times, depth_times, holes_times: the sensor's noise as times the rig's.
-        dark_lost, gleam_lost: shares of black surfaces and of gleaming paint without depth (``hil.render.surfaces``).
+        dark_lost, gleam_lost: shares of black surfaces and of gleaming paint without depth
+            (``hil.render.surfaces``).
     """
 
     sun: tuple[float, float, float] = PLAIN_SUN

@@ -1,7 +1,8 @@
-"""The imaging of a colour sensor behind a mosaic, delivered as YUYV: blur, mosaic, noise, sharpening, half the colour.
+"""The imaging of a colour sensor behind a mosaic, delivered as YUYV: blur, mosaic, noise,
+sharpening, half the colour.
 
-It does what ``hil.camera.pipeline`` does for such an ``Imaging``, in a seventh of the time, which is what a flight has
-for it: between its steps there are 8 bits.
+It does what ``hil.camera.pipeline`` does for such an ``Imaging``, in a seventh of the time, which
+is what a flight has for it: between its steps there are 8 bits.
 """
 
 # pyright: reportMissingParameterType=false
@@ -43,7 +44,9 @@ class MosaicSensor:
     """One camera's sensor. It keeps scratch buffers: use it from one thread at a time."""
 
     def __init__(self, imaging: Imaging, height: int, width: int, pool: NDArray[np.int8]) -> None:
-        """``pool``: of unit noise, as ``noise_pool`` makes it. Raises ValueError for an imaging that is not quick."""
+        """``pool``: of unit noise, as ``noise_pool`` makes it. Raises ValueError for an imaging
+        that is not quick.
+        """
         if not is_quick(imaging):
             raise ValueError(f"imaging: {imaging!r} takes more than this sensor does")
         self._imaging = imaging
@@ -58,19 +61,35 @@ class MosaicSensor:
 
         Args:
             key: selects its noise.
-            smear_px: motion during the exposure, at most ``LONGEST_PX``: it widens the blur along each axis.
+            smear_px: motion during the exposure, at most ``LONGEST_PX``: it widens the blur along
+                each axis.
         """
         own = self._imaging
         taps, down = (blur_taps(blurred_px(own.blur_sigma_px, length)) for length in smear_px)
         row, column = ((key >> shift) % POOL_MARGIN for shift in (16, 24))
-        mosaic(light, taps, down, own.read_sigma, own.shot_gain, self._pool, row, column, self._rows, self._raw)
-        color = cv2.demosaicing(self._raw, cv2.COLOR_BayerBG2BGR_EA)  # OpenCV names the pattern by its second row
-        return as_yuyv(np.asarray(color, np.uint8), own.sharpen, own.sharpen_sigma_px, self._scratch)
+        mosaic(
+            light,
+            taps,
+            down,
+            own.read_sigma,
+            own.shot_gain,
+            self._pool,
+            row,
+            column,
+            self._rows,
+            self._raw,
+        )
+        # OpenCV names the pattern by its second row
+        color = cv2.demosaicing(self._raw, cv2.COLOR_BayerBG2BGR_EA)
+        return as_yuyv(
+            np.asarray(color, np.uint8), own.sharpen, own.sharpen_sigma_px, self._scratch
+        )
 
 
 @kernel
 def mosaic(light, taps, down, read_sigma, shot_gain, pool, offset_row, offset_column, rows, raw):
-    """Blurred light with noise, one colour a pixel: R G / G B from the top left corner, into ``raw`` (h, w).
+    """Blurred light with noise, one colour a pixel: R G / G B from the top left corner, into
+    ``raw`` (h, w).
 
     taps, down: as in ``blur_row``. rows: float32 scratch (3, w + 2 reach or more).
     """
@@ -97,7 +116,8 @@ def mosaic(light, taps, down, read_sigma, shot_gain, pool, offset_row, offset_co
 def as_yuyv(color: Image, sharpen: float, sigma_px: float, scratch: Image | None = None) -> Image:
     """A picture (h, w, 3), BGR, as it comes through YUYV, its brightness sharpened before.
 
-    scratch: (SCRATCH_PLANES, h, w), written over. To have new memory for each picture takes as long as half the steps.
+    scratch: (SCRATCH_PLANES, h, w), written over. To have new memory for each picture takes as long
+    as half the steps.
 
     Raises:
         ValueError: an odd width.
@@ -117,12 +137,17 @@ def as_yuyv(color: Image, sharpen: float, sigma_px: float, scratch: Image | None
     packed = planes[5:7].reshape(-1).view(np.uint16).reshape(height, width)
     rows = np.empty((2, width + 2), np.float32)
     pack(grey, blurred, blue, red, sharpen, rows, packed)
-    return np.asarray(cv2.cvtColor(packed.view(np.uint8).reshape(height, width, 2), cv2.COLOR_YUV2BGR_YUY2), np.uint8)
+    return np.asarray(
+        cv2.cvtColor(packed.view(np.uint8).reshape(height, width, 2), cv2.COLOR_YUV2BGR_YUY2),
+        np.uint8,
+    )
 
 
 @cache
 def _blur_size(sigma_px: float) -> int:
-    """The smallest kernel that blurs 8 bits as the one that OpenCV takes by itself: its outer weights may all be 0."""
+    """The smallest kernel that blurs 8 bits as the one that OpenCV takes by itself: its outer
+    weights may all be 0.
+    """
     line = np.zeros((1, 129), np.uint8)
     line[0, 64] = 255  # shows each weight, of 256
     whole = cv2.GaussianBlur(line, (0, 0), sigma_px)
@@ -134,7 +159,8 @@ def _blur_size(sigma_px: float) -> int:
 
 @kernel
 def pack(grey, blurred, blue, red, sharpen, rows, packed):
-    """YUYV, two bytes in a uint16 (h, w), BT.601 in its limited range, of grey + sharpen (grey - blurred).
+    """YUYV, two bytes in a uint16 (h, w), BT.601 in its limited range, of grey + sharpen (grey -
+    blurred).
 
     U and V are those of two pixels each. rows: float32 scratch (2, w + 2).
     """

@@ -1,7 +1,8 @@
-"""The things on the ground of a scene, and the light on it: litter, painted lines, shadows, reflected lamps, glare.
+"""The things on the ground of a scene, and the light on it: litter, painted lines, shadows,
+reflected lamps, glare.
 
-Flat polygons on the ground, drawn over it before the bodies are. A polygon that reaches behind the camera or out of the
-lens is left out: they are small.
+Flat polygons on the ground, drawn over it before the bodies are. A polygon that reaches behind the
+camera or out of the lens is left out: they are small.
 """
 
 from __future__ import annotations
@@ -60,7 +61,9 @@ def patches(look: Look, seed: int) -> GroundPatches:
     size = rng.uniform(0.015, 0.07, (count, 1)) if stones else rng.uniform(0.02, 0.06, (count, 1))
     angles = turn + np.arange(4) * (0.5 * np.pi) + rng.uniform(-0.4, 0.4, (count, 4))
     flat = 1.0 if stones else np.array((1.0, 0.45, 1.0, 0.45))
-    corners = middles + (size * flat)[..., None] * np.stack((np.cos(angles), np.sin(angles)), axis=-1)
+    corners = middles + (size * flat)[..., None] * np.stack(
+        (np.cos(angles), np.sin(angles)), axis=-1
+    )
     palette = np.array(STONES if stones else LEAVES)
     return GroundPatches(corners, palette[rng.integers(0, len(palette), count)])
 
@@ -83,7 +86,9 @@ def _lines() -> GroundPatches:
 class Overlay:
     """Draws one scene's overlay into the light that a camera sees of the ground."""
 
-    def __init__(self, look: Look, camera: CameraModel, rays: Sequence[NDArray[np.float32]], seed: int) -> None:
+    def __init__(
+        self, look: Look, camera: CameraModel, rays: Sequence[NDArray[np.float32]], seed: int
+    ) -> None:
         """``rays``: x and y of each pixel's ray on z = 1, (h, w) each."""
         self._look = look
         self._camera = camera
@@ -93,14 +98,19 @@ class Overlay:
         self._mask = np.zeros((camera.height, camera.width), np.uint8)
         strength = float(np.linalg.norm(look.sun_w))
         self._sun = look.sun_w / strength
-        self._gains = [np.round(np.clip(np.arange(256) * gain, 0.0, 255.0)).astype(np.uint8) for gain in look.gain]
+        self._gains = [
+            np.round(np.clip(np.arange(256) * gain, 0.0, 255.0)).astype(np.uint8)
+            for gain in look.gain
+        ]
 
     def on_ground(self, T_w_c: Pose, casters: Sequence[Body], image: Planes) -> None:
         """Litter, reflections and shadows, into ``image`` (3, h, w) of the ground alone."""
         T_c_w = T_w_c.inverse()
         found = self._patches
         if len(found.corners):
-            points = np.concatenate((found.corners, np.zeros((*found.corners.shape[:2], 1))), axis=2)
+            points = np.concatenate(
+                (found.corners, np.zeros((*found.corners.shape[:2], 1))), axis=2
+            )
             polygons, colors = self._visible(points, found.colors, T_c_w)
             for polygon, color in zip(polygons, colors.tolist(), strict=True):
                 for plane, level in zip(image, color, strict=True):
@@ -114,15 +124,21 @@ class Overlay:
         """Glare, and the light's colour and strength, over the whole ``image``."""
         if self._look.veil > 0.0:
             x, y, z = (T_w_c.R.T @ self._sun).astype(np.float32)
-            towards = np.maximum(self._directions[0] * x + self._directions[1] * y + self._directions[2] * z, 0.0)
+            towards = np.maximum(
+                self._directions[0] * x + self._directions[1] * y + self._directions[2] * z, 0.0
+            )
             veil = np.round(self._look.veil * towards**VEIL_POWER).astype(np.uint8)
             for plane in image:
                 cv2.add(plane, veil, plane)
         for plane, gains in zip(image, self._gains, strict=True):
             cv2.LUT(plane, gains, plane)
 
-    def _visible(self, points_w: Array, colors: Array, T_c_w: Pose) -> tuple[list[NDArray[np.int32]], Array]:
-        """Polygons (n, k, 3) of the world that are in the image, as OpenCV takes them, and their colours."""
+    def _visible(
+        self, points_w: Array, colors: Array, T_c_w: Pose
+    ) -> tuple[list[NDArray[np.int32]], Array]:
+        """Polygons (n, k, 3) of the world that are in the image, as OpenCV takes them, and their
+        colours.
+        """
         count, corners = points_w.shape[:2]
         seen = T_c_w.apply(points_w.reshape(-1, 3))
         ahead = seen[:, 2] > NEAREST_M
@@ -133,7 +149,12 @@ class Overlay:
         low = pixels.min(axis=1)
         high = pixels.max(axis=1)
         size = np.array((self._camera.width, self._camera.height))
-        kept = whole & (high > -1.0).all(axis=1) & (low < size).all(axis=1) & (high - low < 8.0 * size).all(axis=1)
+        kept = (
+            whole
+            & (high > -1.0).all(axis=1)
+            & (low < size).all(axis=1)
+            & (high - low < 8.0 * size).all(axis=1)
+        )
         scaled = np.round(pixels[kept] * (1 << SHIFT)).astype(np.int32)
         return list(scaled), colors[kept]
 
@@ -149,7 +170,9 @@ class Overlay:
             points = np.stack((p0, p0 + e1, p0 + e1 + e2, p0 + e2), axis=1)
             placed = body.T_w_body.apply(points.reshape(-1, 3)).reshape(points.shape)
             height = np.maximum(placed[..., 2:], 0.0)
-            for polygon in self._visible(placed - height / self._sun[2] * self._sun, corners, T_c_w)[0]:
+            for polygon in self._visible(
+                placed - height / self._sun[2] * self._sun, corners, T_c_w
+            )[0]:
                 cv2.fillConvexPoly(mask, polygon, 255, cv2.LINE_AA, SHIFT)
         if not mask.any():
             return
@@ -159,7 +182,9 @@ class Overlay:
             cv2.multiply(plane, kept, plane, 1.0 / 255.0)
 
     def _reflect(self, T_w_c: Pose, image: Planes) -> None:
-        """Lamps on a grid above, as a floor that shines a little shows them: as if they were as far below it."""
+        """Lamps on a grid above, as a floor that shines a little shows them: as if they were as far
+        below it.
+        """
         mask = self._mask
         mask.fill(0)
         grid = np.arange(-AREA_M, AREA_M + 0.1, LAMP_GRID_M)
@@ -170,6 +195,8 @@ class Overlay:
         for polygon in self._visible(points, middle, T_w_c.inverse())[0]:
             cv2.fillConvexPoly(mask, polygon, 255, cv2.LINE_AA, SHIFT)
         if mask.any():
-            glow = np.round(cv2.GaussianBlur(mask, (0, 0), LAMP_BLUR_PX) * (LAMP_LEVELS / 255.0)).astype(np.uint8)
+            glow = np.round(
+                cv2.GaussianBlur(mask, (0, 0), LAMP_BLUR_PX) * (LAMP_LEVELS / 255.0)
+            ).astype(np.uint8)
             for plane in image:
                 cv2.add(plane, glow, plane)

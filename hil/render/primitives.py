@@ -1,7 +1,9 @@
-"""Set-up of flat primitives for one image: from a body's rectangles to functions linear in the pixel's ray.
+"""Set-up of flat primitives for one image: from a body's rectangles to functions linear in the
+pixel's ray.
 
-With M = [E1 E2 P0] in the camera frame and A = M^-1, a ray (x, y, 1) meets the plane where A (x, y, 1) = (u, v, 1)/z.
-So u/z, v/z and 1/z are linear in the ray, and so is every edge: inside is u/z >= 0, (1-u)/z >= 0, and so on. Depth and
+With M = [E1 E2 P0] in the camera frame and A = M^-1, a ray (x, y, 1) meets the plane where A (x, y,
+1) = (u, v, 1)/z. So u/z, v/z and 1/z are linear in the ray, and so is every edge: inside is u/z >=
+  0, (1-u)/z >= 0, and so on. Depth and
 texture coordinates are exact, nothing needs clipping, and the lens distortion is only in the rays.
 """
 
@@ -15,8 +17,8 @@ import numpy as np
 from hil.render.scene import MARKER, PATTERN, PRINT, ROTOR
 from path.compiled import inner, kernel
 
-# Columns of a primitive. Edges are scaled so that a pixel whose centre has every edge >= 1 lies inside as a whole, and
-# one with an edge < -1 lies outside as a whole.
+# Columns of a primitive. Edges are scaled so that a pixel whose centre has every edge >= 1 lies
+# inside as a whole, and one with an edge < -1 lies outside as a whole.
 EDGES = 0  # 4 x 3 coefficients
 INVERSE_Z = 12  # 3 coefficients of 1/z in 1/m
 OVER_U = 15  # 3 coefficients of u/z
@@ -27,7 +29,8 @@ BLADE_COS = 25  # rotor: direction of its blades in the disc
 BLADE_SIN = 26
 SPIN = 27  # rotor: 1 turning (translucent disc), 0 at rest (two blades)
 CENTER_Z = 28  # of the middle of the rectangle, m
-SHARPNESS = 29  # rotor: z over the radius of a pixel's disc, so that a step becomes a ramp of one pixel
+# rotor: z over the radius of a pixel's disc, so that a step becomes a ramp of one pixel
+SHARPNESS = 29
 SECOND = 30  # pattern or print: its other colour, BGR after shading
 COLUMNS = 33
 
@@ -65,7 +68,9 @@ def first_at_least(values, threshold):
 
 @inner
 def _turned(R, vectors, i, first):
-    """R times the three columns from ``first`` of row i, as a tuple (compiles faster than an array)."""
+    """R times the three columns from ``first`` of row i, as a tuple (compiles faster than an
+    array).
+    """
     x = vectors[i, first]
     y = vectors[i, first + 1]
     z = vectors[i, first + 2]
@@ -89,7 +94,8 @@ def _cross(a, b, divisor):
 def _bounds(p0, e1, e2, column_x, row_y, pixel, tag):
     """Rows and columns the rectangle can touch; False when it is out of sight.
 
-    ``column_x`` (2, w) and ``row_y`` (2, h): smallest and largest ray coordinate of each column and row.
+    ``column_x`` (2, w) and ``row_y`` (2, h): smallest and largest ray coordinate of each column and
+    row.
     """
     x_low = np.inf
     x_high = -np.inf
@@ -112,7 +118,12 @@ def _bounds(p0, e1, e2, column_x, row_y, pixel, tag):
     if behind == 4:
         return False
     if behind > 0:  # reaches past the camera: its projection is not bounded by its corners
-        tag[ROW_0], tag[ROW_1], tag[COLUMN_0], tag[COLUMN_1] = 0, row_y.shape[1], 0, column_x.shape[1]
+        tag[ROW_0], tag[ROW_1], tag[COLUMN_0], tag[COLUMN_1] = (
+            0,
+            row_y.shape[1],
+            0,
+            column_x.shape[1],
+        )
         return True
     tag[ROW_0] = first_at_least(row_y[1], y_low - pixel)
     tag[ROW_1] = first_at_least(row_y[0], y_high + pixel)
@@ -128,7 +139,11 @@ def _fill(p0, e1, e2, determinant, pixel, primitive):
     over_v = _cross(p0, e1, determinant)
     inverse_z = _cross(e1, e2, determinant)
     for k in range(3):
-        primitive[OVER_U + k], primitive[OVER_V + k], primitive[INVERSE_Z + k] = over_u[k], over_v[k], inverse_z[k]
+        primitive[OVER_U + k], primitive[OVER_V + k], primitive[INVERSE_Z + k] = (
+            over_u[k],
+            over_v[k],
+            inverse_z[k],
+        )
     for edge in range(4):
         along = over_u if edge < 2 else over_v
         first = EDGES + 3 * edge
@@ -142,7 +157,9 @@ def _fill(p0, e1, e2, determinant, pixel, primitive):
 
 @inner
 def _swept(point, sweep):
-    """The place of a point (camera frame) when the row that shows it is read. sweep: as in ``add_body``."""
+    """The place of a point (camera frame) when the row that shows it is read. sweep: as in
+    ``add_body``.
+    """
     x, y, z = point
     for _ in range(2):  # its row is where it is by then
         down = y / max(z, NEAR_M)
@@ -166,15 +183,19 @@ def _sum(a, b):
 
 
 @kernel
-def add_body(corners, looks, first_table, R, t, sun_c, motion, sweep, vehicle, view, primitives, tags, count):
+def add_body(
+    corners, looks, first_table, R, t, sun_c, motion, sweep, vehicle, view, primitives, tags, count
+):
     """Append the rectangles of one body that may be seen; returns the new count.
 
-    corners (n, 9), looks (colors (n, 3), seconds (n, 3), kinds (n,)): as in ``scene.Model``. first_table: index of the
-    first table of shades of this body. R (3, 3), t (3,): T_c_body. sun_c (3,): towards the sun. motion (3,): cosine and
-    sine of the blades' angle, and 1 when they turn. sweep (11,): velocity and rates of the body's points in the camera
-    frame, and when what lies in a direction is read: s from the frame's instant, s for each of y / z, at most so far
-    from it, and the lens's k1 and k2. Each rectangle's corners are where they are then. vehicle: 1 for what is tracked.
-    view: ``column_x`` (2, w), ``row_y`` (2, h), and the largest size of a pixel on the plane z = 1.
+    corners (n, 9), looks (colors (n, 3), seconds (n, 3), kinds (n,)): as in ``scene.Model``.
+    first_table: index of the first table of shades of this body. R (3, 3), t (3,): T_c_body. sun_c
+    (3,): towards the sun. motion (3,): cosine and sine of the blades' angle, and 1 when they turn.
+    sweep (11,): velocity and rates of the body's points in the camera frame, and when what lies in
+    a direction is read: s from the frame's instant, s for each of y / z, at most so far from it,
+    and the lens's k1 and k2. Each rectangle's corners are where they are then. vehicle: 1 for what
+    is tracked. view: ``column_x`` (2, w), ``row_y`` (2, h), and the largest size of a pixel on the
+    plane z = 1.
     """
     column_x, row_y, pixel = view
     colors, seconds, kinds = looks
@@ -211,10 +232,16 @@ def add_body(corners, looks, first_table, R, t, sun_c, motion, sweep, vehicle, v
             primitive[COLOR + k] = min(255.0, colors[i, k] * light)
             primitive[SECOND + k] = min(255.0, seconds[i, k] * light)
         primitive[LIGHT] = light
-        slope = np.hypot(primitive[OVER_U], primitive[OVER_U + 1]) + np.hypot(primitive[OVER_V], primitive[OVER_V + 1])
+        slope = np.hypot(primitive[OVER_U], primitive[OVER_U + 1]) + np.hypot(
+            primitive[OVER_V], primitive[OVER_V + 1]
+        )
         primitive[SHARPNESS] = 1.0 / max(slope * pixel, 1e-9)
         primitive[CENTER_Z] = p0[2] + 0.5 * (e1[2] + e2[2])
-        primitive[BLADE_COS], primitive[BLADE_SIN], primitive[SPIN] = motion[0], motion[1], motion[2]
+        primitive[BLADE_COS], primitive[BLADE_SIN], primitive[SPIN] = (
+            motion[0],
+            motion[1],
+            motion[2],
+        )
         tags[count, KIND] = kind
         tags[count, CELLS] = markers - 1 if kind == MARKER else 0
         tags[count, VEHICLE] = vehicle

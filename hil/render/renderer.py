@@ -47,7 +47,9 @@ Exposing = Callable[[NDArray[np.uint8], int], NDArray[np.uint8]]
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """A camera's rays: per pixel centre, their derivatives by column and row, and bounds per column and row."""
+    """A camera's rays: per pixel centre, their derivatives by column and row, and bounds per column
+    and row.
+    """
 
     rays: tuple[NDArray[np.float32], ...]  # x, y, dx/du, dx/dv, dy/du, dy/dv, each (h, w)
     view: tuple[Array, Array, float]  # column_x (2, w), row_y (2, h), largest pixel on z = 1
@@ -62,8 +64,9 @@ _NO_SHADES = (np.zeros(1, np.uint8), np.ones((1, 3), np.int64))
 class Renderer:
     """Draws what one drone's camera sees: colour with sensor noise, and depth registered to it.
 
-    The same arguments give the same bytes, in every process and in any number of threads. An instance keeps scratch
-    buffers: call it from one thread at a time. Different instances share nothing that changes.
+    The same arguments give the same bytes, in every process and in any number of threads. An
+    instance keeps scratch buffers: call it from one thread at a time. Different instances share
+    nothing that changes.
     """
 
     def __init__(
@@ -79,11 +82,13 @@ class Renderer:
         shutter: Shutter | None = None,
         depth_error: DepthError = EXACT_DEPTH,
     ) -> None:
-        """``T_b_c``: mount of this camera on its drone; ``T_b_v``, ``layout``: the markers on the sender.
+        """``T_b_c``: mount of this camera on its drone; ``T_b_v``, ``layout``: the markers on the
+        sender.
 
-        The seed is of the noise, and of what lies about in the scene. ``imaging``: one that ``MosaicSensor`` does,
-        instead of the colour's blur and noise in ``noise``. ``shutter``: by default all is taken in one instant.
-        ``depth_error``: of what ``render`` and ``draw`` give as depth.
+        The seed is of the noise, and of what lies about in the scene. ``imaging``: one that
+        ``MosaicSensor`` does, instead of the colour's blur and noise in ``noise``. ``shutter``: by
+        default all is taken in one instant. ``depth_error``: of what ``render`` and ``draw`` give
+        as depth.
 
         Raises:
             ValueError: the camera has pixels without a ray.
@@ -95,9 +100,14 @@ class Renderer:
             finer = camera.thinning.of / camera.thinning.kept
             noise = replace(noise, blur_sigma_px=noise.blur_sigma_px * finer)
             imaging = imaging and replace(
-                imaging, blur_sigma_px=imaging.blur_sigma_px * finer, sharpen_sigma_px=imaging.sharpen_sigma_px * finer
+                imaging,
+                blur_sigma_px=imaging.blur_sigma_px * finer,
+                sharpen_sigma_px=imaging.sharpen_sigma_px * finer,
             )
-            rows, columns = (camera.thinning.sensor_pixels(n, k) for n, k in ((camera.height, 1), (camera.width, 0)))
+            rows, columns = (
+                camera.thinning.sensor_pixels(n, k)
+                for n, k in ((camera.height, 1), (camera.width, 0))
+            )
             self._kept = np.ix_(rows, columns)
             camera = sensor_of(camera)
         height = camera.height
@@ -110,15 +120,27 @@ class Renderer:
         self.seed = seed
         self.noise = noise
         self._lens = lens_of(camera)
-        self._sun_w, self._tints, self._ground = look.sun_w, look.tints.rows, ground_pyramid(look.ground)
-        self._overlay = None if scene == "plain" else Overlay(look, camera, self._lens.rays[:2], seed)
+        self._sun_w, self._tints, self._ground = (
+            look.sun_w,
+            look.tints.rows,
+            ground_pyramid(look.ground),
+        )
+        self._overlay = (
+            None if scene == "plain" else Overlay(look, camera, self._lens.rays[:2], seed)
+        )
         self._plain = drone()
-        self._marked = {hidden: marked_drone(T_b_v, layout, hidden=hidden) for hidden in (False, True)}
+        self._marked = {
+            hidden: marked_drone(T_b_v, layout, hidden=hidden) for hidden in (False, True)
+        }
         self._taps = sensor.blur_taps(noise.blur_sigma_px)
         rng = np.random.default_rng(sensor.mixed(seed))
         self._color_pool = sensor.noise_pool(rng, height, width, 0.0)
         self._depth_pool = sensor.noise_pool(rng, height, width, noise.depth_correlation_px)
-        self._sensor = None if imaging is None else MosaicSensor(look.imaging(imaging), height, width, self._color_pool)
+        self._sensor = (
+            None
+            if imaging is None
+            else MosaicSensor(look.imaging(imaging), height, width, self._color_pool)
+        )
         self._image = np.empty((3, height, width), np.uint8)
         self._exposed = np.empty((3, height, width), np.uint8)
         self._inverse_z = np.empty((height, width), np.float32)
@@ -137,7 +159,8 @@ class Renderer:
             exposed: what makes an image of light, by default ``expose``.
 
         Returns:
-            Colour, shape (h, w, 3), BGR, and depth, shape (h, w), z in millimetres, 0 where there is none.
+            Colour, shape (h, w, 3), BGR, and depth, shape (h, w), z in millimetres, 0 where there
+            is none.
         """
         key = self.key(role, frame_seed)
         bodies = self.bodies(snapshot, role)
@@ -182,18 +205,28 @@ class Renderer:
         return sensor.mixed(self.seed, list(Role).index(role), frame_seed)
 
     def draw(
-        self, T_w_b: Pose, bodies: Sequence[Body], key: int, *, depth_holes: bool = False, unseen: Sequence[Body] = ()
+        self,
+        T_w_b: Pose,
+        bodies: Sequence[Body],
+        key: int,
+        *,
+        depth_holes: bool = False,
+        unseen: Sequence[Body] = (),
     ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
-        """Bodies as the camera of the drone at ``T_w_b`` sees them; at most one of them carries ideal markers.
+        """Bodies as the camera of the drone at ``T_w_b`` sees them; at most one of them carries
+        ideal markers.
 
         ``unseen``: bodies of which there is only a shadow, in a scene that has shadows.
 
         Returns:
-            Light before optics and sensor, shape (3, h, w), in the order B, G, R, valid until the next call; and depth
-            with its noise. Both have the sensor's size, where the camera leaves out pixels of it: ``thinned``.
+            Light before optics and sensor, shape (3, h, w), in the order B, G, R, valid until the
+            next call; and depth with its noise. Both have the sensor's size, where the camera
+            leaves out pixels of it: ``thinned``.
         """
         depth = np.empty(self._inverse_z.shape, np.uint16)
-        for _ in self._stages(CameraMotion(T_w_b @ self._T_b_c), bodies, key, depth, depth_holes, unseen):
+        for _ in self._stages(
+            CameraMotion(T_w_b @ self._T_b_c), bodies, key, depth, depth_holes, unseen
+        ):
             pass
         return self._image, depth
 
@@ -228,11 +261,19 @@ class Renderer:
         depth_holes: bool,
         unseen: Sequence[Body] = (),
     ) -> Iterator[str]:
-        """Draw, naming every stage before it starts; leaves the light in ``_image``. No depth where it is None."""
+        """Draw, naming every stage before it starts; leaves the light in ``_image``. No depth where
+        it is None.
+        """
         rays = self._lens.rays
         view = self._lens.view
         pixel = self._lens.pixel
-        x, y, inverse_z, owner, edges, image = *rays[:2], self._inverse_z, self._owner, self._edges, self._image
+        x, y, inverse_z, owner, edges, image = (
+            *rays[:2],
+            self._inverse_z,
+            self._owner,
+            self._edges,
+            self._image,
+        )
         T_w_c = seen.T_w_c
         sun_c = T_w_c.R.T @ self._sun_w
         owner.fill(-1)
@@ -240,7 +281,19 @@ class Renderer:
         yield "ground"
         plane = ground_plane(T_w_c)
         light = primitives.AMBIENT + primitives.DIFFUSE * self._sun_w[2]
-        draw_ground(plane, light, pixel, x, y, self._ground, self._tints, self._rows, self._words, image, inverse_z)
+        draw_ground(
+            plane,
+            light,
+            pixel,
+            x,
+            y,
+            self._ground,
+            self._tints,
+            self._rows,
+            self._words,
+            image,
+            inverse_z,
+        )
         if self._overlay is not None:
             self._overlay.on_ground(T_w_c, [*bodies, *unseen], image)
         yield "primitives"
@@ -258,7 +311,9 @@ class Renderer:
         yield "rotors"
         kernels.draw_rotors(faces, order, rotors, tags, x, y, inverse_z, edges, image)
         yield "edges"
-        edge_pass.draw_edges(faces, tags, count, order, rotors, looks, plane[2], rays, SAMPLES, edges, image)
+        edge_pass.draw_edges(
+            faces, tags, count, order, rotors, looks, plane[2], rays, SAMPLES, edges, image
+        )
         if self._overlay is not None:
             self._overlay.over_all(T_w_c, image)
         if depth is not None:
@@ -285,7 +340,12 @@ class Renderer:
         marked = self._marked[snapshot.marker_hidden]
         drones = [
             replace(
-                flying(marked if other is Role.SENDER else self._plain, own.T_w_b, own.rotor_phase_rad, own.armed),
+                flying(
+                    marked if other is Role.SENDER else self._plain,
+                    own.T_w_b,
+                    own.rotor_phase_rad,
+                    own.armed,
+                ),
                 velocity_w=np.array(own.velocity_w_mps),
                 rates_w=own.T_w_b.R @ np.array(own.rates_b_radps),
             )
@@ -294,7 +354,11 @@ class Renderer:
         ]
         return drones + [
             replace(
-                standing(model_of_thing(snapshot.kind, thing, snapshot.stretch), thing.position_w_m, thing.yaw_rad),
+                standing(
+                    model_of_thing(snapshot.kind, thing, snapshot.stretch),
+                    thing.position_w_m,
+                    thing.yaw_rad,
+                ),
                 velocity_w=np.array(thing.velocity_w_mps),
             )
             for thing in snapshot.objects
@@ -313,14 +377,18 @@ def sense_depth(
     depth: NDArray[np.uint16],
     error: DepthError = EXACT_DEPTH,
 ) -> None:
-    """Fill ``depth`` with what a depth camera measures of 1/z: noise, limits, holes at steps, and its own error."""
+    """Fill ``depth`` with what a depth camera measures of 1/z: noise, limits, holes at steps, and
+    its own error.
+    """
     sigma = noise.depth_sigma_at_1m_m
     near = noise.min_depth_m
     far = noise.max_depth_m
     row = pool_offset(key, 0)
     column = pool_offset(key, 1)
     off = error.factor, 1000.0 * error.bias_m
-    sensor.measure_depth(inverse_z, owner, tags, hide_targets, sigma, near, far, off, pool, row, column, depth)
+    sensor.measure_depth(
+        inverse_z, owner, tags, hide_targets, sigma, near, far, off, pool, row, column, depth
+    )
     sensor.punch_holes(inverse_z, edges, noise.depth_hole_rate, key >> 1, depth)
 
 
@@ -341,7 +409,9 @@ def set_up(
     sweeps: of each body, as ``hil.render.shutter.sweep`` gives it; nothing moves by default.
     """
     swept = [NO_SWEEP] * len(bodies) if sweeps is None else sweeps
-    placed = [(body, T_c_w @ body.T_w_body, moved) for body, moved in zip(bodies, swept, strict=True)]
+    placed = [
+        (body, T_c_w @ body.T_w_body, moved) for body, moved in zip(bodies, swept, strict=True)
+    ]
     placed.sort(key=lambda pair: float(pair[1].t @ pair[1].t))
     total = sum(len(body.model.kinds) for body in bodies)
     faces = np.empty((total, primitives.COLUMNS))
@@ -354,7 +424,19 @@ def set_up(
         t = np.ascontiguousarray(pose.t)
         looks = model.colors, model.seconds, model.kinds
         count = primitives.add_body(
-            model.corners, looks, tables, R, t, sun_c, body.motion, moved, body.target, view, faces, tags, count
+            model.corners,
+            looks,
+            tables,
+            R,
+            t,
+            sun_c,
+            body.motion,
+            moved,
+            body.target,
+            view,
+            faces,
+            tags,
+            count,
         )
         tables += len(model.shades)
     marked = (body.model for body in bodies if np.any(body.model.kinds == MARKER))
@@ -364,19 +446,24 @@ def set_up(
 
 
 def _joined(shades: Sequence[NDArray[np.uint8]]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-    """Tables of shades one after the other, flat, and for each where it begins, its rows and its columns."""
+    """Tables of shades one after the other, flat, and for each where it begins, its rows and its
+    columns.
+    """
     if not shades:
         return _NO_SHADES
     first = np.cumsum([0, *(table.size for table in shades[:-1])])
-    tables = np.array([(start, *table.shape) for start, table in zip(first, shades, strict=True)], np.int64)
+    tables = np.array(
+        [(start, *table.shape) for start, table in zip(first, shades, strict=True)], np.int64
+    )
     return np.concatenate([table.ravel() for table in shades]), tables
 
 
 def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
-    """Compile every kernel or load it from numba's cache: some seconds the first time on a machine, then a fraction.
+    """Compile every kernel or load it from numba's cache: some seconds the first time on a machine,
+    then a fraction.
 
-    Call it once before processes or threads that render start together. ``progress(stage, number, of)`` is called
-    before each of the stages.
+    Call it once before processes or threads that render start together. ``progress(stage, number,
+    of)`` is called before each of the stages.
     """
     camera = CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5)
     down = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
@@ -394,7 +481,9 @@ def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:
 
 @lru_cache(maxsize=3)
 def lens_of(camera: CameraModel) -> Lens:
-    """Shared: nobody changes it. It takes about a second at 1080p, and cameras often come in several renderers."""
+    """Shared: nobody changes it. It takes about a second at 1080p, and cameras often come in
+    several renderers.
+    """
     height = camera.height
     width = camera.width
     columns, rows = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
@@ -409,13 +498,21 @@ def lens_of(camera: CameraModel) -> Lens:
     y_row = np.gradient(y, axis=0)
     jacobians = np.stack((x_column, x_row, y_column, y_row), axis=-1).reshape(-1, 2, 2)
     largest = _largest_singular_value(jacobians)
-    column_x = np.stack((np.minimum.accumulate(x.min(axis=0)[::-1])[::-1], np.maximum.accumulate(x.max(axis=0))))
-    row_y = np.stack((np.minimum.accumulate(y.min(axis=1)[::-1])[::-1], np.maximum.accumulate(y.max(axis=1))))
-    planes = tuple(np.ascontiguousarray(p, np.float32) for p in (x, y, x_column, x_row, y_column, y_row))
+    column_x = np.stack(
+        (np.minimum.accumulate(x.min(axis=0)[::-1])[::-1], np.maximum.accumulate(x.max(axis=0)))
+    )
+    row_y = np.stack(
+        (np.minimum.accumulate(y.min(axis=1)[::-1])[::-1], np.maximum.accumulate(y.max(axis=1)))
+    )
+    planes = tuple(
+        np.ascontiguousarray(p, np.float32) for p in (x, y, x_column, x_row, y_column, y_row)
+    )
     return Lens(planes, (column_x, row_y, largest), float(np.sqrt(np.mean(x_column * y_row))))
 
 
 def _largest_singular_value(matrices: Array) -> float:
     """Over all matrices (n, 2, 2)."""
     half = 0.5 * np.sum(matrices**2, axis=(1, 2))
-    return float(np.sqrt((half + np.sqrt(np.maximum(half**2 - np.linalg.det(matrices) ** 2, 0.0))).max()))
+    return float(
+        np.sqrt((half + np.sqrt(np.maximum(half**2 - np.linalg.det(matrices) ** 2, 0.0))).max())
+    )

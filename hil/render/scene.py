@@ -1,7 +1,8 @@
-"""The bodies that synthetic cameras see: flat rectangles in the frames of the bodies, and bodies at poses in the world.
+"""The bodies that synthetic cameras see: flat rectangles in the frames of the bodies, and bodies at
+poses in the world.
 
-Geometry is in metres. Faces that lie on each other keep at least 1 mm apart. Only what can be a target is saturated
-orange.
+Geometry is in metres. Faces that lie on each other keep at least 1 mm apart. Only what can be a
+target is saturated orange.
 """
 
 from __future__ import annotations
@@ -62,16 +63,16 @@ class Model:
     """Rectangles of one kind of body, in its frame; n of them.
 
     Attributes:
-        corners: (n, 9): corner P0 and sides E1, E2; a point is P0 + u E1 + v E2 with u, v in 0..1. To who sees it
-            u runs right and v down: E1 x E2 points away from the viewer. From behind it is not drawn, except rotor
-            discs (the circle inscribed in the rectangle).
+        corners: (n, 9): corner P0 and sides E1, E2; a point is P0 + u E1 + v E2 with u, v in 0..1.
+            To who sees it u runs right and v down: E1 x E2 points away from the viewer. From behind
+            it is not drawn, except rotor discs (the circle inscribed in the rectangle).
         colors: (n, 3) BGR.
         kinds: (n,) SOLID, MARKER, ROTOR, PATTERN or PRINT.
         cells: (m, s, s) marker cells, 1 = white; the i-th MARKER rectangle shows ``cells[i]``.
         cells_per_side: (m,).
         seconds: (n, 3) BGR, the other colour of a PATTERN or PRINT.
-        shades: the i-th PATTERN or PRINT rectangle shows ``shades[i]``, (rows, columns) over v and u: share of its
-            first colour, 0..255, the rest is the second.
+        shades: the i-th PATTERN or PRINT rectangle shows ``shades[i]``, (rows, columns) over v and
+            u: share of its first colour, 0..255, the rest is the second.
     """
 
     corners: Array
@@ -95,8 +96,12 @@ class Face(NamedTuple):
     shades: NDArray[np.uint8] | None = None
 
 
-def box(center: Sequence[float] | Array, size: Sequence[float], color: Color, axes: Array | None = None) -> list[Face]:
-    """Six outward faces of a box; ``axes`` holds its axes in columns (default: those of the body)."""
+def box(
+    center: Sequence[float] | Array, size: Sequence[float], color: Color, axes: Array | None = None
+) -> list[Face]:
+    """Six outward faces of a box; ``axes`` holds its axes in columns (default: those of the
+    body).
+    """
     frame = np.eye(3) if axes is None else axes
     faces: list[Face] = []
     for axis, sign in product(range(3), (1.0, -1.0)):
@@ -113,7 +118,9 @@ def box(center: Sequence[float] | Array, size: Sequence[float], color: Color, ax
 @cache
 def car() -> Model:
     """The target and its look-alikes: x forward, z up, origin on the ground below the middle."""
-    return model_of([face for center, size, color in CAR_BOXES for face in box(center, size, color)])
+    return model_of(
+        [face for center, size, color in CAR_BOXES for face in box(center, size, color)]
+    )
 
 
 def drone() -> Model:
@@ -121,19 +128,27 @@ def drone() -> Model:
     return model_of(_airframe())
 
 
-def printed_board(shades: NDArray[np.uint8], side_m: float, light: tuple[float, float] = (INK[0], PAPER[0])) -> Model:
-    """A flat print of square cells: origin at its top-left corner, x right, y down, z away from the viewer.
+def printed_board(
+    shades: NDArray[np.uint8], side_m: float, light: tuple[float, float] = (INK[0], PAPER[0])
+) -> Model:
+    """A flat print of square cells: origin at its top-left corner, x right, y down, z away from the
+    viewer.
 
-    ``shades``: (rows, columns) of the paper, 255 is white and 0 ink. ``light``: of ink and paper, 0..255.
+    ``shades``: (rows, columns) of the paper, 255 is white and 0 ink. ``light``: of ink and paper,
+    0..255.
     """
     rows, columns = shades.shape
     e1 = np.array([columns * side_m, 0.0, 0.0])
     e2 = np.array([0.0, rows * side_m, 0.0])
     ink, paper = light
-    return model_of([Face(np.zeros(3), e1, e2, (paper, paper, paper), PRINT, (ink, ink, ink), shades)])
+    return model_of(
+        [Face(np.zeros(3), e1, e2, (paper, paper, paper), PRINT, (ink, ink, ink), shades)]
+    )
 
 
-def marked_drone(T_b_v: Pose, layout: MarkerLayout, *, hidden: bool, prints: Sequence[NDArray[np.uint8]] = ()) -> Model:
+def marked_drone(
+    T_b_v: Pose, layout: MarkerLayout, *, hidden: bool, prints: Sequence[NDArray[np.uint8]] = ()
+) -> Model:
     """A quadrotor that carries the plates of a marker layout.
 
     Args:
@@ -193,7 +208,10 @@ def _strut(T_b_m: Pose) -> list[Face]:
     if distance == 0.0:
         return []
     direction = end / distance
-    start = min(half / abs(d) if abs(d) > 1e-9 else np.inf for half, d in zip(DRONE_HALF_M, direction, strict=True))
+    start = min(
+        half / abs(d) if abs(d) > 1e-9 else np.inf
+        for half, d in zip(DRONE_HALF_M, direction, strict=True)
+    )
     length = distance - start - GAP_M
     if length <= 0.0:
         return []
@@ -217,11 +235,14 @@ def model_of(faces: Sequence[Face], cells: Sequence[NDArray[np.uint8]] = ()) -> 
         cells=table,
         cells_per_side=np.array([len(cell) for cell in cells] or [1], np.int64),
         seconds=np.array([face.second for face in faces]),
-        shades=tuple(np.ascontiguousarray(face.shades) for face in faces if face.shades is not None),
+        shades=tuple(
+            np.ascontiguousarray(face.shades) for face in faces if face.shades is not None
+        ),
     )
 
 
-# --- in the world ----------------------------------------------------------------------------------------------------
+# --- in the world
+# ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -245,7 +266,10 @@ class Body:
 def flying(model: Model, T_w_b: Pose, rotor_phase_rad: float, turning: bool) -> Body:
     """A drone."""
     return Body(
-        model, T_w_b, np.array([math.cos(rotor_phase_rad), math.sin(rotor_phase_rad), float(turning)]), target=False
+        model,
+        T_w_b,
+        np.array([math.cos(rotor_phase_rad), math.sin(rotor_phase_rad), float(turning)]),
+        target=False,
     )
 
 

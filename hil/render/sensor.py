@@ -1,4 +1,6 @@
-"""The sensor's share of an image: optical blur, shot and read noise, noise and holes of the depth, quantisation."""
+"""The sensor's share of an image: optical blur, shot and read noise, noise and holes of the depth,
+quantisation.
+"""
 
 # pyright: reportMissingParameterType=false
 # Kernels are typed by what they are first called with; their docstrings say what that is.
@@ -35,11 +37,12 @@ class SensorNoise:
         read_sigma: grey levels, everywhere.
         shot_gain: variance of the shot noise in grey levels squared, per grey level.
         depth_sigma_at_1m_m: depth noise at 1 m; it grows with the square of the depth.
-        depth_correlation_px: how far the depth noise hangs together (standard deviation of its kernel).
+        depth_correlation_px: how far the depth noise hangs together (standard deviation of its
+            kernel).
         depth_hole_rate: share of the pixels at steps in depth around which there is a hole, 0..1.
         min_depth_m, max_depth_m: nearer and farther there is no depth.
-        depth_dark_lost, depth_gleam_lost: share of a black surface, and of paint that mirrors the sun into the camera,
-            of which there is no depth (``hil.render.surfaces``).
+        depth_dark_lost, depth_gleam_lost: share of a black surface, and of paint that mirrors the
+            sun into the camera, of which there is no depth (``hil.render.surfaces``).
 
     Raises:
         ValueError: naming the field that cannot be right.
@@ -64,7 +67,9 @@ class SensorNoise:
         if self.depth_hole_rate > 1.0:
             raise ValueError(f"depth_hole_rate: {self.depth_hole_rate!r} is not a share, 0..1")
         if not self.min_depth_m < self.max_depth_m <= 65.0:
-            raise ValueError(f"max_depth_m: {self.max_depth_m!r} is not above min_depth_m and at most 65 m")
+            raise ValueError(
+                f"max_depth_m: {self.max_depth_m!r} is not above min_depth_m and at most 65 m"
+            )
         if self.blur_sigma_px > 5.0:
             raise ValueError(f"blur_sigma_px: {self.blur_sigma_px!r} is more than 5 px")
 
@@ -73,7 +78,9 @@ NOISE_FREE = SensorNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def blur_taps(sigma_px: float) -> NDArray[np.float32]:
-    """One side of a Gaussian kernel from its centre outwards, normalised as a whole; a single 1 for no blur."""
+    """One side of a Gaussian kernel from its centre outwards, normalised as a whole; a single 1 for
+    no blur.
+    """
     if sigma_px < 0.1:
         return np.ones(1, np.float32)
     distance = np.arange(math.ceil(3.3 * sigma_px) + 1)
@@ -81,8 +88,12 @@ def blur_taps(sigma_px: float) -> NDArray[np.float32]:
     return (taps / (taps[0] + 2.0 * taps[1:].sum())).astype(np.float32)
 
 
-def noise_pool(rng: np.random.Generator, height: int, width: int, correlation_px: float) -> NDArray[np.int8]:
-    """Unit Gaussian noise in steps of 1/POOL_UNIT, shape (height, width) plus the margin every frame moves in."""
+def noise_pool(
+    rng: np.random.Generator, height: int, width: int, correlation_px: float
+) -> NDArray[np.int8]:
+    """Unit Gaussian noise in steps of 1/POOL_UNIT, shape (height, width) plus the margin every
+    frame moves in.
+    """
     noise = rng.standard_normal((height + POOL_MARGIN, width + POOL_MARGIN), np.float32)
     if correlation_px >= 0.1:
         noise = cv2.GaussianBlur(noise, (0, 0), correlation_px)
@@ -91,7 +102,9 @@ def noise_pool(rng: np.random.Generator, height: int, width: int, correlation_px
 
 
 def mixed(*values: int) -> int:
-    """A 64-bit hash of integers (the finaliser of splitmix64 per value): the same in every process."""
+    """A 64-bit hash of integers (the finaliser of splitmix64 per value): the same in every
+    process.
+    """
     state = 0
     for value in values:
         state = (state + value + 0x9E3779B97F4A7C15) & MASK
@@ -158,10 +171,25 @@ def expose(image, taps, read_sigma, shot_gain, pool, offset_row, offset_column, 
 
 
 @kernel
-def measure_depth(inverse_z, owner, tags, hide_vehicles, sigma, near, far, off, pool, offset_row, offset_column, depth):
-    """z in whole millimetres with noise that grows with z^2; 0 out of range, and over cars when they are hidden.
+def measure_depth(
+    inverse_z,
+    owner,
+    tags,
+    hide_vehicles,
+    sigma,
+    near,
+    far,
+    off,
+    pool,
+    offset_row,
+    offset_column,
+    depth,
+):
+    """z in whole millimetres with noise that grows with z^2; 0 out of range, and over cars when
+    they are hidden.
 
-    sigma: standard deviation at 1 m in m; near, far in m. off: factor and mm by which what is measured is off then.
+    sigma: standard deviation at 1 m in m; near, far in m. off: factor and mm by which what is
+    measured is off then.
     """
     height, width = inverse_z.shape
     scale = F(sigma / 1000.0 / POOL_UNIT)  # of z^2 in mm^2
@@ -173,7 +201,10 @@ def measure_depth(inverse_z, owner, tags, hide_vehicles, sigma, near, far, off, 
     for r in range(height):
         w_row = inverse_z[r]
         out = depth[r]
-        noise = pool[(offset_row % POOL_MARGIN) + r, offset_column % POOL_MARGIN : offset_column % POOL_MARGIN + width]
+        noise = pool[
+            (offset_row % POOL_MARGIN) + r,
+            offset_column % POOL_MARGIN : offset_column % POOL_MARGIN + width,
+        ]
         for c in range(width):
             z = thousand / max(w_row[c], F(1e-3))
             z += scale * z * z * F(noise[c])
@@ -215,10 +246,16 @@ def punch_holes(inverse_z, edges, rate, seed, depth):
 
 @kernel
 def swallow(owner, lost, seed, depth):
-    """No depth in patches of 3 x 3 pixels on that share of each face's; lost: float32, of each face."""
+    """No depth in patches of 3 x 3 pixels on that share of each face's; lost: float32, of each
+    face.
+    """
     height, width = owner.shape
     for r in range(height):
         for c in range(width):
             face = owner[r, c]
-            if face >= 0 and lost[face] > F(0.0) and _random(seed, (r // 3) * width + c // 3) < lost[face]:
+            if (
+                face >= 0
+                and lost[face] > F(0.0)
+                and _random(seed, (r // 3) * width + c // 3) < lost[face]
+            ):
                 depth[r, c] = 0

@@ -1,8 +1,9 @@
-"""The motion while a picture is taken: its rows are read one after another, and each is exposed for a while.
+"""The motion while a picture is taken: its rows are read one after another, and each is exposed for
+a while.
 
-A frame's instant is the middle of the exposure of its middle row. Every corner of a body is drawn where it is when its
-own row is read, straight on with its velocity and turn, and what lies between corners in between. The ground is drawn
-as of the frame's instant: nothing is measured on it.
+A frame's instant is the middle of the exposure of its middle row. Every corner of a body is drawn
+where it is when its own row is read, straight on with its velocity and turn, and what lies between
+corners in between. The ground is drawn as of the frame's instant: nothing is measured on it.
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ def shutter_of(errors: SensorErrors) -> Shutter | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraMotion:
-    """The pose of a camera and how it moves: (3,) m/s and rad/s, in the world. It stands still by default."""
+    """The pose of a camera and how it moves: (3,) m/s and rad/s, in the world. It stands still by
+    default.
+    """
 
     T_w_c: Pose
     velocity_w: Array = field(default_factory=lambda: np.zeros(3))
@@ -50,7 +53,9 @@ class CameraMotion:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """As ``np.cross`` of two (3,), to the bit; that one takes longer than all the rest of a sweep."""
+    """As ``np.cross`` of two (3,), to the bit; that one takes longer than all the rest of a
+    sweep.
+    """
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
 
@@ -66,20 +71,27 @@ def twist(body: Body, seen: CameraMotion) -> Array:
     R_c_w = seen.T_w_c.R.T
     origin_w = seen.T_w_c.t
     rates = R_c_w @ (body.rates_w - seen.rates_w)
-    at_camera_w = body.velocity_w + _cross(body.rates_w, origin_w - body.T_w_body.t)  # the body's, carried there
+    # the body's, carried there
+    at_camera_w = body.velocity_w + _cross(body.rates_w, origin_w - body.T_w_body.t)
     return np.concatenate((R_c_w @ (at_camera_w - seen.velocity_w), rates))
 
 
 def sweep(body: Body, seen: CameraMotion, camera: CameraModel, shutter: Shutter) -> Array:
     """(11,): as ``hil.render.primitives.add_body`` takes it."""
     row_s = shutter.readout_s / camera.height
-    # A corner above or below the picture has its place too: what is between it and others is in the picture.
+    # A corner above or below the picture has its place too: what is between it and others is in the
+    # picture.
     late_s = row_s * (camera.cy - 0.5 * (camera.height - 1))
-    return np.concatenate((twist(body, seen), (late_s, row_s * camera.fy, shutter.readout_s, *camera.distortion[:2])))
+    return np.concatenate(
+        (twist(body, seen), (late_s, row_s * camera.fy, shutter.readout_s, *camera.distortion[:2]))
+    )
 
 
-def smear_px(bodies: Sequence[Body], seen: CameraMotion, camera: CameraModel, shutter: Shutter) -> tuple[float, float]:
-    """The motion during an exposure, (u, v), of the body that is seen nearest to the middle; none where there is none.
+def smear_px(
+    bodies: Sequence[Body], seen: CameraMotion, camera: CameraModel, shutter: Shutter
+) -> tuple[float, float]:
+    """The motion during an exposure, (u, v), of the body that is seen nearest to the middle; none
+    where there is none.
 
     The whole picture is blurred by it: what a drone follows or looks at is there.
     """

@@ -1,7 +1,9 @@
-"""Surfaces that give a stereo camera with a projected pattern no depth: black ones, and paint that mirrors the sun.
+"""Surfaces that give a stereo camera with a projected pattern no depth: black ones, and paint that
+mirrors the sun.
 
-Black swallows the pattern. A surface that mirrors the sun into the camera is white in both of its images, without
-anything to match. Both are shares of such a surface, in patches: assumed, not measured on a D415.
+Black swallows the pattern. A surface that mirrors the sun into the camera is white in both of its
+images, without anything to match. Both are shares of such a surface, in patches: assumed, not
+measured on a D415.
 """
 
 from __future__ import annotations
@@ -17,8 +19,10 @@ from hil.render.sensor import SensorNoise
 
 Array = NDArray[np.float64]
 
-BLACK = 50.0  # mean of B, G and R under full light up to which a surface is black: tyres, not arms or shoes
-GLEAM_RAD = math.radians(15.0)  # from the mirrored sun, up to which paint gleams: that of models is not flat
+# mean of B, G and R under full light up to which a surface is black: tyres, not arms or shoes
+BLACK = 50.0
+# from the mirrored sun, up to which paint gleams: that of models is not flat
+GLEAM_RAD = math.radians(15.0)
 
 
 def lost_shares(
@@ -27,7 +31,8 @@ def lost_shares(
     """Returns the share of each face (count,) that has no depth; None where none loses any.
 
     Args:
-        faces, tags, count: as of ``primitives.add_body``. sun_c: (3,) towards the sun, in the camera.
+        faces, tags, count: as of ``primitives.add_body``. sun_c: (3,) towards the sun, in the
+            camera.
     """
     if count == 0 or not (noise.depth_dark_lost or noise.depth_gleam_lost):
         return None

@@ -23,8 +23,8 @@ GROUND_SEED = 20240517  # the ground is the same in every world
 def ground_pyramid(kind: GroundKind = "soil") -> NDArray[np.int32]:
     """All mip levels of a ground, finest first, as one flat read-only array of four-tap words.
 
-    A word holds the texel and its right, lower and lower-right neighbours (periodic) from the low byte up, so that a
-    bilinear lookup is one gather.
+    A word holds the texel and its right, lower and lower-right neighbours (periodic) from the low
+    byte up, so that a bilinear lookup is one gather.
     """
     level = _TILES[kind]()
     words: list[NDArray[np.int32]] = []
@@ -41,9 +41,13 @@ def ground_pyramid(kind: GroundKind = "soil") -> NDArray[np.int32]:
 
 
 def _ground_tile() -> NDArray[np.float64]:
-    """Grey levels 0..255, shape (GROUND_SIZE, GROUND_SIZE): soil with a falling spectrum, strewn with pebbles."""
+    """Grey levels 0..255, shape (GROUND_SIZE, GROUND_SIZE): soil with a falling spectrum, strewn
+    with pebbles.
+    """
     rng = np.random.default_rng(GROUND_SEED)
-    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(GROUND_SIZE), np.fft.rfftfreq(GROUND_SIZE), indexing="ij"))
+    frequency = np.hypot(
+        *np.meshgrid(np.fft.fftfreq(GROUND_SIZE), np.fft.rfftfreq(GROUND_SIZE), indexing="ij")
+    )
     falling = 1.0 / np.maximum(frequency, 2.0 / GROUND_SIZE) ** 0.9
     spectrum = np.fft.rfft2(rng.standard_normal((GROUND_SIZE, GROUND_SIZE))) * falling
     soil = np.fft.irfft2(spectrum, s=(GROUND_SIZE, GROUND_SIZE))
@@ -52,7 +56,9 @@ def _ground_tile() -> NDArray[np.float64]:
     return np.clip(tile, 0.0, 255.0)
 
 
-def _strew(tile: NDArray[np.float64], rng: np.random.Generator, many: int, most: int, shades: Shades) -> None:
+def _strew(
+    tile: NDArray[np.float64], rng: np.random.Generator, many: int, most: int, shades: Shades
+) -> None:
     """Pebbles of radii up to ``most`` texels."""
     for _ in range(many):
         row, column = rng.integers(0, GROUND_SIZE, 2)
@@ -66,10 +72,13 @@ def _strew(tile: NDArray[np.float64], rng: np.random.Generator, many: int, most:
 
 def _noise(rng: np.random.Generator, fall: float, stretch: float = 1.0) -> NDArray[np.float64]:
     """Unit noise whose spectrum falls with this power; ``stretch``: longer in one direction."""
-    rows, columns = np.meshgrid(np.fft.fftfreq(GROUND_SIZE) * stretch, np.fft.rfftfreq(GROUND_SIZE), indexing="ij")
+    rows, columns = np.meshgrid(
+        np.fft.fftfreq(GROUND_SIZE) * stretch, np.fft.rfftfreq(GROUND_SIZE), indexing="ij"
+    )
     falling = 1.0 / np.maximum(np.hypot(rows, columns), 2.0 / GROUND_SIZE) ** fall
     noise = np.fft.irfft2(
-        np.fft.rfft2(rng.standard_normal((GROUND_SIZE, GROUND_SIZE))) * falling, s=(GROUND_SIZE, GROUND_SIZE)
+        np.fft.rfft2(rng.standard_normal((GROUND_SIZE, GROUND_SIZE))) * falling,
+        s=(GROUND_SIZE, GROUND_SIZE),
     )
     return noise / noise.std()
 

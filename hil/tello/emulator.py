@@ -1,9 +1,11 @@
-"""A Tello on the wire: the command, state and video ports of the SDK, for an unmodified djitellopy to talk to.
+"""A Tello on the wire: the command, state and video ports of the SDK, for an unmodified djitellopy
+to talk to.
 
-The drone behind it is the same simulated one as behind MAVLink. It has no thread and no clock: whoever steps the world
-calls ``pump`` at 200 Hz. What is answered follows the SDK 2.0 user guide, with ``port``, ``setfps`` and others of SDK
-3.0; where a guide only says "error", the texts are those that drones were seen to send. What a query asks for ends with
-CRLF, "ok" and refusals end with nothing.
+The drone behind it is the same simulated one as behind MAVLink. It has no thread and no clock:
+whoever steps the world calls ``pump`` at 200 Hz. What is answered follows the SDK 2.0 user guide,
+with ``port``, ``setfps`` and others of SDK 3.0; where a guide only says "error", the texts are
+those that drones were seen to send. What a query asks for ends with CRLF, "ok" and refusals end
+with nothing.
 """
 
 from __future__ import annotations
@@ -58,7 +60,8 @@ class Faults:
     Attributes:
         deaf: commands are lost.
         mute: they are carried out, but not answered.
-        words: by a command's first word: it is carried out, and this is answered at once in place of its own answer.
+        words: by a command's first word: it is carried out, and this is answered at once in place
+            of its own answer.
         beside: sent before every answer.
         state: sent in place of every state packet.
     """
@@ -89,14 +92,18 @@ class TelloEmulator:
         video: TelloVideo | None = None,
         arrived: Callable[[float], float] | None = None,
     ) -> None:
-        """``arrived``: the world's time of an instant of the monotonic clock. None: what is read came just then."""
+        """``arrived``: the world's time of an instant of the monotonic clock. None: what is read
+        came just then.
+        """
         self.config = config
         self._arrived = arrived
         self.faults = Faults()
         self.received: Counter[str] = Counter()
         self.tap: Callable[[float, str], None] | None = None
         self._sensors = TelloSensors(drone, config.home_yaw_rad)
-        self.flight = TelloFlight(drone, self._sensors, config.full_stick_mps, config.full_stick_dps)
+        self.flight = TelloFlight(
+            drone, self._sensors, config.full_stick_mps, config.full_stick_dps
+        )
         self._video = video
         self._socket = bound((config.host, config.command_port))
         self._now_s = 0.0
@@ -173,7 +180,9 @@ class TelloEmulator:
             text = data.decode("ascii", "replace").strip()
             if self.tap is not None:
                 self.tap(self._now_s, text)
-            self._take(text, sender, self._now_s if self._arrived is None else self._arrived(arrival_s))
+            self._take(
+                text, sender, self._now_s if self._arrived is None else self._arrived(arrival_s)
+            )
 
     def _take(self, text: str, sender: Address, at_s: float) -> None:
         words = text.split()
@@ -293,7 +302,8 @@ class TelloEmulator:
         self._send(self.faults.state or data.encode(), (client, self._ports[0]))
 
     def _send(self, data: bytes, to: Address) -> None:
-        with contextlib.suppress(OSError):  # nobody listens any more, or a full buffer: lost, as by a radio
+        # nobody listens any more, or a full buffer: lost, as by a radio
+        with contextlib.suppress(OSError):
             self._socket.sendto(data, to)
 
 

@@ -19,7 +19,8 @@ FLYING = (FlightMode.HOLD, FlightMode.OFFBOARD)
 
 
 class TelloFlight:
-    """One drone's. Commands return the SDK's answer, None when it comes once the motion is over (``over``).
+    """One drone's. Commands return the SDK's answer, None when it comes once the motion is over
+    (``over``).
 
     Attributes:
         sessions: every time the sticks were in use, with the longest gap between two ``rc``.
@@ -27,10 +28,15 @@ class TelloFlight:
         motor_fault: a fault: it cannot take off.
     """
 
-    def __init__(self, drone: SimDrone, sensors: TelloSensors, full_stick_mps: float, full_stick_dps: float) -> None:
+    def __init__(
+        self, drone: SimDrone, sensors: TelloSensors, full_stick_mps: float, full_stick_dps: float
+    ) -> None:
         self._drone = drone
         self._sensors = sensors
-        self._stick_mps, self._stick_radps = full_stick_mps / 100.0, math.radians(full_stick_dps) / 100.0
+        self._stick_mps, self._stick_radps = (
+            full_stick_mps / 100.0,
+            math.radians(full_stick_dps) / 100.0,
+        )
         self._now_s = 0.0
         self._rc = (0, 0, 0, 0)
         self._rc_s = -math.inf
@@ -70,7 +76,11 @@ class TelloFlight:
         if self.motor_fault:
             return "error Motor stop"
         if not autopilot.request_arm(self._now_s, True).accepted:
-            return "error No valid imu" if autopilot.battery > autopilot.config.low_battery else "error Auto land"
+            return (
+                "error No valid imu"
+                if autopilot.battery > autopilot.config.low_battery
+                else "error Auto land"
+            )
         self._sensors.ground_d_m = self._drone.estimate.position_n_m[2]
         self._climbing = True
         return None
@@ -113,7 +123,9 @@ class TelloFlight:
         return None
 
     def sticks(self, right: int, forward: int, up: int, clockwise: int, at_s: float) -> None:
-        """They stay as they are until the next time: only silence for 15 s ends that. ``at_s``: when they came."""
+        """They stay as they are until the next time: only silence for 15 s ends that. ``at_s``:
+        when they came.
+        """
         self._move = None
         self._rc = (right, forward, up, clockwise)
         autopilot = self._drone.autopilot
@@ -148,7 +160,9 @@ class TelloFlight:
     # --- inside ---
 
     def _hover(self) -> None:
-        """After a move, and until the next command: nothing is sent meanwhile, and it stays where it is."""
+        """After a move, and until the next command: nothing is sent meanwhile, and it stays where
+        it is.
+        """
         self._move = None
         self._end_session(FlightMode.HOLD)
         self._drone.autopilot.request_mode(self._now_s, FlightMode.HOLD)

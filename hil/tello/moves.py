@@ -1,4 +1,6 @@
-"""The SDK's relative moves of a Tello: ``up 50``, ``cw 90``, ``go 100 0 0 50``, ``curve 100 100 0 200 0 0 30``."""
+"""The SDK's relative moves of a Tello: ``up 50``, ``cw 90``, ``go 100 0 0 50``, ``curve 100 100 0
+200 0 0 30``.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ ARC_RAD = math.radians(15.0)  # between two places on it
 
 @dataclass(frozen=True, slots=True)
 class TelloMove:
-    """A move to a place (NED, m) and a heading. ``via``: places on the way; ``wait_s``: it takes at least so long."""
+    """A move to a place (NED, m) and a heading. ``via``: places on the way; ``wait_s``: it takes at
+    least so long.
+    """
 
     goal_n_m: Vec3
     yaw_rad: float
@@ -50,28 +54,44 @@ class TelloMove:
     def after(self, position_n_m: Vec3, dt: float) -> TelloMove:
         """Returns what is left of it."""
         passed = bool(self.via) and math.dist(position_n_m, self.via[0]) < PASSED_M
-        return replace(self, via=self.via[1:] if passed else self.via, wait_s=max(0.0, self.wait_s - dt))
+        return replace(
+            self, via=self.via[1:] if passed else self.via, wait_s=max(0.0, self.wait_s - dt)
+        )
 
     def over(self, estimate: Estimate) -> bool:
-        near = not self.via and self.wait_s <= 0.0 and math.dist(estimate.position_n_m, self.goal_n_m) < THERE_M
+        near = (
+            not self.via
+            and self.wait_s <= 0.0
+            and math.dist(estimate.position_n_m, self.goal_n_m) < THERE_M
+        )
         return near and abs(self.turn_left(yaw_of(estimate.q_n_b))) < THERE_RAD
 
 
-def move_of(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float) -> TelloMove | str | None:
+def move_of(
+    word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float
+) -> TelloMove | str | None:
     """Returns the move that a command asks for, from where the drone is; the drone's refusal.
 
     None when it is no move.
     """
     if word == "flip":
-        return TelloMove(position_n_m, yaw_rad, wait_s=FLIP_S) if arguments in [[each] for each in FLIPS] else "error"
+        return (
+            TelloMove(position_n_m, yaw_rad, wait_s=FLIP_S)
+            if arguments in [[each] for each in FLIPS]
+            else "error"
+        )
     if word == "jump":  # from pad to pad
         return "error No valid marker" if len(arguments) == 7 else "error"
     if word in NUMBERS:
         return _to_places(word, arguments, position_n_m, yaw_rad)
-    return _straight(word, arguments, position_n_m, yaw_rad) if word in AXES or word in TURNS else None
+    return (
+        _straight(word, arguments, position_n_m, yaw_rad) if word in AXES or word in TURNS else None
+    )
 
 
-def _straight(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float) -> TelloMove | str:
+def _straight(
+    word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float
+) -> TelloMove | str:
     low, high = (1, 360) if word in TURNS else (20, 500)
     try:
         (value,) = (int(argument) for argument in arguments)
@@ -85,7 +105,9 @@ def _straight(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: floa
     return TelloMove(_place(position_n_m, yaw_rad, (forward, -right, -down)), yaw_rad)
 
 
-def _to_places(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float) -> TelloMove | str:
+def _to_places(
+    word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float
+) -> TelloMove | str:
     """``go`` and ``curve``: places are forward, left and up of the drone, cm."""
     if any(argument.startswith("m") for argument in arguments[NUMBERS[word] :]):
         return "error No valid marker"  # no mission pad is ever in sight
@@ -98,7 +120,11 @@ def _to_places(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: flo
         return "error"
     points = [_vec(coordinates[k : k + 3]) for k in range(0, len(coordinates), 3)]
     slow = 10 <= speed <= (100 if word == "go" else 60)
-    if not slow or any(abs(each) > 500 for each in coordinates) or all(abs(each) < 20 for each in coordinates[-3:]):
+    if (
+        not slow
+        or any(abs(each) > 500 for each in coordinates)
+        or all(abs(each) < 20 for each in coordinates[-3:])
+    ):
         return "out of range"
     on_the_way: list[Vec3] = []
     if word == "curve":
@@ -111,7 +137,9 @@ def _to_places(word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: flo
 
 
 def _arc(via: Vec3, end: Vec3) -> list[Vec3] | None:
-    """Places on the circle from the drone through one place to another; None when there is none of a radius allowed."""
+    """Places on the circle from the drone through one place to another; None when there is none of
+    a radius allowed.
+    """
     a = np.array(via)
     b = np.array(end)
     normal = np.cross(a, b)
@@ -126,7 +154,9 @@ def _arc(via: Vec3, end: Vec3) -> list[Vec3] | None:
     y = np.cross(normal / math.sqrt(area2), x)
 
     def angle(point: np.ndarray) -> float:
-        return math.atan2(float((point - centre) @ y), float((point - centre) @ x)) % (2.0 * math.pi)
+        return math.atan2(float((point - centre) @ y), float((point - centre) @ x)) % (
+            2.0 * math.pi
+        )
 
     whole = angle(b)
     count = max(2, math.ceil(whole / ARC_RAD))

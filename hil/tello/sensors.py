@@ -1,4 +1,6 @@
-"""The words of an emulated Tello: its state packets and the answers to queries, rounded as the real one's."""
+"""The words of an emulated Tello: its state packets and the answers to queries, rounded as the real
+one's.
+"""
 
 from __future__ import annotations
 
@@ -55,9 +57,13 @@ class TelloSensors:
         }
 
     def attitude_deg(self) -> tuple[int, int, int]:
-        """Roll, pitch and yaw in whole degrees; yaw from where the nose was when it was switched on."""
+        """Roll, pitch and yaw in whole degrees; yaw from where the nose was when it was switched
+        on.
+        """
         roll, pitch, yaw = rpy_from_quat(self._drone.estimate.q_n_b)
-        roll_deg, pitch_deg, yaw_deg = map(math.degrees, (roll, pitch, wrapped(yaw - self._home_yaw_rad)))
+        roll_deg, pitch_deg, yaw_deg = map(
+            math.degrees, (roll, pitch, wrapped(yaw - self._home_yaw_rad))
+        )
         return round(roll_deg), round(pitch_deg), round(yaw_deg)
 
     def _battery(self) -> int:
@@ -70,7 +76,9 @@ class TelloSensors:
         """Down to flat ground, along its own axis."""
         _, x, y, _ = self._drone.true_q_n_b
         upright = 1.0 - 2.0 * (x * x + y * y)
-        return max(STANDING_CM, round(-100.0 * self._drone.true_position_n_m[2] / max(upright, 0.5)))
+        return max(
+            STANDING_CM, round(-100.0 * self._drone.true_position_n_m[2] / max(upright, 0.5))
+        )
 
     def _baro_m(self) -> float:
         return BARO_M - self._drone.estimate.position_n_m[2]

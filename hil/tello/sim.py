@@ -1,7 +1,9 @@
-"""A Tello's limits in virtual time: its state packets and its video, without djitellopy and sockets between.
+"""A Tello's limits in virtual time: its state packets and its video, without djitellopy and sockets
+between.
 
-State packets are made as the emulated drone makes them, parsed and reckoned from as the driver does; frames go through
-the emulated drone's encoder and a decoder. What is left out is the wire: commands reach the simulated autopilot.
+State packets are made as the emulated drone makes them, parsed and reckoned from as the driver
+does; frames go through the emulated drone's encoder and a decoder. What is left out is the wire:
+commands reach the simulated autopilot.
 """
 
 from __future__ import annotations
@@ -33,7 +35,9 @@ BIT_RATE = 4_000_000
 
 @dataclass(frozen=True, slots=True)
 class SimTelloConfig(SimVehicleConfig):
-    """Besides a simulated vehicle's options those of ``drivers.tello.config`` about where it was put down."""
+    """Besides a simulated vehicle's options those of ``drivers.tello.config`` about where it was
+    put down.
+    """
 
     north_m: Annotated[float, Bounds(-1000.0, 1000.0)] = 0.0
     east_m: Annotated[float, Bounds(-1000.0, 1000.0)] = 0.0
@@ -43,7 +47,9 @@ class SimTelloConfig(SimVehicleConfig):
 
 
 class SimTello(SimVehicle):
-    """The Vehicle Protocol; knows of itself what a Tello's state packets say, ten times a second."""
+    """The Vehicle Protocol; knows of itself what a Tello's state packets say, ten times a
+    second.
+    """
 
     Config = SimTelloConfig
     lacks = TelloVehicle.lacks
@@ -98,7 +104,9 @@ class SimTello(SimVehicle):
 
 
 class SimTelloCamera(RenderedCamera):
-    """Rendered frames through H.264, without depth. Each frame that is read is one of the stream."""
+    """Rendered frames through H.264, without depth. Each frame that is read is one of the
+    stream.
+    """
 
     Config = RenderedCameraConfig
     lacks: frozenset[Capability] = TelloCamera.lacks
@@ -114,9 +122,13 @@ class SimTelloCamera(RenderedCamera):
     async def read(self, timeout_s: float) -> Frame:
         """Returns the next frame as ``RenderedCamera.read``, through the drone's video codec."""
         frame = await super().read(timeout_s)
-        image = cast(Any, av.VideoFrame.from_ndarray(frame.color, format="bgr24")).reformat(format="yuv420p")
+        image = cast(Any, av.VideoFrame.from_ndarray(frame.color, format="bgr24")).reformat(
+            format="yuv420p"
+        )
         image.pts = self._encoded
         self._encoded += 1
-        shown = [each for packet in self._encoder.encode(image) for each in self._decoder.decode(packet)]
+        shown = [
+            each for packet in self._encoder.encode(image) for each in self._decoder.decode(packet)
+        ]
         color = np.asarray(shown[-1].to_ndarray(format="bgr24"), np.uint8)
         return Frame(frame.stamp_ns, frame.frame_id, color, None)

@@ -1,6 +1,7 @@
 """The camera of an emulated Tello: an H.264 stream in UDP datagrams, as the real one sends it.
 
-Annex B without time stamps, cut into datagrams of 1460 bytes; a key frame a second, with its parameter sets.
+Annex B without time stamps, cut into datagrams of 1460 bytes; a key frame a second, with its
+parameter sets.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ class TelloVideoConfig:
     """
     Attributes:
         rate_hz: frames a second that ``write`` is called with.
-        latency_s: from a frame's exposure until its datagrams leave: the drone's own encoder and radio.
+        latency_s: from a frame's exposure until its datagrams leave: the drone's own encoder and
+            radio.
         bit_rate: of the stream, bits a second (the real one's automatic setting ends at 4 Mbit/s).
     """
 
@@ -43,7 +45,8 @@ class TelloVideoConfig:
 
 
 class TelloVideo:
-    """``write`` (any one thread) takes frames, ``pump`` (the world's) sends what is due. Faults are plain attributes.
+    """``write`` (any one thread) takes frames, ``pump`` (the world's) sends what is due. Faults are
+    plain attributes.
 
     Attributes:
         silent: nothing is sent.
@@ -133,7 +136,8 @@ class TelloVideo:
                 piece = bytearray(piece)
                 for _ in range(8):
                     piece[self._random.randrange(len(piece))] ^= self._random.randrange(1, 256)
-            with contextlib.suppress(OSError):  # nobody listens, or a full buffer: lost, as by a radio
+            # nobody listens, or a full buffer: lost, as by a radio
+            with contextlib.suppress(OSError):
                 out.sendto(piece, to)
         self.sent += 1
 
@@ -147,7 +151,9 @@ class TelloVideo:
 
 
 def new_encoder(width: int, height: int, rate_hz: int, bit_rate: int) -> Any:
-    """An H.264 encoder without look-ahead that repeats key frame and parameter sets once a second."""
+    """An H.264 encoder without look-ahead that repeats key frame and parameter sets once a
+    second.
+    """
     encoder: Any = av.CodecContext.create("libx264", "w")
     encoder.width = width
     encoder.height = height

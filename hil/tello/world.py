@@ -21,7 +21,12 @@ def is_tello(spec: PartSpec) -> bool:
 
 
 def tello_of(
-    rig: Rig, role: Role, drone: SimDrone, world: WorldConfig, seed: int, arrived: Callable[[float], float]
+    rig: Rig,
+    role: Role,
+    drone: SimDrone,
+    world: WorldConfig,
+    seed: int,
+    arrived: Callable[[float], float],
 ) -> tuple[TelloEmulator, TelloVideo]:
     """The emulated drone that a role's driver looks for, and the camera in it. Raises RigError.
 
@@ -30,9 +35,13 @@ def tello_of(
     own = rig.role(role)
     vehicle: TelloVehicleConfig = decode_part(own.vehicle)[1]
     camera: TelloCameraConfig = decode_part(
-        PartSpec.from_table(own.perception.options["camera"], f"{own.perception.where}.camera", own.perception.base)
+        PartSpec.from_table(
+            own.perception.options["camera"], f"{own.perception.where}.camera", own.perception.base
+        )
     )[1]
-    video = TelloVideo(TelloVideoConfig(own.camera.width, own.camera.height, float(camera.rate_hz)), seed)
+    video = TelloVideo(
+        TelloVideoConfig(own.camera.width, own.camera.height, float(camera.rate_hz)), seed
+    )
     config = TelloEmulatorConfig(
         host=vehicle.host,
         command_port=vehicle.command_port,

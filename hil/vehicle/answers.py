@@ -1,4 +1,6 @@
-"""The embedded vehicle's answers to what is no command: missions, logs, pings; sticks; and to whom at all."""
+"""The embedded vehicle's answers to what is no command: missions, logs, pings; sticks; and to whom
+at all.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,8 @@ NOT_FOLLOWED = ("SET_POSITION_TARGET_GLOBAL_INT", "SET_ATTITUDE_TARGET")
 def is_meant(message: Any, sysid: int) -> bool:
     """Returns whether a message is for this vehicle's autopilot, as PX4 sees it.
 
-    Commands name their system, but for the one that asks for a message: that is answered whoever is asked.
+    Commands name their system, but for the one that asks for a message: that is answered whoever is
+    asked.
     """
     system = getattr(message, "target_system", 0)
     component = getattr(message, "target_component", 0)
@@ -46,14 +49,18 @@ def answer(message: Any) -> Any | None:
 
 
 def height_above_sea_m(message: Any) -> float | None:
-    """The altitude that a take-off asks for, NaN for none; None: in a frame that is not understood."""
+    """The altitude that a take-off asks for, NaN for none; None: in a frame that is not
+    understood.
+    """
     if message.get_type() == "COMMAND_LONG":
         return float(message.param7)
     return float(message.z) if message.frame in _GLOBAL_FRAMES else None
 
 
 def sticks_of(message: Any) -> list[int]:
-    """A ground station's channels, µs; of a MANUAL_CONTROL those of a joystick's sticks, and no switches."""
+    """A ground station's channels, µs; of a MANUAL_CONTROL those of a joystick's sticks, and no
+    switches.
+    """
     if message.get_type() == "RC_CHANNELS_OVERRIDE":
         return [getattr(message, f"chan{number}_raw") for number in range(1, CHANNELS + 1)]
     throttle = 2.0 * message.z / 1000.0 - 1.0  # its middle is 500
@@ -77,7 +84,9 @@ def _items_offered(asked: Any) -> Any:
 
 
 def _cleared(asked: Any) -> Any:
-    return mavlink.MAVLink_mission_ack_message(*_from(asked), mavlink.MAV_MISSION_ACCEPTED, asked.mission_type)
+    return mavlink.MAVLink_mission_ack_message(
+        *_from(asked), mavlink.MAV_MISSION_ACCEPTED, asked.mission_type
+    )
 
 
 def _no_logs(_asked: Any) -> Any:
@@ -97,4 +106,6 @@ _ANSWERS: Mapping[str, Callable[[Any], Any | None]] = {
     "LOG_REQUEST_LIST": _no_logs,
     "PING": _ping,
 }
-"""It has no mission, fence points, rally points or logs, and takes none; a ground station waits for answers yet."""
+"""It has no mission, fence points, rally points or logs, and takes none; a ground station waits for
+answers yet.
+"""

@@ -1,4 +1,6 @@
-"""UDP packets with the time at which the kernel took them in: the process that reads them may come to it late."""
+"""UDP packets with the time at which the kernel took them in: the process that reads them may come
+to it late.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ SO_TIMESTAMPNS = 35  # Linux's; the socket module does not name it
 
 
 def bound(address: Address) -> socket.socket:
-    """A socket that does not block, with stamps where the system has them. Raises OSError when the port is taken."""
+    """A socket that does not block, with stamps where the system has them. Raises OSError when the
+    port is taken.
+    """
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     made.setblocking(False)
     with contextlib.suppress(OSError):
@@ -30,7 +34,9 @@ def bound(address: Address) -> socket.socket:
 
 
 def packets(source: socket.socket) -> Iterator[tuple[bytes, Address, float]]:
-    """All that waits: bytes, sender, and arrival in seconds of the monotonic clock, which never goes back."""
+    """All that waits: bytes, sender, and arrival in seconds of the monotonic clock, which never
+    goes back.
+    """
     newest_s = -math.inf
     while True:
         try:

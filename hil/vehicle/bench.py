@@ -1,4 +1,6 @@
-"""One vehicle of a rig on the bench: the embedded one, or a real autopilot's simulator, behind the same cable."""
+"""One vehicle of a rig on the bench: the embedded one, or a real autopilot's simulator, behind the
+same cable.
+"""
 
 from __future__ import annotations
 
@@ -31,13 +33,16 @@ from path.messages import Quat, Role, Vec3
 STEP_S = 0.005
 SAMPLE_S = 0.02
 SYSID = 9  # of a simulator: beside those of a run on the same computer
-DECODED = frozenset({0, 1, 77, 245, 253})  # HEARTBEAT, SYS_STATUS, COMMAND_ACK, EXTENDED_SYS_STATE, STATUSTEXT
+# HEARTBEAT, SYS_STATUS, COMMAND_ACK, EXTENDED_SYS_STATE, STATUSTEXT
+DECODED = frozenset({0, 1, 77, 245, 253})
 
 Truth = tuple[Vec3, Vec3, Quat]
 
 
 class EmbeddedFarSide:
-    """Physics and the embedded autopilot, stepped in this process; ``speed`` times as fast as the clock on the wall."""
+    """Physics and the embedded autopilot, stepped in this process; ``speed`` times as fast as the
+    clock on the wall.
+    """
 
     def __init__(self, rig: Rig, config: WorldConfig, url: str, seed: int) -> None:
         self.kind = "px4"
@@ -84,10 +89,14 @@ class SimulatorFarSide:
         assert simulator is not None
         self.kind = self.what = simulator.kind
         # At its own speed from the start: how long it takes to be ready is measured.
-        self._vehicle = SimulatedVehicle(rig, Role.SENDER, replace(simulator, speedup=1.0), config, folder)
+        self._vehicle = SimulatedVehicle(
+            rig, Role.SENDER, replace(simulator, speedup=1.0), config, folder
+        )
         relay = self._vehicle.relay
         if relay is None:
-            raise PartError(f"{rig.name}: a board has its cable to itself", "name a rig of level sitl")
+            raise PartError(
+                f"{rig.name}: a board has its cable to itself", "name a rig of level sitl"
+            )
         self.relay: MavlinkRelay = relay
 
     def start(self) -> None:
@@ -117,11 +126,14 @@ class SimulatorFarSide:
 class EmbeddedBench:
     """A ``drivers.mavlink.bench.VehicleBench`` of the sender's vehicle in a rig of level ``sitl``.
 
-    MAVSDK listens on a port of its own, a simulator has a number of its own: a run with the same rig is not disturbed.
+    MAVSDK listens on a port of its own, a simulator has a number of its own: a run with the same
+    rig is not disturbed.
     """
 
     def __init__(self, rig: Rig, folder: Path, speed: float = 1.0, seed: int = 0) -> None:
-        """``speed``: of the embedded vehicle's time; a simulator has its own. Raises PartError, NoBinary."""
+        """``speed``: of the embedded vehicle's time; a simulator has its own. Raises PartError,
+        NoBinary.
+        """
         config = decode_table(rig.world, WorldConfig, rig.where("world"))
         spec = rig.sender.vehicle
         url = f"udpin://127.0.0.1:{_free_port()}"
@@ -177,7 +189,9 @@ class EmbeddedBench:
 
     def check(self) -> None:
         if self._failure is not None:
-            raise PartError(f"the bench failed: {self._failure}", "see output.txt of the simulator") from self._failure
+            raise PartError(
+                f"the bench failed: {self._failure}", "see output.txt of the simulator"
+            ) from self._failure
 
     def watch(self, vehicle: Vehicle | None) -> None:
         self._watched = vehicle
@@ -219,7 +233,9 @@ class EmbeddedBench:
         if self._watched is not None:
             with contextlib.suppress(VehicleError):
                 said = self._watched.state
-        self.instants.append(Instant(now_s, self._ground_d_m - position[2], position, velocity, attitude, said))
+        self.instants.append(
+            Instant(now_s, self._ground_d_m - position[2], position, velocity, attitude, said)
+        )
 
     def _hear(self, message_id: int, frame: bytes, arrival_s: float) -> None:
         time_s = self._speed * (arrival_s - self._start_s)
@@ -241,10 +257,14 @@ class EmbeddedBench:
                 armed = bool(message.base_mode & SAFETY_ARMED)
                 heard.shown.append(HeartbeatShown(time_s, mode, message.custom_mode, armed))
             case "SYS_STATUS":
-                passed = message.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_PREARM_CHECK
+                passed = (
+                    message.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_PREARM_CHECK
+                )
                 heard.checks.append((time_s, bool(passed)))
             case "COMMAND_ACK":
-                heard.answers.append(CommandAnswer(time_s, message.command, message.result, message.target_system))
+                heard.answers.append(
+                    CommandAnswer(time_s, message.command, message.result, message.target_system)
+                )
             case "EXTENDED_SYS_STATE":
                 heard.landed.append((time_s, message.landed_state))
             case "STATUSTEXT":

@@ -1,11 +1,13 @@
-"""A flight controller in software: the embedded vehicle behind two serial ports, one of which tells its truth.
+"""A flight controller in software: the embedded vehicle behind two serial ports, one of which tells
+its truth.
 
-It stands for a board on the bench wherever there is none: an unmodified MAVSDK opens the first port, the harness the
-second, both pseudo terminals.
+It stands for a board on the bench wherever there is none: an unmodified MAVSDK opens the first
+port, the harness the second, both pseudo terminals.
 
     python -m hil.vehicle.board_pty RIG_FILE
 
-puts two of them behind the devices that a rig names, until Ctrl-C; the devices must not be there yet.
+puts two of them behind the devices that a rig names, until Ctrl-C; the devices must not be there
+yet.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ TRUTH_S = 0.01
 
 
 class _End:
-    """A serial cable on one side, the vehicle's UDP channel on the other: bytes pass as they come."""
+    """A serial cable on one side, the vehicle's UDP channel on the other: bytes pass as they
+    come.
+    """
 
     def __init__(self, link: Path) -> None:
         self.cable = SerialCable(link)
@@ -67,19 +71,31 @@ class _End:
 
 
 class BoardPty:
-    """``companion`` and ``truth`` are the two devices. Whoever steps the world calls ``pump`` at 200 Hz or so."""
+    """``companion`` and ``truth`` are the two devices. Whoever steps the world calls ``pump`` at
+    200 Hz or so.
+    """
 
     def __init__(
-        self, sysid: int, drone: SimDrone, leg_m: float, tangent: LocalTangent, companion: Path, truth: Path
+        self,
+        sysid: int,
+        drone: SimDrone,
+        leg_m: float,
+        tangent: LocalTangent,
+        companion: Path,
+        truth: Path,
     ) -> None:
         """The paths become links to pseudo terminals. Raises OSError when there are none left."""
         self._drone = drone
         self._leg_m = leg_m
         self._tangent = tangent
         self._ends = _End(companion), _End(truth)
-        self._mav: Any = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self._mav: Any = mavlink.MAVLink(
+            None, srcSystem=sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1
+        )
         first, second = (end.socket.getsockname() for end in self._ends)
-        self.vehicle = MavlinkVehicle(MavlinkVehicleConfig(sysid, first, second=second), drone, tangent)
+        self.vehicle = MavlinkVehicle(
+            MavlinkVehicleConfig(sysid, first, second=second), drone, tangent
+        )
         self._told_s = -math.inf
 
     def close(self) -> None:

@@ -1,4 +1,6 @@
-"""One MAVLink port of the embedded vehicle: its socket, and the rates of its own streams, as on a real autopilot."""
+"""One MAVLink port of the embedded vehicle: its socket, and the rates of its own streams, as on a
+real autopilot.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ class UdpChannel:
     def __init__(self, bind: Address, remote: Address) -> None:
         self._remote = remote
         self._socket = bound(bind)
-        self._intervals_s = {message: 1.0 / rate for message, (_, rate) in STREAMS.items() if rate > 0.0}
+        self._intervals_s = {
+            message: 1.0 / rate for message, (_, rate) in STREAMS.items() if rate > 0.0
+        }
         self._due_s = dict.fromkeys(self._intervals_s, -math.inf)
 
     @property
@@ -31,7 +35,8 @@ class UdpChannel:
         self._socket.close()
 
     def send(self, packet: bytes, to: Address | None = None) -> None:
-        with contextlib.suppress(BlockingIOError):  # a full buffer loses the packet, as a radio does
+        # a full buffer loses the packet, as a radio does
+        with contextlib.suppress(BlockingIOError):
             self._socket.sendto(packet, to or self._remote)
 
     def packets(self) -> Iterator[tuple[bytes, Address, float]]:
@@ -52,27 +57,33 @@ class UdpChannel:
             if at_s < due_s - PHASE_TOLERANCE_S:
                 continue
             interval_s = self._intervals_s[message]
-            # Keep the phase while on time; after a stall go on from here instead of catching up in a burst.
+            # Keep the phase while on time; after a stall go on from here instead of catching up in
+            # a burst.
             late = at_s - due_s > interval_s
             self._due_s[message] = (at_s if late else due_s) + interval_s
             yield message
 
     def interval_us(self, message: int) -> int:
-        """A stream's interval as MESSAGE_INTERVAL tells it: -1 when it is not sent, 0 when it is not known."""
+        """A stream's interval as MESSAGE_INTERVAL tells it: -1 when it is not sent, 0 when it is
+        not known.
+        """
         if message not in STREAMS:
             return 0
         interval_s = self._intervals_s.get(message)
         return -1 if interval_s is None else round(interval_s * 1e6)
 
     def set_interval(self, message: int, interval_us: int, at_s: float) -> bool:
-        """Sets a stream's interval as MAV_CMD_SET_MESSAGE_INTERVAL asks: 0 is the default rate, -1 ends it.
+        """Sets a stream's interval as MAV_CMD_SET_MESSAGE_INTERVAL asks: 0 is the default rate, -1
+        ends it.
 
         False when refused.
         """
         if message not in STREAMS or interval_us < -1:
             return False
         default_hz = STREAMS[message][1]
-        interval_s = interval_us * 1e-6 if interval_us > 0 else 1.0 / default_hz if default_hz > 0.0 else 0.0
+        interval_s = (
+            interval_us * 1e-6 if interval_us > 0 else 1.0 / default_hz if default_hz > 0.0 else 0.0
+        )
         if interval_us == -1 or interval_s == 0.0:
             if message == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
                 return False

@@ -1,7 +1,9 @@
-"""A MAVLink 2 endpoint around a simulated drone, for an unmodified MAVSDK to connect to: a small PX4 on loopback.
+"""A MAVLink 2 endpoint around a simulated drone, for an unmodified MAVSDK to connect to: a small
+PX4 on loopback.
 
-It has no thread and no clock: whoever steps the world calls ``pump`` at 200-250 Hz. In real time it is told how
-arrivals count on the world's clock, and hears everything at the time it came, however late the world gets to it.
+It has no thread and no clock: whoever steps the world calls ``pump`` at 200-250 Hz. In real time it
+is told how arrivals count on the world's clock, and hears everything at the time it came, however
+late the world gets to it.
 """
 
 from __future__ import annotations
@@ -20,7 +22,15 @@ from drivers.interfaces import FlightMode, VelocitySetpoint
 from drivers.link.key import signing_time
 from drivers.mavlink.geodesy import LocalTangent
 from hil.autopilot.autopilot import Ack
-from hil.vehicle.answers import NOT_FOLLOWED, OLDER_REQUESTS, STICKS, answer, height_above_sea_m, is_meant, sticks_of
+from hil.vehicle.answers import (
+    NOT_FOLLOWED,
+    OLDER_REQUESTS,
+    STICKS,
+    answer,
+    height_above_sea_m,
+    is_meant,
+    sticks_of,
+)
 from hil.vehicle.arrival import Address
 from hil.vehicle.channel import UdpChannel
 from hil.vehicle.messages import AUTO, AUTO_MODES, OFFBOARD, PILOT_MODES, STREAMS, FlightInstant
@@ -53,7 +63,8 @@ class MavlinkVehicleConfig:
         sysid: its MAVLink system id.
         remote: where MAVSDK listens (``udpin``).
         bind: its own address; port 0 takes a free one.
-        second: where a second ground station or companion listens, on a port of its own with streams of its own.
+        second: where a second ground station or companion listens, on a port of its own with
+            streams of its own.
         ground: where a ground station for people listens, QGroundControl or MAVProxy; likewise.
         key: of MAVLink 2's signatures: it signs, and takes nothing that is not signed.
     """
@@ -79,7 +90,8 @@ _at_s = attrgetter("at_s")
 
 
 class MavlinkVehicle:
-    """One drone on the wire. Faults: while ``silent`` nothing is sent and whatever comes in is lost.
+    """One drone on the wire. Faults: while ``silent`` nothing is sent and whatever comes in is
+    lost.
 
     Attributes:
         received: messages for this vehicle by type, counted.
@@ -94,7 +106,9 @@ class MavlinkVehicle:
         tangent: LocalTangent,
         arrived: Callable[[float], float] | None = None,
     ) -> None:
-        """``arrived``: the world's time of an instant of the monotonic clock. None: what is read came just then."""
+        """``arrived``: the world's time of an instant of the monotonic clock. None: what is read
+        came just then.
+        """
         self._config = config
         self._drone = drone
         self._tangent = tangent
@@ -103,7 +117,9 @@ class MavlinkVehicle:
         for further in (config.second, config.ground):
             if further is not None:
                 self._channels.append(UdpChannel((config.bind[0], 0), further))
-        self._mav: Any = mavlink.MAVLink(None, srcSystem=config.sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self._mav: Any = mavlink.MAVLink(
+            None, srcSystem=config.sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1
+        )
         if config.key is not None:
             self._mav.signing.secret_key = config.key
             self._mav.signing.sign_outgoing = True
@@ -118,7 +134,8 @@ class MavlinkVehicle:
         for channel in self._channels:
             channel.beat_every(self._own_beat_s)
         self._arrived = arrived
-        self._waiting: list[_Packet] = []  # came after the newest time that the world has been stepped to
+        # came after the newest time that the world has been stepped to
+        self._waiting: list[_Packet] = []
         self._heard_s = 0.0
         if arrived is not None:
             drone.hears = self.hear
@@ -130,7 +147,9 @@ class MavlinkVehicle:
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
             mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
             mavlink.MAV_CMD_NAV_LAND: lambda flight, _: self._request(flight, FlightMode.LAND),
-            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda flight, _: self._request(flight, FlightMode.RETURN),
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda flight, _: self._request(
+                flight, FlightMode.RETURN
+            ),
             mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
         }
 
@@ -145,7 +164,9 @@ class MavlinkVehicle:
             channel.close()
 
     def pump(self, now_s: float) -> None:
-        """Take what came in, act on it, send what is due. ``now_s`` is the time the drone was stepped to."""
+        """Take what came in, act on it, send what is due. ``now_s`` is the time the drone was
+        stepped to.
+        """
         self.hear(now_s)
         if not self.silent:
             flight = self._flight(now_s)
@@ -153,7 +174,9 @@ class MavlinkVehicle:
             self._send_due(flight)
 
     def hear(self, now_s: float) -> None:
-        """Take what came in until ``now_s``, in the order and at the times in which it came, and act on it."""
+        """Take what came in until ``now_s``, in the order and at the times in which it came, and
+        act on it.
+        """
         for channel in self._channels:
             for packet, sender, arrival_s in channel.packets():
                 at_s = now_s if self._arrived is None else self._arrived(arrival_s)
@@ -172,13 +195,20 @@ class MavlinkVehicle:
         if self._local_origin_n_m is None:
             self._local_origin_n_m = drone.estimate.position_n_m
         return FlightInstant(
-            at_s, drone.autopilot, drone.estimate, self._tangent, self._local_origin_n_m, drone.rangefinder
+            at_s,
+            drone.autopilot,
+            drone.estimate,
+            self._tangent,
+            self._local_origin_n_m,
+            drone.rangefinder,
         )
 
     # --- out ---
 
     def send_raw(self, packet: bytes) -> None:
-        """A packet from the vehicle's own address that is not its own, as a forger would send it."""
+        """A packet from the vehicle's own address that is not its own, as a forger would send
+        it.
+        """
         self._channels[0].send(packet)
 
     def _send(self, channel: UdpChannel, message: Any, to: Address | None = None) -> None:
@@ -195,7 +225,9 @@ class MavlinkVehicle:
             text = texts[self._texts_sent]
             self._texts_sent += 1
             for channel in self._channels:
-                message = mavlink.MAVLink_statustext_message(text.severity.value, text.text.encode()[:50])
+                message = mavlink.MAVLink_statustext_message(
+                    text.severity.value, text.text.encode()[:50]
+                )
                 self._send(channel, message)
 
     def _send_due(self, flight: FlightInstant) -> None:
@@ -206,13 +238,15 @@ class MavlinkVehicle:
         for channel in self._channels:
             if changed:
                 channel.heartbeat_now()
-            # By the estimate's time and not by ours: a stream as fast as the estimator then carries every estimate
-            # once, at once, instead of beating against it with up to a period of delay.
+            # By the estimate's time and not by ours: a stream as fast as the estimator then carries
+            # every estimate once, at once, instead of beating against it with up to a period of
+            # delay.
             due = list(channel.due(flight.estimate.time_s))
             for message in due:
                 if message not in packets and (made := STREAMS[message][0](flight)) is not None:
                     packets[message] = self._packed(made)
-            # In one datagram, as PX4 sends them: each one sent gives the interpreter away, and what draws takes it.
+            # In one datagram, as PX4 sends them: each one sent gives the interpreter away, and what
+            # draws takes it.
             if together := b"".join(packets.get(message, b"") for message in due):
                 channel.send(together)
 
@@ -239,7 +273,9 @@ class MavlinkVehicle:
             return None
         return message if message.get_msgId() in mavlink.mavlink_map else None
 
-    def _take(self, flight: FlightInstant, message: Any, channel: UdpChannel, sender: Address) -> None:
+    def _take(
+        self, flight: FlightInstant, message: Any, channel: UdpChannel, sender: Address
+    ) -> None:
         if self.tap is not None:
             self.tap(flight.now_s, message)
         if not is_meant(message, self._config.sysid):
@@ -253,7 +289,11 @@ class MavlinkVehicle:
         elif kind == "HEARTBEAT" and message.type == mavlink.MAV_TYPE_GCS:
             flight.autopilot.companion_heard(flight.now_s)
         elif kind == "TIMESYNC" and message.tc1 == 0:
-            self._send(channel, mavlink.MAVLink_timesync_message(round(flight.now_s * 1e9) + 1, message.ts1), sender)
+            self._send(
+                channel,
+                mavlink.MAVLink_timesync_message(round(flight.now_s * 1e9) + 1, message.ts1),
+                sender,
+            )
         elif kind in STICKS:
             flight.autopilot.radio.override(flight.now_s, sticks_of(message))
         elif kind == "SET_MODE":
@@ -269,8 +309,8 @@ class MavlinkVehicle:
     def _setpoint(self, flight: FlightInstant, message: Any) -> None:
         """Velocity, position by a proportional loop, or both, in MAV_FRAME_LOCAL_NED.
 
-        In MAV_FRAME_BODY_NED velocity alone, ahead, right and down of the heading, as PX4 has it. The rest is not
-        followed; of another frame a status text says so.
+        In MAV_FRAME_BODY_NED velocity alone, ahead, right and down of the heading, as PX4 has it.
+        The rest is not followed; of another frame a status text says so.
         """
         mask = message.type_mask
         frame = message.coordinate_frame
@@ -299,7 +339,9 @@ class MavlinkVehicle:
             self.malformed += 1
 
     def _yaw(self, flight: FlightInstant, message: Any) -> float:
-        """The heading that a setpoint asks for: itself, by a rate from the one before, or as it is."""
+        """The heading that a setpoint asks for: itself, by a rate from the one before, or as it
+        is.
+        """
         mask = message.type_mask
         yaw = yaw_of(flight.estimate.q_n_b)
         if not mask & IGNORE_YAW:
@@ -308,21 +350,29 @@ class MavlinkVehicle:
             return yaw
         goal, since_s = self._turning
         passed_s = flight.now_s - since_s
-        ahead = wrapped(goal + message.yaw_rate * passed_s - yaw) if passed_s < TURN_PAUSE_S else 0.0
+        ahead = (
+            wrapped(goal + message.yaw_rate * passed_s - yaw) if passed_s < TURN_PAUSE_S else 0.0
+        )
         goal = yaw + max(-TURN_LEAD_RAD, min(TURN_LEAD_RAD, ahead))
         self._turning = goal, flight.now_s
         return goal
 
     def _refuse_setpoint(self, flight: FlightInstant, what: str) -> None:
-        """Says once a second that such setpoints are not followed: they have no answer of their own."""
+        """Says once a second that such setpoints are not followed: they have no answer of their
+        own.
+        """
         if flight.now_s - self._refused_s < 1.0:
             return
         self._refused_s = flight.now_s
         text = f"{what} unsupported".encode()[:50]
         for channel in self._channels:
-            self._send(channel, mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, text))
+            self._send(
+                channel, mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, text)
+            )
 
-    def _command(self, flight: FlightInstant, message: Any, channel: UdpChannel, sender: Address) -> None:
+    def _command(
+        self, flight: FlightInstant, message: Any, channel: UdpChannel, sender: Address
+    ) -> None:
         command = message.command
         after: int | None = None
         if command == mavlink.MAV_CMD_REQUEST_MESSAGE or command in OLDER_REQUESTS:
@@ -342,9 +392,13 @@ class MavlinkVehicle:
         if after is not None and result == ACCEPTED:
             self._send_message(flight, channel, after)
 
-    def _acknowledge(self, channel: UdpChannel, message: Any, command: int, result: int, sender: Address) -> None:
+    def _acknowledge(
+        self, channel: UdpChannel, message: Any, command: int, result: int, sender: Address
+    ) -> None:
         to = message.get_srcSystem(), message.get_srcComponent()
-        self._send(channel, mavlink.MAVLink_command_ack_message(command, result, 255, 0, *to), sender)
+        self._send(
+            channel, mavlink.MAVLink_command_ack_message(command, result, 255, 0, *to), sender
+        )
 
     def _set_interval(self, flight: FlightInstant, channel: UdpChannel, message: Any) -> int:
         which = _whole(message.param1)
@@ -353,7 +407,9 @@ class MavlinkVehicle:
             return DENIED
         if which == mavlink.MAVLINK_MSG_ID_HEARTBEAT and self._own_beat_s is not None:
             return ACCEPTED  # and goes on as it did
-        return ACCEPTED if channel.set_interval(which, interval_us, flight.estimate.time_s) else DENIED
+        return (
+            ACCEPTED if channel.set_interval(which, interval_us, flight.estimate.time_s) else DENIED
+        )
 
     def _tell_interval(self, channel: UdpChannel, message: Any, sender: Address) -> int:
         which = _whole(message.param1)
@@ -367,7 +423,9 @@ class MavlinkVehicle:
         arm = _whole(message.param1)
         if arm not in (0, 1):
             return DENIED
-        return _not_now(flight.autopilot.request_arm(flight.now_s, arm == 1, message.param2 == FORCE_MAGIC))
+        return _not_now(
+            flight.autopilot.request_arm(flight.now_s, arm == 1, message.param2 == FORCE_MAGIC)
+        )
 
     def _take_off(self, flight: FlightInstant, message: Any) -> int:
         """Takes off. Without an altitude the height is MIS_TAKEOFF_ALT over home."""
@@ -377,12 +435,20 @@ class MavlinkVehicle:
             return DENIED
         height_m = self._parameters.take_off_m(flight.now_s)
         if home is not None and math.isfinite(altitude_m):
-            height_m = altitude_m - flight.autopilot.altitude_error_m - self._tangent.to_global(*home)[2]
+            height_m = (
+                altitude_m - flight.autopilot.altitude_error_m - self._tangent.to_global(*home)[2]
+            )
         return _result(flight.autopilot.request_takeoff(flight.now_s, height_m))
 
-    def _set_old_mode(self, flight: FlightInstant, message: Any, channel: UdpChannel, sender: Address) -> None:
-        """SET_MODE, which DO_SET_MODE has followed: PX4 takes it, and answers as if it had been that command."""
-        result = self._select(flight, message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24 & 0xFF)
+    def _set_old_mode(
+        self, flight: FlightInstant, message: Any, channel: UdpChannel, sender: Address
+    ) -> None:
+        """SET_MODE, which DO_SET_MODE has followed: PX4 takes it, and answers as if it had been
+        that command.
+        """
+        result = self._select(
+            flight, message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24 & 0xFF
+        )
         self._acknowledge(channel, message, mavlink.MAV_CMD_DO_SET_MODE, result, sender)
 
     def _set_mode(self, flight: FlightInstant, message: Any) -> int:
@@ -396,7 +462,9 @@ class MavlinkVehicle:
         if main == AUTO and sub in AUTO_MODES:
             if AUTO_MODES[sub] is FlightMode.TAKEOFF:
                 return _result(
-                    flight.autopilot.request_takeoff(flight.now_s, self._parameters.take_off_m(flight.now_s))
+                    flight.autopilot.request_takeoff(
+                        flight.now_s, self._parameters.take_off_m(flight.now_s)
+                    )
                 )
             return self._request(flight, AUTO_MODES[sub])
         return DENIED
@@ -406,12 +474,18 @@ class MavlinkVehicle:
 
 
 def _frames(packet: bytes) -> Iterator[bytearray]:
-    """The messages of one datagram. Unlike a byte stream's, its damaged end must not wait for the next one."""
+    """The messages of one datagram. Unlike a byte stream's, its damaged end must not wait for the
+    next one.
+    """
     rest = bytearray(packet)
     while rest:
         overhead = 12 if rest[0] == mavlink.PROTOCOL_MARKER_V2 else 8
         signed = overhead == 12 and len(rest) > 2 and bool(rest[2] & mavlink.MAVLINK_IFLAG_SIGNED)
-        size = overhead + (rest[1] if len(rest) > 1 else 0) + (mavlink.MAVLINK_SIGNATURE_BLOCK_LEN if signed else 0)
+        size = (
+            overhead
+            + (rest[1] if len(rest) > 1 else 0)
+            + (mavlink.MAVLINK_SIGNATURE_BLOCK_LEN if signed else 0)
+        )
         yield rest[:size]
         rest = rest[size:]
 

@@ -1,4 +1,6 @@
-"""The telemetry of the embedded vehicle as MAVLink messages, numbered and scaled as PX4 sends them."""
+"""The telemetry of the embedded vehicle as MAVLink messages, numbered and scaled as PX4 sends
+them.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from hil.world.rangefinder import SimRangefinder
 from path.geometry.rotation import rpy_from_quat, yaw_of
 from path.messages import Vec3
 
-# px4_custom_mode.h: main mode in bits 16-23, sub mode in bits 24-31. A pilot's mode shows as POSCTL.
+# px4_custom_mode.h: main mode in bits 16-23, sub mode in bits 24-31. A pilot's mode shows as
+# POSCTL.
 AUTO = 4
 OFFBOARD = 6
 AUTO_MODES = {2: FlightMode.TAKEOFF, 3: FlightMode.HOLD, 5: FlightMode.RETURN, 6: FlightMode.LAND}
@@ -51,7 +54,9 @@ EMPTY_MV = 13_200
 
 @dataclass(frozen=True, slots=True)
 class FlightInstant:
-    """One instant of a vehicle. ``local_origin_n_m``: where its own local frame began, which is not the mission's."""
+    """One instant of a vehicle. ``local_origin_n_m``: where its own local frame began, which is not
+    the mission's.
+    """
 
     now_s: float
     autopilot: Autopilot
@@ -85,12 +90,16 @@ def heartbeat(flight: FlightInstant) -> Any:
         status = mavlink.MAV_STATE_FLIGHT_TERMINATION
     kind = mavlink.MAV_TYPE_QUADROTOR
     make = mavlink.MAV_AUTOPILOT_PX4
-    return mavlink.MAVLink_heartbeat_message(kind, make, base, CUSTOM_MODES[autopilot.mode], status, 3)
+    return mavlink.MAVLink_heartbeat_message(
+        kind, make, base, CUSTOM_MODES[autopilot.mode], status, 3
+    )
 
 
 def current_mode(flight: FlightInstant) -> Any:
     custom_mode = CUSTOM_MODES[flight.autopilot.mode]
-    return mavlink.MAVLink_current_mode_message(mavlink.MAV_STANDARD_MODE_NON_STANDARD, custom_mode, custom_mode)
+    return mavlink.MAVLink_current_mode_message(
+        mavlink.MAV_STANDARD_MODE_NON_STANDARD, custom_mode, custom_mode
+    )
 
 
 def sys_status(flight: FlightInstant) -> Any:
@@ -106,11 +115,15 @@ def sys_status(flight: FlightInstant) -> Any:
     healthy |= there & mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
     millivolts = _voltage_mv(autopilot)
     percent = round(autopilot.battery * 100.0)
-    return mavlink.MAVLink_sys_status_message(there, there, healthy, 200, millivolts, -1, percent, 0, 0, 0, 0, 0, 0)
+    return mavlink.MAVLink_sys_status_message(
+        there, there, healthy, 200, millivolts, -1, percent, 0, 0, 0, 0, 0, 0
+    )
 
 
 def rc_channels(flight: FlightInstant) -> Any:
-    """The newest that the receiver heard, however long ago; without signal strength once it is gone."""
+    """The newest that the receiver heard, however long ago; without signal strength once it is
+    gone.
+    """
     radio = flight.autopilot.radio
     values = [*radio.channels, *([0xFFFF] * (18 - len(radio.channels)))]
     strength = 254 if flight.autopilot.radio_heard else 0
@@ -124,7 +137,16 @@ def gps_raw_int(flight: FlightInstant) -> Any:
     fix = mavlink.GPS_FIX_TYPE_3D_FIX if fixed else mavlink.GPS_FIX_TYPE_NO_FIX
     satellites = 12 if fixed else 3
     return mavlink.MAVLink_gps_raw_int_message(
-        flight.boot_us, fix, latitude, longitude, round(altitude_m * 1e3), 80, 120, 0, 0xFFFF, satellites
+        flight.boot_us,
+        fix,
+        latitude,
+        longitude,
+        round(altitude_m * 1e3),
+        80,
+        120,
+        0,
+        0xFFFF,
+        satellites,
     )
 
 
@@ -134,7 +156,9 @@ def attitude(flight: FlightInstant) -> Any:
 
 
 def attitude_quaternion(flight: FlightInstant) -> Any:
-    return mavlink.MAVLink_attitude_quaternion_message(flight.boot_ms, *flight.estimate.q_n_b, 0.0, 0.0, 0.0)
+    return mavlink.MAVLink_attitude_quaternion_message(
+        flight.boot_ms, *flight.estimate.q_n_b, 0.0, 0.0, 0.0
+    )
 
 
 def local_position_ned(flight: FlightInstant) -> Any:
@@ -173,12 +197,22 @@ def global_position_int(flight: FlightInstant) -> Any | None:
     vx, vy, vz = (_int16(v * 1e2) for v in flight.estimate.velocity_n_mps)
     heading_cdeg = round(math.degrees(yaw_of(flight.estimate.q_n_b)) * 1e2) % 36_000
     return mavlink.MAVLink_global_position_int_message(
-        flight.boot_ms, latitude, longitude, round(altitude_m * 1e3), round(relative_m * 1e3), vx, vy, vz, heading_cdeg
+        flight.boot_ms,
+        latitude,
+        longitude,
+        round(altitude_m * 1e3),
+        round(relative_m * 1e3),
+        vx,
+        vy,
+        vz,
+        heading_cdeg,
     )
 
 
 def distance_sensor(flight: FlightInstant) -> Any | None:
-    """Returns what its rangefinder says, of one that has it; out of reach that is its limit, as many a sensor says."""
+    """Returns what its rangefinder says, of one that has it; out of reach that is its limit, as
+    many a sensor says.
+    """
     own = flight.rangefinder
     if own is None:
         return None
@@ -188,7 +222,14 @@ def distance_sensor(flight: FlightInstant) -> Any | None:
     down = mavlink.MAV_SENSOR_ROTATION_PITCH_270
     covariance_cm2 = max(1, min(254, round((1e2 * own.config.sigma_m) ** 2)))
     return mavlink.MAVLink_distance_sensor_message(
-        flight.boot_ms, round(1e2 * own.config.min_m), most_cm, distance_cm, laser, 0, down, covariance_cm2
+        flight.boot_ms,
+        round(1e2 * own.config.min_m),
+        most_cm,
+        distance_cm,
+        laser,
+        0,
+        down,
+        covariance_cm2,
     )
 
 
@@ -197,7 +238,9 @@ def battery_status(flight: FlightInstant) -> Any:
     voltages = [cell_mv] * 4 + [0xFFFF] * 6
     percent = round(flight.autopilot.battery * 100.0)
     lithium = mavlink.MAV_BATTERY_TYPE_LIPO
-    return mavlink.MAVLink_battery_status_message(0, 0, lithium, 0x7FFF, voltages, -1, -1, -1, percent)
+    return mavlink.MAVLink_battery_status_message(
+        0, 0, lithium, 0x7FFF, voltages, -1, -1, -1, percent
+    )
 
 
 def home_position(flight: FlightInstant) -> Any | None:
@@ -209,7 +252,9 @@ def home_position(flight: FlightInstant) -> Any | None:
     local = n - n0, e - e0, d - d0
     altitude_m += flight.autopilot.home_altitude_error_m
     place = round(latitude_deg * 1e7), round(longitude_deg * 1e7), round(altitude_m * 1e3)
-    return mavlink.MAVLink_home_position_message(*place, *local, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
+    return mavlink.MAVLink_home_position_message(
+        *place, *local, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0
+    )
 
 
 def extended_sys_state(flight: FlightInstant) -> Any:
@@ -223,7 +268,9 @@ def extended_sys_state(flight: FlightInstant) -> Any:
 def autopilot_version(_flight: FlightInstant) -> Any:
     version = 1 << 24 | 16 << 16 | 255  # 1.16.0, release
     none = [0] * 8
-    return mavlink.MAVLink_autopilot_version_message(_CAPABILITIES, version, 0, 0, 0, none, none, none, 0, 0, 0)
+    return mavlink.MAVLink_autopilot_version_message(
+        _CAPABILITIES, version, 0, 0, 0, none, none, none, 0, 0, 0
+    )
 
 
 STREAMS: dict[int, tuple[Callable[[FlightInstant], Any | None], float]] = {
@@ -243,7 +290,9 @@ STREAMS: dict[int, tuple[Callable[[FlightInstant], Any | None], float]] = {
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (autopilot_version, 0.0),
     mavlink.MAVLINK_MSG_ID_CURRENT_MODE: (current_mode, 0.5),
 }
-"""Message id: how it is made, and its rate in Hz until another is asked for (0: only on request)."""
+"""Message id: how it is made, and its rate in Hz until another is asked for (0: only on
+request).
+"""
 
 
 def _voltage_mv(autopilot: Autopilot) -> int:
@@ -252,8 +301,14 @@ def _voltage_mv(autopilot: Autopilot) -> int:
 
 def _global(flight: FlightInstant) -> tuple[int, int, float]:
     """Latitude and longitude in 1e-7 degrees, altitude above mean sea level in metres."""
-    latitude_deg, longitude_deg, altitude_m = flight.tangent.to_global(*flight.estimate.position_n_m)
-    return round(latitude_deg * 1e7), round(longitude_deg * 1e7), altitude_m + flight.autopilot.altitude_error_m
+    latitude_deg, longitude_deg, altitude_m = flight.tangent.to_global(
+        *flight.estimate.position_n_m
+    )
+    return (
+        round(latitude_deg * 1e7),
+        round(longitude_deg * 1e7),
+        altitude_m + flight.autopilot.altitude_error_m,
+    )
 
 
 def _int16(value: float) -> int:

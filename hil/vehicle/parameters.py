@@ -1,4 +1,6 @@
-"""The parameters of the embedded vehicle: each is what its autopilot goes by, so that what is set takes effect."""
+"""The parameters of the embedded vehicle: each is what its autopilot goes by, so that what is set
+takes effect.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,12 @@ from path.bounds import Bounds, bounded_fields
 REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
 INT32 = mavlink.MAV_PARAM_TYPE_INT32
 TAKE_OFF = "MIS_TAKEOFF_ALT"
-LOOKS_S = 1.0  # PX4's navigator looks at its parameters once a second at most: what was set just before is not flown
+# PX4's navigator looks at its parameters once a second at most: what was set just before is not
+# flown
+LOOKS_S = 1.0
 FIXED: Mapping[str, int] = {"COM_OBL_RC_ACT": 4, "NAV_DLL_ACT": 0, "COM_LOW_BAT_ACT": 2}
-"""Its fixed behaviour: it lands when setpoints stop, does not mind a ground station that leaves, and lands with
-an empty battery."""
+"""Its fixed behaviour: it lands when setpoints stop, does not mind a ground station that leaves,
+and lands with an empty battery."""
 
 FIELDS: Mapping[str, str] = {
     TAKE_OFF: "default_takeoff_m",
@@ -49,8 +53,8 @@ FIELDS: Mapping[str, str] = {
 class Parameters:
     """Answers PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET.
 
-    A PARAM_SET that is out of bounds, of another type, or of what cannot be set, is answered with the old value, as PX4
-    answers one that it does not take.
+    A PARAM_SET that is out of bounds, of another type, or of what cannot be set, is answered with
+    the old value, as PX4 answers one that it does not take.
     """
 
     def __init__(self, autopilot: Autopilot) -> None:
@@ -66,7 +70,9 @@ class Parameters:
         return self._take_off_m
 
     def _look(self, now_s: float) -> None:
-        if self._changed_s is not None and now_s >= (due_s := max(self._changed_s, self._looked_s + LOOKS_S)):
+        if self._changed_s is not None and now_s >= (
+            due_s := max(self._changed_s, self._looked_s + LOOKS_S)
+        ):
             self._looked_s = due_s
             self._changed_s = None
             self._take_off_m = self._autopilot.config.default_takeoff_m
@@ -106,7 +112,9 @@ class Parameters:
             return
         wanted: float | int = struct.unpack("<i", struct.pack("<f", value))[0] if whole else value
         bounds: Bounds = bounded_fields(type(table))[inner][1]
-        if not bounds.holds(wanted) or (name == TAKE_OFF and not 0.0 < wanted <= self._autopilot.config.max_height_m):
+        if not bounds.holds(wanted) or (
+            name == TAKE_OFF and not 0.0 < wanted <= self._autopilot.config.max_height_m
+        ):
             return
         changed = replace(table, **{inner: wanted})
         config = self._autopilot.config
@@ -117,8 +125,12 @@ class Parameters:
         value = self._value(name)
         whole = isinstance(value, int)
         # An integer travels in the bytes of the float, as PX4 sends it.
-        wire = struct.unpack("<f", struct.pack("<i", value))[0] if whole else min(float(value), 3.4e38)
+        wire = (
+            struct.unpack("<f", struct.pack("<i", value))[0] if whole else min(float(value), 3.4e38)
+        )
         assert not math.isnan(wire) or whole
         index = self._names.index(name)
         count = len(self._names)
-        return mavlink.MAVLink_param_value_message(name.encode(), wire, INT32 if whole else REAL32, count, index)
+        return mavlink.MAVLink_param_value_message(
+            name.encode(), wire, INT32 if whole else REAL32, count, index
+        )

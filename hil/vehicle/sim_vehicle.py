@@ -1,7 +1,9 @@
-"""A vehicle of the sim levels: talks to the simulated autopilot in this process, as late and as lossy as a real link.
+"""A vehicle of the sim levels: talks to the simulated autopilot in this process, as late and as
+lossy as a real link.
 
-Telemetry is not pushed: whoever asks gets what would have arrived by the world's present, with the stamps of its
-arrival, so that the answer does not depend on how often is asked. Mode, arming and battery come with heartbeats.
+Telemetry is not pushed: whoever asks gets what would have arrived by the world's present, with the
+stamps of its arrival, so that the answer does not depend on how often is asked. Mode, arming and
+battery come with heartbeats.
 """
 
 from __future__ import annotations
@@ -38,8 +40,8 @@ SETPOINT_PERIOD_S = 0.05  # while the vehicle has not shown OFFBOARD yet
 class WorldHarness(Protocol):
     """The part of ``PartContext.harness`` that the vehicle needs.
 
-    ``world`` is at the loop's present whenever it is read; the vehicles of the roles in ``silent_vehicles`` have lost
-    the link to their flight controller.
+    ``world`` is at the loop's present whenever it is read; the vehicles of the roles in
+    ``silent_vehicles`` have lost the link to their flight controller.
     """
 
     @property
@@ -201,7 +203,10 @@ class SimVehicle:
 
     async def wait_armable(self, timeout_s: float) -> None:
         if not await self._until(lambda: self.state.armable, timeout_s):
-            reasons = ", ".join(self._harness.world.drone(self._role).autopilot.reasons) or "it gives no reason"
+            reasons = (
+                ", ".join(self._harness.world.drone(self._role).autopilot.reasons)
+                or "it gives no reason"
+            )
             raise VehicleError(
                 f"the {self._role.value}'s vehicle is not ready to arm after {timeout_s:g} s: {reasons}",
                 "remedy what it names, then start again",
@@ -209,8 +214,12 @@ class SimVehicle:
 
     async def arm(self) -> None:
         await self._do("arm", lambda autopilot, now_s: autopilot.request_arm(now_s, True))
-        if not await self._until(lambda: self.state.armed or self._killed, self._config.mode_timeout_s):
-            raise VehicleError("arming was accepted, but the vehicle is not armed", "see why it disarmed")
+        if not await self._until(
+            lambda: self.state.armed or self._killed, self._config.mode_timeout_s
+        ):
+            raise VehicleError(
+                "arming was accepted, but the vehicle is not armed", "see why it disarmed"
+            )
 
         if self._killed:
             raise TakenOver("the motors were stopped as it was armed", "the pilot's kill switch")
@@ -224,13 +233,19 @@ class SimVehicle:
         if not (math.isfinite(height_m) and height_m > 0.0):
             raise VehicleError(f"take-off refused: height {height_m} m", "give a height above zero")
         home_down_m = self.state.position_n_m[2]
-        sent_ns = await self._do("take off", lambda autopilot, now_s: autopilot.request_takeoff(now_s, height_m))
+        sent_ns = await self._do(
+            "take off", lambda autopilot, now_s: autopilot.request_takeoff(now_s, height_m)
+        )
 
         def arrived() -> bool:
             state = self.state
             off_m = abs(home_down_m - state.position_n_m[2] - height_m)
             steady = abs(state.velocity_n_mps[2]) <= SETTLED_MPS
-            return steady and off_m <= self._config.take_off_tolerance_m and state.mode is FlightMode.HOLD
+            return (
+                steady
+                and off_m <= self._config.take_off_tolerance_m
+                and state.mode is FlightMode.HOLD
+            )
 
         def short() -> bool:
             off_m = abs(home_down_m - self.state.position_n_m[2] - height_m)
@@ -244,13 +259,17 @@ class SimVehicle:
             return state.heartbeat_ns > sent_ns and (not flying or held_short())
 
         if not await self._until(lambda: arrived() or ended(), timeout_s):
-            raise VehicleError(f"not at {height_m:g} m {timeout_s:g} s after the take-off began", "hold or land")
+            raise VehicleError(
+                f"not at {height_m:g} m {timeout_s:g} s after the take-off began", "hold or land"
+            )
         if ended():
             if self.state.armed:
                 said = f"take-off ended on the way: mode {self.state.mode.value}"
                 raise TakenOver(said, "the pilot has control, or a failsafe acted")
             if self._killed:
-                raise TakenOver("take-off ended on the way: the motors were stopped", "the pilot's kill switch")
+                raise TakenOver(
+                    "take-off ended on the way: the motors were stopped", "the pilot's kill switch"
+                )
             raise VehicleError("take-off ended on the way: disarmed", "see why it disarmed")
 
     async def start_offboard(self, first: VelocitySetpoint) -> None:
@@ -279,11 +298,19 @@ class SimVehicle:
         if not self.state.armed:
             return
         await self._change_mode(FlightMode.LAND, "land", lambda: not self.state.armed)
-        over = await self._until(lambda: not self.state.armed or self.state.mode is not FlightMode.LAND, timeout_s)
+        over = await self._until(
+            lambda: not self.state.armed or self.state.mode is not FlightMode.LAND, timeout_s
+        )
         if not over:
-            raise VehicleError(f"not on the ground {timeout_s:g} s after the landing began", "land by remote control")
+            raise VehicleError(
+                f"not on the ground {timeout_s:g} s after the landing began",
+                "land by remote control",
+            )
         if self.state.armed:
-            raise TakenOver(f"landing ended by a change to mode {self.state.mode.value}", "the pilot has control")
+            raise TakenOver(
+                f"landing ended by a change to mode {self.state.mode.value}",
+                "the pilot has control",
+            )
 
     # --- inside ---
 
@@ -293,7 +320,10 @@ class SimVehicle:
             raise VehicleError(f"setpoint not sent: {setpoint} is not finite")
         if speed > self._config.max_speed_mps:
             limit = self._config.max_speed_mps
-            raise VehicleError(f"setpoint not sent: {speed:.2f} m/s is above max_speed_mps = {limit:g}", "fly slower")
+            raise VehicleError(
+                f"setpoint not sent: {speed:.2f} m/s is above max_speed_mps = {limit:g}",
+                "fly slower",
+            )
 
     def _check_alive(self) -> None:
         if not self._open:
@@ -306,7 +336,9 @@ class SimVehicle:
             )
 
     async def _do(self, what: str, send: Callable[[Autopilot, float], Ack]) -> int:
-        """One command that must be accepted; the role-clock stamp of its answer. Raises with the vehicle's reason."""
+        """One command that must be accepted; the role-clock stamp of its answer. Raises with the
+        vehicle's reason.
+        """
         self._check_alive()
         await asyncio.sleep(self._config.latency_s)
         if self._silent:
@@ -319,10 +351,15 @@ class SimVehicle:
         ack = send(world.drone(self._role).autopilot, world.time_s)
         await asyncio.sleep(self._config.latency_s)
         if not ack.accepted:
-            raise VehicleError(f"the vehicle refused to {what}: {ack.reason}", "remedy what it names, then start again")
+            raise VehicleError(
+                f"the vehicle refused to {what}: {ack.reason}",
+                "remedy what it names, then start again",
+            )
         return self._clock.now_ns()
 
-    async def _change_mode(self, mode: FlightMode, what: str, or_else: Callable[[], bool] = lambda: False) -> None:
+    async def _change_mode(
+        self, mode: FlightMode, what: str, or_else: Callable[[], bool] = lambda: False
+    ) -> None:
         sent_ns = await self._do(what, lambda autopilot, now_s: autopilot.request_mode(now_s, mode))
 
         def shown() -> bool:
@@ -333,7 +370,9 @@ class SimVehicle:
         begun_with = len(seen)
 
         def settled() -> bool:
-            """It is so, or it is plain that it will not be: setpoints then only look like a fight for control."""
+            """It is so, or it is plain that it will not be: setpoints then only look like a fight
+            for control.
+            """
             seen.add(self.state.mode)
             return shown() or (mode is FlightMode.OFFBOARD and left())
 
@@ -348,8 +387,12 @@ class SimVehicle:
                 "the pilot may have control; look at its ground station",
             )
 
-    def _shown_for(self, condition: Callable[[], bool], sent_ns: int, beats: int) -> Callable[[], bool]:
-        """Return a condition: so it was in that many heartbeats in a row, all younger than a command."""
+    def _shown_for(
+        self, condition: Callable[[], bool], sent_ns: int, beats: int
+    ) -> Callable[[], bool]:
+        """Return a condition: so it was in that many heartbeats in a row, all younger than a
+        command.
+        """
         seen: set[int] = set()
 
         def so() -> bool:
@@ -370,7 +413,9 @@ class SimVehicle:
             await asyncio.sleep(SETPOINT_PERIOD_S)
 
     async def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Returns whether the condition came true in time. Raises VehicleError when the vehicle falls silent."""
+        """Returns whether the condition came true in time. Raises VehicleError when the vehicle
+        falls silent.
+        """
 
         def alive_and_true() -> bool:
             self._check_alive()

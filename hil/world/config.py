@@ -1,4 +1,6 @@
-"""The ``[world]`` table of a rig: where drones stand, what errs and how much, the light, and what there is to see."""
+"""The ``[world]`` table of a rig: where drones stand, what errs and how much, the light, and what
+there is to see.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,8 @@ class HomeConfig:
 class PositionOffsetConfig:
     """The offset of the drones' positions from the start, besides the errors of their estimators.
 
-    The receiver's is the one that is off, in a direction drawn by seed; upward or downward likewise.
+    The receiver's is the one that is off, in a direction drawn by seed; upward or downward
+    likewise.
     """
 
     across_m: Annotated[float, Bounds(0.0, 50.0)] = 0.0
@@ -50,13 +53,14 @@ class PositionOffsetConfig:
 
 @dataclass(frozen=True, slots=True)
 class AltitudeConfig:
-    """The error of the vehicles' altitude above the sea. Their local frames and barometers have none of it.
+    """The error of the vehicles' altitude above the sea. Their local frames and barometers have
+    none of it.
 
     Attributes:
         offset_m: of the first drone upward, of the second downward, and so on.
         drift_mps: by which that grows, with the same sign, until it has grown by ``drift_most_m``.
-        jump_m: by which every altitude jumps ``jump_after_s`` after it was switched on: a PX4 without GPS that begins
-            with vision anew takes the height it has for its altitude.
+        jump_m: by which every altitude jumps ``jump_after_s`` after it was switched on: a PX4
+            without GPS that begins with vision anew takes the height it has for its altitude.
     """
 
     offset_m: Annotated[float, Bounds(-1000.0, 1000.0)] = 0.0
@@ -68,7 +72,9 @@ class AltitudeConfig:
     def error_m(self, number: int, time_s: float) -> float:
         """The error of the drone with this number, from 0."""
         sign = -1.0 if number % 2 else 1.0
-        drift_m = math.copysign(min(self.drift_most_m, abs(self.drift_mps) * time_s), self.drift_mps)
+        drift_m = math.copysign(
+            min(self.drift_most_m, abs(self.drift_mps) * time_s), self.drift_mps
+        )
         jumped_m = self.jump_m if time_s >= self.jump_after_s else 0.0
         return sign * (self.offset_m + drift_m) + jumped_m
 
@@ -89,9 +95,9 @@ class ImagingConfig:
     """The ``[world.imaging]`` table of a rig, for levels that draw frames.
 
     Attributes:
-        name: how the drones' colour cameras make an image: as the one of the D415's family that was measured
-            (``flight.harness.measured``), or as an ideal sensor, with blur and noise alone; None: as measured, and
-            ideal where the errors are exact.
+        name: how the drones' colour cameras make an image: as the one of the D415's family that was
+            measured (``flight.harness.measured``), or as an ideal sensor, with blur and noise
+            alone; None: as measured, and ideal where the errors are exact.
     """
 
     name: ImagingName | None = None
@@ -114,7 +120,8 @@ class WorldConfig:
     airframe: AirframeConfig = field(default_factory=AirframeConfig)
     autopilot: AutopilotConfig = field(default_factory=AutopilotConfig)
     detector: DetectorConfig | None = None  # as one was measured on such targets in this scene
-    person: PersonConfig = field(default_factory=PersonConfig)  # who says which object is meant, in real time
+    # who says which object is meant, in real time
+    person: PersonConfig = field(default_factory=PersonConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     look_alikes: LookAlikeConfig = field(default_factory=LookAlikeConfig)
     sender_home: HomeConfig = field(default_factory=HomeConfig)
@@ -134,7 +141,10 @@ class WorldConfig:
     def true_home(self, role: Role, seed: int) -> HomeConfig:
         """The place where a drone truly stands: the crew measured its place as well as it could."""
         said = self.home(role)
-        return replace(said, position_m=put_down(said.position_m, self.errors.sizes, seed, list(Role).index(role)))
+        return replace(
+            said,
+            position_m=put_down(said.position_m, self.errors.sizes, seed, list(Role).index(role)),
+        )
 
     def simulator(self, role: Role) -> SimulatorConfig | None:
         return self.sender_simulator if role is Role.SENDER else self.receiver_simulator

@@ -1,4 +1,6 @@
-"""The errors of detectors at level ``sim``, beside the noise of their boxes: misses in spells, and inventions."""
+"""The errors of detectors at level ``sim``, beside the noise of their boxes: misses in spells, and
+inventions.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +15,15 @@ from path.bounds import Bounds
 class DetectorConfig:
     """The ``[world.detector]`` table of a rig: both drones' detectors.
 
-    By default they miss and invent nothing that is not in the noise of the boxes (``hil.geometric.noise``).
+    By default they miss and invent nothing that is not in the noise of the boxes
+    (``hil.geometric.noise``).
 
     Attributes:
-        recall: share of the frames that show a thing in which it is found; each thing is missed by itself.
+        recall: share of the frames that show a thing in which it is found; each thing is missed by
+            itself.
         miss_frames: mean length of a spell of misses, and of one of inventions.
-        false_positives: share of the frames with a box somewhere in the image where there is nothing.
+        false_positives: share of the frames with a box somewhere in the image where there is
+            nothing.
         edge_px: how far every box lies to the right and down.
     """
 
@@ -39,9 +44,13 @@ MEASURED: Mapping[tuple[str, str], DetectorConfig] = {
     ("person", "overcast"): DetectorConfig(0.883, 17.8, 0.004),
     ("person", "hall"): DetectorConfig(0.884, 28.9, 0.031),
 }
-"""By kind of target and scene: YOLOX-nano on people, the colour detector on what is orange (docs/detectors.md)."""
+"""By kind of target and scene: YOLOX-nano on people, the colour detector on what is orange
+(docs/detectors.md).
+"""
 
 
 def measured_on(kind: str, scene: str) -> DetectorConfig:
-    """Returns the errors of a detector on such targets in such a scene; the plain one's where none was measured."""
+    """Returns the errors of a detector on such targets in such a scene; the plain one's where none
+    was measured.
+    """
     return MEASURED.get((kind, scene), MEASURED[kind, "plain"])

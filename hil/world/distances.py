@@ -1,6 +1,8 @@
-"""Distances in the world: of a drone from a target that it could hit, and between any number of bodies.
+"""Distances in the world: of a drone from a target that it could hit, and between any number of
+bodies.
 
-A person, or what flies, can be hit; a car is below every drone. Of many bodies no two are compared that are far apart.
+A person, or what flies, can be hit; a car is below every drone. Of many bodies no two are compared
+that are far apart.
 """
 
 from __future__ import annotations
@@ -17,13 +19,17 @@ from path.messages import Role
 
 FEW = 8  # bodies, which are compared without a tree
 # Half width, half height and height of the middle above the frame's origin, m.
-_BODIES: dict[TargetKind, tuple[float, float, float]] = {"person": (0.35, 0.875, 0.875), "drone": (0.16, 0.05, 0.0)}
+_BODIES: dict[TargetKind, tuple[float, float, float]] = {
+    "person": (0.35, 0.875, 0.875),
+    "drone": (0.16, 0.05, 0.0),
+}
 DRONE_M = 0.16  # around the middle of a body
 LEAST_M = 0.4  # between the bodies
 
 
 def clearance(world: World) -> float:
-    """Returns the least distance between the target's body and that of a drone in the air, m; infinite without any.
+    """Returns the least distance between the target's body and that of a drone in the air, m;
+    infinite without any.
 
     Look-alikes are not looked at: nobody tells the drones to keep away from them.
     """

@@ -1,8 +1,9 @@
 """A quadrotor: velocity command -> acceleration -> attitude and thrust -> motion, in local NED.
 
-The attitude follows its set point as a damped second-order system and the thrust with a lag, so the drone must tilt to
-accelerate or to stand against wind, as a camera on it sees. Drag grows linearly with the speed through the air (rotor
-drag). One row of ``states`` is one drone; the columns are the slices below.
+The attitude follows its set point as a damped second-order system and the thrust with a lag, so the
+drone must tilt to accelerate or to stand against wind, as a camera on it sees. Drag grows linearly
+with the speed through the air (rotor drag). One row of ``states`` is one drone; the columns are the
+slices below.
 """
 
 from __future__ import annotations
@@ -48,7 +49,9 @@ HOVER_TURN_RATE = 380.0  # rad/s of the drawn rotors at hover
 
 @dataclass(frozen=True, slots=True)
 class AirframeConfig:
-    """A 1.5 kg quadrotor with a well tuned, not aggressive, velocity loop. The order is the one ``fly`` unpacks."""
+    """A 1.5 kg quadrotor with a well tuned, not aggressive, velocity loop. The order is the one
+    ``fly`` unpacks.
+    """
 
     gain_horizontal_hz: Annotated[float, Bounds(0.1, 50.0)] = 2.5
     integral_horizontal_hz2: Annotated[float, Bounds(0.0, 50.0)] = 0.8
@@ -56,7 +59,8 @@ class AirframeConfig:
     integral_vertical_hz2: Annotated[float, Bounds(0.0, 50.0)] = 2.0
     max_horizontal_mps2: Annotated[float, Bounds(0.1, 50.0)] = 3.5
     max_vertical_mps2: Annotated[float, Bounds(0.1, 50.0)] = 4.0
-    attitude_radps: Annotated[float, Bounds(1.0, 100.0)] = 14.0  # natural frequency of roll and pitch
+    # natural frequency of roll and pitch
+    attitude_radps: Annotated[float, Bounds(1.0, 100.0)] = 14.0
     yaw_radps: Annotated[float, Bounds(0.5, 100.0)] = 5.0
     damping: Annotated[float, Bounds(0.1, 5.0, "of 1")] = 0.85
     max_yaw_rate_dps: Annotated[float, Bounds(1.0, 720.0)] = 60.0
@@ -89,8 +93,12 @@ def _clamp(value: float, low: float, high: float) -> float:
 
 
 @inner
-def _wanted_force(s: Array, c: Array, velocity_error: Array, p: Parameters, dt: float) -> tuple[float, float, float]:
-    """Specific force (thrust direction and size, NED) that the velocity loop asks for; advances its integral."""
+def _wanted_force(
+    s: Array, c: Array, velocity_error: Array, p: Parameters, dt: float
+) -> tuple[float, float, float]:
+    """Specific force (thrust direction and size, NED) that the velocity loop asks for; advances its
+    integral.
+    """
     ex = c[1] - s[3] - velocity_error[0]
     ey = c[2] - s[4] - velocity_error[1]
     ez = c[3] - s[5] - velocity_error[2]
@@ -113,7 +121,9 @@ def _wanted_force(s: Array, c: Array, velocity_error: Array, p: Parameters, dt: 
 
 @inner
 def _wanted_attitude(fx: float, fy: float, fz: float, yaw: float) -> Quat:
-    """Quaternion whose body z points against the force and whose nose is at ``yaw``: tilt after yaw."""
+    """Quaternion whose body z points against the force and whose nose is at ``yaw``: tilt after
+    yaw.
+    """
     size = math.sqrt(fx * fx + fy * fy + fz * fz)
     zx = -fx / size
     zy = -fy / size
@@ -185,7 +195,13 @@ def _move(s: Array, wind: Array, p: Parameters, dt: float) -> None:
 
 @inner
 def _substep(
-    s: Array, c: Array, wind: Array, velocity_error: Array, attitude_error: Array, p: Parameters, dt: float
+    s: Array,
+    c: Array,
+    wind: Array,
+    velocity_error: Array,
+    attitude_error: Array,
+    p: Parameters,
+    dt: float,
 ) -> None:
     if c[0] == MOTORS_FLY:
         fx, fy, fz = _wanted_force(s, c, velocity_error, p, dt)
@@ -198,13 +214,19 @@ def _substep(
         x = s[7]
         y = s[8]
         z = s[9]
-        along = -(fx * 2.0 * (x * z + w * y) + fy * 2.0 * (y * z - w * x) + fz * (1.0 - 2.0 * (x * x + y * y)))
+        along = -(
+            fx * 2.0 * (x * z + w * y)
+            + fy * 2.0 * (y * z - w * x)
+            + fz * (1.0 - 2.0 * (x * x + y * y))
+        )
         wanted = _clamp(along, IDLE_THRUST, p[12] * GRAVITY_MPS2)
         _turn(s, goal, attitude_error, p, dt)
     else:
         wanted = IDLE_THRUST if c[0] == MOTORS_IDLE else 0.0
     s[13] += (wanted - s[13]) * dt / p[10]
-    s[18] = (s[18] + HOVER_TURN_RATE * math.sqrt(max(s[13], 0.0) / GRAVITY_MPS2) * dt) % (2.0 * math.pi)
+    s[18] = (s[18] + HOVER_TURN_RATE * math.sqrt(max(s[13], 0.0) / GRAVITY_MPS2) * dt) % (
+        2.0 * math.pi
+    )
     _move(s, wind, p, dt)
 
 
@@ -225,18 +247,29 @@ def fly(
         states: (n, STATE_SIZE) rows.
         commands: (n, COMMAND_SIZE) rows, constant over the call.
         winds: (n, 3) air velocity at the drone, NED m/s.
-        velocity_errors: (n, 3) estimated minus true velocity: the loop follows what the estimator says.
-        attitude_errors: (n, 3) estimated against true attitude, rotation vector in the body frame, rad.
+        velocity_errors: (n, 3) estimated minus true velocity: the loop follows what the estimator
+            says.
+        attitude_errors: (n, 3) estimated against true attitude, rotation vector in the body frame,
+            rad.
         parameters: ``AirframeConfig.row()``.
     """
     for i in range(states.shape[0]):
         for _ in range(steps):
-            _substep(states[i], commands[i], winds[i], velocity_errors[i], attitude_errors[i], parameters, dt)
+            _substep(
+                states[i],
+                commands[i],
+                winds[i],
+                velocity_errors[i],
+                attitude_errors[i],
+                parameters,
+                dt,
+            )
 
 
 @kernel
 def poses_w(states: Array, late_s: float, out: Array) -> None:
-    """Poses of all drones in ENU (rows of ``R_w_b``, then ``t_w``), ``late_s`` after their state (less than a step).
+    """Poses of all drones in ENU (rows of ``R_w_b``, then ``t_w``), ``late_s`` after their state
+    (less than a step).
 
     Args:
         out: (n, 12), written.
@@ -253,9 +286,21 @@ def poses_w(states: Array, late_s: float, out: Array) -> None:
         y = s[8] + s[6] * q - s[7] * r + s[9] * p
         z = s[9] + s[6] * r + s[7] * q - s[8] * p
         scale = 2.0 / (w * w + x * x + y * y + z * z)
-        row[0], row[1], row[2] = scale * (x * y + w * z), 1.0 - scale * (x * x + z * z), scale * (y * z - w * x)
-        row[3], row[4], row[5] = 1.0 - scale * (y * y + z * z), scale * (x * y - w * z), scale * (x * z + w * y)
-        row[6], row[7], row[8] = scale * (w * y - x * z), -scale * (y * z + w * x), scale * (x * x + y * y) - 1.0
+        row[0], row[1], row[2] = (
+            scale * (x * y + w * z),
+            1.0 - scale * (x * x + z * z),
+            scale * (y * z - w * x),
+        )
+        row[3], row[4], row[5] = (
+            1.0 - scale * (y * y + z * z),
+            scale * (x * y - w * z),
+            scale * (x * z + w * y),
+        )
+        row[6], row[7], row[8] = (
+            scale * (w * y - x * z),
+            -scale * (y * z + w * x),
+            scale * (x * x + y * y) - 1.0,
+        )
         row[9] = s[1] + 2.0 * half * s[4]
         row[10] = s[0] + 2.0 * half * s[3]
         row[11] = -(s[2] + 2.0 * half * s[5])

@@ -1,8 +1,10 @@
-"""The table of errors: what a careful crew leaves between what the rig says and what is true, drawn once a flight.
+"""The table of errors: what a careful crew leaves between what the rig says and what is true, drawn
+once a flight.
 
-A rig says how its cameras, mounts, markers and sensors are; the drones' programs believe it. The world is built with
-errors on top (``as_built``): it draws, projects and stamps with them, and truth is scored with them. The sizes are
-standard deviations; ``careless`` has three times those of ``careful``, which is the default, and ``exact`` none.
+A rig says how its cameras, mounts, markers and sensors are; the drones' programs believe it. The
+world is built with errors on top (``as_built``): it draws, projects and stamps with them, and truth
+is scored with them. The sizes are standard deviations; ``careless`` has three times those of
+``careful``, which is the default, and ``exact`` none.
 """
 
 from __future__ import annotations
@@ -33,24 +35,29 @@ LONGEST_S = 0.02  # of an exposure and of reading a picture out: a period of 50 
 
 @dataclass(frozen=True, slots=True)
 class ErrorSizes:
-    """Standard deviations; the defaults are what a careful crew leaves. Where they come from is in ``SOURCES``.
+    """Standard deviations; the defaults are what a careful crew leaves. Where they come from is in
+    ``SOURCES``.
 
     Attributes:
         focal: of both focal lengths together, relative.
         centre_px: of the principal point, per axis.
-        distortion_px: displacement in the corner of the image that the distortion's error makes, per axis.
+        distortion_px: displacement in the corner of the image that the distortion's error makes,
+            per axis.
         side: of a marker's printed side, relative.
         mount_m, mount_deg: of each camera and of the marker on its drone, per axis.
-        tilt_bias, yaw_bias, attitude_noise: of the attitude estimates, as times those in ``[world.estimator]``.
+        tilt_bias, yaw_bias, attitude_noise: of the attitude estimates, as times those in
+            ``[world.estimator]``.
         depth, depth_bias_m: too far or near, relative and constant.
         depth_stamp_s: from the instant of colour to that of the depth registered to it.
         attitude_stamp_s: of a frame's stamp against those of the attitude.
         stamp_jitter_s: of a frame's stamp, new in every frame.
-        edge_px: of each edge of a detector's boxes (at level ``sim``; elsewhere there are real detectors).
-        exposure_s, readout_s: of a colour camera, none of them standard deviations: an exposure is drawn evenly from a
-            third to five thirds of it, what lies between first and last row from two thirds to four thirds; neither
-            is longer than ``LONGEST_S``.
-        home_m: of the place where a drone was put down, from where the rig says it stands, per axis.
+        edge_px: of each edge of a detector's boxes (at level ``sim``; elsewhere there are real
+            detectors).
+        exposure_s, readout_s: of a colour camera, none of them standard deviations: an exposure is
+            drawn evenly from a third to five thirds of it, what lies between first and last row
+            from two thirds to four thirds; neither is longer than ``LONGEST_S``.
+        home_m: of the place where a drone was put down, from where the rig says it stands, per
+            axis.
     """
 
     focal: float = 0.002
@@ -124,10 +131,11 @@ class SensorErrors:
     Attributes:
         depth: factor on every depth; ``depth_bias_m`` comes on top.
         depth_late_s: the depth is of an instant this much after that of colour.
-        stamp_late_s, stamp_jitter_s: a frame's stamp less the instant at which it was taken, and how that varies.
+        stamp_late_s, stamp_jitter_s: a frame's stamp less the instant at which it was taken, and
+            how that varies.
         edges_px: on the left, top, right and bottom edge of the detector's boxes.
-        exposure_s: of a frame; ``readout_s``: from its first row to its last. A frame's instant is the middle of the
-            exposure of its middle row.
+        exposure_s: of a frame; ``readout_s``: from its first row to its last. A frame's instant is
+            the middle of the exposure of its middle row.
         seed: of what is new in every frame.
     """
 
@@ -152,14 +160,20 @@ class SensorErrors:
 
 @dataclass(frozen=True, slots=True)
 class Built:
-    """The rig as it truly is, for one flight: its cameras, mounts and markers, and its sensors by role."""
+    """The rig as it truly is, for one flight: its cameras, mounts and markers, and its sensors by
+    role.
+    """
 
     rig: Rig
-    sensors: Mapping[Role, SensorErrors] = field(default_factory=lambda: dict.fromkeys(Role, SensorErrors()))
+    sensors: Mapping[Role, SensorErrors] = field(
+        default_factory=lambda: dict.fromkeys(Role, SensorErrors())
+    )
 
 
 class StampErrors:
-    """The errors of one camera's stamps, frame after frame. Never so much that they would run backwards."""
+    """The errors of one camera's stamps, frame after frame. Never so much that they would run
+    backwards.
+    """
 
     def __init__(self, sensor: SensorErrors, rate_hz: float) -> None:
         self._sensor = sensor
@@ -169,7 +183,9 @@ class StampErrors:
     def next_ns(self) -> int:
         """Returns the next frame's stamp less the instant at which it was taken."""
         sensor = self._sensor
-        jitter_s = sensor.stamp_jitter_s * self._random.standard_normal() if sensor.stamp_jitter_s else 0.0
+        jitter_s = (
+            sensor.stamp_jitter_s * self._random.standard_normal() if sensor.stamp_jitter_s else 0.0
+        )
         return round(1e9 * (sensor.stamp_late_s + min(max(jitter_s, -self._most_s), self._most_s)))
 
 
@@ -177,14 +193,20 @@ def as_built(rig: Rig, seed: int, drones: Mapping[Role, int] | None = None) -> B
     """Returns a rig as a flight's errors make it, by its level and seed.
 
     Args:
-        drones: number of the drone in each role, where there are more than two: each has errors of its own.
+        drones: number of the drone in each role, where there are more than two: each has errors of
+            its own.
     """
     sizes = sizes_of(level_of(rig))
     drones = drones or {role: k for k, role in enumerate(Role)}
-    streams = {role: [np.random.default_rng([seed, 0x6572726F, drones[role], k]) for k in range(4)] for role in Role}
+    streams = {
+        role: [np.random.default_rng([seed, 0x6572726F, drones[role], k]) for k in range(4)]
+        for role in Role
+    }
     T_b_v = other_mount(rig.sender.mount.T_b_v, sizes, streams[Role.SENDER][2])
     sender, receiver = (_own(rig.role(role), T_b_v, sizes, streams[role]) for role in Role)
-    layout = other_print(rig.layout, sizes, np.random.default_rng([seed, 0x7072696E, drones[Role.SENDER]]))
+    layout = other_print(
+        rig.layout, sizes, np.random.default_rng([seed, 0x7072696E, drones[Role.SENDER]])
+    )
     built = replace(rig, sender=sender, receiver=receiver, layout=layout)
     return Built(built, {role: draw_sensor(sizes, streams[role][3]) for role in Role})
 
@@ -194,17 +216,28 @@ def _own(own: RoleRig, T_b_v: Pose, sizes: ErrorSizes, streams: list[Generator])
     return replace(own, camera=other_lens(own.camera, sizes, streams[0]), mount=mount)
 
 
-def put_down(said_m: tuple[float, float], sizes: ErrorSizes, seed: int, drone: int) -> tuple[float, float]:
-    """Returns where a drone truly stands, east and north, that the crew put down at a place. ``drone``: its number."""
-    east, north = (sizes.home_m * np.random.default_rng([seed, 0x686F6D65, drone]).standard_normal(2)).tolist()
+def put_down(
+    said_m: tuple[float, float], sizes: ErrorSizes, seed: int, drone: int
+) -> tuple[float, float]:
+    """Returns where a drone truly stands, east and north, that the crew put down at a place.
+    ``drone``: its number.
+    """
+    east, north = (
+        sizes.home_m * np.random.default_rng([seed, 0x686F6D65, drone]).standard_normal(2)
+    ).tolist()
     return said_m[0] + east, said_m[1] + north
 
 
 def other_lens(camera: CameraModel, sizes: ErrorSizes, rng: Generator) -> CameraModel:
-    """The camera as it is: its lens bends rays a little differently, most in the corners, and two ways at once."""
+    """The camera as it is: its lens bends rays a little differently, most in the corners, and two
+    ways at once.
+    """
     scale = 1.0 + sizes.focal * rng.standard_normal()
     u, v = (sizes.centre_px * rng.standard_normal(2)).tolist()
-    bends = [size * draw for size, draw in zip(_bends(camera, sizes), rng.standard_normal(4).tolist(), strict=True)]
+    bends = [
+        size * draw
+        for size, draw in zip(_bends(camera, sizes), rng.standard_normal(4).tolist(), strict=True)
+    ]
     k1, k2, p1, p2, k3 = camera.distortion
     return replace(
         camera, fx=camera.fx * scale, fy=camera.fy * scale, cx=camera.cx + u, cy=camera.cy + v,
@@ -213,7 +246,9 @@ def other_lens(camera: CameraModel, sizes: ErrorSizes, rng: Generator) -> Camera
 
 
 def doubted(camera: CameraModel, sizes: ErrorSizes) -> CameraModel:
-    """Returns a camera whose calibration states these sizes, as ``calibrate camera`` does; it is as it was."""
+    """Returns a camera whose calibration states these sizes, as ``calibrate camera`` does; it is as
+    it was.
+    """
     bends = _bends(camera, sizes)
     sigmas = (sizes.centre_px, sizes.centre_px, *bends)
     causes = [(sizes.focal * camera.fx, sizes.focal * camera.fy, *(0.0,) * 7)]
@@ -222,10 +257,17 @@ def doubted(camera: CameraModel, sizes: ErrorSizes) -> CameraModel:
 
 
 def _bends(camera: CameraModel, sizes: ErrorSizes) -> tuple[float, float, float, float]:
-    """Standard deviations of ``(k1, k2, p1, p2)``: radially and tangentially two terms share the corner's error."""
+    """Standard deviations of ``(k1, k2, p1, p2)``: radially and tangentially two terms share the
+    corner's error.
+    """
     radius = 0.5 * math.hypot(camera.width / camera.fx, camera.height / camera.fy)
     corner = sizes.distortion_px / camera.fx / math.sqrt(2.0)
-    return corner / radius**3, corner / radius**5, corner / (3.0 * radius**2), corner / (3.0 * radius**2)
+    return (
+        corner / radius**3,
+        corner / radius**5,
+        corner / (3.0 * radius**2),
+        corner / (3.0 * radius**2),
+    )
 
 
 def other_mount(T: Pose, sizes: ErrorSizes, rng: Generator) -> Pose:

@@ -1,7 +1,8 @@
 """Wind, and what the drones' estimators get wrong: constant biases, slow wander and noise, by seed.
 
-Everything that wanders is an Ornstein-Uhlenbeck process (for the wind a first-order Dryden spectrum), advanced once a
-tick for all drones. One row is one drone; the columns of ``drift`` are the slices below.
+Everything that wanders is an Ornstein-Uhlenbeck process (for the wind a first-order Dryden
+spectrum), advanced once a tick for all drones. One row is one drone; the columns of ``drift`` are
+the slices below.
 """
 
 from __future__ import annotations
@@ -48,8 +49,9 @@ class WindConfig:
 
 @dataclass(frozen=True, slots=True)
 class EstimatorConfig:
-    """Standard deviations of a GPS-aided estimator's errors, by seed. The attitude's biases are constant over a run;
-    positions wander as slowly as ``position_time_s`` says, always by as much."""
+    """Standard deviations of a GPS-aided estimator's errors, by seed. The attitude's biases are
+    constant over a run; positions wander as slowly as ``position_time_s`` says, always by as
+    much."""
 
     position_m: Annotated[float, Bounds(0.0, 50.0)] = 0.5  # per horizontal axis
     height_m: Annotated[float, Bounds(0.0, 50.0)] = 1.0
@@ -66,7 +68,9 @@ class EstimatorConfig:
     attitude_noise_time_s: Annotated[float, Bounds(0.0, 600.0)] = 0.5
 
     def times(self, sizes: ErrorSizes) -> EstimatorConfig:
-        """Returns the estimator with its attitude as much worse or better as the table of errors says."""
+        """Returns the estimator with its attitude as much worse or better as the table of errors
+        says.
+        """
         return replace(
             self,
             tilt_bias_deg=sizes.tilt_bias * self.tilt_bias_deg,
@@ -77,12 +81,16 @@ class EstimatorConfig:
 
 
 def reported(rig: Rig) -> dict[str, str | float]:
-    """The level of a rig's errors and every size, as a report has them, and of positions where the world draws them."""
+    """The level of a rig's errors and every size, as a report has them, and of positions where the
+    world draws them.
+    """
     level = level_of(rig)
     sizes: dict[str, str | float] = {"level": level, **asdict(sizes_of(level))}
     if "sender_simulator" in rig.world:
         return sizes
-    own = decode_table(rig.world.get("estimator", {}), EstimatorConfig, rig.where("world.estimator"))
+    own = decode_table(
+        rig.world.get("estimator", {}), EstimatorConfig, rig.where("world.estimator")
+    )
     return {**sizes, "position_m": own.position_m, "height_m": own.height_m}
 
 
@@ -127,14 +135,18 @@ class Sensors:
     """The errors and the wind of every drone, advanced tick by tick.
 
     Attributes:
-        position_bias: (n, 3), constant: nothing unless positions are told to be apart; ``attitude_bias`` likewise,
-            but drawn.
+        position_bias: (n, 3), constant: nothing unless positions are told to be apart;
+            ``attitude_bias`` likewise, but drawn.
         attitude_errors: (n, 3) rad; ``velocity_errors`` and ``winds`` likewise, NED m/s.
         estimates: (n, ESTIMATE_SIZE).
     """
 
     def __init__(
-        self, wind: WindConfig, config: EstimatorConfig, tick_s: float, seeds: list[np.random.SeedSequence]
+        self,
+        wind: WindConfig,
+        config: EstimatorConfig,
+        tick_s: float,
+        seeds: list[np.random.SeedSequence],
     ) -> None:
         """``seeds``: one per drone; gusts and errors get streams of their own from each."""
         sigmas, times = _channels(wind, config)
@@ -149,7 +161,10 @@ class Sensors:
         drawn = np.array([own.standard_normal(6) for _, own in streams])
         self.attitude_bias = drawn[:, 3:] * np.array([tilt, tilt, yaw])
         start = np.array(
-            [np.concatenate((gusts.standard_normal(3), own.standard_normal(12))) for gusts, own in streams]
+            [
+                np.concatenate((gusts.standard_normal(3), own.standard_normal(12)))
+                for gusts, own in streams
+            ]
         )
         self._drift = start * sigmas
         self._drift[:, WANDER] = drawn[:, :3] * sigmas[WANDER]
@@ -166,7 +181,9 @@ class Sensors:
         self._drift[row, WANDER] = self._streams[row][1].standard_normal(3) * sizes
 
     def tick(self, states: Array) -> Array:
-        """One tick later: new wind, new errors, and the estimates (n, ESTIMATE_SIZE) of these states."""
+        """One tick later: new wind, new errors, and the estimates (n, ESTIMATE_SIZE) of these
+        states.
+        """
         if self._used == BLOCK:
             for i, (gusts, own) in enumerate(self._streams):
                 self._normals[:, i, :3] = gusts.standard_normal((BLOCK, 3))
@@ -189,7 +206,10 @@ def _channels(wind: WindConfig, config: EstimatorConfig) -> tuple[Array, Array]:
         ((wind.gust_mps, wind.gust_mps, 0.5 * wind.gust_mps), wind.gust_time_s),
         ((config.position_m, config.position_m, config.height_m), config.position_time_s),
         ((config.position_noise_m,) * 3, config.position_noise_time_s),
-        ((config.velocity_error_mps, config.velocity_error_mps, config.climb_error_mps), config.velocity_error_time_s),
+        (
+            (config.velocity_error_mps, config.velocity_error_mps, config.climb_error_mps),
+            config.velocity_error_time_s,
+        ),
         ((tilt, tilt, yaw), config.attitude_noise_time_s),
     )
     sigmas = np.array([sigma for group, _ in groups for sigma in group])

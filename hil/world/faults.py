@@ -1,4 +1,6 @@
-"""Faults are data: what goes wrong, how much, for whom and when. The harness switches them on behind the drivers."""
+"""Faults are data: what goes wrong, how much, for whom and when. The harness switches them on
+behind the drivers.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,10 @@ AT_COUNT = 20
 LONGEST_S = 600.0
 VIRTUAL = ("sim", "sim-rendered")
 
-DUTIES: dict[Role, tuple[str, ...]] = {Role.SENDER: get_args(SenderDuty), Role.RECEIVER: get_args(ReceiverDuty)}
+DUTIES: dict[Role, tuple[str, ...]] = {
+    Role.SENDER: get_args(SenderDuty),
+    Role.RECEIVER: get_args(ReceiverDuty),
+}
 
 
 FaultValue = Literal["no", "may", "must"]
@@ -26,15 +31,17 @@ FaultValue = Literal["no", "may", "must"]
 class FaultKind:
     """One kind of fault by name.
 
-    A fault of the ``whole_run`` is there from the start; any other begins while the views agree, when nothing else is
-    said. A value is from 0 to ``most``.
+    A fault of the ``whole_run`` is there from the start; any other begins while the views agree,
+    when nothing else is said. A value is from 0 to ``most``.
 
     Attributes:
         role: whom it concerns; None for both, and then "when" is of the sender's course.
-        own: only where programs are processes of their own; what stalls, in a single hand-over in virtual time too.
+        own: only where programs are processes of their own; what stalls, in a single hand-over in
+            virtual time too.
         least: the smallest value.
         virtual: only in a single hand-over in virtual time.
-        geometric: only at level ``sim``, where observations come from geometry: elsewhere there are real detectors.
+        geometric: only at level ``sim``, where observations come from geometry: elsewhere there are
+            real detectors.
         value: whether it is a quantity (``link_loss=0.3``), and whether that may be left out.
     """
 
@@ -56,7 +63,9 @@ class FaultKind:
 
     @property
     def moments(self) -> tuple[str, ...]:
-        """The moments that may stand behind the ``@``: phases of a course, and what the hand-over's records say."""
+        """The moments that may stand behind the ``@``: phases of a course, and what the hand-over's
+        records say.
+        """
         phases = (*COURSE[self.followed], Phase.MISSION)
         return tuple(phase.title for phase in phases) + DUTIES[self.followed]
 
@@ -211,7 +220,8 @@ class Fault:
 
 
 class FaultTrigger:
-    """Says when a fault begins: from the start, at its moment, or once the sender counted ``AT_COUNT`` agreeing pairs.
+    """Says when a fault begins: from the start, at its moment, or once the sender counted
+    ``AT_COUNT`` agreeing pairs.
 
     Whoever is told that a fault begins has still to wait for its ``after_s``.
     """
@@ -243,7 +253,9 @@ class FaultTrigger:
 
     def waits_for_duty(self, role: Role) -> bool:
         """Returns whether ``on_duty`` can still bring something about."""
-        return any(fault.kind.followed is role and fault.moment in DUTIES[role] for fault in self._waiting)
+        return any(
+            fault.kind.followed is role and fault.moment in DUTIES[role] for fault in self._waiting
+        )
 
     def _take(self, due: Callable[[Fault], bool]) -> list[Fault]:
         taken = [fault for fault in self._waiting if due(fault)]
@@ -256,10 +268,13 @@ def parse_faults(texts: Sequence[str], level: str) -> list[Fault]:
     faults = [parse_fault(text) for text in texts]
     for fault in faults:
         if fault.kind.geometric and level != "sim":
-            raise FaultError(f"fault {fault.name}: level {level} has real detectors", "use a rig of level sim")
+            raise FaultError(
+                f"fault {fault.name}: level {level} has real detectors", "use a rig of level sim"
+            )
         if fault.kind.virtual and level not in VIRTUAL:
             raise FaultError(
-                f"fault {fault.name} needs a disk in virtual time", "use a rig of level sim or sim-rendered"
+                f"fault {fault.name} needs a disk in virtual time",
+                "use a rig of level sim or sim-rendered",
             )
     return faults
 

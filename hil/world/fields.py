@@ -1,7 +1,8 @@
 """Many targets on one field, each with look-alikes of its own, and what of it one place can see.
 
-The targets are look-alikes of each other. The ``k``-th has the numbers from ``k * NUMBERS`` on, itself the first.
-Only what is near a place is worked out for it: a field of any size costs a camera the same.
+The targets are look-alikes of each other. The ``k``-th has the numbers from ``k * NUMBERS`` on,
+itself the first. Only what is near a place is worked out for it: a field of any size costs a camera
+the same.
 """
 
 from __future__ import annotations
@@ -16,15 +17,18 @@ from hil.world.snapshot import ObjectTruth
 from hil.world.targets import GroundVehicles, LookAlikeConfig, Point, TargetConfig
 
 NUMBERS = 100
-SIGHT_M = 15.0  # a car farther off is a few pixels at most, above what a camera that looks down has in its image
+# a car farther off is a few pixels at most, above what a camera that looks down has in its image
+SIGHT_M = 15.0
 CELL_M = 10.0
 
 
 class TargetField:
-    """The traffic around each of several targets. Pure functions of time, but for the look-alikes sent so far.
+    """The traffic around each of several targets. Pure functions of time, but for the look-alikes
+    sent so far.
 
     Args:
-        starts: of each target its place (E, N), in m, and how many seconds later than the others it drives off.
+        starts: of each target its place (E, N), in m, and how many seconds later than the others it
+            drives off.
         seeds: one for each.
     """
 
@@ -63,7 +67,11 @@ class TargetField:
         there = self._cells.get(cell)
         if there is None:
             middle = ((cell[0] + 0.5) * CELL_M, (cell[1] + 0.5) * CELL_M)
-            there = tuple(k for k, start in enumerate(self.starts) if math.dist(start, middle) <= self._reach_m)
+            there = tuple(
+                k
+                for k, start in enumerate(self.starts)
+                if math.dist(start, middle) <= self._reach_m
+            )
             self._cells[cell] = there
         return tuple(thing for k in there for thing in self._at(k, time_s))
 

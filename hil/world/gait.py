@@ -1,7 +1,8 @@
 """The gait of people: how long a stride is at a walking speed, and where the feet are in it.
 
-The step grows with the root of the speed, as it does for people whose ratio of step length to cadence is constant:
-about 0.0065 m per step a minute (Sekiya and Nagasaki 1998). Faster than a stride can grow, the cadence rises alone.
+The step grows with the root of the speed, as it does for people whose ratio of step length to
+cadence is constant: about 0.0065 m per step a minute (Sekiya and Nagasaki 1998). Faster than a
+stride can grow, the cadence rises alone.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ OWN_PHASE = 0.381966  # of a stride, from one person to the next: nobody walks i
 
 
 def step_m(speed_mps: float) -> float:
-    """Returns the length of a step, from one foot to the other, at a walking speed of either sign."""
+    """Returns the length of a step, from one foot to the other, at a walking speed of either
+    sign.
+    """
     return min(LONGEST_STEP_M, STEP_AT_1_MPS_M * math.sqrt(abs(speed_mps)))
 
 
@@ -32,7 +35,8 @@ def reach_m(speed_mps: float) -> float:
 
 
 def foot_at(strides: float, speed_mps: float) -> tuple[float, float]:
-    """Returns how far a foot is ahead of the hip and above the ground; it lands, farthest ahead, at whole strides.
+    """Returns how far a foot is ahead of the hip and above the ground; it lands, farthest ahead, at
+    whole strides.
 
     On the ground it stays where it is while the body goes on.
     """

@@ -1,8 +1,10 @@
-"""The person beside the simulated field: points at the target again and again, and answers which one it is.
+"""The person beside the simulated field: points at the target again and again, and answers which
+one it is.
 
-What it says comes over the same interfaces as a real person's words (``drivers.operator``). Where it points is off by
-an error that stays and one of each time, both by seed, and by what the target has moved since it looked. Asked which
-object is the target it sees the frame that is shown, a number at each object, and answers after a while, or not at all.
+What it says comes over the same interfaces as a real person's words (``drivers.operator``). Where
+it points is off by an error that stays and one of each time, both by seed, and by what the target
+has moved since it looked. Asked which object is the target it sees the frame that is shown, a
+number at each object, and answers after a while, or not at all.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ from path.observations import Box
 
 STREAM = 0x6F706572
 TARGET = 0  # of the objects of a snapshot
-MIDDLE_M: Mapping[TargetKind, float] = {"car": 0.08, "person": 0.875, "drone": 0.0}  # above an object's own frame
+# above an object's own frame
+MIDDLE_M: Mapping[TargetKind, float] = {"car": 0.08, "person": 0.875, "drone": 0.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +37,10 @@ class PersonConfig:
 
     Attributes:
         every_s: between two times that it points; 0: it never does.
-        lasting_m, each_m: standard deviations per axis of where it points, of all a flight and of each time.
-        late_s: at least and at most, between its look at the target and what it says; drawn each time.
+        lasting_m, each_m: standard deviations per axis of where it points, of all a flight and of
+            each time.
+        late_s: at least and at most, between its look at the target and what it says; drawn each
+            time.
         error_m: what it says of its own error; of the height of what flies as well.
         answers_after_s: at least and at most, once it is asked; drawn each time.
         silent: share of the questions that it does not answer; 1: it never does.
@@ -52,7 +57,9 @@ class PersonConfig:
 
 @dataclass(frozen=True, slots=True)
 class Pointed:
-    """Where it says the target is: north, east, down in m; down is None of what is on the ground."""
+    """Where it says the target is: north, east, down in m; down is None of what is on the
+    ground.
+    """
 
     place_m: tuple[float, float]
     down_m: float | None
@@ -92,7 +99,9 @@ class Person:
         self._due = [each for each in self._due if each[0] > now_s]
         return said
 
-    def is_asked(self, question: int, shown: Sequence[tuple[int, Box]], age_s: float, snapshot: Snapshot) -> None:
+    def is_asked(
+        self, question: int, shown: Sequence[tuple[int, Box]], age_s: float, snapshot: Snapshot
+    ) -> None:
         """Show a question: numbers and boxes in a frame that is so old."""
         if self._random.random() < self._config.silent:
             return
@@ -107,7 +116,9 @@ class Person:
         new = (self._config.each_m * self._random.standard_normal(3)).tolist()
         off = [lasting + each for lasting, each in zip(self._lasting, new, strict=True)]
         down_m = off[2] - up if snapshot.kind == "drone" else None
-        self._due.append((at_s, Pointed((north + off[0], east + off[1]), down_m, self._config.error_m)))
+        self._due.append(
+            (at_s, Pointed((north + off[0], east + off[1]), down_m, self._config.error_m))
+        )
 
     def _which(self, shown: Sequence[tuple[int, Box]], snapshot: Snapshot) -> int:
         """The number at the target in that frame; 0 when none is."""
@@ -116,7 +127,9 @@ class Person:
         for thing in snapshot.objects:
             east, north, up = thing.position_w_m
             x, y, z = T_c_w.apply(np.array((east, north, up + MIDDLE_M[snapshot.kind]))).tolist()
-            pixels.append(self._camera.project_point((x, y, z)) if z > 0.0 else (math.inf, math.inf))
+            pixels.append(
+                self._camera.project_point((x, y, z)) if z > 0.0 else (math.inf, math.inf)
+            )
         if not shown or math.isinf(pixels[TARGET][0]):
             return 0
         number, box = min(shown, key=lambda each: math.dist(each[1].center, pixels[TARGET]))
@@ -140,13 +153,18 @@ class _Harness(Protocol):
 
 
 class SimOperator:
-    """Implements ``drivers.operator.interfaces.Operator`` for a rig whose harness is in this process."""
+    """Implements ``drivers.operator.interfaces.Operator`` for a rig whose harness is in this
+    process.
+    """
 
     Config = PersonConfig
 
     def __init__(self, config: PersonConfig, context: PartContext) -> None:
         if context.harness is None:
-            raise PartError("a simulated operator needs a simulated world", "use it with hil.harness.sim, or the like")
+            raise PartError(
+                "a simulated operator needs a simulated world",
+                "use it with hil.harness.sim, or the like",
+            )
         self._harness = cast(_Harness, context.harness)
         self._clock = context.clock
         self._person = Person(config, self._harness.built, context.role, self._harness.seed)
@@ -173,4 +191,6 @@ class SimOperator:
             return Chosen(said.question, said.number)
         north, east = said.place_m
         place = (north, east, said.down_m or 0.0)
-        return PlaceTold(self._clock.now_ns(), place, said.error_m, height_told=said.down_m is not None)
+        return PlaceTold(
+            self._clock.now_ns(), place, said.error_m, height_told=said.down_m is not None
+        )

@@ -1,6 +1,7 @@
 """A drone's rangefinder that looks down: over flat ground, with the errors of a small lidar.
 
-Its scale is drawn once a flight, its noise with each measurement. What is beyond its reach is not measured.
+Its scale is drawn once a flight, its noise with each measurement. What is beyond its reach is not
+measured.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""The truth at one instant, as values: what the renderer draws and the monitors judge. World frame ``w`` is ENU."""
+"""The truth at one instant, as values: what the renderer draws and the monitors judge. World frame
+``w`` is ENU.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ AS_IT_IS: Vec3 = (1.0, 1.0, 1.0)
 
 
 def stretch_of(kind: TargetKind, size_m: Vec3 | None) -> Vec3:
-    """Return by how much a body of a stated size is longer, wider and higher than its kind; people keep their shape."""
+    """Return by how much a body of a stated size is longer, wider and higher than its kind; people
+    keep their shape.
+    """
     if size_m is None:
         return AS_IT_IS
     own = OWN_SIZE_M[kind]
@@ -40,7 +44,9 @@ def stretch_of(kind: TargetKind, size_m: Vec3 | None) -> Vec3:
 
 @value
 class DroneTruth:
-    """``T_w_b``: body FRD to world ENU. ``rotor_phase_rad`` turns the drawn blades. ``rates_b_radps``: its turn."""
+    """``T_w_b``: body FRD to world ENU. ``rotor_phase_rad`` turns the drawn blades.
+    ``rates_b_radps``: its turn.
+    """
 
     T_w_b: Pose
     velocity_w_mps: tuple[float, float, float]
@@ -57,8 +63,8 @@ class DroneTruth:
 class ObjectTruth:
     """The target (``object_id`` 0) or a look-alike.
 
-    Its frame: x forward, z up; on the ground below it, or in the middle of what flies. ``strides``: those that a person
-    has made, by which their limbs move.
+    Its frame: x forward, z up; on the ground below it, or in the middle of what flies. ``strides``:
+    those that a person has made, by which their limbs move.
     """
 
     object_id: int
@@ -69,13 +75,19 @@ class ObjectTruth:
     strides: float = 0.0
 
     def position_after(self, by_s: float) -> Vec3:
-        """Returns the position in ``w`` some time later or earlier: it moves on with its velocity."""
+        """Returns the position in ``w`` some time later or earlier: it moves on with its
+        velocity.
+        """
         (x, y, z), (east, north, up) = self.position_w_m, self.velocity_w_mps
         return x + by_s * east, y + by_s * north, z + by_s * up
 
     @property
     def velocity_w_mps(self) -> Vec3:
-        return self.speed_mps * math.cos(self.yaw_rad), self.speed_mps * math.sin(self.yaw_rad), self.climb_mps
+        return (
+            self.speed_mps * math.cos(self.yaw_rad),
+            self.speed_mps * math.sin(self.yaw_rad),
+            self.climb_mps,
+        )
 
     def strides_after(self, by_s: float) -> float:
         """Returns the strides that a person has made some time later or earlier."""
@@ -91,7 +103,8 @@ class ObjectTruth:
 class Snapshot:
     """Everything at one instant.
 
-    ``kind``: of all objects. ``stretch``: times the size that a body of this kind has along x, y and z of its frame.
+    ``kind``: of all objects. ``stretch``: times the size that a body of this kind has along x, y
+    and z of its frame.
     """
 
     time_s: float
@@ -104,7 +117,12 @@ class Snapshot:
     stretch: Vec3 = AS_IT_IS
 
     def carried_on(self, by_s: float) -> Snapshot:
-        """Returns the snapshot some milliseconds later or earlier: everything moves on with its velocity."""
-        drones = {role: replace(drone, T_w_b=drone.T_w_b_after(by_s)) for role, drone in self.drones.items()}
+        """Returns the snapshot some milliseconds later or earlier: everything moves on with its
+        velocity.
+        """
+        drones = {
+            role: replace(drone, T_w_b=drone.T_w_b_after(by_s))
+            for role, drone in self.drones.items()
+        }
         objects = tuple(thing.carried_on(by_s, self.kind) for thing in self.objects)
         return replace(self, time_s=self.time_s + by_s, drones=drones, objects=objects)

@@ -1,10 +1,12 @@
-"""The target and its look-alikes: of which kind, and where they are, as functions of time fixed by the seed.
+"""The target and its look-alikes: of which kind, and where they are, as functions of time fixed by
+the seed.
 
-The target drives round a smooth closed loop, and stands now and then. Some look-alikes drive the same loop a fixed way
-ahead or behind, the others are parked beside it; all keep their distance at every time, which is checked when they are
-placed. Only a look-alike that is sent (a fault) comes close, past the target but never through it.
-Cars and people are on the ground; drones fly, the target and those on its loop up and down together, the others each
-at a height of its own. Positions are (E, N) in metres, angles counter-clockwise from east.
+The target drives round a smooth closed loop, and stands now and then. Some look-alikes drive the
+same loop a fixed way ahead or behind, the others are parked beside it; all keep their distance at
+every time, which is checked when they are placed. Only a look-alike that is sent (a fault) comes
+close, past the target but never through it. Cars and people are on the ground; drones fly, the
+target and those on its loop up and down together, the others each at a height of its own. Positions
+are (E, N) in metres, angles counter-clockwise from east.
 """
 
 from __future__ import annotations
@@ -34,13 +36,15 @@ PLACEMENTS = 2000
 CROSSING_MPS = 1.0  # relative to the target
 CROSSING_START_M = 3.5
 CROSSING_S = 2.0 * CROSSING_START_M / CROSSING_MPS
-# between the centres, at the closest; two cars or drones side by side need 0.31 m at most, two people 0.7 m
+# between the centres, at the closest; two cars or drones side by side need 0.31 m at most, two
+# people 0.7 m
 CROSSING_PAST_M: dict[TargetKind, tuple[float, float]] = {
     "car": (0.36, 0.4),
     "drone": (0.36, 0.4),
     "person": (0.75, 0.8),
 }
-CROSSING_GAP_M: dict[TargetKind, float] = {"car": 0.45, "drone": 0.45, "person": 0.8}  # to every other object
+# to every other object
+CROSSING_GAP_M: dict[TargetKind, float] = {"car": 0.45, "drone": 0.45, "person": 0.8}
 # of what flies
 LOWEST_M = 0.5
 HIGHEST_M = 3.0
@@ -48,17 +52,21 @@ HIGHEST_M = 3.0
 
 @dataclass(frozen=True, slots=True)
 class TargetConfig:
-    """The target waits at ``start_m`` until ``start_time_s``, then moves, never leaving ``radius_m`` around it.
+    """The target waits at ``start_m`` until ``start_time_s``, then moves, never leaving
+    ``radius_m`` around it.
 
     Attributes:
-        kind: of the target and its look-alikes: a robot car, a person who walks, or a micro-UAV that flies.
-        drives_s, stands_s: at least and at most, in turns, by seed; whether it drives or stands first is drawn too. It
-            never stands when ``stands_s`` is 0.
-        to_and_fro_s: period of driving ahead and back along the loop, ``speed_mps`` being the fastest; 0: always ahead.
+        kind: of the target and its look-alikes: a robot car, a person who walks, or a micro-UAV
+            that flies.
+        drives_s, stands_s: at least and at most, in turns, by seed; whether it drives or stands
+            first is drawn too. It never stands when ``stands_s`` is 0.
+        to_and_fro_s: period of driving ahead and back along the loop, ``speed_mps`` being the
+            fastest; 0: always ahead.
         height_m: above the ground, of the middle of one that flies, while it waits.
-        size_m: length, width and height of the target and its look-alikes; None: as their kind has them. People keep
-            their shape, and are as tall as that.
-        climb_m, climb_s: by how much it flies up and down again once it moves, and the time both take.
+        size_m: length, width and height of the target and its look-alikes; None: as their kind has
+            them. People keep their shape, and are as tall as that.
+        climb_m, climb_s: by how much it flies up and down again once it moves, and the time both
+            take.
     """
 
     kind: TargetKind = "car"
@@ -97,7 +105,9 @@ class TargetConfig:
 
 @dataclass(frozen=True, slots=True)
 class LookAlikeConfig:
-    """``count`` look-alikes, ``driving`` of them on the target's loop, the others parked beside it."""
+    """``count`` look-alikes, ``driving`` of them on the target's loop, the others parked beside
+    it.
+    """
 
     count: Annotated[int, Bounds(0, 50, "objects")] = 3
     driving: Annotated[int, Bounds(0, 50, "objects")] = 1
@@ -112,7 +122,8 @@ class LookAlikeConfig:
 
 
 class Pace:
-    """How far something has driven that drives and stands in turns, and how fast it is. A pure function of time.
+    """How far something has driven that drives and stands in turns, and how fast it is. A pure
+    function of time.
 
     It starts and stops within ``RAMP_S``, without a jerk.
     """
@@ -126,7 +137,8 @@ class Pace:
         begin_s = 0.0
         if self._ever_stands and rng.random() < FIRST_STANDS:
             begin_s = float(rng.uniform(*target.stands_s))
-        self._drives: list[tuple[float, float, float]] = []  # begin and end, and how far it had come
+        # begin and end, and how far it had come
+        self._drives: list[tuple[float, float, float]] = []
         self._add(begin_s, 0.0)
 
     def _add(self, begin_s: float, driven_m: float) -> None:
@@ -139,17 +151,22 @@ class Pace:
             driven_m = last[2] + self._speed_mps * (last[1] - last[0] - RAMP_S)
             self._add(last[1] + float(self._rng.uniform(*self._stands_s)), driven_m)
         begin_s, end_s, before_m = next(
-            (drive for drive in reversed(self._drives) if drive[0] <= time_s), (math.inf, math.inf, 0.0)
+            (drive for drive in reversed(self._drives) if drive[0] <= time_s),
+            (math.inf, math.inf, 0.0),
         )
         if time_s <= begin_s:
             return 0.0, 0.0
         ramp_m, ramp_mps = _ramped((time_s - begin_s) / RAMP_S)
         stopped_m, stopped_mps = _ramped((time_s - (end_s - RAMP_S)) / RAMP_S)
-        return before_m + self._speed_mps * (ramp_m - stopped_m), self._speed_mps * (ramp_mps - stopped_mps)
+        return before_m + self._speed_mps * (ramp_m - stopped_m), self._speed_mps * (
+            ramp_mps - stopped_mps
+        )
 
 
 def _ramped(share: float) -> tuple[float, float]:
-    """Metres and m/s of something that comes to 1 m/s within ``RAMP_S``, at a share of that time and after."""
+    """Metres and m/s of something that comes to 1 m/s within ``RAMP_S``, at a share of that time
+    and after.
+    """
     if share <= 0.0:
         return 0.0, 0.0
     if share < 1.0:
@@ -161,13 +178,17 @@ class Loop:
     """A closed smooth curve by arc length. ``points`` (n, 2) are evenly spaced along it."""
 
     def __init__(self, config: TargetConfig, rng: np.random.Generator) -> None:
-        """A circle bent by its second and third harmonic: convex, its tightest turn about half its mean radius."""
+        """A circle bent by its second and third harmonic: convex, its tightest turn about half its
+        mean radius.
+        """
         angle = np.linspace(0.0, 2.0 * math.pi, 4 * LOOP_POINTS + 1)
         bend = rng.uniform(0.03, (0.12, 0.05)), rng.uniform(0.0, 2.0 * math.pi, 2)
         ripple = sum(bend[0][k] * np.cos((k + 2) * angle + bend[1][k]) for k in range(2))
         mean_radius_m = config.radius_m / 2.4
         radius = mean_radius_m * (1.0 + ripple)
-        bearing = math.radians(config.loop_bearing_deg + config.loop_bearing_sigma_deg * rng.standard_normal())
+        bearing = math.radians(
+            config.loop_bearing_deg + config.loop_bearing_sigma_deg * rng.standard_normal()
+        )
         turn = 1.0 if rng.random() < 0.5 else -1.0
         heading = bearing + math.pi + turn * angle
         curve = np.column_stack((radius * np.cos(heading), radius * np.sin(heading)))
@@ -175,7 +196,9 @@ class Loop:
         along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))))
         self.length_m = float(along[-1])
         even = np.arange(LOOP_POINTS + 1) * (self.length_m / LOOP_POINTS)
-        self.points: Array = np.column_stack([np.interp(even, along, curve[:, k]) for k in range(2)])
+        self.points: Array = np.column_stack(
+            [np.interp(even, along, curve[:, k]) for k in range(2)]
+        )
         step = np.diff(self.points, axis=0)
         middle = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
         turned = 2.0 * math.pi * turn
@@ -191,7 +214,11 @@ class Loop:
         x = self._x
         y = self._y
         yaw = self._yaw
-        return x[k] + f * (x[k + 1] - x[k]), y[k] + f * (y[k + 1] - y[k]), yaw[k] + f * (yaw[k + 1] - yaw[k])
+        return (
+            x[k] + f * (x[k + 1] - x[k]),
+            y[k] + f * (y[k + 1] - y[k]),
+            yaw[k] + f * (yaw[k + 1] - yaw[k]),
+        )
 
     def closest(self, point: Point) -> float:
         """Distance in m from a point to the loop."""
@@ -206,7 +233,9 @@ class Loop:
 
 @dataclass(frozen=True, slots=True)
 class Crossing:
-    """A straight pass, relative to the target: along ``along``, at ``beside`` from it (unit vectors times metres)."""
+    """A straight pass, relative to the target: along ``along``, at ``beside`` from it (unit vectors
+    times metres).
+    """
 
     object_id: int
     start_s: float
@@ -215,7 +244,9 @@ class Crossing:
 
 
 class GroundVehicles:
-    """The target and its look-alikes, also those that fly. ``at`` is a pure function of time, but for those sent."""
+    """The target and its look-alikes, also those that fly. ``at`` is a pure function of time, but
+    for those sent.
+    """
 
     def __init__(
         self,
@@ -242,7 +273,11 @@ class GroundVehicles:
         place_rng = np.random.default_rng(place_seed)
         parked = _parked(self._loop, look_alikes, keep_clear, self._apart, place_rng)
         flies = target.kind == "drone"
-        heights = place_rng.uniform(LOWEST_M, HIGHEST_M, len(parked)).tolist() if flies else [0.0] * len(parked)
+        heights = (
+            place_rng.uniform(LOWEST_M, HIGHEST_M, len(parked)).tolist()
+            if flies
+            else [0.0] * len(parked)
+        )
         self._parked = tuple(
             ObjectTruth(first_id + 1 + len(self._apart) + k, (x, y, z), yaw, 0.0)
             for k, ((x, y, yaw), z) in enumerate(zip(parked, heights, strict=True))
@@ -270,7 +305,9 @@ class GroundVehicles:
             return 0.0, 0.0
         turn = 2.0 * math.pi / own.climb_s
         angle = turn * max(0.0, time_s - own.start_time_s)
-        return own.height_m + 0.5 * own.climb_m * (1.0 - math.cos(angle)), 0.5 * own.climb_m * turn * math.sin(angle)
+        return own.height_m + 0.5 * own.climb_m * (
+            1.0 - math.cos(angle)
+        ), 0.5 * own.climb_m * turn * math.sin(angle)
 
     def at(self, time_s: float) -> tuple[ObjectTruth, ...]:
         """The target (first), its look-alikes, and those that are just passing."""
@@ -298,13 +335,17 @@ class GroundVehicles:
         position = (x + way * ax + bx, y + way * ay + by, z)
         speed = math.hypot(vx, vy)
         strides = self._strides(speed * (time_s - crossing.start_s), speed)
-        return ObjectTruth(crossing.object_id, position, math.atan2(vy, vx), speed, target.climb_mps, strides)
+        return ObjectTruth(
+            crossing.object_id, position, math.atan2(vy, vx), speed, target.climb_mps, strides
+        )
 
     def _strides(self, way_m: float, speed_mps: float) -> float:
         return strides_of(way_m, speed_mps) if self._config.kind == "person" else 0.0
 
     def send_lookalike(self, now_s: float) -> None:
-        """Drive one more look-alike across, ``CROSSING_PAST_M`` past the target; it is there for ``CROSSING_S``."""
+        """Drive one more look-alike across, ``CROSSING_PAST_M`` past the target; it is there for
+        ``CROSSING_S``.
+        """
         past_m = float(self._crossing_rng.uniform(*CROSSING_PAST_M[self._config.kind]))
         flip = 1.0 if self._crossing_rng.random() < 0.5 else -1.0
         heading = self.at(now_s + 0.5 * CROSSING_S)[0].yaw_rad
@@ -325,7 +366,11 @@ class GroundVehicles:
         for time_s in np.linspace(crossing.start_s, crossing.start_s + CROSSING_S, 71).tolist():
             target, *others = self.at(time_s)
             x, y, _ = self._passing(crossing, time_s, target).position_w_m
-            closest = min(closest, *(math.hypot(x - o.position_w_m[0], y - o.position_w_m[1]) for o in others), closest)
+            closest = min(
+                closest,
+                *(math.hypot(x - o.position_w_m[0], y - o.position_w_m[1]) for o in others),
+                closest,
+            )
         return closest
 
 
@@ -341,11 +386,15 @@ def _driving(loop: Loop, config: LookAlikeConfig) -> list[float]:
         while loop.closest_chord(side * gap) < config.min_distance_m:
             gap += 0.05
             if gap > 0.5 * loop.length_m:
-                raise ValueError("look_alikes: no room on the target's loop; fewer driving, or a larger radius_m")
+                raise ValueError(
+                    "look_alikes: no room on the target's loop; fewer driving, or a larger radius_m"
+                )
         apart.append(side * gap)
     gap_m = GAP_SHARE * config.min_distance_m
     if any(loop.closest_chord(a - b) < gap_m for i, a in enumerate(apart) for b in apart[:i]):
-        raise ValueError("look_alikes: they do not fit on the target's loop; fewer driving, or a larger radius_m")
+        raise ValueError(
+            "look_alikes: they do not fit on the target's loop; fewer driving, or a larger radius_m"
+        )
     return apart
 
 
@@ -356,7 +405,9 @@ def _parked(
     apart: Sequence[float],
     rng: np.random.Generator,
 ) -> list[tuple[float, float, float]]:
-    """Places (E, N, yaw) beside the loop: the first near the start, the others anywhere along it."""
+    """Places (E, N, yaw) beside the loop: the first near the start, the others anywhere along
+    it.
+    """
     placed: list[tuple[float, float, float]] = []
     gap_m = GAP_SHARE * config.min_distance_m
     for _ in range(PLACEMENTS):
@@ -364,7 +415,9 @@ def _parked(
             return placed
         reach = 1.5 if not placed else 0.5 * loop.length_m
         x, y, heading = loop.at(float(rng.uniform(-reach, reach)))
-        aside = float(rng.uniform(config.min_distance_m, config.max_distance_m)) * (1.0 if rng.random() < 0.5 else -1.0)
+        aside = float(rng.uniform(config.min_distance_m, config.max_distance_m)) * (
+            1.0 if rng.random() < 0.5 else -1.0
+        )
         x = x - aside * math.sin(heading)
         y = y + aside * math.cos(heading)
         yaw = float(rng.uniform(-math.pi, math.pi))
@@ -372,4 +425,6 @@ def _parked(
         clear = all(math.hypot(x - p[0], y - p[1]) >= HOME_GAP_M for p in keep_clear)
         if free and clear and loop.closest((x, y)) >= config.min_distance_m:
             placed.append((x, y, yaw))
-    raise ValueError("look_alikes: no room to park them all beside the target's loop; fewer, or a larger radius_m")
+    raise ValueError(
+        "look_alikes: no room to park them all beside the target's loop; fewer, or a larger radius_m"
+    )

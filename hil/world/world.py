@@ -1,8 +1,10 @@
-"""The truth: two drones with their autopilots, wind, the target and its look-alikes, and the faults of the world.
+"""The truth: two drones with their autopilots, wind, the target and its look-alikes, and the faults
+of the world.
 
-Physics runs in fixed steps on a grid of its own and the autopilots on every fourth of them, so that how often and how
-finely ``advance`` is called changes nothing. Random numbers come from one stream for each purpose: what one consumer
-draws never shifts another's. World frame ``w`` is ENU with its origin on the ground, drones are reckoned in NED ``n``.
+Physics runs in fixed steps on a grid of its own and the autopilots on every fourth of them, so that
+how often and how finely ``advance`` is called changes nothing. Random numbers come from one stream
+for each purpose: what one consumer draws never shifts another's. World frame ``w`` is ENU with its
+origin on the ground, drones are reckoned in NED ``n``.
 """
 
 from __future__ import annotations
@@ -47,7 +49,9 @@ Name = TypeVar("Name", bound=Hashable)
 
 
 class VehicleTelemetry(NamedTuple):
-    """A drone's words about itself at one tick. The height in ``position_n_m`` is that above its home."""
+    """A drone's words about itself at one tick. The height in ``position_n_m`` is that above its
+    home.
+    """
 
     time_s: float
     estimate: Estimate
@@ -67,15 +71,19 @@ class SimDrone:
     Attributes:
         autopilot: commands go here, between two calls of ``World.advance``.
         estimate: the newest one, at most a tick old.
-        position_n_m: by that estimate, but the height is that above home: what a drone tells its companion.
+        position_n_m: by that estimate, but the height is that above home: what a drone tells its
+            companion.
         down_off_m: what it is wrong by besides, downward.
         resets: how often its estimator has stepped.
         telemetry: one entry a tick, newest last, the last ``TELEMETRY_TICKS`` of them.
         rangefinder: that looks down; None without one.
-        hears: called before each step of the autopilot with its time: what it was told until then is to be told it.
+        hears: called before each step of the autopilot with its time: what it was told until then
+            is to be told it.
     """
 
-    def __init__(self, autopilot: Autopilot, state: Array, rangefinder: SimRangefinder | None = None) -> None:
+    def __init__(
+        self, autopilot: Autopilot, state: Array, rangefinder: SimRangefinder | None = None
+    ) -> None:
         self.autopilot = autopilot
         self.rangefinder = rangefinder
         self.estimate = Estimate(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
@@ -107,11 +115,17 @@ class SimDrone:
         return w, x, y, z
 
     def sense(self, time_s: float, row: list[float]) -> None:
-        """Take the estimate of a tick: position, velocity, attitude in one row. Only the world calls this."""
+        """Take the estimate of a tick: position, velocity, attitude in one row. Only the world
+        calls this.
+        """
         n, e, d, vn, ve, vd, w, x, y, z = row
         self.estimate = Estimate(time_s, (n, e, d), (vn, ve, vd), (w, x, y, z), self.resets)
         own = self.autopilot
-        self.position_n_m = n, e, d - (d if own.home_n_m is None else own.home_n_m[2]) + self.down_off_m
+        self.position_n_m = (
+            n,
+            e,
+            d - (d if own.home_n_m is None else own.home_n_m[2]) + self.down_off_m,
+        )
         said = VehicleTelemetry(
             time_s, self.estimate, own.mode, own.powered, own.landed, own.armable, own.battery, own.killed,
             self.position_n_m, self._below_m(time_s),
@@ -125,12 +139,20 @@ class SimDrone:
         return self.rangefinder.below_m
 
     def command(self, time_s: float) -> tuple[float, ...]:
-        """Step the autopilot at a tick; a command row of ``hil.world.dynamics``. Only the world calls this."""
+        """Step the autopilot at a tick; a command row of ``hil.world.dynamics``. Only the world
+        calls this.
+        """
         if self.hears is not None:
             self.hears(time_s)
         command = self.autopilot.step(time_s, self.estimate, bool(self._state[CONTACT]))
         if command.velocity_n_mps is None:
-            return (MOTORS_IDLE if command.thrust_on else MOTORS_OFF), 0.0, 0.0, 0.0, command.yaw_rad
+            return (
+                (MOTORS_IDLE if command.thrust_on else MOTORS_OFF),
+                0.0,
+                0.0,
+                0.0,
+                command.yaw_rad,
+            )
         return MOTORS_FLY, *command.velocity_n_mps, command.yaw_rad
 
 
@@ -141,9 +163,15 @@ class Fleet(Generic[Name]):
     """
 
     def __init__(
-        self, config: WorldConfig, seed: int, homes: Mapping[Name, HomeConfig], off: Mapping[Name, Vec3]
+        self,
+        config: WorldConfig,
+        seed: int,
+        homes: Mapping[Name, HomeConfig],
+        off: Mapping[Name, Vec3],
     ) -> None:
-        """``off``: NED errors of positions besides the estimators'. Raises ValueError when the objects do not fit."""
+        """``off``: NED errors of positions besides the estimators'. Raises ValueError when the
+        objects do not fit.
+        """
         self.config = config
         traffic, sensors, autopilots = np.random.SeedSequence(seed).spawn(3)
         keep_clear = [home.position_m for home in homes.values()]
@@ -160,7 +188,9 @@ class Fleet(Generic[Name]):
             name: SimDrone(
                 Autopilot(config.autopilot, int(own.generate_state(1)[0])),
                 self._states[i],
-                SimRangefinder(config.rangefinder, seed, i) if config.rangefinder.max_m > 0.0 else None,
+                SimRangefinder(config.rangefinder, seed, i)
+                if config.rangefinder.max_m > 0.0
+                else None,
             )
             for i, (name, own) in enumerate(zip(homes, autopilots.spawn(len(homes)), strict=True))
         }
@@ -176,7 +206,9 @@ class Fleet(Generic[Name]):
 
     def _place_traffic(self, keep_clear: Sequence[Point], seed: np.random.SeedSequence) -> None:
         """Raises ValueError when the objects do not fit."""
-        self._traffic = GroundVehicles(self.config.target, self.config.look_alikes, keep_clear, seed)
+        self._traffic = GroundVehicles(
+            self.config.target, self.config.look_alikes, keep_clear, seed
+        )
 
     @property
     def names(self) -> tuple[Name, ...]:
@@ -191,7 +223,9 @@ class Fleet(Generic[Name]):
         return drone.on_ground and not drone.autopilot.armed
 
     def advance(self, to_s: float) -> None:
-        """Let time pass until ``to_s``, the time since the world began. Raises ValueError for the past."""
+        """Let time pass until ``to_s``, the time since the world began. Raises ValueError for the
+        past.
+        """
         if to_s < self.time_s:
             raise ValueError(f"the world is at {self.time_s} s and cannot go back to {to_s} s")
         last = math.floor(to_s * STEP_HZ + 1e-6)
@@ -202,7 +236,15 @@ class Fleet(Generic[Name]):
             steps = min(STEPS_PER_TICK - into_tick, last - self._step)
             sensors = self._sensors
             errors = sensors.velocity_errors, sensors.attitude_errors
-            fly(self._states, self._commands, sensors.winds, *errors, self._airframe, 1.0 / STEP_HZ, steps)
+            fly(
+                self._states,
+                self._commands,
+                sensors.winds,
+                *errors,
+                self._airframe,
+                1.0 / STEP_HZ,
+                steps,
+            )
             self._step += steps
             if self._step % STEPS_PER_TICK == 0:
                 self._sense()
@@ -227,8 +269,12 @@ class Fleet(Generic[Name]):
         """Drops what was worked out of the truth before it changed."""
 
     def truths(self) -> dict[Name, DroneTruth]:
-        """Of every drone at ``time_s``; between two physics steps they are carried on by their velocities."""
-        return dict(zip(self._drones, self._truths_of(slice(None), self._drones.values()), strict=True))
+        """Of every drone at ``time_s``; between two physics steps they are carried on by their
+        velocities.
+        """
+        return dict(
+            zip(self._drones, self._truths_of(slice(None), self._drones.values()), strict=True)
+        )
 
     def _truths_of(self, rows: slice, drones: Iterable[SimDrone]) -> list[DroneTruth]:
         """Of the drones of some rows."""
@@ -280,12 +326,15 @@ class Fleet(Generic[Name]):
         self._changed()
 
     def send_lookalike(self) -> None:
-        """One more look-alike drives across, close past the target, and away; it is gone after seven seconds."""
+        """One more look-alike drives across, close past the target, and away; it is gone after
+        seven seconds.
+        """
         self._traffic.send_lookalike(self.traffic_s)
         self._changed()
 
     def step_estimator(self, name: Name, shift_n_m: Vec3, turn_rad: float) -> None:
-        """Let a drone's estimate of its place and heading step, for good. The drone stays where it is.
+        """Let a drone's estimate of its place and heading step, for good. The drone stays where it
+        is.
 
         Its autopilot goes on from there: a hold or a take-off under way is flown by the new place.
         """
@@ -341,8 +390,11 @@ class World(Fleet[Role]):
 
 
 def receiver_off(apart: PositionOffsetConfig, seed: int) -> Vec3:
-    """The constant part of the receiver's position error, NED: what it believes less what is true."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(4)[3])  # after the seeds of the fleet
+    """The constant part of the receiver's position error, NED: what it believes less what is
+    true.
+    """
+    # after the seeds of the fleet
+    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(4)[3])
     angle = rng.uniform(0.0, 2.0 * math.pi)
     up = bool(rng.integers(2))
     return (

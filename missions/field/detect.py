@@ -31,13 +31,17 @@ GREEN = (80, 230, 60)
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """The time that a detector took for each frame, ms: on the wall's clock, and of this thread on a core."""
+    """The time that a detector took for each frame, ms: on the wall's clock, and of this thread on
+    a core.
+    """
 
     wall_ms: tuple[float, ...]
     busy_ms: tuple[float, ...]
 
     def line(self, name: str) -> str:
-        """One line: median, 95th and 99th percentile. The first frame, in which things are loaded, is left out."""
+        """One line: median, 95th and 99th percentile. The first frame, in which things are loaded,
+        is left out.
+        """
         wall = self.wall_ms[1:] or self.wall_ms
         busy = self.busy_ms[1:] or self.busy_ms
         median, p95, p99 = np.percentile(wall, (50, 95, 99))
@@ -48,11 +52,15 @@ class Timing:
 
 
 def run(options: DetectOptions, out: TextIO | None = None) -> int:
-    """The command; 0 when every frame was looked at. Raises PartError with what is wrong and what to do."""
+    """The command; 0 when every frame was looked at. Raises PartError with what is wrong and what
+    to do.
+    """
     stream = out or sys.stdout
     name, detector = _detector(options)
     unstamped_hz = UNSTAMPED_HZ if options.frames.is_dir() else None
-    recording = open_recording(options.frames, RecordingOptions(rate_hz=options.rate_hz or unstamped_hz))
+    recording = open_recording(
+        options.frames, RecordingOptions(rate_hz=options.rate_hz or unstamped_hz)
+    )
     if options.out is None:
         return _look(name, detector, recording, None, stream)
     with unless_refused(options.out) as folder:
@@ -61,11 +69,15 @@ def run(options: DetectOptions, out: TextIO | None = None) -> int:
         return _look(name, detector, recording, folder, stream)
 
 
-def _look(name: str, detector: Detector, recording: Recording, folder: Path | None, stream: TextIO) -> int:
+def _look(
+    name: str, detector: Detector, recording: Recording, folder: Path | None, stream: TextIO
+) -> int:
     found: list[tuple[RecordedFrame, Sequence[Detection]]] = []
     wall_ms: list[float] = []
     busy: list[float] = []
-    with Bars(sys.stderr if stream is sys.stdout else stream).bar("frames", recording.count or 0) as advance:
+    with Bars(sys.stderr if stream is sys.stdout else stream).bar(
+        "frames", recording.count or 0
+    ) as advance:
         for frame in recording.frames():
             color = frame.load().color
             begun = stopwatch_ns()
@@ -79,7 +91,9 @@ def _look(name: str, detector: Detector, recording: Recording, folder: Path | No
             if recording.count:
                 advance()
     with_some = sum(bool(boxes) for _, boxes in found)
-    stream.write(f"{len(found)} frames, {with_some} with something, {sum(len(b) for _, b in found)} boxes\n")
+    stream.write(
+        f"{len(found)} frames, {with_some} with something, {sum(len(b) for _, b in found)} boxes\n"
+    )
     if recording.damage:
         stream.write(f"{recording.damage}\n")
     stream.write(f"{Timing(tuple(wall_ms), tuple(busy)).line(name)}\n")
@@ -105,7 +119,10 @@ def _detector(options: DetectOptions) -> tuple[str, Detector]:
         _, perception = decode_part(rig.role(role).perception)
         spec = getattr(perception, "detector", None)
         if not isinstance(spec, PartSpec):
-            raise PartError(f"{rig.role(role).perception.where}: it has no detector", "name another rig, or --model")
+            raise PartError(
+                f"{rig.role(role).perception.where}: it has no detector",
+                "name another rig, or --model",
+            )
     return spec.factory.rpartition(":")[2], create(spec, context)
 
 
@@ -115,7 +132,15 @@ def _draw(file: Path, color: Any, boxes: Sequence[Detection]) -> None:
         x = round(each.box.x + 0.5)
         y = round(each.box.y + 0.5)
         cv2.rectangle(picture, (x, y), (round(x + each.box.w), round(y + each.box.h)), GREEN, 2)
-        cv2.putText(picture, f"{each.score:.2f}", (x, max(y - 4, 10)), cv2.FONT_HERSHEY_SIMPLEX, 0.45, GREEN, 1)
+        cv2.putText(
+            picture,
+            f"{each.score:.2f}",
+            (x, max(y - 4, 10)),
+            cv2.FONT_HERSHEY_SIMPLEX,
+            0.45,
+            GREEN,
+            1,
+        )
     if not cv2.imwrite(str(file), picture):
         raise PartError(f"cannot write {file}", "name another folder with --out")
 
@@ -129,7 +154,14 @@ def _write(file: Path, found: Sequence[tuple[RecordedFrame, Sequence[Detection]]
                 for each in boxes:
                     numbers = (each.box.x, each.box.y, each.box.w, each.box.h)
                     rows.writerow(
-                        (frame.name, f"{frame.stamp_ns / 1e9:.6f}", *(f"{n:.2f}" for n in numbers), f"{each.score:.3f}")
+                        (
+                            frame.name,
+                            f"{frame.stamp_ns / 1e9:.6f}",
+                            *(f"{n:.2f}" for n in numbers),
+                            f"{each.score:.3f}",
+                        )
                     )
     except OSError as error:
-        raise PartError(f"cannot write {file}: {error.strerror}", "name another folder with --out") from error
+        raise PartError(
+            f"cannot write {file}: {error.strerror}", "name another folder with --out"
+        ) from error

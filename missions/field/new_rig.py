@@ -53,7 +53,9 @@ def write_rig(asked: str, autopilot: str, camera: str, out: TextIO) -> None:
     """Write the rig and, unless there is one already, its key. Raises PartError, OSError."""
     path = Path(asked if asked.endswith(".toml") else f"{asked}.toml")
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", path.stem):
-        raise PartError(f"--new {asked}: {path.stem!r} is no name for a rig", "use letters, digits, '-' and '_'")
+        raise PartError(
+            f"--new {asked}: {path.stem!r} is no name for a rig", "use letters, digits, '-' and '_'"
+        )
     if path.exists():
         raise PartError(f"{path} is there already", "name another file; nothing is written over")
     key = path.with_suffix(".key")
@@ -72,7 +74,9 @@ def write_rig(asked: str, autopilot: str, camera: str, out: TextIO) -> None:
             file.write(text)
         _write_key(key)
     except OSError as error:
-        raise PartError(f"{error.filename}: {error.strerror}", "name a file in a folder that can be written") from error
+        raise PartError(
+            f"{error.filename}: {error.strerror}", "name a file in a folder that can be written"
+        ) from error
     out.write(
         f"{path}: the rig\n{key}: the key of its link; copy it to the other companion, and show it to nobody\n"
         f"next: fill in what says MEASURE, until `path-handoff rigs --check {path}` finds nothing\n"

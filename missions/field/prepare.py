@@ -15,19 +15,27 @@ from missions.ground.options.field import PrepareOptions
 
 
 def run(options: PrepareOptions) -> int:
-    """Compile, or find compiled, what the rig will use; says where it is kept. Raises PartError, RigError."""
+    """Compile, or find compiled, what the rig will use; says where it is kept. Raises PartError,
+    RigError.
+    """
     rig = rig_library.load(options.rig)
     start_s = time.perf_counter()
     prepare(rig)
-    sys.stdout.write(f"kernels for rig {rig.name} are ready after {time.perf_counter() - start_s:.1f} s\n")
+    sys.stdout.write(
+        f"kernels for rig {rig.name} are ready after {time.perf_counter() - start_s:.1f} s\n"
+    )
     sys.stdout.write(f"kept in {kept_in()}, for this user, this processor and these sources\n")
     return CommandEnd.DONE.exit_code
 
 
 def prepare(rig: Rig) -> None:
-    """Prepares what the rig's harness needs before its clock starts; without one, what a role compiles on its drone."""
+    """Prepares what the rig's harness needs before its clock starts; without one, what a role
+    compiles on its drone.
+    """
     harness = None if rig.harness is None else import_factory(rig.harness, rig.where("harness"))
-    by_harness: Callable[[Rig, Callable[[str], None]], None] | None = getattr(harness, "prepare", None)
+    by_harness: Callable[[Rig, Callable[[str], None]], None] | None = getattr(
+        harness, "prepare", None
+    )
     if by_harness is not None:
         by_harness(rig, _say)
         return

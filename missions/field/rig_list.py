@@ -14,7 +14,9 @@ LEVELS = ("sim", "sim-rendered", "sitl", "hitl", "field")
 
 
 def run(options: RigsOptions, out: TextIO | None = None) -> int:
-    """List them by level, with what each is for; or check one: 0, or NOT_FIT with what is wrong; or write one."""
+    """List them by level, with what each is for; or check one: 0, or NOT_FIT with what is wrong; or
+    write one.
+    """
     if options.new is not None:
         from missions.field.new_rig import write_rig  # noqa: PLC0415 (a list needs none of what it imports)
 
@@ -31,7 +33,9 @@ def run(options: RigsOptions, out: TextIO | None = None) -> int:
 
 
 def check(name: str, stream: TextIO) -> int:
-    """Say what is wrong with a rig; returns NOT_FIT when something is. Raises PartError when there is no such rig."""
+    """Say what is wrong with a rig; returns NOT_FIT when something is. Raises PartError when there
+    is no such rig.
+    """
     from drivers.rig.file import find_rig  # noqa: PLC0415 (a list needs none of what it imports)
     from drivers.rig.tables import RigError  # noqa: PLC0415
     from missions.ground import rig_library  # noqa: PLC0415

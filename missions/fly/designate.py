@@ -1,6 +1,8 @@
-"""``path-handoff designate``: tell a D1 in the air which object is meant, or answer what it asks, from a terminal.
+"""``path-handoff designate``: tell a D1 in the air which object is meant, or answer what it asks,
+from a terminal.
 
-Says what a tablet would say, to the port that the rig's ``[sender.operator]`` listens at (``drivers.operator.words``).
+Says what a tablet would say, to the port that the rig's ``[sender.operator]`` listens at
+(``drivers.operator.words``).
 """
 
 from __future__ import annotations
@@ -34,13 +36,18 @@ def run(options: DesignateOptions) -> int:
     """``path-handoff designate``; 0 once it was said. Raises PartError."""
     address = operator_of(rig_library.load(options.rig, world=False))
     words = statement(options)
-    with socket.socket(socket.AF_INET6 if ":" in address[0] else socket.AF_INET, socket.SOCK_DGRAM) as line:
+    with socket.socket(
+        socket.AF_INET6 if ":" in address[0] else socket.AF_INET, socket.SOCK_DGRAM
+    ) as line:
         line.connect(address)
         if words is None:
             return answer_questions(line, sys.stdin, sys.stdout, options.picture)
         send(line, words)
         if heard(line, ANSWERED_S) is None:
-            raise PartError(f"nobody answers at {address[0]}:{address[1]}", "is D1's program running, with this rig?")
+            raise PartError(
+                f"nobody answers at {address[0]}:{address[1]}",
+                "is D1's program running, with this rig?",
+            )
     sys.stdout.write(f"said: {json.dumps(words)}\n")
     return 0
 
@@ -50,20 +57,34 @@ def operator_of(rig: Rig) -> tuple[str, int]:
     spec = rig.sender.operator
     if spec is None or spec.factory != HEARD_BY:
         raise PartError(
-            f"{rig.where('[sender.operator]')}: nobody is heard by UDP", f'write it with factory = "{HEARD_BY}"'
+            f"{rig.where('[sender.operator]')}: nobody is heard by UDP",
+            f'write it with factory = "{HEARD_BY}"',
         )
-    return address_of(decode_table(spec.options, UdpOperatorConfig, spec.where, spec.base).bind, "bind")
+    return address_of(
+        decode_table(spec.options, UdpOperatorConfig, spec.where, spec.base).bind, "bind"
+    )
 
 
 def statement(options: DesignateOptions) -> dict[str, Any] | None:
-    """Return what the options say; None when they say nothing: then questions are answered. Raises PartError."""
+    """Return what the options say; None when they say nothing: then questions are answered. Raises
+    PartError.
+    """
     if options.place is not None and options.bearing_deg is not None:
         raise PartError("--place and --bearing-deg are two statements", "say one after the other")
     if options.place is not None:
         height = {} if options.down_m is None else {"down_m": options.down_m}
-        return {"place": list(options.place), "error_m": options.error_m, "age_s": options.age_s, **height}
+        return {
+            "place": list(options.place),
+            "error_m": options.error_m,
+            "age_s": options.age_s,
+            **height,
+        }
     if options.bearing_deg is not None:
-        seen = {"bearing_deg": options.bearing_deg, "from": list(options.seen_from), "error_deg": options.error_deg}
+        seen = {
+            "bearing_deg": options.bearing_deg,
+            "from": list(options.seen_from),
+            "error_deg": options.error_deg,
+        }
         return {**seen, "age_s": options.age_s}
     return None
 
@@ -85,7 +106,8 @@ def answer_questions(line: socket.socket, keys: TextIO, shown: TextIO, picture: 
                 asked = question["asks"]
                 show(question, shown, picture)
         if keys in ready:
-            typed = os.read(keys.fileno(), 1024)  # not by lines: what a buffer holds nobody waits for
+            # not by lines: what a buffer holds nobody waits for
+            typed = os.read(keys.fileno(), 1024)
             if not typed:
                 return 0
             *lines, rest = (rest + typed.decode(errors="replace")).split("\n")
@@ -105,7 +127,9 @@ def show(question: Mapping[str, Any], shown: TextIO, picture: Path | None) -> No
     shown.write(f"question {question['asks']}: which one is it?\n")
     for each in question["objects"]:
         place = f"{each['north_m']:+6.1f} m north {each['east_m']:+6.1f} m east"
-        shown.write(f"  {each['number']:3}: {place}, {each['speed_mps']:.1f} m/s, {100.0 * each['share']:.0f} %\n")
+        shown.write(
+            f"  {each['number']:3}: {place}, {each['speed_mps']:.1f} m/s, {100.0 * each['share']:.0f} %\n"
+        )
     if picture is not None and "jpeg" in question:
         picture.write_bytes(base64.b64decode(question["jpeg"]))
         shown.write(f"  {picture} shows them\n")

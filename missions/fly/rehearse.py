@@ -1,8 +1,10 @@
-"""``path-handoff rehearse``: fly a rig of the field in the harness as it is, its hardware replaced behind the drivers.
+"""``path-handoff rehearse``: fly a rig of the field in the harness as it is, its hardware replaced
+behind the drivers.
 
-Cameras, mounts, markers, method, mission and what was measured stay as they are. Vehicles, guards, links,
-clocks and what the cameras see are those of a rig that comes with PATH, at the level that is asked for. The
-rig that is flown is written beside the run, so that it can be looked at and flown again.
+Cameras, mounts, markers, method, mission and what was measured stay as they are. Vehicles, guards,
+links, clocks and what the cameras see are those of a rig that comes with PATH, at the level that is
+asked for. The rig that is flown is written beside the run, so that it can be looked at and flown
+again.
 """
 
 from __future__ import annotations
@@ -25,7 +27,18 @@ from missions.ground.rig_library import mission_of
 from missions.ground.rigs import FOLDER
 from missions.ground.run_folder import unless_refused
 
-OWN = ("origin", "markers", "marker_dictionary", "method", "mission", "target", "drone", "depth", "link", "site")
+OWN = (
+    "origin",
+    "markers",
+    "marker_dictionary",
+    "method",
+    "mission",
+    "target",
+    "drone",
+    "depth",
+    "link",
+    "site",
+)
 """Tables of the rig itself, which say nothing of hardware."""
 OWN_OF_A_DRONE = ("camera", "mount")
 NOT_REHEARSED = ("needs",)
@@ -38,10 +51,14 @@ def run(options: RehearseOptions) -> int:
 
     rig = rig_library.load_unchecked(options.rig)
     if rig.harness is not None:
-        raise PartError(f"{rig.name} flies in the harness already", f"path-handoff handoff --rig {options.rig}")
+        raise PartError(
+            f"{rig.name} flies in the harness already", f"path-handoff handoff --rig {options.rig}"
+        )
     with unless_refused(options.out) as folder:
         made = folder.with_name(f"{folder.name}.rig.toml")
-        made.write_text(toml_text(rehearsed(rig, options.level), _COMMENT.format(name=rig.name)), "utf-8")
+        made.write_text(
+            toml_text(rehearsed(rig, options.level), _COMMENT.format(name=rig.name)), "utf-8"
+        )
         sys.stdout.write(f"{made}: what is flown, with the hardware of '{options.level}'\n")
     return fly(
         HandoffOptions(
@@ -60,7 +77,9 @@ _COMMENT = "{name}, as it is flown in the harness. Written by `path-handoff rehe
 
 
 def rehearsed(rig: Rig, level: str) -> dict[str, Any]:
-    """Return the tables of a field rig with the hardware of the rig that is named as a level. Raises RigError."""
+    """Return the tables of a field rig with the hardware of the rig that is named as a level.
+    Raises RigError.
+    """
     own = read_rig(rig.file, rig.folders or [FOLDER])
     stand_in = read_rig(find_rig(level, [FOLDER]), [FOLDER])
     made = {**stand_in, **{key: own[key] for key in OWN if key in own}}

@@ -12,10 +12,15 @@ from path.messages import Role
 
 
 def name_ground_station(rig: Rig, asked: str | None) -> None:
-    """For the harness: where a ground station listens. Raises PartError at levels that have no MAVLink of ours."""
+    """For the harness: where a ground station listens. Raises PartError at levels that have no
+    MAVLink of ours.
+    """
     if asked is None:
         return
-    embedded = all("sysid" in rig.role(role).vehicle.options for role in Role) and "sender_simulator" not in rig.world
+    embedded = (
+        all("sysid" in rig.role(role).vehicle.options for role in Role)
+        and "sender_simulator" not in rig.world
+    )
     if rig.level != "sitl" or not embedded:
         raise PartError(
             f"--gcs: rig {rig.name} has no embedded MAVLink vehicles in real time",
@@ -28,6 +33,7 @@ def name_ground_station(rig: Rig, asked: str | None) -> None:
         raise PartError(str(error), "write it as 127.0.0.1:14550") from error
     if not ipaddress.ip_address(host).is_loopback:
         raise PartError(
-            f"--gcs {asked}: another computer", "let the ground station run on this one: the port is not signed"
+            f"--gcs {asked}: another computer",
+            "let the ground station run on this one: the port is not signed",
         )
     os.environ["PATH_GCS"] = asked

@@ -1,8 +1,10 @@
-"""One program at a time where something is written: locks that end with their program, however it ends.
+"""One program at a time where something is written: locks that end with their program, however it
+ends.
 
-A folder is locked itself (``flock``), so that no file is left behind and every user of the computer meets the same
-lock. A file is written by renaming another one over it, which a lock of the file would not outlive: it has a hidden
-file beside it. On a file system that knows no such locks nothing is held.
+A folder is locked itself (``flock``), so that no file is left behind and every user of the computer
+meets the same lock. A file is written by renaming another one over it, which a lock of the file
+would not outlive: it has a hidden file beside it. On a file system that knows no such locks nothing
+is held.
 """
 
 from __future__ import annotations
@@ -27,8 +29,8 @@ _held: set[tuple[int, int]] = set()
 def held_folder(folder: Path, *, beside: bool = False) -> Generator[None, None, None]:
     """Keep other programs from writing into a folder.
 
-    The programs of a run write into one folder together. So whoever begins one asks for all of it, and then shares it:
-    nobody else gets all of it until the last of these programs has ended.
+    The programs of a run write into one folder together. So whoever begins one asks for all of it,
+    and then shares it: nobody else gets all of it until the last of these programs has ended.
 
     Args:
         beside: for a program that writes into a run's folder beside others, under names of its own.
@@ -39,7 +41,9 @@ def held_folder(folder: Path, *, beside: bool = False) -> Generator[None, None, 
     try:
         file = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     except OSError as error:
-        raise PartError(f"cannot use {folder}: {error.strerror}", "name another place with --out") from error
+        raise PartError(
+            f"cannot use {folder}: {error.strerror}", "name another place with --out"
+        ) from error
     own = _number(file)
     if own in _held:
         os.close(file)
@@ -47,7 +51,8 @@ def held_folder(folder: Path, *, beside: bool = False) -> Generator[None, None, 
         return
     try:
         alone = beside or _lock(file, fcntl.LOCK_EX)
-        # between the two somebody else may get all of it: then this one is refused, and there is still one at most
+        # between the two somebody else may get all of it: then this one is refused, and there is
+        # still one at most
         if not alone or not _lock(file, fcntl.LOCK_SH):
             raise PartError(f"{folder} is being written to by {_holder(file)}", REMEDY)
         _held.add(own)
@@ -94,7 +99,9 @@ def _open_lock(path: Path) -> int:
 
 
 def _lock(file: int, kind: int) -> bool:
-    """Returns False when another program's lock forbids it; where there are no locks nothing does."""
+    """Returns False when another program's lock forbids it; where there are no locks nothing
+    does.
+    """
     try:
         fcntl.flock(file, kind | fcntl.LOCK_NB)
     except OSError as error:

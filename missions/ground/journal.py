@@ -24,7 +24,9 @@ from path.observations import MissReason, RangeSource
 
 
 def setup_record(rig: Rig, role: Role, config: MissionConfig) -> dict[str, Any]:
-    """``/setup``: what a program was given, as far as its decisions and pictures of them depend on it."""
+    """``/setup``: what a program was given, as far as its decisions and pictures of them depend on
+    it.
+    """
     own, peer = (rig.sender, rig.receiver) if role is Role.SENDER else (rig.receiver, rig.sender)
     origin = rig.origin
     return {
@@ -63,11 +65,19 @@ def told_record(told: Told | Chosen, *, used: bool) -> dict[str, Any]:
         return {**record, "kind": "choice", "question": told.question, "number": told.number}
     record["at_ns"] = told.stamp_ns
     if isinstance(told, PlaceTold):
-        place = {"place_n_m": told.place_n_m, "error_m": told.error_m, "height_told": told.height_told}
+        place = {
+            "place_n_m": told.place_n_m,
+            "error_m": told.error_m,
+            "height_told": told.height_told,
+        }
         moves = {"velocity_n_mps": told.velocity_n_mps, "holds_s": told.holds_s}
         return {**record, "kind": "place", **place, **moves}
     if isinstance(told, BearingTold):
-        seen = {"from_n_m": told.from_n_m, "bearing_rad": told.bearing_rad, "error_rad": told.error_rad}
+        seen = {
+            "from_n_m": told.from_n_m,
+            "bearing_rad": told.bearing_rad,
+            "error_rad": told.error_rad,
+        }
         return {**record, "kind": "bearing", **seen}
     return {**record, "corners_n_m": [number for corner in told.corners_n_m for number in corner]}
 
@@ -83,7 +93,9 @@ def told_of(record: Mapping[str, Any]) -> Told | Chosen:
         moves = record.get("velocity_n_mps")
         velocity = None if moves is None else (moves[0], moves[1])
         place = (north, east, down)
-        return PlaceTold(at_ns, place, record["error_m"], record["height_told"], velocity, record["holds_s"])
+        return PlaceTold(
+            at_ns, place, record["error_m"], record["height_told"], velocity, record["holds_s"]
+        )
     if kind == "bearing":
         north, east = record["from_n_m"]
         return BearingTold(at_ns, (north, east), record["bearing_rad"], record["error_rad"])
@@ -97,7 +109,12 @@ def question_record(question: Question) -> dict[str, Any]:
         "number": question.number,
         "capture_ns": question.stamp_ns,
         "shown": [
-            {"number": each.number, "box": box_record(each.box), "place_n_m": each.place_n_m, "share": each.share}
+            {
+                "number": each.number,
+                "box": box_record(each.box),
+                "place_n_m": each.place_n_m,
+                "share": each.share,
+            }
             for each in question.shown
         ],
     }
@@ -113,14 +130,21 @@ def taken_record(taken: Taken) -> dict[str, Any]:
     }
 
 
-def frame_record(view: View, now_ns: int, T_n_c: Pose | None = None, ground: Ground | None = None) -> dict[str, Any]:
+def frame_record(
+    view: View, now_ns: int, T_n_c: Pose | None = None, ground: Ground | None = None
+) -> dict[str, Any]:
     """``/frame``: which frame a cycle is of, and how long after its capture the cycle began.
 
-    ``T_n_c``: the camera's pose as believed, where perception may be run again and needs it, and the ``ground`` then.
+    ``T_n_c``: the camera's pose as believed, where perception may be run again and needs it, and
+    the ``ground`` then.
     """
     record: dict[str, Any] = {"frame_id": view.frame_id, "age_ns": now_ns - view.stamp_ns}
     if ground is not None:
-        own = {"ground_down_m": ground.down_m, "ground_sigma_m": ground.sigma_m, "ground_by": ground.source.value}
+        own = {
+            "ground_down_m": ground.down_m,
+            "ground_sigma_m": ground.sigma_m,
+            "ground_by": ground.source.value,
+        }
         record |= own
     return record if T_n_c is None else {**record, "T_n_c": pose_rows(T_n_c)}
 
@@ -129,7 +153,9 @@ def ground_of(record: Mapping[str, Any]) -> Ground | None:
     """Read the ground of a ``/frame``."""
     if record.get("ground_down_m") is None:
         return None
-    return Ground(record["ground_down_m"], record["ground_sigma_m"], RangeSource(record["ground_by"]))
+    return Ground(
+        record["ground_down_m"], record["ground_sigma_m"], RangeSource(record["ground_by"])
+    )
 
 
 def track_record(seen: Sighting | MissReason) -> dict[str, Any]:

@@ -1,7 +1,8 @@
-"""The cache of numba's compiled code: beside the source, in the user's cache folder, or else in a folder of our own.
+"""The cache of numba's compiled code: beside the source, in the user's cache folder, or else in a
+folder of our own.
 
-Where neither of the first two can be written to, numba does not compile at all: a read-only install and an account
-without a home, as services and containers have them.
+Where neither of the first two can be written to, numba does not compile at all: a read-only install
+and an account without a home, as services and containers have them.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ def usual_folders() -> tuple[Path, ...]:
 
 
 def users_cache() -> Path | None:
-    """Return the user's cache folder; None for an account without a home, as containers have them by number."""
+    """Return the user's cache folder; None for an account without a home, as containers have them
+    by number.
+    """
     named = os.environ.get("XDG_CACHE_HOME")
     if named:
         return Path(named)
@@ -36,7 +39,8 @@ def users_cache() -> Path | None:
 
 
 def have_kernel_cache(usual: Sequence[Path] | None = None, temporary: Path | None = None) -> None:
-    """Name a folder of our own for this program and those it starts when none of the usual ones can be written to.
+    """Name a folder of our own for this program and those it starts when none of the usual ones can
+    be written to.
 
     Raises PartError when none can.
     """
@@ -52,7 +56,11 @@ def have_kernel_cache(usual: Sequence[Path] | None = None, temporary: Path | Non
         there = own.lstat()
     except OSError:
         _refuse(", ".join(map(str, (*folders, own))))
-    if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.getuid() or stat.S_IMODE(there.st_mode) & 0o022:
+    if (
+        not stat.S_ISDIR(there.st_mode)
+        or there.st_uid != os.getuid()
+        or stat.S_IMODE(there.st_mode) & 0o022
+    ):
         _refuse(f"{own}, which belongs to somebody else,")  # what is in it would be run
     os.environ[VARIABLE] = str(own)
 
@@ -60,14 +68,16 @@ def have_kernel_cache(usual: Sequence[Path] | None = None, temporary: Path | Non
 def have_temporary_folder() -> None:
     """Raise PartError when temporary files have no place, or not the one that was named.
 
-    Python looks for another place by itself; two programs of one flight would then look for each other's keys and locks
-    in two.
+    Python looks for another place by itself; two programs of one flight would then look for each
+    other's keys and locks in two.
     """
     for variable in ("TMPDIR", "TEMP", "TMP"):
         named = os.environ.get(variable)
         if named and not (Path(named).is_dir() and can_write(Path(named))):
             _refuse(
-                f"{variable} = {named}", f"set {variable} to a folder that can be written to, or unset it", TEMPORARY
+                f"{variable} = {named}",
+                f"set {variable} to a folder that can be written to, or unset it",
+                TEMPORARY,
             )
         if named:
             break
@@ -75,7 +85,9 @@ def have_temporary_folder() -> None:
         tempfile.gettempdir()
     except FileNotFoundError as error:
         where = str(error).partition("in ")[2] or "/tmp"
-        _refuse(where, "free some disk, or set TMPDIR to a folder that can be written to", TEMPORARY)
+        _refuse(
+            where, "free some disk, or set TMPDIR to a folder that can be written to", TEMPORARY
+        )
 
 
 def can_write(folder: Path) -> bool:

@@ -1,4 +1,6 @@
-"""Lateness in a run in real time: what a computer that was too slow is blamed for, and nobody else."""
+"""Lateness in a run in real time: what a computer that was too slow is blamed for, and nobody
+else.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ class JudgedReport(Protocol):
 
 
 def for_lateness(report: JudgedReport, outcome: Outcome, detail: str) -> tuple[Outcome, str]:
-    """The outcome of a run: ``overloaded`` where lateness can be the cause, and what it would have been."""
+    """The outcome of a run: ``overloaded`` where lateness can be the cause, and what it would have
+    been.
+    """
     overload = report.overload
     others = set(report.violations) - MONITORS_OF_TIME - set(report.explained)
     if overload and outcome in OF_TIME and not others:

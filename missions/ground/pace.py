@@ -1,7 +1,9 @@
-"""The cost of one frame for a role's program on this computer, by stage: the mission's own parts on a drawn picture.
+"""The cost of one frame for a role's program on this computer, by stage: the mission's own parts on
+a drawn picture.
 
-``python -m missions.ground.pace RIG ROLE SIZES`` prints it as JSON, SIZES ``own`` or ``all``: a process of its own,
-whose caches and threads are those of a role. Times are of the processor, so that neighbours do not count.
+``python -m missions.ground.pace RIG ROLE SIZES`` prints it as JSON, SIZES ``own`` or ``all``: a
+process of its own, whose caches and threads are those of a role. Times are of the processor, so
+that neighbours do not count.
 """
 
 from __future__ import annotations
@@ -58,7 +60,9 @@ TARGET = Target(1, 1, 1, 1, 1_000_000_000, (0.1, -0.3, 1.2), (0.0, -1.0, 0.0), 0
 BOX = Box(250.5, 180.25, 80.0, 60.0)
 LOOKED = (1.0, 0.0, 0.0, 0.0)
 CANDIDATE = Candidate(1, 1, 1, 1, 1, 1_000_000_000, BOX, None, (0.4, 0.1, 1.0), LOOKED, 0.004)
-MARKER = MarkerDetection(0, np.array([[300.0, 220.0], [340.0, 220.0], [340.0, 260.0], [300.0, 260.0]]), np.eye(8))
+MARKER = MarkerDetection(
+    0, np.array([[300.0, 220.0], [340.0, 220.0], [340.0, 260.0], [300.0, 260.0]]), np.eye(8)
+)
 FIX = MarkerFix(Pose(np.eye(3), np.array([0.4, 0.1, 1.0])), 1.6e-5 * np.eye(6), 40.0, (MARKER,))
 
 
@@ -83,7 +87,9 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """The time of a frame of one size, by stage, and of a look at the whole image for what was lost."""
+    """The time of a frame of one size, by stage, and of a look at the whole image for what was
+    lost.
+    """
 
     size: tuple[int, int]
     stages: dict[str, Stage]
@@ -104,7 +110,9 @@ def measure(rig: Rig, role: Role, *, own_only: bool = False) -> Iterator[Pace]:
     with tempfile.TemporaryDirectory() as folder:
         for size in sizes:
             bench = _Bench(rig, role, scaled(own, size))
-            yield Pace(size, dict(_stages(bench, Path(folder) / f"{size[0]}.mcap")), _search_time(bench))
+            yield Pace(
+                size, dict(_stages(bench, Path(folder) / f"{size[0]}.mcap")), _search_time(bench)
+            )
 
 
 def scaled(camera: CameraModel, size: tuple[int, int]) -> CameraModel:
@@ -114,7 +122,13 @@ def scaled(camera: CameraModel, size: tuple[int, int]) -> CameraModel:
     if size == (camera.width, camera.height):
         return camera
     return replace(
-        camera, width=size[0], height=size[1], fx=factor * camera.fx, fy=factor * camera.fy, cx=middle[0], cy=middle[1]
+        camera,
+        width=size[0],
+        height=size[1],
+        fx=factor * camera.fx,
+        fy=factor * camera.fy,
+        cx=middle[0],
+        cy=middle[1],
     )
 
 
@@ -145,7 +159,9 @@ def _stages(bench: _Bench, file: Path) -> Iterator[tuple[str, Stage]]:
     car = bench.car
     if "RealSense" in str(rig.role(role).perception.options.get("camera", "")):
         flat = replace(camera, distortion=(0.0,) * 5)
-        registration = DepthRegistration(flat, camera, Pose(np.eye(3), np.array([0.015, 0.0, 0.0])), 1e-3, (0.3, 6.0))
+        registration = DepthRegistration(
+            flat, camera, Pose(np.eye(3), np.array([0.015, 0.0, 0.0])), 1e-3, (0.3, 6.0)
+        )
         yield "frame", timed(lambda: (np.array(bench.color), registration.register(bench.depth_mm)))
     u, v = car.center
     around = Region(u - car.w, v - car.w, u + car.w, v + car.w)
@@ -159,8 +175,11 @@ def _stages(bench: _Bench, file: Path) -> Iterator[tuple[str, Stage]]:
 
 
 def _search_time(bench: _Bench) -> Stage:
-    """The longest thing that setpoints wait for: D1's look for the target, D2's for the marker, everywhere."""
-    everywhere = Region(0.0, 0.0, bench.camera.width, bench.camera.height)  # one look, as on a slow computer
+    """The longest thing that setpoints wait for: D1's look for the target, D2's for the marker,
+    everywhere.
+    """
+    # one look, as on a slow computer
+    everywhere = Region(0.0, 0.0, bench.camera.width, bench.camera.height)
     if bench.role is Role.SENDER:
         return timed(lambda: bench.view().targets(None))
     return timed(lambda: bench.view().markers(everywhere))
@@ -171,7 +190,8 @@ def _pose_time(rig: Rig, camera: CameraModel, view: Callable[[], PixelView]) -> 
     marker = rig.layout.markers[0]
     R_v_c = marker.T_v_m.R @ np.diag((1.0, -1.0, -1.0))  # the marker faces the camera
     x, y, z = (R_v_c @ _DOWN_C).tolist()
-    ahead_n = R_N_C @ R_v_c.T @ rig.sender.mount.T_b_v.R[0]  # the nose of the drone that carries the marker
+    # the nose of the drone that carries the marker
+    ahead_n = R_N_C @ R_v_c.T @ rig.sender.mount.T_b_v.R[0]
     yaw_rad = math.atan2(ahead_n[1], ahead_n[0])
     still = (0.0, 0.0, 0.0)
 
@@ -233,7 +253,9 @@ def timed(call: Callable[[], object], most: int = 1 << 30) -> Stage:
 
 
 def picture(rig: Rig, camera: CameraModel) -> tuple[NDArray[np.uint8], Box]:
-    """A marker of the rig in the middle of a grainy floor, (h, w, 3) BGR, and an orange car with its box."""
+    """A marker of the rig in the middle of a grainy floor, (h, w, 3) BGR, and an orange car with
+    its box.
+    """
     height = camera.height
     width = camera.width
     rng = np.random.default_rng(1)
@@ -244,7 +266,9 @@ def picture(rig: Rig, camera: CameraModel) -> tuple[NDArray[np.uint8], Box]:
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, rig.layout.dictionary))
     printed = cv2.aruco.generateImageMarker(dictionary, marker.id, 8 * side)
     border = 8 * (side // 4)
-    framed = cv2.copyMakeBorder(printed, border, border, border, border, cv2.BORDER_CONSTANT, value=(255,))
+    framed = cv2.copyMakeBorder(
+        printed, border, border, border, border, cv2.BORDER_CONSTANT, value=(255,)
+    )
     drawn = cv2.resize(framed, None, fx=1 / 8, fy=1 / 8, interpolation=cv2.INTER_AREA)
     x = round(camera.cx - drawn.shape[1] / 2)
     y = round(camera.cy - drawn.shape[0] / 2)

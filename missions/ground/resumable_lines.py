@@ -1,4 +1,6 @@
-"""Resumable JSON lines: one for each of many runs, in a file that an interrupted command goes on with."""
+"""Resumable JSON lines: one for each of many runs, in a file that an interrupted command goes on
+with.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ class ResumableLines(Generic[Line]):
     Args:
         file: in the folder of what is done; made when it is not there.
         kind: the type of a line.
-        head: what was asked for, ``format`` among it; a file that was begun with something else is refused.
+        head: what was asked for, ``format`` among it; a file that was begun with something else is
+            refused.
 
     Raises PartError.
     """
@@ -41,7 +44,9 @@ class ResumableLines(Generic[Line]):
             if not whole:
                 self._write(json.dumps(self._head) + "\n")
         except OSError as error:
-            raise PartError(f"cannot use {self._path}: {error.strerror}", "name another folder with --out") from error
+            raise PartError(
+                f"cannot use {self._path}: {error.strerror}", "name another folder with --out"
+            ) from error
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -54,7 +59,9 @@ class ResumableLines(Generic[Line]):
         try:
             self._write(text)
         except OSError as error:
-            raise PartError(f"cannot write {self._path}: {error.strerror}", "make room, and start it again") from error
+            raise PartError(
+                f"cannot write {self._path}: {error.strerror}", "make room, and start it again"
+            ) from error
         self.lines.extend(new)
 
     def _write(self, text: str) -> None:
@@ -86,7 +93,9 @@ class ResumableLines(Generic[Line]):
         if not isinstance(found, dict) or found.get("format") != self._head["format"]:
             raise self._foreign("it is no file of this version")
         other = [
-            f"{key} {found.get(key)!r}, not {value!r}" for key, value in self._head.items() if found.get(key) != value
+            f"{key} {found.get(key)!r}, not {value!r}"
+            for key, value in self._head.items()
+            if found.get(key) != value
         ]
         if other:
             raise self._foreign("it was begun with " + "; ".join(other))

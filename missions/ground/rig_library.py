@@ -1,4 +1,6 @@
-"""The rigs that come with PATH, and how a rig is loaded for a mission: checked whole before anything moves."""
+"""The rigs that come with PATH, and how a rig is loaded for a mission: checked whole before
+anything moves.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,8 @@ def load(name_or_path: str, *, world: bool = True) -> Rig:
     """A rig by name or path, with everything in it checked before anything moves. Raises RigError.
 
     Args:
-        world: False for one drone's program, which knows nothing of a world or harness: they are not imported.
+        world: False for one drone's program, which knows nothing of a world or harness: they are
+            not imported.
     """
     rig = complete(load_rig(name_or_path, [FOLDER]))
     problems = Problems()
@@ -43,12 +46,16 @@ def load(name_or_path: str, *, world: bool = True) -> Rig:
 
 
 def name_of(rig: Rig) -> str:
-    """Returns the name that ``--rig`` takes: the rig's own when it comes with PATH, else its file."""
+    """Returns the name that ``--rig`` takes: the rig's own when it comes with PATH, else its
+    file.
+    """
     return rig.file.stem if rig.file.resolve().parent == FOLDER.resolve() else str(rig.file)
 
 
 def load_unchecked(name_or_path: str) -> Rig:
-    """The same, read but not checked: nothing of what the rig names is imported. Raises RigError."""
+    """The same, read but not checked: nothing of what the rig names is imported. Raises
+    RigError.
+    """
     return complete(load_rig(name_or_path, [FOLDER]))
 
 
@@ -58,7 +65,9 @@ def mission_of(rig: Rig) -> MissionConfig:
 
 
 def trial_part(rig: Rig, name: str) -> Any:
-    """The factory that the rig's ``[trials]`` table names for ``name``. Raises PartError when it names none."""
+    """The factory that the rig's ``[trials]`` table names for ``name``. Raises PartError when it
+    names none.
+    """
     if name not in rig.trials:
         raise PartError(
             f"{rig.where('trials')}: missing key '{name}'",

@@ -38,14 +38,18 @@ class RunKind:
     def files(self, folder: Path) -> Iterator[Path]:
         """Yields the files in a folder that have the names of a run's."""
         actors = "|".join(map(re.escape, self.actors))
-        logs = re.compile(rf"({actors})(\.guard)?(\.\d+)?(\.frames)?\.(mcap|stderr\.txt|state\.json)")
+        logs = re.compile(
+            rf"({actors})(\.guard)?(\.\d+)?(\.frames)?\.(mcap|stderr\.txt|state\.json)"
+        )
         for file in sorted(folder.iterdir()):
             if file.name in (self.marker, *self.results) or logs.fullmatch(file.name):
                 yield file
 
 
 def new_folder(out: Path | None) -> Path:
-    """The folder of a run, made; ``runs/<time>`` by default, and no other run's. Raises PartError."""
+    """The folder of a run, made; ``runs/<time>`` by default, and no other run's. Raises
+    PartError.
+    """
     folder = out or Path("runs") / datetime.now().strftime("%Y%m%d-%H%M%S")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -58,7 +62,9 @@ def new_folder(out: Path | None) -> Path:
 
 
 def _next_free(folder: Path) -> Path:
-    """Make a folder that was not there: of runs that begin in the same second each has its own. Raises OSError."""
+    """Make a folder that was not there: of runs that begin in the same second each has its own.
+    Raises OSError.
+    """
     free = folder
     number = 1
     while True:
@@ -74,7 +80,9 @@ def _next_free(folder: Path) -> Path:
 def _shown(path: Path) -> str:
     """A path as it can be shown: of one that is too long to be any, the ends."""
     text = str(path)
-    return text if len(text) <= MOST_SHOWN else f"{text[:60]}...{text[-60:]} ({len(text)} characters)"
+    return (
+        text if len(text) <= MOST_SHOWN else f"{text[:60]}...{text[-60:]} ({len(text)} characters)"
+    )
 
 
 @contextmanager
@@ -119,7 +127,9 @@ def _there(path: Path) -> bool:
 
 
 def refuse_foreign(folder: Path, kind: RunKind) -> None:
-    """Raises PartError when a folder has files with the names of a run's, and no marker that says whose they are."""
+    """Raises PartError when a folder has files with the names of a run's, and no marker that says
+    whose they are.
+    """
     there = list(kind.files(folder)) if folder.is_dir() else []
     if there and not _has(folder / kind.marker, '"outcome"'):
         raise PartError(
@@ -130,11 +140,12 @@ def refuse_foreign(folder: Path, kind: RunKind) -> None:
 
 @contextmanager
 def claimed(folder: Path, kind: RunKind) -> Generator[None, None, None]:
-    """A folder that is a new run's, from its marker on: nothing that an earlier one left may be taken for its own.
+    """A folder that is a new run's, from its marker on: nothing that an earlier one left may be
+    taken for its own.
 
-    Other files stay as they are. Raises PartError when the folder has files with the names of a run's and no marker
-    that says whose they are, cannot be written to, or is another program's that writes there. A run that is refused
-    leaves no marker.
+    Other files stay as they are. Raises PartError when the folder has files with the names of a
+    run's and no marker that says whose they are, cannot be written to, or is another program's that
+    writes there. A run that is refused leaves no marker.
     """
     marker = folder / kind.marker
     with held_folder(folder):
@@ -153,31 +164,43 @@ def claimed(folder: Path, kind: RunKind) -> Generator[None, None, None]:
 
 
 def claim_result(file: Path, *signs: str) -> None:
-    """Refuse to write a result over a file that none of the ``signs`` of an earlier one is in. Raises PartError."""
+    """Refuse to write a result over a file that none of the ``signs`` of an earlier one is in.
+    Raises PartError.
+    """
     check_file(file)
     if file.exists() and not any(_has(file, sign) for sign in signs):
-        raise PartError(f"{file} is there, and is no earlier result: it is not written over", REMEDY)
+        raise PartError(
+            f"{file} is there, and is no earlier result: it is not written over", REMEDY
+        )
 
 
 def check_file(file: Path) -> None:
-    """Refuse a file that cannot be one, or be made, before any work is done for it. Raises PartError."""
+    """Refuse a file that cannot be one, or be made, before any work is done for it. Raises
+    PartError.
+    """
     try:
         if file.is_dir():
             raise PartError(f"{_shown(file)} is a folder", "name a file with --out")
         if not can_write(file.parent):
-            raise PartError(f"cannot write {_shown(file)}: its folder cannot be made, or written to", REMEDY)
+            raise PartError(
+                f"cannot write {_shown(file)}: its folder cannot be made, or written to", REMEDY
+            )
     except OSError as error:
         raise PartError(f"cannot write {_shown(file)}: {error.strerror}", REMEDY) from error
 
 
 def claim_folder(folder: Path, marker: str, *signs: str) -> None:
-    """Refuse a folder that holds anything, unless its ``marker`` has one of the ``signs`` of an earlier result.
+    """Refuse a folder that holds anything, unless its ``marker`` has one of the ``signs`` of an
+    earlier result.
 
     For what writes many files, with names that others use too. Raises PartError.
     """
     there = sorted(folder.iterdir())
     if there and not any(_has(folder / marker, sign) for sign in signs):
-        raise PartError(f"{folder} holds {_some(there)}, and is no earlier result: nothing is written over", REMEDY)
+        raise PartError(
+            f"{folder} holds {_some(there)}, and is no earlier result: nothing is written over",
+            REMEDY,
+        )
 
 
 def discard(folder: Path, kind: RunKind) -> None:

@@ -1,4 +1,6 @@
-"""Output to somebody who may be gone: a closed terminal, a full disk behind stdout. A flight goes on."""
+"""Output to somebody who may be gone: a closed terminal, a full disk behind stdout. A flight goes
+on.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ def say_unwritten(error: OSError) -> None:
 
 
 def flush_or_drop(stream: TextIO) -> bool:
-    """Returns whether what was written to a stream came out. What did not is dropped, so that nothing fails at exit."""
+    """Returns whether what was written to a stream came out. What did not is dropped, so that
+    nothing fails at exit.
+    """
     try:
         stream.flush()
     except (OSError, ValueError):

@@ -1,4 +1,6 @@
-"""The checked part of a rig about a team; and a field laid out for more drones and targets than it names."""
+"""The checked part of a rig about a team; and a field laid out for more drones and targets than it
+names.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ Found = Iterator[tuple[str, str]]
 
 
 def team_of(rig: Rig, drones: int | None = None, targets: int | None = None) -> TeamConfig:
-    """The rig's team: all of it, or with so many drones and targets. Raises RigError, and PartError."""
+    """The rig's team: all of it, or with so many drones and targets. Raises RigError, and
+    PartError.
+    """
     config = checked_team(rig)
     if drones is None and targets is None:
         return config
@@ -33,19 +37,25 @@ def team_of(rig: Rig, drones: int | None = None, targets: int | None = None) -> 
         raise PartError(f"--drones {wanted}: a team takes two at least", "give 2 or more")
     if objects > wanted:
         raise PartError(
-            f"--targets {objects}: more than the {wanted} drones there are", "give fewer targets, or more drones"
+            f"--targets {objects}: more than the {wanted} drones there are",
+            "give fewer targets, or more drones",
         )
     if wanted <= len(config.drones) and objects <= len(config.targets):
         some = replace(config, drones=config.drones[:wanted], targets=config.targets[:objects])
         names = {drone.name for drone in some.drones}
-        return replace(some, targets=tuple(replace(t, drones=tuple(names & set(t.drones))) for t in some.targets))
+        return replace(
+            some,
+            targets=tuple(replace(t, drones=tuple(names & set(t.drones))) for t in some.targets),
+        )
     return laid_out(config, wanted, objects)
 
 
 def checked_team(rig: Rig) -> TeamConfig:
     """Raises RigError with everything that is wrong, PartError when the rig has no team."""
     if not rig.team:
-        raise PartError(f"rig {rig.name} has no [team]", "use --rig team-sim, or a rig like it (docs/team.md)")
+        raise PartError(
+            f"rig {rig.name} has no [team]", "use --rig team-sim, or a rig like it (docs/team.md)"
+        )
     try:
         config = team_of_rig(rig)
     except RigError as error:
@@ -82,7 +92,10 @@ def _homes(config: TeamConfig, mission: MissionConfig) -> Found:
     named += [(f"targets[{k}].place_m", target.place_m) for k, target in enumerate(config.targets)]
     for where, place in named:
         if math.hypot(*place) > fence_m:
-            yield where, f"{_m(place)} is outside of mission.guard.fence_radius_m, {fence_m:g} m: move it, or the fence"
+            yield (
+                where,
+                f"{_m(place)} is outside of mission.guard.fence_radius_m, {fence_m:g} m: move it, or the fence",
+            )
 
 
 def _wire(config: TeamConfig, mission: MissionConfig) -> Found:
@@ -102,16 +115,27 @@ def _wire(config: TeamConfig, mission: MissionConfig) -> Found:
                 taken = _taken(key, option, value)
                 before = used.get(taken)
                 if before is not None and before[1] != drone.name:
-                    yield where, f"{value!r} of {drone.name} is already {before[0]}, of {before[1]}: each needs its own"
+                    yield (
+                        where,
+                        f"{value!r} of {drone.name} is already {before[0]}, of {before[1]}: each needs its own",
+                    )
                 used.setdefault(taken, (where, drone.name))
 
 
 def _taken(part: str, option: str, value: object) -> tuple[str, str]:
-    """The port that an option occupies: two listeners on one port collide whatever their addresses say."""
+    """The port that an option occupies: two listeners on one port collide whatever their addresses
+    say.
+    """
     text = str(value)
     if option == "bind" or text.startswith(("udpin://", "tcpin://")):
         return "port", text.rpartition(":")[2]
-    return ("watched" if option == "vehicle_sysid" else f"{part} {option}" if option == "key_file" else option), text
+    return (
+        "watched"
+        if option == "vehicle_sysid"
+        else f"{part} {option}"
+        if option == "key_file"
+        else option
+    ), text
 
 
 def _takers(config: TeamConfig, mission: MissionConfig) -> Found:
@@ -119,12 +143,18 @@ def _takers(config: TeamConfig, mission: MissionConfig) -> Found:
     names = {drone.name for drone in config.drones}
     if len(config.targets) > len(config.drones):
         count = f"{len(config.targets)} targets for {len(config.drones)} drones"
-        yield "targets", f"{count}: each needs one at all times, so name fewer targets, or more drones"
+        yield (
+            "targets",
+            f"{count}: each needs one at all times, so name fewer targets, or more drones",
+        )
     for number, target in enumerate(config.targets):
         unknown = sorted(set(target.drones) - names)
         if unknown:
             there = ", ".join(sorted(names))
-            yield f"targets[{number}].drones", f"there is no drone {', '.join(unknown)}; there are: {there}"
+            yield (
+                f"targets[{number}].drones",
+                f"there is no drone {', '.join(unknown)}; there are: {there}",
+            )
         if len(target.drones) == 1 or (target.drones and not names & set(target.drones)):
             may = f"only {target.drones[0]} may" if len(target.drones) == 1 else "nobody may"
             yield (
@@ -136,13 +166,18 @@ def _takers(config: TeamConfig, mission: MissionConfig) -> Found:
 def _heights(config: TeamConfig, mission: MissionConfig) -> Found:
     fence_m = mission.guard.fence_height_m
     apart_m = mission.separation.minimum_m + mission.rendezvous.heights_within_m
-    below_m = max(mission.receiver_take_off_height_m, mission.take_off_height_m, mission.follow.height_m)
+    below_m = max(
+        mission.receiver_take_off_height_m, mission.take_off_height_m, mission.follow.height_m
+    )
     for key, height_m, under_m in (
         ("out_height_m", config.out_height_m, below_m),
         ("return_height_m", config.return_height_m, config.out_height_m),
     ):
         if height_m + mission.rendezvous.heights_within_m > fence_m:
-            yield f"team.{key}", f"{height_m:g} m is too near to mission.guard.fence_height_m, {fence_m:g} m"
+            yield (
+                f"team.{key}",
+                f"{height_m:g} m is too near to mission.guard.fence_height_m, {fence_m:g} m",
+            )
         if height_m - under_m < apart_m:
             yield (
                 f"team.{key}",
@@ -151,25 +186,39 @@ def _heights(config: TeamConfig, mission: MissionConfig) -> Found:
 
 
 def laid_out(config: TeamConfig, drones: int, targets: int) -> TeamConfig:
-    """A field of so many, built like those of the rig: targets on a square grid, the homes of each south of it."""
+    """A field of so many, built like those of the rig: targets on a square grid, the homes of each
+    south of it.
+    """
     across = math.ceil(math.sqrt(targets))
     step_m = config.spacing_m
     middle = (across - 1) / 2.0
-    places = [((k % across - middle) * step_m, (k // across - middle) * step_m) for k in range(targets)]
+    places = [
+        ((k % across - middle) * step_m, (k // across - middle) * step_m) for k in range(targets)
+    ]
     named = tuple(NamedTarget(f"T{k + 1}", place, 0.0) for k, place in enumerate(places))
     made: list[NamedDrone] = []
     for number, built in enumerate(islice(cycle(config.drones), drones)):
         east, north = places[number % targets]
         row = number // targets
         aside_m = HOME_STEP_M * ((row + 1) // 2) * (1 if row % 2 else -1)
-        made.append(replace(built, name=f"D{number + 1}", home_m=(east + aside_m, north - HOME_ROW_M), battery=1.0))
+        made.append(
+            replace(
+                built,
+                name=f"D{number + 1}",
+                home_m=(east + aside_m, north - HOME_ROW_M),
+                battery=1.0,
+            )
+        )
     return replace(config, drones=tuple(made), targets=named)
 
 
 def fenced(rig: Rig, config: TeamConfig) -> Rig:
     """The rig with a fence that holds a field that was laid out."""
     mission = decode_table(rig.mission, MissionConfig, rig.where("mission"))
-    places: Sequence[Point] = [*(d.home_m for d in config.drones), *(t.place_m for t in config.targets)]
+    places: Sequence[Point] = [
+        *(d.home_m for d in config.drones),
+        *(t.place_m for t in config.targets),
+    ]
     needed_m = 15.0 + max(math.hypot(*place) for place in places)
     if needed_m <= mission.guard.fence_radius_m:
         return rig

@@ -26,14 +26,16 @@ from rich.progress import (
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-AHEAD = 3  # pieces submitted for each process, so that none waits and an interrupt has little to cancel
+# pieces submitted for each process, so that none waits and an interrupt has little to cancel
+AHEAD = 3
 
 
 class Work:
-    """Runs the pieces of something long. One pool of processes serves all of them, so that kernels are loaded once.
+    """Runs the pieces of something long. One pool of processes serves all of them, so that kernels
+    are loaded once.
 
-    Pieces are functions at module level with picklable arguments and results. Each must take its randomness from its
-    arguments alone: results do not depend on the number of processes.
+    Pieces are functions at module level with picklable arguments and results. Each must take its
+    randomness from its arguments alone: results do not depend on the number of processes.
     """
 
     def __init__(self, jobs: int, bars: Bars) -> None:
@@ -46,7 +48,9 @@ class Work:
         """Processes at a time."""
         return self._jobs
 
-    def map(self, what: str, piece: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    def map(
+        self, what: str, piece: Callable[[Item], Result], items: Sequence[Item]
+    ) -> list[Result]:
         """The results in the order of the items; ``what`` names the work on its bar.
 
         Raises what a piece raised; the pieces that have not begun are given up then.
@@ -57,7 +61,9 @@ class Work:
             results = dict(self._on_all_cores(piece, items, advance))
             return [results[index] for index in range(len(items))]
 
-    def stream(self, what: str, piece: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
+    def stream(
+        self, what: str, piece: Callable[[Item], Result], items: Sequence[Item]
+    ) -> Iterator[Result]:
         """The results as they come, for what is kept at once. Raises as ``map``."""
         with self._bars.bar(what, len(items)) as advance:
             if self._jobs == 1:
@@ -67,7 +73,9 @@ class Work:
                     yield result
 
     def steps(self, what: str, items: Sequence[Item]) -> Iterator[Item]:
-        """The items one by one, with a bar: work that must stay in this process, such as timings."""
+        """The items one by one, with a bar: work that must stay in this process, such as
+        timings.
+        """
         with self._bars.bar(what, len(items)) as advance:
             yield from _stepped(items, advance)
 
@@ -75,13 +83,18 @@ class Work:
         self, piece: Callable[[Item], Result], items: Sequence[Item], advance: Callable[[], None]
     ) -> Iterator[tuple[int, Result]]:
         if self._pool is None:
-            self._pool = ProcessPoolExecutor(self._jobs, mp_context=get_context("spawn"), initializer=_quiet_worker)
+            self._pool = ProcessPoolExecutor(
+                self._jobs, mp_context=get_context("spawn"), initializer=_quiet_worker
+            )
         running: dict[Future[Result], int] = {}
         waiting = iter(enumerate(items))
         left = len(items)
         try:
             while left:
-                while len(running) < AHEAD * self._jobs and (following := next(waiting, None)) is not None:
+                while (
+                    len(running) < AHEAD * self._jobs
+                    and (following := next(waiting, None)) is not None
+                ):
                     index, item = following
                     running[self._pool.submit(piece, item)] = index
                 for done in wait(running, return_when=FIRST_COMPLETED).done:
@@ -143,7 +156,9 @@ def open_work(jobs: int, stream: TextIO | None = None) -> Generator[Work, None, 
 
 
 def belong_to_parent() -> None:
-    """In a process of a pool: Ctrl-C is the parent's to handle, and the process ends when its parent does."""
+    """In a process of a pool: Ctrl-C is the parent's to handle, and the process ends when its
+    parent does.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     Thread(target=_end_with_parent, daemon=True).start()
 

@@ -1,1 +1,3 @@
-"""Proof that nothing unsafe can happen: the explorer, campaigns of faults, and conformance of the autopilots."""
+"""Proof that nothing unsafe can happen: the explorer, campaigns of faults, and conformance of the
+autopilots.
+"""

@@ -57,7 +57,9 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "evidence": Experiment("handovers.evidence"),
     "recall": Experiment("handovers.recall", short_in_all=True),
     "dynamic": Experiment("flights.dynamic"),
-    "beacon": Experiment("flights.beacon", "dynamic", options=("logs", "seconds"), short_in_all=True),
+    "beacon": Experiment(
+        "flights.beacon", "dynamic", options=("logs", "seconds"), short_in_all=True
+    ),
     "rendezvous": Experiment("flights.rendezvous", "sim-field", short_in_all=True),
     "ambiguity": Experiment("rivals", options=("xfeat",), without=XFEAT),
     "link": Experiment("cost.link"),

@@ -1,4 +1,6 @@
-"""``path-handoff trial``: a question of the evaluation or all of them, and the page that shows what came out."""
+"""``path-handoff trial``: a question of the evaluation or all of them, and the page that shows what
+came out.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,13 @@ from missions.look.report.command import show
 from missions.look.report.records import SUMMARY
 from missions.trials.questions import EXPERIMENTS, QUESTIONS, RIG, is_experiment, question_of
 from missions.trials.shared.page import PAGE, Chapter, render_page
-from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, Verdict, trial_part
+from missions.trials.shared.trial import (
+    TrialFinding,
+    TrialRequest,
+    TrialResult,
+    Verdict,
+    trial_part,
+)
 
 EXIT_FAILED = CommandEnd.FAILED.exit_code
 STYLE: dict[Verdict, str] = {"met": "green", "short": "red", "measured": ""}
@@ -60,22 +68,26 @@ class Chosen:
 
 
 def run(options: TrialOptions) -> int:
-    """``path-handoff trial``; 0 when every experiment came to its end, whatever it found but violated monitors.
+    """``path-handoff trial``; 0 when every experiment came to its end, whatever it found but
+    violated monitors.
 
     Raises:
-        PartError: for what was asked wrongly, before anything is flown. Of several experiments one that fails later
-            is shown on the page, and the rest run.
+        PartError: for what was asked wrongly, before anything is flown. Of several experiments one
+            that fails later is shown on the page, and the rest run.
     """
     _check_files(options)
     chosen = choose(options)
     _check_needs(chosen)
     if is_experiment(options.name):
-        sys.stdout.write(f"{options.name} is a part of a question now: {command(options, chosen[0].name)}\n")
+        sys.stdout.write(
+            f"{options.name} is a part of a question now: {command(options, chosen[0].name)}\n"
+        )
     sys.stdout.write(needs_told(options, chosen))
     folder_name = options.out or Path("trials") / f"{datetime.now():%Y%m%d-%H%M%S}-{options.name}"
     with unless_refused(folder_name) as folder:
         claim_folder(folder, SUMMARY, '"findings"', '"trials"')
-        _write_json(folder / SUMMARY, {"trials": [], "unfinished": True})  # whose folder it is, from now on
+        # whose folder it is, from now on
+        _write_json(folder / SUMMARY, {"trials": [], "unfinished": True})
         return _run(options, chosen, folder)
 
 
@@ -111,7 +123,9 @@ def choose(options: TrialOptions) -> list[Chosen]:
 
 
 def needs_told(options: TrialOptions, chosen: Sequence[Chosen]) -> str:
-    """Return in words what each experiment flies or draws, what is left out of it, and which are short."""
+    """Return in words what each experiment flies or draws, what is left out of it, and which are
+    short.
+    """
     lines: list[str] = []
     for one in chosen:
         experiment = EXPERIMENTS[one.name]
@@ -141,7 +155,9 @@ def _check_files(options: TrialOptions) -> None:
     files = (("--xfeat", options.xfeat), *(("--set", file) for file in sets_of(options)))
     for option, file in files:
         if file is not None and not file.is_file():
-            raise PartError(f"{option} {file}: no such file", f"name a file that exists, or leave {option} out")
+            raise PartError(
+                f"{option} {file}: no such file", f"name a file that exists, or leave {option} out"
+            )
 
 
 def _run(options: TrialOptions, chosen: Sequence[Chosen], folder: Path) -> int:
@@ -163,7 +179,9 @@ def _run(options: TrialOptions, chosen: Sequence[Chosen], folder: Path) -> int:
     return exit_code([chapter.result for chapter in chapters])
 
 
-def _chapter(options: TrialOptions, one: Chosen, folder: Path, work: Work, several: bool) -> Chapter:
+def _chapter(
+    options: TrialOptions, one: Chosen, folder: Path, work: Work, several: bool
+) -> Chapter:
     """Run one experiment. What goes wrong in one of several is told, and kept for the page."""
     request = TrialRequest(
         one.rig, folder, options.seed, one.short, work, options.xfeat, options.logs, options.seconds,
@@ -189,7 +207,9 @@ def _chapter(options: TrialOptions, one: Chosen, folder: Path, work: Work, sever
         if one.short:
             sys.stdout.write(f"{SHORT}\n")
     paper = str(one.module.PAPER)
-    return Chapter(one.name, one.title, paper, command(options, one.name), folder, wall_s, result, error)
+    return Chapter(
+        one.name, one.title, paper, command(options, one.name), folder, wall_s, result, error
+    )
 
 
 SHORT = "Short form, on few samples: it says whether the trial runs, and nothing of what comes out."
@@ -204,12 +224,22 @@ def short_form(result: TrialResult) -> TrialResult:
 def exit_code(results: Sequence[TrialResult | None]) -> int:
     """0 when every trial came to its end and no monitor of a mission was violated in any."""
     violated = {name for result in results if result is not None for name in result.violations}
-    return exit_code_of_runs(violated) or (EXIT_FAILED if None in results else CommandEnd.DONE.exit_code)
+    return exit_code_of_runs(violated) or (
+        EXIT_FAILED if None in results else CommandEnd.DONE.exit_code
+    )
 
 
 def command(options: TrialOptions, name: str) -> str:
     """Return the command line that runs one experiment again as it was run here."""
-    words = ["path-handoff", "trial", question_of(name), "--only", name, "--seed", str(options.seed)]
+    words = [
+        "path-handoff",
+        "trial",
+        question_of(name),
+        "--only",
+        name,
+        "--seed",
+        str(options.seed),
+    ]
     experiment = EXPERIMENTS[name]
     if options.rig is not None and options.rig != experiment.rig:
         words += ["--rig", options.rig]
@@ -226,7 +256,9 @@ def _said_of(options: TrialOptions, option: str) -> list[str]:
     """Return an option of single experiments as it was said; nothing when it was not."""
     if option == "set":
         words = [word for file in sets_of(options) for word in ("--set", str(file))]
-        return words + ([] if options.photographs is None else ["--photographs", str(options.photographs)])
+        return words + (
+            [] if options.photographs is None else ["--photographs", str(options.photographs)]
+        )
     value: object = getattr(options, option)
     if not value:
         return []
@@ -234,7 +266,9 @@ def _said_of(options: TrialOptions, option: str) -> list[str]:
 
 
 def sets_of(options: TrialOptions) -> tuple[Path, ...]:
-    """Return the files of all ``--set``, which may be given several times and with several files each."""
+    """Return the files of all ``--set``, which may be given several times and with several files
+    each.
+    """
     return tuple(file for files in options.set for file in files)
 
 
@@ -252,7 +286,9 @@ def findings_table(findings: Sequence[TrialFinding]) -> Table:
     return table
 
 
-def _summary(options: TrialOptions, one: Chosen, wall_s: float, result: TrialResult) -> dict[str, Any]:
+def _summary(
+    options: TrialOptions, one: Chosen, wall_s: float, result: TrialResult
+) -> dict[str, Any]:
     return {
         "trial": one.name,
         "title": one.title,
@@ -268,7 +304,9 @@ def _summary(options: TrialOptions, one: Chosen, wall_s: float, result: TrialRes
 
 def _overview(options: TrialOptions, chapters: Sequence[Chapter]) -> dict[str, Any]:
     results = {chapter.name: chapter.result for chapter in chapters}
-    findings = [finding for result in results.values() if result is not None for finding in result.findings]
+    findings = [
+        finding for result in results.values() if result is not None for finding in result.findings
+    ]
     return {
         "seed": options.seed,
         "quick": options.quick,
@@ -285,7 +323,9 @@ def _write_json(file: Path, content: object) -> None:
 
 
 def plain(value: Any) -> Any:
-    """The same in what JSON knows: numpy's numbers and arrays as numbers and lists, what is not finite as null."""
+    """The same in what JSON knows: numpy's numbers and arrays as numbers and lists, what is not
+    finite as null.
+    """
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):

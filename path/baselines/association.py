@@ -1,4 +1,6 @@
-"""One cycle of a baseline: D1's target is the box of D2 that shares the most verified features with it."""
+"""One cycle of a baseline: D1's target is the box of D2 that shares the most verified features with
+it.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,8 @@ class BaselineConfig:
     """Configuration of a baseline.
 
     Attributes:
-        scope: match D1's features against "each" of D2's boxes by itself, or against the features of "all" together:
-            then the ratio test asks that no other person looks the same there.
+        scope: match D1's features against "each" of D2's boxes by itself, or against the features
+            of "all" together: then the ratio test asks that no other person looks the same there.
         min_inliers: verified matches a box needs.
         min_lead: how many more than any other box.
     """
@@ -47,7 +49,9 @@ class Votes:
 
 
 def choose(inliers: Sequence[int], min_inliers: int, min_lead: int) -> int | None:
-    """Index of the box with the most verified matches; None when they are too few, or nearly as many elsewhere."""
+    """Index of the box with the most verified matches; None when they are too few, or nearly as
+    many elsewhere.
+    """
     if not inliers:
         return None
     order = sorted(range(len(inliers)), key=lambda i: -inliers[i])
@@ -57,7 +61,11 @@ def choose(inliers: Sequence[int], min_inliers: int, min_lead: int) -> int | Non
 
 
 def vote(
-    features: Features, own: Keypoints, theirs: Sequence[Keypoints], config: BaselineConfig, seed: int = 0
+    features: Features,
+    own: Keypoints,
+    theirs: Sequence[Keypoints],
+    config: BaselineConfig,
+    seed: int = 0,
 ) -> Votes:
     """Verified matches of D1's target with each of D2's boxes.
 
@@ -69,11 +77,21 @@ def vote(
 
 
 def vote_each(
-    features: Features, own: Keypoints, theirs: Sequence[Keypoints], configs: Sequence[BaselineConfig], seed: int = 0
+    features: Features,
+    own: Keypoints,
+    theirs: Sequence[Keypoints],
+    configs: Sequence[BaselineConfig],
+    seed: int = 0,
 ) -> list[Votes]:
-    """The votes under several configurations of the same ``look``; what they share is worked out once."""
+    """The votes under several configurations of the same ``look``; what they share is worked out
+    once.
+    """
     distance = features.distance
-    apart = [nearest(own, each, distance) for each in theirs] if any(c.scope == "each" for c in configs) else []
+    apart = (
+        [nearest(own, each, distance) for each in theirs]
+        if any(c.scope == "each" for c in configs)
+        else []
+    )
     together = _joined(theirs) if any(c.scope == "all" for c in configs) else None
     whole = None if together is None else nearest(own, together[0], distance)
     cast: list[Votes] = []
@@ -81,7 +99,8 @@ def vote_each(
         if config.scope == "each":
             sets = zip(apart, theirs, strict=True)
             lines = tuple(
-                _lines(own, each, _verified(own, each, found, distance, config, seed)) for found, each in sets
+                _lines(own, each, _verified(own, each, found, distance, config, seed))
+                for found, each in sets
             )
         elif together is None or whole is None:
             lines = (np.zeros((0, 4), np.float32),) * len(theirs)
@@ -103,10 +122,12 @@ def associate(
     config: BaselineConfig,
     seed: int = 0,
 ) -> tuple[int | None, Votes]:
-    """One whole cycle: features around D1's target and around D2's boxes, matched, verified, associated.
+    """One whole cycle: features around D1's target and around D2's boxes, matched, verified,
+    associated.
 
     Returns:
-        The index of D2's box that is taken for the target, None when there is none, and what spoke for each box.
+        The index of D2's box that is taken for the target, None when there is none, and what spoke
+        for each box.
     """
     (own,) = look(features, image1, [box1], config.look)
     votes = vote(features, own, look(features, image2, boxes2, config.look), config, seed)
@@ -114,13 +135,20 @@ def associate(
 
 
 def _verified(
-    own: Keypoints, other: Keypoints, found: Nearest, distance: Distance, config: BaselineConfig, seed: int
+    own: Keypoints,
+    other: Keypoints,
+    found: Nearest,
+    distance: Distance,
+    config: BaselineConfig,
+    seed: int,
 ) -> Pairs:
     pairs = accepted(found, distance, config.match)
     return pairs[verify(own, other, pairs, config.match, seed)]
 
 
-def _joined(theirs: Sequence[Keypoints]) -> tuple[Keypoints, np.ndarray[tuple[int], np.dtype[np.int64]]] | None:
+def _joined(
+    theirs: Sequence[Keypoints],
+) -> tuple[Keypoints, np.ndarray[tuple[int], np.dtype[np.int64]]] | None:
     """All boxes' features in one, each place once, and whose they are."""
     if not any(len(each) for each in theirs):
         return None
@@ -136,5 +164,7 @@ def _joined(theirs: Sequence[Keypoints]) -> tuple[Keypoints, np.ndarray[tuple[in
     return everything.pick(first), owner[first]
 
 
-def _lines(own: Keypoints, other: Keypoints, pairs: Pairs) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
+def _lines(
+    own: Keypoints, other: Keypoints, pairs: Pairs
+) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
     return np.hstack((own.points_px[pairs[:, 0]], other.points_px[pairs[:, 1]]))

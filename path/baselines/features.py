@@ -1,7 +1,7 @@
 """Local features of an image, whoever finds them, and how those around boxes are looked for.
 
-A person some metres away is a hundred pixels wide or less: features are looked for in enlarged windows around the
-boxes, at full resolution, not in the whole image made small.
+A person some metres away is a hundred pixels wide or less: features are looked for in enlarged
+windows around the boxes, at full resolution, not in the whole image made small.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class Keypoints:
 
     Attributes:
         points_px: (n, 2) float32.
-        descriptors: (n, bytes) uint8 of bits, compared by Hamming distance, or (n, d) float32 of unit length, compared
-            by their cosine.
+        descriptors: (n, bytes) uint8 of bits, compared by Hamming distance, or (n, d) float32 of
+            unit length, compared by their cosine.
         scores: (n,) float32, larger is better.
     """
 
@@ -43,7 +43,9 @@ class Keypoints:
         return Keypoints(self.points_px[which], self.descriptors[which], self.scores[which])
 
 
-NOTHING = Keypoints(np.zeros((0, 2), np.float32), np.zeros((0, 0), np.uint8), np.zeros(0, np.float32))
+NOTHING = Keypoints(
+    np.zeros((0, 2), np.float32), np.zeros((0, 0), np.uint8), np.zeros(0, np.float32)
+)
 
 
 class Features(Protocol):
@@ -69,38 +71,54 @@ class FeatureSearch:
 
     Attributes:
         zoom: enlargement of the image before.
-        context: how much of the surroundings belongs to the box, on each side, as a share of the box's longer side.
+        context: how much of the surroundings belongs to the box, on each side, as a share of the
+            box's longer side.
     """
 
     zoom: float = 2.0
     context: float = 0.0
 
 
-def look(features: Features, image: Image, boxes: Sequence[Box], settings: FeatureSearch) -> list[Keypoints]:
-    """The features in each box and its surroundings, in pixels of the image. A box outside the image has none."""
+def look(
+    features: Features, image: Image, boxes: Sequence[Box], settings: FeatureSearch
+) -> list[Keypoints]:
+    """The features in each box and its surroundings, in pixels of the image. A box outside the
+    image has none.
+    """
     return look_each(features, image, boxes, [settings])[settings]
 
 
 def look_each(
     features: Features, image: Image, boxes: Sequence[Box], settings: Sequence[FeatureSearch]
 ) -> dict[FeatureSearch, list[Keypoints]]:
-    """The same in several ways. A network sees the windows of one zoom once, wide enough for all of that zoom."""
+    """The same in several ways. A network sees the windows of one zoom once, wide enough for all of
+    that zoom.
+    """
     height, width = image.shape[:2]
     found: dict[FeatureSearch, list[Keypoints]] = {}
     for zoom in dict.fromkeys(each.zoom for each in settings):
-        alike = sorted({each for each in settings if each.zoom == zoom}, key=lambda each: -each.context)
+        alike = sorted(
+            {each for each in settings if each.zoom == zoom}, key=lambda each: -each.context
+        )
         for group in [[each] for each in alike] if features.side_px is None else [alike]:
-            areas = {each: [_grown(box, each.context).clipped(width, height) for box in boxes] for each in group}
+            areas = {
+                each: [_grown(box, each.context).clipped(width, height) for box in boxes]
+                for each in group
+            }
             windows = [area for area in areas[group[0]] if area is not None]
             if features.side_px is not None:
-                windows = cover(windows, min(features.side_px / zoom, float(max(width, height))), width, height)
+                windows = cover(
+                    windows, min(features.side_px / zoom, float(max(width, height))), width, height
+                )
             seen = [_in_window(features, image, window, zoom) for window in windows]
             for each in group:
                 found[each] = [_of_area(area, windows, seen) for area in areas[each]]
     return found
 
 
-def _of_area(area: Region | None, windows: Sequence[Region], seen: Sequence[Keypoints]) -> Keypoints:
+def _of_area(
+    area: Region | None, windows: Sequence[Region], seen: Sequence[Keypoints]
+) -> Keypoints:
     home = None if area is None else _home(area, windows)
     if area is not None and home is not None:
         return inside(seen[home], area)
@@ -117,8 +135,8 @@ def inside(keypoints: Keypoints, area: Region) -> Keypoints:
 def cover(areas: Sequence[Region], side: float, width: int, height: int) -> list[Region]:
     """Squares inside a ``width`` x ``height`` image so that each area is wholly in one of them.
 
-    Areas that fit into one square of ``side`` share it, from left to right; one that is larger gets a larger square
-    (cut off at the image where the image is smaller than that).
+    Areas that fit into one square of ``side`` share it, from left to right; one that is larger gets
+    a larger square (cut off at the image where the image is smaller than that).
     """
     groups: list[Region] = []
     for area in sorted(areas, key=lambda a: (a.x0 + a.x1, a.y0 + a.y1)):
@@ -174,5 +192,9 @@ def _in_window(features: Features, image: Image, window: Region, zoom: float) ->
     enlarged = cut if size == cut.shape[1::-1] else cv2.resize(cut, size, interpolation=how)
     found = features.extract(np.ascontiguousarray(enlarged, dtype=np.uint8))
     scale = np.array([cut.shape[1] / size[0], cut.shape[0] / size[1]], np.float32)
-    points = (found.points_px + np.float32(0.5)) * scale - np.float32(0.5) + np.array([u0, v0], np.float32)
+    points = (
+        (found.points_px + np.float32(0.5)) * scale
+        - np.float32(0.5)
+        + np.array([u0, v0], np.float32)
+    )
     return Keypoints(points, found.descriptors, found.scores)

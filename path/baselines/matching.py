@@ -1,4 +1,6 @@
-"""Features of two images matched, and matches verified: do they move together as one surface does?"""
+"""Features of two images matched, and matches verified: do they move together as one surface
+does?
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ ITERATIONS = 1000
 class MatchConfig:
     """
     Attributes:
-        ratio: the best match's distance must be below this share of the second best's (Lowe); 1 takes every one.
+        ratio: the best match's distance must be below this share of the second best's (Lowe); 1
+            takes every one.
         min_cosine: of descriptors compared by their cosine; below it is no match.
         max_hamming: of descriptors of bits; above it is no match.
         model: what the matches of one surface have in common.
@@ -74,7 +77,8 @@ def nearest(a: Keypoints, b: Keypoints, distance: Distance) -> Nearest:
 
 
 def accepted(found: Nearest, distance: Distance, config: MatchConfig) -> Pairs:
-    """Pairs (m, 2) of indices into ``a`` and ``b``: each the other's best match, and much better than the second best.
+    """Pairs (m, 2) of indices into ``a`` and ``b``: each the other's best match, and much better
+    than the second best.
 
     The ratio is that of bits that differ, or of the angles' chords for descriptors of unit length.
     """
@@ -96,8 +100,12 @@ def hamming(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.uint16]:
     return total
 
 
-def verify(a: Keypoints, b: Keypoints, pairs: Pairs, config: MatchConfig, seed: int = 0) -> NDArray[np.bool_]:
-    """Returns which pairs (m,) are inliers of the model that most of them agree with; none when there are too few."""
+def verify(
+    a: Keypoints, b: Keypoints, pairs: Pairs, config: MatchConfig, seed: int = 0
+) -> NDArray[np.bool_]:
+    """Returns which pairs (m,) are inliers of the model that most of them agree with; none when
+    there are too few.
+    """
     nothing = np.zeros(len(pairs), np.bool_)
     if len(pairs) < MIN_PAIRS[config.model]:
         return nothing
@@ -106,7 +114,9 @@ def verify(a: Keypoints, b: Keypoints, pairs: Pairs, config: MatchConfig, seed: 
     return nothing if mask is None or len(mask) != len(pairs) else mask.ravel() != 0
 
 
-def _inliers(a: NDArray[np.float32], b: NDArray[np.float32], config: MatchConfig) -> NDArray[Any] | None:
+def _inliers(
+    a: NDArray[np.float32], b: NDArray[np.float32], config: MatchConfig
+) -> NDArray[Any] | None:
     reach = config.reach_px
     if config.model == "similarity":
         return cv2.estimateAffinePartial2D(a, b, None, cv2.RANSAC, reach, ITERATIONS, CONFIDENCE)[1]

@@ -16,9 +16,10 @@ class OrbConfig:
     Attributes:
         features: at most this many in one image.
         levels, scale_factor: of the pyramid.
-        fast_threshold: grey levels by which a ring of pixels must differ from its middle; low, because clothes have
-            little contrast.
-        patch_px: side of the described patch; the image's border of about half of that has no features.
+        fast_threshold: grey levels by which a ring of pixels must differ from its middle; low,
+            because clothes have little contrast.
+        patch_px: side of the described patch; the image's border of about half of that has no
+            features.
     """
 
     features: int = 800
@@ -50,6 +51,10 @@ class Orb:
         grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
         found, descriptors = self._orb.detectAndCompute(grey, None)
         if not found:
-            return Keypoints(np.zeros((0, 2), np.float32), np.zeros((0, 32), np.uint8), np.zeros(0, np.float32))
+            return Keypoints(
+                np.zeros((0, 2), np.float32), np.zeros((0, 32), np.uint8), np.zeros(0, np.float32)
+            )
         points = np.array([point.pt for point in found], np.float32)
-        return Keypoints(points, descriptors, np.array([point.response for point in found], np.float32))
+        return Keypoints(
+            points, descriptors, np.array([point.response for point in found], np.float32)
+        )

@@ -1,17 +1,22 @@
-"""Which measurement is of which object: all joint events of one frame, and what each pair has of their probability.
+"""Which measurement is of which object: all joint events of one frame, and what each pair has of
+their probability.
 
-An event gives each object one measurement or none, and no measurement to two objects. Its weight is the product of
+An event gives each object one measurement or none, and no measurement to two objects. Its weight is
+the product of
 
     w_ij = r_i p_i L_ij / ((1 - r_i p_i) lambda_j)
 
-over its pairs, where r_i is the probability that the object exists, p_i that the detector shows it, L_ij the density of
-the measurement if it is of the object, and lambda_j that of one which is of nothing known. The marginal
+over its pairs, where r_i is the probability that the object exists, p_i that the detector shows it,
+L_ij the density of the measurement if it is of the object, and lambda_j that of one which is of
+nothing known. The marginal
 
-    beta_ij = sum of the weights of the events with the pair (i, j) / sum of the weights of all events
+    beta_ij = sum of the weights of the events with the pair (i, j) / sum of the weights of all
+    events
 
-is what joint probabilistic data association (Fortmann, Bar-Shalom, Scheffe 1983) weighs measurements with; the event of
-the largest weight is the assignment. Both are sums over subsets of the measurements, object after object. Objects and
-measurements that no weight connects are apart from one another: each group is worked out by itself.
+is what joint probabilistic data association (Fortmann, Bar-Shalom, Scheffe 1983) weighs
+measurements with; the event of the largest weight is the assignment. Both are sums over subsets of
+the measurements, object after object. Objects and measurements that no weight connects are apart
+from one another: each group is worked out by itself.
 """
 
 from __future__ import annotations
@@ -34,7 +39,8 @@ def associate(weights: Array) -> tuple[list[int | None], Array]:
         weights: w_ij, shape (objects, measurements), not negative.
 
     Returns:
-        the assignment, and beta, shape (objects, measurements): what is left of a row to 1 is for "not shown".
+        the assignment, and beta, shape (objects, measurements): what is left of a row to 1 is for
+        "not shown".
     """
     assigned: list[int | None] = [None] * weights.shape[0]
     marginals = np.zeros(weights.shape)
@@ -52,7 +58,9 @@ def associate(weights: Array) -> tuple[list[int | None], Array]:
 
 
 def _groups(weights: Array) -> list[tuple[list[int], list[int]]]:
-    """Return rows and columns that weights connect; of a group that is too large the weakest connections are cut."""
+    """Return rows and columns that weights connect; of a group that is too large the weakest
+    connections are cut.
+    """
     floor = _NEGLIGIBLE
     left = [list(range(weights.shape[0]))]
     found = list[tuple[list[int], list[int]]]()
@@ -67,7 +75,9 @@ def _groups(weights: Array) -> list[tuple[list[int], list[int]]]:
     return found
 
 
-def _connected(weights: Array, rows: Sequence[int], floor: float) -> list[tuple[list[int], list[int]]]:
+def _connected(
+    weights: Array, rows: Sequence[int], floor: float
+) -> list[tuple[list[int], list[int]]]:
     open_rows = set(rows)
     groups = list[tuple[list[int], list[int]]]()
     while open_rows:
@@ -77,7 +87,9 @@ def _connected(weights: Array, rows: Sequence[int], floor: float) -> list[tuple[
         while edge:
             group |= edge
             columns |= {int(c) for row in edge for c in np.flatnonzero(weights[row] > floor)}
-            edge = {row for row in open_rows - group if any(weights[row, c] > floor for c in columns)}
+            edge = {
+                row for row in open_rows - group if any(weights[row, c] > floor for c in columns)
+            }
         open_rows -= group
         if columns:
             groups.append((sorted(group), sorted(columns)))
@@ -116,7 +128,9 @@ def _within(weights: Array) -> tuple[list[int | None], Array]:
     return assigned, marginals
 
 
-def _marginals(rows: Sequence[Sequence[float]], totals: Sequence[Sequence[float]], many: int) -> Array:
+def _marginals(
+    rows: Sequence[Sequence[float]], totals: Sequence[Sequence[float]], many: int
+) -> Array:
     subsets = 1 << many
     everything = sum(totals[-1])
     marginals = np.zeros((len(rows), many))

@@ -1,22 +1,24 @@
-"""Where an object is and how it moves: a Gaussian over place and velocity, driven by white acceleration.
+"""Where an object is and how it moves: a Gaussian over place and velocity, driven by white
+acceleration.
 
     x = (p, v),  p' = v,  v' = w,   w white with spectral density S = a^2 * MANOEUVRE_S
 
-where ``a`` is the greatest acceleration that the target is stated to have, and MANOEUVRE_S how long it keeps one up.
-Over a time t without a measurement the covariance grows by
+where ``a`` is the greatest acceleration that the target is stated to have, and MANOEUVRE_S how long
+it keeps one up. Over a time t without a measurement the covariance grows by
 
     Q = S * | t^3/3 I   t^2/2 I |
             | t^2/2 I   t     I |
 
-A measurement is of the place, z = p + n. Detectors err more than a Gaussian has it, at times: a share ODD of the boxes
-has errors ODD_TIMES as large,
+A measurement is of the place, z = p + n. Detectors err more than a Gaussian has it, at times: a
+share ODD of the boxes has errors ODD_TIMES as large,
 
     n ~ (1 - ODD) N(0, R) + ODD N(0, ODD_TIMES^2 R)
 
-and a track is updated with the mean of both, weighed by how likely either is after all. Motion has no such tails: its
-accelerations are bounded by what was stated.
+and a track is updated with the mean of both, weighed by how likely either is after all. Motion has
+no such tails: its accelerations are bounded by what was stated.
 
-No length is stated here: R and a come from the rig, so that a world k times as large has the same distances d2.
+No length is stated here: R and a come from the rig, so that a world k times as large has the same
+distances d2.
 """
 
 from __future__ import annotations
@@ -51,7 +53,9 @@ class Motion:
 
     @classmethod
     def at(cls, place_m: Array, covariance_m2: Array, accel_mps2: float, stamp_ns: int) -> Motion:
-        """Return an object first seen at a place: it may move as fast as it gets within one second."""
+        """Return an object first seen at a place: it may move as fast as it gets within one
+        second.
+        """
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = covariance_m2
         covariance[3:, 3:] = _EYE * accel_mps2**2
@@ -104,7 +108,9 @@ def mahalanobis2(innovation_m: Array, covariance_m2: Array) -> float:
 
 
 def normal(innovation_m: Array, covariance_m2: Array) -> float:
-    """Return the density per m^3 of a normal distribution about zero with that covariance (3, 3)."""
+    """Return the density per m^3 of a normal distribution about zero with that covariance (3,
+    3).
+    """
     d2 = mahalanobis2(innovation_m, covariance_m2)
     volume = math.sqrt((2.0 * math.pi) ** 3 * max(float(np.linalg.det(covariance_m2)), 1e-300))
     return math.exp(-0.5 * d2) / volume
@@ -122,9 +128,11 @@ def density(innovation_m: Array, known_m2: Array, noise_m2: Array) -> float:
 
 
 def renewal(covariance_m2: Array, noise_m2: Array, direction: Array) -> float:
-    """Return how much of a place a measurement with this noise makes new along a direction (any length), 0..1.
+    """Return how much of a place a measurement with this noise makes new along a direction (any
+    length), 0..1.
 
-    0 for an object whose place is known already, 1 for one that may be anywhere: the Kalman gain along that direction.
+    0 for an object whose place is known already, 1 for one that may be anywhere: the Kalman gain
+    along that direction.
     """
     length2 = float(direction @ direction)
     if not length2 > 0.0:

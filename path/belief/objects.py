@@ -1,42 +1,47 @@
-"""All objects that a drone sees as tracks, and the probability of each that it is the designated one.
+"""All objects that a drone sees as tracks, and the probability of each that it is the designated
+one.
 
 Boxes
-    A box is a measurement of its object's place. Its noise is what the rig states for such a box at its own range.
-    Where the box is larger than its object, something else is in it; where it is smaller, a part of the object is
-    hidden or outside the image. Either way the object's middle is within half the difference d of the sides:
+    A box is a measurement of its object's place. Its noise is what the rig states for such a box at
+    its own range. Where the box is larger than its object, something else is in it; where it is
+    smaller, a part of the object is hidden or outside the image. Either way the object's middle is
+    within half the difference d of the sides:
 
         R = R_box + (d/2)^2    along each side
 
-    That stays off for as long as it lasts, so that many frames say no more than one: a place is never known better by
-    it than to d/2, and one that is known better already is told nothing. One box may so be of two objects: whoever is
-    expected inside a box that is assigned to another is held by it, and not missed.
+    That stays off for as long as it lasts, so that many frames say no more than one: a place is
+    never known better by it than to d/2, and one that is known better already is told nothing. One
+    box may so be of two objects: whoever is expected inside a box that is assigned to another is
+    held by it, and not missed.
 
 Existence
-    A new track may be nothing: detectors invent, and show an object in two pieces. Its log odds begin at those of
-    NEW_SHARE and rise by dt / SPELL_S with each frame that shows it, since inventions last SPELL_S in the mean; they
-    fall by as much times log 1 / (1 - p) with each frame that does not. Once CONFIRMED it stays until it was out of
-    sight for FORGET_S.
+    A new track may be nothing: detectors invent, and show an object in two pieces. Its log odds
+    begin at those of NEW_SHARE and rise by dt / SPELL_S with each frame that shows it, since
+    inventions last SPELL_S in the mean; they fall by as much times log 1 / (1 - p) with each frame
+    that does not. Once CONFIRMED it stays until it was out of sight for FORGET_S.
 
 Identity
-    q_i is the probability that the object of track i is the designated one; what is missing from their sum to 1 is for
-    an object that no track follows. Let beta_ij be the marginals of a frame (``path.belief.assignment``), and j(i) the
-    measurement that track i was updated with. If measurement j(k) was of i, then track k follows from now on what i
-    followed before:
+    q_i is the probability that the object of track i is the designated one; what is missing from
+    their sum to 1 is for an object that no track follows. Let beta_ij be the marginals of a frame
+    (``path.belief.assignment``), and j(i) the measurement that track i was updated with. If
+    measurement j(k) was of i, then track k follows from now on what i followed before:
 
         q <- A q,     A_ki = g beta_{i j(k)}  for k != i
 
-    g is how much of i's place the measurement makes new (``path.belief.motion.renewal``): a track whose place is known
-    well is not carried off by one frame, and one that nobody saw for a while is whatever it is found as. (Identity
+    g is how much of i's place the measurement makes new (``path.belief.motion.renewal``): a track
+    whose place is known well is not carried off by one frame, and one that nobody saw for a while
+    is whatever it is found as. (Identity
     management: Shin, Guibas, Zhao 2003.) A new track takes its share only as far as it exists.
 
-    A measurement may also be of somebody who was out of sight, or of an object that came into view, while the track's
-    own object is not shown. That is a doubt: if it were so, the object would be around here, and be shown before long,
-    where nothing hides it (HIDDEN). So the rest of the doubt goes by (1 - SHOWN) with each SPELL_S in which the track
-    is seen and nothing else comes up; what does come up is owed it.
+    A measurement may also be of somebody who was out of sight, or of an object that came into view,
+    while the track's own object is not shown. That is a doubt: if it were so, the object would be
+    around here, and be shown before long, where nothing hides it (HIDDEN). So the rest of the doubt
+    goes by (1 - SHOWN) with each SPELL_S in which the track is seen and nothing else comes up; what
+    does come up is owed it.
 
-    A box around what is expected in it, and larger than that, tells nothing of which is which: it mixes nothing, and
-    nothing is learnt of sizes. But places become unknown while it lasts, and when it comes apart its boxes mix what
-    was in it, as far as that went.
+    A box around what is expected in it, and larger than that, tells nothing of which is which: it
+    mixes nothing, and nothing is learnt of sizes. But places become unknown while it lasts, and
+    when it comes apart its boxes mix what was in it, as far as that went.
 
     Nothing here makes two that were mixed up come apart again, and no wait does.
 """
@@ -61,18 +66,24 @@ SPELL_S = 0.1
 """For so long, in the mean, a detector goes on to miss an object, or to invent one."""
 NEW_SHARE = 0.1
 HIDDEN = 0.05
-"""The share of objects that are not shown, where one is looked for, because something hides them."""
+"""The share of objects that are not shown, where one is looked for, because something hides
+them.
+"""
 CONFIRMED = 0.95
 FORGET_S = 5.0
 _DEAD = 0.02
 _SIZE_RATE = 0.1  # by which the logarithm of a box's side changes within a second: an object turns
 _SIZE_TAIL = 3.0
-_FITS = 2.0  # standard deviations of a side's logarithm: what is farther off has more in its box, or less
+# standard deviations of a side's logarithm: what is farther off has more in its box, or less
+_FITS = 2.0
 _SIZE_DENSITY = 0.5  # of a side's logarithm, of anything: between 1 / e and e times as large
-_DESIGNATED = 2.0  # times the noise of its box: the standard deviation of the place of what was designated
+# times the noise of its box: the standard deviation of the place of what was designated
+_DESIGNATED = 2.0
 _FORGOTTEN = 1e-9
-_WORTH_KEEPING = 0.01  # of an identity: what is out of sight for long, with more than that, may be the object
-_NOTHING = 1e-4  # the share of an axis' variance with which a measurement along it counts for nothing
+# of an identity: what is out of sight for long, with more than that, may be the object
+_WORTH_KEEPING = 0.01
+# the share of an axis' variance with which a measurement along it counts for nothing
+_NOTHING = 1e-4
 _MOST_TRACKS = 16
 _NOWHERE_ELSE = np.zeros((3, 3))
 
@@ -86,7 +97,8 @@ class Measured:
         axes: (3, 3) rotation of the camera in the local frame; columns right, down, ahead.
         sides_m: width and height of the box at its range.
         side_sigma: standard deviation of either side's logarithm.
-        most_m: the largest sides that a box of the target alone can have there; infinite where that is not known.
+        most_m: the largest sides that a box of the target alone can have there; infinite where that
+            is not known.
         elsewhere_m3: density per m^3 of boxes of nothing that is known, inventions among them.
         newcomers_m3_s: of objects that come into view, per m^3 and s.
     """
@@ -107,12 +119,14 @@ class ObjectTrack:
 
     Attributes:
         log_sides: logarithm of the sides of its box in m. size_variance: of either.
-        log_odds: that it exists. owed: of new ones, by other track, the share of its identity that is this one's if it
-            exists.
+        log_odds: that it exists. owed: of new ones, by other track, the share of its identity that
+            is this one's if it exists.
         shown: whether the newest frame that could have did show it, in a box of its own.
         seen_ns: when it was last shown, alone or not.
-        identity: the probability that it is the designated object, without what new tracks are owed, and doubts.
-        replaced: the probability that it follows something else than before, and the object is near and can be seen;
+        identity: the probability that it is the designated object, without what new tracks are
+            owed, and doubts.
+        replaced: the probability that it follows something else than before, and the object is near
+            and can be seen;
         hidden: and cannot.
     """
 
@@ -129,7 +143,9 @@ class ObjectTrack:
     hidden: float = 0.0
 
     def doubted(self, share: float) -> None:
-        """Something else may have come to where the object was, with this probability, and the object be near."""
+        """Something else may have come to where the object was, with this probability, and the
+        object be near.
+        """
         self.replaced += (1.0 - self.doubt) * share * (1.0 - HIDDEN)
         self.hidden += (1.0 - self.doubt) * share * HIDDEN
 
@@ -166,14 +182,17 @@ class Belief:
         self._accel_mps2 = accel_mps2
         self._numbers = 0
         self._stamp_ns: int | None = None
-        self._assigned: list[int | None] = []  # by measurement of the newest frame: number of its track
+        # by measurement of the newest frame: number of its track
+        self._assigned: list[int | None] = []
         self._alone: list[bool] = []  # and whether nothing else is in its box
 
     def designate(self, place_m: Array, measured: Measured, stamp_ns: int) -> None:
-        """Begin with the object that was designated: it is at a place, and a box like that is of it.
+        """Begin with the object that was designated: it is at a place, and a box like that is of
+        it.
 
-        In a box that is larger than it can be it is anywhere, how large it is is not known, and there is another one
-        in it, which may as well be the one: when the box comes apart, one half of it is as likely as the other.
+        In a box that is larger than it can be it is anywhere, how large it is is not known, and
+        there is another one in it, which may as well be the one: when the box comes apart, one half
+        of it is as likely as the other.
 
         Args:
             place_m: shape (3,).
@@ -192,7 +211,9 @@ class Belief:
         track.identity = 1.0
         self._stamp_ns = stamp_ns
 
-    def update(self, measured: Sequence[Measured], sees: Callable[[Array], bool], stamp_ns: int) -> None:
+    def update(
+        self, measured: Sequence[Measured], sees: Callable[[Array], bool], stamp_ns: int
+    ) -> None:
         """Take in a frame.
 
         Args:
@@ -219,16 +240,25 @@ class Belief:
                 track.shown = False  # one of those in a box may be hidden
             elif sees(track.motion.place_m):
                 track.shown = False
-                track.log_odds -= math.log(1.0 / (1.0 - SHOWN)) * dt_s / SPELL_S if not track.confirmed else 0.0
-        taken = {column: self.tracks[k].number for k, column in enumerate(assigned) if column is not None}
+                track.log_odds -= (
+                    math.log(1.0 / (1.0 - SHOWN)) * dt_s / SPELL_S if not track.confirmed else 0.0
+                )
+        taken = {
+            column: self.tracks[k].number for k, column in enumerate(assigned) if column is not None
+        }
         self._assigned = [taken.get(column) for column in range(len(measured))]
-        together = {column for k, column in enumerate(assigned) if column is not None and fits[k][column].larger}
+        together = {
+            column
+            for k, column in enumerate(assigned)
+            if column is not None and fits[k][column].larger
+        }
         self._alone = [column not in together for column in range(len(measured))]
         self._open(measured, marginals, fits, holders, stamp_ns)
         self._settle(stamp_ns)
 
     def carry(self, place_m: Array, stamp_ns: int) -> None:
-        """Keep the likeliest track, which this frame has not shown, by where a body of its size stands out in depth.
+        """Keep the likeliest track, which this frame has not shown, by where a body of its size
+        stands out in depth.
 
         Nothing else came there meanwhile. It is somewhere in that body.
         """
@@ -239,12 +269,16 @@ class Belief:
         track.motion.update(place_m, half_m * half_m * np.eye(3))
 
     def identity_of(self, column: int) -> float:
-        """Return the probability that a measurement of the newest frame is of the designated object."""
+        """Return the probability that a measurement of the newest frame is of the designated
+        object.
+        """
         number = self._assigned[column]
         return 0.0 if number is None else self.probability(number)
 
     def track_of(self, column: int) -> ObjectTrack | None:
-        """Return the track whose object a measurement of the newest frame is of, and of nothing else."""
+        """Return the track whose object a measurement of the newest frame is of, and of nothing
+        else.
+        """
         number = self._assigned[column] if self._alone[column] else None
         return next((track for track in self.tracks if track.number == number), None)
 
@@ -256,7 +290,9 @@ class Belief:
             return 0.0
         owing = sum(each.existence * each.owed.get(number, 0.0) for each in self.tracks)
         owed = sum(
-            by_number[other].identity * share * own.existence for other, share in own.owed.items() if other in by_number
+            by_number[other].identity * share * own.existence
+            for other, share in own.owed.items()
+            if other in by_number
         )
         return own.identity * max(0.0, 1.0 - owing) * (1.0 - own.doubt) + owed
 
@@ -270,7 +306,9 @@ class Belief:
         covariance = measured.covariance_m2 + _within(beyond, measured.axes)
         motion = Motion.at(measured.place_m, covariance, self._accel_mps2, stamp_ns)
         sides = np.log(np.minimum(measured.sides_m, measured.most_m))
-        track = ObjectTrack(self._numbers, motion, sides, measured.side_sigma**2, _LOG_ODDS_NEW, stamp_ns)
+        track = ObjectTrack(
+            self._numbers, motion, sides, measured.side_sigma**2, _LOG_ODDS_NEW, stamp_ns
+        )
         self._numbers += 1
         self.tracks.append(track)
         return track
@@ -287,19 +325,25 @@ class Belief:
         for i, track in enumerate(self.tracks):
             again = SHOWN if track.shown else min(SHOWN, dt_s / SPELL_S)
             likely = track.existence * again
-            unshown = 1.0 - (likely if sees(track.motion.place_m) and holders[i] is None else 0.5 * likely)
+            unshown = 1.0 - (
+                likely if sees(track.motion.place_m) and holders[i] is None else 0.5 * likely
+            )
             for j, each in enumerate(measured):
                 off_m = each.place_m - track.motion.place_m
                 known_m2 = track.motion.place_covariance_m2
                 anywhere_m2 = known_m2 + fits[i][j].within_m2
                 if mahalanobis2(off_m, anywhere_m2 + each.covariance_m2) > GATE2:
                     continue
-                likelihood = density(off_m, anywhere_m2, each.covariance_m2) * _size_fits(track, each)
+                likelihood = density(off_m, anywhere_m2, each.covariance_m2) * _size_fits(
+                    track, each
+                )
                 weights[i, j] = likely * likelihood / (unshown * each.elsewhere_m3)
         return weights
 
     def _holder(self, track: ObjectTrack, measured: Sequence[Measured]) -> int | None:
-        """Return the measurement whose box the track is expected inside; None when there is none."""
+        """Return the measurement whose box the track is expected inside; None when there is
+        none.
+        """
         for column, each in enumerate(measured):
             off = np.abs(each.axes.T @ (track.motion.place_m - each.place_m))
             if 2.0 * off[0] <= each.sides_m[0] and 2.0 * off[1] <= each.sides_m[1]:
@@ -315,7 +359,9 @@ class Belief:
         marginals: Array,
         dt_s: float,
     ) -> None:
-        """q <- A q for the tracks that there are. A box around more than what is expected in it tells nothing."""
+        """q <- A q for the tracks that there are. A box around more than what is expected in it
+        tells nothing.
+        """
         before = [track.identity for track in self.tracks]
         for k, column in enumerate(assigned):
             if column is None:
@@ -336,15 +382,22 @@ class Belief:
                 apart = follower.motion.place_m - track.motion.place_m
                 if not apart.any():  # as much is known of either: what they part by is what tells
                     apart = each.place_m - track.motion.place_m
-                moved = before[i] * share * renewal(track.motion.place_covariance_m2, fits[i][column].noise_m2, apart)
+                moved = (
+                    before[i]
+                    * share
+                    * renewal(track.motion.place_covariance_m2, fits[i][column].noise_m2, apart)
+                )
                 track.identity -= moved
                 follower.identity += moved
-                if assigned[i] is None:  # what was followed before is out of sight now, as that one was
+                # what was followed before is out of sight now, as that one was
+                if assigned[i] is None:
                     doubt += share
             if not (holders[k] == column and fit.larger):
                 follower.doubted(new * doubt)
 
-    def _shown(self, track: ObjectTrack, measured: Measured, fit: _Fit, stamp_ns: int, dt_s: float) -> None:
+    def _shown(
+        self, track: ObjectTrack, measured: Measured, fit: _Fit, stamp_ns: int, dt_s: float
+    ) -> None:
         track.motion.update(measured.place_m, fit.noise_m2)
         track.replaced *= (1.0 - SHOWN) ** (dt_s / SPELL_S)
         track.shown = not fit.larger
@@ -353,7 +406,8 @@ class Belief:
             track.log_odds += dt_s / SPELL_S
         off = np.log(measured.sides_m) - track.log_sides
         variance = track.size_variance + measured.side_sigma**2
-        if not fit.larger and float(off @ off) <= 9.0 * variance:  # else more is in its box, or less of it is seen
+        # else more is in its box, or less of it is seen
+        if not fit.larger and float(off @ off) <= 9.0 * variance:
             gain = track.size_variance / variance
             track.log_sides = track.log_sides + gain * off
             track.size_variance *= 1.0 - gain
@@ -374,7 +428,11 @@ class Belief:
                 continue
             if any(_is_part(each, track, taken.get(track.number)) for track in known):
                 continue
-            if any(holders[i] == column and fits[i][column].larger for i, other in enumerate(known) if other.confirmed):
+            if any(
+                holders[i] == column and fits[i][column].larger
+                for i, other in enumerate(known)
+                if other.confirmed
+            ):
                 continue  # it is around an object that is known, and more
             track = self._begin(each, stamp_ns)
             self._assigned[column] = track.number
@@ -402,12 +460,15 @@ class Belief:
         self.tracks = [
             track
             for track in self.tracks
-            if track.identity > _WORTH_KEEPING or (track.log_odds > _LOG_ODDS_DEAD and track.seen_ns >= forgotten_ns)
+            if track.identity > _WORTH_KEEPING
+            or (track.log_odds > _LOG_ODDS_DEAD and track.seen_ns >= forgotten_ns)
         ]
 
 
 def _halves(beyond_m: Array) -> Array:
-    """Return the variances of a middle that is within half of so much, right, down and, of the larger one, ahead."""
+    """Return the variances of a middle that is within half of so much, right, down and, of the
+    larger one, ahead.
+    """
     halves = 0.5 * np.array([beyond_m[0], beyond_m[1], max(beyond_m)])
     return halves * halves
 
@@ -418,10 +479,11 @@ def _within(beyond_m: Array, axes: Array) -> Array:
 
 
 def _bounded(motion: Motion, beyond_m: Array, axes: Array) -> Array:
-    """Return what to add to a noise so that a place is known to half of so much afterwards, and no better.
+    """Return what to add to a noise so that a place is known to half of so much afterwards, and no
+    better.
 
-    What is off stays off for as long as it lasts: however many frames say it, they are one. An axis along which the
-    place is known better already is told nothing.
+    What is off stays off for as long as it lasts: however many frames say it, they are one. An axis
+    along which the place is known better already is told nothing.
     """
     bounds = _halves(beyond_m)
     known = np.einsum("ij,ik,kj->j", axes, motion.place_covariance_m2, axes)
@@ -434,8 +496,9 @@ class _Fit:
     """A measurement, if it is of a track's object.
 
     Attributes:
-        within_m2: covariance (3, 3) of the object's middle in its box, beside the box's own noise. It is bounded: a box
-            may err more than its noise has it, but an object is inside its box.
+        within_m2: covariance (3, 3) of the object's middle in its box, beside the box's own noise.
+            It is bounded: a box may err more than its noise has it, but an object is inside its
+            box.
         noise_m2: what the track is updated with.
         larger: whether something else is in its box.
     """
@@ -460,7 +523,9 @@ def _fit(track: ObjectTrack, measured: Measured) -> _Fit:
 
 
 def _size_fits(track: ObjectTrack, measured: Measured) -> float:
-    """Return how much likelier the sides of a box are, if it is of this track's object, than of anything."""
+    """Return how much likelier the sides of a box are, if it is of this track's object, than of
+    anything.
+    """
     variance = track.size_variance + measured.side_sigma**2
     off = np.log(measured.sides_m) - track.log_sides
     tails = (1.0 + off * off / (variance * _SIZE_TAIL)) ** (-0.5 * (_SIZE_TAIL + 1.0))
@@ -470,13 +535,17 @@ def _size_fits(track: ObjectTrack, measured: Measured) -> float:
 def _is_part(measured: Measured, track: ObjectTrack, taken: Measured | None) -> bool:
     """Return whether a box is of a track's object, a second time.
 
-    It is when what it covers together with the box that the track has in this frame, or is expected to have, is no
-    larger than that object.
+    It is when what it covers together with the box that the track has in this frame, or is expected
+    to have, is no larger than that object.
     """
     if not track.confirmed:
         return False
     expected = track.sides_m(measured.most_m)
-    place_m, sides = (track.motion.place_m, expected) if taken is None else (taken.place_m, np.asarray(taken.sides_m))
+    place_m, sides = (
+        (track.motion.place_m, expected)
+        if taken is None
+        else (taken.place_m, np.asarray(taken.sides_m))
+    )
     off = np.abs(measured.axes[:, :2].T @ (place_m - measured.place_m))
     own = np.asarray(measured.sides_m)
     covered = np.maximum(np.maximum(sides, own), off + 0.5 * (sides + own))

@@ -1,1 +1,3 @@
-"""Calibration of a camera from views of a flat board, and of where a camera sits relative to the marker."""
+"""Calibration of a camera from views of a flat board, and of where a camera sits relative to the
+marker.
+"""

@@ -1,7 +1,8 @@
-"""Flat calibration boards, chessboard and ChArUco: their corners, their print, and how they are found in an image.
+"""Flat calibration boards, chessboard and ChArUco: their corners, their print, and how they are
+found in an image.
 
-Frame ``o`` of a board: origin at the top-left corner of the top-left square as printed, x right, y down, z away from
-who reads it. Squares are counted, not inner corners, for both patterns.
+Frame ``o`` of a board: origin at the top-left corner of the top-left square as printed, x right, y
+down, z away from who reads it. Squares are counted, not inner corners, for both patterns.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ class Board:
         square_m: side of a square, as measured on the print.
         marker_m: side of the black frame of a ChArUco board's markers.
         dictionary: of these markers.
-        legacy: a ChArUco board as OpenCV drew it before version 4.6: with an even number of rows the top-left square
-            is a white one, with a marker in it.
+        legacy: a ChArUco board as OpenCV drew it before version 4.6: with an even number of rows
+            the top-left square is a white one, with a marker in it.
 
     Raises:
         ValueError: naming the field that cannot be right.
@@ -55,32 +56,50 @@ class Board:
     legacy: bool = False
 
     def __post_init__(self) -> None:
-        if min(self.columns, self.rows) < 3 or (self.columns - 1) * (self.rows - 1) < FEWEST_CORNERS:
-            raise ValueError(f"squares: {self.columns}x{self.rows} has fewer than {FEWEST_CORNERS} inner corners")
+        if (
+            min(self.columns, self.rows) < 3
+            or (self.columns - 1) * (self.rows - 1) < FEWEST_CORNERS
+        ):
+            raise ValueError(
+                f"squares: {self.columns}x{self.rows} has fewer than {FEWEST_CORNERS} inner corners"
+            )
         if not 0.0 < self.square_m < 10.0:
             raise ValueError(f"square_m: {self.square_m!r} is not a length in metres")
         if self.pattern == "chessboard":
             return
         if not 0.3 * self.square_m <= self.marker_m <= 0.95 * self.square_m:
-            raise ValueError(f"marker_m: {self.marker_m!r} is not 0.3 to 0.95 of square_m = {self.square_m!r}")
+            raise ValueError(
+                f"marker_m: {self.marker_m!r} is not 0.3 to 0.95 of square_m = {self.square_m!r}"
+            )
         if self.dictionary not in DICTIONARIES:
-            raise ValueError(f"dictionary: {self.dictionary!r} is none of {', '.join(DICTIONARIES)}")
+            raise ValueError(
+                f"dictionary: {self.dictionary!r} is none of {', '.join(DICTIONARIES)}"
+            )
         if self.columns * self.rows // 2 > DICTIONARIES[self.dictionary][1]:
-            raise ValueError(f"dictionary: {self.dictionary} has too few markers for {self.columns}x{self.rows}")
+            raise ValueError(
+                f"dictionary: {self.dictionary} has too few markers for {self.columns}x{self.rows}"
+            )
 
     @property
     def corners_o(self) -> Array:
         """Inner corners, shape (n, 3), metres, row by row."""
         x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
-        return np.stack((x.ravel(), y.ravel(), np.zeros(x.size)), axis=1).astype(np.float64) * self.square_m
+        return (
+            np.stack((x.ravel(), y.ravel(), np.zeros(x.size)), axis=1).astype(np.float64)
+            * self.square_m
+        )
 
     @property
     def markers_o(self) -> dict[int, Array]:
-        """Corners of a ChArUco board's markers by id, shape (4, 3), metres, in the order of the print."""
+        """Corners of a ChArUco board's markers by id, shape (4, 3), metres, in the order of the
+        print.
+        """
         if self.pattern == "chessboard":
             return {}
         charuco = _charuco_board(self)
-        corners = (np.asarray(points, np.float64).reshape(4, 3) for points in charuco.getObjPoints())
+        corners = (
+            np.asarray(points, np.float64).reshape(4, 3) for points in charuco.getObjPoints()
+        )
         return dict(zip((int(i) for i in np.ravel(charuco.getIds())), corners, strict=True))
 
     @property
@@ -99,7 +118,8 @@ class BoardView:
     Attributes:
         ids: (n,) indices into ``Board.corners_o``.
         corners_px: (n, 2). ``sigma_px``: (n,) standard deviation per axis by the image's noise.
-        blur_px: standard deviation of the blur across the edges, the larger one of the two directions, median.
+        blur_px: standard deviation of the blur across the edges, the larger one of the two
+            directions, median.
     """
 
     ids: NDArray[np.int64]
@@ -121,10 +141,12 @@ class FoundCorners:
 
 
 def find_board(grey: Image, board: Board, thinning: Thinning | None = None) -> BoardView | None:
-    """Find a board and refine its corners (``path.calibration.saddles``); None when it is not there.
+    """Find a board and refine its corners (``path.calibration.saddles``); None when it is not
+    there.
 
     Args:
-        grey: uint8 (h, w), as the lens gives it. Of a ChArUco board any part is enough, of a chessboard the whole.
+        grey: uint8 (h, w), as the lens gives it. Of a ChArUco board any part is enough, of a
+            chessboard the whole.
         thinning: how the camera leaves out pixels; corners come out in its evenly spaced image.
     """
     found = find_corners(grey, board)
@@ -135,10 +157,15 @@ def find_board(grey: Image, board: Board, thinning: Thinning | None = None) -> B
         return None
     saddles = refine_saddles(grey, found.corners_px, edges, found.clear_px, thinning)
     good = saddles.good
-    if int(good.sum()) < FEWEST_CORNERS or (board.pattern == "chessboard" and not _all_print(grey, found, good, board)):
+    if int(good.sum()) < FEWEST_CORNERS or (
+        board.pattern == "chessboard" and not _all_print(grey, found, good, board)
+    ):
         return None
     return BoardView(
-        found.ids[good], saddles.corners_px[good], saddles.sigma_px[good], float(np.median(saddles.blur_px[good]))
+        found.ids[good],
+        saddles.corners_px[good],
+        saddles.sigma_px[good],
+        float(np.median(saddles.blur_px[good])),
     )
 
 
@@ -146,9 +173,16 @@ def find_corners(grey: Image, board: Board) -> FoundCorners | None:
     """The corners as OpenCV gives them."""
     if board.pattern == "chessboard":
         size = (board.columns - 1, board.rows - 1)
-        found, corners = cv2.findChessboardCornersSB(grey, size, flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY)
-        if not found:  # the older method sees boards in bad light or cut close at the border, and coarser
-            flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+        found, corners = cv2.findChessboardCornersSB(
+            grey, size, flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+        )
+        # the older method sees boards in bad light or cut close at the border, and coarser
+        if not found:
+            flags = (
+                cv2.CALIB_CB_ADAPTIVE_THRESH
+                | cv2.CALIB_CB_NORMALIZE_IMAGE
+                | cv2.CALIB_CB_FAST_CHECK
+            )
             found, corners = cv2.findChessboardCorners(grey, size, flags=flags)
         ids = np.arange((board.columns - 1) * (board.rows - 1))
         if not found:
@@ -162,16 +196,19 @@ def find_corners(grey: Image, board: Board) -> FoundCorners | None:
     if len(ids) < FEWEST_CORNERS or not _spans_a_plane(ids, board):
         return None
     share = 0.5
-    if board.pattern == "charuco":  # the nearest other thing is a corner of a marker, along the diagonal
+    # the nearest other thing is a corner of a marker, along the diagonal
+    if board.pattern == "charuco":
         share = min(share, np.sqrt(0.5) * (1.0 - board.marker_m / board.square_m))
     return FoundCorners(ids, points, CLEAR * share * _pitch_px(points, ids, board))
 
 
 def other_size(grey: Image) -> tuple[int, int] | None:
-    """Returns about how many columns and rows of squares a chessboard in an image has; None when there is none.
+    """Returns about how many columns and rows of squares a chessboard in an image has; None when
+    there is none.
 
-    OpenCV grows the grid beyond the print, where a dark square's outer corner lies where an inner one would. Only inner
-    corners are saddles: outermost lines that have few of them are taken off again.
+    OpenCV grows the grid beyond the print, where a dark square's outer corner lies where an inner
+    one would. Only inner corners are saddles: outermost lines that have few of them are taken off
+    again.
     """
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
@@ -181,10 +218,14 @@ def other_size(grey: Image) -> tuple[int, int] | None:
     if min(grid.shape[:2]) < 2:
         return None  # a row of corners is no board
     points = grid.reshape(-1, 2)
-    ways = np.stack((np.gradient(grid, axis=1), np.gradient(grid, axis=0)), axis=2).reshape(-1, 2, 2)
+    ways = np.stack((np.gradient(grid, axis=1), np.gradient(grid, axis=0)), axis=2).reshape(
+        -1, 2, 2
+    )
     steps = np.linalg.norm(ways, axis=2)
     sound = np.isfinite(steps).all(axis=1) & (steps > 1.0).all(axis=1)
-    sound[sound] &= ((points[sound] >= 0.0) & (points[sound] <= np.array(grey.shape[::-1]) - 1.0)).all(axis=1)
+    sound[sound] &= (
+        (points[sound] >= 0.0) & (points[sound] <= np.array(grey.shape[::-1]) - 1.0)
+    ).all(axis=1)
     edges = ways[sound] / steps[sound][:, :, None]
     clear_px = CLEAR * 0.5 * steps[sound].min(axis=1)
     sound[sound] &= refine_saddles(grey, points[sound], edges, clear_px).good
@@ -193,7 +234,9 @@ def other_size(grey: Image) -> tuple[int, int] | None:
 
 
 def _all_print(grey: Image, found: FoundCorners, good: NDArray[np.bool_], board: Board) -> bool:
-    """Whether every outermost line of a chessboard is of the print. Near the image's border nothing can be told."""
+    """Whether every outermost line of a chessboard is of the print. Near the image's border nothing
+    can be told.
+    """
     inside = np.array(grey.shape[::-1]) - 1.0 - REACH_PX[1]
     near = ((found.corners_px < REACH_PX[1]) | (found.corners_px > inside)).any(axis=1)
     grid = (good | near).reshape(board.rows - 1, board.columns - 1)
@@ -201,9 +244,16 @@ def _all_print(grey: Image, found: FoundCorners, good: NDArray[np.bool_], board:
 
 
 def _within_print(good: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The part of a grid of corners that is left when outermost lines of which few are good are taken off."""
+    """The part of a grid of corners that is left when outermost lines of which few are good are
+    taken off.
+    """
     while min(good.shape) > 2:
-        sides = [(good[0], good[1:]), (good[-1], good[:-1]), (good[:, 0], good[:, 1:]), (good[:, -1], good[:, :-1])]
+        sides = [
+            (good[0], good[1:]),
+            (good[-1], good[:-1]),
+            (good[:, 0], good[:, 1:]),
+            (good[:, -1], good[:, :-1]),
+        ]
         line, rest = min(sides, key=lambda side: float(side[0].mean()))
         if line.mean() >= LEAST_SADDLES:
             break
@@ -212,7 +262,8 @@ def _within_print(good: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def print_cells(board: Board) -> tuple[Image, float]:
-    """The print with a white border of one square: shades (rows, columns), and the side of one cell in metres.
+    """The print with a white border of one square: shades (rows, columns), and the side of one cell
+    in metres.
 
     The board's origin is one square right of and below the print's corner.
 
@@ -228,15 +279,23 @@ def print_cells(board: Board) -> tuple[Image, float]:
         marker = ratio * cells
         whole = round(marker)
         if abs(marker - whole) < 1e-6 * cells and whole % bits == 0 and (cells - whole) % 2 == 0:
-            image = _charuco_board(board).generateImage((board.columns * cells, board.rows * cells), marginSize=0)
-            return np.pad(np.asarray(image, np.uint8), cells, constant_values=255), board.square_m / cells
-    raise ValueError(f"marker_m: {board.marker_m!r} has no common cell with square_m = {board.square_m!r}")
+            image = _charuco_board(board).generateImage(
+                (board.columns * cells, board.rows * cells), marginSize=0
+            )
+            return np.pad(
+                np.asarray(image, np.uint8), cells, constant_values=255
+            ), board.square_m / cells
+    raise ValueError(
+        f"marker_m: {board.marker_m!r} has no common cell with square_m = {board.square_m!r}"
+    )
 
 
 @lru_cache(maxsize=8)
 def _charuco_board(board: Board) -> cv2.aruco.CharucoBoard:
     size = (board.columns, board.rows)
-    charuco = cv2.aruco.CharucoBoard(size, board.square_m, board.marker_m, dictionary_of(board.dictionary))
+    charuco = cv2.aruco.CharucoBoard(
+        size, board.square_m, board.marker_m, dictionary_of(board.dictionary)
+    )
     charuco.setLegacyPattern(board.legacy)
     return charuco
 
@@ -258,7 +317,9 @@ def _homography(found: FoundCorners, board: Board) -> Array | None:
 
 
 def _edge_directions(found: FoundCorners, board: Board) -> Array | None:
-    """Directions of the board's x and y at every corner in the image, (n, 2, 2): [:, 0] along x; unit vectors."""
+    """Directions of the board's x and y at every corner in the image, (n, 2, 2): [:, 0] along x;
+    unit vectors.
+    """
     H = _homography(found, board)
     if H is None:
         return None
@@ -269,7 +330,9 @@ def _edge_directions(found: FoundCorners, board: Board) -> Array | None:
 
 
 def _pitch_px(points: Array, ids: NDArray[np.int64], board: Board) -> Array:
-    """Distance to the nearest neighbour on the grid, per corner; the smallest one of all where it has none."""
+    """Distance to the nearest neighbour on the grid, per corner; the smallest one of all where it
+    has none.
+    """
     width = board.columns - 1
     grid = np.full((board.rows + 1, board.columns + 1, 2), np.nan)
     rows = ids // width + 1

@@ -1,9 +1,10 @@
 """A camera, the poses of a board and the board's curl, all from the same views.
 
-Glued paper is never quite flat. A curl of 0.2 mm over 200 mm moves corners by a few hundredths of a pixel, the same way
-in all views, and the focal length by some tenths of a per cent, which neither residuals nor a jackknife show. So the
-board's surface is a paraboloid, ``z = h (a x^2 + b x y + c y^2)``: x, y are in half lengths ``h`` of its longer side,
-from its middle. Its three unknowns are expected to be small, as far as the views do not tell.
+Glued paper is never quite flat. A curl of 0.2 mm over 200 mm moves corners by a few hundredths of a
+pixel, the same way in all views, and the focal length by some tenths of a per cent, which neither
+residuals nor a jackknife show. So the board's surface is a paraboloid, ``z = h (a x^2 + b x y + c
+y^2)``: x, y are in half lengths ``h`` of its longer side, from its middle. Its three unknowns are
+expected to be small, as far as the views do not tell.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ class Bundle:
     """A solved bundle.
 
     Attributes:
-        camera: (9,) fx, fy, cx, cy, k1, k2, p1, p2, k3; ``sigmas``: their standard errors, 0 of those not solved for.
+        camera: (9,) fx, fy, cx, cy, k1, k2, p1, p2, k3; ``sigmas``: their standard errors, 0 of
+            those not solved for.
         curl: (3,) a, b, c.
     """
 
@@ -54,7 +56,9 @@ class Bundle:
 def curled(points_o: Array, size_m: tuple[float, float], curl: Array) -> Array:
     """Points (n, 3) of a flat print of this width and height, on the surface of the curled one."""
     h = 0.5 * max(size_m)
-    return points_o + np.column_stack([np.zeros((len(points_o), 2)), h * _shapes(points_o, size_m) @ curl])
+    return points_o + np.column_stack(
+        [np.zeros((len(points_o), 2)), h * _shapes(points_o, size_m) @ curl]
+    )
 
 
 def solve_bundle(
@@ -97,7 +101,9 @@ class _State:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sums:
-    """Normal equations: of the common unknowns (12), and of each view its pose's, what couples both, and gradients."""
+    """Normal equations: of the common unknowns (12), and of each view its pose's, what couples
+    both, and gradients.
+    """
 
     common: Array
     gradient: Array
@@ -159,7 +165,9 @@ def _sums(views: Sequence[BundleView], size_m: tuple[float, float], state: _Stat
         slopes = np.asarray(slopes, np.float64)
         R, _ = cv2.Rodrigues(pose[:3])
         by_height = h * slopes[:, 3:6] @ np.asarray(R, np.float64)[:, 2]
-        J = np.column_stack([slopes[:, 6 : 6 + CAMERA], by_height[:, None] * np.repeat(shapes, 2, axis=0)])
+        J = np.column_stack(
+            [slopes[:, 6 : 6 + CAMERA], by_height[:, None] * np.repeat(shapes, 2, axis=0)]
+        )
         P = slopes[:, :POSE]
         common += J.T @ J
         gradient += J.T @ left
@@ -181,13 +189,17 @@ def _reduced(sums: _Sums, noise: float, damping: float) -> tuple[Array, Array]:
     gradient = sums.gradient.copy()
     matrix[CAMERA:, CAMERA:] += noise / CURL_SIGMA**2 * np.eye(CURL)
     for own, coupled, pull in zip(sums.own, sums.coupled, sums.pulls, strict=True):
-        gain = np.linalg.solve(own + damping * np.diag(np.diag(own)), np.column_stack([coupled.T, pull]))
+        gain = np.linalg.solve(
+            own + damping * np.diag(np.diag(own)), np.column_stack([coupled.T, pull])
+        )
         matrix -= coupled @ gain[:, :-1]
         gradient -= coupled @ gain[:, -1]
     return matrix, gradient
 
 
-def _moved(state: _State, sums: _Sums, noise: float, known: NDArray[np.bool_], damping: float) -> _State:
+def _moved(
+    state: _State, sums: _Sums, noise: float, known: NDArray[np.bool_], damping: float
+) -> _State:
     matrix, gradient = _reduced(sums, noise, damping)
     gradient[CAMERA:] -= noise / CURL_SIGMA**2 * state.curl
     matrix = matrix + damping * np.diag(np.diag(sums.common))
@@ -195,12 +207,16 @@ def _moved(state: _State, sums: _Sums, noise: float, known: NDArray[np.bool_], d
     step[known] = _scaled_inverse(matrix[np.ix_(known, known)]) @ gradient[known]
     poses = [
         pose + np.linalg.solve(own + damping * np.diag(np.diag(own)), pull - coupled.T @ step)
-        for pose, own, coupled, pull in zip(state.poses, sums.own, sums.coupled, sums.pulls, strict=True)
+        for pose, own, coupled, pull in zip(
+            state.poses, sums.own, sums.coupled, sums.pulls, strict=True
+        )
     ]
     return _State(state.camera + step[:CAMERA], poses, state.curl + step[CAMERA:])
 
 
 def _scaled_inverse(matrix: Array) -> Array:
-    """The inverse of a symmetric matrix whose unknowns have different units; of what is not known, 0."""
+    """The inverse of a symmetric matrix whose unknowns have different units; of what is not known,
+    0.
+    """
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     return scale[:, None] * np.linalg.pinv(scale[:, None] * matrix * scale, hermitian=True) * scale

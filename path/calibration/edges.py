@@ -1,7 +1,7 @@
 """Straight edges of a print in an image: the light of the pixels beside them, by their distance.
 
-Such edges are long, and their places are known to a tenth of a pixel. So thousands of pixels beside them show one edge
-at every fraction of a pixel: how a camera draws it, and where its pixels are.
+Such edges are long, and their places are known to a tenth of a pixel. So thousands of pixels beside
+them show one edge at every fraction of a pixel: how a camera draws it, and where its pixels are.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ class SeenEdge:
     """Pixels beside one straight edge of a print, in one image.
 
     Attributes:
-        across_px, along: of each pixel: distance, white side positive; 0..1 from one end to the other.
+        across_px, along: of each pixel: distance, white side positive; 0..1 from one end to the
+            other.
         levels: grey, 0..255. ``black``, ``white``: at both sides.
         pixels: (n, 2) columns and rows. ``normal``: (2,) towards the white side, in the image.
     """
@@ -48,7 +49,9 @@ class SeenEdge:
     normal: Array
 
 
-def see_edge(grey: NDArray[np.uint8], ends_px: Array, thinning: Thinning | None = None) -> SeenEdge | None:
+def see_edge(
+    grey: NDArray[np.uint8], ends_px: Array, thinning: Thinning | None = None
+) -> SeenEdge | None:
     """The edge between two places (2, 2) in an image; None where it is not seen well.
 
     ``thinning``: how the camera leaves out pixels; the ends are then in its evenly spaced image.
@@ -91,7 +94,11 @@ def edges_between(grey: NDArray[np.uint8], view: BoardView, board: Board) -> Ite
     columns = board.columns - 1
     places = dict(zip(view.ids.tolist(), view.corners_px, strict=True))
     for corner, here in places.items():
-        beside = [corner + columns] if corner % columns == columns - 1 else [corner + 1, corner + columns]
+        beside = (
+            [corner + columns]
+            if corner % columns == columns - 1
+            else [corner + 1, corner + columns]
+        )
         for other in beside:
             if other in places:
                 edge = see_edge(grey, np.stack([here, places[other]]))
@@ -105,7 +112,9 @@ def mean_edge(edges: Sequence[SeenEdge]) -> Array:
     share = np.concatenate([(e.levels - e.black) / (e.white - e.black) for e in edges])
     bins = np.digitize(across, _bins(BIN_PX)) - 1
     own = [share[bins == k] for k in range(len(PLACES))]
-    return np.array([float(np.median(some)) if len(some) >= LEAST_PIXELS else math.nan for some in own])
+    return np.array(
+        [float(np.median(some)) if len(some) >= LEAST_PIXELS else math.nan for some in own]
+    )
 
 
 def _offset(across: Array, share: Array) -> float:

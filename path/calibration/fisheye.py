@@ -1,7 +1,9 @@
-"""Whether views of a board are of a fisheye: an equidistant lens fits their corners, and Brown-Conrady's does not.
+"""Whether views of a board are of a fisheye: an equidistant lens fits their corners, and
+Brown-Conrady's does not.
 
-A fisheye's corners leave residuals that look like a weak set's, and its focal length comes out wrong by several of
-its own standard errors. So the other lens is fitted to the same corners, and what it leaves is held against that.
+A fisheye's corners leave residuals that look like a weak set's, and its focal length comes out
+wrong by several of its own standard errors. So the other lens is fitted to the same corners, and
+what it leaves is held against that.
 """
 
 from __future__ import annotations
@@ -14,15 +16,19 @@ import numpy as np
 from path.calibration.board import Board
 from path.calibration.intrinsics import Intrinsics, rms
 
-CLEARLY = 0.95  # of Brown-Conrady's residual: what three radial terms describe as well is no fisheye for us
+# of Brown-Conrady's residual: what three radial terms describe as well is no fisheye for us
+CLEARLY = 0.95
 NO_CHANCE = 30.0  # by which chi-square falls, beyond what chance gives a lens of no more numbers
-LEFT = 1.05  # times: fewer radial terms than three leave so much more that they do not describe the lens
+# times: fewer radial terms than three leave so much more that they do not describe the lens
+LEFT = 1.05
 FEWEST = 6  # corners of a view for a fisheye's pose
 
 
 @dataclass(frozen=True, slots=True)
 class FisheyeFit:
-    """What an equidistant lens leaves of the same corners, px, and its focal length. ``corners``: how many."""
+    """What an equidistant lens leaves of the same corners, px, and its focal length. ``corners``:
+    how many.
+    """
 
     rms_px: float
     brown_conrady_px: float
@@ -36,7 +42,9 @@ class FisheyeFit:
         return ratio < CLEARLY and 2 * self.corners * (1.0 / ratio**2 - 1.0) > NO_CHANCE
 
     def instead_of(self, taken_px: float) -> bool:
-        """Whether it describes the views as well as three radial terms, and the fewer ones that were taken do not."""
+        """Whether it describes the views as well as three radial terms, and the fewer ones that
+        were taken do not.
+        """
         return self.rms_px <= self.brown_conrady_px and taken_px > LEFT * self.brown_conrady_px
 
 
@@ -47,14 +55,17 @@ def fit_fisheye(solution: Intrinsics, board: Board) -> FisheyeFit | None:
     corners = [np.asarray(view.corners_px, np.float64).reshape(1, -1, 2) for view in views]
     width, height = solution.size
     focal = solution.values[0]
-    K = np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
+    K = np.array(
+        [[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]]
+    )
     flags = _flag("USE_INTRINSIC_GUESS") | _flag("RECOMPUTE_EXTRINSIC") | _flag("FIX_SKEW")
     try:
         _, matrix, lens, turns, places = cv2.fisheye.calibrate(
             objects, corners, (width, height), K, np.zeros((4, 1)), flags=flags
         )
         errors = [
-            cv2.fisheye.projectPoints(points, turn, place, matrix, lens)[0].reshape(-1, 2) - seen.reshape(-1, 2)
+            cv2.fisheye.projectPoints(points, turn, place, matrix, lens)[0].reshape(-1, 2)
+            - seen.reshape(-1, 2)
             for points, seen, turn, place in zip(objects, corners, turns, places, strict=True)
         ]
     except cv2.error:
@@ -67,5 +78,7 @@ def fit_fisheye(solution: Intrinsics, board: Board) -> FisheyeFit | None:
 
 
 def _flag(name: str) -> int:
-    """OpenCV 4 keeps these with its fisheye, and with other values elsewhere; OpenCV 5 has one of each."""
+    """OpenCV 4 keeps these with its fisheye, and with other values elsewhere; OpenCV 5 has one of
+    each.
+    """
     return int(getattr(cv2.fisheye, f"CALIB_{name}", getattr(cv2, f"CALIB_{name}", 0)))

@@ -1,6 +1,8 @@
-"""Intrinsics of a camera from views of a board: solved by OpenCV, held against views that were left out.
+"""Intrinsics of a camera from views of a board: solved by OpenCV, held against views that were left
+out.
 
-Errors are of corners in the image, rms over corners of their distance in px (both axes together), as OpenCV counts.
+Errors are of corners in the image, rms over corners of their distance in px (both axes together),
+as OpenCV counts.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ PRECISE = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-10)
 OUTLIER = 6.0  # times the robust spread of all corners: such a corner is left out
 MOST_OUTLIERS = 0.2  # of the corners of a view
 MAD_TO_SIGMA = 1.4826
-SCALED = 4  # parameters by which doubts are scaled: focal lengths and centre, which no others make up for
+# parameters by which doubts are scaled: focal lengths and centre, which no others make up for
+SCALED = 4
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
 
@@ -41,7 +44,8 @@ class SolvedView:
 
     Attributes:
         T_c_o: board to camera.
-        errors_px: (n, 2), image minus model. ``ids``: of its corners, outliers left out; ``outliers``: how many.
+        errors_px: (n, 2), image minus model. ``ids``: of its corners, outliers left out;
+            ``outliers``: how many.
         held_out_px: rms when the camera was solved without this view and only its pose was fitted.
         distance_m: of the middle of what is seen of the board, along the optical axis.
     """
@@ -64,13 +68,16 @@ class Intrinsics:
     """A solved camera.
 
     Attributes:
-        values: of ``PARAMETERS``. ``camera``: the same as a model; None when they are none that can be inverted.
-        sigmas: standard errors of ``PARAMETERS``, the larger of OpenCV's own and of a jackknife over groups of views.
-        doubts: the same with what errs together, as ``CameraModel.doubts``: of views as were left out by turns, scaled
-            to ``sigmas`` of focal lengths and centre where these are larger.
+        values: of ``PARAMETERS``. ``camera``: the same as a model; None when they are none that can
+            be inverted.
+        sigmas: standard errors of ``PARAMETERS``, the larger of OpenCV's own and of a jackknife
+            over groups of views.
+        doubts: the same with what errs together, as ``CameraModel.doubts``: of views as were left
+            out by turns, scaled to ``sigmas`` of focal lengths and centre where these are larger.
         rms_px, held_out_px: over all corners; held out: as ``SolvedView.held_out_px``.
-        curl_m: of the board, as ``path.calibration.bundle``: by how much the ends of its x axis, its corners, and the
-            ends of its y axis leave the plane, over half lengths of its longer side.
+        curl_m: of the board, as ``path.calibration.bundle``: by how much the ends of its x axis,
+            its corners, and the ends of its y axis leave the plane, over half lengths of its longer
+            side.
     """
 
     size: tuple[int, int]
@@ -112,10 +119,14 @@ def solve_intrinsics(
     corners = [view.corners_px for view in views]
     fixed = _fixed(radial)
     matrix, lens = _solve(ids, corners, board, size, fixed)
-    errors = [_refit(matrix, lens, board.corners_o[i], c)[1] for i, c in zip(ids, corners, strict=True)]
+    errors = [
+        _refit(matrix, lens, board.corners_o[i], c)[1] for i, c in zip(ids, corners, strict=True)
+    ]
     lengths = np.linalg.norm(np.concatenate(errors), axis=1)
     limit = OUTLIER * MAD_TO_SIGMA * float(np.median(lengths))
-    kept = [_near(matrix, lens, board.corners_o[i], c, limit) for i, c in zip(ids, corners, strict=True)]
+    kept = [
+        _near(matrix, lens, board.corners_o[i], c, limit) for i, c in zip(ids, corners, strict=True)
+    ]
     ids = [i[k] for i, k in zip(ids, kept, strict=True)]
     corners = [c[k] for c, k in zip(corners, kept, strict=True)]
     matrix, lens = _solve(ids, corners, board, size, fixed, (matrix, lens))
@@ -146,21 +157,29 @@ def solve_intrinsics(
 
 
 def doubting(solution: Intrinsics) -> Intrinsics:
-    """The solution of a weak set with wider errors: pixels are square, so what fx and fy differ by is error of both.
+    """The solution of a weak set with wider errors: pixels are square, so what fx and fy differ by
+    is error of both.
 
-    The views of such a set can agree on a wrong camera, and then neither their residuals nor a jackknife shows it.
+    The views of such a set can agree on a wrong camera, and then neither their residuals nor a
+    jackknife shows it.
     """
     fx, fy = solution.values[:2]
     apart = math.sqrt(0.5) * abs(fx - fy)
     sigmas = (max(solution.sigmas[0], apart), max(solution.sigmas[1], apart), *solution.sigmas[2:])
     more = [math.sqrt(max(apart**2 - solution.sigmas[k] ** 2, 0.0)) for k in (0, 1)]
     none = 7 * (0.0,)
-    doubts = (*solution.doubts, (more[0], 0.0, *none), (0.0, more[1], *none)) if any(more) else solution.doubts
+    doubts = (
+        (*solution.doubts, (more[0], 0.0, *none), (0.0, more[1], *none))
+        if any(more)
+        else solution.doubts
+    )
     return replace(solution, sigmas=sigmas, doubts=doubts)
 
 
 def _doubts(turns: Array, sigmas: Array) -> tuple[Nine, ...]:
-    """Common errors: deviations (k, 9) whose squares add up to the jackknife's, scaled to the standard errors."""
+    """Common errors: deviations (k, 9) whose squares add up to the jackknife's, scaled to the
+    standard errors.
+    """
     rows = np.diag(np.where(np.arange(len(sigmas)) < SCALED, sigmas, 0.0))[:SCALED]
     if len(turns):
         own = np.sqrt((turns[:, :SCALED] ** 2).sum(axis=0))
@@ -179,7 +198,11 @@ def left_by(camera: CameraModel, views: Sequence[BoardView], board: Board) -> fl
     With the true one: the noise.
     """
     matrix, lens = matrices_of(camera)
-    return rms(np.concatenate([_refit(matrix, lens, board.corners_o[v.ids], v.corners_px)[1] for v in views]))
+    return rms(
+        np.concatenate(
+            [_refit(matrix, lens, board.corners_o[v.ids], v.corners_px)[1] for v in views]
+        )
+    )
 
 
 def board_pose(camera: CameraModel, board: Board, view: BoardView) -> tuple[Pose, Array]:
@@ -188,7 +211,9 @@ def board_pose(camera: CameraModel, board: Board, view: BoardView) -> tuple[Pose
 
 
 def pose_of_points(camera: CameraModel, points_o: Array, corners_px: Array) -> tuple[Pose, Array]:
-    """``T_c_o`` of points in a plane, (n, 3) seen at (n, 2), and its residuals, (n, 2) px. Raises NotSolvable."""
+    """``T_c_o`` of points in a plane, (n, 3) seen at (n, 2), and its residuals, (n, 2) px. Raises
+    NotSolvable.
+    """
     return _refit(*matrices_of(camera), points_o, corners_px)
 
 
@@ -212,7 +237,12 @@ def _surface(board: Board, ids: NDArray[np.int64], curl: Array) -> Array:
 
 
 def _bundle(
-    ids: Sequence[NDArray[np.int64]], corners: Sequence[Array], board: Board, radial: int, values: Array, curl: Array
+    ids: Sequence[NDArray[np.int64]],
+    corners: Sequence[Array],
+    board: Board,
+    radial: int,
+    values: Array,
+    curl: Array,
 ) -> Bundle:
     """Camera and curl together, from a camera that is near."""
     matrix, lens = _matrices(values)
@@ -240,22 +270,34 @@ def _solve(
     flags = fixed if guess is None else fixed | cv2.CALIB_USE_INTRINSIC_GUESS
     matrix, lens = (np.eye(3), np.zeros(5)) if guess is None else (guess[0].copy(), guess[1].copy())
     try:
-        _, matrix, lens, _, _ = cv2.calibrateCamera(points, images, size, matrix, lens, flags=flags, criteria=PRECISE)
+        _, matrix, lens, _, _ = cv2.calibrateCamera(
+            points, images, size, matrix, lens, flags=flags, criteria=PRECISE
+        )
     except cv2.error as error:
         raise NotSolvable(str(error).strip()) from error
     matrix = np.asarray(matrix, np.float64)
     lens = np.asarray(lens, np.float64).ravel()[:5]
-    if not (np.isfinite(matrix).all() and np.isfinite(lens).all() and min(matrix[0, 0], matrix[1, 1]) > 0.0):
+    if not (
+        np.isfinite(matrix).all()
+        and np.isfinite(lens).all()
+        and min(matrix[0, 0], matrix[1, 1]) > 0.0
+    ):
         raise NotSolvable("the solution is not finite")
     return matrix, lens
 
 
 def _folds(
-    ids: Sequence[NDArray[np.int64]], corners: Sequence[Array], board: Board, radial: int, whole: Bundle
+    ids: Sequence[NDArray[np.int64]],
+    corners: Sequence[Array],
+    board: Board,
+    radial: int,
+    whole: Bundle,
 ) -> tuple[list[Array], Array]:
-    """Errors of each view under a camera solved without it; deviations of ``PARAMETERS`` by each fold, (k, 9).
+    """Errors of each view under a camera solved without it; deviations of ``PARAMETERS`` by each
+    fold, (k, 9).
 
-    The squares of the deviations add up to the jackknife's variances; there are none of fewer than two folds.
+    The squares of the deviations add up to the jackknife's variances; there are none of fewer than
+    two folds.
     """
     count = len(ids)
     folds = min(FOLDS, count)
@@ -265,11 +307,20 @@ def _folds(
         rest = [k for k in range(count) if k % folds != fold]
         if len(rest) < 3:
             continue
-        own = _bundle([ids[k] for k in rest], [corners[k] for k in rest], board, radial, whole.camera, whole.curl)
+        own = _bundle(
+            [ids[k] for k in rest],
+            [corners[k] for k in rest],
+            board,
+            radial,
+            whole.camera,
+            whole.curl,
+        )
         found.append(own.camera)
         for k in range(fold, count, folds):
             surface = _surface(board, ids[k], own.curl)
-            held_out[k] = _refit(*_matrices(own.camera), board.corners_o[ids[k]], corners[k], surface)[1]
+            held_out[k] = _refit(
+                *_matrices(own.camera), board.corners_o[ids[k]], corners[k], surface
+            )[1]
     if len(found) < 2:
         return held_out, np.empty((0, len(PARAMETERS)))
     spread = np.stack(found) - np.mean(found, axis=0)
@@ -278,11 +329,17 @@ def _folds(
 
 def _fixed(radial: int) -> int:
     """OpenCV's flags that leave out the radial terms beyond the first ``radial``."""
-    return (cv2.CALIB_FIX_K3 if radial < RADIAL else 0) | (cv2.CALIB_FIX_K2 if radial < RADIAL - 1 else 0)
+    return (cv2.CALIB_FIX_K3 if radial < RADIAL else 0) | (
+        cv2.CALIB_FIX_K2 if radial < RADIAL - 1 else 0
+    )
 
 
-def _near(matrix: Array, lens: Array, points_o: Array, corners_px: Array, limit_px: float) -> NDArray[np.bool_]:
-    """Returns which corners of a view fit it. The worst is left out, one at a time, as it pulls the others off."""
+def _near(
+    matrix: Array, lens: Array, points_o: Array, corners_px: Array, limit_px: float
+) -> NDArray[np.bool_]:
+    """Returns which corners of a view fit it. The worst is left out, one at a time, as it pulls the
+    others off.
+    """
     kept = np.ones(len(corners_px), np.bool_)
     for _ in range(int(MOST_OUTLIERS * len(corners_px))):
         lengths = np.linalg.norm(_refit(matrix, lens, points_o[kept], corners_px[kept])[1], axis=1)
@@ -303,9 +360,13 @@ def _refit(
     """
     at = points_o if surface_o is None else surface_o
     try:
-        done, rotation, translation = cv2.solvePnP(points_o, corners_px, matrix, lens, flags=cv2.SOLVEPNP_IPPE)
+        done, rotation, translation = cv2.solvePnP(
+            points_o, corners_px, matrix, lens, flags=cv2.SOLVEPNP_IPPE
+        )
         if done:
-            rotation, translation = cv2.solvePnPRefineLM(at, corners_px, matrix, lens, rotation, translation, PRECISE)
+            rotation, translation = cv2.solvePnPRefineLM(
+                at, corners_px, matrix, lens, rotation, translation, PRECISE
+            )
     except cv2.error as error:
         raise NotSolvable(str(error).strip()) from error
     if not done:
@@ -320,7 +381,9 @@ def _values(matrix: Array, lens: Array) -> Array:
     return np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *lens])
 
 
-def _model(values: Array, size: tuple[int, int], thinning: Thinning | None) -> tuple[CameraModel | None, str]:
+def _model(
+    values: Array, size: tuple[int, int], thinning: Thinning | None
+) -> tuple[CameraModel | None, str]:
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = (float(v) for v in values)
     lens: Coefficients = (k1, k2, p1, p2, k3)
     try:

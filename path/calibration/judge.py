@@ -1,4 +1,5 @@
-"""The judgement of a set of views: what is wrong with it for calibration is named, each with what to do.
+"""The judgement of a set of views: what is wrong with it for calibration is named, each with what
+to do.
 
 Some sets determine a camera badly and still leave small residuals: the residuals alone say nothing.
 """
@@ -22,7 +23,11 @@ Grade = Literal["good", "fair", "weak"]
 PERIODS = (2, 3, 4, 5)  # px, of a camera that leaves out pixels
 NO_CHANCE = 20.0
 GRID = (8, 6)  # cells of the coverage map, across and down
-PLACES = (("top left", "top", "top right"), ("left", "middle", "right"), ("bottom left", "bottom", "bottom right"))
+PLACES = (
+    ("top left", "top", "top right"),
+    ("left", "middle", "right"),
+    ("bottom left", "bottom", "bottom right"),
+)
 
 
 class BadSet(Enum):
@@ -54,16 +59,19 @@ class SetFault:
 
 @dataclass(frozen=True, slots=True)
 class SetLimits:
-    """Limits of a good set. A set that has less gives a calibration of a lower grade, as long as it says anything.
+    """Limits of a good set. A set that has less gives a calibration of a lower grade, as long as it
+    says anything.
 
     Attributes:
         min_views: usable ones. ``fewest_views``: with less there is no calibration.
-        max_blur_px: standard deviation of the blur across edges; and ``max_blur_ratio`` times that of the sharpest
-            third of the views. Blurred views are left out.
+        max_blur_px: standard deviation of the blur across edges; and ``max_blur_ratio`` times that
+            of the sharpest third of the views. Blurred views are left out.
         min_coverage: share of the ``GRID`` cells of the image with a corner.
         min_distance_ratio: of the farthest view to the nearest.
-        min_tilt_span_deg: between the boards most tilted to either side, about each axis of the image.
-        max_focal_sigma: standard error of fx and fy, relative. ``fair_focal_sigma``: the same of a fair set;
+        min_tilt_span_deg: between the boards most tilted to either side, about each axis of the
+            image.
+        max_focal_sigma: standard error of fx and fy, relative. ``fair_focal_sigma``: the same of a
+            fair set;
             ``most_focal_sigma``: above it a set says nothing.
         max_rms_px: residual of the solution.
         max_held_out_ratio: rms of views that were left out over rms of the solution.
@@ -100,8 +108,12 @@ def coverage(views: Sequence[BoardView], size: tuple[int, int]) -> NDArray[np.in
     return _histogram(views, size, GRID)
 
 
-def judge_views(views: Sequence[BoardView], size: tuple[int, int], limits: SetLimits) -> list[SetFault]:
-    """Returns the faults known before a camera is solved: the number of views, and their places in the image."""
+def judge_views(
+    views: Sequence[BoardView], size: tuple[int, int], limits: SetLimits
+) -> list[SetFault]:
+    """Returns the faults known before a camera is solved: the number of views, and their places in
+    the image.
+    """
     faults: list[SetFault] = []
     if len(views) < limits.min_views:
         faults.append(
@@ -180,9 +192,11 @@ def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[SetFault]:
 
 
 def uneven_pixels(solution: Intrinsics) -> tuple[int, float]:
-    """Returns the period, in pixels, and the amplitude in px by which corners are off most in step with their place.
+    """Returns the period, in pixels, and the amplitude in px by which corners are off most in step
+    with their place.
 
-    0 px where it may be chance: noise has a power of ``NO_CHANCE`` times its mean in one of 10^8 sets.
+    0 px where it may be chance: noise has a power of ``NO_CHANCE`` times its mean in one of 10^8
+    sets.
     """
     places = np.concatenate([view.corners_px for view in solution.views])
     errors = np.concatenate([view.errors_px for view in solution.views])
@@ -203,13 +217,17 @@ def focal_sigma(solution: Intrinsics) -> float:
 
 
 def useless(solution: Intrinsics, limits: SetLimits) -> bool:
-    """Returns whether a solution is useless: no camera, another board than named, or nothing known of it."""
+    """Returns whether a solution is useless: no camera, another board than named, or nothing known
+    of it.
+    """
     known = focal_sigma(solution) <= limits.most_focal_sigma
     return solution.camera is None or not known or solution.rms_px > limits.max_rms_px
 
 
 def grade_of(solution: Intrinsics, faults: Sequence[SetFault], limits: SetLimits) -> Grade:
-    """Returns the grade of a calibration: good without any fault, fair or weak by what is known of fx and fy."""
+    """Returns the grade of a calibration: good without any fault, fair or weak by what is known of
+    fx and fy.
+    """
     if not faults:
         return "good"
     return "fair" if focal_sigma(solution) <= limits.fair_focal_sigma else "weak"
@@ -236,7 +254,9 @@ def _judge_poses(solution: Intrinsics, limits: SetLimits) -> list[SetFault]:
             )
         )
     spans = np.ptp(tilts_deg(solution), axis=0)
-    for axis, span in zip(("nodded (top away or towards)", "turned (left side away or towards)"), spans, strict=True):
+    for axis, span in zip(
+        ("nodded (top away or towards)", "turned (left side away or towards)"), spans, strict=True
+    ):
         if span < limits.min_tilt_span_deg:
             faults.append(
                 SetFault(
@@ -249,11 +269,15 @@ def _judge_poses(solution: Intrinsics, limits: SetLimits) -> list[SetFault]:
     return faults
 
 
-def _histogram(views: Sequence[BoardView], size: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.int64]:
+def _histogram(
+    views: Sequence[BoardView], size: tuple[int, int], grid: tuple[int, int]
+) -> NDArray[np.int64]:
     cells = np.zeros((grid[1], grid[0]), np.int64)
     if views:
         corners = np.concatenate([view.corners_px for view in views])
-        columns = np.clip((corners[:, 0] + 0.5) / size[0] * grid[0], 0, grid[0] - 1).astype(np.int64)
+        columns = np.clip((corners[:, 0] + 0.5) / size[0] * grid[0], 0, grid[0] - 1).astype(
+            np.int64
+        )
         rows = np.clip((corners[:, 1] + 0.5) / size[1] * grid[1], 0, grid[1] - 1).astype(np.int64)
         np.add.at(cells, (rows, columns), 1)
     return cells
@@ -262,4 +286,6 @@ def _histogram(views: Sequence[BoardView], size: tuple[int, int], grid: tuple[in
 def empty_places(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
     """Returns the names of those ninths of the image in which no view has a corner."""
     cells = _histogram(views, size, (3, 3))
-    return [PLACES[row][column] for row in range(3) for column in range(3) if cells[row, column] == 0]
+    return [
+        PLACES[row][column] for row in range(3) for column in range(3) if cells[row, column] == 0
+    ]

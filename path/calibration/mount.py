@@ -1,8 +1,9 @@
 """The pose of D1's camera in the marker's frame: ``T_v_c1`` from pairs of images of one board.
 
-D1's camera sees the board; at the same time another camera sees the board and the marker. Board, drone and the other
-camera may move from pair to pair, not within one. Everything is fitted at once: ``T_v_c1``, the size of the print, and
-in every pair where the board is for both cameras; so many weak views of a small marker become one good one.
+D1's camera sees the board; at the same time another camera sees the board and the marker. Board,
+drone and the other camera may move from pair to pair, not within one. Everything is fitted at once:
+``T_v_c1``, the size of the print, and in every pair where the board is for both cameras; so many
+weak views of a small marker become one good one.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ LEAST_SIGMA_PX = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MountPair:
-    """Two images of one moment: the board in D1's camera, the board and markers in the other one."""
+    """Two images of one moment: the board in D1's camera, the board and markers in the other
+    one.
+    """
 
     name: str
     board_1: BoardView
@@ -47,7 +50,9 @@ class MountPair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairFit:
-    """The residuals of one pair in the solution: rms of the marker's corners in px, and their chi-square per number."""
+    """The residuals of one pair in the solution: rms of the marker's corners in px, and their
+    chi-square per number.
+    """
 
     name: str
     rms_px: float
@@ -58,9 +63,11 @@ class PairFit:
 class MountSolution:
     """
     Attributes:
-        covariance: (6, 6) of (dt, dw) with ``t + dt``, ``exp(dw) R``: of ``T_v_c1``, metres and radians. The larger of
-            what the corners' noise gives and of a jackknife over the pairs, by a common factor.
-        misfit: chi-square of the marker's corners per degree of freedom; 1 when their covariance is right.
+        covariance: (6, 6) of (dt, dw) with ``t + dt``, ``exp(dw) R``: of ``T_v_c1``, metres and
+            radians. The larger of what the corners' noise gives and of a jackknife over the pairs,
+            by a common factor.
+        misfit: chi-square of the marker's corners per degree of freedom; 1 when their covariance is
+            right.
         side_scale, side_scale_sigma: size of the print over the stated one, from the images alone.
     """
 
@@ -80,7 +87,11 @@ class _MountState:
 
 
 def solve_mount(
-    pairs: Sequence[MountPair], camera_1: CameraModel, camera_3: CameraModel, board: Board, layout: MarkerLayout
+    pairs: Sequence[MountPair],
+    camera_1: CameraModel,
+    camera_3: CameraModel,
+    board: Board,
+    layout: MarkerLayout,
 ) -> MountSolution:
     """Fit everything to the corners of all pairs, at least two.
 
@@ -90,16 +101,25 @@ def solve_mount(
     poses_1 = [board_pose(camera_1, board, pair.board_1) for pair in pairs]
     poses_3 = [board_pose(camera_3, board, pair.board_3) for pair in pairs]
     sigma_1, sigma_3 = (
-        max(LEAST_SIGMA_PX, math.sqrt(float((np.concatenate([left for _, left in poses]) ** 2).mean())))
+        max(
+            LEAST_SIGMA_PX,
+            math.sqrt(float((np.concatenate([left for _, left in poses]) ** 2).mean())),
+        )
         for poses in (poses_1, poses_3)
     )
     state = _MountState(
-        Pose(np.eye(3), np.zeros(3)), 1.0, [(a, b) for (a, _), (b, _) in zip(poses_1, poses_3, strict=True)]
+        Pose(np.eye(3), np.zeros(3)),
+        1.0,
+        [(a, b) for (a, _), (b, _) in zip(poses_1, poses_3, strict=True)],
     )
     marker = [_marker_terms(pair, camera_3, layout) for pair in pairs]
     state.T_v_c1 = _first(pairs, state.boards, marker, camera_3, layout)
     terms = [
-        (_board_term(pair.board_1, camera_1, board, sigma_1), _board_term(pair.board_3, camera_3, board, sigma_3), seen)
+        (
+            _board_term(pair.board_1, camera_1, board, sigma_1),
+            _board_term(pair.board_3, camera_3, board, sigma_3),
+            seen,
+        )
         for pair, seen in zip(pairs, marker, strict=True)
     ]
     relative = max(m.side_sigma_m / m.side_m for m in layout.markers)
@@ -110,7 +130,9 @@ def solve_mount(
         reduced, own = _reduced(state, terms)
         pull = np.zeros(GLOBAL)
         pull[6] = prior[6, 6] * (1.0 - state.scale)
-        step = _solved(sum((S for S, _ in reduced), prior.copy()), sum((g for _, g in reduced), pull))
+        step = _solved(
+            sum((S for S, _ in reduced), prior.copy()), sum((g for _, g in reduced), pull)
+        )
         if not np.all(np.abs(step) < FARTHEST_STEP):  # also when it is no number
             raise NotSolvable("the fit runs away")
         _move(state, step, own)
@@ -123,7 +145,9 @@ Residual = Callable[[Pose, Pose, Pose, float], Array]
 """Whitened residuals from T_v_c1, T_c1_o, T_c3_o and the scale of the print."""
 
 
-def _board_term(view: BoardView, camera: CameraModel, board: Board, sigma_px: float) -> Callable[[Pose], Array]:
+def _board_term(
+    view: BoardView, camera: CameraModel, board: Board, sigma_px: float
+) -> Callable[[Pose], Array]:
     points = board.corners_o[view.ids]
 
     def residual(T_c_o: Pose) -> Array:
@@ -173,7 +197,9 @@ def _first(
                 square, found.corners_px, matrix, lens, flags=cv2.SOLVEPNP_IPPE_SQUARE
             )
             for turn, place in zip(turns, places, strict=True):
-                T_c3_m = Pose(np.asarray(cv2.Rodrigues(turn)[0], float), np.asarray(place, float).ravel())
+                T_c3_m = Pose(
+                    np.asarray(cv2.Rodrigues(turn)[0], float), np.asarray(place, float).ravel()
+                )
                 T_v_c1 = (T_c3_m @ printed.T_v_m.inverse()).inverse() @ T_c3_o @ T_c1_o.inverse()
                 left = [
                     np.abs(np.nan_to_num(term(T_v_c1, *own, 1.0), nan=1e6)).mean()
@@ -200,13 +226,18 @@ _Terms = tuple[Callable[[Pose], Array], Callable[[Pose], Array], Residual]
 def _reduced(
     state: _MountState, terms: Sequence[_Terms]
 ) -> tuple[list[tuple[Array, Array]], list[tuple[Array, Array, Array]]]:
-    """Each pair's information and gradient about the global unknowns, its own eliminated; and what gives these back."""
+    """Each pair's information and gradient about the global unknowns, its own eliminated; and what
+    gives these back.
+    """
     reduced: list[tuple[Array, Array]] = []
     own: list[tuple[Array, Array, Array]] = []
     for (T_c1_o, T_c3_o), (board_1, board_3, marker) in zip(state.boards, terms, strict=True):
 
         def residual(
-            step: Array, one: Pose = T_c1_o, three: Pose = T_c3_o, terms_: _Terms = (board_1, board_3, marker)
+            step: Array,
+            one: Pose = T_c1_o,
+            three: Pose = T_c3_o,
+            terms_: _Terms = (board_1, board_3, marker),
         ) -> Array:
             a = stepped(one, step[GLOBAL : GLOBAL + 6])
             b = stepped(three, step[GLOBAL + 6 :])
@@ -243,7 +274,9 @@ def _solution(
 ) -> MountSolution:
     alone = sum((S for S, _ in reduced), np.zeros((GLOBAL, GLOBAL)))
     whole = alone + prior
-    whitened = [term(state.T_v_c1, *own, state.scale) for term, own in zip(terms, state.boards, strict=True)]
+    whitened = [
+        term(state.T_v_c1, *own, state.scale) for term, own in zip(terms, state.boards, strict=True)
+    ]
     numbers = sum(len(left) for left in whitened)
     misfit = float(sum(left @ left for left in whitened)) / max(numbers - GLOBAL, 1)
     covariance = _solved(whole, np.eye(GLOBAL))
@@ -256,9 +289,15 @@ def _solution(
         for pair, left in zip(pairs, whitened, strict=True)
     )
     side_sigma = math.sqrt(float(np.linalg.inv(alone)[6, 6]) * max(1.0, misfit))
-    free = np.linalg.solve(alone, -prior[:, 6] * (1.0 - state.scale))  # where the images alone would have it
+    # where the images alone would have it
+    free = np.linalg.solve(alone, -prior[:, 6] * (1.0 - state.scale))
     return MountSolution(
-        state.T_v_c1, covariance[:6, :6] * factor, misfit, state.scale + float(free[6]), side_sigma, fits
+        state.T_v_c1,
+        covariance[:6, :6] * factor,
+        misfit,
+        state.scale + float(free[6]),
+        side_sigma,
+        fits,
     )
 
 

@@ -1,9 +1,10 @@
-"""Corners of a chessboard to a few hundredths of a pixel: the image around each is fitted as a whole.
+"""Corners of a chessboard to a few hundredths of a pixel: the image around each is fitted as a
+whole.
 
-Around a corner where four squares meet, the image is ``m + c E(s1 / b1) E(s2 / b2)``: s1, s2 are the distances from the
-two edges, b1, b2 the blur across them, E the integral of a Gaussian from -1 to 1. The image is the same when it is
-turned by half a turn about the corner, whatever blur, ink, sharpening and tone curve do to it: none of them moves the
-corner.
+Around a corner where four squares meet, the image is ``m + c E(s1 / b1) E(s2 / b2)``: s1, s2 are
+the distances from the two edges, b1, b2 the blur across them, E the integral of a Gaussian from -1
+to 1. The image is the same when it is turned by half a turn about the corner, whatever blur, ink,
+sharpening and tone curve do to it: none of them moves the corner.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ UNKNOWNS = 8  # u, v, two angles, two blurs, mean, contrast
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Saddles:
-    """Refined corners, n of them; ``good``: (n,) where the fit can be trusted. The rest as in ``BoardView``."""
+    """Refined corners, n of them; ``good``: (n,) where the fit can be trusted. The rest as in
+    ``BoardView``.
+    """
 
     corners_px: Array
     sigma_px: Array
@@ -39,7 +42,11 @@ class Saddles:
 
 
 def refine_saddles(
-    grey: NDArray[np.uint8], corners_px: Array, edges: Array, clear_px: Array, thinning: Thinning | None = None
+    grey: NDArray[np.uint8],
+    corners_px: Array,
+    edges: Array,
+    clear_px: Array,
+    thinning: Thinning | None = None,
 ) -> Saddles:
     """Fit the image around each corner.
 
@@ -72,10 +79,14 @@ def refine_saddles(
     state = _start(levels, weights, corners_px, edges, columns, rows)
     for _ in range(ITERATIONS):
         state = _stepped(state, levels, weights, columns, rows)
-    return _judged(state, levels, weights, columns, rows, corners_px, whole & (clear_px >= REACH_PX[0]))
+    return _judged(
+        state, levels, weights, columns, rows, corners_px, whole & (clear_px >= REACH_PX[0])
+    )
 
 
-def _start(levels: Array, weights: Array, corners: Array, edges: Array, columns: Array, rows: Array) -> Array:
+def _start(
+    levels: Array, weights: Array, corners: Array, edges: Array, columns: Array, rows: Array
+) -> Array:
     """Unknowns (n, 8): u, v, angle of the normal of each edge, blur across each, mean, contrast."""
     normals = np.arctan2(edges[:, :, 0], -edges[:, :, 1])
     state = np.empty((len(corners), UNKNOWNS))
@@ -126,7 +137,9 @@ def _step(s: Array) -> Array:
     """erf(s / sqrt 2), to 2e-7 (Abramowitz and Stegun 7.1.26)."""
     z = np.abs(s) * np.sqrt(0.5)
     t = 1.0 / (1.0 + 0.3275911 * z)
-    series = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
+    series = t * (
+        0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429)))
+    )
     return np.copysign(1.0 - series * np.exp(-z * z), s)
 
 
@@ -137,7 +150,11 @@ def _normal_equations(
     image, jacobian = _model(state, columns, rows)
     left = levels - image
     weighted = jacobian * weights[..., None]
-    return np.swapaxes(weighted, 1, 2) @ jacobian, (np.swapaxes(weighted, 1, 2) @ left[..., None])[..., 0], left
+    return (
+        np.swapaxes(weighted, 1, 2) @ jacobian,
+        (np.swapaxes(weighted, 1, 2) @ left[..., None])[..., 0],
+        left,
+    )
 
 
 def _stepped(state: Array, levels: Array, weights: Array, columns: Array, rows: Array) -> Array:
@@ -155,7 +172,13 @@ def _stepped(state: Array, levels: Array, weights: Array, columns: Array, rows: 
 
 
 def _judged(
-    state: Array, levels: Array, weights: Array, columns: Array, rows: Array, start: Array, whole: NDArray[np.bool_]
+    state: Array,
+    levels: Array,
+    weights: Array,
+    columns: Array,
+    rows: Array,
+    start: Array,
+    whole: NDArray[np.bool_],
 ) -> Saddles:
     information, _, left = _normal_equations(state, levels, weights, columns, rows)
     diagonal = np.einsum("nii->ni", information)

@@ -1,6 +1,8 @@
-"""Pixels that a camera leaves out, told by straight edges of a board, and its calibration with them.
+"""Pixels that a camera leaves out, told by straight edges of a board, and its calibration with
+them.
 
-Edges are drawn with steps where pixels are not evenly spaced, and corners are off by as much as their few pixels are.
+Edges are drawn with steps where pixels are not evenly spaced, and corners are off by as much as
+their few pixels are.
 """
 
 from __future__ import annotations
@@ -30,11 +32,16 @@ Image = NDArray[np.uint8]
 def seen_evenly(
     images: Sequence[Image], views: Sequence[BoardView], board: Board
 ) -> tuple[list[BoardView], Thinning] | None:
-    """The views with their corners in the evenly spaced image, and how the camera leaves out pixels; None: it does not.
+    """The views with their corners in the evenly spaced image, and how the camera leaves out
+    pixels; None: it does not.
 
     ``images``: of which the views are.
     """
-    edges = [edge for grey, view in zip(images, views, strict=True) for edge in edges_between(grey, view, board)]
+    edges = [
+        edge
+        for grey, view in zip(images, views, strict=True)
+        for edge in edges_between(grey, view, board)
+    ]
     thinning = measure_thinning(edges) if edges else None
     if thinning is None:
         return None
@@ -43,14 +50,21 @@ def seen_evenly(
 
 
 def measure_thinning(edges: Sequence[SeenEdge]) -> Thinning | None:
-    """The thinning out that the pixels beside edges show; None for an image whose pixels are evenly spaced."""
+    """The thinning out that the pixels beside edges show; None for an image whose pixels are evenly
+    spaced.
+    """
     edge = mean_edge(edges)
     for kept in range(2, MOST_KEPT + 1):
         offsets = pixel_offsets(edges, edge, kept)
         if offsets is None or float(np.sqrt(np.mean(offsets**2))) < LEAST_OFF_PX:
             continue
         ratios = (of for of in range(kept + 1, MOST_OF * kept) if math.gcd(of, kept) == 1)
-        tried = [Thinning(kept, of, (column, row)) for of in ratios for column in range(kept) for row in range(kept)]
+        tried = [
+            Thinning(kept, of, (column, row))
+            for of in ratios
+            for column in range(kept)
+            for row in range(kept)
+        ]
         left = [_left(thinning, offsets) for thinning in tried]
         if min(left) <= MOST_LEFT * float((offsets**2).sum()):
             return tried[int(np.argmin(left))]
@@ -58,10 +72,11 @@ def measure_thinning(edges: Sequence[SeenEdge]) -> Thinning | None:
 
 
 def pixel_offsets(edges: Sequence[SeenEdge], edge: Array, period: int) -> Array | None:
-    """By how much pixels lie off their places, by column and row modulo ``period``: (2, period) px, of mean 0.
+    """By how much pixels lie off their places, by column and row modulo ``period``: (2, period) px,
+    of mean 0.
 
-    The light at a pixel beside an edge tells where the pixel is. What all pixels of one edge have in common is the
-    edge's own place.
+    The light at a pixel beside an edge tells where the pixel is. What all pixels of one edge have
+    in common is the edge's own place.
 
     Args:
         edge: the mean edge, at ``path.calibration.edges.PLACES``.
@@ -78,10 +93,14 @@ def pixel_offsets(edges: Sequence[SeenEdge], edge: Array, period: int) -> Array 
         across = one.across_px[near]
         pixels = one.pixels[near]
         steep = np.interp(across, PLACES[there], slope)
-        left = (one.levels[near] - one.black) / (one.white - one.black) - np.interp(across, PLACES[there], edge[there])
+        left = (one.levels[near] - one.black) / (one.white - one.black) - np.interp(
+            across, PLACES[there], edge[there]
+        )
         design = np.zeros((len(across), 2 * period))
         for axis in (0, 1):
-            design[np.arange(len(across)), axis * period + pixels[:, axis] % period] = steep * one.normal[axis]
+            design[np.arange(len(across)), axis * period + pixels[:, axis] % period] = (
+                steep * one.normal[axis]
+            )
         along = steep / max(float(np.linalg.norm(steep)), 1e-9)
         design -= np.outer(along, along @ design)
         left = left - along * float(along @ left)

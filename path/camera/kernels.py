@@ -1,7 +1,8 @@
 """The camera's arithmetic for one pixel, compiled; ``path.camera.model`` says what it means.
 
-A lens is the array ``(fx, fy, cx, cy, k1, k2, p1, p2, k3, width, height, max_radius, kept, of, begins)`` of
-``lens_of``; the last four are ``path.camera.thinning``'s, 0 where no pixels are left out.
+A lens is the array ``(fx, fy, cx, cy, k1, k2, p1, p2, k3, width, height, max_radius, kept, of,
+begins)`` of ``lens_of``; the last four are ``path.camera.thinning``'s, 0 where no pixels are left
+out.
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ def place(lens: Array, axis: int, pixel: int) -> float:
 
 @kernel
 def ray(lens: Array, u: float, v: float) -> tuple[float, float]:
-    """Undistorted normalised coordinates of a pixel, by Newton's method to 1e-12; NaN where there are none."""
+    """Undistorted normalised coordinates of a pixel, by Newton's method to 1e-12; NaN where there
+    are none.
+    """
     k1 = lens[4]
     k2 = lens[5]
     p1 = lens[6]
@@ -89,8 +92,11 @@ def project(lens: Array, x: float, y: float, z: float) -> tuple[float, float]:
 
 
 @kernel
-def extent(lens: Array, points_c: Array, nearest_m: float) -> tuple[float, float, float, float, float]:
-    """Returns the extent in the image of points (n, 3) beyond a distance: ``u0, v0, u1, v1`` and the least depth.
+def extent(
+    lens: Array, points_c: Array, nearest_m: float
+) -> tuple[float, float, float, float, float]:
+    """Returns the extent in the image of points (n, 3) beyond a distance: ``u0, v0, u1, v1`` and
+    the least depth.
 
     The depth is infinite when the image shows none.
     """

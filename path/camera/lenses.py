@@ -1,12 +1,15 @@
-"""Lenses that others describe their cameras by, and the Brown-Conrady lens that stands for each of them here.
+"""Lenses that others describe their cameras by, and the Brown-Conrady lens that stands for each of
+them here.
 
-Everything that flies computes with one lens, ``path.camera.model.CameraModel``. Makers and calibration programs have
-others: the inverse of Brown-Conrady (RealSense's colour cameras), its modified form (older RealSense), a rational one
-(OpenCV's eight coefficients; Azure Kinect) and the equidistant one of fisheyes (Kannala-Brandt; OpenCV's ``fisheye``,
-Kalibr). ``as_brown_conrady`` finds the camera whose pixels are where theirs are, and says by how much it is off at
-worst: a lens that bends too much for it is refused with that number, never taken as nearly right.
+Everything that flies computes with one lens, ``path.camera.model.CameraModel``. Makers and
+calibration programs have others: the inverse of Brown-Conrady (RealSense's colour cameras), its
+modified form (older RealSense), a rational one (OpenCV's eight coefficients; Azure Kinect) and the
+equidistant one of fisheyes (Kannala-Brandt; OpenCV's ``fisheye``, Kalibr). ``as_brown_conrady``
+finds the camera whose pixels are where theirs are, and says by how much it is off at worst: a lens
+that bends too much for it is refused with that number, never taken as nearly right.
 
-With x, y the undistorted and xd, yd the distorted normalised coordinates, r2 = x2 + y2, and B(x, y) Brown-Conrady:
+With x, y the undistorted and xd, yd the distorted normalised coordinates, r2 = x2 + y2, and B(x, y)
+Brown-Conrady:
 
     brown_conrady            (xd, yd) = B(x, y)                                    k1 k2 p1 p2 k3
     inverse_brown_conrady    (x, y) = B(xd, yd)                                    k1 k2 p1 p2 k3
@@ -14,7 +17,8 @@ With x, y the undistorted and xd, yd the distorted normalised coordinates, r2 = 
     rational                 the radial factor of B over 1 + k4 r2 + k5 r4 + k6 r6  k1 k2 p1 p2 k3 k4 k5 k6
     equidistant              angle a to a (1 + k1 a2 + k2 a4 + k3 a6 + k4 a8)       k1 k2 k3 k4
 
-Sources: librealsense's rsutil.h; OpenCV's calib3d and fisheye documentation; Kannala and Brandt 2006.
+Sources: librealsense's rsutil.h; OpenCV's calib3d and fisheye documentation; Kannala and Brandt
+2006.
 """
 
 from __future__ import annotations
@@ -29,7 +33,9 @@ from numpy.typing import NDArray
 from path.camera.model import CameraModel, distort
 
 Array = NDArray[np.float64]
-LensKind = Literal["brown_conrady", "inverse_brown_conrady", "modified_brown_conrady", "rational", "equidistant"]
+LensKind = Literal[
+    "brown_conrady", "inverse_brown_conrady", "modified_brown_conrady", "rational", "equidistant"
+]
 COEFFICIENTS: dict[LensKind, int] = {
     "brown_conrady": 5,
     "inverse_brown_conrady": 5,
@@ -75,7 +81,9 @@ class Lens:
     def __post_init__(self) -> None:
         wanted = COEFFICIENTS[self.kind]
         if len(self.coefficients) != wanted:
-            raise ValueError(f"a lens of kind {self.kind} has {wanted} coefficients, not {len(self.coefficients)}")
+            raise ValueError(
+                f"a lens of kind {self.kind} has {wanted} coefficients, not {len(self.coefficients)}"
+            )
         if not np.isfinite(self.coefficients).all():
             raise ValueError(f"coefficients: {self.coefficients!r} are not finite")
 
@@ -86,7 +94,9 @@ class Lens:
         return bent * (self.fx, self.fy) + (self.cx, self.cy)
 
     def rays(self, pixels: Array) -> Array:
-        """Return the undistorted normalised coordinates (n, 2) of pixels (n, 2); NaN rows where there are none."""
+        """Return the undistorted normalised coordinates (n, 2) of pixels (n, 2); NaN rows where
+        there are none.
+        """
         bent = (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
         if self.kind == "inverse_brown_conrady":
             return self._bend(bent)
@@ -125,7 +135,9 @@ class Lens:
         return points * factor[:, None]
 
     def _unbent_from_angle(self, bent: Array) -> Array:
-        """Newton's method on the angle; a ray from the side or from behind has no normalised coordinates."""
+        """Newton's method on the angle; a ray from the side or from behind has no normalised
+        coordinates.
+        """
         wanted = np.hypot(bent[:, 0], bent[:, 1])
         angle = np.minimum(wanted, 1.5)
         with np.errstate(all="ignore"):
@@ -148,7 +160,9 @@ class Lens:
 
 @dataclass(frozen=True, slots=True)
 class StandIn:
-    """The Brown-Conrady camera that stands for another lens. ``worst_px``: how far off it is where it is worst."""
+    """The Brown-Conrady camera that stands for another lens. ``worst_px``: how far off it is where
+    it is worst.
+    """
 
     camera: CameraModel
     worst_px: float
@@ -160,13 +174,16 @@ def as_brown_conrady(lens: Lens) -> StandIn:
     Focal lengths and centre are fitted too: they are not the lens's own.
 
     Raises:
-        LensError: it would be off by more than ``MOST_PX``, or the lens sees to the side of the camera.
+        LensError: it would be off by more than ``MOST_PX``, or the lens sees to the side of the
+            camera.
         ValueError: numbers that are no camera.
     """
     straight = not any(lens.coefficients) and lens.kind != "equidistant"
     if straight or lens.kind == "brown_conrady":
         k1, k2, p1, p2, k3 = lens.coefficients[:5]
-        own = CameraModel(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, (k1, k2, p1, p2, k3))
+        own = CameraModel(
+            lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, (k1, k2, p1, p2, k3)
+        )
         return StandIn(own, 0.0)
     pixels = _spread(lens.width, lens.height)
     rays = lens.rays(pixels)
@@ -182,11 +199,15 @@ def as_brown_conrady(lens: Lens) -> StandIn:
             f"a lens of kind {lens.kind}, from which the nearest Brown-Conrady lens is off by {worst_px:.2f} px "
             f"(at most {MOST_PX:g})"
         )
-    return StandIn(CameraModel(lens.width, lens.height, fx, fy, cx, cy, (k1, k2, p1, p2, k3)), worst_px)
+    return StandIn(
+        CameraModel(lens.width, lens.height, fx, fy, cx, cy, (k1, k2, p1, p2, k3)), worst_px
+    )
 
 
 def _fitted(lens: Lens, rays: Array, pixels: Array) -> Array:
-    """Return fx fy cx cy k1 k2 p1 p2 k3 of the camera that is least off over the image: by Gauss and Newton."""
+    """Return fx fy cx cy k1 k2 p1 p2 k3 of the camera that is least off over the image: by Gauss
+    and Newton.
+    """
     values = np.array([lens.fx, lens.fy, lens.cx, lens.cy, 0.0, 0.0, 0.0, 0.0, 0.0])
     weights = np.ones(len(rays))
     for turn in range(TURNS):
@@ -214,8 +235,28 @@ def _derivatives(values: Array, rays: Array) -> Array:
     none = np.zeros_like(x)
     one = np.ones_like(x)
     xy2 = 2.0 * x * y
-    across = (xd, none, one, none, fx * x * r2, fx * x * r2**2, fx * xy2, fx * (r2 + 2.0 * x * x), fx * x * r2**3)
-    down = (none, yd, none, one, fy * y * r2, fy * y * r2**2, fy * (r2 + 2.0 * y * y), fy * xy2, fy * y * r2**3)
+    across = (
+        xd,
+        none,
+        one,
+        none,
+        fx * x * r2,
+        fx * x * r2**2,
+        fx * xy2,
+        fx * (r2 + 2.0 * x * x),
+        fx * x * r2**3,
+    )
+    down = (
+        none,
+        yd,
+        none,
+        one,
+        fy * y * r2,
+        fy * y * r2**2,
+        fy * (r2 + 2.0 * y * y),
+        fy * xy2,
+        fy * y * r2**3,
+    )
     return np.stack((np.stack(across, axis=1), np.stack(down, axis=1)), axis=1)
 
 
@@ -232,7 +273,9 @@ def _spread(width: int, height: int) -> Array:
 
 
 def _inverted(bend: Callable[[Array], Array], bent: Array) -> Array:
-    """Return points (n, 2) that ``bend`` takes to ``bent``, by Newton's method; NaN rows where there are none."""
+    """Return points (n, 2) that ``bend`` takes to ``bent``, by Newton's method; NaN rows where
+    there are none.
+    """
     points = bent.copy()
     right, below = NUDGE * np.eye(2)
     determinant = np.ones(len(bent))

@@ -1,8 +1,9 @@
 """A camera that makes its images smaller by leaving out pixels: where those that it keeps are.
 
-A sensor of 1280x800 pixels that is to give 640x480 keeps three of five rows and columns where it does not compute. The
-pixels of such an image are not evenly spaced: of every three, one lies where it should, and two are off by a fifth of a
-pixel. A camera's model is of the evenly spaced image, and so is everything that is projected with it.
+A sensor of 1280x800 pixels that is to give 640x480 keeps three of five rows and columns where it
+does not compute. The pixels of such an image are not evenly spaced: of every three, one lies where
+it should, and two are off by a fifth of a pixel. A camera's model is of the evenly spaced image,
+and so is everything that is projected with it.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Thinning:
-    """``kept`` of every ``of`` rows and columns of the sensor are in the image: those nearest to the image's pixels.
+    """``kept`` of every ``of`` rows and columns of the sensor are in the image: those nearest to
+    the image's pixels.
 
     Attributes:
         begins: where the pattern begins, (column, row) of the image.
@@ -40,10 +42,14 @@ class Thinning:
         if not 0 < self.kept < self.of:
             raise ValueError(f"kept: {self.kept} of {self.of} pixels leave none out")
         if not all(0 <= begin < self.kept for begin in self.begins):
-            raise ValueError(f"begins: {self.begins} are not both within the {self.kept} pixels of the pattern")
+            raise ValueError(
+                f"begins: {self.begins} are not both within the {self.kept} pixels of the pattern"
+            )
 
     def sensor_pixels(self, count: int, axis: int) -> Indices:
-        """Columns (axis 0) or rows of the sensor that the image's first ``count`` are; the first is 0."""
+        """Columns (axis 0) or rows of the sensor that the image's first ``count`` are; the first is
+        0.
+        """
         return self._lines(np.arange(count), axis) - self._lines(np.zeros(1), axis)[0]
 
     def sensor_place(self, place_px: float, axis: int) -> float:
@@ -52,7 +58,9 @@ class Thinning:
         return float(from_begin - 0.5 - self._lines(np.zeros(1), axis)[0])
 
     def places(self, pixels: Array | Indices, axis: int) -> Array:
-        """The places of pixels (columns or rows by their whole numbers, any shape) in the evenly spaced image."""
+        """The places of pixels (columns or rows by their whole numbers, any shape) in the evenly
+        spaced image.
+        """
         return (self._lines(pixels, axis) + 0.5) * self.kept / self.of + self.begins[axis] - 0.5
 
     def offsets_px(self, axis: int) -> Array:

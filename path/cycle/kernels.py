@@ -20,7 +20,9 @@ Array = NDArray[np.float64]
 Six = tuple[float, float, float, float, float, float]
 Covariance2 = tuple[float, float, float]
 Projected = tuple[float, float, float, Covariance2, float, float]
-"""Pixel and depth, the pixel's covariance, standard deviations of D2's position (per axis) and of the depth by it."""
+"""Pixel and depth, the pixel's covariance, standard deviations of D2's position (per axis) and of
+the depth by it.
+"""
 
 as_it_is(distort_jacobian)
 as_it_is(transform)
@@ -42,12 +44,13 @@ def projected(
     lens: Array, T_c_v: Rigid, covariance: Array, point_v: Vec3, sigma_m: float, sigma_px: float, way_v: Vec3,
     across_m: float,
 ) -> Projected:  # fmt: skip
-    """The point in the image with all that is not known of it; NaN where the camera does not see it, also its depth
-    where an input is not a number.
+    """The point in the image with all that is not known of it; NaN where the camera does not see
+    it, also its depth where an input is not a number.
 
     Args:
         covariance: of ``T_c_v``, (6, 6), contiguous.
-        sigma_m: of the point, per axis; along ``way_v`` only, and ``across_m`` across it, where that is not negative.
+        sigma_m: of the point, per axis; along ``way_v`` only, and ``across_m`` across it, where
+            that is not negative.
         sigma_px: of a detector's box centre.
     """
     nothing = math.nan, math.nan, math.nan
@@ -94,9 +97,19 @@ def projected(
         dv = d * rx + e * ry + f * rz
         along = point - across_m * across_m
         point = across_m * across_m
-    uu = _product(along_u, covariance, along_u) + point * (a * a + b * b + c * c) + along * du * du + pixel
+    uu = (
+        _product(along_u, covariance, along_u)
+        + point * (a * a + b * b + c * c)
+        + along * du * du
+        + pixel
+    )
     uv = _product(along_u, covariance, along_v) + point * (a * d + b * e + c * f) + along * du * dv
-    vv = _product(along_v, covariance, along_v) + point * (d * d + e * e + f * f) + along * dv * dv + pixel
+    vv = (
+        _product(along_v, covariance, along_v)
+        + point * (d * d + e * e + f * f)
+        + along * dv * dv
+        + pixel
+    )
     # D2's position is -R^T t, in D2's own axes it moves by -(dt - dw x t)
     own_x = (1.0, 0.0, 0.0, 0.0, -tz, ty)
     own_y = (0.0, 1.0, 0.0, tz, 0.0, -tx)

@@ -1,9 +1,10 @@
-"""The prior of the target in D2's image: its point through D2's pose, with covariance and search region.
+"""The prior of the target in D2's image: its point through D2's pose, with covariance and search
+region.
 
 Paper, eqs. target_d2 to d2_projection.
 
-The pose covariance is (6, 6), translation first (m), then rotation (rad), of ``T_c2_v`` perturbed in the camera frame:
-``t <- t + dt``, ``R <- exp(dw) R`` with ``t`` untouched.
+The pose covariance is (6, 6), translation first (m), then rotation (rad), of ``T_c2_v`` perturbed
+in the camera frame: ``t <- t + dt``, ``R <- exp(dw) R`` with ``t`` untouched.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ from path.observations import Missed, MissReason, Region
 from path.values import value
 
 TARGET_REACH_M = 0.3
-"""From the point that D1 measured, on the side of the target that it sees, to what D2 sees of it, along D2's axis."""
+"""From the point that D1 measured, on the side of the target that it sees, to what D2 sees of it,
+along D2's axis.
+"""
 
 AHEAD: Vec3 = (0.0, 0.0, 1.0)
 EVENLY = -1.0  # a point that is known alike in all directions
@@ -34,8 +37,10 @@ class Prior(NamedTuple):
     Attributes:
         pixel: distorted pixel of the target's point.
         depth_m: its depth along D2's optical axis.
-        covariance_px2: of a box centre around that pixel: variances and covariance ``(uu, uv, vv)``.
-        region: what to search, for box centres; may reach beyond the image. Its depths are for all of the target.
+        covariance_px2: of a box centre around that pixel: variances and covariance ``(uu, uv,
+            vv)``.
+        region: what to search, for box centres; may reach beyond the image. Its depths are for all
+            of the target.
         target_sequence: the newest Target message it rests on.
         T_c2_v: the pose it was made with.
         pose_sigma_m: standard deviation per axis of D2's position in ``v``.
@@ -61,7 +66,8 @@ class Prior(NamedTuple):
 
 @value
 class Ray:
-    """D1's line of sight to the target: along it the range is uncertain, across it the target is better known.
+    """D1's line of sight to the target: along it the range is uncertain, across it the target is
+    better known.
 
     Attributes:
         direction_v: unit vector in the marker frame.
@@ -90,13 +96,13 @@ def predict(
         covariance: of ``T_c2_v``, (6, 6), see the module.
         point_v: the target's point in the marker frame, m.
         point_sigma_m: its standard deviation per axis, time errors included.
-        box_size_at_1m_px: width and height the target's box would have at a depth of 1 m, when known; the region grows
-            by half of what that is at the target's depth.
+        box_size_at_1m_px: width and height the target's box would have at a depth of 1 m, when
+            known; the region grows by half of what that is at the target's depth.
         ray: D1's line of sight, when ``point_sigma_m`` is the range's alone.
 
     Returns:
-        Missed PRIOR_OUTSIDE when D2 cannot see the point, POSE_UNCERTAIN when the pose or the prior is too uncertain to
-        be a hint, NON_FINITE when an input is not a number.
+        Missed PRIOR_OUTSIDE when D2 cannot see the point, POSE_UNCERTAIN when the pose or the prior
+        is too uncertain to be a hint, NON_FINITE when an input is not a number.
     """
     sigma_m = math.hypot(point_sigma_m, config.target_center_sigma_m)
     way_v = AHEAD
@@ -121,5 +127,7 @@ def predict(
     half_u = max(half_u + 0.5 * box_size_at_1m_px[0] / z_m, config.min_search_px)
     half_v = max(half_v + 0.5 * box_size_at_1m_px[1] / z_m, config.min_search_px)
     reach_m = TARGET_REACH_M + config.search_sigmas * math.hypot(range_sigma_m, point_sigma_m)
-    region = Region(u - half_u, v - half_v, u + half_u, v + half_v, max(0.0, z_m - reach_m), z_m + reach_m)
+    region = Region(
+        u - half_u, v - half_v, u + half_u, v + half_v, max(0.0, z_m - reach_m), z_m + reach_m
+    )
     return Prior((u, v), z_m, (uu, uv, vv), region, target_sequence, T_c2_v, pose_sigma_m, point_v)

@@ -1,4 +1,6 @@
-"""One cycle of D2, the receiver: where to look, and which of the things found there is the target. Pure."""
+"""One cycle of D2, the receiver: where to look, and which of the things found there is the target.
+Pure.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +31,9 @@ NOWHERE: Vec3 = (0.0, 0.0, 0.0)
 class ReceiverCycle:
     """D2's side of the method for one handoff of one target.
 
-    For each frame: ``prior``, a look for targets in ``prior.region``, ``candidate``. What ``candidate`` returns is sent
-    even when it is a miss: D1 must know that D2 looked and did not see.
+    For each frame: ``prior``, a look for targets in ``prior.region``, ``candidate``. What
+    ``candidate`` returns is sent even when it is a miss: D1 must know that D2 looked and did not
+    see.
     """
 
     def __init__(
@@ -43,7 +46,9 @@ class ReceiverCycle:
         target_id: int,
         sender: tuple[CameraModel, Vec3] | None = None,
     ) -> None:
-        """``sender``: D1's camera and its place in the marker frame, for ``target_error = "ray"``."""
+        """``sender``: D1's camera and its place in the marker frame, for ``target_error =
+        "ray"``.
+        """
         self.misses: Counter[MissReason] = Counter()
         self.found = 0
         self._lens = lens_of(camera)
@@ -66,14 +71,22 @@ class ReceiverCycle:
             self.misses[reason] += 1
             return Missed(reason, ignored=True)
         newest = self._track.newest
-        frame = target.sequence if newest is None else newest.frame + serial_difference(target.sequence, newest.frame)
-        self._track.add(Sample(capture_ns, frame, (*target.point_v_m, *target.gravity_v, target.sigma_m)))
+        frame = (
+            target.sequence
+            if newest is None
+            else newest.frame + serial_difference(target.sequence, newest.frame)
+        )
+        self._track.add(
+            Sample(capture_ns, frame, (*target.point_v_m, *target.gravity_v, target.sigma_m))
+        )
         return None
 
     def gravity_v(self, stamp_ns: int) -> Vec3 | None:
-        """D1's gravity direction in ``v`` at an instant of D2's clock, for the marker's pose; None when unknown.
+        """D1's gravity direction in ``v`` at an instant of D2's clock, for the marker's pose; None
+        when unknown.
 
-        Interpolated between D1's samples; beyond the newest one that one, for ``max_extrapolation_s``.
+        Interpolated between D1's samples; beyond the newest one that one, for
+        ``max_extrapolation_s``.
         """
         newest = self._track.newest
         if newest is None or newest.values is None:
@@ -94,15 +107,15 @@ class ReceiverCycle:
     def prior(self, T_c2_v: Pose, covariance: Matrix, stamp_ns: int) -> Prior | Missed:
         """Returns the expected place of the target in D2's frame of this stamp (D2's clock).
 
-        The target's point is interpolated to that instant, or carried on from its newest samples for at most
-        ``max_extrapolation_s``; clock error and unknown acceleration widen the prior.
+        The target's point is interpolated to that instant, or carried on from its newest samples
+        for at most ``max_extrapolation_s``; clock error and unknown acceleration widen the prior.
 
         Args:
             covariance: of ``T_c2_v``, (6, 6), convention in ``path.cycle.prior``.
 
         Returns:
-            Missed LINK_SILENT when D1's newest sample is too old, NO_TRACK when the frame is older than D1's samples or
-            falls into a gap of them, else as ``path.cycle.prior.predict``.
+            Missed LINK_SILENT when D1's newest sample is too old, NO_TRACK when the frame is older
+            than D1's samples or falls into a gap of them, else as ``path.cycle.prior.predict``.
         """
         newest = self._track.newest
         if newest is None:
@@ -137,7 +150,9 @@ class ReceiverCycle:
         )
 
     def _ray(self, point_v: Vec3, moved_sigma_m: float) -> Ray | None:
-        """D1's line of sight to the target, when its errors are to be told apart along it and across it."""
+        """D1's line of sight to the target, when its errors are to be told apart along it and
+        across it.
+        """
         if self._sender is None or self._config.target_error == "point":
             return None
         camera, eye_v = self._sender
@@ -152,13 +167,15 @@ class ReceiverCycle:
     def candidate(
         self, frame_id: int, stamp_ns: int, detections: Sequence[Detection], prior: Prior | Missed
     ) -> Candidate | Missed:
-        """The answer to send for one frame, or why there is none to send (an old or repeated frame, ``ignored``).
+        """The answer to send for one frame, or why there is none to send (an old or repeated frame,
+        ``ignored``).
 
         Args:
             frame_id: strictly increasing; its low 16 bits are the message's sequence.
             stamp_ns: mid-exposure, D2's clock.
             detections: what D2's own detector found in ``prior.region``; empty without a prior.
-            prior: of this frame, or why there is none (also a marker's miss): it goes out as the candidate's reason.
+            prior: of this frame, or why there is none (also a marker's miss): it goes out as the
+                candidate's reason.
         """
         if self._last is not None and (frame_id <= self._last[0] or stamp_ns <= self._last[1]):
             reason = MissReason.DUPLICATE if frame_id == self._last[0] else MissReason.STALE
@@ -182,10 +199,14 @@ class ReceiverCycle:
                 self.found += 1
                 self._box_size_at_1m_px = (box.w * prior.depth_m, box.h * prior.depth_m)
         sequence = frame_id & 0xFFFF
-        return Candidate(*self._identity, sequence, answered, stamp_ns, box, why, position, rotation, sigma_m)
+        return Candidate(
+            *self._identity, sequence, answered, stamp_ns, box, why, position, rotation, sigma_m
+        )
 
     def _choose(self, detections: Sequence[Detection], prior: Prior | Missed) -> Detection | Missed:
-        """The detection nearest to the prior; a miss when none is near, or a second one nearly as near."""
+        """The detection nearest to the prior; a miss when none is near, or a second one nearly as
+        near.
+        """
         if isinstance(prior, Missed):
             return prior
         gate = self._config.search_sigmas**2
@@ -200,11 +221,16 @@ class ReceiverCycle:
         near = self._joined(near, prior)
         nearest, best = near[0]
         for distance2, other in near[1:]:
-            if distance2 - nearest < self._config.ambiguity_margin and iou(best.box, other.box) < SAME_OBJECT_IOU:
+            if (
+                distance2 - nearest < self._config.ambiguity_margin
+                and iou(best.box, other.box) < SAME_OBJECT_IOU
+            ):
                 return Missed(MissReason.AMBIGUOUS_TARGET)
         return best
 
-    def _joined(self, near: list[tuple[float, Detection]], prior: Prior) -> list[tuple[float, Detection]]:
+    def _joined(
+        self, near: list[tuple[float, Detection]], prior: Prior
+    ) -> list[tuple[float, Detection]]:
         """The nearest one in one piece, where its detector shows it as two boxes that overlap."""
         (_, best), others = near[0], near[1:]
         w, h = self._box_size_at_1m_px
@@ -223,7 +249,11 @@ class ReceiverCycle:
         if (target.handoff_id, target.epoch, target.target_id) != self._identity:
             return MissReason.STALE
         norm = math.hypot(*target.gravity_v)
-        if not (math.isfinite(sum(target.point_v_m) + target.sigma_m) and 0.95 < norm < 1.05 and target.sigma_m >= 0.0):
+        if not (
+            math.isfinite(sum(target.point_v_m) + target.sigma_m)
+            and 0.95 < norm < 1.05
+            and target.sigma_m >= 0.0
+        ):
             return MissReason.NON_FINITE
         newest = self._track.newest
         if newest is not None:

@@ -1,4 +1,6 @@
-"""One cycle of D1, the sender: say where the target is, judge what D2 answers. Pure: stamps come in, values go out."""
+"""One cycle of D1, the sender: say where the target is, judge what D2 answers. Pure: stamps come
+in, values go out.
+"""
 
 from __future__ import annotations
 
@@ -37,8 +39,10 @@ class PairVerdict(NamedTuple):
         mapped_box: D2's box in D1's image; None when it did not come to that.
         tau: what the overlap had to be; None when nothing was compared.
         own: D1's samples around that instant, box, point and depth; None as ``own_box``.
-        offsets: of D2's box from the target and from what D1 sees beside it; None when nothing was compared.
-        oversize: by how many standard deviations a box is larger than the target can be (``path.target.size``).
+        offsets: of D2's box from the target and from what D1 sees beside it; None when nothing was
+            compared.
+        oversize: by how many standard deviations a box is larger than the target can be
+            (``path.target.size``).
         placed_iou: as of a ``FramePair``.
     """
 
@@ -63,9 +67,9 @@ class _Pending(NamedTuple):
 class SenderCycle:
     """D1's side of the method for one handoff of one target.
 
-    A candidate is offered when it comes in and evaluated once D1 has frames on both sides of its capture instant: its
-    box is compared with D1's own box *at that instant*. Candidates wait for that in the order of their sequence, so a
-    small reordering on the link costs nothing.
+    A candidate is offered when it comes in and evaluated once D1 has frames on both sides of its
+    capture instant: its box is compared with D1's own box *at that instant*. Candidates wait for
+    that in the order of their sequence, so a small reordering on the link costs nothing.
     """
 
     def __init__(
@@ -80,7 +84,8 @@ class SenderCycle:
         target_id: int,
         gate: Gate | None = None,
     ) -> None:
-        """``camera`` is D1's, ``peer_camera`` D2's; ``T_v_c1`` the calibrated mounting of D1's camera.
+        """``camera`` is D1's, ``peer_camera`` D2's; ``T_v_c1`` the calibrated mounting of D1's
+        camera.
 
         ``gate``: what decides, when it is not to be the one that ``config`` names.
         """
@@ -107,7 +112,8 @@ class SenderCycle:
         gravity_v: Vec3,
         rivals: Sequence[Rival] = (),
     ) -> Target | Missed:
-        """D1's newest frame: the message to send, or why there is none. The gate is told of a miss, unless ``ignored``.
+        """D1's newest frame: the message to send, or why there is none. The gate is told of a miss,
+        unless ``ignored``.
 
         Args:
             frame_id: strictly increasing; its low 16 bits are the message's sequence.
@@ -132,15 +138,29 @@ class SenderCycle:
         above = self._sizes.own(stamp_ns, box, depth, point.point_v_m, gravity_v)
         place = *point.point_v_m, point.z_m
         self._track.add(
-            Sample(stamp_ns, frame_id, (box.x, box.y, box.w, box.h, *place, depth.sigma_m, *gravity_v, above))
+            Sample(
+                stamp_ns,
+                frame_id,
+                (box.x, box.y, box.w, box.h, *place, depth.sigma_m, *gravity_v, above),
+            )
         )
         self._rivals.note(stamp_ns, box, point.z_m, point.point_v_m, gravity_v, rivals)
         handoff_id, epoch, target_id = self._identity
         sequence = frame_id & 0xFFFF
-        return Target(handoff_id, epoch, target_id, sequence, stamp_ns, point.point_v_m, gravity_v, point.sigma_m)
+        return Target(
+            handoff_id,
+            epoch,
+            target_id,
+            sequence,
+            stamp_ns,
+            point.point_v_m,
+            gravity_v,
+            point.sigma_m,
+        )
 
     def offer(self, candidate: Candidate, capture_ns: int, now_ns: int) -> Missed | None:
-        """Take in a candidate; None when it will be evaluated, else why it is no evidence (always ``ignored``).
+        """Take in a candidate; None when it will be evaluated, else why it is no evidence (always
+        ``ignored``).
 
         Args:
             capture_ns: ``candidate.capture_ns`` converted to D1's clock.
@@ -154,14 +174,22 @@ class SenderCycle:
         return None
 
     def begin_evidence_anew(self, stamp_ns: int) -> None:
-        """D1's own reckoning was interrupted at that instant (D1's clock): nothing is added up across it."""
+        """D1's own reckoning was interrupted at that instant (D1's clock): nothing is added up
+        across it.
+        """
         self.gate.end_run(stamp_ns)
 
     def evaluate_ready(self, now_ns: int) -> list[PairVerdict]:
-        """Judge every candidate whose capture instant D1's own frames have passed, or that waited too long."""
+        """Judge every candidate whose capture instant D1's own frames have passed, or that waited
+        too long.
+        """
         pairs: list[PairVerdict] = []
         newest = self._track.newest
-        newest_ns = now_ns - self._max_age_ns if newest is None else max(newest.stamp_ns, now_ns - self._max_age_ns)
+        newest_ns = (
+            now_ns - self._max_age_ns
+            if newest is None
+            else max(newest.stamp_ns, now_ns - self._max_age_ns)
+        )
         while self._pending and self._pending[0].capture_ns <= newest_ns:
             pending = self._pending.pop(0)
             if self.gate.expire(pending.capture_ns):
@@ -181,16 +209,23 @@ class SenderCycle:
             return Missed(MissReason.NO_DEPTH)
         point = locate(self._views, box, depth, self._config)
         norm = math.hypot(*gravity_v)
-        if not (math.isfinite(sum(point.point_v_m) + point.sigma_m) and abs(norm - 1.0) < UNIT_TOLERANCE):
+        if not (
+            math.isfinite(sum(point.point_v_m) + point.sigma_m) and abs(norm - 1.0) < UNIT_TOLERANCE
+        ):
             return Missed(MissReason.NON_FINITE)
         return point
 
     def _trusted(self, depth: Depth) -> bool:
-        """Returns whether a range can be used: the limits of the depth camera are of what it measured."""
+        """Returns whether a range can be used: the limits of the depth camera are of what it
+        measured.
+        """
         if not (depth.z_m > 0.0 and depth.sigma_m >= 0.0):
             return False
         config = self._config
-        return depth.source is not RangeSource.DEPTH or config.min_depth_m <= depth.z_m <= config.max_depth_m
+        return (
+            depth.source is not RangeSource.DEPTH
+            or config.min_depth_m <= depth.z_m <= config.max_depth_m
+        )
 
     def _no_evidence(self, candidate: Candidate, capture_ns: int, now_ns: int) -> MissReason | None:
         if (candidate.handoff_id, candidate.epoch, candidate.target_id) != self._identity:
@@ -218,7 +253,9 @@ class SenderCycle:
         reason = self._incomparable(candidate, capture_ns)
         box2 = candidate.box
         if reason is not None or at is None or box2 is None:
-            missed = self._disagreed(candidate.sequence, capture_ns, Missed(reason or MissReason.NO_TRACK), None)
+            missed = self._disagreed(
+                candidate.sequence, capture_ns, Missed(reason or MissReason.NO_TRACK), None
+            )
             return PairVerdict(candidate, capture_ns, missed)
         x, y, w, h, _, _, _, z1, z_sigma, _, _, _, oversize = at.values
         own_box = Box(x, y, w, h)
@@ -240,9 +277,20 @@ class SenderCycle:
                 verdict = self._agreed(pair, found.iou, tau)
             else:
                 missed = Missed(MissReason.LOW_IOU, found.iou)
-                verdict = self._disagreed(candidate.sequence, capture_ns, missed, strength(found.iou, tau))
+                verdict = self._disagreed(
+                    candidate.sequence, capture_ns, missed, strength(found.iou, tau)
+                )
         return PairVerdict(
-            candidate, capture_ns, verdict, own_box, found.mapped, tau, at, offsets, oversize, placed_iou
+            candidate,
+            capture_ns,
+            verdict,
+            own_box,
+            found.mapped,
+            tau,
+            at,
+            offsets,
+            oversize,
+            placed_iou,
         )
 
     def _offsets(
@@ -256,28 +304,44 @@ class SenderCycle:
         return self._rivals.offsets(target_m, T_v_c2, box2, own_box, own)
 
     def _incomparable(self, candidate: Candidate, capture_ns: int) -> MissReason | None:
-        """Returns why a fresh candidate cannot even be compared, whatever D1 saw at that instant; None when it can."""
+        """Returns why a fresh candidate cannot even be compared, whatever D1 saw at that instant;
+        None when it can.
+        """
         if candidate.reason is not None:
             return candidate.reason
         if candidate.sigma_m > self._config.pose_sigma_limit_m:
             return MissReason.POSE_UNCERTAIN
         used = self._track.find(candidate.target_sequence)
-        if used is None or used.values is None or abs(capture_ns - used.stamp_ns) > self._max_age_ns:
+        if (
+            used is None
+            or used.values is None
+            or abs(capture_ns - used.stamp_ns) > self._max_age_ns
+        ):
             return MissReason.STALE
         return None
 
     def _agreed(self, pair: FramePair, score: float, tau: float) -> Verdict:
-        """Let the gate count a pair that agrees; what it refuses becomes a miss, mostly an ``ignored`` one."""
+        """Let the gate count a pair that agrees; what it refuses becomes a miss, mostly an
+        ``ignored`` one.
+        """
         refusal = self.gate.agree(pair, score, tau)
         if refusal is not None:
-            return self._missed(Missed(refusal, score, ignored=refusal is not MissReason.AMBIGUOUS_TARGET))
+            return self._missed(
+                Missed(refusal, score, ignored=refusal is not MissReason.AMBIGUOUS_TARGET)
+            )
         self.agreed += 1
         return Agreed(score, tau, self.gate.count, self.gate.evidence)
 
-    def _disagreed(self, sequence: int, capture_ns: int, missed: Missed, by: float | None) -> Missed:
-        """Tell the gate of a pair that does not agree; what is no new evidence becomes an ``ignored`` miss."""
+    def _disagreed(
+        self, sequence: int, capture_ns: int, missed: Missed, by: float | None
+    ) -> Missed:
+        """Tell the gate of a pair that does not agree; what is no new evidence becomes an
+        ``ignored`` miss.
+        """
         refusal = self.gate.disagree(sequence, capture_ns, by)
-        return self._missed(missed if refusal is None else Missed(refusal, missed.iou, ignored=True))
+        return self._missed(
+            missed if refusal is None else Missed(refusal, missed.iou, ignored=True)
+        )
 
     def _silent(self, instant_ns: int) -> PairVerdict:
         return PairVerdict(None, instant_ns, self._missed(Missed(MissReason.LINK_SILENT)))
@@ -288,7 +352,9 @@ class SenderCycle:
 
 
 def _is_sound(candidate: Candidate) -> bool:
-    """Returns whether a candidate is finite, its rotation is one, and a box is there exactly when no reason is."""
+    """Returns whether a candidate is finite, its rotation is one, and a box is there exactly when
+    no reason is.
+    """
     total = sum(candidate.position_v_m) + sum(candidate.rotation_v_c2) + candidate.sigma_m
     box = candidate.box
     if box is not None:
@@ -297,4 +363,9 @@ def _is_sound(candidate: Candidate) -> bool:
             return False
     norm = math.hypot(*candidate.rotation_v_c2)
     one_of_two = (box is None) != (candidate.reason is None)
-    return math.isfinite(total) and abs(norm - 1.0) < UNIT_TOLERANCE and candidate.sigma_m >= 0.0 and one_of_two
+    return (
+        math.isfinite(total)
+        and abs(norm - 1.0) < UNIT_TOLERANCE
+        and candidate.sigma_m >= 0.0
+        and one_of_two
+    )

@@ -22,7 +22,9 @@ FRAME_NS = 20_000_000
 
 
 def warm_up_cycles() -> None:
-    """One pair of frames that agree, with something beside the target. Raises RuntimeError when they do not."""
+    """One pair of frames that agree, with something beside the target. Raises RuntimeError when
+    they do not.
+    """
     if registered_depth(np.full((160, 160), 2000, np.uint16), BOX, MethodConfig()) is None:
         raise RuntimeError("a flat surface has no depth: reinstall numba")
     T_v_c = Pose(np.eye(3), np.array([0.1, 0.2, 0.3]))
@@ -39,7 +41,9 @@ def warm_up_cycles() -> None:
         if isinstance(target, Target):
             receiver.on_target(target, stamp_ns, stamp_ns)
         prior = receiver.prior(T_v_c.inverse(), 1e-6 * np.eye(6), stamp_ns + 1)
-        candidate = receiver.candidate(frame, stamp_ns + 1, (Detection(BOX, 1.0), Detection(BOX, 0.5)), prior)
+        candidate = receiver.candidate(
+            frame, stamp_ns + 1, (Detection(BOX, 1.0), Detection(BOX, 0.5)), prior
+        )
     pairs = sender.evaluate_ready(SEEN_TIMES * FRAME_NS + FRAME_NS)
     if not sender.agreed or pairs[-1].offsets is None or not pairs[-1].offsets.rivals_m:
         raise RuntimeError("two boxes of the same place do not agree: reinstall numba")

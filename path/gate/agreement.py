@@ -24,8 +24,8 @@ from path.values import value
 class Agreed:
     """A frame pair whose boxes overlap enough.
 
-    ``count``: consecutive agreeing pairs, this one included; 0 when it ended a block that was too weak.
-    ``evidence``: what the gate has with it, None when pairs are all that counts.
+    ``count``: consecutive agreeing pairs, this one included; 0 when it ended a block that was too
+    weak. ``evidence``: what the gate has with it, None when pairs are all that counts.
     """
 
     iou: float
@@ -50,7 +50,9 @@ class TwoViews:
     numbers: kernels.Array = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "numbers", kernels.numbers_of(self.camera1, self.camera2, self.T_v_c1))
+        object.__setattr__(
+            self, "numbers", kernels.numbers_of(self.camera1, self.camera2, self.T_v_c1)
+        )
 
 
 def map_box(
@@ -58,9 +60,10 @@ def map_box(
 ) -> Box | None:
     """D2's box in D1's image (eqs. bbox_rescaling, transformed_candidate).
 
-    One reference point goes through the inverse of the handoff geometry at the target's depth, and the size is scaled
-    by focal lengths and depths. The paper's reference is the top-left corner; under a relative roll of the cameras
-    about the optical axis that corner is no longer the mapped box's top-left one, the centre stays the centre.
+    One reference point goes through the inverse of the handoff geometry at the target's depth, and
+    the size is scaled by focal lengths and depths. The paper's reference is the top-left corner;
+    under a relative roll of the cameras about the optical axis that corner is no longer the mapped
+    box's top-left one, the centre stays the centre.
 
     Args:
         box2: in D2's image, px.
@@ -70,12 +73,16 @@ def map_box(
         None when the reference point is behind D1 or cannot be undistorted.
     """
     corner = 0.0 if mapping == "center" else 1.0
-    u1, v1, w1, h1 = kernels.mapped(views.numbers, T_v_c2, (box2.x, box2.y, box2.w, box2.h), *depths_m, corner)
+    u1, v1, w1, h1 = kernels.mapped(
+        views.numbers, T_v_c2, (box2.x, box2.y, box2.w, box2.h), *depths_m, corner
+    )
     return Box(u1, v1, w1, h1) if math.isfinite(u1 + v1) else None
 
 
 def plain_box(box: Box) -> Box:
-    """The same box in Python floats: numpy's scalars, which detectors like to give, are three times slower here."""
+    """The same box in Python floats: numpy's scalars, which detectors like to give, are three times
+    slower here.
+    """
     if type(box.x) is type(box.y) is type(box.w) is type(box.h) is float:
         return box
     return Box(float(box.x), float(box.y), float(box.w), float(box.h))
@@ -92,7 +99,9 @@ def iou(a: Box, b: Box) -> float:
 
 
 def threshold(z_m: float, config: MethodConfig) -> float:
-    """IoU needed for a target at viewing distance ``z_m`` (eqs. scale_factor, adaptive_threshold)."""
+    """IoU needed for a target at viewing distance ``z_m`` (eqs. scale_factor,
+    adaptive_threshold).
+    """
     scale = min(1.0, (config.z0_m / z_m) ** 2)
     return config.tau_min + (config.tau_max - config.tau_min) * scale
 
@@ -104,10 +113,12 @@ class Comparison(NamedTuple):
         mapped: D2's box in D1's image; None when the target is behind a camera by this geometry.
         iou: of it and D1's own; means nothing without it, as ``placed_iou`` and ``sides_m``.
         offset_m: of its middle from where the target has it; None when that cannot be told.
-        placed_iou: the overlap with a box so far off, where a body of the stated size has its middle.
+        placed_iou: the overlap with a box so far off, where a body of the stated size has its
+            middle.
         range_m: of the target along D2's optical axis.
         sides_m: D2's box, width and height at that range.
-        larger: how many times larger one of them is than the stated size allows; NaN where none is stated.
+        larger: how many times larger one of them is than the stated size allows; NaN where none is
+            stated.
     """
 
     mapped: Box | None
@@ -128,10 +139,18 @@ class Comparer:
         self._corner = 0.0 if config.box_mapping == "center" else 1.0
 
     def compare(self, own: Values, candidate: Candidate, box2: Box) -> Comparison:
-        """Returns the outcome of ``box2``, the candidate's; ``own``: D1's sample at D2's capture instant."""
+        """Returns the outcome of ``box2``, the candidate's; ``own``: D1's sample at D2's capture
+        instant.
+        """
         box = box2.x, box2.y, box2.w, box2.h
         mapped, score, (dx, dy), placed, range_m, (wide_m, high_m, larger) = kernels.judged(
-            self._views, self._body, self._corner, own, candidate.rotation_v_c2, candidate.position_v_m, box
+            self._views,
+            self._body,
+            self._corner,
+            own,
+            candidate.rotation_v_c2,
+            candidate.position_v_m,
+            box,
         )
         return Comparison(
             Box(*mapped) if math.isfinite(mapped[0] + mapped[1]) else None,

@@ -2,44 +2,51 @@
 
 What can make boxes of different objects agree, and what is done about it:
 
-1. *Persistent errors* (calibration, mounting, attitude, clocks, where a box's centre lies on the body) are drawn once.
-   If they move D2's prior onto a look-alike, every later frame agrees: no number of frames tells, in this gate or in
-   the paper's. They must be large for it: a mapped box agrees with D1's only when it is less than some ``r0`` off, so
-   an object ``d`` away needs an error above ``d - r0`` (``persistent_bound``), paid once per attempt. A high overlap
-   makes ``r0`` small: that is why ``strength`` is asked for, and not IoU >= tau alone; and ``max_pose_sigma_m`` keeps
-   the errors what they are said to be.
+1. *Persistent errors* (calibration, mounting, attitude, clocks, where a box's centre lies on the
+  body) are drawn once.
+   If they move D2's prior onto a look-alike, every later frame agrees: no number of frames tells,
+   in this gate or in the paper's. They must be large for it: a mapped box agrees with D1's only
+   when it is less than some ``r0`` off, so an object ``d`` away needs an error above ``d - r0``
+   (``persistent_bound``), paid once per attempt. A high overlap makes ``r0`` small: that is why
+   ``strength`` is asked for, and not IoU >= tau alone; and ``max_pose_sigma_m`` keeps the errors
+   what they are said to be.
 
-2. *What varies* around an offset of at least ``r0`` (aspect, attitude wander, noise) is strongly correlated: overlaps
-   0.5 s apart still are. Nothing is derived for independent frames. The pairs of a run are cut into blocks; a block
-   agrees when most of its pairs do and their median strength ``(S - tau) / (1 - tau)`` suffices. Where the rig states
-   the target's size, the strength is that of the overlap with D2's box moved to where such a body has its middle
-   (``path.target.rivals.placed``); what S itself says of a pair stays as it is. Whatever the dependence, with different
-   things in the boxes
+2. *What varies* around an offset of at least ``r0`` (aspect, attitude wander, noise) is strongly
+  correlated: overlaps
+   0.5 s apart still are. Nothing is derived for independent frames. The pairs of a run are cut into
+   blocks; a block agrees when most of its pairs do and their median strength ``(S - tau) / (1 -
+   tau)`` suffices. Where the rig states the target's size, the strength is that of the overlap with
+   D2's box moved to where such a body has its middle (``path.target.rivals.placed``); what S itself
+   says of a pair stays as it is. Whatever the dependence, with different things in the boxes
 
        P(a run's first block agrees) <= first_rate,   P(a later one agrees | all before it) <= next_rate
 
-   with two rates that are *measured*. A run's evidence E is a bet against these: the first block multiplies it by
-   1 / first_rate or ends the run; a later one by ``gain`` when it agrees and by ``setback`` when it does not, with
+   with two rates that are *measured*. A run's evidence E is a bet against these: the first block
+   multiplies it by 1 / first_rate or ends the run; a later one by ``gain`` when it agrees and by
+   ``setback`` when it does not, with
 
        next_rate * gain + (1 - next_rate) * setback = 1,
 
-   so that E is expected not to grow, and exceeds 1 / a at any time with a probability of at most a (Ville). The j-th
-   run of an attempt may spend ``alpha / (j (j + 1))``, which sums to ``alpha`` however often it is tried. What speaks
-   against errors that last (``identity``) is asked for the first run's share in every run: all runs of an attempt
-   have the same errors, so that another run tries nothing new.
+   so that E is expected not to grow, and exceeds 1 / a at any time with a probability of at most a
+   (Ville). The j-th run of an attempt may spend ``alpha / (j (j + 1))``, which sums to ``alpha``
+   however often it is tried. What speaks against errors that last (``identity``) is asked for the
+   first run's share in every run: all runs of an attempt have the same errors, so that another run
+   tries nothing new.
 
-A frame without a box, of either camera, is no disagreement: a detector misses one object as it misses another. It adds
-nothing, and nothing is assumed for it: blocks are of pairs that were compared, and wait until they have enough of them.
-Boxes are not carried on from other frames. After ``max_gap_s`` without an agreeing pair the run ends: by then it may be
-about something else. A box in the wrong place (a false positive) is a pair that disagrees: few of them cost nothing,
-many the block.
+A frame without a box, of either camera, is no disagreement: a detector misses one object as it
+misses another. It adds nothing, and nothing is assumed for it: blocks are of pairs that were
+compared, and wait until they have enough of them. Boxes are not carried on from other frames. After
+``max_gap_s`` without an agreeing pair the run ends: by then it may be about something else. A box
+in the wrong place (a false positive) is a pair that disagrees: few of them cost nothing, many the
+block.
 
-Boxes that errors that last put far apart are weak in every block, and no less of one object. A second test may be made
-beside the first, in longer blocks, which waver less and so may be weaker (``TwoPaces``). Each has rates of its own and
-a share of ``alpha`` for accidents, so that both together stay below it.
+Boxes that errors that last put far apart are weak in every block, and no less of one object. A
+second test may be made beside the first, in longer blocks, which waver less and so may be weaker
+(``TwoPaces``). Each has rates of its own and a share of ``alpha`` for accidents, so that both
+together stay below it.
 
-Rates, ``r0`` and the errors come from simulation with persistent errors, misses and look-alikes, see the decision
-records.
+Rates, ``r0`` and the errors come from simulation with persistent errors, misses and look-alikes,
+see the decision records.
 """
 
 from __future__ import annotations
@@ -65,12 +72,16 @@ def make_gate(config: MethodConfig) -> Gate:
 
 
 def strength(iou: float, tau: float) -> float:
-    """Returns by how much a pair agrees: 0 at the threshold, 1 for equal boxes; below 0 it does not agree."""
+    """Returns by how much a pair agrees: 0 at the threshold, 1 for equal boxes; below 0 it does not
+    agree.
+    """
     return (iou - tau) / (1.0 - tau) if tau < 1.0 else iou - tau
 
 
 def gain(config: EvidenceConfig) -> float:
-    """Returns the factor on a run's evidence of an agreeing block after the first: all that the setbacks allow."""
+    """Returns the factor on a run's evidence of an agreeing block after the first: all that the
+    setbacks allow.
+    """
     return (1.0 - (1.0 - config.next_rate) * config.setback) / config.next_rate
 
 
@@ -91,15 +102,18 @@ def evidence_needed(run: int, config: EvidenceConfig) -> float:
 
 
 def persistent_bound(distance_m: float, reach_m: float, sigma_m: float, measured: int) -> float:
-    """Bound on the probability that a persistent error makes an object that is not the target agree, 0..1.
+    """Bound on the probability that a persistent error makes an object that is not the target
+    agree, 0..1.
 
-    For errors that are normal about zero with an unknown standard deviation, the same along both axes, that was
-    estimated from ``measured`` attempts: the tail of the ratio is heavier than that of a normal distribution.
+    For errors that are normal about zero with an unknown standard deviation, the same along both
+    axes, that was estimated from ``measured`` attempts: the tail of the ratio is heavier than that
+    of a normal distribution.
 
     Args:
         distance_m: from the target to the nearest other object, across D2's line of sight.
         reach_m: offset ``r0`` from which on agreement is an accident.
-        sigma_m: standard deviation of the persistent error, per axis across the line of sight, as estimated.
+        sigma_m: standard deviation of the persistent error, per axis across the line of sight, as
+            estimated.
     """
     if distance_m <= reach_m:
         return 1.0
@@ -110,7 +124,9 @@ def persistent_bound(distance_m: float, reach_m: float, sigma_m: float, measured
 
 @dataclass(slots=True)
 class BlockCounts:
-    """Numbers of blocks that a gate judged, and of those that agreed: first ones of a run, and later ones."""
+    """Numbers of blocks that a gate judged, and of those that agreed: first ones of a run, and
+    later ones.
+    """
 
     first: list[int] = field(default_factory=lambda: [0, 0])
     later: list[int] = field(default_factory=lambda: [0, 0])
@@ -122,7 +138,8 @@ class BlockCounts:
 
 
 class EvidenceGate:
-    """Blocks of compared pairs, on top of the paper's window that says which pairs are new. One instance an attempt.
+    """Blocks of compared pairs, on top of the paper's window that says which pairs are new. One
+    instance an attempt.
 
     Attributes:
         judged: of all blocks so far, those of runs that ended included.
@@ -165,10 +182,14 @@ class EvidenceGate:
         counted = (self.blocks, self._setbacks)
         needed = evidence_needed(1, self._config)
         if counted != self._counted:
-            self._counted, self._by_blocks = counted, evidence_of(counted[0], self._config, counted[1])
+            self._counted, self._by_blocks = (
+                counted,
+                evidence_of(counted[0], self._config, counted[1]),
+            )
         blocks = self._by_blocks
         later = 0.0 if self._runs <= 1 else evidence_needed(self._runs, self._config) - needed
-        # errors that last are drawn once: another run or test is another chance for an accident, not for them
+        # errors that last are drawn once: another run or test is another chance for an accident,
+        # not for them
         lasting = self._identity.reached(self._config) + later + self._shared
         return Evidence(min(blocks, lasting), needed + later)
 
@@ -181,7 +202,10 @@ class EvidenceGate:
         if not iou >= tau:  # no pair that agrees: whoever says so is wrong, and gains nothing
             return self.disagree(pair.peer_sequence, pair.capture_ns, strength(iou, tau))
         if pair.oversize > self._config.size_sigmas:
-            return self.disagree(pair.peer_sequence, pair.capture_ns, -math.inf) or MissReason.AMBIGUOUS_TARGET
+            return (
+                self.disagree(pair.peer_sequence, pair.capture_ns, -math.inf)
+                or MissReason.AMBIGUOUS_TARGET
+            )
         refusal = self._run.agree(pair)
         if refusal is not None:
             return refusal
@@ -192,10 +216,14 @@ class EvidenceGate:
             self._begin(pair.capture_ns)
         if pair.offsets is not None:
             self._identity.note(pair.offsets)
-        self._compared(pair.capture_ns, strength(iou if pair.placed_iou is None else pair.placed_iou, tau))
+        self._compared(
+            pair.capture_ns, strength(iou if pair.placed_iou is None else pair.placed_iou, tau)
+        )
         return None
 
-    def disagree(self, peer_sequence: int, capture_ns: int, by: float | None = None) -> MissReason | None:
+    def disagree(
+        self, peer_sequence: int, capture_ns: int, by: float | None = None
+    ) -> MissReason | None:
         refusal = self._run.skip(peer_sequence, capture_ns)
         if refusal is None and by is not None and self._run.count:
             self._compared(capture_ns, by if by < 0.0 else -math.inf)
@@ -221,14 +249,19 @@ class EvidenceGate:
     def _compared(self, capture_ns: int, by: float) -> None:
         self._agreed = by >= 0.0
         self._strengths.append(by)
-        if capture_ns - self._begin_ns >= self._block_ns and len(self._strengths) >= self._config.block_pairs:
+        if (
+            capture_ns - self._begin_ns >= self._block_ns
+            and len(self._strengths) >= self._config.block_pairs
+        ):
             self._judge(capture_ns)
 
     def _judge(self, capture_ns: int) -> None:
         """A block is full: it adds to the run's evidence, takes from it, or ends the run."""
         own = self._config
         agreeing = sum(each >= 0.0 for each in self._strengths)
-        agrees = median(self._strengths) >= own.strength and agreeing >= own.block_share * len(self._strengths)
+        agrees = median(self._strengths) >= own.strength and agreeing >= own.block_share * len(
+            self._strengths
+        )
         self.judged.note(later=self._blocks > 0, agrees=agrees)
         self._blocks += agrees
         self._setbacks += not agrees
@@ -239,7 +272,9 @@ class EvidenceGate:
 
 
 class TwoPaces:
-    """Two tests on the same pairs, in short and in long blocks; the first to be complete decides. One an attempt."""
+    """Two tests on the same pairs, in short and in long blocks; the first to be complete decides.
+    One an attempt.
+    """
 
     def __init__(self, config: MethodConfig) -> None:
         self.paces = [EvidenceGate(replace(config, evidence=own)) for own in config.evidence.paces]
@@ -271,7 +306,9 @@ class TwoPaces:
         answer, _ = (pace.agree(pair, iou, tau) for pace in self.paces)
         return answer
 
-    def disagree(self, peer_sequence: int, capture_ns: int, by: float | None = None) -> MissReason | None:
+    def disagree(
+        self, peer_sequence: int, capture_ns: int, by: float | None = None
+    ) -> MissReason | None:
         answer, _ = (pace.disagree(peer_sequence, capture_ns, by) for pace in self.paces)
         return answer
 

@@ -1,22 +1,26 @@
 """The object that D2's box is of: the target, one that D1 sees beside it, or one that nobody sees.
 
-How well boxes agree, frame after frame, says that D2 sees the same thing all the time, not which. What could move
-another object's box onto the target's are errors that last: drawn once, the same in every frame, so that more frames do
-not help. They are normal, with ``offset_sigma_m`` per axis in D1's image, and so known that a run is worth one
-observation: the mean offset of D2's box from the target, and from what it could be of instead. A ratio of likelihoods
-decides:
+How well boxes agree, frame after frame, says that D2 sees the same thing all the time, not which.
+What could move another object's box onto the target's are errors that last: drawn once, the same in
+every frame, so that more frames do not help. They are normal, with ``offset_sigma_m`` per axis in
+D1's image, and so known that a run is worth one observation: the mean offset of D2's box from the
+target, and from what it could be of instead. A ratio of likelihoods decides:
 
-- against an object that D1 sees (``path.target.rivals``), where errors that last move both offsets alike:
-  p(offset from the target) / p(offset from that object). By Markov's inequality it exceeds 1 / a with a probability of
-  at most a when the box is of that object, wherever it stands. One that is nearer to the target than the errors reach
-  leaves nothing to be decided: no evidence, however many frames. D2 need not see it, and need not see both.
-- against one that D1 does not see: it may be anywhere that D2 looks, ``REACH_SIGMAS`` of those errors around its
-  prior, and there is one in a share ``unseen`` of all hand-overs at most, in which D2 does not see the target either.
-  No frame tells more of it: p(offset from the target) / (unseen * p(anywhere)).
+- against an object that D1 sees (``path.target.rivals``), where errors that last move both offsets
+  alike: p(offset from the target) / p(offset from that object). By Markov's inequality it exceeds 1
+      / a with a probability of
+  at most a when the box is of that object, wherever it stands. One that is nearer to the target
+  than the errors reach leaves nothing to be decided: no evidence, however many frames. D2 need not
+  see it, and need not see both.
+- against one that D1 does not see: it may be anywhere that D2 looks, ``REACH_SIGMAS`` of those
+  errors around its prior, and there is one in a share ``unseen`` of all hand-overs at most, in
+  which D2 does not see the target either. No frame tells more of it: p(offset from the target) /
+  (unseen * p(anywhere)).
 
-- against D1's own: where an object is nearer than ``apart_m`` to what D1 follows, D1 may have gone over to it, in a
-  share ``swap`` of such hand-overs. Both boxes agree then for ever, so that nothing beyond 1 / swap can be reached
-  while it is there, which is for ``rival_s`` after D1 has seen it.
+- against D1's own: where an object is nearer than ``apart_m`` to what D1 follows, D1 may have gone
+  over to it, in a share ``swap`` of such hand-overs. Both boxes agree then for ever, so that
+  nothing beyond 1 / swap can be reached while it is there, which is for ``rival_s`` after D1 has
+  seen it.
 
 The run's evidence is the smallest of these and of what the blocks say (``path.gate.evidence``).
 """
@@ -34,7 +38,8 @@ NOTHING = 0.0
 
 
 def log_likelihood(offset_m: Offset, config: EvidenceConfig) -> float:
-    """log10 of how likely a mean offset is when the box is of the object that it is measured from, 0 for no offset.
+    """log10 of how likely a mean offset is when the box is of the object that it is measured from,
+    0 for no offset.
 
     The tail is that of errors whose size is known from ``offset_known`` measurements.
     """
@@ -72,7 +77,9 @@ class Identity:
 
     def note(self, offsets: Offsets) -> None:
         self.pairs += 1
-        self.near_m = min((math.dist(each, offsets.target_m) for each in offsets.rivals_m), default=math.inf)
+        self.near_m = min(
+            (math.dist(each, offsets.target_m) for each in offsets.rivals_m), default=math.inf
+        )
         self.target = _sum(self.target, offsets.target_m)
         rival = nearest_rival(offsets)
         if rival is not None:

@@ -1,7 +1,8 @@
 """A pair's boxes compared, compiled: one crossing each. ``path.gate.agreement`` says what it means.
 
-``views`` is the array of ``numbers_of``: D1's lens, D2's, and ``T_v_c1``. A box is ``(x, y, w, h)``; ``body`` is the
-span and height of the target in m, 0 where they are not stated. What there is not is NaN.
+``views`` is the array of ``numbers_of``: D1's lens, D2's, and ``T_v_c1``. A box is ``(x, y, w,
+h)``; ``body`` is the span and height of the target in m, 0 where they are not stated. What there is
+not is NaN.
 """
 
 from __future__ import annotations
@@ -22,9 +23,13 @@ Array = NDArray[np.float64]
 Four = tuple[float, float, float, float]
 Two = tuple[float, float]
 Own = tuple[float, ...]
-"""D1's sample of its target: box, point and depth with its standard deviation, gravity, oversize (13 numbers)."""
+"""D1's sample of its target: box, point and depth with its standard deviation, gravity, oversize
+(13 numbers).
+"""
 Judged = tuple[Four, float, Two, float, float, Vec3]
-"""D2's box mapped, overlap, offset, overlap when placed by that, the target's depth for D2, ``sized``."""
+"""D2's box mapped, overlap, offset, overlap when placed by that, the target's depth for D2,
+``sized``.
+"""
 
 LENS_2 = 16
 MOUNT = 32
@@ -55,7 +60,9 @@ def _turned(rotation: Quat, position: Vec3) -> Rigid:
 
 
 @as_it_is
-def overlap(ax: float, ay: float, aw: float, ah: float, bx: float, by: float, bw: float, bh: float) -> float:
+def overlap(
+    ax: float, ay: float, aw: float, ah: float, bx: float, by: float, bw: float, bh: float
+) -> float:
     """Intersection over union of two boxes, 0..1; 0 when either is empty."""
     width = min(ax + aw, bx + bw) - max(ax, bx)
     height = min(ay + ah, by + bh) - max(ay, by)
@@ -67,7 +74,9 @@ def overlap(ax: float, ay: float, aw: float, ah: float, bx: float, by: float, bw
 
 @kernel
 def mapped(views: Array, T_v_c2: Rigid, box2: Four, z1: float, z2: float, corner: float) -> Four:
-    """D2's box in D1's image; ``corner`` is 1 where the box's corner is mapped, 0 for its centre."""
+    """D2's box in D1's image; ``corner`` is 1 where the box's corner is mapped, 0 for its
+    centre.
+    """
     lens1 = views[:LENS_2]
     lens2 = views[LENS_2:MOUNT]
     x, y, w, h = box2
@@ -89,9 +98,18 @@ def mapped(views: Array, T_v_c2: Rigid, box2: Four, z1: float, z2: float, corner
 
 @kernel
 def offset(
-    views: Array, body: Two, T_v_c2: Rigid, box2: Four, center: Two, z1: float, point_v: Vec3, gravity_v: Vec3
+    views: Array,
+    body: Two,
+    T_v_c2: Rigid,
+    box2: Four,
+    center: Two,
+    z1: float,
+    point_v: Vec3,
+    gravity_v: Vec3,
 ) -> Two:
-    """The distance of D2's box from where an object at a point has its own, in D1's image, m at its depth."""
+    """The distance of D2's box from where an object at a point has its own, in D1's image, m at its
+    depth.
+    """
     span_m, height_m = body
     x, y, w, h = box2
     if not span_m > 0.0:
@@ -100,7 +118,8 @@ def offset(
             return math.nan, math.nan
         x, y, w, h = mapped(views, T_v_c2, box2, z1, z2, 0.0)
         return (x + w / 2.0 - center[0]) * z1 / views[0], (y + h / 2.0 - center[1]) * z1 / views[1]
-    # the middle of the box against where it is of a body of that size with this point in D1's box's middle
+    # the middle of the box against where it is of a body of that size with this point in D1's box's
+    # middle
     T_v_c1 = _mount(views)
     middle = middle_v(T_v_c1, point_v, gravity_v, span_m, height_m)
     expected_v = box_middle_v(T_v_c2, middle, gravity_v, span_m, height_m)
@@ -115,9 +134,19 @@ def offset(
 
 @inner
 def _sized(
-    fx: float, fy: float, body: Two, T_v_c: Rigid, w: float, h: float, z: float, point_v: Vec3, gravity_v: Vec3
+    fx: float,
+    fy: float,
+    body: Two,
+    T_v_c: Rigid,
+    w: float,
+    h: float,
+    z: float,
+    point_v: Vec3,
+    gravity_v: Vec3,
 ) -> Vec3:
-    """Width and height in m of a box, and how many times larger one is than the stated size allows."""
+    """Width and height in m of a box, and how many times larger one is than the stated size
+    allows.
+    """
     wide_m = max(TINY_M, w * z / fx)
     high_m = max(TINY_M, h * z / fy)
     if not body[0] > 0.0:
@@ -128,7 +157,9 @@ def _sized(
 
 @kernel
 def located(views: Array, u: float, v: float, z: float) -> tuple[Vec3, float]:
-    """The point at a pixel of D1 at a depth, in the marker's frame, and its distance; NaN when it has no ray."""
+    """The point at a pixel of D1 at a depth, in the marker's frame, and its distance; NaN when it
+    has no ray.
+    """
     x, y = ray(views[:LENS_2], u, v)
     x = z * x
     y = z * y
@@ -136,13 +167,19 @@ def located(views: Array, u: float, v: float, z: float) -> tuple[Vec3, float]:
 
 
 @kernel
-def sized(views: Array, body: Two, w: float, h: float, z: float, point_v: Vec3, gravity_v: Vec3) -> Vec3:
-    """Width and height in m of D1's box, and how many times larger one is than the stated size allows."""
+def sized(
+    views: Array, body: Two, w: float, h: float, z: float, point_v: Vec3, gravity_v: Vec3
+) -> Vec3:
+    """Width and height in m of D1's box, and how many times larger one is than the stated size
+    allows.
+    """
     return _sized(views[0], views[1], body, _mount(views), w, h, z, point_v, gravity_v)
 
 
 @kernel
-def judged(views: Array, body: Two, corner: float, own: Own, rotation: Quat, position: Vec3, box2: Four) -> Judged:
+def judged(
+    views: Array, body: Two, corner: float, own: Own, rotation: Quat, position: Vec3, box2: Four
+) -> Judged:
     """All that is computed of a box of D2, and of D1's target at that instant."""
     u = own[0]
     v = own[1]
@@ -164,5 +201,7 @@ def judged(views: Array, body: Two, corner: float, own: Own, rotation: Quat, pos
         left = center[0] + off[0] * views[0] / z1 - 0.5 * box1[2]
         top = center[1] + off[1] * views[1] / z1 - 0.5 * box1[3]
         placed = overlap(u, v, w, h, left, top, box1[2], box1[3])
-        sizes = _sized(views[LENS_2], views[LENS_2 + 1], body, T_v_c2, box2[2], box2[3], z2, point_v, gravity_v)
+        sizes = _sized(
+            views[LENS_2], views[LENS_2 + 1], body, T_v_c2, box2[2], box2[3], z2, point_v, gravity_v
+        )
     return box1, score, off, placed, z2, sizes

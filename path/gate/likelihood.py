@@ -1,20 +1,22 @@
-"""The gate "likelihood": a sequential test of which object D2's box is of, from where that box lies.
+"""The gate "likelihood": a sequential test of which object D2's box is of, from where that box
+lies.
 
-For D2's box in pair k and object j, ``path.target.rivals`` gives the offset o_kj from where D1 has that object, across
-D1's line of sight. If the box is of j,
+For D2's box in pair k and object j, ``path.target.rivals`` gives the offset o_kj from where D1 has
+that object, across D1's line of sight. If the box is of j,
 
     o_kj = beta + n_k,    beta ~ N(0, B),    n_k of variance N and correlation time T, per axis.
 
-beta is drawn once an attempt: calibration, mounts, print, attitude, clocks, depth, where the middle of a box lies on a
-body. B = ``offset_sigma_m`` squared, which ``path-handoff plan`` works out for the geometry at hand; it is known from
-``offset_known`` measurements, so that its tail is Student's. N and T are estimated while it runs: s^2 over the run, and
-the correlation of pairs that follow one another. Over a run of length t the mean of the offsets is then one observation
-of variance
+beta is drawn once an attempt: calibration, mounts, print, attitude, clocks, depth, where the middle
+of a box lies on a body. B = ``offset_sigma_m`` squared, which ``path-handoff plan`` works out for
+the geometry at hand; it is known from ``offset_known`` measurements, so that its tail is Student's.
+N and T are estimated while it runs: s^2 over the run, and the correlation of pairs that follow one
+another. Over a run of length t the mean of the offsets is then one observation of variance
 
     B + N / m,    m = 1 + t / 2T independent ones of n
 
-and the scatter s_j^2 another, of m - 1 degrees of freedom: about the object that the box is of it is noise, about one
-that moves differently it is more. The log likelihood of j, both axes together, is
+and the scatter s_j^2 another, of m - 1 degrees of freedom: about the object that the box is of it
+is noise, about one that moves differently it is more. The log likelihood of j, both axes together,
+is
 
     l_j = -known ln(1 + |mean o_j|^2 / (2 known (B + N/m))) - (m - 1) ln(s_j^2 + N_0)
 
@@ -24,13 +26,14 @@ N_0, a share of B, is what scatters at least. Against D1's target, H_0, stand
     H_u   one that D1 does not see, anywhere in the area A in which D2 takes a box for the target's, in a share
           ``unseen`` of the hand-overs:         ln L = l_0 - ln unseen + ln (A / 2 pi (B + N/m))
 
-and, in each, pairs whose boxes do not overlap as they should: of the same object a share ODD of them at most, of others
-half. The evidence is the least of them. The target is handed over when it is at least 1/alpha, for HELD_S, after
-``min_s`` and ``min_pairs``: a likelihood ratio exceeds 1/a under the other hypothesis with a probability of at most a,
-at any time (Ville). A run that was broken off is another try: the j-th may spend alpha / (j (j + 1)).
+and, in each, pairs whose boxes do not overlap as they should: of the same object a share ODD of
+them at most, of others half. The evidence is the least of them. The target is handed over when it
+is at least 1/alpha, for HELD_S, after ``min_s`` and ``min_pairs``: a likelihood ratio exceeds 1/a
+under the other hypothesis with a probability of at most a, at any time (Ville). A run that was
+broken off is another try: the j-th may spend alpha / (j (j + 1)).
 
-That D1 itself has gone over to another object is not asked here: it offers no frame of which it is not sure
-(``path.belief``).
+That D1 itself has gone over to another object is not asked here: it offers no frame of which it is
+not sure (``path.belief``).
 """
 
 from __future__ import annotations
@@ -50,9 +53,13 @@ PRIOR_PAIRS = 20.0
 LEAST_SCATTER = 0.03
 """N_0 of B: boxes' noise that is averaged over T."""
 REACH_SIGMAS = 8.3
-"""Of beta: how far from its prior D2 takes a box for the target's. 3.5 of the 7 cm that it looks around a small car."""
+"""Of beta: how far from its prior D2 takes a box for the target's. 3.5 of the 7 cm that it looks
+around a small car.
+"""
 ODD = 0.1
-"""The share of pairs that do not overlap though they are of one object: a detector's inventions, and spells of blur."""
+"""The share of pairs that do not overlap though they are of one object: a detector's inventions,
+and spells of blur.
+"""
 
 
 @dataclass(slots=True)
@@ -109,12 +116,17 @@ class _Run:
         return (self.newest_ns - self.begin_ns) * 1e-9
 
     def note(self, offsets: Offsets, capture_ns: int, same_m: float) -> None:
-        """Take in the offsets of a pair. Objects beside the target are those of the pairs before, by where they are."""
+        """Take in the offsets of a pair. Objects beside the target are those of the pairs before,
+        by where they are.
+        """
         self.newest_ns = capture_ns
         self.target.note(offsets.target_m)
         free = list(self.beside)
         for rival_m in offsets.rivals_m:
-            apart = [math.dist(_from_target(each), _difference(rival_m, offsets.target_m)) for each in free]
+            apart = [
+                math.dist(_from_target(each), _difference(rival_m, offsets.target_m))
+                for each in free
+            ]
             nearest = min(range(len(free)), key=apart.__getitem__, default=None)
             if nearest is None or apart[nearest] > same_m:
                 own = (Scatter(), Scatter())
@@ -140,7 +152,9 @@ class LikelihoodGate:
     def __init__(self, config: MethodConfig) -> None:
         own = config.evidence
         self._config = own
-        limits = replace(config, hold_frames=own.min_pairs, hold_s=own.min_s, max_gap_s=own.max_gap_s)
+        limits = replace(
+            config, hold_frames=own.min_pairs, hold_s=own.min_s, max_gap_s=own.max_gap_s
+        )
         self._window = AgreementWindow(limits)
         self._run = _Run()
         self._runs = 0
@@ -184,7 +198,9 @@ class LikelihoodGate:
         self._judge(pair.capture_ns)
         return None
 
-    def disagree(self, peer_sequence: int, capture_ns: int, by: float | None = None) -> MissReason | None:
+    def disagree(
+        self, peer_sequence: int, capture_ns: int, by: float | None = None
+    ) -> MissReason | None:
         refusal = self._window.skip(peer_sequence, capture_ns)
         if refusal is None and by is not None and self._window.count:
             self._agreed = False
@@ -233,7 +249,9 @@ class LikelihoodGate:
         compared = run.target.count + run.odd
         share = run.odd / compared
         # odd pairs come in spells: as many independent ones as there are of offsets
-        odds = independent * (share * math.log(2.0 * ODD) + (1.0 - share) * math.log(2.0 * (1.0 - ODD)))
+        odds = independent * (
+            share * math.log(2.0 * ODD) + (1.0 - share) * math.log(2.0 * (1.0 - ODD))
+        )
         return max(0.0, reached + min(0.0, odds))
 
     @staticmethod
@@ -244,7 +262,9 @@ class LikelihoodGate:
         step_s = run.span_s / (run.target.count - 1)
         measured = run.target.correlation
         prior = math.exp(-step_s / CORRELATED_S)
-        correlation = (PRIOR_PAIRS * prior + run.target.count * measured) / (PRIOR_PAIRS + run.target.count)
+        correlation = (PRIOR_PAIRS * prior + run.target.count * measured) / (
+            PRIOR_PAIRS + run.target.count
+        )
         time_s = -step_s / math.log(max(1e-6, correlation))
         return 1.0 + run.span_s / (2.0 * time_s)
 

@@ -1,18 +1,21 @@
-"""The gate before a commit, and the paper's, "count": consecutive agreements on distinct fresh frame pairs only.
+"""The gate before a commit, and the paper's, "count": consecutive agreements on distinct fresh
+frame pairs only.
 
-Paper, eq. temporal_verification. The other gate, ``path.gate.evidence``, rests on the same run of pairs.
+Paper, eq. temporal_verification. The other gate, ``path.gate.evidence``, rests on the same run of
+pairs.
 
 What is safe, and why:
 
-- Only an agreeing pair of a *new* D2 frame with a *new* D1 frame advances the count, at a *later* capture instant than
-  anything counted or missed before. A loop that runs faster than the cameras, a repeated or late packet and a frozen
-  camera advance nothing.
-- A fresh frame of either side that does not agree restarts the count, whatever its reason: the paper does not say what
-  a missed detection is, and "consecutive" is taken at its word.
-- What is no evidence (an old, repeated or broken packet, a packet lost) changes nothing by itself: otherwise an echo
-  could hold a handoff up for ever. It cannot stretch a run either: two agreeing pairs more than ``max_gap_s`` apart do
-  not belong to one run.
-- Number of pairs and elapsed time must both be reached, the time on the capture stamps of both sides.
+- Only an agreeing pair of a *new* D2 frame with a *new* D1 frame advances the count, at a *later*
+  capture instant than anything counted or missed before. A loop that runs faster than the cameras,
+  a repeated or late packet and a frozen camera advance nothing.
+- A fresh frame of either side that does not agree restarts the count, whatever its reason: the
+  paper does not say what a missed detection is, and "consecutive" is taken at its word.
+- What is no evidence (an old, repeated or broken packet, a packet lost) changes nothing by itself:
+  otherwise an echo could hold a handoff up for ever. It cannot stretch a run either: two agreeing
+  pairs more than ``max_gap_s`` apart do not belong to one run.
+- Number of pairs and elapsed time must both be reached, the time on the capture stamps of both
+  sides.
 """
 
 from __future__ import annotations
@@ -26,7 +29,9 @@ SERIAL = 1 << 16
 
 
 def serial_difference(a: int, b: int) -> int:
-    """Returns how far u16 sequence ``a`` is ahead of ``b``, in -32768..32767 (serial number arithmetic)."""
+    """Returns how far u16 sequence ``a`` is ahead of ``b``, in -32768..32767 (serial number
+    arithmetic).
+    """
     return ((a - b + SERIAL // 2) % SERIAL) - SERIAL // 2
 
 
@@ -35,8 +40,8 @@ Offset = tuple[float, float]
 
 
 class Offsets(NamedTuple):
-    """D2's box, seen by D1, as distances from where each object would have it: the target, and those D1 sees beside it
-    (``path.target.rivals``)."""
+    """D2's box, seen by D1, as distances from where each object would have it: the target, and
+    those D1 sees beside it (``path.target.rivals``)."""
 
     target_m: Offset
     rivals_m: tuple[Offset, ...] = ()
@@ -48,11 +53,13 @@ class FramePair(NamedTuple):
     Attributes:
         peer_sequence: u16 sequence of D2's frame.
         capture_ns: when D2's frame was taken, D1's clock.
-        own_frames: D1's frames before and after that instant, ``(frame number, stamp)`` each; the same one twice when
-            the instants coincide.
+        own_frames: D1's frames before and after that instant, ``(frame number, stamp)`` each; the
+            same one twice when the instants coincide.
         offsets: of D2's box from the target and from what is beside it; None when nobody looked.
-        oversize: by how many standard deviations a box is larger than the target can be; 0 when nobody looked.
-        placed_iou: the overlap with D2's box where a body of the stated size has its middle; None: no size is stated.
+        oversize: by how many standard deviations a box is larger than the target can be; 0 when
+            nobody looked.
+        placed_iou: the overlap with D2's box where a body of the stated size has its middle; None:
+            no size is stated.
     """
 
     peer_sequence: int
@@ -74,7 +81,9 @@ class Evidence(NamedTuple):
 
 
 class Gate(Protocol):
-    """Decides from the pairs of one attempt whether both boxes show the same thing. Pure; it never looks at a clock."""
+    """Decides from the pairs of one attempt whether both boxes show the same thing. Pure; it never
+    looks at a clock.
+    """
 
     @property
     def count(self) -> int:
@@ -83,12 +92,16 @@ class Gate(Protocol):
 
     @property
     def span_s(self) -> float:
-        """Time from the first to the last pair of the run, the shorter one of both sides' stamps."""
+        """Time from the first to the last pair of the run, the shorter one of both sides'
+        stamps.
+        """
         ...
 
     @property
     def complete(self) -> bool:
-        """Returns whether the target may be handed over now. It does not stay so when a pair disagrees."""
+        """Returns whether the target may be handed over now. It does not stay so when a pair
+        disagrees.
+        """
         ...
 
     @property
@@ -99,15 +112,19 @@ class Gate(Protocol):
     def agree(self, pair: FramePair, iou: float, tau: float) -> MissReason | None:
         """An agreeing pair, ``iou >= tau``. Returns why it does not count, None when it does.
 
-        DUPLICATE and STALE say that it is no new evidence. AMBIGUOUS_TARGET says that a box is of more than the target:
-        the pair was taken as one that disagrees.
+        DUPLICATE and STALE say that it is no new evidence. AMBIGUOUS_TARGET says that a box is of
+        more than the target: the pair was taken as one that disagrees.
         """
         ...
 
-    def disagree(self, peer_sequence: int, capture_ns: int, by: float | None = None) -> MissReason | None:
-        """A D2 frame that does not agree. Returns why it is no new evidence (DUPLICATE or STALE), else None.
+    def disagree(
+        self, peer_sequence: int, capture_ns: int, by: float | None = None
+    ) -> MissReason | None:
+        """A D2 frame that does not agree. Returns why it is no new evidence (DUPLICATE or STALE),
+        else None.
 
-        ``by``: its strength, (S - tau) / (1 - tau), below 0; None when there was nothing to compare.
+        ``by``: its strength, (S - tau) / (1 - tau), below 0; None when there was nothing to
+        compare.
         """
         ...
 
@@ -116,20 +133,28 @@ class Gate(Protocol):
         ...
 
     def end_run(self, stamp_ns: int) -> None:
-        """What was reckoned before this instant (D1's clock) does not go with what comes after: begin a new run."""
+        """What was reckoned before this instant (D1's clock) does not go with what comes after:
+        begin a new run.
+        """
         ...
 
     def expire(self, instant_ns: int) -> bool:
-        """Restart when a pair captured at ``instant_ns`` would come too late for the run; True when that was so."""
+        """Restart when a pair captured at ``instant_ns`` would come too late for the run; True when
+        that was so.
+        """
         ...
 
     def refusal(self, peer_sequence: int) -> MissReason | None:
-        """DUPLICATE for the newest D2 frame compared so far, STALE for an older one, None for a new one."""
+        """DUPLICATE for the newest D2 frame compared so far, STALE for an older one, None for a new
+        one.
+        """
         ...
 
 
 class AgreementWindow:
-    """Counts consecutive agreeing pairs: the gate "count". Mutable; one instance for one attempt."""
+    """Counts consecutive agreeing pairs: the gate "count". Mutable; one instance for one
+    attempt.
+    """
 
     def __init__(self, config: MethodConfig) -> None:
         self._hold_frames = config.hold_frames
@@ -140,7 +165,8 @@ class AgreementWindow:
         self._last = (0, 0)
         self._peer: int | None = None
         self._own: int | None = None
-        self._floor_ns: int | None = None  # nothing captured at or before this may be counted any more
+        # nothing captured at or before this may be counted any more
+        self._floor_ns: int | None = None
 
     @property
     def count(self) -> int:
@@ -152,7 +178,11 @@ class AgreementWindow:
 
     @property
     def _span_ns(self) -> int:
-        return min(self._last[0] - self._first[0], self._last[1] - self._first[1]) if self._count else 0
+        return (
+            min(self._last[0] - self._first[0], self._last[1] - self._first[1])
+            if self._count
+            else 0
+        )
 
     @property
     def complete(self) -> bool:
@@ -185,7 +215,9 @@ class AgreementWindow:
         self._count += 1
         return None
 
-    def disagree(self, peer_sequence: int, capture_ns: int, by: float | None = None) -> MissReason | None:
+    def disagree(
+        self, peer_sequence: int, capture_ns: int, by: float | None = None
+    ) -> MissReason | None:
         """Restarts the run, by however much the pair disagrees."""
         del by
         refusal = self.skip(peer_sequence, capture_ns)
@@ -198,7 +230,9 @@ class AgreementWindow:
         refusal = self.refusal(peer_sequence)
         if refusal is None:
             self._peer = peer_sequence
-            self._floor_ns = capture_ns if self._floor_ns is None else max(self._floor_ns, capture_ns)
+            self._floor_ns = (
+                capture_ns if self._floor_ns is None else max(self._floor_ns, capture_ns)
+            )
         return refusal
 
     def restart(self, stamp_ns: int) -> None:

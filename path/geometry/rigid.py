@@ -1,4 +1,6 @@
-"""Rigid transforms as twelve plain floats, for the few points of one cycle (numpy costs more than the arithmetic)."""
+"""Rigid transforms as twelve plain floats, for the few points of one cycle (numpy costs more than
+the arithmetic).
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ def rigid_from_quat(q: Quat, t: Vec3) -> Rigid:
 
 
 def inverse_as_quat(T_a_b: Rigid) -> tuple[Quat, Vec3]:
-    """The opposite transform as quaternion ``q_b_a`` and the origin of ``a`` in ``b``, in metres."""
+    """The opposite transform as quaternion ``q_b_a`` and the origin of ``a`` in ``b``, in
+    metres.
+    """
     return conjugate(quat_from_entries(T_a_b[:9])), transform_back(T_a_b, (0.0, 0.0, 0.0))
 
 

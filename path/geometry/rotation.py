@@ -1,6 +1,8 @@
-"""Rotations: quaternions ``wxyz``, rotation vectors, roll-pitch-yaw. Quaternion and yaw helpers work on plain floats.
+"""Rotations: quaternions ``wxyz``, rotation vectors, roll-pitch-yaw. Quaternion and yaw helpers
+work on plain floats.
 
-``q_a_b`` and ``R_a_b`` turn coordinates in ``b`` into coordinates in ``a``, as ``path.geometry.transforms.Pose`` does.
+``q_a_b`` and ``R_a_b`` turn coordinates in ``b`` into coordinates in ``a``, as
+``path.geometry.transforms.Pose`` does.
 """
 
 from __future__ import annotations
@@ -67,7 +69,12 @@ def slerp(a: Quat, b: Quat, fraction: float) -> Quat:
         wa = math.sin((1.0 - fraction) * angle) / math.sin(angle)
         wb = sign * math.sin(fraction * angle) / math.sin(angle)
     return normalized(
-        (wa * a[0] + wb * b[0], wa * a[1] + wb * b[1], wa * a[2] + wb * b[2], wa * a[3] + wb * b[3]),
+        (
+            wa * a[0] + wb * b[0],
+            wa * a[1] + wb * b[1],
+            wa * a[2] + wb * b[2],
+            wa * a[3] + wb * b[3],
+        ),
     )
 
 
@@ -88,8 +95,12 @@ def quat_from_R(R: Matrix) -> Quat:
     return quat_from_entries((a, b, c, d, e, f, g, h, i))
 
 
-def quat_from_entries(entries: tuple[float, float, float, float, float, float, float, float, float]) -> Quat:
-    """Unit quaternion with w >= 0 of a rotation matrix given row by row; exact at every angle (Shepperd's method)."""
+def quat_from_entries(
+    entries: tuple[float, float, float, float, float, float, float, float, float],
+) -> Quat:
+    """Unit quaternion with w >= 0 of a rotation matrix given row by row; exact at every angle
+    (Shepperd's method).
+    """
     a, b, c, d, e, f, g, h, i = entries
     trace = a + e + i
     largest = max(trace, a, e, i)
@@ -133,7 +144,9 @@ def yaw_of(q: Quat) -> float:
 
 
 def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Quat:
-    """Body-to-local quaternion of aerospace angles in rad: yaw about z, then pitch about y, then roll about x."""
+    """Body-to-local quaternion of aerospace angles in rad: yaw about z, then pitch about y, then
+    roll about x.
+    """
     cr = math.cos(0.5 * roll)
     sr = math.sin(0.5 * roll)
     cp = math.cos(0.5 * pitch)
@@ -159,7 +172,9 @@ def rpy_from_quat(q: Quat) -> tuple[float, float, float]:
 
 
 def stepped(pose: Pose, step: Vector) -> Pose:
-    """Returns a pose moved by ``step[:3]`` in m, and turned by ``step[3:]``, a rotation vector in rad."""
+    """Returns a pose moved by ``step[:3]`` in m, and turned by ``step[3:]``, a rotation vector in
+    rad.
+    """
     return Pose(exp(step[3:]) @ pose.R, pose.t + step[:3])
 
 

@@ -13,7 +13,8 @@ Matrix = NDArray[np.float64]
 
 @value
 class Pose:
-    """A rigid transform ``T_a_b``: maps coordinates in frame ``b`` to frame ``a``, ``p_a = R p_b + t``.
+    """A rigid transform ``T_a_b``: maps coordinates in frame ``b`` to frame ``a``, ``p_a = R p_b +
+    t``.
 
     Attributes:
         R: rotation matrix, shape (3, 3).

@@ -1,7 +1,7 @@
 """Find the markers of a layout in an image, with corners and their covariance.
 
-OpenCV's detector decodes; it needs cells of several pixels, so a small marker is looked for in an enlarged region. Its
-corners are good to about half a pixel: they only start the refinement.
+OpenCV's detector decodes; it needs cells of several pixels, so a small marker is looked for in an
+enlarged region. Its corners are good to about half a pixel: they only start the refinement.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ THOROUGH_CORRECTION = 0.6
 LARGE_WINDOW_SCALE = 2.5  # from this scale on the threshold looks at a wider neighbourhood
 MIN_EXPLAINED = 0.85  # of the image's variance, for the fit to be trusted
 MIN_CONTRAST = 8.0  # grey levels
-MIN_LIKENESS = 0.5  # correlation with the printed pattern below which a decoded quadrilateral is no marker
+# correlation with the printed pattern below which a decoded quadrilateral is no marker
+MIN_LIKENESS = 0.5
 SURE_LIKENESS = 0.88  # from which on its corners are those of the print
 MOST_WRONG = 0.1  # share of the print's cells that may seem so
 MIN_BARE_BORDER = 0.7  # light around the frame below which there is hardly any border
@@ -72,16 +73,18 @@ def detect_markers(
     """Markers of the layout in a region.
 
     Args:
-        image: uint8, (height, width, 3) BGR or (height, width) grey, distorted as the lens gives it.
+        image: uint8, (height, width, 3) BGR or (height, width) grey, distorted as the lens gives
+            it.
         region: where to look; None for the whole image, which costs tens of times as much.
-        refine: how corners are refined. "photometric" falls back to "subpix", with its larger covariance, where the
-            image does not look like the print.
+        refine: how corners are refined. "photometric" falls back to "subpix", with its larger
+            covariance, where the image does not look like the print.
         scale: enlargement for detection; by default up to 4, less for large regions.
         foreign: also give markers of the dictionary that the layout does not have (unrefined).
-        thorough: look three times, for what is small, dim, steep or close to others too, in about six times the time;
-            by default in a whole image, and not in a region.
-        expected: ``T_c_v`` good to about a cell of the print. Markers that are there are recognised without decoding,
-            in a tenth of the time; when one is not, everything is decoded. Only for "photometric".
+        thorough: look three times, for what is small, dim, steep or close to others too, in about
+            six times the time; by default in a whole image, and not in a region.
+        expected: ``T_c_v`` good to about a cell of the print. Markers that are there are recognised
+            without decoding, in a tenth of the time; when one is not, everything is decoded. Only
+            for "photometric".
 
     Returns:
         Detections by id. A marker that is seen in two places is there twice.
@@ -96,7 +99,9 @@ def detect_markers(
     u0 = int(area.x0)
     v0 = int(area.y0)
     cut = image[v0 : math.ceil(area.y1), u0 : math.ceil(area.x1)]
-    grey = np.ascontiguousarray(cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY) if cut.ndim == 3 else cut, dtype=np.uint8)
+    grey = np.ascontiguousarray(
+        cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY) if cut.ndim == 3 else cut, dtype=np.uint8
+    )
     used = scale or _scale_for(grey.size)
     quads = decode(grey, layout.dictionary, used, THRESHOLD)
     if not quads and scale is None and grey.size <= RETRY_PIXELS:
@@ -106,7 +111,9 @@ def detect_markers(
     found: list[MarkerDetection] = []
     for marker_id, quad in quads:
         if layout.marker(marker_id) is not None:
-            refined = refine_corners(grey, (u0, v0), quad, quiet(layout.dictionary, marker_id), camera, refine)
+            refined = refine_corners(
+                grey, (u0, v0), quad, quiet(layout.dictionary, marker_id), camera, refine
+            )
             if refined is not None:
                 found.append(MarkerDetection(marker_id, *refined))
         elif foreign:
@@ -117,12 +124,16 @@ def detect_markers(
 def _tracked(
     image: NDArray[np.uint8], expected: Pose, layout: MarkerLayout, camera: CameraModel
 ) -> tuple[MarkerDetection, ...]:
-    """All markers that an expected pose shows, with photometric corners; nothing when one of them has none."""
+    """All markers that an expected pose shows, with photometric corners; nothing when one of them
+    has none.
+    """
     found: list[MarkerDetection] = []
     for seen in recognise(image, expected, layout, camera) or ():
         pattern = quiet(layout.dictionary, seen.marker_id)
         bordered = seen.border >= MIN_BORDER
-        fitted = trusted_fit(seen.grey, seen.offset, seen.quad, pattern, camera, near=True, border=bordered)
+        fitted = trusted_fit(
+            seen.grey, seen.offset, seen.quad, pattern, camera, near=True, border=bordered
+        )
         if fitted is None:
             return ()
         found.append(MarkerDetection(seen.marker_id, fitted.corners_px, fitted.covariance_px2))
@@ -136,7 +147,9 @@ def _scale_for(pixels: int) -> float:
 
 
 @lru_cache(maxsize=8)
-def _detector(dictionary: str, windows: tuple[int, int], offset: float, correction: float) -> cv2.aruco.ArucoDetector:
+def _detector(
+    dictionary: str, windows: tuple[int, int], offset: float, correction: float
+) -> cv2.aruco.ArucoDetector:
     parameters = cv2.aruco.DetectorParameters()
     parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = windows
     parameters.adaptiveThreshConstant = offset
@@ -147,20 +160,34 @@ def _detector(dictionary: str, windows: tuple[int, int], offset: float, correcti
 
 
 def _thoroughly(grey: NDArray[np.uint8], dictionary: str) -> list[tuple[int, Array]]:
-    """As ``decode``, by what finds most on photographs of many tags: every window, and small ones enlarged."""
+    """As ``decode``, by what finds most on photographs of many tags: every window, and small ones
+    enlarged.
+    """
     whole = decode(grey, dictionary, 1.0, RETRY_THRESHOLD, THOROUGH_WINDOWS)
-    scale = min(THOROUGH_SCALE, math.floor(2.0 * math.sqrt(THOROUGH_PIXELS / max(grey.size, 1))) / 2.0)
+    scale = min(
+        THOROUGH_SCALE, math.floor(2.0 * math.sqrt(THOROUGH_PIXELS / max(grey.size, 1))) / 2.0
+    )
     return _united(whole, decode(grey, dictionary, max(scale, 1.0), THRESHOLD, THOROUGH_SMALL))
 
 
 def decode(
-    grey: NDArray[np.uint8], dictionary: str, scale: float, offset: float, windows: tuple[int, int] | None = None
+    grey: NDArray[np.uint8],
+    dictionary: str,
+    scale: float,
+    offset: float,
+    windows: tuple[int, int] | None = None,
 ) -> list[tuple[int, Array]]:
     """Ids and corners (4, 2) in pixels of ``grey``; one physical marker once."""
-    enlarged = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    enlarged = (
+        grey
+        if scale == 1.0
+        else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    )
     window = 23 if scale >= LARGE_WINDOW_SCALE else 13
     correction = FULL_CORRECTION if windows is None else THOROUGH_CORRECTION
-    corners, ids, _ = _detector(dictionary, windows or (window, window), offset, correction).detectMarkers(enlarged)
+    corners, ids, _ = _detector(
+        dictionary, windows or (window, window), offset, correction
+    ).detectMarkers(enlarged)
     quads: list[tuple[int, Array]] = []
     for row, corner in enumerate(corners):
         marker_id = int(np.ravel(ids)[row])  # shape (n, 1) in OpenCV 4, (n,) in 5
@@ -168,13 +195,18 @@ def decode(
     return _united([], quads)
 
 
-def _united(quads: list[tuple[int, Array]], more: list[tuple[int, Array]]) -> list[tuple[int, Array]]:
+def _united(
+    quads: list[tuple[int, Array]], more: list[tuple[int, Array]]
+) -> list[tuple[int, Array]]:
     """Both lists, one physical marker once: as it was found first."""
     united = list(quads)
     for marker_id, quad in more:
         centre = quad.mean(axis=0)
         side = _side(quad)
-        if not any(other == marker_id and np.hypot(*(q.mean(axis=0) - centre)) < 0.5 * side for other, q in united):
+        if not any(
+            other == marker_id and np.hypot(*(q.mean(axis=0) - centre)) < 0.5 * side
+            for other, q in united
+        ):
             united.append((marker_id, quad))
     return united
 
@@ -191,12 +223,14 @@ def refine_corners(
     camera: CameraModel,
     refine: Refine = "photometric",
 ) -> tuple[Array, Array] | None:
-    """Corners of one marker, good to about a pixel, refined; None when the image there is not the print.
+    """Corners of one marker, good to about a pixel, refined; None when the image there is not the
+    print.
 
     Args:
         grey: uint8, C-contiguous; its pixel (0, 0) is the camera's pixel ``offset``.
-        quad: corners as decoded, (4, 2) in pixels of ``grey``. Where they do not show the whole print they are first
-            brought to where the inside of the print has them: something may cover one.
+        quad: corners as decoded, (4, 2) in pixels of ``grey``. Where they do not show the whole
+            print they are first brought to where the inside of the print has them: something may
+            cover one.
         pattern: cells of the print with a border of white ones, 0 black and 1 white.
 
     Returns:
@@ -213,7 +247,9 @@ def refine_corners(
             # what does not fit counts less and less: the fit may have ended on another code
             ended = start + fitted.corners_px - camera.even(start + offset)
             ended_on = look(grey, np.ascontiguousarray(ended), pattern)
-            return (fitted.corners_px, fitted.covariance_px2) if _is_code(ended_on, pattern) else None
+            return (
+                (fitted.corners_px, fitted.covariance_px2) if _is_code(ended_on, pattern) else None
+            )
     # where the border begins is the only place that is looked at from here on
     if not bordered or (refine == "photometric" and not _is_whole(seen)):
         return None
@@ -223,12 +259,16 @@ def refine_corners(
         return None
     # one that the print has elsewhere, as under something that covers it, is as doubtful as that
     off2 = (corners - by_print) ** 2
-    covariance += np.diag(np.where(off2.sum(axis=1, keepdims=True) > SUBPIX_MOST_PX**2, off2, 0.0).ravel())
+    covariance += np.diag(
+        np.where(off2.sum(axis=1, keepdims=True) > SUBPIX_MOST_PX**2, off2, 0.0).ravel()
+    )
     return camera.even(corners + offset), covariance
 
 
 def _on_print(grey: NDArray[np.uint8], quad: Array, pattern: Array) -> tuple[Array, Look] | None:
-    """Corners good enough to refine, and what is seen between them; None when that is not the print."""
+    """Corners good enough to refine, and what is seen between them; None when that is not the
+    print.
+    """
     seen = look(grey, quad, pattern)
     if seen.likeness < MIN_LIKENESS:
         return None
@@ -243,7 +283,9 @@ def _on_print(grey: NDArray[np.uint8], quad: Array, pattern: Array) -> tuple[Arr
 
 
 def _is_code(seen: Look, pattern: Array) -> bool:
-    """Returns whether it is this code that is seen; without a border around it every cell has to agree."""
+    """Returns whether it is this code that is seen; without a border around it every cell has to
+    agree.
+    """
     if seen.border < MIN_BARE_BORDER and seen.wrong > 0.0:
         return False
     bits = (len(pattern) - 4) ** 2
@@ -264,9 +306,11 @@ def trusted_fit(
     near: bool = False,
     border: bool = True,
 ) -> PhotometricFit | None:
-    """The photometric fit from decoded corners, see ``refine_corners``; None where it is not to be trusted.
+    """The photometric fit from decoded corners, see ``refine_corners``; None where it is not to be
+    trusted.
 
-    ``near``: the corners are good to half a pixel. ``border``: there is a white border around the print.
+    ``near``: the corners are good to half a pixel. ``border``: there is a white border around the
+    print.
     """
     start = camera.even(quad + offset)
     fitted = fit(grey, offset, start, camera, pattern, near=near, border=border)
@@ -291,7 +335,11 @@ def _subpix(grey: NDArray[np.uint8], quad: Array, cells_across: int) -> tuple[Ar
     half = max(1, min(5, round(0.6 * _side(quad) / cells_across)))
     points = quad.astype(np.float32).reshape(4, 1, 2)
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 0.01)
-    corners = cv2.cornerSubPix(grey, points, (half, half), (-1, -1), criteria).reshape(4, 2).astype(np.float64)
+    corners = (
+        cv2.cornerSubPix(grey, points, (half, half), (-1, -1), criteria)
+        .reshape(4, 2)
+        .astype(np.float64)
+    )
     if not np.all(np.isfinite(corners)) or float(np.abs(corners - quad).max()) > half + 1.0:
         corners = quad
     out = corners - corners.mean(axis=0)

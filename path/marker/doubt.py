@@ -1,4 +1,6 @@
-"""The error of a camera's calibration in a marker's pose: focal lengths, centre and distortion, off together."""
+"""The error of a camera's calibration in a marker's pose: focal lengths, centre and distortion, off
+together.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +22,12 @@ def widen(
 
     Args:
         R, t: the pose at which the fit ended; the others as in ``pose_kernels.linearize``.
-        doubts: (k, 9) of fx, fy, cx, cy, k1, k2, p1, p2, k3: by how much they are off together, one standard deviation
-            of each of k independent causes.
+        doubts: (k, 9) of fx, fy, cx, cy, k1, k2, p1, p2, k3: by how much they are off together, one
+            standard deviation of each of k independent causes.
 
     Returns:
-        The standard deviation of the position, mean over the axes; NaN when the pose is not determined.
+        The standard deviation of the position, mean over the axes; NaN when the pose is not
+        determined.
     """
     rows = 8 * whitening.shape[0] + 3
     left = np.zeros(rows)

@@ -1,8 +1,8 @@
 """No marker of a layout was found in an image: what is there in its place?
 
-Prints go wrong in a few ways: another id, another dictionary, white on black, or mirrored by a transfer foil. A
-detector finds none of them, and says nothing for ever. Here each is looked for in turn, which takes too long for a
-frame in flight.
+Prints go wrong in a few ways: another id, another dictionary, white on black, or mirrored by a
+transfer foil. A detector finds none of them, and says nothing for ever. Here each is looked for in
+turn, which takes too long for a frame in flight.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ SURE_BORDER = 0.8
 
 
 def seen_instead(grey: NDArray[np.uint8], layout: MarkerLayout) -> str | None:
-    """Return a sentence about what is in the image in place of the layout's markers; None when that is nothing known.
+    """Return a sentence about what is in the image in place of the layout's markers; None when that
+    is nothing known.
 
     Args:
         grey: uint8, (height, width), C-contiguous.
@@ -48,7 +49,11 @@ def seen_instead(grey: NDArray[np.uint8], layout: MarkerLayout) -> str | None:
     for inverted, mirrored, what in (
         (True, False, "inverted, white on black: print it black on white, with a white border"),
         (False, True, "mirrored: it is printed from behind, or the camera's image is mirrored"),
-        (True, True, "inverted and mirrored: print it black on white, with a white border, and not from behind"),
+        (
+            True,
+            True,
+            "inverted and mirrored: print it black on white, with a white border, and not from behind",
+        ),
     ):
         image = 255 - grey if inverted else grey
         found = _ids(np.ascontiguousarray(image[:, ::-1] if mirrored else image), layout.dictionary)
@@ -79,8 +84,13 @@ def _others(dictionary: str) -> Iterator[str]:
 
 def _smallest(name: str, ids: set[int]) -> str:
     """The smallest dictionary of a family that has all these ids."""
-    family = [other for other in DICTIONARIES if name.endswith("_1000") and other.startswith(name[:-4])] or [name]
-    return min((each for each in family if DICTIONARIES[each][1] > max(ids)), key=lambda each: DICTIONARIES[each][1])
+    family = [
+        other for other in DICTIONARIES if name.endswith("_1000") and other.startswith(name[:-4])
+    ] or [name]
+    return min(
+        (each for each in family if DICTIONARIES[each][1] > max(ids)),
+        key=lambda each: DICTIONARIES[each][1],
+    )
 
 
 def _named(ids: Sequence[int]) -> str:

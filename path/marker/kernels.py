@@ -1,7 +1,7 @@
 """Small numba routines shared by the photometric fit and the pose: lens, homography, Cholesky.
 
-Written out in scalars and plain loops, in float64 without fast-math, so that results do not depend on the machine.
-A lens is the array of ``path.camera.kernels.lens_of``.
+Written out in scalars and plain loops, in float64 without fast-math, so that results do not depend
+on the machine. A lens is the array of ``path.camera.kernels.lens_of``.
 """
 
 from __future__ import annotations
@@ -32,7 +32,14 @@ def distort(x: float, y: float, lens: Array) -> tuple[float, float, float, float
     xx = radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
     xy = x * y * slope + 2.0 * (p1 * x + p2 * y)
     yy = radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
-    return lens[0] * xd + lens[2], lens[1] * yd + lens[3], lens[0] * xx, lens[0] * xy, lens[1] * xy, lens[1] * yy
+    return (
+        lens[0] * xd + lens[2],
+        lens[1] * yd + lens[3],
+        lens[0] * xx,
+        lens[0] * xy,
+        lens[1] * xy,
+        lens[1] * yy,
+    )
 
 
 @inner
@@ -57,13 +64,17 @@ def rays(pixels: Array, lens: Array) -> Array:
     for k in range(pixels.shape[0]):
         u = pixels[k, 0]
         v = pixels[k, 1]
-        out[k, 0], out[k, 1] = undistort(u, v, lens, (u - lens[2]) / lens[0], (v - lens[3]) / lens[1])
+        out[k, 0], out[k, 1] = undistort(
+            u, v, lens, (u - lens[2]) / lens[0], (v - lens[3]) / lens[1]
+        )
     return out
 
 
 @inner
 def cholesky(a: Array) -> bool:
-    """Replace the lower triangle of a symmetric matrix by its Cholesky factor; False when not positive definite."""
+    """Replace the lower triangle of a symmetric matrix by its Cholesky factor; False when not
+    positive definite.
+    """
     n = a.shape[0]
     for i in range(n):
         for j in range(i + 1):
@@ -107,9 +118,11 @@ def finite(a: Array) -> bool:
 
 @kernel
 def whitening(covariance: Array, floor: float, out: Array) -> bool:
-    """Inverse Cholesky factor of a covariance plus ``floor`` on its diagonal: residuals times it have unit variance.
+    """Inverse Cholesky factor of a covariance plus ``floor`` on its diagonal: residuals times it
+    have unit variance.
 
-    Only the lower triangle of ``out`` is written. False when the covariance is not positive definite.
+    Only the lower triangle of ``out`` is written. False when the covariance is not positive
+    definite.
     """
     n = covariance.shape[0]
     factor = covariance.copy()

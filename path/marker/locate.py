@@ -1,4 +1,5 @@
-"""One image to the pose of a marker: everything of this package behind one function, for use on its own.
+"""One image to the pose of a marker: everything of this package behind one function, for use on its
+own.
 
 See docs/marker.md for the frames and an example.
 """
@@ -21,7 +22,8 @@ from path.messages import Vec3
 from path.observations import MarkerDetection, Missed, MissReason, Region
 from path.values import value
 
-REGION_SIDES = 1.0  # a region around a previous pose reaches this many sides of the markers' outline beyond it
+# a region around a previous pose reaches this many sides of the markers' outline beyond it
+REGION_SIDES = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,21 +77,23 @@ def locate_marker(
     """Find the markers of a layout in an image and estimate where frame ``v`` is.
 
     Args:
-        image: uint8, (height, width, 3) BGR or (height, width) grey, as the lens gives it (not undistorted).
+        image: uint8, (height, width, 3) BGR or (height, width) grey, as the lens gives it (not
+            undistorted).
         camera: its calibration, for images of this size.
         layout: the printed markers; ``single_marker(side_m)`` for one whose own frame is ``v``.
-        gravity_v, gravity_c: down in ``v`` and in the camera's frame. They tell the two poses of a small planar marker
-            apart, and how it is tilted; one without the other says nothing.
+        gravity_v, gravity_c: down in ``v`` and in the camera's frame. They tell the two poses of a
+            small planar marker apart, and how it is tilted; one without the other says nothing.
         region: where in the image to look; everywhere when None, which takes tens of times as long.
-        previous: ``T_c_v`` in an image shortly before, instead of a region: there first, then everywhere. The pose is
-            still measured in this image alone.
+        previous: ``T_c_v`` in an image shortly before, instead of a region: there first, then
+            everywhere. The pose is still measured in this image alone.
         refine: "photometric", or "subpix" for OpenCV's corners with the covariance they deserve.
-        settings: limits and errors; its attitude sigmas are replaced by those of ``gravity_v`` and ``gravity_c``.
+        settings: limits and errors; its attitude sigmas are replaced by those of ``gravity_v`` and
+            ``gravity_c``.
 
     Returns:
-        Missed NO_MARKER, MARKER_TWICE, MARKER_OBLIQUE, NON_FINITE, or POSE_UNCERTAIN: the two poses cannot be told
-        apart (with ``max_ambiguity=1`` the likelier one is given), the corners do not fit, or the covariance is too
-        large.
+        Missed NO_MARKER, MARKER_TWICE, MARKER_OBLIQUE, NON_FINITE, or POSE_UNCERTAIN: the two poses
+        cannot be told apart (with ``max_ambiguity=1`` the likelier one is given), the corners do
+        not fit, or the covariance is too large.
 
     Raises:
         ValueError: the image is not one of this camera.
@@ -133,7 +137,9 @@ def _areas(
 
 
 def _around(T_c_v: Pose, layout: MarkerLayout, camera: CameraModel) -> Region | None:
-    """Returns the region of the markers in the image, with room for motion; None when they would not be in it."""
+    """Returns the region of the markers in the image, with room for motion; None when they would
+    not be in it.
+    """
     points_c = T_c_v.apply(np.concatenate([marker.corners_v for marker in layout.markers]))
     pixels = camera.project(points_c)
     if not np.all(np.isfinite(pixels)):

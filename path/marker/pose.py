@@ -1,10 +1,13 @@
-"""The pose of ``v`` in a camera from marker corners: both planar solutions, chosen and refined with gravity.
+"""The pose of ``v`` in a camera from marker corners: both planar solutions, chosen and refined with
+gravity.
 
-A square marker seen from afar has two poses that explain its corners about equally well, and reprojection error cannot
-tell which is right. Both drones know which way is down: with that as a prior (Gauss-Newton on reprojection and gravity
-together, started from both solutions) the wrong one costs hundreds of standard deviations.
+A square marker seen from afar has two poses that explain its corners about equally well, and
+reprojection error cannot tell which is right. Both drones know which way is down: with that as a
+prior (Gauss-Newton on reprojection and gravity together, started from both solutions) the wrong one
+costs hundreds of standard deviations.
 
-Perturbations of a pose are ``t + dt``, ``R <- exp(dw) R``; covariances are (6, 6) in the order (dt, dw).
+Perturbations of a pose are ``t + dt``, ``R <- exp(dw) R``; covariances are (6, 6) in the order (dt,
+dw).
 """
 
 from __future__ import annotations
@@ -40,7 +43,8 @@ NO_GRAVITY = np.zeros(6)
 # rms misfit of corners, px or share of the side, that no such marker has
 WORST_PX = 1.0
 WORST_SHARE = 0.06
-ABSURD = 25.0  # chi-square per degree of freedom of errors that are all five times as large as was stated
+# chi-square per degree of freedom of errors that are all five times as large as was stated
+ABSURD = 25.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,15 +52,18 @@ class PoseSettings:
     """The expected errors of a pose's inputs, and the limits beyond which a pose is refused.
 
     Attributes:
-        attitude_v_sigma_rad, attitude_c_sigma_rad: of gravity in ``v`` and in the camera, per axis: the error of roll
-            and pitch of the drone that carries the marker, and of the one that carries the camera, biases included.
+        attitude_v_sigma_rad, attitude_c_sigma_rad: of gravity in ``v`` and in the camera, per axis:
+            the error of roll and pitch of the drone that carries the marker, and of the one that
+            carries the camera, biases included.
         focal_sigma: relative error of the focal length, of a camera whose calibration states none.
-        shape_sigma: relative error of the markers' shape in the image, width against height and skew: of paper that
-            stretched, and of rows that are read one after another while something moves.
-        max_incidence_rad: larger angles between the marker's normal and the line of sight are refused.
+        shape_sigma: relative error of the markers' shape in the image, width against height and
+            skew: of paper that stretched, and of rows that are read one after another while
+                something moves.
+        max_incidence_rad: larger angles between the marker's normal and the line of sight are
+            refused.
         max_sigma_m: position standard deviation above which a pose is no use.
-        max_ambiguity: likelihood of the other solution relative to the best above which neither is believed; with 1
-            the likelier one is always given.
+        max_ambiguity: likelihood of the other solution relative to the best above which neither is
+            believed; with 1 the likelier one is always given.
     """
 
     attitude_v_sigma_rad: float = math.radians(0.6)
@@ -89,14 +96,18 @@ class MarkerPose:
 
     Attributes:
         T_c_v: maps ``v`` to the camera.
-        covariance: (6, 6), see the module; attitude, printed size and the camera's calibration included.
+        covariance: (6, 6), see the module; attitude, printed size and the camera's calibration
+            included.
         incidence_rad: between the best marker's normal and the line of sight.
         side_px: mean side of the best marker in the image.
-        rms: whitened residual per corner coordinate; at most about 1 when the corners' covariance is right.
-        ambiguity: likelihood of the other solution relative to this one, 0..1; 0 when the fit has only one.
-        candidates: this pose, and the other planar solution: where the fit ends that starts from it; when gravity
-            leads that to this pose too, where the corners alone would keep it. Only this pose when both solutions are
-            one, as they are near the camera's axis of a marker that faces it.
+        rms: whitened residual per corner coordinate; at most about 1 when the corners' covariance
+            is right.
+        ambiguity: likelihood of the other solution relative to this one, 0..1; 0 when the fit has
+            only one.
+        candidates: this pose, and the other planar solution: where the fit ends that starts from
+            it; when gravity leads that to this pose too, where the corners alone would keep it.
+            Only this pose when both solutions are one, as they are near the camera's axis of a
+            marker that faces it.
     """
 
     T_c_v: Pose
@@ -119,14 +130,15 @@ def estimate_pose(
     """The pose from all markers of the layout seen in one frame.
 
     Args:
-        gravity_v: unit gravity in ``v``, from the attitude of the drone that carries the marker; None when unknown.
-        gravity_c: unit gravity in the camera, from the own attitude; None when unknown. One without the other says
-            nothing.
+        gravity_v: unit gravity in ``v``, from the attitude of the drone that carries the marker;
+            None when unknown.
+        gravity_c: unit gravity in the camera, from the own attitude; None when unknown. One without
+            the other says nothing.
 
     Returns:
-        Missed NO_MARKER, WRONG_MARKER, MARKER_TWICE, NON_FINITE, MARKER_OBLIQUE, MARKER_TURNED (gravity contradicts
-        all that the corners allow), or POSE_UNCERTAIN (the two solutions cannot be told apart, the corners do not fit,
-        or the covariance is too large).
+        Missed NO_MARKER, WRONG_MARKER, MARKER_TWICE, NON_FINITE, MARKER_OBLIQUE, MARKER_TURNED
+        (gravity contradicts all that the corners allow), or POSE_UNCERTAIN (the two solutions
+        cannot be told apart, the corners do not fit, or the covariance is too large).
     """
     seen = _known(detections, layout)
     if isinstance(seen, Missed):
@@ -167,16 +179,19 @@ def estimate_pose(
     if math.isfinite(fitted.other_cost):
         other = Pose(fitted.other_R, fitted.other_t)
         candidates += (PoseCandidate(other, fitted.other_cost, min(1.0, likelihood)),)
-    return MarkerPose(candidates[0].T_c_v, fitted.covariance, incidence, side_px, rms, ambiguity, candidates)
+    return MarkerPose(
+        candidates[0].T_c_v, fitted.covariance, incidence, side_px, rms, ambiguity, candidates
+    )
 
 
 def _contradicted(
     starts_R: Array, starts_t: Array, whole: PoseProblem, layout: MarkerLayout, camera: CameraModel
 ) -> str | None:
-    """Return the likely cause where gravity is against all that the corners alone allow; None where they bear it.
+    """Return the likely cause where gravity is against all that the corners alone allow; None where
+    they bear it.
 
-    Corners that fit badly allow much: by how much they are off, and what the calibration does not know, is in the
-    covariance of the pose that they give alone.
+    Corners that fit badly allow much: by how much they are off, and what the calibration does not
+    know, is in the covariance of the pose that they give alone.
     """
     corners = whole._replace(weight=0.0)
     alone = fit(starts_R, starts_t, corners)
@@ -212,8 +227,12 @@ def _seen(
     pixels = np.ascontiguousarray(corners[0] if len(corners) == 1 else np.concatenate(corners))
     whiteners = np.zeros((len(seen), 8, 8))
     for (each, _), whitener in zip(seen, whiteners, strict=True):
-        if not whitening(np.ascontiguousarray(each.covariance_px2), MIN_CORNER_SIGMA_PX**2, whitener):
-            raise np.linalg.LinAlgError(f"marker {each.marker_id}: its covariance is not positive definite")
+        if not whitening(
+            np.ascontiguousarray(each.covariance_px2), MIN_CORNER_SIGMA_PX**2, whitener
+        ):
+            raise np.linalg.LinAlgError(
+                f"marker {each.marker_id}: its covariance is not positive definite"
+            )
     down = NO_GRAVITY
     weight = 0.0
     if gravity_v is not None and gravity_c is not None:
@@ -223,7 +242,16 @@ def _seen(
         weight = 1.0 / max(variance, MIN_GRAVITY_RAD**2)
     focal = 0.0 if camera.doubts else settings.focal_sigma
     return PoseProblem(
-        points, pixels, whiteners, lens_of(camera), down, weight, middles, sizes, focal, settings.shape_sigma
+        points,
+        pixels,
+        whiteners,
+        lens_of(camera),
+        down,
+        weight,
+        middles,
+        sizes,
+        focal,
+        settings.shape_sigma,
     )
 
 
@@ -235,7 +263,8 @@ def _doubts(camera: CameraModel) -> Array:
 
 @lru_cache(maxsize=64)
 def _prints(markers: tuple[Marker, ...]) -> tuple[Array, Array, Array]:
-    """Corners (4 m, 3) and centres (m, 3) in ``v`` of some markers, and how well their sides are known, relative (m,).
+    """Corners (4 m, 3) and centres (m, 3) in ``v`` of some markers, and how well their sides are
+    known, relative (m,).
 
     Shared: do not change them.
     """
@@ -250,13 +279,20 @@ def _known(
     """Every detection with its marker."""
     if not detections:
         return Missed(MissReason.NO_MARKER)
-    seen = [(found, marker) for found in detections if (marker := layout.marker(found.marker_id)) is not None]
+    seen = [
+        (found, marker)
+        for found in detections
+        if (marker := layout.marker(found.marker_id)) is not None
+    ]
     if not seen:
         return Missed(MissReason.WRONG_MARKER)
     if len(seen) > 1 and len({marker.id for _, marker in seen}) < len(seen):
         return Missed(MissReason.MARKER_TWICE)
     for found, _ in seen:
-        if not (finite(np.ascontiguousarray(found.corners_px)) and finite(np.ascontiguousarray(found.covariance_px2))):
+        if not (
+            finite(np.ascontiguousarray(found.corners_px))
+            and finite(np.ascontiguousarray(found.covariance_px2))
+        ):
             return Missed(MissReason.NON_FINITE)
     return seen
 
@@ -275,7 +311,9 @@ def _ippe(found: MarkerDetection, marker: Marker, lens: Array) -> tuple[Array, A
     except cv2.error:
         return np.empty((0, 3, 3)), np.empty((0, 3))
     _, turns, shifts, _ = solved
-    return of_layout(np.array(turns), np.array(shifts), np.ascontiguousarray(marker.T_v_m.R), marker.T_v_m.t)
+    return of_layout(
+        np.array(turns), np.array(shifts), np.ascontiguousarray(marker.T_v_m.R), marker.T_v_m.t
+    )
 
 
 @lru_cache(maxsize=8)

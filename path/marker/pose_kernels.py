@@ -1,4 +1,6 @@
-"""Compiled parts of ``path.marker.pose``: residuals, the descent from one solution, the covariance at its end."""
+"""Compiled parts of ``path.marker.pose``: residuals, the descent from one solution, the covariance
+at its end.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,16 @@ from typing import NamedTuple
 import numpy as np
 
 from path.compiled import inner, kernel
-from path.marker.kernels import Array, cholesky, cholesky_solve, distort, exp_times, finite, identity, inverse
+from path.marker.kernels import (
+    Array,
+    cholesky,
+    cholesky_solve,
+    distort,
+    exp_times,
+    finite,
+    identity,
+    inverse,
+)
 
 ITERATIONS = 12
 CONVERGED = 1e-9
@@ -22,8 +33,8 @@ def of_layout(turns: Array, shifts: Array, R_v_m: Array, t_v_m: Array) -> tuple[
     """Poses of ``v`` in the camera, (n, 3, 3) and (n, 3), from those of a marker in it.
 
     Args:
-        turns, shifts: (k, 3, 1), rotation vectors and translations as OpenCV gives them. What is no pose, or of a
-            marker behind the camera, is left out.
+        turns, shifts: (k, 3, 1), rotation vectors and translations as OpenCV gives them. What is no
+            pose, or of a marker behind the camera, is left out.
     """
     many = 0
     all_R = np.empty((turns.shape[0], 3, 3))
@@ -38,7 +49,11 @@ def of_layout(turns: Array, shifts: Array, R_v_m: Array, t_v_m: Array) -> tuple[
         R_c_m = exp_times(turn, level)
         for i in range(3):
             for j in range(3):
-                R[i, j] = R_c_m[i, 0] * R_v_m[j, 0] + R_c_m[i, 1] * R_v_m[j, 1] + R_c_m[i, 2] * R_v_m[j, 2]
+                R[i, j] = (
+                    R_c_m[i, 0] * R_v_m[j, 0]
+                    + R_c_m[i, 1] * R_v_m[j, 1]
+                    + R_c_m[i, 2] * R_v_m[j, 2]
+                )
         for i in range(3):
             t[i] = shifts[k, i, 0] - (R[i, 0] * t_v_m[0] + R[i, 1] * t_v_m[1] + R[i, 2] * t_v_m[2])
         if shifts[k, 2, 0] > 0.0 and finite(R):
@@ -48,13 +63,17 @@ def of_layout(turns: Array, shifts: Array, R_v_m: Array, t_v_m: Array) -> tuple[
 
 @kernel
 def facing(R: Array, t: Array, R_v_m: Array, t_v_m: Array) -> tuple[float, Array]:
-    """Angle between a marker's normal and the line of sight, and the marker's centre (3,) in the camera."""
+    """Angle between a marker's normal and the line of sight, and the marker's centre (3,) in the
+    camera.
+    """
     centre = np.empty(3)
     along = 0.0
     for i in range(3):
         centre[i] = R[i, 0] * t_v_m[0] + R[i, 1] * t_v_m[1] + R[i, 2] * t_v_m[2] + t[i]
         along -= centre[i] * (R[i, 0] * R_v_m[0, 2] + R[i, 1] * R_v_m[1, 2] + R[i, 2] * R_v_m[2, 2])
-    cosine = along / math.sqrt(centre[0] * centre[0] + centre[1] * centre[1] + centre[2] * centre[2])
+    cosine = along / math.sqrt(
+        centre[0] * centre[0] + centre[1] * centre[1] + centre[2] * centre[2]
+    )
     return math.acos(min(1.0, max(-1.0, cosine))), centre
 
 
@@ -73,7 +92,9 @@ def linearize(
     R: Array, t: Array, points: Array, pixels: Array, whitening: Array, lens: Array, down: Array, weight: float,
     residuals: Array, jacobian: Array,
 ) -> float:  # fmt: skip
-    """Whitened residuals (8 a marker, then 3 of gravity) and their Jacobian by (dt, dw); returns the corners' cost."""
+    """Whitened residuals (8 a marker, then 3 of gravity) and their Jacobian by (dt, dw); returns
+    the corners' cost.
+    """
     markers = whitening.shape[0]
     raw = np.empty(8)
     slope = np.empty((8, 6))
@@ -127,7 +148,9 @@ def linearize(
 
 @inner
 def normal(jacobian: Array, residuals: Array, information: Array, gradient: Array) -> float:
-    """Information ``J^T J`` (6, 6) and ``-J^T r`` (6,) into their places; returns the cost ``r^T r``."""
+    """Information ``J^T J`` (6, 6) and ``-J^T r`` (6,) into their places; returns the cost ``r^T
+    r``.
+    """
     cost = 0.0
     for i in range(6):
         gradient[i] = 0.0
@@ -147,7 +170,9 @@ def refine(
     start_R: Array, start_t: Array, points: Array, pixels: Array, whitening: Array, lens: Array, down: Array,
     weight: float,
 ) -> tuple[float, Array, Array, Array, float]:  # fmt: skip
-    """Levenberg-Marquardt from one solution: cost, pose, information (6, 6) and the corners' share of the cost."""
+    """Levenberg-Marquardt from one solution: cost, pose, information (6, 6) and the corners' share
+    of the cost.
+    """
     turn = start_R
     shift = start_t
     rows = 8 * whitening.shape[0] + 3
@@ -158,7 +183,9 @@ def refine(
     tried_information = np.zeros((6, 6))
     tried_gradient = np.zeros(6)
     factor = np.zeros((6, 6))
-    corners = linearize(turn, shift, points, pixels, whitening, lens, down, weight, residuals, jacobian)
+    corners = linearize(
+        turn, shift, points, pixels, whitening, lens, down, weight, residuals, jacobian
+    )
     cost = normal(jacobian, residuals, information, gradient) if corners < np.inf else np.inf
     damping = 1e-6
     for _ in range(ITERATIONS):
@@ -176,8 +203,14 @@ def refine(
         for i in range(3):
             shifted[i] += step[i]
         turned = exp_times(step[3:], turn)
-        corners_new = linearize(turned, shifted, points, pixels, whitening, lens, down, weight, residuals, jacobian)
-        cost_new = normal(jacobian, residuals, tried_information, tried_gradient) if corners_new < np.inf else np.inf
+        corners_new = linearize(
+            turned, shifted, points, pixels, whitening, lens, down, weight, residuals, jacobian
+        )
+        cost_new = (
+            normal(jacobian, residuals, tried_information, tried_gradient)
+            if corners_new < np.inf
+            else np.inf
+        )
         if cost_new <= cost:
             done = cost - cost_new < CONVERGED * (1.0 + cost)
             turn = turned
@@ -201,14 +234,17 @@ def pulled(
     R: Array, t: Array, points: Array, pixels: Array, middles: Array, sizes: Array, focal: float, shape: float,
     whitening: Array, lens: Array, jacobian: Array, pulls: Array,
 ) -> None:  # fmt: skip
-    """Computes how corners pull the pose, ``J^T W du``, when all of them are wrong together; into ``pulls`` (4, 6).
+    """Computes how corners pull the pose, ``J^T W du``, when all of them are wrong together; into
+    ``pulls`` (4, 6).
 
-    By one standard deviation each: the print's size, the focal length, the image's width against its height, its skew.
+    By one standard deviation each: the print's size, the focal length, the image's width against
+    its height, its skew.
 
     Args:
-        middles, sizes: (m, 3) centre of each marker in ``v``, (m,) standard deviation of its side, relative. All
-            prints err together: they come from one printer.
-        focal, shape: relative standard deviations, of the focal length, and of width against height and of skew.
+        middles, sizes: (m, 3) centre of each marker in ``v``, (m,) standard deviation of its side,
+            relative. All prints err together: they come from one printer.
+        focal, shape: relative standard deviations, of the focal length, and of width against height
+            and of skew.
         jacobian: of ``linearize``, at this pose.
     """
     moved = np.empty((CAUSES, 8))
@@ -237,7 +273,10 @@ def pulled(
             dy = (R[1, 0] * ox + R[1, 1] * oy + R[1, 2] * oz - y * z) / qz
             i = 2 * c
             j = 2 * c + 1
-            moved[0, i], moved[0, j] = sizes[m] * (ux * dx + uy * dy), sizes[m] * (vx * dx + vy * dy)
+            moved[0, i], moved[0, j] = (
+                sizes[m] * (ux * dx + uy * dy),
+                sizes[m] * (vx * dx + vy * dy),
+            )
             moved[1, i], moved[1, j] = focal * (u - lens[2]), focal * (v - lens[3])
             moved[2, i], moved[2, j] = shape * (u - u0), shape * (v0 - v)
             moved[3, i], moved[3, j] = shape * (v - v0), shape * (u - u0)
@@ -255,9 +294,11 @@ def covariance(
     R: Array, t: Array, points: Array, pixels: Array, middles: Array, sizes: Array, focal: float, shape: float,
     whitening: Array, lens: Array, down: Array, weight: float, information: Array, misfit: float, out: Array,
 ) -> float:  # fmt: skip
-    """Inverse information times the misfit, and what print, focal length and shape add, into ``out`` (6, 6).
+    """Inverse information times the misfit, and what print, focal length and shape add, into
+    ``out`` (6, 6).
 
-    Returns the standard deviation of the position, mean over the axes; NaN when the information is singular.
+    Returns the standard deviation of the position, mean over the axes; NaN when the information is
+    singular.
 
     Args: as in ``pulled`` and ``linearize``.
     """
@@ -289,7 +330,8 @@ class PoseProblem(NamedTuple):
         points, pixels: (n, 3) corners in ``v``, (n, 2) in the image.
         whitening: (m, 8, 8), of each marker's corners.
         lens: of ``path.camera.kernels``.
-        down, weight: (6,) gravity in ``v`` and in the camera; what its misfit counts, 0 when it is not known.
+        down, weight: (6,) gravity in ``v`` and in the camera; what its misfit counts, 0 when it is
+            not known.
         middles, sizes, focal, shape: of ``pulled``.
     """
 
@@ -309,9 +351,11 @@ class PoseFit(NamedTuple):
     """The best pose, and the other planar solution.
 
     Attributes:
-        cost, corner_cost: chi-square of corners and gravity there, and the corners' share; infinite without a pose.
+        cost, corner_cost: chi-square of corners and gravity there, and the corners' share; infinite
+            without a pose.
         misfit: by how much the chi-square enlarges the covariance, at least 1.
-        R, t, covariance, sigma_m: the pose, its covariance (6, 6), and the standard deviation of its position.
+        R, t, covariance, sigma_m: the pose, its covariance (6, 6), and the standard deviation of
+            its position.
         rival: whether a descent with gravity ended in the other solution.
         other_cost, other_R, other_t: the other solution; its cost is infinite when there is none.
     """
@@ -331,9 +375,11 @@ class PoseFit(NamedTuple):
 
 @kernel
 def fit(start_R: Array, start_t: Array, seen: PoseProblem) -> PoseFit:
-    """Descend from every start, (k, 3, 3) and (k, 3): the lowest end, and the other one when it is another.
+    """Descend from every start, (k, 3, 3) and (k, 3): the lowest end, and the other one when it is
+    another.
 
-    Where gravity leads all of them to one end, the other solution is the one that the corners alone keep.
+    Where gravity leads all of them to one end, the other solution is the one that the corners alone
+    keep.
     """
     best_cost = np.inf
     best_corners = np.inf
@@ -346,7 +392,14 @@ def fit(start_R: Array, start_t: Array, seen: PoseProblem) -> PoseFit:
     other_t = np.zeros(3)
     for k in range(start_R.shape[0]):
         cost, R, t, information, corners = refine(
-            start_R[k], start_t[k], seen.points, seen.pixels, seen.whitening, seen.lens, seen.down, seen.weight
+            start_R[k],
+            start_t[k],
+            seen.points,
+            seen.pixels,
+            seen.whitening,
+            seen.lens,
+            seen.down,
+            seen.weight,
         )
         if cost < best_cost:
             other_cost = best_cost
@@ -363,7 +416,9 @@ def fit(start_R: Array, start_t: Array, seen: PoseProblem) -> PoseFit:
             other_t = t
     spread = np.empty((6, 6))
     if not best_cost < np.inf:
-        return PoseFit(np.inf, np.inf, 1.0, best_R, best_t, spread, np.inf, False, np.inf, other_R, other_t)
+        return PoseFit(
+            np.inf, np.inf, 1.0, best_R, best_t, spread, np.inf, False, np.inf, other_R, other_t
+        )
     misfit = best_cost / (2 * seen.points.shape[0] - (4 if seen.weight > 0.0 else 6))
     misfit = misfit if misfit > MISFIT else 1.0
     sigma_m = covariance(
@@ -375,13 +430,27 @@ def fit(start_R: Array, start_t: Array, seen: PoseProblem) -> PoseFit:
     else:
         other_cost, other_R, other_t = _mirrored(start_R, start_t, best_R, seen)
     return PoseFit(
-        best_cost, best_corners, misfit, best_R, best_t, spread, sigma_m, rival, other_cost, other_R, other_t
+        best_cost,
+        best_corners,
+        misfit,
+        best_R,
+        best_t,
+        spread,
+        sigma_m,
+        rival,
+        other_cost,
+        other_R,
+        other_t,
     )
 
 
 @inner
-def _mirrored(start_R: Array, start_t: Array, best_R: Array, seen: PoseProblem) -> tuple[float, Array, Array]:
-    """The planar solution that gravity excluded, where the corners alone keep it; else with an infinite cost."""
+def _mirrored(
+    start_R: Array, start_t: Array, best_R: Array, seen: PoseProblem
+) -> tuple[float, Array, Array]:
+    """The planar solution that gravity excluded, where the corners alone keep it; else with an
+    infinite cost.
+    """
     farthest = 0
     far = -1.0
     for k in range(start_R.shape[0]):
@@ -392,7 +461,14 @@ def _mirrored(start_R: Array, start_t: Array, best_R: Array, seen: PoseProblem) 
     if not seen.weight > 0.0:
         return np.inf, start_R[farthest], start_t[farthest]
     cost, R, t, _, _ = refine(
-        start_R[farthest], start_t[farthest], seen.points, seen.pixels, seen.whitening, seen.lens, seen.down, 0.0
+        start_R[farthest],
+        start_t[farthest],
+        seen.points,
+        seen.pixels,
+        seen.whitening,
+        seen.lens,
+        seen.down,
+        0.0,
     )
     if not cost < np.inf or angle(best_R, R) <= SAME_RAD:
         return np.inf, R, t

@@ -1,9 +1,10 @@
 """A decoded quadrilateral held against the print that it should show: cell by cell, border and all.
 
-A decoder looks at the middles of cells, forgives some, and takes its corners from outlines. So a corner that something
-covers comes out where the cover ends, a marker on a plate that is as dark as its frame gets the plate's outline, and
-sheets of other markers or the fur of an animal pass for one. ``look`` says how much of the print is there, ``aligned``
-puts the corners where all of it together has them.
+A decoder looks at the middles of cells, forgives some, and takes its corners from outlines. So a
+corner that something covers comes out where the cover ends, a marker on a plate that is as dark as
+its frame gets the plate's outline, and sheets of other markers or the fur of an animal pass for
+one. ``look`` says how much of the print is there, ``aligned`` puts the corners where all of it
+together has them.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ FRAME_CUT = 0.34  # of a cell: outside of it the frame's edge may be the plate's
 PASSES = 30
 ENOUGH = 1e-3
 MIN_CORRELATION = 0.6
-MIN_BORDER = 0.92  # light of a border that is there; a plate of another grey begins too near below it
+# light of a border that is there; a plate of another grey begins too near below it
+MIN_BORDER = 0.92
 CLEARLY = 0.2  # of the contrast, from the middle grey level
 
 
@@ -36,7 +38,8 @@ class Look(NamedTuple):
         likeness: correlation of black frame and code with the print.
         wrong: share of their cells that are on the wrong side of the middle grey level.
         bits: cells of the code that are clearly so, however small and dim the image is.
-        border: light on the cells around the frame: 0 as dark as the print's black, 1 as light as its white.
+        border: light on the cells around the frame: 0 as dark as the print's black, 1 as light as
+            its white.
     """
 
     likeness: float
@@ -76,10 +79,12 @@ def look(grey: NDArray[np.uint8], quad: Array, pattern: Array) -> Look:
 
 
 def aligned(grey: NDArray[np.uint8], quad: Array, pattern: Array) -> Array | None:
-    """Return the corners where the inside of the print correlates best; None where nothing like it is near.
+    """Return the corners where the inside of the print correlates best; None where nothing like it
+    is near.
 
-    Outside of the frame's middle nothing counts: neither a border that is missing nor a corner that is taken for the
-    plate's. Good to some tenths of a pixel from corners that are off by a cell. Args as for ``look``.
+    Outside of the frame's middle nothing counts: neither a border that is missing nor a corner that
+    is taken for the plate's. Good to some tenths of a pixel from corners that are off by a cell.
+    Args as for ``look``.
     """
     s = ALIGN_SAMPLES
     n = len(pattern) - 2
@@ -89,7 +94,15 @@ def aligned(grey: NDArray[np.uint8], quad: Array, pattern: Array) -> Array | Non
     place[:2, 2] = s * MARGIN + cut
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, PASSES, ENOUGH)
     try:
-        found: Any = cv2.findTransformECC(wanted, flat, place, cv2.MOTION_HOMOGRAPHY, criteria, None, 3)  # type: ignore[call-overload]
+        found: Any = cv2.findTransformECC(
+            wanted,
+            flat,
+            place,
+            cv2.MOTION_HOMOGRAPHY,
+            criteria,
+            None,  # type: ignore[call-overload]
+            3,
+        )
     except cv2.error:  # it does not converge
         return None
     likeness, place = found
@@ -109,17 +122,23 @@ def _homography(quad: Array, samples: int, cells: int, margin: int) -> Array:
     return np.asarray(cv2.getPerspectiveTransform(square, quad.astype(np.float32)), np.float64)
 
 
-def _flattened(grey: NDArray[np.uint8], quad: Array, samples: int, cells: int, margin: int) -> NDArray[np.float64]:
+def _flattened(
+    grey: NDArray[np.uint8], quad: Array, samples: int, cells: int, margin: int
+) -> NDArray[np.float64]:
     """The image in the print's plane."""
     side = samples * (cells + 2 * margin)
     H = _homography(quad, samples, cells, margin)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return cv2.warpPerspective(grey, H, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE).astype(np.float64)
+    return cv2.warpPerspective(
+        grey, H, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE
+    ).astype(np.float64)
 
 
 @lru_cache(maxsize=256)
 def _blurred(pattern: bytes, n: int) -> NDArray[np.float64]:
-    """The print without its border as ``look`` samples it, blurred a little, its mean taken off. Do not change it."""
+    """The print without its border as ``look`` samples it, blurred a little, its mean taken off. Do
+    not change it.
+    """
     cells = np.frombuffer(pattern).reshape(n, n)[1:-1, 1:-1]
     seen = cv2.blur(np.kron(cells, np.ones((LOOK_SAMPLES, LOOK_SAMPLES))), (3, 3))
     return np.asarray(seen - seen.mean(), np.float64)
@@ -127,7 +146,9 @@ def _blurred(pattern: bytes, n: int) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=256)
 def _inside(pattern: bytes, n: int) -> tuple[NDArray[np.float32], int]:
-    """What ``aligned`` looks for, and how many samples of the frame it leaves out. Do not change it."""
+    """What ``aligned`` looks for, and how many samples of the frame it leaves out. Do not change
+    it.
+    """
     s = ALIGN_SAMPLES
     cut = round(FRAME_CUT * s)
     cells = np.frombuffer(pattern).reshape(n + 2, n + 2)

@@ -1,14 +1,17 @@
-"""The size of a marker as the rig says it, held against depth that is measured on the marker itself.
+"""The size of a marker as the rig says it, held against depth that is measured on the marker
+itself.
 
-A marker's side scales every distance that is measured by it: one that is said to be 64 mm and is 40 makes a drone come
-so near as 40 to 64. Where the drone that looks has a depth camera, the same marker is seen at two distances, one by its
+A marker's side scales every distance that is measured by it: one that is said to be 64 mm and is 40
+makes a drone come so near as 40 to 64. Where the drone that looks has a depth camera, the same
+marker is seen at two distances, one by its
 side and the pose, one by its depth, and the side that would make them agree is the true one::
 
     true side = said side * measured depth / depth by the pose
 
-How far the two may differ follows from the frame itself: the pose's and the depth's own standard deviations, how well
-the side is known, and the scale that a depth camera has been measured to be wrong by. Most of that is the same from
-frame to frame, so that many frames do not make it smaller: they only keep single wild ones from deciding. Pure.
+How far the two may differ follows from the frame itself: the pose's and the depth's own standard
+deviations, how well the side is known, and the scale that a depth camera has been measured to be
+wrong by. Most of that is the same from frame to frame, so that many frames do not make it smaller:
+they only keep single wild ones from deciding. Pure.
 """
 
 from __future__ import annotations
@@ -31,7 +34,9 @@ DEPTH_SCALE_SIGMA = 0.01
 CERTAIN_SIGMAS = 5.0
 LOOKS = 15
 _INNER = 0.7  # of a marker's side: at its edges the depth is partly of what is behind
-_LEAST_PX = 12.0  # a smaller marker is smaller than what a stereo camera compares, and has the depth of what is behind
+# a smaller marker is smaller than what a stereo camera compares, and has the depth of what is
+# behind
+_LEAST_PX = 12.0
 
 
 @value
@@ -53,9 +58,8 @@ class SizeContradiction:
     def __str__(self) -> str:
         said = f"marker {self.marker_id} is {1000.0 * self.said_m:.1f} mm by the rig"
         found = f"{1000.0 * self.depth_m:.1f} +- {1000.0 * self.depth_sigma_m:.1f} mm by depth measured on it"
-        other = (
-            f"is it right, the depth camera's scale or the focal length is wrong by {self.depth_m / self.said_m:.2f}"
-        )
+        off = self.depth_m / self.said_m
+        other = f"is it right, the depth camera's scale or the focal length is wrong by {off:.2f}"
         return f"{said} and {found} ({self.sigmas:.0f} sigmas): {MEASURE}; {other}"
 
 
@@ -107,10 +111,14 @@ class SizeCheck:
         if len(self._newest) < self._looks:
             return None
         marker, _, _ = self._newest[-1]
-        return marker.side_m * math.exp(float(np.median([log_ratio for _, log_ratio, _ in self._newest])))
+        return marker.side_m * math.exp(
+            float(np.median([log_ratio for _, log_ratio, _ in self._newest]))
+        )
 
     def contradiction(self) -> SizeContradiction | None:
-        """Return what the newest looks say against the rig's size; None while they agree with it or are too few."""
+        """Return what the newest looks say against the rig's size; None while they agree with it or
+        are too few.
+        """
         depth_m = self.by_depth_m()
         if depth_m is None:
             return None
@@ -122,7 +130,9 @@ class SizeCheck:
         return SizeContradiction(marker.id, marker.side_m, depth_m, depth_m * sigma, abs(off))
 
     def _inner_box(self, detection: MarkerDetection) -> Box:
-        """Return the box whose middle, which is all that is asked for depth, is the inner part of a marker."""
+        """Return the box whose middle, which is all that is asked for depth, is the inner part of a
+        marker.
+        """
         low_x, low_y = detection.corners_px.min(axis=0).tolist()
         high_x, high_y = detection.corners_px.max(axis=0).tolist()
         wide = (high_x - low_x) * _INNER / self._fraction

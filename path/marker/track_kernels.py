@@ -1,6 +1,8 @@
-"""Compiled parts of ``path.marker.track``: where corners are expected, and what a look at the place says.
+"""Compiled parts of ``path.marker.track``: where corners are expected, and what a look at the place
+says.
 
-Coordinates in the print's plane are those of its samples, ``SAMPLES`` a cell, ``MARGIN`` cells before the print.
+Coordinates in the print's plane are those of its samples, ``SAMPLES`` a cell, ``MARGIN`` cells
+before the print.
 """
 
 from __future__ import annotations
@@ -16,20 +18,29 @@ from path.marker.kernels import Array
 
 SAMPLES = 4  # a cell
 MARGIN = 2  # cells around the print that are looked at
-RANGE = SAMPLES * MARGIN - SAMPLES // 2  # samples by which a marker may be elsewhere: the border takes half a cell
+# samples by which a marker may be elsewhere: the border takes half a cell
+RANGE = SAMPLES * MARGIN - SAMPLES // 2
 
 
 @kernel
-def seen_at(lens: Array, R: Array, t: Array, corners_v: Array, n: int) -> tuple[float, Array, Array]:
-    """The view of a marker of n cells from a pose: cosine of its incidence, pixels (4, 2) of its corners (4, 3), and
-    the homography (3, 3) from its plane as it is sampled to pixels. The cosine is -1 when the marker is not in front.
+def seen_at(
+    lens: Array, R: Array, t: Array, corners_v: Array, n: int
+) -> tuple[float, Array, Array]:
+    """The view of a marker of n cells from a pose: cosine of its incidence, pixels (4, 2) of its
+    corners (4, 3), and the homography (3, 3) from its plane as it is sampled to pixels. The cosine
+    is -1 when the marker is not in front.
     """
     points = np.empty((4, 3))
     pixels = np.empty((4, 2))
     H = np.empty((3, 3))
     for k in range(4):
         for i in range(3):
-            points[k, i] = R[i, 0] * corners_v[k, 0] + R[i, 1] * corners_v[k, 1] + R[i, 2] * corners_v[k, 2] + t[i]
+            points[k, i] = (
+                R[i, 0] * corners_v[k, 0]
+                + R[i, 1] * corners_v[k, 1]
+                + R[i, 2] * corners_v[k, 2]
+                + t[i]
+            )
         x = points[k, 0]
         y = points[k, 1]
         z = points[k, 2]
@@ -37,7 +48,8 @@ def seen_at(lens: Array, R: Array, t: Array, corners_v: Array, n: int) -> tuple[
             return -1.0, pixels, H
         pixels[k, 0], pixels[k, 1] = project(lens, x, y, z)
     _from_square(pixels, SAMPLES * MARGIN - 0.5, 1.0 / (SAMPLES * n), H)
-    # corners follow each other clockwise from the top left: along the top times up looks at the viewer
+    # corners follow each other clockwise from the top left: along the top times up looks at the
+    # viewer
     ax = points[1, 0] - points[0, 0]
     ay = points[1, 1] - points[0, 1]
     az = points[1, 2] - points[0, 2]
@@ -56,7 +68,9 @@ def seen_at(lens: Array, R: Array, t: Array, corners_v: Array, n: int) -> tuple[
 
 @inner
 def _from_square(quad: Array, low: float, per_side: float, H: Array) -> None:
-    """Homography from a square, whose sides begin at ``low`` and are 1/``per_side`` long, to a quadrilateral."""
+    """Homography from a square, whose sides begin at ``low`` and are 1/``per_side`` long, to a
+    quadrilateral.
+    """
     x0 = quad[0, 0]
     y0 = quad[0, 1]
     x1 = quad[1, 0]
@@ -84,11 +98,18 @@ def _from_square(quad: Array, low: float, per_side: float, H: Array) -> None:
 
 @kernel
 def read(
-    likeness: NDArray[np.float32], patch: NDArray[np.uint8], pattern: Array, H: Array, least: float, quad: Array
+    likeness: NDArray[np.float32],
+    patch: NDArray[np.uint8],
+    pattern: Array,
+    H: Array,
+    least: float,
+    quad: Array,
 ) -> float:
-    """Returns the light around a print that is in a patch, cell by cell as it should be; NaN when it is not.
+    """Returns the light around a print that is in a patch, cell by cell as it should be; NaN when
+    it is not.
 
-    Its corners (4, 2) in px go into ``quad``. The light is 0 as of its black, 1 as of its white cells.
+    Its corners (4, 2) in px go into ``quad``. The light is 0 as of its black, 1 as of its white
+    cells.
 
     Args:
         likeness: (2 RANGE + 1, 2 RANGE + 1), correlation of the patch with the print at each place.
@@ -131,7 +152,9 @@ def _peak(before: float, at: float, after: float) -> float:
 
 @inner
 def _shade(patch: NDArray[np.uint8], x: int, y: int, column: int, row: int) -> float:
-    """Returns the light on the middle of a cell of a print that begins at a sample: its edges are blurred."""
+    """Returns the light on the middle of a cell of a print that begins at a sample: its edges are
+    blurred.
+    """
     total = 0.0
     for b in range(1, SAMPLES - 1):
         for a in range(1, SAMPLES - 1):
@@ -141,7 +164,9 @@ def _shade(patch: NDArray[np.uint8], x: int, y: int, column: int, row: int) -> f
 
 @inner
 def _border_of_print(patch: NDArray[np.uint8], x: int, y: int, pattern: Array) -> float:
-    """Returns the light around a print that begins at a sample; NaN when a cell is not on its side of the middle."""
+    """Returns the light around a print that begins at a sample; NaN when a cell is not on its side
+    of the middle.
+    """
     n = pattern.shape[0]
     shades = np.empty((n, n))
     white = black = 0.0

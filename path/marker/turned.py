@@ -1,4 +1,5 @@
-"""What is likely wrong where gravity contradicts the corners of a marker, in words for whoever put the plate on.
+"""What is likely wrong where gravity contradicts the corners of a marker, in words for whoever put
+the plate on.
 
 Called only for a pose that was refused, and by ``doctor``: nothing here needs to be fast.
 """
@@ -15,14 +16,19 @@ from path.geometry.transforms import Matrix, Vector
 from path.marker.layout import MarkerLayout
 
 NEAR_RAD = math.radians(20.0)  # what a guess at the cause may leave between the two directions
-TURNS_DEG = (180.0, 90.0, -90.0)  # of a plate in its own plane; positive is counter-clockwise, seen by who reads it
+# of a plate in its own plane; positive is counter-clockwise, seen by who reads it
+TURNS_DEG = (180.0, 90.0, -90.0)
 OFFICIAL = "OpenCV's AprilTags are turned by 180 degrees against AprilRobotics' own pictures"
 
 
 def likely_cause(
-    poses_R: Sequence[Matrix], gravity_v: Sequence[float], gravity_c: Sequence[float], layout: MarkerLayout
+    poses_R: Sequence[Matrix],
+    gravity_v: Sequence[float],
+    gravity_c: Sequence[float],
+    layout: MarkerLayout,
 ) -> str:
-    """Return a sentence that says how far gravity and the corners are apart, and what would explain it.
+    """Return a sentence that says how far gravity and the corners are apart, and what would explain
+    it.
 
     Args:
         poses_R: (3, 3) each, ``R_c_v`` of the poses that the corners alone allow.

@@ -30,7 +30,8 @@ POSE = Pose(rotation.exp(np.array([2.6, 0.3, 0.2])), np.array([0.0, 0.0, 0.5]))
 
 
 def warm_up(images: bool = True) -> None:
-    """Find a drawn marker and estimate its pose. Seconds after an update of the software, otherwise well below one.
+    """Find a drawn marker and estimate its pose. Seconds after an update of the software, otherwise
+    well below one.
 
     Args:
         images: whether markers are looked for in images; without, the corners come from elsewhere.
@@ -46,7 +47,9 @@ def warm_up(images: bool = True) -> None:
 
 
 def warm_up_image() -> None:
-    """Compiles what finds a marker in an image. Raises RuntimeError when a drawn one gives no pose."""
+    """Compiles what finds a marker in an image. Raises RuntimeError when a drawn one gives no
+    pose.
+    """
     layout = single_marker()
     camera = CAMERA
     T_c_v = POSE
@@ -58,11 +61,16 @@ def warm_up_image() -> None:
     middle = 0.5 * (printed.shape[0] - 1)
     to_marker = np.array([[m, 0.0, -m * middle], [0.0, -m, m * middle], [0.0, 0.0, 1.0]])
     to_image = camera.K @ np.column_stack([T_c_v.R[:, 0], T_c_v.R[:, 1], T_c_v.t]) @ to_marker
-    drawn = cv2.warpPerspective(printed, to_image, (160, 160), flags=cv2.INTER_AREA, borderValue=(120.0,))
+    drawn = cv2.warpPerspective(
+        printed, to_image, (160, 160), flags=cv2.INTER_AREA, borderValue=(120.0,)
+    )
     image = np.asarray(cv2.GaussianBlur(drawn, (0, 0), 0.8), dtype=np.uint8)
-    shadow = np.where(np.arange(160)[None, :] > 80, 0.7, 1.0)  # what is asked only where the light is uneven
+    # what is asked only where the light is uneven
+    shadow = np.where(np.arange(160)[None, :] > 80, 0.7, 1.0)
     for light in (shadow, 1.0):
-        found = detect_markers(np.asarray(image * light, dtype=np.uint8), None, layout, camera, thorough=False)
+        found = detect_markers(
+            np.asarray(image * light, dtype=np.uint8), None, layout, camera, thorough=False
+        )
         if not found:
             raise RuntimeError("a drawn marker was not found: reinstall numba and OpenCV")
     if recognise(image, T_c_v, layout, camera) is None:
@@ -70,7 +78,9 @@ def warm_up_image() -> None:
 
 
 def warm_up_pose() -> None:
-    """Compiles what turns a marker's corners into a pose. Raises RuntimeError when there is none."""
+    """Compiles what turns a marker's corners into a pose. Raises RuntimeError when there is
+    none.
+    """
     layout = single_marker()
     camera = CAMERA
     T_c_v = POSE
@@ -81,7 +91,9 @@ def warm_up_pose() -> None:
     found = MarkerDetection(marker.id, corners, 0.01 * np.eye(8))
     pose = estimate_pose((found,), layout, camera, (0.0, -0.8, -0.6), (gx, gy, gz), PoseSettings())
     if not isinstance(pose, MarkerPose):
-        raise RuntimeError(f"a drawn marker gave no pose ({pose.reason.value}): reinstall numba and OpenCV")
+        raise RuntimeError(
+            f"a drawn marker gave no pose ({pose.reason.value}): reinstall numba and OpenCV"
+        )
     extent(lens_of(camera), marker.corners_v, 0.0)
     camera.ray(*corners[0].tolist())
 
@@ -95,7 +107,9 @@ def warm_up_relative() -> None:
 
 
 def is_compiled() -> bool:
-    """True when the kernels of an earlier start are there: one of the smallest is loaded, or else compiled."""
+    """True when the kernels of an earlier start are there: one of the smallest is loaded, or else
+    compiled.
+    """
     smallest: Any = tones
     smallest(np.zeros((1, 6)))
     return not smallest.stats.cache_misses

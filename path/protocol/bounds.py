@@ -1,10 +1,13 @@
-"""The longest times that a hand-over takes where programs keep time: L1 and L2, of whatever settings."""
+"""The longest times that a hand-over takes where programs keep time: L1 and L2, of whatever
+settings.
+"""
 
 from __future__ import annotations
 
 from path.protocol.values import ProtocolConfig
 
-LATE_S = 0.2  # how late a program may notice the time: its longest sleep, a record written meanwhile, its wake-up
+# how late a program may notice the time: its longest sleep, a record written meanwhile, its wake-up
+LATE_S = 0.2
 
 
 def commit_bound_s(config: ProtocolConfig) -> float:

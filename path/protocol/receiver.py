@@ -1,4 +1,6 @@
-"""The receiver's side of the hand-over: observe, hold provisionally within a lease, then for good or not at all."""
+"""The receiver's side of the hand-over: observe, hold provisionally within a lease, then for good
+or not at all.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,9 @@ class Observing:
 
 @dataclass(frozen=True, slots=True)
 class Provisional:
-    """Responsible before ``lease_end_ns`` (own clock, already reduced by uncertainty and guard); ACCEPT is repeated."""
+    """Responsible before ``lease_end_ns`` (own clock, already reduced by uncertainty and guard);
+    ACCEPT is repeated.
+    """
 
     live: Handoff
     nonce: int
@@ -65,7 +69,9 @@ class Holding:
 
 @dataclass(frozen=True, slots=True)
 class LetGo:
-    """Observing again, after it had accepted. ``settled`` once it is known, or too late to know, who is responsible."""
+    """Observing again, after it had accepted. ``settled`` once it is known, or too late to know,
+    who is responsible.
+    """
 
     live: Handoff
     nonce: int
@@ -90,7 +96,9 @@ def claim(state: ReceiverState) -> TakeResponsibility | None:
 
 
 def is_responsible(state: ReceiverState, now_ns: int) -> bool:
-    """Returns whether it is responsible at this instant, even if nobody has told the machine of the instant yet."""
+    """Returns whether it is responsible at this instant, even if nobody has told the machine of the
+    instant yet.
+    """
     held = claim(state)
     return held is not None and held.at(now_ns)
 
@@ -113,7 +121,12 @@ def record(state: ReceiverState) -> ReceiverRecord:
             return ReceiverRecord(state.floor)
         case Provisional():
             return ReceiverRecord(
-                floor(state), "provisional", state.live, state.nonce, state.lease_end_ns, state.sure_ns
+                floor(state),
+                "provisional",
+                state.live,
+                state.nonce,
+                state.lease_end_ns,
+                state.sure_ns,
             )
         case Holding():
             return ReceiverRecord(floor(state), "holding", state.live, state.nonce)
@@ -121,13 +134,16 @@ def record(state: ReceiverState) -> ReceiverRecord:
             return ReceiverRecord(floor(state), "let_go", state.live, state.nonce, 0, state.sure_ns)
 
 
-def restored(config: ProtocolConfig, kept: ReceiverRecord, now_ns: int, *, same_clock: bool = True) -> ReceiverState:
+def restored(
+    config: ProtocolConfig, kept: ReceiverRecord, now_ns: int, *, same_clock: bool = True
+) -> ReceiverState:
     """The state after a restart, to be written down before anything else is done.
 
     What was held for good still is; a lease that is over, or may be, is let go.
 
     Args:
-        same_clock: the record's instants are of the clock that runs now; after a reboot they are not.
+        same_clock: the record's instants are of the clock that runs now; after a reboot they are
+            not.
     """
     if kept.live is None:
         return Observing(kept.epoch)
@@ -135,7 +151,9 @@ def restored(config: ProtocolConfig, kept: ReceiverRecord, now_ns: int, *, same_
         return Holding(kept.live, kept.nonce)
     if kept.duty == "provisional" and same_clock and now_ns < kept.lease_end_ns:
         return Provisional(kept.live, kept.nonce, kept.lease_end_ns, now_ns, kept.sure_ns)
-    longest_ns = now_ns + to_ns(config.lease_s) + 2 * to_ns(config.max_uncertainty_s) + to_ns(config.guard_s)
+    longest_ns = (
+        now_ns + to_ns(config.lease_s) + 2 * to_ns(config.max_uncertainty_s) + to_ns(config.guard_s)
+    )
     sure_ns = kept.sure_ns if same_clock else longest_ns
     return LetGo(kept.live, kept.nonce, sure_ns, max(sure_ns, now_ns) + to_ns(config.settle_s))
 
@@ -154,7 +172,9 @@ def wake_ns(state: ReceiverState) -> int | None:
 
 
 def step(config: ProtocolConfig, state: ReceiverState, event: ReceiverEvent, now_ns: int) -> Step:
-    """One event at one instant (own clock, never going back). What time alone has brought about comes first."""
+    """One event at one instant (own clock, never going back). What time alone has brought about
+    comes first.
+    """
     state, due = _elapse(config, state, now_ns)
     if isinstance(event, Tick):
         return state, due
@@ -166,7 +186,11 @@ def _elapse(config: ProtocolConfig, state: ReceiverState, now_ns: int) -> Step:
     match state:
         case Observing(live=Handoff() as live) if now_ns >= state.end_ns:
             after, actions = _spend(live)
-            return after, (*actions, Send(_abort(live, AbortReason.TIMEOUT, now_ns)), Ended(HandoffOutcome.TIMEOUT))
+            return after, (
+                *actions,
+                Send(_abort(live, AbortReason.TIMEOUT, now_ns)),
+                Ended(HandoffOutcome.TIMEOUT),
+            )
         case Provisional() if now_ns >= state.lease_end_ns:
             return _let_go(config, state, AbortReason.TIMEOUT, Ended(HandoffOutcome.LET_GO), now_ns)
         case Provisional() if now_ns >= state.resend_ns:
@@ -199,7 +223,9 @@ def _react(config: ProtocolConfig, state: ReceiverState, event: ReceiverEvent, n
 
 
 def _hear_target(config: ProtocolConfig, state: ReceiverState, target: Target, now_ns: int) -> Step:
-    """The sender's Targets name the live attempt. A higher epoch beats whatever was: nobody but it can have one."""
+    """The sender's Targets name the live attempt. A higher epoch beats whatever was: nobody but it
+    can have one.
+    """
     live = state.live
     if live is not None and target.epoch == live.epoch and not isinstance(state, LetGo):
         why = mismatch(live, target)
@@ -217,14 +243,21 @@ def _hear_target(config: ProtocolConfig, state: ReceiverState, target: Target, n
     return after, (*before, Persist(record(after)))
 
 
-def _hear_commit(config: ProtocolConfig, state: ReceiverState, heard: CommitHeard, now_ns: int) -> Step:
+def _hear_commit(
+    config: ProtocolConfig, state: ReceiverState, heard: CommitHeard, now_ns: int
+) -> Step:
     """S3: only for the live epoch, its one nonce and this very receiver, before the lease's end."""
     why = _commit_refusal(config, state, heard, now_ns)
     if why is not None:
         return state, (Refused(why),)
     if isinstance(state, Provisional | Holding) or state.live is None or heard.lease_end_ns is None:
         return state, ()
-    sure_ns = heard.lease_end_ns + heard.uncertainty_ns + to_ns(config.max_uncertainty_s) + to_ns(config.guard_s)
+    sure_ns = (
+        heard.lease_end_ns
+        + heard.uncertainty_ns
+        + to_ns(config.max_uncertainty_s)
+        + to_ns(config.guard_s)
+    )
     held = Provisional(
         live=replace(state.live, instance=heard.instance),
         nonce=heard.commit.nonce,
@@ -232,10 +265,16 @@ def _hear_commit(config: ProtocolConfig, state: ReceiverState, heard: CommitHear
         resend_ns=now_ns + to_ns(config.retry_s),
         sure_ns=sure_ns,
     )
-    return held, (Persist(record(held)), TakeResponsibility(held.lease_end_ns), Send(_accept(held, now_ns)))
+    return held, (
+        Persist(record(held)),
+        TakeResponsibility(held.lease_end_ns),
+        Send(_accept(held, now_ns)),
+    )
 
 
-def _commit_refusal(config: ProtocolConfig, state: ReceiverState, heard: CommitHeard, now_ns: int) -> Refusal | None:
+def _commit_refusal(
+    config: ProtocolConfig, state: ReceiverState, heard: CommitHeard, now_ns: int
+) -> Refusal | None:
     commit = heard.commit
     if state.live is None:
         return Refusal.LOWER_EPOCH if commit.epoch < floor(state) else Refusal.UNKNOWN_EPOCH
@@ -247,7 +286,9 @@ def _commit_refusal(config: ProtocolConfig, state: ReceiverState, heard: CommitH
     return why
 
 
-def _lease_refusal(config: ProtocolConfig, state: ReceiverState, heard: CommitHeard, now_ns: int) -> Refusal | None:
+def _lease_refusal(
+    config: ProtocolConfig, state: ReceiverState, heard: CommitHeard, now_ns: int
+) -> Refusal | None:
     if isinstance(state, LetGo):
         return Refusal.LEASE_OVER
     if heard.lease_end_ns is None or heard.uncertainty_ns > to_ns(config.max_uncertainty_s):
@@ -275,7 +316,11 @@ def _hear_confirm(state: ReceiverState, confirm: Confirm, now_ns: int) -> Step:
     match state:
         case Provisional():
             holding = Holding(state.live, state.nonce)
-            return holding, (Persist(record(holding)), TakeResponsibility(), Ended(HandoffOutcome.HANDED_OVER))
+            return holding, (
+                Persist(record(holding)),
+                TakeResponsibility(),
+                Ended(HandoffOutcome.HANDED_OVER),
+            )
         case Holding():
             return state, ()
         case LetGo():
@@ -302,11 +347,17 @@ def _hear_abort(state: ReceiverState, abort: Abort) -> Step:
             return state, ()
 
 
-def _abort_requested(config: ProtocolConfig, state: ReceiverState, reason: AbortReason, now_ns: int) -> Step:
+def _abort_requested(
+    config: ProtocolConfig, state: ReceiverState, reason: AbortReason, now_ns: int
+) -> Step:
     match state:
         case Observing(live=Handoff() as live):
             after, actions = _spend(live)
-            return after, (*actions, Send(_abort(live, reason, now_ns)), Ended(HandoffOutcome.ABORTED, reason))
+            return after, (
+                *actions,
+                Send(_abort(live, reason, now_ns)),
+                Ended(HandoffOutcome.ABORTED, reason),
+            )
         case Provisional():
             return _let_go(config, state, reason, Ended(HandoffOutcome.ABORTED, reason), now_ns)
         case Holding():
@@ -322,7 +373,9 @@ def _abort_requested(config: ProtocolConfig, state: ReceiverState, reason: Abort
 def _hear_status(state: ReceiverState, status: PeerStatus) -> Step:
     match state:
         case LetGo(settled=None | HandoffOutcome.UNCONFIRMED) if status.stamp_ns > state.sure_ns:
-            return _settle(state, HandoffOutcome.TAKEN_BACK if status.responsible else HandoffOutcome.ORPHANED)
+            return _settle(
+                state, HandoffOutcome.TAKEN_BACK if status.responsible else HandoffOutcome.ORPHANED
+            )
         case _:
             return state, ()
 
@@ -342,7 +395,9 @@ def _spend(live: Handoff) -> tuple[Observing, Actions]:
     return after, (Persist(record(after)),)
 
 
-def _let_go(config: ProtocolConfig, state: Provisional, reason: AbortReason, ended: Ended, now_ns: int) -> Step:
+def _let_go(
+    config: ProtocolConfig, state: Provisional, reason: AbortReason, ended: Ended, now_ns: int
+) -> Step:
     gone = LetGo(state.live, state.nonce, state.sure_ns, state.sure_ns + to_ns(config.settle_s))
     tell = Send(_abort(state.live, reason, now_ns))
     return gone, (Release(), Persist(record(gone)), tell, ended)
@@ -368,7 +423,9 @@ class ReceiverMachine:
         state: ``restored`` after a restart.
     """
 
-    def __init__(self, config: ProtocolConfig | None = None, state: ReceiverState | None = None) -> None:
+    def __init__(
+        self, config: ProtocolConfig | None = None, state: ReceiverState | None = None
+    ) -> None:
         self.config = config or ProtocolConfig()
         self.state: ReceiverState = state or Observing()
 
@@ -378,7 +435,9 @@ class ReceiverMachine:
 
     @property
     def live(self) -> Handoff | None:
-        """The attempt that Candidates are to carry; None before the first Target of a handoff, and after its end."""
+        """The attempt that Candidates are to carry; None before the first Target of a handoff, and
+        after its end.
+        """
         return self.state.live
 
     def responsible(self, now_ns: int) -> bool:

@@ -37,14 +37,18 @@ from path.protocol.values import (
 
 @dataclass(frozen=True, slots=True)
 class Idle:
-    """Nothing is this drone's: before its first offer, and when a new mission has begun. ``epoch`` is the last one."""
+    """Nothing is this drone's: before its first offer, and when a new mission has begun. ``epoch``
+    is the last one.
+    """
 
     epoch: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Keeping:
-    """Responsible, and no handoff: the last one ended before its COMMIT. ``epoch`` is the last one used."""
+    """Responsible, and no handoff: the last one ended before its COMMIT. ``epoch`` is the last one
+    used.
+    """
 
     epoch: int
 
@@ -68,7 +72,9 @@ class Verifying:
 
 @dataclass(frozen=True, slots=True)
 class AwaitingAccept:
-    """Released. COMMIT is repeated until the lease ends, unless the handoff was aborted since (``withdrawn``)."""
+    """Released. COMMIT is repeated until the lease ends, unless the handoff was aborted since
+    (``withdrawn``).
+    """
 
     live: Handoff
     commit: Commit
@@ -79,7 +85,9 @@ class AwaitingAccept:
 
 @dataclass(frozen=True, slots=True)
 class HandedOver:
-    """Accepted. Never takes back by itself. ``settled`` once it is known, or too late to know, what became of it."""
+    """Accepted. Never takes back by itself. ``settled`` once it is known, or too late to know, what
+    became of it.
+    """
 
     live: Handoff
     nonce: int
@@ -124,28 +132,37 @@ def record(state: SenderState) -> SenderRecord:
                 state.withdrawn,
             )  # fmt: skip
         case HandedOver():
-            return SenderRecord(state.live.epoch, "handed_over", state.live, state.nonce, 0, state.sure_ns)
+            return SenderRecord(
+                state.live.epoch, "handed_over", state.live, state.nonce, 0, state.sure_ns
+            )
 
 
-def restored(config: ProtocolConfig, kept: SenderRecord, now_ns: int, *, same_clock: bool = True) -> SenderState:
+def restored(
+    config: ProtocolConfig, kept: SenderRecord, now_ns: int, *, same_clock: bool = True
+) -> SenderState:
     """The state after a restart, to be written down before anything else is done.
 
-    What was committed and not accepted was never confirmed, so nobody can hold it for good: it is taken back after the
-    lease as without the restart. What was accepted stays handed over.
+    What was committed and not accepted was never confirmed, so nobody can hold it for good: it is
+    taken back after the lease as without the restart. What was accepted stays handed over.
 
     Args:
-        same_clock: the record's instants are of the clock that runs now; after a reboot they are not, and everything is
-            waited for as if it had begun just now.
+        same_clock: the record's instants are of the clock that runs now; after a reboot they are
+            not, and everything is waited for as if it had begun just now.
     """
     if kept.live is None:
         return Keeping(kept.epoch) if kept.duty == "mine" else Idle(kept.epoch)
     longest_ns = now_ns + to_ns(config.lease_s) + to_ns(config.max_uncertainty_s)
     take_back_ns = kept.take_back_ns if same_clock else longest_ns
     if kept.duty == "handed_over":
-        return HandedOver(kept.live, kept.nonce, take_back_ns, max(take_back_ns, now_ns) + to_ns(config.settle_s))
+        return HandedOver(
+            kept.live, kept.nonce, take_back_ns, max(take_back_ns, now_ns) + to_ns(config.settle_s)
+        )
     live = kept.live
-    lease_end_ns = kept.lease_end_ns if same_clock else now_ns  # never again promised: it may be over
-    commit = Commit(live.handoff_id, live.epoch, live.target_id, kept.nonce, lease_end_ns, now_ns, live.instance)
+    # never again promised: it may be over
+    lease_end_ns = kept.lease_end_ns if same_clock else now_ns
+    commit = Commit(
+        live.handoff_id, live.epoch, live.target_id, kept.nonce, lease_end_ns, now_ns, live.instance
+    )
     return AwaitingAccept(live, commit, now_ns, take_back_ns, kept.withdrawn)
 
 
@@ -155,7 +172,9 @@ def wake_ns(state: SenderState) -> int | None:
         case Offering() | Verifying():
             return _deadline_ns(state)
         case AwaitingAccept():
-            return state.take_back_ns if _silent(state) else min(state.resend_ns, state.take_back_ns)
+            return (
+                state.take_back_ns if _silent(state) else min(state.resend_ns, state.take_back_ns)
+            )
         case HandedOver():
             return state.settle_end_ns if state.settled is None else None
         case Idle() | Keeping() | TakenBack():
@@ -163,7 +182,9 @@ def wake_ns(state: SenderState) -> int | None:
 
 
 def step(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_ns: int) -> Step:
-    """One event at one instant (own clock, never going back). What time alone has brought about comes first."""
+    """One event at one instant (own clock, never going back). What time alone has brought about
+    comes first.
+    """
     state, due = _elapse(config, state, now_ns)
     if isinstance(event, Tick):
         return state, due
@@ -200,7 +221,8 @@ def _elapse(config: ProtocolConfig, state: SenderState, now_ns: int) -> Step:
 
 def _take_back(state: AwaitingAccept) -> Step:
     live = replace(state.live, epoch=state.live.epoch + 1, instance=0)
-    # A receiver that let go at the lease's end says so with TIMEOUT: that is no abort but the lease running out.
+    # A receiver that let go at the lease's end says so with TIMEOUT: that is no abort but the lease
+    # running out.
     ran_out = state.withdrawn in (None, AbortReason.TIMEOUT)
     outcome = HandoffOutcome.TAKEN_BACK if ran_out else HandoffOutcome.ABORTED
     after = TakenBack(live)
@@ -223,18 +245,27 @@ def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_n
             return _give_up(state, event.reason, now_ns)
         case AwaitingAccept(), AbortRequested():
             withdrawn = replace(state, withdrawn=state.withdrawn or event.reason)
-            return withdrawn, (Persist(record(withdrawn)), Send(_abort(state.live, event.reason, now_ns)))
+            return withdrawn, (
+                Persist(record(withdrawn)),
+                Send(_abort(state.live, event.reason, now_ns)),
+            )
         case Verifying(), AgreementComplete():
             return _commit(config, state, event, now_ns)
-        case HandedOver(settled=None | HandoffOutcome.UNCONFIRMED), PeerStatus() if _tells(state, event):
-            return _settle(state, HandoffOutcome.HANDED_OVER if event.responsible else HandoffOutcome.ORPHANED)
+        case HandedOver(settled=None | HandoffOutcome.UNCONFIRMED), PeerStatus() if _tells(
+            state, event
+        ):
+            return _settle(
+                state, HandoffOutcome.HANDED_OVER if event.responsible else HandoffOutcome.ORPHANED
+            )
         case _, PeerStatus():
             return state, ()
         case _:
             return state, (Refused(Refusal.WRONG_STATE),)
 
 
-def _offer(config: ProtocolConfig, state: Idle | Keeping | TakenBack, offer: Offer, now_ns: int) -> Step:
+def _offer(
+    config: ProtocolConfig, state: Idle | Keeping | TakenBack, offer: Offer, now_ns: int
+) -> Step:
     following = epoch(state) + 1
     if following >= LAST_EPOCH:  # one more is kept for taking back
         return state, (Refused(Refusal.EPOCHS_EXHAUSTED),)
@@ -244,8 +275,12 @@ def _offer(config: ProtocolConfig, state: Idle | Keeping | TakenBack, offer: Off
     return offering, (Persist(record(offering)), *take)
 
 
-def _commit(config: ProtocolConfig, state: Verifying, agreed: AgreementComplete, now_ns: int) -> Step:
-    """S4, S5: release first, then say so; only after the full agreement on the one target of the one epoch."""
+def _commit(
+    config: ProtocolConfig, state: Verifying, agreed: AgreementComplete, now_ns: int
+) -> Step:
+    """S4, S5: release first, then say so; only after the full agreement on the one target of the
+    one epoch.
+    """
     why: Refusal | None = None
     if agreed.epoch != state.live.epoch:
         why = Refusal.LOWER_EPOCH if agreed.epoch < state.live.epoch else Refusal.UNKNOWN_EPOCH
@@ -261,18 +296,28 @@ def _commit(config: ProtocolConfig, state: Verifying, agreed: AgreementComplete,
         return state, (Refused(why or Refusal.NO_CLOCK),)
     live = replace(state.live, instance=agreed.instance)
     lease_end = now_ns + to_ns(config.lease_s)
-    commit = Commit(live.handoff_id, live.epoch, live.target_id, agreed.nonce, lease_end, now_ns, live.instance)
-    awaiting = AwaitingAccept(live, commit, now_ns + to_ns(config.retry_s), lease_end + agreed.uncertainty_ns)
+    commit = Commit(
+        live.handoff_id, live.epoch, live.target_id, agreed.nonce, lease_end, now_ns, live.instance
+    )
+    awaiting = AwaitingAccept(
+        live, commit, now_ns + to_ns(config.retry_s), lease_end + agreed.uncertainty_ns
+    )
     return awaiting, (Persist(record(awaiting)), Release(), Send(commit))
 
 
 def _give_up(state: Offering | Verifying, reason: AbortReason, now_ns: int) -> Step:
     """Ends an attempt before its commit: over at once, and still responsible."""
-    return Keeping(state.live.epoch), (Send(_abort(state.live, reason, now_ns)), Ended(HandoffOutcome.ABORTED, reason))
+    return Keeping(state.live.epoch), (
+        Send(_abort(state.live, reason, now_ns)),
+        Ended(HandoffOutcome.ABORTED, reason),
+    )
 
 
 def _hear(  # noqa: PLR0911
-    config: ProtocolConfig, state: Offering | Verifying | AwaitingAccept | HandedOver, event: Heard, now_ns: int
+    config: ProtocolConfig,
+    state: Offering | Verifying | AwaitingAccept | HandedOver,
+    event: Heard,
+    now_ns: int,
 ) -> Step:
     message = event.message
     if isinstance(message, Abort):
@@ -327,7 +372,9 @@ def _settle(state: HandedOver, outcome: HandoffOutcome) -> Step:
     return replace(state, settled=outcome), (Settled(outcome),)
 
 
-def _hear_accept(config: ProtocolConfig, state: AwaitingAccept, accept: Accept, now_ns: int) -> Step:
+def _hear_accept(
+    config: ProtocolConfig, state: AwaitingAccept, accept: Accept, now_ns: int
+) -> Step:
     if accept.nonce != state.commit.nonce:
         return state, (Refused(Refusal.WRONG_NONCE),)
     if state.withdrawn is not None:
@@ -354,7 +401,9 @@ class SenderMachine:
         state: ``restored`` after a restart.
     """
 
-    def __init__(self, config: ProtocolConfig | None = None, state: SenderState | None = None) -> None:
+    def __init__(
+        self, config: ProtocolConfig | None = None, state: SenderState | None = None
+    ) -> None:
         self.config = config or ProtocolConfig()
         self.state: SenderState = state or Idle()
 

@@ -1,4 +1,6 @@
-"""The values of the two protocol machines: events they are told, actions they want done, and ends of a handoff."""
+"""The values of the two protocol machines: events they are told, actions they want done, and ends
+of a handoff.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,8 @@ class ProtocolConfig:
         handoff_s: from the first word of a handoff to the agreement; then the outcome is TIMEOUT.
         lease_s: from COMMIT to the end of its lease.
         retry_s: between two COMMITs, and two ACCEPTs.
-        guard_s: the receiver's lease ends this much early: time from its last look at the clock until what it then did
-            has happened.
+        guard_s: the receiver's lease ends this much early: time from its last look at the clock
+            until what it then did has happened.
         settle_s: after the lease, how long to wait for word of what became of the other side.
         max_uncertainty_s: clocks known no better than this cannot carry a lease.
     """
@@ -42,10 +44,14 @@ class ProtocolConfig:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if not (math.isfinite(value) and (value > 0.0 or (value == 0.0 and field.name == "guard_s"))):
+            if not (
+                math.isfinite(value) and (value > 0.0 or (value == 0.0 and field.name == "guard_s"))
+            ):
                 raise ValueError(f"{field.name}: {value!r} is not above 0")
         if not self.max_uncertainty_s + self.guard_s < self.lease_s:
-            raise ValueError("lease_s must be longer than max_uncertainty_s + guard_s: nothing would be left of it")
+            raise ValueError(
+                "lease_s must be longer than max_uncertainty_s + guard_s: nothing would be left of it"
+            )
 
 
 def to_ns(seconds: float) -> int:
@@ -59,7 +65,8 @@ class HandoffOutcome(Enum):
     TIMEOUT = "timeout"
     ABORTED = "aborted"
     TAKEN_BACK = "taken_back"  # committed, not accepted: the sender is responsible again
-    LET_GO = "let_go"  # accepted, not confirmed within the lease: the receiver does not know what the sender knows
+    # accepted, not confirmed within the lease: the receiver does not know what the sender knows
+    LET_GO = "let_go"
     SUPERSEDED = "superseded"  # the sender went on to a higher epoch
     ORPHANED = "orphaned"  # the sender handed over and the receiver let go: nobody is responsible
     UNCONFIRMED = "unconfirmed"  # nothing was heard of the other side: perhaps orphaned
@@ -80,7 +87,8 @@ class Refusal(Enum):
     WRONG_TARGET = "wrong_target"
     WRONG_NONCE = "wrong_nonce"
     LEASE_OVER = "lease_over"
-    LEASE_TOO_LONG = "lease_too_long"  # longer than any that is given: the clocks are not what they were
+    # longer than any that is given: the clocks are not what they were
+    LEASE_TOO_LONG = "lease_too_long"
     NO_CLOCK = "no_clock"
     WRONG_INSTANCE = "wrong_instance"  # another receiver's, which answers on the same channel
     NOT_ONE_RECEIVER = "not_one_receiver"  # none is heard, or more than one
@@ -126,10 +134,15 @@ def mismatch(live: Handoff, message: Bound) -> Refusal | None:
 
 
 def is_abort_of(live: Handoff, message: Message) -> bool:
-    return isinstance(message, Abort) and message.handoff_id == live.handoff_id and message.epoch == live.epoch
+    return (
+        isinstance(message, Abort)
+        and message.handoff_id == live.handoff_id
+        and message.epoch == live.epoch
+    )
 
 
-# --- events ----------------------------------------------------------------------------------------------------
+# --- events
+# ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +192,8 @@ class AgreementComplete:
 
     Attributes:
         nonce: u32, fresh, unpredictable; drawn by the caller.
-        uncertainty_ns: bound on the clocks' offset until the lease's end; None when they are not aligned.
+        uncertainty_ns: bound on the clocks' offset until the lease's end; None when they are not
+            aligned.
         instance: of the receiver that answers; None when none is heard, or more than one.
     """
 
@@ -197,7 +211,9 @@ class VerifyAgain:
 
 @dataclass(frozen=True, slots=True)
 class NewMission:
-    """A person begins anew on the ground: what an earlier mission gave away or held is over. Epochs go on."""
+    """A person begins anew on the ground: what an earlier mission gave away or held is over. Epochs
+    go on.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +221,8 @@ class CommitHeard:
     """Receiver: a Commit came in.
 
     Attributes:
-        lease_end_ns: its lease's end in the receiver's own clock; None when the clocks are not aligned.
+        lease_end_ns: its lease's end in the receiver's own clock; None when the clocks are not
+            aligned.
         uncertainty_ns: bound on the error of that conversion.
         instance: this receiver's own.
         able: whether the receiver sees the target and may follow it now.
@@ -218,11 +235,21 @@ class CommitHeard:
     able: bool = True
 
 
-SenderEvent = Tick | Heard | AbortRequested | PeerStatus | Offer | AgreementComplete | VerifyAgain | NewMission
+SenderEvent = (
+    Tick
+    | Heard
+    | AbortRequested
+    | PeerStatus
+    | Offer
+    | AgreementComplete
+    | VerifyAgain
+    | NewMission
+)
 ReceiverEvent = Tick | Heard | AbortRequested | PeerStatus | CommitHeard | NewMission
 
 
-# --- actions: to be carried out in their order -----------------------------------------------------------------
+# --- actions: to be carried out in their order
+# -----------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,8 +263,8 @@ class SenderRecord:
 
     Attributes:
         epoch: the last one used.
-        duty: "idle" (nothing is its own), "mine" (responsible), "released" (committed, nothing confirmed) or
-            "handed_over" (accepted).
+        duty: "idle" (nothing is its own), "mine" (responsible), "released" (committed, nothing
+            confirmed) or "handed_over" (accepted).
         live: the attempt it is released or handed over in; None when it is neither.
         nonce, lease_end_ns, take_back_ns: of its COMMIT; 0 when there is none.
         withdrawn: the attempt was aborted after the COMMIT.
@@ -282,8 +309,8 @@ class Persist:
 class TakeResponsibility:
     """Responsible from now on: until an instant of the own clock, or for good when there is none.
 
-    The end is part of it. Whoever says or acts on it compares it with the clock (``at``); a program that slept through
-    the end is not responsible when it wakes, though nothing has told it so.
+    The end is part of it. Whoever says or acts on it compares it with the clock (``at``); a program
+    that slept through the end is not responsible when it wakes, though nothing has told it so.
     """
 
     until_ns: int | None = None
@@ -312,7 +339,9 @@ class Ended:
 
 @dataclass(frozen=True, slots=True)
 class Settled:
-    """The other side's half is decided, after ``Ended``. Until then a sender that handed over keeps observing."""
+    """The other side's half is decided, after ``Ended``. Until then a sender that handed over keeps
+    observing.
+    """
 
     outcome: HandoffOutcome
 

@@ -1,14 +1,15 @@
 """The marker's pose relative to D2's camera, between and beyond marker measurements.
 
-A Kalman filter of the pose and of the error of the velocity that both vehicles report. The position is kept in NED, by
-D2's own attitude, and the marker's attitude beside it; they move with both reported velocities and turn with both
-attitudes (what an attitude has as a constant error is in the measured pose already, only its wander counts). Marker
-measurements come with their full covariance. Their errors have two parts: noise, and what persists from frame to frame
-(printed size, focal length, biases of the attitudes that the pose rests on). The persistent part never averages out: it
+A Kalman filter of the pose and of the error of the velocity that both vehicles report. The position
+is kept in NED, by D2's own attitude, and the marker's attitude beside it; they move with both
+reported velocities and turn with both attitudes (what an attitude has as a constant error is in the
+measured pose already, only its wander counts). Marker measurements come with their full covariance.
+Their errors have two parts: noise, and what persists from frame to frame (printed size, focal
+length, biases of the attitudes that the pose rests on). The persistent part never averages out: it
 is kept out of the filter and added to what the filter says.
 
-Perturbations of a pose are ``t + dt``, ``R <- exp(dw) R``; covariances are (6, 6) in the order (dt, dw), as in
-``path.marker.pose``.
+Perturbations of a pose are ``t + dt``, ``R <- exp(dw) R``; covariances are (6, 6) in the order (dt,
+dw), as in ``path.marker.pose``.
 """
 
 from __future__ import annotations
@@ -40,12 +41,15 @@ class RelativeSettings:
     Attributes:
         velocity_sigma_mps: error of the relative velocity that the two vehicles report.
         velocity_walk_mps: how much that error changes in a second.
-        tilt_wander_rad, yaw_wander_rad: what either vehicle's attitude errs more at one time than at another.
+        tilt_wander_rad, yaw_wander_rad: what either vehicle's attitude errs more at one time than
+            at another.
         wander_s: how long it takes for that.
-        persistent: share of a measurement's variance that the next frames share, and ``persistent_s`` for how long.
-        gate: squared Mahalanobis distance (six degrees of freedom) a measurement may have; normal errors exceed 45
-            once in 2e7 frames, real ones have longer tails.
-        settle: this many refused measurements in a row that agree with each other replace the state.
+        persistent: share of a measurement's variance that the next frames share, and
+            ``persistent_s`` for how long.
+        gate: squared Mahalanobis distance (six degrees of freedom) a measurement may have; normal
+            errors exceed 45 once in 2e7 frames, real ones have longer tails.
+        settle: this many refused measurements in a row that agree with each other replace the
+            state.
         coast_s: without a measurement for longer, there is no prediction.
     """
 
@@ -66,9 +70,11 @@ class Relative:
     """The marker at an instant.
 
     Attributes:
-        marker_n_m: from D2's camera to the marker, in ``n``; ``velocity_n_mps`` is how the two drones move apart.
+        marker_n_m: from D2's camera to the marker, in ``n``; ``velocity_n_mps`` is how the two
+            drones move apart.
         sigma_m: standard deviation of the position, mean over the axes.
-        T_c_v: its pose in the camera, for the attitudes asked for; ``covariance`` is (6, 6), see the module.
+        T_c_v: its pose in the camera, for the attitudes asked for; ``covariance`` is (6, 6), see
+            the module.
     """
 
     marker_n_m: Vec3
@@ -120,7 +126,10 @@ class RelativeFilter:
     """
 
     def __init__(
-        self, settings: RelativeSettings | None = None, lever_c_m: Vector = ORIGIN, lever_v_m: Vector = ORIGIN
+        self,
+        settings: RelativeSettings | None = None,
+        lever_c_m: Vector = ORIGIN,
+        lever_v_m: Vector = ORIGIN,
     ) -> None:
         self._settings = its = settings or RelativeSettings()
         self._drift = Drift(
@@ -144,12 +153,14 @@ class RelativeFilter:
         """Time since the newest accepted measurement; infinite before the first."""
         return math.inf if self._state is None else (stamp_ns - self._state.stamp_ns) * 1e-9
 
-    def predict(self, stamp_ns: int, R_n_c: Matrix | None = None, R_n_v: Matrix | None = None) -> Relative | None:
+    def predict(
+        self, stamp_ns: int, R_n_c: Matrix | None = None, R_n_v: Matrix | None = None
+    ) -> Relative | None:
         """The marker at an instant; None before the first measurement and after too long a coast.
 
         Args:
-            R_n_c, R_n_v: attitudes of the camera and of the marker as reported for that instant; those of the newest
-                measurement when they are not given.
+            R_n_c, R_n_v: attitudes of the camera and of the marker as reported for that instant;
+                those of the newest measurement when they are not given.
         """
         state = self._state
         if state is None or stamp_ns - state.stamp_ns > self._settings.coast_s * 1e9:
@@ -163,17 +174,23 @@ class RelativeFilter:
         return Relative(p, moving, sigma_m, Pose(R_c_v, t_c), covariance)
 
     def update(
-        self, stamp_ns: int, T_c_v: Pose, covariance: Matrix, R_n_c: Matrix, R_n_v: Matrix | None = None
+        self,
+        stamp_ns: int,
+        T_c_v: Pose,
+        covariance: Matrix,
+        R_n_c: Matrix,
+        R_n_v: Matrix | None = None,
     ) -> Missed | None:
         """Fuse a measured pose; None when it was.
 
         Args:
             covariance: (6, 6) of ``T_c_v`` in the camera.
-            R_n_c, R_n_v: attitudes of camera and marker as the two vehicles report them for that instant.
+            R_n_c, R_n_v: attitudes of camera and marker as the two vehicles report them for that
+                instant.
 
         Returns:
-            Missed MARKER_FLIPPED or POSE_UNCERTAIN when attitude or position lie outside the gate, STALE when it is no
-            newer than the newest one. It is not used then.
+            Missed MARKER_FLIPPED or POSE_UNCERTAIN when attitude or position lie outside the gate,
+            STALE when it is no newer than the newest one. It is not used then.
         """
         seen = self._seen(stamp_ns, T_c_v, covariance, np.ascontiguousarray(R_n_c), R_n_v)
         state = self._state
@@ -198,32 +215,49 @@ class RelativeFilter:
             self._refused = None
             self._refusals = 0
             return None
-        return Missed(MissReason.MARKER_FLIPPED if angle > FLIPPED_RAD else MissReason.POSE_UNCERTAIN)
+        return Missed(
+            MissReason.MARKER_FLIPPED if angle > FLIPPED_RAD else MissReason.POSE_UNCERTAIN
+        )
 
     def _report(self, own: Travel, other: Travel, stamp_ns: int, velocity_n_mps: Vec3) -> None:
         first = not own.known
         own.add(stamp_ns, velocity_n_mps)
         if first and other.known and self._state is not None:
             # what was taken for the whole velocity is its error from now on
-            reported = np.array(velocity(self._own.reports, self._peer.reports, self._state.stamp_ns))
+            reported = np.array(
+                velocity(self._own.reports, self._peer.reports, self._state.stamp_ns)
+            )
             for state in (self._state, self._refused):
                 if state is not None:
                     state.e[:] -= reported
 
-    def _seen(self, stamp_ns: int, T_c_v: Pose, covariance: Matrix, R_n_c: Matrix, R_n_v: Matrix | None) -> State:
+    def _seen(
+        self, stamp_ns: int, T_c_v: Pose, covariance: Matrix, R_n_c: Matrix, R_n_v: Matrix | None
+    ) -> State:
         """A state that knows nothing but one measurement."""
         settings = self._settings
-        sigma_mps = settings.velocity_sigma_mps if self._own.known and self._peer.known else FREE_SPEED_MPS
+        sigma_mps = (
+            settings.velocity_sigma_mps if self._own.known and self._peer.known else FREE_SPEED_MPS
+        )
         p, R, P, persistent = known_by(
-            R_n_c, T_c_v.t, np.ascontiguousarray(T_c_v.R), covariance, settings.persistent, sigma_mps * sigma_mps
+            R_n_c,
+            T_c_v.t,
+            np.ascontiguousarray(T_c_v.R),
+            covariance,
+            settings.persistent,
+            sigma_mps * sigma_mps,
         )
         attitude = UPRIGHT if R_n_v is None else np.ascontiguousarray(R_n_v)
         return State(stamp_ns, p, R, np.zeros(3), P, persistent, R_n_c, attitude, R_n_v is not None)
 
     def _fused(self, before: State, seen: State) -> tuple[State | None, float]:
-        """A state with a later measurement in it, None outside the gate; and by what angle they differ."""
+        """A state with a later measurement in it, None outside the gate; and by what angle they
+        differ.
+        """
         its = self._settings
         own = self._own.reports
         peer = self._peer.reports
-        distance2, angle, state = fused(before, seen, own, peer, self._drift, its.persistent_s, its.gate)
+        distance2, angle, state = fused(
+            before, seen, own, peer, self._drift, its.persistent_s, its.gate
+        )
         return (state if distance2 <= its.gate else None), angle

@@ -1,7 +1,8 @@
-"""Arithmetic of the relative-pose filter, compiled: what is worth knowing about it is in ``path.relative_pose.filter``.
+"""Arithmetic of the relative-pose filter, compiled: what is worth knowing about it is in
+``path.relative_pose.filter``.
 
-The error state is (dp, dw, de), 9 numbers in ``n``: position of the marker from the camera, its attitude perturbed as
-``exp(dw) R_n_v``, and the error of the reported relative velocity.
+The error state is (dp, dw, de), 9 numbers in ``n``: position of the marker from the camera, its
+attitude perturbed as ``exp(dw) R_n_v``, and the error of the reported relative velocity.
 """
 
 from __future__ import annotations
@@ -58,9 +59,11 @@ class Drift(NamedTuple):
     """The filter's assumptions about the time between two instants.
 
     Attributes:
-        wander_s: how long an attitude's error takes to change; ``tilt``, ``yaw``: its variances, rad^2.
+        wander_s: how long an attitude's error takes to change; ``tilt``, ``yaw``: its variances,
+            rad^2.
         free: variance of an attitude that is not reported, rad^2.
-        walk, free_walk: variance that the velocity's error gains in a second, (m/s)^2; without reports.
+        walk, free_walk: variance that the velocity's error gains in a second, (m/s)^2; without
+            reports.
         lever_c, lever_v: (3,) of camera and marker from their drones' centres, in their own axes.
     """
 
@@ -76,7 +79,9 @@ class Drift(NamedTuple):
 
 @kernel
 def reported(reports: Reports, stamp_ns: int) -> tuple[float, float, float, float, float, float]:
-    """Velocity, and way since the first report, at an instant: linear between reports, steady outside of them."""
+    """Velocity, and way since the first report, at an instant: linear between reports, steady
+    outside of them.
+    """
     after = reports.many
     while after > 0 and reports.stamps[after - 1] > stamp_ns:
         after -= 1
@@ -102,7 +107,9 @@ def reported(reports: Reports, stamp_ns: int) -> tuple[float, float, float, floa
 
 @kernel
 def velocity(own: Reports, peer: Reports, stamp_ns: int) -> Vec3:
-    """Returns the velocity of the marker's drone minus the own one; zero while one of them reports none."""
+    """Returns the velocity of the marker's drone minus the own one; zero while one of them reports
+    none.
+    """
     if own.many == 0 or peer.many == 0:
         return 0.0, 0.0, 0.0
     a, b, c, _, _, _ = reported(own, stamp_ns)
@@ -130,8 +137,8 @@ def carried(
     """``p``, ``R`` and ``P`` of a state at a later instant.
 
     Args:
-        to_R_n_c, to_R_n_v: (3, 3), attitudes of camera and marker as reported then; ``levelled`` whether the marker's
-            was.
+        to_R_n_c, to_R_n_v: (3, 3), attitudes of camera and marker as reported then; ``levelled``
+            whether the marker's was.
         own, peer: what the receiver and the marker's drone reported.
     """
     dt = max(0.0, (stamp_ns - state.stamp_ns) * 1e-9)
@@ -163,25 +170,38 @@ def carried(
         for j in range(3):
             turn[i, j] = 1.0 if i == j else 0.0
             if both_levelled:
-                turn[i, j] = to_R_n_v[i, 0] * R_n_v[j, 0] + to_R_n_v[i, 1] * R_n_v[j, 1] + to_R_n_v[i, 2] * R_n_v[j, 2]
+                turn[i, j] = (
+                    to_R_n_v[i, 0] * R_n_v[j, 0]
+                    + to_R_n_v[i, 1] * R_n_v[j, 1]
+                    + to_R_n_v[i, 2] * R_n_v[j, 2]
+                )
     for i in range(3):
         moved[i], lever[i] = p[i] + way[i] + e[i] * dt, 0.0
         for j in range(3):
             turned_R[i, j] = turn[i, 0] * R[0, j] + turn[i, 1] * R[1, j] + turn[i, 2] * R[2, j]
             lever[i] += turned_R[i, j] * lever_v[j]
-            moved[i] += (turned_R[i, j] - R[i, j]) * lever_v[j] - (to_R_n_c[i, j] - R_n_c[i, j]) * lever_c[j]
+            moved[i] += (turned_R[i, j] - R[i, j]) * lever_v[j] - (
+                to_R_n_c[i, j] - R_n_c[i, j]
+            ) * lever_c[j]
     return moved, turned_R, _covariance(state.P, turn, dt, walk, moved, own_turn, lever, peer_turn)
 
 
 @kernel
 def predicted(
-    state: State, stamp_ns: int, R_n_c: Array, R_n_v: Array, levelled: bool, own: Reports, peer: Reports, drift: Drift
+    state: State,
+    stamp_ns: int,
+    R_n_c: Array,
+    R_n_v: Array,
+    levelled: bool,
+    own: Reports,
+    peer: Reports,
+    drift: Drift,
 ) -> tuple[Vec3, Vec3, float, Array, Array, Array]:
     """A state at a later instant.
 
     Returns:
-        Position, velocity and standard deviation of the position in ``n``, and in the camera translation, rotation and
-        covariance (6, 6).
+        Position, velocity and standard deviation of the position in ``n``, and in the camera
+        translation, rotation and covariance (6, 6).
     """
     p, R, P = carried(state, stamp_ns, R_n_c, R_n_v, levelled, own, peer, drift)
     R_c_n = np.empty((3, 3))
@@ -201,15 +221,23 @@ def predicted(
 
 @kernel
 def fused(
-    before: State, seen: State, own: Reports, peer: Reports, drift: Drift, persistent_s: float, gate: float
+    before: State,
+    seen: State,
+    own: Reports,
+    peer: Reports,
+    drift: Drift,
+    persistent_s: float,
+    gate: float,
 ) -> tuple[float, float, State]:
     """A state with a later measurement in it.
 
     Returns:
-        The squared Mahalanobis distance (above ``gate`` the state is only carried on; NaN when a covariance is none),
-        the angle between the attitudes, and the state.
+        The squared Mahalanobis distance (above ``gate`` the state is only carried on; NaN when a
+        covariance is none), the angle between the attitudes, and the state.
     """
-    p, R, P = carried(before, seen.stamp_ns, seen.R_n_c, seen.R_n_v, seen.levelled, own, peer, drift)
+    p, R, P = carried(
+        before, seen.stamp_ns, seen.R_n_c, seen.R_n_v, seen.levelled, own, peer, drift
+    )
     kept = math.exp(-(seen.stamp_ns - before.stamp_ns) * 1e-9 / persistent_s)
     distance2, angle, e = fuse(
         p, R, before.e, P, before.persistent, seen.p, seen.R, seen.P, seen.persistent, kept, gate
@@ -219,8 +247,12 @@ def fused(
 
 
 @inner
-def _covariance(P: Array, turn: Array, dt: float, walk: float, p: Array, own: Vec3, lever: Array, peer: Vec3) -> Array:
-    """``P`` after ``dt`` seconds; ``turn`` (3, 3) of the marker's drone, ``p`` and ``lever`` (3,) afterwards."""
+def _covariance(
+    P: Array, turn: Array, dt: float, walk: float, p: Array, own: Vec3, lever: Array, peer: Vec3
+) -> Array:
+    """``P`` after ``dt`` seconds; ``turn`` (3, 3) of the marker's drone, ``p`` and ``lever`` (3,)
+    afterwards.
+    """
     half = np.empty((9, 9))
     out = np.empty((9, 9))
     for j in range(9):
@@ -231,7 +263,9 @@ def _covariance(P: Array, turn: Array, dt: float, walk: float, p: Array, own: Ve
     for i in range(9):
         for j in range(3):
             out[i, j] = half[i, j] + dt * half[i, 6 + j]
-            out[i, 3 + j] = turn[j, 0] * half[i, 3] + turn[j, 1] * half[i, 4] + turn[j, 2] * half[i, 5]
+            out[i, 3 + j] = (
+                turn[j, 0] * half[i, 3] + turn[j, 1] * half[i, 4] + turn[j, 2] * half[i, 5]
+            )
             out[i, 6 + j] = half[i, 6 + j]
     for i in range(3):
         out[i, i] += walk * dt * dt * dt / 3.0
@@ -265,24 +299,32 @@ def turned(covariance: Array, R: Array) -> Array:
         for j in range(6):
             for b in range(0, 6, 3):
                 half[b + i, j] = (
-                    R[i, 0] * covariance[b, j] + R[i, 1] * covariance[b + 1, j] + R[i, 2] * covariance[b + 2, j]
+                    R[i, 0] * covariance[b, j]
+                    + R[i, 1] * covariance[b + 1, j]
+                    + R[i, 2] * covariance[b + 2, j]
                 )
     for i in range(6):
         for j in range(3):
             for b in range(0, 6, 3):
-                out[i, b + j] = R[j, 0] * half[i, b] + R[j, 1] * half[i, b + 1] + R[j, 2] * half[i, b + 2]
+                out[i, b + j] = (
+                    R[j, 0] * half[i, b] + R[j, 1] * half[i, b + 1] + R[j, 2] * half[i, b + 2]
+                )
     return out
 
 
 @inner
 def placed(R_a_b: Array, p_b: Array, R_b_v: Array, covariance: Array) -> tuple[Array, Array, Array]:
-    """A pose and its covariance (6, 6) in another frame, which is only turned: ``R_a_b p``, ``R_a_b R`` and so on."""
+    """A pose and its covariance (6, 6) in another frame, which is only turned: ``R_a_b p``, ``R_a_b
+    R`` and so on.
+    """
     p = np.empty(3)
     R = np.empty((3, 3))
     for i in range(3):
         p[i] = R_a_b[i, 0] * p_b[0] + R_a_b[i, 1] * p_b[1] + R_a_b[i, 2] * p_b[2]
         for j in range(3):
-            R[i, j] = R_a_b[i, 0] * R_b_v[0, j] + R_a_b[i, 1] * R_b_v[1, j] + R_a_b[i, 2] * R_b_v[2, j]
+            R[i, j] = (
+                R_a_b[i, 0] * R_b_v[0, j] + R_a_b[i, 1] * R_b_v[1, j] + R_a_b[i, 2] * R_b_v[2, j]
+            )
     return p, R, turned(covariance, R_a_b)
 
 
@@ -290,7 +332,8 @@ def placed(R_a_b: Array, p_b: Array, R_b_v: Array, covariance: Array) -> tuple[A
 def known_by(
     R_n_c: Array, t: Array, R_c_v: Array, covariance: Array, persistent: float, spread: float
 ) -> tuple[Array, Array, Array, Array]:
-    """``p``, ``R``, ``P`` and the persistent covariance (6, 6) of a state that knows nothing but one measured pose.
+    """``p``, ``R``, ``P`` and the persistent covariance (6, 6) of a state that knows nothing but
+    one measured pose.
 
     Args:
         persistent: share of its variance that persists.
@@ -309,7 +352,9 @@ def known_by(
 
 @inner
 def _surprise(p: Array, R: Array, seen_p: Array, seen_R: Array) -> Array:
-    """Returns a measured pose's difference to the state's, (6,): ``seen_p - p``, the rotation vector to ``seen_R``."""
+    """Returns a measured pose's difference to the state's, (6,): ``seen_p - p``, the rotation
+    vector to ``seen_R``.
+    """
     out = np.empty(6)
     D = np.empty((3, 3))
     for i in range(3):
@@ -335,8 +380,12 @@ def _surprise(p: Array, R: Array, seen_p: Array, seen_R: Array) -> Array:
 
 
 @inner
-def _expected(P: Array, persistent: Array, seen_P: Array, seen_persistent: Array, kept: float) -> Array:
-    """Covariance (6, 6) of the difference between a state and a measured pose; arguments as in ``fuse``."""
+def _expected(
+    P: Array, persistent: Array, seen_P: Array, seen_persistent: Array, kept: float
+) -> Array:
+    """Covariance (6, 6) of the difference between a state and a measured pose; arguments as in
+    ``fuse``.
+    """
     S = np.empty((6, 6))
     size = 0.0
     seen_size = 0.0
@@ -352,7 +401,9 @@ def _expected(P: Array, persistent: Array, seen_P: Array, seen_persistent: Array
 
 @inner
 def _white(S: Array, difference: Array, P: Array) -> tuple[Array, Array]:
-    """``S^-1/2`` of the difference (6,), and of the first six rows of P (6, 9); ``S`` is a Cholesky factor."""
+    """``S^-1/2`` of the difference (6,), and of the first six rows of P (6, 9); ``S`` is a Cholesky
+    factor.
+    """
     white = np.empty(6)
     W = np.empty((6, 9))
     for i in range(6):
@@ -377,14 +428,15 @@ def fuse(
     """Kalman update by a measured pose. ``p``, ``R`` and ``P`` are changed in place.
 
     Args:
-        persistent, seen_persistent: (6, 6), the part of the newest measurement's covariance that persists, and of
-            this one's: the two errors differ the more, the longer ago and the less alike they are.
+        persistent, seen_persistent: (6, 6), the part of the newest measurement's covariance that
+            persists, and of this one's: the two errors differ the more, the longer ago and the less
+            alike they are.
         seen_P: (9, 9), what of this one's does not persist.
         kept: how much of a persistent error is left by now, 0..1.
 
     Returns:
-        The squared Mahalanobis distance (above ``gate`` nothing is changed; NaN when a covariance is none), the
-        angle between the attitudes, and the new ``e``.
+        The squared Mahalanobis distance (above ``gate`` nothing is changed; NaN when a covariance
+        is none), the angle between the attitudes, and the new ``e``.
     """
     difference = _surprise(p, R, seen_p, seen_R)
     angle = math.sqrt(difference[3] ** 2 + difference[4] ** 2 + difference[5] ** 2)

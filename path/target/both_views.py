@@ -1,26 +1,31 @@
-"""The target's place by both drones' views, once D2's pose is known: triangulation, with all that either knows.
+"""The target's place by both drones' views, once D2's pose is known: triangulation, with all that
+either knows.
 
 In D2's camera frame, where D2 is at the origin:
 
-- D1's point ``x1``: along D1's line of sight ``r1`` it is off by D1's range, across it by D1's pixels and mount, and
-  all of it by D2's pose, whose turn has the way from the marker to the target as its lever,
-  ``C1 = a^2 r1 r1^T + b^2 (I - r1 r1^T) + J P J^T``, with ``J = [I, -[q]x]`` and ``q`` from the marker to the target.
-- D2's line of sight ``r2`` through the middle of its own box: across it the target is known to a pixel or so, whatever
-  pose and mounts are, ``P2 x = 0`` with ``P2 = I - r2 r2^T``, give or take ``s`` times the distance.
+- D1's point ``x1``: along D1's line of sight ``r1`` it is off by D1's range, across it by D1's
+  pixels and mount, and all of it by D2's pose, whose turn has the way from the marker to the target
+  as its lever, ``C1 = a^2 r1 r1^T + b^2 (I - r1 r1^T) + J P J^T``, with ``J = [I, -[q]x]`` and
+  ``q`` from the marker to the target.
+- D2's line of sight ``r2`` through the middle of its own box: across it the target is known to a
+  pixel or so, whatever pose and mounts are, ``P2 x = 0`` with ``P2 = I - r2 r2^T``, give or take
+  ``s`` times the distance.
 - D2's own range, where it has one, ``r2^T x = d``.
 
-The estimate is the one of least squares, information added up one after another. ``chi2`` says how well D2's line of
-sight agrees with D1's point, two degrees of freedom. Where D1's range is worth little this is what two bearings make of
-each other; where they are nearly parallel it leaves the range as it was, and says so by its covariance.
+The estimate is the one of least squares, information added up one after another. ``chi2`` says how
+well D2's line of sight agrees with D1's point, two degrees of freedom. Where D1's range is worth
+little this is what two bearings make of each other; where they are nearly parallel it leaves the
+range as it was, and says so by its covariance.
 
-Both mean the middle of the body, where its size is known: the middles of two boxes from two sides are two points of it
-(``path.target.cylinder``).
+Both mean the middle of the body, where its size is known: the middles of two boxes from two sides
+are two points of it (``path.target.cylinder``).
 
-**What this must not be used for.** D2's box was chosen near D1's point. Whoever feeds a place that D2's box has pulled
-towards itself back into D1's message, the prior, the gate or D1's track lets the gate agree with itself: an object
-beside the target would draw the point over to it, frame by frame, and then be found where it is expected. So this is
-computed after D2's answer is sent, goes into D2's own track and the log, and nothing of it goes over the link. The
-rooms of the cycle, the gate and the protocol may not import this module (``pyproject.toml``).
+**What this must not be used for.** D2's box was chosen near D1's point. Whoever feeds a place that
+D2's box has pulled towards itself back into D1's message, the prior, the gate or D1's track lets
+the gate agree with itself: an object beside the target would draw the point over to it, frame by
+frame, and then be found where it is expected. So this is computed after D2's answer is sent, goes
+into D2's own track and the log, and nothing of it goes over the link. The rooms of the cycle, the
+gate and the protocol may not import this module (``pyproject.toml``).
 """
 
 from __future__ import annotations
@@ -90,7 +95,9 @@ class BothViews:
         return math.sqrt(float(np.linalg.eigvalsh(self.covariance)[-1]))
 
     def along(self, ray_c: Vec3) -> tuple[float, float]:
-        """Return its depth on a ray (per metre of depth) that passes it, and the standard deviation of that, m."""
+        """Return its depth on a ray (per metre of depth) that passes it, and the standard deviation
+        of that, m.
+        """
         ray = np.array(ray_c)
         unit = ray / np.linalg.norm(ray)
         per_depth = float(np.linalg.norm(ray))
@@ -122,7 +129,9 @@ def triangulate(said: Sighted, ray_c: Vec3, ray_sigma_rad: float) -> BothViews:
 
 
 def with_range(both: BothViews, ray_c: Vec3, distance_m: float, sigma_m: float) -> BothViews:
-    """Add D2's own range along its line of sight, where that does not contradict; else leave it out."""
+    """Add D2's own range along its line of sight, where that does not contradict; else leave it
+    out.
+    """
     unit = np.array(ray_c) / np.linalg.norm(ray_c)
     off_m = distance_m - float(unit @ both.point_c)
     seen = both.covariance @ unit

@@ -1,9 +1,11 @@
-"""The upright cylinder that a target fits into, as a camera sees it: how far it reaches, and where its box's middle is.
+"""The upright cylinder that a target fits into, as a camera sees it: how far it reaches, and where
+its box's middle is.
 
-A box's middle is not the middle of what is in it. What is nearer to the camera looms larger: the box of a person seen
-from above has its middle above theirs. And the depth that is measured there is of the side that faces the camera. Two
-cameras that look from different sides so mean different places by the middles of their boxes of the same object: people
-0.1 m, a car 0.02 m. Both are known from the cylinder, whichever way the target heads.
+A box's middle is not the middle of what is in it. What is nearer to the camera looms larger: the
+box of a person seen from above has its middle above theirs. And the depth that is measured there is
+of the side that faces the camera. Two cameras that look from different sides so mean different
+places by the middles of their boxes of the same object: people 0.1 m, a car 0.02 m. Both are known
+from the cylinder, whichever way the target heads.
 """
 
 from __future__ import annotations
@@ -15,7 +17,9 @@ from path.geometry.rigid import Rigid, transform, transform_back
 from path.messages import Vec3
 
 BEHIND_SHARE = 0.25
-"""Of the cylinder's diameter: from its side to its axis it is half, a body that is narrower one way has less there."""
+"""Of the cylinder's diameter: from its side to its axis it is half, a body that is narrower one way
+has less there.
+"""
 _LEAST = 1e-6
 AT_THE_CAMERA: Rigid = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
@@ -24,8 +28,11 @@ as_it_is(transform_back)
 
 
 @as_it_is
-def reach_m(T_v_c: Rigid, point_v: Vec3, gravity_v: Vec3, span_m: float, height_m: float) -> tuple[float, float]:
-    """Width and height in m that an upright cylinder at a point fills in an image, at the point's depth.
+def reach_m(
+    T_v_c: Rigid, point_v: Vec3, gravity_v: Vec3, span_m: float, height_m: float
+) -> tuple[float, float]:
+    """Width and height in m that an upright cylinder at a point fills in an image, at the point's
+    depth.
 
     To first order in its size over its distance.
 
@@ -34,11 +41,15 @@ def reach_m(T_v_c: Rigid, point_v: Vec3, gravity_v: Vec3, span_m: float, height_
     """
     x, y, z = transform_back(T_v_c, point_v)
     gx, gy, gz = _turned_back(T_v_c, gravity_v)
-    return _reach_along(gx, gz, x / z, span_m, height_m), _reach_along(gy, gz, y / z, span_m, height_m)
+    return _reach_along(gx, gz, x / z, span_m, height_m), _reach_along(
+        gy, gz, y / z, span_m, height_m
+    )
 
 
 @as_it_is
-def middle_v(T_v_c: Rigid, surface_v: Vec3, gravity_v: Vec3, span_m: float, height_m: float) -> Vec3:
+def middle_v(
+    T_v_c: Rigid, surface_v: Vec3, gravity_v: Vec3, span_m: float, height_m: float
+) -> Vec3:
     """The middle of a target, from the point of its surface in the middle of its box."""
     rx = surface_v[0] - T_v_c[9]
     ry = surface_v[1] - T_v_c[10]
@@ -55,7 +66,9 @@ def middle_v(T_v_c: Rigid, surface_v: Vec3, gravity_v: Vec3, span_m: float, heig
         return across
     # that point is on the axis, and so is the middle
     gx, gy, gz = gravity_v
-    along = (across[0] - on_ray[0]) * gx + (across[1] - on_ray[1]) * gy + (across[2] - on_ray[2]) * gz
+    along = (
+        (across[0] - on_ray[0]) * gx + (across[1] - on_ray[1]) * gy + (across[2] - on_ray[2]) * gz
+    )
     along /= level * level
     return on_ray[0] + along * gx, on_ray[1] + along * gy, on_ray[2] + along * gz
 
@@ -68,25 +81,35 @@ def behind_m(falling: float, span_m: float, height_m: float) -> float:
         falling: by how much that line comes down for each metre of it.
     """
     level = math.sqrt(max(0.0, 1.0 - falling * falling))
-    return min(BEHIND_SHARE * span_m / max(_LEAST, level), 0.5 * height_m / max(_LEAST, abs(falling)))
+    return min(
+        BEHIND_SHARE * span_m / max(_LEAST, level), 0.5 * height_m / max(_LEAST, abs(falling))
+    )
 
 
 def off_middle(point_c: Vec3, gravity_c: Vec3, span_m: float, height_m: float) -> Vec3:
-    """Return from a target's middle to the point at its depth in the middle of its box, in the camera's frame."""
+    """Return from a target's middle to the point at its depth in the middle of its box, in the
+    camera's frame.
+    """
     middle_c = _moved(AT_THE_CAMERA, point_c, gravity_c, span_m, height_m, -1.0)
     x, y, z = (p - m for p, m in zip(point_c, middle_c, strict=True))
     return x, y, z
 
 
 @as_it_is
-def box_middle_v(T_v_c: Rigid, middle: Vec3, gravity_v: Vec3, span_m: float, height_m: float) -> Vec3:
+def box_middle_v(
+    T_v_c: Rigid, middle: Vec3, gravity_v: Vec3, span_m: float, height_m: float
+) -> Vec3:
     """The point at the depth of a target's middle that is in the middle of its box."""
     return _moved(T_v_c, middle, gravity_v, span_m, height_m, 1.0)
 
 
 @as_it_is
-def _moved(T_v_c: Rigid, point_v: Vec3, gravity_v: Vec3, span_m: float, height_m: float, way: float) -> Vec3:
-    """A point moved across the line of sight by what a box's middle is off there, one way or the other."""
+def _moved(
+    T_v_c: Rigid, point_v: Vec3, gravity_v: Vec3, span_m: float, height_m: float, way: float
+) -> Vec3:
+    """A point moved across the line of sight by what a box's middle is off there, one way or the
+    other.
+    """
     x, y, z = transform_back(T_v_c, point_v)
     gx, gy, gz = _turned_back(T_v_c, gravity_v)
     if not z > 0.5 * (span_m + height_m):  # inside it, or behind the camera
@@ -108,21 +131,28 @@ def _turned_back(T_v_c: Rigid, way_v: Vec3) -> Vec3:
 def _upright_and_level(g_side: float, g_ahead: float, tangent: float) -> tuple[float, float]:
     """The parts of a step to one side of an image that are along gravity and across it.
 
-    Of a body off to that side, a step ahead is one back to the middle: what counts is the way along (1, -tangent).
+    Of a body off to that side, a step ahead is one back to the middle: what counts is the way along
+    (1, -tangent).
     """
     upright = g_side - tangent * g_ahead
     return upright, math.sqrt(max(0.0, 1.0 + tangent * tangent - upright * upright))
 
 
 @as_it_is
-def _reach_along(g_side: float, g_ahead: float, tangent: float, span_m: float, height_m: float) -> float:
+def _reach_along(
+    g_side: float, g_ahead: float, tangent: float, span_m: float, height_m: float
+) -> float:
     upright, level = _upright_and_level(g_side, g_ahead, tangent)
     return height_m * abs(upright) + span_m * level
 
 
 @as_it_is
-def _box_middle(g_side: float, g_ahead: float, side: float, ahead: float, span_m: float, height_m: float) -> float:
-    """Tangent of the middle between the outermost of the rims' points: the near and the far one of either rim."""
+def _box_middle(
+    g_side: float, g_ahead: float, side: float, ahead: float, span_m: float, height_m: float
+) -> float:
+    """Tangent of the middle between the outermost of the rims' points: the near and the far one of
+    either rim.
+    """
     tangent = side / ahead
     upright, level = _upright_and_level(g_side, g_ahead, tangent)
     half = 0.5 * span_m / max(_LEAST, level)

@@ -13,7 +13,9 @@ OUTLIER_SIGMAS = 3.0
 
 @inner
 def median(values: NDArray[np.float64], n: int) -> float:
-    """The median of the first ``n`` values, which it puts into another order (Hoare's selection)."""
+    """The median of the first ``n`` values, which it puts into another order (Hoare's
+    selection).
+    """
     k = n // 2
     low = 0
     high = n - 1
@@ -46,13 +48,19 @@ def median(values: NDArray[np.float64], n: int) -> float:
 
 @kernel
 def middle(
-    depths_mm: NDArray[np.uint16], least_mm: float, most_mm: float, sigma_at_1m_m: float, room: NDArray[np.float64]
+    depths_mm: NDArray[np.uint16],
+    least_mm: float,
+    most_mm: float,
+    sigma_at_1m_m: float,
+    room: NDArray[np.float64],
 ) -> tuple[int, float, float]:
-    """The number of depths within the limits, their spread, and the median of those near their median, mm.
+    """The number of depths within the limits, their spread, and the median of those near their
+    median, mm.
 
     Args:
         depths_mm: shape (n,), contiguous.
-        sigma_at_1m_m: standard deviation of depth at 1 m, which grows with its square: the spread is never less.
+        sigma_at_1m_m: standard deviation of depth at 1 m, which grows with its square: the spread
+            is never less.
         room: for as many numbers.
     """
     count = 0

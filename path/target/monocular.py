@@ -1,9 +1,9 @@
 """The distance of an object of known size from its box in one image: for cameras without depth.
 
-What is known of the target is its apparent size: the geometric mean of its box's sides times the distance over the
-focal length, as a mean over the headings in which it may stand. Trying to tell the heading from the box as well made it
-worse: the sides' ratio depends more on a target's shape than on its heading
-(docs/decisions/0229-two-tellos.md).
+What is known of the target is its apparent size: the geometric mean of its box's sides times the
+distance over the focal length, as a mean over the headings in which it may stand. Trying to tell
+the heading from the box as well made it worse: the sides' ratio depends more on a target's shape
+than on its heading (docs/decisions/0229-two-tellos.md).
 """
 
 from __future__ import annotations
@@ -25,11 +25,13 @@ class TargetSize:
     """The apparent size of the target, and how well one number describes it.
 
     Attributes:
-        apparent_m: geometric mean of the sides of its box, in m: measured box times distance over focal length.
-        sigma: relative standard deviation of that, over its headings and the heights from which it is seen.
+        apparent_m: geometric mean of the sides of its box, in m: measured box times distance over
+            focal length.
+        sigma: relative standard deviation of that, over its headings and the heights from which it
+            is seen.
         pixel_sigma_px: of a box's width and height.
-        longest_m: the longest side that its box can have, likewise in m; a longer one is of several that touch. 0: not
-            known.
+        longest_m: the longest side that its box can have, likewise in m; a longer one is of several
+            that touch. 0: not known.
     """
 
     apparent_m: Annotated[float, Bounds(0.02, 20.0)]
@@ -51,14 +53,20 @@ def extent_at(z_m: float, focal_px: float, size: TargetSize) -> Extent:
 
 
 def monocular_range(box: Box, camera: CameraModel, size: TargetSize) -> Depth | None:
-    """Depth along the optical axis of the middle of a target of known size, and its standard deviation.
+    """Depth along the optical axis of the middle of a target of known size, and its standard
+    deviation.
 
     Returns:
         None for a box that the image cuts or that is too small to have a size.
     """
     if not (box.w >= _LEAST_PX and box.h >= _LEAST_PX):
         return None
-    if box.x <= 0.0 or box.y <= 0.0 or box.x + box.w >= camera.width - 1 or box.y + box.h >= camera.height - 1:
+    if (
+        box.x <= 0.0
+        or box.y <= 0.0
+        or box.x + box.w >= camera.width - 1
+        or box.y + box.h >= camera.height - 1
+    ):
         return None
     z_m = math.sqrt(camera.fx * camera.fy / (box.w * box.h)) * size.apparent_m
     of_pixels = 0.5 * math.hypot(size.pixel_sigma_px / box.w, size.pixel_sigma_px / box.h)

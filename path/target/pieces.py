@@ -1,14 +1,15 @@
 """One object that a detector shows as two boxes, for a frame.
 
-Two boxes that together are as large as the object was, and more nearly so than the first alone, are the object: two
-that look alike take more room than one.
+Two boxes that together are as large as the object was, and more nearly so than the first alone, are
+the object: two that look alike take more room than one.
 """
 
 from __future__ import annotations
 
 from path.observations import Box, around
 
-_PIECES = 0.1  # by so much of its side two pieces together may differ from the object when it was last whole
+# by so much of its side two pieces together may differ from the object when it was last whole
+_PIECES = 0.1
 
 
 def whole_of(first: Box, other: Box, side_px: tuple[float, float]) -> Box | None:

@@ -25,29 +25,35 @@ MEDIAN_TO_MEAN = 1.2533  # standard error of a median against that of a mean
 
 
 def depth_sigma(z_m: float, config: MethodConfig) -> float:
-    """Standard deviation in m of stereo depth at a distance: quadratic in it, ``depth_sigma_at_1m_m`` at 1 m."""
+    """Standard deviation in m of stereo depth at a distance: quadratic in it,
+    ``depth_sigma_at_1m_m`` at 1 m.
+    """
     return config.depth_sigma_at_1m_m * z_m * z_m
 
 
 def registered_depth(depth_mm: NDArray[np.uint16], box: Box, config: MethodConfig) -> Depth | None:
     """Robust depth of the target over the central part of its box.
 
-    The median over valid pixels (not 0, within the limits), refined by the median of those near it, so that less than
-    half of holes, flying pixels and background do not move it.
+    The median over valid pixels (not 0, within the limits), refined by the median of those near it,
+    so that less than half of holes, flying pixels and background do not move it.
 
     Args:
-        depth_mm: registered depth image, shape (h, w), z along the optical axis in millimetres, 0 = no measurement.
+        depth_mm: registered depth image, shape (h, w), z along the optical axis in millimetres, 0 =
+            no measurement.
         box: the target in the same image.
 
     Returns:
-        None when too few pixels are valid, or when they are so spread that they are not one surface.
+        None when too few pixels are valid, or when they are so spread that they are not one
+        surface.
     """
     patch = _central_part(depth_mm, box, config.depth_center_fraction)
     if patch is None:
         return None
     depths_mm = patch.flatten()
     limits_mm = config.min_depth_m * 1000.0, config.max_depth_m * 1000.0
-    valid, spread, z_mm = middle(depths_mm, *limits_mm, config.depth_sigma_at_1m_m, np.empty(depths_mm.size))
+    valid, spread, z_mm = middle(
+        depths_mm, *limits_mm, config.depth_sigma_at_1m_m, np.empty(depths_mm.size)
+    )
     if valid < max(config.min_depth_pixels, config.min_depth_valid * patch.size):
         return None
     if spread > 1000.0 * config.max_depth_spread_m:
@@ -55,11 +61,20 @@ def registered_depth(depth_mm: NDArray[np.uint16], box: Box, config: MethodConfi
     z_m = z_mm / 1000.0
     asked = box.area * config.depth_center_fraction**2 * valid / patch.size
     independent = max(1.0, asked / CORRELATED_PIXELS)
-    return Depth(z_m, math.hypot(depth_sigma(z_m, config), MEDIAN_TO_MEAN * spread / 1000.0 / math.sqrt(independent)))
+    return Depth(
+        z_m,
+        math.hypot(
+            depth_sigma(z_m, config), MEDIAN_TO_MEAN * spread / 1000.0 / math.sqrt(independent)
+        ),
+    )
 
 
-def _central_part(depth_mm: NDArray[np.uint16], box: Box, fraction: float) -> NDArray[np.uint16] | None:
-    """Pixels of the middle ``fraction`` of a box per side, thinned; None when the box is none or outside the image."""
+def _central_part(
+    depth_mm: NDArray[np.uint16], box: Box, fraction: float
+) -> NDArray[np.uint16] | None:
+    """Pixels of the middle ``fraction`` of a box per side, thinned; None when the box is none or
+    outside the image.
+    """
     if not (math.isfinite(box.x + box.y + box.w + box.h) and box.w > 0.0 and box.h > 0.0):
         return None
     height, width = depth_mm.shape
@@ -77,7 +92,9 @@ def _central_part(depth_mm: NDArray[np.uint16], box: Box, fraction: float) -> ND
 
 
 class TargetPoint(NamedTuple):
-    """The target in the marker frame (m), its distance along D1's optical axis (m), and its standard deviation (m)."""
+    """The target in the marker frame (m), its distance along D1's optical axis (m), and its
+    standard deviation (m).
+    """
 
     point_v_m: Vec3
     z_m: float
@@ -85,28 +102,37 @@ class TargetPoint(NamedTuple):
 
 
 def back_project(camera: CameraModel, u: float, v: float, z_m: float) -> Vec3:
-    """Point in the camera frame of a distorted pixel at depth ``z_m`` (eq. target_backprojection); NaN off the lens."""
+    """Point in the camera frame of a distorted pixel at depth ``z_m`` (eq. target_backprojection);
+    NaN off the lens.
+    """
     x, y = camera.ray(u, v)
     return z_m * x, z_m * y, z_m
 
 
 def locate(views: TwoViews, box: Box, depth: Depth, config: MethodConfig) -> TargetPoint:
-    """The target's point in ``v`` (eq. target_virtual) from its box, of plain floats, and depth; NaN off the lens."""
+    """The target's point in ``v`` (eq. target_virtual) from its box, of plain floats, and depth;
+    NaN off the lens.
+    """
     point_v_m, distance_m = located(views.numbers, *box.center, depth.z_m)
     return TargetPoint(point_v_m, depth.z_m, _point_sigma(views.camera1, distance_m, depth, config))
 
 
 def across_sigma(camera: CameraModel, distance_m: float, config: MethodConfig) -> float:
-    """Standard deviation in m of a target across the line of sight: pixel noise, and the mounting's angle."""
+    """Standard deviation in m of a target across the line of sight: pixel noise, and the mounting's
+    angle.
+    """
     pixels = config.pixel_sigma_px / min(camera.fx, camera.fy)
     return distance_m * math.hypot(pixels, math.radians(config.mount_sigma_deg))
 
 
-def _point_sigma(camera: CameraModel, distance_m: float, depth: Depth, config: MethodConfig) -> float:
+def _point_sigma(
+    camera: CameraModel, distance_m: float, depth: Depth, config: MethodConfig
+) -> float:
     """Standard deviation in m of the point in ``v`` in its least certain direction.
 
-    Along the ray there is depth noise, across it pixel noise and the mounting's angle with the target as its lever,
-    and the mounting's position in both: the message carries one number, and D2 may look from any side.
+    Along the ray there is depth noise, across it pixel noise and the mounting's angle with the
+    target as its lever, and the mounting's position in both: the message carries one number, and D2
+    may look from any side.
     """
     along = depth.sigma_m * distance_m / depth.z_m
     pixels_m = depth.z_m * config.pixel_sigma_px / min(camera.fx, camera.fy)

@@ -1,24 +1,29 @@
-"""The range of a target from everything that tells one: which ranges there are, and what they are worth together.
+"""The range of a target from everything that tells one: which ranges there are, and what they are
+worth together.
 
-A range is along the optical axis of one camera, to the surface of the target at the middle of its box: where a depth
-camera has it. With ``z`` the range and ``s`` its standard deviation, lasting errors included:
+A range is along the optical axis of one camera, to the surface of the target at the middle of its
+box: where a depth camera has it. With ``z`` the range and ``s`` its standard deviation, lasting
+errors included:
 
-- *Depth* over the box (``path.target.place``): noise that grows with the square of the distance, and a scale that is
-  off by ``DEPTH_SHARE``.
-- *Size*: a body of known size is as far away as its box is small. Each side ``i`` of the box, of ``b_i`` pixels, gives
-  ``z = f a_i / b_i``, where ``a_i`` is what an upright cylinder of the body's span and height fills (``reach_m``). How
-  much less a body fills than its cylinder depends on how it heads: ``USUAL_SPAN`` of the span, give or take
-  ``SPAN_SIGMA``. What hides a part of it makes the range too long.
-- *Ground*: the line of sight comes down to the height of the target's middle. With ``h`` from there up to the camera,
-  and a ray that sinks by ``d`` and goes ``l`` along the ground for every metre of the optical axis, ``z = h / d``, and
-  ``s^2 = (s_h / d)^2 + (z l / d * s_angle)^2``. The height is the drone's own, or a rangefinder's.
+- *Depth* over the box (``path.target.place``): noise that grows with the square of the distance,
+  and a scale that is off by ``DEPTH_SHARE``.
+- *Size*: a body of known size is as far away as its box is small. Each side ``i`` of the box, of
+  ``b_i`` pixels, gives ``z = f a_i / b_i``, where ``a_i`` is what an upright cylinder of the body's
+  span and height fills (``reach_m``). How much less a body fills than its cylinder depends on how
+  it heads: ``USUAL_SPAN`` of the span, give or take ``SPAN_SIGMA``. What hides a part of it makes
+  the range too long.
+- *Ground*: the line of sight comes down to the height of the target's middle. With ``h`` from there
+  up to the camera, and a ray that sinks by ``d`` and goes ``l`` along the ground for every metre of
+  the optical axis, ``z = h / d``, and ``s^2 = (s_h / d)^2 + (z l / d * s_angle)^2``. The height is
+  the drone's own, or a rangefinder's.
 
-Ranges that are given are held against each other. For a set of ``n`` of them with the weighted mean ``m``,
-``chi2 = sum (z - m)^2 / s^2`` has ``n - 1`` degrees of freedom. The largest set with a chi2 that happens to one in a
-thousand is believed, and of equally large ones the surest; the others are told of as contradicted. Where those
-that are contradicted are as many as those that are believed, nobody knows which are right: the variance then holds
-both. A size that is farther off than all others is no such witness: a part of the target is hidden. Nothing here has
-a unit: a world so many times as large decides the same.
+Ranges that are given are held against each other. For a set of ``n`` of them with the weighted mean
+``m``, ``chi2 = sum (z - m)^2 / s^2`` has ``n - 1`` degrees of freedom. The largest set with a chi2
+that happens to one in a thousand is believed, and of equally large ones the surest; the others are
+told of as contradicted. Where those that are contradicted are as many as those that are believed,
+nobody knows which are right: the variance then holds both. A size that is farther off than all
+others is no such witness: a part of the target is hidden. Nothing here has a unit: a world so many
+times as large decides the same.
 
 Pure: D1's follower calls it for each frame (``flight.tracking.ranging``), and the plan beforehand.
 """
@@ -91,7 +96,8 @@ class Ranged:
         depth: the range, and what most of it rests on.
         by: all that it rests on, the surest first.
         against: what contradicts that, and is not believed.
-        chi2: of the contradicted one that is the farthest off, against those that are believed; 0 without any.
+        chi2: of the contradicted one that is the farthest off, against those that are believed; 0
+            without any.
     """
 
     depth: Depth
@@ -100,11 +106,20 @@ class Ranged:
     chi2: float = 0.0
 
 
-def by_size(box: Box, camera: CameraModel, sight: Sight, body: Body, pixel_sigma_px: float) -> Depth | None:
-    """Return the range of a body of known size; None for a box that the image cuts or that is too small."""
+def by_size(
+    box: Box, camera: CameraModel, sight: Sight, body: Body, pixel_sigma_px: float
+) -> Depth | None:
+    """Return the range of a body of known size; None for a box that the image cuts or that is too
+    small.
+    """
     if not (body.known and box.w >= LEAST_PX and box.h >= LEAST_PX):
         return None
-    if box.x <= 0.0 or box.y <= 0.0 or box.x + box.w >= camera.width - 1 or box.y + box.h >= camera.height - 1:
+    if (
+        box.x <= 0.0
+        or box.y <= 0.0
+        or box.x + box.w >= camera.width - 1
+        or box.y + box.h >= camera.height - 1
+    ):
         return None
     flat_wide, flat_high = reach_m(AT_THE_CAMERA, sight.ray_c, sight.gravity_c, body.span_m, 0.0)
     tall_wide, tall_high = reach_m(AT_THE_CAMERA, sight.ray_c, sight.gravity_c, 0.0, body.height_m)
@@ -116,7 +131,8 @@ def by_size(box: Box, camera: CameraModel, sight: Sight, body: Body, pixel_sigma
     for per_m, side_px, flat_m, tall_m in sides:
         usual_m = USUAL_SPAN * flat_m + tall_m
         of_body = math.hypot(SPAN_SIGMA * USUAL_SPAN * flat_m, HEIGHT_SIGMA * tall_m) / usual_m
-        of_pixels = 2.0 * pixel_sigma_px / side_px  # an edge's noise is 1.4 times a centre's, a side's twice
+        # an edge's noise is 1.4 times a centre's, a side's twice
+        of_pixels = 2.0 * pixel_sigma_px / side_px
         weight = 1.0 / (of_body**2 + of_pixels**2)
         weighted += weight * math.log(per_m * usual_m)
         total += weight
@@ -125,9 +141,15 @@ def by_size(box: Box, camera: CameraModel, sight: Sight, body: Body, pixel_sigma
 
 
 def by_ground(
-    above_m: float, above_sigma_m: float, angle_sigma_rad: float, sight: Sight, body: Body, source: RangeSource
+    above_m: float,
+    above_sigma_m: float,
+    angle_sigma_rad: float,
+    sight: Sight,
+    body: Body,
+    source: RangeSource,
 ) -> Depth | None:
-    """Return the range at which a line of sight comes down to the target's middle; None where it hardly does.
+    """Return the range at which a line of sight comes down to the target's middle; None where it
+    hardly does.
 
     Args:
         above_m: from the target's middle up to the camera, with its standard deviation.
@@ -157,17 +179,22 @@ def together(ranges: Sequence[Depth]) -> Ranged | None:
     if len(given) <= 1:
         return Ranged(given[0], (given[0].source,)) if given else None
     witnesses = [each for each in given if not _hides(each, given)]
-    best = max(_consistent(witnesses), key=lambda chosen: (len(chosen), -_mean(witnesses, chosen)[1]))
+    best = max(
+        _consistent(witnesses), key=lambda chosen: (len(chosen), -_mean(witnesses, chosen)[1])
+    )
     return _fused(given, witnesses, best)
 
 
 def _hides(one: Depth, given: Sequence[Depth]) -> bool:
-    """Return whether a size says that the target is farther off than everything else has it: a part of it is hidden."""
+    """Return whether a size says that the target is farther off than everything else has it: a part
+    of it is hidden.
+    """
     others = [each for each in given if each.source is not RangeSource.SIZE]
     if one.source is not RangeSource.SIZE or not others:
         return False
     return all(
-        one.z_m > each.z_m and (one.z_m - each.z_m) ** 2 > CHI2[1] * (variance_of(one) + variance_of(each))
+        one.z_m > each.z_m
+        and (one.z_m - each.z_m) ** 2 > CHI2[1] * (variance_of(one) + variance_of(each))
         for each in others
     )
 
@@ -183,11 +210,17 @@ def variance_of(one: Depth) -> float:
 
 
 def _consistent(given: Sequence[Depth]) -> list[tuple[int, ...]]:
-    """Return every set of ranges that do not contradict one another, by their indices; single ones always."""
+    """Return every set of ranges that do not contradict one another, by their indices; single ones
+    always.
+    """
     found: list[tuple[int, ...]] = [(k,) for k in range(len(given))]
     for size in range(2, len(given) + 1):
         limit = CHI2[min(size - 1, len(CHI2) - 1)]
-        found += [chosen for chosen in combinations(range(len(given)), size) if _chi2(given, chosen) <= limit]
+        found += [
+            chosen
+            for chosen in combinations(range(len(given)), size)
+            if _chi2(given, chosen) <= limit
+        ]
     return found
 
 
@@ -209,9 +242,12 @@ def _fused(given: Sequence[Depth], witnesses: Sequence[Depth], chosen: Sequence[
     believed = sorted((witnesses[k] for k in chosen), key=variance_of)
     others = [each for k, each in enumerate(witnesses) if k not in chosen]
     against = [each for each in given if each not in believed]
-    chi2 = max(((each.z_m - mean_m) ** 2 / (variance_of(each) + variance) for each in against), default=0.0)
+    chi2 = max(
+        ((each.z_m - mean_m) ** 2 / (variance_of(each) + variance) for each in against), default=0.0
+    )
     if len(others) >= len(chosen):
-        # as many say the opposite: the mean square about this one, as likely as not to be the wrong one
+        # as many say the opposite: the mean square about this one, as likely as not to be the wrong
+        # one
         about = [variance_of(each) + (each.z_m - mean_m) ** 2 for each in others]
         variance = 0.5 * (variance + sum(about) / len(about))
     by = tuple(each.source for each in believed)

@@ -1,10 +1,12 @@
-"""The objects that D1 sees beside its target: D2's box could be of one of them, and lies at a distance from each.
+"""The objects that D1 sees beside its target: D2's box could be of one of them, and lies at a
+distance from each.
 
-D2's box gives a line of sight. Where that passes the target, at the target's depth, it is some way off D1's own box;
-where it passes another object, at that one's depth, some way off that one's. Both are offsets in D1's image, in metres
-at the depth of what they are measured from. Where the middle of a box lies on a body, as each camera sees it, is
-reckoned with when the rig states the body's size (``path.target.cylinder``). Errors that last (calibration, mounts,
-attitude, what a body differs from its cylinder) move both alike.
+D2's box gives a line of sight. Where that passes the target, at the target's depth, it is some way
+off D1's own box; where it passes another object, at that one's depth, some way off that one's. Both
+are offsets in D1's image, in metres at the depth of what they are measured from. Where the middle
+of a box lies on a body, as each camera sees it, is reckoned with when the rig states the body's
+size (``path.target.cylinder``). Errors that last (calibration, mounts, attitude, what a body
+differs from its cylinder) move both alike.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ MOST = 3
 REMEMBERED = 8
 """The numbers of those told of and of those remembered: the nearest ones."""
 SEEN_TIMES = 3
-"""One that was seen less often may be nothing: detectors invent, but hardly ever several times in the same place."""
+"""One that was seen less often may be nothing: detectors invent, but hardly ever several times in
+the same place.
+"""
 _LEAST_DESCENT = 0.1  # of a line of sight towards the target's level, per metre of depth
 
 
@@ -47,7 +51,9 @@ class Rival:
 
 @value
 class _Beside:
-    """One of them against the target in the same frame: pixels of the centre, depth and place in ``v``, in m."""
+    """One of them against the target in the same frame: pixels of the centre, depth and place in
+    ``v``, in m.
+    """
 
     stamp_ns: int
     du: float
@@ -58,7 +64,9 @@ class _Beside:
 
 
 class Rivals:
-    """The objects beside the target that D1 saw in its last frames. One instance for one attempt."""
+    """The objects beside the target that D1 saw in its last frames. One instance for one
+    attempt.
+    """
 
     def __init__(self, views: TwoViews, config: MethodConfig) -> None:
         self._views = views
@@ -68,7 +76,13 @@ class Rivals:
         self._beside: list[_Beside] = []
 
     def note(
-        self, stamp_ns: int, own: Box, z_m: float, point_v: Vec3, gravity_v: Vec3, rivals: Sequence[Rival]
+        self,
+        stamp_ns: int,
+        own: Box,
+        z_m: float,
+        point_v: Vec3,
+        gravity_v: Vec3,
+        rivals: Sequence[Rival],
     ) -> None:
         """A frame of D1 that shows the target, and what else it shows."""
         if not (rivals or self._beside):
@@ -97,11 +111,14 @@ class Rivals:
         """Returns whether there is anything beside the target."""
         return bool(self._beside)
 
-    def offsets(self, target_m: Offset, T_v_c2: Rigid, box2: Box, own: Box, place: Values) -> Offsets:
+    def offsets(
+        self, target_m: Offset, T_v_c2: Rigid, box2: Box, own: Box, place: Values
+    ) -> Offsets:
         """The distances of D2's box from the target, as given, and from each object beside it.
 
         Args:
-            own, place: D1's target at D2's capture instant, and its sample then (``path.gate.kernels.Own``).
+            own, place: D1's target at D2's capture instant, and its sample then
+                (``path.gate.kernels.Own``).
         """
         (u, v), (x, y, z), z_m, gravity_v = own.center, place[4:7], place[7], place[9:12]
         box = box2.x, box2.y, box2.w, box2.h
@@ -109,12 +126,23 @@ class Rivals:
         for each in [each for each in self._beside if each.times >= SEEN_TIMES][:MOST]:
             there = x + each.dpoint[0], y + each.dpoint[1], z + each.dpoint[2]
             center = u + each.du, v + each.dv
-            dx, dy = offset(self._views.numbers, self._body, T_v_c2, box, center, z_m + each.dz, there, gravity_v)
+            dx, dy = offset(
+                self._views.numbers,
+                self._body,
+                T_v_c2,
+                box,
+                center,
+                z_m + each.dz,
+                there,
+                gravity_v,
+            )
             if not math.isnan(dx):
                 others.append((dx, dy))
         return Offsets(target_m, tuple(others))
 
-    def _place(self, rival: Rival, z_m: float, point_v: Vec3, gravity_v: Vec3) -> tuple[Vec3, float] | None:
+    def _place(
+        self, rival: Rival, z_m: float, point_v: Vec3, gravity_v: Vec3
+    ) -> tuple[Vec3, float] | None:
         """A rival's place in ``v``, and its depth; None when its pixel has no ray."""
         views = self._views
         config = self._config

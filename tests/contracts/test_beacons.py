@@ -1,4 +1,6 @@
-"""The contract of every Beacons: a Marvelmind system on a serial port, and its records of both kinds."""
+"""The contract of every Beacons: a Marvelmind system on a serial port, and its records of both
+kinds.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,9 @@ def recorded(folder: Path) -> Generator[Stage]:
 @contextmanager
 def table(folder: Path) -> Generator[Stage]:
     file = folder / "beacons.csv"
-    write_beacons(file, [BeaconFix(100 * k * MS, 5, position) for k, position in enumerate(POSITIONS, 1)])
+    write_beacons(
+        file, [BeaconFix(100 * k * MS, 5, position) for k, position in enumerate(POSITIONS, 1)]
+    )
     yield Stage(RecordedBeacons(RecordedBeaconsConfig(file), CONTEXT), lambda: None, ends=True)
 
 
@@ -83,7 +87,9 @@ def on(stage: contextlib.AbstractContextManager[Stage], test: Callable[[Stage], 
 
 
 @BEACONS
-def test_positions_come_each_once_in_their_order_whatever_is_between_them(stage_of: StageOf, tmp_path: Path) -> None:
+def test_positions_come_each_once_in_their_order_whatever_is_between_them(
+    stage_of: StageOf, tmp_path: Path
+) -> None:
     async def test(stage: Stage) -> None:
         async with stage.beacons as beacons:
             stage.play()
@@ -91,7 +97,9 @@ def test_positions_come_each_once_in_their_order_whatever_is_between_them(stage_
             for fix, position in zip(fixes, POSITIONS, strict=True):
                 assert fix.position_m == pytest.approx(position, abs=1e-3)
                 assert fix.address == 5
-            assert all(later.stamp_ns - earlier.stamp_ns == 100 * MS for earlier, later in pairwise(fixes))
+            assert all(
+                later.stamp_ns - earlier.stamp_ns == 100 * MS for earlier, later in pairwise(fixes)
+            )
 
     on(stage_of(tmp_path), test)
 
@@ -144,7 +152,8 @@ def test_opened_again_it_begins_anew(stage_of: StageOf, tmp_path: Path) -> None:
             await asyncio.sleep(0.05)  # the others have come too, and nobody reads them
         async with stage.beacons as beacons:
             if stage.ends:
-                assert repr(await beacons.read(60.0)) == repr(first)  # NaN where there is no quality
+                # NaN where there is no quality
+                assert repr(await beacons.read(60.0)) == repr(first)
                 return
             with pytest.raises(BeaconError):  # not what came before it was closed
                 await beacons.read(0.1)

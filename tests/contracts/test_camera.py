@@ -1,7 +1,7 @@
 """The contract of every Camera, whatever is behind it.
 
-The rendered one, a D415 in software (by itself, and fed by the world through shared memory), a recording of it, images,
-a Tello's video.
+The rendered one, a D415 in software (by itself, and fed by the world through shared memory), a
+recording of it, images, a Tello's video.
 """
 
 from __future__ import annotations
@@ -99,7 +99,11 @@ async def shared(folder: Path) -> AsyncGenerator[Stage]:
             number = next(numbers)
             if plugged:
                 color = np.full((COLOR.height, COLOR.width, 3), number % 251, np.uint8)
-                world.write(time.monotonic_ns(), color, np.full((COLOR.height, COLOR.width), 1000 + number, np.uint16))
+                world.write(
+                    time.monotonic_ns(),
+                    color,
+                    np.full((COLOR.height, COLOR.width), 1000 + number, np.uint16),
+                )
 
         with repeating(draw, 1.0 / FPS):
             yield Stage(RealSense(config, context()), plugged.clear)
@@ -136,8 +140,12 @@ async def images(folder: Path) -> AsyncGenerator[Stage]:
     depth.mkdir()
     for number in range(RECORDED):
         name = f"{10.0 + number / FPS:.6f}.png"
-        cv2.imwrite(str(folder / name), np.full((COLOR.height, COLOR.width, 3), 2 * number, np.uint8))
-        cv2.imwrite(str(depth / name), np.full((COLOR.height, COLOR.width), 1000 + number, np.uint16))
+        cv2.imwrite(
+            str(folder / name), np.full((COLOR.height, COLOR.width, 3), 2 * number, np.uint8)
+        )
+        cv2.imwrite(
+            str(depth / name), np.full((COLOR.height, COLOR.width), 1000 + number, np.uint16)
+        )
     camera = RecordedCamera(RecordedCameraConfig(folder, depth=depth), context())
     yield Stage(camera, lambda: None)  # it ends by itself
 
@@ -164,7 +172,10 @@ async def check_frames(stage: Stage) -> None:
         assert (frame.color.shape, frame.color.dtype) == ((model.height, model.width, 3), np.uint8)
         assert (frame.depth_mm is None) == (Capability.RANGE in lacking(camera))
         if frame.depth_mm is not None:
-            assert (frame.depth_mm.shape, frame.depth_mm.dtype) == ((model.height, model.width), np.uint16)
+            assert (frame.depth_mm.shape, frame.depth_mm.dtype) == (
+                (model.height, model.width),
+                np.uint16,
+            )
     for earlier, later in pairwise(frames):
         assert later.stamp_ns > earlier.stamp_ns
         assert later.frame_id > earlier.frame_id
@@ -214,7 +225,9 @@ async def _error_of(camera: Camera, timeout_s: float) -> CameraError | None:
 
 
 @CAMERAS
-@pytest.mark.parametrize("check", [check_frames, check_owner, check_silence], ids=lambda check: check.__name__[6:])
+@pytest.mark.parametrize(
+    "check", [check_frames, check_owner, check_silence], ids=lambda check: check.__name__[6:]
+)
 def test_an_open_camera(stage_of: StageOf, check: Check, tmp_path: Path) -> None:
     """Stamps and ids grow and sizes are the calibration's; a frame is the reader's own.
 
@@ -268,7 +281,9 @@ def test_it_can_be_opened_again(stage_of: StageOf, tmp_path: Path) -> None:
 
 
 @CAMERAS
-def test_nobody_waits_for_a_frame_of_one_that_is_not_open(stage_of: StageOf, tmp_path: Path) -> None:
+def test_nobody_waits_for_a_frame_of_one_that_is_not_open(
+    stage_of: StageOf, tmp_path: Path
+) -> None:
     async def test(stage: Stage) -> None:
         await check_closed(stage)
         async with stage.camera as camera:

@@ -44,11 +44,15 @@ class Stage:
     def region(self) -> Region:
         """Around the thing's centre."""
         x, y = self.box.center
-        return Region(x - 0.6 * self.box.w, y - 0.6 * self.box.h, x + 0.6 * self.box.w, y + 0.6 * self.box.h)
+        return Region(
+            x - 0.6 * self.box.w, y - 0.6 * self.box.h, x + 0.6 * self.box.w, y + 0.6 * self.box.h
+        )
 
 
 def colored(detector: Detector) -> Stage:
-    return Stage(detector, drawn((200, 150, 120, 80)), Box(199.5, 149.5, 120, 80), drawn(), beside=(250, 150))
+    return Stage(
+        detector, drawn((200, 150, 120, 80)), Box(199.5, 149.5, 120, 80), drawn(), beside=(250, 150)
+    )
 
 
 def color(folder: Path) -> Stage:
@@ -57,10 +61,14 @@ def color(folder: Path) -> Stage:
 
 
 def network(folder: Path) -> Stage:
-    detector = YoloxDetector(YoloxDetectorConfig(bright_cells_network(folder / "bright.onnx", 64, 3)))
+    detector = YoloxDetector(
+        YoloxDetectorConfig(bright_cells_network(folder / "bright.onnx", 64, 3))
+    )
     image = np.zeros((96, 128, 3), np.uint8)
     image[16:32, 48:64, 2] = 255
-    return Stage(detector, image, Box(47.5, 15.5, 16, 16), np.zeros((96, 128, 3), np.uint8), 0.2, (48, 48))
+    return Stage(
+        detector, image, Box(47.5, 15.5, 16, 16), np.zeros((96, 128, 3), np.uint8), 0.2, (48, 48)
+    )
 
 
 def yolox(folder: Path) -> Stage:
@@ -68,7 +76,9 @@ def yolox(folder: Path) -> Stage:
     if not WEIGHTS:
         pytest.skip("no yolox_nano.onnx in $PATH_MODELS, or in models/ beside it")
     detector = YoloxDetector(YoloxDetectorConfig(WEIGHTS[0], classes=("clock",)))
-    return Stage(detector, clock_face(), Box(286.0, 126.0, 228, 228), np.full((480, 640, 3), 180, np.uint8))
+    return Stage(
+        detector, clock_face(), Box(286.0, 126.0, 228, 228), np.full((480, 640, 3), 180, np.uint8)
+    )
 
 
 DETECTORS = pytest.mark.parametrize("stage_of", [color, network, yolox])
@@ -101,7 +111,8 @@ def test_only_what_is_centred_in_the_region_is_given(stage_of: StageOf, tmp_path
 def test_a_region_smaller_than_the_thing_does_not_cut_it(stage_of: StageOf, tmp_path: Path) -> None:
     stage = stage_of(tmp_path)
     x, y = stage.box.center
-    for dx, dy in ((0.0, 0.0), (0.1, 0.1), (-0.1, 0.1), (0.1, -0.1), (-0.1, -0.1)):  # its centre at each corner, too
+    # its centre at each corner, too
+    for dx, dy in ((0.0, 0.0), (0.1, 0.1), (-0.1, 0.1), (0.1, -0.1), (-0.1, -0.1)):
         x0, y0 = x + (dx - 0.15) * stage.box.w, y + (dy - 0.15) * stage.box.h
         region = Region(x0, y0, x0 + 0.3 * stage.box.w, y0 + 0.3 * stage.box.h)
         (found,) = stage.detector.detect(stage.image, region)
@@ -109,7 +120,9 @@ def test_a_region_smaller_than_the_thing_does_not_cut_it(stage_of: StageOf, tmp_
 
 
 @DETECTORS
-def test_of_two_things_each_is_found_alone_in_its_own_region(stage_of: StageOf, tmp_path: Path) -> None:
+def test_of_two_things_each_is_found_alone_in_its_own_region(
+    stage_of: StageOf, tmp_path: Path
+) -> None:
     stage = stage_of(tmp_path)
     if stage.beside is None:
         pytest.skip("there is no room for two in its image")
@@ -139,7 +152,9 @@ def test_no_region_is_an_error(stage_of: StageOf, tmp_path: Path) -> None:
 
 
 @DETECTORS
-def test_the_image_is_left_alone_and_the_same_one_gives_the_same(stage_of: StageOf, tmp_path: Path) -> None:
+def test_the_image_is_left_alone_and_the_same_one_gives_the_same(
+    stage_of: StageOf, tmp_path: Path
+) -> None:
     stage = stage_of(tmp_path)
     before = stage.image.copy()
     stage.image.setflags(write=False)
@@ -152,8 +167,11 @@ def test_the_image_is_left_alone_and_the_same_one_gives_the_same(stage_of: Stage
 @DETECTORS
 def test_images_of_other_sizes_and_strides_are_taken(stage_of: StageOf, tmp_path: Path) -> None:
     stage = stage_of(tmp_path)
-    (found,) = stage.detector.detect(np.asarray(stage.image[:, ::-1]), None)  # a view that is not contiguous
-    assert found.box.center[0] == pytest.approx(stage.image.shape[1] - 1 - stage.box.center[0], abs=6.0)
+    # a view that is not contiguous
+    (found,) = stage.detector.detect(np.asarray(stage.image[:, ::-1]), None)
+    assert found.box.center[0] == pytest.approx(
+        stage.image.shape[1] - 1 - stage.box.center[0], abs=6.0
+    )
     for size in ((64, 48), (48, 64), (1280, 720)):
         other = np.asarray(cv2.resize(stage.empty, size), np.uint8)
         assert not stage.detector.detect(other, None)

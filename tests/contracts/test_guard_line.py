@@ -1,4 +1,6 @@
-"""The contract of both ends of every line between a role and its guard: over UDP, and inside a process."""
+"""The contract of both ends of every line between a role and its guard: over UDP, and inside a
+process.
+"""
 
 from __future__ import annotations
 
@@ -87,7 +89,9 @@ def test_answers_go_to_whoever_beat_last_and_the_newest_stays(stage_of: StageOf)
             await heard(stage.guard)
             stage.guard.answer(GuardAnswer(True, Hand.SCRIPT))
             stage.guard.answer(GuardAnswer(True, Hand.GUARD, "why"))
-            await until(lambda: (newest := role.answer()) is not None and newest[1].hand is Hand.GUARD)
+            await until(
+                lambda: (newest := role.answer()) is not None and newest[1].hand is Hand.GUARD
+            )
             assert role.answer() == role.answer()
             async with stage.role() as again:  # the program was started again
                 assert again.answer() is None

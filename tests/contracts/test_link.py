@@ -1,4 +1,6 @@
-"""The contract of every Link: UDP sockets, serial radios, and the in-memory one of the sim levels, signed and not."""
+"""The contract of every Link: UDP sockets, serial radios, and the in-memory one of the sim levels,
+signed and not.
+"""
 
 from __future__ import annotations
 
@@ -94,7 +96,10 @@ class Harness:
 async def memory(folder: Path, key: Path | None) -> AsyncGenerator[Stage]:
     del folder
     harness = Harness(MemoryHub(1, LinkFaults()))
-    ends = [MemoryLink(MemoryLink.Config(key is not None), HubContext(role, WallClock(), harness)) for role in Role]
+    ends = [
+        MemoryLink(MemoryLink.Config(key is not None), HubContext(role, WallClock(), harness))
+        for role in Role
+    ]
     yield Stage(ends[0], ends[1], ends[1].on_packet)
 
 
@@ -128,7 +133,9 @@ def test_what_is_sent_arrives_equal_stamped_and_counted(
                     assert received.message == message
                     assert sent_ns <= received.arrival_ns <= clock.now_ns()
             for one, other in ((sender, receiver), (receiver, sender)):
-                assert one.counters.packets_sent == other.counters.packets_received == len(WORDS) + 4
+                assert (
+                    one.counters.packets_sent == other.counters.packets_received == len(WORDS) + 4
+                )
                 assert one.counters.bytes_sent == other.counters.bytes_received > 0
                 assert one.counters.dropped == {}
 
@@ -144,22 +151,34 @@ def test_a_slow_reader_gets_every_word_in_order_and_the_newest_of_each_stream(
             await introduce(sender, receiver)
             before = receiver.counters.packets_received
             for k, word in enumerate(WORDS):
-                for number, message in enumerate((replace(TARGET, sequence=k), word, replace(STATUS, phase=k)), 1):
+                for number, message in enumerate(
+                    (replace(TARGET, sequence=k), word, replace(STATUS, phase=k)), 1
+                ):
                     sender.send(message)
                     await until(
-                        lambda number=number, k=k: receiver.counters.packets_received - before == 3 * k + number
+                        lambda number=number, k=k: (
+                            receiver.counters.packets_received - before == 3 * k + number
+                        )
                     )
             got = [await receiver.receive() for _ in range(len(WORDS) + 2)]
-            newest = [replace(TARGET, sequence=len(WORDS) - 1), replace(STATUS, phase=len(WORDS) - 1)]
+            newest = [
+                replace(TARGET, sequence=len(WORDS) - 1),
+                replace(STATUS, phase=len(WORDS) - 1),
+            ]
             assert [received.message for received in got] == [*WORDS, *newest]
-            assert all(later.arrival_ns >= earlier.arrival_ns for earlier, later in pairwise(got[: len(WORDS)]))
+            assert all(
+                later.arrival_ns >= earlier.arrival_ns
+                for earlier, later in pairwise(got[: len(WORDS)])
+            )
             assert receiver.counters.dropped == {"superseded": 2 * len(WORDS) - 2}
 
     on(stage_of(tmp_path, key_file), test)
 
 
 @LINKS
-def test_words_wait_for_their_reader_up_to_a_number(stage_of: StageOf, tmp_path: Path, key_file: Path) -> None:
+def test_words_wait_for_their_reader_up_to_a_number(
+    stage_of: StageOf, tmp_path: Path, key_file: Path
+) -> None:
     async def test(stage: Stage) -> None:
         async with stage.sender as sender, stage.receiver as receiver:
             await introduce(sender, receiver)
@@ -191,7 +210,9 @@ def test_garbage_is_counted_and_costs_no_message_after_it(
 
 
 @LINKS
-def test_what_does_not_fit_the_wire_is_counted_and_not_sent(stage_of: StageOf, tmp_path: Path, key_file: Path) -> None:
+def test_what_does_not_fit_the_wire_is_counted_and_not_sent(
+    stage_of: StageOf, tmp_path: Path, key_file: Path
+) -> None:
     async def test(stage: Stage) -> None:
         async with stage.sender as sender, stage.receiver as receiver:
             await introduce(sender, receiver)
@@ -206,7 +227,9 @@ def test_what_does_not_fit_the_wire_is_counted_and_not_sent(stage_of: StageOf, t
 
 
 @LINKS
-def test_before_it_is_open_nothing_is_sent_and_nobody_waits(stage_of: StageOf, tmp_path: Path, key_file: Path) -> None:
+def test_before_it_is_open_nothing_is_sent_and_nobody_waits(
+    stage_of: StageOf, tmp_path: Path, key_file: Path
+) -> None:
     async def test(stage: Stage) -> None:
         with pytest.raises(LinkError, match="not open"):
             stage.sender.send(TARGET)

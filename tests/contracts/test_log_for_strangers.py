@@ -1,4 +1,6 @@
-"""Logs as programs written by others read them: mcap's own reader, JSON Schema, Foxglove's messages in protobuf."""
+"""Logs as programs written by others read them: mcap's own reader, JSON Schema, Foxglove's messages
+in protobuf.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ LOGS = ("sender.mcap", "receiver.mcap", "sender.guard.mcap", "world.mcap")
 
 @dataclass(frozen=True)
 class Seen:
-    """A message as a stranger's reader gives it; ``content`` is a dict, or a message of protobuf."""
+    """A message as a stranger's reader gives it; ``content`` is a dict, or a message of
+    protobuf.
+    """
 
     topic: str
     schema: str
@@ -81,7 +85,9 @@ def test_a_schema_is_one_and_foxgloves_reader_understands_it(topic: str) -> None
 def test_every_record_of_a_run_is_as_its_schema_says(folder: Path, log: str) -> None:
     records = [message for message in seen(folder / log) if message.schema.startswith("path.")]
     assert {record.topic for record in records} <= TOPICS.keys()
-    validators = {r.topic: jsonschema.Draft202012Validator(json.loads(schema_of(r.topic))) for r in records}
+    validators = {
+        r.topic: jsonschema.Draft202012Validator(json.loads(schema_of(r.topic))) for r in records
+    }
     for record in records:
         validators[record.topic].validate(record.content)
 
@@ -96,7 +102,10 @@ def test_a_log_has_an_index_and_says_whose_it_is_and_of_which_clock(folder: Path
         (about,) = reader.iter_metadata()
         middle = (summary.statistics.message_start_time + summary.statistics.message_end_time) // 2
         late = list(reader.iter_messages(topics=["/marker"], starting_at=middle))
-    assert about.metadata == {"name": "receiver", "utc_minus_stamp_ns": str(VIRTUAL_EPOCH_NS - 4_200_000_000)}
+    assert about.metadata == {
+        "name": "receiver",
+        "utc_minus_stamp_ns": str(VIRTUAL_EPOCH_NS - 4_200_000_000),
+    }
     assert late
     assert all(message.log_time >= middle for _, _, message in late)
 
@@ -114,12 +123,15 @@ def test_transforms_calibration_boxes_scene_place_and_words_are_foxgloves(folder
         "/position": {"foxglove.LocationFix"},
         "/log": {"foxglove.Log"},
     }
-    frames = {(t.parent_frame_id, t.child_frame_id) for m in by_topic["/tf"] for t in m.content.transforms}
+    frames = {
+        (t.parent_frame_id, t.child_frame_id) for m in by_topic["/tf"] for t in m.content.transforms
+    }
     assert frames >= {("world", "n"), ("n", "sender/body"), ("sender/body", "sender/camera")}
     assert frames >= {("sender/body", "sender/marker"), ("receiver/camera", "receiver/marker_seen")}
     assert all(m.content.K[0] > 100.0 and len(m.content.D) == 5 for m in by_topic["/calibration"])
     assert any("IoU" in text.text for m in by_topic["/annotations"] for text in m.content.texts)
-    assert any(len(m.content.points) >= 4 for m in by_topic["/annotations"])  # box, region, prior, marker
+    # box, region, prior, marker
+    assert any(len(m.content.points) >= 4 for m in by_topic["/annotations"])
     assert {e.id for m in by_topic["/3d"] for e in m.content.entities} == {
         "sender/body", "sender/frustum", "sender/marker", "sender/target", "sender/fence",
         "receiver/body", "receiver/frustum", "receiver/separation", "receiver/target", "receiver/fence",
@@ -144,11 +156,18 @@ def test_an_image_is_there_with_what_is_drawn_over_it(tmp_path: Path) -> None:
     assert shown.content.frame_id == "D1/camera"
     *_, drawn = (m for m in messages if m.topic == "/annotations")
     assert drawn.utc_ns == shown.utc_ns
-    assert [(p.x, p.y) for p in drawn.content.points[0].points] == [(2.0, 2.0), (5.0, 2.0), (5.0, 6.0), (2.0, 6.0)]
+    assert [(p.x, p.y) for p in drawn.content.points[0].points] == [
+        (2.0, 2.0),
+        (5.0, 2.0),
+        (5.0, 6.0),
+        (2.0, 6.0),
+    ]
 
 
 def imported_by_rerun(log: Path, folder: Path) -> set[str]:
-    """The components that Rerun's own importer of MCAP makes of a log, as ``archetype:component``."""
+    """The components that Rerun's own importer of MCAP makes of a log, as
+    ``archetype:component``.
+    """
     recording = rerun.RecordingStream("contract", recording_id=log.stem)
     recording.save(folder / "imported.rrd")
     recording.log_file_from_path(log)
@@ -161,7 +180,9 @@ def imported_by_rerun(log: Path, folder: Path) -> set[str]:
     return set(re.findall(r"\b[A-Z]\w+:[a-z]\w+", printed.stdout))
 
 
-def test_reruns_importer_reads_poses_calibration_place_and_words(folder: Path, tmp_path: Path) -> None:
+def test_reruns_importer_reads_poses_calibration_place_and_words(
+    folder: Path, tmp_path: Path
+) -> None:
     assert imported_by_rerun(folder / "receiver.mcap", tmp_path) >= {
         "Pinhole:image_from_camera", "Transform3D:translation", "Transform3D:quaternion", "GeoPoints:positions",
         "TextLog:text",

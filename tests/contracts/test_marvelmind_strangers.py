@@ -1,7 +1,8 @@
-"""The emulated beacons heard by the vendor's own program, marvelmind.py: what it reads from our serial port.
+"""The emulated beacons heard by the vendor's own program, marvelmind.py: what it reads from our
+serial port.
 
-It is on no package index and not part of this repository. ``PATH_MARVELMIND`` names its file (docs/beacons.md); without
-it the frames are still held to the layouts that it unpacks.
+It is on no package index and not part of this repository. ``PATH_MARVELMIND`` names its file
+(docs/beacons.md); without it the frames are still held to the layouts that it unpacks.
 """
 
 from __future__ import annotations
@@ -21,7 +22,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.beacons.frames import DISTANCES, IMU_FUSION, IMU_RAW, LENGTHS, STREAM, BeaconFramer, Other
+from drivers.beacons.frames import (
+    DISTANCES,
+    IMU_FUSION,
+    IMU_RAW,
+    LENGTHS,
+    STREAM,
+    BeaconFramer,
+    Other,
+)
 from drivers.beacons.stream import MarvelmindStream
 from hil.beacons import marvelmind_bytes as sent
 from hil.beacons.noise import BeaconConfig
@@ -32,7 +41,11 @@ from tests.drivers.beacons import marvelmind_packets as packets
 
 READER = os.environ.get("PATH_MARVELMIND", "")
 ADDRESSES = {"sender": 5, "receiver": 6, "target": 7}
-PLACES: dict[str, Vec3] = {"sender": (0.0, 0.0, 1.5), "receiver": (1.0, -2.0, 1.0), "target": (4.0, 3.0, 0.2)}
+PLACES: dict[str, Vec3] = {
+    "sender": (0.0, 0.0, 1.5),
+    "receiver": (1.0, -2.0, 1.0),
+    "target": (4.0, 3.0, 0.2),
+}
 TURNS = 60
 STAMP_MS, LONG_STAMP_MS = 70_000, 1_763_898_305_120
 RANGES_M = {3: 4.567, 4: 12.003}
@@ -50,14 +63,19 @@ needs_reader = pytest.mark.skipif(
 
 @contextmanager
 def reading(folder: Path) -> Generator[SimpleNamespace]:
-    """The vendor's reader in its own thread on a port of ours, and all that it has read, by kind."""
+    """The vendor's reader in its own thread on a port of ours, and all that it has read, by
+    kind.
+    """
     spec = importlib.util.spec_from_file_location("vendors_marvelmind", READER)
     assert spec is not None and spec.loader is not None, f"{READER} is no Python file"
     vendors = importlib.util.module_from_spec(spec)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # `is not ''` is its own
         spec.loader.exec_module(vendors)
-    cable, seen = SerialCable(folder / "hedge"), SimpleNamespace(positions=[], raw=[], fused=[], distances=[])
+    cable, seen = (
+        SerialCable(folder / "hedge"),
+        SimpleNamespace(positions=[], raw=[], fused=[], distances=[]),
+    )
     cable.plug()
     hedge: Any = vendors.MarvelmindHedge(tty=str(cable.link), baud=115200)
     hedge.recieveUltrasoundPositionCallback = lambda: seen.positions.append(hedge.position())
@@ -104,7 +122,9 @@ def test_the_vendors_reader_has_the_positions_that_our_driver_has(tmp_path: Path
             seen.send(chunk.data)
             until(all_read)
         until(lambda: len(seen.raw) >= TURNS)
-        theirs = [(address, (x, y, z), stamp_ms) for address, x, y, z, _, stamp_ms, _ in seen.positions]
+        theirs = [
+            (address, (x, y, z), stamp_ms) for address, x, y, z, _, stamp_ms, _ in seen.positions
+        ]
         assert seen.hedge.telemetry()[0] == 3900
         assert seen.hedge.quality()[0] in ADDRESSES.values()
     assert len(ours) > 0.8 * TURNS
@@ -121,14 +141,30 @@ def test_the_vendors_reader_has_the_positions_that_our_driver_has(tmp_path: Path
 @pytest.mark.parametrize(
     ("frame", "kind", "expected"),
     [
-        (packets.position_cm(STAMP_MS, 5, PLACE), "positions", [5, 1.23, -5.68, 0.9, 0, STAMP_MS, False]),
-        (packets.position_nt(LONG_STAMP_MS, 5, PLACE), "positions", [5, *PLACE, 0, LONG_STAMP_MS, True]),
+        (
+            packets.position_cm(STAMP_MS, 5, PLACE),
+            "positions",
+            [5, 1.23, -5.68, 0.9, 0, STAMP_MS, False],
+        ),
+        (
+            packets.position_nt(LONG_STAMP_MS, 5, PLACE),
+            "positions",
+            [5, *PLACE, 0, LONG_STAMP_MS, True],
+        ),
         (sent.imu(STAMP_MS, READINGS), "raw", [*NINE, STAMP_MS, False]),
         (packets.imu_nt(LONG_STAMP_MS, READINGS), "raw", [*NINE, LONG_STAMP_MS, True]),
         (packets.imu_fusion(STAMP_MS, PLACE, VELOCITY), "fused", [*FUSED, STAMP_MS, False]),
-        (packets.imu_fusion_nt(LONG_STAMP_MS, PLACE, VELOCITY), "fused", [*FUSED, LONG_STAMP_MS, True]),
+        (
+            packets.imu_fusion_nt(LONG_STAMP_MS, PLACE, VELOCITY),
+            "fused",
+            [*FUSED, LONG_STAMP_MS, True],
+        ),
         (sent.distances(STAMP_MS, 5, RANGES_M), "distances", [5, *FOUR_RANGES, STAMP_MS, False]),
-        (packets.distances_nt(LONG_STAMP_MS, 5, RANGES_M), "distances", [5, *FOUR_RANGES, LONG_STAMP_MS, True]),
+        (
+            packets.distances_nt(LONG_STAMP_MS, 5, RANGES_M),
+            "distances",
+            [5, *FOUR_RANGES, LONG_STAMP_MS, True],
+        ),
     ],
     ids=["0001", "0081", "0003", "0083", "0005", "0085", "0004", "0084"],
 )

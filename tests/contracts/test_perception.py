@@ -33,10 +33,16 @@ from tests.hil.geometric.test_perception import (
 
 def pixel_perception(harness: StubHarness) -> Perception:
     table = {
-        "camera": {"factory": "hil.camera.rendered:RenderedCamera", "rate_hz": 50.0, "latency_s": 0.0},
+        "camera": {
+            "factory": "hil.camera.rendered:RenderedCamera",
+            "rate_hz": 50.0,
+            "latency_s": 0.0,
+        },
         "detector": {"factory": "drivers.detectors.color:ColorDetector"},
     }
-    return PixelPerception(decode_table(table, PixelPerceptionConfig, "rig.toml: sender.perception"), context(harness))
+    return PixelPerception(
+        decode_table(table, PixelPerceptionConfig, "rig.toml: sender.perception"), context(harness)
+    )
 
 
 def flat_perception(harness: StubHarness) -> Perception:
@@ -45,14 +51,18 @@ def flat_perception(harness: StubHarness) -> Perception:
         "camera": {"factory": "hil.tello.sim:SimTelloCamera", "rate_hz": 50.0, "latency_s": 0.0},
         "detector": {"factory": "drivers.detectors.color:ColorDetector"},
     }
-    return PixelPerception(decode_table(table, PixelPerceptionConfig, "rig.toml: sender.perception"), context(harness))
+    return PixelPerception(
+        decode_table(table, PixelPerceptionConfig, "rig.toml: sender.perception"), context(harness)
+    )
 
 
 Make = Callable[[StubHarness], Perception]
 SIGHTS = pytest.mark.parametrize("make", [geometric_perception, pixel_perception, flat_perception])
 
 
-def with_perception(make: Make, program: Callable[[Perception, StubHarness], Awaitable[None]]) -> None:
+def with_perception(
+    make: Make, program: Callable[[Perception, StubHarness], Awaitable[None]]
+) -> None:
     harness = StubHarness()
 
     async def main() -> None:
@@ -118,7 +128,9 @@ def test_a_view_answers_in_the_same_terms(make: Make) -> None:
     async def program(perception: Perception, _: StubHarness) -> None:
         view = await perception.view(0.5)
         (target,) = view.targets(None)
-        assert values(target.box) == pytest.approx(bounds(moment(), Role.SENDER, thing(0, 0.1, 0.0)), abs=3.0)
+        assert values(target.box) == pytest.approx(
+            bounds(moment(), Role.SENDER, thing(0, 0.1, 0.0)), abs=3.0
+        )
         assert target.score > 0.6
         assert not view.markers(None)
         assert view.depth(Box(-50.0, -50.0, 10.0, 10.0)) is None  # not in the image
@@ -148,7 +160,11 @@ def test_a_view_answers_the_same_again_and_after_the_next_one_came(make: Make) -
         before = [values(each.box) for each in view.targets(None)], view.stamp_ns, view.frame_id
         for _k in range(3):
             await perception.view(0.5)
-        assert ([values(each.box) for each in view.targets(None)], view.stamp_ns, view.frame_id) == before
+        assert (
+            [values(each.box) for each in view.targets(None)],
+            view.stamp_ns,
+            view.frame_id,
+        ) == before
         for region in (
             Region(-90.0, -90.0, -10.0, -10.0),
             Region(5.0, 5.0, 5.1, 5.1),

@@ -22,9 +22,12 @@ from path.messages import AbortReason, Role
 from path.protocol.values import Handoff, SenderRecord
 
 FIRST = SenderRecord(2)
-SECOND = SenderRecord(3, "released", Handoff(7, 3, 1), 0xFFFF_FFFF, 1 << 60, (1 << 60) + 5, AbortReason.PILOT)
+SECOND = SenderRecord(
+    3, "released", Handoff(7, 3, 1), 0xFFFF_FFFF, 1 << 60, (1 << 60) + 5, AbortReason.PILOT
+)
 
-# --- records that outlive the program ----------------------------------------------------------------------------
+# --- records that outlive the program
+# ----------------------------------------------------------------------------
 
 
 def memory(folder: Path) -> RecordStore:
@@ -41,7 +44,9 @@ StoreOf = Callable[[Path], RecordStore]
 
 
 @STORES
-def test_what_was_saved_last_is_loaded_and_before_that_nothing(store_of: StoreOf, tmp_path: Path) -> None:
+def test_what_was_saved_last_is_loaded_and_before_that_nothing(
+    store_of: StoreOf, tmp_path: Path
+) -> None:
     store = store_of(tmp_path)
     assert store.load() is None
     for record in (FIRST, SECOND, SECOND):
@@ -50,7 +55,9 @@ def test_what_was_saved_last_is_loaded_and_before_that_nothing(store_of: StoreOf
 
 
 @STORES
-def test_a_save_that_nobody_waits_for_is_done_when_it_says_so(store_of: StoreOf, tmp_path: Path) -> None:
+def test_a_save_that_nobody_waits_for_is_done_when_it_says_so(
+    store_of: StoreOf, tmp_path: Path
+) -> None:
     store = store_of(tmp_path)
     for record in (FIRST, SECOND):
         saving = store.begin_save(record)
@@ -59,7 +66,8 @@ def test_a_save_that_nobody_waits_for_is_done_when_it_says_so(store_of: StoreOf,
         assert store.load() == Kept(record, same_clock=True)
 
 
-# --- logs --------------------------------------------------------------------------------------------------------
+# --- logs
+# --------------------------------------------------------------------------------------------------------
 
 
 def at_once(folder: Path) -> McapLog:
@@ -116,7 +124,8 @@ def test_a_log_never_raises(log_of: Callable[[Path], McapLog], tmp_path: Path) -
     assert log.failed is not None
 
 
-# --- clocks ------------------------------------------------------------------------------------------------------
+# --- clocks
+# ------------------------------------------------------------------------------------------------------
 
 
 def system() -> Clock:
@@ -129,7 +138,9 @@ def offset() -> Clock:
     return OffsetClock(OffsetClockConfig(1234.5), none)
 
 
-@pytest.mark.parametrize(("clock_of", "runner"), [(system, asyncio.run), (offset, run_virtual), (offset, asyncio.run)])
+@pytest.mark.parametrize(
+    ("clock_of", "runner"), [(system, asyncio.run), (offset, run_virtual), (offset, asyncio.run)]
+)
 def test_a_clock_counts_whole_nanoseconds_forwards_as_fast_as_the_loop(
     clock_of: Callable[[], Clock], runner: Callable[[Any], Any]
 ) -> None:
@@ -143,7 +154,8 @@ def test_a_clock_counts_whole_nanoseconds_forwards_as_fast_as_the_loop(
         end_s, end_ns, after_s = loop.time(), clock.now_ns(), loop.time()
         assert all(type(stamp) is int and stamp >= 0 for stamp in stamps)
         assert all(later > earlier for earlier, later in pairwise(stamps))
-        passed_s = (end_ns - begin_ns) * 1e-9  # between what was looked at just before and just after
+        # between what was looked at just before and just after
+        passed_s = (end_ns - begin_ns) * 1e-9
         assert 0.7 * (end_s - begin_s) <= passed_s <= 1.3 * (after_s - before_s)
 
     runner(main())

@@ -1,4 +1,6 @@
-"""The emulated Tello flown by a program that knows nothing of PATH, and is stricter than djitellopy: tello-asyncio."""
+"""The emulated Tello flown by a program that knows nothing of PATH, and is stricter than
+djitellopy: tello-asyncio.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ STEP_S = 0.005
 
 
 class OneComputer:
-    """An event loop that binds to any port: on one computer drone and program cannot both have 8889."""
+    """An event loop that binds to any port: on one computer drone and program cannot both have
+    8889.
+    """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
@@ -30,14 +34,20 @@ class OneComputer:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._loop, name)
 
-    async def create_datagram_endpoint(self, protocol: Any, local_addr: Any, remote_addr: Any = None) -> Any:
+    async def create_datagram_endpoint(
+        self, protocol: Any, local_addr: Any, remote_addr: Any = None
+    ) -> Any:
         local = local_addr if remote_addr is None else ("127.0.0.1", 0)
-        return await self._loop.create_datagram_endpoint(protocol, local_addr=local, remote_addr=remote_addr)
+        return await self._loop.create_datagram_endpoint(
+            protocol, local_addr=local, remote_addr=remote_addr
+        )
 
 
 @pytest.fixture
 def drone(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimDrone]:
-    """The drone behind an emulator whose time runs four times as fast; its state packets go to a port that is free."""
+    """The drone behind an emulator whose time runs four times as fast; its state packets go to a
+    port that is free.
+    """
     state = free_port()
     monkeypatch.setattr(stranger, "STATE_UDP_PORT", state)
     world = World(WorldConfig(), seed=3)

@@ -1,4 +1,5 @@
-"""The contract of every Vehicle: PX4's MAVLink, a Tello's SDK, and both as the sim levels have them.
+"""The contract of every Vehicle: PX4's MAVLink, a Tello's SDK, and both as the sim levels have
+them.
 
 The real drivers talk to their emulated far sides over sockets; the others fly in virtual time.
 """
@@ -107,7 +108,9 @@ def sim_vehicle() -> contextlib.AbstractContextManager[Stage]:
 
 
 def steady() -> contextlib.AbstractContextManager[Stage]:
-    return sim(lambda context: SteadyVehicle(SimVehicle(SimVehicleConfig(), context), MissionConfig()))
+    return sim(
+        lambda context: SteadyVehicle(SimVehicle(SimVehicleConfig(), context), MissionConfig())
+    )
 
 
 def sim_tello() -> contextlib.AbstractContextManager[Stage]:
@@ -122,7 +125,10 @@ def mavsdk() -> Generator[Stage]:
             CONTEXT.clock,
             lambda: bench.drone,
             lambda: setattr(bench.endpoint, "silent", True),
-            lambda: len(bench.wire.of("COMMAND_LONG")) + len(bench.wire.of("SET_POSITION_TARGET_LOCAL_NED")),
+            lambda: (
+                len(bench.wire.of("COMMAND_LONG"))
+                + len(bench.wire.of("SET_POSITION_TARGET_LOCAL_NED"))
+            ),
             asyncio.run,
         )
 
@@ -209,12 +215,17 @@ def test_state_stamps_never_go_back_and_are_of_the_role_s_clock(stage_of: StageO
 
             def look() -> None:
                 state = vehicle.state
-                ages_ns = [stage.clock.now_ns() - stamp_ns for stamp_ns in (state.stamp_ns, state.heartbeat_ns)]
+                ages_ns = [
+                    stage.clock.now_ns() - stamp_ns
+                    for stamp_ns in (state.stamp_ns, state.heartbeat_ns)
+                ]
                 assert min(ages_ns) >= -20_000_000
                 states.append(state)
                 fresh[0] += max(ages_ns) < FRESH_NS  # older where this process stood still
 
-            await until(lambda: len({state.stamp_ns for state in states}) > 4 and fresh[0] > 4, look)
+            await until(
+                lambda: len({state.stamp_ns for state in states}) > 4 and fresh[0] > 4, look
+            )
             for earlier, later in pairwise(states):
                 assert later.stamp_ns >= earlier.stamp_ns
                 assert later.heartbeat_ns >= earlier.heartbeat_ns
@@ -223,7 +234,9 @@ def test_state_stamps_never_go_back_and_are_of_the_role_s_clock(stage_of: StageO
                 assert 0.0 <= state.battery <= 1.0
                 assert (state.armed, state.in_air, state.armable) == (False, False, True)
             newest = vehicle.state
-            assert vehicle.attitude_at(newest.stamp_ns + 10**9) == pytest.approx(newest.q_n_b, abs=0.05)
+            assert vehicle.attitude_at(newest.stamp_ns + 10**9) == pytest.approx(
+                newest.q_n_b, abs=0.05
+            )
 
     on(stage_of, test)
 
@@ -250,7 +263,9 @@ def test_on_the_ground_what_makes_no_sense_is_refused_and_moves_nothing(stage_of
 
 
 @VEHICLES
-def test_closing_is_quick_and_once_and_nothing_is_sent_after_it_and_it_opens_again(stage_of: StageOf) -> None:
+def test_closing_is_quick_and_once_and_nothing_is_sent_after_it_and_it_opens_again(
+    stage_of: StageOf,
+) -> None:
     async def test(stage: Stage) -> None:
         loop = asyncio.get_running_loop()
         async with stage.vehicle as vehicle:
@@ -267,7 +282,9 @@ def test_closing_is_quick_and_once_and_nothing_is_sent_after_it_and_it_opens_aga
 
 
 @VEHICLES
-def test_a_flight_shows_what_was_told_and_then_a_far_side_that_is_lost_ends_every_call(stage_of: StageOf) -> None:
+def test_a_flight_shows_what_was_told_and_then_a_far_side_that_is_lost_ends_every_call(
+    stage_of: StageOf,
+) -> None:
     async def test(stage: Stage) -> None:
         loop = asyncio.get_running_loop()
         async with stage.vehicle as vehicle:
@@ -284,7 +301,11 @@ def test_a_flight_shows_what_was_told_and_then_a_far_side_that_is_lost_ends_ever
             )
             says_where(vehicle)
             stage.unplug()
-            for command in (vehicle.hold, lambda: vehicle.land(PATIENCE_S), lambda: vehicle.wait_armable(PATIENCE_S)):
+            for command in (
+                vehicle.hold,
+                lambda: vehicle.land(PATIENCE_S),
+                lambda: vehicle.wait_armable(PATIENCE_S),
+            ):
                 start_s = loop.time()
                 with pytest.raises(VehicleError) as caught:
                     await command()

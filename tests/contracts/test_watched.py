@@ -1,4 +1,6 @@
-"""The contract of every vehicle that a guard watches: on a MAVLink of its own, and in the simulated world."""
+"""The contract of every vehicle that a guard watches: on a MAVLink of its own, and in the simulated
+world.
+"""
 
 from __future__ import annotations
 
@@ -116,21 +118,28 @@ def test_it_is_seen_and_each_command_is_said_once_and_its_answer_told(stage_of: 
         async with stage.watched as watched:
             assert watched.name
             await seen(watched, lambda view: not view.armed)
-            await asyncio.sleep(3.0 if stage.run is run_virtual else 0.5)  # its estimate has settled
+            # its estimate has settled
+            await asyncio.sleep(3.0 if stage.run is run_virtual else 0.5)
             stage.lift()
             views = [await seen(watched, lambda view: view.armed and view.in_air)]
             while len(views) < 20:
                 views.append(await seen(watched, lambda _: True))
                 await asyncio.sleep(0.01)
-            assert all(later.heartbeat_ns >= earlier.heartbeat_ns for earlier, later in pairwise(views))
-            assert all(later.position_ns >= earlier.position_ns for earlier, later in pairwise(views))
+            assert all(
+                later.heartbeat_ns >= earlier.heartbeat_ns for earlier, later in pairwise(views)
+            )
+            assert all(
+                later.position_ns >= earlier.position_ns for earlier, later in pairwise(views)
+            )
             assert stage.now_ns() >= views[-1].heartbeat_ns
             await seen(watched, lambda view: stage.now_ns() - view.heartbeat_ns < 2_000_000_000)
             assert views[-1].acked is None
             for command, mode in ((watched.hold, FlightMode.HOLD), (watched.land, FlightMode.LAND)):
                 before = stage.told()
                 command()
-                view = await seen(watched, lambda view, mode=mode: view.mode is mode and view.acked is not None)
+                view = await seen(
+                    watched, lambda view, mode=mode: view.mode is mode and view.acked is not None
+                )
                 assert view.acked is True
                 assert stage.told() == before + 1
 
@@ -139,7 +148,9 @@ def test_it_is_seen_and_each_command_is_said_once_and_its_answer_told(stage_of: 
 
 
 @WATCHED
-def test_of_one_that_is_silent_the_age_tells_and_commands_stay_unanswered(stage_of: StageOf) -> None:
+def test_of_one_that_is_silent_the_age_tells_and_commands_stay_unanswered(
+    stage_of: StageOf,
+) -> None:
     async def test(stage: Stage) -> None:
         async with stage.watched as watched:
             await seen(watched, lambda view: not view.armed)
@@ -150,7 +161,10 @@ def test_of_one_that_is_silent_the_age_tells_and_commands_stay_unanswered(stage_
             await asyncio.sleep(0.3)
             view = watched.view()
             assert view is not None
-            assert (view.heartbeat_ns, view.position_ns) == (newest.heartbeat_ns, newest.position_ns)
+            assert (view.heartbeat_ns, view.position_ns) == (
+                newest.heartbeat_ns,
+                newest.position_ns,
+            )
             assert view.acked is None
 
     with stage_of() as stage:

@@ -1,4 +1,6 @@
-"""The figures of the pages: kept of runs, quoted by tables, written into pages (docs/figures/README.md)."""
+"""The figures of the pages: kept of runs, quoted by tables, written into pages
+(docs/figures/README.md).
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ class FigureError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class KeptFigures:
-    """What one command gave, by the path in its ``summary.json``; no commit and no values until it was run."""
+    """What one command gave, by the path in its ``summary.json``; no commit and no values until it
+    was run.
+    """
 
     command: str
     commit: str = ""
@@ -43,7 +47,9 @@ class FigureFolder:
 
     def names(self, of: str = "kept") -> list[str]:
         folder = self.docs / "figures" / of
-        return sorted(file.relative_to(folder).with_suffix("").as_posix() for file in folder.rglob("*.*"))
+        return sorted(
+            file.relative_to(folder).with_suffix("").as_posix() for file in folder.rglob("*.*")
+        )
 
     def kept(self, name: str) -> KeptFigures:
         return KeptFigures(**json.loads(_text(self.docs / "figures" / "kept" / f"{name}.json")))
@@ -70,7 +76,9 @@ class FigureFolder:
         return BLOCK.sub(lambda block: f"{block[1]}{self.render(block[2])}{block[3]}", page)
 
     def keep(self, name: str, summary: Mapping[str, Any], commit: str) -> None:
-        """Keeps what tables quote of a summary. Raises FigureError for another command's, or a short run's."""
+        """Keeps what tables quote of a summary. Raises FigureError for another command's, or a
+        short run's.
+        """
         before = self.kept(name).command
         command = str(summary.get("command") or _as_run(before, summary))
         if _asked(command) != _asked(before):
@@ -88,7 +96,9 @@ class FigureFolder:
 
 
 def _asked(command: str) -> str:
-    """Return what a command asks: without what differs, and by an experiment's own name as it was once called."""
+    """Return what a command asks: without what differs, and by an experiment's own name as it was
+    once called.
+    """
     return re.sub(r"trial \w+ --only ", "trial ", DIFFERS.sub("", command))
 
 
@@ -112,7 +122,11 @@ def value_at(summary: Any, path: str) -> Any:
         try:
             if part.startswith("["):
                 wanted = dict(pair.split("=", 1) for pair in part[1:-1].split(" "))
-                (here,) = [each for each in here if all(as_text(each[key], "") == said for key, said in wanted.items())]
+                (here,) = [
+                    each
+                    for each in here
+                    if all(as_text(each[key], "") == said for key, said in wanted.items())
+                ]
             else:
                 here = here[part]
         except (KeyError, TypeError, ValueError) as error:
@@ -125,11 +139,16 @@ def as_text(value: Any, form: str) -> str:
     if value is None:
         return "| – | | | | | |" if form == "findings" else "–"
     if form == "counts":
-        return ", ".join(f"{count} `{what}`" for what, count in value.items() if what != "committed") or "none"
+        return (
+            ", ".join(f"{count} `{what}`" for what, count in value.items() if what != "committed")
+            or "none"
+        )
     if form == "findings":
         said = {"met": "met", "short": "falls short", "measured": ""}
         row = "| {quantity} | {ours} | {interval} | {paper} | {goal} |"
-        return "\n".join(f"{row.format(**finding)} {said[finding['verdict']]} |" for finding in value)
+        return "\n".join(
+            f"{row.format(**finding)} {said[finding['verdict']]} |" for finding in value
+        )
     if isinstance(value, list):
         return " to ".join(as_text(end, form) for end in value)
     if isinstance(value, str):
@@ -139,15 +158,21 @@ def as_text(value: Any, form: str) -> str:
 
 
 def _git(*words: str) -> str:
-    return subprocess.run(("git", *words), cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
+    return subprocess.run(
+        ("git", *words), cwd=ROOT, check=True, capture_output=True, text=True
+    ).stdout.strip()
 
 
 def main(folder: FigureFolder, words: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.docs.figures", description=__doc__)
-    parser.add_argument("does", choices=("list", "write", "keep"), help="keep: a run's figures, and write the pages")
+    parser.add_argument(
+        "does", choices=("list", "write", "keep"), help="keep: a run's figures, and write the pages"
+    )
     parser.add_argument("name", nargs="?", help="what they are kept as")
     parser.add_argument("run", nargs="?", type=Path, help="the run's folder")
-    parser.add_argument("--commit", help="of the code that was run; the one that is checked out when left out")
+    parser.add_argument(
+        "--commit", help="of the code that was run; the one that is checked out when left out"
+    )
     asked = parser.parse_args(words)
     try:
         if asked.does == "list":
@@ -157,7 +182,9 @@ def main(folder: FigureFolder, words: list[str]) -> int:
             return 0
         if asked.does == "keep":
             if not asked.commit and _git("status", "--porcelain", "--", "*.py", "*.toml"):
-                raise FigureError("the code here is not what was committed: commit it, or say --commit")
+                raise FigureError(
+                    "the code here is not what was committed: commit it, or say --commit"
+                )
             commit = asked.commit or _git("rev-parse", "--short=8", "HEAD")
             folder.keep(asked.name, json.loads(_text(asked.run / "summary.json")), commit)
         folder.write()

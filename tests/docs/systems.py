@@ -1,7 +1,8 @@
-"""Systems of other people: rigs that say what was measured, flown, and what became of them (docs/systems.md).
+"""Systems of other people: rigs that say what was measured, flown, and what became of them
+(docs/systems.md).
 
-``python -m tests.docs.systems fly --seeds 20 [NAME ...]`` flies those in docs/systems at level ``sim`` and
-keeps what came of it beside them; ``write`` makes the page of what is kept.
+``python -m tests.docs.systems fly --seeds 20 [NAME ...]`` flies those in docs/systems at level
+``sim`` and keeps what came of it beside them; ``write`` makes the page of what is kept.
 """
 
 from __future__ import annotations
@@ -73,10 +74,15 @@ def names() -> list[str]:
 
 
 def refusals(name: str) -> list[str]:
-    """Return why a system is refused, each with the smallest change; empty for one that is flown."""
+    """Return why a system is refused, each with the smallest change; empty for one that is
+    flown.
+    """
     rig = rig_library.load_unchecked(str(FOLDER / f"{name}.toml"))
     mission = mission_of(rig)
-    return [f"{problem.where}: {problem}" for problem in problems(flown(facts_of(rig, mission), mission))]
+    return [
+        f"{problem.where}: {problem}"
+        for problem in problems(flown(facts_of(rig, mission), mission))
+    ]
 
 
 def predicted(name: str) -> Mapping[str, float]:
@@ -91,7 +97,17 @@ def fly(name: str, seeds: int, commit: str) -> Kept:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "runs"
         words = ["--rig", str(FOLDER / f"{name}.toml"), "--seed", str(SEED), "--seeds", str(seeds)]
-        command = [sys.executable, "-m", "missions.cli", "handoff", *words, "--jobs", "1", "--out", str(out)]
+        command = [
+            sys.executable,
+            "-m",
+            "missions.cli",
+            "handoff",
+            *words,
+            "--jobs",
+            "1",
+            "--out",
+            str(out),
+        ]
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
         summary = out / "summary.json"
         if not summary.exists():
@@ -126,11 +142,24 @@ def table() -> str:
 
 def _held(every: Mapping[str, Kept]) -> str:
     """Return in how many of the systems that were flown the plan's predictions hold."""
-    flown_ones = {name: found for name, found in every.items() if found.agreement_s is not None and not refusals(name)}
+    flown_ones = {
+        name: found
+        for name, found in every.items()
+        if found.agreement_s is not None and not refusals(name)
+    }
     said: list[str] = []
-    for key, name, most in (("agreement_s", "agreement", 2.0), ("receiver_m", "D2", 1.5), ("target_m", "target", 1.5)):
-        expected_key = {"receiver_m": "receiver_error_m", "target_m": "target_error_m"}.get(key, key)
-        ratios = [getattr(found, key) / predicted(each)[expected_key] for each, found in flown_ones.items()]
+    for key, name, most in (
+        ("agreement_s", "agreement", 2.0),
+        ("receiver_m", "D2", 1.5),
+        ("target_m", "target", 1.5),
+    ):
+        expected_key = {"receiver_m": "receiver_error_m", "target_m": "target_error_m"}.get(
+            key, key
+        )
+        ratios = [
+            getattr(found, key) / predicted(each)[expected_key]
+            for each, found in flown_ones.items()
+        ]
         within = sum(1.0 / most <= ratio <= most for ratio in ratios)
         said.append(f"{name} within a factor of {most:g} in {within}")
     return f"What the plan expects holds, of {len(flown_ones)} systems that handed over: {', '.join(said)}."
@@ -141,7 +170,9 @@ def _row(name: str, found: Kept | None) -> str:
     link = f"[{name}](systems/{name}.toml)"
     refused = refusals(name)
     if refused:
-        return f"| {link} | {rig.description} | refused by `plan` | | {'; '.join(refused)} | | | |\n"
+        return (
+            f"| {link} | {rig.description} | refused by `plan` | | {'; '.join(refused)} | | | |\n"
+        )
     if found is None:
         return f"| {link} | {rig.description} | not flown yet | | | | | |\n"
     expected = predicted(name)
@@ -153,9 +184,8 @@ def _row(name: str, found: Kept | None) -> str:
     receiver = _pair(expected.get("receiver_error_m"), found.receiver_m, 1e3, ".0f")
     target = _pair(expected.get("target_error_m"), found.target_m, 1e3, ".0f")
     committed = f"{found.outcomes.get('committed', 0)} of {found.runs}"
-    return (
-        f"| {link} | {rig.description} | {committed} | {found.wrong} | {said} | {agreement} | {receiver} | {target} |\n"
-    )
+    cells = (link, rig.description, committed, found.wrong, said, agreement, receiver, target)
+    return f"| {' | '.join(str(cell) for cell in cells)} |\n"
 
 
 def _pair(expected: float | None, measured: float | None, times: float, form: str) -> str:
@@ -179,14 +209,20 @@ def main(words: Sequence[str]) -> int:
     asked = parser.parse_args(words)
     if asked.does == "fly":
         commit = subprocess.run(
-            ("git", "rev-parse", "--short=8", "HEAD"), cwd=ROOT, check=True, capture_output=True, text=True
+            ("git", "rev-parse", "--short=8", "HEAD"),
+            cwd=ROOT,
+            check=True,
+            capture_output=True,
+            text=True,
         ).stdout.strip()
         for name in asked.names or names():
             if refusals(name):
                 continue
             found = fly(name, asked.seeds, commit)
             keep({name: found})
-            sys.stdout.write(f"{name}: {dict(found.outcomes)}, wrong {found.wrong}, {dict(found.violations)}\n")
+            sys.stdout.write(
+                f"{name}: {dict(found.outcomes)}, wrong {found.wrong}, {dict(found.violations)}\n"
+            )
             sys.stdout.flush()
     PAGE.write_text(written(PAGE.read_text("utf-8")), "utf-8")
     return 0

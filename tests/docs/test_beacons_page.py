@@ -14,7 +14,9 @@ from hil.beacons.system import BeaconSystem
 PAGE = (Path(__file__).parent.parent.parent / "docs" / "beacons.md").read_text("utf-8")
 TABLE = PAGE.split("| packet | code | the made-up beacons |")[1].split("\n\n")[0]
 ROWS = [row.strip("| ").split(" | ") for row in TABLE.splitlines() if "0x" in row]
-CODES = {tuple(int(code, 16) for code in re.findall(r"0x\w{4}", codes)): said for _, codes, said in ROWS}
+CODES = {
+    tuple(int(code, 16) for code in re.findall(r"0x\w{4}", codes)): said for _, codes, said in ROWS
+}
 
 
 def test_every_packet_that_the_driver_takes_is_in_the_table_once() -> None:

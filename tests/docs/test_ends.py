@@ -1,4 +1,6 @@
-"""docs/faults.md has every end that there is in code, with its code and its meaning, and no other."""
+"""docs/faults.md has every end that there is in code, with its code and its meaning, and no
+other.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,12 @@ ROW = re.compile(r"^\| (\d+) \| `(\w+)` \| (.+) \|$", re.MULTILINE)
 
 def test_the_page_and_the_code_have_the_same_ends() -> None:
     shown = {
-        name: (int(code), re.sub(r"( \(\[.*?\]\(.*?\)\)|:) ?.*$", "", said)) for code, name, said in ROW.findall(PAGE)
+        name: (int(code), re.sub(r"( \(\[.*?\]\(.*?\)\)|:) ?.*$", "", said))
+        for code, name, said in ROW.findall(PAGE)
     }
-    coded = {end.label: (end.exit_code, end.meaning.partition(":")[0]) for end in (*Outcome, *CommandEnd)}
+    coded = {
+        end.label: (end.exit_code, end.meaning.partition(":")[0]) for end in (*Outcome, *CommandEnd)
+    }
     assert shown == coded
 
 

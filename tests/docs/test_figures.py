@@ -16,7 +16,8 @@ FLOWN = "path-handoff handoff --rig sim --seed 5 --seeds 50"
 ENDS = {"committed": 48, "no_agreement": 2}
 SERIES = {"command": FLOWN, "runs": 50, "outcomes": ENDS, "commit_rate_interval": [0.8654, 0.989]}
 ROW = (
-    "| {sim: outcomes.committed} of {sim: runs} | {sim: commit_rate_interval, 100 * .1f} | {sim: outcomes, counts} |\n"
+    "| {sim: outcomes.committed} of {sim: runs} | {sim: commit_rate_interval, 100 * .1f} "
+    "| {sim: outcomes, counts} |\n"
 )
 
 
@@ -33,7 +34,9 @@ def folder(tmp_path: Path) -> FigureFolder:
 
 
 def test_the_tables_of_the_pages_are_what_was_kept() -> None:
-    stale = [page.name for page in HERE.pages() if HERE.written(text := page.read_text("utf-8")) != text]
+    stale = [
+        page.name for page in HERE.pages() if HERE.written(text := page.read_text("utf-8")) != text
+    ]
     assert stale == []  # python -m tests.docs.figures write
 
 
@@ -61,11 +64,15 @@ def test_a_run_is_kept_and_shown(folder: FigureFolder) -> None:
     folder.write()
     page = (folder.docs / "page.md").read_text()
     assert page.splitlines()[1] == "| 48 of 50 | 86.5 to 98.9 | 2 `no_agreement` |"
-    assert folder.written(page.replace("48 of 50", "50 of 50")) == page  # a number that somebody changed by hand
+    # a number that somebody changed by hand
+    assert folder.written(page.replace("48 of 50", "50 of 50")) == page
 
 
 def test_another_run_is_not_kept(folder: FigureFolder) -> None:
-    others = {"sim-drone": {"command": "path-handoff handoff --rig sim-drone --seed 5"}, "short": {"quick": True}}
+    others = {
+        "sim-drone": {"command": "path-handoff handoff --rig sim-drone --seed 5"},
+        "short": {"quick": True},
+    }
     for said, changed in (*others.items(), ("committed", {"outcomes": {}})):
         with pytest.raises(FigureError, match=said):
             folder.keep("sim", {**SERIES, **changed}, "1234abcd")
@@ -95,6 +102,17 @@ def test_values_are_found_by_their_path_and_told_by_their_form() -> None:
     assert value_at(cells, "cells[recall=0.9 gate=evidence].t") == 1.5
     with pytest.raises(FigureError):
         value_at(cells, "cells[recall=0.9].t")
-    finding = {"quantity": "D2", "ours": "4", "interval": "3 to 5", "paper": "47", "goal": "≤ 8", "verdict": "met"}
+    finding = {
+        "quantity": "D2",
+        "ours": "4",
+        "interval": "3 to 5",
+        "paper": "47",
+        "goal": "≤ 8",
+        "verdict": "met",
+    }
     assert as_text([finding], "findings") == "| D2 | 4 | 3 to 5 | 47 | ≤ 8 | met |"
-    assert (as_text(15120, ""), as_text({"S9": 1}, "counts"), as_text({}, "counts")) == ("15,120", "1 `S9`", "none")
+    assert (as_text(15120, ""), as_text({"S9": 1}, "counts"), as_text({}, "counts")) == (
+        "15,120",
+        "1 `S9`",
+        "none",
+    )

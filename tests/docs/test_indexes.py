@@ -13,11 +13,16 @@ def test_the_index_of_decisions_has_every_one_by_its_title() -> None:
     listed = re.findall(r"^\| \[(\d{4})\]\((\S+)\) \| (.+) \|$", index, re.MULTILINE)
     files = sorted((DOCS / "decisions").glob("0*.md"))
     titles = [file.read_text("utf-8").splitlines()[0].removeprefix("# ").strip() for file in files]
-    assert listed == [(file.name[:4], file.name, title) for file, title in zip(files, titles, strict=True)]
+    assert listed == [
+        (file.name[:4], file.name, title) for file, title in zip(files, titles, strict=True)
+    ]
 
 
 def test_a_decision_keeps_to_a_page() -> None:
-    lines = {file.name: len(file.read_text("utf-8").splitlines()) for file in (DOCS / "decisions").glob("0*.md")}
+    lines = {
+        file.name: len(file.read_text("utf-8").splitlines())
+        for file in (DOCS / "decisions").glob("0*.md")
+    }
     assert {name: count for name, count in lines.items() if count > 50} == {}
 
 

@@ -30,19 +30,29 @@ def test_no_link_is_dead() -> None:
 
 
 def test_the_tests_that_pages_name_are_there() -> None:
-    tests = list(named(r"`(?:tests/)?((?:contracts|drivers|flight|hil|missions|path|scenarios)/[\w/]*test_\w+\.py)`"))
+    tests = list(
+        named(
+            r"`(?:tests/)?((?:contracts|drivers|flight|hil|missions|path|scenarios)/[\w/]*test_\w+\.py)`"
+        )
+    )
     assert len(tests) > 10
     assert [(page.name, test) for page, test in tests if not (ROOT / "tests" / test).exists()] == []
 
 
 def commands() -> Iterator[tuple[str, str]]:
-    """Yields page and command; of a line of the shell the first one, without placeholders for what is left out."""
+    """Yields page and command; of a line of the shell the first one, without placeholders for what
+    is left out.
+    """
     for page in PAGES:
         text = page.read_text("utf-8")
         blocks = re.findall(r"```(?:sh|bash)?\n(.*?)```", text, re.DOTALL)
-        lines = [line.strip() for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+        lines = [
+            line.strip() for block in blocks for line in block.replace("\\\n", " ").splitlines()
+        ]
         for line in (*lines, *re.findall(r"`(path-handoff [^`]+)`", text)):
-            whole = re.fullmatch(r"(?:\.venv/bin/)?path-handoff (.*?)(?:\s#.*|\s&.*|\s\|.*|;.*|\s>\s.*)?", line)
+            whole = re.fullmatch(
+                r"(?:\.venv/bin/)?path-handoff (.*?)(?:\s#.*|\s&.*|\s\|.*|;.*|\s>\s.*)?", line
+            )
             if whole is not None and "..." not in line and "…" not in line:
                 yield page.name, whole[1]
 
@@ -51,7 +61,10 @@ def test_every_command_is_understood(capsys: pytest.CaptureFixture[str]) -> None
     wrong: list[str] = []
     asked = sorted({command: page for page, command in commands()}.items())
     for command, page in asked:
-        words = [STANDS_FOR.get(word, "3" if word in ("N", "M", "K") else word) for word in shlex.split(command)]
+        words = [
+            STANDS_FOR.get(word, "3" if word in ("N", "M", "K") else word)
+            for word in shlex.split(command)
+        ]
         if words[0] in ("sender", "receiver") and "--rig" not in words:
             words += ["--rig", "RIG"]
         try:

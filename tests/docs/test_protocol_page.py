@@ -51,7 +51,11 @@ def drawn(heading: str) -> Edges:
 
 def rows(heading: str) -> list[list[str]]:
     lines = [line for line in section(heading).splitlines() if line.startswith("|")]
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if not line.startswith("|---")]
+    return [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in lines
+        if not line.startswith("|---")
+    ]
 
 
 def named(value: object) -> str:
@@ -68,19 +72,29 @@ def edges() -> tuple[Edges, Edges]:
         explore(scope, seen=Covering(), moves=moves)
         effects, config = moves.effects, scope.config
         for (state, _), effect in effects._by_sender.items():
-            gives.add((named(effects.senders.values[state]), named(effects.senders.values[effect.state])))
+            gives.add(
+                (named(effects.senders.values[state]), named(effects.senders.values[effect.state]))
+            )
         for (state, _, _), effect in effects._by_receiver.items():
-            takes.add((named(effects.receivers.values[state]), named(effects.receivers.values[effect.state])))
+            takes.add(
+                (
+                    named(effects.receivers.values[state]),
+                    named(effects.receivers.values[effect.state]),
+                )
+            )
         for state in list(effects.senders.values):
             assert not isinstance(state, Dead)
-            if not isinstance(state, sender.Offering | sender.Verifying | sender.AwaitingAccept):  # no longer at once
+            # no longer at once
+            if not isinstance(state, sender.Offering | sender.Verifying | sender.AwaitingAccept):
                 gives.add((named(state), named(sender.step(config, state, NewMission(), 0)[0])))
         for held in list(effects.receivers.values):
             assert not isinstance(held, Dead)
             following = Handoff(1, receiver.floor(held) + 1, 1)
             for event in (NewMission(), Heard(target(following))):
                 takes.add((named(held), named(receiver.step(config, held, event, -100)[0])))
-    return {edge for edge in gives if edge[0] != edge[1]}, {edge for edge in takes if edge[0] != edge[1]}
+    return {edge for edge in gives if edge[0] != edge[1]}, {
+        edge for edge in takes if edge[0] != edge[1]
+    }
 
 
 def test_the_state_diagrams_have_every_transition_and_no_other() -> None:
@@ -127,7 +141,9 @@ def test_the_sequence_chart_is_what_the_machines_say_to_each_other() -> None:
     d1.step(Offer(1, 1), 0)
     d2.step(Heard(say("D1", Target(1, 1, 1, 0, 0, (0.0, 0.0, 1.0), (0.0, 0.0, 1.0), 0.0))), 0)
     reason = MissReason.NO_CANDIDATE
-    candidate = Candidate(1, 1, 1, 0, 0, 0, None, reason, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0), 0.0)
+    candidate = Candidate(
+        1, 1, 1, 0, 0, 0, None, reason, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0), 0.0
+    )
     d1.step(Heard(say("D2", candidate)), 0)
     commit = only("D1", d1.step(AgreementComplete(1, 1, 7, 0, 9), 0))
     assert isinstance(commit, Commit)
@@ -166,5 +182,7 @@ def test_a_restart_resumes_what_the_table_says(same_clock: bool) -> None:
         for name, kept in senders.items()
     }
     for name, kept in receivers.items():
-        resumed[f"receiver {name}"] = named(receiver.restored(CONFIG, kept, now, same_clock=same_clock))
+        resumed[f"receiver {name}"] = named(
+            receiver.restored(CONFIG, kept, now, same_clock=same_clock)
+        )
     assert told == resumed

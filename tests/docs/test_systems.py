@@ -1,4 +1,6 @@
-"""The systems of docs/systems.md say only what was measured, and the page is what is kept of their flights."""
+"""The systems of docs/systems.md say only what was measured, and the page is what is kept of their
+flights.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,8 @@ import pytest
 
 from tests.docs import systems
 
-# What a crew measures or chooses. Heights and distances a crew may choose, to be held against the plan.
+# What a crew measures or chooses. Heights and distances a crew may choose, to be held against the
+# plan.
 MEASURED = {
     "name", "like", "level", "description", "target", "drone", "depth", "site", "markers", "sender", "receiver",
     "mission", "world",

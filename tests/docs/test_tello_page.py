@@ -23,7 +23,9 @@ KNOWN, REFUSED = set(itertools.chain(*NAMED[:-1])), set(NAMED[-1])
 
 @pytest.fixture(scope="module")
 def emulator() -> Generator[TelloEmulator]:
-    made = TelloEmulator(TelloEmulatorConfig("127.0.80.1"), World(WorldConfig(), seed=1).drone(Role.SENDER))
+    made = TelloEmulator(
+        TelloEmulatorConfig("127.0.80.1"), World(WorldConfig(), seed=1).drone(Role.SENDER)
+    )
     yield made
     made.close()
 
@@ -51,6 +53,9 @@ def test_settings_are_answered_as_the_table_says(emulator: TelloEmulator) -> Non
     for word, arguments in asked.items():
         assert said[word].startswith("`ok`")
         assert emulator._execute(word, arguments) == "ok"
-    for word, arguments in (("go", ["50", "0", "0", "30", "m1"]), ("jump", ["50", "0", "80", "30", "0", "m1", "m2"])):
+    for word, arguments in (
+        ("go", ["50", "0", "0", "30", "m1"]),
+        ("jump", ["50", "0", "80", "30", "0", "m1", "m2"]),
+    ):
         assert emulator._execute(word, arguments) == "error No valid marker"
     assert "`error No valid marker`" in said["jump"]

@@ -9,7 +9,9 @@ from drivers.arrivals import WINDOW_S, Arrivals, too_slow
 NOW_NS = 100 * 10**9
 
 
-def stream(rate_hz: float, *, last_s: float = 0.0, without: tuple[float, float] = (0.0, 0.0)) -> Arrivals:
+def stream(
+    rate_hz: float, *, last_s: float = 0.0, without: tuple[float, float] = (0.0, 0.0)
+) -> Arrivals:
     """Return a stream of 10 s until ``last_s`` ago, without what came between two ages."""
     arrivals = Arrivals()
     ages_s = [last_s + k / rate_hz for k in range(round(10.0 * rate_hz))]
@@ -20,9 +22,15 @@ def stream(rate_hz: float, *, last_s: float = 0.0, without: tuple[float, float] 
 
 
 def test_a_rate_and_its_longest_gap() -> None:
-    assert stream(50.0).lately(NOW_NS) == (pytest.approx(50.0, abs=1.0), pytest.approx(0.02, abs=1e-3))
+    assert stream(50.0).lately(NOW_NS) == (
+        pytest.approx(50.0, abs=1.0),
+        pytest.approx(0.02, abs=1e-3),
+    )
     assert stream(50.0, without=(0.5, 1.2)).lately(NOW_NS)[1] == pytest.approx(0.7, abs=0.05)
-    assert stream(50.0, last_s=1.5).lately(NOW_NS) == (pytest.approx(12.5, abs=1.0), pytest.approx(1.5))
+    assert stream(50.0, last_s=1.5).lately(NOW_NS) == (
+        pytest.approx(12.5, abs=1.0),
+        pytest.approx(1.5),
+    )
 
 
 def test_what_never_came_has_been_missing_all_the_time() -> None:
@@ -42,7 +50,9 @@ def test_what_never_came_has_been_missing_all_the_time() -> None:
         (Arrivals(), 5.0, True),
     ],
 )
-def test_whether_a_stream_is_enough_for_a_flight(arrivals: Arrivals, oldest_s: float, slow: bool) -> None:
+def test_whether_a_stream_is_enough_for_a_flight(
+    arrivals: Arrivals, oldest_s: float, slow: bool
+) -> None:
     words = too_slow({"position": arrivals, "attitude": stream(50.0)}, NOW_NS, oldest_s)
     assert words.startswith("position ") is slow
     assert ("attitude" in words) is False

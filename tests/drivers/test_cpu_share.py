@@ -1,4 +1,6 @@
-"""A share of a core: held to by the kernel, gone at the end, and refused with the reason where it may not be had."""
+"""A share of a core: held to by the kernel, gone at the end, and refused with the reason where it
+may not be had.
+"""
 
 from __future__ import annotations
 
@@ -49,13 +51,16 @@ def test_a_process_and_what_it_starts_get_their_share_together() -> None:
             program = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {BURN!r}])"
             waits = f"import sys; sys.stdin.readline(); {program}"
             pipe = subprocess.PIPE
-            process = subprocess.Popen([sys.executable, "-c", waits], stdin=pipe, stdout=pipe, text=True)
+            process = subprocess.Popen(
+                [sys.executable, "-c", waits], stdin=pipe, stdout=pipe, text=True
+            )
             share.add(process.pid)
             told, _ = process.communicate("go\n")
             assert float(told) < 0.35 * BURN_S
             if float(told) > 0.05 * BURN_S and share.stopped_s() > 0.1 * BURN_S:
                 return
-    pytest.fail("it was never given its share, nor held to it")  # others may have had the core, but not each time
+    # others may have had the core, but not each time
+    pytest.fail("it was never given its share, nor held to it")
 
 
 @pytest.mark.usefixtures("groups")
@@ -72,7 +77,9 @@ def test_the_group_is_gone_at_the_end_whatever_happens() -> None:
 @pytest.mark.usefixtures("groups")
 def test_what_a_killed_program_left_is_removed_by_the_next_run_and_nothing_else() -> None:
     killed, living = (
-        subprocess.Popen([sys.executable, "-c", HOLDS], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        subprocess.Popen(
+            [sys.executable, "-c", HOLDS], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
         for _ in range(2)
     )
     assert killed.stdout is not None
@@ -125,7 +132,9 @@ def test_version_2_is_given_a_quota_in_its_own_words(version_2: Path) -> None:
         assert share.folder is not None
         assert (share.folder / "cpu.max").read_text() == "2000 10000"
         assert (version_2 / "cgroup.subtree_control").read_text() == "+cpu"
-        (share.folder / "cpu.stat").write_text("usage_usec 900\nnr_throttled 3\nthrottled_usec 1500000\n")
+        (share.folder / "cpu.stat").write_text(
+            "usage_usec 900\nnr_throttled 3\nthrottled_usec 1500000\n"
+        )
         assert share.stopped_s() == pytest.approx(1.5)
 
 
@@ -143,7 +152,9 @@ def test_a_short_share_gets_a_quota_that_the_kernel_takes(version_2: Path) -> No
         assert (share.folder / "cpu.max").read_text() == "1000 50000"
 
 
-def test_where_no_group_may_be_made_it_is_refused_with_the_reasons_and_a_way_out(tmp_path: Path) -> None:
+def test_where_no_group_may_be_made_it_is_refused_with_the_reasons_and_a_way_out(
+    tmp_path: Path,
+) -> None:
     gone = Hierarchy(1, (tmp_path / "none",))
     without = Hierarchy(2, (tmp_path,))
     (tmp_path / "cgroup.controllers").write_text("memory")
@@ -177,7 +188,9 @@ def test_the_groups_of_a_process_are_found_as_they_are_mounted(tmp_path: Path) -
     ]
 
 
-def test_a_leftover_is_told_by_when_its_maker_began(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_leftover_is_told_by_when_its_maker_began(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ours, others = tmp_path / f"{PREFIX}-1-77-sender", tmp_path / f"{PREFIX}-1-99-sender"
     for folder in (ours, others):
         folder.mkdir()

@@ -25,11 +25,16 @@ def write(folder: Path, waits_ns: dict[int, int], stolen: tuple[int, int] = (0, 
         (folder / str(thread)).mkdir(exist_ok=True)
         (folder / str(thread) / "schedstat").write_text(f"5000 {waited_ns} 7\n")
     line = "cpu{} 5 5 5 5 5 5 5 {} 0 0\n"
-    lines = [line.format("", sum(stolen)), *(line.format(core, each) for core, each in enumerate(stolen))]
+    lines = [
+        line.format("", sum(stolen)),
+        *(line.format(core, each) for core, each in enumerate(stolen)),
+    ]
     (folder / "stat").write_text("".join(lines))
 
 
-def test_it_tells_the_wait_of_its_thread_the_longest_of_the_others_and_what_a_host_took(tmp_path: Path) -> None:
+def test_it_tells_the_wait_of_its_thread_the_longest_of_the_others_and_what_a_host_took(
+    tmp_path: Path,
+) -> None:
     write(tmp_path, {1: 100, 2: 200, 3: 300}, (7, 9))
     waits = CoreWaits(1, tmp_path, tmp_path / "stat")
     write(tmp_path, {1: 150, 2: 230, 3: 310}, (7, 12))
@@ -82,7 +87,9 @@ def test_a_loop_that_is_kept_by_its_own_program_is_late_and_had_its_core() -> No
 @pytest.mark.skipif(not COUNTS, reason="this system does not count waits for a core")
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs to name a core")
 def test_a_thread_that_others_kept_from_its_core_says_so() -> None:
-    """Three programs that compute on its core, each at least as urgent: it waits most of the time."""
+    """Three programs that compute on its core, each at least as urgent: it waits most of the
+    time.
+    """
     core = {min(os.sched_getaffinity(0))}
     found: list[dict[str, int]] = []
 
@@ -95,7 +102,9 @@ def test_a_thread_that_others_kept_from_its_core_says_so() -> None:
         found.append(waits.look())
         waits.close()
 
-    others = [subprocess.Popen([sys.executable, "-c", COMPUTES.format(core=core)]) for _ in range(3)]
+    others = [
+        subprocess.Popen([sys.executable, "-c", COMPUTES.format(core=core)]) for _ in range(3)
+    ]
     try:
         time.sleep(0.4)
         thread = threading.Thread(target=compute)

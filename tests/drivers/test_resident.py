@@ -11,17 +11,24 @@ import pytest
 from drivers.resident import MAPS, give_back, mappings
 
 PAGES = 64
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the kernel's own account of memory")
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="the kernel's own account of memory"
+)
 
 
 def resident_kb(file: Path) -> int:
-    return sum(each.resident_kb for each in mappings(MAPS.read_text("utf-8")) if each.file == str(file))
+    return sum(
+        each.resident_kb for each in mappings(MAPS.read_text("utf-8")) if each.file == str(file)
+    )
 
 
 def test_a_files_pages_are_given_back_and_are_there_again(tmp_path: Path) -> None:
     file = tmp_path / "library.so"
     file.write_bytes(bytes(range(256)) * 16 * PAGES)
-    with file.open("rb") as opened, mmap.mmap(opened.fileno(), 0, mmap.MAP_PRIVATE, mmap.PROT_READ) as mapped:
+    with (
+        file.open("rb") as opened,
+        mmap.mmap(opened.fileno(), 0, mmap.MAP_PRIVATE, mmap.PROT_READ) as mapped,
+    ):
         assert len(bytes(mapped)) == 4096 * PAGES
         assert resident_kb(file) == 4 * PAGES
         assert give_back("library.so") == 4 * PAGES
@@ -33,7 +40,10 @@ def test_what_was_written_over_stays(tmp_path: Path) -> None:
     file = tmp_path / "library.so"
     file.write_bytes(bytes(4096 * PAGES))
     rights = mmap.PROT_READ | mmap.PROT_WRITE
-    with file.open("rb") as opened, mmap.mmap(opened.fileno(), 0, mmap.MAP_PRIVATE, rights) as mapped:
+    with (
+        file.open("rb") as opened,
+        mmap.mmap(opened.fileno(), 0, mmap.MAP_PRIVATE, rights) as mapped,
+    ):
         mapped[:] = b"x" * 4096 * PAGES
         assert give_back("library.so") == 0
         assert mapped[4096] == ord("x")

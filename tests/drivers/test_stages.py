@@ -26,7 +26,10 @@ def test_each_stage_gets_what_was_spent_in_it() -> None:
     spent_ns = stages.spent_ns()
     assert list(spent_ns) == ["marker", "link", "thread", "program"]
     assert spent_ns["marker"] >= 12_000_000 and spent_ns["link"] >= 1_000_000
-    assert spent_ns["thread"] - before_ns["thread"] >= spent_ns["marker"] + spent_ns["link"] + 2_000_000
+    assert (
+        spent_ns["thread"] - before_ns["thread"]
+        >= spent_ns["marker"] + spent_ns["link"] + 2_000_000
+    )
     assert spent_ns["program"] - before_ns["program"] >= 15_000_000
 
 

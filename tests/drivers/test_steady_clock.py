@@ -19,7 +19,8 @@ class SetClock:
 
     def __init__(self) -> None:
         self.set_by_ns = 0
-        self.late_ns: list[int] = []  # of the next readings: the program was put aside after it had read the clock
+        # of the next readings: the program was put aside after it had read the clock
+        self.late_ns: list[int] = []
 
     def now_ns(self) -> int:
         try:
@@ -30,7 +31,9 @@ class SetClock:
         return round(now_s * 1e9) + self.set_by_ns - late_ns
 
 
-@pytest.mark.parametrize("steps", [(5 * S,), (-5 * S,), (STEP_NS + 1,), (3600 * S, -7200 * S), (-S, -S, S)])
+@pytest.mark.parametrize(
+    "steps", [(5 * S,), (-5 * S,), (STEP_NS + 1,), (3600 * S, -7200 * S), (-S, -S, S)]
+)
 def test_a_clock_that_is_set_goes_on_evenly(steps: tuple[int, ...]) -> None:
     async def main() -> None:
         inner = SetClock()

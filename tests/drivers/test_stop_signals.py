@@ -1,4 +1,6 @@
-"""The signals that end a flight, and those that do not when the program was begun to outlive its terminal."""
+"""The signals that end a flight, and those that do not when the program was begun to outlive its
+terminal.
+"""
 
 from __future__ import annotations
 

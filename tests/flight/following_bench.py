@@ -1,6 +1,8 @@
-"""D1 alone behind a target, closed loop in a few milliseconds of processor time: airframe, camera, track, guidance.
+"""D1 alone behind a target, closed loop in a few milliseconds of processor time: airframe, camera,
+track, guidance.
 
-The airframe is the simulated world's; times are those of the rig ``sitl``: frames 40 ms old, 20 setpoints a second.
+The airframe is the simulated world's; times are those of the rig ``sitl``: frames 40 ms old, 20
+setpoints a second.
 """
 
 from __future__ import annotations
@@ -19,7 +21,16 @@ from flight.config import MissionConfig
 from flight.guidance import Vec3, slew
 from flight.tracking.association import Sighting, follow
 from flight.tracking.target_track import TargetTrack
-from hil.world.dynamics import COMMAND_SIZE, INTEGRAL, MOTORS, MOTORS_FLY, THRUST, AirframeConfig, fly, standing
+from hil.world.dynamics import (
+    COMMAND_SIZE,
+    INTEGRAL,
+    MOTORS,
+    MOTORS_FLY,
+    THRUST,
+    AirframeConfig,
+    fly,
+    standing,
+)
 from path.camera.model import CameraModel
 from path.geometry.rotation import R_from_quat, R_from_rpy
 from path.geometry.transforms import Pose
@@ -28,7 +39,9 @@ from path.observations import Box, Depth, Detection, MarkerDetection, Region
 
 STEP_S = 0.005
 CAMERA = CameraModel(640, 480, 615.2, 615.9, 322.1, 241.3, (0.112, -0.236, 0.0006, -0.0004, 0.095))
-_AHEAD_DOWN = R_from_rpy(0.0, -math.pi / 4, 0.0) @ np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+_AHEAD_DOWN = R_from_rpy(0.0, -math.pi / 4, 0.0) @ np.array(
+    [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+)
 MOUNT = Mount(Pose(_AHEAD_DOWN, np.array([0.10, 0.0, 0.02])), Pose(np.eye(3), np.zeros(3)))
 PX4 = AirframeConfig(  # as measured: docs/conformance.md, the rig sitl
     gain_horizontal_hz=1.4,
@@ -46,7 +59,9 @@ Guidance = Callable[[VehicleState, TargetTrack, int], VelocitySetpoint]
 
 @dataclass
 class Seen:
-    """The camera's view, through the simulated colour detector: a box that the border cuts is hardly one."""
+    """The camera's view, through the simulated colour detector: a box that the border cuts is
+    hardly one.
+    """
 
     stamp_ns: int
     objects: Sequence[Vec3]
@@ -74,7 +89,9 @@ class Seen:
     def targets(self, region: Region | None) -> Sequence[Detection]:
         return [d for d, _ in self.found if region is None or region.contains(*d.box.center)]
 
-    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
+    def markers(
+        self, region: Region | None, expected: Pose | None = None
+    ) -> Sequence[MarkerDetection]:
         return []
 
     def depth(self, box: Box) -> Depth | None:
@@ -90,7 +107,8 @@ class Followed:
     """One flight. Rows are frames."""
 
     time_s: NDArray[np.float64]
-    off_m: NDArray[np.float64]  # true horizontal distance to the target, (n, 2), along and across the heading
+    # true horizontal distance to the target, (n, 2), along and across the heading
+    off_m: NDArray[np.float64]
     in_view: NDArray[np.bool_]  # in truth, whole
     held: NDArray[np.bool_]  # by the track
 
@@ -171,11 +189,15 @@ def follow_course(
             at = np.array(position) + view_late_s * np.array(velocity)
             believed = Pose(R_off @ MOUNT.T_b_c.R, R_off @ MOUNT.T_b_c.t + at)
             if track is None:
-                track = TargetTrack(place, stamp_ns, config.follow.target_accel_mps2, flies=config.target.flies)
+                track = TargetTrack(
+                    place, stamp_ns, config.follow.target_accel_mps2, flies=config.target.flies
+                )
             held = isinstance(follow(view, believed, CAMERA, track), Sighting)
             alone = Seen(stamp_ns, (place,), true, np.random.default_rng(0)).found
             whole = bool(alone) and alone[0][0].score > 0.5
-            rows.append((stamp_ns * 1e-9, place[0] - position[0], place[1] - position[1], whole, held))
+            rows.append(
+                (stamp_ns * 1e-9, place[0] - position[0], place[1] - position[1], whole, held)
+            )
         if k % 10 == 0 and track is not None:
             noisy = tuple((np.array(heard.velocity_n_mps) + rng.normal(0.0, 0.03, 3)).tolist())
             heard = _state(heard.stamp_ns, position, noisy, attitude)
@@ -185,7 +207,12 @@ def follow_course(
             command[0, 1:4] = waiting.popleft()[1].velocity_n_mps
         fly(state, command, winds, none, none, airframe.row(), STEP_S, 1)
     table = np.array([row[:3] for row in rows])
-    return Followed(table[:, 0], table[:, 1:], np.array([row[3] for row in rows]), np.array([row[4] for row in rows]))
+    return Followed(
+        table[:, 0],
+        table[:, 1:],
+        np.array([row[3] for row in rows]),
+        np.array([row[4] for row in rows]),
+    )
 
 
 def _state(stamp_ns: int, position: Vec3, velocity: Vec3, q: Quat) -> VehicleState:

@@ -16,10 +16,23 @@ from path.geometry.transforms import Pose
 from path.messages import Quat
 
 C = math.sqrt(0.5)
-AHEAD_AND_DOWN = Pose(np.array([[0.0, -C, C], [1.0, 0.0, 0.0], [0.0, C, C]]), np.array([0.1, 0.0, 0.02]))
-MARKER = Pose(np.array([[0.0, C, -C], [1.0, 0.0, 0.0], [0.0, -C, -C]]), np.array([-0.18, 0.0, -0.06]))
+AHEAD_AND_DOWN = Pose(
+    np.array([[0.0, -C, C], [1.0, 0.0, 0.0], [0.0, C, C]]), np.array([0.1, 0.0, 0.02])
+)
+MARKER = Pose(
+    np.array([[0.0, C, -C], [1.0, 0.0, 0.0], [0.0, -C, -C]]), np.array([-0.18, 0.0, -0.06])
+)
 STATE = VehicleState(
-    1_000_000_000, 0, (3.0, 1.0, -1.5), (0.5, -0.2, 0.1), (1.0, 0.0, 0.0, 0.0), True, True, True, FlightMode.HOLD, 1.0
+    1_000_000_000,
+    0,
+    (3.0, 1.0, -1.5),
+    (0.5, -0.2, 0.1),
+    (1.0, 0.0, 0.0, 0.0),
+    True,
+    True,
+    True,
+    FlightMode.HOLD,
+    1.0,
 )
 
 
@@ -38,7 +51,9 @@ def eye_of(vehicle: Any) -> CameraPose:
 
 
 def test_the_attitude_is_that_of_the_frame_not_the_newest() -> None:
-    assert eye_of(Attitudes()).R_n_b(300_000_000) == pytest.approx(R_from_rpy(0.3, 0.0, 0.0), abs=1e-12)
+    assert eye_of(Attitudes()).R_n_b(300_000_000) == pytest.approx(
+        R_from_rpy(0.3, 0.0, 0.0), abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("dt_s", [0.0, 0.2, -0.3])
@@ -60,7 +75,9 @@ def test_the_mount_is_left_as_it_is() -> None:
 def test_down_seen_from_camera_and_marker_points_down(rpy: tuple[float, float, float]) -> None:
     camera_pose, R = eye_of(SimpleNamespace()), R_from_rpy(*rpy)
     down_n = np.array([0.0, 0.0, 1.0])
-    assert R @ AHEAD_AND_DOWN.R @ np.array(gravity_in(R @ AHEAD_AND_DOWN.R)) == pytest.approx(down_n, abs=1e-12)
+    assert R @ AHEAD_AND_DOWN.R @ np.array(gravity_in(R @ AHEAD_AND_DOWN.R)) == pytest.approx(
+        down_n, abs=1e-12
+    )
     assert R @ MARKER.R @ np.array(camera_pose.gravity_v(R)) == pytest.approx(down_n, abs=1e-12)
 
 

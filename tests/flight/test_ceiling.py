@@ -1,4 +1,6 @@
-"""The ceiling in truth, with a GPS altitude that is off, drifts and jumps: a guard alone over its own MAVLink."""
+"""The ceiling in truth, with a GPS altitude that is off, drifts and jumps: a guard alone over its
+own MAVLink.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +26,15 @@ CLIMB = VelocitySetpoint((0.0, 0.0, -0.5), 0.0)
 ALTITUDES = (
     AltitudeConfig(offset_m=10.0, drift_mps=0.3),
     AltitudeConfig(offset_m=-10.0, drift_mps=-0.3),
-    AltitudeConfig(jump_m=-488.0, jump_after_s=4.0),  # a PX4 indoors, its origin at sea level: in the air
+    # a PX4 indoors, its origin at sea level: in the air
+    AltitudeConfig(jump_m=-488.0, jump_after_s=4.0),
 )
 
 
 class Beating:
-    """The line of a program that lives, sends setpoints and looks at no limit; or of one that is dead."""
+    """The line of a program that lives, sends setpoints and looks at no limit; or of one that is
+    dead.
+    """
 
     def __init__(self) -> None:
         self.alive, self.beats, self.script = True, 0, Script.CLIMB
@@ -79,7 +84,9 @@ def test_a_healthy_drone_is_left_alone_and_the_ceiling_is_kept_in_truth() -> Non
     """A script that climbs and looks at nothing; then, anew, one that is dead."""
 
     async def fly(own: Bench) -> None:
-        config = GuardMavlinkConfig(f"udpin://127.0.0.1:{own.port}", BIND, SYSID, height_from="home")
+        config = GuardMavlinkConfig(
+            f"udpin://127.0.0.1:{own.port}", BIND, SYSID, height_from="home"
+        )
         line, ended = Beating(), asyncio.Event()
         async with GuardMavlink(config, CONTEXT) as vehicle:
             guard = GuardWatch(vehicle, line, CONTEXT.clock, MISSION, Silent())
@@ -94,7 +101,8 @@ def test_a_healthy_drone_is_left_alone_and_the_ceiling_is_kept_in_truth() -> Non
                 highest_m = max(highest_m, height_m(own))
                 await asyncio.sleep(0.02)
             assert "outside the fence" in guard.state.reason
-            assert CEILING_M - 0.3 < highest_m < CEILING_M + 0.8  # half a second of patience at 0.5 m/s, and telemetry
+            # half a second of patience at 0.5 m/s, and telemetry
+            assert CEILING_M - 0.3 < highest_m < CEILING_M + 0.8
             async with asyncio.timeout(LIMIT_S):
                 while own.autopilot.armed:
                     highest_m = max(highest_m, height_m(own))
@@ -108,7 +116,9 @@ def test_a_healthy_drone_is_left_alone_and_the_ceiling_is_kept_in_truth() -> Non
 
 def test_a_dead_scripts_vehicle_is_held_where_it_truly_is() -> None:
     async def fly(own: Bench) -> None:
-        config = GuardMavlinkConfig(f"udpin://127.0.0.1:{own.port}", BIND, SYSID, height_from="home")
+        config = GuardMavlinkConfig(
+            f"udpin://127.0.0.1:{own.port}", BIND, SYSID, height_from="home"
+        )
         line, ended = Beating(), asyncio.Event()
         async with GuardMavlink(config, CONTEXT) as vehicle:
             guard = GuardWatch(vehicle, line, CONTEXT.clock, MISSION, Silent())

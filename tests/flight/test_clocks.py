@@ -63,8 +63,12 @@ def test_the_quickest_exchange_rules() -> None:
     assert peers.alignment.uncertainty_ns < 2 * MS
 
 
-@given(seed=st.integers(0, 10_000), offset_s=st.floats(-1e6, 1e6), drift_ppm=st.floats(-190.0, 190.0))
-def test_the_error_stays_within_the_uncertainty(seed: int, offset_s: float, drift_ppm: float) -> None:
+@given(
+    seed=st.integers(0, 10_000), offset_s=st.floats(-1e6, 1e6), drift_ppm=st.floats(-190.0, 190.0)
+)
+def test_the_error_stays_within_the_uncertainty(
+    seed: int, offset_s: float, drift_ppm: float
+) -> None:
     rng = random.Random(seed)
     peers = Peers(offset_ns=round(offset_s * S), drift_ppm=drift_ppm)
     for _ in range(60):

@@ -1,4 +1,6 @@
-"""Which object is acquired, in the traffic of many seeds: the one that is meant, or none, however it moves."""
+"""Which object is acquired, in the traffic of many seeds: the one that is meant, or none, however
+it moves.
+"""
 
 from __future__ import annotations
 
@@ -37,9 +39,15 @@ class Pointing:
 
 
 def acquired(
-    seed: int, target: TargetConfig, pointing: Pointing | None, up: float = 1.6, told: TargetDesignation = CREW
+    seed: int,
+    target: TargetConfig,
+    pointing: Pointing | None,
+    up: float = 1.6,
+    told: TargetDesignation = CREW,
 ) -> tuple[int | None, float]:
-    """Which object (0: the target) D1 takes from behind where it is said to be, and when; None: none."""
+    """Which object (0: the target) D1 takes from behind where it is said to be, and when; None:
+    none.
+    """
     rng = np.random.default_rng(10_000 + seed)
     homes = [(0.0, 0.0), (1.5, -3.0)]
     traffic = GroundVehicles(target, LookAlikeConfig(), homes, np.random.SeedSequence(seed))
@@ -64,12 +72,16 @@ def acquired(
         nearer = 1.0 if radius_m < 0.3 else up  # once it is sure
         at = np.array((north - 1.45 * nearer, east, -0.1 - 1.4 * nearer)) - off
         true = Pose(MOUNT.T_b_c.R, MOUNT.T_b_c.t + at)
-        objects: list[Vec3] = [(o.position_w_m[1], o.position_w_m[0], -0.1) for o in traffic.at(time_s)]
+        objects: list[Vec3] = [
+            (o.position_w_m[1], o.position_w_m[0], -0.1) for o in traffic.at(time_s)
+        ]
         view = Seen(stamp_ns, objects, true, rng)
         taken = acquisition.look(view, Pose(true.R, true.t + off))
         if isinstance(taken, Taken):
             place = np.array(taken.position_n_m) - off
-            return min(range(len(objects)), key=lambda j: math.dist(objects[j], place.tolist())), time_s
+            return min(
+                range(len(objects)), key=lambda j: math.dist(objects[j], place.tolist())
+            ), time_s
     return None, WATCHED_UNTIL_S
 
 
@@ -86,7 +98,9 @@ def test_one_that_moves_from_the_start_is_never_taken_for_another_where_only_an_
 
 
 @pytest.mark.parametrize("target", [DRIVES, DRIFTS, WALKS], ids=["drives", "drifts", "faster"])
-def test_with_somebody_who_goes_on_pointing_it_is_acquired_and_nothing_else(target: TargetConfig) -> None:
+def test_with_somebody_who_goes_on_pointing_it_is_acquired_and_nothing_else(
+    target: TargetConfig,
+) -> None:
     taken = [acquired(seed, target, Pointing())[0] for seed in range(SEEDS)]
     assert set(taken) <= {0, None}
     assert taken.count(0) >= 0.5 * SEEDS  # without anybody who answers
@@ -113,7 +127,9 @@ def test_what_a_position_is_off_at_home_is_known() -> None:
 
 
 def test_a_designation_is_a_statement_about_the_instant_at_which_it_was_made() -> None:
-    said = TargetDesignation(north_m=3.0, age_s=2.0, error_m=0.4, velocity_mps=(0.2, 0.1), holds_s=5.0)
+    said = TargetDesignation(
+        north_m=3.0, age_s=2.0, error_m=0.4, velocity_mps=(0.2, 0.1), holds_s=5.0
+    )
     told = said.told(10_000_000_000)
     assert told == PlaceTold(8_000_000_000, (3.0, 0.0, -0.1), 0.4, False, (0.2, 0.1), 5.0)
     with pytest.raises(ValueError, match="two numbers"):

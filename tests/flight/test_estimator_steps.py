@@ -1,4 +1,6 @@
-"""What counts as a step of an estimator, and what is flown, noise, or a glitch that is walked off."""
+"""What counts as a step of an estimator, and what is flown, noise, or a glitch that is walked
+off.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +21,21 @@ FASTEST_MPS = 1.2
 NOISE_M, NOISE_RAD = 0.006, 0.0015  # from one state to the next, as the simulated estimators have
 
 
-def states(count: int, *, seed: int = 1, turning_rps: float = 0.0, period_ns: int = PERIOD_NS) -> list[VehicleState]:
-    """A drone in the air that flies to and fro, speeds up, brakes and turns, as a noisy estimator says."""
+def states(
+    count: int, *, seed: int = 1, turning_rps: float = 0.0, period_ns: int = PERIOD_NS
+) -> list[VehicleState]:
+    """A drone in the air that flies to and fro, speeds up, brakes and turns, as a noisy estimator
+    says.
+    """
     rng = random.Random(seed)
     made: list[VehicleState] = []
     drift: Vec3 = (0.0, 0.0, 0.0)
     yaw_error = 0.0
     for k in range(count):
         t_s = k * period_ns * 1e-9
-        drift = add(drift, (rng.gauss(0.0, NOISE_M), rng.gauss(0.0, NOISE_M), rng.gauss(0.0, NOISE_M)))
+        drift = add(
+            drift, (rng.gauss(0.0, NOISE_M), rng.gauss(0.0, NOISE_M), rng.gauss(0.0, NOISE_M))
+        )
         yaw_error += rng.gauss(0.0, NOISE_RAD)
         place = add((1.2 * math.sin(t_s), 0.0, -1.5 + 0.2 * math.cos(t_s)), drift)
         velocity = 1.2 * math.cos(t_s), 0.0, -0.2 * math.sin(t_s)
@@ -35,12 +43,25 @@ def states(count: int, *, seed: int = 1, turning_rps: float = 0.0, period_ns: in
         q_n_b = quat_from_rpy(0.05, -0.05, yaw_rad)
         stamp_ns = k * period_ns + 1
         made.append(
-            VehicleState(stamp_ns, stamp_ns, place, velocity, q_n_b, True, True, True, FlightMode.OFFBOARD, 0.9)
+            VehicleState(
+                stamp_ns,
+                stamp_ns,
+                place,
+                velocity,
+                q_n_b,
+                True,
+                True,
+                True,
+                FlightMode.OFFBOARD,
+                0.9,
+            )
         )
     return made
 
 
-def stepped(made: Sequence[VehicleState], at: int, shift_n_m: Vec3, turn_rad: float = 0.0) -> list[VehicleState]:
+def stepped(
+    made: Sequence[VehicleState], at: int, shift_n_m: Vec3, turn_rad: float = 0.0
+) -> list[VehicleState]:
     """The same, but for an estimator that steps before the state of a number."""
     turn = quat_from_rpy(0.0, 0.0, turn_rad)
     return [
@@ -68,8 +89,14 @@ def test_a_drone_that_flies_and_turns_has_no_steps(seed: int, period_ns: int) ->
 
 @pytest.mark.parametrize("size_m", [0.25, 0.6, 1.54, 3.0])
 @pytest.mark.parametrize("towards_deg", range(0, 360, 45))
-def test_a_place_that_steps_in_any_direction_is_seen_with_its_size(size_m: float, towards_deg: int) -> None:
-    shift = size_m * math.cos(math.radians(towards_deg)), size_m * math.sin(math.radians(towards_deg)), 0.0
+def test_a_place_that_steps_in_any_direction_is_seen_with_its_size(
+    size_m: float, towards_deg: int
+) -> None:
+    shift = (
+        size_m * math.cos(math.radians(towards_deg)),
+        size_m * math.sin(math.radians(towards_deg)),
+        0.0,
+    )
     made = stepped(states(400), 200, shift)
     (step,) = seen(made)
     assert math.dist(step.shift_n_m, shift) < 0.04
@@ -91,7 +118,9 @@ def test_a_height_that_steps_is_seen_with_its_size(up_m: float) -> None:
 def test_a_heading_that_steps_is_seen_with_its_size_while_the_drone_turns_too(
     turn_deg: float, turning_rps: float
 ) -> None:
-    (step,) = seen(stepped(states(400, turning_rps=turning_rps), 200, (0.0, 0.0, 0.0), math.radians(turn_deg)))
+    (step,) = seen(
+        stepped(states(400, turning_rps=turning_rps), 200, (0.0, 0.0, 0.0), math.radians(turn_deg))
+    )
     assert step.shift_n_m == (0.0, 0.0, 0.0)
     assert math.degrees(step.turn_rad) == pytest.approx(turn_deg, abs=1.0)
 
@@ -105,7 +134,10 @@ def test_a_place_and_a_heading_may_step_at_once() -> None:
 def test_a_glitch_that_the_estimator_walks_off_is_no_step() -> None:
     made = states(600)
     walked = [
-        replace(each, position_n_m=add(each.position_n_m, (0.9 * min(1.0, max(0, k - 200) / 135), 0.0, 0.0)))
+        replace(
+            each,
+            position_n_m=add(each.position_n_m, (0.9 * min(1.0, max(0, k - 200) / 135), 0.0, 0.0)),
+        )
         for k, each in enumerate(made)
     ]
     assert seen(walked) == []
@@ -120,7 +152,8 @@ def test_a_packet_that_is_wrong_once_steps_there_and_back_again() -> None:
 
 def test_what_moves_while_nothing_is_heard_is_no_step() -> None:
     made = states(400)
-    made = [*made[:200], *stepped(made, 225, (0.3, 0.0, 0.0), 0.2)[225:]]  # half a second without telemetry
+    # half a second without telemetry
+    made = [*made[:200], *stepped(made, 225, (0.3, 0.0, 0.0), 0.2)[225:]]
     assert seen(made) == []
 
 
@@ -133,7 +166,9 @@ def test_a_vehicle_that_still_finds_its_place_has_no_steps() -> None:
 
 def test_the_height_of_one_that_stands_on_the_ground_is_counted_anew_when_it_arms() -> None:
     standing = [replace(each, armed=False, in_air=False) for each in states(200)]
-    armed = [replace(each, in_air=False) for each in stepped(states(400), 200, (0.0, 0.0, 1.0))[200:]]
+    armed = [
+        replace(each, in_air=False) for each in stepped(states(400), 200, (0.0, 0.0, 1.0))[200:]
+    ]
     assert seen([*standing, *armed]) == []
     settled = SETTLED_NS // PERIOD_NS + 10
     late = stepped([*standing, *armed], 200 + settled, (0.0, 0.0, 1.0))
@@ -181,7 +216,10 @@ def test_noise_that_grows_is_learned_and_not_taken_for_steps_for_ever() -> None:
     made = states(1500)
     rng = random.Random(2)
     noisy = [
-        replace(each, position_n_m=add(each.position_n_m, (rng.gauss(0.0, 0.2), rng.gauss(0.0, 0.2), 0.0)))
+        replace(
+            each,
+            position_n_m=add(each.position_n_m, (rng.gauss(0.0, 0.2), rng.gauss(0.0, 0.2), 0.0)),
+        )
         if k > 300
         else each
         for k, each in enumerate(made)

@@ -12,7 +12,12 @@ from flight.fence import Fence
 
 HALL = Fence(25.0, 3.0, ((-2.0, -2.0), (-2.0, 2.0), (2.0, 2.0), (2.0, -2.0)), body_m=0.3)
 # an L: the corner that points inward is at the origin
-ANGLE = Fence(50.0, 6.0, ((-4.0, -4.0), (4.0, -4.0), (4.0, 0.0), (0.0, 0.0), (0.0, 4.0), (-4.0, 4.0)), body_m=0.3)
+ANGLE = Fence(
+    50.0,
+    6.0,
+    ((-4.0, -4.0), (4.0, -4.0), (4.0, 0.0), (0.0, 0.0), (0.0, 4.0), (-4.0, 4.0)),
+    body_m=0.3,
+)
 PLACES = some.tuples(some.floats(-6.0, 6.0), some.floats(-6.0, 6.0))
 
 
@@ -55,7 +60,9 @@ def test_a_place_with_room_stays_as_it_is(place: tuple[float, float]) -> None:
 def test_a_drone_that_answers_late_stops_before_the_wall(
     fence: Fence, place: tuple[float, float], direction: float, speed: float
 ) -> None:
-    """A drone follows its setpoint with a lag of a second; its setpoint changes as fast as it may."""
+    """A drone follows its setpoint with a lag of a second; its setpoint changes as fast as it
+    may.
+    """
     north, east = place
     velocity = [0.0, 0.0]
     setpoint = (0.0, 0.0, 0.0)

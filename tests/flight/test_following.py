@@ -1,4 +1,6 @@
-"""D1 behind its target, closed loop: comes to rest at its place, and keeps in view what drives, turns and stops."""
+"""D1 behind its target, closed loop: comes to rest at its place, and keeps in view what drives,
+turns and stops.
+"""
 
 from __future__ import annotations
 
@@ -25,16 +27,22 @@ def guidance(state: VehicleState, track: TargetTrack, now_ns: int) -> VelocitySe
     """As the sender's."""
     target, (north, east, _) = track.believed(now_ns)
     error = subtract(place_behind(target), state.position_n_m)
-    velocity = approach(error, state.velocity_n_mps, (north, east, 0.0), KEEP.answer(CONFIG.max_accel_mps2))
+    velocity = approach(
+        error, state.velocity_n_mps, (north, east, 0.0), KEEP.answer(CONFIG.max_accel_mps2)
+    )
     return VelocitySetpoint(velocity, 0.0)
 
 
 def in_proportion(state: VehicleState, track: TargetTrack, now_ns: int) -> VelocitySetpoint:
-    """The approach that overshoots: in proportion to the way that is left, whatever the vehicle does meanwhile."""
+    """The approach that overshoots: in proportion to the way that is left, whatever the vehicle
+    does meanwhile.
+    """
     target, _ = track.predict(now_ns)
     north, east, _ = track.velocity_n_mps
     error = subtract(place_behind(target), state.position_n_m)
-    return VelocitySetpoint(close_in(error, (north, east, 0.0), KEEP.gain_per_s, KEEP.max_speed_mps), 0.0)
+    return VelocitySetpoint(
+        close_in(error, (north, east, 0.0), KEEP.gain_per_s, KEEP.max_speed_mps), 0.0
+    )
 
 
 def standing(_: float) -> tuple[float, float]:
@@ -65,16 +73,22 @@ def _way(time_s: float, speed_mps: float, accel_mps2: float = 0.6) -> float:
     return 0.5 * accel_mps2 * (time_s - since_s) ** 2 + speed_mps * since_s
 
 
-# --- a step: the target stands, the drone comes fast --------------------------------------------------------------
+# --- a step: the target stands, the drone comes fast
+# --------------------------------------------------------------
 
 
-FAST = [(1.3, 0.0, 1.5, 0.9), (1.5, 0.0, 1.4, 0.8), (1.7, 0.0, 1.6, 0.6)]  # north, east, height, speed at acquisition
+# north, east, height, speed at acquisition
+FAST = [(1.3, 0.0, 1.5, 0.9), (1.5, 0.0, 1.4, 0.8), (1.7, 0.0, 1.6, 0.6)]
 
 
 @pytest.mark.parametrize("start", FAST)
 @pytest.mark.parametrize("seed", range(3))
-def test_a_drone_that_comes_fast_stops_at_its_place(start: tuple[float, float, float, float], seed: int) -> None:
-    flown = follow_course(standing, guidance, CONFIG, start=start, seed=seed, last_s=10.0, wind=(0.5, 1.4, 0.0))
+def test_a_drone_that_comes_fast_stops_at_its_place(
+    start: tuple[float, float, float, float], seed: int
+) -> None:
+    flown = follow_course(
+        standing, guidance, CONFIG, start=start, seed=seed, last_s=10.0, wind=(0.5, 1.4, 0.0)
+    )
     assert flown.nearest_m > KEEP.behind_m - 0.12
     assert flown.out_of_view_s == 0.0 and flown.lost_s == 0.0
     assert abs(flown.off_m[-50:, 0].mean() - KEEP.behind_m) < 0.1  # tilts are half a degree off
@@ -82,15 +96,20 @@ def test_a_drone_that_comes_fast_stops_at_its_place(start: tuple[float, float, f
 
 def test_a_command_in_proportion_to_the_way_overshoots() -> None:
     """The bench shows the fault that the approach is made against."""
-    flown = [follow_course(standing, in_proportion, CONFIG, start=start, last_s=6.0) for start in FAST]
+    flown = [
+        follow_course(standing, in_proportion, CONFIG, start=start, last_s=6.0) for start in FAST
+    ]
     assert min(each.nearest_m for each in flown) < KEEP.behind_m - 0.2
 
 
-# --- ramps and turns -----------------------------------------------------------------------------------------------
+# --- ramps and turns
+# -----------------------------------------------------------------------------------------------
 
 
 def worst(course: Course) -> tuple[float, float]:
-    """Longest time out of view, and largest distance from the place behind the target, of three flights."""
+    """Longest time out of view, and largest distance from the place behind the target, of three
+    flights.
+    """
     flown: list[Followed] = [
         follow_course(course, guidance, CONFIG, start=(2.55, 0.0, 1.5, 0.0), seed=seed, last_s=14.0)
         for seed in range(3)
@@ -118,7 +137,8 @@ def test_a_tight_turn_at_twice_the_speed_stays_in_view() -> None:
     assert off_m < 0.65
 
 
-# --- the law -------------------------------------------------------------------------------------------------------
+# --- the law
+# -------------------------------------------------------------------------------------------------------
 
 
 def test_nothing_is_faster_than_it_can_stop() -> None:
@@ -130,4 +150,6 @@ def test_nothing_is_faster_than_it_can_stop() -> None:
 
 def test_a_drone_that_keeps_up_with_its_place_goes_on_as_it_does() -> None:
     answer = KEEP.answer(0.8)
-    assert approach((0.0, 0.0, 0.0), (0.4, 0.1, 0.0), (0.4, 0.1, 0.0), answer) == pytest.approx((0.4, 0.1, 0.0))
+    assert approach((0.0, 0.0, 0.0), (0.4, 0.1, 0.0), (0.4, 0.1, 0.0), answer) == pytest.approx(
+        (0.4, 0.1, 0.0)
+    )

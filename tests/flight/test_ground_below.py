@@ -1,4 +1,6 @@
-"""The ground below a drone: by its rangefinder, as long as that does not contradict the drone's own height."""
+"""The ground below a drone: by its rangefinder, as long as that does not contradict the drone's own
+height.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,12 @@ SECOND = 1000 * MS
 
 
 def state(
-    seconds: float, height_m: float, below_m: float | None, *, in_air: bool = True, roll_deg: float = 0.0
+    seconds: float,
+    height_m: float,
+    below_m: float | None,
+    *,
+    in_air: bool = True,
+    roll_deg: float = 0.0,
 ) -> VehicleState:
     stamp_ns = round(seconds * SECOND)
     q = quat_from_R(R_from_rpy(math.radians(roll_deg), 0.0, 0.0))
@@ -43,8 +50,12 @@ def scaled(facts: HeightFacts, k: float) -> HeightFacts:
 
 @pytest.mark.parametrize("k", [0.2, 1.0, 5.0, 20.0])
 def test_a_height_that_drifts_is_put_right_by_the_rangefinder(k: float) -> None:
-    """Half a metre within two minutes at a height of six: the ground is down there by so much less."""
-    states = [state(t, k * (6.0 + 0.25 * t / 60.0), k * 6.0) for t in np.arange(1.0, 120.0, 0.1).tolist()]
+    """Half a metre within two minutes at a height of six: the ground is down there by so much
+    less.
+    """
+    states = [
+        state(t, k * (6.0 + 0.25 * t / 60.0), k * 6.0) for t in np.arange(1.0, 120.0, 0.1).tolist()
+    ]
     ground, said = flown(scaled(FACTS, k), *states)
     assert said == []
     found = ground.ground
@@ -53,7 +64,9 @@ def test_a_height_that_drifts_is_put_right_by_the_rangefinder(k: float) -> None:
     assert found.sigma_m < 0.05 * k
 
 
-def test_without_a_rangefinder_the_ground_is_where_it_stood_and_the_longer_ago_the_less_is_known() -> None:
+def test_without_a_rangefinder_the_ground_is_where_it_stood_and_the_longer_ago_the_less_is_known() -> (
+    None
+):
     facts = replace(FACTS, rangefinder_max_m=0.0)
     after = [flown(facts, state(t, 6.0, 6.0))[0].ground for t in (60.0, 240.0)]
     assert [each.source for each in after] == [RangeSource.GROUND] * 2
@@ -78,7 +91,9 @@ def test_a_roof_below_it_is_not_believed_told_once_and_told_when_it_is_over() ->
 
 
 def test_a_drone_that_leans_measures_along_the_slant() -> None:
-    leaning = [state(0.1 * k, 6.0, 6.0 / math.cos(math.radians(20.0)), roll_deg=20.0) for k in range(1, 40)]
+    leaning = [
+        state(0.1 * k, 6.0, 6.0 / math.cos(math.radians(20.0)), roll_deg=20.0) for k in range(1, 40)
+    ]
     ground, said = flown(FACTS, *leaning)
     assert said == []
     assert ground.ground.down_m == pytest.approx(0.0, abs=0.02)
@@ -109,7 +124,8 @@ def test_it_is_off_by_as_much_as_it_says() -> None:
     for _ in range(200):
         drift = np.cumsum(0.3 * math.sqrt(0.1 / 60.0) * rng.standard_normal(300))
         states = [
-            state(0.1 * k + 0.1, 6.0 + float(d), 6.0 + 0.05 * float(rng.standard_normal())) for k, d in enumerate(drift)
+            state(0.1 * k + 0.1, 6.0 + float(d), 6.0 + 0.05 * float(rng.standard_normal()))
+            for k, d in enumerate(drift)
         ]
         facts = replace(FACTS, uneven_m=0.0)
         ground, _ = flown(facts, *states)

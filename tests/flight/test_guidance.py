@@ -31,7 +31,16 @@ positive = st.floats(0.01, 5.0)
 
 def at(position: Vec3) -> VehicleState:
     return VehicleState(
-        0, 0, position, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), True, True, True, FlightMode.OFFBOARD, 1.0
+        0,
+        0,
+        position,
+        (0.0, 0.0, 0.0),
+        (1.0, 0.0, 0.0, 0.0),
+        True,
+        True,
+        True,
+        FlightMode.OFFBOARD,
+        1.0,
     )
 
 
@@ -53,7 +62,9 @@ def test_a_heading_turns_forward_and_right_and_leaves_down(offset: Vec3, heading
 
 
 @given(vectors, angles, st.floats(0.0, 60.0))
-def test_the_way_out_of_reach_is_no_longer_than_it_must_be(offset: Vec3, heading: float, distance_m: float) -> None:
+def test_the_way_out_of_reach_is_no_longer_than_it_must_be(
+    offset: Vec3, heading: float, distance_m: float
+) -> None:
     along = from_heading((1.0, 0.0, 0.0), heading)
     way_m = way_until_away(offset, along, distance_m)
     north, east, _ = add(offset, scale(along, way_m))
@@ -64,7 +75,11 @@ def test_the_way_out_of_reach_is_no_longer_than_it_must_be(offset: Vec3, heading
 
 @pytest.mark.parametrize(
     ("heading_deg", "forward", "right"),
-    [(0.0, (1.0, 0.0), (0.0, 1.0)), (90.0, (0.0, 1.0), (-1.0, 0.0)), (180.0, (-1.0, 0.0), (0.0, -1.0))],
+    [
+        (0.0, (1.0, 0.0), (0.0, 1.0)),
+        (90.0, (0.0, 1.0), (-1.0, 0.0)),
+        (180.0, (-1.0, 0.0), (0.0, -1.0)),
+    ],
 )
 def test_right_is_clockwise_of_forward(
     heading_deg: float, forward: tuple[float, float], right: tuple[float, float]
@@ -75,7 +90,9 @@ def test_right_is_clockwise_of_forward(
 
 
 @given(angles, positive, numbers)
-def test_a_bearing_is_the_heading_whose_forward_is_the_vector(heading: float, length: float, down: float) -> None:
+def test_a_bearing_is_the_heading_whose_forward_is_the_vector(
+    heading: float, length: float, down: float
+) -> None:
     yaw = bearing(from_heading((length, 0.0, down), heading))
     assert math.remainder(yaw - heading, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
 
@@ -103,7 +120,9 @@ def test_an_anchor_is_reached_and_then_held() -> None:
 
 
 @given(vectors, vectors, st.floats(0.001, 0.2), st.floats(0.1, 3.0))
-def test_slew_limits_the_acceleration_and_gets_there(before: Vec3, wanted: Vec3, dt_s: float, max_accel: float) -> None:
+def test_slew_limits_the_acceleration_and_gets_there(
+    before: Vec3, wanted: Vec3, dt_s: float, max_accel: float
+) -> None:
     previous, goal = VelocitySetpoint(before, 0.0), VelocitySetpoint(wanted, 1.25)
     after = slew(previous, goal, dt_s, max_accel)
     change = norm(subtract(after.velocity_n_mps, before))
@@ -116,7 +135,9 @@ def test_slew_limits_the_acceleration_and_gets_there(before: Vec3, wanted: Vec3,
 
 
 def test_what_it_comes_to_may_brake_with_all_that_it_has_and_is_not_slid_over() -> None:
-    """At 1.5 m/s a target that brakes with 1.5 m/s2 takes a drone's 1.6 m/s2; one that stands takes nothing."""
+    """At 1.5 m/s a target that brakes with 1.5 m/s2 takes a drone's 1.6 m/s2; one that stands takes
+    nothing.
+    """
     assert spare_accel(1.6, 0.0, 1.5, 1.0) == pytest.approx(1.6)
     assert spare_accel(1.6, 0.3, 1.5, 1.0) == pytest.approx(1.3)
     assert spare_accel(1.6, 1.5, 1.5, 1.0) == pytest.approx(0.2 * 1.6)

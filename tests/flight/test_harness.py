@@ -1,4 +1,6 @@
-"""The lines on a role program's standard output: its parent understands them, and skips a library's own."""
+"""The lines on a role program's standard output: its parent understands them, and skips a library's
+own.
+"""
 
 from __future__ import annotations
 
@@ -83,7 +85,13 @@ def test_a_line_cut_off_is_none(cut: int) -> None:
 
 @pytest.mark.parametrize(
     "changes",
-    [{"event": "results"}, {"outcome": "fine"}, {"outcome": []}, {"landed_m": 3}, {"role": "pilot"}],
+    [
+        {"event": "results"},
+        {"outcome": "fine"},
+        {"outcome": []},
+        {"landed_m": 3},
+        {"role": "pilot"},
+    ],
 )
 def test_an_event_of_another_version_is_none(changes: dict[str, object]) -> None:
     record = json.loads(encode_event(RoleResult(Role.SENDER, Outcome.GUARD, "", False, True)))

@@ -10,9 +10,14 @@ def test_exit_codes_and_labels_are_unique_and_only_the_good_ends_are_zero() -> N
     bad = [outcome for outcome in Outcome if outcome.exit_code != 0]
     assert len({outcome.exit_code for outcome in bad}) == len(bad)
     assert len({outcome.label for outcome in Outcome}) == len(Outcome)
-    assert [outcome for outcome in Outcome if outcome.exit_code == 0] == [Outcome.COMMITTED, Outcome.FLOWN]
-    assert all(0 <= outcome.exit_code < 126 for outcome in Outcome)  # from there on they are the shell's
-    assert all(outcome.exit_code not in (1, 2) for outcome in Outcome)  # tracebacks, wrong command lines
+    assert [outcome for outcome in Outcome if outcome.exit_code == 0] == [
+        Outcome.COMMITTED,
+        Outcome.FLOWN,
+    ]
+    # from there on they are the shell's
+    assert all(0 <= outcome.exit_code < 126 for outcome in Outcome)
+    # tracebacks, wrong command lines
+    assert all(outcome.exit_code not in (1, 2) for outcome in Outcome)
 
 
 @pytest.mark.parametrize("outcome", Outcome)

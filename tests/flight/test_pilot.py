@@ -18,7 +18,9 @@ from flight.pilot import DOUBT_S, Pilot
 from hil.harness.virtual_time import run_virtual
 
 YAW_HALF = (0.9238795325112867, 0.0, 0.0, 0.3826834323650898)  # 45 degrees to the right
-GROUND = VehicleState(0, 0, (0.0, 0.0, -1.5), (0.0, 0.0, 0.0), YAW_HALF, True, True, True, FlightMode.HOLD, 0.9)
+GROUND = VehicleState(
+    0, 0, (0.0, 0.0, -1.5), (0.0, 0.0, 0.0), YAW_HALF, True, True, True, FlightMode.HOLD, 0.9
+)
 
 
 @dataclass
@@ -32,7 +34,9 @@ class FakeVehicle:
     """Says it is well, and writes down what it is told and when."""
 
     state_now: VehicleState = GROUND
-    flown: list[tuple[float, VelocitySetpoint]] = field(default_factory=list[tuple[float, VelocitySetpoint]])
+    flown: list[tuple[float, VelocitySetpoint]] = field(
+        default_factory=list[tuple[float, VelocitySetpoint]]
+    )
     silent: bool = False
 
     @property
@@ -68,7 +72,9 @@ class FakeVehicle:
 
 @dataclass
 class ListLog:
-    records: list[tuple[str, int, dict[str, Any]]] = field(default_factory=list[tuple[str, int, dict[str, Any]]])
+    records: list[tuple[str, int, dict[str, Any]]] = field(
+        default_factory=list[tuple[str, int, dict[str, Any]]]
+    )
 
     def write(self, topic: str, stamp_ns: int, record: Any) -> None:
         self.records.append((topic, stamp_ns, dict(record)))
@@ -151,12 +157,15 @@ def test_a_stall_is_not_made_up_for_with_a_burst() -> None:
 def test_control_begins_at_a_standstill_in_the_present_heading() -> None:
     async def main() -> None:
         flight = Flight()
-        flight.pilot.guidance = lambda state: VelocitySetpoint((1.0, 0.0, 0.0), 0.0)  # of an earlier stay in control
+        # of an earlier stay in control
+        flight.pilot.guidance = lambda state: VelocitySetpoint((1.0, 0.0, 0.0), 0.0)
         task = await flight.for_a_while(0.5)
         task.cancel()
         first = flight.vehicle.flown[0][1]
         assert first.velocity_n_mps == (0.0, 0.0, 0.0)
-        assert [s.yaw_rad for _, s in flight.vehicle.flown] == pytest.approx([0.7853981634] * len(flight.vehicle.flown))
+        assert [s.yaw_rad for _, s in flight.vehicle.flown] == pytest.approx(
+            [0.7853981634] * len(flight.vehicle.flown)
+        )
         assert all(norm(s.velocity_n_mps) == 0.0 for _, s in flight.vehicle.flown)
 
     fly(main())
@@ -183,7 +192,8 @@ def test_hold_here_returns_to_where_it_was_called() -> None:
         flight = Flight()
         task = await flight.for_a_while(0.1)
         flight.pilot.hold_here()
-        flight.vehicle.state_now = replace(flight.vehicle.state_now, position_n_m=(1.0, 0.0, -1.5))  # a gust
+        # a gust
+        flight.vehicle.state_now = replace(flight.vehicle.state_now, position_n_m=(1.0, 0.0, -1.5))
         await asyncio.sleep(2.0)
         task.cancel()
         north, east, down = flight.vehicle.flown[-1][1].velocity_n_mps
@@ -201,7 +211,9 @@ def test_hold_here_returns_to_where_it_was_called() -> None:
         (Outcome.GUARD, {"position_n_m": (100.0, 0.0, -1.0)}),
     ],
 )
-def test_a_tripped_guard_ends_the_run_before_the_next_setpoint(outcome: Outcome, change: dict[str, Any]) -> None:
+def test_a_tripped_guard_ends_the_run_before_the_next_setpoint(
+    outcome: Outcome, change: dict[str, Any]
+) -> None:
     async def main() -> None:
         flight = Flight()
         task = await flight.for_a_while(1.0)
@@ -270,7 +282,10 @@ def test_every_setpoint_is_logged() -> None:
         flight.pilot.guidance = lambda state: VelocitySetpoint((1.0, 0.0, 0.0), 0.0)
         task = await flight.for_a_while(1.0)
         task.cancel()
-        flown = [(round(time_s * 1e9), s.velocity_n_mps, s.yaw_rad) for time_s, s in flight.vehicle.flown[1:]]
+        flown = [
+            (round(time_s * 1e9), s.velocity_n_mps, s.yaw_rad)
+            for time_s, s in flight.vehicle.flown[1:]
+        ]
         logged = [(stamp, r["velocity_n_mps"], r["yaw_rad"]) for _, stamp, r in flight.log.records]
         assert logged == flown
         assert {topic for topic, _, _ in flight.log.records} == {"/setpoint"}
@@ -282,7 +297,9 @@ GONE = ({"mode": FlightMode.OTHER, "mode_told": 1}, {"armed": False, "armed_told
 
 
 @pytest.mark.parametrize("said", GONE)
-def test_one_message_that_somebody_took_it_stops_setpoints_until_it_is_taken_back(said: dict[str, Any]) -> None:
+def test_one_message_that_somebody_took_it_stops_setpoints_until_it_is_taken_back(
+    said: dict[str, Any],
+) -> None:
     async def main() -> None:
         flight = Flight()
         task = await flight.for_a_while(1.0)
@@ -295,13 +312,19 @@ def test_one_message_that_somebody_took_it_stops_setpoints_until_it_is_taken_bac
         await asyncio.sleep(0.5)
         assert len(vehicle.flown) > before + 10 and not task.done()
         assert flight.pilot.override == "" and flight.pilot.in_control
-        assert [topic for topic, _, _ in flight.log.records].count("/doubt") == flight.pilot.taken_back == 1
+        assert (
+            [topic for topic, _, _ in flight.log.records].count("/doubt")
+            == flight.pilot.taken_back
+            == 1
+        )
         task.cancel()
 
     fly(main())
 
 
-@pytest.mark.parametrize(("said", "confirmed"), [(GONE[0], {"mode_told": 2}), (GONE[1], {"armed_told": 2})])
+@pytest.mark.parametrize(
+    ("said", "confirmed"), [(GONE[0], {"mode_told": 2}), (GONE[1], {"armed_told": 2})]
+)
 def test_a_second_message_confirms_it_and_no_setpoint_is_sent_meanwhile(
     said: dict[str, Any], confirmed: dict[str, Any]
 ) -> None:

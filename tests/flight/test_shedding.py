@@ -1,11 +1,23 @@
-"""What a program gives up when it does not keep up, in which order, and when it takes it up again."""
+"""What a program gives up when it does not keep up, in which order, and when it takes it up
+again.
+"""
 
 from __future__ import annotations
 
 import math
 from itertools import groupby, pairwise
 
-from flight.shedding import BEATS, CALM_S, HOLD_S, IN_ORDER, LATE_S, LOOKS, QUICK_LOOKS, Shed, Shedding
+from flight.shedding import (
+    BEATS,
+    CALM_S,
+    HOLD_S,
+    IN_ORDER,
+    LATE_S,
+    LOOKS,
+    QUICK_LOOKS,
+    Shed,
+    Shedding,
+)
 
 ON_TIME, LATE = 0.5 * LATE_S, 2.0 * LATE_S
 
@@ -56,7 +68,9 @@ def test_it_comes_back_one_by_one_after_calm_and_ever_more_slowly() -> None:
 
 
 def frames_taken(shedding: Shedding, interval_ns: int, cycle_ns: int, count: int) -> list[int]:
-    """The ids that a program looks at: always the newest there is, as soon as it is done and has waited."""
+    """The ids that a program looks at: always the newest there is, as soon as it is done and has
+    waited.
+    """
     now_ns, newest, taken = interval_ns, 0, list[int]()
     while newest < count:
         newest = max(newest + 1, now_ns // interval_ns)

@@ -66,7 +66,10 @@ def apart_m(said: Sequence[VehicleState], true: Sequence[VehicleState]) -> float
 
 
 def turned_deg(said: Sequence[VehicleState], true: Sequence[VehicleState]) -> float:
-    return max(abs(math.degrees(yaw_of(a.q_n_b) - yaw_of(b.q_n_b))) for a, b in zip(said, true, strict=True))
+    return max(
+        abs(math.degrees(yaw_of(a.q_n_b) - yaw_of(b.q_n_b)))
+        for a, b in zip(said, true, strict=True)
+    )
 
 
 def test_without_steps_its_states_are_the_vehicles_own() -> None:
@@ -80,23 +83,33 @@ def test_without_steps_its_states_are_the_vehicles_own() -> None:
 def test_states_go_on_as_if_nothing_had_stepped_however_often_it_does() -> None:
     true = states(700)
     says: Sequence[VehicleState] = true
-    for at, shift, turn in ((200, (1.0, -0.5, 0.0), 0.3), (350, (0.0, 0.0, -0.8), 0.0), (500, (-2.0, 0.4, 0.5), -0.6)):
+    for at, shift, turn in (
+        (200, (1.0, -0.5, 0.0), 0.3),
+        (350, (0.0, 0.0, -0.8), 0.0),
+        (500, (-2.0, 0.4, 0.5), -0.6),
+    ):
         says = stepped(says, at, shift, turn)
     watched = Watched(says)
     assert len(watched.vehicle.steps) == 3
     assert apart_m(watched.said, true) < 0.1
     assert turned_deg(watched.said, true) < 1.5
-    assert all(a.velocity_n_mps == b.velocity_n_mps for a, b in zip(watched.said, true, strict=True))
+    assert all(
+        a.velocity_n_mps == b.velocity_n_mps for a, b in zip(watched.said, true, strict=True)
+    )
 
 
 def test_a_place_is_told_to_others_as_the_autopilot_has_it() -> None:
     shift: Vec3 = (1.0, -0.5, -0.7)
     watched = Watched(stepped(states(400), 200, shift))
-    assert watched.vehicle.as_reported((2.0, 2.0, -2.0)) == pytest.approx((3.0, 1.5, -2.7), abs=0.05)
+    assert watched.vehicle.as_reported((2.0, 2.0, -2.0)) == pytest.approx(
+        (3.0, 1.5, -2.7), abs=0.05
+    )
 
 
 @pytest.mark.parametrize("turn_deg", [20.0, -40.0])
-def test_a_heading_is_commanded_as_the_autopilot_has_it_and_a_velocity_as_it_is(turn_deg: float) -> None:
+def test_a_heading_is_commanded_as_the_autopilot_has_it_and_a_velocity_as_it_is(
+    turn_deg: float,
+) -> None:
     watched = Watched(stepped(states(400), 200, (0.0, 0.0, 0.0), math.radians(turn_deg)))
     watched.vehicle.fly(NORTH)
     (sent,) = watched.played.flown
@@ -131,7 +144,9 @@ def test_back_on_the_ground_a_height_counts_from_there() -> None:
     says = stepped(states(400), 200, (0.0, 0.0, 1.0))
     down = [replace(each, armed=False, in_air=False) for each in says[390:]]
     watched = Watched([*says[:390], *down])
-    assert watched.said[389].position_n_m[2] == pytest.approx(says[389].position_n_m[2] - 1.0, abs=0.05)
+    assert watched.said[389].position_n_m[2] == pytest.approx(
+        says[389].position_n_m[2] - 1.0, abs=0.05
+    )
     assert watched.said[-1].position_n_m[2] == says[399].position_n_m[2]
 
 

@@ -39,7 +39,9 @@ def test_from_where_it_stands_aside_the_axis_meets_the_same_place(
     aside = tilt.aim(AXIS_B, heading_rad, below_m=1.5)
     axis = tilted(np.array(tilt.down_n)) @ np.array(from_heading(AXIS_B, heading_rad))
     hit = add(aside, tuple((axis * 1.5 / axis[2]).tolist()))
-    assert hit == pytest.approx((1.5 * math.cos(heading_rad), 1.5 * math.sin(heading_rad), 1.5), abs=1e-3)
+    assert hit == pytest.approx(
+        (1.5 * math.cos(heading_rad), 1.5 * math.sin(heading_rad), 1.5), abs=1e-3
+    )
 
 
 def test_level_it_stands_where_it_is_told() -> None:

@@ -61,7 +61,8 @@ RIGS: tuple[tuple[str, str], ...] = (
     ("[method]\nmax_depth_m = 6000", "max_depth_m: 6000.0 m is not within 0.1..100 m: millimetres?"),
     ("[method]\nmax_incidence_deg = 90", "max_incidence_deg: 90.0 deg is not within 1..89.9 deg"),
     ('[method]\ngate = "evidense"', 'gate: expected one of "count", "evidence"'),
-    ('[method]\ngate = "consecutive"', 'gate: expected one of "count", "evidence"'),  # its name until it was changed
+    # its name until it was changed
+    ('[method]\ngate = "consecutive"', 'gate: expected one of "count", "evidence"'),
     ("[method.evidence]\nalpha = 0", "evidence.alpha: 0.0 of 1 is not above 0 and at most 0.5 of 1"),
     ("[sender.mount.camera]\npitch_down_deg = 450", "pitch_down_deg: 450.0 deg is not within -90..90 deg: more than a whole turn?"),
     ("[sender.mount.camera]\nposition_b_m = [100.0, 0.0, 20.0]", "position_b_m: 100.0 m is not within -3..3 m: millimetres?"),

@@ -41,7 +41,9 @@ def _pose(pose: Pose) -> dict[str, Any]:
 
 @cache
 def _hit_o(eye_o: tuple[float, ...]) -> np.ndarray[Any, Any]:
-    """Returns where the line from ``eye_o`` to the middle of an object enters it, found by walking along it."""
+    """Returns where the line from ``eye_o`` to the middle of an object enters it, found by walking
+    along it.
+    """
     steps = np.linspace(0.8, 1.0, 10_001)[:, None]
     points = np.array(eye_o) + steps * (np.array([0.0, 0.0, 0.08]) - eye_o)
     inside = [np.all(np.abs(points - box[:3]) <= box[3:] / 2, axis=1) for box in BOXES]
@@ -64,15 +66,23 @@ class Synthetic:
     clock_offset_s: float = 100.0
 
     def write(self, folder: Path) -> None:
-        for name, fill in ((SENDER_LOG, self._sender), (RECEIVER_LOG, self._receiver), (WORLD_LOG, self._world)):
+        for name, fill in (
+            (SENDER_LOG, self._sender),
+            (RECEIVER_LOG, self._receiver),
+            (WORLD_LOG, self._world),
+        ):
             if name != WORLD_LOG or self.world:
                 with McapLog(folder / name) as log:
                     fill(log)
                     assert log.failed is None
         label, code = ("committed", 0) if self.committed else ("no_agreement", 10)
-        write_facts(folder, RunFacts("sim", "sim", 7, label, code, simulated_s=40.0, wall_s=0.5, violations={}))
+        write_facts(
+            folder,
+            RunFacts("sim", "sim", 7, label, code, simulated_s=40.0, wall_s=0.5, violations={}),
+        )
 
-    # --- truth: D1 flies east at 0.3 m/s beside the target, D2 behind D1 -------------------------------------------
+    # --- truth: D1 flies east at 0.3 m/s beside the target, D2 behind D1
+    # -------------------------------------------
 
     def T_w_o(self, time_s: float, object_id: int = 0) -> Pose:
         return Pose(np.eye(3), np.array([0.3 * time_s, 4.0 + 1.3 * object_id, 0.0]))
@@ -89,7 +99,11 @@ class Synthetic:
 
     def T_w_v(self, time_s: float) -> Pose:
         backward = np.array(
-            [[1.0, 0.0, 0.0], [0.0, math.sqrt(0.5), -math.sqrt(0.5)], [0.0, math.sqrt(0.5), math.sqrt(0.5)]]
+            [
+                [1.0, 0.0, 0.0],
+                [0.0, math.sqrt(0.5), -math.sqrt(0.5)],
+                [0.0, math.sqrt(0.5), math.sqrt(0.5)],
+            ]
         )
         return Pose(backward, self.T_w_c(Role.SENDER, time_s).t + np.array([0.0, -0.25, 0.05]))
 
@@ -100,11 +114,14 @@ class Synthetic:
         return [u - size_px / 2, v - size_px / 3, size_px, size_px / 1.5]
 
     def _hit_w(self, time_s: float) -> np.ndarray[Any, Any]:
-        """Returns where D1's line of sight through its box centre meets the target: always the same place."""
+        """Returns where D1's line of sight through its box centre meets the target: always the same
+        place.
+        """
         eye_o = self.T_w_o(0.0).inverse().apply(self.T_w_c(Role.SENDER, 0.0).t)
         return self.T_w_o(time_s).apply(_hit_o(tuple(eye_o.tolist())))
 
-    # --- logs ------------------------------------------------------------------------------------------------------
+    # --- logs
+    # ------------------------------------------------------------------------------------------------------
 
     def _stamp(self, role: Role, time_s: float) -> int:
         offset_s = self.clock_offset_s * (1.0 if role is Role.SENDER else 2.5)
@@ -115,8 +132,15 @@ class Synthetic:
             log.write("/phase", self._stamp(role, time_s), {"phase": phase, "note": ""})
         for second in range(15, 36):
             sent = 4000 * second + (400 if role is Role.SENDER else 0)
-            record = {"bytes_sent": sent, "bytes_received": 0, "packets_sent": 0, "packets_received": 0}
-            log.write("/link", self._stamp(role, second), {**record, "dropped": {}, "clock_offset_ns": 0})
+            record = {
+                "bytes_sent": sent,
+                "bytes_received": 0,
+                "packets_sent": 0,
+                "packets_received": 0,
+            }
+            log.write(
+                "/link", self._stamp(role, second), {**record, "dropped": {}, "clock_offset_ns": 0}
+            )
 
     def _image(self, log: McapLog, role: Role, time_s: float) -> None:
         image = np.full((CAMERA.height, CAMERA.width, 3), 110, np.uint8)
@@ -129,13 +153,27 @@ class Synthetic:
         role = Role.SENDER
         end_s = VERIFY_S + PAIRS * 0.02
         self._common(
-            log, role, [(0, "preflight"), (5, "take-off"), (10, "follow"), (VERIFY_S, "verify"), (end_s, "depart")]
+            log,
+            role,
+            [
+                (0, "preflight"),
+                (5, "take-off"),
+                (10, "follow"),
+                (VERIFY_S, "verify"),
+                (end_s, "depart"),
+            ],
         )
         for k in range(FRAMES):
             time_s = VERIFY_S - 1.0 + 0.02 * k
-            log.write("/frame", self._stamp(role, time_s), {"frame_id": k + (k > 100)})  # one frame was missed
+            # one frame was missed
+            log.write("/frame", self._stamp(role, time_s), {"frame_id": k + (k > 100)})
             stamp_ns = self._stamp(role, time_s)
-            target = {"sequence": k, "capture_ns": stamp_ns, "box": self._seen(role, time_s, 0, 90.0), "reason": None}
+            target = {
+                "sequence": k,
+                "capture_ns": stamp_ns,
+                "box": self._seen(role, time_s, 0, 90.0),
+                "reason": None,
+            }
             log.write("/target", stamp_ns, target)
         for k in range(PAIRS + 2):
             agreed = k > 1
@@ -161,17 +199,35 @@ class Synthetic:
             log.write("/agreement", self._stamp(role, time_s) + 1_000_000, record)
         if self.images:
             self._image(log, role, end_s - 0.3)
-        log.write("/responsibility", self._stamp(role, 10.0), {"responsible": True, "until_ns": None})
+        log.write(
+            "/responsibility", self._stamp(role, 10.0), {"responsible": True, "until_ns": None}
+        )
         if self.committed:
-            log.write("/responsibility", self._stamp(role, end_s + 0.04), {"responsible": False, "until_ns": None})
+            log.write(
+                "/responsibility",
+                self._stamp(role, end_s + 0.04),
+                {"responsible": False, "until_ns": None},
+            )
             log.write("/commit", self._stamp(role, end_s + 0.05), {"target_id": 1, "epoch": 1})
-        outcome = {"outcome": "committed" if self.committed else "no_agreement", "detail": "", "landed": True}
-        log.write("/outcome", self._stamp(role, 35.0), {**outcome, "responsible": not self.committed})
+        outcome = {
+            "outcome": "committed" if self.committed else "no_agreement",
+            "detail": "",
+            "landed": True,
+        }
+        log.write(
+            "/outcome", self._stamp(role, 35.0), {**outcome, "responsible": not self.committed}
+        )
 
     def _receiver(self, log: McapLog) -> None:
         role = Role.RECEIVER
         end_s = VERIFY_S + PAIRS * 0.02
-        phases = [(0.0, "preflight"), (6.0, "take-off"), (11.0, "stand-off"), (14.0, "search"), (15.0, "approach")]
+        phases = [
+            (0.0, "preflight"),
+            (6.0, "take-off"),
+            (11.0, "stand-off"),
+            (14.0, "search"),
+            (15.0, "approach"),
+        ]
         self._common(log, role, [*phases, (19.0, "verify"), (end_s, "follow"), (33.0, "land")])
         for k in range(FRAMES - 48):
             time_s = VERIFY_S + 0.02 * k
@@ -181,13 +237,19 @@ class Synthetic:
                 log.write("/marker", stamp_ns, self._marker(stamp_ns, time_s))
                 log.write("/candidate", stamp_ns, self._candidate(k, stamp_ns, time_s))
         if self.committed:
-            log.write("/responsibility", self._stamp(role, end_s + 0.1), {"responsible": True, "until_ns": None})
+            log.write(
+                "/responsibility",
+                self._stamp(role, end_s + 0.1),
+                {"responsible": True, "until_ns": None},
+            )
         if self.images:
             self._image(log, role, end_s - 0.4)
 
     def _marker(self, stamp_ns: int, time_s: float) -> dict[str, Any]:
         half = 0.02
-        corners_v = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
+        corners_v = np.array(
+            [[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]]
+        )
         corners_c = self.T_v_c2(time_s).inverse().apply(corners_v)
         pose = self.T_v_c2(time_s)
         return {
@@ -222,7 +284,10 @@ class Synthetic:
         }
 
     def _world(self, log: McapLog) -> None:
-        camera = {name: getattr(CAMERA, name) for name in ("width", "height", "fx", "fy", "cx", "cy", "distortion")}
+        camera = {
+            name: getattr(CAMERA, name)
+            for name in ("width", "height", "fx", "fy", "cx", "cy", "distortion")
+        }
         # bodies are the cameras themselves, D1's with the marker where it is in truth
         unit = _pose(Pose(np.eye(3), np.zeros(3)))
         marker = _pose(self.T_w_c(Role.SENDER, 0.0).inverse() @ self.T_w_v(0.0))
@@ -238,7 +303,10 @@ class Synthetic:
         for k in range(round(36.0 / 0.05)):
             time_s = 0.05 * k
             objects = [{"id": i, "t": self.T_w_o(time_s, i).t.tolist(), "yaw": 0.0} for i in (0, 1)]
-            bodies = {r.value: {**_pose(self.T_w_c(r, time_s)), "in_air": 5.0 < time_s < 33.0} for r in Role}
+            bodies = {
+                r.value: {**_pose(self.T_w_c(r, time_s)), "in_air": 5.0 < time_s < 33.0}
+                for r in Role
+            }
             log.write("/truth", round(time_s * 1e9), {**bodies, "objects": objects})
         log.write("/setpoint_gap", 0, {"role": "sender", "gap_s": 0.04})
 
@@ -252,7 +320,9 @@ def written_runs() -> dict[Synthetic, Path]:
 
 
 @pytest.fixture
-def make_run(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, written_runs: dict[Synthetic, Path]) -> MakeRun:
+def make_run(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, written_runs: dict[Synthetic, Path]
+) -> MakeRun:
     """Gives a run folder of the test's own; takes the fields of ``Synthetic``."""
 
     def make(**changes: Any) -> Path:

@@ -9,7 +9,9 @@ from flight.harness.flights import FlightReport, FlightRequest, RoleResult
 from flight.outcome import Outcome
 from path.messages import Role
 
-GOOD = {role: RoleResult(role, Outcome.COMMITTED, "", responsible=False, landed=True) for role in Role}
+GOOD = {
+    role: RoleResult(role, Outcome.COMMITTED, "", responsible=False, landed=True) for role in Role
+}
 REPORT = FlightReport(GOOD, dict.fromkeys(Role, True), {}, 40.0, 0.5, notes=("windy",))
 
 

@@ -1,4 +1,5 @@
-"""Bad input of every kind: nothing flies, nothing ends in a traceback, each is named with its fix, nothing is left.
+"""Bad input of every kind: nothing flies, nothing ends in a traceback, each is named with its fix,
+nothing is left.
 
 The tables are data: a row is what is given and what the user is told.
 """
@@ -30,12 +31,20 @@ Said = Callable[..., tuple[int, str]]
 
 
 def tree(folder: Path) -> dict[str, bytes]:
-    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+    return {
+        str(file.relative_to(folder)): file.read_bytes()
+        for file in folder.rglob("*")
+        if file.is_file()
+    }
 
 
 @pytest.fixture
-def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Said:
-    """Carries out a command line in this process, in an empty folder of its own, and fails when anything would fly."""
+def said(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> Said:
+    """Carries out a command line in this process, in an empty folder of its own, and fails when
+    anything would fly.
+    """
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
 
@@ -77,14 +86,27 @@ def test_a_bad_rig_is_refused_by_name_before_anything_moves(
     assert not (tmp_path / "out").exists()
 
 
-# --- the command line ----------------------------------------------------------------------------------------------
+# --- the command line
+# ----------------------------------------------------------------------------------------------
 
 LINES: tuple[tuple[str, int, str], ...] = (
     ("handoff --rig sim --seed -1", 3, "--seed: -1 is not within 0..4294967295"),
-    ("handoff --rig sim --seed 99999999999999999999", 3, "--seed: 99999999999999999999 is not within"),
+    (
+        "handoff --rig sim --seed 99999999999999999999",
+        3,
+        "--seed: 99999999999999999999 is not within",
+    ),
     ("handoff --rig sim --seeds 0", 3, "--seeds: 0 runs is not within 1..1000000 runs"),
-    ("handoff --rig sim --seeds -7", 3, "--seeds: -7 runs is not within 1..1000000 runs: a sign too many?"),
-    ("handoff --rig sim --seeds 2 --jobs -3", 3, "--jobs: -3 processes is not within 0..1024 processes"),
+    (
+        "handoff --rig sim --seeds -7",
+        3,
+        "--seeds: -7 runs is not within 1..1000000 runs: a sign too many?",
+    ),
+    (
+        "handoff --rig sim --seeds 2 --jobs -3",
+        3,
+        "--jobs: -3 processes is not within 0..1024 processes",
+    ),
     ("handoff --rig stil", 3, "no rig named 'stil' (did you mean 'sitl'?)"),
     ("handoff --rig none.toml", 3, "none.toml: no such rig file"),
     ("handoff --rig .", 3, "no rig named '.'"),
@@ -102,7 +124,11 @@ LINES: tuple[tuple[str, int, str], ...] = (
     ("relay --hours 28800", 3, "--hours: 28800.0 h is not above 0 and at most 1000 h: minutes?"),
     ("relay --rig sim", 3, "rig sim has no [relay]"),
     ("relay --seed -1", 3, "--seed: -1 is not within"),
-    ("verify --wire -5", 3, "--wire: -5 packets is not within 0..10000000000 packets: a sign too many?"),
+    (
+        "verify --wire -5",
+        3,
+        "--wire: -5 packets is not within 0..10000000000 packets: a sign too many?",
+    ),
     ("verify --jobs -1", 3, "--jobs: -1 processes is not within"),
     ("verify --seed -1", 3, "--seed: -1 is not within"),
     ("campaign --runs 0", 3, "--runs: 0 runs is not within"),
@@ -114,7 +140,11 @@ LINES: tuple[tuple[str, int, str], ...] = (
     ("trial statics", 2, "statics"),
     ("trial static --seed -1", 3, "--seed: -1 is not within"),
     ("trial static --rig sim", 3, "sim.toml: trials: missing key 'renderer'"),
-    ("trial dynamic --quick --rig dynamic-sim", 3, "dynamic-sim.toml: trials: missing key 'estimator'"),
+    (
+        "trial dynamic --quick --rig dynamic-sim",
+        3,
+        "dynamic-sim.toml: trials: missing key 'estimator'",
+    ),
     ("trial all --xfeat none.onnx", 3, "--xfeat none.onnx: no such file"),
     ("trial real --set none.toml", 3, "--set none.toml: no such file"),
     ("trial soak --seconds -1", 3, "--seconds: -1.0 s is not within"),
@@ -128,7 +158,11 @@ LINES: tuple[tuple[str, int, str], ...] = (
     ("sender", 2, "--rig"),
     ("detect none.mp4", 3, "none.mp4"),
     ("calibrate camera --images none --out c.toml", 3, "none"),
-    ("calibrate board --square-m 30", 3, "--square-m: 30.0 m is not within 0.002..1 m: millimetres?"),
+    (
+        "calibrate board --square-m 30",
+        3,
+        "--square-m: 30.0 m is not within 0.002..1 m: millimetres?",
+    ),
     ("calibrate board --dpi 0", 3, "--dpi: 0 dots per inch is not within"),
 )
 
@@ -144,15 +178,27 @@ def test_a_bad_command_line_is_refused_with_its_fix(
     assert list((tmp_path / "here").iterdir()) == []
 
 
-# --- folders and files ---------------------------------------------------------------------------------------------
+# --- folders and files
+# ---------------------------------------------------------------------------------------------
 
-OUTS = ("sender.mcap", "receiver.guard.mcap", "world.stderr.txt", "sender.state.json", "summary.json", "run.png")
+OUTS = (
+    "sender.mcap",
+    "receiver.guard.mcap",
+    "world.stderr.txt",
+    "sender.state.json",
+    "summary.json",
+    "run.png",
+)
 
 
 @pytest.mark.parametrize("name", OUTS)
 @pytest.mark.parametrize("seeds", ["1", "2"])
 def test_a_folder_with_somebody_elses_files_is_refused_and_left_as_it_is(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, seeds: str
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    name: str,
+    seeds: str,
 ) -> None:
     folder = tmp_path if seeds == "1" else tmp_path / "seed-0000"
     folder.mkdir(exist_ok=True)
@@ -160,13 +206,17 @@ def test_a_folder_with_somebody_elses_files_is_refused_and_left_as_it_is(
     (tmp_path / "notes.mcap").write_text("mine, too")
     before = tree(tmp_path)
     with pytest.raises(SystemExit) as ended:
-        cli.main(["handoff", "--rig", "sim", "--out", str(tmp_path), "--seeds", seeds, "--jobs", "1"])
+        cli.main(
+            ["handoff", "--rig", "sim", "--out", str(tmp_path), "--seeds", seeds, "--jobs", "1"]
+        )
     assert ended.value.code == 3
     assert name in capsys.readouterr().err
     assert tree(tmp_path) == before
 
 
-@pytest.mark.parametrize("command", ["handoff --rig sim", "relay", "sender --rig sim", "verify", "trial static"])
+@pytest.mark.parametrize(
+    "command", ["handoff --rig sim", "relay", "sender --rig sim", "verify", "trial static"]
+)
 def test_a_folder_that_cannot_be_made_is_refused(said: Said, command: str) -> None:
     code, words = said(*command.split(), "--out", "/proc/nowhere/run")
     assert code == 3
@@ -186,19 +236,31 @@ def test_bytes_that_are_no_rig(tmp_path: Path, said: Said, content: bytes) -> No
     assert "rig.toml: " in words
 
 
-RECORDS = (b"", b"{", b"null", b"[]", b'{"record": 3}', b"\xff\xff", b'{"record": {"duty": "king"}}', b"0" * 100_000)
+RECORDS = (
+    b"",
+    b"{",
+    b"null",
+    b"[]",
+    b'{"record": 3}',
+    b"\xff\xff",
+    b'{"record": {"duty": "king"}}',
+    b"0" * 100_000,
+)
 
 
 @pytest.mark.parametrize("content", RECORDS, ids=range(len(RECORDS)))
 @pytest.mark.parametrize("role", Role)
-def test_a_record_that_cannot_be_read_is_an_error_with_a_name(tmp_path: Path, role: Role, content: bytes) -> None:
+def test_a_record_that_cannot_be_read_is_an_error_with_a_name(
+    tmp_path: Path, role: Role, content: bytes
+) -> None:
     (tmp_path / "state.json").write_bytes(content)
     with pytest.raises((StateError, PartError), match=r"state\.json"):
         StateFile(tmp_path / "state.json", role).load()
     assert (tmp_path / "state.json").read_bytes() == content
 
 
-# --- the environment -----------------------------------------------------------------------------------------------
+# --- the environment
+# -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("folder", ["/proc/kernels", "/dev/null/kernels"])
@@ -210,7 +272,9 @@ def test_kernels_without_a_place(said: Said, monkeypatch: pytest.MonkeyPatch, fo
     assert "fix: set NUMBA_CACHE_DIR" in words
 
 
-@pytest.mark.parametrize(("variable", "rig"), [("PATH_PX4", "sitl-px4"), ("PATH_ARDUPILOT", "sitl-ardupilot")])
+@pytest.mark.parametrize(
+    ("variable", "rig"), [("PATH_PX4", "sitl-px4"), ("PATH_ARDUPILOT", "sitl-ardupilot")]
+)
 def test_a_simulator_that_is_not_there(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, variable: str, rig: str
 ) -> None:
@@ -222,14 +286,32 @@ def test_a_simulator_that_is_not_there(
     assert list(tmp_path.iterdir()) == []
 
 
-# --- signals, to real processes ------------------------------------------------------------------------------------
+# --- signals, to real processes
+# ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_lands_a_flight_and_ends_it_by_name(tmp_path: Path, number: signal.Signals) -> None:
-    command = [sys.executable, "-m", "missions.cli", "handoff", "--rig", "sitl-light", "--no-picture", "--out", "run"]
+def test_a_signal_lands_a_flight_and_ends_it_by_name(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "missions.cli",
+        "handoff",
+        "--rig",
+        "sitl-light",
+        "--no-picture",
+        "--out",
+        "run",
+    ]
     with subprocess.Popen(
-        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        command,
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     ) as process:
         assert process.stdout is not None and process.stderr is not None
         try:
@@ -242,7 +324,8 @@ def test_a_signal_lands_a_flight_and_ends_it_by_name(tmp_path: Path, number: sig
     assert (process.returncode, "Traceback" in errors) == (30, False)
 
 
-# --- packets, and lines of programs --------------------------------------------------------------------------------
+# --- packets, and lines of programs
+# --------------------------------------------------------------------------------
 
 
 def packets() -> dict[str, bytes]:
@@ -251,7 +334,10 @@ def packets() -> dict[str, bytes]:
     other = Codec(Role.SENDER, bytes([1] * KEY_LENGTH)).encode(Ping(1, 1))
     own = Codec(Role.RECEIVER, key).encode(Ping(1, 1))
     flips = {f"bit {k} of each byte": bytes(byte ^ (1 << k) for byte in good) for k in range(8)}
-    single = {f"byte {k} turned": good[:k] + bytes([good[k] ^ 0xFF]) + good[k + 1 :] for k in range(len(good))}
+    single = {
+        f"byte {k} turned": good[:k] + bytes([good[k] ^ 0xFF]) + good[k + 1 :]
+        for k in range(len(good))
+    }
     cuts = {f"the first {k} bytes": good[:k] for k in range(len(good))}
     return {
         "one byte more": good + b"\0", "twice": good + good, "another key": other, "an own one come back": own,
@@ -291,7 +377,9 @@ def test_there_are_enough_of_them() -> None:
         ("guard --rig sim", "needs the simulated world"),
     ],
 )
-def test_a_simulated_rig_is_not_flown_from_a_drone(said: Said, tmp_path: Path, command: str, expected: str) -> None:
+def test_a_simulated_rig_is_not_flown_from_a_drone(
+    said: Said, tmp_path: Path, command: str, expected: str
+) -> None:
     before = tree(tmp_path)
     code, words = said(*command.split())
     assert code == 3 and expected in words and "fix: " in words, words

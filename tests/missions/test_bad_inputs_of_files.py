@@ -1,4 +1,6 @@
-"""Pipes, devices, names that are too long, seeds that run out, Ctrl-C while things are loaded: each is told."""
+"""Pipes, devices, names that are too long, seeds that run out, Ctrl-C while things are loaded: each
+is told.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +70,9 @@ LONG = (
 
 
 @pytest.mark.parametrize("line", LONG)
-def test_a_name_that_is_too_long_is_told(here: Path, capsys: pytest.CaptureFixture[str], line: str) -> None:
+def test_a_name_that_is_too_long_is_told(
+    here: Path, capsys: pytest.CaptureFixture[str], line: str
+) -> None:
     before = sorted(here.iterdir())
     code, said = ended(capsys, *line.format(NAME).split())
     assert code == REFUSED, said
@@ -80,7 +84,9 @@ def test_a_name_that_is_too_long_is_told(here: Path, capsys: pytest.CaptureFixtu
 def test_seeds_that_run_out_are_told_before_anything_flies(
     here: Path, capsys: pytest.CaptureFixture[str], seed: int
 ) -> None:
-    code, said = ended(capsys, "handoff", "--rig", "sim", "--seed", str(seed), "--seeds", "3", "--out", "run")
+    code, said = ended(
+        capsys, "handoff", "--rig", "sim", "--seed", str(seed), "--seeds", "3", "--out", "run"
+    )
     assert code == REFUSED and f"the last seed would be {seed + 2}" in said, said
     assert not (here / "run").exists()
 
@@ -127,7 +133,8 @@ cli.main(sys.argv[2:])
 
 
 @pytest.mark.parametrize(
-    "module", ["tyro", "missions.ground.options.field", "missions.field.rig_list", "tomllib", "numpy"]
+    "module",
+    ["tyro", "missions.ground.options.field", "missions.field.rig_list", "tomllib", "numpy"],
 )
 def test_ctrl_c_while_a_command_is_loaded_ends_it_in_silence(module: str) -> None:
     ran = subprocess.run(

@@ -1,4 +1,6 @@
-"""The command line: what is said to whom, with which exit code, and that nothing heavy is loaded to say it."""
+"""The command line: what is said to whom, with which exit code, and that nothing heavy is loaded to
+say it.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,13 @@ import pytest
 
 from drivers.interfaces import PartError
 from missions import cli
-from missions.ground.options.field import DoctorOptions, PrepareOptions, ReceiverOptions, RigsOptions, SenderOptions
+from missions.ground.options.field import (
+    DoctorOptions,
+    PrepareOptions,
+    ReceiverOptions,
+    RigsOptions,
+    SenderOptions,
+)
 from missions.ground.options.flights import HandoffOptions
 from missions.ground.options.proofs import TrialOptions
 from missions.ground.options.runs import ReportOptions
@@ -38,7 +46,9 @@ def parsed(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> object:
 
 
 def test_the_defaults_fly_the_sitl_rig(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert parsed(monkeypatch, "handoff") == HandoffOptions(rig="sitl", seed=0, seeds=1, fault=(), out=None)
+    assert parsed(monkeypatch, "handoff") == HandoffOptions(
+        rig="sitl", seed=0, seeds=1, fault=(), out=None
+    )
 
 
 def test_all_options_of_a_handoff(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -60,7 +70,9 @@ def test_all_options_of_a_handoff(monkeypatch: pytest.MonkeyPatch) -> None:
         "--out",
         "a/b",
     )
-    assert command == HandoffOptions("sim", 7, 100, 0, ("lookalike", "link_loss=0.3"), "exact", "dusk", Path("a/b"))
+    assert command == HandoffOptions(
+        "sim", 7, 100, 0, ("lookalike", "link_loss=0.3"), "exact", "dusk", Path("a/b")
+    )
 
 
 @pytest.mark.parametrize(
@@ -75,10 +87,15 @@ def test_all_options_of_a_handoff(monkeypatch: pytest.MonkeyPatch) -> None:
         (("rigs",), RigsOptions()),
         (("prepare", "--rig", "sim"), PrepareOptions("sim")),
         (("report", "runs/x", "--no-picture"), ReportOptions(Path("runs/x"), False)),
-        (("trial", "all", "--quick", "--xfeat", "x.onnx"), TrialOptions("all", quick=True, xfeat=Path("x.onnx"))),
+        (
+            ("trial", "all", "--quick", "--xfeat", "x.onnx"),
+            TrialOptions("all", quick=True, xfeat=Path("x.onnx")),
+        ),
     ],
 )
-def test_the_other_commands(monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], expected: object) -> None:
+def test_the_other_commands(
+    monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], expected: object
+) -> None:
     command = parsed(monkeypatch, *arguments)
     assert command == expected
     assert type(command) is type(expected)
@@ -93,7 +110,10 @@ def test_every_command_has_a_module_that_runs_it() -> None:
     ("arguments", "words"),
     [
         (["handoff", "--seed", "x"], ["Error parsing --seed", "path-handoff --help"]),
-        (["handoff", "--sed", "3"], ["Unrecognized options: --sed, 3", "in path-handoff campaign --help"]),
+        (
+            ["handoff", "--sed", "3"],
+            ["Unrecognized options: --sed, 3", "in path-handoff campaign --help"],
+        ),
         (["calibrate", "camra"], ["Available subcommands: camera, mount, board"]),
         (["hand", "--seed", "3"], ["Available subcommands: handoff, rehearse"]),
     ],
@@ -123,7 +143,9 @@ def test_a_command_that_is_named_brings_only_its_own_options() -> None:
         "try:\n    cli.main(['rigs'])\n"
         "except SystemExit:\n    print(sorted(m for m in sys.modules if m.startswith('missions.ground.options.')))"
     )
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
     assert ran.stdout == "['missions.ground.options.field', 'missions.ground.options.words']\n"
 
 
@@ -151,7 +173,9 @@ def test_an_unforeseen_error_is_not_dressed_up(monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_reader_that_has_seen_enough_gets_no_traceback() -> None:
     command = [sys.executable, "-m", "missions.cli", "--help"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == ""
@@ -173,7 +197,16 @@ def test_the_rigs_are_listed_with_what_they_are_for(capsys: pytest.CaptureFixtur
     lines = capsys.readouterr().out.splitlines()
     names = [line.split()[0] for line in lines]
     courses = [name for name in names if not name.startswith(("dynamic", "relay", "team"))]
-    first = ["sim", "sim-drone", "sim-fast", "sim-field", "sim-person", "sim-person-indoor", "sim-px4", "sim-rendered"]
+    first = [
+        "sim",
+        "sim-drone",
+        "sim-fast",
+        "sim-field",
+        "sim-person",
+        "sim-person-indoor",
+        "sim-px4",
+        "sim-rendered",
+    ]
     assert courses[: len(first)] == first
     assert courses[8:11] == ["sim-rendered-drone", "sim-rendered-person", "sim-tello"]
     assert all(len(line.split(maxsplit=1)[1]) > 20 for line in lines)
@@ -186,7 +219,9 @@ def test_what_does_not_fly_loads_nothing_heavy(arguments: list[str]) -> None:
         f"try:\n    main({arguments})\n"
         f"except SystemExit:\n    print('loaded:', [m for m in {HEAVY} if m in sys.modules])"
     )
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
     assert ran.stdout.splitlines()[-1] == "loaded: []"
 
 
@@ -198,15 +233,22 @@ def test_a_drones_program_brings_no_harness_and_no_renderer() -> None:
         "load('sitl')\n"
         "print('hil.harness.sitl' in sys.modules)"
     )
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
     assert ran.stdout.splitlines() == ["[]", "True"]
 
 
 def test_switching_level_changes_parts_and_nothing_else() -> None:
-    tables = [tomllib.loads(rig.read_text()) for rig in RIGS if rig.stem in ("sim", "sim-rendered", "sitl")]
+    tables = [
+        tomllib.loads(rig.read_text())
+        for rig in RIGS
+        if rig.stem in ("sim", "sim-rendered", "sitl")
+    ]
     assert len(tables) == 3
     for table in tables:
-        for own in ("autopilot", "airframe"):  # as PX4 was measured where time is real, shortened where it is virtual
+        # as PX4 was measured where time is real, shortened where it is virtual
+        for own in ("autopilot", "airframe"):
             table["world"].pop(own, None)
     for table in tables[1:]:
         for key in ("origin", "method", "mission", "world", "markers"):

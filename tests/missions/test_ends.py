@@ -1,4 +1,6 @@
-"""A flight's end is told by its exit code, whatever becomes of the disk and of whoever reads the output."""
+"""A flight's end is told by its exit code, whatever becomes of the disk and of whoever reads the
+output.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,12 @@ def test_a_full_disk_at_the_end(
     flown(followed_id=followed)
     where = missions.fly.handoff.flight if what == "write_facts" else missions.fly.handoff.command
     monkeypatch.setattr(where, what, fail)
-    assert missions.fly.handoff.command.run(HandoffOptions("sim", out=tmp_path / "flown", picture=False)) == code
+    assert (
+        missions.fly.handoff.command.run(
+            HandoffOptions("sim", out=tmp_path / "flown", picture=False)
+        )
+        == code
+    )
     said = capsys.readouterr()
     assert "No space left on device" in said.out + said.err
     assert "Traceback" not in said.err
@@ -94,4 +101,8 @@ def test_other_errors_of_the_system_are_not_dressed_up(monkeypatch: pytest.Monke
 def test_a_closed_or_full_output_ends_no_command_in_a_traceback(shell: str, code: int) -> None:
     command = shell.format(f"{sys.executable} -m missions.cli")
     ran = subprocess.run(["/bin/sh", "-c", command], capture_output=True, text=True, check=False)
-    assert (ran.returncode, "Traceback" in ran.stderr, "Exception ignored" in ran.stderr) == (code, False, False)
+    assert (ran.returncode, "Traceback" in ran.stderr, "Exception ignored" in ran.stderr) == (
+        code,
+        False,
+        False,
+    )

@@ -1,4 +1,6 @@
-"""Every number that a rig, a calibration or another file of the user's can say has a unit and bounds."""
+"""Every number that a rig, a calibration or another file of the user's can say has a unit and
+bounds.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +73,11 @@ def every_field() -> Iterator[tuple[str, str, Any, Bounds | None, Any]]:
         hints = get_type_hints(kind, include_extras=True)
         for each in dataclasses.fields(kind):
             for leaf, bounds in leaves(hints[each.name]) if each.init else ():
-                if isinstance(leaf, type) and dataclasses.is_dataclass(leaf) and not hasattr(leaf, "from_table"):
+                if (
+                    isinstance(leaf, type)
+                    and dataclasses.is_dataclass(leaf)
+                    and not hasattr(leaf, "from_table")
+                ):
                     waiting.append(leaf)
                 elif leaf in (int, float) and f"{kind.__name__}.{each.name}" not in CHECKED:
                     yield kind.__name__, each.name, leaf, bounds, each.default
@@ -86,7 +92,9 @@ def test_there_are_many() -> None:
 
 
 @pytest.mark.parametrize("field", FIELDS, ids=lambda field: f"{field[0]}.{field[1]}")
-def test_a_number_has_a_unit_and_bounds_that_its_default_is_within(field: tuple[str, str, Any, Any, Any]) -> None:
+def test_a_number_has_a_unit_and_bounds_that_its_default_is_within(
+    field: tuple[str, str, Any, Any, Any],
+) -> None:
     _, name, _, bounds, default = field
     assert bounds is not None, "no bounds"
     assert unit_of(name, bounds), "no unit, neither in its name nor in its bounds"

@@ -1,4 +1,6 @@
-"""``--out`` is taken away while something flies: the end says so, and never "refused before anything moved"."""
+"""``--out`` is taken away while something flies: the end says so, and never "refused before
+anything moved".
+"""
 
 from __future__ import annotations
 

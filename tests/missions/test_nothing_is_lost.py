@@ -1,4 +1,6 @@
-"""Whatever is named for what a command writes: nothing of anybody's is written over, and what is no file is told."""
+"""Whatever is named for what a command writes: nothing of anybody's is written over, and what is no
+file is told.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,11 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def tree(folder: Path) -> dict[str, bytes]:
-    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+    return {
+        str(file.relative_to(folder)): file.read_bytes()
+        for file in folder.rglob("*")
+        if file.is_file()
+    }
 
 
 def ended(capsys: pytest.CaptureFixture[str], line: str) -> tuple[int, str]:
@@ -76,20 +82,27 @@ def test_what_is_there_is_not_written_over_and_what_is_no_file_is_told(
     assert tree(here) == before
 
 
-def test_an_earlier_result_is_written_again(here: Path, capsys: pytest.CaptureFixture[str], make_run: MakeRun) -> None:
+def test_an_earlier_result_is_written_again(
+    here: Path, capsys: pytest.CaptureFixture[str], make_run: MakeRun
+) -> None:
     run = make_run()
     for _ in range(2):
         assert ended(capsys, f"merge {run} --out all.mcap")[0] == 0
         assert ended(capsys, "view --layout layout.json")[0] == 0
 
 
-# --- the account and its folders -------------------------------------------------------------------------------------
+# --- the account and its folders
+# -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("variable", ["TMPDIR", "TEMP", "TMP"])
 @pytest.mark.parametrize("folder", ["/proc", "/nowhere/at/all", "/dev/null", "mine.mcap"])
 def test_a_folder_for_temporary_files_that_is_none_is_named(
-    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, variable: str, folder: str
+    here: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    variable: str,
+    folder: str,
 ) -> None:
     for other in ("TMPDIR", "TEMP", "TMP"):
         monkeypatch.delenv(other, raising=False)
@@ -134,7 +147,9 @@ def test_an_account_without_a_home_is_flown_with(
 
 
 @pytest.mark.parametrize("home", ["/proc/1", "/nowhere", "/dev/null", ""])
-def test_a_home_that_is_another_s_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, home: str) -> None:
+def test_a_home_that_is_another_s_is_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, home: str
+) -> None:
     monkeypatch.setenv("HOME", home)
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")
@@ -148,6 +163,8 @@ def test_a_home_that_is_another_s_is_passed_over(tmp_path: Path, monkeypatch: py
     assert os.environ["NUMBA_CACHE_DIR"].startswith(str(tmp_path))
 
 
-def test_a_temporary_folder_that_works_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_temporary_folder_that_works_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     have_temporary_folder()

@@ -1,4 +1,6 @@
-"""The rooms of ``missions``: who comes in finds one folder, and nothing stands beside them but the way in."""
+"""The rooms of ``missions``: who comes in finds one folder, and nothing stands beside them but the
+way in.
+"""
 
 from __future__ import annotations
 

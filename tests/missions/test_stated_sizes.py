@@ -17,7 +17,9 @@ from path.gate.evidence import evidence_needed, evidence_of
     ("name", "kind"),
     [("sim", "car"), ("sitl-px4", "car"), ("sim-person", "person"), ("sim-drone", "drone")],
 )
-def test_what_a_rig_says_is_wide_and_high_enough_and_hardly_more(name: str, kind: TargetKind) -> None:
+def test_what_a_rig_says_is_wide_and_high_enough_and_hardly_more(
+    name: str, kind: TargetKind
+) -> None:
     rig = rig_library.load_unchecked(name)
     assert rig.world["target"].get("kind", "car") == kind
     parts = parts_of(kind)
@@ -33,11 +35,15 @@ def test_what_a_rig_says_is_wide_and_high_enough_and_hardly_more(name: str, kind
 @pytest.mark.parametrize("name", sorted(file.stem for file in FOLDER.glob("*.toml")))
 def test_a_rig_that_decides_by_evidence_states_the_size_of_its_target(name: str) -> None:
     method = rig_library.load_unchecked(name).method
-    assert method.gate == "count" or (method.evidence.span_m > 0.0 and method.evidence.height_m > 0.0)
+    assert method.gate == "count" or (
+        method.evidence.span_m > 0.0 and method.evidence.height_m > 0.0
+    )
 
 
 @pytest.mark.parametrize("name", sorted(file.stem for file in FOLDER.glob("*.toml")))
-def test_a_rig_that_takes_weaker_blocks_says_that_they_agree_by_accident_more_often(name: str) -> None:
+def test_a_rig_that_takes_weaker_blocks_says_that_they_agree_by_accident_more_often(
+    name: str,
+) -> None:
     stated, usual = rig_library.load_unchecked(name).method.evidence, EvidenceConfig()
     weaker = stated.strength < usual.strength
     assert weaker == (stated.first_rate > usual.first_rate) == (stated.next_rate > usual.next_rate)

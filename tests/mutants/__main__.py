@@ -1,11 +1,12 @@
-"""Do the tests notice? Changes code in small wrong ways, and runs the tests that are there for it on each.
+"""Do the tests notice? Changes code in small wrong ways, and runs the tests that are there for it
+on each.
 
     python -m tests.mutants --room flight/guard --sample 40 --seed 1
     python -m tests.mutants --diff main~5
 
-A room is one of ``rooms.toml``; ``--diff`` takes the lines that differ from a revision, in whatever room they are.
-A table by room and the survivors come last. A survivor is a test to write, or a change that changes nothing: that
-is named in ``rooms.toml`` with the reason.
+A room is one of ``rooms.toml``; ``--diff`` takes the lines that differ from a revision, in whatever
+room they are. A table by room and the survivors come last. A survivor is a test to write, or a
+change that changes nothing: that is named in ``rooms.toml`` with the reason.
 """
 
 from __future__ import annotations
@@ -50,22 +51,33 @@ def main(arguments: Sequence[str], root: Path, stream: TextIO) -> int:
 
 
 def _asked(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser("python -m tests.mutants", description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        "python -m tests.mutants", description=(__doc__ or "").partition("\n")[0]
+    )
     parser.add_argument("--diff", metavar="REVISION", help="change the lines that differ from it")
-    parser.add_argument("--room", action="append", default=[], metavar="NAME", help="change a room; may be repeated")
     parser.add_argument(
-        "--sample", type=int, default=40, help="changes of each room, and of the difference: %(default)s"
+        "--room", action="append", default=[], metavar="NAME", help="change a room; may be repeated"
+    )
+    parser.add_argument(
+        "--sample",
+        type=int,
+        default=40,
+        help="changes of each room, and of the difference: %(default)s",
     )
     parser.add_argument("--seed", type=int, default=0, help="which ones: %(default)s")
     parser.add_argument("--jobs", type=int, default=1, help="side by side: %(default)s")
     parser.add_argument("--out", type=Path, metavar="FILE", help="what came of it, as JSON")
     asked = parser.parse_args(arguments)
     if asked.diff is None and not asked.room:
-        parser.error(f"name --diff or --room: {', '.join(room.name for room in load_table().rooms)}")
+        parser.error(
+            f"name --diff or --room: {', '.join(room.name for room in load_table().rooms)}"
+        )
     return asked
 
 
-def summarize(tried: Sequence[Tried], rooms: dict[str, str], untested: Sequence[str], wall_s: float) -> dict[str, Any]:
+def summarize(
+    tried: Sequence[Tried], rooms: dict[str, str], untested: Sequence[str], wall_s: float
+) -> dict[str, Any]:
     """``mutants`` are those that are not equivalent. ``rooms``: by file."""
     real = [one for one in tried if not one.why]
     by_room: dict[str, dict[str, int]] = {}
@@ -79,7 +91,9 @@ def summarize(tried: Sequence[Tried], rooms: dict[str, str], untested: Sequence[
         "mutants": len(real),
         "caught": caught,
         "by_room": dict(sorted(by_room.items())),
-        "survivors": [{"name": one.mutation.name, "line": one.mutation.line} for one in real if not one.caught],
+        "survivors": [
+            {"name": one.mutation.name, "line": one.mutation.line} for one in real if not one.caught
+        ],
         "equivalent": [{"name": one.mutation.name, "why": one.why} for one in tried if one.why],
         "untested": list(untested),
         "wall_s": round(wall_s, 1),

@@ -1,8 +1,8 @@
 """Runs a module's tests on its code and on wrong versions of it: ``python -m``, this module.
 
-Everything that takes long to import and is not PATH's is imported once; each trial is a fork of that. A line of JSON
-comes in for each: {"module", "source" (null: as it is), "tests", "bound_s"}; one goes out: {"passed", "what", "took_s",
-"broken"}, the last when the tests were not run at all.
+Everything that takes long to import and is not PATH's is imported once; each trial is a fork of
+that. A line of JSON comes in for each: {"module", "source" (null: as it is), "tests", "bound_s"};
+one goes out: {"passed", "what", "took_s", "broken"}, the last when the tests were not run at all.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ _SHOWN = 2000
 class Wrong(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     """Has one module made from another source than the one in its file.
 
-    ``file``: where that source stands, too: numba keeps what it compiles beside it, and compiles nothing without one.
+    ``file``: where that source stands, too: numba keeps what it compiles beside it, and compiles
+    nothing without one.
     """
 
     def __init__(self, module: str, source: str, file: Path) -> None:
@@ -51,18 +52,25 @@ class Wrong(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 
 def run_tests(order: dict[str, Any]) -> int:
-    """pytest's exit code. In a process of its own: what it imports is not to be imported by another trial."""
+    """pytest's exit code. In a process of its own: what it imports is not to be imported by another
+    trial.
+    """
     import pytest  # noqa: PLC0415
 
     if order["source"] is not None:
-        sys.meta_path.insert(0, Wrong(order["module"], order["source"], Path(order["folder"]) / "wrong.py"))
-        try:  # now: pytest loads the modules of its plugins' packages by itself, and would take this one from its file
+        sys.meta_path.insert(
+            0, Wrong(order["module"], order["source"], Path(order["folder"]) / "wrong.py")
+        )
+        # now: pytest loads the modules of its plugins' packages by itself, and would take this one
+        # from its file
+        try:
             importlib.import_module(order["module"])
         except Exception:
             traceback.print_exc()
             return _NOT_IMPORTED
     quiet = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--no-header", "--tb=line"]
-    quiet += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # this module's own package is imported already
+    # this module's own package is imported already
+    quiet += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
     return int(pytest.main([*quiet, *order["tests"]]))
 
 
@@ -113,7 +121,14 @@ def wait_for(child: int, end_s: float) -> int | None:
 
 def _first(text: str) -> str:
     """The test that failed first."""
-    return next((line.partition(" - ")[0] for line in text.splitlines() if line.startswith(("FAILED", "ERROR"))), "")
+    return next(
+        (
+            line.partition(" - ")[0]
+            for line in text.splitlines()
+            if line.startswith(("FAILED", "ERROR"))
+        ),
+        "",
+    )
 
 
 def main() -> None:

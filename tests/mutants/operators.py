@@ -1,7 +1,7 @@
 """Small wrong changes of a module's code, made by rule: what each test suite ought to notice.
 
-The operators, over the syntax tree of functions and of a module's constants (annotations, assertions, strings and what
-is raised are left alone, and so are the defaults of a class's fields):
+The operators, over the syntax tree of functions and of a module's constants (annotations,
+assertions, strings and what is raised are left alone, and so are the defaults of a class's fields):
 
     compare   `<` for `<=` and so on, `==` for `!=`, `is` for `is not`, `in` for `not in`
     logic     `and` for `or`, and the other way round
@@ -36,7 +36,9 @@ _COMPARED: dict[type[ast.cmpop], type[ast.cmpop]] = {
 _SIGNED: dict[type[ast.operator], type[ast.operator]] = {ast.Add: ast.Sub, ast.Sub: ast.Add}
 _OTHER_END = {"min": "max", "max": "min"}
 _UNITS = frozenset({"radians", "degrees", "deg2rad", "rad2deg"})
-_EITHER_ORDER = frozenset({"min", "max", "hypot", "dist", "isclose", "maximum", "minimum", "isinstance"})
+_EITHER_ORDER = frozenset(
+    {"min", "max", "hypot", "dist", "isclose", "maximum", "minimum", "isinstance"}
+)
 _SHOWN = 90  # characters
 
 
@@ -46,7 +48,8 @@ class Mutation:
 
     Attributes:
         file: as in the repository; ``where``: the function, with its class.
-        operator, what: "before -> after", and which one of those in the function when there are several.
+        operator, what: "before -> after", and which one of those in the function when there are
+            several.
         node, variant: where in the tree, and which change there.
     """
 
@@ -75,7 +78,9 @@ def mutations(file: str, source: str) -> list[Mutation]:
             often[key] = often.get(key, 0) + 1
             if often[key] > 1:
                 what += f" (no. {often[key]})"
-            found.append(Mutation(file, where, getattr(node, "lineno", 0), operator, what, number, variant))
+            found.append(
+                Mutation(file, where, getattr(node, "lineno", 0), operator, what, number, variant)
+            )
     return found
 
 
@@ -91,8 +96,13 @@ def _told(node: ast.AST, variant: int) -> str:
     """The first line that differs: before -> after."""
     changed = deepcopy(node)
     list(_variants(changed))[variant][1]()
-    lines = (ast.unparse(node).splitlines(), ast.unparse(ast.fix_missing_locations(changed)).splitlines())
-    old, new = next(pair for pair in zip_longest(*lines, fillvalue="(nothing)") if pair[0] != pair[1])
+    lines = (
+        ast.unparse(node).splitlines(),
+        ast.unparse(ast.fix_missing_locations(changed)).splitlines(),
+    )
+    old, new = next(
+        pair for pair in zip_longest(*lines, fillvalue="(nothing)") if pair[0] != pair[1]
+    )
     return f"{old.strip()[:_SHOWN]} -> {new.strip()[:_SHOWN]}"
 
 
@@ -131,7 +141,9 @@ def _changeable(node: ast.AST) -> Iterator[ast.AST]:
         if name in ("annotation", "returns", "decorator_list", "type_params", "pattern"):
             continue
         children: list[object] = value if isinstance(value, list) else [value]
-        yield from (child for child in children if isinstance(child, ast.AST) and not _is_words(child))
+        yield from (
+            child for child in children if isinstance(child, ast.AST) and not _is_words(child)
+        )
 
 
 def _is_words(node: ast.AST) -> bool:
@@ -187,7 +199,11 @@ def _called(node: ast.Call) -> Iterator[Variant]:
 
 def _swapped(node: ast.Call) -> Iterator[Variant]:
     two = node.args[:2]
-    if len(two) < 2 or any(isinstance(one, ast.Starred) for one in two) or _name_of(node) in _EITHER_ORDER:
+    if (
+        len(two) < 2
+        or any(isinstance(one, ast.Starred) for one in two)
+        or _name_of(node) in _EITHER_ORDER
+    ):
         return
     if ast.dump(two[0]) != ast.dump(two[1]):
         yield "swap", lambda: node.args.__setitem__(slice(2), reversed(two))
@@ -209,7 +225,12 @@ def _elements(node: ast.Tuple) -> Iterator[Variant]:
 def _cases(node: ast.Match) -> Iterator[Variant]:
     for case in node.cases:
         if case.guard is not None:
-            yield "negate", lambda case=case: setattr(case, "guard", ast.UnaryOp(ast.Not(), _known(case.guard)))
+            yield (
+                "negate",
+                lambda case=case: setattr(
+                    case, "guard", ast.UnaryOp(ast.Not(), _known(case.guard))
+                ),
+            )
     if len(node.cases) > 1:
         for case in node.cases[:-1]:
             yield "case", lambda case=case: node.cases.remove(case)
@@ -236,4 +257,6 @@ def _stands_alone(statement: object) -> bool:
     if isinstance(statement, ast.AugAssign):
         return True
     targets = statement.targets if isinstance(statement, ast.Assign) else []
-    return bool(targets) and all(isinstance(target, ast.Attribute | ast.Subscript) for target in targets)
+    return bool(targets) and all(
+        isinstance(target, ast.Attribute | ast.Subscript) for target in targets
+    )

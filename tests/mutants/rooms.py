@@ -1,4 +1,6 @@
-"""What is changed: a room's files, or the lines of a change, and the tests that ought to notice (``rooms.toml``)."""
+"""What is changed: a room's files, or the lines of a change, and the tests that ought to notice
+(``rooms.toml``).
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ class FileTests:
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """Files and folders, and the tests that are there for them; ``slow``: those that wait in real time."""
+    """Files and folders, and the tests that are there for them; ``slow``: those that wait in real
+    time.
+    """
 
     name: str
     files: tuple[str, ...]
@@ -68,7 +72,9 @@ class Table:
         for room in self.rooms:
             if room.name == name:
                 return room
-        raise TableError(f"there is no room {name!r}: one of {', '.join(room.name for room in self.rooms)}")
+        raise TableError(
+            f"there is no room {name!r}: one of {', '.join(room.name for room in self.rooms)}"
+        )
 
     def why_the_same(self, mutation: Mutation) -> str:
         """Return why a change changes nothing; empty when it does."""
@@ -80,14 +86,17 @@ class Table:
 def load_table(path: Path = TABLE) -> Table:
     told: Any = tomllib.loads(path.read_text("utf-8"))
     rooms = tuple(
-        Room(one["name"], tuple(one["files"]), tuple(one["tests"]), tuple(one.get("slow", ()))) for one in told["room"]
+        Room(one["name"], tuple(one["files"]), tuple(one["tests"]), tuple(one.get("slow", ())))
+        for one in told["room"]
     )
     equivalent = {one["name"]: one["why"] for one in told.get("equivalent", ())}
     return Table(rooms, equivalent, {one["file"]: one["why"] for one in told.get("arbitrary", ())})
 
 
 def suite_for(table: Table, file: str, root: Path) -> FileTests | None:
-    """The tests for a file: its room's, or else those of the folder that mirrors its own; None when there are none."""
+    """The tests for a file: its room's, or else those of the folder that mirrors its own; None when
+    there are none.
+    """
     for room in table.rooms:
         if room.holds(file):
             slow = _nearest_first(room.slow, file, root)
@@ -97,7 +106,9 @@ def suite_for(table: Table, file: str, root: Path) -> FileTests | None:
     while folder.parts:
         mirror = Path("tests") / folder
         if any((root / mirror).rglob("test_*.py")):
-            return FileTests(file, _nearest_first((mirror.as_posix(),), file, root), folder.as_posix())
+            return FileTests(
+                file, _nearest_first((mirror.as_posix(),), file, root), folder.as_posix()
+            )
         folder = folder.parent
     return None
 
@@ -106,7 +117,9 @@ def _nearest_first(places: Sequence[str], file: str, root: Path) -> tuple[str, .
     """Every test file of some places, those that are called like the file before the others."""
     found: list[str] = []
     for place in places:
-        inside = sorted((root / place).rglob("test_*.py")) if (root / place).is_dir() else [root / place]
+        inside = (
+            sorted((root / place).rglob("test_*.py")) if (root / place).is_dir() else [root / place]
+        )
         found += [each.relative_to(root).as_posix() for each in inside]
     stem = Path(file).stem
     return tuple(sorted(dict.fromkeys(found), key=lambda each: stem not in Path(each).stem))
@@ -133,7 +146,8 @@ def of_room(table: Table, room: Room, root: Path) -> Chosen:
 
 
 def of_change(table: Table, since: str, root: Path) -> tuple[Chosen, list[str]]:
-    """All changes of the lines that differ from a revision, and the files among them that no test is there for.
+    """All changes of the lines that differ from a revision, and the files among them that no test
+    is there for.
 
     Raises TableError.
     """
@@ -150,7 +164,9 @@ def of_change(table: Table, since: str, root: Path) -> tuple[Chosen, list[str]]:
 
 
 def changed_lines(since: str, root: Path) -> dict[str, set[int]]:
-    """The lines of production code that differ from a revision, by file, as they are numbered now."""
+    """The lines of production code that differ from a revision, by file, as they are numbered
+    now.
+    """
     command = ["git", "diff", "--unified=0", "--no-color", "--relative", since, "--", "*.py"]
     ran = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
     if ran.returncode != 0:
@@ -168,7 +184,9 @@ def changed_lines(since: str, root: Path) -> dict[str, set[int]]:
 
 
 def sample(every: Chosen, number: int, seed: int) -> Chosen:
-    """So many of all changes, by seed. Each file contributes in proportion to how many it has, in their order."""
+    """So many of all changes, by seed. Each file contributes in proportion to how many it has, in
+    their order.
+    """
     rng = random.Random(f"mutants {seed}")
     numbers = list(range(len(every)))
     rng.shuffle(numbers)

@@ -1,4 +1,6 @@
-"""Wrong changes by rule, and the score of the tests against them: on small modules, and a sample of the real ones."""
+"""Wrong changes by rule, and the score of the tests against them: on small modules, and a sample of
+the real ones.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +71,9 @@ def test_each_operator(source: str) -> None:
 
 
 def test_the_same_change_in_two_places_has_two_names() -> None:
-    first, second = mutations("m.py", "class A:\n    def f(self, a, b):\n        return (a < b) == (a < b)")[1:]
+    first, second = mutations(
+        "m.py", "class A:\n    def f(self, a, b):\n        return (a < b) == (a < b)"
+    )[1:]
     assert second.name == f"{first.name} (no. 2)" and first.where == "A.f" and first.line == 3
 
 
@@ -91,9 +95,15 @@ def test_what_is_called_equivalent_is_a_change_that_can_be_made() -> None:
 
 
 def test_the_numbers_of_a_file_may_be_any_and_nothing_else_of_it() -> None:
-    table = Table((), {"a.py f: sign: x + 1 -> x - 1": "named"}, {"b.py": "its numbers stand for any"})
+    table = Table(
+        (), {"a.py f: sign: x + 1 -> x - 1": "named"}, {"b.py": "its numbers stand for any"}
+    )
     same = {
-        file: [one.operator for one in mutations(file, "def f(x):\n    return x + 1") if table.why_the_same(one)]
+        file: [
+            one.operator
+            for one in mutations(file, "def f(x):\n    return x + 1")
+            if table.why_the_same(one)
+        ]
         for file in ("a.py", "b.py", "c.py")
     }
     assert same == {"a.py": ["sign"], "b.py": ["number"], "c.py": []}
@@ -128,7 +138,9 @@ def project(tmp_path: Path) -> Path:
     (tmp_path / "sums.py").write_text(
         "def unseen(a, b):\n    return a < b\n\n\ndef seen(a, b):\n    return a > b\n\n\ndef one():\n    return 1\n"
     )
-    (tmp_path / "test_sums.py").write_text("from sums import seen\n\n\ndef test_seen():\n    assert not seen(1, 1)\n")
+    (tmp_path / "test_sums.py").write_text(
+        "from sums import seen\n\n\ndef test_seen():\n    assert not seen(1, 1)\n"
+    )
     return tmp_path
 
 
@@ -139,7 +151,9 @@ def test_the_score_counts_what_the_tests_notice_and_names_what_they_do_not(proje
     stream = io.StringIO()
     tried = score(table, of_room(table, room, project), 1, project, stream)
     told = summarize(tried, {"sums.py": "sums"}, ["alone.py"], 1.0)
-    assert [one["name"] for one in told["survivors"]] == ["sums.py unseen: compare: a < b -> a <= b"]
+    assert [one["name"] for one in told["survivors"]] == [
+        "sums.py unseen: compare: a < b -> a <= b"
+    ]
     assert [(one.mutation.what, one.by) for one in tried if one.caught] == [
         ("a > b -> a >= b", "FAILED test_sums.py::test_seen")
     ]
@@ -149,7 +163,9 @@ def test_the_score_counts_what_the_tests_notice_and_names_what_they_do_not(proje
     show(told, stream)
     lines = stream.getvalue().splitlines()
     assert "SURVIVED line    2  sums.py unseen: compare: a < b -> a <= b" in lines
-    assert [line.split() for line in lines if line.startswith("sums ")] == [["sums", "2", "1", "50.0%"]]
+    assert [line.split() for line in lines if line.startswith("sums ")] == [
+        ["sums", "2", "1", "50.0%"]
+    ]
     assert "no tests mirror alone.py" in lines
 
 
@@ -160,7 +176,9 @@ def git(folder: Path, *words: str) -> None:
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """One function of two has changed since the first commit, and a file that no test is there for."""
+    """One function of two has changed since the first commit, and a file that no test is there
+    for.
+    """
     before = "def old(a, b):\n    return a < b\n\n\ndef new(a, b):\n    return a\n"
     for folder in ("path/sums", "tests/path/sums", "hil"):
         (tmp_path / folder).mkdir(parents=True)
@@ -170,7 +188,9 @@ def checkout(tmp_path: Path) -> Path:
     git(tmp_path, "init", "-q")
     git(tmp_path, "add", "-A")
     git(tmp_path, "commit", "-q", "-m", "before")
-    (tmp_path / "path" / "sums" / "sums.py").write_text(before.replace("return a\n", "c = a > b\n    return c\n"))
+    (tmp_path / "path" / "sums" / "sums.py").write_text(
+        before.replace("return a\n", "c = a > b\n    return c\n")
+    )
     (tmp_path / "hil" / "alone.py").write_text("def alone(a):\n    return not a\n")
     git(tmp_path, "add", "-A")
     return tmp_path
@@ -218,7 +238,9 @@ def test_a_wrong_version_that_hangs_is_ended_and_noticed(project: Path) -> None:
 
 
 def test_what_is_noticed_only_at_import_is_tried_from_the_first_import_on(project: Path) -> None:
-    """A version that a living module cannot take, and one whose tests were made of it when they were collected."""
+    """A version that a living module cannot take, and one whose tests were made of it when they
+    were collected.
+    """
     suite = FileTests("sums.py", ("test_sums.py",))
     (project / "test_sums.py").write_text(
         "import sums\n\nMADE = sums.seen(1, 1)\n\n\ndef test_made():\n    assert not MADE\n"
@@ -234,12 +256,16 @@ def test_what_is_noticed_only_at_import_is_tried_from_the_first_import_on(projec
 
 
 def test_a_wrong_kernel_is_compiled_and_tried(project: Path) -> None:
-    """What numba cannot keep it does not compile: every wrong kernel would count as noticed, and no test be run."""
+    """What numba cannot keep it does not compile: every wrong kernel would count as noticed, and no
+    test be run.
+    """
     (project / "sums.py").write_text(
         "from path.compiled import kernel\n\n\n@kernel\ndef more(a):\n    return a + 1\n\n\n"
         "def unseen(a):\n    return a < 1\n"
     )
-    (project / "test_sums.py").write_text("from sums import more\n\n\ndef test_more():\n    assert more(1) == 2\n")
+    (project / "test_sums.py").write_text(
+        "from sums import more\n\n\ndef test_more():\n    assert more(1) == 2\n"
+    )
     right = (project / "sums.py").read_text()
     suite = FileTests("sums.py", ("test_sums.py",))
     with Trials(project, 1, suite.tests) as trials:
@@ -248,20 +274,31 @@ def test_a_wrong_kernel_is_compiled_and_tried(project: Path) -> None:
     assert not came["passed"] and "test_more" in came["what"]
 
 
-def test_a_module_that_pytest_would_load_by_itself_is_the_wrong_one_all_the_same(project: Path) -> None:
-    """pytest rewrites the asserts of its plugins' packages, and ``missions`` is one: it loads them from their files."""
-    (project / "conftest.py").write_text('import pytest\n\npytest.register_assert_rewrite("sums")\n')
+def test_a_module_that_pytest_would_load_by_itself_is_the_wrong_one_all_the_same(
+    project: Path,
+) -> None:
+    """pytest rewrites the asserts of its plugins' packages, and ``missions`` is one: it loads them
+    from their files.
+    """
+    (project / "conftest.py").write_text(
+        'import pytest\n\npytest.register_assert_rewrite("sums")\n'
+    )
     (project / "sums.py").write_text("class Base:\n    def f(self):\n        return 1\n\n\nclass Sums(Base):\n"
                                      "    def f(self):\n        return super().f()\n")  # fmt: skip
-    (project / "test_sums.py").write_text("from sums import Sums\n\n\ndef test_it():\n    assert Sums().f() == 1\n")
+    (project / "test_sums.py").write_text(
+        "from sums import Sums\n\n\ndef test_it():\n    assert Sums().f() == 1\n"
+    )
     suite = FileTests("sums.py", ("test_sums.py",))
-    wrong = (project / "sums.py").read_text().replace("return super().f()", "pass")  # no living function can take it
+    # no living function can take it
+    wrong = (project / "sums.py").read_text().replace("return super().f()", "pass")
     with Trials(project, 1, suite.tests) as trials:
         came = trials.trial(suite, wrong, 60.0)
     assert not came["passed"] and "test_it" in came["what"]
 
 
-def test_a_module_gets_the_code_of_another_source_in_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_module_gets_the_code_of_another_source_in_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     source = """
 from dataclasses import dataclass
 from functools import cache
@@ -333,12 +370,18 @@ def test_outside_a_checkout_it_says_so(tmp_path: Path) -> None:
     assert "there is no path/gate here" in stream.getvalue()
 
 
-def test_a_sample_of_the_real_ones_is_caught(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sample_of_the_real_ones_is_caught(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The command, on the quickest of the rooms."""
     tests = tuple(f"tests/flight/guard/test_rules{more}.py" for more in ("", "_taken", "_bounds"))
     rules = Room("rules", ("flight/guard/rules.py",), tests)
     monkeypatch.setattr("tests.mutants.__main__.load_table", lambda: Table((rules,)))
     stream = io.StringIO()
-    code = main(["--room", "rules", "--sample", "3", "--seed", "2", "--out", str(tmp_path / "told")], ROOT, stream)
+    code = main(
+        ["--room", "rules", "--sample", "3", "--seed", "2", "--out", str(tmp_path / "told")],
+        ROOT,
+        stream,
+    )
     told = json.loads((tmp_path / "told").read_text())
     assert (code, told["mutants"], told["caught"]) == (0, 3, 3), stream.getvalue()

@@ -17,7 +17,10 @@ from tests.mutants.operators import Mutation, mutated
 from tests.mutants.rooms import FileTests, Table, TableError
 
 HERE = Path(__file__).parents[2]
-WITH_THIS = {**os.environ, "PYTHONPATH": os.pathsep.join([str(HERE), *filter(None, [os.environ.get("PYTHONPATH")])])}
+WITH_THIS = {
+    **os.environ,
+    "PYTHONPATH": os.pathsep.join([str(HERE), *filter(None, [os.environ.get("PYTHONPATH")])]),
+}
 _SLOWER, _MORE_S = 5.0, 30.0  # than the right code: then a wrong version has hung
 _COLDER = 3.0  # how much longer a trial may take that imports everything anew
 _SLOW_S = 600.0  # that those may take which are run on what the others do not notice
@@ -26,7 +29,9 @@ _LONGEST_S = 900.0
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """The result of a wrong version. ``by``: the test that noticed; ``why``: it is the same in all that counts."""
+    """The result of a wrong version. ``by``: the test that noticed; ``why``: it is the same in all
+    that counts.
+    """
 
     mutation: Mutation
     caught: bool
@@ -36,13 +41,20 @@ class Tried:
 
 
 class Server:
-    """A ``warm`` one, which has collected these tests, or with none a ``cold`` one; what is said to it."""
+    """A ``warm`` one, which has collected these tests, or with none a ``cold`` one; what is said to
+    it.
+    """
 
     def __init__(self, root: Path, tests: Sequence[str] = ()) -> None:
         command = [sys.executable, "-m", f"tests.mutants.{'warm' if tests else 'cold'}", *tests]
         self._told = " ".join(["python", *command[1:]])
         self._process = subprocess.Popen(
-            command, cwd=root, env=WITH_THIS, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            command,
+            cwd=root,
+            env=WITH_THIS,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
         )
 
     def trial(self, suite: FileTests, source: str | None, bound_s: float) -> dict[str, Any]:
@@ -52,7 +64,9 @@ class Server:
         self._process.stdin.flush()
         answer = self._process.stdout.readline()
         if not answer:
-            raise TableError(f"the program that runs the tests has ended: see what `{self._told} < /dev/null` says")
+            raise TableError(
+                f"the program that runs the tests has ended: see what `{self._told} < /dev/null` says"
+            )
         return json.loads(answer)
 
     def close(self) -> None:
@@ -65,8 +79,9 @@ class Server:
 class Trials:
     """Servers, one a job, and the trials they run.
 
-    A wrong version is put into what is imported already, which takes a moment. Only one that is not noticed there, or
-    cannot be put there, is tried again from the first import on, by a server that is started then.
+    A wrong version is put into what is imported already, which takes a moment. Only one that is not
+    noticed there, or cannot be put there, is tried again from the first import on, by a server that
+    is started then.
     """
 
     def __init__(self, root: Path, jobs: int, tests: Sequence[str]) -> None:
@@ -96,7 +111,9 @@ class Trials:
         return (
             came
             if source is None or not (came["passed"] or came["broken"])
-            else self._from_the_first(suite, source, _COLDER * bound_s + (_SLOW_S if suite.slow else 0.0))
+            else self._from_the_first(
+                suite, source, _COLDER * bound_s + (_SLOW_S if suite.slow else 0.0)
+            )
         )
 
     def _from_the_first(self, suite: FileTests, source: str, bound_s: float) -> dict[str, Any]:
@@ -110,7 +127,9 @@ class Trials:
             self._cold.put(server)
 
     def bounds_s(self, suites: Sequence[FileTests]) -> dict[str, float]:
-        """Returns how long each suite may take, from how long it takes on the right code. Raises TableError."""
+        """Returns how long each suite may take, from how long it takes on the right code. Raises
+        TableError.
+        """
 
         def right(suite: FileTests) -> float:
             came = self.trial(suite, None, _LONGEST_S)
@@ -118,12 +137,15 @@ class Trials:
                 raise TableError(f"the tests of {suite.file} fail as it is: {came['what']}")
             return _SLOWER * came["took_s"] + _MORE_S
 
-        kinds = {frozenset(suite.tests): suite for suite in suites}  # files of one room have the same tests
+        # files of one room have the same tests
+        kinds = {frozenset(suite.tests): suite for suite in suites}
         with ThreadPoolExecutor(self._jobs) as threads:
             found = dict(zip(kinds, threads.map(right, kinds.values()), strict=True))
         return {suite.file: found[frozenset(suite.tests)] for suite in suites}
 
-    def wrong(self, chosen: Sequence[tuple[FileTests, Mutation]], bounds_s: dict[str, float]) -> Iterator[Tried]:
+    def wrong(
+        self, chosen: Sequence[tuple[FileTests, Mutation]], bounds_s: dict[str, float]
+    ) -> Iterator[Tried]:
         def tried(one: tuple[FileTests, Mutation]) -> Tried:
             suite, mutation = one
             source = mutated((self._root / suite.file).read_text("utf-8"), mutation)
@@ -137,10 +159,18 @@ class Trials:
 
 
 def score(
-    table: Table, chosen: Sequence[tuple[FileTests, Mutation]], jobs: int, root: Path, stream: TextIO
+    table: Table,
+    chosen: Sequence[tuple[FileTests, Mutation]],
+    jobs: int,
+    root: Path,
+    stream: TextIO,
 ) -> list[Tried]:
-    """Run the tests on wrong versions; those known to be equivalent are not run. Raises TableError."""
-    for place in sorted({place for tested, _ in chosen for place in (tested.file, *tested.tests, *tested.slow)}):
+    """Run the tests on wrong versions; those known to be equivalent are not run. Raises
+    TableError.
+    """
+    for place in sorted(
+        {place for tested, _ in chosen for place in (tested.file, *tested.tests, *tested.slow)}
+    ):
         if not (root / place).exists():
             raise TableError(f"there is no {place} here: run it in a checkout, and see rooms.toml")
     known = [Tried(one, False, why=why) for _, one in chosen if (why := table.why_the_same(one))]
@@ -153,6 +183,8 @@ def score(
         bounds_s = trials.bounds_s(files)
         for came in trials.wrong(rest, bounds_s):
             known.append(came)
-            stream.write(f"{'caught  ' if came.caught else 'SURVIVED'} {came.took_s:6.1f} s  {came.mutation.name}\n")
+            stream.write(
+                f"{'caught  ' if came.caught else 'SURVIVED'} {came.took_s:6.1f} s  {came.mutation.name}\n"
+            )
             stream.flush()
     return known

@@ -1,12 +1,15 @@
-"""Runs tests on wrong versions of modules that are imported already: ``python -m``, this module, and test files.
+"""Runs tests on wrong versions of modules that are imported already: ``python -m``, this module,
+and test files.
 
-All tests are collected once, on the right code. Each trial is a fork of that: in the child the functions of one module
-get the code of another source, in place, and the tests of that module run in it, until the first one fails. What was
-made of them before, at import or when tests were collected, stays as it was, so that a wrong version which gets through
-here is worth a trial by ``cold``, from the first import on.
+All tests are collected once, on the right code. Each trial is a fork of that: in the child the
+functions of one module get the code of another source, in place, and the tests of that module run
+in it, until the first one fails. What was made of them before, at import or when tests were
+collected, stays as it was, so that a wrong version which gets through here is worth a trial by
+``cold``, from the first import on.
 
-A line of JSON comes in for each trial: {"module", "source" (null: as it is), "tests", "bound_s"}; one goes out:
-{"passed", "what", "took_s", "broken"}, the last when the tests could not be run like this.
+A line of JSON comes in for each trial: {"module", "source" (null: as it is), "tests", "bound_s"};
+one goes out: {"passed", "what", "took_s", "broken"}, the last when the tests could not be run like
+this.
 """
 
 from __future__ import annotations
@@ -37,9 +40,13 @@ class NotHereError(Exception):
 
 
 def put_into(module: ModuleType, source: str) -> None:
-    """A module gets another source's numbers, and its functions the code and defaults. Raises NotHereError."""
+    """A module gets another source's numbers, and its functions the code and defaults. Raises
+    NotHereError.
+    """
     made = ModuleType(module.__name__)
-    made.__dict__.update(__package__=module.__package__, __file__=module.__file__, __spec__=module.__spec__)
+    made.__dict__.update(
+        __package__=module.__package__, __file__=module.__file__, __spec__=module.__spec__
+    )
     try:
         exec(compile(source, _MARK, "exec"), made.__dict__)
     except Exception as error:
@@ -93,7 +100,9 @@ def _parts(value: object) -> list[object]:
 
 
 class Serving:
-    """A plugin of pytest: instead of running the tests, it runs some of them in a fork, whenever it is told to."""
+    """A plugin of pytest: instead of running the tests, it runs some of them in a fork, whenever it
+    is told to.
+    """
 
     def __init__(self, orders: IO[str], answers: IO[str]) -> None:
         self._orders, self._answers = orders, answers
@@ -127,7 +136,9 @@ class Serving:
         return True
 
     def _become(self, session: Any, order: dict[str, Any], said: int) -> None:
-        """A child: silent, a process group of its own, the module wrong and the tests in their order."""
+        """A child: silent, a process group of its own, the module wrong and the tests in their
+        order.
+        """
         os.setsid()
         self._said = said
         try:
@@ -135,7 +146,9 @@ class Serving:
                 put_into(importlib.import_module(order["module"]), order["source"])
         except NotHereError as error:
             self._end(_BROKEN, str(error))
-        session.items = [item for place in order["tests"] for item in session.items if _is_of(item.nodeid, place)]
+        session.items = [
+            item for place in order["tests"] for item in session.items if _is_of(item.nodeid, place)
+        ]
         if not session.items:
             self._end(_BROKEN, f"no tests in {order['tests']}")
 
@@ -149,7 +162,10 @@ class Serving:
 
     def pytest_sessionfinish(self, session: Any, exitstatus: int) -> None:
         if self._said is not None:
-            self._end(0 if session.testscollected and exitstatus == 0 else _BROKEN, f"pytest ended with {exitstatus}")
+            self._end(
+                0 if session.testscollected and exitstatus == 0 else _BROKEN,
+                f"pytest ended with {exitstatus}",
+            )
 
     def _end(self, code: int, what: str) -> None:
         """At once: what tests left open goes with the process group."""

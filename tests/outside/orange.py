@@ -1,4 +1,6 @@
-"""A detector of one's own: what is orange, by OpenCV alone. A rig beside it names it ``orange.py:Orange``."""
+"""A detector of one's own: what is orange, by OpenCV alone. A rig beside it names it
+``orange.py:Orange``.
+"""
 
 from dataclasses import dataclass
 
@@ -12,7 +14,9 @@ from path.observations import Box, Detection, Region
 
 @dataclass(frozen=True)
 class OrangeConfig:
-    """The part of the hue circle that is orange (OpenCV's half degrees), and how few pixels are nothing."""
+    """The part of the hue circle that is orange (OpenCV's half degrees), and how few pixels are
+    nothing.
+    """
 
     least_hue: int = 5
     most_hue: int = 20
@@ -20,7 +24,9 @@ class OrangeConfig:
 
 
 class Orange:
-    """Made by the rig with its table and the part's context; ``detect`` is asked for every frame."""
+    """Made by the rig with its table and the part's context; ``detect`` is asked for every
+    frame.
+    """
 
     Config = OrangeConfig
 
@@ -28,13 +34,17 @@ class Orange:
         self._config = config
 
     def detect(self, image: NDArray[np.uint8], region: Region | None) -> list[Detection]:
-        """image: (h, w, 3) uint8 BGR. region: where it is looked for (x0, y0, x1, y1 px), or None for everywhere."""
+        """image: (h, w, 3) uint8 BGR. region: where it is looked for (x0, y0, x1, y1 px), or None
+        for everywhere.
+        """
         config = self._config
         hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)
         orange = cv2.inRange(hsv, (config.least_hue, 120, 80), (config.most_hue, 255, 255))
         orange = cv2.dilate(orange, np.ones((3, 3), np.uint8))
         _, _, stats, _ = cv2.connectedComponentsWithStats(orange)
-        boxes = [Box(x, y, w, h) for x, y, w, h, area in stats[1:].tolist() if area >= config.least_px]
+        boxes = [
+            Box(x, y, w, h) for x, y, w, h, area in stats[1:].tolist() if area >= config.least_px
+        ]
         if region is not None:
             boxes = [box for box in boxes if self._centre_in(box, region)]
         return [Detection(box, 0.9) for box in boxes]

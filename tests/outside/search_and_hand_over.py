@@ -1,4 +1,6 @@
-"""D1 searches a field for the car that was reported, follows the one it finds, and hands it over to D2."""
+"""D1 searches a field for the car that was reported, follows the one it finds, and hands it over to
+D2.
+"""
 
 import math
 
@@ -6,7 +8,8 @@ from missions.own import Drone
 
 REPORTED_N_M = (4.0, 0.0)  # where somebody saw it, north and east; it drives
 NEAR_M = 4.0  # of there; whatever is farther off is something else
-STOPS_M = ((0.0, 0.0), (1.5, 0.0), (1.5, -1.5), (1.5, 1.5), (3.0, 0.0))  # north and east, where to look from
+# north and east, where to look from
+STOPS_M = ((0.0, 0.0), (1.5, 0.0), (1.5, -1.5), (1.5, 1.5), (3.0, 0.0))
 FRAMES = 25  # to look at there
 
 
@@ -27,7 +30,9 @@ async def search(drone: Drone) -> tuple[float, float, float]:
         await drone.fly_to(north_m, east_m, 1.5, heading_deg=0.0)
         for _ in range(FRAMES):
             seen = drone.objects(await drone.look())
-            near = [place_n_m for place_n_m in seen if math.dist(place_n_m[:2], REPORTED_N_M) < NEAR_M]
+            near = [
+                place_n_m for place_n_m in seen if math.dist(place_n_m[:2], REPORTED_N_M) < NEAR_M
+            ]
             if near:
                 return min(near, key=lambda place_n_m: math.dist(place_n_m[:2], REPORTED_N_M))
     drone.fail("there is no car where it was reported")

@@ -1,4 +1,6 @@
-"""A detector from outside: one file beside a rig, named in it; and what is told when it does not fit."""
+"""A detector from outside: one file beside a rig, named in it; and what is told when it does not
+fit.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,9 @@ def test_a_detector_in_a_file_beside_the_rig_flies_a_handover(folder: Path) -> N
         ("orange.py:OrangeConfig", "", "no Config dataclass"),
     ],
 )
-def test_what_does_not_fit_is_told_before_anything_moves(folder: Path, factory: str, options: str, said: str) -> None:
+def test_what_does_not_fit_is_told_before_anything_moves(
+    folder: Path, factory: str, options: str, said: str
+) -> None:
     (folder / "broken.py").write_text("class Orange:\n  def", "utf-8")
     (folder / "ends.py").write_text("import sys\nsys.exit(0)\n", "utf-8")
     with pytest.raises(RigError) as refused:
@@ -64,14 +68,21 @@ def test_what_does_not_fit_is_told_before_anything_moves(folder: Path, factory: 
 @pytest.mark.parametrize(
     ("body", "said"),
     [
-        (("def __init__(self, config): pass", "def detect(self, image, region): return []"), "Orange(config, context)"),
+        (
+            ("def __init__(self, config): pass", "def detect(self, image, region): return []"),
+            "Orange(config, context)",
+        ),
         (("def __init__(self, config, context): pass",), "no detect(image, region)"),
     ],
 )
-def test_a_part_of_another_shape_is_told_with_the_right_one(folder: Path, body: tuple[str, ...], said: str) -> None:
+def test_a_part_of_another_shape_is_told_with_the_right_one(
+    folder: Path, body: tuple[str, ...], said: str
+) -> None:
     text = (folder / "orange.py").read_text("utf-8")
     begin = text.index("    def __init__")
-    (folder / "orange.py").write_text(text[:begin] + "".join(f"    {line}\n" for line in body), "utf-8")
+    (folder / "orange.py").write_text(
+        text[:begin] + "".join(f"    {line}\n" for line in body), "utf-8"
+    )
     rig = rig_library.load(written(folder, "orange.py:Orange"))
     out = folder / "run"
     out.mkdir()

@@ -1,4 +1,6 @@
-"""A mission from outside that searches, hands over what it found, and goes on: written from the surface alone."""
+"""A mission from outside that searches, hands over what it found, and goes on: written from the
+surface alone.
+"""
 
 from __future__ import annotations
 
@@ -53,20 +55,36 @@ def test_the_pages_example_is_the_one_that_flies_and_short() -> None:
 @pytest.mark.parametrize(
     ("sender", "receiver", "why"),
     [
-        ("await drone.hand_over()", "await drone.take_over()", "to hand over it has to take off first"),
+        (
+            "await drone.hand_over()",
+            "await drone.take_over()",
+            "to hand over it has to take off first",
+        ),
         ("await drone.take_over()", "await drone.take_over()", "the sender carries the marker"),
-        ("await drone.until(lambda: False, 30.0, 'waits')", "await drone.hand_over()", "only the sender carries"),
-        ("await drone.hand_over(to='sender')", "await drone.take_over()", "there is no drone 'sender'"),
+        (
+            "await drone.until(lambda: False, 30.0, 'waits')",
+            "await drone.hand_over()",
+            "only the sender carries",
+        ),
+        (
+            "await drone.hand_over(to='sender')",
+            "await drone.take_over()",
+            "there is no drone 'sender'",
+        ),
     ],
 )
-def test_what_cannot_be_handed_over_is_said_on_the_ground(sender: str, receiver: str, why: str, tmp_path: Path) -> None:
+def test_what_cannot_be_handed_over_is_said_on_the_ground(
+    sender: str, receiver: str, why: str, tmp_path: Path
+) -> None:
     mission = tmp_path / "asked.py"
     mission.write_text(ASKED.format(sender=sender, receiver=receiver), "utf-8")
     facts = fly(mission, tmp_path / "run", 1)
     assert facts.outcome == "mission_failed" and why in facts.detail
 
 
-def test_a_place_where_nothing_is_ends_as_a_handover_does_and_both_drones_land(tmp_path: Path) -> None:
+def test_a_place_where_nothing_is_ends_as_a_handover_does_and_both_drones_land(
+    tmp_path: Path,
+) -> None:
     mission = tmp_path / "nothing.py"
     given = "await drone.take_off(1.5)\n    await drone.hand_over((-6.0, 5.0, 0.0), error_m=0.3)"
     mission.write_text(ASKED.format(sender=given, receiver="await drone.take_over()"), "utf-8")

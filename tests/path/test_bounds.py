@@ -27,12 +27,27 @@ class Course:
         ("height_m", 150.0, Bounds(0.3, 100.0), "150.0 m is not within 0.3..100 m: centimetres?"),
         ("height_m", -1.5, Bounds(0.3, 100.0), "-1.5 m is not within 0.3..100 m: a sign too many?"),
         ("height_m", 1e9, Bounds(0.3, 100.0), "1000000000.0 m is not within 0.3..100 m"),
-        ("pitch_down_deg", 405.0, Bounds(-90.0, 90.0), "405.0 deg is not within -90..90 deg: more than a whole turn?"),
+        (
+            "pitch_down_deg",
+            405.0,
+            Bounds(-90.0, 90.0),
+            "405.0 deg is not within -90..90 deg: more than a whole turn?",
+        ),
         ("pitch_down_deg", 120.0, Bounds(-90.0, 90.0), "120.0 deg is not within -90..90 deg"),
         ("speed_mps", 36.0, Bounds(0.1, 15.0), "36.0 m/s is not within 0.1..15 m/s: km/h?"),
-        ("battery", 20.0, Bounds(0.0, 0.9, "of 1"), "20.0 of 1 is not within 0..0.9 of 1: per cent?"),
+        (
+            "battery",
+            20.0,
+            Bounds(0.0, 0.9, "of 1"),
+            "20.0 of 1 is not within 0..0.9 of 1: per cent?",
+        ),
         ("hold_s", 7000.0, Bounds(0.0, 600.0), "7000.0 s is not within 0..600 s: milliseconds?"),
-        ("rate", 0.0, Bounds(0.0, 1.0, "of 1", above=True), "0.0 of 1 is not above 0 and at most 1 of 1"),
+        (
+            "rate",
+            0.0,
+            Bounds(0.0, 1.0, "of 1", above=True),
+            "0.0 of 1 is not above 0 and at most 1 of 1",
+        ),
     ],
 )
 def test_a_refusal_names_value_unit_range_and_the_likely_mistake(

@@ -1,4 +1,6 @@
-"""Kernels for kernels only are called by kernels only: called from Python they would end the process."""
+"""Kernels for kernels only are called by kernels only: called from Python they would end the
+process.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ COMPILED = ("kernel", "inner")
 
 
 def decorated(node: ast.AST, names: tuple[str, ...]) -> bool:
-    return isinstance(node, ast.FunctionDef) and any(getattr(each, "id", "") in names for each in node.decorator_list)
+    return isinstance(node, ast.FunctionDef) and any(
+        getattr(each, "id", "") in names for each in node.decorator_list
+    )
 
 
 def inner_of(source: str) -> set[str]:
@@ -45,7 +49,9 @@ def asked_by_python(tree: ast.Module) -> Iterator[str]:
 
 
 def calls_of_inner(sources: dict[str, str]) -> list[str]:
-    """``module: name`` of each use from Python of a kernel for kernels only; ``sources`` by module name."""
+    """``module: name`` of each use from Python of a kernel for kernels only; ``sources`` by module
+    name.
+    """
     inner = {module: inner_of(source) for module, source in sources.items()}
     of_them = "|".join(re.escape(module) for module, names in inner.items() if names)
     may_call = re.compile(rf"@inner|from\s+({of_them})\s+import")
@@ -57,7 +63,11 @@ def calls_of_inner(sources: dict[str, str]) -> list[str]:
         known = {name: name for name in inner[module]}
         for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom) and node.module in inner:
-                known |= {each.asname or each.name: each.name for each in node.names if each.name in inner[node.module]}
+                known |= {
+                    each.asname or each.name: each.name
+                    for each in node.names
+                    if each.name in inner[node.module]
+                }
         wrong += [f"{module}: {name}" for name in asked_by_python(tree) if name in known]
     return wrong
 
@@ -65,7 +75,10 @@ def calls_of_inner(sources: dict[str, str]) -> list[str]:
 @pytest.fixture(scope="module")
 def sources() -> dict[str, str]:
     files = [file for folder in FOLDERS for file in (ROOT / folder).rglob("*.py")]
-    return {".".join(file.relative_to(ROOT).with_suffix("").parts): file.read_text("utf-8") for file in files}
+    return {
+        ".".join(file.relative_to(ROOT).with_suffix("").parts): file.read_text("utf-8")
+        for file in files
+    }
 
 
 def test_no_python_calls_a_kernel_for_kernels_only(sources: dict[str, str]) -> None:
@@ -73,7 +86,8 @@ def test_no_python_calls_a_kernel_for_kernels_only(sources: dict[str, str]) -> N
 
 
 @pytest.mark.parametrize(
-    "call", ["def f(): return turned(1)", "answer = turned", "class A:\n    f = staticmethod(turned)"]
+    "call",
+    ["def f(): return turned(1)", "answer = turned", "class A:\n    f = staticmethod(turned)"],
 )
 def test_a_call_from_python_is_found(call: str) -> None:
     kernels = "from path.compiled import inner\n@inner\ndef turned(x):\n    return x\n"
@@ -99,11 +113,15 @@ print(kernel(turned)(np.array([1.0, 3.0, 2.0])))
 """
 
 
-def test_what_is_compiled_is_loaded_without_the_compiler_which_is_there_when_it_is_needed(tmp_path: Path) -> None:
+def test_what_is_compiled_is_loaded_without_the_compiler_which_is_there_when_it_is_needed(
+    tmp_path: Path,
+) -> None:
     tones(np.zeros((1, 6)))  # from here on it is on disk
     program = tmp_path / "loads.py"
     program.write_text(LOADED, "utf-8")
-    ran = subprocess.run([sys.executable, str(program)], capture_output=True, text=True, check=False)
+    ran = subprocess.run(
+        [sys.executable, str(program)], capture_output=True, text=True, check=False
+    )
     assert ran.returncode == 0, ran.stderr
     assert ran.stdout == "[4. 3. 2.]\n"
 

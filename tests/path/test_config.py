@@ -69,7 +69,10 @@ def test_a_gate_is_one_of_three() -> None:
 def test_the_evidence_gate_asks_for_a_better_pose_and_fewer_pairs() -> None:
     papers, evidence = MethodConfig(gate="count"), MethodConfig(gate="evidence")
     assert (papers.needed_pairs, papers.pose_sigma_limit_m) == (350, papers.max_pose_sigma_m)
-    assert (evidence.needed_pairs, evidence.pose_sigma_limit_m) == (30, evidence.evidence.max_pose_sigma_m)
+    assert (evidence.needed_pairs, evidence.pose_sigma_limit_m) == (
+        30,
+        evidence.evidence.max_pose_sigma_m,
+    )
     assert MethodConfig(gate="evidence", max_pose_sigma_m=0.01).pose_sigma_limit_m == 0.01
 
 

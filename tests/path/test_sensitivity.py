@@ -27,7 +27,10 @@ def rms(squares: np.ndarray) -> float:
 
 
 def test_the_nominal_camera_is_the_papers() -> None:
-    assert (CAMERA.fx, CAMERA.fy) == (pytest.approx(1386.42, abs=0.005), pytest.approx(1388.61, abs=0.005))
+    assert (CAMERA.fx, CAMERA.fy) == (
+        pytest.approx(1386.42, abs=0.005),
+        pytest.approx(1388.61, abs=0.005),
+    )
 
 
 def test_the_nominal_projection_is_the_papers_and_the_marker_lies_outside() -> None:
@@ -70,7 +73,9 @@ def test_an_error_of_the_rotation_turns_about_the_origin_of_v() -> None:
 def test_first_order_agrees_with_trying_every_direction(depth_m: float) -> None:
     point = on_axis(depth_m)
     linear = first_order(CAMERA, POSE, point, ERRORS)
-    assert rms(depth_error2(CAMERA, POSE, point, ERRORS.depth_m)) == pytest.approx(linear.depth, rel=1e-3)
+    assert rms(depth_error2(CAMERA, POSE, point, ERRORS.depth_m)) == pytest.approx(
+        linear.depth, rel=1e-3
+    )
     moved = translation_error2(CAMERA, POSE, point, ERRORS.translation_m, TOWARD)
     turned = rotation_error2(CAMERA, POSE, point, ERRORS.rotation_rad, TOWARD)
     assert rms(moved) == pytest.approx(linear.translation, rel=5e-3)

@@ -1,4 +1,6 @@
-"""A track answers between its samples, a little beyond them, and never across what it did not see."""
+"""A track answers between its samples, a little beyond them, and never across what it did not
+see.
+"""
 
 import pytest
 from hypothesis import given
@@ -69,7 +71,9 @@ def test_frames_are_found_by_their_low_16_bits() -> None:
     assert found.values == (2.0,)
 
 
-@pytest.mark.parametrize(("stamp_ns", "frame"), [(20 * MS, 5), (19 * MS, 5), (30 * MS, 1), (30 * MS, 0)])
+@pytest.mark.parametrize(
+    ("stamp_ns", "frame"), [(20 * MS, 5), (19 * MS, 5), (30 * MS, 1), (30 * MS, 0)]
+)
 def test_samples_must_come_in_order(stamp_ns: int, frame: int) -> None:
     track = track_of((0, 1.0), (20, 2.0))
     with pytest.raises(ValueError, match="does not come after"):

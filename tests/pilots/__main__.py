@@ -1,7 +1,8 @@
-"""``python -m tests.pilots --seed 1 --flights 10000``: many short flights under a person's hands, in all processes.
+"""``python -m tests.pilots --seed 1 --flights 10000``: many short flights under a person's hands,
+in all processes.
 
-Of what fails the shortest sequence that still does is printed, as a line for ``tests/pilots/test_flights.py``. What one
-flight is, and is not: ``tests/pilots/flight.py``.
+Of what fails the shortest sequence that still does is printed, as a line for
+``tests/pilots/test_flights.py``. What one flight is, and is not: ``tests/pilots/flight.py``.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ SHOWN = 20
 
 
 def acts_of(seed: int, number: int) -> tuple[Act, ...]:
-    """Return what the person does in a flight: a function of the run's seed and the flight's number alone."""
+    """Return what the person does in a flight: a function of the run's seed and the flight's number
+    alone.
+    """
     return drawn(Random(f"{seed} {number}"))
 
 
@@ -40,7 +43,9 @@ def smallest(acts: tuple[Act, ...]) -> tuple[tuple[Act, ...], Flown]:
 
 
 def piece(seed: int, begin: int, end: int) -> tuple[Counter[str], list[int]]:
-    """Fly the flights of these numbers; count their ends, and return the numbers of those that fail."""
+    """Fly the flights of these numbers; count their ends, and return the numbers of those that
+    fail.
+    """
     ends: Counter[str] = Counter()
     failed: list[int] = []
     for number in range(begin, end):
@@ -62,13 +67,17 @@ def main(arguments: list[str] | None = None) -> int:
     begun_s, ends, failed = time.monotonic(), Counter[str](), list[int]()
     begins = range(0, options.flights, PIECE)
     with ProcessPoolExecutor(options.processes) as pool:
-        pieces = [pool.submit(piece, options.seed, at, min(at + PIECE, options.flights)) for at in begins]
+        pieces = [
+            pool.submit(piece, options.seed, at, min(at + PIECE, options.flights)) for at in begins
+        ]
         for done in pieces:
             more, wrong = done.result()
             ends += more
             failed += wrong
     took_s = time.monotonic() - begun_s
-    print(f"{options.flights} flights, seed {options.seed}, {took_s:.0f} s: {len(failed)} wrong; ended as {dict(ends)}")
+    print(
+        f"{options.flights} flights, seed {options.seed}, {took_s:.0f} s: {len(failed)} wrong; ended as {dict(ends)}"
+    )
     for number in failed[:SHOWN]:
         acts, flown = smallest(acts_of(options.seed, number))
         print(f"flight {number}, {flown.outcome} ({flown.detail}):")

@@ -1,4 +1,6 @@
-"""What a person may do to a flying drone at any instant: with a transmitter, or at a ground station. Drawn by seed."""
+"""What a person may do to a flying drone at any instant: with a transmitter, or at a ground
+station. Drawn by seed.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +14,20 @@ from hil.autopilot.radio import CENTRED, Sticks
 LAST_S = 16.0  # when a person may begin; a flight without anybody is over by then
 MOST_ACTS = 3
 TOGETHER = 0.3  # of the acts begin in the same instant as the one before
-MODES = (FlightMode.HOLD, FlightMode.LAND, FlightMode.RETURN, FlightMode.OFFBOARD, FlightMode.TAKEOFF)
+MODES = (
+    FlightMode.HOLD,
+    FlightMode.LAND,
+    FlightMode.RETURN,
+    FlightMode.OFFBOARD,
+    FlightMode.TAKEOFF,
+)
 SLOTS = (0, 1, 2, 3)
-GRABS: tuple[Sticks, ...] = ((0.0, -0.6, 0.0, 0.0), (0.8, 0.0, 0.0, 0.0), (0.0, 0.0, -0.9, 0.0), (0.0, 0.0, 0.6, 0.5))
+GRABS: tuple[Sticks, ...] = (
+    (0.0, -0.6, 0.0, 0.0),
+    (0.8, 0.0, 0.0, 0.0),
+    (0.0, 0.0, -0.9, 0.0),
+    (0.0, 0.0, 0.6, 0.5),
+)
 KINDS = ("switch", "sticks", "kill", "lost", "mode", "arm", "disarm")
 
 
@@ -24,8 +37,9 @@ class Act:
 
     Attributes:
         at_s: world's clock.
-        kind: ``switch``, ``sticks``, ``kill``, ``lost`` (the transmitter falls silent) at the radio; ``mode``, ``arm``,
-            ``disarm`` at a ground station, whose goto is the mode ``hold``.
+        kind: ``switch``, ``sticks``, ``kill``, ``lost`` (the transmitter falls silent) at the
+            radio; ``mode``, ``arm``, ``disarm`` at a ground station, whose goto is the mode
+            ``hold``.
         what: slot of the switch, index of the grab, or index of the mode.
         back_s: after so long the person undoes it; 0: never.
     """
@@ -51,7 +65,14 @@ def drawn(rng: Random) -> tuple[Act, ...]:
         kind = rng.choice(KINDS)
         most = {"switch": len(SLOTS), "sticks": len(GRABS), "mode": len(MODES)}.get(kind, 1)
         back_s = round(rng.choice((0.0, 0.05, 0.2, 0.5, 1.0, rng.uniform(0.0, 6.0))), 2)
-        acts.append(Act(at_s, kind, rng.randrange(most), 0.0 if kind in ("mode", "arm", "disarm") else back_s))
+        acts.append(
+            Act(
+                at_s,
+                kind,
+                rng.randrange(most),
+                0.0 if kind in ("mode", "arm", "disarm") else back_s,
+            )
+        )
     return tuple(sorted(acts, key=lambda act: act.at_s))
 
 
@@ -88,11 +109,17 @@ def undo(act: Act, autopilot: Autopilot) -> None:
 
 
 def simpler(acts: tuple[Act, ...]) -> list[tuple[Act, ...]]:
-    """Return what to try in place of a sequence that fails: one act less, none undone, rounder times."""
+    """Return what to try in place of a sequence that fails: one act less, none undone, rounder
+    times.
+    """
     fewer = [acts[:k] + acts[k + 1 :] for k in range(len(acts)) if len(acts) > 1]
     changed: list[tuple[Act, ...]] = []
     for k, act in enumerate(acts):
-        for other in (replace(act, back_s=0.0), replace(act, at_s=round(act.at_s, 1)), replace(act, what=0)):
+        for other in (
+            replace(act, back_s=0.0),
+            replace(act, at_s=round(act.at_s, 1)),
+            replace(act, what=0),
+        ):
             if other != act:
                 changed.append((*acts[:k], other, *acts[k + 1 :]))
     return fewer + changed

@@ -1,8 +1,9 @@
 """One short flight under a person's hands, in virtual time, and what was wrong with it.
 
-A drone with its autopilot and radio (``hil``), a script (``missions.fly.leg``: take-off, control, the way down) and its
-guard, on a course of a few seconds; no cameras, no link, no second drone. Everything that script and guard send is
-written down with the hand that the vehicle was in when it came.
+A drone with its autopilot and radio (``hil``), a script (``missions.fly.leg``: take-off, control,
+the way down) and its guard, on a course of a few seconds; no cameras, no link, no second drone.
+Everything that script and guard send is written down with the hand that the vehicle was in when it
+came.
 """
 
 from __future__ import annotations
@@ -39,11 +40,14 @@ from tests.pilots.acts import Act, begin, undo
 HEIGHT_M = 1.2
 CONTROL_S = 4.0
 NOTICED_S = 1.0  # mode and arming come with heartbeats, and one message's word is doubted for 0.3 s
-NOBODYS_S = 1.0  # in a mode that only scripts fly: from then on the guard may take what was let go of
-AFTER_S = 30.0  # the world goes on for so long at most, until the drone is down or in a person's hands
+# in a mode that only scripts fly: from then on the guard may take what was let go of
+NOBODYS_S = 1.0
+# the world goes on for so long at most, until the drone is down or in a person's hands
+AFTER_S = 30.0
 LIMIT_S = 200.0
 UNSEEN_S = 0.25  # what a person does and undoes between two heartbeats is not told by any of them
-TOLERANCE_M = 0.75  # of the height at which a take-off is over, and what it climbs on while it brakes
+# of the height at which a take-off is over, and what it climbs on while it brakes
+TOLERANCE_M = 0.75
 MOVING = (FlightMode.OFFBOARD, FlightMode.TAKEOFF)
 CONFIG = MissionConfig(deadlines=Deadlines(take_off_s=12.0, land_s=20.0, depart_s=4.0))
 ROLE = Role.SENDER
@@ -64,19 +68,23 @@ class Watched:
 
     Attributes:
         orders: of script and guard.
-        theirs_s: since when a person, or the autopilot for want of a radio, has the vehicle; None: nobody has.
+        theirs_s: since when a person, or the autopilot for want of a radio, has the vehicle; None:
+            nobody has.
         modes: (time, mode, whose doing).
     """
 
     orders: list[Order] = field(default_factory=list[Order])
     wrong: list[str] = field(default_factory=list[str])
-    modes: list[tuple[float, FlightMode, str]] = field(default_factory=list[tuple[float, FlightMode, str]])
+    modes: list[tuple[float, FlightMode, str]] = field(
+        default_factory=list[tuple[float, FlightMode, str]]
+    )
     theirs_s: float | None = None
     by_failsafe: bool = False
     climbing: bool = False
     killed_s: float | None = None
     crossed: int = 0
-    touched: bool = False  # motors were stopped, however shortly: the person who did it is at the sticks
+    # motors were stopped, however shortly: the person who did it is at the sticks
+    touched: bool = False
     hand: str = "script"
     cause: str = "itself"
 
@@ -96,7 +104,9 @@ class Watched:
 
         own._enter = entered
 
-    def _noted(self, autopilot: Autopilot, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
+    def _noted(
+        self, autopilot: Autopilot, name: str, call: Callable[..., Any]
+    ) -> Callable[..., Any]:
         def noted(now_s: float, *args: Any, **options: Any) -> Any:
             if self.cause != "itself":  # a request within a request
                 return call(now_s, *args, **options)
@@ -112,26 +122,39 @@ class Watched:
         return noted
 
     def _order(self, autopilot: Autopilot, now_s: float, name: str, args: tuple[Any, ...]) -> None:
-        what = name if name == "setpoint" else f"{name}{tuple(getattr(each, 'value', each) for each in args)}"
+        what = (
+            name
+            if name == "setpoint"
+            else f"{name}{tuple(getattr(each, 'value', each) for each in args)}"
+        )
         if name != "setpoint":
             self.orders.append(Order(now_s, self.hand, what))
         if name == "request_takeoff" or (name == "request_mode" and args[0] is FlightMode.OFFBOARD):
             self.climbing = name == "request_takeoff"
         just_now = self.theirs_s is not None and now_s - self.theirs_s < UNSEEN_S
         if just_now and name in ("request_takeoff", "request_mode") and not autopilot.killed:
-            self.theirs_s = None  # no heartbeat has told of it yet: the person's wish and the script's have crossed
+            # no heartbeat has told of it yet: the person's wish and the script's have crossed
+            self.theirs_s = None
             self.crossed += 1
         if self.theirs_s is None or now_s - self.theirs_s <= NOTICED_S:
             return
         if self.by_failsafe and name == "request_mode" and args[0] is FlightMode.LAND:
             return  # as the failsafe itself is about to
-        nobodys = self.hand == "guard" and autopilot.mode in MOVING and now_s - self.modes[-1][0] > NOBODYS_S
+        nobodys = (
+            self.hand == "guard"
+            and autopilot.mode in MOVING
+            and now_s - self.modes[-1][0] > NOBODYS_S
+        )
         if not nobodys:
             since_s = now_s - self.theirs_s
-            self.wrong.append(f"{now_s:.2f} s: the {self.hand} sent {what}, {since_s:.1f} s after a person took over")
+            self.wrong.append(
+                f"{now_s:.2f} s: the {self.hand} sent {what}, {since_s:.1f} s after a person took over"
+            )
 
     def look(self, autopilot: Autopilot, now_s: float) -> None:
-        """Look at what needs no request: motors stopped, the autopilot's own hold without a radio, the end."""
+        """Look at what needs no request: motors stopped, the autopilot's own hold without a radio,
+        the end.
+        """
         self.touched = self.touched or autopilot.killed
         if not autopilot.killed:
             self.killed_s = None
@@ -155,13 +178,15 @@ class Watched:
     def _given(self, autopilot: Autopilot, now_s: float, mode: FlightMode) -> None:
         """Take a change of mode by a person.
 
-        One into a mode that scripts fly gives the vehicle to them. A hold where a take-off ends is what the take-off
-        would have ended in: no telemetry tells them apart.
+        One into a mode that scripts fly gives the vehicle to them. A hold where a take-off ends is
+        what the take-off would have ended in: no telemetry tells them apart.
         """
         self.touched = True
         home_n_m = autopilot.home_n_m
         height_m = 0.0 if home_n_m is None else home_n_m[2] - autopilot._estimate.position_n_m[2]
-        ends_so = self.climbing and mode is FlightMode.HOLD and abs(height_m - HEIGHT_M) < TOLERANCE_M
+        ends_so = (
+            self.climbing and mode is FlightMode.HOLD and abs(height_m - HEIGHT_M) < TOLERANCE_M
+        )
         if mode in MOVING or ends_so:
             self.theirs_s, self.by_failsafe = None, False
         else:
@@ -230,8 +255,8 @@ class Flown:
 
     Attributes:
         wrong: what must not be, in words; empty when all was well.
-        crossed: commands that went out before any heartbeat told of a takeover, and changed the mode once more: that
-            person has to move the switch again.
+        crossed: commands that went out before any heartbeat told of a takeover, and changed the
+            mode once more: that person has to move the switch again.
     """
 
     outcome: str
@@ -280,12 +305,18 @@ async def _fly(acts: tuple[Act, ...], seed: int) -> Flown:
             under = UnderGuard(line, context.clock, CONFIG.guard_process)
             parts = cast(Any, (context.clock, vehicle, object(), NoLink()))
             log, chance = cast(Any, NoLog()), random.Random(seed)
-            session = RoleSession(rig, ROLE, CONFIG, log, lambda _: None, asyncio.Event(), parts, chance, under)
+            session = RoleSession(
+                rig, ROLE, CONFIG, log, lambda _: None, asyncio.Event(), parts, chance, under
+            )
             try:
                 async with asyncio.timeout(LIMIT_S):
-                    result = await fly_course(session, lambda: _course(session), lambda end: _recover(session, end))
+                    result = await fly_course(
+                        session, lambda: _course(session), lambda end: _recover(session, end)
+                    )
             except TimeoutError:
-                result = RoleResult(ROLE, Outcome.HARNESS_FAILED, "the program did not end", False, False)
+                result = RoleResult(
+                    ROLE, Outcome.HARNESS_FAILED, "the program did not end", False, False
+                )
         end_s = loop.time() + AFTER_S
         while loop.time() < end_s and _nobodys(autopilot):  # noqa: ASYNC110 (polls the autopilot)
             await asyncio.sleep(0.5)
@@ -298,7 +329,9 @@ async def _fly(acts: tuple[Act, ...], seed: int) -> Flown:
 
 def _nobodys(autopilot: Autopilot) -> bool:
     """Armed, in the air, and in a mode that no person flies or stays in."""
-    return autopilot.armed and (autopilot.mode in MOVING or autopilot.mode in (FlightMode.LAND, FlightMode.RETURN))
+    return autopilot.armed and (
+        autopilot.mode in MOVING or autopilot.mode in (FlightMode.LAND, FlightMode.RETURN)
+    )
 
 
 def _ends_badly(result: RoleResult, autopilot: Autopilot, noted: Watched) -> list[str]:
@@ -307,7 +340,12 @@ def _ends_badly(result: RoleResult, autopilot: Autopilot, noted: Watched) -> lis
         wrong.append(f"ended as {result.outcome.label}: {result.detail}")
     if autopilot.armed and autopilot.mode in MOVING and not autopilot.landed:
         wrong.append(f"left in the air in mode {autopilot.mode.value}: nobody flies it")
-    if autopilot.armed and autopilot.mode is FlightMode.HOLD and not autopilot.landed and not noted.has_a_person:
+    if (
+        autopilot.armed
+        and autopilot.mode is FlightMode.HOLD
+        and not autopilot.landed
+        and not noted.has_a_person
+    ):
         wrong.append("left in the air in hold, and no person took it")
     return wrong
 

@@ -20,12 +20,17 @@ from tests.pilots.flight import MOVING, Watched, fly
 DRAWN = 40
 
 FOUND = {
-    # the script waited 3 s for OFFBOARD, sending setpoints, while the pilot held it; then it landed the pilot's vehicle
-    "a switch to LAND and back while OFFBOARD is entered": (Act(4.53, "switch", 2, 0.2), Act(4.53, "mode", 0)),
+    # the script waited 3 s for OFFBOARD, sending setpoints, while the pilot held it; then it landed
+    # the pilot's vehicle
+    "a switch to LAND and back while OFFBOARD is entered": (
+        Act(4.53, "switch", 2, 0.2),
+        Act(4.53, "mode", 0),
+    ),
     "a radio lost at the end of the climb": (Act(2.61, "lost"),),
     "a radio lost a moment sooner": (Act(2.4, "lost"),),
     "a radio lost while OFFBOARD is entered": (Act(3.47, "lost", 0, 5.92), Act(8.22, "mode", 0)),
-    # the script waited for a height that a pilot's hold kept it from, and then landed the pilot's vehicle
+    # the script waited for a height that a pilot's hold kept it from, and then landed the pilot's
+    # vehicle
     "a hold on the way up": (Act(1.4, "mode", 0),),
     "a hold on the way up, and armed again": (Act(2.18, "mode", 0), Act(2.18, "arm")),
     # the switch and the script's command for OFFBOARD cross: no heartbeat tells of the former
@@ -76,7 +81,8 @@ def test_each_thing_that_a_person_does_has_its_end(act: Act, outcome: str) -> No
     assert fly((act,)).outcome == outcome
 
 
-# --- that it can fail ------------------------------------------------------------------------------------------------
+# --- that it can fail
+# ------------------------------------------------------------------------------------------------
 
 
 def test_a_script_that_flies_on_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,10 +1,11 @@
-"""Whole handoffs in virtual time in which an estimator steps: how many are handed over, and how the others end.
+"""Whole handoffs in virtual time in which an estimator steps: how many are handed over, and how the
+others end.
 
     .venv/bin/python -m tests.scenarios.estimator_step_flights --seed 1 --count 200
 
-Everything is drawn from the seed: which drone, what steps (place, height, heading, or place and heading), by how much
-(0.25 to 3 m, 5 to 40 degrees) and when (any instant from preflight to landing). One line a flight that was not handed
-over, with what stepped; counts by kind at the end.
+Everything is drawn from the seed: which drone, what steps (place, height, heading, or place and
+heading), by how much (0.25 to 3 m, 5 to 40 degrees) and when (any instant from preflight to
+landing). One line a flight that was not handed over, with what stepped; counts by kind at the end.
 """
 
 from __future__ import annotations
@@ -93,7 +94,10 @@ def main(argv: Sequence[str]) -> int:
         violations.update(violated)
         if outcome != "committed" or violated:
             what = " ".join(flight.faults)
-            print(f"{number} seed {flight.seed} {what}: {outcome} {detail} {violated or ''} ({seen} seen)", flush=True)
+            print(
+                f"{number} seed {flight.seed} {what}: {outcome} {detail} {violated or ''} ({seen} seen)",
+                flush=True,
+            )
     for kind in KINDS:
         print(f"{kind}: {committed[kind]} of {flown[kind]} handed over")
     print(f"all: {committed.total()} of {flown.total()}; violations: {dict(violations) or 'none'}")

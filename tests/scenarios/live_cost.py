@@ -1,9 +1,11 @@
-"""What ``--live`` costs a flight in real time: the same seed with and without it, by turns; not a test, a command.
+"""What ``--live`` costs a flight in real time: the same seed with and without it, by turns; not a
+test, a command.
 
     python -m tests.scenarios.live_cost [--rig sitl-light] [--pairs 3] [--seed 0] [--out FOLDER]
 
-With ``--live`` a client takes all topics, in a process of its own. Of each flight: pairs a second, and how old a frame
-is when its cycle begins, over both drones. The last lines are the medians, and their ratio.
+With ``--live`` a client takes all topics, in a process of its own. Of each flight: pairs a second,
+and how old a frame is when its cycle begins, over both drones. The last lines are the medians, and
+their ratio.
 """
 
 from __future__ import annotations
@@ -36,12 +38,16 @@ class FlightFigures:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--rig", default="sitl-light")
     parser.add_argument("--pairs", type=int, default=3)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=None)
-    parser.add_argument("--watch", action="store_true", help="take all topics of a flight, until it ends")
+    parser.add_argument(
+        "--watch", action="store_true", help="take all topics of a flight, until it ends"
+    )
     asked = parser.parse_args()
     if asked.watch:
         return _watch()
@@ -53,15 +59,34 @@ def main() -> int:
             flown.append(fly(asked.rig, asked.seed + number, live, folder))
             print(flown[-1], flush=True)
     middles = [_middle([each for each in flown if each.live is live]) for live in (False, True)]
-    for name, plain, with_live in zip(("pairs a second", "age ms", "age ms, 95 %"), *middles, strict=True):
-        print(f"{name}: {plain:.2f} without, {with_live:.2f} with --live, ratio {with_live / plain:.3f}")
+    for name, plain, with_live in zip(
+        ("pairs a second", "age ms", "age ms, 95 %"), *middles, strict=True
+    ):
+        print(
+            f"{name}: {plain:.2f} without, {with_live:.2f} with --live, ratio {with_live / plain:.3f}"
+        )
     return 0
 
 
 def fly(rig: str, seed: int, live: bool, out: Path) -> FlightFigures:
-    command = [sys.executable, "-m", "missions.cli", "handoff", "--rig", rig, "--seed", str(seed), "--out", str(out)]
+    command = [
+        sys.executable,
+        "-m",
+        "missions.cli",
+        "handoff",
+        "--rig",
+        rig,
+        "--seed",
+        str(seed),
+        "--out",
+        str(out),
+    ]
     command += ["--no-picture", *(["--live", ADDRESS] if live else [])]
-    client = subprocess.Popen([sys.executable, "-m", "tests.scenarios.live_cost", "--watch"]) if live else None
+    client = (
+        subprocess.Popen([sys.executable, "-m", "tests.scenarios.live_cost", "--watch"])
+        if live
+        else None
+    )
     try:
         subprocess.run(command, stdout=subprocess.DEVNULL, timeout=FLIGHT_S, check=False)
     finally:
@@ -69,15 +94,26 @@ def fly(rig: str, seed: int, live: bool, out: Path) -> FlightFigures:
             client.kill()
             client.wait()
     summary = json.loads((out / "summary.json").read_text("utf-8"))
-    ages = [r.record["age_ns"] * 1e-6 for log in drone_logs(out).values() for r in log if r.topic == "/frame"]
+    ages = [
+        r.record["age_ns"] * 1e-6
+        for log in drone_logs(out).values()
+        for r in log
+        if r.topic == "/frame"
+    ]
     high = statistics.quantiles(ages, n=20)[-1]
-    return FlightFigures(live, summary["outcome"], summary["pairs_hz"] or 0.0, (statistics.median(ages), high))
+    return FlightFigures(
+        live, summary["outcome"], summary["pairs_hz"] or 0.0, (statistics.median(ages), high)
+    )
 
 
 def _middle(flights: list[FlightFigures]) -> tuple[float, float, float]:
     median = statistics.median
     rate = median(each.pairs_hz for each in flights)
-    return rate, median(each.age_ms[0] for each in flights), median(each.age_ms[1] for each in flights)
+    return (
+        rate,
+        median(each.age_ms[0] for each in flights),
+        median(each.age_ms[1] for each in flights),
+    )
 
 
 def _watch() -> int:

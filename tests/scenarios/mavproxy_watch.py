@@ -1,10 +1,13 @@
-"""Flies a handoff with MAVProxy beside it, and says what MAVProxy saw of both vehicles; not a test, a command.
+"""Flies a handoff with MAVProxy beside it, and says what MAVProxy saw of both vehicles; not a test,
+a command.
 
-    python -m tests.scenarios.mavproxy_watch --mavproxy ENVIRONMENT/bin/mavproxy.py [--rig sitl] [--seed 0] [--pilot]
+    python -m tests.scenarios.mavproxy_watch --mavproxy ENVIRONMENT/bin/mavproxy.py [--rig sitl]
+    [--seed 0] [--pilot]
 
-MAVProxy is installed in an environment of its own (``pip install MAVProxy future``). With ``--pilot`` it selects POSCTL
-for D1 once D1 judges answers: the script has to let go. The exit code is 0 when both vehicles were watched with all
-their parameters, and the handoff was committed, or given up to the pilot.
+MAVProxy is installed in an environment of its own (``pip install MAVProxy future``). With
+``--pilot`` it selects POSCTL for D1 once D1 judges answers: the script has to let go. The exit code
+is 0 when both vehicles were watched with all their parameters, and the handoff was committed, or
+given up to the pilot.
 """
 
 from __future__ import annotations
@@ -42,7 +45,9 @@ class Watched:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--mavproxy", type=Path, required=True)
     parser.add_argument("--rig", default="sitl")
     parser.add_argument("--seed", type=int, default=0)
@@ -52,13 +57,30 @@ def main() -> int:
     asked = parser.parse_args()
     out: Path = asked.out or Path(tempfile.mkdtemp(prefix="mavproxy-watch-"))
     out.mkdir(parents=True, exist_ok=True)
-    fly = [sys.executable, "-m", "missions.cli", "handoff", "--rig", asked.rig, "--seed", str(asked.seed)]
+    fly = [
+        sys.executable,
+        "-m",
+        "missions.cli",
+        "handoff",
+        "--rig",
+        asked.rig,
+        "--seed",
+        str(asked.seed),
+    ]
     fly += ["--out", str(out / "run"), "--gcs", f"127.0.0.1:{asked.port}"]
-    watch = [str(asked.mavproxy), f"--master=udpin:127.0.0.1:{asked.port}", f"--logfile={out / 'mav.tlog'}"]
+    watch = [
+        str(asked.mavproxy),
+        f"--master=udpin:127.0.0.1:{asked.port}",
+        f"--logfile={out / 'mav.tlog'}",
+    ]
     with (
         (out / "mavproxy.txt").open("w") as said,
-        subprocess.Popen(watch, stdin=subprocess.PIPE, stdout=said, stderr=said, text=True, cwd=out) as proxy,
-        subprocess.Popen(fly, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as flight,
+        subprocess.Popen(
+            watch, stdin=subprocess.PIPE, stdout=said, stderr=said, text=True, cwd=out
+        ) as proxy,
+        subprocess.Popen(
+            fly, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        ) as flight,
     ):
         end = threading.Timer(FLIGHT_S, flight.terminate)
         end.start()
@@ -73,7 +95,9 @@ def main() -> int:
     for system, each in sorted(watched.items()):
         print(f"system {system}: {each.heartbeats} heartbeats, {each.positions} positions, "
               f"{len(each.parameters)} of {each.announced} parameters, {' '.join(each.modes)}")  # fmt: skip
-    whole = set(watched) >= {1, 2} and all(0 < each.announced == len(each.parameters) for each in watched.values())
+    whole = set(watched) >= {1, 2} and all(
+        0 < each.announced == len(each.parameters) for each in watched.values()
+    )
     ended = "pilot_override" if asked.pilot else "committed"
     return 0 if whole and outcome["outcome"] == ended else 1
 
@@ -95,7 +119,9 @@ def _accompany(flight: subprocess.Popen[str], proxy: subprocess.Popen[str], pilo
 
 
 def _fetch(proxy: subprocess.Popen[str]) -> None:
-    """Asks both vehicles for all parameters, one after the other: MAVProxy tries MAVFTP first, which they have not."""
+    """Asks both vehicles for all parameters, one after the other: MAVProxy tries MAVFTP first,
+    which they have not.
+    """
     for system in (1, 2):
         _type(proxy, f"vehicle {system}", "param fetch")
         time.sleep(FETCH_S)
@@ -120,7 +146,9 @@ def read_log(file: Path) -> dict[int, Watched]:
         each = watched.setdefault(system, Watched())
         if kind == "HEARTBEAT":
             each.heartbeats += 1
-            modes.setdefault(system, []).append(mavutil.interpret_px4_mode(message.base_mode, message.custom_mode))
+            modes.setdefault(system, []).append(
+                mavutil.interpret_px4_mode(message.base_mode, message.custom_mode)
+            )
         elif kind == "GLOBAL_POSITION_INT":
             each.positions += 1
         elif kind == "PARAM_VALUE":

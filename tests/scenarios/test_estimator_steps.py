@@ -16,7 +16,8 @@ from tests.scenarios.test_sim import fly as flown
 @pytest.mark.parametrize(
     ("seed", "faults"),
     [
-        (7, ("step_east_sender=1@preflight+24",)),  # handed over what stood where the target had been
+        # handed over what stood where the target had been
+        (7, ("step_east_sender=1@preflight+24",)),
         (31, ("step_north_sender=1@preflight+22",)),
         (3, ("step_north_sender=-0.7@verify+1", "step_yaw_sender=-30@verify+1")),
         (5, ("step_east_receiver=2@approach+1", "step_yaw_receiver=40@approach+1")),
@@ -26,7 +27,9 @@ from tests.scenarios.test_sim import fly as flown
     ],
     ids=lambda of: str(of) if isinstance(of, int) else "+".join(of),
 )
-def test_it_is_seen_and_the_target_is_handed_over(tmp_path: Path, seed: int, faults: tuple[str, ...]) -> None:
+def test_it_is_seen_and_the_target_is_handed_over(
+    tmp_path: Path, seed: int, faults: tuple[str, ...]
+) -> None:
     flight = flown("sim", tmp_path, seed, *faults)
     assert flight.facts.outcome == "committed", flight.facts.detail
     assert flight.facts.violations == {}
@@ -44,7 +47,9 @@ def test_evidence_is_gathered_anew_from_the_step_on(tmp_path: Path) -> None:
     (commit,) = flight.run.sender["/commit"]
     assert flight.facts.outcome == "committed"
     assert (commit.stamp_ns - step.stamp_ns) * 1e-9 > 1.5  # four blocks of 0.4 s
-    reached = [record for record in flight.run.sender["/agreement"] if record.stamp_ns > step.stamp_ns]
+    reached = [
+        record for record in flight.run.sender["/agreement"] if record.stamp_ns > step.stamp_ns
+    ]
     assert reached[0].record["evidence"] == 0.0
 
 
@@ -62,7 +67,13 @@ def test_what_is_drawn_is_of_every_kind_drone_and_instant() -> None:
             size = abs(float(rest.partition("@")[0]))
             assert size <= (40.0 if "yaw" in name else 3.0)
     shifts = [
-        math.hypot(*(float(fault.split("=")[1].split("@")[0]) for fault in flight.faults if "yaw" not in fault))
+        math.hypot(
+            *(
+                float(fault.split("=")[1].split("@")[0])
+                for fault in flight.faults
+                if "yaw" not in fault
+            )
+        )
         for flight in flights
         if flight.kind != "heading"
     ]

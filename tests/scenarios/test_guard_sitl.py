@@ -17,14 +17,19 @@ def fly(out: Path) -> Flown[tuple[RunFacts, Path]]:
     return Flown(facts.outcome, facts.detail, (facts, out))
 
 
-def test_a_program_that_stalls_in_the_air_finds_its_vehicle_in_the_guards_hand(flown_again: Repeating) -> None:
+def test_a_program_that_stalls_in_the_air_finds_its_vehicle_in_the_guards_hand(
+    flown_again: Repeating,
+) -> None:
     """Whatever it had been about to do, it does not do: the vehicle was held, and is landed."""
     facts, out = flown_again(fly)
     assert facts.outcome == "guard", facts.detail
     assert "the guard took the vehicle: no sign of life" in facts.detail
     assert facts.violations == {}
     taken = [r.record for r in read_log(out / "sender.guard.mcap") if r.topic == "/guard"]
-    assert [(record["stage"], record["act"]) for record in taken][:2] == [("holding", "hold"), ("landing", "land")]
+    assert [(record["stage"], record["act"]) for record in taken][:2] == [
+        ("holding", "hold"),
+        ("landing", "land"),
+    ]
     (end,) = [r.record for r in read_log(out / "sender.mcap") if r.topic == "/outcome"]
     assert end["landed"]
     modes = [

@@ -36,7 +36,10 @@ def test_the_follower_climbs_with_what_it_follows(tmp_path: Path) -> None:
     assert verify
     beginning = run.world["/truth"][0].stamp_ns
     told = [
-        (r.record["sender"]["t"][2] - r.record["objects"][0]["t"][2], r.record["objects"][0]["t"][2])
+        (
+            r.record["sender"]["t"][2] - r.record["objects"][0]["t"][2],
+            r.record["objects"][0]["t"][2],
+        )
         for r in run.world["/truth"]
         if 24.0 < (r.stamp_ns - beginning) * 1e-9 < 32.0
     ]

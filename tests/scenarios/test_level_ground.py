@@ -1,4 +1,6 @@
-"""A drone that follows a target on level ground tells its height by it, whatever its own estimate has wandered."""
+"""A drone that follows a target on level ground tells its height by it, whatever its own estimate
+has wandered.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ QUICKLY = {"height_m": 1.0, "position_time_s": 60.0}  # by a metre within a minu
 
 
 def told_off_m(monkeypatch: pytest.MonkeyPatch, out: Path, *, level_ground: bool) -> float:
-    """Returns the root mean square error, in metres, of the height that D1 tells while it follows its target."""
+    """Returns the root mean square error, in metres, of the height that D1 tells while it follows
+    its target.
+    """
     rig = rig_library.load("sim")
     mission = {**rig.mission, "level_ground": level_ground}
     rig = replace(rig, mission=mission, world={**rig.world, "estimator": QUICKLY})

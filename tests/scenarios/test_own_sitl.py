@@ -16,7 +16,17 @@ LIMIT_S = 300.0  # kernels may have to be compiled
 
 def fly(out: Path) -> Flown[tuple[int, dict[str, Any], str]]:
     """The search, to its end: exit code, summary, and what was said."""
-    command = [sys.executable, "-m", "missions.cli", "fly", str(SEARCH), "--rig", "sitl-light", "--out", str(out)]
+    command = [
+        sys.executable,
+        "-m",
+        "missions.cli",
+        "fly",
+        str(SEARCH),
+        "--rig",
+        "sitl-light",
+        "--out",
+        str(out),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
     said = done.stdout + done.stderr
     assert (out / "summary.json").exists(), said

@@ -1,4 +1,6 @@
-"""A relay in real time: programs, guards and the world as processes, MAVSDK, UDP and pictures between them."""
+"""A relay in real time: programs, guards and the world as processes, MAVSDK, UDP and pictures
+between them.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ def hasty_rig(at: Path) -> Path:
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for left-over processes in /proc")
-def test_a_relief_takes_over_and_ctrl_c_lands_everybody_and_leaves_nothing(flown_again: Repeating) -> None:
+def test_a_relief_takes_over_and_ctrl_c_lands_everybody_and_leaves_nothing(
+    flown_again: Repeating,
+) -> None:
     out, summary = flown_again(fly)
     assert (summary["outcome"], summary["violations"]) == ("interrupted", {}), summary["notes"]
     assert summary["gap_s"]["max"] < summary["gap_bound_s"]
@@ -56,14 +60,21 @@ def fly(own: Path) -> Flown[tuple[Path, dict[str, Any]]]:
     command = [sys.executable, "-m", "missions.cli", "relay", "--rig", str(hasty_rig(own / "rig"))]
     command += ["--drones", "2", "--out", str(out), "--no-picture"]
     seen: list[str] = []
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
-        there = says(process, "D1    holds", seen, START_LIMIT_S) and says(process, "D2    holds", seen, LEG_LIMIT_S)
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as process:
+        there = says(process, "D1    holds", seen, START_LIMIT_S) and says(
+            process, "D2    holds", seen, LEG_LIMIT_S
+        )
         if there:
-            assert len(processes_of(str(own))) >= 6  # this command, the world, two programs, two guards
+            # this command, the world, two programs, two guards
+            assert len(processes_of(str(own))) >= 6
             process.send_signal(signal.SIGINT)
         assert process.stdout is not None
         seen += process.stdout.readlines()
-        assert process.wait(LANDING_LIMIT_S) in ((30, OVERLOADED) if there else (OVERLOADED,)), "".join(seen)
+        assert process.wait(LANDING_LIMIT_S) in ((30, OVERLOADED) if there else (OVERLOADED,)), (
+            "".join(seen)
+        )
     assert left_of(str(own)) == []
     assert list(folder().glob(f"*run-{process.pid}-*")) == []
 

@@ -1,4 +1,6 @@
-"""The two drones of a flight have rigs that differ: refused on both consoles, before anything moves."""
+"""The two drones of a flight have rigs that differ: refused on both consoles, before anything
+moves.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ def test_rigs_that_differ_are_refused_by_both_drones_before_anything_moves(
 
     programs = replace(HANDOFF, main=main)
     facts = fly_once(rig_library.load("sim"), 3, (), tmp_path, lambda _: None, programs)
-    assert (facts.outcome, facts.exit_code, facts.violations) == ("rigs_differ", 37, {}), facts.detail
+    assert (facts.outcome, facts.exit_code, facts.violations) == ("rigs_differ", 37, {}), (
+        facts.detail
+    )
     run = load_run(tmp_path)
     for role in Role:
         end = run.role(role)["/outcome"][-1].record

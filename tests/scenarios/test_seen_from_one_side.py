@@ -1,4 +1,6 @@
-"""A target that its detector knows from one side only: D1 goes round, and it is handed over in the heading found."""
+"""A target that its detector knows from one side only: D1 goes round, and it is handed over in the
+heading found.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +22,15 @@ from path.observations import Region
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["from the east", "from the west"])
-def test_it_is_found_and_handed_over(side: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_found_and_handed_over(
+    side: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     found, east_of_it = GeometricView.targets, [False]
 
     def from_one_side(view: GeometricView, region: Region | None) -> Sequence[Detection]:
-        """D1, who came from the south, is shown nothing before it has been nearer to the east (or west) of it."""
+        """D1, who came from the south, is shown nothing before it has been nearer to the east (or
+        west) of it.
+        """
         snapshot, sensor = view._snapshot, view._sensor  # pyright: ignore[reportPrivateUsage]
         way = snapshot.drones[Role.SENDER].T_w_b.t - snapshot.objects[0].position_w_m
         east_of_it[0] = east_of_it[0] or side * float(way[0]) > abs(float(way[1]))
@@ -32,7 +38,8 @@ def test_it_is_found_and_handed_over(side: float, tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr(GeometricView, "targets", from_one_side)
     rig = rig_library.load("sim-person")
-    stands = {**rig.mission["target"], "holds_s": 70.0}  # for long enough to go round to the second side
+    # for long enough to go round to the second side
+    stands = {**rig.mission["target"], "holds_s": 70.0}
     deadlines = {**rig.mission["deadlines"], "acquire_s": 55.0}
     rig = replace(rig, mission={**rig.mission, "target": stands, "deadlines": deadlines})
     rig = replace(rig, world={**rig.world, "target": {**rig.world["target"], "start_time_s": 70.0}})
@@ -42,5 +49,7 @@ def test_it_is_found_and_handed_over(side: float, tmp_path: Path, monkeypatch: p
     run = load_run(tmp_path)
     assert summarize(run)["object_handed_over"] == 0
     follow_ns = next(r.stamp_ns for r in run.sender["/phase"] if r.record["phase"] == "follow")
-    yaws = [r.record["yaw_rad"] for r in run.sender["/setpoint"] if 0 < r.stamp_ns - follow_ns < 1e9]
+    yaws = [
+        r.record["yaw_rad"] for r in run.sender["/setpoint"] if 0 < r.stamp_ns - follow_ns < 1e9
+    ]
     assert math.sin(yaws[-1]) * side < -0.6  # it looks west from the east

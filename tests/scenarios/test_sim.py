@@ -1,4 +1,6 @@
-"""Whole handoffs in virtual time: how they end with and without faults, and that a seed gives one run."""
+"""Whole handoffs in virtual time: how they end with and without faults, and that a seed gives one
+run.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ class Flown:
 
 def fly(rig: str, out: Path, seed: int = 1, *faults: str, errors: str | None = None) -> Flown:
     out.mkdir(exist_ok=True)
-    return Flown(fly_once(with_errors(rig_library.load(rig), errors), seed, faults, out, lambda _: None), out)
+    return Flown(
+        fly_once(with_errors(rig_library.load(rig), errors), seed, faults, out, lambda _: None), out
+    )
 
 
 def rig_with(folder: Path, change: tuple[str, str]) -> str:
@@ -63,10 +67,13 @@ def rig_with(folder: Path, change: tuple[str, str]) -> str:
 def test_flights_in_one_process_leave_nothing_that_is_never_collected(tmp_path: Path) -> None:
     before = gc.get_freeze_count()
     fly("sim", tmp_path, 1, "kill_receiver@preflight")
-    assert gc.get_freeze_count() <= before  # what tests before this one froze may have ended meanwhile
+    # what tests before this one froze may have ended meanwhile
+    assert gc.get_freeze_count() <= before
 
 
-def test_two_seeds_commit_and_break_no_rule_and_one_of_them_again_gives_the_same_bytes(tmp_path: Path) -> None:
+def test_two_seeds_commit_and_break_no_rule_and_one_of_them_again_gives_the_same_bytes(
+    tmp_path: Path,
+) -> None:
     for name, seed in (("a", 2), ("c", 5)):
         commits_and_breaks_no_rule(tmp_path / name, seed)
     fly("sim", tmp_path / "b", 2)
@@ -92,7 +99,9 @@ def commits_and_breaks_no_rule(out: Path, seed: int) -> None:
     assert flown.responsible_at_the_end(Role.RECEIVER)
 
 
-def test_positions_that_put_the_stand_off_too_near_are_found_out_by_the_marker(tmp_path: Path) -> None:
+def test_positions_that_put_the_stand_off_too_near_are_found_out_by_the_marker(
+    tmp_path: Path,
+) -> None:
     """Both estimates err towards each other: the stand-off they make is 0.7 m from the sender."""
     flown = fly("sim", tmp_path, 987277702)
     assert flown.facts.outcome == "committed", flown.facts.detail
@@ -100,7 +109,9 @@ def test_positions_that_put_the_stand_off_too_near_are_found_out_by_the_marker(t
     assert flown.summary["min_separation_m"] > 0.9
 
 
-def test_the_gate_that_goes_by_evidence_needs_no_more_time_on_a_link_that_loses_a_third(tmp_path: Path) -> None:
+def test_the_gate_that_goes_by_evidence_needs_no_more_time_on_a_link_that_loses_a_third(
+    tmp_path: Path,
+) -> None:
     flown = fly("sim", tmp_path, 8, "link_loss=0.3")
     assert flown.facts.outcome == "committed", flown.facts.detail
     assert flown.facts.violations == {}
@@ -146,9 +157,13 @@ def test_rendered_frames_through_the_whole_perception_commit(tmp_path: Path) -> 
         ("battery_sag=0", "guard"),  # the autopilot lands by itself, and is not taken for a pilot
     ],
 )
-def test_a_fault_ends_in_its_outcome_and_the_sender_keeps_the_target(tmp_path: Path, fault: str, outcome: str) -> None:
+def test_a_fault_ends_in_its_outcome_and_the_sender_keeps_the_target(
+    tmp_path: Path, fault: str, outcome: str
+) -> None:
     out = tmp_path / "run"
-    flown = fly(rig_with(tmp_path, IMPATIENT) if outcome == "no_agreement" else "sim", out, 1, fault)
+    flown = fly(
+        rig_with(tmp_path, IMPATIENT) if outcome == "no_agreement" else "sim", out, 1, fault
+    )
     assert flown.facts.outcome == outcome, flown.facts.detail
     assert flown.facts.exit_code != 0
     assert flown.facts.violations == {}
@@ -161,14 +176,19 @@ def test_a_fault_ends_in_its_outcome_and_the_sender_keeps_the_target(tmp_path: P
         told = {"outcome": "peer_lost", "detail": "", "responsible": True, "landed": True}
         assert flown.last_outcome(Role.SENDER) | {"detail": ""} == told
     last = flown.run.world["/truth"][-1].record
-    if not fault.startswith(("pilot_takeover", "rc_mode", "rc_sticks")):  # a pilot who took over keeps the vehicle
+    # a pilot who took over keeps the vehicle
+    if not fault.startswith(("pilot_takeover", "rc_mode", "rc_sticks")):
         assert not last["sender"]["in_air"]
         assert not last["receiver"]["in_air"]
 
 
 @pytest.mark.parametrize("seed", [3, 8])  # in which D2 has the marker in view while it falls
-def test_going_around_takes_until_the_drone_is_within_its_bounds_again(tmp_path: Path, seed: int) -> None:
-    """Its pilot stops the motors as the approach begins; it falls, and is told only with a heartbeat a second."""
+def test_going_around_takes_until_the_drone_is_within_its_bounds_again(
+    tmp_path: Path, seed: int
+) -> None:
+    """Its pilot stops the motors as the approach begins; it falls, and is told only with a
+    heartbeat a second.
+    """
     (tmp_path / "rig.toml").write_text(
         'name = "slow-beat"\nlike = "sim"\n[world.autopilot]\nheartbeat_hz = 1.0\n'
         "[sender.vehicle]\nheartbeat_timeout_s = 2.5\n[receiver.vehicle]\nheartbeat_timeout_s = 2.5\n"
@@ -180,8 +200,12 @@ def test_going_around_takes_until_the_drone_is_within_its_bounds_again(tmp_path:
     assert "approach_failed" not in flown.facts.detail
 
 
-@pytest.mark.parametrize("faults", [("link_loss=0.3",), ("lookalike",), ("link_loss=0.2", "lookalike")])
-def test_loss_and_look_alikes_delay_a_handoff_but_never_mislead_it(tmp_path: Path, faults: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    "faults", [("link_loss=0.3",), ("lookalike",), ("link_loss=0.2", "lookalike")]
+)
+def test_loss_and_look_alikes_delay_a_handoff_but_never_mislead_it(
+    tmp_path: Path, faults: tuple[str, ...]
+) -> None:
     flown = fly("sim", tmp_path, 2, *faults)
     assert flown.facts.outcome in ("committed", "no_agreement"), flown.facts.detail
     assert flown.facts.violations == {}
@@ -200,7 +224,8 @@ def test_nothing_is_agreed_on_a_link_that_loses_nearly_everything(tmp_path: Path
         ("kill_sender=1@preflight", "committed", Role.RECEIVER),
         ("kill_receiver=1@waiting", "committed", Role.RECEIVER),
         ("kill_sender=1@verify+1", "restarted", Role.SENDER),
-        ("kill_sender=0.3@released", "restarted", None),  # taken back by then, or accepted: both are right
+        # taken back by then, or accepted: both are right
+        ("kill_sender=0.3@released", "restarted", None),
         ("kill_receiver=0.3@provisional", "restarted", None),
         ("kill_sender=0.3@handed_over", "restarted", Role.RECEIVER),
         ("kill_receiver=2@follow+1", "restarted", Role.RECEIVER),
@@ -220,33 +245,50 @@ def test_a_program_that_is_killed_and_started_again_goes_by_what_it_wrote_down(
     assert not last["sender"]["in_air"] and not last["receiver"]["in_air"]
 
 
-@pytest.mark.parametrize("seed", [0, 2, 5, 10])  # the receiver is right, right, left, left of it by then
-def test_a_sender_leaves_away_from_a_receiver_that_died_on_its_way_to_it(tmp_path: Path, seed: int) -> None:
-    flown = fly("sim", tmp_path, seed, "kill_receiver@approach+1", errors="exact")  # the side is part of the seed
+# the receiver is right, right, left, left of it by then
+@pytest.mark.parametrize("seed", [0, 2, 5, 10])
+def test_a_sender_leaves_away_from_a_receiver_that_died_on_its_way_to_it(
+    tmp_path: Path, seed: int
+) -> None:
+    # the side is part of the seed
+    flown = fly("sim", tmp_path, seed, "kill_receiver@approach+1", errors="exact")
     (fault,) = flown.run.world["/fault"]
-    leaves_ns = fault.stamp_ns + round(2.8e9)  # once it has heard nothing for ``peer_silence_s``, and followed so long
+    # once it has heard nothing for ``peer_silence_s``, and followed so long
+    leaves_ns = fault.stamp_ns + round(2.8e9)
     after = [record.record for record in flown.run.world["/truth"] if record.stamp_ns >= leaves_ns]
     places = [(each["sender"]["t"], each["receiver"]["t"]) for each in after]
     (began, other), (ended, _) = places[0], places[-1]
-    to_receiver_m, flown_m = other[0] - began[0], ended[0] - began[0]  # east is to the right of the heading
-    assert abs(to_receiver_m) > 0.25  # straight behind, as both positions are known, no side is the other one
+    # east is to the right of the heading
+    to_receiver_m, flown_m = other[0] - began[0], ended[0] - began[0]
+    # straight behind, as both positions are known, no side is the other one
+    assert abs(to_receiver_m) > 0.25
     assert abs(flown_m) > 1.5 and flown_m * to_receiver_m < 0.0
     assert flown.facts.violations == {}
 
 
-def test_a_sender_that_handed_over_leaves_even_when_nothing_more_is_heard_of_the_receiver(tmp_path: Path) -> None:
+def test_a_sender_that_handed_over_leaves_even_when_nothing_more_is_heard_of_the_receiver(
+    tmp_path: Path,
+) -> None:
     """The target leads it towards where a receiver that died hangs in the air."""
     flown = fly("sim", tmp_path, 1, "link_out=4@handed_over+0.1", "kill_receiver=20@holding+0.1")
     assert flown.facts.violations == {}
     world = flown.run.world
-    killed_ns = next(each.stamp_ns for each in world["/fault"] if each.record["fault"] == "kill_receiver")
+    killed_ns = next(
+        each.stamp_ns for each in world["/fault"] if each.record["fault"] == "kill_receiver"
+    )
     later = [each.record for each in world["/truth"] if 2.0e9 < each.stamp_ns - killed_ns < 2.5e9]
     assert later
     assert all(math.dist(each["sender"]["t"], each["receiver"]["t"]) > 1.5 for each in later)
 
 
 def test_what_a_link_does_to_packets_is_survived_together(tmp_path: Path) -> None:
-    faults = ("link_loss=0.1", "link_duplicate=0.3", "link_corrupt=0.1", "link_reorder=0.2", "link_jitter=0.02")
+    faults = (
+        "link_loss=0.1",
+        "link_duplicate=0.3",
+        "link_corrupt=0.1",
+        "link_reorder=0.2",
+        "link_jitter=0.02",
+    )
     flown = fly("sim", tmp_path, 5, *faults, "link_out=0.3@verify+1")
     assert flown.facts.violations == {}
     assert flown.facts.outcome == "committed", flown.facts.detail
@@ -256,8 +298,12 @@ def test_what_a_link_does_to_packets_is_survived_together(tmp_path: Path) -> Non
 def test_a_plate_that_is_upside_down_is_never_flown_by_and_said_by_its_cause(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As of a tag that was printed from AprilRobotics' own pictures, which OpenCV has turned by half a turn."""
-    rig = rig_with(tmp_path, ("[mission.target]", "[mission.deadlines]\nsearch_s = 8.0\n\n[mission.target]"))
+    """As of a tag that was printed from AprilRobotics' own pictures, which OpenCV has turned by
+    half a turn.
+    """
+    rig = rig_with(
+        tmp_path, ("[mission.target]", "[mission.deadlines]\nsearch_s = 8.0\n\n[mission.target]")
+    )
     as_said, usual = rig_library.load(rig).sender.mount.T_b_v, errors.other_mount
     upside_down = Pose(exp(math.pi * np.array([0.0, 0.0, 1.0])), np.zeros(3))
 
@@ -284,7 +330,9 @@ def test_a_marker_whose_size_contradicts_depth_ends_the_flight_before_any_hand_o
 
     def printed(layout: MarkerLayout, *given: Any) -> MarkerLayout:
         built = usual(layout, *given)
-        markers = tuple(replace(each, side_m=each.side_m * true_mm / 40.0) for each in built.markers)
+        markers = tuple(
+            replace(each, side_m=each.side_m * true_mm / 40.0) for each in built.markers
+        )
         return replace(built, markers=markers)
 
     monkeypatch.setattr(errors, "other_print", printed)
@@ -318,10 +366,18 @@ IN_VERIFY_S = 33.5  # of seed 7: the loop's time
 def test_a_drone_whose_own_clock_is_set_in_flight_says_so_and_comes_down(
     tmp_path: Path, who: str, step_s: float, at_s: float
 ) -> None:
-    clock = {"factory": "tests.stepping_clock:SteppingClock", "offset_s": 100.0, "step_s": step_s, "at_s": at_s}
+    clock = {
+        "factory": "tests.stepping_clock:SteppingClock",
+        "offset_s": 100.0,
+        "step_s": step_s,
+        "at_s": at_s,
+    }
     lines = [f"{key} = {json.dumps(value)}" for key, value in clock.items()]
     rig = tmp_path / "set.toml"
-    rig.write_text("\n".join(['name = "set"', 'like = "sim"', 'level = "sim"', f"[{who}.clock]", *lines]), "utf-8")
+    rig.write_text(
+        "\n".join(['name = "set"', 'like = "sim"', 'level = "sim"', f"[{who}.clock]", *lines]),
+        "utf-8",
+    )
     flown = fly(str(rig), tmp_path / "run", 7)
     assert flown.facts.outcome == "clock_fault", flown.facts.detail
     said = f"this drone's own clock was set by {step_s:+.3g} s"
@@ -334,18 +390,26 @@ def test_a_drone_whose_own_clock_is_set_in_flight_says_so_and_comes_down(
         assert "verify" in [r.record["phase"] for r in flown.run.role(Role(who))["/phase"]]
 
 
-def test_a_marker_of_another_id_is_said_by_its_id(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In rendered frames: what was there instead is looked for on the ground, in the last that was searched."""
+def test_a_marker_of_another_id_is_said_by_its_id(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In rendered frames: what was there instead is looked for on the ground, in the last that was
+    searched.
+    """
     usual = errors.other_print
 
     def printed(layout: MarkerLayout, *given: Any) -> MarkerLayout:
         built = usual(layout, *given)
-        return replace(built, markers=tuple(replace(each, id=each.id + 7) for each in built.markers))
+        return replace(
+            built, markers=tuple(replace(each, id=each.id + 7) for each in built.markers)
+        )
 
     monkeypatch.setattr(errors, "other_print", printed)
     text = resources.files("missions.ground").joinpath("rigs/sim-rendered.toml").read_text("utf-8")
     assert text.count("[mission.target]") == 1
-    impatient = text.replace("[mission.target]", "[mission.deadlines]\nsearch_s = 2.0\n\n[mission.target]")
+    impatient = text.replace(
+        "[mission.target]", "[mission.deadlines]\nsearch_s = 2.0\n\n[mission.target]"
+    )
     (tmp_path / "rig.toml").write_text(impatient, "utf-8")
     flown = fly(str(tmp_path / "rig.toml"), tmp_path / "out")
     assert flown.facts.outcome == "marker_not_found"

@@ -1,4 +1,6 @@
-"""Real processes, sockets and MAVSDK, in real time: being stopped in the air, and what is left behind."""
+"""Real processes, sockets and MAVSDK, in real time: being stopped in the air, and what is left
+behind.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +22,14 @@ OVERLOADED = 43
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for left-over processes in /proc")
-def test_a_terminal_that_goes_away_lands_both_and_leaves_nothing_behind(flown_again: Repeating) -> None:
+def test_a_terminal_that_goes_away_lands_both_and_leaves_nothing_behind(
+    flown_again: Repeating,
+) -> None:
     out, pid = flown_again(fly)
-    kept = {role: json.loads((out / f"{role}.state.json").read_text())["record"] for role in ("sender", "receiver")}
+    kept = {
+        role: json.loads((out / f"{role}.state.json").read_text())["record"]
+        for role in ("sender", "receiver")
+    }
     assert (kept["sender"]["duty"], kept["receiver"]["duty"]) == ("mine", "observing")
     facts = json.loads((out / "run.json").read_text())
     assert facts["outcome"] == "interrupted"
@@ -34,7 +41,9 @@ def test_a_terminal_that_goes_away_lands_both_and_leaves_nothing_behind(flown_ag
 
 
 def fly(out: Path) -> Flown[tuple[Path, int]]:
-    """To the stand-off, where the terminal goes away, and down: the folder, and the number of the command."""
+    """To the stand-off, where the terminal goes away, and down: the folder, and the number of the
+    command.
+    """
     command = [
         sys.executable,
         "-m",
@@ -47,13 +56,17 @@ def fly(out: Path) -> Flown[tuple[Path, int]]:
         "--no-picture",
     ]
     seen: list[str] = []
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as process:
         there = says(process, "stand-off", seen, START_LIMIT_S)
         if there:
             assert len(processes_of(str(out))) >= 4  # this command, the world, both roles
             process.send_signal(signal.SIGHUP)
         assert process.stdout is not None
         seen += process.stdout.readlines()
-        assert process.wait(LANDING_LIMIT_S) in ((30, OVERLOADED) if there else (OVERLOADED,)), "".join(seen)
+        assert process.wait(LANDING_LIMIT_S) in ((30, OVERLOADED) if there else (OVERLOADED,)), (
+            "".join(seen)
+        )
     facts = json.loads((out / "run.json").read_text())
     return Flown(facts["outcome"], facts["detail"], (out, process.pid))

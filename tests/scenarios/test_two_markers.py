@@ -1,4 +1,6 @@
-"""A drone that carries two markers: one is enough when the other is hidden, the larger one reaches farther."""
+"""A drone that carries two markers: one is enough when the other is hidden, the larger one reaches
+farther.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,8 @@ from path.messages import Role
 
 LARGE_M = 0.08
 BESIDE = Pose(R_from_rpy(0.0, 0.0, 0.0), np.array([0.10, 0.0, 0.0]))
-CORNER = Pose(R_from_rpy(0.0, math.pi / 2.0, 0.0), np.array([0.07, 0.0, -0.07]))  # turned by 90 degrees about v's y
+# turned by 90 degrees about v's y
+CORNER = Pose(R_from_rpy(0.0, math.pi / 2.0, 0.0), np.array([0.07, 0.0, -0.07]))
 
 
 def rig_with(rig: str, T_v_m: Pose, side_m: float) -> Rig:
@@ -37,7 +40,8 @@ def rig_with(rig: str, T_v_m: Pose, side_m: float) -> Rig:
 
 
 def look(rig: Rig, T_v_c: Pose, cover: int | None = None) -> tuple[LocatedMarker | object, float]:
-    """Returns what D2's camera sees of the markers from a place in ``v``, rendered; and the error of its position, m.
+    """Returns what D2's camera sees of the markers from a place in ``v``, rendered; and the error
+    of its position, m.
 
     ``cover``: something grey hangs in front of this marker.
     """
@@ -110,7 +114,9 @@ def test_a_pair_at_right_angles_shows_one_marker_from_either_side(side: float, s
 
 
 def test_a_handoff_with_two_markers_commits(tmp_path: Path) -> None:
-    """The error of a single flight depends on where its target led: the median of three is judged."""
+    """The error of a single flight depends on where its target led: the median of three is
+    judged.
+    """
     rig = with_errors(rig_with("sim", BESIDE, LARGE_M), "exact")
     errors_m: list[float] = []
     for seed in (1, 2, 3):

@@ -1,6 +1,8 @@
-"""One role's session on real drivers, whose far side is unplugged in the air: a named end, a vehicle on the ground.
+"""One role's session on real drivers, whose far side is unplugged in the air: a named end, a
+vehicle on the ground.
 
-The course is short, what ends it and brings the vehicle down is the missions' own. docs/faults.md has the table.
+The course is short, what ends it and brings the vehicle down is the missions' own. docs/faults.md
+has the table.
 """
 
 from __future__ import annotations
@@ -56,7 +58,9 @@ LIMIT_S = 180.0  # for a whole flight, on a machine that is busy with others
 
 @dataclass
 class Stage:
-    """The parts that fly; ``silence`` and ``blind`` unplug the vehicle's far side and the camera's."""
+    """The parts that fly; ``silence`` and ``blind`` unplug the vehicle's far side and the
+    camera's.
+    """
 
     vehicle: Vehicle
     perception: Perception
@@ -67,13 +71,19 @@ class Stage:
 
 def perception(context: PartContext, camera: dict[str, Any]) -> PixelPerception:
     table = {"camera": camera, "detector": {"factory": "drivers.detectors.color:ColorDetector"}}
-    return PixelPerception(decode_table(table, PixelPerceptionConfig, "rig.toml: sender.perception"), context)
+    return PixelPerception(
+        decode_table(table, PixelPerceptionConfig, "rig.toml: sender.perception"), context
+    )
 
 
 @contextmanager
 def d415() -> Generator[tuple[Perception, software_d415.Feed]]:
     feed = software_d415.Feed()
-    camera = {"factory": "drivers.realsense.camera:RealSense", "fps": software_d415.FPS, "silence_s": 0.2}
+    camera = {
+        "factory": "drivers.realsense.camera:RealSense",
+        "fps": software_d415.FPS,
+        "silence_s": 0.2,
+    }
     seeing = perception(software_d415.context(), camera)
     opened: Any = seeing._camera
     opened.source = feed
@@ -116,10 +126,17 @@ def tello_and_d415() -> Generator[Stage]:
 @contextmanager
 def tello() -> Generator[Stage]:
     """All of its video is damaged when it is corrupt, not only a quarter."""
-    with pytest.MonkeyPatch.context() as patch, tello_stand.emulated(rate_hz=VIDEO_HZ, speed=4.0) as stand:
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        tello_stand.emulated(rate_hz=VIDEO_HZ, speed=4.0) as stand,
+    ):
         patch.setattr(tello_video, "CORRUPT_SHARE", 1.0)
         context = tello_stand.context()
-        camera = {"factory": "drivers.tello.camera:TelloCamera", "rate_hz": VIDEO_HZ, **stand.address}
+        camera = {
+            "factory": "drivers.tello.camera:TelloCamera",
+            "rate_hz": VIDEO_HZ,
+            **stand.address,
+        }
         yield Stage(
             TelloVehicle(TelloVehicleConfig(**stand.address), context),
             perception(context, camera),
@@ -165,14 +182,19 @@ async def say_status(link: Link) -> None:
         await asyncio.sleep(0.1)
 
 
-async def fly(stage: Stage, folder: Path, unplug: Callable[[Stage, Cable], object]) -> tuple[RoleResult, float]:
+async def fly(
+    stage: Stage, folder: Path, unplug: Callable[[Stage, Cable], object]
+) -> tuple[RoleResult, float]:
     """Returns how it ended, and how long after the unplugging."""
     cable = Cable(folder)
     cable.plug()
     sender, receiver = serial_links(cable, None)
     try:
         async with AsyncExitStack() as stack, asyncio.timeout(LIMIT_S):
-            link, peer = await stack.enter_async_context(sender), await stack.enter_async_context(receiver)
+            link, peer = (
+                await stack.enter_async_context(sender),
+                await stack.enter_async_context(receiver),
+            )
             await introduce(link, peer)
             saying = asyncio.create_task(say_status(peer))
             await stack.enter_async_context(stage.perception)
@@ -217,9 +239,20 @@ def garbled(stage: Stage, cable: Cable) -> None:
     ("stage_of", "unplug", "outcome", "landed", "within_s"),
     [
         pytest.param(autopilot_and_d415, blinded, Outcome.CAMERA_LOST, True, 1.0, id="frames stop"),
-        pytest.param(autopilot_and_d415, silenced, Outcome.VEHICLE_LOST, False, 1.0, id="heartbeats stop"),
-        pytest.param(autopilot_and_d415, garbled, Outcome.PEER_LOST, True, 3.5, id="garbage on serial, then nothing"),
-        pytest.param(tello_and_d415, silenced, Outcome.VEHICLE_LOST, False, 1.0, id="state packets stop"),
+        pytest.param(
+            autopilot_and_d415, silenced, Outcome.VEHICLE_LOST, False, 1.0, id="heartbeats stop"
+        ),
+        pytest.param(
+            autopilot_and_d415,
+            garbled,
+            Outcome.PEER_LOST,
+            True,
+            3.5,
+            id="garbage on serial, then nothing",
+        ),
+        pytest.param(
+            tello_and_d415, silenced, Outcome.VEHICLE_LOST, False, 1.0, id="state packets stop"
+        ),
         pytest.param(tello, blinded, Outcome.CAMERA_LOST, True, 1.5, id="video corrupt"),
     ],
 )

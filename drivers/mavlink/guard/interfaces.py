@@ -1,7 +1,8 @@
 """Values and Protocols between a role's program, its guard and the vehicle that the guard watches.
 
-The guard is a process of its own with a MAVLink link of its own; the role's program tells it many times a second that
-it lives and what it does with the vehicle, and hears in return whether it is watched and whether the vehicle was taken.
+The guard is a process of its own with a MAVLink link of its own; the role's program tells it many
+times a second that it lives and what it does with the vehicle, and hears in return whether it is
+watched and whether the vehicle was taken.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ class Beat:
     Attributes:
         setpoints: how many were sent since the program began.
         separation_m: between the two bodies, as measured since the last beat; NaN: not measured.
-        peer_n_m: where the other drone says it is, in this role's local frame; NaN: not known, or old.
+        peer_n_m: where the other drone says it is, in this role's local frame; NaN: not known, or
+            old.
     """
 
     script: Script
@@ -54,7 +56,9 @@ class Hand(Enum):
     FREE = 0  # not armed, or not flown by a script
     SCRIPT = 1
     GUARD = 2  # taken from the script, until it is disarmed
-    OTHER = 3  # a pilot, another ground station or the autopilot itself took it: the guard does nothing any more
+    # a pilot, another ground station or the autopilot itself took it: the guard does nothing any
+    # more
+    OTHER = 3
 
 
 @value
@@ -115,7 +119,9 @@ class BeatLine(Part, Protocol):
     """The guard's end of the line."""
 
     def newest(self) -> tuple[int, Beat] | None:
-        """The newest beat since the last call and its arrival, guard's clock; None when none came."""
+        """The newest beat since the last call and its arrival, guard's clock; None when none
+        came.
+        """
         ...
 
     def answer(self, answer: GuardAnswer) -> None:
@@ -129,7 +135,9 @@ class BeatLine(Part, Protocol):
 
 
 class Watched(Part, Protocol):
-    """A vehicle as its guard has it: telemetry of an own link, and two commands, each sent once a call."""
+    """A vehicle as its guard has it: telemetry of an own link, and two commands, each sent once a
+    call.
+    """
 
     @property
     def name(self) -> str: ...

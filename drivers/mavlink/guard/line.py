@@ -1,7 +1,8 @@
-"""The line between a role's program and its guard: UDP datagrams on one computer, beats there and answers back.
+"""The line between a role's program and its guard: UDP datagrams on one computer, beats there and
+answers back.
 
-A hung or killed program simply sends nothing more; nothing here waits for anybody. Both ends seal what they say
-with the key of the guard's run: what another program sends is counted and ignored.
+A hung or killed program simply sends nothing more; nothing here waits for anybody. Both ends seal
+what they say with the key of the guard's run: what another program sends is counted and ignored.
 """
 
 from __future__ import annotations
@@ -14,14 +15,23 @@ from typing import Self
 from drivers.interfaces import Clock, PartError
 from drivers.link.udp import Address, address_of
 from drivers.mavlink.guard.interfaces import Beat, GuardAnswer, Hand, Script
-from drivers.mavlink.guard.seal import KeyReader, Opener, Seals, forget_key, keep_key, key_path, make_key
+from drivers.mavlink.guard.seal import (
+    KeyReader,
+    Opener,
+    Seals,
+    forget_key,
+    keep_key,
+    key_path,
+    make_key,
+)
 
 _BEAT = struct.Struct("!4sBIffff")  # magic, script, setpoints, separation, peer's north, east, down
 _ANSWER = struct.Struct("!4sBB")  # magic, sees, hand; then reason and alarm
 _BEAT_MAGIC = b"PGb1"
 _ANSWER_MAGIC = b"PGa1"
 _MOST_BYTES = 1024
-_KEY_LOOK_NS = 100_000_000  # a role whose guard's key is gone is silent; it is taken for dead after beat_age_s
+# a role whose guard's key is gone is silent; it is taken for dead after beat_age_s
+_KEY_LOOK_NS = 100_000_000
 _MOST_READS = 1000  # at once: a flood does not keep a guard from its rules
 _WORDS_BYTES = 400
 _BETWEEN = "\0"  # reason and alarm
@@ -48,8 +58,13 @@ def decode_beat(packet: bytes) -> Beat | None:
 
 
 def encode_answer(answer: GuardAnswer) -> bytes:
-    words = [text.replace(_BETWEEN, " ").encode("utf-8")[:_WORDS_BYTES] for text in (answer.reason, answer.alarm)]
-    return _ANSWER.pack(_ANSWER_MAGIC, answer.sees, answer.hand.value) + _BETWEEN.encode().join(words)
+    words = [
+        text.replace(_BETWEEN, " ").encode("utf-8")[:_WORDS_BYTES]
+        for text in (answer.reason, answer.alarm)
+    ]
+    return _ANSWER.pack(_ANSWER_MAGIC, answer.sees, answer.hand.value) + _BETWEEN.encode().join(
+        words
+    )
 
 
 def decode_answer(packet: bytes) -> GuardAnswer | None:
@@ -64,7 +79,9 @@ def decode_answer(packet: bytes) -> GuardAnswer | None:
 
 
 def is_taken(bind: str) -> bool:
-    """Returns whether somebody listens there: a guard, one hopes; the role asks it before it flies."""
+    """Returns whether somebody listens there: a guard, one hopes; the role asks it before it
+    flies.
+    """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind(address_of(bind, "bind"))
@@ -130,7 +147,9 @@ class UdpGuardLine:
         try:
             self._socket.open(None, address_of(self.name, "bind"))
         except OSError as error:
-            raise GuardLineError(f"no way to the guard at {self.name}: {error.strerror}", "correct its bind") from error
+            raise GuardLineError(
+                f"no way to the guard at {self.name}: {error.strerror}", "correct its bind"
+            ) from error
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -168,13 +187,17 @@ class UdpBeatLine:
             self._socket.open(address_of(self._bind, "bind"), None)
         except OSError as error:
             remedy = "is another guard of this drone running? end it, or give each its own bind"
-            raise GuardLineError(f"the guard cannot listen on {self._bind}: {error.strerror}", remedy) from error
+            raise GuardLineError(
+                f"the guard cannot listen on {self._bind}: {error.strerror}", remedy
+            ) from error
         try:
             self._key = make_key(self._bind)
         except OSError as error:
             self._socket.close()
             remedy = "make room there, and remove what another user left under this name"
-            raise GuardLineError(f"the guard's key {key_path(self._bind)}: {error.strerror}", remedy) from error
+            raise GuardLineError(
+                f"the guard's key {key_path(self._bind)}: {error.strerror}", remedy
+            ) from error
         return self
 
     async def __aexit__(self, *_: object) -> None:

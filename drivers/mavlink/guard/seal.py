@@ -1,7 +1,9 @@
-"""The key of the line between a program and its guard, one for each run of the guard, and the seals made with it.
+"""The key of the line between a program and its guard, one for each run of the guard, and the seals
+made with it.
 
-Whoever listens on the guard's address owns it and makes the key: a file of the same user, mode 0600, beside the lock
-files of the ports. A program that is started again in the air finds it there; one of another user does not.
+Whoever listens on the guard's address owns it and makes the key: a file of the same user, mode
+0600, beside the lock files of the ports. A program that is started again in the air finds it there;
+one of another user does not.
 """
 
 from __future__ import annotations
@@ -36,11 +38,14 @@ def make_key(bind: str) -> bytes:
 
 
 def keep_key(bind: str, key: bytes) -> None:
-    """Write a key again whose file, or folder, somebody has removed: a cleaner of temporary files. Never raises."""
+    """Write a key again whose file, or folder, somebody has removed: a cleaner of temporary files.
+    Never raises.
+    """
     path = key_path(bind)
     if path.exists():
         return
-    with contextlib.suppress(OSError):  # it is tried again; until then no program of this user finds the guard
+    # it is tried again; until then no program of this user finds the guard
+    with contextlib.suppress(OSError):
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         _write(path, key)
 
@@ -84,15 +89,23 @@ class KeyReader:
 
 
 def _content(path: Path) -> bytes | None:
-    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+    with os.fdopen(
+        os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC), "rb"
+    ) as file:
         found = os.fstat(file.fileno())
-        own = stat.S_ISREG(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
+        own = (
+            stat.S_ISREG(found.st_mode)
+            and found.st_uid == os.getuid()
+            and not found.st_mode & 0o077
+        )
         key = file.read(KEY_BYTES + 1) if own else b""
     return key if len(key) == KEY_BYTES else None
 
 
 class Seals:
-    """Seals what one end says. Stamps are the computer's own clock, so that a program started again is never older."""
+    """Seals what one end says. Stamps are the computer's own clock, so that a program started again
+    is never older.
+    """
 
     def __init__(self) -> None:
         self._newest = 0
@@ -114,7 +127,9 @@ class Opener:
 
         None when it is not sealed with the key, or no newer than what was opened before.
         """
-        if len(packet) <= SEAL_BYTES or not hmac.compare_digest(_tag(key, packet[:-_TAG_BYTES]), packet[-_TAG_BYTES:]):
+        if len(packet) <= SEAL_BYTES or not hmac.compare_digest(
+            _tag(key, packet[:-_TAG_BYTES]), packet[-_TAG_BYTES:]
+        ):
             return None
         stamp = int.from_bytes(packet[:_STAMP_BYTES], "big")
         if stamp <= self._newest:

@@ -1,1 +1,3 @@
-"""The things that an autopilot must have before it is flown: parameters, pilot's radio and fence."""
+"""The things that an autopilot must have before it is flown: parameters, pilot's radio and
+fence.
+"""

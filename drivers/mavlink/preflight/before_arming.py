@@ -27,7 +27,9 @@ def access_of(session: MavsdkSession, url: str) -> ParameterAccess:
 class BeforeArming:
     """The pilot and the fence of one vehicle that is open."""
 
-    def __init__(self, session: MavsdkSession, telemetry: TelemetrySlots, config: MavsdkVehicleConfig) -> None:
+    def __init__(
+        self, session: MavsdkSession, telemetry: TelemetrySlots, config: MavsdkVehicleConfig
+    ) -> None:
         self._session = session
         self._telemetry = telemetry
         self._config = config
@@ -40,7 +42,14 @@ class BeforeArming:
         """Checks that a pilot's radio can take the vehicle; nothing is set. Raises VehicleError."""
         if self._config.rc == "none":
             said = 'NO REMOTE CONTROL (rc = "none"): no pilot can take this vehicle, nor stop its motors'
-            return [Finding("note", "pilot", said, "give it a radio, and leave rc out, before people are near it")]
+            return [
+                Finding(
+                    "note",
+                    "pilot",
+                    said,
+                    "give it a radio, and leave rc out, before people are near it",
+                )
+            ]
         wrong = await self._without_pilot()
         fix = "switch the transmitter on; what each parameter means for the pilot: docs/field.md"
         if wrong:
@@ -49,38 +58,55 @@ class BeforeArming:
 
     async def _without_pilot(self) -> list[str]:
         telemetry = self._telemetry
-        heard = await self._session.until(lambda: telemetry.radio_heard, self._config.mode_timeout_s)
+        heard = await self._session.until(
+            lambda: telemetry.radio_heard, self._config.mode_timeout_s
+        )
         missing = [] if heard else ["no radio is heard, and the rig says that a pilot has one"]
         return missing + kept_out(
-            self._telemetry.known_kind, await self._access.read(pilot_names(self._telemetry.known_kind))
+            self._telemetry.known_kind,
+            await self._access.read(pilot_names(self._telemetry.known_kind)),
         )
 
     async def plan_geofence(self, fence: Geofence) -> FencePlan:
-        """Returns what has to be done about the autopilot's own fence; nothing is set. Raises VehicleError."""
+        """Returns what has to be done about the autopilot's own fence; nothing is set. Raises
+        VehicleError.
+        """
         telemetry = self._telemetry
-        if not await self._session.until(lambda: telemetry.position is not None, self._config.connect_timeout_s):
-            raise VehicleError("its fence is around its home, and it does not say where it is", "give it a clear sky")
+        if not await self._session.until(
+            lambda: telemetry.position is not None, self._config.connect_timeout_s
+        ):
+            raise VehicleError(
+                "its fence is around its home, and it does not say where it is",
+                "give it a clear sky",
+            )
         position = telemetry.position
         assert position is not None
         found = await self._access.read(fence_names(self._telemetry.known_kind))
         return plan_fence(self._telemetry.known_kind, found, fence, position.n_m)
 
     async def keep_geofence(self, fence: Geofence) -> Mapping[str, float]:
-        """Gives the autopilot a fence of its own, one step wider than the script's, and reads it back.
+        """Gives the autopilot a fence of its own, one step wider than the script's, and reads it
+        back.
 
-        What was set, by name. Raises VehicleError where that is not possible: then nothing is to be armed.
+        What was set, by name. Raises VehicleError where that is not possible: then nothing is to be
+        armed.
         """
         remedy = "look at `path-handoff doctor --rig RIG --role ROLE`; docs/field.md says what the fence is for"
         plan = await self.plan_geofence(fence)
         if plan.problems:
             raise VehicleError(f"vehicle {self._config.sysid}: {'; '.join(plan.problems)}", remedy)
         if plan.set_to and self._telemetry.state().armed:
-            raise VehicleError(f"vehicle {self._config.sysid} is armed, and its fence is not set", "disarm it first")
+            raise VehicleError(
+                f"vehicle {self._config.sysid} is armed, and its fence is not set",
+                "disarm it first",
+            )
         for name, value in plan.set_to.items():
             await self._access.write(Difference(name, value, None))
         again = await self.plan_geofence(fence)
         if again.set_to or again.problems:
-            raise VehicleError(f"vehicle {self._config.sysid} did not keep the fence it was given", remedy)
+            raise VehicleError(
+                f"vehicle {self._config.sysid} did not keep the fence it was given", remedy
+            )
         return plan.set_to
 
     async def check_pilot(self) -> None:

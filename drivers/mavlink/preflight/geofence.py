@@ -1,8 +1,10 @@
-"""The autopilot's own fence: a cylinder around its home, one step wider than the script's, by its parameters.
+"""The autopilot's own fence: a cylinder around its home, one step wider than the script's, by its
+parameters.
 
-The script's fence is around the mission's origin and above the height that the rig names; the autopilot's is around and
-above its home, which is where it is armed. PX4 measures both from its estimate of home and position (GF_SOURCE 0), so
-its ceiling moves with its altitude; ArduCopter keeps FENCE_MARGIN inside.
+The script's fence is around the mission's origin and above the height that the rig names; the
+autopilot's is around and above its home, which is where it is armed. PX4 measures both from its
+estimate of home and position (GF_SOURCE 0), so its ceiling moves with its altitude; ArduCopter
+keeps FENCE_MARGIN inside.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ ARDUPILOT_NAMES = ("FENCE_RADIUS", "FENCE_ALT_MAX", "FENCE_ACTION", "FENCE_TYPE"
 
 @dataclass(frozen=True, slots=True)
 class Geofence:
-    """The script's: around the mission's origin, above the height that the rig's ``height_from`` counts from."""
+    """The script's: around the mission's origin, above the height that the rig's ``height_from``
+    counts from.
+    """
 
     radius_m: float
     height_m: float
@@ -45,12 +49,15 @@ def names_of(kind: AutopilotKind) -> tuple[str, ...]:
 
 
 def plan_fence(
-    kind: AutopilotKind, found: Mapping[str, float | None], fence: Geofence, home_n_m: tuple[float, float, float]
+    kind: AutopilotKind,
+    found: Mapping[str, float | None],
+    fence: Geofence,
+    home_n_m: tuple[float, float, float],
 ) -> FencePlan:
     """Holds what a vehicle has against what it should have.
 
-    A wider fence, or none, is drawn in. One that is narrower than the script's is a crew's own and stays: the script
-    would fly into it.
+    A wider fence, or none, is drawn in. One that is narrower than the script's is a crew's own and
+    stays: the script would fly into it.
 
     Args:
         found: the parameters of ``names_of``, None for one that was not read.
@@ -66,14 +73,18 @@ def plan_fence(
     set_to: dict[str, float] = {}
     problems: list[str] = []
     if not (math.hypot(north, east) < fence.radius_m and -down < fence.height_m):
-        problems.append(f"it stands outside the script's fence, at ({north:.1f}, {east:.1f}) m, height {-down:.1f} m")
+        problems.append(
+            f"it stands outside the script's fence, at ({north:.1f}, {east:.1f}) m, height {-down:.1f} m"
+        )
     on = kind is PX4 or (has["FENCE_ENABLE"] > 0.0)
     bits = (ALT_MAX | CIRCLE) if kind is PX4 else round(has["FENCE_TYPE"])
     for name, least_m, bit in zip(names, within_m, (CIRCLE, ALT_MAX), strict=False):
         wanted_m = float(math.ceil(least_m + STEP_M))
         there = on and bool(bits & bit) and has[name] > 0.0
         if there and has[name] < least_m:
-            problems.append(f"{name} is {has[name]:g} m, inside the script's own fence of {least_m:.1f} m from there")
+            problems.append(
+                f"{name} is {has[name]:g} m, inside the script's own fence of {least_m:.1f} m from there"
+            )
         elif not there or has[name] > wanted_m + STEP_M:
             set_to[name] = wanted_m
     action = "GF_ACTION" if kind is PX4 else "FENCE_ACTION"

@@ -1,4 +1,6 @@
-"""The autopilot's parameters a companion-driven flight needs: read, compared with the rig, set when asked to."""
+"""The autopilot's parameters a companion-driven flight needs: read, compared with the rig, set when
+asked to.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +23,15 @@ T = TypeVar("T")
 
 CLOSE = 1e-4  # of a single-precision number
 OTHER_TYPE = (ParamResult.WRONG_TYPE, ParamResult.TYPE_MISMATCH)
-ABSENT = (ParamResult.DOES_NOT_EXIST, ParamResult.TIMEOUT)  # an autopilot does not answer for what it has not got
+# an autopilot does not answer for what it has not got
+ABSENT = (ParamResult.DOES_NOT_EXIST, ParamResult.TIMEOUT)
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A parameter that is not as the rig wants it. ``found`` is None where the vehicle has no such parameter."""
+    """A parameter that is not as the rig wants it. ``found`` is None where the vehicle has no such
+    parameter.
+    """
 
     name: str
     wanted: float
@@ -37,10 +42,16 @@ class Difference:
         return f"{self.name} is {found}, the rig wants {self.wanted:g}"
 
 
-def differences(wanted: Mapping[str, float], found: Mapping[str, float | None]) -> tuple[Difference, ...]:
-    """Returns the parameters that are not as wanted, in the order of the rig. Both by the rig's names."""
+def differences(
+    wanted: Mapping[str, float], found: Mapping[str, float | None]
+) -> tuple[Difference, ...]:
+    """Returns the parameters that are not as wanted, in the order of the rig. Both by the rig's
+    names.
+    """
     pairs = ((name, value, found.get(name)) for name, value in wanted.items())
-    return tuple(Difference(*pair) for pair in pairs if pair[2] is None or not same(pair[1], pair[2]))
+    return tuple(
+        Difference(*pair) for pair in pairs if pair[2] is None or not same(pair[1], pair[2])
+    )
 
 
 def same(wanted: float, found: float) -> bool:
@@ -49,21 +60,28 @@ def same(wanted: float, found: float) -> bool:
 
 
 class ParameterAccess:
-    """Reads and sets through MAVSDK's Param plugin, whose calls block: each runs in a thread of its own."""
+    """Reads and sets through MAVSDK's Param plugin, whose calls block: each runs in a thread of its
+    own.
+    """
 
     def __init__(self, system: Any) -> None:
         self._plugin: Any = Param(system)
         self._in_use = threading.Lock()
-        self._thread = ThreadPoolExecutor(1, "mavsdk-parameters")  # ends with this, not with the program
+        # ends with this, not with the program
+        self._thread = ThreadPoolExecutor(1, "mavsdk-parameters")
 
     def destroy(self) -> None:
-        """End the plugin, once the call that it is in has returned: cancelling the reader does not end that."""
+        """End the plugin, once the call that it is in has returned: cancelling the reader does not
+        end that.
+        """
         with self._in_use:
             self._plugin.destroy()
         self._thread.shutdown()
 
     async def read(self, names: Iterable[str]) -> dict[str, float | None]:
-        """Values by the names asked for, None for one that the vehicle does not have. Raises VehicleError."""
+        """Values by the names asked for, None for one that the vehicle does not have. Raises
+        VehicleError.
+        """
         return {name: await self._apart(self._read_known, name) for name in names}
 
     async def write(self, difference: Difference) -> None:
@@ -83,7 +101,10 @@ class ParameterAccess:
 
     def _read(self, name: str) -> tuple[float, bool] | None:
         """(value, whether it is a whole number)."""
-        for whole, get in ((True, self._plugin.get_param_int), (False, self._plugin.get_param_float)):
+        for whole, get in (
+            (True, self._plugin.get_param_int),
+            (False, self._plugin.get_param_float),
+        ):
             try:
                 return float(get(name)), whole
             except ParamError as error:
@@ -107,9 +128,14 @@ class ParameterAccess:
                     else:
                         self._plugin.set_param_float(known, wanted)
                 except ParamError as error:
-                    raise VehicleError(f"{known} = {wanted:g} was not taken: {error.result.name}") from error
+                    raise VehicleError(
+                        f"{known} = {wanted:g} was not taken: {error.result.name}"
+                    ) from error
                 after = self._read(known)
                 if after is None or not same(wanted, after[0]):
                     raise VehicleError(f"{known} was set to {wanted:g} and is {after and after[0]}")
                 return
-            raise VehicleError(f"the vehicle has no parameter {name}", "is it the right kind and version of autopilot?")
+            raise VehicleError(
+                f"the vehicle has no parameter {name}",
+                "is it the right kind and version of autopilot?",
+            )

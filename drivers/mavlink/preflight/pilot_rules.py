@@ -1,6 +1,8 @@
-"""The parameters that decide whether a pilot with a radio can take a vehicle, and the values that would keep one out.
+"""The parameters that decide whether a pilot with a radio can take a vehicle, and the values that
+would keep one out.
 
-The meaning of each value is that of PX4 1.17.0's and ArduCopter 4.7-dev's own parameter descriptions and sources.
+The meaning of each value is that of PX4 1.17.0's and ArduCopter 4.7-dev's own parameter
+descriptions and sources.
 """
 
 from __future__ import annotations
@@ -17,8 +19,8 @@ SWITCH_CHANNELS = range(5, 17)
 
 @dataclass(frozen=True, slots=True)
 class PilotRule:
-    """A parameter by name, whether a value of it leaves the pilot in command, and what goes wrong with one that does
-    not."""
+    """A parameter by name, whether a value of it leaves the pilot in command, and what goes wrong
+    with one that does not."""
 
     name: str
     leaves: Callable[[float], bool]
@@ -36,10 +38,18 @@ SILENCING = (
         "1 and 4 ignore every radio, so that mode switch and kill switch do nothing; with 2, 3, 6 and 8 a ground "
         "station's joystick can keep it out: 0 is the radio alone, 5 and 7 put it first",
     ),
-    PilotRule("RC_OPTIONS", _bit(0), "bit 0 ignores the receiver: mode switch and kill switch do nothing"),
-    PilotRule("FENCE_OPTIONS", _bit(0), "bit 0 refuses the pilot's mode switch after a breach of the fence"),
+    PilotRule(
+        "RC_OPTIONS", _bit(0), "bit 0 ignores the receiver: mode switch and kill switch do nothing"
+    ),
+    PilotRule(
+        "FENCE_OPTIONS",
+        _bit(0),
+        "bit 0 refuses the pilot's mode switch after a breach of the fence",
+    ),
 )
-"""Values that no rig may ask for, and no vehicle have, wherever there is a pilot or should be one."""
+"""Values that no rig may ask for, and no vehicle have, wherever there is a pilot or should be
+one.
+"""
 
 _WITH_RADIO: Mapping[str, tuple[PilotRule, ...]] = {
     "px4": (
@@ -51,7 +61,9 @@ _WITH_RADIO: Mapping[str, tuple[PilotRule, ...]] = {
         PilotRule("FS_THR_ENABLE", lambda value: value > 0.0, "a lost radio would not be noticed"),
     ),
 }
-_ESSENTIAL = frozenset({"COM_RC_IN_MODE", "RC_MAP_FLTMODE", "RC_MAP_KILL_SW", "FLTMODE_CH", "FS_THR_ENABLE"})
+_ESSENTIAL = frozenset(
+    {"COM_RC_IN_MODE", "RC_MAP_FLTMODE", "RC_MAP_KILL_SW", "FLTMODE_CH", "FS_THR_ENABLE"}
+)
 
 
 def names_of(kind: AutopilotKind) -> tuple[str, ...]:
@@ -62,7 +74,9 @@ def names_of(kind: AutopilotKind) -> tuple[str, ...]:
 
 
 def kept_out(kind: AutopilotKind, found: Mapping[str, float | None]) -> list[str]:
-    """The reasons for which a pilot with a radio could not take a vehicle with these parameters; empty when one can."""
+    """The reasons for which a pilot with a radio could not take a vehicle with these parameters;
+    empty when one can.
+    """
     wrong: list[str] = []
     for rule in (*SILENCING, *_WITH_RADIO[kind.name]):
         if rule.name not in found:
@@ -72,6 +86,8 @@ def kept_out(kind: AutopilotKind, found: Mapping[str, float | None]) -> list[str
             wrong.append(f"{rule.name} cannot be read")
         elif value is not None and not rule.leaves(value):
             wrong.append(f"{rule.name} is {value:g}: {rule.otherwise}")
-    if kind is not PX4 and ESTOP not in {found.get(f"RC{channel}_OPTION") for channel in SWITCH_CHANNELS}:
+    if kind is not PX4 and ESTOP not in {
+        found.get(f"RC{channel}_OPTION") for channel in SWITCH_CHANNELS
+    }:
         wrong.append(f"no RCn_OPTION is {ESTOP}, Motor Emergency Stop: there is no kill switch")
     return wrong

@@ -1,4 +1,6 @@
-"""MAVLink frames as bytes: cut out of what came in, looked at, made and checked without a library of messages."""
+"""MAVLink frames as bytes: cut out of what came in, looked at, made and checked without a library
+of messages.
+"""
 
 from __future__ import annotations
 
@@ -38,11 +40,14 @@ def head_of(frame: bytes) -> Head:
 def take_frames(waiting: bytearray) -> Iterator[bytes]:
     """Cut whole frames off the front of a stream of bytes; what is no frame is skipped.
 
-    A damaged frame may hide the next one for once: the checksum is for whoever decodes it, and telemetry comes again.
+    A damaged frame may hide the next one for once: the checksum is for whoever decodes it, and
+    telemetry comes again.
     """
     while waiting:
         if waiting[0] not in (V1, V2):
-            begin = min((at for at in (waiting.find(V1), waiting.find(V2)) if at >= 0), default=len(waiting))
+            begin = min(
+                (at for at in (waiting.find(V1), waiting.find(V2)) if at >= 0), default=len(waiting)
+            )
             del waiting[:begin]
             continue
         if len(waiting) < 3:
@@ -58,7 +63,9 @@ def take_frames(waiting: bytearray) -> Iterator[bytes]:
 
 
 def whole(frame: bytes) -> bool:
-    """Returns whether the checksum of one of the two known messages holds; of others nothing is known here."""
+    """Returns whether the checksum of one of the two known messages holds; of others nothing is
+    known here.
+    """
     head = head_of(frame)
     extra = CRC_EXTRA.get(head.message)
     end = head.payload_at + frame[1]
@@ -74,12 +81,18 @@ def payload_of(frame: bytes, size: int) -> bytes:
 def make(message: int, payload: bytes, sender: tuple[int, int], sequence: int) -> bytes:
     """An unsigned MAVLink 2 frame of one of the two known messages."""
     payload = payload.rstrip(b"\0") or b"\0"
-    rest = bytes((len(payload), 0, 0, sequence & 0xFF, *sender)) + message.to_bytes(3, "little") + payload
+    rest = (
+        bytes((len(payload), 0, 0, sequence & 0xFF, *sender))
+        + message.to_bytes(3, "little")
+        + payload
+    )
     return bytes((V2,)) + rest + crc(rest, CRC_EXTRA[message])
 
 
 def crc(data: bytes, extra: int) -> bytes:
-    """CRC-16/MCRF4XX of a frame less its marker, and of the byte that stands for the message's layout."""
+    """CRC-16/MCRF4XX of a frame less its marker, and of the byte that stands for the message's
+    layout.
+    """
     value = 0xFFFF
     for byte in (*data, extra):
         mixed = (byte ^ value) & 0xFF

@@ -1,8 +1,9 @@
 """MAVSDK's line to its vehicle over a port of ours, where anybody could send to MAVSDK's own.
 
-MAVSDK believes whoever sends a heartbeat with its vehicle's number, answers there, and cannot sign. So it has no port:
-a thread reads ours, hands on what the vehicle's own proven address said (``source`` beside this), rightly signed where
-there is a key, and sends what MAVSDK wants sent there and nowhere else.
+MAVSDK believes whoever sends a heartbeat with its vehicle's number, answers there, and cannot sign.
+So it has no port: a thread reads ours, hands on what the vehicle's own proven address said
+(``source`` beside this), rightly signed where there is a key, and sends what MAVSDK wants sent
+there and nowhere else.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ _END_S = 2.0
 
 
 def needs_line(url: str, key: bytes | None) -> bool:
-    """Returns whether MAVSDK is not to open a url by itself: others can send there, or what is said is to be signed."""
+    """Returns whether MAVSDK is not to open a url by itself: others can send there, or what is said
+    is to be signed.
+    """
     return url.startswith("udpin://") or key is not None
 
 
@@ -42,13 +45,20 @@ class MavsdkLine:
         key: of MAVLink 2's signatures, both ways.
     """
 
-    def __init__(self, url: str, sysid: int, own: tuple[int, int], key: bytes | None = None) -> None:
+    def __init__(
+        self, url: str, sysid: int, own: tuple[int, int], key: bytes | None = None
+    ) -> None:
         if URL.fullmatch(url) is None:
-            raise VehicleError(f"{url} cannot be signed", "use udpin://, udpout:// or serial://, or leave out key_file")
+            raise VehicleError(
+                f"{url} cannot be signed",
+                "use udpin://, udpout:// or serial://, or leave out key_file",
+            )
         try:
             self._transport: Transport = open_transport(url)
         except (OSError, serial.SerialException) as error:
-            raise VehicleError(f"cannot open {url}: {error}", "check that the device or address exists") from error
+            raise VehicleError(
+                f"cannot open {url}: {error}", "check that the device or address exists"
+            ) from error
         self._source = VehicleSource(sysid, own)
         self._check = None if key is None else SignatureCheck(key)
         self._signer = None if key is None else Signer(key, own[1], extras())
@@ -92,7 +102,8 @@ class MavsdkLine:
 
     def _take(self, data: bytes, source: Address | None) -> None:
         if not data:
-            self._ending.wait(_WAIT_S)  # a device that was unplugged is always ready, and has nothing
+            # a device that was unplugged is always ready, and has nothing
+            self._ending.wait(_WAIT_S)
             return
         if source is not None:
             self._waiting.clear()  # what another one left unfinished does not hide what comes next
@@ -105,7 +116,8 @@ class MavsdkLine:
         head = head_of(frame)
         now_ns = time.monotonic_ns()
         pinned = self._source.pinned
-        if head.system != self._source.sysid:  # before there is a vehicle, a neighbour's heartbeat tells who is here
+        # before there is a vehicle, a neighbour's heartbeat tells who is here
+        if head.system != self._source.sysid:
             return source in (None, pinned) or (pinned is None and head.message == HEARTBEAT)
         if self._check is not None and not self._check.holds(frame):
             self._source.ignore(UNSIGNED)

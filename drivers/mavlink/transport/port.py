@@ -1,6 +1,8 @@
-"""MAVLink packets over UDP or a serial port, without a library of threads: nothing here blocks or waits.
+"""MAVLink packets over UDP or a serial port, without a library of threads: nothing here blocks or
+waits.
 
-Only messages of wanted ids are decoded. An autopilot's second port may carry a thousand others a second.
+Only messages of wanted ids are decoded. An autopilot's second port may carry a thousand others a
+second.
 """
 
 from __future__ import annotations
@@ -28,7 +30,9 @@ UNSIGNED = "packets of the vehicle's number that are not signed with the key"
 
 
 class Transport(Protocol):
-    """``shared``: anybody can send to it, and what came in is whole datagrams with the address they came from."""
+    """``shared``: anybody can send to it, and what came in is whole datagrams with the address they
+    came from.
+    """
 
     shared: bool
 
@@ -78,7 +82,9 @@ class UdpIn:
 
 
 class UdpOut:
-    """Talks to one address, and hears no other; a router or an autopilot answers where it was spoken to from."""
+    """Talks to one address, and hears no other; a router or an autopilot answers where it was
+    spoken to from.
+    """
 
     shared = False
 
@@ -132,16 +138,20 @@ class SerialPort:
 
 
 class MavlinkPort:
-    """One vehicle's messages of some kinds, and a way to send to it. Raises VehicleError when it cannot be opened.
+    """One vehicle's messages of some kinds, and a way to send to it. Raises VehicleError when it
+    cannot be opened.
 
-    On a port that anybody can send to it is heard from one address, once that was proven, and answered there.
+    On a port that anybody can send to it is heard from one address, once that was proven, and
+    answered there.
     """
 
     def __init__(
         self, url: str, sysid: int, own: tuple[int, int], wanted: frozenset[int], now_ns: Callable[[], int],
         key: bytes | None = None,
     ) -> None:  # fmt: skip
-        """``own``: system and component id that are sent from; ``key``: of the signatures, both ways."""
+        """``own``: system and component id that are sent from; ``key``: of the signatures, both
+        ways.
+        """
         self._wanted = wanted
         self._now_ns = now_ns
         self._source = VehicleSource(sysid, own)
@@ -160,7 +170,9 @@ class MavlinkPort:
 
     @property
     def ignored(self) -> dict[str, int]:
-        """Numbers of messages that came as the vehicle's and were not believed, by why, in words."""
+        """Numbers of messages that came as the vehicle's and were not believed, by why, in
+        words.
+        """
         return self._source.ignored
 
     def close(self) -> None:
@@ -175,10 +187,15 @@ class MavlinkPort:
             if not data:
                 break
             if source is not None:
-                self._waiting.clear()  # what another one left unfinished does not hide what comes next
+                # what another one left unfinished does not hide what comes next
+                self._waiting.clear()
             self._waiting += data
             for frame in take_frames(self._waiting):
-                message = self._decode(frame) if self._is_ours(frame) and self._believes(frame, source) else None
+                message = (
+                    self._decode(frame)
+                    if self._is_ours(frame) and self._believes(frame, source)
+                    else None
+                )
                 if message is not None:
                     messages.append(message)
         return messages

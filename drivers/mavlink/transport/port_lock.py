@@ -1,7 +1,8 @@
 """One owner for each MAVLink port or device.
 
-MAVSDK opens UDP ports with SO_REUSEADDR: a second program on the port is told all is well and takes the traffic away
-from the first. So a port is taken twice: by a lock file against our own processes, by a probing bind against others.
+MAVSDK opens UDP ports with SO_REUSEADDR: a second program on the port is told all is well and takes
+the traffic away from the first. So a port is taken twice: by a lock file against our own processes,
+by a probing bind against others.
 """
 
 from __future__ import annotations
@@ -29,7 +30,11 @@ class PortLock:
     def __init__(self, url: str) -> None:
         scheme, host, port = _split(url)
         listening = scheme in _LISTENING
-        what = f"{'TCP' if scheme.startswith('tcp') else 'UDP'} port {port}" if listening else f"{host}:{port}"
+        what = (
+            f"{'TCP' if scheme.startswith('tcp') else 'UDP'} port {port}"
+            if listening
+            else f"{host}:{port}"
+        )
         self._file = _lock(what)
         if listening:
             try:
@@ -60,7 +65,9 @@ def _split(url: str) -> tuple[str, str, int]:
 
 
 def _lock(what: str) -> int:
-    """An open file descriptor that holds the lock. The file stays: removing it would let two owners in."""
+    """An open file descriptor that holds the lock. The file stays: removing it would let two owners
+    in.
+    """
     name = re.sub(r"[^A-Za-z0-9.]+", "-", what)
     path = Path(tempfile.gettempdir()) / f"path-handoff-{os.getuid()}-{name}.lock"
     file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -70,7 +77,9 @@ def _lock(what: str) -> int:
         owner = os.read(file, 32).decode(errors="replace").strip() or "unknown"
         os.close(file)
         remedy = f"end process {owner} (another mission?), or give this vehicle its own url"
-        raise VehicleError(f"{what} is already used by another vehicle of ours (process {owner})", remedy) from None
+        raise VehicleError(
+            f"{what} is already used by another vehicle of ours (process {owner})", remedy
+        ) from None
     os.truncate(file, 0)
     os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
     return file
@@ -86,7 +95,9 @@ def _probe(scheme: str, host: str, port: int, what: str) -> None:
             if error.errno == errno.EADDRINUSE:
                 shown = f"ss -{'lt' if tcp else 'lu'}np 'sport = :{port}'"
                 remedy = f"end the program that has it ({shown} names it), or choose another port in the vehicle's url"
-                raise VehicleError(f"{what} is already in use by another program", remedy) from error
+                raise VehicleError(
+                    f"{what} is already in use by another program", remedy
+                ) from error
             raise VehicleError(
                 f"cannot listen on {host}:{port}: {error.strerror}",
                 "use an address of this computer (0.0.0.0 for all) and a port above 1023",

@@ -1,4 +1,6 @@
-"""MAVLink 2 signatures between a companion and its autopilot, as the MAVLink guide says, hash before stamp."""
+"""MAVLink 2 signatures between a companion and its autopilot, as the MAVLink guide says, hash
+before stamp.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,11 @@ class Signer:
     """
 
     def __init__(
-        self, key: bytes, link: int, extras: Mapping[int, int], clock: Callable[[], int] = signing_time
+        self,
+        key: bytes,
+        link: int,
+        extras: Mapping[int, int],
+        clock: Callable[[], int] = signing_time,
     ) -> None:
         self._key = key
         self._link = link
@@ -33,7 +39,9 @@ class Signer:
         self._newest = 0
 
     def sign(self, frame: bytes) -> bytes | None:
-        """The frame as it goes out; None for one of MAVLink 1, of an unknown message, or signed already."""
+        """The frame as it goes out; None for one of MAVLink 1, of an unknown message, or signed
+        already.
+        """
         extra = self._extras.get(head_of(frame).message)
         if frame[0] != V2 or frame[2] & SIGNED or extra is None:
             return None

@@ -1,9 +1,11 @@
-"""The address that a vehicle speaks from: proven once, pinned from then on. Everybody else with its number is ignored.
+"""The address that a vehicle speaks from: proven once, pinned from then on. Everybody else with its
+number is ignored.
 
-A heartbeat proves nothing: anybody can send one, from any address. Whoever sends one is asked (TIMESYNC with a number
-that nobody can guess), and only what listens at that address can answer. The first address that does is the vehicle's.
-Another one is asked only once that one has been silent for ``QUIET_S``. Where the vehicle signs, heartbeat and answer
-must be rightly signed, so that the proof is of the key.
+A heartbeat proves nothing: anybody can send one, from any address. Whoever sends one is asked
+(TIMESYNC with a number that nobody can guess), and only what listens at that address can answer.
+The first address that does is the vehicle's. Another one is asked only once that one has been
+silent for ``QUIET_S``. Where the vehicle signs, heartbeat and answer must be rightly signed, so
+that the proof is of the key.
 """
 
 from __future__ import annotations
@@ -12,7 +14,16 @@ import os
 import struct
 from dataclasses import dataclass, field
 
-from drivers.mavlink.transport.frames import AUTOPILOT, HEARTBEAT, TIMESYNC, Head, head_of, make, payload_of, whole
+from drivers.mavlink.transport.frames import (
+    AUTOPILOT,
+    HEARTBEAT,
+    TIMESYNC,
+    Head,
+    head_of,
+    make,
+    payload_of,
+    whole,
+)
 
 Address = tuple[str, int]
 QUIET_S = 5.0
@@ -43,7 +54,9 @@ class VehicleSource:
     _asked: dict[Address, int] = field(default_factory=dict[Address, int])
 
     def believes(self, frame: bytes, source: Address, now_ns: int) -> bool:
-        """Returns whether a frame comes from the vehicle's own address; takes the answers that prove one."""
+        """Returns whether a frame comes from the vehicle's own address; takes the answers that
+        prove one.
+        """
         head = head_of(frame)
         if (head.system, head.component) != (self.sysid, AUTOPILOT):
             return source == self.pinned
@@ -56,7 +69,9 @@ class VehicleSource:
         return False
 
     def question(self, frame: bytes, source: Address, now_ns: int) -> bytes | None:
-        """Returns what to ask where a heartbeat came from that is not believed; None when nothing is to be asked."""
+        """Returns what to ask where a heartbeat came from that is not believed; None when nothing
+        is to be asked.
+        """
         head = head_of(frame)
         of_ours = (head.system, head.component, head.message) == (self.sysid, AUTOPILOT, HEARTBEAT)
         if not of_ours or source == self.pinned or not whole(frame):

@@ -1,4 +1,6 @@
-"""The processes of a run in real time: started, told things, listened to, and ended whatever happens."""
+"""The processes of a run in real time: started, told things, listened to, and ended whatever
+happens.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ def run_name() -> str:
 
 
 async def spawn(command: Sequence[str], errors: Path, run: str = "") -> Child:
-    """A child in a session of its own: Ctrl-C in the terminal reaches only this process, which then decides.
+    """A child in a session of its own: Ctrl-C in the terminal reaches only this process, which then
+    decides.
 
     ``run`` names what it shares with the world; by default this process's run.
     """
@@ -51,11 +54,15 @@ async def spawn(command: Sequence[str], errors: Path, run: str = "") -> Child:
 
 
 async def read_world(world: Child) -> dict[str, Any]:
-    """The next line of the world's process; empty for one that is no event. Raises HarnessFailure when it ended."""
+    """The next line of the world's process; empty for one that is no event. Raises HarnessFailure
+    when it ended.
+    """
     assert world.stdout is not None
     line = await world.stdout.readline()
     if not line:
-        raise HarnessFailure(f"the world's process ended (exit code {await world.wait()}): see world.stderr.txt")
+        raise HarnessFailure(
+            f"the world's process ended (exit code {await world.wait()}): see world.stderr.txt"
+        )
     try:
         event = json.loads(line)
     except ValueError:
@@ -86,13 +93,17 @@ async def until_ready(world: Child, warming: Callable[[str], None]) -> dict[str,
                     warming(doing)
             return event
     except TimeoutError:
-        raise WorldTooSlow(f"the start of the world: not ready within {WORLD_READY_S:.0f} s, {doing}") from None
+        raise WorldTooSlow(
+            f"the start of the world: not ready within {WORLD_READY_S:.0f} s, {doing}"
+        ) from None
     finally:
         reminder.cancel()
 
 
 async def finish_world(world: Child, landing_s: float) -> dict[str, Any]:
-    """Let the world run until all vehicles are down, so long at most, and take its findings. Raises HarnessFailure."""
+    """Let the world run until all vehicles are down, so long at most, and take its findings. Raises
+    HarnessFailure.
+    """
     await tell(world, {"finish": landing_s})
     try:
         async with asyncio.timeout(landing_s + FINDINGS_S):
@@ -140,7 +151,9 @@ async def end(processes: Sequence[Child]) -> None:
 
 
 async def go_on(process: Child, after_s: float | None) -> None:
-    """Lets a stopped program go on. One that is not to is ended when its vehicle is long down: the run must go on."""
+    """Lets a stopped program go on. One that is not to is ended when its vehicle is long down: the
+    run must go on.
+    """
     await asyncio.sleep(STOPPED_S if after_s is None else after_s)
     send_signal(process, signal.SIGKILL if after_s is None else signal.SIGCONT)
 

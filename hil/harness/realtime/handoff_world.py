@@ -1,4 +1,5 @@
-"""The world of a handoff in real time: two drones that are on from the start, the link between them, and its log.
+"""The world of a handoff in real time: two drones that are on from the start, the link between
+them, and its log.
 
     python -m hil.harness.realtime.handoff_world RIG_FILE SEED ERRORS RUN_FOLDER -- [FOLDER ...]
 
@@ -71,7 +72,9 @@ class SitlWorld(RealTimeWorld):
     async def open(self, stack: AsyncExitStack) -> Mapping[str, Any]:
         rig = self.rig
         log = stack.enter_context(McapLog(self._out / "world.mcap", "world"))
-        proxy = self.proxies[LEG] = UdpFaultProxy(proxy_side(rig.sender), proxy_side(rig.receiver), self._seed)
+        proxy = self.proxies[LEG] = UdpFaultProxy(
+            proxy_side(rig.sender), proxy_side(rig.receiver), self._seed
+        )
         await proxy.__aenter__()
         if self._config.sender_simulator is None:
             for role in Role:
@@ -79,9 +82,15 @@ class SitlWorld(RealTimeWorld):
             self.start_s = time.monotonic()
         else:
             await self._start_simulators()
-        self._world.hold_traffic()  # until both programs are ready, however long a busy computer takes
+        # until both programs are ready, however long a busy computer takes
+        self._world.hold_traffic()
         self._truth = TruthLog(log, round(self.start_s * 1e9))
-        self._truth.scene(self._built.rig, self._monitors.min_separation_m, dict.fromkeys(Role, 0), self._config.target)
+        self._truth.scene(
+            self._built.rig,
+            self._monitors.min_separation_m,
+            dict.fromkeys(Role, 0),
+            self._config.target,
+        )
         for role in Role:
             self._start_camera(role)
         stack.enter_context(open_beacons(rig, self._seed, self._out, self.now_s, self._look))
@@ -95,17 +104,23 @@ class SitlWorld(RealTimeWorld):
         rig = self.rig
         world = self._world
         if is_tello(rig.role(role).vehicle):
-            emulator, self._videos[role] = tello_of(rig, role, world.drone(role), world.config, self._seed, self.when_s)
+            emulator, self._videos[role] = tello_of(
+                rig, role, world.drone(role), world.config, self._seed, self.when_s
+            )
             return emulator
         return embedded_vehicle(rig, rig.role(role), world.drone(role), self.when_s)
 
     async def _start_simulators(self) -> None:
-        """Real autopilots fly the drones: the world then follows what their simulators say is true."""
+        """Real autopilots fly the drones: the world then follows what their simulators say is
+        true.
+        """
         simulated = dict[Role, SimulatedVehicle]()
         for role in Role:
             config = self._config.simulator(role)
             assert config is not None
-            simulated[role] = SimulatedVehicle(self.rig, role, config, self._config, self._out, self._seed)
+            simulated[role] = SimulatedVehicle(
+                self.rig, role, config, self._config, self._out, self._seed
+            )
             self.drones[role.value].vehicle = simulated[role]
         say({"event": "warming", "what": "waiting until the autopilots' simulators can be armed"})
         await start_simulators(simulated)
@@ -119,7 +134,9 @@ class SitlWorld(RealTimeWorld):
         writer = video or shared_camera(os.environ[RUN_VARIABLE], self.rig, role)
         rate_hz = video.rate_hz if video is not None else float(camera_config(self.rig, role).fps)
         picture = CameraView(self._built, role, self._seed, depth=video is None)
-        self.start_camera(role.value, picture, writer, rate_hz, 0.0 if role is Role.SENDER else 0.37)
+        self.start_camera(
+            role.value, picture, writer, rate_hz, 0.0 if role is Role.SENDER else 0.37
+        )
 
     def _look(self) -> Snapshot:
         with self.lock:
@@ -141,7 +158,8 @@ class SitlWorld(RealTimeWorld):
             self._truth.truth(world)
             self._monitors.on_truth(now_s, world.separation_m, world.both_in_air)
             self._monitors.on_target(now_s, clearance(world))
-        if steps % (TRUTH_STEPS * VEHICLES_EVERY) == 0:  # the roles' phases are in their logs: no S7 here
+        # the roles' phases are in their logs: no S7 here
+        if steps % (TRUTH_STEPS * VEHICLES_EVERY) == 0:
             self._monitors.scripts.on_truth(now_s, vehicles_of(world, self._built.rig))
 
     def landed(self) -> bool:
@@ -160,7 +178,9 @@ class SitlWorld(RealTimeWorld):
             vehicle = self.drones[role.value].vehicle
             cut_off_s = self.drones[role.value].cut_off_s
             by_sticks = isinstance(vehicle, TelloEmulator)
-            sessions = vehicle.sessions if by_sticks else world.drone(role).autopilot.offboard_sessions
+            sessions = (
+                vehicle.sessions if by_sticks else world.drone(role).autopilot.offboard_sessions
+            )
             truth.setpoint_gap(role, world)
             monitors.on_offboard(role, sessions, cut_off_s)
         for detail in monitors.details:

@@ -1,4 +1,6 @@
-"""The person of ``hil.world.operator`` beside a world in real time: talks to D1's program by UDP, as a tablet does."""
+"""The person of ``hil.world.operator`` beside a world in real time: talks to D1's program by UDP,
+as a tablet does.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ class PersonOnTheWire:
     def __init__(self, person: Person, address: tuple[str, int]) -> None:
         self._person = person
         self._address = address
-        self._socket = socket.socket(socket.AF_INET6 if ":" in address[0] else socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket = socket.socket(
+            socket.AF_INET6 if ":" in address[0] else socket.AF_INET, socket.SOCK_DGRAM
+        )
         self._socket.setblocking(False)
         self._hello_s = 0.0
         self._asked: set[int] = set()
@@ -72,7 +76,9 @@ def _words(said: Pointed | Answer) -> dict[str, Any]:
     return {"place": said.place_m, "error_m": said.error_m, **height}
 
 
-def person_on_the_wire(rig: Rig, built: Built, config: PersonConfig, seed: int) -> PersonOnTheWire | None:
+def person_on_the_wire(
+    rig: Rig, built: Built, config: PersonConfig, seed: int
+) -> PersonOnTheWire | None:
     """Return the person that D1's program hears; None where the rig has no operator."""
     spec = rig.sender.operator
     if spec is None:

@@ -28,9 +28,11 @@ class Orders:
         out: the run's folder.
         emit: shown the progress of every program.
         shares: the name of what a drone's program shares with the world.
-        news: what a drone's program has to know at present; it is told on its stdin whenever that changes.
+        news: what a drone's program has to know at present; it is told on its stdin whenever that
+            changes.
         heard: takes any other line of JSON that a program prints.
-        attack: the command of a program that floods the link with so many packets a second, once the world said where.
+        attack: the command of a program that floods the link with so many packets a second, once
+            the world said where.
         begun: takes the process number of a drone's program that has just been started.
         awaited: the world's traffic stands until the programs of all these drones have reported.
     """

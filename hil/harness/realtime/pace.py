@@ -16,7 +16,9 @@ OLD_S = 0.25
 OLD_SHARE = 0.2
 ENOUGH = 50  # frames
 STOOD_S = 0.5  # of a world: for longer no drone takes a silent vehicle for a living one
-STOPPED_S = 0.3  # of a program that has a share of a core: for longer no setpoint is in time, whatever the program does
+# of a program that has a share of a core: for longer no setpoint is in time, whatever the program
+# does
+STOPPED_S = 0.3
 TOGETHER_S = 0.3
 LOOK_S = 0.1
 STAT = Path("/proc/stat")
@@ -35,16 +37,21 @@ def overload_of(
 
     Args:
         ages_s: of each drone's frames, from their capture until its program took them up.
-        pictures: by drone, how many were ``rendered`` and how many ``left_out`` because it was too late for them.
+        pictures: by drone, how many were ``rendered`` and how many ``left_out`` because it was too
+            late for them.
         whose: how something of a drone is called.
         stood_s: for how long the world stood still at the most while drones flew.
-        stolen_s: for how long this computer's own host took a core away at the most, at once, while drones flew.
+        stolen_s: for how long this computer's own host took a core away at the most, at once, while
+            drones flew.
         gaps: between setpoints, that were too long.
-        share: of a core that each program had. The kernel counts what the host took as what the program used.
+        share: of a core that each program had. The kernel counts what the host took as what the
+            program used.
     """
     late = [f"the world stood still for {stood_s:.1f} s"] if stood_s > STOOD_S else []
     if share is not None and stolen_s / share > STOPPED_S:
-        late.append(f"this computer's host took a core for {stolen_s:.2f} s, {stolen_s / share:.1f} s of a share")
+        late.append(
+            f"this computer's host took a core for {stolen_s:.2f} s, {stolen_s / share:.1f} s of a share"
+        )
     if excuse := excuse_of(gaps):
         late.append(excuse)
     for name in dict.fromkeys((*ages_s, *pictures)):
@@ -53,13 +60,16 @@ def overload_of(
         rendered = int(made.get("rendered", 0))
         left_out = int(made.get("left_out", 0))
         if rendered + left_out >= ENOUGH and left_out > LEFT_OUT * (rendered + left_out):
-            late.append(f"{its} pictures: {left_out} of {rendered + left_out} were not rendered in time")
+            late.append(
+                f"{its} pictures: {left_out} of {rendered + left_out} were not rendered in time"
+            )
         late += late_program(f"{its} program", ages_s.get(name, ()))
     return "; ".join(late)
 
 
 class StolenTime:
-    """Time that this computer's own host took from a core, by the kernel's count: 0 where there is no host.
+    """Time that this computer's own host took from a core, by the kernel's count: 0 where there is
+    no host.
 
     Attributes:
         longest_s: the most of one core within ``TOGETHER_S``, while it was watched.
@@ -88,7 +98,11 @@ class StolenTime:
         if not self._stat.exists():
             return []
         lines = (line.split() for line in self._stat.read_text("ascii").splitlines())
-        return [int(words[8]) * self._tick_s for words in lines if words[0].startswith("cpu") and words[0] != "cpu"]
+        return [
+            int(words[8]) * self._tick_s
+            for words in lines
+            if words[0].startswith("cpu") and words[0] != "cpu"
+        ]
 
 
 def frame_age_s(topic: str, record: Mapping[str, Any]) -> list[float]:
@@ -97,9 +111,13 @@ def frame_age_s(topic: str, record: Mapping[str, Any]) -> list[float]:
 
 
 def late_program(name: str, ages_s: Sequence[float]) -> list[str]:
-    """Returns what is said of a program whose frames were old when it took them up; nothing of one that kept up."""
+    """Returns what is said of a program whose frames were old when it took them up; nothing of one
+    that kept up.
+    """
     ages = sorted(ages_s)
     old = sum(age > OLD_S for age in ages)
     if len(ages) < ENOUGH or old <= OLD_SHARE * len(ages):
         return []
-    return [f"{name}: {old} of {len(ages)} frames were late, a tenth by {ages[int(0.9 * len(ages))]:.2f} s"]
+    return [
+        f"{name}: {old} of {len(ages)} frames were late, a tenth by {ages[int(0.9 * len(ages))]:.2f} s"
+    ]

@@ -1,4 +1,6 @@
-"""The parts of every world in real time: cameras that draw it, vehicles on the wire, and the pace of its steps."""
+"""The parts of every world in real time: cameras that draw it, vehicles on the wire, and the pace
+of its steps.
+"""
 
 from __future__ import annotations
 
@@ -44,12 +46,16 @@ class CameraScene(Protocol):
         ...
 
     def look(self) -> tuple[int, Snapshot] | None:
-        """The truth now, and the stamp of a frame that is taken of it; None while the camera is frozen."""
+        """The truth now, and the stamp of a frame that is taken of it; None while the camera is
+        frozen.
+        """
         ...
 
 
 class CameraView:
-    """Draws what one drone's camera truly sees. Made before the world's clock starts: it takes a moment."""
+    """Draws what one drone's camera truly sees. Made before the world's clock starts: it takes a
+    moment.
+    """
 
     def __init__(self, built: Built, role: Role, seed: int, *, depth: bool) -> None:
         rig = built.rig
@@ -64,7 +70,9 @@ class CameraView:
         )  # fmt: skip
         self._depth: DepthRenderer | None = None
         if depth:
-            self._depth = DepthRenderer(self._renderer, depth_camera(*depth_size(rig, role)), T_COLOR_DEPTH)
+            self._depth = DepthRenderer(
+                self._renderer, depth_camera(*depth_size(rig, role)), T_COLOR_DEPTH
+            )
 
     def take(self, stamp_ns: int, snapshot: Snapshot, frame: int, writer: FrameWriter) -> None:
         color = self._renderer.render_color(snapshot, self.role, frame)
@@ -73,17 +81,25 @@ class CameraView:
         elif self._depth is not None:
             late_s = self.errors.depth_late_s
             then = snapshot.carried_on(late_s) if late_s else snapshot
-            writer.write(stamp_ns, color, self.errors.measured_mm(self._depth.render(then, self.role, frame)))
+            writer.write(
+                stamp_ns, color, self.errors.measured_mm(self._depth.render(then, self.role, frame))
+            )
 
 
 class CameraThread(threading.Thread):
-    """Takes one camera's frames at its rate and publishes them. A late frame is left out, and counted.
+    """Takes one camera's frames at its rate and publishes them. A late frame is left out, and
+    counted.
 
     ``phase``: of a period; two cameras are never in step.
     """
 
     def __init__(
-        self, scene: CameraScene, picture: CameraView, writer: FrameWriter, rate_hz: float, phase: float
+        self,
+        scene: CameraScene,
+        picture: CameraView,
+        writer: FrameWriter,
+        rate_hz: float,
+        phase: float,
     ) -> None:
         super().__init__(name=f"camera-{picture.role.value}", daemon=True)
         self._scene = scene
@@ -131,11 +147,15 @@ def running(camera: CameraThread) -> Generator[None, None, None]:
 def camera_config(rig: Rig, role: Role) -> RealSenseConfig:
     """Returns the settings of a role's camera driver. Raises RigError when it is another driver."""
     perception = rig.role(role).perception
-    camera = PartSpec.from_table(perception.options.get("camera"), f"{perception.where}.camera", perception.base)
+    camera = PartSpec.from_table(
+        perception.options.get("camera"), f"{perception.where}.camera", perception.base
+    )
     _, config = decode_part(camera)
     if not isinstance(config, RealSenseConfig):
         raise RigError(
-            [f"{camera.where}.factory: the world of level sitl draws for drivers.realsense.camera:RealSense only"]
+            [
+                f"{camera.where}.factory: the world of level sitl draws for drivers.realsense.camera:RealSense only"
+            ]
         )
     return config
 
@@ -155,11 +175,16 @@ def shared_camera(run: str, rig: Rig, role: Role) -> SharedCameraWriter:
 
 
 GROUND = "PATH_GCS"
-"""The variable of the environment that names where a ground station listens: ``path-handoff handoff --gcs``."""
+"""The variable of the environment that names where a ground station listens: ``path-handoff handoff
+--gcs``.
+"""
 
 
-def embedded_vehicle(rig: Rig, own: RoleRig, drone: SimDrone, arrived: Callable[[float], float]) -> MavlinkVehicle:
-    """A drone's autopilot on the wire, where the role's driver listens, its guard's, and a ground station if any.
+def embedded_vehicle(
+    rig: Rig, own: RoleRig, drone: SimDrone, arrived: Callable[[float], float]
+) -> MavlinkVehicle:
+    """A drone's autopilot on the wire, where the role's driver listens, its guard's, and a ground
+    station if any.
 
     ``arrived``: the world's time of an instant of the monotonic clock.
     """
@@ -167,7 +192,9 @@ def embedded_vehicle(rig: Rig, own: RoleRig, drone: SimDrone, arrived: Callable[
     second = None if own.guard is None else _listener(str(own.guard.options["url"]))
     tangent = LocalTangent(rig.origin.latitude_deg, rig.origin.longitude_deg, rig.origin.altitude_m)
     options = own.vehicle.options
-    config = MavlinkVehicleConfig(int(options["sysid"]), _listener(str(options["url"])), second=second, ground=ground)
+    config = MavlinkVehicleConfig(
+        int(options["sysid"]), _listener(str(options["url"])), second=second, ground=ground
+    )
     return MavlinkVehicle(config, drone, tangent, arrived)
 
 

@@ -1,4 +1,5 @@
-"""The drones' programs and guards as processes, in real time: begun, killed, started again, listened to, by name.
+"""The drones' programs and guards as processes, in real time: begun, killed, started again,
+listened to, by name.
 
 In virtual time ``hil.harness.programs`` does the same with programs that are tasks.
 """
@@ -47,7 +48,8 @@ class LiveDrone:
     Attributes:
         guard_ends: the end of the guard of the flight before.
         killed, restart_s: by a fault; and after how long its program is started again.
-        begins: its program is being started; ``due``: faults that strike once it has begun, with their legs.
+        begins: its program is being started; ``due``: faults that strike once it has begun, with
+            their legs.
         told: the news that its program knows.
         result: what its newest program said in the end; None: it died, or still flies.
     """
@@ -70,7 +72,8 @@ class LiveDrone:
 
 
 class LivePrograms:
-    """One program a drone at most, and its guard. They share the world's process, which is told what becomes of them.
+    """One program a drone at most, and its guard. They share the world's process, which is told
+    what becomes of them.
 
     Args:
         faults: by the number of their leg; of 0 those of all legs.
@@ -81,7 +84,9 @@ class LivePrograms:
         missed: the faults that had nothing to strike, and why, for the report.
     """
 
-    def __init__(self, orders: Orders, names: Sequence[str], faults: Mapping[int, Sequence[Fault]]) -> None:
+    def __init__(
+        self, orders: Orders, names: Sequence[str], faults: Mapping[int, Sequence[Fault]]
+    ) -> None:
         self._orders = orders
         self.drones = {name: LiveDrone(name) for name in names}
         self.legs = LegFaults(faults, self._inject)
@@ -96,7 +101,8 @@ class LivePrograms:
         self._coming: set[asyncio.Task[Any]] = set()
 
     async def fly(self, name: str) -> RoleResult | None:
-        """A drone's program to its end; killed by a fault it is started again, when the fault says so.
+        """A drone's program to its end; killed by a fault it is started again, when the fault says
+        so.
 
         Returns what it said in the end; None when it died.
         """
@@ -121,7 +127,9 @@ class LivePrograms:
         name = drone.name
         drone.begins = True
         try:
-            drone.program = await self.spawn(self._orders.program(name), name, self._orders.shares(name))
+            drone.program = await self.spawn(
+                self._orders.program(name), name, self._orders.shares(name)
+            )
         finally:
             drone.begins = False
         self._orders.begun(name, drone.program.pid)
@@ -133,7 +141,9 @@ class LivePrograms:
             self._inject(leg, fault)
 
     async def start_guard(self, name: str) -> None:
-        """Beside the programs of one flight, in a rig with guards; that of the flight before has ended by then."""
+        """Beside the programs of one flight, in a rig with guards; that of the flight before has
+        ended by then.
+        """
         drone = self.drones[name]
         command = self._orders.guard(name)
         if drone.guard_ends is not None:
@@ -169,7 +179,8 @@ class LivePrograms:
     async def close(self) -> None:
         begun = [*self._coming, *self._beginning]
         for task in begun:
-            if not task.cancelling():  # twice would not let it end the process that it has just started
+            # twice would not let it end the process that it has just started
+            if not task.cancelling():
                 task.cancel()
         await asyncio.gather(*begun, return_exceptions=True)
         for drone in self.drones.values():
@@ -213,7 +224,9 @@ class LivePrograms:
         await program.wait()
 
     def _reported(self, name: str) -> None:
-        """Its parts are open; with the last that is awaited the time of what is on the ground begins."""
+        """Its parts are open; with the last that is awaited the time of what is on the ground
+        begins.
+        """
         if name in self._awaited:
             self._awaited.discard(name)
             if not self._awaited:
@@ -236,9 +249,11 @@ class LivePrograms:
             await asyncio.sleep(NEWS_S)
 
     async def _watch_records(self) -> None:
-        """Watches what a drone's program writes down for a restart, as soon as it is there, while a fault waits for it.
+        """Watches what a drone's program writes down for a restart, as soon as it is there, while a
+        fault waits for it.
 
-        Nothing is looked at before that program can be told from outside: a fault then would miss it.
+        Nothing is looked at before that program can be told from outside: a fault then would miss
+        it.
         """
         seen: dict[str, str] = {}
         while True:
@@ -263,21 +278,34 @@ class LivePrograms:
     # --- faults ---
 
     def _inject(self, leg: int, fault: Fault) -> None:
-        """A fault at the drone that has, or had, its role in the leg; the world is told when it began."""
+        """A fault at the drone that has, or had, its role in the leg; the world is told when it
+        began.
+        """
         role = fault.kind.role
         at_ns = time.monotonic_ns()
         name = None if role is None else self.legs.end_of(leg, role)
         if name is not None and not self._hit(leg, self.drones[name], fault):
             return
         if fault.name == "attack":
-            self._later(self.spawn(self._orders.attack(fault.value or 0.0, self.said["ready"]), "attack"))
+            self._later(
+                self.spawn(self._orders.attack(fault.value or 0.0, self.said["ready"]), "attack")
+            )
         ends = [self.legs.end_of(leg, each) for each in (Role.SENDER, Role.RECEIVER)]
         self.tell_world(
-            {"fault": fault.name, "leg": leg, "ends": ends, "drone": name, "value": fault.value, "at_ns": at_ns}
+            {
+                "fault": fault.name,
+                "leg": leg,
+                "ends": ends,
+                "drone": name,
+                "value": fault.value,
+                "at_ns": at_ns,
+            }
         )
 
     def _hit(self, leg: int, drone: LiveDrone, fault: Fault) -> bool:
-        """False for a fault of a program or guard that is not there: it waits until it is, or is missed."""
+        """False for a fault of a program or guard that is not there: it waits until it is, or is
+        missed.
+        """
         at_guard = fault.name == "guard_death"
         if not at_guard and fault.kills is None and fault.stops is None:
             return True
@@ -286,7 +314,12 @@ class LivePrograms:
             drone.due.append((leg, fault))
             return False
         if struck is None or struck.returncode is not None:
-            self._miss(fault, f"the {drone.name} has no guard" if at_guard else f"the {drone.name}'s program had ended")
+            self._miss(
+                fault,
+                f"the {drone.name} has no guard"
+                if at_guard
+                else f"the {drone.name}'s program had ended",
+            )
             return False
         if fault.stops is not None:
             send_signal(struck, signal.SIGSTOP)

@@ -1,12 +1,15 @@
-"""The world of a relay or a team in real time: drones that are switched on and off by name, and links leg by leg.
+"""The world of a relay or a team in real time: drones that are switched on and off by name, and
+links leg by leg.
 
-    python -m hil.harness.realtime.relay_world RIG_FILE SEED ERRORS DRONES TARGETS HOURS -- [FOLDER ...]
+    python -m hil.harness.realtime.relay_world RIG_FILE SEED ERRORS DRONES TARGETS HOURS -- [FOLDER
+    ...]
 
-Besides what every world is told: ``{"on": NAME}``, ``{"camera_off": NAME}``, ``{"off": NAME}``, ``{"open": N, "sender":
-NAME, "receiver": NAME}``, ``{"close": N, "sender": ..., "receiver": ...}``, ``{"died": NAME, "at_ns": T}``, ``{"over":
-NAME, "at_ns": T}``, ``{"assign": NAME, "target": K}``, ``{"given_up": K}``, and what drones' programs logged,
-``{"event": "record", "record": [NAME, TOPIC, STAMP_NS, RECORD]}``. It says ``landed`` whenever that changes, and now
-and then ``targets``, where they are in truth.
+Besides what every world is told: ``{"on": NAME}``, ``{"camera_off": NAME}``, ``{"off": NAME}``,
+``{"open": N, "sender": NAME, "receiver": NAME}``, ``{"close": N, "sender": ..., "receiver": ...}``,
+``{"died": NAME, "at_ns": T}``, ``{"over": NAME, "at_ns": T}``, ``{"assign": NAME, "target": K}``,
+``{"given_up": K}``, and what drones' programs logged, ``{"event": "record", "record": [NAME, TOPIC,
+STAMP_NS, RECORD]}``. It says ``landed`` whenever that changes, and now and then ``targets``, where
+they are in truth.
 """
 
 from __future__ import annotations
@@ -26,7 +29,14 @@ from drivers.rig.tables import decode_table
 from flight.harness.fleet import RelayConfig, TeamConfig, pair_of, relay_of_rig, team_of_rig
 from hil.camera.shared import RUN_VARIABLE
 from hil.harness.realtime.pace import frame_age_s, overload_of
-from hil.harness.realtime.parts import CameraView, camera_config, embedded_vehicle, proxy_side, say, shared_camera
+from hil.harness.realtime.parts import (
+    CameraView,
+    camera_config,
+    embedded_vehicle,
+    proxy_side,
+    say,
+    shared_camera,
+)
 from hil.harness.realtime.world import TRUTH_STEPS, RealTimeWorld, main
 from hil.harness.relay_world import OTHER, OWN, RelayWorld
 from hil.harness.sim import mission_config
@@ -57,14 +67,19 @@ class RelaySitlWorld(RealTimeWorld):
         named = config.targets if isinstance(config, TeamConfig) else ()
         super().__init__(rig, [drone.name for drone in config.drones])
         self._seed = seed
-        self._world = RelayWorld(decode_table(rig.world, WorldConfig, rig.where("[world]")), seed, config.drones, named)
+        self._world = RelayWorld(
+            decode_table(rig.world, WorldConfig, rig.where("[world]")), seed, config.drones, named
+        )
         self._pairs = {drone.name: pair_of(rig, drone, drone) for drone in config.drones}
         self._built = {
-            name: as_built(pair, seed, {OTHER: 0, OWN: k}) for k, (name, pair) in enumerate(self._pairs.items())
+            name: as_built(pair, seed, {OTHER: 0, OWN: k})
+            for k, (name, pair) in enumerate(self._pairs.items())
         }
         owns = {name: built.rig.receiver for name, built in self._built.items()}
         count = max(1, len(named))
-        self._monitors = RelayMonitors(rig, config, mission_config(rig), self._world, owns, targets=count)
+        self._monitors = RelayMonitors(
+            rig, config, mission_config(rig), self._world, owns, targets=count
+        )
         if named:
             self._monitors.watched_until_s = 3600.0 * float(hours)
         self._numbers = range(count)
@@ -73,7 +88,8 @@ class RelaySitlWorld(RealTimeWorld):
         self._others: dict[str, str] = {}  # who is in whose picture: the other drone of its leg
         self._landed: dict[str, bool] = {}
         self._late: defaultdict[str, list[Late]] = defaultdict(list)
-        self._ages_s: defaultdict[str, list[float]] = defaultdict(list)  # of some frames, when a program took them up
+        # of some frames, when a program took them up
+        self._ages_s: defaultdict[str, list[float]] = defaultdict(list)
 
     @property
     def fleet(self) -> RelayWorld:
@@ -138,7 +154,8 @@ class RelaySitlWorld(RealTimeWorld):
             case {"on": name}:
                 self._switch_on(name, now_s)
             case {"camera_off": name}:
-                await asyncio.to_thread(self.drones[name].close_camera)  # the vehicles do not wait for its thread
+                # the vehicles do not wait for its thread
+                await asyncio.to_thread(self.drones[name].close_camera)
             case {"off": name, "battery": battery}:
                 await asyncio.to_thread(self.drones[name].close_camera)
                 self._switch_off(name, battery)
@@ -166,10 +183,14 @@ class RelaySitlWorld(RealTimeWorld):
             if name not in self._world.on:
                 self._world.switch_on(name)
                 self._monitors.on_switched_on(name, now_s)
-                drone.vehicle = embedded_vehicle(self.rig, pair.receiver, self._world.drone(name), self.when_s)
+                drone.vehicle = embedded_vehicle(
+                    self.rig, pair.receiver, self._world.drone(name), self.when_s
+                )
         writer = shared_camera(run_of(os.environ[RUN_VARIABLE], name), pair, OWN)
         phase = 0.37 * self._world.names.index(name) % 1.0
-        self.start_camera(name, self._pictures[name], writer, float(camera_config(pair, OWN).fps), phase)
+        self.start_camera(
+            name, self._pictures[name], writer, float(camera_config(pair, OWN).fps), phase
+        )
 
     def _switch_off(self, name: str, battery: float) -> None:
         with self.lock:
@@ -179,7 +200,9 @@ class RelaySitlWorld(RealTimeWorld):
         self._others.pop(name, None)
 
     def _close_flight(self, name: str, now_s: float) -> None:
-        """Closes one flight: its autopilot's record goes to the monitors before it is started anew."""
+        """Closes one flight: its autopilot's record goes to the monitors before it is started
+        anew.
+        """
         drone = self.drones[name]
         self._monitors.on_offboard(name, drone.cut_off_s)
         self._monitors.on_swap(name, now_s)
@@ -218,7 +241,9 @@ class RelaySitlWorld(RealTimeWorld):
             self._close_flight(name, now_s)
         monitors.close()
         found = monitors.findings()
-        many = {name: [asdict(each) for each in found[name]] for name in ("flown", "samples", "watched")}
+        many = {
+            name: [asdict(each) for each in found[name]] for name in ("flown", "samples", "watched")
+        }
         pictures = {name: drone.frames for name, drone in self.drones.items()}
         gaps = [judged(gap, self._late[gap.who], self.stalls) for gap in monitors.setpoint_gaps]
         late = overload_of(self._ages_s, pictures, stood_s=self.stood_s, gaps=gaps)

@@ -1,10 +1,12 @@
-"""Real time: the world and N named drones' programs and guards, each a process; started and ended here.
+"""Real time: the world and N named drones' programs and guards, each a process; started and ended
+here.
 
-One harness for every mission, which it knows nothing of. ``RealTimeRun.run`` is a run from top to bottom: the world
-is started, the mission is flown, the world lands everybody and says what it found, and nothing is left behind. The
-mission begins programs by their drones' names (``fly``) and opens legs (``legs.open_leg``); faults begin in their legs
-by themselves. What is flown is said by ``Orders``: a handoff's are in ``hil.harness.sitl``, those of a relay or a team
-in ``hil.harness.relay_sitl``. The world's side is ``hil.harness.realtime.world``.
+One harness for every mission, which it knows nothing of. ``RealTimeRun.run`` is a run from top to
+bottom: the world is started, the mission is flown, the world lands everybody and says what it
+found, and nothing is left behind. The mission begins programs by their drones' names (``fly``) and
+opens legs (``legs.open_leg``); faults begin in their legs by themselves. What is flown is said by
+``Orders``: a handoff's are in ``hil.harness.sitl``, those of a relay or a team in
+``hil.harness.relay_sitl``. The world's side is ``hil.harness.realtime.world``.
 """
 
 from __future__ import annotations
@@ -18,7 +20,13 @@ from typing import Any
 
 from drivers.stop_signals import leave_signals, stop_on_signals
 from hil.harness.preparation import starting
-from hil.harness.realtime.children import HarnessFailure, WorldTooSlow, finish_world, read_world, until_ready
+from hil.harness.realtime.children import (
+    HarnessFailure,
+    WorldTooSlow,
+    finish_world,
+    read_world,
+    until_ready,
+)
 from hil.harness.realtime.orders import no_news
 from hil.harness.realtime.programs import PROGRAM_END_S, LivePrograms
 from path.messages import Role
@@ -26,7 +34,8 @@ from path.messages import Role
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """The world's findings, {} when it gave none; why the run failed, and whether because all was too slow.
+    """The world's findings, {} when it gave none; why the run failed, and whether because all was
+    too slow.
 
     ``cpu_s``: of all its processes.
     """
@@ -41,7 +50,9 @@ class Ending:
 class RealTimeRun(LivePrograms):
     """One run in real time, of any number of drones."""
 
-    async def run(self, mission: Callable[[], Coroutine[Any, Any, None]], limit_s: float, landing_s: float) -> Ending:
+    async def run(
+        self, mission: Callable[[], Coroutine[Any, Any, None]], limit_s: float, landing_s: float
+    ) -> Ending:
         """From the start of the world to its findings. Whatever happens, no process outlives it.
 
         Args:
@@ -75,13 +86,19 @@ class RealTimeRun(LivePrograms):
         self.said["ready"] = await until_ready(self.world, warming)
 
     async def _fly_until(self, mission: asyncio.Future[None], limit_s: float) -> None:
-        """Until the mission is over. Raises HarnessFailure when the world fails, or it takes far too long."""
+        """Until the mission is over. Raises HarnessFailure when the world fails, or it takes far
+        too long.
+        """
         stop_on_signals(self.interrupt)
-        beside = [asyncio.ensure_future(each) for each in (self._watch_world(), self._watch_records())]
+        beside = [
+            asyncio.ensure_future(each) for each in (self._watch_world(), self._watch_records())
+        ]
         if self._orders.news is not no_news:
             beside.append(asyncio.ensure_future(self._tell_news()))
         try:
-            done, _ = await asyncio.wait([mission, *beside], timeout=limit_s, return_when=asyncio.FIRST_COMPLETED)
+            done, _ = await asyncio.wait(
+                [mission, *beside], timeout=limit_s, return_when=asyncio.FIRST_COMPLETED
+            )
             if not done:
                 self.interrupt()
                 await asyncio.wait([mission], timeout=PROGRAM_END_S)

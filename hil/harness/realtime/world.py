@@ -1,11 +1,13 @@
-"""The world of a run in real time, a process of its own: physics, vehicles on the wire, cameras, links, faults.
+"""The world of a run in real time, a process of its own: physics, vehicles on the wire, cameras,
+links, faults.
 
     python -m hil.harness.<a world> RIG_FILE SEED ERRORS [MORE ...] -- [FOLDER ...]
 
-Commands come in on stdin as lines of JSON: ``{"begin": true}`` once all programs are ready, from which on the time of
-what is on the ground runs; ``{"fault": NAME, "leg": N, "ends": [SENDER, RECEIVER], "drone": NAME, "value": X, "at_ns":
-T}``; ``{"finish": SECONDS}``, so long at most until all are down; and what a world's drones are told besides. Events go
-out on stdout: ``warming``, ``ready``, and at last ``finished`` with the findings. A closed stdin ends it.
+Commands come in on stdin as lines of JSON: ``{"begin": true}`` once all programs are ready, from
+which on the time of what is on the ground runs; ``{"fault": NAME, "leg": N, "ends": [SENDER,
+RECEIVER], "drone": NAME, "value": X, "at_ns": T}``; ``{"finish": SECONDS}``, so long at most until
+all are down; and what a world's drones are told besides. Events go out on stdout: ``warming``,
+``ready``, and at last ``finished`` with the findings. A closed stdin ends it.
 """
 
 from __future__ import annotations
@@ -43,7 +45,9 @@ BETWEEN = "--"
 
 
 class VehicleOnTheWire(Protocol):
-    """An embedded autopilot, a Tello, or the way to a real autopilot. ``silent``: it hears nothing any more."""
+    """An embedded autopilot, a Tello, or the way to a real autopilot. ``silent``: it hears nothing
+    any more.
+    """
 
     @property
     def silent(self) -> bool: ...
@@ -58,9 +62,11 @@ class VehicleOnTheWire(Protocol):
 
 @dataclass(slots=True)
 class WorldDrone:
-    """One drone in the world: its vehicle while it is on the wire, its camera while somebody may look.
+    """One drone in the world: its vehicle while it is on the wire, its camera while somebody may
+    look.
 
-    ``cut_off_s``: when the harness itself stopped its setpoints; ``frames``: rendered and left out, in all flights.
+    ``cut_off_s``: when the harness itself stopped its setpoints; ``frames``: rendered and left out,
+    in all flights.
     """
 
     name: str
@@ -85,7 +91,8 @@ class WorldDrone:
 
 
 class RealTimeWorld:
-    """Any number of drones, called by names. A world says what they see, what is watched and what came of it.
+    """Any number of drones, called by names. A world says what they see, what is watched and what
+    came of it.
 
     ``lock`` guards the truth: the cameras' threads look at it while physics steps it.
     """
@@ -96,8 +103,10 @@ class RealTimeWorld:
         self.proxies: dict[int, UdpFaultProxy] = {}
         self.frozen: set[str] = set()
         self.start_s = 0.0
-        self.stood_s = 0.0  # the longest time between two steps while a drone flew: neither vehicles nor monitors lived
-        self.stalls: list[tuple[float, float]] = []  # from when to when it stood still, s of its own clock
+        # the longest time between two steps while a drone flew: neither vehicles nor monitors lived
+        self.stood_s = 0.0
+        # from when to when it stood still, s of its own clock
+        self.stalls: list[tuple[float, float]] = []
         self.stolen = StolenTime()
         self.lock = threading.Lock()
         self._commands = JsonLines(sys.stdin.fileno())
@@ -112,7 +121,9 @@ class RealTimeWorld:
 
     @abstractmethod
     async def open(self, stack: AsyncExitStack) -> Mapping[str, Any]:
-        """Opens what is there from the start, and starts the clock. Returns what the parent has to know of it."""
+        """Opens what is there from the start, and starts the clock. Returns what the parent has to
+        know of it.
+        """
 
     @abstractmethod
     def seen_by(self, name: str) -> Snapshot:
@@ -156,10 +167,14 @@ class RealTimeWorld:
         async with AsyncExitStack() as stack:
             stack.push_async_callback(self._close)
             ready = await self.open(stack)
-            gc.freeze()  # what is loaded by now stays: a full collection would stop the world for 0.1 s
+            # what is loaded by now stays: a full collection would stop the world for 0.1 s
+            gc.freeze()
             asyncio.get_running_loop().add_reader(sys.stdin.fileno(), self._on_input)
             say({"event": "ready", **ready})
-            tasks = asyncio.ensure_future(at_pace(self.now_s, self.step)), asyncio.ensure_future(self._obey_in_order())
+            tasks = (
+                asyncio.ensure_future(at_pace(self.now_s, self.step)),
+                asyncio.ensure_future(self._obey_in_order()),
+            )
             for task in tasks:
                 stack.callback(task.cancel)
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -201,9 +216,13 @@ class RealTimeWorld:
 
     # --- cameras ---
 
-    def start_camera(self, name: str, picture: CameraView, writer: FrameWriter, rate_hz: float, phase: float) -> None:
+    def start_camera(
+        self, name: str, picture: CameraView, writer: FrameWriter, rate_hz: float, phase: float
+    ) -> None:
         drone = self.drones[name]
-        drone.thread = CameraThread(_Scene(self, name), picture, drone.camera.enter_context(writer), rate_hz, phase)
+        drone.thread = CameraThread(
+            _Scene(self, name), picture, drone.camera.enter_context(writer), rate_hz, phase
+        )
         drone.camera.enter_context(running(drone.thread))
 
     # --- commands ---
@@ -278,12 +297,16 @@ def world_command(module: str, rig: Rig, seed: int, *more: str) -> Sequence[str]
 
 
 def main(world: type[RealTimeWorld]) -> None:
-    """The program of a world's process; ``world`` is made of its rig, seed and what more was said."""
+    """The program of a world's process; ``world`` is made of its rig, seed and what more was
+    said.
+    """
     between = sys.argv.index(BETWEEN)
     rig_file, seed, errors, *more = sys.argv[1:between]
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when this process ends
     try:
-        rig = with_errors(load_rig(rig_file, [Path(folder) for folder in sys.argv[between + 1 :]]), errors)
+        rig = with_errors(
+            load_rig(rig_file, [Path(folder) for folder in sys.argv[between + 1 :]]), errors
+        )
         made: Any = world
         asyncio.run(made(rig, int(seed), *more).run())
     except (SimulatorBroken, PartError) as error:

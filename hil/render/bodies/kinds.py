@@ -1,4 +1,5 @@
-"""The shapes of what can be tracked: boxes for the geometry, models for the cameras. x forward, z up.
+"""The shapes of what can be tracked: boxes for the geometry, models for the cameras. x forward, z
+up.
 
 The frame of a car or a person lies on the ground below its middle, that of a drone in its middle.
 """
@@ -13,7 +14,18 @@ import numpy as np
 
 from hil.render.bodies.people import VARIANTS
 from hil.render.bodies.walking import boxes_around_a_walker, walking_as
-from hil.render.scene import CAR_BOXES, FRAME, GAP_M, MOTOR, ORANGE, Color, Model, box, car, model_of
+from hil.render.scene import (
+    CAR_BOXES,
+    FRAME,
+    GAP_M,
+    MOTOR,
+    ORANGE,
+    Color,
+    Model,
+    box,
+    car,
+    model_of,
+)
 from hil.world.snapshot import AS_IT_IS, ObjectTruth, TargetKind
 
 Vec3 = tuple[float, float, float]
@@ -50,15 +62,21 @@ BOXES: Mapping[TargetKind, Boxes] = {
     "person": boxes_around_a_walker(WALKING_MPS),
     "drone": DRONE_HULL,
 }
-"""The bodies that the geometry reckons with. A drone's arms and motors are not in it: they are of another colour than
-its hull, and the colour detector hardly ever has them in its box. A person's are around their limbs where their steps
-are longest: arms and legs that swing stay within them."""
+"""The bodies that the geometry reckons with. A drone's arms and motors are not in it: they are of
+another colour than its hull, and the colour detector hardly ever has them in its box. A person's
+are around their limbs where their steps are longest: arms and legs that swing stay within them."""
 
 
 def model_of_thing(kind: TargetKind, thing: ObjectTruth, stretch: Vec3 = AS_IT_IS) -> Model:
-    """Return the body that cameras see of an object now: people are not quite alike, and in their gait."""
+    """Return the body that cameras see of an object now: people are not quite alike, and in their
+    gait.
+    """
     model = _model_of_kind(kind, thing)
-    return model if stretch == AS_IT_IS else replace(model, corners=model.corners * np.tile(stretch, 3))
+    return (
+        model
+        if stretch == AS_IT_IS
+        else replace(model, corners=model.corners * np.tile(stretch, 3))
+    )
 
 
 def _model_of_kind(kind: TargetKind, thing: ObjectTruth) -> Model:
@@ -71,4 +89,10 @@ def _model_of_kind(kind: TargetKind, thing: ObjectTruth) -> Model:
 
 @cache
 def _micro_uav() -> Model:
-    return model_of([face for center, size, color in (*DRONE_HULL, *DRONE_LIMBS) for face in box(center, size, color)])
+    return model_of(
+        [
+            face
+            for center, size, color in (*DRONE_HULL, *DRONE_LIMBS)
+            for face in box(center, size, color)
+        ]
+    )

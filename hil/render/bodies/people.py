@@ -1,7 +1,8 @@
 """People to track: boxes in patterned clothes, orange above the waist.
 
-They wear the same kind of shirt and cap, as people of one team do, and differ in height, build, shades and in single
-cells of their patterns. The patterns have corners that feature matchers can hold on to.
+They wear the same kind of shirt and cap, as people of one team do, and differ in height, build,
+shades and in single cells of their patterns. The patterns have corners that feature matchers can
+hold on to.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ SEED = 20240611  # the clothes are the same in every world
 VARIANTS = 8  # so many people are not quite alike
 INDIVIDUAL = 0.08  # share of a pattern's cells that is a person's own
 
-SHIRT: tuple[Color, Color] = ((24.0, 118.0, 245.0), (12.0, 66.0, 158.0))  # both of the hue that is tracked
+# both of the hue that is tracked
+SHIRT: tuple[Color, Color] = ((24.0, 118.0, 245.0), (12.0, 66.0, 158.0))
 LOGO: tuple[Color, Color] = ((226.0, 224.0, 220.0), (92.0, 60.0, 44.0))
 TROUSERS: tuple[Color, Color] = ((150.0, 122.0, 108.0), (112.0, 98.0, 92.0))
 CAP: tuple[Color, Color] = ((216.0, 214.0, 210.0), (132.0, 84.0, 62.0))
@@ -30,7 +32,9 @@ SHOES: tuple[Color, Color] = ((96.0, 94.0, 94.0), (170.0, 170.0, 172.0))
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A box: centre and size (x forward, y left, z up) in m. A pattern has cells of ``cell_m``, ``share`` the first."""
+    """A box: centre and size (x forward, y left, z up) in m. A pattern has cells of ``cell_m``,
+    ``share`` the first.
+    """
 
     center: tuple[float, float, float]
     size: tuple[float, float, float]
@@ -68,7 +72,9 @@ SWUNG_M = {5: 0.11, 6: -0.11, 7: 0.12, 8: -0.12}  # how far forward these are
 
 @cache
 def person(variant: int) -> Model:
-    """A standing person: x forward, z up, origin on the ground between the feet. Variants are not quite alike."""
+    """A standing person: x forward, z up, origin on the ground between the feet. Variants are not
+    quite alike.
+    """
     own = _own(variant)
     scale = _build(own)
     faces: list[Face] = []
@@ -105,12 +111,20 @@ def _shaded(color: Color, shade: float) -> Color:
 
 
 def _patterned(
-    sides: Iterable[Face], second: Color, part: _Part, common: np.random.Generator, own: np.random.Generator
+    sides: Iterable[Face],
+    second: Color,
+    part: _Part,
+    common: np.random.Generator,
+    own: np.random.Generator,
 ) -> Iterable[Face]:
     """Sides of a box with patterns: the cells of the kind, and a few of the person's own."""
     nominal = box(part.center, part.size, second)
-    for side, planned in zip(sides, nominal, strict=True):  # counts of cells do not depend on the build
-        shape = tuple(max(1, round(float(np.linalg.norm(edge)) / part.cell_m)) for edge in (planned.e2, planned.e1))
+    # counts of cells do not depend on the build
+    for side, planned in zip(sides, nominal, strict=True):
+        shape = tuple(
+            max(1, round(float(np.linalg.norm(edge)) / part.cell_m))
+            for edge in (planned.e2, planned.e1)
+        )
         cells = common.random(shape) < part.share
         cells ^= own.random(shape) < INDIVIDUAL
         shades: NDArray[np.uint8] = cells.astype(np.uint8) * np.uint8(255)

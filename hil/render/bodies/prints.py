@@ -1,7 +1,8 @@
 """The look of a marker's plate when the print and the light on it are not ideal.
 
-A plate is drawn as a table of shades of its paper, fine enough that its texels are far below a pixel. Truth does not
-change: the corners of a marker are where its edges were meant to be, whatever ink and shadow do to them.
+A plate is drawn as a table of shades of its paper, fine enough that its texels are far below a
+pixel. Truth does not change: the corners of a marker are where its edges were meant to be, whatever
+ink and shadow do to them.
 """
 
 from __future__ import annotations
@@ -70,20 +71,27 @@ def _shown(n: int, per_cell: int, picture_px: int) -> NDArray[np.intp]:
 
 
 def _spread(white: NDArray[np.uint8], spread: float) -> Array:
-    """Share of each texel that is black when black reaches ``spread`` texels beyond its edges. ``white``: 1, else 0."""
+    """Share of each texel that is black when black reaches ``spread`` texels beyond its edges.
+    ``white``: 1, else 0.
+    """
     distance = cv2.distanceTransform(white, cv2.DIST_L2, cv2.DIST_MASK_PRECISE).astype(np.float64)
-    return np.clip(spread - distance + 1.0, 0.0, 1.0)  # the nearest edge is half a texel nearer than its texel
+    # the nearest edge is half a texel nearer than its texel
+    return np.clip(spread - distance + 1.0, 0.0, 1.0)
 
 
 def _across(size: int, texel_m: float, side_m: float, rng: np.random.Generator) -> Array:
-    """Distance in m, shape (size, size), from a line in a random direction that passes near the centre."""
+    """Distance in m, shape (size, size), from a line in a random direction that passes near the
+    centre.
+    """
     angle = rng.uniform(0.0, 2.0 * np.pi)
     offset = side_m * rng.uniform(-OFF_CENTRE, OFF_CENTRE)
     along = (np.arange(size) + 0.5 - 0.5 * size) * texel_m
     return np.cos(angle) * along[None, :] + np.sin(angle) * along[:, None] - offset
 
 
-def _light(size: int, texel_m: float, side_m: float, printing: Printing, rng: np.random.Generator) -> Array | float:
+def _light(
+    size: int, texel_m: float, side_m: float, printing: Printing, rng: np.random.Generator
+) -> Array | float:
     """Share of the light that reaches each texel: 1, falling smoothly to ``SHADED``."""
     if printing.shadow == "none":
         return 1.0

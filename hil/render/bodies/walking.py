@@ -1,7 +1,9 @@
-"""People who walk: the body of ``hil.render.bodies.people`` with legs that bend at hip and knee, and arms that swing.
+"""People who walk: the body of ``hil.render.bodies.people`` with legs that bend at hip and knee,
+and arms that swing.
 
-Feet stay where they stand while the body passes over them (``hil.world.gait``), and each arm swings against its leg.
-A posture depends on nothing but who it is, how many strides they have made, and how fast they go.
+Feet stay where they stand while the body passes over them (``hil.world.gait``), and each arm swings
+against its leg. A posture depends on nothing but who it is, how many strides they have made, and
+how fast they go.
 """
 
 from __future__ import annotations
@@ -41,7 +43,8 @@ Vec3 = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Walker:
-    """One person's body, standing upright with its arms down, and to which limb each of its faces belongs.
+    """One person's body, standing upright with its arms down, and to which limb each of its faces
+    belongs.
 
     ``points``: (n, 3, 3): corner and both sides of each face.
     """
@@ -76,9 +79,13 @@ def walker(variant: int) -> Walker:
 
 def _faces_of(model: Model) -> Iterator[Face]:
     shades = iter(model.shades)
-    for corner, color, kind, second in zip(model.corners, model.colors, model.kinds, model.seconds, strict=True):
+    for corner, color, kind, second in zip(
+        model.corners, model.colors, model.kinds, model.seconds, strict=True
+    ):
         table = None if kind == SOLID else next(shades)
-        yield Face(corner[:3], corner[3:6], corner[6:], tuple(color), int(kind), tuple(second), table)
+        yield Face(
+            corner[:3], corner[3:6], corner[6:], tuple(color), int(kind), tuple(second), table
+        )
 
 
 def _cut_at_the_knee(leg: list[Face]) -> tuple[list[Face], list[Face]]:
@@ -89,7 +96,8 @@ def _cut_at_the_knee(leg: list[Face]) -> tuple[list[Face], list[Face]]:
     for face in leg:
         if face.e1[2] == face.e2[2] == 0.0:
             continue
-        along = 1 if face.e1[2] != 0.0 else 2  # the side that is upright, and the axis of the table along it
+        # the side that is upright, and the axis of the table along it
+        along = 1 if face.e1[2] != 0.0 else 2
         edge = face[along]
         table = face.shades
         assert isinstance(edge, np.ndarray) and table is not None
@@ -100,7 +108,9 @@ def _cut_at_the_knee(leg: list[Face]) -> tuple[list[Face], list[Face]]:
         second = table[:, cells:] if along == 1 else table[cells:]
         name = f"e{along}"
         before = face._replace(**{name: edge * share, "shades": first})
-        after = face._replace(**{name: edge * (1.0 - share), "shades": second, "corner": face.corner + edge * share})
+        after = face._replace(
+            **{name: edge * (1.0 - share), "shades": second, "corner": face.corner + edge * share}
+        )
         thigh.append(before if falls else after)
         shin.append(after if falls else before)
     top, bottom = sorted(flat, key=lambda face: -face.corner[2])
@@ -135,7 +145,8 @@ def walking_as(number: int, variant: int, strides: float, speed_mps: float) -> M
 
 
 def boxes_around_a_walker(speed_mps: float) -> tuple[tuple[Vec3, Vec3, Color], ...]:
-    """Centre, size and colour of upright boxes around the limbs of one who walks, as far as these swing.
+    """Centre, size and colour of upright boxes around the limbs of one who walks, as far as these
+    swing.
 
     The trunk and the arms are as high as those of one who stands.
     """
@@ -155,7 +166,9 @@ def boxes_around_a_walker(speed_mps: float) -> tuple[tuple[Vec3, Vec3, Color], .
 
 
 def boxes_of_a_walker(strides: float, speed_mps: float) -> Array:
-    """Boxes around each limb in its place, (b, 15): centre, half sides, axes by columns; as ``walking``."""
+    """Boxes around each limb in its place, (b, 15): centre, half sides, axes by columns; as
+    ``walking``.
+    """
     turn, shift = _now(np.ones(3), strides, speed_mps)
     rows = [
         np.concatenate((turn[limb] @ center + shift[limb], 0.5 * size, turn[limb].ravel()))
@@ -201,7 +214,10 @@ def _tuple(vector: Array) -> Vec3:
 
 
 def _posture(
-    scale: Array, feet: tuple[tuple[float, float], tuple[float, float]], reach: float, left_ahead: float
+    scale: Array,
+    feet: tuple[tuple[float, float], tuple[float, float]],
+    reach: float,
+    left_ahead: float,
 ) -> tuple[Array, Array]:
     """Returns how each limb is turned and moved, (LIMBS, 3, 3) and (LIMBS, 3).
 
@@ -230,17 +246,35 @@ def _posture(
         knee_down = thigh * math.cos(first)
         second = math.atan2(ahead - knee_x, down - knee_down)
         _hinge(turn, shift, THIGH + side, first, (0.0, hip), (0.0, hip + sunk))
-        _hinge(turn, shift, SHIN + side, second, (0.0, hip - thigh), (knee_x, hip + sunk - knee_down))
+        _hinge(
+            turn, shift, SHIN + side, second, (0.0, hip - thigh), (knee_x, hip + sunk - knee_down)
+        )
         shift[SHOE + side] = ahead, 0.0, above
-        _hinge(turn, shift, ARM + side, swing if side else -swing, (0.0, shoulder), (0.0, shoulder + sunk))
+        _hinge(
+            turn,
+            shift,
+            ARM + side,
+            swing if side else -swing,
+            (0.0, shoulder),
+            (0.0, shoulder + sunk),
+        )
     return turn, shift
 
 
 def _hinge(
-    turn: Array, shift: Array, limb: int, forward_rad: float, joint: tuple[float, float], moved: tuple[float, float]
+    turn: Array,
+    shift: Array,
+    limb: int,
+    forward_rad: float,
+    joint: tuple[float, float],
+    moved: tuple[float, float],
 ) -> None:
-    """Turn a limb about a joint (x, z), what hangs below it forward, and put the joint where it has moved."""
+    """Turn a limb about a joint (x, z), what hangs below it forward, and put the joint where it has
+    moved.
+    """
     c = math.cos(forward_rad)
     s = math.sin(forward_rad)
     turn[limb] = ((c, 0.0, -s), (0.0, 1.0, 0.0), (s, 0.0, c))
-    shift[limb] = np.array([moved[0], 0.0, moved[1]]) - turn[limb] @ np.array([joint[0], 0.0, joint[1]])
+    shift[limb] = np.array([moved[0], 0.0, moved[1]]) - turn[limb] @ np.array(
+        [joint[0], 0.0, joint[1]]
+    )

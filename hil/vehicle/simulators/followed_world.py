@@ -1,4 +1,6 @@
-"""The world of drones that real autopilots fly: the simulators say where they are, and nothing here moves them."""
+"""The world of drones that real autopilots fly: the simulators say where they are, and nothing here
+moves them.
+"""
 
 from __future__ import annotations
 
@@ -43,10 +45,18 @@ SILENT_S = 2.0  # without truth for this long there is no world any more
 
 
 class SimulatedVehicle:
-    """One drone's simulator with both of its connections. In a ``sitl`` world it stands where MavlinkVehicle does."""
+    """One drone's simulator with both of its connections. In a ``sitl`` world it stands where
+    MavlinkVehicle does.
+    """
 
     def __init__(
-        self, rig: Rig, role: Role, config: SimulatorConfig, world: WorldConfig, folder: Path, seed: int = 0
+        self,
+        rig: Rig,
+        role: Role,
+        config: SimulatorConfig,
+        world: WorldConfig,
+        folder: Path,
+        seed: int = 0,
     ) -> None:
         """Raises PartError when a port is taken or the simulator was not named.
 
@@ -57,12 +67,17 @@ class SimulatedVehicle:
         self.config = config
         origin = rig.origin
         home = world.true_home(role, seed) if config.to_start else world.home(role)
-        # All of the simulation is as much higher as its GPS says too much: what is true is reckoned from there.
+        # All of the simulation is as much higher as its GPS says too much: what is true is reckoned
+        # from there.
         altitude_m = origin.altitude_m + world.altitude.error_m(list(Role).index(role), 0.0)
         tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, altitude_m)
         east, north = home.position_m
-        off_n_m = receiver_off(world.position_offset, seed) if role is Role.RECEIVER else (0.0, 0.0, 0.0)
-        place = Home(*tangent.to_global(north + off_n_m[0], east + off_n_m[1], 0.0), home.heading_deg)
+        off_n_m = (
+            receiver_off(world.position_offset, seed) if role is Role.RECEIVER else (0.0, 0.0, 0.0)
+        )
+        place = Home(
+            *tangent.to_global(north + off_n_m[0], east + off_n_m[1], 0.0), home.heading_deg
+        )
         self.follower = TruthFollower(world.airframe.leg_m, off_n_m)
         self._process: AutopilotProcess | None = None
         with_radio = options.get("rc", "required") != "none" and not config.on_board
@@ -70,7 +85,9 @@ class SimulatedVehicle:
             set_up = SET_UP[config.kind] if with_radio else {}
             parameters = {**set_up, **_numbers(options.get("parameters", {})), **config.parameters}
             own = folder / f"{role.value}-{config.kind}"
-            self._process = AutopilotProcess(config.kind, self.sysid, place, parameters, own, config.speedup)
+            self._process = AutopilotProcess(
+                config.kind, self.sysid, place, parameters, own, config.speedup
+            )
         self.relay: MavlinkRelay | None = None
         truth: tuple[str, int] | str = config.truth_url
         if not config.on_board:
@@ -79,7 +96,9 @@ class SimulatedVehicle:
             vehicle = _address(config.url, FIRST_PORT + self.sysid - 1)
             self.relay = MavlinkRelay(config.kind, self.sysid, vehicle, companion)
             truth = _address(config.truth_url, FIRST_TRUTH_PORT + self.sysid - 1)
-        self.link = SimulatorLink(config.kind, self.sysid, truth, tangent, self.follower, "vision" in options)
+        self.link = SimulatorLink(
+            config.kind, self.sysid, truth, tangent, self.follower, "vision" in options
+        )
         self.radio = SimulatedRadio(config.kind, self.sysid, self.link) if with_radio else None
         self._home = place
         self._home_n_m = (north, east)
@@ -135,7 +154,8 @@ class SimulatedVehicle:
             self._process.stop()
 
     def pump(self, world_s: float) -> None:
-        """Takes what came in, and sends what the pilot's radio says. ``world_s``: the world's clock.
+        """Takes what came in, and sends what the pilot's radio says. ``world_s``: the world's
+        clock.
 
         Raises SimulatorBroken when it has died or says nothing any more.
         """
@@ -150,7 +170,9 @@ class SimulatedVehicle:
                 self.relay.watch.on_kill_switch(world_s)
         silent_s = now_s - self.follower.newest_s
         if math.isfinite(silent_s) and silent_s > SILENT_S:
-            raise SimulatorBroken(f"{self.config.kind} of vehicle {self.sysid} told no truth for {silent_s:.1f} s")
+            raise SimulatorBroken(
+                f"{self.config.kind} of vehicle {self.sysid} told no truth for {silent_s:.1f} s"
+            )
 
     def waits_for(self) -> list[str]:
         """Returns what it lacks until a mission may start."""
@@ -165,7 +187,9 @@ class SimulatedVehicle:
         return [] if self._at_speed else ["real time"]
 
     def _check_place(self) -> None:
-        """A board begins where its own parameters say. Raises SimulatorBroken when that is not the rig's home."""
+        """A board begins where its own parameters say. Raises SimulatorBroken when that is not the
+        rig's home.
+        """
         north, east = self.follower.row(time.monotonic())[:2].tolist()
         off_m = math.dist((north, east), self._home_n_m)
         if off_m <= PLACED_M:
@@ -186,7 +210,9 @@ class SimulatedVehicle:
 
     def not_ready(self, missing: list[str], after_s: float) -> SimulatorBroken:
         """Returns the error of a simulator that does not become ready."""
-        said = " | ".join(self.link.texts[-3:]) or (self._process.last_words() if self._process else "nothing")
+        said = " | ".join(self.link.texts[-3:]) or (
+            self._process.last_words() if self._process else "nothing"
+        )
         return SimulatorBroken(
             f"{self.config.kind} of vehicle {self.sysid} not ready after {after_s:.0f} s: waiting for "
             f"{', '.join(missing)}; it says: {said}"
@@ -194,13 +220,20 @@ class SimulatedVehicle:
 
 
 class FollowedWorld(World):
-    """Truth of the drones comes from their simulators; traffic and the faults of what is seen are as in any world."""
+    """Truth of the drones comes from their simulators; traffic and the faults of what is seen are
+    as in any world.
+    """
 
-    def __init__(self, config: WorldConfig, seed: int, vehicles: Mapping[Role, SimulatedVehicle]) -> None:
+    def __init__(
+        self, config: WorldConfig, seed: int, vehicles: Mapping[Role, SimulatedVehicle]
+    ) -> None:
         super().__init__(config, seed)
         self._vehicles = {role: vehicles[role] for role in Role}
         self._drones = {
-            role: SimDrone(cast("Autopilot", RemoteAutopilot(each.relay, each.link, each.radio)), self._states[i])
+            role: SimDrone(
+                cast("Autopilot", RemoteAutopilot(each.relay, each.link, each.radio)),
+                self._states[i],
+            )
             for i, (role, each) in enumerate((role, vehicles[role]) for role in Role)
         }
 
@@ -227,7 +260,9 @@ class Readiness:
 
 
 async def start_simulators(vehicles: Mapping[Role, SimulatedVehicle]) -> Readiness:
-    """Start all of them and wait until each can be armed and knows where it is. Raises SimulatorBroken, NoBinary."""
+    """Start all of them and wait until each can be armed and knows where it is. Raises
+    SimulatorBroken, NoBinary.
+    """
     start_s = time.monotonic()
     for vehicle in vehicles.values():
         vehicle.listen()
@@ -246,7 +281,11 @@ async def start_simulators(vehicles: Mapping[Role, SimulatedVehicle]) -> Readine
 
 
 def _numbers(table: object) -> dict[str, float]:
-    return {str(name): float(value) for name, value in table.items()} if isinstance(table, Mapping) else {}
+    return (
+        {str(name): float(value) for name, value in table.items()}
+        if isinstance(table, Mapping)
+        else {}
+    )
 
 
 def _address(url: str, port: int) -> tuple[str, int]:

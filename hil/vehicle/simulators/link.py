@@ -1,9 +1,11 @@
-"""The harness's own MAVLink connection to a simulated autopilot: what is true there, and whether it is ready to fly.
+"""The harness's own MAVLink connection to a simulated autopilot: what is true there, and whether it
+is ready to fly.
 
-PX4 (SIH) tells the truth in HIL_STATE_QUATERNION; ArduPilot in SIM_STATE and, for its position, SIMSTATE (SIM_STATE has
-whole degrees in single precision, and its 1e-7 degrees only in newer versions). No heartbeat is ever sent here:
-an autopilot must not take the harness for its companion. A flight controller on the bench, which simulates on board, is
-spoken to in the same way over a serial port.
+PX4 (SIH) tells the truth in HIL_STATE_QUATERNION; ArduPilot in SIM_STATE and, for its position,
+SIMSTATE (SIM_STATE has whole degrees in single precision, and its 1e-7 degrees only in newer
+versions). No heartbeat is ever sent here: an autopilot must not take the harness for its companion.
+A flight controller on the bench, which simulates on board, is spoken to in the same way over a
+serial port.
 """
 
 from __future__ import annotations
@@ -46,7 +48,9 @@ READINESS = (
 
 
 class SimulatorLink:
-    """Bound to a port the simulator sends to, or connected to nothing until it does. Read it with ``receive``."""
+    """Bound to a port the simulator sends to, or connected to nothing until it does. Read it with
+    ``receive``.
+    """
 
     def __init__(
         self,
@@ -59,11 +63,13 @@ class SimulatorLink:
     ) -> None:
         """Raises OSError, PartError when the port is taken.
 
-        ``port``: where it listens, or the URL of a serial port. ``placed_later``: only the mission's own parts tell it
-        where it is, so that it cannot be ready before.
+        ``port``: where it listens, or the URL of a serial port. ``placed_later``: only the
+        mission's own parts tell it where it is, so that it cannot be ready before.
         """
         self._placed_later = placed_later
-        self._readiness = (mavlink.MAVLINK_MSG_ID_ATTITUDE, *READINESS) if placed_later else READINESS
+        self._readiness = (
+            (mavlink.MAVLINK_MSG_ID_ATTITUDE, *READINESS) if placed_later else READINESS
+        )
         self._kind: Kind = kind
         self._sysid = sysid
         self._tangent = tangent
@@ -72,7 +78,9 @@ class SimulatorLink:
         self.watch = FlightWatch(next(known for known in KINDS if known.name == kind))
         self.epoch_s = 0.0  # of the world's clock, for ``watch``
         self._mav: Any = mavlink.MAVLink(None, srcSystem=OWN_SYSID, srcComponent=OWN_COMPONENT)
-        self._radio_mav: Any = mavlink.MAVLink(None, srcSystem=OWN_SYSID, srcComponent=OWN_COMPONENT)
+        self._radio_mav: Any = mavlink.MAVLink(
+            None, srcSystem=OWN_SYSID, srcComponent=OWN_COMPONENT
+        )
         self._asked_s = -math.inf
         self._heard: dict[int, float] = {}
         self.armable = False
@@ -95,7 +103,8 @@ class SimulatorLink:
             "global position": mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
             "home position": mavlink.MAVLINK_MSG_ID_HOME_POSITION,
         }
-        if self._kind == "px4":  # the port its truth comes from carries nothing else by itself, heartbeats included
+        # the port its truth comes from carries nothing else by itself, heartbeats included
+        if self._kind == "px4":
             wanted.pop("heartbeat")
         if self._placed_later:
             wanted = {"attitude": mavlink.MAVLINK_MSG_ID_ATTITUDE}
@@ -112,7 +121,9 @@ class SimulatorLink:
                 self._take(self._mav.decode(bytearray(frame)), arrival_s)
 
     def ask(self, now_s: float) -> None:
-        """Ask for the streams that do not come, once a second: requests are lost while it starts."""
+        """Ask for the streams that do not come, once a second: requests are lost while it
+        starts.
+        """
         if not self.wire.met or now_s - self._asked_s < ASK_AGAIN_S:
             return
         self._asked_s = now_s
@@ -126,7 +137,9 @@ class SimulatorLink:
                 self._want(message, SLOW_HZ)
 
     def sag_battery(self, fraction: float) -> None:
-        """Leave this much of the charge, 0..1; PX4's simulated battery gets there within a second."""
+        """Leave this much of the charge, 0..1; PX4's simulated battery gets there within a
+        second.
+        """
         if self._kind == "px4":
             self.set_parameter("SIM_BAT_DRAIN", 1.0)
             self.set_parameter("SIM_BAT_MIN_PCT", 100.0 * fraction)
@@ -146,14 +159,20 @@ class SimulatorLink:
         )
 
     def send_channels(self, channels: tuple[int, ...]) -> None:
-        """Sends pulse widths in µs of channels 1 to 8, as of a receiver on board. Another thread may do so."""
-        message: Any = mavlink.MAVLink_rc_channels_override_message(self._sysid, AUTOPILOT, *channels)
+        """Sends pulse widths in µs of channels 1 to 8, as of a receiver on board. Another thread
+        may do so.
+        """
+        message: Any = mavlink.MAVLink_rc_channels_override_message(
+            self._sysid, AUTOPILOT, *channels
+        )
         self.wire.write(message.pack(self._radio_mav))
 
     # --- inside ---
 
     def _slow(self, message: int) -> bool:
-        """PX4 sends the truth by itself, at 25 Hz: asked for again until the first second has gone by."""
+        """PX4 sends the truth by itself, at 25 Hz: asked for again until the first second has gone
+        by.
+        """
         return message == mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION and not self.armable
 
     def _want(self, message: int, rate_hz: float) -> None:
@@ -161,7 +180,9 @@ class SimulatorLink:
 
     def _command(self, command: int, *params: float) -> None:
         filled = [*params, *([0.0] * (7 - len(params)))]
-        self._send(mavlink.MAVLink_command_long_message(self._sysid, AUTOPILOT, command, 0, *filled))
+        self._send(
+            mavlink.MAVLink_command_long_message(self._sysid, AUTOPILOT, command, 0, *filled)
+        )
 
     def _send(self, message: Any) -> None:
         self.wire.write(message.pack(self._mav))
@@ -178,7 +199,9 @@ class SimulatorLink:
                 north, east, _ = self._tangent.to_ned(message.lat * 1e-7, message.lng * 1e-7, 0.0)
                 self.follower.on_fix(Fix(time_s, (north, east, math.nan)))
             case "HEARTBEAT" if message.get_srcComponent() == AUTOPILOT:
-                self.watch.on_heartbeat(time_s - self.epoch_s, message.custom_mode, message.base_mode)
+                self.watch.on_heartbeat(
+                    time_s - self.epoch_s, message.custom_mode, message.base_mode
+                )
             case "CURRENT_MODE":
                 self.watch.on_mode(time_s - self.epoch_s, message.custom_mode)
             case "SYS_STATUS":
@@ -196,18 +219,26 @@ class SimulatorLink:
 
     def _on_px4_truth(self, message: Any, time_s: float) -> None:
         """Its whole numbers are cut off towards zero, not rounded: half a unit is given back."""
-        velocity: Vec3 = (_middle(message.vx) * 1e-2, _middle(message.vy) * 1e-2, _middle(message.vz) * 1e-2)
+        velocity: Vec3 = (
+            _middle(message.vx) * 1e-2,
+            _middle(message.vy) * 1e-2,
+            _middle(message.vz) * 1e-2,
+        )
         w, x, y, z = message.attitude_quaternion
         rates = (message.rollspeed, message.pitchspeed, message.yawspeed)
         self.follower.on_motion(TrueMotion(time_s, velocity, (w, x, y, z), rates))
-        latitude, longitude, altitude = (_middle(value) for value in (message.lat, message.lon, message.alt))
+        latitude, longitude, altitude = (
+            _middle(value) for value in (message.lat, message.lon, message.alt)
+        )
         place = self._tangent.to_ned(latitude * 1e-7, longitude * 1e-7, altitude * 1e-3)
         self.follower.on_fix(Fix(time_s, place))
 
     def _on_sim_state(self, message: Any, time_s: float) -> None:
         rates = (message.xgyro, message.ygyro, message.zgyro)
         attitude = (message.q1, message.q2, message.q3, message.q4)
-        self.follower.on_motion(TrueMotion(time_s, (message.vn, message.ve, message.vd), attitude, rates))
+        self.follower.on_motion(
+            TrueMotion(time_s, (message.vn, message.ve, message.vd), attitude, rates)
+        )
         _, _, down = self._tangent.to_ned(0.0, 0.0, message.alt)
         self.follower.on_fix(Fix(time_s, (math.nan, math.nan, down)))
 

@@ -1,7 +1,8 @@
-"""PX4 (SIH) and ArduCopter (SITL) simulators as child processes, each with its own numbers, home and working folder.
+"""PX4 (SIH) and ArduCopter (SITL) simulators as child processes, each with its own numbers, home
+and working folder.
 
-Nothing of an autopilot comes with PATH: the binary is named by the user. A child gets a process group of its own and
-dies with this process, however that ends.
+Nothing of an autopilot comes with PATH: the binary is named by the user. A child gets a process
+group of its own and dies with this process, however that ends.
 """
 
 from __future__ import annotations
@@ -34,10 +35,12 @@ PX4_HOME = """case "$(param show -q SIH_LOC_{name}0)" in
 esac
 """
 
-# Becomes the simulator after telling the kernel to kill it when this process ends, even by kill -9 (PR_SET_PDEATHSIG).
+# Becomes the simulator after telling the kernel to kill it when this process ends, even by kill -9
+# (PR_SET_PDEATHSIG).
 DIE_WITH_PARENT = "import ctypes, os, sys; ctypes.CDLL(None).prctl(1, 9, 0, 0, 0); os.execv(sys.argv[1], sys.argv[1:])"
 
-# What ArduCopter's simulated quadrotor needs before it agrees to arm: a frame, and sensors that count as calibrated.
+# What ArduCopter's simulated quadrotor needs before it agrees to arm: a frame, and sensors that
+# count as calibrated.
 ARDUPILOT_AIRFRAME: dict[str, float] = {
     "FRAME_CLASS": 1, "FRAME_TYPE": 0,
     "ATC_RAT_YAW_P": 0.09, "ATC_RAT_YAW_I": 0.009,
@@ -51,7 +54,9 @@ ARDUPILOT_AIRFRAME: dict[str, float] = {
 
 
 class SimulatorBroken(Exception):
-    """An autopilot's simulator could not be started, died or fell silent: no mission is to blame."""
+    """An autopilot's simulator could not be started, died or fell silent: no mission is to
+    blame.
+    """
 
 
 class NoBinary(PartError):
@@ -60,7 +65,9 @@ class NoBinary(PartError):
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """The place where a simulated vehicle starts; altitude above mean sea level, heading from north."""
+    """The place where a simulated vehicle starts; altitude above mean sea level, heading from
+    north.
+    """
 
     latitude_deg: float
     longitude_deg: float
@@ -73,7 +80,9 @@ def binary_of(kind: Kind) -> Path:
     variable = BINARY_VARIABLE[kind]
     program = PROGRAM[kind]
     written = os.environ.get(variable, "")
-    remedy = f"build {program} for SITL (docs/autopilots.md), then give --{kind} PATH or set {variable}"
+    remedy = (
+        f"build {program} for SITL (docs/autopilots.md), then give --{kind} PATH or set {variable}"
+    )
     if not written:
         raise NoBinary(f"this rig needs {program}, and none was named", remedy)
     try:
@@ -93,20 +102,32 @@ def _px4_etc(binary: Path) -> Path:
         if (folder / "etc" / "init.d-posix" / "rcS").is_file():
             return folder / "etc"
     raise NoBinary(
-        f"{binary} has no etc/init.d-posix/rcS beside it", "name bin/px4 inside PX4's build folder, not a copy of it"
+        f"{binary} has no etc/init.d-posix/rcS beside it",
+        "name bin/px4 inside PX4's build folder, not a copy of it",
     )
 
 
 class AutopilotProcess:
-    """One running simulator. ``start`` returns at once; ``check`` raises SimulatorBroken when it has died."""
+    """One running simulator. ``start`` returns at once; ``check`` raises SimulatorBroken when it
+    has died.
+    """
 
     def __init__(
-        self, kind: Kind, sysid: int, home: Home, parameters: Mapping[str, float], folder: Path, speedup: float = 1.0
+        self,
+        kind: Kind,
+        sysid: int,
+        home: Home,
+        parameters: Mapping[str, float],
+        folder: Path,
+        speedup: float = 1.0,
     ) -> None:
-        """``folder`` is its working folder: emptied, and left for whoever wants to read its output."""
+        """``folder`` is its working folder: emptied, and left for whoever wants to read its
+        output.
+        """
         if not 1 <= sysid <= MAX_SYSID:
             raise PartError(
-                f"sysid {sysid}: a simulated {kind} needs one within 1..{MAX_SYSID}", "change it in the rig"
+                f"sysid {sysid}: a simulated {kind} needs one within 1..{MAX_SYSID}",
+                "change it in the rig",
             )
         self.kind: Kind = kind
         self.sysid = sysid
@@ -146,7 +167,9 @@ class AutopilotProcess:
         code = None if self._child is None else self._child.poll()
         if code is not None:
             how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-            raise SimulatorBroken(f"{self.kind} of vehicle {self.sysid} ended ({how}): {self.last_words()}")
+            raise SimulatorBroken(
+                f"{self.kind} of vehicle {self.sysid} ended ({how}): {self.last_words()}"
+            )
 
     def last_words(self) -> str:
         """The end of what it printed."""
@@ -173,12 +196,18 @@ class AutopilotProcess:
         child.wait()
 
     def _prepare_px4(self, binary: Path) -> tuple[list[str], dict[str, str]]:
-        """PX4's rcS sources ``px4-rc.simulator`` from PATH after the airframe's defaults; ours goes on with its."""
+        """PX4's rcS sources ``px4-rc.simulator`` from PATH after the airframe's defaults; ours goes
+        on with its.
+        """
         home = self._home
         instance = self.sysid - 1
         parameters = {"SIH_LOC_H0": home.altitude_m, "SDLOG_MODE": -1, **self._parameters}
-        script = PX4_HOME.format(name="LAT", degrees=home.latitude_deg, whole=round(home.latitude_deg * 1e7))
-        script += PX4_HOME.format(name="LON", degrees=home.longitude_deg, whole=round(home.longitude_deg * 1e7))
+        script = PX4_HOME.format(
+            name="LAT", degrees=home.latitude_deg, whole=round(home.latitude_deg * 1e7)
+        )
+        script += PX4_HOME.format(
+            name="LON", degrees=home.longitude_deg, whole=round(home.longitude_deg * 1e7)
+        )
         script += "".join(f"param set {name} {value:.9g}\n" for name, value in parameters.items())
         script += ". ${R}etc/init.d-posix/px4-rc.simulator\n"  # R: where rcS found itself
         (self.folder / "px4-rc.simulator").write_text(script, "ascii")
@@ -197,7 +226,9 @@ class AutopilotProcess:
         parameters = dict(ARDUPILOT_AIRFRAME)
         for name, value in self._parameters.items():
             parameters |= dict.fromkeys((name, *RENAMED.get(name, ())), value)
-        defaults.write_text("".join(f"{name} {value:.9g}\n" for name, value in parameters.items()), "ascii")
+        defaults.write_text(
+            "".join(f"{name} {value:.9g}\n" for name, value in parameters.items()), "ascii"
+        )
         place = f"{home.latitude_deg:.9f},{home.longitude_deg:.9f},{home.altitude_m:.3f},{home.heading_deg:.3f}"
         options = {
             "--model": "quad",

@@ -1,8 +1,8 @@
 """The transmitter of a pilot whose vehicle is flown by a real autopilot's simulator.
 
-ArduPilot's simulator takes pulse widths by UDP, on a port that follows from its instance, and goes on with the last
-ones when no more come: the loss of a radio is a parameter of it. PX4's takes RC_CHANNELS_OVERRIDE for what a receiver
-on board heard, and notices by itself when no more come.
+ArduPilot's simulator takes pulse widths by UDP, on a port that follows from its instance, and goes
+on with the last ones when no more come: the loss of a radio is a parameter of it. PX4's takes
+RC_CHANNELS_OVERRIDE for what a receiver on board heard, and notices by itself when no more come.
 
 It sends from a thread of its own: a transmitter does not wait for a world that is late.
 """
@@ -31,7 +31,11 @@ _NUMBERS = range(1, CHANNELS + 1)
 SET_UP: Mapping[Kind, Mapping[str, float]] = {
     "px4": {
         "RC_CHAN_CNT": CHANNELS,
-        **{f"RC{n}_{what}": us for n in _NUMBERS for what, us in (("MIN", 1000), ("TRIM", 1500), ("MAX", 2000))},
+        **{
+            f"RC{n}_{what}": us
+            for n in _NUMBERS
+            for what, us in (("MIN", 1000), ("TRIM", 1500), ("MAX", 2000))
+        },
         "RC_MAP_ROLL": 1,
         "RC_MAP_PITCH": 2,
         "RC_MAP_THROTTLE": 3,
@@ -39,20 +43,28 @@ SET_UP: Mapping[Kind, Mapping[str, float]] = {
         "RC_MAP_FLTMODE": 5,
         "RC_MAP_KILL_SW": 7,
         # hold, position, land, return, hold, hold
-        **{f"COM_FLTMODE{n}": mode for n, mode in zip(range(1, 7), (4, 2, 11, 5, 4, 4), strict=True)},
+        **{
+            f"COM_FLTMODE{n}": mode
+            for n, mode in zip(range(1, 7), (4, 2, 11, 5, 4, 4), strict=True)
+        },
     },
     "ardupilot": {
-        **{f"RC{n}_{what}": us for n in _NUMBERS for what, us in (("MIN", 1000), ("TRIM", 1500), ("MAX", 2000))},
+        **{
+            f"RC{n}_{what}": us
+            for n in _NUMBERS
+            for what, us in (("MIN", 1000), ("TRIM", 1500), ("MAX", 2000))
+        },
         "RC2_REVERSED": 1,  # here a stick that is pushed forward is a wide pulse
-        "PILOT_THR_BHV": 1,  # its throttle springs to the middle: one that is not down is no reason not to arm
+        # its throttle springs to the middle: one that is not down is no reason not to arm
+        "PILOT_THR_BHV": 1,
         "FLTMODE_CH": 5,
         "RC7_OPTION": 31,  # Motor Emergency Stop
         # altitude hold, loiter, land, return, brake, brake
         **{f"FLTMODE{n}": mode for n, mode in zip(range(1, 7), (2, 5, 9, 6, 17, 17), strict=True)},
     },
 }
-"""A transmitter that was calibrated, with the switches of ``hil.autopilot.radio.SLOTS``. What an autopilot is to make
-of it in flight stands with the vehicle."""
+"""A transmitter that was calibrated, with the switches of ``hil.autopilot.radio.SLOTS``. What an
+autopilot is to make of it in flight stands with the vehicle."""
 
 
 class RadioWire(Protocol):

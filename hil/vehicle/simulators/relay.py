@@ -1,7 +1,8 @@
-"""Between a real autopilot and its companion: passes every packet on, and sees what the harness must know of it.
+"""Between a real autopilot and its companion: passes every packet on, and sees what the harness
+must know of it.
 
-It stands for the cable: a fault can cut it. What it sees (armed, mode, how long the vehicle went without a setpoint)
-comes from the packets themselves and from nobody's report.
+It stands for the cable: a fault can cut it. What it sees (armed, mode, how long the vehicle went
+without a setpoint) comes from the packets themselves and from nobody's report.
 """
 
 from __future__ import annotations
@@ -16,7 +17,14 @@ from typing import Any
 from pymavlink.dialects.v20 import all as mavlink
 
 from drivers.interfaces import FlightMode
-from drivers.mavlink.modes import ARDUPILOT, CUSTOM_MODE_ENABLED, KINDS, PX4, SAFETY_ARMED, AutopilotKind
+from drivers.mavlink.modes import (
+    ARDUPILOT,
+    CUSTOM_MODE_ENABLED,
+    KINDS,
+    PX4,
+    SAFETY_ARMED,
+    AutopilotKind,
+)
 from hil.autopilot.values import OffboardSession
 from hil.vehicle.arrival import Address, bound, packets
 
@@ -35,17 +43,19 @@ CURRENT_MODE = 436
 DO_SET_MODE = 176
 NAV_LAND = 21
 NAV_RETURN = 20
-# What a second ground station selects: LOITER; HOLD on a PX4, which refuses modes that need sticks while it has none.
+# What a second ground station selects: LOITER; HOLD on a PX4, which refuses modes that need sticks
+# while it has none.
 PILOT_MODE = {PX4.name: (4.0, 3.0), ARDUPILOT.name: (5.0, 0.0)}
 
 
 class FlightWatch:
     """Armed, mode and offboard sessions of one vehicle. Times are seconds of the world's clock.
 
-    A session begins with the first setpoint that arrives while the mode is OFFBOARD: ArduPilot climbs in that mode
-    without any. It ends with the command that leaves the mode, or when the vehicle says that it is in another: with its
-    heartbeat, or with CURRENT_MODE where it is asked for that, as PX4 beats once a second. To a vehicle whose motors
-    its pilot has stopped nobody owes a setpoint: a PX4 calls itself armed, and in OFFBOARD, for 5 s more.
+    A session begins with the first setpoint that arrives while the mode is OFFBOARD: ArduPilot
+    climbs in that mode without any. It ends with the command that leaves the mode, or when the
+    vehicle says that it is in another: with its heartbeat, or with CURRENT_MODE where it is asked
+    for that, as PX4 beats once a second. To a vehicle whose motors its pilot has stopped nobody
+    owes a setpoint: a PX4 calls itself armed, and in OFFBOARD, for 5 s more.
     """
 
     def __init__(self, kind: AutopilotKind) -> None:
@@ -84,7 +94,9 @@ class FlightWatch:
         session = self._open
         if session is not None:
             session.note_gap(self.newest_setpoint_s, now_s)
-        elif self.armed and self.mode is FlightMode.OFFBOARD and not (self._leaving or self._stopped):
+        elif (
+            self.armed and self.mode is FlightMode.OFFBOARD and not (self._leaving or self._stopped)
+        ):
             self.offboard_sessions.append(OffboardSession(now_s))
         self.newest_setpoint_s = now_s
 
@@ -113,11 +125,14 @@ class FlightWatch:
 class MavlinkRelay:
     """Two UDP sockets back to back. While ``silent`` the cable is cut, both ways.
 
-    ``tap`` is called with id, bytes and arrival (monotonic clock) of each message of the vehicle, the cable cut or not.
+    ``tap`` is called with id, bytes and arrival (monotonic clock) of each message of the vehicle,
+    the cable cut or not.
     """
 
     def __init__(self, kind: str, sysid: int, vehicle: Address, companion: Address) -> None:
-        """``vehicle``: where the autopilot sends to; ``companion``: where MAVSDK listens. Raises OSError."""
+        """``vehicle``: where the autopilot sends to; ``companion``: where MAVSDK listens. Raises
+        OSError.
+        """
         self._sysid = sysid
         self._kind = next(known for known in KINDS if known.name == kind)
         self.watch = FlightWatch(self._kind)
@@ -158,9 +173,13 @@ class MavlinkRelay:
     def order(self, command: int, *params: float) -> None:
         """A command of that second ground station, sent once."""
         filled = [*params, *([0.0] * (7 - len(params)))]
-        self._send_own(mavlink.MAVLink_command_long_message(self._sysid, AUTOPILOT, command, 0, *filled))
+        self._send_own(
+            mavlink.MAVLink_command_long_message(self._sysid, AUTOPILOT, command, 0, *filled)
+        )
 
-    def _from_vehicle(self, packet: bytes, sender: Address, arrival_s: float, epoch_s: float) -> None:
+    def _from_vehicle(
+        self, packet: bytes, sender: Address, arrival_s: float, epoch_s: float
+    ) -> None:
         self._peer = sender
         for message_id, sysid, frame in frames(packet):
             if message_id in (HEARTBEAT, CURRENT_MODE) and sysid == self._sysid:
@@ -212,13 +231,19 @@ def _send(through: socket.socket, packet: bytes, to: Address) -> None:
 
 
 def frames(packet: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """(message id, system id, bytes) of every MAVLink message of a datagram; PX4 puts many into one."""
+    """(message id, system id, bytes) of every MAVLink message of a datagram; PX4 puts many into
+    one.
+    """
     at = 0
     while at + V1_OVERHEAD <= len(packet):
         if packet[at] == mavlink.PROTOCOL_MARKER_V2 and at + V2_OVERHEAD <= len(packet):
             signed = V2_SIGNATURE if packet[at + 2] & mavlink.MAVLINK_IFLAG_SIGNED else 0
             size = V2_OVERHEAD + packet[at + 1] + signed
-            yield int.from_bytes(packet[at + 7 : at + 10], "little"), packet[at + 5], packet[at : at + size]
+            yield (
+                int.from_bytes(packet[at + 7 : at + 10], "little"),
+                packet[at + 5],
+                packet[at : at + size],
+            )
         elif packet[at] == mavlink.PROTOCOL_MARKER_V1:
             size = V1_OVERHEAD + packet[at + 1]
             yield packet[at + 5], packet[at + 3], packet[at : at + size]

@@ -1,4 +1,6 @@
-"""The harness's knowledge of a real autopilot, from the packets on its cable and from its simulator."""
+"""The harness's knowledge of a real autopilot, from the packets on its cable and from its
+simulator.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +14,18 @@ OF_FAILSAFES = (FlightMode.HOLD, FlightMode.LAND, FlightMode.RETURN)
 
 
 class RemoteAutopilot:
-    """Answers for a real autopilot what the harness asks of an embedded one (``hil.autopilot.autopilot.Autopilot``).
+    """Answers for a real autopilot what the harness asks of an embedded one
+    (``hil.autopilot.autopilot.Autopilot``).
 
-    Without a relay in the cable, as with a flight controller, nobody hears the setpoints: no session is ever shown.
+    Without a relay in the cable, as with a flight controller, nobody hears the setpoints: no
+    session is ever shown.
     """
 
     config = AutopilotConfig()  # of which the monitors ask at what battery it may land by itself
 
-    def __init__(self, relay: MavlinkRelay | None, link: SimulatorLink, radio: SimulatedRadio | None = None) -> None:
+    def __init__(
+        self, relay: MavlinkRelay | None, link: SimulatorLink, radio: SimulatedRadio | None = None
+    ) -> None:
         """``radio``: the pilot's, None where there is none."""
         self._link = link
         self._radio = radio
@@ -47,8 +53,14 @@ class RemoteAutopilot:
 
     @property
     def failsafe(self) -> str:
-        """Its modes say no more than that they changed: with the radio gone, which script would fly them is known."""
-        return "radio lost" if self._radio is not None and self._radio.lost and self.mode in OF_FAILSAFES else ""
+        """Its modes say no more than that they changed: with the radio gone, which script would fly
+        them is known.
+        """
+        return (
+            "radio lost"
+            if self._radio is not None and self._radio.lost and self.mode in OF_FAILSAFES
+            else ""
+        )
 
     @property
     def mode(self) -> FlightMode:

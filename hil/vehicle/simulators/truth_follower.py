@@ -1,8 +1,10 @@
-"""One drone's true motion from the messages of its simulator: smooth between them and finer than their units.
+"""One drone's true motion from the messages of its simulator: smooth between them and finer than
+their units.
 
-MAVLink carries latitude and longitude in 1e-7 degrees, which is 11 mm of north. Drawn like that, a hovering drone would
-jump by more than the marker's corners may move. Its true velocity comes along, far finer, so the position is the
-integral of the velocity, drawn towards the reported one with ``TAU_S``.
+MAVLink carries latitude and longitude in 1e-7 degrees, which is 11 mm of north. Drawn like that, a
+hovering drone would jump by more than the marker's corners may move. Its true velocity comes along,
+far finer, so the position is the integral of the velocity, drawn towards the reported one with
+``TAU_S``.
 """
 
 from __future__ import annotations
@@ -12,7 +14,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.world.dynamics import ATTITUDE, CONTACT, POSITION, RATES, ROTOR_PHASE, STATE_SIZE, VELOCITY, Array
+from hil.world.dynamics import (
+    ATTITUDE,
+    CONTACT,
+    POSITION,
+    RATES,
+    ROTOR_PHASE,
+    STATE_SIZE,
+    VELOCITY,
+    Array,
+)
 from path.geometry.rotation import multiply
 from path.messages import Quat, Vec3
 
@@ -25,7 +36,9 @@ ROTOR_RADPS = 380.0
 
 @dataclass(frozen=True, slots=True)
 class TrueMotion:
-    """The true motion but for the position, at ``time_s``: velocity NED, attitude body to NED, body rates."""
+    """The true motion but for the position, at ``time_s``: velocity NED, attitude body to NED, body
+    rates.
+    """
 
     time_s: float
     velocity_n_mps: Vec3
@@ -45,7 +58,9 @@ class TruthFollower:
     """Takes motions and fixes as they arrive; gives the state at any time soon after."""
 
     def __init__(self, leg_m: float, told_off_n_m: Vec3 = (0.0, 0.0, 0.0)) -> None:
-        """``told_off_n_m``: what the simulator tells less what is to be true; of the height only in the air."""
+        """``told_off_n_m``: what the simulator tells less what is to be true; of the height only in
+        the air.
+        """
         self._leg_m = leg_m
         self._told_off_n_m = told_off_n_m
         self._motion: TrueMotion | None = None
@@ -73,7 +88,9 @@ class TruthFollower:
         self._motion = motion
 
     def on_fix(self, fix: Fix) -> None:
-        """Draw the position towards it. Before the first motion it says nothing: there is no time to reckon from."""
+        """Draw the position towards it. Before the first motion it says nothing: there is no time
+        to reckon from.
+        """
         motion = self._motion
         if motion is None:
             return
@@ -92,7 +109,8 @@ class TruthFollower:
             self._ground_m = self._position[2]
 
     def row(self, time_s: float) -> Array:
-        """Returns a state row of ``hil.world.dynamics`` at ``time_s``, carried on from the newest motion.
+        """Returns a state row of ``hil.world.dynamics`` at ``time_s``, carried on from the newest
+        motion.
 
         Only when ``ready``.
         """

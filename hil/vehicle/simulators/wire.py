@@ -1,4 +1,6 @@
-"""The wires of the harness's connection to a simulation: UDP to a program, a serial port to a flight controller."""
+"""The wires of the harness's connection to a simulation: UDP to a program, a serial port to a
+flight controller.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,9 @@ class UdpWire:
 
 
 class SerialWire:
-    """A MAVLink port of a flight controller. Nothing stamps what comes in but the reader: it may come to it late."""
+    """A MAVLink port of a flight controller. Nothing stamps what comes in but the reader: it may
+    come to it late.
+    """
 
     met = True
 
@@ -82,11 +86,15 @@ class SerialWire:
         """``serial:///dev/ttyACM1:921600``. Raises PartError when it cannot be opened."""
         match = SERIAL.fullmatch(url)
         if match is None:
-            raise PartError(f"{url} is no serial port", "write it like serial:///dev/ttyACM1:921600")
+            raise PartError(
+                f"{url} is no serial port", "write it like serial:///dev/ttyACM1:921600"
+            )
         try:
             self._port = SerialPort(match[1], int(match[2]))
         except (OSError, serial.SerialException) as error:
-            raise PartError(f"cannot open {url}: {error}", "is the board plugged in, and the device free?") from error
+            raise PartError(
+                f"cannot open {url}: {error}", "is the board plugged in, and the device free?"
+            ) from error
         self._waiting = bytearray()
 
     def fileno(self) -> int:

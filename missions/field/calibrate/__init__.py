@@ -1,1 +1,3 @@
-"""``path-handoff calibrate``: a camera, where it sits relative to the marker, and boards to print."""
+"""``path-handoff calibrate``: a camera, where it sits relative to the marker, and boards to
+print.
+"""

@@ -23,7 +23,9 @@ def board_of(options: BoardOptions) -> Board:
     """Raises PartError naming the option that cannot be right."""
     match = re.fullmatch(r"(\d+)x(\d+)", options.squares)
     if match is None:
-        raise PartError(f"--squares {options.squares!r} is no COLUMNSxROWS", "write for example --squares 10x7")
+        raise PartError(
+            f"--squares {options.squares!r} is no COLUMNSxROWS", "write for example --squares 10x7"
+        )
     try:
         return Board(
             options.board,
@@ -35,7 +37,9 @@ def board_of(options: BoardOptions) -> Board:
             options.legacy,
         )
     except ValueError as error:
-        raise PartError(f"the board: {error}", "see `path-handoff calibrate camera --help`") from error
+        raise PartError(
+            f"the board: {error}", "see `path-handoff calibrate camera --help`"
+        ) from error
 
 
 def otherwise(board: Board) -> Board:
@@ -61,18 +65,26 @@ def draw_print(options: CalibrateBoardOptions, out: TextIO) -> int:
     try:
         shades, cell_m = print_cells(board)
     except ValueError as error:
-        raise PartError(f"the board: {error}", "make the marker three quarters of the square") from error
+        raise PartError(
+            f"the board: {error}", "make the marker three quarters of the square"
+        ) from error
     dots = round(cell_m / INCH_M * options.dpi)
     if not 1 <= dots * max(shades.shape) <= 40_000:
-        raise PartError(f"--dpi {options.dpi}: a cell would be {dots} dots", "300 to 1200 dpi suit a printer")
+        raise PartError(
+            f"--dpi {options.dpi}: a cell would be {dots} dots", "300 to 1200 dpi suit a printer"
+        )
     picture = np.kron(shades, np.ones((dots, dots), np.uint8))
     check_file(options.out)
     if not cv2.haveImageWriter(str(options.out)):
-        raise PartError(f"{options.out}: a picture of this kind is not written", "name a .png file with --out")
+        raise PartError(
+            f"{options.out}: a picture of this kind is not written", "name a .png file with --out"
+        )
     options.out.parent.mkdir(parents=True, exist_ok=True)
     claim_same(options.out, picture)
     if not cv2.imwrite(str(options.out), picture):
-        raise PartError(f"cannot write {options.out}", "name a .png file in a folder that can be written")
+        raise PartError(
+            f"cannot write {options.out}", "name a .png file in a folder that can be written"
+        )
     printed_m = dots * INCH_M / options.dpi
     scale = printed_m / cell_m
     out.write(

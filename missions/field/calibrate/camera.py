@@ -1,4 +1,6 @@
-"""``path-handoff calibrate camera``: views, what is wrong with them, the camera, and how sure it is."""
+"""``path-handoff calibrate camera``: views, what is wrong with them, the camera, and how sure it
+is.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,13 @@ from drivers.rig.calibration_file import (
 from drivers.rig.parts import PartSpec, create, decode_part, part_context
 from drivers.rig.unmeasured import load_for_camera
 from missions.field.calibrate.board import board_of, otherwise
-from missions.field.calibrate.collect import Collected, CollectedImage, from_camera, from_images, from_recording
+from missions.field.calibrate.collect import (
+    Collected,
+    CollectedImage,
+    from_camera,
+    from_images,
+    from_recording,
+)
 from missions.field.calibrate.diagnose import what_else
 from missions.field.calibrate.picture import draw_calibration
 from missions.ground.held import held_file
@@ -35,7 +43,14 @@ from missions.ground.run_folder import REMEDY, claim_result
 from missions.ground.work import Bars
 from path.calibration.board import Board, BoardView
 from path.calibration.fisheye import fit_fisheye
-from path.calibration.intrinsics import PARAMETERS, RADIAL, Intrinsics, NotSolvable, doubting, solve_intrinsics
+from path.calibration.intrinsics import (
+    PARAMETERS,
+    RADIAL,
+    Intrinsics,
+    NotSolvable,
+    doubting,
+    solve_intrinsics,
+)
 from path.calibration.judge import (
     BadSet,
     Grade,
@@ -63,13 +78,17 @@ class BadViews(CalibrationError):
 
     def __init__(self, faults: Sequence[SetFault]) -> None:
         found = "\n".join(f"{fault.reason.value}: {fault.found}" for fault in faults)
-        super().__init__(f"these views are refused\n{found}", "\n       ".join(fault.fix for fault in faults))
+        super().__init__(
+            f"these views are refused\n{found}", "\n       ".join(fault.fix for fault in faults)
+        )
         self.faults = tuple(faults)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibrated:
-    """A calibration. ``looks``: of ``solution.views``, in their order; ``faults``: what keeps it from being good."""
+    """A calibration. ``looks``: of ``solution.views``, in their order; ``faults``: what keeps it
+    from being good.
+    """
 
     solution: Intrinsics
     looks: tuple[CollectedImage, ...]
@@ -96,7 +115,9 @@ def _calibrate_camera(options: CalibrateCameraOptions, board: Board, out: TextIO
         if _found(again):
             board = other
             collected = again
-    out.write(f"{_found(collected)} of {len(collected.looks)} images show the board ({board.text})\n")
+    out.write(
+        f"{_found(collected)} of {len(collected.looks)} images show the board ({board.text})\n"
+    )
     try:
         done = calibrate(collected, board)
     except BadViews:
@@ -108,15 +129,21 @@ def _calibrate_camera(options: CalibrateCameraOptions, board: Board, out: TextIO
     write_calibration(options.out, calibration)
     draw_calibration(collected, solution, picture)
     _report(done, calibration, out)
-    out.write(f"\n{options.out}: name it in a rig, [sender.camera] or [receiver.camera]: calibration\n{picture}\n")
+    out.write(
+        f"\n{options.out}: name it in a rig, [sender.camera] or [receiver.camera]: calibration\n{picture}\n"
+    )
     return 0
 
 
 def calibrate(collected: Collected, board: Board, limits: SetLimits = LIMITS) -> Calibrated:
-    """The camera from what was collected, with a grade. Raises BadViews with all that is wrong when it is useless."""
+    """The camera from what was collected, with a grade. Raises BadViews with all that is wrong when
+    it is useless.
+    """
     sizes = Counter(look.size for look in collected.looks)
     if len(sizes) > 1:
-        found = ", ".join(f"{count} of {width}x{height} px" for (width, height), count in sizes.most_common())
+        found = ", ".join(
+            f"{count} of {width}x{height} px" for (width, height), count in sizes.most_common()
+        )
         raise BadViews([SetFault(BadSet.MIXED_SIZES, f"images of different sizes: {found}",
                               "put the images of one stream into a folder of their own")])  # fmt: skip
     seen = [look for look in collected.looks if look.view is not None]
@@ -142,7 +169,11 @@ def calibrate(collected: Collected, board: Board, limits: SetLimits = LIMITS) ->
         views, thinning = (views, None) if even is None else even
         solution, terms = solve_as_told(views, board, size, thinning)
     except NotSolvable as error:
-        fault = SetFault(BadSet.NOT_SOLVABLE, f"no camera fits these views: {error}", "is the board the one you named?")
+        fault = SetFault(
+            BadSet.NOT_SOLVABLE,
+            f"no camera fits these views: {error}",
+            "is the board the one you named?",
+        )
         raise BadViews([*faults, fault]) from error
     if (fault := _other_lens(solution, terms, views, board, thinning)) is not None:
         raise BadViews([*faults, fault])
@@ -158,10 +189,20 @@ def calibrate(collected: Collected, board: Board, limits: SetLimits = LIMITS) ->
 
 
 def _other_lens(
-    solution: Intrinsics, terms: int, views: Sequence[BoardView], board: Board, thinning: Thinning | None
+    solution: Intrinsics,
+    terms: int,
+    views: Sequence[BoardView],
+    board: Board,
+    thinning: Thinning | None,
 ) -> SetFault | None:
-    """Return the fault of views that a fisheye took; None where Brown-Conrady's lens describes them."""
-    whole = solution if terms == RADIAL else solve_intrinsics(views, board, solution.size, thinning=thinning)
+    """Return the fault of views that a fisheye took; None where Brown-Conrady's lens describes
+    them.
+    """
+    whole = (
+        solution
+        if terms == RADIAL
+        else solve_intrinsics(views, board, solution.size, thinning=thinning)
+    )
     fisheye = fit_fisheye(whole, board)
     if fisheye is None or not (fisheye.is_clear or fisheye.instead_of(solution.rms_px)):
         return None
@@ -174,9 +215,14 @@ def _other_lens(
 
 
 def solve_as_told(
-    views: Sequence[BoardView], board: Board, size: tuple[int, int], thinning: Thinning | None = None
+    views: Sequence[BoardView],
+    board: Board,
+    size: tuple[int, int],
+    thinning: Thinning | None = None,
 ) -> tuple[Intrinsics, int]:
-    """The camera with as many radial terms as views can tell, and how many these are. Raises NotSolvable."""
+    """The camera with as many radial terms as views can tell, and how many these are. Raises
+    NotSolvable.
+    """
     solution = solve_intrinsics(views, board, size, thinning=thinning)
     terms = RADIAL
     while solution.camera is None and terms > 1:
@@ -212,7 +258,8 @@ def _from_rig(options: CalibrateCameraOptions, board: Board, out: TextIO) -> Col
     spec = getattr(perception, "camera", None)
     if not isinstance(spec, PartSpec):
         raise PartError(
-            f"{rig.role(role).perception.where}: it has no camera of its own", "name a rig with real cameras"
+            f"{rig.role(role).perception.where}: it has no camera of its own",
+            "name a rig with real cameras",
         )
     camera = create(spec, part_context(rig, role))
     folder = options.out.with_suffix("")
@@ -232,11 +279,16 @@ def size_of(text: str) -> tuple[int, int]:
     sides = text.split("x")
     size = [int(side) for side in sides if side.isdecimal() and len(side) <= len(str(MOST_PX))]
     if len(sides) != 2 or len(size) != 2 or not all(LEAST_PX <= side <= MOST_PX for side in size):
-        raise PartError(f"--size {text!r} is no size of an image", "write it as WIDTHxHEIGHT in px, such as 1280x720")
+        raise PartError(
+            f"--size {text!r} is no size of an image",
+            "write it as WIDTHxHEIGHT in px, such as 1280x720",
+        )
     return size[0], size[1]
 
 
-def _file_of(done: Calibrated, collected: Collected, board: Board, serial: str, source: str) -> CameraCalibration:
+def _file_of(
+    done: Calibrated, collected: Collected, board: Board, serial: str, source: str
+) -> CameraCalibration:
     solution = done.solution
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = solution.values
     thinning = None if solution.camera is None else solution.camera.thinning
@@ -248,7 +300,9 @@ def _file_of(done: Calibrated, collected: Collected, board: Board, serial: str, 
         serial=serial,
         source=Path(source).name or source,
         board=board.text,
-        camera=CameraTable(*solution.size, fx, fy, cx, cy, (k1, k2, p1, p2, k3), solution.doubts, thinning),
+        camera=CameraTable(
+            *solution.size, fx, fy, cx, cy, (k1, k2, p1, p2, k3), solution.doubts, thinning
+        ),
         standard_errors=dict(zip(PARAMETERS, solution.sigmas, strict=True)),
         quality=Quality(
             rms_px=round(solution.rms_px, 5),

@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interfaces import Camera, CameraError, PartError
-from drivers.recordings.recording import IMAGE_SUFFIXES, RecordingError, RecordingOptions, open_recording, read_image
+from drivers.recordings.recording import (
+    IMAGE_SUFFIXES,
+    RecordingError,
+    RecordingOptions,
+    open_recording,
+    read_image,
+)
 from missions.ground.work import Bars
 from path.calibration.board import Board, BoardView, find_board
 from path.calibration.judge import empty_places
@@ -20,14 +26,17 @@ from path.calibration.judge import empty_places
 Image = NDArray[np.uint8]
 
 SAMPLE_NS = 200_000_000  # frames of a recording closer than this are not looked at
-STILL = 0.004  # of the image's diagonal: the board moved less since the frame before, so it is held still
+# of the image's diagonal: the board moved less since the frame before, so it is held still
+STILL = 0.004
 MOST_OTHERS = 5  # images that are no views and are kept
 DIFFERENT = 0.04  # of the diagonal: a new view differs from each other one by more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CollectedImage:
-    """One image that was looked at. ``view`` is None where no board was found, and then the image is not kept."""
+    """One image that was looked at. ``view`` is None where no board was found, and then the image
+    is not kept.
+    """
 
     name: str
     size: tuple[int, int]
@@ -39,7 +48,8 @@ class CollectedImage:
 class Collected:
     """The views that a source gave.
 
-    ``sample``: an image for pictures. ``others``: the first images that are no views, for telling what else is in them.
+    ``sample``: an image for pictures. ``others``: the first images that are no views, for telling
+    what else is in them.
     """
 
     looks: list[CollectedImage] = field(default_factory=list[CollectedImage])
@@ -69,16 +79,24 @@ def from_images(folder: Path, board: Board, bars: Bars) -> Collected:
     with bars.bar("images", len(files)) as advance:
         for file in files:
             grey = cv2.cvtColor(read_image(file), cv2.COLOR_BGR2GRAY)
-            collected.add(file.name, np.asarray(grey, np.uint8), find_board(np.asarray(grey, np.uint8), board))
+            collected.add(
+                file.name, np.asarray(grey, np.uint8), find_board(np.asarray(grey, np.uint8), board)
+            )
             advance()
     return collected
 
 
 def image_files(folder: Path) -> list[Path]:
     """The images of a folder by name. Raises PartError when there are none."""
-    files = sorted(f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES) if folder.is_dir() else []
+    files = (
+        sorted(f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES)
+        if folder.is_dir()
+        else []
+    )
     if not files:
-        raise PartError(f"{folder}: there are no images in it", "name a folder of .png or .jpg files")
+        raise PartError(
+            f"{folder}: there are no images in it", "name a folder of .png or .jpg files"
+        )
     return files
 
 
@@ -143,9 +161,15 @@ def from_recording(file: Path, board: Board, wanted: int, bars: Bars) -> Collect
 
 
 async def from_camera(
-    camera: Camera, board: Board, wanted: int, seconds: float, folder: Path, say: Callable[[str], None]
+    camera: Camera,
+    board: Board,
+    wanted: int,
+    seconds: float,
+    folder: Path,
+    say: Callable[[str], None],
 ) -> Collected:
-    """Views of a camera as it runs, each kept in ``folder``. Ends with the recording when it plays one.
+    """Views of a camera as it runs, each kept in ``folder``. Ends with the recording when it plays
+    one.
 
     Raises:
         CameraError: the camera gives no frames.
@@ -172,7 +196,10 @@ async def from_camera(
             _keep(folder / name, frame.color)
             collected.add(name, grey, view)
             empty = empty_places(chooser.chosen, (grey.shape[1], grey.shape[0]))
-            say(f"view {len(chooser.chosen)}/{wanted}" + (f"; still empty: {', '.join(empty)}" if empty else ""))
+            say(
+                f"view {len(chooser.chosen)}/{wanted}"
+                + (f"; still empty: {', '.join(empty)}" if empty else "")
+            )
     return collected
 
 

@@ -1,4 +1,6 @@
-"""``path-handoff calibrate marker``: D1's marker, or a plate of several in a row, as a drawing in millimetres."""
+"""``path-handoff calibrate marker``: D1's marker, or a plate of several in a row, as a drawing in
+millimetres.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ def draw_marker(options: CalibrateMarkerOptions, out: TextIO) -> int:
     """Writes the drawing, and says what belongs into the rig. Raises PartError."""
     bits, count = DICTIONARIES.get(options.dictionary, (0, 0))
     if not bits:
-        raise PartError(f"--dictionary {options.dictionary!r} is not known", f"one of {', '.join(DICTIONARIES)}")
+        raise PartError(
+            f"--dictionary {options.dictionary!r} is not known", f"one of {', '.join(DICTIONARIES)}"
+        )
     wrong = [each for each in options.ids if each >= count]
     if wrong or not options.ids or len(set(options.ids)) < len(options.ids):
         raise PartError(
@@ -32,7 +36,8 @@ def draw_marker(options: CalibrateMarkerOptions, out: TextIO) -> int:
     cell_mm = 1e3 * options.side_m / (bits + 2)
     if len(options.ids) > 1 and 1e3 * options.gap_m < QUIET_CELLS * cell_mm:
         raise PartError(
-            f"--gap-m {options.gap_m:g} is less than a cell of {cell_mm:.2f} mm", "leave at least a cell of white"
+            f"--gap-m {options.gap_m:g} is less than a cell of {cell_mm:.2f} mm",
+            "leave at least a cell of white",
         )
     check_file(options.out)
     drawing = _drawing(options, cell_mm)
@@ -42,10 +47,13 @@ def draw_marker(options: CalibrateMarkerOptions, out: TextIO) -> int:
     except FileExistsError:
         if options.out.read_text("utf-8", errors="replace") != drawing:
             raise PartError(
-                f"{options.out} is there, and is another drawing: it is not written over", "name another --out"
+                f"{options.out} is there, and is another drawing: it is not written over",
+                "name another --out",
             ) from None
     except OSError as error:
-        raise PartError(f"cannot write {options.out}: {error.strerror}", "name another file with --out") from error
+        raise PartError(
+            f"cannot write {options.out}: {error.strerror}", "name another file with --out"
+        ) from error
     out.write(
         f"{options.out}: print it at 100 %, see that its ruler is {RULER_MM:g} mm long, glue it to something flat and "
         "stiff, dull, cut along the outline.\n"
@@ -74,7 +82,13 @@ def _drawing(options: CalibrateMarkerOptions, cell_mm: float) -> str:
     page_mm = max(wide_mm, RULER_MM) + 2.0, high_mm + BELOW_MM
     parts = [f'<rect x="1" y="1" width="{wide_mm:.4f}" height="{high_mm:.4f}" class="cut"/>']
     for number, marker_id in enumerate(options.ids):
-        parts += _marker(options.dictionary, marker_id, 1.0 + border_mm + step_mm * number, 1.0 + border_mm, cell_mm)
+        parts += _marker(
+            options.dictionary,
+            marker_id,
+            1.0 + border_mm + step_mm * number,
+            1.0 + border_mm,
+            cell_mm,
+        )
     y = high_mm + 5.0
     parts += [
         f'<path d="M1 {y:.4f} h{RULER_MM:g} M1 {y - 1.5:.4f} v3 M{1 + RULER_MM:g} {y - 1.5:.4f} v3" class="cut"/>',
@@ -91,7 +105,9 @@ def _drawing(options: CalibrateMarkerOptions, cell_mm: float) -> str:
     )
 
 
-def _marker(dictionary: str, marker_id: int, left_mm: float, top_mm: float, cell_mm: float) -> Sequence[str]:
+def _marker(
+    dictionary: str, marker_id: int, left_mm: float, top_mm: float, cell_mm: float
+) -> Sequence[str]:
     """One path of a marker's black cells, whose edges meet without a gap."""
     black = [
         f"M{left_mm + cell_mm * column:.4f} {top_mm + cell_mm * row:.4f}h{cell_mm:.4f}v{cell_mm:.4f}h{-cell_mm:.4f}z"
@@ -99,16 +115,28 @@ def _marker(dictionary: str, marker_id: int, left_mm: float, top_mm: float, cell
         for column, white in enumerate(line)
         if not white
     ]
-    return [f'<path id="marker-{marker_id}" d="{"".join(black)}" fill="black" stroke="black" stroke-width="0.005"/>']
+    return [
+        f'<path id="marker-{marker_id}" d="{"".join(black)}" fill="black" stroke="black" stroke-width="0.005"/>'
+    ]
 
 
 def _tables(options: CalibrateMarkerOptions) -> str:
     """The tables of a rig about the print; the frame ``v`` is in the middle of the row."""
     step_m = options.side_m + options.gap_m
-    begin = "" if options.dictionary == "DICT_4X4_50" else f'marker_dictionary = "{options.dictionary}"\n\n'
+    begin = (
+        ""
+        if options.dictionary == "DICT_4X4_50"
+        else f'marker_dictionary = "{options.dictionary}"\n\n'
+    )
     tables = list[str]()
     for number, marker_id in enumerate(options.ids):
         x_m = step_m * (number - 0.5 * (len(options.ids) - 1))
-        place = "" if len(options.ids) == 1 else f"position_v_m = [{x_m:.6g}, 0.0, 0.0] # drawn; measure it\n"
-        tables.append(f"[[markers]]\nid = {marker_id}\nside_m = {options.side_m:g} # drawn; measure it\n{place}")
+        place = (
+            ""
+            if len(options.ids) == 1
+            else f"position_v_m = [{x_m:.6g}, 0.0, 0.0] # drawn; measure it\n"
+        )
+        tables.append(
+            f"[[markers]]\nid = {marker_id}\nside_m = {options.side_m:g} # drawn; measure it\n{place}"
+        )
     return begin + "\n".join(tables)

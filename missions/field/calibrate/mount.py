@@ -49,7 +49,8 @@ from path.marker.turned import OFFICIAL
 FEWEST_PAIRS = 5
 MOST_POSITION_SIGMA_M = 0.003
 MOST_ROTATION_SIGMA_DEG = 0.5
-MOST_MISFIT = 16.0  # chi-square per number: of a pair that is left out, and of the whole that is refused
+# chi-square per number: of a pair that is left out, and of the whole that is refused
+MOST_MISFIT = 16.0
 TURNED_DEG = 20.0  # from the mounts in the rig, that nobody means
 MOST_LEFT_OUT = 0.25  # of the pairs
 SIDE_SIGMAS = 4.0
@@ -83,21 +84,31 @@ def calibrate_mount(options: CalibrateMountOptions, out: TextIO) -> int:
 
 def _calibrate_mount(options: CalibrateMountOptions, out: TextIO) -> int:
     rig, hangs = load_for_mount(options.rig, [FOLDER])
-    calibration = _from_tape(options.measured, rig) if options.measured else _from_views(options, rig, out)
+    calibration = (
+        _from_tape(options.measured, rig) if options.measured else _from_views(options, rig, out)
+    )
     write_calibration(options.out, calibration)
     _report(calibration, out)
     if hangs:
         out.write(_turned(calibration, rig))
-    out.write(f'\n{options.out}: name it in the rig: [sender.mount.marker] calibration = "{options.out.name}"\n')
+    out.write(
+        f'\n{options.out}: name it in the rig: [sender.mount.marker] calibration = "{options.out.name}"\n'
+    )
     position_m, angle_deg = calibration.largest_sigmas
     if position_m > rig.method.mount_sigma_m or angle_deg > rig.method.mount_sigma_deg:
-        out.write(f"and in its [method]: mount_sigma_m = {_up(position_m):g}, mount_sigma_deg = {_up(angle_deg):g}\n")
+        out.write(
+            f"and in its [method]: mount_sigma_m = {_up(position_m):g}, mount_sigma_deg = {_up(angle_deg):g}\n"
+        )
     return 0
 
 
 def _turned(calibration: MountCalibration, rig: Rig) -> str:
-    """What to say of a marker that hangs far from how the rig has it: most such plates are the wrong way up."""
-    turned_deg = math.degrees(angle_between(R_from_quat(calibration.q_v_c), rig.sender.mount.T_v_c.R))
+    """What to say of a marker that hangs far from how the rig has it: most such plates are the
+    wrong way up.
+    """
+    turned_deg = math.degrees(
+        angle_between(R_from_quat(calibration.q_v_c), rig.sender.mount.T_v_c.R)
+    )
     if turned_deg < TURNED_DEG:
         return ""
     official = f" {OFFICIAL}." if "APRILTAG" in rig.layout.dictionary else ""
@@ -118,7 +129,9 @@ def _from_tape(file: Path, rig: Rig) -> MountCalibration:
     try:
         measured = decode_table(read_toml(file), MeasuredMount, file.name, file.parent)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise CalibrationError(f"{file}: {error}", "docs/calibration.md describes the file") from error
+        raise CalibrationError(
+            f"{file}: {error}", "docs/calibration.md describes the file"
+        ) from error
     except RigError as error:
         raise CalibrationError(str(error), "docs/calibration.md describes the file") from error
     T_v_c = measured.marker.pose().inverse() @ measured.camera.pose()
@@ -140,7 +153,9 @@ def _from_views(options: CalibrateMountOptions, rig: Rig, out: TextIO) -> MountC
             "pairs of images of the same names, and the calibration of the other camera",
         )
     other = read_camera(options.other_camera)
-    pairs, missing = _pairs(options.images, options.other_images, rig, other.camera.model(), board, out)
+    pairs, missing = _pairs(
+        options.images, options.other_images, rig, other.camera.model(), board, out
+    )
     out.write(f"{len(pairs)} pairs show the board twice and the marker\n")
     for name, what in missing:
         out.write(f"left out {name}: {what}\n")
@@ -153,13 +168,16 @@ def _from_views(options: CalibrateMountOptions, rig: Rig, out: TextIO) -> MountC
     x, y, z = (float(s) for s in sigma[:3])
     rx, ry, rz = (math.degrees(s) for s in sigma[3:])
     rms = math.sqrt(sum(pair.rms_px**2 for pair in solution.pairs) / len(solution.pairs))
-    return _file_of(rig, solution.T_v_c1, (x, y, z), (rx, ry, rz), options.images.name, len(solution.pairs), rms)
+    return _file_of(
+        rig, solution.T_v_c1, (x, y, z), (rx, ry, rz), options.images.name, len(solution.pairs), rms
+    )
 
 
 def _check_board(board: Board, rig: Rig) -> None:
     if board.pattern != "charuco":
         raise PartError(
-            "a chessboard looks the same when it is turned by half a turn", "use --board charuco for a mount"
+            "a chessboard looks the same when it is turned by half a turn",
+            "use --board charuco for a mount",
         )
     shared = [m.id for m in rig.layout.markers if m.id < board.columns * board.rows // 2]
     if board.dictionary == rig.layout.dictionary and shared:
@@ -172,11 +190,16 @@ def _check_board(board: Board, rig: Rig) -> None:
 def _pairs(
     first: Path, other: Path, rig: Rig, camera_3: CameraModel, board: Board, out: TextIO
 ) -> tuple[list[MountPair], list[tuple[str, str]]]:
-    """Usable pairs, and the names of the others with what they lack. Raises CalibrationError for a wrong size."""
+    """Usable pairs, and the names of the others with what they lack. Raises CalibrationError for a
+    wrong size.
+    """
     others = {file.stem: file for file in image_files(other)}
     files = [file for file in image_files(first) if file.stem in others]
     if not files:
-        raise PartError(f"{first} and {other} have no image of the same name", "name both images of a moment alike")
+        raise PartError(
+            f"{first} and {other} have no image of the same name",
+            "name both images of a moment alike",
+        )
     pairs: list[MountPair] = []
     missing: list[tuple[str, str]] = []
     camera_1 = rig.sender.camera
@@ -184,9 +207,18 @@ def _pairs(
         for file in files:
             color_1 = read_image(file)
             color_3 = read_image(others[file.stem])
-            check_size((camera_1.width, camera_1.height), (color_1.shape[1], color_1.shape[0]), str(file))
-            check_size((camera_3.width, camera_3.height), (color_3.shape[1], color_3.shape[0]), str(others[file.stem]))
-            grey_1, grey_3 = (np.asarray(cv2.cvtColor(c, cv2.COLOR_BGR2GRAY), np.uint8) for c in (color_1, color_3))
+            check_size(
+                (camera_1.width, camera_1.height), (color_1.shape[1], color_1.shape[0]), str(file)
+            )
+            check_size(
+                (camera_3.width, camera_3.height),
+                (color_3.shape[1], color_3.shape[0]),
+                str(others[file.stem]),
+            )
+            grey_1, grey_3 = (
+                np.asarray(cv2.cvtColor(c, cv2.COLOR_BGR2GRAY), np.uint8)
+                for c in (color_1, color_3)
+            )
             board_1 = find_board(grey_1, board)
             board_3 = find_board(grey_3, board)
             markers = detect_markers(color_3, None, rig.layout, camera_3)
@@ -201,8 +233,12 @@ def _pairs(
     return pairs, missing
 
 
-def solve_pairs(pairs: list[MountPair], rig: Rig, camera_3: CameraModel, board: Board) -> MountSolution:
-    """Solve; pairs that do not fit the others are left out, the worst first. Raises CalibrationError."""
+def solve_pairs(
+    pairs: list[MountPair], rig: Rig, camera_3: CameraModel, board: Board
+) -> MountSolution:
+    """Solve; pairs that do not fit the others are left out, the worst first. Raises
+    CalibrationError.
+    """
     solution = _solve(pairs, rig, camera_3, board)
     kept = pairs
     while len(pairs) - len(kept) < int(MOST_LEFT_OUT * len(pairs)):
@@ -278,7 +314,9 @@ def _file_of(
 
 def _report(calibration: MountCalibration, out: TextIO) -> None:
     out.write("\nT_v_c1, the camera seen from the marker:\n")
-    for axis, value, sigma in zip("xyz", calibration.position_v_m, calibration.position_sigma_m, strict=True):
+    for axis, value, sigma in zip(
+        "xyz", calibration.position_v_m, calibration.position_sigma_m, strict=True
+    ):
         out.write(f"  {axis} {1000.0 * value:9.2f} mm +- {1000.0 * sigma:.2f}\n")
     q = ", ".join(f"{v:.6f}" for v in calibration.q_v_c)
     sigmas = ", ".join(f"{sigma:.3f}" for sigma in calibration.rotation_sigma_deg)

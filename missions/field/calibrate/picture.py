@@ -21,7 +21,9 @@ LONGEST_SHARE = 0.06  # of the image's width: length of the longest error as dra
 
 
 def draw_calibration(collected: Collected, solution: Intrinsics | None, file: Path) -> None:
-    """Draw as PNG; without a solution what can be drawn without it. Raises OSError when it cannot be written."""
+    """Draw as PNG; without a solution what can be drawn without it. Raises OSError when it cannot
+    be written.
+    """
     figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), dpi=DPI, layout="constrained")
     cover, errors, tilts = figure.subplots(1, 3)
     _draw_coverage(cover, collected)
@@ -39,12 +41,25 @@ def _draw_coverage(axes: Axes, collected: Collected) -> None:
     views = [look.view for look in collected.looks if look.view is not None]
     width, height = collected.looks[0].size if collected.looks else (4, 3)
     if collected.sample is not None:
-        axes.imshow(collected.sample, cmap="gray", alpha=0.35, extent=(-0.5, width - 0.5, height - 0.5, -0.5))
+        axes.imshow(
+            collected.sample,
+            cmap="gray",
+            alpha=0.35,
+            extent=(-0.5, width - 0.5, height - 0.5, -0.5),
+        )
     for row, counts in enumerate(coverage(views, (width, height))):
         for column, count in enumerate(counts):
             x = (column + 0.5) / GRID[0] * width
             y = (row + 0.5) / GRID[1] * height
-            axes.text(x, y, str(count), ha="center", va="center", fontsize=8, color=DIM if count else FAULT)
+            axes.text(
+                x,
+                y,
+                str(count),
+                ha="center",
+                va="center",
+                fontsize=8,
+                color=DIM if count else FAULT,
+            )
     if views:
         corners = np.concatenate([view.corners_px for view in views])
         axes.scatter(corners[:, 0], corners[:, 1], s=2, color=COUNT, linewidths=0)
@@ -71,7 +86,9 @@ def _draw_tilts(axes: Axes, solution: Intrinsics) -> None:
     tilts = tilts_deg(solution)
     rms = np.array([view.rms_px for view in solution.views])
     distances = np.array([view.distance_m for view in solution.views])
-    drawn = axes.scatter(tilts[:, 1], tilts[:, 0], c=distances, s=30.0 + 120.0 * rms / rms.max(), cmap="viridis")
+    drawn = axes.scatter(
+        tilts[:, 1], tilts[:, 0], c=distances, s=30.0 + 120.0 * rms / rms.max(), cmap="viridis"
+    )
     axes.figure.colorbar(drawn, ax=axes, label="distance, m")
     reach = max(45.0, float(np.abs(tilts).max()) + 5.0)
     axes.set(title="Tilt of the board; the larger, the worse it fits", xlim=(-reach, reach), ylim=(-reach, reach),

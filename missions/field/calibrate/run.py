@@ -18,7 +18,9 @@ from missions.ground.options.calibrate import (
 
 
 def run(options: CalibrateOptions, out: TextIO | None = None) -> int:
-    """Carry out one of them; 0 when a file was written. Raises PartError with what is wrong and what to do."""
+    """Carry out one of them; 0 when a file was written. Raises PartError with what is wrong and
+    what to do.
+    """
     stream = out or sys.stdout
     what = options.what
     if isinstance(what, CalibrateCameraOptions):

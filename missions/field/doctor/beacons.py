@@ -1,4 +1,6 @@
-"""The short test of the ultrasonic beacons that trials measure against: which are heard, how often and how well."""
+"""The short test of the ultrasonic beacons that trials measure against: which are heard, how often
+and how well.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ class BeaconReadings:
     seconds: float
 
 
-async def check_beacons(beacons: Beacons, wanted: Mapping[str, int], clock: Clock) -> AsyncIterator[Finding]:
+async def check_beacons(
+    beacons: Beacons, wanted: Mapping[str, int], clock: Clock
+) -> AsyncIterator[Finding]:
     """Open, listen, close.
 
     Args:
@@ -67,25 +71,35 @@ async def _heard(beacons: Beacons, clock: Clock) -> BeaconReadings:
 
 
 def judged(heard: BeaconReadings, wanted: Mapping[str, int]) -> Iterator[Finding]:
-    """One finding for each beacon of the rig, one for those that it does not name, one for their age."""
+    """One finding for each beacon of the rig, one for those that it does not name, one for their
+    age.
+    """
     for who, address in wanted.items():
         yield _beacon(who, address, heard)
     if others := sorted({fix.address for fix in heard.fixes} - set(wanted.values())):
         listed = ", ".join(map(str, others))
-        yield Finding("note", "others", f"heard, but not in the rig: {listed}", "correct the addresses in [reference]")
+        yield Finding(
+            "note",
+            "others",
+            f"heard, but not in the rig: {listed}",
+            "correct the addresses in [reference]",
+        )
     ages = [age for age in heard.ages_s if math.isfinite(age)]
     if ages:
         median = float(np.median(ages))
         detail = f"positions are {1e3 * median:.0f} ms old when they come"
         old = median > OLD_S
-        yield Finding("note" if old else "ok", "age", detail, "a faster port; see latency_s" if old else "")
+        yield Finding(
+            "note" if old else "ok", "age", detail, "a faster port; see latency_s" if old else ""
+        )
 
 
 def _beacon(who: str, address: int, heard: BeaconReadings) -> Finding:
     own = [fix for fix in heard.fixes if fix.address == address]
     if not own:
         fix = (
-            "wake it in the Dashboard, bring it within reach of the stationary ones, or correct its address in the rig"
+            "wake it in the Dashboard, bring it within reach of the stationary ones, "
+            "or correct its address in the rig"
         )
         return Finding("fault", who, f"beacon {address} gives no position", fix)
     rate_hz = len(own) / heard.seconds
@@ -93,7 +107,9 @@ def _beacon(who: str, address: int, heard: BeaconReadings) -> Finding:
     quality = f", quality {float(np.median(rated)):.0f} of 100" if rated else ""
     detail = f"beacon {address}: {rate_hz:.1f} positions a second{quality}"
     if rate_hz < RARE_HZ:
-        return Finding("note", who, detail, "a higher update rate or fewer beacons in the Dashboard")
+        return Finding(
+            "note", who, detail, "a higher update rate or fewer beacons in the Dashboard"
+        )
     if rated and float(np.median(rated)) < POOR:
         return Finding("note", who, detail, "a free line of sight to three stationary beacons")
     return Finding("ok", who, detail)

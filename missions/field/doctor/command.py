@@ -1,4 +1,6 @@
-"""``path-handoff doctor``: is everything there that a flight needs, on this machine and in a rig? Nothing moves."""
+"""``path-handoff doctor``: is everything there that a flight needs, on this machine and in a rig?
+Nothing moves.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,12 @@ from path.alike import differing
 from path.messages import Role
 
 EXIT_UNFIT = CommandEnd.NOT_FIT.exit_code
-OPENCV = ("opencv-contrib-python-headless", "opencv-python-headless", "opencv-contrib-python", "opencv-python")
+OPENCV = (
+    "opencv-contrib-python-headless",
+    "opencv-python-headless",
+    "opencv-contrib-python",
+    "opencv-python",
+)
 REALSENSE = "drivers.realsense.camera:RealSense"
 
 
@@ -54,7 +61,9 @@ def verdict(found: Sequence[Finding], *, tested: bool) -> str:
     Args:
         tested: whether a role's parts were to be tested.
     """
-    faults, notes = (sum(finding.state == state for finding in found) for state in ("fault", "note"))
+    faults, notes = (
+        sum(finding.state == state for finding in found) for state in ("fault", "note")
+    )
     untested = ", ".join(finding.name for finding in found if finding.untested)
     but = f"; not tested: {untested}" if untested else ""
     if faults:
@@ -63,12 +72,15 @@ def verdict(found: Sequence[Finding], *, tested: bool) -> str:
         return f"no fault, but not known to be ready to fly{but}"
     besides = f", {notes} note{'s' if notes > 1 else ''}" if notes else ""
     return (
-        f"ready to fly{besides}" if tested else f"ready{besides}; --role sender or --role receiver tests its parts too"
+        f"ready to fly{besides}"
+        if tested
+        else f"ready{besides}; --role sender or --role receiver tests its parts too"
     )
 
 
 def asked(options: DoctorOptions, doing: Callable[[str], None]) -> Iterator[Finding]:
-    """This machine and the rig, then what else was named. Raises PartError for what was asked wrongly.
+    """This machine and the rig, then what else was named. Raises PartError for what was asked
+    wrongly.
 
     Args:
         doing: told what is measured now, before anything that takes seconds.
@@ -99,11 +111,15 @@ def asked(options: DoctorOptions, doing: Callable[[str], None]) -> Iterator[Find
     if options.vehicle != "none":
         doing(f"{options.vehicle} vehicle: its parameters")
         rig = rig_library.load(options.rig)
-        yield from check_vehicle(rig, Role(options.vehicle), options.set_parameters, Path("runs") / "parameters")
+        yield from check_vehicle(
+            rig, Role(options.vehicle), options.set_parameters, Path("runs") / "parameters"
+        )
 
 
 def of_computer(rig: Rig, role: Role, share: float) -> Iterator[Finding]:
-    """The computer's time for this role's frames; what kept it from being measured is a fault too."""
+    """The computer's time for this role's frames; what kept it from being measured is a fault
+    too.
+    """
     try:
         yield from computer_findings(rig, role, share)
     except PartError as error:
@@ -115,7 +131,11 @@ def findings(rig: str) -> Iterator[Finding]:
     yield check_python()
     yield check_paths()
     yield check_opencv()
-    for name, module in (("MAVSDK", "mavsdk"), ("pymavlink", "pymavlink.dialects.v20.minimal"), ("numba", "numba")):
+    for name, module in (
+        ("MAVSDK", "mavsdk"),
+        ("pymavlink", "pymavlink.dialects.v20.minimal"),
+        ("numba", "numba"),
+    ):
         yield _check_import(name, module)
     yield check_realsense(needed=uses(rig, REALSENSE))
     yield check_kernel_cache()
@@ -125,9 +145,13 @@ def findings(rig: str) -> Iterator[Finding]:
 
 def check_python() -> Finding:
     cores = len(os.sched_getaffinity(0))
-    running = f"{sys.version_info.major}.{sys.version_info.minor}.{sys.version_info.micro}, {cores} cores"
+    running = (
+        f"{sys.version_info.major}.{sys.version_info.minor}.{sys.version_info.micro}, {cores} cores"
+    )
     if cores < 2:
-        return Finding("note", "Python", running, "rigs in real time need 2 cores; the sim levels do not")
+        return Finding(
+            "note", "Python", running, "rigs in real time need 2 cores; the sim levels do not"
+        )
     return Finding("ok", "Python", running)
 
 
@@ -138,13 +162,18 @@ def check_paths() -> Finding:
         found = importlib.import_module(name).__file__
         if found is None or Path(found).resolve().parent.parent != here:
             return Finding(
-                "fault", "packages", f"'import {name}' gives {found}", f"uninstall the other package '{name}'"
+                "fault",
+                "packages",
+                f"'import {name}' gives {found}",
+                f"uninstall the other package '{name}'",
             )
     return Finding("ok", "packages", str(here))
 
 
 def check_opencv() -> Finding:
-    """Exactly one OpenCV, with ArUco and without windows: two of them overwrite each other's files."""
+    """Exactly one OpenCV, with ArUco and without windows: two of them overwrite each other's
+    files.
+    """
     installed = [name for name in OPENCV if _version(name)]
     fix = f"pip uninstall -y {' '.join(OPENCV)}, then install {OPENCV[0]}"
     try:
@@ -153,17 +182,29 @@ def check_opencv() -> Finding:
         return Finding("fault", "OpenCV", str(error), fix)
     detail = f"{cv2.__version__} from {', '.join(installed)}"
     if not hasattr(cv2, "aruco"):
-        return Finding("fault", "OpenCV", f"{detail}, without ArUco: another OpenCV has overwritten it", fix)
-    gui = [line.split(":")[1].strip() for line in cv2.getBuildInformation().splitlines() if "GUI:" in line]
+        return Finding(
+            "fault", "OpenCV", f"{detail}, without ArUco: another OpenCV has overwritten it", fix
+        )
+    gui = [
+        line.split(":")[1].strip()
+        for line in cv2.getBuildInformation().splitlines()
+        if "GUI:" in line
+    ]
     if gui and gui[0] != "NONE":
-        return Finding("fault", "OpenCV", f"{detail}, built with {gui[0]} windows: not the headless one", fix)
+        return Finding(
+            "fault", "OpenCV", f"{detail}, built with {gui[0]} windows: not the headless one", fix
+        )
     if len([name for name in installed if not _is_stub(name)]) > 1:
-        return Finding("note", "OpenCV", f"{detail}: several share one folder, which one works is luck", fix)
+        return Finding(
+            "note", "OpenCV", f"{detail}: several share one folder, which one works is luck", fix
+        )
     return Finding("ok", "OpenCV", detail)
 
 
 def uses(rig: str, factory: str) -> bool:
-    """Returns whether a camera of the rig is of this kind; not when the rig cannot be read, which is said elsewhere."""
+    """Returns whether a camera of the rig is of this kind; not when the rig cannot be read, which
+    is said elsewhere.
+    """
     try:
         loaded = rig_library.load(rig)
     except RigError:
@@ -187,7 +228,9 @@ def check_kernel_cache() -> Finding:
     for folder in folders:
         if can_write(folder):
             return Finding("ok", "kernel cache", str(folder))
-    return Finding("fault", "kernel cache", "no folder can be written to", f"set {VARIABLE} to a folder")
+    return Finding(
+        "fault", "kernel cache", "no folder can be written to", f"set {VARIABLE} to a folder"
+    )
 
 
 def check_rig_file(name: str) -> Iterator[Finding]:
@@ -199,7 +242,9 @@ def check_rig_file(name: str) -> Iterator[Finding]:
             yield Finding("fault", "rig", problem)
         return
     sizes = {f"{own.camera.width}x{own.camera.height}" for own in (rig.sender, rig.receiver)}
-    yield Finding("ok", "rig", f"{rig.file}: level {rig.level}, cameras {' and '.join(sorted(sizes))}")
+    yield Finding(
+        "ok", "rig", f"{rig.file}: level {rig.level}, cameras {' and '.join(sorted(sizes))}"
+    )
     free: list[str] = []
     for port, option in sorted(local_ports(rig).items()):
         if _is_free(port):
@@ -224,7 +269,9 @@ def check_pair(rig: Rig, other: str) -> Iterator[Finding]:
         fix = "copy one rig file to both companions"
         yield Finding("fault", "other rig", f"{theirs.file} differs in {what}", fix)
     if not found:
-        yield Finding("ok", "other rig", f"{theirs.file}: alike in what both drones must have alike")
+        yield Finding(
+            "ok", "other rig", f"{theirs.file}: alike in what both drones must have alike"
+        )
 
 
 def _is_free(port: int) -> bool:

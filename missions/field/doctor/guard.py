@@ -13,7 +13,8 @@ POLL_S = 0.01
 
 
 async def check_guard(watched: Watched) -> AsyncIterator[Finding]:
-    """Open, wait for heartbeat and position, close. It is asked for its rates, and commanded nothing.
+    """Open, wait for heartbeat and position, close. It is asked for its rates, and commanded
+    nothing.
 
     Raises VehicleError when its port cannot be had.
     """
@@ -26,7 +27,11 @@ async def check_guard(watched: Watched) -> AsyncIterator[Finding]:
             if view is not None:
                 heartbeat_s = heartbeat_s or loop.time() - start_s
                 if view.position_ns:
-                    yield Finding("ok", "hears", f"{watched.name}: heartbeat after {heartbeat_s:.1f} s, position too")
+                    yield Finding(
+                        "ok",
+                        "hears",
+                        f"{watched.name}: heartbeat after {heartbeat_s:.1f} s, position too",
+                    )
                     return
             await asyncio.sleep(POLL_S)
         if heartbeat_s is None:
@@ -34,4 +39,6 @@ async def check_guard(watched: Watched) -> AsyncIterator[Finding]:
             yield Finding("fault", "hears", f"no heartbeat of {watched.name} in {WAIT_S:g} s", fix)
         else:
             fix = "the vehicle needs a position, and must send GLOBAL_POSITION_INT on this link"
-            yield Finding("fault", "hears", f"{watched.name}: heartbeat, but no position in {WAIT_S:g} s", fix)
+            yield Finding(
+                "fault", "hears", f"{watched.name}: heartbeat, but no position in {WAIT_S:g} s", fix
+            )

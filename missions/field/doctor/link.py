@@ -1,4 +1,6 @@
-"""The short test of the link: its port and key, and with the other end there its round trips, losses and clock."""
+"""The short test of the link: its port and key, and with the other end there its round trips,
+losses and clock.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,8 @@ class PingExchange:
 
 
 async def check_link(link: Link, clock: Clock, wait_s: float) -> AsyncIterator[Finding]:
-    """Open, ping, answer pings, close. The other end may be a flight's or another ``doctor``'s, started meanwhile.
+    """Open, ping, answer pings, close. The other end may be a flight's or another ``doctor``'s,
+    started meanwhile.
 
     Args:
         wait_s: for its first answer.
@@ -115,7 +118,11 @@ def judged(exchange: PingExchange, counters: LinkCounters) -> Iterator[Finding]:
     most = float(trips_ms.max())
     detail = f"{median:.1f} ms median, {most:.1f} ms at most"
     fix = "nearer together, another Wi-Fi channel, or a faster radio"
-    yield Finding("note", "round trip", detail, fix) if median > SLOW_MS else Finding("ok", "round trip", detail)
+    yield (
+        Finding("note", "round trip", detail, fix)
+        if median > SLOW_MS
+        else Finding("ok", "round trip", detail)
+    )
     lost = exchange.lost
     detail = f"{100.0 * lost:.0f} % of {len(exchange.sent)} pings without an answer"
     if lost > LOSSY:
@@ -135,15 +142,32 @@ def _nobody(counters: LinkCounters) -> Finding:
     received = counters.packets_received
     why = f"{received} packets came, none an answer" if received else "nothing came"
     fix = "run doctor on the other drone at the same time; then round trip, loss and clocks are measured"
-    return Finding("note", "other end", f"nobody answered {counters.packets_sent} pings: {why}", fix, untested=True)
+    return Finding(
+        "note",
+        "other end",
+        f"nobody answered {counters.packets_sent} pings: {why}",
+        fix,
+        untested=True,
+    )
 
 
 def _clocks(alignment: ClockAlignment) -> Finding:
     if not alignment.ready:
-        said = "a clock was stepped" if alignment.fault else f"known to {alignment.uncertainty_ns * 1e-6:.0f} ms only"
+        said = (
+            "a clock was stepped"
+            if alignment.fault
+            else f"known to {alignment.uncertainty_ns * 1e-6:.0f} ms only"
+        )
         return Finding(
-            "fault", "clocks", f"the other drone's clock cannot be used: {said}", "a quicker link; then again"
+            "fault",
+            "clocks",
+            f"the other drone's clock cannot be used: {said}",
+            "a quicker link; then again",
         )
     offset_s = alignment.offset_ns * 1e-9
     known_ms = alignment.uncertainty_ns * 1e-6
-    return Finding("ok", "clocks", f"the other drone's is {offset_s:+.4f} s from this one, known to {known_ms:.2f} ms")
+    return Finding(
+        "ok",
+        "clocks",
+        f"the other drone's is {offset_s:+.4f} s from this one, known to {known_ms:.2f} ms",
+    )

@@ -1,4 +1,6 @@
-"""The parts of one role, each with its own short test. Nothing moves, nothing is armed, everything is closed again."""
+"""The parts of one role, each with its own short test. Nothing moves, nothing is armed, everything
+is closed again.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
         yield check_detector(made, context.camera, rate_hz, context.clock)
 
     def vehicle() -> AsyncIterator[Finding]:
-        return check_flyer(create(own.vehicle, context), context.clock, min_battery, fence, rig.height)
+        return check_flyer(
+            create(own.vehicle, context), context.clock, min_battery, fence, rig.height
+        )
 
     def perception() -> AsyncIterator[Finding]:
         return check_perception(create(own.perception, context), context.clock, wanted)
@@ -79,16 +83,24 @@ def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
     if rig.reference is not None and rig.reference.beacons is not None:
         behind.append(("beacons", "positions for 3 s", beacons))
     for name, doing, run in behind:
-        yield PartTest(f"{role.value} {name}", doing, run if rig.harness is None else partial(_stood_in, rig.harness))
+        yield PartTest(
+            f"{role.value} {name}",
+            doing,
+            run if rig.harness is None else partial(_stood_in, rig.harness),
+        )
 
 
 async def _stood_in(harness: str) -> AsyncIterator[Finding]:
-    detail = f"not tested: the harness {harness} stands in for it, only in a flight; it is no hardware"
+    detail = (
+        f"not tested: the harness {harness} stands in for it, only in a flight; it is no hardware"
+    )
     yield Finding("note", "", detail, untested=True)
 
 
 def run_test(test: PartTest, limit_s: float = LIMIT_S) -> list[Finding]:
-    """All that was found, up to what ended the test. Ctrl-C closes the part before it goes on up."""
+    """All that was found, up to what ended the test. Ctrl-C closes the part before it goes on
+    up.
+    """
     found: list[Finding] = []
 
     async def collect() -> None:
@@ -101,5 +113,9 @@ def run_test(test: PartTest, limit_s: float = LIMIT_S) -> list[Finding]:
     except PartError as error:
         found.append(Finding("fault", "", str(error), error.remedy))
     except TimeoutError:
-        found.append(Finding("fault", "", f"its test did not end within {limit_s:g} s", "see what holds it up"))
+        found.append(
+            Finding(
+                "fault", "", f"its test did not end within {limit_s:g} s", "see what holds it up"
+            )
+        )
     return [replace(finding, name=f"{test.name} {finding.name}".strip()) for finding in found]

@@ -1,4 +1,6 @@
-"""The short test of a role's perception: frames for two seconds, and what is found in the last of them."""
+"""The short test of a role's perception: frames for two seconds, and what is found in the last of
+them.
+"""
 
 from __future__ import annotations
 
@@ -40,14 +42,19 @@ WHITE = 250
 # side of a marker: always found; found two times in three
 SURE_PX = 20.0
 SMALLEST_PX = 12.0
-HELD_RAD = math.radians(3.0)  # how level each drone stands, so that a turn of 45 degrees is beyond doubt
+# how level each drone stands, so that a turn of 45 degrees is beyond doubt
+HELD_RAD = math.radians(3.0)
 LEVEL_FIX = "stand both drones level, and look again; then mend the plate, or the mounts in the rig"
-STREAM_FIX = "a USB 3 port and cable, no other load on this computer, more light if its exposure is long"
+STREAM_FIX = (
+    "a USB 3 port and cable, no other load on this computer, more light if its exposure is long"
+)
 
 
 @dataclass(frozen=True, slots=True)
 class FrameSample:
-    """Frames as they came: instants and ages in ns of the role's clock, and the last few of them."""
+    """Frames as they came: instants and ages in ns of the role's clock, and the last few of
+    them.
+    """
 
     stamps_ns: tuple[int, ...]
     ids: tuple[int, ...]
@@ -71,7 +78,9 @@ class WantedMarker:
     @classmethod
     def of(cls, rig: Rig) -> WantedMarker:
         """Return what the receiver of a rig must see."""
-        return cls(rig.layout, _down(rig.sender.mount.T_b_v), _down(rig.receiver.mount.T_b_c), rig.method)
+        return cls(
+            rig.layout, _down(rig.sender.mount.T_b_v), _down(rig.receiver.mount.T_b_c), rig.method
+        )
 
 
 def _down(T_b: Pose) -> Vec3:
@@ -79,7 +88,9 @@ def _down(T_b: Pose) -> Vec3:
     return x, y, z
 
 
-async def check_perception(perception: Perception, clock: Clock, wanted: WantedMarker | None) -> AsyncIterator[Finding]:
+async def check_perception(
+    perception: Perception, clock: Clock, wanted: WantedMarker | None
+) -> AsyncIterator[Finding]:
     """Open, look, close. ``wanted``: the markers that this role must see; None when it needs none.
 
     Raises PartError for what ends the test.
@@ -87,7 +98,9 @@ async def check_perception(perception: Perception, clock: Clock, wanted: WantedM
     start_ns = clock.now_ns()
     async with perception:
         await perception.view(FRAME_S)
-        yield Finding("ok", "opens", f"first frame after {(clock.now_ns() - start_ns) * 1e-9:.1f} s")
+        yield Finding(
+            "ok", "opens", f"first frame after {(clock.now_ns() - start_ns) * 1e-9:.1f} s"
+        )
         sample = await _sampled(perception, clock)
         yield rate(sample, rate_of(perception))
         yield missed(sample)
@@ -109,7 +122,8 @@ async def check_perception(perception: Perception, clock: Clock, wanted: WantedM
 
 
 async def _sampled(perception: Perception, clock: Clock) -> FrameSample:
-    await _frames(perception, clock, SETTLE_S)  # what waited since it was opened, and automatic exposure
+    # what waited since it was opened, and automatic exposure
+    await _frames(perception, clock, SETTLE_S)
     return await _frames(perception, clock, SAMPLE_S)
 
 
@@ -144,18 +158,25 @@ def missed(sample: FrameSample) -> Finding:
     gap_ms = float(np.max(np.diff(sample.stamps_ns))) * 1e-6
     detail = f"{lost} of {given} ({100.0 * lost / given:.0f} %), longest gap {gap_ms:.0f} ms"
     return (
-        Finding("note", "missed", detail, STREAM_FIX) if lost > MANY_MISSED * given else Finding("ok", "missed", detail)
+        Finding("note", "missed", detail, STREAM_FIX)
+        if lost > MANY_MISSED * given
+        else Finding("ok", "missed", detail)
     )
 
 
 def age(sample: FrameSample) -> Finding:
-    """Finds how old frames are when they come: below zero or very old means that another clock stamped them."""
+    """Finds how old frames are when they come: below zero or very old means that another clock
+    stamped them.
+    """
     median_ms = float(np.median(sample.ages_ns)) * 1e-6
     most_ms = max(sample.ages_ns) * 1e-6
     detail = f"frames are {median_ms:.0f} ms old when they come, {most_ms:.0f} ms at most"
     if median_ms < 0.0 or median_ms > OLD_MS:
         return Finding(
-            "fault", "stamps", detail, "the camera's clock is not this computer's: let its clock be set first"
+            "fault",
+            "stamps",
+            detail,
+            "the camera's clock is not this computer's: let its clock be set first",
         )
     return Finding("ok", "stamps", detail)
 
@@ -165,7 +186,9 @@ def _pictures(perception: Perception, sample: FrameSample) -> Iterator[Finding]:
     if (image := view.image()) is not None:
         model = perception.model
         yield Finding(
-            "ok", "size", f"{image.shape[1]}x{image.shape[0]}, as its calibration {model.width}x{model.height}"
+            "ok",
+            "size",
+            f"{image.shape[1]}x{image.shape[0]}, as its calibration {model.width}x{model.height}",
         )
         yield brightness(image)
     if Capability.RANGE not in lacking(perception):
@@ -173,7 +196,9 @@ def _pictures(perception: Perception, sample: FrameSample) -> Iterator[Finding]:
 
 
 def brightness(image: NDArray[np.uint8]) -> Finding:
-    """Finds whether there is a picture at all, and light enough to see by. ``image``: (h, w, 3) BGR."""
+    """Finds whether there is a picture at all, and light enough to see by. ``image``: (h, w, 3)
+    BGR.
+    """
     grey = float(image.mean())
     glaring = float((image.max(axis=2) >= WHITE).mean())
     detail = f"mean {grey:.0f} of 255, {100.0 * glaring:.0f} % overexposed"
@@ -182,7 +207,9 @@ def brightness(image: NDArray[np.uint8]) -> Finding:
     if grey < DARK:
         return Finding("note", "brightness", detail, "more light, or a longer exposure")
     if glaring > GLARING:
-        return Finding("note", "brightness", detail, "a shorter exposure, or turn away from the light")
+        return Finding(
+            "note", "brightness", detail, "a shorter exposure, or turn away from the light"
+        )
     return Finding("ok", "brightness", detail)
 
 
@@ -200,17 +227,28 @@ def _range(view: View, model: CameraModel) -> Finding:
 
 
 def markers(
-    found: Sequence[Sequence[MarkerDetection]], layout: MarkerLayout, image: NDArray[np.uint8] | None
+    found: Sequence[Sequence[MarkerDetection]],
+    layout: MarkerLayout,
+    image: NDArray[np.uint8] | None,
 ) -> Finding:
-    """The largest marker in each of some frames: which, and how large; else what is in the last image instead."""
+    """The largest marker in each of some frames: which, and how large; else what is in the last
+    image instead.
+    """
     largest = [max(each, key=side_px) for each in found if each]
     wanted = ", ".join(str(marker.id) for marker in layout.markers)
     if not largest:
         detail = f"no marker of this rig (id {wanted}) in {len(found)} frames"
         instead = None if image is None else seen_instead(grey_of(image), layout)
         if instead is not None:
-            return Finding("note", "marker", f"{detail}; {instead}", "print what the rig says, or correct the rig")
-        return Finding("note", "marker", detail, "hold the sender's marker into its view, and look again")
+            return Finding(
+                "note",
+                "marker",
+                f"{detail}; {instead}",
+                "print what the rig says, or correct the rig",
+            )
+        return Finding(
+            "note", "marker", detail, "hold the sender's marker into its view, and look again"
+        )
     side = float(np.median([side_px(each) for each in largest]))
     ids = ", ".join(str(number) for number in sorted({each.marker_id for each in largest}))
     detail = f"id {ids} in {len(largest)} of {len(found)} frames, side {side:.0f} px"
@@ -223,7 +261,8 @@ def markers(
 def marker_turned(
     found: Sequence[Sequence[MarkerDetection]], wanted: WantedMarker, camera: CameraModel
 ) -> Finding | None:
-    """Return what is wrong with how the marker hangs, as far as gravity tells; None where nothing is.
+    """Return what is wrong with how the marker hangs, as far as gravity tells; None where nothing
+    is.
 
     Both drones are taken to stand level, or to be held so: only what is far off is told.
     """
@@ -236,9 +275,13 @@ def marker_turned(
 
 
 def marker_size(
-    views: Sequence[View], found: Sequence[Sequence[MarkerDetection]], wanted: WantedMarker, camera: CameraModel
+    views: Sequence[View],
+    found: Sequence[Sequence[MarkerDetection]],
+    wanted: WantedMarker,
+    camera: CameraModel,
 ) -> Finding | None:
-    """Hold the marker's size in the rig against depth measured on it; None where there is no marker, or no depth on it.
+    """Hold the marker's size in the rig against depth measured on it; None where there is no
+    marker, or no depth on it.
 
     Both drones are taken to stand level, or to be held so.
     """
@@ -252,7 +295,11 @@ def marker_size(
     if contradiction is not None:
         return Finding("fault", "marker size", str(contradiction), MEASURE)
     fits = check.by_depth_m()
-    return None if fits is None else Finding("ok", "marker size", f"{1000.0 * fits:.1f} mm by depth measured on it")
+    return (
+        None
+        if fits is None
+        else Finding("ok", "marker size", f"{1000.0 * fits:.1f} mm by depth measured on it")
+    )
 
 
 def side_px(marker: MarkerDetection) -> float:
@@ -261,7 +308,9 @@ def side_px(marker: MarkerDetection) -> float:
     return float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
 
 
-def check_detector(detector: Detector, model: CameraModel, rate_hz: float | None, clock: Clock) -> Finding:
+def check_detector(
+    detector: Detector, model: CameraModel, rate_hz: float | None, clock: Clock
+) -> Finding:
     """Times the detector on a grey image of the camera's size: it takes that at least.
 
     The first one loads things and is left out.
@@ -275,7 +324,9 @@ def check_detector(detector: Detector, model: CameraModel, rate_hz: float | None
         detector.detect(image, None)
         took_ms.append((clock.now_ns() - start_ns) * 1e-6)
     median = float(np.median(took_ms[1:]))
-    return _timed("time", f"{median:.1f} ms for a grey image of {model.width}x{model.height}", median, rate_hz)
+    return _timed(
+        "time", f"{median:.1f} ms for a grey image of {model.width}x{model.height}", median, rate_hz
+    )
 
 
 def _targets(sample: FrameSample, rate_hz: float | None, clock: Clock) -> Finding:
@@ -295,5 +346,7 @@ def _targets(sample: FrameSample, rate_hz: float | None, clock: Clock) -> Findin
 def _timed(name: str, detail: str, median_ms: float, rate_hz: float | None) -> Finding:
     if rate_hz is not None and median_ms > 1000.0 / rate_hz:
         fix = "a smaller model, more `threads`, or a lower frame rate; with a search region it may still keep up"
-        return Finding("note", name, f"{detail}: more than a frame's {1000.0 / rate_hz:.0f} ms", fix)
+        return Finding(
+            "note", name, f"{detail}: more than a frame's {1000.0 / rate_hz:.0f} ms", fix
+        )
     return Finding("ok", name, detail)

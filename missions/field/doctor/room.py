@@ -26,16 +26,25 @@ def check_room(name: str) -> Finding:
     if rate:
         detail += f"; record = all: about {rate:.0f} MB a minute and drone"
     if disk < DISK_MIB:
-        return Finding("fault", "room", detail, f"free {DISK_MIB} MiB here, or name another folder with --out")
+        return Finding(
+            "fault", "room", detail, f"free {DISK_MIB} MiB here, or name another folder with --out"
+        )
     if disk < 2.0 * rate * MINUTES:
-        return Finding("note", "room", detail, f"that is room for {disk / (2.0 * rate):.0f} minutes of two drones")
+        return Finding(
+            "note",
+            "room",
+            detail,
+            f"that is room for {disk / (2.0 * rate):.0f} minutes of two drones",
+        )
     if shared < SHM_MIB:
         return Finding("note", "room", detail, f"rigs of level sitl need {SHM_MIB} MiB in /dev/shm")
     return Finding("ok", "room", detail)
 
 
 def mb_a_minute(name: str) -> float:
-    """Megabytes of frames that a drone of a rig records a minute, the one that records more; 0 when none are."""
+    """Megabytes of frames that a drone of a rig records a minute, the one that records more; 0 when
+    none are.
+    """
     try:
         rig = rig_library.load(name)
         return max(map(_recorded, (rig.sender, rig.receiver))) if _records(rig) else 0.0

@@ -55,10 +55,14 @@ class Lines(FindingsTable):
 
 @contextmanager
 def open_findings(stream: TextIO) -> Generator[FindingsTable, None, None]:
-    """A table on a stream: it grows when that is a terminal, and comes at the end, also after Ctrl-C, when not."""
+    """A table on a stream: it grows when that is a terminal, and comes at the end, also after
+    Ctrl-C, when not.
+    """
     if stream.isatty():
         live = FindingsTable()
-        with Live(get_renderable=live.render, console=Console(file=stream), refresh_per_second=8) as shown:
+        with Live(
+            get_renderable=live.render, console=Console(file=stream), refresh_per_second=8
+        ) as shown:
             try:
                 yield live
             finally:

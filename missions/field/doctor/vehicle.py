@@ -1,4 +1,6 @@
-"""The part of ``doctor`` that talks to a vehicle: what it tells for two seconds, and its parameters. Nothing moves."""
+"""The part of ``doctor`` that talks to a vehicle: what it tells for two seconds, and its
+parameters. Nothing moves.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,8 @@ SAMPLE_S = 2.0
 POLL_S = 0.005
 READY_S = 5.0
 RANGEFINDER_S = 2.0
-OLD_S = 0.5  # telemetry: the mission's own guard lands the vehicle when it is older (telemetry_age_s)
+# telemetry: the mission's own guard lands the vehicle when it is older (telemetry_age_s)
+OLD_S = 0.5
 SLOWEST_HEARTBEAT_S = 1.5
 
 
@@ -45,7 +48,11 @@ class VehicleReport:
 
 
 async def check_flyer(
-    vehicle: Vehicle, clock: Clock, min_battery: float, fence: Geofence | None = None, height: HeightFacts | None = None
+    vehicle: Vehicle,
+    clock: Clock,
+    min_battery: float,
+    fence: Geofence | None = None,
+    height: HeightFacts | None = None,
 ) -> AsyncIterator[Finding]:
     """Open, listen, compare parameters, close. Nothing is armed, set or moved. Raises VehicleError.
 
@@ -101,11 +108,20 @@ def streams(heard: VehicleReport) -> Iterator[Finding]:
     """Finds whether it tells where it is, and that it lives."""
     fix = "check cable or radio"
     if heard.oldest_s is None:
-        yield Finding("fault", "telemetry", "attitude, but no position", "see what its ground station says of its GPS")
+        yield Finding(
+            "fault",
+            "telemetry",
+            "attitude, but no position",
+            "see what its ground station says of its GPS",
+        )
     else:
         detail = f"never older than {1e3 * heard.oldest_s:.0f} ms"
         late = heard.oldest_s > OLD_S
-        yield Finding("fault", "telemetry", detail, fix) if late else Finding("ok", "telemetry", detail)
+        yield (
+            Finding("fault", "telemetry", detail, fix)
+            if late
+            else Finding("ok", "telemetry", detail)
+        )
     detail = f"{heard.heartbeats} in {heard.seconds:.1f} s"
     if heard.heartbeats < heard.seconds / SLOWEST_HEARTBEAT_S:
         yield Finding("fault", "heartbeat", detail, fix)
@@ -128,7 +144,9 @@ def condition(state: VehicleState, min_battery: float) -> Iterator[Finding]:
 
 
 async def _rangefinder(vehicle: Any, height: HeightFacts | None) -> list[Finding]:
-    """Find whether the rangefinder that the rig counts on is heard. On the ground it may be too near to measure."""
+    """Find whether the rangefinder that the rig counts on is heard. On the ground it may be too
+    near to measure.
+    """
     if height is None or not height.has_rangefinder:
         return []
     if not hasattr(vehicle, "rangefinder"):
@@ -136,14 +154,20 @@ async def _rangefinder(vehicle: Any, height: HeightFacts | None) -> list[Finding
     wrong, said = await vehicle.rangefinder(RANGEFINDER_S)
     if wrong:
         fix = "see that the autopilot sends it (ArduPilot: RNGFND1_TYPE and RNGFND1_ORIENT 25; PX4: its driver)"
-        return [Finding("fault", "rangefinder", wrong, f"{fix}, or leave rangefinder_max_m out of [height]")]
+        return [
+            Finding(
+                "fault", "rangefinder", wrong, f"{fix}, or leave rangefinder_max_m out of [height]"
+            )
+        ]
     return [Finding("ok", "rangefinder", said)]
 
 
 def _charge(level: float, min_battery: float) -> Finding:
     if not math.isfinite(level):
         fix = "set its capacity (PX4: BAT1_CAPACITY, ArduPilot: BATT_CAPACITY), or battery_id in the vehicle's table"
-        return Finding("fault", "battery", "the vehicle tells no percentage of the battery that flies it", fix)
+        return Finding(
+            "fault", "battery", "the vehicle tells no percentage of the battery that flies it", fix
+        )
     detail = f"{100.0 * level:.0f} %, the mission ends at {100.0 * min_battery:.0f} %"
     if level > min_battery:
         return Finding("ok", "battery", detail)
@@ -166,7 +190,9 @@ async def _pilot_and_fence(vehicle: Any, fence: Geofence | None) -> list[Finding
     found += [Finding("fault", "fence", problem, fix) for problem in plan.problems]
     if plan.set_to:
         told = ", ".join(f"{name} {value:g}" for name, value in plan.set_to.items())
-        found.append(Finding("note", "fence", f"a flight will set {told}", "or set it now: --set-parameters"))
+        found.append(
+            Finding("note", "fence", f"a flight will set {told}", "or set it now: --set-parameters")
+        )
     elif not plan.problems:
         found.append(Finding("ok", "fence", "its own is there, wider than the script's"))
     return found
@@ -186,7 +212,10 @@ async def _check(rig: Rig, role: Role, set_parameters: bool, folder: Path) -> li
         return [Finding("ok", role.value, "this vehicle has no parameters to compare")]
     async with vehicle:
         wrong: list[Difference] = list(await vehicle.parameter_differences())
-        besides = [replace(each, name=f"{role.value} {each.name}") for each in await _pilot_and_fence(vehicle, None)]
+        besides = [
+            replace(each, name=f"{role.value} {each.name}")
+            for each in await _pilot_and_fence(vehicle, None)
+        ]
         if set_parameters:
             wrong += await _missing_fence(vehicle, fence_of(mission_of(rig)))
         if not wrong:
@@ -202,7 +231,10 @@ async def _check(rig: Rig, role: Role, set_parameters: bool, folder: Path) -> li
                 changed.append(each)
         finally:
             record = _record(folder, rig, role, changed)
-        besides = [replace(each, name=f"{role.value} {each.name}") for each in await _pilot_and_fence(vehicle, None)]
+        besides = [
+            replace(each, name=f"{role.value} {each.name}")
+            for each in await _pilot_and_fence(vehicle, None)
+        ]
     done = [Finding("note", role.value, f"set: {each}") for each in wrong]
     return [*done, *besides, Finding("ok", role.value, f"what was set is recorded in {record}")]
 
@@ -231,7 +263,9 @@ def _record(folder: Path, rig: Rig, role: Role, changed: Sequence[Difference]) -
         "rig": rig.name,
         "role": role.value,
         "time": now.isoformat(timespec="seconds"),
-        "parameters": [{"name": each.name, "before": each.found, "after": each.wanted} for each in changed],
+        "parameters": [
+            {"name": each.name, "before": each.found, "after": each.wanted} for each in changed
+        ],
     }
     with file.open("x", encoding="utf-8") as new:  # never over another
         new.write(json.dumps(record, indent=2) + "\n")

@@ -1,4 +1,5 @@
-"""``path-handoff plan``: show what follows from a rig's facts, predict the hand-over, refuse what cannot be done.
+"""``path-handoff plan``: show what follows from a rig's facts, predict the hand-over, refuse what
+cannot be done.
 
 The derivation itself is ``flight.plan``; here it is put into words and into a picture.
 """
@@ -24,7 +25,9 @@ from missions.ground.rig_library import mission_of
 
 
 def run(options: PlanOptions, out: TextIO | None = None) -> int:
-    """Show the plan of a rig; return NOT_FIT when something in it cannot be done. Raises RigError."""
+    """Show the plan of a rig; return NOT_FIT when something in it cannot be done. Raises
+    RigError.
+    """
     stream = out or sys.stdout
     rig = rig_library.load_unchecked(options.rig)
     mission = mission_of(rig)
@@ -84,12 +87,16 @@ def _write_files(
     record = {
         "derived": {each.key: each.value for each in derived},
         "predicted": {each.key: each.value for each in expected},
-        "problems": [{"where": each.where, "what": each.what, "change": each.change} for each in wrong],
+        "problems": [
+            {"where": each.where, "what": each.what, "change": each.change} for each in wrong
+        ],
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "plan.json").write_text(json.dumps(record, indent=2) + "\n", "utf-8")
         draw_plan(of, folder / "plan.png")
     except OSError as error:
-        raise PartError(f"--out {folder}: {error.strerror}", "name a folder that can be written") from error
+        raise PartError(
+            f"--out {folder}: {error.strerror}", "name a folder that can be written"
+        ) from error
     stream.write(f"\n{folder}: plan.json, plan.png\n")

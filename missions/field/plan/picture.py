@@ -1,4 +1,6 @@
-"""plan.png: both drones and the target to scale, from the side and from above, with what each camera sees."""
+"""plan.png: both drones and the target to scale, from the side and from above, with what each
+camera sees.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,9 @@ def _draw(axes: Axes, of: Flown, across: int, label: str) -> None:
     reach_m = 1.15 * max(of.range_m, float(np.nan_to_num(of.placed.receiver_range_m)))
     for role, eye, T_h_c, body_h in views:
         rim = _rim(eye, T_h_c, reach_m, across)
-        axes.add_patch(Polygon([flat(point) for point in rim], color=ROLE[role], alpha=0.10, linewidth=0))
+        axes.add_patch(
+            Polygon([flat(point) for point in rim], color=ROLE[role], alpha=0.10, linewidth=0)
+        )
         axes.add_patch(Circle(flat(body_h), radius_m, fill=False, color=ROLE[role], linewidth=1.6))
         name = "D1" if role is Role.SENDER else "D2"
         axes.annotate(name, flat(body_h), color=ROLE[role], ha="center", va="center", fontsize=10)
@@ -62,7 +66,9 @@ def _draw(axes: Axes, of: Flown, across: int, label: str) -> None:
     _draw_target(axes, of, flat(of.placed.target_h), across)
     marker = flat(facts.sender.mount.T_b_v.t)
     axes.plot(*marker, marker="s", markersize=5, color=COUNT)
-    axes.annotate("marker", marker, xytext=(4, 6), textcoords="offset points", color=COUNT, fontsize=8)
+    axes.annotate(
+        "marker", marker, xytext=(4, 6), textcoords="offset points", color=COUNT, fontsize=8
+    )
     if across == DOWN:
         axes.axhline(0.0, color=DIM, linewidth=1.0)
     axes.set_aspect("equal", adjustable="datalim")

@@ -1,4 +1,5 @@
-"""``path-handoff guard``: watches one vehicle or both, and takes it from a script that does not fly it well.
+"""``path-handoff guard``: watches one vehicle or both, and takes it from a script that does not fly
+it well.
 
 It needs nothing of the mission: not its program, not its camera, not its radio.
 """
@@ -109,8 +110,12 @@ async def watch_vehicles(
         vehicles: list[Watched] = []
         for role, spec in specs.items():
             context = part_context(rig, role)
-            vehicle: Watched = await stack.enter_async_context(create(as_flown(rig, role, spec), context))
-            line = await stack.enter_async_context(UdpBeatLine(str(spec.options["bind"]), context.clock))
+            vehicle: Watched = await stack.enter_async_context(
+                create(as_flown(rig, role, spec), context)
+            )
+            line = await stack.enter_async_context(
+                UdpBeatLine(str(spec.options["bind"]), context.clock)
+            )
             part = new_part(logs[role].parent, logs[role].stem)  # an earlier guard's log stays
             log: Log = stack.enter_context(McapLog(part, role.value))
             tell = Teller(role)
@@ -127,7 +132,9 @@ async def watch_vehicles(
         await watch(tuple(guards), stop)
         if ending is not None:
             await ending
-        return EXIT_GAVE_UP if any(guard.state.stage is GuardStage.GAVE_UP for guard in guards) else 0
+        return (
+            EXIT_GAVE_UP if any(guard.state.stage is GuardStage.GAVE_UP for guard in guards) else 0
+        )
 
 
 async def _stop_when_alone(stop: asyncio.Event, guards: list[GuardWatch]) -> None:

@@ -1,11 +1,12 @@
-"""The measurement of ``path-handoff guard --measure``: how soon a vehicle is held, down, or let go of.
+"""The measurement of ``path-handoff guard --measure``: how soon a vehicle is held, down, or let go
+of.
 
-It is held and down after its program was killed or hung. A script lets go of one that a pilot takes: by a second ground
-station, or by the radio's switches and sticks.
+It is held and down after its program was killed or hung. A script lets go of one that a pilot
+takes: by a second ground station, or by the radio's switches and sticks.
 
-Real programs, real signals, real sockets: one flight for each fault, role and phase. The autopilots' own failsafe for
-setpoints is switched off, or waits, so that what is measured is the guard. In virtual time (rig ``sim``) there are the
-pilot's cases alone.
+Real programs, real signals, real sockets: one flight for each fault, role and phase. The
+autopilots' own failsafe for setpoints is switched off, or waits, so that what is measured is the
+guard. In virtual time (rig ``sim``) there are the pilot's cases alone.
 """
 
 from __future__ import annotations
@@ -36,7 +37,16 @@ OF_PROGRAM = ("kill", "stop", "stall")
 KINDS = {**dict.fromkeys(OF_PROGRAM, ""), "stall": "=5", TAKEOVER: "", **dict.fromkeys(RADIO, "")}
 MOMENTS = {
     Role.SENDER: ("take-off+2", "acquire+1.5", "follow+3", "verify+1", "depart+1", "land+1"),
-    Role.RECEIVER: ("take-off+2", "stand-off+3", "search", "approach+1", "verify+1", "follow+1", "depart+1", "land+1"),
+    Role.RECEIVER: (
+        "take-off+2",
+        "stand-off+3",
+        "search",
+        "approach+1",
+        "verify+1",
+        "follow+1",
+        "depart+1",
+        "land+1",
+    ),
 }
 ORDER = {phase.title: int(phase) for phase in Phase}
 PX4_FAILSAFE = "COM_OF_LOSS_T"
@@ -54,7 +64,8 @@ def measure(options: GuardOptions) -> int:
 
 
 def _measure(options: GuardOptions, folder: Path) -> int:
-    (folder / SUMMARY).write_text(json.dumps({"reactions": []}) + "\n", "utf-8")  # whose folder it is, from now on
+    # whose folder it is, from now on
+    (folder / SUMMARY).write_text(json.dumps({"reactions": []}) + "\n", "utf-8")
     rig = with_patient_failsafe(rig_library.load(options.rig), folder)
     reactions: list[Reaction] = []
     every = list(cases(options.role, options.case, kinds_of(rig)))
@@ -74,7 +85,9 @@ def _measure(options: GuardOptions, folder: Path) -> int:
 
 
 def with_patient_failsafe(rig: Rig, folder: Path) -> Rig:
-    """PX4's own failsafe for setpoints waits until the guard has had its turn; a fault switches an embedded one off."""
+    """PX4's own failsafe for setpoints waits until the guard has had its turn; a fault switches an
+    embedded one off.
+    """
     patient = {
         role.value: {"vehicle": {"parameters": {PX4_FAILSAFE: WAITS_S}}}
         for role in Role
@@ -83,22 +96,38 @@ def with_patient_failsafe(rig: Rig, folder: Path) -> Rig:
     if not patient:
         return rig
     file = folder / "rig.toml"
-    file.write_text(toml_text({"name": rig.name, "like": str(rig.file.resolve()), **patient}), "utf-8")
+    file.write_text(
+        toml_text({"name": rig.name, "like": str(rig.file.resolve()), **patient}), "utf-8"
+    )
     return rig_library.load(str(file))
 
 
 def kinds_of(rig: Rig) -> tuple[str, ...]:
-    """Returns what can be tried on a rig: programs of their own can hang; pilots have radios unless it says not."""
+    """Returns what can be tried on a rig: programs of their own can hang; pilots have radios unless
+    it says not.
+    """
     own = OF_PROGRAM if rig.level not in ("sim", "sim-rendered") else ()
     simulated = "sender_simulator" in rig.world
-    radio = () if simulated and any(rig.role(role).vehicle.options.get("rc") == "none" for role in Role) else RADIO
+    radio = (
+        ()
+        if simulated and any(rig.role(role).vehicle.options.get("rc") == "none" for role in Role)
+        else RADIO
+    )
     return (*own, TAKEOVER, *radio)
 
 
-def cases(role: str, only: Sequence[str], kinds: Sequence[str] = tuple(KINDS)) -> Iterator[tuple[str, Role, str]]:
+def cases(
+    role: str, only: Sequence[str], kinds: Sequence[str] = tuple(KINDS)
+) -> Iterator[tuple[str, Role, str]]:
     """(fault, role, moment) of every flight; ``only``: those whose name has one of these in it."""
-    every = [(own, moment) for own, moments in MOMENTS.items() for moment in moments if role in ("both", own.value)]
-    for own, moment in sorted(every, key=lambda entry: ORDER[entry[1].partition("+")[0]]):  # short flights first
+    every = [
+        (own, moment)
+        for own, moments in MOMENTS.items()
+        for moment in moments
+        if role in ("both", own.value)
+    ]
+    # short flights first
+    for own, moment in sorted(every, key=lambda entry: ORDER[entry[1].partition("+")[0]]):
         for fault in kinds:
             if fault == TAKEOVER and own is Role.SENDER:
                 continue
@@ -111,7 +140,10 @@ def _words(reaction: Reaction) -> str:
         return f"nothing to take: {reaction.mode}"
     if reaction.fault in LET_GO_S:
         return f"last setpoint {_let_go(reaction)}; {reaction.outcome} ({' → '.join((reaction.mode, *reaction.after))})"
-    seconds = ["never" if value is None else f"after {value:.2f} s" for value in (reaction.held_s, reaction.landed_s)]
+    seconds = [
+        "never" if value is None else f"after {value:.2f} s"
+        for value in (reaction.held_s, reaction.landed_s)
+    ]
     return f"held {seconds[0]}, down {seconds[1]} ({' → '.join((reaction.mode, *reaction.after))})"
 
 
@@ -121,9 +153,14 @@ def table(reactions: Sequence[Reaction]) -> Table:
     made = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
     for title in ("program", "phase", "mode", *(f"{kind}{KINDS[kind]}" for kind in tried)):
         made.add_column(title, no_wrap=True)
-    rows = sorted({(r.role, r.moment) for r in reactions}, key=lambda row: (row[0], ORDER[row[1].partition("+")[0]]))
+    rows = sorted(
+        {(r.role, r.moment) for r in reactions},
+        key=lambda row: (row[0], ORDER[row[1].partition("+")[0]]),
+    )
     for role, moment in rows:
-        found: dict[str, Any] = {r.fault: r for r in reactions if (r.role, r.moment) == (role, moment)}
+        found: dict[str, Any] = {
+            r.fault: r for r in reactions if (r.role, r.moment) == (role, moment)
+        }
         mode = " / ".join(dict.fromkeys(r.mode for r in found.values()))
         made.add_row(role, moment, mode, *(_figures(found.get(kind)) for kind in tried))
     return made
@@ -134,7 +171,10 @@ def _figures(reaction: Reaction | None) -> str:
         return "-"
     if reaction.fault in LET_GO_S:
         return _let_go(reaction)
-    held, landed = (("never" if value is None else f"{value:.2f}") for value in (reaction.held_s, reaction.landed_s))
+    held, landed = (
+        ("never" if value is None else f"{value:.2f}")
+        for value in (reaction.held_s, reaction.landed_s)
+    )
     return f"{held} / {landed}"
 
 

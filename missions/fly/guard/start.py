@@ -22,8 +22,9 @@ How = Literal["start", "expect", "none"]
 def with_guard(rig: Rig, role: Role, how: How, folder: Path) -> Rig:
     """The rig as the role is to fly it, its guard begun when it is to be and none is there yet.
 
-    The guard is no child to be ended with the role: it is in a session of its own, which neither Ctrl-C nor Ctrl-Z nor
-    the end of the terminal reaches, and ends by itself when the role is gone and the vehicle is down.
+    The guard is no child to be ended with the role: it is in a session of its own, which neither
+    Ctrl-C nor Ctrl-Z nor the end of the terminal reaches, and ends by itself when the role is gone
+    and the vehicle is down.
     """
     own = rig.role(role)
     if own.guard is None:
@@ -43,6 +44,12 @@ def with_guard(rig: Rig, role: Role, how: How, folder: Path) -> Rig:
         ]  # fmt: skip
         with (folder / f"{role.value}.guard.txt").open("ab") as said:
             _begun.append(
-                subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True)
+                subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=said,
+                    stderr=said,
+                    start_new_session=True,
+                )
             )
     return rig

@@ -1,4 +1,6 @@
-"""``path-handoff handoff``: both roles and their world from one terminal, once or many times by seed."""
+"""``path-handoff handoff``: both roles and their world from one terminal, once or many times by
+seed.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ from missions.look.report.progress import open_console
 
 
 def run(options: HandoffOptions) -> int:
-    """``path-handoff handoff``; returns the run's exit code. Raises PartError for what was asked wrongly."""
+    """``path-handoff handoff``; returns the run's exit code. Raises PartError for what was asked
+    wrongly.
+    """
     name_simulators(options)
     name_model(options.model)
     rig = rig_as_asked(options.rig, options.errors, options.scene, options.slow)
@@ -37,7 +41,9 @@ def run(options: HandoffOptions) -> int:
     with unless_refused(options.out) as folder:
         if options.seeds > 1:
             if options.live is not None:
-                raise PartError("--live shows one flight, and --seeds flies many", "leave one of them out")
+                raise PartError(
+                    "--live shows one flight, and --seeds flies many", "leave one of them out"
+                )
             from missions.fly.handoff.many import fly_many  # noqa: PLC0415 (one flight needs no pool of processes)
 
             return fly_many(rig, options, folder)
@@ -51,7 +57,9 @@ def run(options: HandoffOptions) -> int:
 
 
 def refuse_too_slow(rig: Rig) -> None:
-    """Raises PartError where the rig's share of this core flies nothing; one without a share is not measured."""
+    """Raises PartError where the rig's share of this core flies nothing; one without a share is not
+    measured.
+    """
     if rig.world.get("slow") is not None:
         from missions.ground.computer import refuse_share  # noqa: PLC0415  a flight does without the doctor
 
@@ -59,10 +67,14 @@ def refuse_too_slow(rig: Rig) -> None:
 
 
 def name_model(file: Path | None) -> None:
-    """Names the model of detectors whose rig names none, for the harness and its processes. Raises PartError."""
+    """Names the model of detectors whose rig names none, for the harness and its processes. Raises
+    PartError.
+    """
     if file is not None:
         if not file.is_file():
-            raise PartError(f"{file}: no such file", "name a YOLOX model in ONNX, or leave the option out")
+            raise PartError(
+                f"{file}: no such file", "name a YOLOX model in ONNX, or leave the option out"
+            )
         from drivers.detectors.yolox import MODEL_VARIABLE  # noqa: PLC0415  it loads onnxruntime
 
         os.environ[MODEL_VARIABLE] = str(file.resolve())
@@ -73,5 +85,8 @@ def name_simulators(options: HandoffOptions | FlyOptions | ConformanceOptions) -
     for variable, binary in (("PATH_PX4", options.px4), ("PATH_ARDUPILOT", options.ardupilot)):
         if binary is not None:
             if not binary.is_file():
-                raise PartError(f"{binary}: no such file", "name the simulator's binary, or leave the option out")
+                raise PartError(
+                    f"{binary}: no such file",
+                    "name the simulator's binary, or leave the option out",
+                )
             os.environ[variable] = str(binary.resolve())

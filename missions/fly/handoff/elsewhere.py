@@ -1,10 +1,11 @@
-"""Stands in for a drone's program that a person starts in another shell, and tells the harness what its log says.
+"""Stands in for a drone's program that a person starts in another shell, and tells the harness what
+its log says.
 
     python -m missions.fly.handoff.elsewhere ROLE RUN_FOLDER WAIT_S TYPED
 
-The harness starts it where it would start the program itself. It waits for a log for so long, and says meanwhile what
-is to be typed; then nobody has come, and that is the role's end. A program that was killed may be started again: its
-further log is followed too, until one has an outcome.
+The harness starts it where it would start the program itself. It waits for a log for so long, and
+says meanwhile what is to be typed; then nobody has come, and that is the role's end. A program that
+was killed may be started again: its further log is followed too, until one has an outcome.
 """
 
 from __future__ import annotations
@@ -53,7 +54,8 @@ def _event(role: Role, topic: str, stamp_ns: int, record: dict[str, Any]) -> Pro
 
 
 class Waiting:
-    """The time in which a person may start the program: what is said meanwhile, and what when it is over.
+    """The time in which a person may start the program: what is said meanwhile, and what when it is
+    over.
 
     Args:
         wait_s: for so long it may take.
@@ -70,7 +72,11 @@ class Waiting:
     def news(self, now_s: float) -> Progress | RoleResult | None:
         """Return what is to be said now; a result ends the wait."""
         if now_s >= self._ends_s:
-            return _nobody(self._role, Outcome.NOT_STARTED, f"nobody started its program within {self._wait_s:g} s")
+            return _nobody(
+                self._role,
+                Outcome.NOT_STARTED,
+                f"nobody started its program within {self._wait_s:g} s",
+            )
         if now_s < self._says_s:
             return None
         self._says_s = now_s + SAYS_EVERY_S
@@ -85,7 +91,9 @@ def _nobody(role: Role, outcome: Outcome, detail: str) -> RoleResult:
 
 
 def main() -> None:
-    """Told to end, it waits for a program that runs: that is another shell's to stop, and then has to land."""
+    """Told to end, it waits for a program that runs: that is another shell's to stop, and then has
+    to land.
+    """
     role = Role(sys.argv[1])
     folder = Path(sys.argv[2])
     waiting = Waiting(role, float(sys.argv[3]), sys.argv[4], time.monotonic())
@@ -102,7 +110,9 @@ def main() -> None:
         if event is None and not parts(folder, role.value):
             event = waiting.news(now_s)
             if told_s:
-                event = _nobody(role, Outcome.INTERRUPTED, "it ended before anybody started its program")
+                event = _nobody(
+                    role, Outcome.INTERRUPTED, "it ended before anybody started its program"
+                )
         if event is not None:
             print(encode_event(event), flush=True)
         if isinstance(event, RoleResult):

@@ -1,4 +1,6 @@
-"""One flight of both roles in their harness, from a rig to ``run.json``; any mission's programs can be flown so."""
+"""One flight of both roles in their harness, from a rig to ``run.json``; any mission's programs can
+be flown so.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ def rig_as_asked(rig: str, errors: str | None, scene: str | None, slow: float | 
 
 
 def harness_of(rig: Rig) -> Harness:
-    """The harness a rig names. Raises PartError when it names none: then each role is started on its own drone."""
+    """The harness a rig names. Raises PartError when it names none: then each role is started on
+    its own drone.
+    """
     if rig.harness is None:
         named = rig_library.name_of(rig)
         raise PartError(
@@ -47,12 +51,17 @@ def harness_of(rig: Rig) -> Harness:
         harness = kind()
     except SystemExit as error:
         raise PartError(
-            f"{rig.where('harness')}: {rig.harness} cannot be made: it {ended_by(error)}", _A_HARNESS
+            f"{rig.where('harness')}: {rig.harness} cannot be made: it {ended_by(error)}",
+            _A_HARNESS,
         ) from error
     except TypeError as error:
-        raise PartError(f"{rig.where('harness')}: {rig.harness} is no harness: {error}", _A_HARNESS) from error
+        raise PartError(
+            f"{rig.where('harness')}: {rig.harness} is no harness: {error}", _A_HARNESS
+        ) from error
     if not callable(getattr(harness, "fly", None)):
-        raise PartError(f"{rig.where('harness')}: {rig.harness} is no harness: it has no `fly`", _A_HARNESS)
+        raise PartError(
+            f"{rig.where('harness')}: {rig.harness} is no harness: it has no `fly`", _A_HARNESS
+        )
     return harness
 
 
@@ -62,7 +71,8 @@ class FlightPrograms:
 
     Attributes:
         main: one role's program, in the harness's process.
-        arguments: what ``path-handoff`` is told to fly it in a process of its own, before what all such are told.
+        arguments: what ``path-handoff`` is told to fly it in a process of its own, before what all
+            such are told.
         good: how both end when all goes well.
         elsewhere: processes of their own are started by a person, in other shells.
         mission: file of a mission of somebody's own; "" for a hand-over.
@@ -79,9 +89,16 @@ HANDOFF = FlightPrograms(fly_role, lambda role: (role.value,), Outcome.COMMITTED
 
 
 def fly_once(
-    rig: Rig, seed: int, faults: Sequence[str], out: Path, emit: Emit, programs: FlightPrograms = HANDOFF
+    rig: Rig,
+    seed: int,
+    faults: Sequence[str],
+    out: Path,
+    emit: Emit,
+    programs: FlightPrograms = HANDOFF,
 ) -> RunFacts:
-    """One run to its end; writes logs and ``run.json`` into ``out``. Raises PartError for what was asked wrongly."""
+    """One run to its end; writes logs and ``run.json`` into ``out``. Raises PartError for what was
+    asked wrongly.
+    """
     harness = harness_of(rig)
     if rig.level in IN_PROCESS:
         load_program()  # not while the run's time is measured
@@ -101,7 +118,9 @@ def fly_once(
         ]  # fmt: skip
 
     attack = [sys.executable, "-m", "missions.proofs.verify.attack"]
-    request = FlightRequest(rig, out, seed, tuple(faults), programs.main, command, emit, attack, guard_command)
+    request = FlightRequest(
+        rig, out, seed, tuple(faults), programs.main, command, emit, attack, guard_command
+    )
     with claimed(out, RUN):
         report = fly_watched(harness, request)
     outcome, detail = judge(report, programs.good)
@@ -133,7 +152,9 @@ def fly_once(
 
 
 def reported(facts: RunFacts, folder: Path, report: Callable[[], object]) -> int:
-    """Make the report of a run that has been flown; returns the run's exit code, whatever becomes of the report."""
+    """Make the report of a run that has been flown; returns the run's exit code, whatever becomes
+    of the report.
+    """
     if not folder.exists():
         return facts.exit_code  # which was told when the facts could not be written
     try:
@@ -149,7 +170,9 @@ def reported(facts: RunFacts, folder: Path, report: Callable[[], object]) -> int
 
 
 def unwritten(facts: RunFacts, error: OSError) -> RunFacts:
-    """The facts of a run of which something could not be written or shown: a good end then has its own outcome."""
+    """The facts of a run of which something could not be written or shown: a good end then has its
+    own outcome.
+    """
     if facts.exit_code != 0:
         return facts
     end = Outcome.LOG_FAILED
@@ -158,9 +181,16 @@ def unwritten(facts: RunFacts, error: OSError) -> RunFacts:
 
 
 def judge(report: FlightReport, good: Outcome = Outcome.COMMITTED) -> tuple[Outcome, str]:
-    """The outcome of the whole run: what a computer that was too slow explains is blamed on nobody else."""
-    absent = [end for end in report.results.values() if end is not None and end.outcome is Outcome.NOT_STARTED]
-    explained = bool(absent) and not report.violations  # also that the run did not end in time, and the other's end
+    """The outcome of the whole run: what a computer that was too slow explains is blamed on nobody
+    else.
+    """
+    absent = [
+        end
+        for end in report.results.values()
+        if end is not None and end.outcome is Outcome.NOT_STARTED
+    ]
+    # also that the run did not end in time, and the other's end
+    explained = bool(absent) and not report.violations
     outcome, detail = _nobody_came(absent) if explained else _cause(report, good)
     return for_lateness(report, outcome, detail)
 
@@ -172,7 +202,9 @@ def _nobody_came(absent: Sequence[RoleResult]) -> tuple[Outcome, str]:
 
 
 def _cause(report: FlightReport, good: Outcome) -> tuple[Outcome, str]:
-    """The harness's own failure and violated monitors first, then the roles' causes: of two the one that came first."""
+    """The harness's own failure and violated monitors first, then the roles' causes: of two the one
+    that came first.
+    """
     if report.failure:
         return Outcome.HARNESS_FAILED, report.failure
     if report.violations:

@@ -29,9 +29,11 @@ from missions.look.report.summary import summarize
 
 
 def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
-    """Runs with seeds from ``options.seed`` on, each in a folder of its own; 0 when nothing unsafe happened in any.
+    """Runs with seeds from ``options.seed`` on, each in a folder of its own; 0 when nothing unsafe
+    happened in any.
 
-    A run that ended in a named failure is counted, not an error; a wrong hand-over or a violated monitor is one.
+    A run that ended in a named failure is counted, not an error; a wrong hand-over or a violated
+    monitor is one.
     """
     last = options.seed + options.seeds - 1
     if last > MOST_SEED:
@@ -60,7 +62,11 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
         pool.shutdown(wait=True, cancel_futures=True)
     summaries.sort(key=lambda summary: summary["seed"])
     if options.junit is not None:
-        write_junit(options.junit, f"handoff {rig.name}", [junit_case(options, summary) for summary in summaries])
+        write_junit(
+            options.junit,
+            f"handoff {rig.name}",
+            [junit_case(options, summary) for summary in summaries],
+        )
     series = summarize_many(summaries, f"{_command(options, options.seed)} --seeds {options.seeds}")
     (folder / SUMMARY).write_text(json.dumps(series, indent=2) + "\n", "utf-8")
     show(series_table(series), sys.stdout)
@@ -71,7 +77,9 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
 def junit_case(options: HandoffOptions, summary: Mapping[str, Any]) -> JUnitCase:
     """One run of many as a test case: it fails unless it committed."""
     outcome = str(summary["outcome"])
-    failures = () if summary["exit_code"] == 0 else (summary["detail"] or outcome, *summary["notes"])
+    failures = (
+        () if summary["exit_code"] == 0 else (summary["detail"] or outcome, *summary["notes"])
+    )
     replay = _command(options, summary["seed"])
     return JUnitCase(f"seed {summary['seed']}", outcome, replay, failures, summary["wall_s"] or 0.0)
 

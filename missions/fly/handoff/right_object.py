@@ -21,7 +21,9 @@ def fly_watched(harness: Harness, request: FlightRequest) -> FlightReport:
 
 
 def watch_object(report: FlightReport, out: Path) -> FlightReport:
-    """The report, with S12 among its violations when another object was handed over than the one designated."""
+    """The report, with S12 among its violations when another object was handed over than the one
+    designated.
+    """
     try:
         run = load_run(out, NEEDED)
     except RunFolderError:

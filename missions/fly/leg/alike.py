@@ -1,4 +1,6 @@
-"""What this drone has that the other one must have alike (``path.alike``), as digests of its rig and its program."""
+"""What this drone has that the other one must have alike (``path.alike``), as digests of its rig
+and its program.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ from path.geometry.transforms import Pose
 
 _DIALECT = Path(__file__).parents[3] / "drivers" / "link" / "dialect" / "path.xml"
 _MADE = "path_dialect.py"  # from the dialect, by whichever version of mavgen there is
-_ROUNDED = 6  # places after the point: a rig that was written by another program may differ in the last digits
+# places after the point: a rig that was written by another program may differ in the last digits
+_ROUNDED = 6
 
 
 def alike_of(rig: Rig, separation: SeparationConfig) -> Alike:
@@ -53,7 +56,9 @@ def _number(digest: bytes) -> int:
 
 @cache
 def _code() -> int:
-    """Stand for what decides in flight: the method, the drivers, what a drone does, and the course of a leg."""
+    """Stand for what decides in flight: the method, the drivers, what a drone does, and the course
+    of a leg.
+    """
     rooms = [Path(module.__file__ or "").parent for module in (path, drivers, flight)]
     digest = hashlib.sha256()
     for file in _sources((*rooms, Path(__file__).parent)):

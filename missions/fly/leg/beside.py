@@ -1,4 +1,6 @@
-"""Beside every course: the vehicle's state and the processor's time are logged, and a busy computer gives things up."""
+"""Beside every course: the vehicle's state and the processor's time are logged, and a busy computer
+gives things up.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ async def log_state(session: RoleSession) -> None:
     while True:
         if session.pilot.taken_back > taken_back:
             taken_back = session.pilot.taken_back
-            session.say("ALARM: one message said that a pilot has the vehicle, the next took it back: who sends them?")
+            session.say(
+                "ALARM: one message said that a pilot has the vehicle, the next took it back: who sends them?"
+            )
         for what in [each for each in session.vehicle.ignored if each not in told]:
             told.add(what)
             session.say(f"ALARM: ignored {what}")
@@ -46,14 +50,18 @@ async def log_state(session: RoleSession) -> None:
 
 
 async def watch_estimator(session: RoleSession) -> None:
-    """Look at every state that the vehicle tells, for ever: what its estimator stepped by shows in one of them."""
+    """Look at every state that the vehicle tells, for ever: what its estimator stepped by shows in
+    one of them.
+    """
     while True:
         session.note_steps()
         await asyncio.sleep(_LOOK_PERIOD_S)
 
 
 class BatteryNews:
-    """Tells the crew when a flying vehicle has stopped telling its battery's level, and when it tells it again."""
+    """Tells the crew when a flying vehicle has stopped telling its battery's level, and when it
+    tells it again.
+    """
 
     def __init__(self, session: RoleSession) -> None:
         self._session = session
@@ -69,7 +77,9 @@ class BatteryNews:
         if not kept:
             self._session.say("the battery's level is told again")
             return
-        level = f"{100 * state.battery:.0f} %" if math.isfinite(state.battery) else "an unknown level"
+        level = (
+            f"{100 * state.battery:.0f} %" if math.isfinite(state.battery) else "an unknown level"
+        )
         self._session.say(
             f"ALARM: the battery's level is not told any more: {level} is believed for {UNTOLD_S:.0f} s, then this ends"
         )
@@ -83,13 +93,16 @@ async def log_cpu(session: RoleSession) -> None:
 
 
 async def log_lateness(session: RoleSession) -> None:
-    """Log when this program was late, and for how long it had no core, for ever. In virtual time nothing is late."""
+    """Log when this program was late, and for how long it had no core, for ever. In virtual time
+    nothing is late.
+    """
     if session.stages is not None:
         await watch_lateness(lambda record: session.log.write("/late", session.now_ns(), record))
 
 
 async def keep_up(session: RoleSession) -> None:
-    """Give things up in order while the program is busy all the time, and take them up again, for ever.
+    """Give things up in order while the program is busy all the time, and take them up again, for
+    ever.
 
     In virtual time nothing is late.
     """
@@ -103,4 +116,6 @@ async def keep_up(session: RoleSession) -> None:
         if changed is not None:
             record = {"what": changed.what, "gone": changed.gone, "busy": changed.busy}
             session.log.write("/shed", session.now_ns(), record)
-            session.say(f"this computer is busy: {'gives up' if changed.gone else 'takes up again'} {changed.what}")
+            session.say(
+                f"this computer is busy: {'gives up' if changed.gone else 'takes up again'} {changed.what}"
+            )

@@ -1,4 +1,6 @@
-"""``path-handoff sender`` and ``receiver``: one drone's side of a handoff, in a process of its own."""
+"""``path-handoff sender`` and ``receiver``: one drone's side of a handoff, in a process of its
+own.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,12 @@ from path.messages import Role
 
 
 def run(options: RoleOptions) -> int:
-    """Fly one role to its end; returns its outcome's exit code. Raises PartError when the rig or a part is refused."""
-    return fly_from_drone(options, Role.RECEIVER if isinstance(options, ReceiverOptions) else Role.SENDER, fly_role)
+    """Fly one role to its end; returns its outcome's exit code. Raises PartError when the rig or a
+    part is refused.
+    """
+    return fly_from_drone(
+        options, Role.RECEIVER if isinstance(options, ReceiverOptions) else Role.SENDER, fly_role
+    )
 
 
 def fly_from_drone(options: RoleOptions, role: Role, main: RoleMain) -> int:
@@ -28,10 +34,14 @@ def fly_from_drone(options: RoleOptions, role: Role, main: RoleMain) -> int:
         rig = with_guard(rig, role, options.guard, folder)
         state = options.state or (options.out or folder.parent) / f"{role.value}.state.json"
         if options.console == "events":
-            return run_role(rig, role, folder, state, lambda _: None, parent=True, main=main).outcome.exit_code
+            return run_role(
+                rig, role, folder, state, lambda _: None, parent=True, main=main
+            ).outcome.exit_code
         with live(options.live, folder), open_console(sys.stdout) as console:
             result = run_role(rig, role, folder, state, console.show, parent=False, main=main)
-    sys.stdout.write(f"{role.value}: {result.outcome.label}: {result.detail or result.outcome.meaning}\n")
+    sys.stdout.write(
+        f"{role.value}: {result.outcome.label}: {result.detail or result.outcome.meaning}\n"
+    )
     for log in parts(folder, role.value)[-1:]:
         sys.stdout.write(f"log: {log}\n")
     return result.outcome.exit_code

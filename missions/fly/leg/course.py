@@ -1,4 +1,6 @@
-"""The flight of a role's course: what runs beside it, what may end it, and the way down whatever happens."""
+"""The flight of a role's course: what runs beside it, what may end it, and the way down whatever
+happens.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ from missions.ground.journal import setup_record
 
 Course = Callable[[], Awaitable[None]]
 Recovery = Callable[[MissionEnd | None], Awaitable[bool]]
-_STAYS = frozenset({Outcome.PILOT_OVERRIDE, Outcome.CRASHED})  # a bug is named, whoever flew after it
+# a bug is named, whoever flew after it
+_STAYS = frozenset({Outcome.PILOT_OVERRIDE, Outcome.CRASHED})
 
 
 async def fly_course(
@@ -22,8 +25,8 @@ async def fly_course(
 ) -> RoleResult:
     """Run a mission to its end: the course, then the recovery that brings the vehicle down.
 
-    What was spawned goes on until the vehicle is down: the pilot keeps flying, and the other drone keeps hearing from
-    this one. ``good`` is how a course ends that comes to its own end.
+    What was spawned goes on until the vehicle is down: the pilot keeps flying, and the other drone
+    keeps hearing from this one. ``good`` is how a course ends that comes to its own end.
     """
     end: MissionEnd | None = None
     landed = False
@@ -39,10 +42,12 @@ async def fly_course(
 async def run_course(session: RoleSession, course: Course) -> MissionEnd | None:
     """The course, and what runs beside every course; None when it came to its own end.
 
-    Whatever ends the course first (its own end, a MissionEnd in anything that was spawned, a part's error, a stop)
-    decides the outcome.
+    Whatever ends the course first (its own end, a MissionEnd in anything that was spawned, a part's
+    error, a stop) decides the outcome.
     """
-    session.log.write("/setup", session.now_ns(), setup_record(session.rig, session.role, session.config))
+    session.log.write(
+        "/setup", session.now_ns(), setup_record(session.rig, session.role, session.config)
+    )
     for beside in (
         session.pump(),
         session.report(),
@@ -96,7 +101,9 @@ async def close_session(session: RoleSession) -> None:
 def conclude(
     session: RoleSession, end: MissionEnd | None, landed: bool, good: Outcome = Outcome.COMMITTED
 ) -> RoleResult:
-    """The program's last records. However a course ended, its vehicle may still be taken on its way home."""
+    """The program's last records. However a course ended, its vehicle may still be taken on its way
+    home.
+    """
     override = session.pilot.override
     if override and (end is None or end.outcome not in _STAYS):
         before = "" if end is None else f"; the mission had ended: {end}"
@@ -105,10 +112,17 @@ def conclude(
     session.log.write(
         "/outcome",
         session.now_ns(),
-        {"outcome": outcome.label, "detail": detail, "responsible": session.responsible, "landed": landed},
+        {
+            "outcome": outcome.label,
+            "detail": detail,
+            "responsible": session.responsible,
+            "landed": landed,
+        },
     )
     session.enter(Phase.DONE, outcome.label)
-    return RoleResult(session.role, outcome, detail, session.responsible, landed, ended_s=session.ended_s)
+    return RoleResult(
+        session.role, outcome, detail, session.responsible, landed, ended_s=session.ended_s
+    )
 
 
 async def _cancel(task: asyncio.Future[None]) -> None:

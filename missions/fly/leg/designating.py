@@ -89,7 +89,9 @@ class Designating:
             self._session.operator.ask(None, None)
 
     def _tell(self, told: Told) -> None:
-        """Places are said in the crew's frame: this drone's own is off from it as it was at home."""
+        """Places are said in the crew's frame: this drone's own is off from it as it was at
+        home.
+        """
         own = shifted(told, self._session.off_n_m)
         if isinstance(own, PlaceTold) and not own.height_told:
             north, east, _ = own.place_n_m
@@ -125,7 +127,9 @@ class Designating:
         return taken
 
     def where(self, now_ns: int) -> tuple[Vec3, float]:
-        """Return the place to look at, and how many times as far off as usual to look at all of where it can be."""
+        """Return the place to look at, and how many times as far off as usual to look at all of
+        where it can be.
+        """
         config = self._session.config
         if not self._told_first:
             self.hear()
@@ -134,12 +138,22 @@ class Designating:
             north, east, down = add(self._first.place_n_m, self._session.off_n_m)
             return (north, east, down), _WIDEST
         place, radius_m = found
-        range_m = (config.follow.behind_m**2 + (config.follow.height_m - config.target.height_m) ** 2) ** 0.5
-        half_m = 0.5 * _VIEW_SHARE * range_m * min(self._camera.width, self._camera.height) / self._camera.fx
+        range_m = (
+            config.follow.behind_m**2 + (config.follow.height_m - config.target.height_m) ** 2
+        ) ** 0.5
+        half_m = (
+            0.5
+            * _VIEW_SHARE
+            * range_m
+            * min(self._camera.width, self._camera.height)
+            / self._camera.fx
+        )
         return place, min(max(1.0, radius_m / half_m), _WIDEST)
 
     def moves(self, now_ns: int) -> Vec3:
-        """Return the velocity of what is at the place to look at, as far as it is known which that is."""
+        """Return the velocity of what is at the place to look at, as far as it is known which that
+        is.
+        """
         return self._acquisition.moves(now_ns)
 
     def why(self) -> str:

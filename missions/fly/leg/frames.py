@@ -1,4 +1,6 @@
-"""The frames that a role takes up: which ones, what of them is logged, and what gives way on a busy computer."""
+"""The frames that a role takes up: which ones, what of them is logged, and what gives way on a busy
+computer.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ class Frames:
         shedding: what is given up while the program is busy all the time.
     """
 
-    def __init__(self, perception: Perception, clock: Clock, config: MissionConfig, log: Log) -> None:
+    def __init__(
+        self, perception: Perception, clock: Clock, config: MissionConfig, log: Log
+    ) -> None:
         self._perception = perception
         self._clock = clock
         self._config = config
@@ -31,7 +35,8 @@ class Frames:
         return self._recording is not None
 
     async def view(self, timeout_s: float) -> View:
-        """The newest view not yet given, recorded if the rig says so. Raises CameraError when none came in time.
+        """The newest view not yet given, recorded if the rig says so. Raises CameraError when none
+        came in time.
 
         On a computer that does not keep up frames are left out before it.
         """
@@ -45,7 +50,8 @@ class Frames:
         return view
 
     def log_image(self, view: View, wanted: bool = False) -> None:
-        """Log the camera's image, ``image_hz`` times a second at the most, unless this one is ``wanted``.
+        """Log the camera's image, ``image_hz`` times a second at the most, unless this one is
+        ``wanted``.
 
         At 0 those alone are logged, and none when the rig records none.
         """
@@ -53,7 +59,9 @@ class Frames:
         if config.record == "none":
             return
         period_ns = round(1e9 / config.image_hz) if config.image_hz > 0.0 else 1 << 63
-        if view.stamp_ns - self._image_ns < (1 if wanted else period_ns) or not (wanted or self.shedding.pictures):
+        if view.stamp_ns - self._image_ns < (1 if wanted else period_ns) or not (
+            wanted or self.shedding.pictures
+        ):
             return
         image = view.image()
         if image is not None:

@@ -1,4 +1,6 @@
-"""A role's words with the guard beside it: a beat for everything it does with the vehicle, and its consent."""
+"""A role's words with the guard beside it: a beat for everything it does with the vehicle, and its
+consent.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ class Guarding:
         self._measured_m = distance_m
 
     def set_script(self, script: Script) -> None:
-        """Sets what the script is about to do with the vehicle; the guard knows it before the vehicle does."""
+        """Sets what the script is about to do with the vehicle; the guard knows it before the
+        vehicle does.
+        """
         self.script = script
         if self.guard is not None:
             self.guard.beat(self.beat())
@@ -54,7 +58,8 @@ class Guarding:
         near = session.peer is not None and session.peer_silence_s() < _PEER_PLACE_S
         place = NOWHERE
         if session.peer is not None and near:
-            # The guard knows this drone's place from the autopilot alone, with all that its estimator stepped by.
+            # The guard knows this drone's place from the autopilot alone, with all that its
+            # estimator stepped by.
             place = session.vehicle.as_reported(session.here(session.peer).position_n_m)
         return Beat(script, session.pilot.setpoints, measured_m, place)
 
@@ -67,7 +72,9 @@ class Guarding:
             await self.guard.confirm(self.beat())
 
     async def keep(self) -> None:
-        """Beat for ever. The course ends when the guard took the flying vehicle from the script, or is gone."""
+        """Beat for ever. The course ends when the guard took the flying vehicle from the script, or
+        is gone.
+        """
         alarm = ""
         while self.guard is not None:
             beat = self.beat()

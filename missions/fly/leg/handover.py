@@ -1,4 +1,6 @@
-"""Both sides of the hand-over: what a mission asks of its machine of the protocol, and what its course makes of it."""
+"""Both sides of the hand-over: what a mission asks of its machine of the protocol, and what its
+course makes of it.
+"""
 
 from __future__ import annotations
 
@@ -37,13 +39,19 @@ _ENDS = {Decision.TIMEOUT: Outcome.NO_AGREEMENT}
 
 
 def _instance(machine: ReceiverMachine, entropy: random.Random) -> int:
-    """A program's own, unless it goes on with what an earlier one took: then that one's, or nobody would believe it."""
+    """A program's own, unless it goes on with what an earlier one took: then that one's, or nobody
+    would believe it.
+    """
     live = machine.live
-    return live.instance if live is not None and live.instance else entropy.randint(1, _LAST_INSTANCE)
+    return (
+        live.instance if live is not None and live.instance else entropy.randint(1, _LAST_INSTANCE)
+    )
 
 
 def protocol_config(session: RoleSession) -> ProtocolConfig:
-    """The protocol's deadlines for this mission: it may not end a handoff before the mission itself does."""
+    """The protocol's deadlines for this mission: it may not end a handoff before the mission itself
+    does.
+    """
     deadlines = session.config.deadlines
     return ProtocolConfig(
         offer_s=deadlines.receiver_ready_s + deadlines.verify_s,
@@ -60,18 +68,27 @@ class SenderHandover(MachineRun[SenderMachine]):
         machine = SenderMachine(config)
         if kept is not None:
             assert isinstance(kept.record, SenderRecord)
-            machine.state = sender.restored(config, kept.record, session.now_ns(), same_clock=kept.same_clock)
+            machine.state = sender.restored(
+                config, kept.record, session.now_ns(), same_clock=kept.same_clock
+            )
         super().__init__(session, store, machine, kept, sender.record(machine.state))
         self._anew_ns = session.now_ns()
-        self._words: dict[int, tuple[int, PeerStatus]] = {}  # of each receiver the newest Status, and when it came
+        # of each receiver the newest Status, and when it came
+        self._words: dict[int, tuple[int, PeerStatus]] = {}
         self._warned = False
         session.instance = lambda: 0 if self._machine.live is None else self._machine.live.instance
         if kept is not None:  # on the ground a new mission begins: nobody tracks its target yet
-            session.set_claim(TakeResponsibility() if machine.responsible and session.vehicle.state.armed else None)
+            session.set_claim(
+                TakeResponsibility()
+                if machine.responsible and session.vehicle.state.armed
+                else None
+            )
 
     def undecided(self, flying: bool) -> bool:
         state = self._machine.state
-        return isinstance(state, AwaitingAccept) or (flying and isinstance(state, HandedOver) and not state.settled)
+        return isinstance(state, AwaitingAccept) or (
+            flying and isinstance(state, HandedOver) and not state.settled
+        )
 
     @property
     def epoch(self) -> int:
@@ -97,7 +114,8 @@ class SenderHandover(MachineRun[SenderMachine]):
 
     @property
     def peer_is_free(self) -> bool:
-        """The other drone said that it holds nothing, and said so since this one has nothing left to give to it.
+        """The other drone said that it holds nothing, and said so since this one has nothing left
+        to give to it.
 
         Of several receivers none may hold anything, as far as each was heard last.
         """
@@ -107,9 +125,15 @@ class SenderHandover(MachineRun[SenderMachine]):
 
     @property
     def receivers(self) -> tuple[int, ...]:
-        """Instances of the receivers that are heard on this link at present: one, if all is well."""
+        """Instances of the receivers that are heard on this link at present: one, if all is
+        well.
+        """
         since_ns = self._session.now_ns() - round(_HEARD_S * 1e9)
-        return tuple(instance for instance, (heard_ns, _) in self._words.items() if instance and heard_ns > since_ns)
+        return tuple(
+            instance
+            for instance, (heard_ns, _) in self._words.items()
+            if instance and heard_ns > since_ns
+        )
 
     async def until_free(self) -> None:
         """Waits until the other drone is heard not to hold a target.
@@ -125,7 +149,9 @@ class SenderHandover(MachineRun[SenderMachine]):
         )
 
     async def offer(self) -> None:
-        """The target is tracked: this drone is responsible for it from now on, and offers it. Raises StateError."""
+        """The target is tracked: this drone is responsible for it from now on, and offers it.
+        Raises StateError.
+        """
         self.begin_offer()
         await self._written()  # nothing is said in an epoch that a restart would begin once more
 
@@ -147,11 +173,17 @@ class SenderHandover(MachineRun[SenderMachine]):
         receivers = self.receivers
         if len(receivers) > 1 and not self._warned:
             self._warned = True
-            session.say(f"{len(receivers)} receivers answer with this key on this link: no COMMIT until one is left")
+            session.say(
+                f"{len(receivers)} receivers answer with this key on this link: no COMMIT until one is left"
+            )
         lease_end_ns = session.now_ns() + round(self._machine.config.lease_s * 1e9)
         uncertainty = alignment.uncertainty_at(lease_end_ns) if alignment.ready else None
         instance = receivers[0] if len(receivers) == 1 else None
-        self._step(AgreementComplete(self.epoch, target_id, session.entropy.getrandbits(32), uncertainty, instance))
+        self._step(
+            AgreementComplete(
+                self.epoch, target_id, session.entropy.getrandbits(32), uncertainty, instance
+            )
+        )
 
     def on_message(self, received: Received) -> None:
         self._hear(lambda: Heard(received.message))
@@ -164,8 +196,8 @@ class SenderHandover(MachineRun[SenderMachine]):
     async def until_decided(self, timeout_s: float, verify_again: Callable[[], None]) -> None:
         """Waits until the receiver has accepted the target.
 
-        An attempt that was committed and not accepted is taken back and verified again, as long as there is time.
-        Raises MissionEnd otherwise.
+        An attempt that was committed and not accepted is taken back and verified again, as long as
+        there is time. Raises MissionEnd otherwise.
         """
         carrier = self._carrier
         end_s = asyncio.get_running_loop().time() + timeout_s
@@ -184,7 +216,9 @@ class SenderHandover(MachineRun[SenderMachine]):
             verify_again()
 
     async def until_settled(self) -> None:
-        """Waits after ``until_decided`` until the receiver is known to hold the target, or nobody can say."""
+        """Waits after ``until_decided`` until the receiver is known to hold the target, or nobody
+        can say.
+        """
         carrier = self._carrier
         await until(lambda: carrier.settled is not None, math.inf)
         if carrier.settled is None or carrier.settled.outcome is not Decision.HANDED_OVER:
@@ -205,7 +239,9 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
         machine = ReceiverMachine(config)
         if kept is not None:
             assert isinstance(kept.record, ReceiverRecord)
-            machine.state = receiver.restored(config, kept.record, session.now_ns(), same_clock=kept.same_clock)
+            machine.state = receiver.restored(
+                config, kept.record, session.now_ns(), same_clock=kept.same_clock
+            )
         super().__init__(session, store, machine, kept, receiver.record(machine.state))
         self._able = able
         self.instance = _instance(machine, session.entropy)
@@ -215,7 +251,9 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
 
     def undecided(self, flying: bool) -> bool:
         state = self._machine.state
-        return isinstance(state, Provisional) or (flying and isinstance(state, LetGo) and not state.settled)
+        return isinstance(state, Provisional) or (
+            flying and isinstance(state, LetGo) and not state.settled
+        )
 
     @property
     def live(self) -> Handoff | None:
@@ -229,7 +267,9 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
 
     @property
     def within_lease(self) -> bool:
-        """Returns whether it took provisionally, and nothing is decided yet: the lease decides, be it over."""
+        """Returns whether it took provisionally, and nothing is decided yet: the lease decides, be
+        it over.
+        """
         return isinstance(self._machine.state, Provisional)
 
     @property
@@ -253,11 +293,14 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
     async def until_held(self, timeout_s: float) -> None:
         """Waits until this drone holds the target for good. Raises MissionEnd otherwise.
 
-        An attempt that the sender took back may be followed by another one, as long as there is time.
+        An attempt that the sender took back may be followed by another one, as long as there is
+        time.
         """
         carrier = self._carrier
         end_s = asyncio.get_running_loop().time() + timeout_s
-        while await until(lambda: carrier.ended is not None, end_s) or self.within_lease or self.holds:
+        while (
+            await until(lambda: carrier.ended is not None, end_s) or self.within_lease or self.holds
+        ):
             # within a lease, the lease decides and not the deadline
             await until(lambda: carrier.ended is not None, math.inf)
             assert carrier.ended is not None
@@ -271,12 +314,17 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
                 settled = carrier.settled.outcome
                 carrier.settled = None
                 if settled is not Decision.TAKEN_BACK:
-                    raise MissionEnd(Outcome.ORPHANED, f"the lease ended without the sender's word: {settled.value}")
+                    raise MissionEnd(
+                        Outcome.ORPHANED,
+                        f"the lease ended without the sender's word: {settled.value}",
+                    )
             elif decision is not Decision.SUPERSEDED:
                 raise MissionEnd(_ENDS.get(decision, Outcome.PEER_ABORTED), decision.value)
         raise MissionEnd(Outcome.NO_AGREEMENT, f"no hand-over within {timeout_s:.0f} s")
 
     def end(self, end: MissionEnd | None) -> None:
-        """The mission ends on this side: a target held for good stays held; anything else is given up."""
+        """The mission ends on this side: a target held for good stays held; anything else is given
+        up.
+        """
         if not self.holds_for_good:
             self._give_up(end)

@@ -1,8 +1,9 @@
 """A machine of the protocol on its role's link: it decides, this carries out what it wants done.
 
-What a machine wants written down is on the disk before anything that follows is done or sent, so that the program may
-die between any two lines of this file and be started again. Only the machine waits for the disk: what it is told
-meanwhile comes to it after, as if the link had been that much slower, and the drone is flown on.
+What a machine wants written down is on the disk before anything that follows is done or sent, so
+that the program may die between any two lines of this file and be started again. Only the machine
+waits for the disk: what it is told meanwhile comes to it after, as if the link had been that much
+slower, and the drone is flown on.
 """
 
 from __future__ import annotations
@@ -61,11 +62,18 @@ class Carrier:
         session = self.session
         match action:
             case Send(message):
-                begun_ns = session.now_ns()  # what it causes is stamped later, also by a peer that is quicker than this
+                # what it causes is stamped later, also by a peer that is quicker than this
+                begun_ns = session.now_ns()
                 session.link.send(message)
                 if isinstance(message, Commit):
-                    record = {"target_id": message.target_id, "epoch": message.epoch, "nonce": message.nonce}
-                    session.log.write("/commit", begun_ns, {**record, "lease_end_ns": message.lease_end_ns})
+                    record = {
+                        "target_id": message.target_id,
+                        "epoch": message.epoch,
+                        "nonce": message.nonce,
+                    }
+                    session.log.write(
+                        "/commit", begun_ns, {**record, "lease_end_ns": message.lease_end_ns}
+                    )
             case Persist(record):
                 self._log("/epoch", epoch=record.epoch, duty=record.duty)
             case TakeResponsibility():
@@ -102,8 +110,8 @@ async def until(condition: Callable[[], bool], end_s: float) -> bool:
 class MachineRun(Generic[Machine]):
     """A machine on its role's link: messages, statuses and time in, actions carried out.
 
-    Its state is written down before anything else: a restored one's instants are of this clock from now on, and a disk
-    that cannot be written to is found before anything flies. Raises StateError.
+    Its state is written down before anything else: a restored one's instants are of this clock from
+    now on, and a disk that cannot be written to is found before anything flies. Raises StateError.
     """
 
     def __init__(
@@ -126,14 +134,16 @@ class MachineRun(Generic[Machine]):
         self._moved = asyncio.Event()  # the machine's next deadline
         self._done = machine.state  # the newest state all of whose actions were carried out
         store.save(made)
-        if kept is not None:  # the log of a program that was started again begins with what it made of its record
+        # the log of a program that was started again begins with what it made of its record
+        if kept is not None:
             self._carrier.carry_out(Persist(made))
 
     async def resume(self) -> None:
-        """Decides what a restart left undecided, and answers the other drone, before anything else is begun.
+        """Decides what a restart left undecided, and answers the other drone, before anything else
+        is begun.
 
-        On the ground a new mission begins then: what an earlier one gave away or held is over. In the air it raises
-        MissionEnd(RESTARTED): a course is not taken up in its middle.
+        On the ground a new mission begins then: what an earlier one gave away or held is over. In
+        the air it raises MissionEnd(RESTARTED): a course is not taken up in its middle.
         """
         if self._kept is None:
             return
@@ -142,17 +152,23 @@ class MachineRun(Generic[Machine]):
         await until(lambda: not self.undecided(flying), math.inf)
         await self._written()
         if flying:
-            raise MissionEnd(Outcome.RESTARTED, f"started again in the air, {self._kept.record.duty}")
+            raise MissionEnd(
+                Outcome.RESTARTED, f"started again in the air, {self._kept.record.duty}"
+            )
         self.begin_anew()
         await self._written()
 
     def begin_anew(self) -> None:
-        """Begins anew on the ground, with nothing undecided: what an earlier mission gave away or held is over."""
+        """Begins anew on the ground, with nothing undecided: what an earlier mission gave away or
+        held is over.
+        """
         self._carrier.ended = self._carrier.settled = None
         self._step(NewMission())
 
     def undecided(self, flying: bool) -> bool:
-        """Something is still to come of an earlier handoff; in the air, also whether it is orphaned."""
+        """Something is still to come of an earlier handoff; in the air, also whether it is
+        orphaned.
+        """
         raise NotImplementedError
 
     def _start_ticking(self) -> None:
@@ -162,7 +178,9 @@ class MachineRun(Generic[Machine]):
 
     @property
     def state(self) -> Any:
-        """The machine's, for whoever watches it; ``carried_out`` is the newest one whose actions all were."""
+        """The machine's, for whoever watches it; ``carried_out`` is the newest one whose actions
+        all were.
+        """
         return self._machine.state
 
     @property
@@ -171,11 +189,15 @@ class MachineRun(Generic[Machine]):
 
     @property
     def wake_ns(self) -> int | None:
-        """The instant at which time next brings something about, own clock; None when it does not."""
+        """The instant at which time next brings something about, own clock; None when it does
+        not.
+        """
         return self._machine.wake_ns
 
     def on_status(self, status: Status) -> None:
-        """Takes a Status. It counts only by its stamp, and that only while the clocks are aligned."""
+        """Takes a Status. It counts only by its stamp, and that only while the clocks are
+        aligned.
+        """
         alignment = self._session.alignment
         if alignment.ready:
             stamp_ns = alignment.to_own_ns(status.stamp_ns)
@@ -186,7 +208,9 @@ class MachineRun(Generic[Machine]):
         self._hear(lambda: status)
 
     async def finish(self) -> None:
-        """Carries out what was said to a machine before the link is closed, if the disk lets it in time."""
+        """Carries out what was said to a machine before the link is closed, if the disk lets it in
+        time.
+        """
         try:
             async with asyncio.timeout(_WRITTEN_S):
                 await self._written()
@@ -206,7 +230,9 @@ class MachineRun(Generic[Machine]):
                 self._session.say(str(error))
 
     async def _tick(self) -> None:
-        """Time for the machine, for ever. A deadline that an event has just set is not slept through."""
+        """Time for the machine, for ever. A deadline that an event has just set is not slept
+        through.
+        """
         while True:
             wait_s = self.tick()
             self._moved.clear()
@@ -215,7 +241,9 @@ class MachineRun(Generic[Machine]):
                     await self._moved.wait()
 
     def tick(self) -> float:
-        """Let the machine know when time has brought something about; how long to wait before it is asked again, s."""
+        """Let the machine know when time has brought something about; how long to wait before it is
+        asked again, s.
+        """
         wake_ns = self._machine.wake_ns
         now_ns = self._session.now_ns()
         if wake_ns is not None and now_ns >= wake_ns and self._writing is None:
@@ -228,15 +256,18 @@ class MachineRun(Generic[Machine]):
         self._step_with(lambda: event)
 
     def _hear(self, event: Callable[[], Any]) -> None:
-        """A message, made an event when its turn comes: until then the clocks may be known better."""
+        """A message, made an event when its turn comes: until then the clocks may be known
+        better.
+        """
         if len(self._waiting) < _MAX_WAITING:
             self._step_with(event)
 
     def _step_with(self, event: Callable[[], Any]) -> None:
         """Now, or when what is being written down is on the disk.
 
-        Raises StateError when the machine wants something written down that cannot be: nothing after it is done, and
-        when nothing before it was, the machine is where it was. When that turns out later it ends the mission.
+        Raises StateError when the machine wants something written down that cannot be: nothing
+        after it is done, and when nothing before it was, the machine is where it was. When that
+        turns out later it ends the mission.
         """
         self._waiting.append(event)
         self._go_through_waiting()
@@ -261,7 +292,9 @@ class MachineRun(Generic[Machine]):
                 saved = self._store.begin_save(action.record)
                 if not saved.done():
                     self._begun_ns = self._session.now_ns()
-                    self._writing = self._when_written(saved, partial(self._go_on, saved, actions, number, before))
+                    self._writing = self._when_written(
+                        saved, partial(self._go_on, saved, actions, number, before)
+                    )
                     return
                 self._check(saved, number, before)
             self._carrier.carry_out(action)
@@ -277,12 +310,16 @@ class MachineRun(Generic[Machine]):
         return self._session.spawn(wait())
 
     def _go_on(self, saved: Future[None], actions: Actions, number: int, before: Any) -> None:
-        """The rest of the actions once a record is on the disk, and then what was said to the machine meanwhile."""
+        """The rest of the actions once a record is on the disk, and then what was said to the
+        machine meanwhile.
+        """
         self._writing = None
         self._check(saved, number, before)
         took_s = (self._session.now_ns() - self._begun_ns) * 1e-9
         if took_s > _SLOW_S:
-            self._session.say(f"the disk took {took_s:.1f} s to write a record: use a quicker one, or a longer lease")
+            self._session.say(
+                f"the disk took {took_s:.1f} s to write a record: use a quicker one, or a longer lease"
+            )
         self._carrier.carry_out(actions[number])
         self._carry_out(actions, number + 1, before)
         self._go_through_waiting()
@@ -309,6 +346,8 @@ class MachineRun(Generic[Machine]):
 
 
 def _retrieve(written: asyncio.Future[Any]) -> None:
-    """The carrier looks at the outcome itself, unless the mission has ended by then: asyncio need not tell of it."""
+    """The carrier looks at the outcome itself, unless the mission has ended by then: asyncio need
+    not tell of it.
+    """
     if not written.cancelled():
         written.exception()

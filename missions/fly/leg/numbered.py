@@ -1,4 +1,6 @@
-"""The picture that goes with a question: every object that is asked about, framed and with its number."""
+"""The picture that goes with a question: every object that is asked about, framed and with its
+number.
+"""
 
 from __future__ import annotations
 
@@ -23,5 +25,7 @@ def numbered(image: NDArray[np.uint8], question: Question) -> NDArray[np.uint8]:
         for ink, width in ((_INK, 4), (_PAPER, 2)):
             cv2.rectangle(drawn, (left, top), (right, bottom), ink, width)
             above = left, max(24, top - 8)
-            cv2.putText(drawn, str(each.number), above, cv2.FONT_HERSHEY_SIMPLEX, 1.0, ink, 2 * width)
+            cv2.putText(
+                drawn, str(each.number), above, cv2.FONT_HERSHEY_SIMPLEX, 1.0, ink, 2 * width
+            )
     return drawn

@@ -1,4 +1,6 @@
-"""D2, the receiver: flies to the sender by its marker, finds the target where the sender says, takes it over."""
+"""D2, the receiver: flies to the sender by its marker, finds the target where the sender says,
+takes it over.
+"""
 
 from __future__ import annotations
 
@@ -78,28 +80,41 @@ class Receiver:
         self._config: MissionConfig = config
         self._camera = rig.receiver.camera
         self._camera_pose = CameraPose(session.vehicle, rig.receiver.mount)
-        self._marker = MarkerView(rig.layout, rig.receiver.camera, rig.receiver.mount, rig.method, config)
+        self._marker = MarkerView(
+            rig.layout, rig.receiver.camera, rig.receiver.mount, rig.method, config
+        )
         self._size = SizeCheck(rig.layout, rig.method)
         self._handover = ReceiverHandover(session, store, self._able)
         self._side: ReceiverSide | None = None
         self._rendezvous = Rendezvous(
-            config, self._camera, rig.receiver.mount, rig.layout, self._marker, self._peer, session.now_ns
+            config,
+            self._camera,
+            rig.receiver.mount,
+            rig.layout,
+            self._marker,
+            self._peer,
+            session.now_ns,
         )
         self._newest: Target | None = None
         self._live: Handoff | None = None
         self._following = False
-        self._taken_ns = 0  # when it took the target over; a relief of a relay goes on as something else then
+        # when it took the target over; a relief of a relay goes on as something else then
+        self._taken_ns = 0
         self._watching = True
         self._seen: View | None = None
         self._track: TargetTrack | None = None
-        self._by_both = FromBothViews(rig.method, rig.sender.camera, rig.sender.mount.T_v_c, rig.receiver.camera)
+        self._by_both = FromBothViews(
+            rig.method, rig.sender.camera, rig.sender.mount.T_v_c, rig.receiver.camera
+        )
         self._keep_n_m: Vec3 = (0.0, 0.0, 0.0)
         self._searched: View | None = None  # the newest view that was searched for the marker
-        self._causes: dict[MissReason, str] = {}  # of looks at the marker that gave no pose, each told once
+        # of looks at the marker that gave no pose, each told once
+        self._causes: dict[MissReason, str] = {}
         session.on_message = self._on_message
         session.on_status = self._handover.on_status
 
-    # --- course --------------------------------------------------------------------------------------------------
+    # --- course
+    # --------------------------------------------------------------------------------------------------
 
     async def course(self) -> None:
         await self._handover.resume()
@@ -109,7 +124,9 @@ class Receiver:
         await self.still_in_view()
 
     async def take_over(self) -> None:
-        """Wait for the sender's offer, fly to a viewpoint, and return once this drone holds the target for good."""
+        """Wait for the sender's offer, fly to a viewpoint, and return once this drone holds the
+        target for good.
+        """
         session = self._session
         config = self._config
         deadlines = self._config.deadlines
@@ -118,7 +135,10 @@ class Receiver:
 
         session.enter(Phase.WAITING, "for the sender to follow the target")
         await session.until(
-            lambda: self._newest is not None, deadlines.receiver_ready_s, Outcome.PEER_ABORTED, "no target was sent"
+            lambda: self._newest is not None,
+            deadlines.receiver_ready_s,
+            Outcome.PEER_ABORTED,
+            "no target was sent",
         )
         await self._until_planned(deadlines.viewpoint_s)  # the wind's part is known only in the air
         await self._rise()
@@ -141,7 +161,9 @@ class Receiver:
         self._taken_ns = session.now_ns()
 
     async def still_in_view(self) -> None:
-        """Wait until the target that was taken over is in view. Raises MissionEnd when it is lost."""
+        """Wait until the target that was taken over is in view. Raises MissionEnd when it is
+        lost.
+        """
         wait_s = self._config.deadlines.target_regain_s
         lost = Outcome.TARGET_LOST
         try:
@@ -155,7 +177,9 @@ class Receiver:
         await take_off(self._session, self._config.receiver_take_off_height_m)
 
     async def _find_marker(self, near_enough: Callable[[], bool]) -> None:
-        """Flies to the stand-off, or until it is near enough, within its bounds again; then looks for the marker."""
+        """Flies to the stand-off, or until it is near enough, within its bounds again; then looks
+        for the marker.
+        """
         session = self._session
         rendezvous = self._rendezvous
         deadlines = self._config.deadlines
@@ -163,7 +187,8 @@ class Receiver:
         session.pilot.guidance = rendezvous.to_stand_off
         await session.until(
             lambda: (
-                (rendezvous.at_stand_off(session.vehicle.state) or near_enough()) and not rendezvous.out_of_bounds()
+                (rendezvous.at_stand_off(session.vehicle.state) or near_enough())
+                and not rendezvous.out_of_bounds()
             ),
             deadlines.stand_off_s,
             Outcome.APPROACH_FAILED,
@@ -183,7 +208,8 @@ class Receiver:
         return "; ".join(["the sender's marker was not seen", *self._causes.values()])
 
     async def _approach(self) -> MissionEnd | None:
-        """Flies to the planned viewpoint; returns what the mission would end with when something is out of its bounds.
+        """Flies to the planned viewpoint; returns what the mission would end with when something is
+        out of its bounds.
 
         It has arrived once the camera is there, slow, for a while.
         """
@@ -203,7 +229,9 @@ class Receiver:
             if out := rendezvous.out_of_bounds():
                 return MissionEnd(Outcome.APPROACH_FAILED, out)
             if loop.time() > end_s:
-                return MissionEnd(Outcome.APPROACH_FAILED, f"no viewpoint reached in {deadlines.approach_s:.0f} s")
+                return MissionEnd(
+                    Outcome.APPROACH_FAILED, f"no viewpoint reached in {deadlines.approach_s:.0f} s"
+                )
             await asyncio.sleep(_LOOK_S)
             if not rendezvous.at_viewpoint():
                 steady_since_s = loop.time()
@@ -239,13 +267,21 @@ class Receiver:
         return self._session.here(peer)
 
     def _near(self) -> bool:
-        """Returns whether the marker is already nearer than the stand-off, which reported positions put farther on."""
+        """Returns whether the marker is already nearer than the stand-off, which reported positions
+        put farther on.
+        """
         now_ns = self._session.now_ns()
-        relative = self._marker.predict(now_ns) if self._marker.fixes(now_ns) >= _FIXES_TO_APPROACH else None
+        relative = (
+            self._marker.predict(now_ns)
+            if self._marker.fixes(now_ns) >= _FIXES_TO_APPROACH
+            else None
+        )
         return relative is not None and norm(relative.marker_n_m) < self._rendezvous.stand_off_m
 
     async def _until_planned(self, timeout_s: float) -> None:
-        """Plan until there is a viewpoint: the sender may still be on its way to its place behind the target."""
+        """Plan until there is a viewpoint: the sender may still be on its way to its place behind
+        the target.
+        """
         loop = asyncio.get_running_loop()
         end_s = loop.time() + timeout_s
         assert self._newest is not None
@@ -257,7 +293,8 @@ class Receiver:
         note = f"viewpoint ({place}) m from the marker, {plan.marker_px:.0f} px, margin {plan.margin_px:.0f} px"
         self._session.say(note)
 
-    # --- guidance ------------------------------------------------------------------------------------------------
+    # --- guidance
+    # ------------------------------------------------------------------------------------------------
 
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
         """Keep the place relative to the target that the hand-over found this drone in."""
@@ -273,10 +310,13 @@ class Receiver:
         velocity = approach(error, state.velocity_n_mps, moves, keep.answer(accel_mps2))
         return VelocitySetpoint(velocity, bearing(subtract(target, state.position_n_m)))
 
-    # --- what runs beside the course -----------------------------------------------------------------------------
+    # --- what runs beside the course
+    # -----------------------------------------------------------------------------
 
     async def _watch(self) -> None:
-        """Look at every frame, at some once the target is held. Raises CameraError when the camera stops."""
+        """Look at every frame, at some once the target is held. Raises CameraError when the camera
+        stops.
+        """
         session = self._session
         guard = self._config.guard
         while self._watching:
@@ -294,7 +334,9 @@ class Receiver:
                 await session.skip_frames()
 
     async def _watch_peer(self) -> None:
-        """The sender must be heard until this drone holds the target; within a lease, the lease decides."""
+        """The sender must be heard until this drone holds the target; within a lease, the lease
+        decides.
+        """
         session = self._session
         while not self._handover.holds_for_good:
             if not self._handover.within_lease:
@@ -304,7 +346,9 @@ class Receiver:
             await asyncio.sleep(_PEER_POLL_S)
 
     def _cycle_once(self, view: View, R_n_b: Matrix) -> None:
-        """One cycle of PATH: the marker gives the pose, the pose the prior, the detector looks there, D1 gets a box."""
+        """One cycle of PATH: the marker gives the pose, the pose the prior, the detector looks
+        there, D1 gets a box.
+        """
         session = self._session
         side = self._side
         if side is None:
@@ -322,7 +366,9 @@ class Receiver:
             self._check_size(view, fix)
         with session.stage("log"):
             session.log.write("/marker", stamp_ns, marker_record(stamp_ns, fix))
-            session.log.write("/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, fix))
+            session.log.write(
+                "/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, fix)
+            )
         self._judge_marker(stamp_ns)
         with session.stage("projection"):
             prior = side.prior(fix, stamp_ns)
@@ -338,7 +384,11 @@ class Receiver:
             session.link.send(answer.candidate)
         with session.stage("log"):
             session.log.write("/candidate", stamp_ns, candidate_record(answer))
-        if answer.candidate.box is not None and isinstance(prior, Prior) and isinstance(fix, MarkerFix):
+        if (
+            answer.candidate.box is not None
+            and isinstance(prior, Prior)
+            and isinstance(fix, MarkerFix)
+        ):
             with session.stage("depth"):
                 self._note_found(view, T_n_c, answer.candidate, prior, fix)
 
@@ -356,7 +406,9 @@ class Receiver:
         return fix
 
     def _check_size(self, view: View, fix: MarkerFix) -> None:
-        """Raise MissionEnd(MARKER_SIZE) when depth contradicts the marker's size, which scales every distance to D1."""
+        """Raise MissionEnd(MARKER_SIZE) when depth contradicts the marker's size, which scales
+        every distance to D1.
+        """
         with self._session.stage("depth"):
             self._size.look(fix.T_c_v, fix.covariance, fix.detections, view.depth)
         contradiction = self._size.contradiction()
@@ -370,7 +422,9 @@ class Receiver:
             self._session.say(f"the sender's marker: {missed.cause}")
 
     def _say_instead(self) -> None:
-        """Tell what was seen in place of the marker: on the ground, since setpoints cannot wait for it."""
+        """Tell what was seen in place of the marker: on the ground, since setpoints cannot wait for
+        it.
+        """
         view = self._searched
         image = None if view is None else view.image()
         if view is None or image is None:
@@ -386,8 +440,14 @@ class Receiver:
         session = self._session
         peer = self._peer()
         own = self._session.vehicle.state
-        peer_ns = session.alignment.to_own_ns(peer.stamp_ns) if session.alignment.ready else session.peer_heard_ns
-        return VehicleMotions(own.stamp_ns, own.velocity_n_mps, peer_ns, peer.velocity_n_mps, peer.yaw_rad)
+        peer_ns = (
+            session.alignment.to_own_ns(peer.stamp_ns)
+            if session.alignment.ready
+            else session.peer_heard_ns
+        )
+        return VehicleMotions(
+            own.stamp_ns, own.velocity_n_mps, peer_ns, peer.velocity_n_mps, peer.yaw_rad
+        )
 
     def _judge_marker(self, stamp_ns: int) -> None:
         """Separation from the marker's own measurement, and how long it may stay unseen."""
@@ -401,11 +461,17 @@ class Receiver:
             if session.phase in _RELATIVE:
                 self._rendezvous.note_seen(session.vehicle.state, relative.marker_n_m)
         unseen_s = self._marker.unseen_s(stamp_ns)
-        if session.phase is Phase.VERIFY and unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:
+        if (
+            session.phase is Phase.VERIFY
+            and unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s
+        ):
             raise MissionEnd(Outcome.MARKER_LOST, f"marker not seen for {unseen_s:.1f} s")
 
-    def _note_found(self, view: View, T_n_c: Pose, candidate: Candidate, prior: Prior, fix: MarkerFix) -> None:
-        """Keep the target's own position ready, so that following can begin in the frame that hands it over.
+    def _note_found(
+        self, view: View, T_n_c: Pose, candidate: Candidate, prior: Prior, fix: MarkerFix
+    ) -> None:
+        """Keep the target's own position ready, so that following can begin in the frame that hands
+        it over.
 
         By both views, which nothing that is sent may rest on (``path.target.both_views``).
         """
@@ -413,9 +479,13 @@ class Receiver:
         assert self._newest is not None
         gravity_c = gravity_in(T_n_c.R)
         own = view.depth(candidate.box)
-        both = self._by_both.place(prior, self._newest.sigma_m, fix.covariance, gravity_c, candidate.box, own)
+        both = self._by_both.place(
+            prior, self._newest.sigma_m, fix.covariance, gravity_c, candidate.box, own
+        )
         self._session.log.write("/both_views", view.stamp_ns, both_record(candidate, both))
-        position = place(candidate.box, both.depth, self._camera, T_n_c, -self._config.target.height_m)
+        position = place(
+            candidate.box, both.depth, self._camera, T_n_c, -self._config.target.height_m
+        )
         if self._track is None:
             method = self._session.rig.method
             largest = LargestBox.of(self._camera, method)
@@ -438,17 +508,23 @@ class Receiver:
         unseen_s = (view.stamp_ns - track.stamp_ns) * 1e-9
         deadlines = self._config.deadlines
         session.log.write("/track", view.stamp_ns, track_record(seen))
-        if unseen_s > deadlines.target_coast_s + deadlines.target_regain_s and session.phase is Phase.FOLLOW:
+        if (
+            unseen_s > deadlines.target_coast_s + deadlines.target_regain_s
+            and session.phase is Phase.FOLLOW
+        ):
             raise self._lost(f"target not seen for {unseen_s:.1f} s")
 
     def _lost(self, detail: str) -> MissionEnd:
-        """The end of a receiver that does not see its target any more: soon after it took it over, or later."""
+        """The end of a receiver that does not see its target any more: soon after it took it over,
+        or later.
+        """
         seen_ns = 0 if self._track is None else self._track.seen_ns
         kept_s = (seen_ns - self._taken_ns) * 1e-9
         soon = self._taken_ns > 0 and kept_s < KEPT_S
         return MissionEnd(Outcome.LOST_AFTER if soon else Outcome.TARGET_LOST, detail)
 
-    # --- messages ------------------------------------------------------------------------------------------------
+    # --- messages
+    # ------------------------------------------------------------------------------------------------
 
     def _on_message(self, received: Received) -> None:
         held = self._handover.holds
@@ -459,7 +535,9 @@ class Receiver:
             self._on_target(received.message)
 
     def _on_target(self, target: Target) -> None:
-        """Takes the target's place. The protocol has seen the message first and says which attempt is live."""
+        """Takes the target's place. The protocol has seen the message first and says which attempt
+        is live.
+        """
         session = self._session
         live = self._handover.live
         if live is None or not session.alignment.ready:
@@ -478,7 +556,9 @@ class Receiver:
             self._newest = target
 
     def _in_view(self) -> bool:
-        """Returns whether the target that it follows was seen within the time that may be coasted."""
+        """Returns whether the target that it follows was seen within the time that may be
+        coasted.
+        """
         coast_s = self._config.deadlines.target_coast_s
         track = self._track
         return track is not None and (self._session.now_ns() - track.seen_ns) * 1e-9 <= coast_s

@@ -1,4 +1,6 @@
-"""D1, the sender: finds the target, follows it, runs its side of PATH, hands over, leaves and lands."""
+"""D1, the sender: finds the target, follows it, runs its side of PATH, hands over, leaves and
+lands.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,14 @@ from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetp
 from drivers.operator.interfaces import PlaceTold
 from flight.camera_pose import CameraPose
 from flight.config import MissionConfig
-from flight.frame.records import AttemptId, OwnFrame, attempt_record, counted, heard_candidate_record, target_record
+from flight.frame.records import (
+    AttemptId,
+    OwnFrame,
+    attempt_record,
+    counted,
+    heard_candidate_record,
+    target_record,
+)
 from flight.frame.sender import PairCameras, SenderSide
 from flight.guidance import (
     BELOW_FENCE_M,
@@ -53,7 +62,9 @@ _WIDER = 1.4  # times the distance, to see it again
 class Sender:
     """The sender's course and what it does with every frame and message."""
 
-    def __init__(self, session: RoleSession, store: RecordStore, told: PlaceTold | None = None) -> None:
+    def __init__(
+        self, session: RoleSession, store: RecordStore, told: PlaceTold | None = None
+    ) -> None:
         """``told``: where the target is; None: what the rig's mission says."""
         rig = session.rig
         config = session.config
@@ -75,14 +86,16 @@ class Sender:
         self._watching = True
         self._handover = SenderHandover(session, store)
         self._side: SenderSide | None = None
-        self._receiver_side: float | None = None  # as measured on the marker: -1 left of D1, 1 right
+        # as measured on the marker: -1 left of D1, 1 right
+        self._receiver_side: float | None = None
         self._candidates = 0
         self._way_out: Anchor | None = None
         session.on_message = self._on_message
         session.on_status = self._handover.on_status
         session.on_step = self._on_step
 
-    # --- course --------------------------------------------------------------------------------------------------
+    # --- course
+    # --------------------------------------------------------------------------------------------------
 
     async def course(self) -> None:
         await self._handover.resume()
@@ -106,12 +119,16 @@ class Sender:
         self._designating.stop()
 
     async def _until_acquired(self, timeout_s: float) -> None:
-        """Wait for a target. Raises MissionEnd(TARGET_NOT_FOUND) with what was seen, and what would have told."""
+        """Wait for a target. Raises MissionEnd(TARGET_NOT_FOUND) with what was seen, and what would
+        have told.
+        """
         loop = asyncio.get_running_loop()
         end_s = loop.time() + timeout_s
         while self._track is None:
             if loop.time() > end_s:
-                raise MissionEnd(Outcome.TARGET_NOT_FOUND, f"within {timeout_s:.0f} s: {self._designating.why()}")
+                raise MissionEnd(
+                    Outcome.TARGET_NOT_FOUND, f"within {timeout_s:.0f} s: {self._designating.why()}"
+                )
             await asyncio.sleep(_ACQUIRED_POLL_S)
 
     async def hand_over(self) -> None:
@@ -134,7 +151,8 @@ class Sender:
         session.enter(Phase.VERIFY)
         await self._handover.until_decided(deadlines.verify_s, self._begin_attempt)
         session.say("handed over")
-        session.pilot.guidance = self._leave_watching  # not behind the target: a receiver that died hangs beside it
+        # not behind the target: a receiver that died hangs beside it
+        session.pilot.guidance = self._leave_watching
         await self._handover.until_settled()
         session.observing = False
 
@@ -158,9 +176,11 @@ class Sender:
         return await bring_down(self._session, end, way_out)
 
     def _leave(self) -> Anchor:
-        """Returns the place to go to before landing: away from the receiver, sideways, the same however often asked.
+        """Returns the place to go to before landing: away from the receiver, sideways, the same
+        however often asked.
 
-        It is so far away that the target cannot be under this drone before it is down, or twice the usual way.
+        It is so far away that the target cannot be under this drone before it is down, or twice the
+        usual way.
         """
         if self._way_out is None:
             state = self._session.vehicle.state
@@ -189,32 +209,44 @@ class Sender:
         return 1.0 if right_m > 0.0 else -1.0
 
     def _may_regain(self) -> bool:
-        """Returns whether there is room to back off: the receiver is not on its way to this drone yet."""
+        """Returns whether there is room to back off: the receiver is not on its way to this drone
+        yet.
+        """
         peer = self._session.peer
         return peer is None or not Phase.STAND_OFF.reached(peer.phase)
 
     def _comes_near(self) -> bool:
-        """Return whether the receiver is near this drone, or was closing in on it when it was last heard."""
+        """Return whether the receiver is near this drone, or was closing in on it when it was last
+        heard.
+        """
         session = self._session
         peer = self._session.peer
-        return session.phase is Phase.VERIFY or (peer is not None and Phase.APPROACH.reached(peer.phase))
+        return session.phase is Phase.VERIFY or (
+            peer is not None and Phase.APPROACH.reached(peer.phase)
+        )
 
     def _regaining(self) -> bool:
         """The target was out of sight for a while: more of the ground is seen from farther off."""
         track = self._track
         if track is None or not self._may_regain():
             return False
-        return (self._session.now_ns() - track.stamp_ns) * 1e-9 > 0.5 * self._config.deadlines.target_coast_s
+        return (
+            self._session.now_ns() - track.stamp_ns
+        ) * 1e-9 > 0.5 * self._config.deadlines.target_coast_s
 
     def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
-        """Leads to where all the ground is in view that the target can be on, and round it where nothing is found."""
+        """Leads to where all the ground is in view that the target can be on, and round it where
+        nothing is found.
+        """
         session = self._session
         look_round = self._look_round
         now_ns = session.now_ns()
         went = look_round.going
         there, wider = self._place_to_look_at(now_ns)
         if self._track is None:
-            look_round.step(now_ns, math.dist(self._view_of(there, wider), state.position_n_m), there)
+            look_round.step(
+                now_ns, math.dist(self._view_of(there, wider), state.position_n_m), there
+            )
             self._heading_rad = look_round.heading_rad
         if look_round.going and not went:
             session.say("nothing was found from here: looks from other sides")
@@ -222,24 +254,32 @@ class Sender:
         way = self._approach(self._view_of(there, wider), moves, state)
         return replace(way, yaw_rad=look_round.yaw_rad(state.position_n_m, there))
 
-    def _approach(self, place_n_m: Vec3, velocity_n_mps: Vec3, state: VehicleState) -> VelocitySetpoint:
+    def _approach(
+        self, place_n_m: Vec3, velocity_n_mps: Vec3, state: VehicleState
+    ) -> VelocitySetpoint:
         """To a moving place, and to rest there: past it the target would be below the image."""
         follow = self._config.follow
         error = subtract(place_n_m, state.position_n_m)
         accel_mps2 = self._config.max_accel_mps2
-        spare_mps2 = spare_accel(accel_mps2, norm(velocity_n_mps), follow.target_accel_mps2, follow.response_s)
+        spare_mps2 = spare_accel(
+            accel_mps2, norm(velocity_n_mps), follow.target_accel_mps2, follow.response_s
+        )
         velocity = approach(error, state.velocity_n_mps, velocity_n_mps, follow.answer(spare_mps2))
         return VelocitySetpoint(velocity, self._heading_rad)
 
     def _view_of(self, target_n_m: Vec3, wider: float = 1.0) -> Vec3:
-        """Behind and above the target, in the heading it was approached with; a drone that is tilted stands aside.
+        """Behind and above the target, in the heading it was approached with; a drone that is
+        tilted stands aside.
 
-        However far up a target seems to be, it is below the fence. ``wider``: times as far off as usual.
+        However far up a target seems to be, it is below the fence. ``wider``: times as far off as
+        usual.
         """
         keep = self._config.follow
         wider = max(wider, _WIDER if self._regaining() else 1.0)
         below_m = wider * (keep.height_m - self._config.target.height_m)
-        place = add(target_n_m, from_heading((-wider * keep.behind_m, 0.0, -below_m), self._heading_rad))
+        place = add(
+            target_n_m, from_heading((-wider * keep.behind_m, 0.0, -below_m), self._heading_rad)
+        )
         place = add(place, self._tilt.aim(self._axis_b, self._heading_rad, below_m))
         place = within_fence(place, math.inf, self._config.guard.fence_height_m - BELOW_FENCE_M)
         return self._config.fence.nearest(place) if self._config.guard.corners_m else place
@@ -254,21 +294,31 @@ class Sender:
         target, (north, east, down) = self._track.believed(session.now_ns())
         moves = north, east, down if self._config.target.flies else 0.0
         place = self._view_of(target)
-        self._look_round.settle(math.dist(place, state.position_n_m), math.dist(state.velocity_n_mps, moves))
+        self._look_round.settle(
+            math.dist(place, state.position_n_m), math.dist(state.velocity_n_mps, moves)
+        )
         return replace(
-            self._approach(place, moves, state), yaw_rad=self._look_round.yaw_rad(state.position_n_m, target)
+            self._approach(place, moves, state),
+            yaw_rad=self._look_round.yaw_rad(state.position_n_m, target),
         )
 
     def _leave_watching(self, state: VehicleState) -> VelocitySetpoint:
-        """Make room, the camera still on the target: nobody has it for sure until the hand-over is settled."""
+        """Make room, the camera still on the target: nobody has it for sure until the hand-over is
+        settled.
+        """
         assert self._track is not None
         target, _ = self._track.predict(self._session.now_ns())
-        return replace(self._leave().hold(state), yaw_rad=bearing(subtract(target, state.position_n_m)))
+        return replace(
+            self._leave().hold(state), yaw_rad=bearing(subtract(target, state.position_n_m))
+        )
 
-    # --- what runs beside the course -----------------------------------------------------------------------------
+    # --- what runs beside the course
+    # -----------------------------------------------------------------------------
 
     async def _watch(self) -> None:
-        """Look at every frame while the receiver is near, else at some. Raises CameraError when the camera stops."""
+        """Look at every frame while the receiver is near, else at some. Raises CameraError when the
+        camera stops.
+        """
         session = self._session
         while self._watching:
             view = await session.frames.view(self._config.guard.frame_age_s)
@@ -302,7 +352,9 @@ class Sender:
     def _try_to_acquire(self, view: View, R_n_b: Matrix) -> None:
         taken = self._designating.look(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b))
         if taken is not None:
-            self._track = TargetTrack.of(self._config, taken.position_n_m, view.stamp_ns, self._largest, self._ranging)
+            self._track = TargetTrack.of(
+                self._config, taken.position_n_m, view.stamp_ns, self._largest, self._ranging
+            )
             self._track.velocity_n_mps = taken.velocity_n_mps
             position = self._session.vehicle.state.position_n_m
             self._heading_rad = self._look_round.found(position, taken.position_n_m)
@@ -312,11 +364,15 @@ class Sender:
         return self._designating.where(now_ns)
 
     def _pointed_at(self) -> PlaceTold | None:
-        """What somebody says who goes on pointing at the target; None: the mission's designation."""
+        """What somebody says who goes on pointing at the target; None: the mission's
+        designation.
+        """
         return None
 
     def _cycle_once(self, view: View, R_n_b: Matrix, track: TargetTrack) -> None:
-        """One cycle of PATH: follow the box, say where the target is, judge the receiver's answers."""
+        """One cycle of PATH: follow the box, say where the target is, judge the receiver's
+        answers.
+        """
         session = self._session
         with session.stage("target"):
             seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
@@ -333,7 +389,9 @@ class Sender:
             session.log.write("/track", view.stamp_ns, track_record(seen))
             return
         with session.stage("projection"):
-            frame = side.observe(view.frame_id, view.stamp_ns, seen, self._camera_pose.gravity_v(R_n_b))
+            frame = side.observe(
+                view.frame_id, view.stamp_ns, seen, self._camera_pose.gravity_v(R_n_b)
+            )
         if isinstance(frame.message, Target):
             with session.stage("link"):
                 session.link.send(frame.message)
@@ -350,7 +408,8 @@ class Sender:
             session.frames.log_image(view, wanted=True)
             self._handover.agreed(self._config.target_id)
 
-    # --- messages and records ------------------------------------------------------------------------------------
+    # --- messages and records
+    # ------------------------------------------------------------------------------------
 
     def _on_message(self, received: Received) -> None:
         message = received.message
@@ -359,7 +418,9 @@ class Sender:
         self._handover.on_message(received)
 
     def _on_step(self, stamp_ns: int) -> None:
-        """Of either drone's estimator: what agreed before and what agrees after it are not added up."""
+        """Of either drone's estimator: what agreed before and what agrees after it are not added
+        up.
+        """
         if self._side is not None:
             self._side.begin_evidence_anew(stamp_ns)
 

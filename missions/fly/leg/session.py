@@ -1,4 +1,6 @@
-"""The session that both roles share: parts, the link pump, status, clocks, waits, and the end of a mission."""
+"""The session that both roles share: parts, the link pump, status, clocks, waits, and the end of a
+mission.
+"""
 
 from __future__ import annotations
 
@@ -122,14 +124,16 @@ class RoleSession:
         self._peer_end_told = False
         self.observing = False
         self.operator: Operator | None = None  # who says which object is meant; a receiver has none
-        self.off_n_m: Vec3 = (0.0, 0.0, 0.0)  # of this drone's own position, as at home; its height as it is now
+        # of this drone's own position, as at home; its height as it is now
+        self.off_n_m: Vec3 = (0.0, 0.0, 0.0)
         self.ground = GroundBelow(rig.height) if rig.height is not None else None
         self._here: tuple[Status, Status] | None = None  # as it came, and in this drone's frame
         self.on_message: Callable[[Received], None] = _ignore
         self.on_status: Callable[[Status], None] = _ignore
         self.on_step: Callable[[int], None] = _ignore
         self._peer_steps: dict[tuple[Role, int], int] = {}
-        self.end: MissionEnd | None = None  # what this drone's course ended in; the other drone is told
+        # what this drone's course ended in; the other drone is told
+        self.end: MissionEnd | None = None
         self.ended_s: float | None = None  # when it did, by the loop's time
         self.ended: asyncio.Future[MissionEnd] = asyncio.get_running_loop().create_future()
         self._steps_told = len(self.vehicle.steps)
@@ -138,7 +142,8 @@ class RoleSession:
         self._pings = 0
         self._traffic: list[tuple[float, int]] = []
 
-    # --- time and waiting ---------------------------------------------------------------------------------------
+    # --- time and waiting
+    # ---------------------------------------------------------------------------------------
 
     def now_ns(self) -> int:
         return self.clock.now_ns()
@@ -152,19 +157,25 @@ class RoleSession:
         self.note_ground()  # it stands on it
 
     def note_height(self, off_down_m: float) -> None:
-        """Takes what a target that stands on level ground is too low by for what this drone is too low by itself."""
+        """Takes what a target that stands on level ground is too low by for what this drone is too
+        low by itself.
+        """
         north, east, _ = self.off_n_m
         self.off_n_m = (north, east, off_down_m)
         self._here = None
 
     def note_ground(self) -> None:
-        """Take what the vehicle says now of the ground below it, and tell the crew what contradicts itself."""
+        """Take what the vehicle says now of the ground below it, and tell the crew what contradicts
+        itself.
+        """
         said = "" if self.ground is None else self.ground.note(self.vehicle.state)
         if said:
             self.say(said)
 
     def note_steps(self) -> None:
-        """Tell what the estimator stepped by since the last time, to the log, the crew and the role."""
+        """Tell what the estimator stepped by since the last time, to the log, the crew and the
+        role.
+        """
         _ = self.vehicle.state  # whose steps are those of the states that were asked for
         new = self.vehicle.steps[self._steps_told :]
         self._steps_told += len(new)
@@ -174,7 +185,9 @@ class RoleSession:
             self.on_step(step.stamp_ns)
 
     def _note_peer_steps(self, status: Status) -> None:
-        """What the other drone told lately is of its frame before the step, or after it: nothing says which."""
+        """What the other drone told lately is of its frame before the step, or after it: nothing
+        says which.
+        """
         who = status.role, status.instance
         before = self._peer_steps.get(who, status.steps)
         self._peer_steps[who] = status.steps
@@ -186,14 +199,19 @@ class RoleSession:
             self.on_step(now_ns)
 
     def _note_peer_end(self) -> None:
-        """Tell the crew what the other drone's flight has ended in, once: on this console too they read the cause."""
+        """Tell the crew what the other drone's flight has ended in, once: on this console too they
+        read the cause.
+        """
         if self.peer_left and not self._peer_end_told:
             self._peer_end_told = True
             self.say(f"the other drone: {self.peer_left}")
 
     def here(self, peer: Status) -> Status:
-        """The other drone's Status, its position in this drone's own frame: each tells it without what it is off."""
-        if self._here is None or self._here[0] is not peer:  # it is asked many times for each Status
+        """The other drone's Status, its position in this drone's own frame: each tells it without
+        what it is off.
+        """
+        # it is asked many times for each Status
+        if self._here is None or self._here[0] is not peer:
             self._here = peer, replace(peer, position_n_m=add(peer.position_n_m, self.off_n_m))
         return self._here[1]
 
@@ -201,22 +219,34 @@ class RoleSession:
         return (self.now_ns() - self.peer_heard_ns) * 1e-9
 
     def require_peer(self) -> None:
-        """Raise MissionEnd(PEER_LOST) when the other drone was not heard for too long; near it that is sooner."""
+        """Raise MissionEnd(PEER_LOST) when the other drone was not heard for too long; near it that
+        is sooner.
+        """
         guard = self.config.guard
         limit_s = guard.near_silence_s if self.phase is Phase.VERIFY else guard.peer_silence_s
         silence_s = self.peer_silence_s()
         if silence_s > limit_s:
             left = f": {self.peer_left}" if self.peer_left else ""
-            raise MissionEnd(Outcome.PEER_LOST, f"nothing heard from the other drone for {silence_s:.1f} s{left}")
+            raise MissionEnd(
+                Outcome.PEER_LOST, f"nothing heard from the other drone for {silence_s:.1f} s{left}"
+            )
 
     @property
     def peer_left(self) -> str:
-        """What the other drone's flight ended in, in words, as far as it was heard to say; empty while it goes on."""
+        """What the other drone's flight ended in, in words, as far as it was heard to say; empty
+        while it goes on.
+        """
         peer = self.peer
-        return f"its flight has ended: {name_of(peer.ended)}" if peer is not None and peer.ended else ""
+        return (
+            f"its flight has ended: {name_of(peer.ended)}"
+            if peer is not None and peer.ended
+            else ""
+        )
 
     async def say_goodbye(self) -> None:
-        """Tell the other drone, which may be waiting, how this flight has ended; a few times, as a link loses some."""
+        """Tell the other drone, which may be waiting, how this flight has ended; a few times, as a
+        link loses some.
+        """
         if self.end is None:
             return
         for _ in range(_GOODBYES):
@@ -224,7 +254,11 @@ class RoleSession:
             await asyncio.sleep(_GOODBYE_S)
 
     async def until(
-        self, condition: Callable[[], bool], timeout_s: float, outcome: Outcome, detail: str | Callable[[], str]
+        self,
+        condition: Callable[[], bool],
+        timeout_s: float,
+        outcome: Outcome,
+        detail: str | Callable[[], str],
     ) -> None:
         """Wait for a condition; raises MissionEnd(outcome) when it did not come true in time.
 
@@ -247,13 +281,17 @@ class RoleSession:
         self.shown.separation_m = distance_m
         self.guarding.note_separation(distance_m)
 
-    # --- processor time ------------------------------------------------------------------------------------------
+    # --- processor time
+    # ------------------------------------------------------------------------------------------
 
     def stage(self, name: str) -> AbstractContextManager[None]:
-        """Returns a context whose body is a stage of a frame's cycle; stages do not contain one another."""
+        """Returns a context whose body is a stage of a frame's cycle; stages do not contain one
+        another.
+        """
         return _NO_STAGE if self.stages is None else self.stages(name)
 
-    # --- what the others see -------------------------------------------------------------------------------------
+    # --- what the others see
+    # -------------------------------------------------------------------------------------
 
     def enter(self, phase: Phase, note: str = "") -> None:
         self.phase = phase
@@ -281,7 +319,10 @@ class RoleSession:
     def set_claim(self, claim: TakeResponsibility | None) -> None:
         """Sets what this drone is responsible by from now on; None: it is not."""
         self.claim = claim
-        record = {"responsible": claim is not None, "until_ns": None if claim is None else claim.until_ns}
+        record = {
+            "responsible": claim is not None,
+            "until_ns": None if claim is None else claim.until_ns,
+        }
         self.log.write("/responsibility", self.now_ns(), record)
 
     def show(self) -> None:
@@ -312,7 +353,8 @@ class RoleSession:
         first_s, first = self._traffic[0]
         return (total - first) / (now_s - first_s) if now_s > first_s else 0.0
 
-    # --- background tasks ----------------------------------------------------------------------------------------
+    # --- background tasks
+    # ----------------------------------------------------------------------------------------
 
     async def pump(self) -> None:
         """Take messages from the link for ever: clocks and status here, the rest to the role."""
@@ -334,8 +376,12 @@ class RoleSession:
                 self.on_message(received)
 
     async def report(self) -> None:
-        """Send Status and Ping, and tell the console, for ever. Raises MissionEnd when a clock was stepped."""
-        rate_hz = self.config.status_hz if self.role is Role.SENDER else self.config.receiver_status_hz
+        """Send Status and Ping, and tell the console, for ever. Raises MissionEnd when a clock was
+        stepped.
+        """
+        rate_hz = (
+            self.config.status_hz if self.role is Role.SENDER else self.config.receiver_status_hz
+        )
         period_s = 1.0 / rate_hz
         pings_every = max(1, round(rate_hz / self.config.ping_hz))
         shows_every = max(1, round(_PROGRESS_PERIOD_S / period_s))
@@ -343,7 +389,9 @@ class RoleSession:
         while True:
             self.link.send(self._status())
             if self.alignment.fault:
-                raise MissionEnd(Outcome.CLOCK_FAULT, "the other drone's clock was stepped, or this one's")
+                raise MissionEnd(
+                    Outcome.CLOCK_FAULT, "the other drone's clock was stepped, or this one's"
+                )
             if tick % (pings_every if self.alignment.ready else 1) == 0:
                 self._pings += 1
                 self.link.send(Ping(self._pings, self.now_ns()))
@@ -370,7 +418,8 @@ class RoleSession:
             instance=self.instance(),
             steps=len(self.vehicle.steps) % STEPS,
             ended=0 if self.end is None else self.end.outcome.exit_code,
-            alike=None if self.phase is Phase.VERIFY else self.alike,  # then every byte counts, and it is known
+            # then every byte counts, and it is known
+            alike=None if self.phase is Phase.VERIFY else self.alike,
         )
 
     def _log_link(self) -> None:
@@ -414,8 +463,8 @@ class RoleSession:
 async def unless_exit(task: Awaitable[Result]) -> Result:
     """Await what a program does, and turn a ``sys.exit`` in it into a named end.
 
-    asyncio lets SystemExit through at once: the program would be gone, with its drone in the air and exit code 0.
-    Raises MissionEnd.
+    asyncio lets SystemExit through at once: the program would be gone, with its drone in the air
+    and exit code 0. Raises MissionEnd.
     """
     try:
         return await task

@@ -34,11 +34,15 @@ _DISARM_POLL_S = 0.1
 _DISARM_S = 4.0  # PX4 and ArduCopter are disarmed 2 s after they call themselves on the ground
 _POLL_S = 0.02
 _TOLD_S = 3.0
-_NO_MANOEUVRE = frozenset({Outcome.VEHICLE_LOST, Outcome.VEHICLE_REFUSED, Outcome.GUARD, Outcome.CRASHED})
+_NO_MANOEUVRE = frozenset(
+    {Outcome.VEHICLE_LOST, Outcome.VEHICLE_REFUSED, Outcome.GUARD, Outcome.CRASHED}
+)
 
 
 async def preflight(session: RoleSession) -> None:
-    """Camera gives frames, vehicle is armable, the other drone is heard and its clock known. Nothing moves before."""
+    """Camera gives frames, vehicle is armable, the other drone is heard and its clock known.
+    Nothing moves before.
+    """
     await check_own(session)
     await hear_peer(session)
 
@@ -61,8 +65,8 @@ async def check_own(session: RoleSession) -> None:
 
 
 async def keep_geofence(session: RoleSession) -> None:
-    """Gives the autopilot a fence of its own, one step wider than the script's, where it can have one. Raises
-    VehicleError when it cannot be read back."""
+    """Gives the autopilot a fence of its own, one step wider than the script's, where it can have
+    one. Raises VehicleError when it cannot be read back."""
     keep = getattr(session.vehicle, "keep_geofence", None)
     if keep is None or Capability.GEOFENCE in lacking(session.vehicle):
         return
@@ -78,14 +82,24 @@ async def hear_peer(session: RoleSession) -> None:
     """The other drone is heard, and its clock is known."""
     deadlines = session.config.deadlines
     await session.until(
-        lambda: session.peer is not None, deadlines.peer_s, Outcome.PEER_LOST, lambda: _unheard(session.link.counters)
+        lambda: session.peer is not None,
+        deadlines.peer_s,
+        Outcome.PEER_LOST,
+        lambda: _unheard(session.link.counters),
     )
     await check_alike(session)
-    await session.until(lambda: _aligned(session), deadlines.peer_s, Outcome.CLOCK_FAULT, lambda: _unaligned(session))
+    await session.until(
+        lambda: _aligned(session),
+        deadlines.peer_s,
+        Outcome.CLOCK_FAULT,
+        lambda: _unaligned(session),
+    )
 
 
 def _unheard(counters: LinkCounters) -> str:
-    """Say that nobody was heard, and what came all the same: of another version of PATH no packet is understood."""
+    """Say that nobody was heard, and what came all the same: of another version of PATH no packet
+    is understood.
+    """
     dropped = Counter(counters.dropped)
     if not dropped:
         return "the other drone was not heard"
@@ -108,17 +122,22 @@ def _unaligned(session: RoleSession) -> str:
 
 
 def _aligned(session: RoleSession) -> bool:
-    """Whether the other drone's clock is known. Raises MissionEnd when that drone has said that it does not fly."""
+    """Whether the other drone's clock is known. Raises MissionEnd when that drone has said that it
+    does not fly.
+    """
     if session.peer_left:
         raise MissionEnd(Outcome.PEER_ABORTED, f"the other drone does not fly: {session.peer_left}")
     return session.alignment.ready
 
 
 async def check_alike(session: RoleSession) -> None:
-    """Raise MissionEnd(RIGS_DIFFER) when the other drone has something otherwise that both must have alike."""
+    """Raise MissionEnd(RIGS_DIFFER) when the other drone has something otherwise that both must
+    have alike.
+    """
     peer = session.peer
     if session.peer_alike is None and peer is not None and Phase.VERIFY.reached(peer.phase):
-        # drones that verify leave it out of their Status, and were alike before: this program is a later one
+        # drones that verify leave it out of their Status, and were alike before: this program is a
+        # later one
         session.log.write("/alike", session.now_ns(), {"differing": ""})
         return
     found = differing(session.alike, session.peer_alike)
@@ -127,19 +146,24 @@ async def check_alike(session: RoleSession) -> None:
         return
     detail = f"the drones differ in {'; '.join(found)}: both must have the same rig file and the same version of PATH"
     session.say(detail)
-    await asyncio.sleep(_TOLD_S)  # the other drone hears meanwhile what this one has, and says the same
+    # the other drone hears meanwhile what this one has, and says the same
+    await asyncio.sleep(_TOLD_S)
     raise MissionEnd(Outcome.RIGS_DIFFER, detail)
 
 
 def check_capabilities(session: RoleSession) -> None:
-    """Raise MissionEnd(UNFIT) when a part lacks what the course or the rig's ``needs`` ask of it."""
+    """Raise MissionEnd(UNFIT) when a part lacks what the course or the rig's ``needs`` ask of
+    it.
+    """
     needed = set(session.config.needs)
     if session.role is Role.SENDER:
         needed.add(Capability.RANGE)  # it has to say where the target is
     for name, part in (("vehicle", session.vehicle), ("perception", session.perception)):
         missing = sorted(each.value for each in needed & lacking(part))
         if missing:
-            raise MissionEnd(Outcome.UNFIT, f"the {session.role.value}'s {name} has no {', '.join(missing)}")
+            raise MissionEnd(
+                Outcome.UNFIT, f"the {session.role.value}'s {name} has no {', '.join(missing)}"
+            )
 
 
 async def take_off(session: RoleSession, height_m: float) -> None:
@@ -158,7 +182,8 @@ async def take_off(session: RoleSession, height_m: float) -> None:
 async def bring_down(session: RoleSession, end: MissionEnd | None, way_out: Anchor) -> bool:
     """Leave the other drone's way, to ``way_out``, then land. Returns whether the vehicle is down.
 
-    A pilot who took over keeps the vehicle; a vehicle that is lost or refuses is not flown any farther.
+    A pilot who took over keeps the vehicle; a vehicle that is lost or refuses is not flown any
+    farther.
     """
     pilot = session.pilot
     guard = session.guarding.guard
@@ -185,7 +210,9 @@ async def bring_down(session: RoleSession, end: MissionEnd | None, way_out: Anch
 
 
 async def _sure_state(session: RoleSession) -> VehicleState:
-    """The vehicle's, once more than one message says that it is not armed, or in a pilot's mode; or it stays so."""
+    """The vehicle's, once more than one message says that it is not armed, or in a pilot's mode; or
+    it stays so.
+    """
     loop = asyncio.get_running_loop()
     end_s = loop.time() + DOUBT_S
     while in_doubt(state := session.vehicle.state, state.mode) or _may_be_a_pilots(state):
@@ -200,7 +227,9 @@ def _may_be_a_pilots(state: VehicleState) -> bool:
 
 
 def may_manoeuvre(session: RoleSession, end: MissionEnd | None) -> bool:
-    """Returns whether the vehicle is still the script's to fly somewhere, after the course ended this way."""
+    """Returns whether the vehicle is still the script's to fly somewhere, after the course ended
+    this way.
+    """
     barred = _NO_MANOEUVRE | _SCRIPT_LET_GO
     return session.pilot.in_control and (end is None or end.outcome not in barred)
 
@@ -221,10 +250,11 @@ async def _land(session: RoleSession) -> bool:
 
 
 async def _leave_to_pilot(session: RoleSession) -> bool:
-    """Send nothing more; whether it is down already: a pilot may have landed it, or stopped the motors there.
+    """Send nothing more; whether it is down already: a pilot may have landed it, or stopped the
+    motors there.
 
-    What stands on the ground is given the time that an autopilot takes to disarm: it may have gone over to another mode
-    a moment before it says so.
+    What stands on the ground is given the time that an autopilot takes to disarm: it may have gone
+    over to another mode a moment before it says so.
     """
     session.pilot.let_go()
     session.guarding.set_script(Script.LET_GO)
@@ -244,7 +274,9 @@ async def _leave_to_guard(session: RoleSession, guard: UnderGuard) -> bool:
 
 
 async def _leave_landing(session: RoleSession) -> bool:
-    """Send nothing to a vehicle that somebody lands already, and stay until it is down; whether it is."""
+    """Send nothing to a vehicle that somebody lands already, and stay until it is down; whether it
+    is.
+    """
     session.guarding.set_script(Script.LET_GO)
     session.enter(Phase.LAND, "it is landing already, not by this script")
     await _until_disarmed(session)

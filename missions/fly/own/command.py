@@ -1,4 +1,6 @@
-"""``path-handoff fly``: a mission of a person's own, both drones and their world, or one drone as in the field."""
+"""``path-handoff fly``: a mission of a person's own, both drones and their world, or one drone as
+in the field.
+"""
 
 from __future__ import annotations
 
@@ -27,9 +29,13 @@ from path.messages import Role
 
 
 def run(options: FlyOptions) -> int:
-    """``path-handoff fly``; returns the run's exit code. Raises PartError for what was asked wrongly."""
+    """``path-handoff fly``; returns the run's exit code. Raises PartError for what was asked
+    wrongly.
+    """
     if options.drone != "both":
-        asked = RoleOptions(options.rig, options.out, options.console, options.state, options.guard, options.live)
+        asked = RoleOptions(
+            options.rig, options.out, options.console, options.state, options.guard, options.live
+        )
         return fly_from_drone(asked, Role(options.drone), OwnMission(load_mission(options.mission)))
     name_simulators(options)
     name_model(options.model)
@@ -43,13 +49,19 @@ def run(options: FlyOptions) -> int:
         return reported(facts, folder, lambda: make_report(folder, True, sys.stdout))
 
 
-def fly_mission(mission: Path, rig: Rig, seed: int, faults: tuple[str, ...], out: Path, emit: Emit) -> RunFacts:
+def fly_mission(
+    mission: Path, rig: Rig, seed: int, faults: tuple[str, ...], out: Path, emit: Emit
+) -> RunFacts:
     """One run of a mission's file to its end, as ``path-handoff fly``. Raises PartError."""
     return fly_once(rig, seed, faults, out, emit, programs_of(mission))
 
 
 def programs_of(mission: Path) -> FlightPrograms:
-    """Returns how both drones fly a mission, in a harness's process or in processes of their own. Raises PartError."""
+    """Returns how both drones fly a mission, in a harness's process or in processes of their own.
+    Raises PartError.
+    """
     own = OwnMission(load_mission(mission))
     file = str(mission.resolve())
-    return FlightPrograms(own, lambda role: ("fly", file, "--drone", role.value), Outcome.FLOWN, mission=str(mission))
+    return FlightPrograms(
+        own, lambda role: ("fly", file, "--drone", role.value), Outcome.FLOWN, mission=str(mission)
+    )

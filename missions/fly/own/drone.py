@@ -32,8 +32,8 @@ _CLIMB_GAIN_PER_S = 0.8
 class Drone:
     """A drone on the ground, armable, with the other one heard: all a mission has to do with it.
 
-    Places are (north, east, down) in m from the mission's origin, by the vehicle's own estimate, less
-    what that has stepped by in flight. Every wait has an end.
+    Places are (north, east, down) in m from the mission's origin, by the vehicle's own estimate,
+    less what that has stepped by in flight. Every wait has an end.
     Whatever is raised in a mission ends it, and the drone lands.
 
     Attributes:
@@ -52,7 +52,8 @@ class Drone:
         self.rig: Rig = session.rig
         self.camera: CameraModel = session.own.camera
 
-    # --- where it is, and flying --------------------------------------------------------------------------------
+    # --- where it is, and flying
+    # --------------------------------------------------------------------------------
 
     @property
     def state(self) -> VehicleState:
@@ -75,7 +76,9 @@ class Drone:
             self.fail("take_off in the air")
         session = self._session
         config = session.config
-        session.note_home(config.target.home_m if session.role is Role.SENDER else config.rendezvous.home_m)
+        session.note_home(
+            config.target.home_m if session.role is Role.SENDER else config.rendezvous.home_m
+        )
         await take_off(session, height_m)
         self._session.enter(Phase.MISSION)
 
@@ -90,7 +93,8 @@ class Drone:
         near_m: float = 0.3,
         within_s: float = 60.0,
     ) -> None:
-        """Fly to a place and stay there; the nose stays as it is unless a heading is given (0: north, clockwise).
+        """Fly to a place and stay there; the nose stays as it is unless a heading is given (0:
+        north, clockwise).
 
         Returns within ``near_m`` of it. The mission fails when that takes longer than ``within_s``.
         """
@@ -108,7 +112,9 @@ class Drone:
         )
 
     def guide(self, guidance: Guidance) -> None:
-        """Flies from now on what this gives for the vehicle's state, control_hz times a second; it must not block."""
+        """Flies from now on what this gives for the vehicle's state, control_hz times a second; it
+        must not block.
+        """
         if not self._session.pilot.in_control:
             self.fail("to be flown it has to take off first: await drone.take_off(height_m)")
         self._session.pilot.guidance = guidance
@@ -117,12 +123,17 @@ class Drone:
         """Stay at the present place."""
         self._session.pilot.hold_here()
 
-    # --- seeing -------------------------------------------------------------------------------------------------
+    # --- seeing
+    # -------------------------------------------------------------------------------------------------
 
     async def look(self, within_s: float | None = None) -> View:
-        """The newest camera frame not yet looked at, logged. Ends the mission as ``camera_lost`` when none comes."""
+        """The newest camera frame not yet looked at, logged. Ends the mission as ``camera_lost``
+        when none comes.
+        """
         session = self._session
-        view = await session.frames.view(session.config.guard.frame_age_s if within_s is None else within_s)
+        view = await session.frames.view(
+            session.config.guard.frame_age_s if within_s is None else within_s
+        )
         session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
         session.frames.log_image(view)
         return view
@@ -137,18 +148,25 @@ class Drone:
         None when the camera does not tell how far away it is.
         """
         depth = view.depth(box)
-        return None if depth is None else place(box, depth, self.camera, self.camera_pose(view), 0.0)
+        return (
+            None if depth is None else place(box, depth, self.camera, self.camera_pose(view), 0.0)
+        )
 
     def objects(self, view: View) -> list[Vec3]:
-        """Returns the places of all objects that the detector finds in the frame, and whose distance is known."""
+        """Returns the places of all objects that the detector finds in the frame, and whose
+        distance is known.
+        """
         found = (self.where(view, one.box) for one in view.targets(None) if one.score >= MIN_SCORE)
         return [position for position in found if position is not None]
 
-    # --- the other drone ----------------------------------------------------------------------------------------
+    # --- the other drone
+    # ----------------------------------------------------------------------------------------
 
     @property
     def other(self) -> Status | None:
-        """The newest word of the other drone: position_n_m, observing, battery ...; None before the first."""
+        """The newest word of the other drone: position_n_m, observing, battery ...; None before the
+        first.
+        """
         return self._session.peer
 
     @property
@@ -169,22 +187,30 @@ class Drone:
         self._session.link.send(message)
 
     def on_message(self, heard: Callable[[Received], None]) -> None:
-        """Have this called with every message that is neither a status nor of the clocks; it must not block."""
+        """Have this called with every message that is neither a status nor of the clocks; it must
+        not block.
+        """
         self._session.on_message = heard
 
-    # --- handing over -------------------------------------------------------------------------------------------
+    # --- handing over
+    # -------------------------------------------------------------------------------------------
 
-    async def hand_over(self, place_n_m: Vec3 | None = None, *, error_m: float = 0.5, to: str = "receiver") -> None:
-        """Find the object at a place, follow it, and hand it over with proof; the other drone calls ``take_over``.
+    async def hand_over(
+        self, place_n_m: Vec3 | None = None, *, error_m: float = 0.5, to: str = "receiver"
+    ) -> None:
+        """Find the object at a place, follow it, and hand it over with proof; the other drone calls
+        ``take_over``.
 
-        Returns once the other drone holds it; this one has then made room, and stays. Of two objects that it could be
-        neither is taken. The mission ends with the outcome of a hand-over (``target_not_found``, ``no_agreement`` ...)
-        when it does not come to that.
+        Returns once the other drone holds it; this one has then made room, and stays. Of two
+        objects that it could be neither is taken. The mission ends with the outcome of a hand-over
+        (``target_not_found``, ``no_agreement`` ...) when it does not come to that.
 
         Args:
-            place_n_m: where the object was seen last, as ``objects`` gives it; None: where the rig's mission says.
+            place_n_m: where the object was seen last, as ``objects`` gives it; None: where the
+                rig's mission says.
             error_m: standard deviation of that place, the same on each axis.
-            to: who takes it over: ``receiver``, whose camera sees the marker that this drone carries.
+            to: who takes it over: ``receiver``, whose camera sees the marker that this drone
+                carries.
         """
         if self._session.role is not Role.SENDER:
             self.fail("only the sender carries the marker: it hands over, the receiver takes over")
@@ -198,10 +224,12 @@ class Drone:
         self.stay()
 
     async def take_over(self, *, then_follow_s: float = 0.0) -> None:
-        """Take the sender's target over: wait for its offer, fly to where marker and target are seen, and verify.
+        """Take the sender's target over: wait for its offer, fly to where marker and target are
+        seen, and verify.
 
-        Takes off by itself when it is on the ground. Returns once this drone is responsible for the target and has
-        followed it for ``then_follow_s``; the mission ends with the outcome of a hand-over when it does not come to it.
+        Takes off by itself when it is on the ground. Returns once this drone is responsible for the
+        target and has followed it for ``then_follow_s``; the mission ends with the outcome of a
+        hand-over when it does not come to it.
         """
         if self._session.role is not Role.RECEIVER:
             self.fail("the sender carries the marker: it hands over, the receiver takes over")
@@ -213,15 +241,22 @@ class Drone:
         self.stay()
 
     async def recover(self, end: MissionEnd | None) -> bool:
-        """Bring the vehicle down, out of the other drone's way where it was handing over. For the program's end."""
+        """Bring the vehicle down, out of the other drone's way where it was handing over. For the
+        program's end.
+        """
         if self._handing is not None:
             return await self._handing.recover(end)
-        return await bring_down(self._session, end, Anchor(self.position_n_m, yaw_of(self.state.q_n_b)))
+        return await bring_down(
+            self._session, end, Anchor(self.position_n_m, yaw_of(self.state.q_n_b))
+        )
 
-    # --- the course ---------------------------------------------------------------------------------------------
+    # --- the course
+    # ---------------------------------------------------------------------------------------------
 
     async def until(self, condition: Callable[[], bool], within_s: float, what: str) -> None:
-        """Wait for a condition; the mission fails, saying ``what``, when it does not come true within that time."""
+        """Wait for a condition; the mission fails, saying ``what``, when it does not come true
+        within that time.
+        """
         await self._session.until(condition, within_s, Outcome.MISSION_FAILED, what)
 
     def beside(self, task: Coroutine[Any, Any, None]) -> asyncio.Task[None]:

@@ -1,4 +1,6 @@
-"""A hand-over within a mission of a person's own: both sides of the flight's own, begun wherever the drones are."""
+"""A hand-over within a mission of a person's own: both sides of the flight's own, begun wherever
+the drones are.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +17,21 @@ from missions.fly.leg.session import RoleSession
 class Giving(Sender):
     """D1's side: it finds the object at a place, follows it, and hands it over."""
 
-    def __init__(self, session: RoleSession, store: RecordStore, place_n_m: Vec3 | None, error_m: float) -> None:
+    def __init__(
+        self, session: RoleSession, store: RecordStore, place_n_m: Vec3 | None, error_m: float
+    ) -> None:
         told = None
         if place_n_m is not None:
-            # what is told is in the crew's frame, and this drone's own is off from it as it was at home
+            # what is told is in the crew's frame, and this drone's own is off from it as it was at
+            # home
             there = subtract(place_n_m, session.off_n_m)
             told = PlaceTold(session.now_ns(), there, error_m)
         super().__init__(session, store, told)
 
     async def give(self) -> None:
-        """Return once the other drone holds the target. Raises MissionEnd when it does not come to that."""
+        """Return once the other drone holds the target. Raises MissionEnd when it does not come to
+        that.
+        """
         await self._handover.resume()
         await self._handover.until_free()
         await self.acquire()
@@ -33,15 +40,21 @@ class Giving(Sender):
 
 
 class Taking(Receiver):
-    """D2's side: it waits for an offer, flies to where it sees marker and target, and takes the target over."""
+    """D2's side: it waits for an offer, flies to where it sees marker and target, and takes the
+    target over.
+    """
 
     async def take(self) -> None:
-        """Return once this drone holds the target for good, and follows it. Raises MissionEnd otherwise."""
+        """Return once this drone holds the target for good, and follows it. Raises MissionEnd
+        otherwise.
+        """
         await self._handover.resume()
         await self.take_over()
 
     async def keep(self, for_s: float) -> None:
-        """Follow the target for so long. Raises MissionEnd(LOST_AFTER) when it was not in view to the end."""
+        """Follow the target for so long. Raises MissionEnd(LOST_AFTER) when it was not in view to
+        the end.
+        """
         await asyncio.sleep(for_s)
         await self.still_in_view()
 

@@ -14,11 +14,15 @@ from path.messages import Role
 Mission = Callable[[Drone], Awaitable[None]]
 
 BOTH = "mission"
-_REMEDY = "write `async def mission(drone)`, or `async def sender(drone)` and `async def receiver(drone)`"
+_REMEDY = (
+    "write `async def mission(drone)`, or `async def sender(drone)` and `async def receiver(drone)`"
+)
 
 
 def load_mission(file: Path) -> Mapping[Role, Mission]:
-    """Returns each drone's mission: ``mission`` for both, or ``sender`` and ``receiver`` one each. Raises PartError."""
+    """Returns each drone's mission: ``mission`` for both, or ``sender`` and ``receiver`` one each.
+    Raises PartError.
+    """
     module = module_of(file, "mission")
     both = getattr(module, BOTH, None)
     return {role: _coroutine(file, role, getattr(module, role.value, both)) for role in Role}

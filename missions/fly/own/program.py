@@ -1,4 +1,6 @@
-"""One drone's program in a mission of a person's own: preflight, the mission, and the way down whatever happens."""
+"""One drone's program in a mission of a person's own: preflight, the mission, and the way down
+whatever happens.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ class OwnMission:
     async def __call__(self, rig: Rig, role: Role, given: ProgramContext) -> RoleResult:
         """Flies the mission.
 
-        Nothing is kept in the store: a program that is started again in the air lands. Raises PartError.
+        Nothing is kept in the store: a program that is started again in the air lands. Raises
+        PartError.
         """
         async with AsyncExitStack() as stack:
             session = await open_session(stack, rig, role, mission_of(rig), given)

@@ -1,4 +1,6 @@
-"""``path-handoff relay``: one target, handed from drone to drone as batteries run down, and what came of it."""
+"""``path-handoff relay``: one target, handed from drone to drone as batteries run down, and what
+came of it.
+"""
 
 from __future__ import annotations
 
@@ -16,19 +18,29 @@ from missions.fly.relay.flying import carry_out, fly_on_field, hours_of, judge
 from missions.fly.relay.ground import Tell
 from missions.fly.relay.legs import Base
 from missions.fly.relay.process import processes_of
-from missions.fly.relay.report import flown_record, leg_record, relay_rows, relay_table, summarize_relay
+from missions.fly.relay.report import (
+    flown_record,
+    leg_record,
+    relay_rows,
+    relay_table,
+    summarize_relay,
+)
 from missions.ground import rig_library
 from missions.ground.ground_station import name_ground_station
 from missions.ground.options.flights import RelayOptions
 
 
 def run(options: RelayOptions) -> int:
-    """``path-handoff relay``; returns the relay's exit code. Raises PartError for what was asked wrongly."""
+    """``path-handoff relay``; returns the relay's exit code. Raises PartError for what was asked
+    wrongly.
+    """
     rig = with_errors(rig_library.load(options.rig), options.errors)
     name_ground_station(rig, options.gcs)
     config = relay_of(rig, options.drones)
     size = f"{options.drones} drones, {hours_of(config, options):g} h"
-    showing = Showing("relay", "missions.fly.relay.picture:draw_relay", _why, relay_rows, relay_table)
+    showing = Showing(
+        "relay", "missions.fly.relay.picture:draw_relay", _why, relay_rows, relay_table
+    )
     return carry_out(options, showing, size, partial(fly_relay, rig, config, options))
 
 
@@ -50,7 +62,9 @@ def fly_relay(
 
 
 def record_of(config: RelayConfig, base: Base, report: RelayReport) -> dict[str, Any]:
-    """``relay.json``: every leg, every flight, every word to the crew, and the batteries now and then."""
+    """``relay.json``: every leg, every flight, every word to the crew, and the batteries now and
+    then.
+    """
     return {
         "drones": [drone.name for drone in config.drones],
         "reserve": config.reserve,

@@ -13,12 +13,14 @@ def relay_of(rig: Rig, drones: int) -> RelayConfig:
     """The rig's relay with its first ``drones`` drones. Raises PartError."""
     if not rig.relay:
         raise PartError(
-            f"rig {rig.name} has no [relay]", "use --rig relay-sim, relay-sitl, or a rig like them (docs/relay.md)"
+            f"rig {rig.name} has no [relay]",
+            "use --rig relay-sim, relay-sitl, or a rig like them (docs/relay.md)",
         )
     config = relay_of_rig(rig)
     if not 2 <= drones <= len(config.drones):
         there = f"rig {rig.name} names {len(config.drones)}"
         raise PartError(
-            f"--drones {drones}: {there}, and a relay takes two at least", "add [[relay.drones]] to the rig"
+            f"--drones {drones}: {there}, and a relay takes two at least",
+            "add [[relay.drones]] to the rig",
         )
     return replace(config, drones=config.drones[:drones])

@@ -1,4 +1,6 @@
-"""Those on the ground of a relay or a team: who is called, lands and stands ready again, and what the crew is told."""
+"""Those on the ground of a relay or a team: who is called, lands and stands ready again, and what
+the crew is told.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ Where = Literal["ready", "flying", "swap"]
 
 @dataclass(slots=True, kw_only=True)
 class CalledDrone:
-    """The ground's knowledge of one drone. ``ready_s``: since when it stands ready, or when it will."""
+    """The ground's knowledge of one drone. ``ready_s``: since when it stands ready, or when it
+    will.
+    """
 
     name: str
     battery: float
@@ -48,7 +52,8 @@ Field = TypeVar("Field", bound=RelayField)
 
 @dataclass
 class Crew(ABC, Generic[Config, Called, Field]):
-    """Knows what the drones say, and acts on the field. One loop, in ``run``. Times are from its beginning.
+    """Knows what the drones say, and acts on the field. One loop, in ``run``. Times are from its
+    beginning.
 
     Attributes:
         over: the time is; nobody is called any more.
@@ -71,8 +76,14 @@ class Crew(ABC, Generic[Config, Called, Field]):
         return self.drones[name].order
 
     async def run(self, where: Field, stop: asyncio.Event, program: DroneProgram) -> None:
-        """Runs from the first take-off until all is over and everybody is down. ``program``: of every drone."""
-        self._field, self._program, self._begun_s = where, program, asyncio.get_running_loop().time()
+        """Runs from the first take-off until all is over and everybody is down. ``program``: of
+        every drone.
+        """
+        self._field, self._program, self._begun_s = (
+            where,
+            program,
+            asyncio.get_running_loop().time(),
+        )
         self._begin()
         while not stop.is_set() and not self._finished():
             self._step(self._now_s() >= 3600.0 * self.hours)
@@ -121,11 +132,17 @@ class Crew(ABC, Generic[Config, Called, Field]):
                 drone.ready_s = now_s
                 full = drone.battery == 1.0
                 self._say(
-                    name, "ready", "full battery" if full else f"battery at {100 * drone.battery:.0f} %, as it was"
+                    name,
+                    "ready",
+                    "full battery"
+                    if full
+                    else f"battery at {100 * drone.battery:.0f} %, as it was",
                 )
 
     def _until_ready_s(self, drone: Called) -> float:
-        """Returns how long a drone that has landed is seen to, and decides whether it keeps its battery."""
+        """Returns how long a drone that has landed is seen to, and decides whether it keeps its
+        battery.
+        """
         left = self._field.battery(drone.name)
         unhurt = drone.result is not None and drone.result.outcome in _BY_OTHERS
         keeps = unhurt and left >= self.config.keep_battery
@@ -141,21 +158,33 @@ class Crew(ABC, Generic[Config, Called, Field]):
         drone.task = asyncio.ensure_future(self._fly(drone))
 
     async def _fly(self, drone: Called) -> None:
-        """One drone's program to its end; one that died, or ended as nobody foresaw, has a result too."""
+        """One drone's program to its end; one that died, or ended as nobody foresaw, has a result
+        too.
+        """
         try:
-            died = RoleResult(Role.RECEIVER, Outcome.CRASHED, "its program died", responsible=False, landed=False)
+            died = RoleResult(
+                Role.RECEIVER, Outcome.CRASHED, "its program died", responsible=False, landed=False
+            )
             drone.result = await self._field.begin(drone.name, self._program) or died
         except Exception as error:
             end = as_end(error)  # prints what nobody foresaw
-            drone.result = RoleResult(Role.RECEIVER, end.outcome, end.detail, responsible=False, landed=False)
+            drone.result = RoleResult(
+                Role.RECEIVER, end.outcome, end.detail, responsible=False, landed=False
+            )
 
     def _flying(self) -> list[asyncio.Task[None]]:
-        return [drone.task for drone in self.drones.values() if drone.task is not None and not drone.task.done()]
+        return [
+            drone.task
+            for drone in self.drones.values()
+            if drone.task is not None and not drone.task.done()
+        ]
 
     def _soonest(self) -> str:
         """The time at which a drone will stand ready, for a line to the crew."""
         coming = [drone.ready_s for drone in self.drones.values() if drone.where == "swap"]
-        return f"the next one in {min(coming) - self._now_s():.0f} s" if coming else "and none will be"
+        return (
+            f"the next one in {min(coming) - self._now_s():.0f} s" if coming else "and none will be"
+        )
 
     def _say(self, name: str, what: What, text: str) -> None:
         event = Event(round(self._now_s(), 2), name, what, text)

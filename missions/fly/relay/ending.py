@@ -61,7 +61,9 @@ class Showing:
 
     def page(self, summary: Values, folder: Path) -> PageOf:
         asked = " ".join(
-            f"--{key} {summary[key]}" for key in ("rig", "drones", "targets", "hours", "seed") if key in summary
+            f"--{key} {summary[key]}"
+            for key in ("rig", "drones", "targets", "hours", "seed")
+            if key in summary
         )
         faults = "".join(f" --fault {fault}" for fault in summary["faults"])
         return PageOf(
@@ -75,8 +77,12 @@ class Showing:
         )
 
 
-def leave(summary: Values, record: Values, folder: Path, showing: Showing, picture_too: bool) -> int:
-    """Writes what came of a run and shows it; returns the exit code, that of a full disk where it cannot be written."""
+def leave(
+    summary: Values, record: Values, folder: Path, showing: Showing, picture_too: bool
+) -> int:
+    """Writes what came of a run and shows it; returns the exit code, that of a full disk where it
+    cannot be written.
+    """
     exit_code = int(summary["exit_code"])
     record_file = folder / f"{showing.name}.json"
     picture = folder / f"{showing.name}.png"
@@ -84,14 +90,19 @@ def leave(summary: Values, record: Values, folder: Path, showing: Showing, pictu
         record_file.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
         if picture_too:
-            import_factory(showing.draw, "the picture")(record, summary, picture)  # matplotlib takes a second
+            # matplotlib takes a second
+            import_factory(showing.draw, "the picture")(record, summary, picture)
         logs = {name: by_topic(*parts(folder, name)) for name in drone_names(folder)}
         write_page(folder / PAGE, showing.page(summary, folder), logs)
         show(showing.table(summary), sys.stdout)
         names = (SUMMARY, record_file.name, picture.name, PAGE)
-        sys.stdout.write(f"\n{folder}: {', '.join(name for name in names if (folder / name).exists())}\n")
+        sys.stdout.write(
+            f"\n{folder}: {', '.join(name for name in names if (folder / name).exists())}\n"
+        )
         sys.stdout.flush()
     except (OSError, RunFolderError) as error:
         say_unwritten(error if isinstance(error, OSError) else FolderGone.of(folder))
-        return Outcome.LOG_FAILED.exit_code if exit_code == Outcome.COMMITTED.exit_code else exit_code
+        return (
+            Outcome.LOG_FAILED.exit_code if exit_code == Outcome.COMMITTED.exit_code else exit_code
+        )
     return exit_code

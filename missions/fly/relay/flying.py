@@ -1,4 +1,6 @@
-"""A relay or a team on the harness of its rig: what was asked for, its flights to their end, and their outcome."""
+"""A relay or a team on the harness of its rig: what was asked for, its flights to their end, and
+their outcome.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,14 @@ from drivers.interfaces import PartError
 from drivers.rig.parts import Rig, import_factory
 from flight.harness.fleet import NamedTarget, RelayConfig
 from flight.harness.flights import Emit
-from flight.harness.relay import DroneProcesses, DroneProgram, RelayField, RelayHarness, RelayReport, RelayRequest
+from flight.harness.relay import (
+    DroneProcesses,
+    DroneProgram,
+    RelayField,
+    RelayHarness,
+    RelayReport,
+    RelayRequest,
+)
 from flight.outcome import Outcome
 from missions.fly.relay.crew import Crew
 from missions.fly.relay.ending import PAGE, SUMMARY, Showing, Values, cause_of, leave
@@ -27,7 +36,9 @@ def hours_of(config: RelayConfig, options: HoursOptions) -> float:
     """Returns how long it is to last. Raises PartError."""
     hours = config.hours if options.hours is None else options.hours
     if not hours > 0.0:
-        raise PartError(f"--hours {hours:g} is not above 0", "give the hours that it is to last, such as 8")
+        raise PartError(
+            f"--hours {hours:g} is not above 0", "give the hours that it is to last, such as 8"
+        )
     return hours
 
 
@@ -37,13 +48,19 @@ def faults_of(texts: Sequence[str]) -> dict[int, list[str]]:
     for text in texts:
         leg, colon, fault = text.partition(":")
         if colon and not (leg.isdecimal() and int(leg) >= 1):
-            raise PartError(f"--fault {text}: {leg!r} is no number of a leg", "write it as 3:kill_receiver@approach")
+            raise PartError(
+                f"--fault {text}: {leg!r} is no number of a leg",
+                "write it as 3:kill_receiver@approach",
+            )
         faults.setdefault(int(leg) if colon else 0, []).append(fault if colon else text)
     return faults
 
 
 def carry_out(
-    options: HoursOptions, showing: Showing, size: str, fly: Callable[[Path, Tell], tuple[Values, Values]]
+    options: HoursOptions,
+    showing: Showing,
+    size: str,
+    fly: Callable[[Path, Tell], tuple[Values, Values]],
 ) -> int:
     """A relay or a team from the first take-off to the last page; returns the exit code.
 
@@ -79,7 +96,9 @@ def fly_on_field(
 
 
 def judge(base: Crew[Any, Any, Any], report: RelayReport) -> tuple[Outcome, str]:
-    """The outcome of the whole: what a computer that was too slow explains is blamed on nobody else."""
+    """The outcome of the whole: what a computer that was too slow explains is blamed on nobody
+    else.
+    """
     return for_lateness(report, *cause_of(report, base.outcome, base.detail))
 
 

@@ -1,4 +1,6 @@
-"""The words between a drone and those on the ground in a relay or a team: orders, legs, and words to the crew."""
+"""The words between a drone and those on the ground in a relay or a team: orders, legs, and words
+to the crew.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from flight.guidance import Vec3
 from flight.harness.relay import Pointed
 from flight.outcome import MissionEnd
 
-What = Literal["named", "find", "call", "holds", "leg failed", "lost", "alarm", "down", "ready", "end"]
+What = Literal[
+    "named", "find", "call", "holds", "leg failed", "lost", "alarm", "down", "ready", "end"
+]
 
 
 class TakeOffOrder(Enum):
@@ -78,7 +82,9 @@ class Ground(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SentTo:
-    """The target that a drone of a team is sent to, where it was said to be, and the heading to follow it from."""
+    """The target that a drone of a team is sent to, where it was said to be, and the heading to
+    follow it from.
+    """
 
     target: int
     place_n_m: Vec3
@@ -86,7 +92,9 @@ class SentTo:
 
 
 TurnedBack = Literal["no", "wait", "go"]
-"""Of a drone on its way home: it is to fly on; to wait where it is until its way is free; to go and find its target."""
+"""Of a drone on its way home: it is to fly on; to wait where it is until its way is free; to go and
+find its target.
+"""
 
 
 class TeamGround(Ground, Protocol):

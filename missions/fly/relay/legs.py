@@ -1,7 +1,8 @@
 """The order of a relay's legs: who is called, when, and what those on the ground do.
 
-The responsible drone asks to be relieved, by its own battery; the base calls the drone that has waited longest. When
-none is ready it says so at once: the responsible drone knows by itself when it has to go home.
+The responsible drone asks to be relieved, by its own battery; the base calls the drone that has
+waited longest. When none is ready it says so at once: the responsible drone knows by itself when it
+has to go home.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ class Base(Crew[RelayConfig, CalledDrone, RelayField]):
     """The ground of a relay: one target, one leg at a time."""
 
     holder: str | None = None
-    _asking: tuple[str, float, float] | None = None  # who, its battery, how long it can still wait, s
+    # who, its battery, how long it can still wait, s
+    _asking: tuple[str, float, float] | None = None
     _leg: Leg | None = None
     _alarmed: bool = False
 
@@ -50,7 +52,9 @@ class Base(Crew[RelayConfig, CalledDrone, RelayField]):
         self.holder = name
         self._asking = None
         self._alarmed = False
-        self._say(name, "holds", "responsible" if leg is None else f"responsible, relieved {leg.sender}")
+        self._say(
+            name, "holds", "responsible" if leg is None else f"responsible, relieved {leg.sender}"
+        )
 
     def leg_failed(self, name: str, end: MissionEnd) -> None:
         leg = self.leg_of(name)
@@ -96,7 +100,9 @@ class Base(Crew[RelayConfig, CalledDrone, RelayField]):
         if self._asking is None:
             return
         name, battery, wait_s = self._asking
-        ready = sorted((drone.ready_s, other) for other, drone in self.drones.items() if drone.where == "ready")
+        ready = sorted(
+            (drone.ready_s, other) for other, drone in self.drones.items() if drone.where == "ready"
+        )
         if not ready or wait_s < self.config.least_s:
             self._alarm(name, wait_s)
             return
@@ -106,7 +112,11 @@ class Base(Crew[RelayConfig, CalledDrone, RelayField]):
         self._leg = Leg(len(self.legs) + 1, name, relief, self._now_s(), battery)
         self.legs.append(self._leg)
         self._field.open_leg(self._leg.number, name, relief)
-        self._say(relief, "call", f"leg {self._leg.number}: relieves {name}, whose battery is at {100 * battery:.0f} %")
+        self._say(
+            relief,
+            "call",
+            f"leg {self._leg.number}: relieves {name}, whose battery is at {100 * battery:.0f} %",
+        )
         self._call(self.drones[relief], TakeOffOrder.RELIEVE)
 
     def _is_alone_up(self, name: str) -> bool:

@@ -1,6 +1,8 @@
-"""The line between the base of a relay and a drone's program in a process of its own: what each says to the other.
+"""The line between the base of a relay and a drone's program in a process of its own: what each
+says to the other.
 
-The base's answers come as news, whenever they change: who asks one need not wait. A program's words are lines of JSON.
+The base's answers come as news, whenever they change: who asks one need not wait. A program's words
+are lines of JSON.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ def news_of(base: Ground, name: str) -> dict[str, Any]:
 
 
 def team_news_of(ground: TeamGround, name: str) -> dict[str, Any]:
-    """Returns what a drone's program of a team has to know besides: its target, and where a person points at it."""
+    """Returns what a drone's program of a team has to know besides: its target, and where a person
+    points at it.
+    """
     pointed = ground.pointed_at(name) if ground.order_of(name) is TakeOffOrder.FIND else None
     return {
         **news_of(ground, name),
@@ -63,7 +67,8 @@ def team_hear(ground: TeamGround, name: str, word: Mapping[str, Any]) -> None:
 
 
 class FarBase:
-    """The base, as a drone's program in another process knows it (``missions.fly.relay.legs.TeamGround``).
+    """The base, as a drone's program in another process knows it
+    (``missions.fly.relay.legs.TeamGround``).
 
     A leg that is over for this drone stays over, whatever older news is still on the line.
     """
@@ -120,7 +125,9 @@ class FarBase:
         return self._sent
 
     def pointed_at(self, name: str) -> Pointed:
-        assert name == self._name and self._pointed is not None, "asked of a drone that was not sent to find"
+        assert name == self._name and self._pointed is not None, (
+            "asked of a drone that was not sent to find"
+        )
         return self._pointed
 
     def follows(self, name: str, place_n_m: Vec3) -> None:

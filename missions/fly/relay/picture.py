@@ -43,11 +43,17 @@ def _draw_flights(axes: Axes, record: Mapping[str, Any], unit_s: float) -> None:
         colour = COLOURS[row % len(COLOURS)]
         axes.broken_barh(aloft, (row - 0.08, 0.16), color=colour, alpha=0.5)
         axes.broken_barh(holds, (row - 0.36, 0.72), color=colour)
-    failed = [leg["called_s"] / unit_s for leg in record["legs"] if leg["outcome"] not in ("", "committed")]
+    failed = [
+        leg["called_s"] / unit_s
+        for leg in record["legs"]
+        if leg["outcome"] not in ("", "committed")
+    ]
     alarms = [event["time_s"] / unit_s for event in record["events"] if event["what"] == "alarm"]
     for times, marker, label in ((failed, "x", "leg failed"), (alarms, "v", "no relief ready")):
         if times:
-            axes.plot(times, [-0.62] * len(times), marker, color=FAULT, ms=6, label=label, ls="none")
+            axes.plot(
+                times, [-0.62] * len(times), marker, color=FAULT, ms=6, label=label, ls="none"
+            )
     if failed or alarms:
         axes.legend(fontsize=8, loc="upper right", framealpha=0.9, ncols=2)
     axes.set_yticks(range(len(names)), names)
@@ -62,7 +68,13 @@ def draw_batteries(axes: Axes, record: Mapping[str, Any], unit_s: float) -> None
     names = record["drones"]
     for row, name in enumerate(names):
         charge = [100.0 * sample[2][row] for sample in record["samples"]]
-        axes.plot(times, charge, color=COLOURS[row % len(COLOURS)], lw=1.1 if len(names) <= MANY else 0.4, label=name)
+        axes.plot(
+            times,
+            charge,
+            color=COLOURS[row % len(COLOURS)],
+            lw=1.1 if len(names) <= MANY else 0.4,
+            label=name,
+        )
     axes.axhline(100.0 * record["reserve"], color=FAULT, lw=1.2, ls="--", label="reserve")
     axes.set_ylim(0.0, 103.0)
     axes.set_ylabel("battery, %", fontsize=9)
@@ -73,7 +85,12 @@ def draw_batteries(axes: Axes, record: Mapping[str, Any], unit_s: float) -> None
 
 def _draw_gaps(axes: Axes, record: Mapping[str, Any], bound_s: float, unit_s: float) -> None:
     legs = [leg for leg in record["legs"] if leg["gap_s"] is not None and leg["held_s"] is not None]
-    axes.plot([leg["held_s"] / unit_s for leg in legs], [max(leg["gap_s"], 1e-4) for leg in legs], ".", color="#333333")
+    axes.plot(
+        [leg["held_s"] / unit_s for leg in legs],
+        [max(leg["gap_s"], 1e-4) for leg in legs],
+        ".",
+        color="#333333",
+    )
     axes.axhline(bound_s, color=FAULT, lw=1.2, ls="--", label="bound")
     axes.set_yscale("log")
     axes.set_ylim(5e-4, 4.0)
@@ -82,8 +99,12 @@ def _draw_gaps(axes: Axes, record: Mapping[str, Any], bound_s: float, unit_s: fl
     tidy(axes, DIM)
 
 
-def _spans(samples: Sequence[Any], column: int, name: str, unit_s: float) -> list[tuple[float, float]]:
-    """(begin, length) in units of time from each sample that names a drone in a column to the next one."""
+def _spans(
+    samples: Sequence[Any], column: int, name: str, unit_s: float
+) -> list[tuple[float, float]]:
+    """(begin, length) in units of time from each sample that names a drone in a column to the next
+    one.
+    """
     spans: list[tuple[float, float]] = []
     for sample, following in pairwise(samples):
         if name in sample[column]:

@@ -1,10 +1,11 @@
-"""One drone's program, and its guard, as processes of their own: children of ``path-handoff relay`` and ``team``.
+"""One drone's program, and its guard, as processes of their own: children of ``path-handoff relay``
+and ``team``.
 
     python -m missions.fly.relay.process program RIG DRONES NAME FOLDER whole|rare
     python -m missions.fly.relay.process guard   RIG DRONES NAME FOLDER
 
-What the base knows comes in on stdin as lines of JSON; what the drone says, and what the monitors read of its log, goes
-out on stdout. A closed stdin ends it, gently.
+What the base knows comes in on stdin as lines of JSON; what the drone says, and what the monitors
+read of its log, goes out on stdout. A closed stdin ends it, gently.
 """
 
 from __future__ import annotations
@@ -40,7 +41,9 @@ from missions.ground import rig_library
 from path.messages import Role
 
 
-def processes_of(rig: Rig, config: RelayConfig, out: Path, base: Base, whole_log: bool) -> DroneProcesses:
+def processes_of(
+    rig: Rig, config: RelayConfig, out: Path, base: Base, whole_log: bool
+) -> DroneProcesses:
     """Returns how the harness starts the processes of this relay's drones."""
     return DroneProcesses(
         *commands("missions.fly.relay.process", rig, str(len(config.drones)), out, whole_log),
@@ -52,7 +55,9 @@ def processes_of(rig: Rig, config: RelayConfig, out: Path, base: Base, whole_log
 def commands(
     module: str, rig: Rig, size: str, out: Path, whole_log: bool
 ) -> tuple[Callable[[str], Sequence[str]], Callable[[str], Sequence[str]]]:
-    """Returns the commands of any drone's program, and of its guard. ``size``: how much of the rig takes part."""
+    """Returns the commands of any drone's program, and of its guard. ``size``: how much of the rig
+    takes part.
+    """
 
     def command(what: str, name: str, *more: str) -> Sequence[str]:
         return [sys.executable, "-m", module, what, str(rig.file), size, name, str(out), *more]
@@ -62,7 +67,9 @@ def commands(
 
 
 class RelayedLog:
-    """The log of a drone's program, of which the monitors in another process read what they judge by."""
+    """The log of a drone's program, of which the monitors in another process read what they judge
+    by.
+    """
 
     def __init__(self, log: Log, name: str, whole: bool) -> None:
         self._log = log
@@ -76,7 +83,9 @@ class RelayedLog:
             self._log.write(topic, stamp_ns, record)
         if stamp_ns - self._shown_ns.get(topic, -(1 << 62)) >= WATCHED.get(topic, math.inf) * 1e9:
             self._shown_ns[topic] = stamp_ns
-            shown = self._encoder.encode({"event": "record", "record": [self._name, topic, stamp_ns, record]})
+            shown = self._encoder.encode(
+                {"event": "record", "record": [self._name, topic, stamp_ns, record]}
+            )
             print(shown.decode(), flush=True)
 
     def image(self, topic: str, stamp_ns: int, image: Any) -> None:
@@ -153,7 +162,9 @@ def guard(rig: Rig, config: RelayConfig, name: str, out: Path) -> int:
 
 
 def main(config_of: Callable[[Rig, str], tuple[RelayConfig, FarFlight]]) -> None:
-    """The program of the process. ``config_of``: what of the rig takes part, and how one of its drones flies."""
+    """The program of the process. ``config_of``: what of the rig takes part, and how one of its
+    drones flies.
+    """
     what, rig_file, size, name, folder, *logs = sys.argv[1:]
     rig = rig_library.load_unchecked(rig_file)
     config, flight = config_of(rig, size)

@@ -24,7 +24,13 @@ from path.protocol.values import ProtocolConfig
 
 
 def summarize_relay(
-    rig: Rig, config: RelayConfig, options: RelayOptions, base: Base, report: RelayReport, outcome: Outcome, detail: str
+    rig: Rig,
+    config: RelayConfig,
+    options: RelayOptions,
+    base: Base,
+    report: RelayReport,
+    outcome: Outcome,
+    detail: str,
 ) -> dict[str, Any]:
     """Everything ``summary.json`` holds; null where there is nothing to say."""
     return {
@@ -36,7 +42,12 @@ def summarize_relay(
 
 
 def summary_of(
-    rig: Rig, options: HoursOptions, base: Crew[Any, Any, Any], report: RelayReport, outcome: Outcome, detail: str
+    rig: Rig,
+    options: HoursOptions,
+    base: Crew[Any, Any, Any],
+    report: RelayReport,
+    outcome: Outcome,
+    detail: str,
 ) -> dict[str, Any]:
     """The figures of a relay and of a team alike."""
     done = [leg for leg in base.legs if leg.outcome == Outcome.COMMITTED.label]
@@ -55,7 +66,9 @@ def summary_of(
         "wall_s": round(report.wall_s, 1),
         "legs": len(base.legs),
         "legs_handed_over": len(done),
-        "legs_ended": dict(sorted(Counter(leg.outcome or "unfinished" for leg in base.legs).items())),
+        "legs_ended": dict(
+            sorted(Counter(leg.outcome or "unfinished" for leg in base.legs).items())
+        ),
         "alarms": sum(event.what == "alarm" for event in base.events),
         "leg_s": spread(took),
         "gap_s": spread(list(report.gaps_s.values())),
@@ -86,7 +99,9 @@ def leg_record(leg: Leg, report: RelayReport) -> dict[str, Any]:
 
 
 def flown_record(events: Sequence[Event], report: RelayReport) -> dict[str, Any]:
-    """Every flight, every word to the crew, the batteries now and then, and notes on what went wrong, in a record."""
+    """Every flight, every word to the crew, the batteries now and then, and notes on what went
+    wrong, in a record.
+    """
     return {
         "flights": [
             {"drone": f.drone, "began_s": round(f.began_s, 2), "ended_s": round(f.ended_s, 2),
@@ -102,7 +117,9 @@ def flown_record(events: Sequence[Event], report: RelayReport) -> dict[str, Any]
 def heading(summary: Mapping[str, Any], size: str) -> list[RenderableType]:
     """The first lines of a table: outcome, rig, ``size``, faults, and why."""
     good = summary["outcome"] == Outcome.COMMITTED.label
-    head = Text.assemble((f" {summary['outcome']} ", "bold black on green" if good else "bold white on red"))
+    head = Text.assemble(
+        (f" {summary['outcome']} ", "bold black on green" if good else "bold white on red")
+    )
     head.append(f"  rig {summary['rig']}, seed {summary['seed']}, {size}")
     if summary["faults"]:
         head.append(f", faults: {', '.join(summary['faults'])}", "yellow")
@@ -143,7 +160,11 @@ def relay_rows(s: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def closest_text(s: Mapping[str, Any]) -> str:
     """The smallest separation, and between whom."""
-    return "-" if s["closest_m"] is None else f"{s['closest_m']:.2f} m, {' and '.join(s['closest_pair'])}"
+    return (
+        "-"
+        if s["closest_m"] is None
+        else f"{s['closest_m']:.2f} m, {' and '.join(s['closest_pair'])}"
+    )
 
 
 def speed_text(s: Mapping[str, Any], digits: int) -> str:

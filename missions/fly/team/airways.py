@@ -1,8 +1,9 @@
-"""The ways of a team through the air, and which of them may be flown at once. Pure; (E, N) in metres, from above.
+"""The ways of a team through the air, and which of them may be flown at once. Pure; (E, N) in
+metres, from above.
 
-Targets are followed low, drones go out to them at one height and come back at another. So two ways are in each other's
-way where they cross at the same height, where one crosses a column in which the other goes up or down, or where two
-such columns overlap.
+Targets are followed low, drones go out to them at one height and come back at another. So two ways
+are in each other's way where they cross at the same height, where one crosses a column in which the
+other goes up or down, or where two such columns overlap.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class AirColumn:
-    """A column in which a drone goes up or down, through the ways out (``top`` 0), or those and the ways back (1)."""
+    """A column in which a drone goes up or down, through the ways out (``top`` 0), or those and the
+    ways back (1).
+    """
 
     middle: Point
     radius_m: float
@@ -25,7 +28,9 @@ class AirColumn:
 
 @dataclass(frozen=True, slots=True)
 class Airway:
-    """From a home to a target's area (``level`` 0) or back (``level`` 1), with the columns at its ends."""
+    """From a home to a target's area (``level`` 0) or back (``level`` 1), with the columns at its
+    ends.
+    """
 
     level: int
     begin: Point
@@ -63,7 +68,8 @@ def _overlap(one: AirColumn, other: AirColumn, clear_m: float) -> bool:
 def _crosses(way: Airway, other: Airway, clear_m: float) -> bool:
     """True when a way leads through a column of the other one."""
     return any(
-        column.top >= way.level and _from(column.middle, way.begin, way.end) < column.radius_m + clear_m
+        column.top >= way.level
+        and _from(column.middle, way.begin, way.end) < column.radius_m + clear_m
         for column in other.columns
     )
 
@@ -74,7 +80,9 @@ def _from(point: Point, begin: Point, end: Point) -> float:
     dx = ex - bx
     dy = ey - by
     length2 = dx * dx + dy * dy
-    along = 0.0 if length2 == 0.0 else min(1.0, max(0.0, ((px - bx) * dx + (py - by) * dy) / length2))
+    along = (
+        0.0 if length2 == 0.0 else min(1.0, max(0.0, ((px - bx) * dx + (py - by) * dy) / length2))
+    )
     return math.hypot(px - bx - along * dx, py - by - along * dy)
 
 

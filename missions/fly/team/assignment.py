@@ -1,7 +1,8 @@
-"""The assignment of drones that stand ready to targets that need one, and of the headings from which they follow. Pure.
+"""The assignment of drones that stand ready to targets that need one, and of the headings from
+which they follow. Pure.
 
-Every pair that is possible has a cost in seconds, and ``scipy.optimize.linear_sum_assignment`` finds the pairs whose
-costs add up to the least. (E, N) in metres, headings clockwise from north.
+Every pair that is possible has a cost in seconds, and ``scipy.optimize.linear_sum_assignment``
+finds the pairs whose costs add up to the least. (E, N) in metres, headings clockwise from north.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ HEADINGS = 8
 MOST = 12  # drones that are looked at for one target
 NEVER = 1e9
 LOST_S = 500.0  # what a target that nobody has is worth, where there are fewer drones than needs
-SOON_S = 700.0  # less the time that is left: a target about to be given up is worth more than one that is lost
+# less the time that is left: a target about to be given up is worth more than one that is lost
+SOON_S = 700.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +74,8 @@ class Airspace:
 
     Attributes:
         flown: ways that are in use.
-        clear_m, entry_m, speed_mps: between two ways; how far behind a target's follower a drone goes down; on a way.
+        clear_m, entry_m, speed_mps: between two ways; how far behind a target's follower a drone
+            goes down; on a way.
     """
 
     flown: Sequence[Airway]
@@ -84,7 +87,9 @@ class Airspace:
 Ways = Callable[[Need, ReadyDrone], Sequence[Airway]]
 
 
-def assign(needs: Sequence[Need], drones: Sequence[ReadyDrone], ways: Ways, air: Airspace) -> list[Assignment]:
+def assign(
+    needs: Sequence[Need], drones: Sequence[ReadyDrone], ways: Ways, air: Airspace
+) -> list[Assignment]:
     """The pairs of the least cost in all; a need for which there is nobody is left out.
 
     Args:
@@ -96,7 +101,9 @@ def assign(needs: Sequence[Need], drones: Sequence[ReadyDrone], ways: Ways, air:
     headings = np.zeros_like(costs)
     homes = np.array([drone.home_m for drone in drones])
     for i, need in enumerate(needs):
-        for j in _nearest(need, homes, [need.may is None or drone.name in need.may for drone in drones]):
+        for j in _nearest(
+            need, homes, [need.may is None or drone.name in need.may for drone in drones]
+        ):
             if not in_the_way(ways(need, drones[j]), air.flown, air.clear_m):
                 cost_s, headings[i, j] = cost_of(need, drones[j], air)
                 costs[i, j] = cost_s - worth_s(need)
@@ -122,7 +129,9 @@ def worth_s(need: Need) -> float:
 
 
 def cost_of(need: Need, drone: ReadyDrone, air: Airspace) -> tuple[float, float]:
-    """In seconds, and the heading at which it is that: the way there, the battery, what else is in the image."""
+    """In seconds, and the heading at which it is that: the way there, the battery, what else is in
+    the image.
+    """
     if need.heading_deg is not None:
         choices = (need.heading_deg,)
     else:
@@ -132,7 +141,9 @@ def cost_of(need: Need, drone: ReadyDrone, air: Airspace) -> tuple[float, float]
 
 
 def clutter_s(need: Need, heading_deg: float) -> float:
-    """The cost of others in the image, beyond the target as it is seen at a heading: the nearer the more."""
+    """The cost of others in the image, beyond the target as it is seen at a heading: the nearer the
+    more.
+    """
     worst = 0.0
     for east, north in need.others:
         away_m = math.hypot(east - need.place_m[0], north - need.place_m[1])
@@ -146,5 +157,8 @@ def clutter_s(need: Need, heading_deg: float) -> float:
 def _way_s(need: Need, drone: ReadyDrone, air: Airspace, heading_deg: float) -> float:
     """To where it goes down behind the target."""
     turn = math.radians(heading_deg)
-    entry = need.place_m[0] - air.entry_m * math.sin(turn), need.place_m[1] - air.entry_m * math.cos(turn)
+    entry = (
+        need.place_m[0] - air.entry_m * math.sin(turn),
+        need.place_m[1] - air.entry_m * math.cos(turn),
+    )
     return math.dist(drone.home_m, entry) / air.speed_mps

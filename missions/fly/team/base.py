@@ -1,8 +1,9 @@
 """The ground of a team: which drone is sent to which target, when, and what those on the ground do.
 
-The drones decide when they need relief, by their own batteries; the ground assigns (``missions.fly.team.assignment``), sees
-to it that no two ways through the air cross (``missions.fly.team.airways``), and has a target pointed at again that was
-lost. Responsibility does not depend on it: the protocol runs between the two drones of each leg, and nobody else.
+The drones decide when they need relief, by their own batteries; the ground assigns
+(``missions.fly.team.assignment``), sees to it that no two ways through the air cross
+(``missions.fly.team.airways``), and has a target pointed at again that was lost. Responsibility
+does not depend on it: the protocol runs between the two drones of each leg, and nobody else.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from missions.fly.team.assignment import Airspace, Assignment, Need, ReadyDrone,
 from missions.fly.team.needs import needs_of
 from missions.fly.team.roster import Custody, TeamDrone, TeamTarget
 
-_STAYS_S = 180.0  # of battery, at least, to find a target on the way home: until it has it, and is relieved
+# of battery, at least, to find a target on the way home: until it has it, and is relieved
+_STAYS_S = 180.0
 _HELD_BACK_S = 60.0  # without anybody on its way to a lost target, while drones stand ready
 
 
@@ -33,11 +35,15 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
 
     def __post_init__(self) -> None:
         self.drones = {
-            own.name: TeamDrone(name=own.name, home_m=own.home_m, battery=own.battery) for own in self.config.drones
+            own.name: TeamDrone(name=own.name, home_m=own.home_m, battery=own.battery)
+            for own in self.config.drones
         }
-        self.targets = [TeamTarget(number, named) for number, named in enumerate(self.config.targets)]
+        self.targets = [
+            TeamTarget(number, named) for number, named in enumerate(self.config.targets)
+        ]
 
-    # --- what the drones' programs ask and say (``missions.fly.relay.ground.TeamGround``, but for ``over``) ---
+    # --- what the drones' programs ask and say (``missions.fly.relay.ground.TeamGround``, but for
+    # ``over``) ---
 
     def leg_of(self, name: str) -> Leg | None:
         return self.drones[name].leg
@@ -81,7 +87,11 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         self.spells.append(Custody(target.number, name, self._now_s()))
         drone.ways.clear()
         where = target.named.name
-        self._say(name, "holds", f"{where}: responsible" + ("" if leg is None else f", relieved {leg.sender}"))
+        self._say(
+            name,
+            "holds",
+            f"{where}: responsible" + ("" if leg is None else f", relieved {leg.sender}"),
+        )
 
     def leg_failed(self, name: str, end: MissionEnd) -> None:
         leg = self.drones[name].leg
@@ -89,7 +99,8 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
             self._close_leg(leg, end.outcome.label, end.detail)
             self.drones[name].ways.clear()  # it stays
             relief = self.drones[leg.receiver]
-            if relief.where == "flying":  # it may be down before its sender knows: then no way is flown
+            # it may be down before its sender knows: then no way is flown
+            if relief.where == "flying":
                 relief.ways.append(self._back(relief.name, leg.target))
             self._say(name, "leg failed", f"leg {leg.number}, relief {leg.receiver}: {end}")
 
@@ -150,7 +161,9 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
 
     def _time_is_over(self) -> None:
         self.over = True
-        without = [t.named.name for t in self.targets if t.known and t.holder is None and t.finder is None]
+        without = [
+            t.named.name for t in self.targets if t.known and t.holder is None and t.finder is None
+        ]
         if without:
             self.outcome = Outcome.TARGET_LOST
             self.detail = f"in the end nobody had {', '.join(without)}"
@@ -185,10 +198,16 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         drone.ways.clear()
 
     def _nobody_has(self, target: TeamTarget, name: str) -> bool:
-        """Nobody but this one, which says that it is not, can be responsible for the target, or is on its way to it."""
+        """Nobody but this one, which says that it is not, can be responsible for the target, or is
+        on its way to it.
+        """
         if target.finder is not None or target.holder not in (None, name):
             return False
-        others = (each for each in self.drones.values() if each.name != name and each.target == target.number)
+        others = (
+            each
+            for each in self.drones.values()
+            if each.name != name and each.target == target.number
+        )
         return all(each.has_nothing or each.task is None or each.task.done() for each in others)
 
     def _let_go(self, drone: TeamDrone, target: TeamTarget) -> None:
@@ -203,7 +222,12 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
             self._lose(target, drone.name, end_of(drone.result))
 
     def _lose(self, target: TeamTarget, name: str, why: str) -> None:
-        target.holder, target.asking, target.lost_s, target.alarmed = None, None, self._now_s(), False
+        target.holder, target.asking, target.lost_s, target.alarmed = (
+            None,
+            None,
+            self._now_s(),
+            False,
+        )
         self._end_spell(target)
         self._field.given_up(target.number)
         if not self.over:
@@ -256,13 +280,19 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         ways = self._ways(need, ReadyDrone(drone.name, drone.home_m, drone.battery))
         if in_the_way(ways, self._flown(), self.config.clear_route_m):
             return  # another one of the same moment is in its way: a little later
-        drone.target, drone.heading_deg, target.heading_deg = target.number, choice.heading_deg, choice.heading_deg
+        drone.target, drone.heading_deg, target.heading_deg = (
+            target.number,
+            choice.heading_deg,
+            choice.heading_deg,
+        )
         drone.ways.append(ways[0])
         if target.holder is None:
             target.finder = drone.name
             order = TakeOffOrder.FIND
             self._field.assign(drone.name, target.number)
-            self._say(drone.name, "find", f"{target.named.name}, heading {choice.heading_deg:.0f} degrees")
+            self._say(
+                drone.name, "find", f"{target.named.name}, heading {choice.heading_deg:.0f} degrees"
+            )
         else:
             order = TakeOffOrder.RELIEVE
             self._open_leg(drone, target, ways[1])
@@ -275,7 +305,14 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         assert target.holder is not None and target.asking is not None
         sender = self.drones[target.holder]
         battery = target.asking[0]
-        leg = Leg(len(self.legs) + 1, sender.name, drone.name, self._now_s(), battery, target=target.number)
+        leg = Leg(
+            len(self.legs) + 1,
+            sender.name,
+            drone.name,
+            self._now_s(),
+            battery,
+            target=target.number,
+        )
         self.legs.append(leg)
         target.leg = sender.leg = drone.leg = leg
         sender.ways.append(back)
@@ -295,7 +332,9 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         self._field.close_leg(leg.number)
 
     def _alarm(self, target: TeamTarget, ready: bool) -> None:
-        """Nobody was sent to a target that needs it: none is ready, or those that are have been held back for long."""
+        """Nobody was sent to a target that needs it: none is ready, or those that are have been
+        held back for long.
+        """
         without_s = self._now_s() - target.lost_s if target.holder is None else 0.0
         if target.alarmed or (ready and without_s < _HELD_BACK_S):
             return
@@ -311,7 +350,8 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
 class OwnGround:
     """The ground as one drone's program knows it (``missions.fly.relay.ground.TeamGround``).
 
-    What the base answers and hears is as it is; whether all is over is another matter for each drone.
+    What the base answers and hears is as it is; whether all is over is another matter for each
+    drone.
     """
 
     def __init__(self, base: TeamBase, name: str) -> None:

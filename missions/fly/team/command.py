@@ -1,4 +1,6 @@
-"""``path-handoff team``: many targets kept observed by many drones for hours, and what came of it."""
+"""``path-handoff team``: many targets kept observed by many drones for hours, and what came of
+it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""One drone's flight in a team: that of a relay, on the target it was sent to, over the ways of the team."""
+"""One drone's flight in a team: that of a relay, on the target it was sent to, over the ways of the
+team.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ _WAITS_S = 60.0  # for the way back to a target: a pilot may be landing there
 class TeamFlight(DroneFlight):
     """A drone's program. ``run`` is the whole of it."""
 
-    def __init__(self, rig: Rig, team: TeamConfig, ground: TeamGround, name: str, given: ProgramContext) -> None:
+    def __init__(
+        self, rig: Rig, team: TeamConfig, ground: TeamGround, name: str, given: ProgramContext
+    ) -> None:
         super().__init__(rig, team, ground, name, given)
         self._team = team
         self._ground = ground
@@ -63,7 +67,9 @@ class TeamFlight(DroneFlight):
             self._ground.follows(self._name, subtract(holder.track.position_n_m, self.off_n_m))
 
     async def _give_up(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd) -> None:
-        """Gives up what this drone was responsible for, by its record too: the target will be found anew."""
+        """Gives up what this drone was responsible for, by its record too: the target will be found
+        anew.
+        """
         if flown.has_given_away or not session.responsible:
             return
         kept = self._store.load()
@@ -80,7 +86,10 @@ class TeamFlight(DroneFlight):
         vehicle = session.vehicle
         team = self._team
         north, east, _ = vehicle.state.position_n_m
-        up = Anchor((north, east, -team.out_height_m), bearing(subtract(place(), vehicle.state.position_n_m)))
+        up = Anchor(
+            (north, east, -team.out_height_m),
+            bearing(subtract(place(), vehicle.state.position_n_m)),
+        )
         await self._within(session, _SLACK_S, lambda: up.position_n_m, team.transit_mps)
 
         def above() -> Vec3:
@@ -88,28 +97,41 @@ class TeamFlight(DroneFlight):
             return n, e, -team.out_height_m
 
         away_m = math.dist(above(), vehicle.state.position_n_m)
-        await self._within(session, _SLACK_S + 2.0 * away_m / team.transit_mps, above, team.transit_mps)
+        await self._within(
+            session, _SLACK_S + 2.0 * away_m / team.transit_mps, above, team.transit_mps
+        )
         await self._within(session, _SLACK_S, place, team.transit_mps)
         pilot.hold_here()
 
-    async def _within(self, session: RoleSession, within_s: float, place: Callable[[], Vec3], speed_mps: float) -> None:
-        """To a place that may move. Raises MissionEnd(APPROACH_FAILED) when it was not reached in time."""
+    async def _within(
+        self, session: RoleSession, within_s: float, place: Callable[[], Vec3], speed_mps: float
+    ) -> None:
+        """To a place that may move. Raises MissionEnd(APPROACH_FAILED) when it was not reached in
+        time.
+        """
         yaw_rad = bearing(subtract(place(), session.vehicle.state.position_n_m))
 
         def guidance(state: VehicleState) -> VelocitySetpoint:
             error = subtract(place(), state.position_n_m)
-            return VelocitySetpoint(close_in(error, (0.0, 0.0, 0.0), _GAIN_PER_S, speed_mps), yaw_rad)
+            return VelocitySetpoint(
+                close_in(error, (0.0, 0.0, 0.0), _GAIN_PER_S, speed_mps), yaw_rad
+            )
 
         session.pilot.guidance = guidance
         loop = asyncio.get_running_loop()
         end_s = loop.time() + within_s
         while math.dist(place(), session.vehicle.state.position_n_m) > _THERE_M:
             if loop.time() > end_s:
-                raise MissionEnd(Outcome.APPROACH_FAILED, f"a place on its way was not reached in {within_s:.0f} s")
+                raise MissionEnd(
+                    Outcome.APPROACH_FAILED,
+                    f"a place on its way was not reached in {within_s:.0f} s",
+                )
             await asyncio.sleep(_POLL_S)
 
     async def come_home(self, session: RoleSession, end: MissionEnd | None, aside: Anchor) -> bool:
-        """Out of the others' way, up, home above everything, and down; where that cannot be flown, down."""
+        """Out of the others' way, up, home above everything, and down; where that cannot be flown,
+        down.
+        """
         *climb, home = way_home(aside, self.above_home(self._team.return_height_m))
         if may_manoeuvre(session, end):
             session.enter(Phase.DEPART, "on its way home")
@@ -117,7 +139,9 @@ class TeamFlight(DroneFlight):
             if may_manoeuvre(session, end):
                 await self._fly_to(session, anchor, self._team.transit_mps)
         while may_manoeuvre(session, end):
-            await self._fly_to(session, home, self._team.transit_mps, until=lambda: self._is_wanted(session))
+            await self._fly_to(
+                session, home, self._team.transit_mps, until=lambda: self._is_wanted(session)
+            )
             if not self._is_wanted(session):
                 break
             if await self._may_turn_back(session):
@@ -157,4 +181,6 @@ def mission_on(mission: MissionConfig, sent: SentTo) -> MissionConfig:
     """The rig's mission on one of the targets."""
     north, east, _ = sent.place_n_m
     designation = replace(mission.target, north_m=north, east_m=east)
-    return replace(mission, target=designation, target_id=sent.target + 1, heading_deg=sent.heading_deg)
+    return replace(
+        mission, target=designation, target_id=sent.target + 1, heading_deg=sent.heading_deg
+    )

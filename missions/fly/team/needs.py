@@ -1,4 +1,6 @@
-"""The needs of a team's targets: those that nobody has, and those whose drone has asked for its relief."""
+"""The needs of a team's targets: those that nobody has, and those whose drone has asked for its
+relief.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,14 @@ CLUTTER_M = 10.0
 
 
 def needs_of(
-    targets: Sequence[TeamTarget], now_s: float, config: TeamConfig, point_at: Callable[[int], Pointed]
+    targets: Sequence[TeamTarget],
+    now_s: float,
+    config: TeamConfig,
+    point_at: Callable[[int], Pointed],
 ) -> list[Need]:
-    """Of the targets that are known and that no drone is on its way to. ``point_at``: where a lost one is seen."""
+    """Of the targets that are known and that no drone is on its way to. ``point_at``: where a lost
+    one is seen.
+    """
     needs = list[Need]()
     for target in targets:
         if not target.known or target.leg is not None or target.finder is not None:
@@ -32,11 +39,15 @@ def needs_of(
     return needs
 
 
-def _need(target: TeamTarget, targets: Sequence[TeamTarget], heading_deg: float | None, urgent_s: float) -> Need:
+def _need(
+    target: TeamTarget, targets: Sequence[TeamTarget], heading_deg: float | None, urgent_s: float
+) -> Need:
     others = tuple(
         other.place_m
         for other in targets
-        if other is not target and other.known and math.dist(other.place_m, target.place_m) < CLUTTER_M
+        if other is not target
+        and other.known
+        and math.dist(other.place_m, target.place_m) < CLUTTER_M
     )
     may = frozenset(target.named.drones) or None
     return Need(target.number, target.place_m, heading_deg, others, may, urgent_s)

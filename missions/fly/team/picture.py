@@ -17,8 +17,14 @@ def draw_team(record: Mapping[str, Any], summary: Mapping[str, Any], path: Path)
     """Write a PNG. ``record`` is ``team.json``, ``summary`` the team's ``summary.json``."""
     targets = len(record["targets"])
     drones = len(record["drones"])
-    figure = Figure(figsize=(12.0, min(30.0, 3.6 + 0.42 * min(targets, 40) + 1.6)), dpi=110, layout="constrained")
-    who, batteries = figure.subplots(2, 1, sharex=True, height_ratios=(max(1.0, 0.35 * min(targets, 40)), 1.6))
+    figure = Figure(
+        figsize=(12.0, min(30.0, 3.6 + 0.42 * min(targets, 40) + 1.6)),
+        dpi=110,
+        layout="constrained",
+    )
+    who, batteries = figure.subplots(
+        2, 1, sharex=True, height_ratios=(max(1.0, 0.35 * min(targets, 40)), 1.6)
+    )
     unit_s, unit = (HOUR_S, "h") if summary["simulated_s"] >= HOUR_S else (MINUTE_S, "min")
     percent = summary["observed_percent"]["all"]
     figure.suptitle(
@@ -43,14 +49,23 @@ def _draw_targets(axes: Axes, record: Mapping[str, Any], end_s: float, unit_s: f
         since_s = spell["from_s"]
         to_s = end_s if spell["to_s"] is None else spell["to_s"]
         long = (to_s - since_s) / unit_s
-        axes.broken_barh([(since_s / unit_s, long)], (row - 0.34, 0.68), color=colours[spell["drone"]], ec="white")
+        axes.broken_barh(
+            [(since_s / unit_s, long)],
+            (row - 0.34, 0.68),
+            color=colours[spell["drone"]],
+            ec="white",
+        )
         if few and to_s - since_s > 0.03 * end_s:
             middle = since_s / unit_s + 0.5 * long
-            axes.text(middle, row, spell["drone"], ha="center", va="center", fontsize=8, color="white")
+            axes.text(
+                middle, row, spell["drone"], ha="center", va="center", fontsize=8, color="white"
+            )
     for name, spells in record["unobserved"].items():
         bars = [(since_s / unit_s, (to_s - since_s) / unit_s) for since_s, to_s in spells]
         axes.broken_barh(bars, (rows[name] - 0.46, 0.1), color=FAULT, ec=FAULT)
     axes.set_yticks(range(len(rows)) if few else [], list(rows) if few else [])
     axes.set_ylim(len(rows) - 0.4, -0.6)
-    axes.set_title("who has which target (red above: nobody truly looked at it)", loc="left", fontsize=10)
+    axes.set_title(
+        "who has which target (red above: nobody truly looked at it)", loc="left", fontsize=10
+    )
     tidy(axes, DIM)

@@ -1,4 +1,5 @@
-"""One drone's program of a team, and its guard, as processes of their own: children of ``path-handoff team``.
+"""One drone's program of a team, and its guard, as processes of their own: children of
+``path-handoff team``.
 
     python -m missions.fly.team.process program RIG DRONES/TARGETS NAME FOLDER whole|rare
     python -m missions.fly.team.process guard   RIG DRONES/TARGETS NAME FOLDER
@@ -21,7 +22,9 @@ from missions.fly.team.flight import TeamFlight
 from missions.ground.team_config import team_of
 
 
-def processes_of(rig: Rig, config: TeamConfig, out: Path, base: TeamBase, whole_log: bool) -> DroneProcesses:
+def processes_of(
+    rig: Rig, config: TeamConfig, out: Path, base: TeamBase, whole_log: bool
+) -> DroneProcesses:
     """Returns how the harness starts the processes of this team's drones."""
     size = f"{len(config.drones)}/{len(config.targets)}"
     return DroneProcesses(

@@ -1,4 +1,6 @@
-"""The figures of a team (``summary.json``), its record (``team.json``) and the table at its end. Pure."""
+"""The figures of a team (``summary.json``), its record (``team.json``) and the table at its end.
+Pure.
+"""
 
 from __future__ import annotations
 
@@ -54,9 +56,12 @@ def summarize_team(
         "lost": sum(event.what == "lost" for event in base.events),
         "battery_at_landing": spread([flight.battery for flight in report.flown]),
         "bytes_per_s": {
-            drone.name: round(report.bytes_sent.get(drone.name, 0) / report.simulated_s, 1) for drone in config.drones
+            drone.name: round(report.bytes_sent.get(drone.name, 0) / report.simulated_s, 1)
+            for drone in config.drones
         },
-        "bytes_per_s_mean": round(sum(report.bytes_sent.values()) / report.simulated_s / len(config.drones), 1),
+        "bytes_per_s_mean": round(
+            sum(report.bytes_sent.values()) / report.simulated_s / len(config.drones), 1
+        ),
         "flown_h": round(flown_hours, 3),
         "cpu_s": round(report.cpu_s, 1),
         "cpu_s_per_drone_hour": round(report.cpu_s / drone_hours, 2) if drone_hours > 0.0 else None,
@@ -65,7 +70,9 @@ def summarize_team(
 
 
 def observed_percent(config: TeamConfig, report: RelayReport) -> dict[str, float | None]:
-    """By target's name, since somebody was responsible for it for the first time; and ``all`` of them together."""
+    """By target's name, since somebody was responsible for it for the first time; and ``all`` of
+    them together.
+    """
     percent: dict[str, float | None] = {
         each.name: _percent(seen.observed_s, seen.of_s)
         for each, seen in zip(config.targets, report.watched, strict=True)
@@ -116,7 +123,10 @@ def team_rows(s: Mapping[str, Any]) -> list[tuple[str, str]]:
     at_least = "-" if landing is None else f"{100 * landing['min']:.1f} % at least"
     return [
         ("simulated", f"{s['simulated_s'] / 60.0:.1f} min, {s['flown_h']:.2f} h in the air"),
-        ("observed", f"{_share(observed['all'])} ({shown}{', ...' if len(each) > len(worst) else ''})"),
+        (
+            "observed",
+            f"{_share(observed['all'])} ({shown}{', ...' if len(each) > len(worst) else ''})",
+        ),
         ("legs", f"{s['legs']}: {counts_text(s['legs_ended'])}"),
         ("wrong objects", str(s["wrong"])),
         ("targets lost, and pointed at again", str(s["lost"])),

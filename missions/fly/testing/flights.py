@@ -107,17 +107,29 @@ class PytestFlights:
         self._runs = 0
 
     def mission(
-        self, file: str | Path, seed: int = 0, faults: Sequence[str] = (), may_violate: Collection[str] = ()
+        self,
+        file: str | Path,
+        seed: int = 0,
+        faults: Sequence[str] = (),
+        may_violate: Collection[str] = (),
     ) -> FlownRun:
-        """Fly a mission's file; a relative one is beside the test. Monitors in ``may_violate`` do not fail the test."""
+        """Fly a mission's file; a relative one is beside the test. Monitors in ``may_violate`` do
+        not fail the test.
+        """
         return self._fly(lambda: programs_of(self._base / file), seed, faults, may_violate)
 
-    def handoff(self, seed: int = 0, faults: Sequence[str] = (), may_violate: Collection[str] = ()) -> FlownRun:
+    def handoff(
+        self, seed: int = 0, faults: Sequence[str] = (), may_violate: Collection[str] = ()
+    ) -> FlownRun:
         """Fly a handoff, as ``path-handoff handoff`` does."""
         return self._fly(lambda: HANDOFF, seed, faults, may_violate)
 
     def _fly(
-        self, programs: Callable[[], FlightPrograms], seed: int, faults: Sequence[str], may_violate: Collection[str]
+        self,
+        programs: Callable[[], FlightPrograms],
+        seed: int,
+        faults: Sequence[str],
+        may_violate: Collection[str],
     ) -> FlownRun:
         self._runs += 1
         folder = self._folder / f"run-{self._runs}"
@@ -125,9 +137,13 @@ class PytestFlights:
         folder.mkdir(parents=True)
         self._note(folder)
         try:
-            run = FlownRun(folder, fly_once(self._rig, seed, faults, folder, lambda _: None, programs()))
+            run = FlownRun(
+                folder, fly_once(self._rig, seed, faults, folder, lambda _: None, programs())
+            )
         except PartError as error:
             pytest.fail(f"{error}\n  fix: {error.remedy}", pytrace=False)
         if set(run.monitors) - set(may_violate):
-            pytest.fail("\n".join(("a safety monitor was violated", *run.facts.notes)), pytrace=False)
+            pytest.fail(
+                "\n".join(("a safety monitor was violated", *run.facts.notes)), pytrace=False
+            )
         return run

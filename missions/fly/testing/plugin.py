@@ -1,4 +1,6 @@
-"""The plugin that pytest loads wherever PATH is installed. Nothing of PATH is imported before a test asks for it."""
+"""The plugin that pytest loads wherever PATH is installed. Nothing of PATH is imported before a
+test asks for it.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +22,14 @@ FAILED = pytest.StashKey[bool]()
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("path-handoff", "flights of two drones (PATH)")
-    group.addoption("--path-rig", default="sim", metavar="NAME|FILE", help="rig that is flown; sim by default")
     group.addoption(
-        "--path-runs", default="runs/pytest", metavar="DIR", help="where the folders of failed tests' runs are kept"
+        "--path-rig", default="sim", metavar="NAME|FILE", help="rig that is flown; sim by default"
+    )
+    group.addoption(
+        "--path-runs",
+        default="runs/pytest",
+        metavar="DIR",
+        help="where the folders of failed tests' runs are kept",
     )
 
 
@@ -40,7 +47,9 @@ def path_rig(request: pytest.FixtureRequest) -> Rig:
 
 @pytest.fixture
 def path_flights(request: pytest.FixtureRequest, path_rig: Rig) -> PytestFlights:
-    """Flies missions and handoffs on the rig of ``--path-rig``; a violated monitor fails the test."""
+    """Flies missions and handoffs on the rig of ``--path-rig``; a violated monitor fails the
+    test.
+    """
     from missions.fly.testing.flights import PytestFlights  # noqa: PLC0415 (numpy and numba behind it)
 
     runs = request.config.rootpath / str(request.config.getoption("--path-runs"))

@@ -17,10 +17,14 @@ class BoardOptions:
     """The printed board, as measured on the print."""
 
     board: Literal["charuco", "chessboard"] = "charuco"
-    """Pattern. ChArUco may be seen in part, so it reaches the corners of the image: there the distortion shows."""
+    """Pattern. ChArUco may be seen in part, so it reaches the corners of the image: there the
+    distortion shows.
+    """
 
     squares: Annotated[str, tyro.conf.arg(metavar="COLUMNSxROWS")] = "10x7"
-    """Squares of the board, of either pattern: a chessboard of 10x7 squares has 9x6 inner corners."""
+    """Squares of the board, of either pattern: a chessboard of 10x7 squares has 9x6 inner
+    corners.
+    """
 
     square_m: Annotated[float, Bounds(0.002, 1.0)] = 0.030
     """Side of a square."""
@@ -32,18 +36,24 @@ class BoardOptions:
     """OpenCV's dictionary of these markers."""
 
     legacy: bool = False
-    """The board is a ChArUco one as OpenCV drew it before 4.6; of images and films that is also found out."""
+    """The board is a ChArUco one as OpenCV drew it before 4.6; of images and films that is also
+    found out.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrateCameraOptions(BoardOptions):
-    """Calibrate a camera from views of a board: of images, a video, or a rig's camera as it runs."""
+    """Calibrate a camera from views of a board: of images, a video, or a rig's camera as it
+    runs.
+    """
 
     images: OutFolder = None
     """Folder of images, one view each."""
 
     video: FileName = None
-    """Video file, image folder with stamps, or .mcap log: still and different views are chosen from it."""
+    """Video file, image folder with stamps, or .mcap log: still and different views are chosen from
+    it.
+    """
 
     rig: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = ""
     """Rig whose camera is to be calibrated as it runs."""
@@ -52,7 +62,9 @@ class CalibrateCameraOptions(BoardOptions):
     """Whose camera of the rig."""
 
     size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "1280x720"
-    """With --rig: the size of the stream in px, of a camera that has no calibration in the rig yet."""
+    """With --rig: the size of the stream in px, of a camera that has no calibration in the rig
+    yet.
+    """
 
     views: Annotated[int, Bounds(3, 10_000, "views")] = 40
     """Views to choose from a video, or to take with a running camera."""
@@ -61,15 +73,21 @@ class CalibrateCameraOptions(BoardOptions):
     """A running camera is given up after this time."""
 
     serial: str = ""
-    """Serial number of the camera, to tie the calibration to; a running camera that knows its own tells it itself."""
+    """Serial number of the camera, to tie the calibration to; a running camera that knows its own
+    tells it itself.
+    """
 
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("camera.toml")
-    """The calibration; beside it a picture of the same name, and the views that a running camera gave."""
+    """The calibration; beside it a picture of the same name, and the views that a running camera
+    gave.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrateMountOptions(BoardOptions):
-    """Find where D1's camera is, seen from its marker (T_v_c1): from views of a board, or from a tape measure."""
+    """Find where D1's camera is, seen from its marker (T_v_c1): from views of a board, or from a
+    tape measure.
+    """
 
     rig: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = ""
     """Rig with the markers, and D1's camera and its calibration."""
@@ -78,13 +96,17 @@ class CalibrateMountOptions(BoardOptions):
     """Images of D1's camera that show the board."""
 
     other_images: OutFolder = None
-    """Images of another camera, of the same names and moments, that show the same board and D1's marker."""
+    """Images of another camera, of the same names and moments, that show the same board and D1's
+    marker.
+    """
 
     other_camera: FileName = None
     """Calibration of that other camera, as made by `path-handoff calibrate camera`."""
 
     measured: FileName = None
-    """Instead of images: TOML file with what a tape measure and a protractor say (docs/calibration.md)."""
+    """Instead of images: TOML file with what a tape measure and a protractor say
+    (docs/calibration.md).
+    """
 
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("mount.toml")
     """The calibration."""
@@ -123,7 +145,9 @@ class CalibrateMarkerOptions:
 
 @dataclass(frozen=True, slots=True)
 class CalibrateOptions:
-    """Calibrate a camera, or where it sits relative to the marker; or draw a board, or the marker, to print."""
+    """Calibrate a camera, or where it sits relative to the marker; or draw a board, or the marker,
+    to print.
+    """
 
     what: (
         Annotated[CalibrateCameraOptions, tyro.conf.subcommand("camera")]

@@ -8,7 +8,15 @@ from typing import Annotated, Literal
 
 import tyro
 
-from missions.ground.options.words import AnyRig, FileName, Live, LogFolder, OutFolder, RigName, Slow
+from missions.ground.options.words import (
+    AnyRig,
+    FileName,
+    Live,
+    LogFolder,
+    OutFolder,
+    RigName,
+    Slow,
+)
 from path.bounds import Bounds
 
 
@@ -21,14 +29,18 @@ class RoleOptions:
     out: LogFolder = None
 
     console: Literal["auto", "events"] = "auto"
-    """auto: a live table in a terminal, plain lines elsewhere; events: lines of JSON, for another program."""
+    """auto: a live table in a terminal, plain lines elsewhere; events: lines of JSON, for another
+    program.
+    """
 
     state: FileName = None
-    """File of what the role has to know when it is started again; in --out, or else in runs, by default."""
+    """File of what the role has to know when it is started again; in --out, or else in runs, by
+    default.
+    """
 
     guard: Literal["start", "expect", "none"] = "start"
-    """start: begin the guard that the rig describes beside the role, unless one answers already; expect: it is begun
-    elsewhere, and nothing takes off without it; none: fly without a guard."""
+    """start: begin the guard that the rig describes beside the role, unless one answers already;
+    expect: it is begun elsewhere, and nothing takes off without it; none: fly without a guard."""
 
     live: Live = None
 
@@ -45,7 +57,9 @@ class ReceiverOptions(RoleOptions):
 
 @dataclass(frozen=True, slots=True)
 class DesignateOptions:
-    """Tell a D1 in the air which object is meant; without a statement: answer what it asks, from this terminal."""
+    """Tell a D1 in the air which object is meant; without a statement: answer what it asks, from
+    this terminal.
+    """
 
     rig: AnyRig
 
@@ -76,7 +90,9 @@ class DesignateOptions:
 
 @dataclass(frozen=True, slots=True)
 class GuardOptions:
-    """Watch a vehicle on a link of its own; hold and land it when its script falls silent or a limit stays broken."""
+    """Watch a vehicle on a link of its own; hold and land it when its script falls silent or a
+    limit stays broken.
+    """
 
     rig: AnyRig
 
@@ -89,16 +105,21 @@ class GuardOptions:
     """End by itself once the role's program is gone and its vehicle is down."""
 
     console: Literal["auto", "events"] = "auto"
-    """events: started by another program; ends, as soon as nothing flies, when that closes this one's input."""
+    """events: started by another program; ends, as soon as nothing flies, when that closes this
+    one's input.
+    """
 
     live: Live = None
 
     measure: bool = False
-    """Fly a mission for each way a program can fail in each phase, and for another ground station's change of the mode;
-    print how soon the vehicle is held, and down, and how soon its script lets go."""
+    """Fly a mission for each way a program can fail in each phase, and for another ground station's
+    change of the mode; print how soon the vehicle is held, and down, and how soon its script lets
+    go."""
 
     case: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORD"), tyro.conf.UseAppendAction] = ()
-    """With --measure: only cases with this word in them, such as kill_sender or @verify; may be given several times."""
+    """With --measure: only cases with this word in them, such as kill_sender or @verify; may be
+    given several times.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,24 +130,36 @@ class DoctorOptions:
     """The rig to check: its file, its parts, its ports."""
 
     role: Literal["none", "sender", "receiver"] = "none"
-    """Test each part of this role too: open it, measure for some seconds, close it. Nothing moves, nothing is set."""
+    """Test each part of this role too: open it, measure for some seconds, close it. Nothing moves,
+    nothing is set.
+    """
 
     vehicle: Literal["none", "sender", "receiver"] = "none"
-    """Connect to this role's vehicle as well, and compare its parameters with the rig's. Nothing moves."""
+    """Connect to this role's vehicle as well, and compare its parameters with the rig's. Nothing
+    moves.
+    """
 
     other: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
-    """The other drone's rig file, where it is at hand: what both drones must have alike is compared with it."""
+    """The other drone's rig file, where it is at hand: what both drones must have alike is compared
+    with it.
+    """
 
     slow: Slow = None
-    """With --role: what this computer would hold if each role had this share of one core (docs/compute.md)."""
+    """With --role: what this computer would hold if each role had this share of one core
+    (docs/compute.md).
+    """
 
     set_parameters: bool = False
-    """Set the vehicle's parameters to what the rig wants; what they were is kept in runs/parameters."""
+    """Set the vehicle's parameters to what the rig wants; what they were is kept in
+    runs/parameters.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class PrepareOptions:
-    """Compile the kernels of a rig now: for images, for services, and before the first flight of a day."""
+    """Compile the kernels of a rig now: for images, for services, and before the first flight of a
+    day.
+    """
 
     rig: AnyRig = "sitl"
 
@@ -136,7 +169,9 @@ class RigsOptions:
     """List the rigs that come with PATH; write one of your own, or check it."""
 
     check: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
-    """Check everything in this rig that can be checked without touching hardware, as before a flight."""
+    """Check everything in this rig that can be checked without touching hardware, as before a
+    flight.
+    """
 
     new: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """Write a commented rig for the field into this file, and the key of its link beside it."""
@@ -150,12 +185,16 @@ class RigsOptions:
 
 @dataclass(frozen=True, slots=True)
 class PlanOptions:
-    """Show what follows from what a rig measured: heights, distances, times, what limits them, what to expect."""
+    """Show what follows from what a rig measured: heights, distances, times, what limits them, what
+    to expect.
+    """
 
     rig: Annotated[AnyRig, tyro.conf.Positional] = "sim"
 
     out: OutFolder = None
-    """Folder for plan.png, both drones and the target to scale, and plan.json; nothing is written by default."""
+    """Folder for plan.png, both drones and the target to scale, and plan.json; nothing is written
+    by default.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +220,11 @@ class DetectOptions:
     """With --model: what scores less is not found."""
 
     rate_hz: Annotated[float | None, Bounds(0.1, 1000.0, "Hz")] = None
-    """Pictures a second of a bare video stream (.h264), which does not say; of images without stamps, 30 by default."""
+    """Pictures a second of a bare video stream (.h264), which does not say; of images without
+    stamps, 30 by default.
+    """
 
     out: OutFolder = None
-    """Folder for boxes.csv and for the frames with their boxes drawn; nothing is written by default."""
+    """Folder for boxes.csv and for the frames with their boxes drawn; nothing is written by
+    default.
+    """

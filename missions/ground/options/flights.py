@@ -46,14 +46,18 @@ class HandoffOptions:
     """Runs at a time with --seeds; 0: one per core. Rigs in real time fly one at a time."""
 
     fault: Faults = ()
-    """Faults to try, such as lookalike, link_loss=0.3 or kill_sender=1@verify+2; may be given several times."""
+    """Faults to try, such as lookalike, link_loss=0.3 or kill_sender=1@verify+2; may be given
+    several times.
+    """
 
     errors: ErrorLevel = None
-    """Errors of the simulated world against the rig (docs/errors.md): as a careful crew leaves it, three times
-    that, or not at all; careful unless the rig says otherwise."""
+    """Errors of the simulated world against the rig (docs/errors.md): as a careful crew leaves it,
+    three times that, or not at all; careful unless the rig says otherwise."""
 
     scene: str | None = None
-    """At `sim-rendered`: the scene that the cameras see, such as outdoor-sun or dusk (docs/scenes.md)."""
+    """At `sim-rendered`: the scene that the cameras see, such as outdoor-sun or dusk
+    (docs/scenes.md).
+    """
 
     out: RunFolder = None
 
@@ -61,8 +65,8 @@ class HandoffOptions:
     """With --seeds: write a JUnit file too, a test case a run, failed unless it committed."""
 
     slow: Slow = None
-    """At `sitl`: confine each role's program to this share of one core, 0.2 for a fifth, by a control group
-    (docs/compute.md)."""
+    """At `sitl`: confine each role's program to this share of one core, 0.2 for a fifth, by a
+    control group (docs/compute.md)."""
 
     picture: bool = True
     """Draw run.png at the end."""
@@ -72,8 +76,8 @@ class HandoffOptions:
     gcs: GroundStation = None
 
     serve_world: bool = False
-    """At `sitl`: run the world alone, and wait for `path-handoff sender` and `receiver` from two other shells, as on
-    two companions. What to type is printed (docs/field.md)."""
+    """At `sitl`: run the world alone, and wait for `path-handoff sender` and `receiver` from two
+    other shells, as on two companions. What to type is printed (docs/field.md)."""
 
     px4: Px4Binary = None
 
@@ -87,8 +91,8 @@ class HoursOptions:
     """The options of what many drones fly for hours."""
 
     hours: Annotated[float | None, Bounds(0.0, 1000.0, above=True)] = None
-    """For how long; then everybody comes home. By default as the rig says: hours in simulated time, minutes in real
-    time."""
+    """For how long; then everybody comes home. By default as the rig says: hours in simulated time,
+    minutes in real time."""
 
     seed: Seed = 0
     """Seed of the world and of every noise: in simulated time the same seed is the same flight."""
@@ -100,7 +104,9 @@ class HoursOptions:
     errors: Errors = None
 
     logs: bool = False
-    """Log everything, frame by frame, and not only what is decided: some 40 MB for each hour of a drone."""
+    """Log everything, frame by frame, and not only what is decided: some 40 MB for each hour of a
+    drone.
+    """
 
     live: Live = None
 
@@ -117,7 +123,9 @@ class RehearseOptions:
     rig: Annotated[AnyRig, tyro.conf.Positional]
 
     level: Literal["sim", "sim-rendered", "sitl"] = "sim"
-    """sim: observations from geometry, in virtual time; sim-rendered: rendered frames; sitl: real time, MAVSDK."""
+    """sim: observations from geometry, in virtual time; sim-rendered: rendered frames; sitl: real
+    time, MAVSDK.
+    """
 
     seed: RunSeed = 0
 
@@ -138,11 +146,14 @@ class RehearseOptions:
 
 @dataclass(frozen=True, slots=True)
 class RelayOptions(HoursOptions):
-    """Hand one target from drone to drone as batteries run down: hours in simulated time, or minutes in real time."""
+    """Hand one target from drone to drone as batteries run down: hours in simulated time, or
+    minutes in real time.
+    """
 
     rig: RigName = "relay-sim"
-    """A rig with a [relay] table: its drones, their homes and batteries (docs/relay.md). relay-sim: simulated, as
-    fast as it computes; relay-sitl: in real time, each drone's program a process of its own."""
+    """A rig with a [relay] table: its drones, their homes and batteries (docs/relay.md). relay-sim:
+    simulated, as fast as it computes; relay-sitl: in real time, each drone's program a process of
+    its own."""
 
     drones: Annotated[int, Bounds(2, 100, "drones")] = 3
     """The number of the rig's drones that take part, from its first one on."""
@@ -150,16 +161,22 @@ class RelayOptions(HoursOptions):
 
 @dataclass(frozen=True, slots=True)
 class TeamOptions(HoursOptions):
-    """Keep many targets observed by many drones for hours, which relieve each other as batteries run down."""
+    """Keep many targets observed by many drones for hours, which relieve each other as batteries
+    run down.
+    """
 
     rig: RigName = "team-sim"
     """A rig with [team], [[drones]] and [[targets]] (docs/team.md)."""
 
     drones: Annotated[int | None, Bounds(2, 1000, "drones")] = None
-    """The number of drones; those of the rig by default, and a field laid out like it for more than it names."""
+    """The number of drones; those of the rig by default, and a field laid out like it for more than
+    it names.
+    """
 
     targets: Annotated[int | None, Bounds(1, 1000, "targets")] = None
-    """The number of targets; those of the rig by default, and a field laid out like it for more than it names."""
+    """The number of targets; those of the rig by default, and a field laid out like it for more
+    than it names.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +199,9 @@ class FlyOptions:
     """Folder for logs and summary; runs/<time> by default."""
 
     drone: Literal["both", "sender", "receiver"] = "both"
-    """Fly this drone of the rig alone, as in the field: the other one is flown from its own computer."""
+    """Fly this drone of the rig alone, as in the field: the other one is flown from its own
+    computer.
+    """
 
     console: Literal["auto", "events"] = "auto"
     """With --drone: as of `path-handoff sender`."""

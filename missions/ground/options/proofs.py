@@ -8,7 +8,16 @@ from typing import Annotated, Literal
 
 import tyro
 
-from missions.ground.options.words import ErrorLevel, Errors, FileName, Jobs, LevelName, OutFolder, RigName, Seed
+from missions.ground.options.words import (
+    ErrorLevel,
+    Errors,
+    FileName,
+    Jobs,
+    LevelName,
+    OutFolder,
+    RigName,
+    Seed,
+)
 from path.bounds import Bounds
 
 QuestionName = Literal["pose", "handovers", "flights", "rivals", "cost"]
@@ -24,16 +33,19 @@ TrialName = Literal["all"] | QuestionName | ExperimentName
 
 @dataclass(frozen=True, slots=True)
 class TrialOptions:
-    """Ask one of the evaluation's questions, or all of them, and hold what comes out against the paper.
+    """Ask one of the evaluation's questions, or all of them, and hold what comes out against the
+    paper.
 
-    pose: where D2 and the target are, by single frames (sensitivity, static, corners, calibration, real).
-    handovers: how soon they agree, and whether ever wrongly (handshake, evidence, recall).
+    pose: where D2 and the target are, by single frames (sensitivity, static, corners, calibration,
+    real). handovers: how soon they agree, and whether ever wrongly (handshake, evidence, recall).
     flights: whole missions (dynamic, beacon, rendezvous). rivals: PATH, ORB and XFeat (ambiguity).
     cost: time, bytes, memory, and what it bears (link, compute, processes, soak, fleet).
     """
 
     name: Annotated[TrialName, tyro.conf.Positional]
-    """The question. The name of an experiment alone is what --only says; it is taken for one more release."""
+    """The question. The name of an experiment alone is what --only says; it is taken for one more
+    release.
+    """
 
     only: Annotated[tuple[ExperimentName, ...], tyro.conf.arg(metavar="EXPERIMENT ...")] = ()
     """Of the question's experiments only these."""
@@ -50,12 +62,13 @@ class TrialOptions:
     jobs: Jobs = 0
 
     rig: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
-    """The rig, in place of sim-rendered, whose harness knows the truth. beacon flies `dynamic`, rendezvous `sim-field`,
-    soak `sitl` and fleet `team-sim` unless they are asked for alone."""
+    """The rig, in place of sim-rendered, whose harness knows the truth. beacon flies `dynamic`,
+    rendezvous `sim-field`, soak `sitl` and fleet `team-sim` unless they are asked for alone."""
 
     errors: ErrorLevel = None
-    """Errors of the world of flights and Monte-Carlo hand-overs against what the rig says (docs/errors.md); careful
-    unless the rig says otherwise. `static` and `ambiguity` have errors of their own."""
+    """Errors of the world of flights and Monte-Carlo hand-overs against what the rig says
+    (docs/errors.md); careful unless the rig says otherwise. `static` and `ambiguity` have errors of
+    their own."""
 
     xfeat: FileName = None
     """Weights of XFeat (ONNX), for ambiguity and compute; without them XFeat is left out."""
@@ -64,11 +77,15 @@ class TrialOptions:
     """Folder with the logs of a session, for beacon: it is judged as if it were flown now."""
 
     seconds: Annotated[float, Bounds(0.0, 1e6)] = 0.0
-    """The time for which soak verifies, 0: 20 minutes; or beacon records where the drones are flown from their own
-    computers, 0: until Ctrl-C."""
+    """The time for which soak verifies, 0: 20 minutes; or beacon records where the drones are flown
+    from their own computers, 0: until Ctrl-C."""
 
-    set: Annotated[tuple[tuple[Path, ...], ...], tyro.conf.arg(metavar="FILE ..."), tyro.conf.UseAppendAction] = ()
-    """TOML files that describe photographs of a board, for real (docs/real.md); may be given several times."""
+    set: Annotated[
+        tuple[tuple[Path, ...], ...], tyro.conf.arg(metavar="FILE ..."), tyro.conf.UseAppendAction
+    ] = ()
+    """TOML files that describe photographs of a board, for real (docs/real.md); may be given
+    several times.
+    """
 
     photographs: OutFolder = None
     """The folder that paths in --set's files are relative to; by default each file's own folder."""
@@ -76,7 +93,9 @@ class TrialOptions:
 
 @dataclass(frozen=True, slots=True)
 class VerifyOptions:
-    """Walk through everything that loss, delay, crashes and clocks can do to a hand-over, and hold it to its rules."""
+    """Walk through everything that loss, delay, crashes and clocks can do to a hand-over, and hold
+    it to its rules.
+    """
 
     out: OutFolder = None
     """Folder for summary.json; verify/<time> by default."""
@@ -87,7 +106,9 @@ class VerifyOptions:
     jobs: Jobs = 0
 
     wire: Annotated[int, Bounds(0, 10_000_000_000, "packets")] = 0
-    """Throw this many forged, altered and repeated packets at the link instead: 10000000 take about a minute."""
+    """Throw this many forged, altered and repeated packets at the link instead: 10000000 take about
+    a minute.
+    """
 
     seed: Seed = 0
     """Seed of the forged packets."""
@@ -95,15 +116,19 @@ class VerifyOptions:
 
 @dataclass(frozen=True, slots=True)
 class CampaignOptions:
-    """Fly many hand-overs under faults, each by its own seed, and hold every one to S1-S10, L1 and L2.
+    """Fly many hand-overs under faults, each by its own seed, and hold every one to S1-S10, L1 and
+    L2.
 
-    levels: none (a good link), lossy (10-30 % loss, 50 ms jitter, duplicates, reordering), harsh (30-50 % loss, 200 ms
-    jitter, damage, outages, programs killed and started again, clocks at their drift), hostile (also clocks that are
-    set, forged and repeated packets, pilots, a receiver that does not see the target). See docs/campaign.md.
+    levels: none (a good link), lossy (10-30 % loss, 50 ms jitter, duplicates, reordering), harsh
+    (30-50 % loss, 200 ms jitter, damage, outages, programs killed and started again, clocks at
+    their drift), hostile (also clocks that are set, forged and repeated packets, pilots, a receiver
+    that does not see the target). See docs/campaign.md.
     """
 
     program: Literal["machines", "roles", "team"] = "machines"
-    """machines: both protocol machines, real messages; roles: both whole role programs; team: whole teams."""
+    """machines: both protocol machines, real messages; roles: both whole role programs; team: whole
+    teams.
+    """
 
     runs: Annotated[int, Bounds(1, 100_000_000, "runs")] = 1000
     """The number of runs, shared out among the levels."""
@@ -114,11 +139,15 @@ class CampaignOptions:
     seed: Seed = 0
     """Seed of the campaign: with level and number it makes a run what it is."""
 
-    only: Annotated[int | None, tyro.conf.arg(metavar="NUMBER"), Bounds(0, 2**31, "(a number)")] = None
+    only: Annotated[int | None, tyro.conf.arg(metavar="NUMBER"), Bounds(0, 2**31, "(a number)")] = (
+        None
+    )
     """Fly this run alone and tell its story: how a failure is looked at."""
 
     out: OutFolder = None
-    """Folder of the results, gone on with when it has some; campaigns/<time>-<program> by default."""
+    """Folder of the results, gone on with when it has some; campaigns/<time>-<program> by
+    default.
+    """
 
     jobs: Jobs = 0
 
@@ -132,16 +161,20 @@ class CampaignOptions:
     """With --program team: how long each team flies; as its rig says by default."""
 
     junit: FileName = None
-    """Write a JUnit file too: a test case a run, failed by what it violated, with the line that replays it."""
+    """Write a JUnit file too: a test case a run, failed by what it violated, with the line that
+    replays it.
+    """
 
     errors: Errors = None
 
 
 @dataclass(frozen=True, slots=True)
 class ConformanceOptions:
-    """Fly the embedded vehicle, PX4 and ArduPilot through the same small checks, and show where they differ.
+    """Fly the embedded vehicle, PX4 and ArduPilot through the same small checks, and show where
+    they differ.
 
-    In real time, four to ten minutes each; a busy computer shows in the figures. See docs/conformance.md.
+    In real time, four to ten minutes each; a busy computer shows in the figures. See
+    docs/conformance.md.
     """
 
     vehicle: tuple[Literal["embedded", "px4", "ardupilot"], ...] = ()
@@ -154,12 +187,12 @@ class ConformanceOptions:
     """ArduCopter's SITL binary; PATH_ARDUPILOT names it too."""
 
     only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORD"), tyro.conf.UseAppendAction] = ()
-    """Only flights with this word in their name, such as course or silent; may be given several times. What they give
-    goes into the record that --out has of the vehicle already."""
+    """Only flights with this word in their name, such as course or silent; may be given several
+    times. What they give goes into the record that --out has of the vehicle already."""
 
     out: OutFolder = None
-    """Folder of the records, one a vehicle; those that are there already are shown too; conformance/<time> by
-    default."""
+    """Folder of the records, one a vehicle; those that are there already are shown too;
+    conformance/<time> by default."""
 
     page: FileName = None
     """Write the table as a page of Markdown."""

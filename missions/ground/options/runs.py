@@ -25,20 +25,26 @@ class ReportOptions:
 
 @dataclass(frozen=True, slots=True)
 class ReplayOptions:
-    """Decide again, from a run's logs, what its drones decided; or what they would have, with other settings; or over
-    two films that were made without PATH."""
+    """Decide again, from a run's logs, what its drones decided; or what they would have, with other
+    settings; or over two films that were made without PATH."""
 
-    folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR ...|FILMS.toml")]
-    """The folder of the run. With several, what was decided is decided again in each, and counted. Or the file that
-    names two films (docs/films.md)."""
+    folders: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR ...|FILMS.toml")
+    ]
+    """The folder of the run. With several, what was decided is decided again in each, and counted.
+    Or the file that names two films (docs/films.md)."""
 
-    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="method.NAME=VALUE"), tyro.conf.UseAppendAction] = ()
-    """A setting of the rig's [method] to decide with instead, such as method.tau_min=0.4, or of its detector, such as
-    detector.min_saturation=0.4; may be given several times. Without any (and without --gate) every decision must come
-    out as it was logged."""
+    set: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="method.NAME=VALUE"), tyro.conf.UseAppendAction
+    ] = ()
+    """A setting of the rig's [method] to decide with instead, such as method.tau_min=0.4, or of its
+    detector, such as detector.min_saturation=0.4; may be given several times. Without any (and
+    without --gate) every decision must come out as it was logged."""
 
     frames: bool = False
-    """Look again at the recorded frames (`record = "all"`) instead of taking what the log says was seen."""
+    """Look again at the recorded frames (`record = "all"`) instead of taking what the log says was
+    seen.
+    """
 
     detector: Annotated[str | None, tyro.conf.arg(metavar="MODULE:CLASS")] = None
     """With --frames, which it implies: another detector than the rig's, for both drones."""
@@ -60,9 +66,12 @@ class ReplayOptions:
 class MergeOptions:
     """Put the logs of a run, or of two companions, into one on one clock."""
 
-    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE|HOST:DIR ...")]
-    """Folders of runs, or logs (.mcap). A log's name goes before its topics. What is on another computer, such as
-    d1:flights/runs/20261121-114500, is fetched first, with scp, into a folder of this one (d1-20261121-114500)."""
+    logs: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE|HOST:DIR ...")
+    ]
+    """Folders of runs, or logs (.mcap). A log's name goes before its topics. What is on another
+    computer, such as d1:flights/runs/20261121-114500, is fetched first, with scp, into a folder of
+    this one (d1-20261121-114500)."""
 
     out: FileName = None
     """The merged log; merged.mcap beside the first one by default."""
@@ -70,11 +79,13 @@ class MergeOptions:
 
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
-    """Write what a run's logs hold in forms that other programs read; or a RealSense recording as images."""
+    """Write what a run's logs hold in forms that other programs read; or a RealSense recording as
+    images.
+    """
 
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE.db3")]
-    """The folder of the run; or a RealSense recording (.db3, .bag) or a bag of ROS, of which colour, depth, stamps and
-    calibration are written (docs/films.md)."""
+    """The folder of the run; or a RealSense recording (.db3, .bag) or a bag of ROS, of which
+    colour, depth, stamps and calibration are written (docs/films.md)."""
 
     tum: bool = False
     """Trajectories, as evo reads them."""
@@ -83,22 +94,30 @@ class ExportOptions:
     """A table for each topic of each log."""
 
     calibration: FileName = None
-    """Of a RealSense recording: the colour camera's, instead of its maker's; depth is registered by it."""
+    """Of a RealSense recording: the colour camera's, instead of its maker's; depth is registered by
+    it.
+    """
 
     out: OutFolder = None
-    """The folder to write to; by default `export` in the run's folder, and one beside a recording with its name."""
+    """The folder to write to; by default `export` in the run's folder, and one beside a recording
+    with its name.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class ViewOptions:
-    """Look at a run in Rerun: the scene, both images, plots, words. Needs the extra `view` (docs/view.md)."""
+    """Look at a run in Rerun: the scene, both images, plots, words. Needs the extra `view`
+    (docs/view.md).
+    """
 
-    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE ...")] = ()
+    logs: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE ...")
+    ] = ()
     """Folders of runs, or logs (.mcap); a drone's own log and a merged one will do."""
 
     live: Annotated[tuple[str, ...], tyro.conf.arg(metavar="HOST:PORT ...")] = ()
-    """Flights to look at as they go, instead of logs: what their --live was told. A token goes behind the port:
-    10.0.0.5:8765/?token=..."""
+    """Flights to look at as they go, instead of logs: what their --live was told. A token goes
+    behind the port: 10.0.0.5:8765/?token=..."""
 
     web: bool = False
     """As a page that this computer serves to itself, instead of a window. It needs no internet."""
@@ -110,4 +129,6 @@ class ViewOptions:
     """Write Rerun's own file (.rrd) instead of showing anything."""
 
     layout: FileName = None
-    """Write the layout for Foxglove and Lichtblick into this file (.json) instead; no run is needed for it."""
+    """Write the layout for Foxglove and Lichtblick into this file (.json) instead; no run is needed
+    for it.
+    """

@@ -13,21 +13,30 @@ MOST_SEED = 2**32 - 1
 Seed = Annotated[int, Bounds(0, MOST_SEED, "(a seed)")]
 RunSeed = Annotated[
     Seed,
-    tyro.conf.arg(help="Seed of the world and of every noise: the same seed is the same run at the sim levels."),
+    tyro.conf.arg(
+        help="Seed of the world and of every noise: the same seed is the same run at the sim levels."
+    ),
 ]
 JobCount = Annotated[int, Bounds(0, 1024, "processes")]
 Jobs = Annotated[JobCount, tyro.conf.arg(help="Processes at a time; 0: one per core.")]
 RigName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
 AnyRig = Annotated[
-    str, tyro.conf.arg(metavar="NAME|FILE", help="A rig by name (see `path-handoff rigs`), or a rig's TOML file.")
+    str,
+    tyro.conf.arg(
+        metavar="NAME|FILE", help="A rig by name (see `path-handoff rigs`), or a rig's TOML file."
+    ),
 ]
 LevelName = Literal["none", "lossy", "harsh", "hostile"]
 OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 RunFolder = Annotated[
     Path | None,
-    tyro.conf.arg(metavar="DIR", help="Folder for logs, summary and picture; runs/<time> by default."),
+    tyro.conf.arg(
+        metavar="DIR", help="Folder for logs, summary and picture; runs/<time> by default."
+    ),
 ]
-LogFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help="Folder for the log; runs/<time> by default.")]
+LogFolder = Annotated[
+    Path | None, tyro.conf.arg(metavar="DIR", help="Folder for the log; runs/<time> by default.")
+]
 FileName = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 Px4Binary = Annotated[
     Path | None,
@@ -39,7 +48,8 @@ Px4Binary = Annotated[
 ArduPilotBinary = Annotated[
     Path | None,
     tyro.conf.arg(
-        metavar="FILE", help="ArduCopter's SITL binary, for the rigs that fly it; PATH_ARDUPILOT names it too."
+        metavar="FILE",
+        help="ArduCopter's SITL binary, for the rigs that fly it; PATH_ARDUPILOT names it too.",
     ),
 ]
 DetectorModel = Annotated[
@@ -75,7 +85,9 @@ Errors = Annotated[
     ),
 ]
 Faults = Annotated[
-    tuple[str, ...], tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@MOMENT[+SECONDS]]"), tyro.conf.UseAppendAction
+    tuple[str, ...],
+    tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@MOMENT[+SECONDS]]"),
+    tyro.conf.UseAppendAction,
 ]
 LegFaults = Annotated[
     tuple[str, ...],

@@ -1,7 +1,8 @@
 """Logs that are being written, read as they grow.
 
-A log in real time reaches the disk record by record; one in virtual time a megabyte at a time. What a log says is
-passed on under its own name. A log that is closed is replaced by one with an index: what was open is read to its end.
+A log in real time reaches the disk record by record; one in virtual time a megabyte at a time. What
+a log says is passed on under its own name. A log that is closed is replaced by one with an index:
+what was open is read to its end.
 """
 
 from __future__ import annotations
@@ -50,7 +51,12 @@ class FolderFollower:
     def new(self) -> Iterator[Said]:
         """Returns what is new, at most a megabyte of each log."""
         for path in sorted(self._folder.glob("*.mcap")):
-            if path not in self._logs and path.stem != "merged" and not is_frames(path) and self._is_new(path):
+            if (
+                path not in self._logs
+                and path.stem != "merged"
+                and not is_frames(path)
+                and self._is_new(path)
+            ):
                 self._logs[path] = LogFollower(path)
         for log in self._logs.values():
             yield from log.new()
@@ -137,12 +143,16 @@ class LogFollower:
             case Message():
                 channel = self._channels[record.channel_id]
                 schema = self._schemas[channel.schema_id]
-                yield Said(f"/{self._name}{channel.topic}", channel.message_encoding, schema, record)
+                yield Said(
+                    f"/{self._name}{channel.topic}", channel.message_encoding, schema, record
+                )
             case _:
                 pass
 
 
 def name_of(path: Path) -> str:
-    """The prefix of a log's topics, as ``missions.look.logs.merge`` has it; parts after a restart have the first's."""
+    """The prefix of a log's topics, as ``missions.look.logs.merge`` has it; parts after a restart
+    have the first's.
+    """
     stem, _, number = path.stem.rpartition(".")
     return (stem if number.isdecimal() else path.stem).replace(".", "_")

@@ -1,7 +1,9 @@
-"""Lets those watch from other computers who know the token: it stands before a stream that is on loopback alone.
+"""Lets those watch from other computers who know the token: it stands before a stream that is on
+loopback alone.
 
-Whoever connects has some seconds to ask for ``/?token=...``, within a few kB; anything else is refused with 401. What
-follows is passed on as it is, both ways. On loopback no token is asked for, and pages of others are refused.
+Whoever connects has some seconds to ask for ``/?token=...``, within a few kB; anything else is
+refused with 401. What follows is passed on as it is, both ways. On loopback no token is asked for,
+and pages of others are refused.
 """
 
 from __future__ import annotations
@@ -32,10 +34,13 @@ class TokenGate:
         self._inner = inner
         self._server: asyncio.Server | None = None
         self._clients = 0
-        self._unknown: list[asyncio.StreamWriter] = []  # who has not asked for anything yet, the oldest first
+        # who has not asked for anything yet, the oldest first
+        self._unknown: list[asyncio.StreamWriter] = []
 
     async def open(self, host: str, port: int) -> int:
-        """Listen; returns the port. Raises OSError, ValueError for another host than this one without a token."""
+        """Listen; returns the port. Raises OSError, ValueError for another host than this one
+        without a token.
+        """
         if not self._token and host != LOOPBACK:
             raise ValueError("there is no token")
         self._server = await asyncio.start_server(self._client, host, port, limit=HEAD_BYTES)
@@ -46,12 +51,20 @@ class TokenGate:
             self._server.close()
 
     async def _client(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve one connection. At the end of the program it is cancelled, of which nobody needs to be told."""
+        """Serve one connection. At the end of the program it is cancelled, of which nobody needs to
+        be told.
+        """
         self._make_room()
         self._unknown.append(writer)
         try:
             await self._let_in(reader, writer)
-        except (OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError, asyncio.CancelledError):
+        except (
+            OSError,
+            asyncio.IncompleteReadError,
+            asyncio.LimitOverrunError,
+            TimeoutError,
+            asyncio.CancelledError,
+        ):
             pass
         finally:
             self._known(writer)
@@ -59,7 +72,8 @@ class TokenGate:
                 writer.close()
 
     def _make_room(self) -> None:
-        """Of those who have not said who they are, the one who has kept silent for the longest makes way.
+        """Of those who have not said who they are, the one who has kept silent for the longest
+        makes way.
 
         So nobody can keep a client that knows the token out by connecting and saying nothing.
         """
@@ -74,7 +88,10 @@ class TokenGate:
     async def _let_in(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
         self._known(writer)
-        if not (is_own_origin(head) and (not self._token or knows(head, self._token))) or self._clients >= CLIENTS:
+        if (
+            not (is_own_origin(head) and (not self._token or knows(head, self._token)))
+            or self._clients >= CLIENTS
+        ):
             writer.write(REFUSED)
             await writer.drain()
             return
@@ -84,7 +101,9 @@ class TokenGate:
         finally:
             self._clients -= 1
 
-    async def _served(self, head: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _served(
+        self, head: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
         inner_reader, inner_writer = await asyncio.open_connection(LOOPBACK, self._inner)
         inner_writer.write(head)
         ways = [
@@ -102,17 +121,22 @@ class TokenGate:
 def is_own_origin(head: bytes) -> bool:
     """Return whether a request comes from a program, or from a page that may watch.
 
-    A browser sends the page's Origin along, and asks nobody whether that page may connect to this computer: so any page
-    that is open in it could read a flight.
+    A browser sends the page's Origin along, and asks nobody whether that page may connect to this
+    computer: so any page that is open in it could read a flight.
     """
-    said = [line.partition(b":")[2].strip() for line in head.split(b"\r\n")[1:] if line.lower().startswith(b"origin:")]
+    said = [
+        line.partition(b":")[2].strip()
+        for line in head.split(b"\r\n")[1:]
+        if line.lower().startswith(b"origin:")
+    ]
     for origin in said:
         try:
             parts = urlsplit(origin.decode("ascii"))
             host = parts.hostname
         except ValueError:
             return False
-        web = parts.scheme in ("http", "https", "")  # a desktop viewer has a scheme of its own; "null" has none
+        # a desktop viewer has a scheme of its own; "null" has none
+        web = parts.scheme in ("http", "https", "")
         if web and host not in _LOCAL and not (parts.scheme == "https" and host in ORIGINS):
             return False
     return True

@@ -2,8 +2,9 @@
 
     python -m missions.look.live.serve FOLDER HOST PORT
 
-The stream itself is on a port of loopback that nobody is told, and ``missions.look.live.gate`` stands before it: from other
-computers it lets in whoever knows the token in ``PATH_LIVE_TOKEN``, and no page of a browser that is not a viewer's.
+The stream itself is on a port of loopback that nobody is told, and ``missions.look.live.gate``
+stands before it: from other computers it lets in whoever knows the token in ``PATH_LIVE_TOKEN``,
+and no page of a browser that is not a viewer's.
 """
 
 from __future__ import annotations
@@ -40,10 +41,14 @@ class Stream:
         self._channels: dict[str, foxglove.Channel] = {}
 
     def begin(self, said: Said) -> bool:
-        """Make the channel of a message; returns whether it is new, so that clients can ask for it first."""
+        """Make the channel of a message; returns whether it is new, so that clients can ask for it
+        first.
+        """
         if said.topic in self._channels:
             return False
-        schema = foxglove.Schema(name=said.schema.name, encoding=said.schema.encoding, data=said.schema.data)
+        schema = foxglove.Schema(
+            name=said.schema.name, encoding=said.schema.encoding, data=said.schema.data
+        )
         self._channels[said.topic] = foxglove.Channel(
             said.topic, message_encoding=said.encoding, schema=schema, context=self.context
         )
@@ -62,7 +67,11 @@ def main() -> None:
     log_to_stderr()
     stream = Stream()
     server = foxglove.start_server(
-        name=f"PATH: {folder.name}", host=LOOPBACK, port=0, context=stream.context, message_backlog_size=BACKLOG
+        name=f"PATH: {folder.name}",
+        host=LOOPBACK,
+        port=0,
+        context=stream.context,
+        message_backlog_size=BACKLOG,
     )
     try:
         asyncio.run(_serve(FolderFollower(folder), stream, host, port, server.port))
@@ -71,10 +80,11 @@ def main() -> None:
 
 
 def log_to_stderr() -> None:
-    """The server's warnings, among the lines of the flight, but for what nobody has to do anything about.
+    """The server's warnings, among the lines of the flight, but for what nobody has to do anything
+    about.
 
-    On a busy computer foxglove-sdk advertises a channel before it takes subscriptions to it, and says so of the client
-    that was quicker: that one asks again (``missions.look.view.watch``).
+    On a busy computer foxglove-sdk advertises a channel before it takes subscriptions to it, and
+    says so of the client that was quicker: that one asks again (``missions.look.view.watch``).
     """
     handler = logging.StreamHandler()
     handler.addFilter(lambda record: "subscribe to unknown channel" not in record.getMessage())
@@ -82,12 +92,16 @@ def log_to_stderr() -> None:
     foxglove.set_log_level("WARNING")
 
 
-async def _serve(follower: FolderFollower, stream: Stream, host: str, port: int, inner: int) -> None:
+async def _serve(
+    follower: FolderFollower, stream: Stream, host: str, port: int, inner: int
+) -> None:
     gate = TokenGate("" if host == LOOPBACK else os.environ.get(TOKEN, ""), inner)
     await gate.open(host, port)
     print(f"up {port}", flush=True)
     ended = asyncio.Event()
-    asyncio.get_running_loop().add_reader(sys.stdin.fileno(), lambda: os.read(sys.stdin.fileno(), 4096) or ended.set())
+    asyncio.get_running_loop().add_reader(
+        sys.stdin.fileno(), lambda: os.read(sys.stdin.fileno(), 4096) or ended.set()
+    )
     last_s = math.inf
     while time.monotonic() < last_s:
         if ended.is_set() and last_s == math.inf:

@@ -1,4 +1,6 @@
-"""``--live``: starts the process that serves a flight's logs, beside the flight, and ends it after it."""
+"""``--live``: starts the process that serves a flight's logs, beside the flight, and ends it after
+it.
+"""
 
 from __future__ import annotations
 
@@ -61,14 +63,20 @@ def _until_up(server: subprocess.Popen[bytes], asked: str) -> None:
     assert server.stdout is not None
     ready, _, _ = select.select([server.stdout], [], [], UP_S)
     if not ready or not server.stdout.readline().startswith(b"up"):
-        raise PartError(f"--live {asked}: could not be served", "see what was said above; name another port")
+        raise PartError(
+            f"--live {asked}: could not be served", "see what was said above; name another port"
+        )
 
 
 def _say(host: str, port: int) -> None:
     if host == LOOPBACK:
-        tell_line(f"live: ws://{host}:{port} (Foxglove, Lichtblick, or path-handoff view --live {host}:{port})")
+        tell_line(
+            f"live: ws://{host}:{port} (Foxglove, Lichtblick, or path-handoff view --live {host}:{port})"
+        )
         return
-    tell_line(f"LIVE TO OTHER COMPUTERS: whoever knows {TOKEN} can watch at ws://{host}:{port}/?token=..., unencrypted")
+    tell_line(
+        f"LIVE TO OTHER COMPUTERS: whoever knows {TOKEN} can watch at ws://{host}:{port}/?token=..., unencrypted"
+    )
 
 
 def _end(server: subprocess.Popen[bytes]) -> None:

@@ -1,8 +1,9 @@
 """``path-handoff export``: what a log holds, in forms that other programs read.
 
 --tum   trajectories for evo and its like: seconds (UTC), x y z in m, quaternion x y z w; one file a body. DRONE.tum
-        is the vehicle's own place, north-east-down; D2's camera in D1's marker's frame is marker.tum; and at
-        levels with a world what was true of both: truth-DRONE.tum, the body in the world, and truth-marker.tum.
+        is the vehicle's own place, north-east-down; D2's camera in D1's marker's frame is
+        marker.tum; and at levels with a world what was true of both: truth-DRONE.tum, the body in
+        the world, and truth-marker.tum.
 --csv   one table a topic and log: utc_ns, stamp_ns, then every field; lists have a column for each number.
 
 A RealSense recording or a bag of ROS becomes images (``missions.look.logs.recording``).
@@ -40,11 +41,17 @@ def run(options: ExportOptions) -> int:
     if options.folder.exists() and ros_bag_at(options.folder) is not None:
         return export_recording(options)
     if options.calibration is not None:
-        raise PartError("--calibration is of a RealSense recording", f"leave it out for the run {options.folder}")
+        raise PartError(
+            "--calibration is of a RealSense recording",
+            f"leave it out for the run {options.folder}",
+        )
     if not (options.tum or options.csv):
         raise PartError("nothing is asked for", "say --tum, --csv, or both")
     if not options.folder.is_dir():
-        raise PartError(f"{options.folder} is no folder", "name the folder of a run, or a RealSense recording (.db3)")
+        raise PartError(
+            f"{options.folder} is no folder",
+            "name the folder of a run, or a RealSense recording (.db3)",
+        )
     out = options.out or options.folder / "export"
     with unless_refused(out):
         for path in _write_all(options, out):
@@ -56,10 +63,16 @@ def _write_all(options: ExportOptions, out: Path) -> list[Path]:
     written: list[Path] = []
     if options.tum:
         written += [
-            _write_tum(out / f"{name}.tum", rows) for name, rows in trajectories(options.folder).items() if rows
+            _write_tum(out / f"{name}.tum", rows)
+            for name, rows in trajectories(options.folder).items()
+            if rows
         ]
     if options.csv:
-        written += [path for name, records in _logs(options.folder) for path in _write_csv(out, name, *records)]
+        written += [
+            path
+            for name, records in _logs(options.folder)
+            for path in _write_csv(out, name, *records)
+        ]
     return written
 
 
@@ -69,11 +82,14 @@ def trajectories(folder: Path) -> dict[str, list[Row]]:
     for name, records in drone_logs(folder).items():
         offset_ns = utc_minus_stamp(parts(folder, name))
         states = [r for r in records if r.topic == "/state"]
-        found[name] = [(r.stamp_ns + offset_ns, r.record["position_n_m"], r.record["q_n_b"]) for r in states]
+        found[name] = [
+            (r.stamp_ns + offset_ns, r.record["position_n_m"], r.record["q_n_b"]) for r in states
+        ]
         seen = [r for r in records if r.topic == "/candidate" and r.record["region"] is not None]
         if seen:
             found["marker"] = [
-                (r.stamp_ns + offset_ns, r.record["position_v_m"], r.record["rotation_v_c2"]) for r in seen
+                (r.stamp_ns + offset_ns, r.record["position_v_m"], r.record["rotation_v_c2"])
+                for r in seen
             ]
     if (folder / WORLD_LOG).is_file() and set(found) & {role.value for role in Role}:
         found |= _true(load_run(folder), folder)
@@ -85,7 +101,8 @@ def _true(run: RunRecords, folder: Path) -> dict[str, list[Row]]:
     records = run.world.get("/truth", ())
     found: dict[str, list[Row]] = {
         f"truth-{role.value}": [
-            (r.stamp_ns + offset_ns, r.record[role.value]["t"], r.record[role.value]["q"]) for r in records
+            (r.stamp_ns + offset_ns, r.record[role.value]["t"], r.record[role.value]["q"])
+            for r in records
         ]
         for role in Role
     }
@@ -108,21 +125,29 @@ def _write_tum(path: Path, rows: Sequence[Row]) -> Path:
     with path.open("w", encoding="utf-8") as file:
         for utc_ns, (x, y, z), (qw, qx, qy, qz) in rows:
             whole, nanos = divmod(utc_ns, 1_000_000_000)
-            file.write(f"{whole}.{nanos:09d} {x:.9f} {y:.9f} {z:.9f} {qx:.9f} {qy:.9f} {qz:.9f} {qw:.9f}\n")
+            file.write(
+                f"{whole}.{nanos:09d} {x:.9f} {y:.9f} {z:.9f} {qx:.9f} {qy:.9f} {qz:.9f} {qw:.9f}\n"
+            )
     return path
 
 
-# --- tables ------------------------------------------------------------------------------------------------------
+# --- tables
+# ------------------------------------------------------------------------------------------------------
 
 
 def _logs(folder: Path) -> Iterator[tuple[str, tuple[Sequence[LogRecord], int]]]:
-    names = [*drone_logs(folder), *([Path(WORLD_LOG).stem] if (folder / WORLD_LOG).is_file() else [])]
+    names = [
+        *drone_logs(folder),
+        *([Path(WORLD_LOG).stem] if (folder / WORLD_LOG).is_file() else []),
+    ]
     for name in names:
         files = parts(folder, name)
         yield name, (read_parts(*files), utc_minus_stamp(files))
 
 
-def _write_csv(out: Path, name: str, records: Sequence[LogRecord], offset_ns: int) -> Iterator[Path]:
+def _write_csv(
+    out: Path, name: str, records: Sequence[LogRecord], offset_ns: int
+) -> Iterator[Path]:
     for topic in sorted({record.topic for record in records} - {"/image"}):
         rows = [
             {"utc_ns": r.stamp_ns + offset_ns, "stamp_ns": r.stamp_ns, **dict(_flat("", r.record))}
@@ -146,4 +171,6 @@ def _flat(name: str, value: Any) -> Iterable[tuple[str, Any]]:
         inner = enumerate(value)
     else:
         return [(name, value)]
-    return [each for key, part in inner for each in _flat(f"{name}.{key}" if name else str(key), part)]
+    return [
+        each for key, part in inner for each in _flat(f"{name}.{key}" if name else str(key), part)
+    ]

@@ -1,8 +1,9 @@
 """``path-handoff merge``: the logs of a run, or of two companions, as one on one clock.
 
-The clock is the first drone's UTC. Another drone's stamps are brought onto it by the offset that the two measured over
-their link while they flew (``clock_offset_ns`` of ``/link``), so that computers whose clocks are an hour apart line up;
-what is left of an error is stated. Without such a measurement UTC is taken as it is, and that is said.
+The clock is the first drone's UTC. Another drone's stamps are brought onto it by the offset that
+the two measured over their link while they flew (``clock_offset_ns`` of ``/link``), so that
+computers whose clocks are an hour apart line up; what is left of an error is stated. Without such a
+measurement UTC is taken as it is, and that is said.
 """
 
 from __future__ import annotations
@@ -43,7 +44,9 @@ Clock = Sequence[tuple[int, int]]
 
 @dataclass(frozen=True, slots=True)
 class Aligned:
-    """One log's clock against the first one's. ``uncertainty_ns``: None when the offset was not measured."""
+    """One log's clock against the first one's. ``uncertainty_ns``: None when the offset was not
+    measured.
+    """
 
     name: str
     clock: Clock
@@ -70,7 +73,8 @@ def run(options: MergeOptions) -> int:
 
 
 def merge(logs: Mapping[str, Sequence[Path]], out: Path) -> list[Aligned]:
-    """Write all logs into one; ``logs`` are the parts of each, by the name that goes before its topics.
+    """Write all logs into one; ``logs`` are the parts of each, by the name that goes before its
+    topics.
 
     Raises PartError for what is no log, OSError when it cannot be written.
     """
@@ -79,15 +83,21 @@ def merge(logs: Mapping[str, Sequence[Path]], out: Path) -> list[Aligned]:
     with out.open("wb") as file:
         writer = Writer(file)
         writer.start(library="path")
-        writer.add_metadata(ABOUT, {"name": "merged", OFFSET: "0", **{each.name: _told(each) for each in aligned}})
+        writer.add_metadata(
+            ABOUT, {"name": "merged", OFFSET: "0", **{each.name: _told(each) for each in aligned}}
+        )
         channels: dict[tuple[str, str], int] = {}
         streams = [_stream(each, logs[each.name]) for each in aligned]
         for utc_ns, name, message in heapq.merge(*streams, key=lambda found: found[0]):
             channel = message.channel
             key = name, channel.topic
             if key not in channels:
-                schema = writer.register_schema(channel.schema.name, channel.schema.encoding, channel.schema.data)
-                channels[key] = writer.register_channel(f"/{name}{channel.topic}", channel.encoding, schema)
+                schema = writer.register_schema(
+                    channel.schema.name, channel.schema.encoding, channel.schema.data
+                )
+                channels[key] = writer.register_channel(
+                    f"/{name}{channel.topic}", channel.encoding, schema
+                )
             writer.add_message(channels[key], utc_ns, message.data, utc_ns)
         writer.finish()
     return aligned
@@ -97,7 +107,10 @@ def refuse_empty(logs: Mapping[str, Sequence[Path]]) -> None:
     """Raise PartError when nothing can be read of any of the logs."""
     if not any(_has_message(file) for files in logs.values() for file in files):
         names = ", ".join(str(file) for files in logs.values() for file in files)
-        raise PartError(f"{names}: nothing can be read of it", "was anything logged? name another log of the run")
+        raise PartError(
+            f"{names}: nothing can be read of it",
+            "was anything logged? name another log of the run",
+        )
 
 
 def _has_message(path: Path) -> bool:
@@ -113,7 +126,9 @@ def align(logs: Mapping[str, Sequence[Path]]) -> list[Aligned]:
     first = next((name for name, found in records.items() if found), None)
     of_drones = {name: _aligned(name, first, records, logs) for name in logs}
     # a guard is on its drone's computer, and so is the camera
-    return [replace(of_drones.get(_drone(name), each), name=name) for name, each in of_drones.items()]
+    return [
+        replace(of_drones.get(_drone(name), each), name=name) for name, each in of_drones.items()
+    ]
 
 
 def _drone(name: str) -> str:
@@ -132,24 +147,35 @@ def _aligned(
     Two drones only have each other to measure.
     """
     measured = [r for r in records[name] if r.record["clock_uncertainty_ns"] is not None]
-    if first is None or name == first or not measured or len([n for n, found in records.items() if found]) != 2:
+    if (
+        first is None
+        or name == first
+        or not measured
+        or len([n for n, found in records.items() if found]) != 2
+    ):
         same = name == first or first is None
         return Aligned(name, [(0, 0)], 0 if same else None)
     own_ns = utc_minus_stamp(logs[name])
     first_ns = utc_minus_stamp(logs[first])
-    clock = [(r.stamp_ns + own_ns, r.record["clock_offset_ns"] + first_ns - own_ns) for r in measured]
+    clock = [
+        (r.stamp_ns + own_ns, r.record["clock_offset_ns"] + first_ns - own_ns) for r in measured
+    ]
     return Aligned(name, clock, max(r.record["clock_uncertainty_ns"] for r in measured))
 
 
 def _link_records(files: Sequence[Path]) -> Iterator[LogRecord]:
     try:
-        yield from (record for file in files for record in read_log(file) if record.topic == "/link")
+        yield from (
+            record for file in files for record in read_log(file) if record.topic == "/link"
+        )
     except (OSError, ValueError) as error:
         raise PartError(str(error), "name logs of PATH, or the folder of a run") from error
 
 
 def utc_minus_stamp(files: Sequence[Path]) -> int:
-    """Returns UTC minus a log's stamps, ns, by its first part: those after a restart are of the same computer."""
+    """Returns UTC minus a log's stamps, ns, by its first part: those after a restart are of the
+    same computer.
+    """
     with files[0].open("rb") as file:
         file.seek(len(MAGIC))
         for found in messages(file):
@@ -160,7 +186,9 @@ def utc_minus_stamp(files: Sequence[Path]) -> int:
 
 
 def _stream(aligned: Aligned, files: Sequence[Path]) -> Iterator[tuple[int, str, LoggedMessage]]:
-    """A log's messages in the order of their instants; what was logged up to a second late is put where it belongs."""
+    """A log's messages in the order of their instants; what was logged up to a second late is put
+    where it belongs.
+    """
     waiting: list[tuple[int, int, LoggedMessage]] = []
     number = 0
     newest_ns = 0
@@ -204,6 +232,16 @@ def named_logs(paths: Sequence[Path]) -> dict[str, list[Path]]:
             if file.name != MERGED and not file.stem.rpartition(".")[2].isdecimal():
                 found[file.stem.replace(".", "_")] = parts(file.parent, file.stem) or [file]
     if not found:
-        raise PartError(f"{', '.join(map(str, paths))}: there is no log", "name .mcap files, or the folder of a run")
-    order = sorted(found, key=lambda name: (name.endswith((GUARD, FRAMES)) or name == "world", name != "sender", name))
+        raise PartError(
+            f"{', '.join(map(str, paths))}: there is no log",
+            "name .mcap files, or the folder of a run",
+        )
+    order = sorted(
+        found,
+        key=lambda name: (
+            name.endswith((GUARD, FRAMES)) or name == "world",
+            name != "sender",
+            name,
+        ),
+    )
     return {name: found[name] for name in order}

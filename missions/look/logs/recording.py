@@ -1,4 +1,5 @@
-"""``path-handoff export FILE.db3``: a RealSense recording, or a bag of ROS, as what every program reads.
+"""``path-handoff export FILE.db3``: a RealSense recording, or a bag of ROS, as what every program
+reads.
 
 NAME/000001.png ...      colour
 NAME/depth/000001.png    depth in mm as the colour camera sees it, 16 bits, 0 where there is none
@@ -57,7 +58,9 @@ class FilmFrame:
 
 
 class Film(Protocol):
-    """What is written out. ``serial``: of its camera, "" when it is not known; ``clock``: whose its stamps are."""
+    """What is written out. ``serial``: of its camera, "" when it is not known; ``clock``: whose its
+    stamps are.
+    """
 
     serial: str
     color_size: tuple[int, int]
@@ -68,7 +71,9 @@ class Film(Protocol):
         ...
 
     def frames(self, color: CameraModel | None) -> Iterator[FilmFrame]:
-        """Yields what was taken together. Raises PartError at once for depth that does not belong to that camera."""
+        """Yields what was taken together. Raises PartError at once for depth that does not belong
+        to that camera.
+        """
         ...
 
 
@@ -95,7 +100,8 @@ class RealSenseFilm:
             )
         except ValueError as error:
             raise PartError(
-                f"{self._file}: depth cannot be registered to colour: {error}", "name its --calibration"
+                f"{self._file}: depth cannot be registered to colour: {error}",
+                "name its --calibration",
             ) from error
         for pair in recording.pairs():
             if pair.domain is Domain.HARDWARE:
@@ -122,12 +128,16 @@ class RosFilm:
 
 
 def export_recording(options: ExportOptions) -> int:
-    """Writes the images, and says how many there are. Raises PartError; what was written until then stays.
+    """Writes the images, and says how many there are. Raises PartError; what was written until then
+    stays.
 
-    Nothing is written before the first frame: what is refused leaves nothing that a second try would meet.
+    Nothing is written before the first frame: what is refused leaves nothing that a second try
+    would meet.
     """
     if options.tum or options.csv:
-        raise PartError("--tum and --csv are of a run's logs", f"leave them out for {options.folder}")
+        raise PartError(
+            "--tum and --csv are of a run's logs", f"leave them out for {options.folder}"
+        )
     file = options.folder
     if not file.exists():
         raise PartError(f"{file}: there is no such file", "name a RealSense recording (.db3, .bag)")
@@ -137,18 +147,28 @@ def export_recording(options: ExportOptions) -> int:
         raise PartError(f"{out} is not empty", "name another folder with --out, or remove it")
     with unless_refused(out):
         film = RosFilm(file) if of_ros else RealSenseFilm(file)
-        camera = _given(film, options.calibration, file) if options.calibration else _factory(film, out, file)
+        camera = (
+            _given(film, options.calibration, file)
+            if options.calibration
+            else _factory(film, out, file)
+        )
         frames = _write_all(film, camera, out)
         if not frames:
-            raise PartError(f"{file}: colour and depth were never taken together", "is the file whole?")
+            raise PartError(
+                f"{file}: colour and depth were never taken together", "is the file whole?"
+            )
     named = "" if camera.file is None else str(camera.file)
-    sys.stdout.write(f"{out}: {frames} frames with depth, stamped by {film.clock}; {named}{camera.note}\n")
+    sys.stdout.write(
+        f"{out}: {frames} frames with depth, stamped by {film.clock}; {named}{camera.note}\n"
+    )
     return 0
 
 
 @dataclass(frozen=True, slots=True)
 class _Camera:
-    """The colour camera, the file that says so, what of it is still to be written, and a word about it."""
+    """The colour camera, the file that says so, what of it is still to be written, and a word about
+    it.
+    """
 
     model: CameraModel | None
     file: Path | None
@@ -190,13 +210,18 @@ def _factory(film: Film, out: Path, file: Path) -> _Camera:
     try:
         lens = film.factory_color()
     except CameraError as error:
-        raise PartError(f"{file}: {error}", "calibrate the camera and name the file with --calibration") from error
+        raise PartError(
+            f"{file}: {error}", "calibrate the camera and name the file with --calibration"
+        ) from error
     if lens is None:
         return _Camera(None, None, note="it does not say what lens it has: calibrate the camera")
     written = out.with_name(f"{out.name}.camera.toml")
     source = f"the maker's calibration in {file.name}"
     if written.exists() and read_camera(written).source != source:
-        raise PartError(f"{written} is there, and is not {source}", "name it with --calibration, or another --out")
+        raise PartError(
+            f"{written} is there, and is not {source}",
+            "name it with --calibration, or another --out",
+        )
     model = lens.camera
     k1, k2, p1, p2, k3 = model.distortion
     table = CameraTable(
@@ -205,12 +230,28 @@ def _factory(film: Film, out: Path, file: Path) -> _Camera:
     made = datetime.now(UTC).isoformat(timespec="seconds")
     unknown = Quality(rms_px=0.0, held_out_px=0.0, views=0, corners=0, coverage=0.0)
     calibration = CameraCalibration(
-        "camera", VERSION, made, film.serial, source, "", table, {}, unknown, "fair", ("made of no views",)
+        "camera",
+        VERSION,
+        made,
+        film.serial,
+        source,
+        "",
+        table,
+        {},
+        unknown,
+        "fair",
+        ("made of no views",),
     )
-    off = f" (its lens as Brown-Conrady, off by {lens.worst_px:.3f} px at most)" if lens.worst_px else ""
+    off = (
+        f" (its lens as Brown-Conrady, off by {lens.worst_px:.3f} px at most)"
+        if lens.worst_px
+        else ""
+    )
     return _Camera(model, written, calibration, off)
 
 
 def _write(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
     if not cv2.imwrite(str(path), np.ascontiguousarray(pixels), FAST):
-        raise PartError(f"{path} cannot be written", "free some disk, or name another folder with --out")
+        raise PartError(
+            f"{path} cannot be written", "free some disk, or name another folder with --out"
+        )

@@ -1,4 +1,6 @@
-"""``path-handoff replay``: every decision of a run again, and what other settings would have made of it."""
+"""``path-handoff replay``: every decision of a run again, and what other settings would have made
+of it.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,14 @@ from drivers.log.mcap_log import LogRecord
 from drivers.rig.tables import RigError, decode_table
 from missions.ground.options.runs import ReplayOptions
 from missions.look.replay.perceive import PerceptionChange, detector_settings, perceiver_of
-from missions.look.replay.redecide import Change, Complete, DecisionPair, Open, other_answers, redecide
+from missions.look.replay.redecide import (
+    Change,
+    Complete,
+    DecisionPair,
+    Open,
+    other_answers,
+    redecide,
+)
 from missions.look.report.command import show
 from missions.look.report.records import REPLAY, drone_logs, load_facts
 from missions.look.report.tables import plain_table
@@ -44,7 +53,9 @@ class Replayed:
     @property
     def verdicts(self) -> list[Mapping[str, Any]]:
         """Returns the verdicts on D2's answers, in order."""
-        return [each.again for each in self.decided if each.topic == _VERDICT and each.again is not None]
+        return [
+            each.again for each in self.decided if each.topic == _VERDICT and each.again is not None
+        ]
 
 
 def run(options: ReplayOptions) -> int:
@@ -57,16 +68,26 @@ def run(options: ReplayOptions) -> int:
 
         return replay_films(options, folder)
     if options.out is not None:
-        raise PartError("--out is for films, whose logs have no folder yet", "a run's replay.png goes into its own")
+        raise PartError(
+            "--out is for films, whose logs have no folder yet",
+            "a run's replay.png goes into its own",
+        )
     logs = logs_of(folder)
     before = replay_logs(logs)
     show(_same_table(before), sys.stdout)
     differ = [each for drone in before for each in drone.different]
     if not any(drone.decided for drone in before):
-        raise PartError(f"{folder}: nothing was decided in it", "name the folder of a run that reached a handoff")
-    unsaid = dict.fromkeys(name for drone in before for each in drone.decided for name in each.unsaid)
+        raise PartError(
+            f"{folder}: nothing was decided in it",
+            "name the folder of a run that reached a handoff",
+        )
+    unsaid = dict.fromkeys(
+        name for drone in before for each in drone.decided for name in each.unsaid
+    )
     if unsaid:
-        sys.stdout.write(f"not compared, as an earlier version of PATH wrote this log: {', '.join(unsaid)}\n")
+        sys.stdout.write(
+            f"not compared, as an earlier version of PATH wrote this log: {', '.join(unsaid)}\n"
+        )
     for each in differ[:1]:
         sys.stdout.write(f"first difference, {each.topic} at {each.stamp_ns}:\n{_difference(each)}")
     change, seen_with = asked_of(options)
@@ -79,7 +100,9 @@ def run(options: ReplayOptions) -> int:
 
 
 def asked_of(options: ReplayOptions) -> tuple[Change | None, PerceptionChange]:
-    """Returns the settings to decide with, None: the run's own; and the perception to look with. Raises PartError."""
+    """Returns the settings to decide with, None: the run's own; and the perception to look with.
+    Raises PartError.
+    """
     method = [text for text in options.set if not text.startswith("detector.")]
     detector = [text for text in options.set if text.startswith("detector.")]
     seen_with = PerceptionChange(options.rig, options.detector, detector_settings(detector) or None)
@@ -107,14 +130,22 @@ def logs_of(folder: Path) -> dict[str, Sequence[LogRecord]]:
 
 
 def run_many(options: ReplayOptions) -> int:
-    """Decides many runs again; 1 when anything differs. Raises PartError for settings, or no folder."""
+    """Decides many runs again; 1 when anything differs. Raises PartError for settings, or no
+    folder.
+    """
     if not options.folders or options != ReplayOptions(options.folders, picture=options.picture):
-        raise PartError("other settings are for one run", "name one folder, or leave the settings out")
+        raise PartError(
+            "other settings are for one run", "name one folder, or leave the settings out"
+        )
     table = plain_table("run", "kind", "decisions", "differ", left=("run", "kind"))
     decisions = differ = replayed = 0
     for folder in options.folders:
         try:
-            of = [each for name, records in logs_of(folder).items() for each in _replay(name, records).decided]
+            of = [
+                each
+                for name, records in logs_of(folder).items()
+                for each in _replay(name, records).decided
+            ]
         except PartError as error:
             table.add_row(str(folder), str(error).removeprefix(f"{folder}: "), "-", "-")
             continue
@@ -136,7 +167,9 @@ def kind_of(folder: Path) -> str:
 
 def _title(options: ReplayOptions) -> str:
     looked = options.frames or options.detector
-    return " ".join(("seen again" if looked else "", options.detector or "", *options.set, options.gate or "")).strip()
+    return " ".join(
+        ("seen again" if looked else "", options.detector or "", *options.set, options.gate or "")
+    ).strip()
 
 
 def change_of(settings: Sequence[str], gate: str | None) -> Change | None:
@@ -155,7 +188,9 @@ def change_of(settings: Sequence[str], gate: str | None) -> Change | None:
         try:
             return decode_table(table, MethodConfig, "--set method")
         except RigError as error:
-            raise PartError(str(error), "see path/config.py for the settings and what is allowed") from error
+            raise PartError(
+                str(error), "see path/config.py for the settings and what is allowed"
+            ) from error
 
     change(MethodConfig())
     return change
@@ -166,7 +201,8 @@ def replay_changed(
     change: Change,
     perceivers: Mapping[str, Open] | None = None,
 ) -> list[Replayed]:
-    """Replays with other settings on both drones: D1 judges what D2 would have answered to what D1 sent.
+    """Replays with other settings on both drones: D1 judges what D2 would have answered to what D1
+    sent.
 
     ``perceivers``: of the drones that look at their recorded frames again.
     """
@@ -176,9 +212,15 @@ def replay_changed(
         for name, records in logs.items()
         if _is(Role.RECEIVER, records)
     }
-    answers = {key: answer for each in receivers.values() for key, answer in other_answers(each.decided).items()}
+    answers = {
+        key: answer
+        for each in receivers.values()
+        for key, answer in other_answers(each.decided).items()
+    }
     return [
-        receivers[name] if name in receivers else _replay(name, records, change, answers, perceivers.get(name))
+        receivers[name]
+        if name in receivers
+        else _replay(name, records, change, answers, perceivers.get(name))
         for name, records in logs.items()
     ]
 
@@ -201,15 +243,23 @@ def _replay(
 
 
 def _of_the_logs_version(decided: Sequence[DecisionPair]) -> list[DecisionPair]:
-    """The same without what is null all through the log though it is decided again: an earlier version wrote it."""
+    """The same without what is null all through the log though it is decided again: an earlier
+    version wrote it.
+    """
     said: set[tuple[str, str]] = set()
     again: set[tuple[str, str]] = set()
     for each in decided:
-        said |= {(each.topic, name) for name, value in (each.logged or {}).items() if value is not None}
-        again |= {(each.topic, name) for name, value in (each.again or {}).items() if value is not None}
+        said |= {
+            (each.topic, name) for name, value in (each.logged or {}).items() if value is not None
+        }
+        again |= {
+            (each.topic, name) for name, value in (each.again or {}).items() if value is not None
+        }
     unsaid = again - said
     return [
-        replace(each, logged={k: v for k, v in each.logged.items() if (each.topic, k) not in unsaid})
+        replace(
+            each, logged={k: v for k, v in each.logged.items() if (each.topic, k) not in unsaid}
+        )
         if each.logged is not None
         else each
         for each in decided
@@ -219,7 +269,8 @@ def _of_the_logs_version(decided: Sequence[DecisionPair]) -> list[DecisionPair]:
 def _of_a_leg(name: str, records: Sequence[LogRecord]) -> Sequence[LogRecord]:
     if not any(record.topic == "/setup" for record in records):
         raise PartError(
-            f"{name}: its log does not say what the program was given", "replay a run of this version of PATH"
+            f"{name}: its log does not say what the program was given",
+            "replay a run of this version of PATH",
         )
     return records
 
@@ -237,10 +288,13 @@ def _setting(text: str) -> tuple[list[str], Any]:
             raise ValueError
         return path, tomllib.loads(f"value = {value}")["value"]
     except ValueError as error:
-        raise PartError(f"--set {text}: no setting of the method", "such as --set method.tau_min=0.4") from error
+        raise PartError(
+            f"--set {text}: no setting of the method", "such as --set method.tau_min=0.4"
+        ) from error
 
 
-# --- what a person sees ------------------------------------------------------------------------------------------
+# --- what a person sees
+# ------------------------------------------------------------------------------------------
 
 
 def _same_table(replayed: Sequence[Replayed]) -> RenderableType:
@@ -249,7 +303,9 @@ def _same_table(replayed: Sequence[Replayed]) -> RenderableType:
         for topic in dict.fromkeys(each.topic for each in drone.decided):
             of = [each for each in drone.decided if each.topic == topic]
             different = sum(not each.same for each in of)
-            table.add_row(f"{drone.drone} {topic}", str(len(of)), str(len(of) - different), str(different))
+            table.add_row(
+                f"{drone.drone} {topic}", str(len(of)), str(len(of) - different), str(different)
+            )
     return Group(Text(), table)
 
 
@@ -272,12 +328,19 @@ def _figures(drone: Replayed) -> dict[str, str]:
         rows["gate complete, after the first answer"] = ", ".join(ends) or "not within the log"
         agreed = sum(bool(verdict["agreed"]) for verdict in verdicts)
         rows["answers that agree"] = f"{agreed}/{len(verdicts)}"
-    for topic, what in (("/target", "frames with the target"), ("/candidate", "frames with a candidate")):
-        of = [each.again for each in drone.decided if each.topic == topic and each.again is not None]
+    for topic, what in (
+        ("/target", "frames with the target"),
+        ("/candidate", "frames with a candidate"),
+    ):
+        of = [
+            each.again for each in drone.decided if each.topic == topic and each.again is not None
+        ]
         if of:
             rows[what] = f"{sum(record['box'] is not None for record in of)}/{len(of)}"
     misses = Counter(
-        f"{each.topic}: {each.again['reason']}" for each in drone.decided if each.again and each.again["reason"]
+        f"{each.topic}: {each.again['reason']}"
+        for each in drone.decided
+        if each.again and each.again["reason"]
     )
     return rows | {name: str(count) for name, count in sorted(misses.items())}
 
@@ -286,4 +349,7 @@ def _difference(each: DecisionPair) -> str:
     if each.logged is None or each.again is None:
         return f"  {'only decided again' if each.logged is None else 'only in the log'}\n"
     names = [name for name in each.logged if each.logged[name] != each.again.get(name)]
-    return "".join(f"  {name}: {each.logged[name]} in the log, {each.again.get(name)} again\n" for name in names)
+    return "".join(
+        f"  {name}: {each.logged[name]} in the log, {each.again.get(name)} again\n"
+        for name in names
+    )

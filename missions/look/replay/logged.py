@@ -27,7 +27,9 @@ def as_logged(record: Record) -> dict[str, Any]:
 
 
 def camera_of(record: Record) -> CameraModel:
-    """Logs of earlier versions tell neither doubts nor left-out pixels: there were none, as far as the log goes."""
+    """Logs of earlier versions tell neither doubts nor left-out pixels: there were none, as far as
+    the log goes.
+    """
     doubts = record.get("doubts") or ()
     thin = record.get("thinning")
     values: dict[str, Any] = {

@@ -1,4 +1,6 @@
-"""The perception of a replay: a rig's own over the frames that a run recorded, with its detector or another one."""
+"""The perception of a replay: a rig's own over the frames that a run recorded, with its detector or
+another one.
+"""
 
 from __future__ import annotations
 
@@ -48,14 +50,20 @@ def detector_settings(texts: Sequence[str]) -> dict[str, Any]:
     for text in texts:
         name, _, value = text.partition("=")
         try:
-            found[name.strip().removeprefix("detector.")] = tomllib.loads(f"value = {value}")["value"]
+            found[name.strip().removeprefix("detector.")] = tomllib.loads(f"value = {value}")[
+                "value"
+            ]
         except ValueError as error:
-            raise PartError(f"--set {text}: no value of TOML", "such as --set detector.min_saturation=0.4") from error
+            raise PartError(
+                f"--set {text}: no value of TOML", "such as --set detector.min_saturation=0.4"
+            ) from error
     return found
 
 
 def perceiver_of(folder: Path, drone: str, change: PerceptionChange) -> Open:
-    """Opens the perception of one drone's log in a run's folder. Raises PartError when it recorded no frames."""
+    """Opens the perception of one drone's log in a run's folder. Raises PartError when it recorded
+    no frames.
+    """
     files = [frames_of(log) for log in parts(folder, drone) if frames_of(log).exists()]
     if not files:
         raise PartError(f"{folder}: {drone} recorded no frames", _REMEDY)
@@ -94,23 +102,32 @@ def _frames(files: Sequence[Path]) -> Iterator[Frame]:
         raise PartError(str(error), "the file is damaged") from error
 
 
-def perception_of(rig: Rig, role: Role, camera: CameraModel, change: PerceptionChange) -> PixelPerception:
+def perception_of(
+    rig: Rig, role: Role, camera: CameraModel, change: PerceptionChange
+) -> PixelPerception:
     """A role's perception, whose camera is never opened. Raises PartError."""
     own = rig.role(role)
     if own.perception.factory != PIXELS:
         raise PartError(
-            f"rig {rig.name}: its perception has no pixels", "name another with --rig, such as sim-rendered"
+            f"rig {rig.name}: its perception has no pixels",
+            "name another with --rig, such as sim-rendered",
         )
     table: Mapping[str, Any] = own.perception.options["detector"]
     if change.detector is not None and change.detector != table.get("factory"):
         table = {"factory": change.detector}
-    options = {**own.perception.options, "camera": _RECORDED, "detector": {**table, **(change.settings or {})}}
+    options = {
+        **own.perception.options,
+        "camera": _RECORDED,
+        "detector": {**table, **(change.settings or {})},
+    }
     spec = PartSpec(own.perception.factory, options, own.perception.where, own.perception.base)
     context = PartContext(role, _ZeroClock(), camera, own.mount, rig.layout, rig.origin)
     try:
         made: PixelPerception = create(spec, context)
     except RigError as error:
-        raise PartError(str(error), "see docs/detectors.md for detectors and their settings") from error
+        raise PartError(
+            str(error), "see docs/detectors.md for detectors and their settings"
+        ) from error
     return made
 
 

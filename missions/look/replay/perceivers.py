@@ -1,8 +1,9 @@
-"""Perception again: what a drone sees in the frames that it recorded, in place of what its log says it saw.
+"""Perception again: what a drone sees in the frames that it recorded, in place of what its log says
+it saw.
 
-The same code looks as in flight: ``flight.tracking`` on D1, ``flight.rendezvous.marker_view`` on D2, over the
-perception of a rig, with its detector or another. What the camera could not tell is the log's: where the drone
-believed to be, and how the vehicles moved.
+The same code looks as in flight: ``flight.tracking`` on D1, ``flight.rendezvous.marker_view`` on
+D2, over the perception of a rig, with its detector or another. What the camera could not tell is
+the log's: where the drone believed to be, and how the vehicles moved.
 """
 
 from __future__ import annotations
@@ -104,7 +105,9 @@ class SenderPerceiver:
         self._seen = MissReason.NO_TARGET
         taken = self._acquisition.look(view, T_n_c)
         if taken is not None:
-            self._track = TargetTrack.of(self._mission, taken.position_n_m, stamp_ns, self._largest, self._ranging)
+            self._track = TargetTrack.of(
+                self._mission, taken.position_n_m, stamp_ns, self._largest, self._ranging
+            )
             self._track.velocity_n_mps = taken.velocity_n_mps
 
     @property
@@ -114,7 +117,9 @@ class SenderPerceiver:
 
 
 class ReceiverPerceiver:
-    """D2's: the marker, and the target where the prior says. ``missing``: frames that were not recorded."""
+    """D2's: the marker, and the target where the prior says. ``missing``: frames that were not
+    recorded.
+    """
 
     def __init__(
         self,
@@ -142,7 +147,9 @@ class ReceiverPerceiver:
         own = tuple(motion["own_n_mps"])
         peer = tuple(motion["peer_n_mps"])
         yaw_rad = motion["peer_yaw_rad"]
-        self._marker.note_motion(VehicleMotions(motion["own_stamp_ns"], own, motion["peer_stamp_ns"], peer, yaw_rad))
+        self._marker.note_motion(
+            VehicleMotions(motion["own_stamp_ns"], own, motion["peer_stamp_ns"], peer, yaw_rad)
+        )
         x, y, z = R_n_c[2].tolist()
         self.fix = self._marker.look(self._view, R_n_c, gravity_v, (x, y, z))
 

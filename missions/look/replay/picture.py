@@ -18,8 +18,12 @@ if TYPE_CHECKING:
 
 
 def draw_replay(columns: Mapping[str, Sequence[Replayed]], path: Path) -> None:
-    """A row for each drone that judged answers, a column by its title. Raises OSError when it cannot be written."""
-    rows = [row for row in zip(*columns.values(), strict=True) if any(drone.verdicts for drone in row)]
+    """A row for each drone that judged answers, a column by its title. Raises OSError when it
+    cannot be written.
+    """
+    rows = [
+        row for row in zip(*columns.values(), strict=True) if any(drone.verdicts for drone in row)
+    ]
     figure = Figure(figsize=(12.0, 1.0 + 3.2 * max(1, len(rows))), dpi=110, layout="constrained")
     axes = figure.subplots(max(1, len(rows)), len(columns), squeeze=False, sharey=True)
     for panels, row in zip(axes, rows, strict=False):
@@ -37,21 +41,35 @@ def _draw(axes: Axes, drone: Replayed, title: str) -> None:
         return
     begin_ns = verdicts[0]["capture_ns"]
     seconds = np.array([(verdict["capture_ns"] - begin_ns) * 1e-9 for verdict in verdicts])
-    iou, tau = (np.array([np.nan if v[name] is None else v[name] for v in verdicts]) for name in ("iou", "tau"))
+    iou, tau = (
+        np.array([np.nan if v[name] is None else v[name] for v in verdicts])
+        for name in ("iou", "tau")
+    )
     agreed = np.array([bool(verdict["agreed"]) for verdict in verdicts])
     lines = [
         *axes.plot(seconds, tau, color=NEEDED, lw=1.4, label="needed (τ)"),
-        *axes.plot(seconds[agreed], iou[agreed], ".", ms=3, color=ROLE[Role.SENDER], label="agreed"),
+        *axes.plot(
+            seconds[agreed], iou[agreed], ".", ms=3, color=ROLE[Role.SENDER], label="agreed"
+        ),
         *axes.plot(seconds[~agreed], iou[~agreed], "x", ms=5, color=FAULT, label="does not count"),
     ]
     share = [_share(verdict["count"], verdict["needed"]) for verdict in verdicts]
     if verdicts[0]["evidence_needed"] is not None:
-        share = [_share(verdict["evidence"] or 0.0, verdict["evidence_needed"]) for verdict in verdicts]
+        share = [
+            _share(verdict["evidence"] or 0.0, verdict["evidence_needed"]) for verdict in verdicts
+        ]
     lines += axes.plot(seconds, share, color=COUNT, lw=1.2, label="share of what the gate needs")
     for complete in drone.complete:
         axes.axvline((complete.stamp_ns - begin_ns) * 1e-9, color="#2a9d3a", lw=1.5)
     axes.set_xlabel("s    (green line: the gate is complete)", fontsize=8)
-    axes.legend(handles=lines, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=4, frameon=False)
+    axes.legend(
+        handles=lines,
+        fontsize=8,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.2),
+        ncols=4,
+        frameon=False,
+    )
 
 
 def _share(value: float, needed: float) -> float:

@@ -1,10 +1,10 @@
 """Decides again what a drone decided, from its log, through the very cycles that flew. Pure.
 
-A log holds what a cycle was given, in the order it was given it: on D1 what the camera saw of the target (``/target``)
-and the answers of D2 (``/heard_candidate``); on D2 the messages of D1 (``/heard_target``), the marker's pose
-(``/marker``, ``/motion``) and what the detector found (``found`` of ``/candidate``). What the cycles make of it is held
-against the decisions in the same log. With ``missions.look.replay.perceivers`` what was seen comes from recorded
-frames instead.
+A log holds what a cycle was given, in the order it was given it: on D1 what the camera saw of the
+target (``/target``) and the answers of D2 (``/heard_candidate``); on D2 the messages of D1
+(``/heard_target``), the marker's pose (``/marker``, ``/motion``) and what the detector found
+(``found`` of ``/candidate``). What the cycles make of it is held against the decisions in the same
+log. With ``missions.look.replay.perceivers`` what was seen comes from recorded frames instead.
 """
 
 from __future__ import annotations
@@ -23,7 +23,15 @@ from flight.frame.records import AttemptId, candidate_record, sighting_of, targe
 from flight.frame.sender import PairCameras, SenderSide
 from flight.rendezvous.marker_view import MarkerFix
 from flight.tracking.association import Sighting
-from missions.look.replay.logged import NAN3, as_logged, box_of, camera_of, candidate_of, pose_of, target_of
+from missions.look.replay.logged import (
+    NAN3,
+    as_logged,
+    box_of,
+    camera_of,
+    candidate_of,
+    pose_of,
+    target_of,
+)
 from missions.look.replay.perceivers import ReceiverPerceiver, SenderPerceiver
 from path.config import MethodConfig
 from path.messages import Role
@@ -51,12 +59,16 @@ class DecisionPair:
         """Returns whether all that the log says of it comes out again."""
         if self.logged is None or self.again is None:
             return False
-        return {name: value for name, value in self.again.items() if name in self.logged} == self.logged
+        return {
+            name: value for name, value in self.again.items() if name in self.logged
+        } == self.logged
 
     @property
     def unsaid(self) -> list[str]:
         """The things that the log does not say of it: an earlier version of PATH wrote it."""
-        return [name for name in self.again or () if self.logged is not None and name not in self.logged]
+        return [
+            name for name in self.again or () if self.logged is not None and name not in self.logged
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +89,8 @@ def redecide(
 
     Args:
         change: of the method's settings, to see what would have been otherwise.
-        answers: what the other drone answers instead of what was heard of it, by epoch and sequence.
+        answers: what the other drone answers instead of what was heard of it, by epoch and
+            sequence.
         open_perceiver: for what is seen in recorded frames; None: what the log says.
     """
     again: _SenderReplay | _ReceiverReplay | None = None
@@ -96,9 +109,23 @@ def other_answers(decided: Iterable[DecisionPair | Complete]) -> dict[tuple[int,
     """Returns what D2 answers otherwise than it did, for ``redecide`` of D1's log."""
     changed: dict[tuple[int, int], Record] = {}
     for each in decided:
-        if isinstance(each, DecisionPair) and each.topic == "/candidate" and not each.same and each.again is not None:
-            fields = ("target_sequence", "box", "reason", "position_v_m", "rotation_v_c2", "sigma_m")
-            changed[each.again["epoch"], each.again["sequence"]] = {name: each.again[name] for name in fields}
+        if (
+            isinstance(each, DecisionPair)
+            and each.topic == "/candidate"
+            and not each.same
+            and each.again is not None
+        ):
+            fields = (
+                "target_sequence",
+                "box",
+                "reason",
+                "position_v_m",
+                "rotation_v_c2",
+                "sigma_m",
+            )
+            changed[each.again["epoch"], each.again["sequence"]] = {
+                name: each.again[name] for name in fields
+            }
     return changed
 
 
@@ -109,15 +136,23 @@ def _again(
     method = change(decode_table(record["method"], MethodConfig, "/setup: method"))
     perceiver = None if open_perceiver is None else open_perceiver(record, setup.stamp_ns, method)
     if record["role"] == Role.SENDER.value:
-        return _SenderReplay(record, method, answers, perceiver if isinstance(perceiver, SenderPerceiver) else None)
-    return _ReceiverReplay(record, method, perceiver if isinstance(perceiver, ReceiverPerceiver) else None)
+        return _SenderReplay(
+            record, method, answers, perceiver if isinstance(perceiver, SenderPerceiver) else None
+        )
+    return _ReceiverReplay(
+        record, method, perceiver if isinstance(perceiver, ReceiverPerceiver) else None
+    )
 
 
 class _SenderReplay:
     """D1's cycle, for one session."""
 
     def __init__(
-        self, setup: Record, method: MethodConfig, answers: Answers, perceiver: SenderPerceiver | None
+        self,
+        setup: Record,
+        method: MethodConfig,
+        answers: Answers,
+        perceiver: SenderPerceiver | None,
     ) -> None:
         self._setup = setup
         self._method = method
@@ -126,7 +161,8 @@ class _SenderReplay:
         self._side: SenderSide | None = None
         self._epoch = 0
         self._complete = False
-        self._due: deque[tuple[int, dict[str, Any]]] = deque()  # verdicts that the log must hold next
+        # verdicts that the log must hold next
+        self._due: deque[tuple[int, dict[str, Any]]] = deque()
 
     def take(self, each: LogRecord) -> Iterator[DecisionPair | Complete]:
         record = each.record
@@ -161,7 +197,9 @@ class _SenderReplay:
         setup = self._setup
         self._epoch = attempt["epoch"]
         self._complete = False
-        cameras = PairCameras(camera_of(setup["camera"]), camera_of(setup["peer_camera"]), pose_of(setup["T_v_c1"]))
+        cameras = PairCameras(
+            camera_of(setup["camera"]), camera_of(setup["peer_camera"]), pose_of(setup["T_v_c1"])
+        )
         self._side = SenderSide(cameras, self._method, _attempt_of(attempt))
 
     def _observe(self, side: SenderSide, record: Record) -> Iterator[DecisionPair | Complete]:
@@ -170,7 +208,9 @@ class _SenderReplay:
         capture_ns = record["capture_ns"]
         judged_ns = record["judged_ns"]
         frame = side.observe(record["frame_id"], capture_ns, seen, gravity_v)
-        yield DecisionPair("/target", capture_ns, record, as_logged(target_record(frame, judged_ns)))
+        yield DecisionPair(
+            "/target", capture_ns, record, as_logged(target_record(frame, judged_ns))
+        )
         for pair in side.judge(judged_ns):
             self._due.append((judged_ns, as_logged(side.record(pair))))
         if side.gate.complete and not self._complete:
@@ -178,7 +218,9 @@ class _SenderReplay:
             yield Complete(judged_ns, self._epoch)
 
     def _seen(self, record: Record) -> tuple[Sighting | MissReason, Any]:
-        """The observations in the frame of a ``/target``, by the log or perceived again, and down in frame ``v``."""
+        """The observations in the frame of a ``/target``, by the log or perceived again, and down
+        in frame ``v``.
+        """
         if self._perceiver is not None and self._perceiver.seen is not None:
             return self._perceiver.seen
         gravity_v = tuple(record["gravity_v"] or NAN3)
@@ -191,7 +233,9 @@ class _SenderReplay:
 class _ReceiverReplay:
     """D2's cycle, for one session."""
 
-    def __init__(self, setup: Record, method: MethodConfig, perceiver: ReceiverPerceiver | None) -> None:
+    def __init__(
+        self, setup: Record, method: MethodConfig, perceiver: ReceiverPerceiver | None
+    ) -> None:
         self._setup = setup
         self._method = method
         self._perceiver = perceiver
@@ -210,7 +254,9 @@ class _ReceiverReplay:
         elif side is not None and each.topic == "/heard_target":
             side.hear(target_of(record), record["capture_ns"], each.stamp_ns)
         elif side is not None and each.topic == "/candidate":
-            yield DecisionPair(each.topic, each.stamp_ns, record, self._answer(side, each.stamp_ns, record))
+            yield DecisionPair(
+                each.topic, each.stamp_ns, record, self._answer(side, each.stamp_ns, record)
+            )
 
     def rest(self) -> Iterator[DecisionPair]:
         """Returns nothing: nothing is decided here before it is logged."""
@@ -218,7 +264,9 @@ class _ReceiverReplay:
 
     def _begin(self, attempt: Record) -> None:
         setup = self._setup
-        cameras = PairCameras(camera_of(setup["peer_camera"]), camera_of(setup["camera"]), pose_of(setup["T_v_c1"]))
+        cameras = PairCameras(
+            camera_of(setup["peer_camera"]), camera_of(setup["camera"]), pose_of(setup["T_v_c1"])
+        )
         self._side = ReceiverSide(cameras, self._method, _attempt_of(attempt))
 
     def _answer(self, side: ReceiverSide, stamp_ns: int, record: Record) -> dict[str, Any] | None:

@@ -1,4 +1,6 @@
-"""Advice on what to do next, by how a run ended. One sentence each, for whoever stands in the field."""
+"""Advice on what to do next, by how a run ended. One sentence each, for whoever stands in the
+field.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""A camera's view when the views agreed: its image, or the scene drawn as lines, with the boxes on it."""
+"""A camera's view when the views agreed: its image, or the scene drawn as lines, with the boxes on
+it.
+"""
 
 from __future__ import annotations
 
@@ -32,9 +34,19 @@ def draw_view(axes: Axes, run: RunRecords, role: Role, truth: Truth | None) -> N
     instant_ns = _instant(run, role)
     image = _nearest(run.role(role).get("/image", ()), instant_ns, before=True)
     stamp_ns = instant_ns if image is None else image.stamp_ns
-    axes.set_title(f"{name}, {_when(run, role, stamp_ns)}", loc="left", fontsize=10, color=ROLE[role])
+    axes.set_title(
+        f"{name}, {_when(run, role, stamp_ns)}", loc="left", fontsize=10, color=ROLE[role]
+    )
     if stamp_ns is None or (image is None and truth is None):
-        axes.text(0.5, 0.5, "nothing to show", transform=axes.transAxes, ha="center", va="center", color=DIM)
+        axes.text(
+            0.5,
+            0.5,
+            "nothing to show",
+            transform=axes.transAxes,
+            ha="center",
+            va="center",
+            color=DIM,
+        )
         return
     if image is not None:
         pixels = decode_image(image.record)[:, :, ::-1]
@@ -59,13 +71,17 @@ def draw_view(axes: Axes, run: RunRecords, role: Role, truth: Truth | None) -> N
 
 
 def _instant(run: RunRecords, role: Role) -> int | None:
-    """Returns an instant of the role's clock: the commit for the sender, its last agreed candidate for the receiver."""
+    """Returns an instant of the role's clock: the commit for the sender, its last agreed candidate
+    for the receiver.
+    """
     agreed = [r for r in judged_pairs(run) if r.record["agreed"]]
     if role is Role.SENDER:
         commit = last(run.sender, "/commit")
         return commit.stamp_ns if commit else (agreed[-1].stamp_ns if agreed else None)
     sequence = agreed[-1].record["sequence"] if agreed else None
-    stamps = [r.stamp_ns for r in run.receiver.get("/candidate", ()) if r.record["sequence"] == sequence]
+    stamps = [
+        r.stamp_ns for r in run.receiver.get("/candidate", ()) if r.record["sequence"] == sequence
+    ]
     newest = last(run.receiver, "/candidate") or last(run.receiver, "/marker")
     return stamps[-1] if stamps else (newest.stamp_ns if newest else None)
 
@@ -79,7 +95,9 @@ def _when(run: RunRecords, role: Role, stamp_ns: int | None) -> str:
     return f"at {what}" if before_s < 0.05 else f"{before_s:.2f} s before {what}"
 
 
-def _nearest(records: Sequence[LogRecord], stamp_ns: int | None, before: bool = False) -> LogRecord | None:
+def _nearest(
+    records: Sequence[LogRecord], stamp_ns: int | None, before: bool = False
+) -> LogRecord | None:
     """The record nearest to an instant (the newest not after it); None when there is none."""
     if stamp_ns is None:
         return None
@@ -113,7 +131,9 @@ def _draw_receiver(axes: Axes, run: RunRecords, stamp_ns: int) -> None:
     answer = _near(run.receiver.get("/candidate", ()), stamp_ns)
     if marker:
         corners = np.reshape(marker["corners_px"], (-1, 2))
-        axes.add_patch(Polygon(corners, closed=True, fill=False, ec=MARKER, lw=LINE, label="marker"))
+        axes.add_patch(
+            Polygon(corners, closed=True, fill=False, ec=MARKER, lw=LINE, label="marker")
+        )
         axes.plot(*corners[0], "o", ms=3, color=MARKER)
     if region := answer.get("region"):
         x0, y0, x1, y1 = region
@@ -123,10 +143,14 @@ def _draw_receiver(axes: Axes, run: RunRecords, stamp_ns: int) -> None:
     _draw_box(axes, answer.get("box"), OWN_BOX, "D2's box")
 
 
-def _draw_box(axes: Axes, box: Sequence[float] | None, color: str, label: str, style: str = "-") -> None:
+def _draw_box(
+    axes: Axes, box: Sequence[float] | None, color: str, label: str, style: str = "-"
+) -> None:
     if box is not None:
         x, y, w, h = box
-        axes.add_patch(Rectangle((x, y), w, h, fill=False, ec=color, lw=LINE, ls=style, label=label))
+        axes.add_patch(
+            Rectangle((x, y), w, h, fill=False, ec=color, lw=LINE, ls=style, label=label)
+        )
 
 
 def _draw_objects(axes: Axes, truth: Truth, role: Role, stamp_ns: int) -> None:
@@ -142,15 +166,23 @@ def _draw_objects(axes: Axes, truth: Truth, role: Role, stamp_ns: int) -> None:
 
 def _edges(box: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """The 12 edges of a box (centre, size), each as (n, 3) points along it: a lens bends them."""
-    corners = [box[:3] + box[3:] / 2 * signs for signs in np.array(list(product((-1.0, 1.0), repeat=3)))]
+    corners = [
+        box[:3] + box[3:] / 2 * signs for signs in np.array(list(product((-1.0, 1.0), repeat=3)))
+    ]
     shares = np.linspace(0.0, 1.0, 7)[:, None]
     pairs = [(a, b) for a, b in combinations(corners, 2) if np.count_nonzero(a != b) == 1]
     return [a + shares * (b - a) for a, b in pairs]
 
 
-def _draw_edges(axes: Axes, camera: CameraModel, edges: Sequence[NDArray[np.float64]], color: str) -> None:
-    """The edges in front of the camera, all in one line with gaps, which is drawn much faster than a line for each."""
+def _draw_edges(
+    axes: Axes, camera: CameraModel, edges: Sequence[NDArray[np.float64]], color: str
+) -> None:
+    """The edges in front of the camera, all in one line with gaps, which is drawn much faster than
+    a line for each.
+    """
     gap = np.full((1, 2), np.nan)
-    seen = [np.vstack([camera.project(edge_c), gap]) for edge_c in edges if edge_c[:, 2].min() > 0.05]
+    seen = [
+        np.vstack([camera.project(edge_c), gap]) for edge_c in edges if edge_c[:, 2].min() > 0.05
+    ]
     if seen:
         axes.plot(*np.vstack(seen).T, color=color, lw=1.0)

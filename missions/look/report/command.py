@@ -1,4 +1,6 @@
-"""``path-handoff report``, and the end of every run: summary.json, the table, the picture, the page."""
+"""``path-handoff report``, and the end of every run: summary.json, the table, the picture, the
+page.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,8 @@ def run(options: ReportOptions) -> int:
 
 
 def make_report(folder: Path, picture: bool, stream: TextIO) -> dict[str, Any]:
-    """Write summary.json, run.html, and run.png if wanted, into a run's folder; show the table. Returns the summary.
+    """Write summary.json, run.html, and run.png if wanted, into a run's folder; show the table.
+    Returns the summary.
 
     Raises:
         RunFolderError: when the folder is no run's.
@@ -83,15 +86,20 @@ def _write_report(folder: Path, picture: bool) -> dict[str, Any]:
 
 
 def _logs(recorded: RunRecords, folder: Path) -> dict[str, Records]:
-    """The records of all drones' logs: of the two roles as they were read, whoever else there is from the folder."""
+    """The records of all drones' logs: of the two roles as they were read, whoever else there is
+    from the folder.
+    """
     known = {role.value: recorded.role(role) for role in Role}
     return {name: known.get(name) or by_topic(*parts(folder, name)) for name in drone_names(folder)}
 
 
 def _page_of(recorded: RunRecords, summary: Mapping[str, Any], folder: Path) -> PageOf:
-    ends = [end.record["outcome"] for role in Role if (end := last(recorded.role(role), "/outcome"))]
+    ends = [
+        end.record["outcome"] for role in Role if (end := last(recorded.role(role), "/outcome"))
+    ]
     outcome = summary["outcome"]
-    if recorded.facts is None and ends:  # of one drone's flight in the field: nobody wrote down the whole
+    # of one drone's flight in the field: nobody wrote down the whole
+    if recorded.facts is None and ends:
         outcome = next((end for end in ends if end != Outcome.COMMITTED.label), ends[0])
     why = summary["detail"] if recorded.facts and summary["detail"] else _ending(recorded, summary)
     return PageOf(
@@ -106,11 +114,15 @@ def _page_of(recorded: RunRecords, summary: Mapping[str, Any], folder: Path) -> 
 
 
 def _ending(recorded: RunRecords, summary: Mapping[str, Any]) -> str:
-    """Returns how a run ended, in a sentence; of one drone's flight in the field as well, which has no facts."""
+    """Returns how a run ended, in a sentence; of one drone's flight in the field as well, which has
+    no facts.
+    """
     if summary["outcome"] == Outcome.FLOWN.label:
         return Outcome.FLOWN.meaning
     if summary["outcome"] == Outcome.COMMITTED.label:
-        return f"{Outcome.COMMITTED.meaning}, {figure(summary['t_commit_s'], 's', 1)} after the start"
+        return (
+            f"{Outcome.COMMITTED.meaning}, {figure(summary['t_commit_s'], 's', 1)} after the start"
+        )
     ends = [f"{role.value}: {end.record['detail'] or end.record['outcome']}"
             for role in Role if (end := last(recorded.role(role), "/outcome"))]  # fmt: skip
     return "; ".join(ends) or "nobody said how it ended"
@@ -121,7 +133,9 @@ def _command(facts: RunFacts | None) -> str:
         return "path-handoff sender, or receiver, on the drone"
     faults = "".join(f" --fault {fault}" for fault in facts.faults)
     level = facts.errors.get("level", "")
-    said = (f" --errors {level}" if level else "") + (f" --scene {facts.scene}" if facts.scene else "")
+    said = (f" --errors {level}" if level else "") + (
+        f" --scene {facts.scene}" if facts.scene else ""
+    )
     flown = f"fly {facts.mission}" if facts.mission else "handoff"
     return f"path-handoff {flown} --rig {facts.rig} --seed {facts.seed}{said}{faults}"
 
@@ -141,7 +155,9 @@ def summary_table(summary: Mapping[str, Any]) -> RenderableType:
 def outcome_line(summary: Mapping[str, Any]) -> list[Text]:
     """Returns how the run ended and what was flown; below it why, and what the harness noticed."""
     good = summary["exit_code"] == 0
-    head = Text.assemble((f" {summary['outcome']} ", "bold black on green" if good else "bold white on red"))
+    head = Text.assemble(
+        (f" {summary['outcome']} ", "bold black on green" if good else "bold white on red")
+    )
     head.append(f"  rig {summary['rig']}, seed {summary['seed']}")
     if summary["errors"]:
         head.append(f", errors: {summary['errors']['level']}")
@@ -152,13 +168,20 @@ def outcome_line(summary: Mapping[str, Any]) -> list[Text]:
     lines = [head]
     if summary["detail"]:
         lines.append(Text(f"  {summary['detail']}", "yellow"))
-    return [*lines, *(Text(f"  {note}", "yellow") for note in summary["notes"] if note != summary["detail"])]
+    return [
+        *lines,
+        *(Text(f"  {note}", "yellow") for note in summary["notes"] if note != summary["detail"]),
+    ]
 
 
 def phase_table(phases: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table:
     """The phases of both drones, side by side."""
-    table = plain_table("sender", "from", "for", "receiver", "from", "for", left=("sender", "receiver"))
-    columns = [[(p["phase"], p["start_s"], p["duration_s"]) for p in phases[role.value]] for role in Role]
+    table = plain_table(
+        "sender", "from", "for", "receiver", "from", "for", left=("sender", "receiver")
+    )
+    columns = [
+        [(p["phase"], p["start_s"], p["duration_s"]) for p in phases[role.value]] for role in Role
+    ]
     for k in range(max(len(column) for column in columns)):
         cells: list[str] = []
         for column in columns:
@@ -180,7 +203,8 @@ def _figure_rows(s: Mapping[str, Any]) -> Rows:
             ("speed", _speed(s)),
         ]
     frames = [
-        f"{name} {figure(f['hz'], 'Hz', 1)}, {figure(f['missed'], 'missed', 0)}" for name, f in s["frames"].items()
+        f"{name} {figure(f['hz'], 'Hz', 1)}, {figure(f['missed'], 'missed', 0)}"
+        for name, f in s["frames"].items()
     ]
     link = [f"{name} {figure(rate, '', 0)}" for name, rate in s["link_sent_bytes_per_s"].items()]
     wrong = {True: "YES", False: "no", None: "-"}[s["wrong_handover"]]
@@ -191,7 +215,10 @@ def _figure_rows(s: Mapping[str, Any]) -> Rows:
         ("committed after", figure(s["t_commit_s"], "s", 2)),
         ("agreement took", figure(s["agreement_s"], "s", 2)),
         ("agreeing pairs", _pairs(s)),
-        ("IoU, median", f"{figure(s['iou_median'], '', 3)} (needed {figure(s['tau_median'], '', 3)})"),
+        (
+            "IoU, median",
+            f"{figure(s['iou_median'], '', 3)} (needed {figure(s['tau_median'], '', 3)})",
+        ),
         ("misses", counts_text(s["misses"])),
         ("frames", "; ".join(frames)),
         *slow,
@@ -246,7 +273,9 @@ def _kept(summary: Mapping[str, Any]) -> str:
 
 def _separation(summary: Mapping[str, Any]) -> str:
     limit = summary["separation_limit_m"]
-    return figure(summary["min_separation_m"], "m", 2) + ("" if limit is None else f" (limit {limit:.2f} m)")
+    return figure(summary["min_separation_m"], "m", 2) + (
+        "" if limit is None else f" (limit {limit:.2f} m)"
+    )
 
 
 def _following(summary: Mapping[str, Any]) -> str:
@@ -268,7 +297,8 @@ def figure(value: float | None, unit: str, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f} {unit}".rstrip()
 
 
-# --- many runs -------------------------------------------------------------------------------------------------
+# --- many runs
+# -------------------------------------------------------------------------------------------------
 
 
 def summarize_many(summaries: Sequence[Mapping[str, Any]], command: str) -> dict[str, Any]:
@@ -280,9 +310,18 @@ def summarize_many(summaries: Sequence[Mapping[str, Any]], command: str) -> dict
     from scipy.stats import binomtest  # noqa: PLC0415 (takes most of a second to import)
 
     outcomes = Counter(summary["outcome"] for summary in summaries)
-    misses, monitors = (sum_of(summary[name] for summary in summaries) for name in ("misses", "monitors"))
+    misses, monitors = (
+        sum_of(summary[name] for summary in summaries) for name in ("misses", "monitors")
+    )
     names = (
-        *("t_commit_s", "agreement_s", "iou_median", "min_separation_m", "d2_error_m", "target_error_m"),
+        *(
+            "t_commit_s",
+            "agreement_s",
+            "iou_median",
+            "min_separation_m",
+            "d2_error_m",
+            "target_error_m",
+        ),
         "target_both_error_m",
         *("follow_overshoot_m", "follow_error_m", "follow_error_p95_m", "target_unseen_s"),
         *("link_bytes_per_s", "realtime_factor"),
@@ -296,10 +335,14 @@ def summarize_many(summaries: Sequence[Mapping[str, Any]], command: str) -> dict
         "commit_rate": round(committed / len(summaries), 4),
         "commit_rate_interval": [round(between.low, 4), round(between.high, 4)],
         "wrong_handovers": sum(summary["wrong_handover"] is True for summary in summaries),
-        "lost_after_taking_over": sum(summary.get("lost_after_taking_over") is True for summary in summaries),
+        "lost_after_taking_over": sum(
+            summary.get("lost_after_taking_over") is True for summary in summaries
+        ),
         "monitors": dict(monitors),
         "misses": dict(misses),
-        "failed_seeds": {str(s["seed"]): s["outcome"] for s in summaries if s["outcome"] != "committed"},
+        "failed_seeds": {
+            str(s["seed"]): s["outcome"] for s in summaries if s["outcome"] != "committed"
+        },
         **{name: _quantiles([s[name] for s in summaries if s[name] is not None]) for name in names},
     }
 
@@ -321,7 +364,9 @@ def series_table(series: Mapping[str, Any]) -> RenderableType:
     table = plain_table("", "min", "median", "p95", "max")
     for name, quantiles in series.items():
         if isinstance(quantiles, dict) and "median" in quantiles:
-            table.add_row(name, *(f"{quantiles[key]:.4g}" for key in ("min", "median", "p95", "max")))
+            table.add_row(
+                name, *(f"{quantiles[key]:.4g}" for key in ("min", "median", "p95", "max"))
+            )
     return Group(Text(), figures_grid(rows), Text(), table)
 
 

@@ -1,4 +1,6 @@
-"""D1's true place behind its target, from the frame that acquired it until it gave the target away."""
+"""D1's true place behind its target, from the frame that acquired it until it gave the target
+away.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from missions.look.report.truth import Truth
 from path.messages import Role
 
 FOLLOWING = ("follow", "verify")
-SETTLED_M = 0.35  # across the ground, from its place: until it was so near it was still on its way there
+# across the ground, from its place: until it was so near it was still on its way there
+SETTLED_M = 0.35
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +37,9 @@ class Following:
 
     @property
     def overshoot_m(self) -> float:
-        """Returns how far it was past its place at most: towards the target, and the target out of the image below."""
+        """Returns how far it was past its place at most: towards the target, and the target out of
+        the image below.
+        """
         return max(0.0, float(self.off_m[:, 0].max()))
 
     @property
@@ -52,7 +57,10 @@ def following_of(run: RunRecords, truth: Truth | None) -> Following | None:
     begin = next((r.stamp_ns for r in phases if r.record["phase"] in FOLLOWING), None)
     if truth is None or setup is None or begin is None:
         return None
-    end = next((r.stamp_ns for r in phases if r.stamp_ns > begin and r.record["phase"] not in FOLLOWING), None)
+    end = next(
+        (r.stamp_ns for r in phases if r.stamp_ns > begin and r.record["phase"] not in FOLLOWING),
+        None,
+    )
     if end is None:
         end = max(topic[-1].stamp_ns for topic in run.sender.values())
     stamps_ns, offset_m = truth.way_to(Role.SENDER, truth.scene.target_id)
@@ -62,20 +70,30 @@ def following_of(run: RunRecords, truth: Truth | None) -> Following | None:
     if not within.any():
         return None
     mission = setup["mission"]
-    heading = _heading_rad(run.sender.get("/setpoint", ()), begin, math.radians(mission["heading_deg"]))
+    heading = _heading_rad(
+        run.sender.get("/setpoint", ()), begin, math.radians(mission["heading_deg"])
+    )
     forward = np.array([math.sin(heading), math.cos(heading)])  # east, north
     right = np.array([math.cos(heading), -math.sin(heading)])
     to_target = offset_m[within, :2]
-    off_m = np.stack([mission["follow"]["behind_m"] - to_target @ forward, -(to_target @ right)], axis=1)
+    off_m = np.stack(
+        [mission["follow"]["behind_m"] - to_target @ forward, -(to_target @ right)], axis=1
+    )
     return Following(stamps_ns[within], off_m, _unseen_s(run.sender.get("/target", ()), begin, end))
 
 
 def _heading_rad(told: Sequence[LogRecord], begin_ns: int, stated_rad: float) -> float:
-    """The heading it follows in: as it was last told before it began to, or as stated where it was told nothing."""
+    """The heading it follows in: as it was last told before it began to, or as stated where it was
+    told nothing.
+    """
     before = [r.record["yaw_rad"] for r in told if r.stamp_ns <= begin_ns]
     return float(before[-1]) if before else stated_rad
 
 
 def _unseen_s(frames: Sequence[LogRecord], begin_ns: int, end_ns: int) -> float:
-    seen = [r.stamp_ns for r in frames if r.record["box"] is not None and begin_ns <= r.stamp_ns <= end_ns]
+    seen = [
+        r.stamp_ns
+        for r in frames
+        if r.record["box"] is not None and begin_ns <= r.stamp_ns <= end_ns
+    ]
     return float(np.diff([begin_ns, *seen, end_ns]).max()) * 1e-9

@@ -24,7 +24,9 @@ class LongestRow:
 
 
 def longest_row(run: RunRecords) -> LongestRow | None:
-    """The same rules as ``path.gate.window``, from the sender's records; None when it judged nothing."""
+    """The same rules as ``path.gate.window``, from the sender's records; None when it judged
+    nothing.
+    """
     setup = last(run.sender, "/setup")
     pairs = judged_pairs(run)
     if setup is None or not pairs:
@@ -35,7 +37,9 @@ def longest_row(run: RunRecords) -> LongestRow | None:
     missed = [r.record["capture_ns"] for r in run.sender.get("/target", ()) if r.record["reason"]]
     judged = [r.record for r in pairs if r.record["counted"]]
     events = [(record["capture_ns"], bool(record["agreed"])) for record in judged]
-    events += [(capture_ns, False) for capture_ns in missed if capture_ns <= pairs[-1].record["capture_ns"]]
+    events += [
+        (capture_ns, False) for capture_ns in missed if capture_ns <= pairs[-1].record["capture_ns"]
+    ]
     count = 0
     begin_ns = 0
     newest_ns = 0

@@ -49,7 +49,9 @@ def _add(suite: ET.Element, classname: str, case: JUnitCase) -> None:
     element = ET.SubElement(suite, "testcase", named)
     told = f"outcome: {case.outcome}\nreplay: {case.replay}\n"
     if case.failures:
-        failure = ET.SubElement(element, "failure", {"message": _clean(case.failures[0]), "type": case.outcome})
+        failure = ET.SubElement(
+            element, "failure", {"message": _clean(case.failures[0]), "type": case.outcome}
+        )
         failure.text = _clean("\n".join((*case.failures, told)))
     else:
         ET.SubElement(element, "system-out").text = _clean(told)

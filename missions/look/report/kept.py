@@ -1,4 +1,6 @@
-"""Whether D2 keeps the target that it took over: its boxes of the ten seconds after that, against the truth."""
+"""Whether D2 keeps the target that it took over: its boxes of the ten seconds after that, against
+the truth.
+"""
 
 from __future__ import annotations
 
@@ -27,12 +29,17 @@ class Kept:
 
 
 def kept_of(run: RunRecords, truth: Truth | None) -> Kept | None:
-    """None where D2 never took the target over. Without truth whatever it follows is taken for the target."""
+    """None where D2 never took the target over. Without truth whatever it follows is taken for the
+    target.
+    """
     phases = run.receiver.get("/phase", ())
     taken_ns = next((each.stamp_ns for each in phases if each.record["phase"] == "follow"), None)
     if taken_ns is None:
         return None
-    end_ns = next((each.stamp_ns for each in phases if each.stamp_ns > taken_ns), taken_ns + round(KEPT_S * 1e9))
+    end_ns = next(
+        (each.stamp_ns for each in phases if each.stamp_ns > taken_ns),
+        taken_ns + round(KEPT_S * 1e9),
+    )
     end_ns = min(end_ns, taken_ns + round(KEPT_S * 1e9))
     boxes = [
         each
@@ -47,4 +54,7 @@ def kept_of(run: RunRecords, truth: Truth | None) -> Kept | None:
 
 
 def _is_target(seen: LogRecord, truth: Truth) -> bool:
-    return truth.object_at(Role.RECEIVER, seen.stamp_ns, box_center(seen.record["box"])) == truth.scene.target_id
+    return (
+        truth.object_at(Role.RECEIVER, seen.stamp_ns, box_center(seen.record["box"]))
+        == truth.scene.target_id
+    )

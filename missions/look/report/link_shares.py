@@ -1,4 +1,6 @@
-"""The share of one drone's messages that the other took, and what else came in, by both logs' counters."""
+"""The share of one drone's messages that the other took, and what else came in, by both logs'
+counters.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,8 @@ LEAST_S = 2.0
 
 
 def link_shares(records: Mapping[Role, Sequence[LogRecord]]) -> dict[str, Any]:
-    """``link_taken``: of the packets that its peer sent while both were there; ``link_foreign_hz``: of others, the
-    most in a second. By role; null where the records do not tell.
+    """``link_taken``: of the packets that its peer sent while both were there; ``link_foreign_hz``:
+    of others, the most in a second. By role; null where the records do not tell.
     """
     peer = {Role.SENDER: Role.RECEIVER, Role.RECEIVER: Role.SENDER}
     return {
@@ -27,7 +29,9 @@ def link_shares(records: Mapping[Role, Sequence[LogRecord]]) -> dict[str, Any]:
 
 
 def _taken(own: Sequence[LogRecord], peer: Sequence[LogRecord]) -> float | None:
-    """Returns the share; the peer's counter is read between its records, at the instants of this end's."""
+    """Returns the share; the peer's counter is read between its records, at the instants of this
+    end's.
+    """
     if len(peer) < 2 or _began_anew(own) or _began_anew(peer):
         return None
     stamps_ns = np.array([one.stamp_ns for one in peer], float)
@@ -40,7 +44,9 @@ def _taken(own: Sequence[LogRecord], peer: Sequence[LogRecord]) -> float | None:
     if len(within) < 2 or within[-1][0] - within[0][0] < LEAST_S * 1e9:
         return None
     counts = np.array([one.record["packets_sent"] for one in peer], float)
-    begin, end = (float(np.interp(at_ns, stamps_ns, counts)) for at_ns, _ in (within[0], within[-1]))
+    begin, end = (
+        float(np.interp(at_ns, stamps_ns, counts)) for at_ns, _ in (within[0], within[-1])
+    )
     taken = _taken_by(within[-1][1]) - _taken_by(within[0][1])
     return round(taken / (end - begin), 4) if end > begin else None
 

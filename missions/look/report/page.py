@@ -1,8 +1,8 @@
 """run.html: a run on one page that needs nothing else, for whoever was not there.
 
-How it ended and why, what to do next, figures with their limits, the picture, when each phase began with an image of
-it, the link and the load, and the command that made it; of a handoff, of a relay, and of one drone's flight in the
-field.
+How it ended and why, what to do next, figures with their limits, the picture, when each phase began
+with an image of it, the link and the load, and the command that made it; of a handoff, of a relay,
+and of one drone's flight in the field.
 """
 
 from __future__ import annotations
@@ -63,7 +63,10 @@ def write_page(path: Path, run: PageOf, logs: Mapping[str, Records]) -> None:
     title = escape(f"{run.outcome}: {path.parent.resolve().name}")
     head = f"<meta charset='utf-8'><title>{title}</title><style>{_STYLE}</style>"
     body = "\n".join(parts)
-    path.write_text(f"<!doctype html>\n<html lang='en'><head>{head}</head><body>\n{body}\n</body></html>\n", "utf-8")
+    path.write_text(
+        f"<!doctype html>\n<html lang='en'><head>{head}</head><body>\n{body}\n</body></html>\n",
+        "utf-8",
+    )
 
 
 def _drone(name: str, records: Records) -> Iterator[str]:
@@ -75,12 +78,22 @@ def _drone(name: str, records: Records) -> Iterator[str]:
     for phase in phase_changes(records):
         image = min(images, key=lambda each: abs(each.stamp_ns - phase.stamp_ns), default=None)
         picture = ""
-        if image is not None and abs(image.stamp_ns - phase.stamp_ns) < NEAR_S * 1e9 and shown < MAX_IMAGES:
+        if (
+            image is not None
+            and abs(image.stamp_ns - phase.stamp_ns) < NEAR_S * 1e9
+            and shown < MAX_IMAGES
+        ):
             picture = f"<img alt='' src='{_embedded(image.record['data'], 'jpeg')}'>"
             shown = shown + 1
         at_s = (phase.stamp_ns - begin_ns) * 1e-9
-        note = f"<br><span class='dim'>{escape(phase.record['note'])}</span>" if phase.record["note"] else ""
-        caption = f"<figcaption><b>{escape(phase.record['phase'])}</b> at {at_s:.1f} s{note}</figcaption>"
+        note = (
+            f"<br><span class='dim'>{escape(phase.record['note'])}</span>"
+            if phase.record["note"]
+            else ""
+        )
+        caption = (
+            f"<figcaption><b>{escape(phase.record['phase'])}</b> at {at_s:.1f} s{note}</figcaption>"
+        )
         yield f"<figure>{picture}{caption}</figure>"
     yield "</div>"
     yield _table(list(_link_and_load(records)))
@@ -91,7 +104,10 @@ def _link_and_load(records: Records) -> Iterator[tuple[str, str]]:
     if of["/link"]:
         end = of["/link"][-1].record
         dropped = counts_text(end["dropped"], "nothing")
-        yield "link", f"{end['packets_sent']} packets sent, {end['packets_received']} received; dropped: {dropped}"
+        yield (
+            "link",
+            f"{end['packets_sent']} packets sent, {end['packets_received']} received; dropped: {dropped}",
+        )
         known = [r.record for r in of["/link"] if r.record["clock_uncertainty_ns"] is not None]
         if known:
             offset_s = known[-1]["clock_offset_ns"] * 1e-9
@@ -104,16 +120,22 @@ def _link_and_load(records: Records) -> Iterator[tuple[str, str]]:
             end.stamp_ns - first.stamp_ns
         )
         yield "processor", f"{100.0 * share:.0f} % of a core"
-    ages = sorted(age_ns * 1e-6 for record in of["/frame"] if (age_ns := record.record["age_ns"]) is not None)
+    ages = sorted(
+        age_ns * 1e-6 for record in of["/frame"] if (age_ns := record.record["age_ns"]) is not None
+    )
     if ages:
         yield (
             "age of a frame when its cycle begins",
-            (f"{ages[len(ages) // 2]:.1f} ms median, {ages[int(0.95 * (len(ages) - 1))]:.1f} ms p95"),
+            (
+                f"{ages[len(ages) // 2]:.1f} ms median, {ages[int(0.95 * (len(ages) - 1))]:.1f} ms p95"
+            ),
         )
 
 
 def _table(rows: Sequence[tuple[str, str]]) -> str:
-    cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows)
+    cells = "".join(
+        f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows
+    )
     return f"<table>{cells}</table>"
 
 

@@ -1,4 +1,6 @@
-"""run.png: a run at a glance. Phases, agreement, separation, and what both cameras saw at the commit."""
+"""run.png: a run at a glance. Phases, agreement, separation, and what both cameras saw at the
+commit.
+"""
 
 from __future__ import annotations
 
@@ -30,13 +32,15 @@ AGREEMENT = (0.058, 0.543, 0.262, 0.224)
 SEPARATION = (0.393, 0.543, 0.262, 0.224)
 FOLLOWING = (0.727, 0.543, 0.262, 0.224)
 VIEWS = {Role.SENDER: (0.058, 0.046, 0.428, 0.394), Role.RECEIVER: (0.561, 0.046, 0.428, 0.394)}
-"""The places of the plots: left, bottom, width and height, as shares of the picture. Found by matplotlib they take half
-as long again."""
+"""The places of the plots: left, bottom, width and height, as shares of the picture. Found by
+matplotlib they take half as long again."""
 LETTER_SHARE = 0.0055  # width of a letter, as a share of the timeline
 
 
 def draw_run(run: RunRecords, summary: Mapping[str, Any], path: Path) -> None:
-    """Draw a run as PNG. Whatever the records do not hold is left empty. Raises OSError when it cannot be written."""
+    """Draw a run as PNG. Whatever the records do not hold is left empty. Raises OSError when it
+    cannot be written.
+    """
     figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), dpi=DPI)
     truth = truth_of(run.world)
     seconds = _clock(run, truth)
@@ -51,7 +55,11 @@ def draw_run(run: RunRecords, summary: Mapping[str, Any], path: Path) -> None:
 
 
 def _title(summary: Mapping[str, Any]) -> str:
-    parts = [f"{summary['outcome']}", f"rig {summary['rig']}, seed {summary['seed']}", *summary["faults"]]
+    parts = [
+        f"{summary['outcome']}",
+        f"rig {summary['rig']}, seed {summary['seed']}",
+        *summary["faults"],
+    ]
     if summary["agreement_s"] is not None:
         parts.append(f"agreement {summary['agreement_s']:.2f} s")
     if summary["d2_error_m"] is not None:
@@ -62,11 +70,15 @@ def _title(summary: Mapping[str, Any]) -> str:
 
 
 def _clock(run: RunRecords, truth: Truth | None) -> Clock:
-    """Seconds since the run began; on one clock for both roles when the world's log tells their offsets."""
+    """Seconds since the run began; on one clock for both roles when the world's log tells their
+    offsets.
+    """
     starts = {role: start_ns(run, role) for role in Role}
     if truth is None:
         return lambda role, stamp_ns: (stamp_ns - starts[role]) * 1e-9
-    begin_ns = min((truth.to_world_ns(role, starts[role]) for role in Role if starts[role]), default=0)
+    begin_ns = min(
+        (truth.to_world_ns(role, starts[role]) for role in Role if starts[role]), default=0
+    )
     return lambda role, stamp_ns: (truth.to_world_ns(role, stamp_ns) - begin_ns) * 1e-9
 
 
@@ -77,18 +89,39 @@ def _draw_phases(axes: Axes, run: RunRecords, seconds: Clock) -> None:
     for row, role in enumerate(Role):
         changes = phase_changes(run.role(role))
         stamps = [seconds(role, r.stamp_ns) for r in changes]
-        stamps.append(seconds(role, max((t[-1].stamp_ns for t in run.role(role).values()), default=0)))
+        stamps.append(
+            seconds(role, max((t[-1].stamp_ns for t in run.role(role).values()), default=0))
+        )
         end_s = max(end_s, stamps[-1])
         for k, change in enumerate(changes):
             name = change.record["phase"]
             length = stamps[k + 1] - stamps[k]
-            axes.barh(row, length, left=stamps[k], height=0.52, color=PHASES.get(name, DIM), edgecolor="white")
+            axes.barh(
+                row,
+                length,
+                left=stamps[k],
+                height=0.52,
+                color=PHASES.get(name, DIM),
+                edgecolor="white",
+            )
             bars.append((stamps[k], length, row, name))
-        for start_s, stop_s in _responsible(run.role(role).get("/responsibility", ()), role, seconds, stamps[-1]):
-            axes.plot([start_s, stop_s], [row + 0.36] * 2, color=ROLE[role], lw=4, solid_capstyle="butt")
+        for start_s, stop_s in _responsible(
+            run.role(role).get("/responsibility", ()), role, seconds, stamps[-1]
+        ):
+            axes.plot(
+                [start_s, stop_s], [row + 0.36] * 2, color=ROLE[role], lw=4, solid_capstyle="butt"
+            )
     for begin_s, length, row, name in bars:
         if length > LETTER_SHARE * len(name) * end_s:  # else it would run into its neighbours
-            axes.text(begin_s + length / 2, row, name, ha="center", va="center", fontsize=8, color="#222222")
+            axes.text(
+                begin_s + length / 2,
+                row,
+                name,
+                ha="center",
+                va="center",
+                fontsize=8,
+                color="#222222",
+            )
     _mark_commit(axes, run, seconds)
     axes.set_xlim(0.0, max(end_s, 1e-3))
     axes.set_ylim(1.55, -0.45)
@@ -99,7 +132,9 @@ def _draw_phases(axes: Axes, run: RunRecords, seconds: Clock) -> None:
     axes.spines["left"].set_visible(False)
 
 
-def _responsible(records: Sequence[LogRecord], role: Role, seconds: Clock, end_s: float) -> list[tuple[float, float]]:
+def _responsible(
+    records: Sequence[LogRecord], role: Role, seconds: Clock, end_s: float
+) -> list[tuple[float, float]]:
     """Spans in which a role was responsible."""
     spans: list[tuple[float, float]] = []
     for record, after in zip_longest(records, records[1:]):
@@ -128,12 +163,24 @@ def _draw_agreement(axes: Axes, run: RunRecords, seconds: Clock) -> None:
     tau = np.array([r.record["tau"] if r.record["tau"] is not None else np.nan for r in pairs])
     axes.plot(stamps, tau, color=NEEDED, lw=1.4, label="needed (τ)")
     axes.plot(stamps[agreed], iou[agreed], ".", ms=3, color=ROLE[Role.SENDER], label="agreed")
-    axes.plot(stamps[known & ~agreed], iou[known & ~agreed], "x", ms=5, color=FAULT, label="does not count")
+    axes.plot(
+        stamps[known & ~agreed],
+        iou[known & ~agreed],
+        "x",
+        ms=5,
+        color=FAULT,
+        label="does not count",
+    )
     missed = ~agreed & ~known
-    axes.plot(stamps[missed], np.full(int(missed.sum()), 0.015), "|", ms=9, color=FAULT, label="missed")
+    axes.plot(
+        stamps[missed], np.full(int(missed.sum()), 0.015), "|", ms=9, color=FAULT, label="missed"
+    )
     count = axes.twinx()
-    name = "count" if pairs[-1].record.get("evidence") is None else "evidence"  # whichever the gate goes by
-    count.plot(stamps, [r.record[name] for r in pairs], color=COUNT, lw=1.4, label=f"{name} (right)")
+    # whichever the gate goes by
+    name = "count" if pairs[-1].record.get("evidence") is None else "evidence"
+    count.plot(
+        stamps, [r.record[name] for r in pairs], color=COUNT, lw=1.4, label=f"{name} (right)"
+    )
     needed = pairs[-1].record["needed" if name == "count" else "evidence_needed"]
     count.axhline(needed, color=COUNT, lw=0.8, ls=":")
     count.set_ylim(0, needed * 1.06)
@@ -158,11 +205,24 @@ def _draw_separation(
         return
     if truth is not None:
         offset_s = seconds(Role.SENDER, truth.scene.clock_offset_ns[Role.SENDER])
-        axes.plot(truth.stamps_ns * 1e-9 + offset_s, truth.separation_m, color="#333333", lw=1.6, label="true, bodies")
+        axes.plot(
+            truth.stamps_ns * 1e-9 + offset_s,
+            truth.separation_m,
+            color="#333333",
+            lw=1.6,
+            label="true, bodies",
+        )
     if measured:
         stamps = [seconds(Role.RECEIVER, r.stamp_ns) for r in measured]
         distance = [float(np.linalg.norm(r.record["position_v_m"])) for r in measured]
-        axes.plot(stamps, distance, ".", ms=1.5, color=ROLE[Role.RECEIVER], label="D2's camera to the marker")
+        axes.plot(
+            stamps,
+            distance,
+            ".",
+            ms=1.5,
+            color=ROLE[Role.RECEIVER],
+            label="D2's camera to the marker",
+        )
     if summary["separation_limit_m"] is not None:
         axes.axhline(summary["separation_limit_m"], color=FAULT, lw=1.2, ls="--", label="limit")
     axes.set_ylim(0.0, 1.15 * axes.get_ylim()[1])
@@ -179,10 +239,14 @@ def _draw_following(axes: Axes, run: RunRecords, truth: Truth | None, seconds: C
     if followed is None or truth is None:
         _empty(axes, "it did not follow, or nothing is known")
         return
-    stamps = followed.stamps_ns * 1e-9 + seconds(Role.SENDER, truth.scene.clock_offset_ns[Role.SENDER])
+    stamps = followed.stamps_ns * 1e-9 + seconds(
+        Role.SENDER, truth.scene.clock_offset_ns[Role.SENDER]
+    )
     axes.axhline(0.0, color=DIM, lw=0.8, ls=":")
     for column, name, style in ((0, "ahead: past it", "-"), (1, "to the right", "--")):
-        axes.plot(stamps, followed.off_m[:, column], color=ROLE[Role.SENDER], lw=1.4, ls=style, label=name)
+        axes.plot(
+            stamps, followed.off_m[:, column], color=ROLE[Role.SENDER], lw=1.4, ls=style, label=name
+        )
     axes.set_ylim(-1.0, 1.0)
     _mark_commit(axes, run, seconds)
     _legend(axes, [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")])

@@ -26,7 +26,9 @@ REFRESH_HZ = 8
 
 class Console(Protocol):
     def show(self, progress: Progress) -> None:
-        """Take in the newest state of a role; cheap, and never raises for a stream that went away."""
+        """Take in the newest state of a role; cheap, and never raises for a stream that went
+        away.
+        """
         ...
 
 
@@ -37,13 +39,16 @@ def open_console(stream: TextIO) -> Generator[Console, None, None]:
         yield LineConsole(stream)
         return
     table = LiveTable()
-    with Live(get_renderable=table.render, console=Terminal(file=stream), refresh_per_second=REFRESH_HZ) as live:
+    with Live(
+        get_renderable=table.render, console=Terminal(file=stream), refresh_per_second=REFRESH_HZ
+    ) as live:
         yield table
         live.refresh()
 
 
 class Elapsed:
-    """Seconds since each role's clock was first heard of; before it has one its stamps are 0, and the wall's count.
+    """Seconds since each role's clock was first heard of; before it has one its stamps are 0, and
+    the wall's count.
 
     ``wall_ns`` is the computer's own clock.
     """
@@ -55,7 +60,9 @@ class Elapsed:
     def seconds(self, progress: Progress) -> float:
         if not progress.stamp_ns:
             return (self._wall_ns() - self._opened_ns) * 1e-9
-        return (progress.stamp_ns - self._started_ns.setdefault(progress.role, progress.stamp_ns)) * 1e-9
+        return (
+            progress.stamp_ns - self._started_ns.setdefault(progress.role, progress.stamp_ns)
+        ) * 1e-9
 
 
 class LineConsole:
@@ -71,10 +78,17 @@ class LineConsole:
         elapsed_s = self._elapsed.seconds(progress)
         last = self._last.get(progress.role)
         news = last is None or (progress.phase, progress.note) != (last.phase, last.note)
-        if last is not None and not news and elapsed_s - self._shown_s[progress.role] < LINE_PERIOD_S:
+        if (
+            last is not None
+            and not news
+            and elapsed_s - self._shown_s[progress.role] < LINE_PERIOD_S
+        ):
             return
         self._last[progress.role], self._shown_s[progress.role] = progress, elapsed_s
-        parts = [f"{elapsed_s:7.1f} s  {progress.role.value:<8}  {progress.phase:<10}", *_figures(progress)]
+        parts = [
+            f"{elapsed_s:7.1f} s  {progress.role.value:<8}  {progress.phase:<10}",
+            *_figures(progress),
+        ]
         if progress.note and (news or not progress.stamp_ns):
             parts.append(progress.note)
         try:
@@ -129,7 +143,9 @@ class LiveTable:
         for progress in shown:
             table.add_row(*self._row(progress))
         notes = [f"{progress.role.value}: {progress.note}" for progress in shown if progress.note]
-        return Group(table, *(Text(note, style="dim", no_wrap=True, overflow="ellipsis") for note in notes))
+        return Group(
+            table, *(Text(note, style="dim", no_wrap=True, overflow="ellipsis") for note in notes)
+        )
 
     def _row(self, progress: Progress) -> list[Text | ProgressBar | str]:
         separation = "" if progress.separation_m is None else f"{progress.separation_m:.2f} m"
@@ -139,7 +155,9 @@ class LiveTable:
             Text(progress.role.value, style="bold green" if progress.responsible else "bold"),
             f"{self._elapsed.seconds(progress):.0f} s",
             Text(progress.phase, style="cyan"),
-            ProgressBar(total=needed, completed=min(reached, needed), width=BAR_WIDTH) if agreeing else "",
+            ProgressBar(total=needed, completed=min(reached, needed), width=BAR_WIDTH)
+            if agreeing
+            else "",
             _advance(progress).removeprefix("evidence ") if agreeing else "",
             "" if progress.iou is None else f"{progress.iou:.2f}",
             separation,
@@ -155,12 +173,16 @@ class SeriesProgress(Protocol):
 
 @contextmanager
 def open_tally(stream: TextIO, total: int) -> Generator[SeriesProgress, None, None]:
-    """A tally of runs on a stream: live when it is a terminal, a line at each tenth when it is not."""
+    """A tally of runs on a stream: live when it is a terminal, a line at each tenth when it is
+    not.
+    """
     if not stream.isatty():
         yield LineTally(stream, total)
         return
     tally = LiveTally(total)
-    with Live(get_renderable=tally.render, console=Terminal(file=stream), refresh_per_second=REFRESH_HZ) as live:
+    with Live(
+        get_renderable=tally.render, console=Terminal(file=stream), refresh_per_second=REFRESH_HZ
+    ) as live:
         yield tally
         live.refresh()
 
@@ -176,7 +198,9 @@ class LineTally:
         self._outcomes[outcome] = self._outcomes[outcome] + 1
         done = before + 1
         if done == self._total or done * 10 // self._total > before * 10 // self._total:
-            self._stream.write(f"{done}/{self._total} runs: {counts_text(dict(self._outcomes.most_common()))}\n")
+            self._stream.write(
+                f"{done}/{self._total} runs: {counts_text(dict(self._outcomes.most_common()))}\n"
+            )
             self._stream.flush()
 
 
@@ -192,5 +216,7 @@ class LiveTally:
         done = self._outcomes.total()
         table = Table.grid(padding=(0, 2))
         bar = ProgressBar(total=self._total, completed=done, width=3 * BAR_WIDTH)
-        table.add_row(bar, f"{done}/{self._total} runs", counts_text(dict(self._outcomes.most_common())))
+        table.add_row(
+            bar, f"{done}/{self._total} runs", counts_text(dict(self._outcomes.most_common()))
+        )
         return table

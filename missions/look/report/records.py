@@ -1,10 +1,11 @@
-"""The contents of a run folder and its logs' records: the contract between those who log and those who report.
+"""The contents of a run folder and its logs' records: the contract between those who log and those
+who report.
 
     sender.mcap, receiver.mcap   one log per role, stamps of the role's own clock; sender.2.mcap and so on of a role
                                  whose program was started again
     world.mcap                   truth, at levels with a simulated world, stamps of the world's clock
     run.json                     what was asked for and what the harness saw (``RunFacts``)
-    summary.json, run.png        made from the others by ``missions.look.report.command`` and ``missions.look.report.picture``
+    summary.json, run.png        made from the others by ``missions.look.report``
     run.html                     all of it on a page, by ``missions.look.report.page``
     replay.png, merged.mcap      when they are asked for, by ``missions.look.replay`` and ``missions.look.logs.merge``
 
@@ -35,7 +36,9 @@ PAGE = "run.html"
 REPLAY = "replay.png"
 MERGED = "merged.mcap"
 
-RUN = RunKind(FACTS, (SUMMARY, PICTURE, PAGE, REPLAY, MERGED), ("sender", "receiver", "world", "attack"))
+RUN = RunKind(
+    FACTS, (SUMMARY, PICTURE, PAGE, REPLAY, MERGED), ("sender", "receiver", "world", "attack")
+)
 
 Records = Mapping[str, Sequence[LogRecord]]
 """Records of one log by topic, in the order written."""
@@ -95,7 +98,8 @@ def write_facts(folder: Path, facts: RunFacts) -> None:
 
 
 def load_run(folder: Path, topics: Collection[str] | None = None) -> RunRecords:
-    """Read a run folder; what is missing in it is empty. ``topics``: those that are read; None: all.
+    """Read a run folder; what is missing in it is empty. ``topics``: those that are read; None:
+    all.
 
     Raises RunFolderError when it holds neither log nor facts.
     """
@@ -110,7 +114,8 @@ def load_run(folder: Path, topics: Collection[str] | None = None) -> RunRecords:
 
 
 def drone_logs(folder: Path) -> dict[str, list[LogRecord]]:
-    """The records of every drone's log in a run's folder, by the log's name, whatever the drones are called.
+    """The records of every drone's log in a run's folder, by the log's name, whatever the drones
+    are called.
 
     Raises RunFolderError when there is none.
     """
@@ -120,7 +125,11 @@ def drone_logs(folder: Path) -> dict[str, list[LogRecord]]:
 def drone_names(folder: Path) -> list[str]:
     """The names of the drones' logs in a run's folder. Raises RunFolderError when there is none."""
     others = (Path(WORLD_LOG).stem, Path(MERGED).stem, "attack")
-    names = sorted(path.stem for path in folder.glob("*.mcap") if "." not in path.stem and path.stem not in others)
+    names = sorted(
+        path.stem
+        for path in folder.glob("*.mcap")
+        if "." not in path.stem and path.stem not in others
+    )
     if not names and load_facts(folder) is None:
         raise RunFolderError(
             f"{folder} is not the folder of a run: it holds no drone's log",
@@ -146,7 +155,8 @@ def load_facts(folder: Path) -> RunFacts | None:
 
 
 def by_topic(*paths: Path, topics: Collection[str] | None = None) -> dict[str, list[LogRecord]]:
-    """Returns the records of a log's parts by topic, of all topics or of some; empty when there is no such file.
+    """Returns the records of a log's parts by topic, of all topics or of some; empty when there is
+    no such file.
 
     Raises RunFolderError for what is no log.
     """
@@ -171,13 +181,21 @@ def first(records: Records, topic: str) -> dict[str, Any] | None:
 def judged_pairs(run: RunRecords) -> list[LogRecord]:
     """One record for every candidate that the sender judged, up to the commit."""
     commit = last(run.sender, "/commit")
-    return [r for r in run.sender.get("/agreement", ()) if commit is None or r.stamp_ns <= commit.stamp_ns]
+    return [
+        r
+        for r in run.sender.get("/agreement", ())
+        if commit is None or r.stamp_ns <= commit.stamp_ns
+    ]
 
 
 def phase_changes(records: Records) -> list[LogRecord]:
     """The records with which a phase begins."""
     phases = records.get("/phase", ())
-    return [r for k, r in enumerate(phases) if k == 0 or r.record["phase"] != phases[k - 1].record["phase"]]
+    return [
+        r
+        for k, r in enumerate(phases)
+        if k == 0 or r.record["phase"] != phases[k - 1].record["phase"]
+    ]
 
 
 def last(records: Records, topic: str) -> LogRecord | None:

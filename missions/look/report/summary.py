@@ -26,10 +26,10 @@ from path.messages import Role
 def summarize(run: RunRecords) -> dict[str, Any]:
     """Everything ``summary.json`` holds. What the records do not tell is null.
 
-    Errors are medians over the agreeing pairs before the commit: ``d2_error_m`` of the position of D2's camera in the
-    marker's frame, ``target_error_m`` of the target's point as D2 has it in its own camera frame, against the true
-    place of the very point on the target that D1 measured; ``target_both_error_m`` of what D2 makes of that and of its
-    own view.
+    Errors are medians over the agreeing pairs before the commit: ``d2_error_m`` of the position of
+    D2's camera in the marker's frame, ``target_error_m`` of the target's point as D2 has it in its
+    own camera frame, against the true place of the very point on the target that D1 measured;
+    ``target_both_error_m`` of what D2 makes of that and of its own view.
     """
     truth = truth_of(run.world)
     span = _verification(run)
@@ -45,8 +45,13 @@ def summarize(run: RunRecords) -> dict[str, Any]:
         "frames": {role.value: _frames(run.role(role), span) for role in Role},
         "slow": dict(run.facts.slow) if run.facts else {},
         "shed": {role.value: shed_s(run.role(role)) for role in Role},
-        "setpoint_gap_s": {r.record["role"]: _rounded(r.record["gap_s"]) for r in run.world.get("/setpoint_gap", ())},
-        "estimator_steps": {role.value: len(run.role(role).get("/estimator_step", ())) for role in Role},
+        "setpoint_gap_s": {
+            r.record["role"]: _rounded(r.record["gap_s"])
+            for r in run.world.get("/setpoint_gap", ())
+        },
+        "estimator_steps": {
+            role.value: len(run.role(role).get("/estimator_step", ())) for role in Role
+        },
         "monitors": dict(run.facts.violations) if run.facts else {},
         "phases": {role.value: phases(run, role) for role in Role},
     }
@@ -54,7 +59,8 @@ def summarize(run: RunRecords) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """The time from the sender's entry into the verify phase to its commit, or to where its log ends.
+    """The time from the sender's entry into the verify phase to its commit, or to where its log
+    ends.
 
     Sender's clock.
     """
@@ -125,7 +131,9 @@ def _outcome(run: RunRecords) -> dict[str, Any]:
 
 
 def _marker_causes(run: RunRecords) -> list[str]:
-    """What was likely wrong with the marker where the receiver got no pose of it, each kind once."""
+    """What was likely wrong with the marker where the receiver got no pose of it, each kind
+    once.
+    """
     missed = [r.record for r in run.receiver.get("/marker", ()) if r.record.get("cause")]
     causes = {record["reason"]: record["cause"] for record in missed}
     return [f"the sender's marker: {cause}" for cause in causes.values()]
@@ -135,11 +143,15 @@ def _times(run: RunRecords, span: Verification | None) -> dict[str, Any]:
     committed = span is not None and span.committed
     facts = run.facts
     return {
-        "t_commit_s": _rounded((span.end_ns - start_ns(run, Role.SENDER)) * 1e-9) if span and committed else None,
+        "t_commit_s": _rounded((span.end_ns - start_ns(run, Role.SENDER)) * 1e-9)
+        if span and committed
+        else None,
         "agreement_s": _rounded(span.seconds) if span and committed else None,
         "simulated_s": _rounded(facts.simulated_s) if facts else None,
         "wall_s": _rounded(facts.wall_s) if facts else None,
-        "realtime_factor": _rounded(facts.simulated_s / facts.wall_s) if facts and facts.wall_s > 0.0 else None,
+        "realtime_factor": _rounded(facts.simulated_s / facts.wall_s)
+        if facts and facts.wall_s > 0.0
+        else None,
     }
 
 
@@ -147,7 +159,9 @@ def _agreement(run: RunRecords, span: Verification | None) -> dict[str, Any]:
     pairs = judged_pairs(run)
     agreed = [r.record for r in pairs if r.record["agreed"]]
     evidence = [reached for r in pairs if (reached := r.record.get("evidence")) is not None]
-    misses = Counter(r.record["reason"] for r in pairs if not r.record["agreed"]) + _own_misses(run, span)
+    misses = Counter(r.record["reason"] for r in pairs if not r.record["agreed"]) + _own_misses(
+        run, span
+    )
     row = longest_row(run)
     return {
         "iou_median": _median(record["iou"] for record in agreed),
@@ -164,12 +178,16 @@ def _agreement(run: RunRecords, span: Verification | None) -> dict[str, Any]:
 
 
 def _own_misses(run: RunRecords, span: Verification | None) -> Counter[str]:
-    """The sender's own frames that could not be half of a pair, while it verified: no target, no depth."""
+    """The sender's own frames that could not be half of a pair, while it verified: no target, no
+    depth.
+    """
     if span is None:
         return Counter()
     frames = run.sender.get("/target", ())
     return Counter(
-        r.record["reason"] for r in frames if r.record["reason"] and span.start_ns <= r.stamp_ns <= span.end_ns
+        r.record["reason"]
+        for r in frames
+        if r.record["reason"] and span.start_ns <= r.stamp_ns <= span.end_ns
     )
 
 
@@ -179,8 +197,15 @@ def _separation(run: RunRecords, truth: Truth | None) -> dict[str, Any]:
             "min_separation_m": _minimum(truth.separation_m),
             "separation_limit_m": truth.scene.min_separation_m,
         }
-    measured = [r.record["position_v_m"] for r in run.receiver.get("/marker", ()) if r.record["position_v_m"]]
-    return {"min_separation_m": _minimum(np.linalg.norm(p) for p in measured), "separation_limit_m": None}
+    measured = [
+        r.record["position_v_m"]
+        for r in run.receiver.get("/marker", ())
+        if r.record["position_v_m"]
+    ]
+    return {
+        "min_separation_m": _minimum(np.linalg.norm(p) for p in measured),
+        "separation_limit_m": None,
+    }
 
 
 def _following(run: RunRecords, truth: Truth | None) -> dict[str, Any]:
@@ -209,7 +234,11 @@ def _errors(run: RunRecords, span: Verification | None, truth: Truth | None) -> 
     target: list[float] = []
     both: list[float] = []
     if truth is not None:
-        sent = {r.record["sequence"]: r.record for r in run.sender.get("/target", ()) if r.record["reason"] is None}
+        sent = {
+            r.record["sequence"]: r.record
+            for r in run.sender.get("/target", ())
+            if r.record["reason"] is None
+        }
         answers = {r.record["sequence"]: r.record for r in run.receiver.get("/candidate", ())}
         reckoned = {r.record["sequence"]: r.record for r in run.receiver.get("/both_views", ())}
         for pair in (r.record for r in judged_pairs(run) if r.record["agreed"]):
@@ -223,7 +252,9 @@ def _errors(run: RunRecords, span: Verification | None, truth: Truth | None) -> 
             found = reckoned.get(pair["sequence"])
             if found is None or point is None:
                 continue
-            if (error := target_error_m(truth, {**answer, "point_v_m": found["point_v_m"]}, point)) is not None:
+            if (
+                error := target_error_m(truth, {**answer, "point_v_m": found["point_v_m"]}, point)
+            ) is not None:
                 both.append(error)
     handed = None if truth is None else handed_over(run, truth)
     return {
@@ -240,16 +271,20 @@ def _errors(run: RunRecords, span: Verification | None, truth: Truth | None) -> 
 
 def d2_error_m(truth: Truth, answer: Mapping[str, Any]) -> float:
     """Returns the error of a candidate's position of D2's camera, m, in the marker's frame."""
-    return float(np.linalg.norm(np.array(answer["position_v_m"]) - truth.T_v_c2(answer["capture_ns"]).t))
+    return float(
+        np.linalg.norm(np.array(answer["position_v_m"]) - truth.T_v_c2(answer["capture_ns"]).t)
+    )
 
 
-def target_error_m(truth: Truth, answer: Mapping[str, Any], sent: Mapping[str, Any]) -> float | None:
+def target_error_m(
+    truth: Truth, answer: Mapping[str, Any], sent: Mapping[str, Any]
+) -> float | None:
     """Returns the error of the target's point in D2's camera frame, m.
 
     None when D1's box was not centred on the target.
 
-    The true point is where D1's line of sight met the body of the target, carried along with that body to the instant
-    of D2's frame.
+    The true point is where D1's line of sight met the body of the target, carried along with that
+    body to the instant of D2's frame.
     """
     if answer["point_v_m"] is None:
         return None
@@ -267,7 +302,9 @@ def target_error_m(truth: Truth, answer: Mapping[str, Any], sent: Mapping[str, A
 
 
 def _link(run: RunRecords, span: Verification | None) -> dict[str, Any]:
-    """Rates while the views are compared (else over the whole log), both ways and each way, at the socket."""
+    """Rates while the views are compared (else over the whole log), both ways and each way, at the
+    socket.
+    """
     rates: dict[str, float | None] = {}
     for role in Role:
         records = run.role(role).get("/link", ())
@@ -302,13 +339,19 @@ def _rate(records: Sequence[LogRecord]) -> float | None:
     if len(records) < 2 or records[-1].stamp_ns <= records[0].stamp_ns:
         return None
     steps = pairwise(records)
-    sent = sum(b.record["bytes_sent"] - (0 if _anew(a, b) else a.record["bytes_sent"]) for a, b in steps)
+    sent = sum(
+        b.record["bytes_sent"] - (0 if _anew(a, b) else a.record["bytes_sent"]) for a, b in steps
+    )
     return _rounded(sent / ((records[-1].stamp_ns - records[0].stamp_ns) * 1e-9), 1)
 
 
 def _frames(records: Records, span: Verification | None) -> dict[str, Any]:
-    """Rate of distinct frames while the views are compared, and how many the camera took that nobody looked at."""
-    frames = [r for r in records.get("/frame", ()) if span is None or _verifying(records, r.stamp_ns)]
+    """Rate of distinct frames while the views are compared, and how many the camera took that
+    nobody looked at.
+    """
+    frames = [
+        r for r in records.get("/frame", ()) if span is None or _verifying(records, r.stamp_ns)
+    ]
     if len(frames) < 2:
         return {"hz": None, "missed": None}
     ids = [r.record["frame_id"] for r in frames]
@@ -317,7 +360,9 @@ def _frames(records: Records, span: Verification | None) -> dict[str, Any]:
 
 
 def shed_s(records: Records) -> dict[str, float]:
-    """Returns for how long each thing was given up because the computer did not keep up, s, in the order it went."""
+    """Returns for how long each thing was given up because the computer did not keep up, s, in the
+    order it went.
+    """
     gone_ns: dict[str, int] = {}
     total_s: dict[str, float] = {}
     for r in records.get("/shed", ()):

@@ -10,7 +10,9 @@ from rich.text import Text
 
 
 def plain_table(*titles: str, left: Collection[str] = ("",)) -> Table:
-    """A table without lines. Numbers are on the right; ``left`` are the titles of columns that hold words."""
+    """A table without lines. Numbers are on the right; ``left`` are the titles of columns that hold
+    words.
+    """
     table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
     for title in titles:
         table.add_column(title, justify="left" if title in left else "right")

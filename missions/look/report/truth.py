@@ -45,12 +45,17 @@ class Truth:
     def __init__(self, scene: TrueScene, records: Sequence[LogRecord]) -> None:
         self.scene = scene
         self.stamps_ns = np.array([r.stamp_ns for r in records], np.int64)
-        # interpolation is relative to the start: float64 has no room for nanoseconds since some epoch
+        # interpolation is relative to the start: float64 has no room for nanoseconds since some
+        # epoch
         self._start_ns = int(self.stamps_ns[0])
         self._since_ns = self.stamps_ns - self._start_ns
-        self._t = {role: np.array([r.record[role.value]["t"] for r in records], float) for role in Role}
+        self._t = {
+            role: np.array([r.record[role.value]["t"] for r in records], float) for role in Role
+        }
         self._q = {role: _continuous([r.record[role.value]["q"] for r in records]) for role in Role}
-        self._in_air = {role: np.array([r.record[role.value]["in_air"] for r in records], bool) for role in Role}
+        self._in_air = {
+            role: np.array([r.record[role.value]["in_air"] for r in records], bool) for role in Role
+        }
         self._objects = _objects([r.record["objects"] for r in records])
         self.object_ids = sorted(self._objects)
 
@@ -61,7 +66,9 @@ class Truth:
         return np.where(self._in_air[Role.SENDER] & self._in_air[Role.RECEIVER], apart, np.nan)
 
     def way_to(self, role: Role, object_id: int) -> tuple[NDArray[np.int64], Array]:
-        """Returns the stamps of the world's clock, and from a role's body to an object at each: east, north, up."""
+        """Returns the stamps of the world's clock, and from a role's body to an object at each:
+        east, north, up.
+        """
         return self.stamps_ns, self._objects[object_id][:, :3] - self._t[role]
 
     def to_world_ns(self, role: Role, stamp_ns: int) -> int:
@@ -81,14 +88,20 @@ class Truth:
         x, y, z, yaw = self._at(self._objects[object_id], role, stamp_ns)
         return Pose(R_from_yaw(yaw), np.array([x, y, z]))
 
-    def hit_o(self, role: Role, stamp_ns: int, pixel: Sequence[float], object_id: int) -> Vector | None:
-        """Returns where the ray of a pixel meets an object, in the object's frame; None when it misses."""
+    def hit_o(
+        self, role: Role, stamp_ns: int, pixel: Sequence[float], object_id: int
+    ) -> Vector | None:
+        """Returns where the ray of a pixel meets an object, in the object's frame; None when it
+        misses.
+        """
         x, y = self.scene.cameras[role].ray(pixel[0], pixel[1])
         T_o_c = self.T_w_o(object_id, role, stamp_ns).inverse() @ self.T_w_c(role, stamp_ns)
         return first_hit(T_o_c.t, T_o_c.R @ np.array([x, y, 1.0]), self.scene.boxes)
 
     def object_at(self, role: Role, stamp_ns: int, pixel: Sequence[float]) -> int:
-        """The object whose middle is seen nearest to a pixel, of those that are there at that instant."""
+        """The object whose middle is seen nearest to a pixel, of those that are there at that
+        instant.
+        """
         T_c_w = self.T_w_c(role, stamp_ns).inverse()
 
         def distance_px(object_id: int) -> float:
@@ -117,11 +130,16 @@ class Truth:
 
 
 def _objects(records: Sequence[Sequence[Mapping[str, Any]]]) -> dict[int, Array]:
-    """(x, y, z, yaw) of every object by id, shape (n, 4), NaN while it is not there: look-alikes come and go."""
+    """(x, y, z, yaw) of every object by id, shape (n, 4), NaN while it is not there: look-alikes
+    come and go.
+    """
     found: dict[int, Array] = {}
     for k, objects in enumerate(records):
         for each in objects:
-            found.setdefault(each["id"], np.full((len(records), 4), np.nan))[k] = *each["t"], each["yaw"]
+            found.setdefault(each["id"], np.full((len(records), 4), np.nan))[k] = (
+                *each["t"],
+                each["yaw"],
+            )
     for poses in found.values():
         there = np.isfinite(poses[:, 3])
         poses[there, 3] = np.unwrap(poses[there, 3])
@@ -138,7 +156,9 @@ def truth_of(world: Records) -> Truth | None:
 
 
 def handed_over(run: RunRecords, truth: Truth) -> int | None:
-    """The object, in truth, in D2's box of the last pair that agreed before the commit; None without a commit."""
+    """The object, in truth, in D2's box of the last pair that agreed before the commit; None
+    without a commit.
+    """
     if last(run.sender, "/commit") is None:
         return None
     answers = {r.record["sequence"]: r.record for r in run.receiver.get("/candidate", ())}
@@ -155,7 +175,9 @@ def box_center(box: Sequence[float]) -> tuple[float, float]:
 
 
 def first_hit(origin: Vector, direction: Vector, boxes: Array) -> Vector | None:
-    """Returns where a ray first enters one of the boxes (n, 6: centre, size; axes-aligned); None when it misses all."""
+    """Returns where a ray first enters one of the boxes (n, 6: centre, size; axes-aligned); None
+    when it misses all.
+    """
     direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
     near = (boxes[:, :3] - boxes[:, 3:] / 2 - origin) / direction
     far = (boxes[:, :3] + boxes[:, 3:] / 2 - origin) / direction
@@ -188,7 +210,13 @@ def _scene(record: Mapping[str, Any]) -> TrueScene:
 def _camera(record: Mapping[str, Any]) -> CameraModel:
     k1, k2, p1, p2, k3 = record["distortion"]
     return CameraModel(
-        record["width"], record["height"], record["fx"], record["fy"], record["cx"], record["cy"], (k1, k2, p1, p2, k3)
+        record["width"],
+        record["height"],
+        record["fx"],
+        record["fy"],
+        record["cx"],
+        record["cy"],
+        (k1, k2, p1, p2, k3),
     )
 
 

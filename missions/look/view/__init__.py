@@ -1,1 +1,3 @@
-"""Runs and flights as a person looks at them: in Rerun, and the layout for Foxglove and Lichtblick."""
+"""Runs and flights as a person looks at them: in Rerun, and the layout for Foxglove and
+Lichtblick.
+"""

@@ -1,7 +1,8 @@
 """``path-handoff view``: a run, or logs, in Rerun; or the layout for Foxglove and Lichtblick.
 
-A run's logs are put onto one clock first (``missions.look.logs.merge``). What is shown is what any reader of the log sees:
-Foxglove's messages, and figures of PATH's own records. Rerun's program is started by path, for this computer alone.
+A run's logs are put onto one clock first (``missions.look.logs.merge``). What is shown is what any
+reader of the log sees: Foxglove's messages, and figures of PATH's own records. Rerun's program is
+started by path, for this computer alone.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ def run(options: ViewOptions) -> int:
         return 0
     if not options.logs and not options.live:
         raise PartError(
-            "nothing is named to look at", "name the folder of a run, or logs; or ask for --live, or for --layout FILE"
+            "nothing is named to look at",
+            "name the folder of a run, or logs; or ask for --live, or for --layout FILE",
         )
     have_rerun()
     if options.save is not None:
@@ -73,18 +75,24 @@ def have_rerun() -> None:
     """Raises PartError when Rerun, or what reads the log for it, is not installed."""
     missing = [name for name in ("rerun", "mcap_protobuf", "websockets") if find_spec(name) is None]
     if missing:
-        raise PartError(f"looking at runs needs {' and '.join(missing)}, which is not installed", REMEDY)
+        raise PartError(
+            f"looking at runs needs {' and '.join(missing)}, which is not installed", REMEDY
+        )
 
 
 def write_rrd(logs: Sequence[Path], rrd: Path, folder: Path) -> None:
-    """Rerun's file of some logs; ``folder``: for what is needed meanwhile. Raises PartError, OSError."""
+    """Rerun's file of some logs; ``folder``: for what is needed meanwhile. Raises PartError,
+    OSError.
+    """
     import rerun as rr  # noqa: PLC0415 (an extra)
 
     from missions.look.view.blueprint import blueprint  # noqa: PLC0415
     from missions.look.view.drawing import Drawing  # noqa: PLC0415
 
     merged = _merged(logs, folder)
-    recording = rr.RecordingStream("path-handoff", recording_id=logs[0].resolve().name, batcher_config=_large_batches())
+    recording = rr.RecordingStream(
+        "path-handoff", recording_id=logs[0].resolve().name, batcher_config=_large_batches()
+    )
     topics: set[str] = set()
     recording.save(rrd)
     drawing = Drawing(recording)
@@ -96,7 +104,9 @@ def write_rrd(logs: Sequence[Path], rrd: Path, folder: Path) -> None:
                 drawing.message(each.channel.topic, each.channel.schema, each.utc_ns, each.data)
     names = sorted({topic.split("/")[1] for topic in topics}, reverse=True)
     drones = [name for name in names if f"/{name}/image" in topics]
-    recording.send_blueprint(blueprint(names, drones, drawing.plots, eye_of(drawing.paths.values())))
+    recording.send_blueprint(
+        blueprint(names, drones, drawing.plots, eye_of(drawing.paths.values()))
+    )
     recording.flush()
     recording.disconnect()
 
@@ -131,7 +141,9 @@ def _watch(options: ViewOptions) -> int:
     recording = rr.RecordingStream("path-handoff")
     if options.save is not None:
         recording.save(options.save)
-    shown = nullcontext((None, "")) if options.save else page(options.port) if options.web else viewer()
+    shown = (
+        nullcontext((None, "")) if options.save else page(options.port) if options.web else viewer()
+    )
     with suppress(KeyboardInterrupt), shown as (server, at):
         if server is not None:
             recording.connect_grpc(at)
@@ -150,9 +162,18 @@ def _watch(options: ViewOptions) -> int:
                     names.add(name)
                     flying = len(drawing.paths)
                     known = sorted(names, reverse=True)
-                    drones = [name for name in known if name not in ("world", "attack") and "guard" not in name]
+                    drones = [
+                        name
+                        for name in known
+                        if name not in ("world", "attack") and "guard" not in name
+                    ]
                     recording.send_blueprint(
-                        blueprint(known, drones, [kind for kind, _ in PLOTS], eye_of(drawing.paths.values()))
+                        blueprint(
+                            known,
+                            drones,
+                            [kind for kind, _ in PLOTS],
+                            eye_of(drawing.paths.values()),
+                        )
                     )
         recording.flush()
         recording.disconnect()

@@ -1,4 +1,5 @@
-"""A log's messages as Rerun draws them: Foxglove's by their own schemas, and figures of PATH's records.
+"""A log's messages as Rerun draws them: Foxglove's by their own schemas, and figures of PATH's
+records.
 
 Frames keep their names. Of the drone NAME:
 
@@ -8,7 +9,8 @@ Frames keep their names. Of the drone NAME:
     plots/WHAT/NAME/...     figures over time
     NAME/log                phases, reasons, decisions
 
-Whatever is not known here is left out. Imports Rerun: ``missions.look.view.command`` looks first whether it is there.
+Whatever is not known here is left out. Imports Rerun: ``missions.look.view.command`` looks first
+whether it is there.
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ from path.messages import Vec3
 UTC = "utc"
 RUN = "run"
 OF_AN_ATTEMPT = ("overlap", "count", "evidence")
-"""Plots that an attempt has, and nothing between two of them: no line joins its end to the next one's begin."""
+"""Plots that an attempt has, and nothing between two of them: no line joins its end to the next
+one's begin.
+"""
 GAP_NS = 500_000_000
 """After so long without a pair the line ends where the last one was."""
 # of foxglove.PointsAnnotation; LinePrimitive has 1 and 2
@@ -90,11 +94,15 @@ class Drawing:
         record = {**blank(f"/{own}"), **msgspec.json.decode(data)}
         if own == "commit":
             self._end_lines(name, utc_ns)
-        for path, value in self._figures.setdefault(name, PlottedValues()).of(f"/{own}", utc_ns, record):
+        for path, value in self._figures.setdefault(name, PlottedValues()).of(
+            f"/{own}", utc_ns, record
+        ):
             self._plot(name, path, utc_ns, value)
 
     def _end_lines(self, name: str, utc_ns: int) -> None:
-        """End the lines of a drone's attempt: what its gate says of the next one has nothing to do with them."""
+        """End the lines of a drone's attempt: what its gate says of the next one has nothing to do
+        with them.
+        """
         for whole in [whole for whole in self._open_ns if whole.split("/")[2] == name]:
             self._end_line(whole, max(utc_ns, self._open_ns[whole] + 1))
         self._at(utc_ns)
@@ -126,7 +134,8 @@ class Drawing:
 
     def _decoder(self, schema: Schema) -> Callable[[bytes], Any] | None:
         if schema.name not in self._decode:
-            # A factory remembers schemas by their id, which a stream and a second log give to others again.
+            # A factory remembers schemas by their id, which a stream and a second log give to
+            # others again.
             self._decode[schema.name] = DecoderFactory().decoder_for("protobuf", schema)
         return self._decode[schema.name]
 
@@ -136,7 +145,8 @@ class Drawing:
             self._recording.log(path, rr.CoordinateFrame(frame), static=True)
         self._recording.log(path, *parts, static=static)
 
-    # --- where things are ----------------------------------------------------------------------------------------
+    # --- where things are
+    # ----------------------------------------------------------------------------------------
 
     def _transforms(self, name: str, message: Any) -> None:
         for each in message.transforms:
@@ -151,7 +161,8 @@ class Drawing:
                 translation=(t.x, t.y, t.z), quaternion=rr.Quaternion(xyzw=(q.x, q.y, q.z, q.w)),
                 parent_frame=each.parent_frame_id, child_frame=each.child_frame_id,
             )  # fmt: skip
-            self._log(f"tf/{each.child_frame_id}", transform)  # of "n" every drone tells, and it is one
+            # of "n" every drone tells, and it is one
+            self._log(f"tf/{each.child_frame_id}", transform)
 
     def _calibration(self, name: str, message: Any) -> None:
         pinhole = rr.Pinhole(
@@ -179,7 +190,8 @@ class Drawing:
     def _place(self, name: str, message: Any) -> None:
         self._log(f"{name}/position", rr.GeoPoints(lat_lon=[(message.latitude, message.longitude)]))
 
-    # --- images --------------------------------------------------------------------------------------------------
+    # --- images
+    # --------------------------------------------------------------------------------------------------
 
     def _image(self, name: str, message: Any) -> None:
         image = rr.EncodedImage(contents=message.data, media_type=f"image/{message.format}")
@@ -190,7 +202,9 @@ class Drawing:
             self._annotations(name, boxes)
 
     def _over_the_image(self, name: str, message: Any) -> None:
-        """Boxes are told more often than images: only those of the image's own instant belong over it."""
+        """Boxes are told more often than images: only those of the image's own instant belong over
+        it.
+        """
         image = self._images.get(name)
         if image is None or image == _stamp(message):
             self._annotations(name, message)
@@ -206,7 +220,11 @@ class Drawing:
             strips += parts
             colors += [_rgba(each.outline_color)] * len(parts)
         frame = _image_frame(name)
-        self._log(f"{name}/boxes", rr.LineStrips2D(strips, colors=colors, radii=-1.5, draw_order=20.0), frame=frame)
+        self._log(
+            f"{name}/boxes",
+            rr.LineStrips2D(strips, colors=colors, radii=-1.5, draw_order=20.0),
+            frame=frame,
+        )
         words = " · ".join(each.text for each in message.texts)
         self._log(f"{name}/words", rr.TextLog(words, level=rr.TextLogLevel.DEBUG))
         places = [(each.position.x, each.position.y) for each in message.texts]
@@ -220,10 +238,13 @@ class Drawing:
         )
         self._log(f"{name}/verdict", labels, frame=frame)
 
-    # --- words ---------------------------------------------------------------------------------------------------
+    # --- words
+    # ---------------------------------------------------------------------------------------------------
 
     def _words(self, name: str, message: Any) -> None:
-        self._log(f"{name}/log", rr.TextLog(message.message, level=_LEVELS.get(message.level, "INFO")))
+        self._log(
+            f"{name}/log", rr.TextLog(message.message, level=_LEVELS.get(message.level, "INFO"))
+        )
 
 
 def _stamp(message: Any) -> tuple[int, int]:

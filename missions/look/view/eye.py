@@ -1,4 +1,6 @@
-"""The place that the scene is looked at from at first: where both drones fly, and not the whole of their fence."""
+"""The place that the scene is looked at from at first: where both drones fly, and not the whole of
+their fence.
+"""
 
 from __future__ import annotations
 

@@ -46,7 +46,9 @@ class PlottedValues:
                 yield path, 1e-7 * per_s
         self._before["/cpu"] = utc_ns, spent
 
-    def _rate(self, path: str, topic: str, utc_ns: int, record: Record, name: str) -> Iterator[Figure]:
+    def _rate(
+        self, path: str, topic: str, utc_ns: int, record: Record, name: str
+    ) -> Iterator[Figure]:
         """Per second since the record before."""
         before_ns, before = self._before.get(topic, (utc_ns, {}))
         if utc_ns > before_ns and name in before:

@@ -1,4 +1,6 @@
-"""Rerun's own program, for this computer alone: its window, or the page that it serves from its package."""
+"""Rerun's own program, for this computer alone: its window, or the page that it serves from its
+package.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ def _program() -> list[str]:
 
 
 def window(rrd: Path) -> int:
-    return subprocess.run([*_program(), str(rrd), "--bind", HOST, "--port", "auto"], check=False).returncode
+    return subprocess.run(
+        [*_program(), str(rrd), "--bind", HOST, "--port", "auto"], check=False
+    ).returncode
 
 
 def serve(rrd: Path, port: int) -> int:
@@ -35,13 +39,17 @@ def serve(rrd: Path, port: int) -> int:
 
 @contextmanager
 def page(port: int, *arguments: str) -> Generator[tuple[subprocess.Popen[bytes], str], None, None]:
-    """Rerun's server of the page, and where it takes what is to be shown. Ctrl-C ends it. Raises PartError."""
+    """Rerun's server of the page, and where it takes what is to be shown. Ctrl-C ends it. Raises
+    PartError.
+    """
     _refuse_taken(port)
     own = _free_port()
     ports = ["--serve-web", "--bind", HOST, "--web-viewer-port", str(port), "--port", str(own)]
     with _until_end([*_program(), *arguments, *ports]) as server:
         _until_up(server, port)
-        sys.stdout.write(f"http://{HOST}:{port}/?url=rerun%2Bhttp://{HOST}:{own}/proxy    (Ctrl-C ends it)\n")
+        sys.stdout.write(
+            f"http://{HOST}:{port}/?url=rerun%2Bhttp://{HOST}:{own}/proxy    (Ctrl-C ends it)\n"
+        )
         sys.stdout.flush()
         yield server, f"rerun+http://{HOST}:{own}/proxy"
 
@@ -50,7 +58,9 @@ def page(port: int, *arguments: str) -> Generator[tuple[subprocess.Popen[bytes],
 def viewer() -> Generator[tuple[subprocess.Popen[bytes], str], None, None]:
     """Rerun's window."""
     own = _free_port()
-    with _until_end([*_program(), "--bind", HOST, "--port", str(own), "--expect-data-soon"]) as server:
+    with _until_end(
+        [*_program(), "--bind", HOST, "--port", str(own), "--expect-data-soon"]
+    ) as server:
         _until_up(server, own)
         yield server, f"rerun+http://{HOST}:{own}/proxy"
 
@@ -63,7 +73,8 @@ def _until_end(command: Sequence[str]) -> Generator[subprocess.Popen[bytes], Non
             yield server
         finally:
             with suppress(ProcessLookupError):
-                os.killpg(server.pid, signal.SIGTERM)  # Rerun's package starts its program as a child of its own
+                # Rerun's package starts its program as a child of its own
+                os.killpg(server.pid, signal.SIGTERM)
 
 
 def _until_up(server: subprocess.Popen[bytes], port: int) -> None:
@@ -73,7 +84,9 @@ def _until_up(server: subprocess.Popen[bytes], port: int) -> None:
             if probe.connect_ex((HOST, port)) == 0:
                 return
         time.sleep(0.1)
-    raise PartError("Rerun's server did not come up", "see what it said above; name another port with --port")
+    raise PartError(
+        "Rerun's server did not come up", "see what it said above; name another port with --port"
+    )
 
 
 def _refuse_taken(port: int) -> None:
@@ -82,7 +95,9 @@ def _refuse_taken(port: int) -> None:
         try:
             probe.bind((HOST, port))
         except OSError as error:
-            raise PartError(f"port {port}: {error.strerror}", "name another one with --port") from error
+            raise PartError(
+                f"port {port}: {error.strerror}", "name another one with --port"
+            ) from error
 
 
 def _free_port() -> int:

@@ -1,4 +1,6 @@
-"""Flights as they go, from the streams that ``--live`` serves: what Foxglove's WebSocket says, message by message."""
+"""Flights as they go, from the streams that ``--live`` serves: what Foxglove's WebSocket says,
+message by message.
+"""
 
 from __future__ import annotations
 
@@ -41,8 +43,8 @@ class StreamMessage:
 class Watcher:
     """Several streams at once, each in a thread that ends with the program.
 
-    A stream that is not there yet, or is lost, is asked for again every second. When messages come faster than they
-    are drawn the oldest are dropped.
+    A stream that is not there yet, or is lost, is asked for again every second. When messages come
+    faster than they are drawn the oldest are dropped.
     """
 
     def __init__(self, *addresses: str) -> None:
@@ -57,7 +59,10 @@ class Watcher:
 
     def _watch(self, address: str) -> None:
         while True:
-            with suppress(OSError, WebSocketException, ValueError, KeyError), _dialled(address) as stream:
+            with (
+                suppress(OSError, WebSocketException, ValueError, KeyError),
+                _dialled(address) as stream,
+            ):
                 self._listen(stream)
             time.sleep(AGAIN_S)
 

@@ -1,4 +1,6 @@
-"""The bounds on how long a decision and a gap may take, derived from the protocol's deadlines (L1, L2)."""
+"""The bounds on how long a decision and a gap may take, derived from the protocol's deadlines (L1,
+L2).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Pieces of a campaign on a Dask cluster: the same orders, done by its workers. The one place that knows Dask."""
+"""Pieces of a campaign on a Dask cluster: the same orders, done by its workers. The one place that
+knows Dask.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,12 @@ class ClusterWork:
         self._as_completed = as_completed
         self._bars = bars
 
-    def stream(self, what: str, piece: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
-        """The results as they come. Raises what a piece raised, and PartError when the cluster is lost."""
+    def stream(
+        self, what: str, piece: Callable[[Item], Result], items: Sequence[Item]
+    ) -> Iterator[Result]:
+        """The results as they come. Raises what a piece raised, and PartError when the cluster is
+        lost.
+        """
         futures = self._client.map(piece, items, pure=False, retries=LOST_AFTER)
         try:
             with self._bars.bar(what, len(items)) as advance:
@@ -45,7 +51,8 @@ def open_cluster(address: str, stream: TextIO | None = None) -> Generator[Cluste
         from distributed import Client, as_completed  # type: ignore[import-not-found]  # noqa: PLC0415
     except ImportError as error:
         raise PartError(
-            "--cluster needs Dask, which is not installed here", "pip install 'path-handoff[cluster]'"
+            "--cluster needs Dask, which is not installed here",
+            "pip install 'path-handoff[cluster]'",
         ) from error
     try:
         client = Client(address, timeout=CONNECT_S)
@@ -56,7 +63,10 @@ def open_cluster(address: str, stream: TextIO | None = None) -> Generator[Cluste
         ) from error
     try:
         if not client.scheduler_info()["workers"]:
-            raise PartError(f"the cluster at {address} has no workers", f"start some with `dask worker {address}`")
+            raise PartError(
+                f"the cluster at {address} has no workers",
+                f"start some with `dask worker {address}`",
+            )
         yield ClusterWork(client, as_completed, Bars(stream or sys.stdout))
     finally:
         client.close(timeout=CONNECT_S)

@@ -1,7 +1,9 @@
-"""Holds one run of the machines to S1-S6, L1 and L2: from true time and from what the programs do, not what they say.
+"""Holds one run of the machines to S1-S6, L1 and L2: from true time and from what the programs do,
+not what they say.
 
-A clock that was set, and a disk that has lost what it said that it has, are outside what the leases and epochs assume
-(``flight.clocks`` finds the first, and ends the mission): what breaks after either is kept apart, as ``beyond``.
+A clock that was set, and a disk that has lost what it said that it has, are outside what the leases
+and epochs assume (``flight.clocks`` finds the first, and ends the mission): what breaks after
+either is kept apart, as ``beyond``.
 """
 
 from __future__ import annotations
@@ -14,7 +16,13 @@ from missions.proofs.verify.rules import lowest_epoch, used_epoch
 from path.messages import Accept, Commit, Message, Ping, Role
 from path.protocol import receiver, sender
 from path.protocol.bounds import LATE_S, commit_bound_s, decision_bound_s, gap_bound_s
-from path.protocol.values import Handoff, HandoffOutcome, ProtocolConfig, ReceiverRecord, SenderRecord
+from path.protocol.values import (
+    Handoff,
+    HandoffOutcome,
+    ProtocolConfig,
+    ReceiverRecord,
+    SenderRecord,
+)
 
 if TYPE_CHECKING:
     from missions.proofs.campaign.machines import Machines
@@ -56,10 +64,14 @@ class Judge:
         self._committed_s: float | None = None
         self._accepted: set[int] = set()  # epochs in which the sender was given an ACCEPT
         self._epochs: set[int] = set()  # of the sender's attempts
-        self._begun_s: float | None = None  # when one was begun that is not on the disk yet: nothing is said in it
+        # when one was begun that is not on the disk yet: nothing is said in it
+        self._begun_s: float | None = None
         self._highest = {Role.SENDER: 0, Role.RECEIVER: 0}
         self._since: dict[Role, tuple[int, float] | None] = {Role.SENDER: None, Role.RECEIVER: None}
-        self._ends: dict[Role, list[tuple[HandoffOutcome, str | None]]] = {Role.SENDER: [], Role.RECEIVER: []}
+        self._ends: dict[Role, list[tuple[HandoffOutcome, str | None]]] = {
+            Role.SENDER: [],
+            Role.RECEIVER: [],
+        }
         self._alone_s: float | None = None
         self._anew = False
         self._told: set[str] = set()
@@ -67,7 +79,8 @@ class Judge:
         self._seen: dict[Role, Any] = {Role.SENDER: None, Role.RECEIVER: None}
         self._orphaned = self._committed = False
 
-    # --- told by the programs ----------------------------------------------------------------------------------
+    # --- told by the programs
+    # ----------------------------------------------------------------------------------
 
     def clock_set(self) -> None:
         self._break("clock")
@@ -104,7 +117,9 @@ class Judge:
     def kept(self, program: Program, record: SenderRecord | ReceiverRecord) -> None:
         """S2, on disk."""
         if record.epoch < self._highest[program.role]:
-            self._violated("S2", f"the {program.role.value} wrote epoch {record.epoch} down after a higher one")
+            self._violated(
+                "S2", f"the {program.role.value} wrote epoch {record.epoch} down after a higher one"
+            )
         self._highest[program.role] = max(self._highest[program.role], record.epoch)
         if record.duty == "handed_over":
             self._accepted.add(record.epoch)
@@ -116,7 +131,10 @@ class Judge:
         if program.responsible:
             self._violated("S4", "COMMIT before the release")
         if message.epoch not in self._agreed or message.target_id == OTHER_ID:
-            self._violated("S5", f"COMMIT to target {message.target_id} in epoch {message.epoch} without agreement")
+            self._violated(
+                "S5",
+                f"COMMIT to target {message.target_id} in epoch {message.epoch} without agreement",
+            )
         end_s = world.now_s + (message.lease_end_ns - program.now_ns()) * 1e-9 / program.clock.rate
         handoff = Handoff(message.handoff_id, message.epoch, message.target_id, message.instance)
         self._issued.setdefault((message.epoch, message.nonce), _Issued(handoff, end_s))
@@ -141,18 +159,26 @@ class Judge:
     def _took_back(self, state: Any) -> None:
         if not isinstance(state, sender.TakenBack):
             return
-        given = [issued for (epoch, _), issued in self._issued.items() if epoch == state.live.epoch - 1]
+        given = [
+            issued for (epoch, _), issued in self._issued.items() if epoch == state.live.epoch - 1
+        ]
         if given and self._world.now_s < given[0].end_s - SURE_S:
             self._violated("S4", "taken back before the lease's end")
         if state.live.epoch - 1 in self._accepted:
             self._violated("S4", "taken back after an ACCEPT")
 
     def _took_over(self, state: Any) -> None:
-        issued = self._issued.get((state.live.epoch, state.nonce)) if isinstance(state, receiver.Provisional) else None
+        issued = (
+            self._issued.get((state.live.epoch, state.nonce))
+            if isinstance(state, receiver.Provisional)
+            else None
+        )
         if issued is None or issued.handoff != state.live:
             self._violated("S3", "taken over without a COMMIT that was given")
         elif self._world.now_s > issued.end_s + SURE_S:
-            self._violated("S3", f"taken over {self._world.now_s - issued.end_s:.3f} s after the lease's end")
+            self._violated(
+                "S3", f"taken over {self._world.now_s - issued.end_s:.3f} s after the lease's end"
+            )
         elif state.live.epoch < self._highest[Role.SENDER]:
             self._violated("S2", "taken over in an epoch that is past")
 
@@ -172,18 +198,27 @@ class Judge:
             self._committed_s = None
 
     def taken(self, program: Program, kind: str, message: Message) -> None:
-        """S6: a packet was taken for a message of the other drone's. A ping moves nothing, be it a recorded one."""
+        """S6: a packet was taken for a message of the other drone's. A ping moves nothing, be it a
+        recorded one.
+        """
         if kind != "genuine" and not isinstance(message, Ping):
-            self._violated("S6", f"a {kind} {type(message).__name__} was taken by the {program.role.value}")
+            self._violated(
+                "S6", f"a {kind} {type(message).__name__} was taken by the {program.role.value}"
+            )
 
     def heard(self, program: Program, before: Any, message: Message) -> None:
         """S4: an ACCEPT of what was committed, and not withdrawn, hands over."""
-        if isinstance(message, Accept) and isinstance(before, sender.AwaitingAccept) and before.withdrawn is None:
+        if (
+            isinstance(message, Accept)
+            and isinstance(before, sender.AwaitingAccept)
+            and before.withdrawn is None
+        ):
             same = (message.epoch, message.nonce) == (before.live.epoch, before.commit.nonce)
             if same and program.now_ns() < before.take_back_ns and not program.handover.handed_over:
                 self._violated("S4", "an ACCEPT in time that did not hand over")
 
-    # --- after every event -------------------------------------------------------------------------------------
+    # --- after every event
+    # -------------------------------------------------------------------------------------
 
     def after(self, program: Program) -> None:
         if not program.alive or not program.booted:
@@ -197,7 +232,9 @@ class Judge:
         self._begins(role, state)
         epoch = used_epoch(state) if role is Role.SENDER else lowest_epoch(state)
         if epoch < self._highest[role]:
-            self._violated("S2", f"the {role.value} is in epoch {epoch}, after {self._highest[role]}")
+            self._violated(
+                "S2", f"the {role.value} is in epoch {epoch}, after {self._highest[role]}"
+            )
         if program.writing is None and not _is_what_it_says(program, state):
             self._violated("S1", f"the {role.value} is not what its machine is")
         self._overdue(program, state)
@@ -256,7 +293,9 @@ class Judge:
             and not _orphan(gives, takes)
             and not self._anew
         ):
-            self._violated("L2", f"nobody is responsible: {type(gives).__name__}, {type(takes).__name__}")
+            self._violated(
+                "L2", f"nobody is responsible: {type(gives).__name__}, {type(takes).__name__}"
+            )
         if _orphan(gives, takes):
             self._orphaned = True
             if takes.settled is HandoffOutcome.TAKEN_BACK:
@@ -265,7 +304,8 @@ class Judge:
     def _nobody(self, gives: Any, takes: Any) -> bool:
         if gives is None or sender.is_responsible(gives):
             return False
-        if isinstance(gives, sender.Idle):  # before its first offer, or landed: of what it once had there is no word
+        # before its first offer, or landed: of what it once had there is no word
+        if isinstance(gives, sender.Idle):
             return bool(self._epochs) and not self._anew
         program = self._world.program(Role.RECEIVER)
         if takes is None or program is None:
@@ -283,17 +323,24 @@ class Judge:
             self._violated("L1", "still undecided at the end of the run")
         self._close_gap()
 
-    # --- outcome -----------------------------------------------------------------------------------------------
+    # --- outcome
+    # -----------------------------------------------------------------------------------------------
 
     def outcome(self) -> str:
         """Returns the end of the run, by what both sides decided."""
         gave = [end for end in self._ends[Role.SENDER] if end[0] is HandoffOutcome.HANDED_OVER]
-        held = any(outcome is HandoffOutcome.HANDED_OVER for outcome, _ in self._ends[Role.RECEIVER])
+        held = any(
+            outcome is HandoffOutcome.HANDED_OVER for outcome, _ in self._ends[Role.RECEIVER]
+        )
         takes = self._world.state(Role.RECEIVER)
         if held or (gave and isinstance(takes, receiver.Holding)):
             return "commit"
         if gave:
-            return "orphaned" if self._orphaned or isinstance(takes, receiver.LetGo) else "handed over, receiver dead"
+            return (
+                "orphaned"
+                if self._orphaned or isinstance(takes, receiver.LetGo)
+                else "handed over, receiver dead"
+            )
         ends = self._ends[Role.SENDER] or self._ends[Role.RECEIVER]
         if ends:
             outcome, reason = ends[-1]
@@ -326,5 +373,9 @@ def _is_what_it_says(program: Program, state: Any) -> bool:
     if program.role is Role.SENDER:
         if program.responsible == sender.is_responsible(state):
             return True
-        return not program.responsible and isinstance(state, sender.Keeping) and not program.vehicle.state.armed
+        return (
+            not program.responsible
+            and isinstance(state, sender.Keeping)
+            and not program.vehicle.state.armed
+        )
     return program.responsible == receiver.is_responsible(state, program.now_ns())

@@ -11,17 +11,23 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class MachineLevel:
-    """The ranges that a run of the machines is drawn from. Shares and chances are 0..1; ranges are uniform.
+    """The ranges that a run of the machines is drawn from. Shares and chances are 0..1; ranges are
+    uniform.
 
     Attributes:
-        loss, delay_s, jitter_s, duplicate, corrupt, reorder: of the link, as ``hil.link.faulty.LinkFaults``.
+        loss, delay_s, jitter_s, duplicate, corrupt, reorder: of the link, as
+            ``hil.link.faulty.LinkFaults``.
         outages: how many times at most one or both directions fall silent, for up to ``outage_s``.
         drift_ppm: of either clock against true time, at most.
         step: chance that a clock is set forward or back.
-        crash: chance that a program is killed, between any two of its effects; drawn once more for a second time.
-        stall: chance that a program stands still for a while, between any two of its effects; drawn twice.
-        forget: chance that a killed program finds an older record when it is started again, or none.
-        disk_s, late_s: how long at most it takes to write a record down, and how late a program wakes.
+        crash: chance that a program is killed, between any two of its effects; drawn once more for
+            a second time.
+        stall: chance that a program stands still for a while, between any two of its effects; drawn
+            twice.
+        forget: chance that a killed program finds an older record when it is started again, or
+            none.
+        disk_s, late_s: how long at most it takes to write a record down, and how late a program
+            wakes.
         forged_hz: forged, altered and repeated packets a second at most, at either end.
         pilot: chance that a pilot, or a guard, ends the mission of one side.
         unable: chance that the receiver does not see the target for a while.

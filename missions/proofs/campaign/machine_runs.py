@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 def fly(order: RunOrder) -> list[RunLine]:
     channel = _channel(order.rig)
     return [
-        _line(level, number, Machines(draw(order.seed, level, number), channel).run()) for level, number in order.runs
+        _line(level, number, Machines(draw(order.seed, level, number), channel).run())
+        for level, number in order.runs
     ]
 
 
@@ -48,4 +49,6 @@ def _line(level: str, number: int, run: ProgramRun) -> RunLine:
 
 def _story_of(plan: RunPlan) -> str:
     """Returns the drawn plan, a line for each field."""
-    return "".join(f"{field.name}: {getattr(plan, field.name)}\n" for field in dataclasses.fields(plan))
+    return "".join(
+        f"{field.name}: {getattr(plan, field.name)}\n" for field in dataclasses.fields(plan)
+    )

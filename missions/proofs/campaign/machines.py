@@ -1,6 +1,8 @@
-"""One run of both protocol machines: real messages over a faulty link, clocks that wander, programs that die.
+"""One run of both protocol machines: real messages over a faulty link, clocks that wander, programs
+that die.
 
-Time is a queue of what is due. Each drone's program is ``Program``; this is what lies between and around them.
+Time is a queue of what is due. Each drone's program is ``Program``; this is what lies between and
+around them.
 """
 
 from __future__ import annotations
@@ -46,11 +48,13 @@ class ProgramRun:
 
     Attributes:
         outcome: "commit", "timeout", "aborted: REASON" and so on, see ``docs/campaign.md``.
-        violations, beyond: each "NAME at T s: what"; ``beyond``: after an assumption was broken, and which.
+        violations, beyond: each "NAME at T s: what"; ``beyond``: after an assumption was broken,
+            and which.
         broken: the assumptions that were: "clock", "disk".
-        figures: in s: "decided_s", the longest wait for a decision since an attempt began; "commit_s", since a COMMIT;
-            "gap_s", the longest time with nobody responsible, orphans apart; "simulated_s". After a broken assumption,
-            and where a program stands still, only the last.
+        figures: in s: "decided_s", the longest wait for a decision since an attempt began;
+            "commit_s", since a COMMIT; "gap_s", the longest time with nobody responsible, orphans
+            apart; "simulated_s". After a broken assumption, and where a program stands still, only
+            the last.
     """
 
     outcome: str
@@ -118,9 +122,12 @@ class Machines:
         self._order = 0
         self._due: list[tuple[float, int, Callable[[], Any]]] = []
         self._last_s = _last_s(plan)
-        self._channels = {role: open_channel(f"{plan.seed} {role.value}", plan.link) for role in ROLES}
+        self._channels = {
+            role: open_channel(f"{plan.seed} {role.value}", plan.link) for role in ROLES
+        }
         self._drones = {
-            role: _Computer(TrueClock(plan.offset_s[role], 1.0 + plan.drift_ppm[role] * 1e-6)) for role in ROLES
+            role: _Computer(TrueClock(plan.offset_s[role], 1.0 + plan.drift_ppm[role] * 1e-6))
+            for role in ROLES
         }
         self._recorded: dict[Role, list[Sent]] = {role: [] for role in ROLES}
 
@@ -156,7 +163,9 @@ class Machines:
         do()
 
     def pass_time(self, until_s: float) -> None:
-        """Everything else that happens until then, while a program stands still between two of its effects."""
+        """Everything else that happens until then, while a program stands still between two of its
+        effects.
+        """
         while self._due and self._due[0][0] < until_s:
             self._next()
         self.now_s = max(self.now_s, until_s)  # the other one may have stood still for longer
@@ -175,16 +184,21 @@ class Machines:
 
     def tell(self, role: Role, what: str, more: object = "") -> None:
         if self._tell is not None:
-            self._tell(self.now_s, role.value, f"{what} {more}" if more not in ("", False) else what)
+            self._tell(
+                self.now_s, role.value, f"{what} {more}" if more not in ("", False) else what
+            )
 
     def hear(self, role: Role, message: Message) -> None:
         if self._tell is not None and type(message).__name__ not in NOISY:
             self.tell(role, f"hears {_named(message)}")
 
-    # --- the link ----------------------------------------------------------------------------------------------
+    # --- the link
+    # ----------------------------------------------------------------------------------------------
 
     def transmit(self, role: Role, message: Message, data: bytes) -> None:
-        """Sends a program's packet on; each that arrives knows whether it is the genuine one (S6)."""
+        """Sends a program's packet on; each that arrives knows whether it is the genuine one
+        (S6).
+        """
         now_s = self.now_s
         peer = PEER[role]
         if self._tell is not None and type(message).__name__ not in NOISY:
@@ -192,7 +206,9 @@ class Machines:
         sent = Sent(data)
         if self.plan.forged_hz:
             self._recorded[role].append(sent)
-        if any(out.begin_s <= now_s < out.end_s and out.of in (None, role) for out in self.plan.outages):
+        if any(
+            out.begin_s <= now_s < out.end_s and out.of in (None, role) for out in self.plan.outages
+        ):
             return
         for at_s, packet in self._channels[role].arrivals(data, now_s):
             self.at(at_s, lambda packet=packet: self._deliver(peer, packet, sent))
@@ -228,7 +244,8 @@ class Machines:
             self._deliver(role, forger.encode(word), None)
         self.at(self.now_s + rng.expovariate(self.plan.forged_hz), self._forge)
 
-    # --- what goes wrong ---------------------------------------------------------------------------------------
+    # --- what goes wrong
+    # ---------------------------------------------------------------------------------------
 
     def _start(self, role: Role) -> None:
         drone = self._drones[role]
@@ -263,7 +280,10 @@ class Machines:
         if crash.reboot:
             drone.clock.offset_s = self.random.uniform(*CLOCKS_S)
         if crash.forgets != "nothing" and drone.store.kept is not None:
-            self.tell(crash.role, f"its disk has lost {'its newest record' if crash.forgets == 'newest' else 'it all'}")
+            self.tell(
+                crash.role,
+                f"its disk has lost {'its newest record' if crash.forgets == 'newest' else 'it all'}",
+            )
             self.judge.forgot()
         drone.store = drone.store.after(crash.forgets, crash.reboot)
         self._start(crash.role)
@@ -284,7 +304,8 @@ class Machines:
         if program is not None:
             program.run(lambda: program.end_mission(Outcome.PILOT_OVERRIDE))
 
-    # --- the end -----------------------------------------------------------------------------------------------
+    # --- the end
+    # -----------------------------------------------------------------------------------------------
 
     def _over(self) -> bool:
         """Returns whether nothing more is to come.
@@ -310,7 +331,13 @@ class Machines:
             figures |= {"decided_s": judge.decided_s, "gap_s": judge.gap_s}
             if judge.commit_s is not None:
                 figures["commit_s"] = judge.commit_s
-        return ProgramRun(judge.outcome(), tuple(judge.violations), tuple(judge.beyond), tuple(judge.broken), figures)
+        return ProgramRun(
+            judge.outcome(),
+            tuple(judge.violations),
+            tuple(judge.beyond),
+            tuple(judge.broken),
+            figures,
+        )
 
 
 def _last_s(plan: RunPlan) -> float:
@@ -322,4 +349,6 @@ def _last_s(plan: RunPlan) -> float:
 def _named(message: Message) -> str:
     about = getattr(message, "epoch", "")
     nonce = getattr(message, "nonce", None)
-    return f"{type(message).__name__.upper()} epoch {about}" + (f" nonce {nonce:08x}" if nonce is not None else "")
+    return f"{type(message).__name__.upper()} epoch {about}" + (
+        f" nonce {nonce:08x}" if nonce is not None else ""
+    )

@@ -1,4 +1,6 @@
-"""The plan of one run of the machines: drawn from its seed, its level and its number, and from nothing else."""
+"""The plan of one run of the machines: drawn from its seed, its level and its number, and from
+nothing else.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ class Outage:
 
 @dataclass(frozen=True, slots=True)
 class Crash:
-    """A program is killed between two of its effects, the ``after``-th since an instant, and started again.
+    """A program is killed between two of its effects, the ``after``-th since an instant, and
+    started again.
 
     Attributes:
         halfway: killed once that effect is done, not before it.
@@ -53,7 +56,9 @@ class Crash:
 
 @dataclass(frozen=True, slots=True)
 class Stall:
-    """A program stands still between two of its effects, the ``after``-th since an instant, and then goes on."""
+    """A program stands still between two of its effects, the ``after``-th since an instant, and
+    then goes on.
+    """
 
     role: Role
     at_s: float
@@ -77,9 +82,11 @@ class RunPlan:
     Attributes:
         seed: of everything that is drawn while it runs.
         link: faults by name, both ways.
-        start_s: when each program begins; ``offset_s``, ``drift_ppm``: of each clock against true time.
+        start_s: when each program begins; ``offset_s``, ``drift_ppm``: of each clock against true
+            time.
         offer_s: when the target is offered, after the sender's start.
-        agree_s: how long the views have to agree, from the first Candidate of an attempt; None when they never do.
+        agree_s: how long the views have to agree, from the first Candidate of an attempt; None when
+            they never do.
         wrong: an agreement on another object is claimed first.
         pilots: who ends its mission, and when.
         blind: the receiver does not see the target between these.
@@ -129,7 +136,9 @@ def draw(seed: int, level: LevelName, number: int) -> RunPlan:
         agree_s=agree_s,
         wrong=rng.random() < of.wrong,
         outages=tuple(_outage(of, rng, commit_s) for _ in range(rng.randint(0, of.outages))),
-        steps=(Step(rng.choice(ROLES), _when(rng, commit_s), _step(rng)),) if rng.random() < of.step else (),
+        steps=(Step(rng.choice(ROLES), _when(rng, commit_s), _step(rng)),)
+        if rng.random() < of.step
+        else (),
         crashes=_forgetful(of, random.Random(f"{name} disks"), _crashes(of, rng, commit_s)),
         pilots=((rng.choice(ROLES), _when(rng, commit_s)),) if rng.random() < of.pilot else (),
         blind=_blind(of, rng, commit_s),
@@ -157,7 +166,9 @@ def _link(of: MachineLevel, rng: random.Random) -> dict[str, float]:
 def _when(rng: random.Random, commit_s: float) -> float:
     """Half of what goes wrong goes wrong around the commit: there it matters most."""
     around: Range = (commit_s + AROUND_S[0], commit_s + AROUND_S[1])
-    return max(0.0, rng.uniform(*around) if rng.random() < 0.5 else rng.uniform(EARLIEST_S, LATEST_S))
+    return max(
+        0.0, rng.uniform(*around) if rng.random() < 0.5 else rng.uniform(EARLIEST_S, LATEST_S)
+    )
 
 
 def _outage(of: MachineLevel, rng: random.Random, commit_s: float) -> Outage:
@@ -184,7 +195,9 @@ def _crashes(of: MachineLevel, rng: random.Random, commit_s: float) -> tuple[Cra
     return tuple(crashes)
 
 
-def _forgetful(of: MachineLevel, rng: random.Random, crashes: tuple[Crash, ...]) -> tuple[Crash, ...]:
+def _forgetful(
+    of: MachineLevel, rng: random.Random, crashes: tuple[Crash, ...]
+) -> tuple[Crash, ...]:
     def one(crash: Crash) -> Crash:
         kind: Forgotten = "newest" if rng.random() < 0.5 else "all"
         return replace(crash, forgets=kind) if rng.random() < of.forget else crash

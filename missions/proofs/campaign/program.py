@@ -2,7 +2,8 @@
 
 Link, clocks, disk and hand-over are the roles' own; what the mission does to them is scripted.
 
-A life begins with a start of the program and ends with the end of the run, or when it is killed between two effects.
+A life begins with a start of the program and ends with the end of the run, or when it is killed
+between two effects.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ class Killed(BaseException):
 
 @dataclass(slots=True)
 class Sent:
-    """A packet that a program sent, and whether it was taken for what it is: never again may it be (S6)."""
+    """A packet that a program sent, and whether it was taken for what it is: never again may it be
+    (S6).
+    """
 
     data: bytes
     taken: bool = False
@@ -86,7 +89,8 @@ class Program:
         """Its hand-over is there."""
         return hasattr(self, "handover")
 
-    # --- what the hand-over asks of its session, its link, its log and its disk ---------------------------------
+    # --- what the hand-over asks of its session, its link, its log and its disk
+    # ---------------------------------
 
     def now_ns(self) -> int:
         return self.clock.read_ns(self.world.now_s)
@@ -106,7 +110,9 @@ class Program:
         def change() -> None:
             self.claim = claim
             provisional = claim is not None and claim.provisional and "provisionally"
-            self.world.tell(self.role, "is not responsible" if claim is None else "is responsible", provisional)
+            self.world.tell(
+                self.role, "is not responsible" if claim is None else "is responsible", provisional
+            )
             self.world.judge.claimed(self)
 
         self._effect(change)
@@ -123,7 +129,9 @@ class Program:
         self._effect(write)
 
     def begin_save(self, record: SenderRecord | ReceiverRecord) -> Future[None]:
-        """Begins to save: on the disk after a while; when the program is killed meanwhile, perhaps."""
+        """Begins to save: on the disk after a while; when the program is killed meanwhile,
+        perhaps.
+        """
         self.writing = record
         return Future()
 
@@ -156,7 +164,9 @@ class Program:
         task.close()  # time is brought by ``_tick``
 
     def _effect(self, do: Callable[[], None]) -> None:
-        """Something the world can see; a kill that was ordered happens before or after it, a stall before."""
+        """Something the world can see; a kill that was ordered happens before or after it, a stall
+        before.
+        """
         self._stand_still()
         if self.fuse is None:
             do()
@@ -183,7 +193,8 @@ class Program:
                 self.world.at(self.world.now_s, do)
             self._later.clear()
 
-    # --- what happens to it ------------------------------------------------------------------------------------
+    # --- what happens to it
+    # ------------------------------------------------------------------------------------
 
     def begin(self) -> None:
         self.run(self._boot)
@@ -214,11 +225,21 @@ class Program:
         return result
 
     def arrived(self, data: bytes, sent: Sent | None) -> None:
-        """A packet; ``sent``: what the other drone's program sent it as, None when that never sent it."""
+        """A packet; ``sent``: what the other drone's program sent it as, None when that never sent
+        it.
+        """
         message = self._codec.decode(data)
         if isinstance(message, Drop):
             return
-        kind = "forged" if sent is None else "damaged" if data != sent.data else "repeated" if sent.taken else "genuine"
+        kind = (
+            "forged"
+            if sent is None
+            else "damaged"
+            if data != sent.data
+            else "repeated"
+            if sent.taken
+            else "genuine"
+        )
         self.world.judge.taken(self, kind, message)
         if sent is not None:
             sent.taken = True
@@ -244,7 +265,8 @@ class Program:
             self.world.tell(self.role, "ends its mission:", outcome.label)
             self.handover.end(self.end)
 
-    # --- inside ------------------------------------------------------------------------------------------------
+    # --- inside
+    # ------------------------------------------------------------------------------------------------
 
     def _every(self, do: Callable[[], float]) -> None:
         """Do something again and again, as long after each time as it says."""
@@ -274,7 +296,9 @@ class Program:
         self.world.at(self.world.now_s + wait_s + late_s, lambda: self._tick_on(ticks))
 
     def _report(self) -> float:
-        rate_hz = self.config.status_hz if self.role is Role.SENDER else self.config.receiver_status_hz
+        rate_hz = (
+            self.config.status_hz if self.role is Role.SENDER else self.config.receiver_status_hz
+        )
         status = Status(
             self.role, self.now_ns(), ORIGIN, ORIGIN, 0.0, 0, self.responsible, self.observing, 1.0,
             self.instance(),
@@ -282,7 +306,10 @@ class Program:
         self.send(status)
         if self.alignment.fault:
             self.end_mission(Outcome.CLOCK_FAULT)
-        if not self.alignment.ready or self.world.now_s - self._pinged_s >= 1.0 / self.config.ping_hz:
+        if (
+            not self.alignment.ready
+            or self.world.now_s - self._pinged_s >= 1.0 / self.config.ping_hz
+        ):
             self._pings = self._pings + 1
             self._pinged_s = self.world.now_s
             self.send(Ping(self._pings, self.now_ns()))
@@ -305,7 +332,9 @@ class Program:
         raise NotImplementedError
 
     def _settle(self) -> bool:
-        """Returns whether the course may go on after a start with a record. In the air it ends once all is decided."""
+        """Returns whether the course may go on after a start with a record. In the air it ends once
+        all is decided.
+        """
         if self._settling and not self.handover.undecided(self.world.flying):
             self._settling = False
             if self.world.flying:

@@ -25,7 +25,8 @@ class RunLine:
         beyond: the same after an assumption was broken.
         figures: seconds by name, such as "decided_s"; what was not measured is not there.
         broken: the assumptions that were: "clock" (it was set), "disk" (it lost a record),
-            "stall" (a program stood still, and a bound in time of programs that run is not asked for).
+            "stall" (a program stood still, and a bound in time of programs that run is not asked
+            for).
         observed_percent: of a team, by target that was ever acquired.
     """
 

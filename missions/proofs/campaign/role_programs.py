@@ -85,7 +85,9 @@ class SenderProgram(Program):
         if not epoch or self.end is not None:
             return FRAME_S
         config = self.config
-        self.send(Target(config.handoff_id, epoch, config.target_id, 0, self.now_ns(), DOWN, DOWN, 0.01))
+        self.send(
+            Target(config.handoff_id, epoch, config.target_id, 0, self.now_ns(), DOWN, DOWN, 0.01)
+        )
         if self._first_s is None or script.agree_s is None or self.handover.released:
             return FRAME_S
         seen_s = self.world.now_s - self._first_s
@@ -99,7 +101,11 @@ class SenderProgram(Program):
 
     def _on_message(self, received: Received) -> None:
         message = received.message
-        if isinstance(message, Candidate) and message.epoch == self.handover.epoch and self._first_s is None:
+        if (
+            isinstance(message, Candidate)
+            and message.epoch == self.handover.epoch
+            and self._first_s is None
+        ):
             self._first_s = self.world.now_s
         self.handover.on_message(received)
 
@@ -144,10 +150,17 @@ class ReceiverProgram(Program):
         handover = self.handover
         handover.on_message(received)
         live = handover.live
-        if isinstance(message, Target) and live is not None and self.end is None and not handover.holds:
+        if (
+            isinstance(message, Target)
+            and live is not None
+            and self.end is None
+            and not handover.holds
+        ):
             bound = (live.handoff_id, live.epoch, live.target_id)
             missed = (None, MissReason.NO_CANDIDATE)
-            self.send(Candidate(*bound, 0, message.sequence, self.now_ns(), *missed, DOWN, UPRIGHT, 0.01))
+            self.send(
+                Candidate(*bound, 0, message.sequence, self.now_ns(), *missed, DOWN, UPRIGHT, 0.01)
+            )
 
 
 _END = {Decision.TIMEOUT: Outcome.NO_AGREEMENT}

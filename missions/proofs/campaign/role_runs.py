@@ -1,4 +1,6 @@
-"""Runs of both whole role programs in ``sim``: what goes wrong is drawn from level, seed and number, by its name."""
+"""Runs of both whole role programs in ``sim``: what goes wrong is drawn from level, seed and
+number, by its name.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,8 @@ CONCERNS = {
 }
 """The faults that the hostile level adds, and whose course says when."""
 STALL = 0.3  # chance that a program stands still, drawn twice
-FORGET = 0.3  # chance, at the hostile level, that a program started again finds an older record, or none
+# chance, at the hostile level, that a program started again finds an older record, or none
+FORGET = 0.3
 
 
 def draw(seed: int, level: LevelName, number: int) -> tuple[int, tuple[str, ...]]:
@@ -55,12 +58,19 @@ def draw(seed: int, level: LevelName, number: int) -> tuple[int, tuple[str, ...]
     rng = random.Random(seed_of("roles", seed, level, number))
     faults: list[str] = []
     if level == "lossy":
-        faults += _link(rng, loss=(0.1, 0.3), jitter_s=0.05, duplicate=0.1, corrupt=0.02, reorder=0.1)
+        faults += _link(
+            rng, loss=(0.1, 0.3), jitter_s=0.05, duplicate=0.1, corrupt=0.02, reorder=0.1
+        )
     elif level == "harsh":
         faults += _link(rng, loss=(0.3, 0.5), jitter_s=0.2, duplicate=0.2, corrupt=0.1, reorder=0.2)
     elif level == "hostile":
-        faults += _link(rng, loss=(0.0, 0.3), jitter_s=0.05, duplicate=0.2, corrupt=0.1, reorder=0.2)
-        faults += [f"{name}@{_moment(rng, CONCERNS[name])}" for name in rng.sample(sorted(CONCERNS), rng.randint(1, 2))]
+        faults += _link(
+            rng, loss=(0.0, 0.3), jitter_s=0.05, duplicate=0.2, corrupt=0.1, reorder=0.2
+        )
+        faults += [
+            f"{name}@{_moment(rng, CONCERNS[name])}"
+            for name in rng.sample(sorted(CONCERNS), rng.randint(1, 2))
+        ]
     if level in ("harsh", "hostile"):
         for _ in range(rng.randint(0, 2)):
             faults.append(f"link_out={rng.uniform(0.1, 3.0):.2f}@{_moment(rng, Role.SENDER)}")
@@ -75,7 +85,9 @@ def draw(seed: int, level: LevelName, number: int) -> tuple[int, tuple[str, ...]
 
 
 def _stalls(rng: random.Random) -> list[str]:
-    """Half of them begin within the lease, those for as long as it may take to sleep over its end."""
+    """Half of them begin within the lease, those for as long as it may take to sleep over its
+    end.
+    """
     faults: list[str] = []
     for _ in range(2):
         if rng.random() < STALL:
@@ -91,13 +103,26 @@ def _stalls(rng: random.Random) -> list[str]:
 
 
 def _disks(rng: random.Random, faults: Sequence[str]) -> list[str]:
-    """The disks of programs that are killed and started again; from the beginning, so that they are in time."""
-    again = [role for role in Role if any(fault.startswith(f"kill_{role.value}=") for fault in faults)]
-    return [f"disk_{role.value}={rng.choice((1, 2, 100))}@preflight" for role in again if rng.random() < FORGET]
+    """The disks of programs that are killed and started again; from the beginning, so that they are
+    in time.
+    """
+    again = [
+        role for role in Role if any(fault.startswith(f"kill_{role.value}=") for fault in faults)
+    ]
+    return [
+        f"disk_{role.value}={rng.choice((1, 2, 100))}@preflight"
+        for role in again
+        if rng.random() < FORGET
+    ]
 
 
 def _link(
-    rng: random.Random, loss: tuple[float, float], jitter_s: float, duplicate: float, corrupt: float, reorder: float
+    rng: random.Random,
+    loss: tuple[float, float],
+    jitter_s: float,
+    duplicate: float,
+    corrupt: float,
+    reorder: float,
 ) -> list[str]:
     return [
         f"link_loss={rng.uniform(*loss):.3f}",
@@ -149,26 +174,34 @@ class _Story:
         self._last[progress.role] = what
         holds = "responsible" if progress.responsible else ""
         time_s = progress.stamp_ns * 1e-9
-        sys.stdout.write(f"{time_s:9.3f} s  {progress.role.value:<9}{progress.phase:<10}{holds:<12}{progress.note}\n")
+        sys.stdout.write(
+            f"{time_s:9.3f} s  {progress.role.value:<9}{progress.phase:<10}{holds:<12}{progress.note}\n"
+        )
 
 
 def _shorter(order: RunOrder) -> Rig:
     rig = with_errors(rig_library.load(order.rig), order.errors)
     if rig.level not in ("sim", "sim-rendered"):
-        raise PartError(f"rig {rig.name} flies in real time", "a campaign of roles wants a rig of level sim")
+        raise PartError(
+            f"rig {rig.name} flies in real time", "a campaign of roles wants a rig of level sim"
+        )
     return rig_library.shorter(rig)
 
 
 def _fly(rig: Rig, seed: int, level: LevelName, number: int, folder: Path, emit: Emit) -> RunLine:
     own, faults = draw(seed, level, number)
     with claimed(folder, RUN):
-        report = fly_watched(harness_of(rig), FlightRequest(rig, folder, own, faults, fly_role, _no_process, emit))
+        report = fly_watched(
+            harness_of(rig), FlightRequest(rig, folder, own, faults, fly_role, _no_process, emit)
+        )
     outcome, _ = judge(replace(report, violations={}))
     figures = {**report.figures, "simulated_s": report.simulated_s}
     violations = tuple(note for note in report.notes if note[:1] in "SL" and note[1:2].isdigit())
     rounded = {name: round(value, 4) for name, value in figures.items()}
     name = "commit" if outcome is Outcome.COMMITTED else outcome.label.replace("_", " ")
-    return RunLine(number, level, name, violations, tuple(report.beyond), rounded, tuple(report.broken))
+    return RunLine(
+        number, level, name, violations, tuple(report.beyond), rounded, tuple(report.broken)
+    )
 
 
 def _no_process(role: Role) -> Sequence[str]:

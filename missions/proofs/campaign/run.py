@@ -1,4 +1,6 @@
-"""``path-handoff campaign``: many seeded runs under faults, as resumable JSON lines, and their table."""
+"""``path-handoff campaign``: many seeded runs under faults, as resumable JSON lines, and their
+table.
+"""
 
 from __future__ import annotations
 
@@ -73,13 +75,17 @@ KINDS: dict[str, Kind] = {
 
 
 def run(options: CampaignOptions) -> int:
-    """Returns 0 when no invariant was violated in any run. Raises PartError for what was asked wrongly."""
+    """Returns 0 when no invariant was violated in any run. Raises PartError for what was asked
+    wrongly.
+    """
     levels = options.faults or LEVELS
     with_errors(rig_library.load(options.rig), options.errors)
     if options.only is not None:
         return _replay(options, levels)
     if options.runs < 1:
-        raise PartError(f"--runs {options.runs}: nothing to do", "give a number of runs, such as --runs 1000")
+        raise PartError(
+            f"--runs {options.runs}: nothing to do", "give a number of runs, such as --runs 1000"
+        )
     began = datetime.now().strftime("%Y%m%d-%H%M%S")
     with unless_refused(options.out or Path("campaigns") / f"{began}-{options.program}") as folder:
         return _fly(options, levels, folder)
@@ -121,10 +127,18 @@ def _fly(options: CampaignOptions, levels: Sequence[LevelName], folder: Path) ->
                         raise KeyboardInterrupt  # a flight in this process took Ctrl-C as its own
                     results.add(lines)
         except KeyboardInterrupt:
-            sys.stdout.write(f"\n{len(results.lines)} of {options.runs} runs are done and kept in {folder}\n")
-            sys.stdout.write("go on with the same command" + ("" if options.out else f" and --out {folder}") + "\n")
+            sys.stdout.write(
+                f"\n{len(results.lines)} of {options.runs} runs are done and kept in {folder}\n"
+            )
+            sys.stdout.write(
+                "go on with the same command"
+                + ("" if options.out else f" and --out {folder}")
+                + "\n"
+            )
             return CommandEnd.STOPPED.exit_code
-        return report(options, folder, [line for line in results.lines if line.number < options.runs])
+        return report(
+            options, folder, [line for line in results.lines if line.number < options.runs]
+        )
 
 
 def report(options: CampaignOptions, folder: Path, lines: Sequence[RunLine]) -> int:
@@ -135,7 +149,11 @@ def report(options: CampaignOptions, folder: Path, lines: Sequence[RunLine]) -> 
     draw_outcomes(summary, folder / PICTURE)
     if options.junit is not None:
         runs = sorted(lines, key=lambda line: line.number)
-        write_junit(options.junit, f"campaign {options.program}", [junit_case(options, line) for line in runs])
+        write_junit(
+            options.junit,
+            f"campaign {options.program}",
+            [junit_case(options, line) for line in runs],
+        )
     sys.stdout.write(table(summary))
     sys.stdout.write(f"\n{folder}: {SUMMARY}, {PICTURE}, runs.jsonl\n")
     return exit_code_of_runs(summary["violations_of"])
@@ -143,7 +161,9 @@ def report(options: CampaignOptions, folder: Path, lines: Sequence[RunLine]) -> 
 
 def junit_case(options: CampaignOptions, line: RunLine) -> JUnitCase:
     """A run as a test case: it fails by what it violated."""
-    return JUnitCase(f"{line.level} {line.number}", line.outcome, replay_command(options, line), line.violations)
+    return JUnitCase(
+        f"{line.level} {line.number}", line.outcome, replay_command(options, line), line.violations
+    )
 
 
 def replay_command(options: CampaignOptions, line: RunLine) -> str:
@@ -158,8 +178,13 @@ def replay_command(options: CampaignOptions, line: RunLine) -> str:
 def _replay(options: CampaignOptions, levels: Sequence[LevelName]) -> int:
     assert options.only is not None
     if len(levels) != 1:
-        raise PartError("--only shows one run: of which level?", f"name it with --faults, one of {', '.join(LEVELS)}")
-    order = RunOrder(options.rig, options.seed, ((levels[0], options.only),), options.errors, options.hours)
+        raise PartError(
+            "--only shows one run: of which level?",
+            f"name it with --faults, one of {', '.join(LEVELS)}",
+        )
+    order = RunOrder(
+        options.rig, options.seed, ((levels[0], options.only),), options.errors, options.hours
+    )
     line = KINDS[options.program].replay(order, options.out)
     broken = " and ".join(BROKEN[name] for name in line.broken)
     for what in (*line.violations, *(f"(after {broken}) {one}" for one in line.beyond)):

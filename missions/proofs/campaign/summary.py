@@ -15,14 +15,22 @@ from missions.proofs.campaign.levels import LEVELS
 from missions.proofs.campaign.results import OBSERVED_PERCENT, RunLine
 
 SHOWN = 20  # failures printed
-BROKEN = {"clock": "a clock was set", "disk": "a disk lost a record", "stall": "a program stood still"}
+BROKEN = {
+    "clock": "a clock was set",
+    "disk": "a disk lost a record",
+    "stall": "a program stood still",
+}
 
 
-def summarize(program: str, seed: int, lines: Sequence[RunLine], command: Callable[[RunLine], str]) -> dict[str, Any]:
+def summarize(
+    program: str, seed: int, lines: Sequence[RunLine], command: Callable[[RunLine], str]
+) -> dict[str, Any]:
     """``summary.json``. ``command`` makes the line that replays a run."""
     from missions.proofs.campaign.bounds import BOUNDS  # noqa: PLC0415
 
-    violations: Counter[str] = Counter(what.partition(" ")[0] for line in lines for what in line.violations)
+    violations: Counter[str] = Counter(
+        what.partition(" ")[0] for line in lines for what in line.violations
+    )
     beyond: Counter[str] = Counter(what.partition(" ")[0] for line in lines for what in line.beyond)
     levels = [level for level in LEVELS if any(line.level == level for line in lines)]
     return {
@@ -32,12 +40,26 @@ def summarize(program: str, seed: int, lines: Sequence[RunLine], command: Callab
         "violations": sum(violations.values()),
         "violations_of": dict(sorted(violations.items())),
         "beyond_assumptions": dict(sorted(beyond.items())),
-        "assumptions_broken": dict(sorted(Counter(name for line in lines for name in line.broken).items())),
-        "levels": {level: _level([line for line in lines if line.level == level]) for level in levels},
-        "times": {name: {**_times(lines, name), "bound_s": BOUNDS.get((program, name))} for name in _names(lines)},
-        "simulated_h": round(sum(line.figures.get("simulated_s", 0.0) for line in lines) / 3600.0, 2),
+        "assumptions_broken": dict(
+            sorted(Counter(name for line in lines for name in line.broken).items())
+        ),
+        "levels": {
+            level: _level([line for line in lines if line.level == level]) for level in levels
+        },
+        "times": {
+            name: {**_times(lines, name), "bound_s": BOUNDS.get((program, name))}
+            for name in _names(lines)
+        },
+        "simulated_h": round(
+            sum(line.figures.get("simulated_s", 0.0) for line in lines) / 3600.0, 2
+        ),
         "failures": [
-            {"number": line.number, "level": line.level, "violations": list(line.violations), "replay": command(line)}
+            {
+                "number": line.number,
+                "level": line.level,
+                "violations": list(line.violations),
+                "replay": command(line),
+            }
             for line in lines
             if line.violations
         ],
@@ -92,9 +114,13 @@ def table(summary: dict[str, Any]) -> str:
         outcomes.update(level["outcomes"])
     lines = ["", f"{'outcome':<28}" + "".join(f"{level:>18}" for level in levels)]
     for outcome, _ in outcomes.most_common():
-        cells = (_share(level["outcomes"].get(outcome, 0), level["runs"]) for level in levels.values())
+        cells = (
+            _share(level["outcomes"].get(outcome, 0), level["runs"]) for level in levels.values()
+        )
         lines.append(f"{outcome:<28}" + "".join(f"{cell:>18}" for cell in cells))
-    lines.append(f"{'runs':<28}" + "".join(f"{level['runs']:>10,}{'':>8}" for level in levels.values()))
+    lines.append(
+        f"{'runs':<28}" + "".join(f"{level['runs']:>10,}{'':>8}" for level in levels.values())
+    )
     lines += ["", f"{'time':<46}{'level':<9}{'median':>9}{'p90':>9}{'worst':>9}{'bound':>9}  s"]
     for name, times in summary["times"].items():
         bound = times["bound_s"]
@@ -114,9 +140,15 @@ def table(summary: dict[str, Any]) -> str:
                 f"least {own['least_percent']:.2f} %"
             )
     found = counts_text(summary["violations_of"])
-    lines += ["", f"{summary['runs']:,} runs, {summary['simulated_h']:,} h simulated; violations: {found}"]
+    lines += [
+        "",
+        f"{summary['runs']:,} runs, {summary['simulated_h']:,} h simulated; violations: {found}",
+    ]
     if summary["assumptions_broken"]:
-        broken = ", ".join(f"{BROKEN[name]} in {count} runs" for name, count in summary["assumptions_broken"].items())
+        broken = ", ".join(
+            f"{BROKEN[name]} in {count} runs"
+            for name, count in summary["assumptions_broken"].items()
+        )
         lines.append(f"assumptions broken: {broken}")
     if summary["beyond_assumptions"]:
         beyond = counts_text(summary["beyond_assumptions"])
@@ -143,14 +175,21 @@ def draw_outcomes(summary: dict[str, Any], path: Path) -> None:
     left = np.zeros(len(levels))
     palette = _colors(len(names))
     for color, (name, _) in zip(palette, names.most_common(), strict=True):
-        share = np.array([100.0 * level["outcomes"].get(name, 0) / level["runs"] for level in levels.values()])
+        share = np.array(
+            [100.0 * level["outcomes"].get(name, 0) / level["runs"] for level in levels.values()]
+        )
         axes.barh(range(len(levels)), share, left=left, label=name, color=color)
         left += share
-    axes.set_yticks(range(len(levels)), [f"{name}\n{level['runs']:,} runs" for name, level in levels.items()])
+    axes.set_yticks(
+        range(len(levels)), [f"{name}\n{level['runs']:,} runs" for name, level in levels.items()]
+    )
     axes.invert_yaxis()
     axes.set_xlim(0.0, 100.0)
     axes.set_xlabel("share of the runs, %")
-    axes.set_title(f"{summary['program']}: {summary['runs']:,} runs, {summary['violations']} violations", fontsize=10)
+    axes.set_title(
+        f"{summary['program']}: {summary['runs']:,} runs, {summary['violations']} violations",
+        fontsize=10,
+    )
     figure.legend(loc="outside right center", fontsize=7, frameon=False)
     figure.savefig(path, dpi=130)
 

@@ -1,4 +1,6 @@
-"""Runs of whole teams in virtual time: the team, its field and its faults are drawn from level, seed and number."""
+"""Runs of whole teams in virtual time: the team, its field and its faults are drawn from level,
+seed and number.
+"""
 
 from __future__ import annotations
 
@@ -37,14 +39,18 @@ LEG_S = 420.0  # about, of one target
 REPEATED = {"duplicate": 0.2, "corrupt": 0.1, "reorder": 0.2}  # shares of the packets, at most
 KILLS = {"kill_receiver": "receiver", "kill_sender": "sender"}
 PILOTS = {
-    f"{name}_{role}": role for name in ("rc_mode", "rc_sticks", "rc_kill", "rc_lost") for role in ("sender", "receiver")
+    f"{name}_{role}": role
+    for name in ("rc_mode", "rc_sticks", "rc_kill", "rc_lost")
+    for role in ("sender", "receiver")
 }
 HOSTILE = {
     **KILLS, **PILOTS, "pilot_takeover": "receiver", "motor_kill": "receiver", "camera_freeze": "receiver",
     "fc_link_loss": "receiver", "battery_sag": "sender", "lookalike": "sender", "depth_holes": "sender",
     "marker_hidden": "sender",
 }  # fmt: skip
-"""Everything that virtual time knows to go wrong with a drone or around it, by the role whose course says when."""
+"""Everything that virtual time knows to go wrong with a drone or around it, by the role whose
+course says when.
+"""
 MOMENTS = {
     "receiver": ("stand-off", "search", "approach", "verify", "provisional", "holding"),
     "sender": ("follow", "verify", "released"),
@@ -74,17 +80,24 @@ def draw(config: TeamConfig, seed: int, level: LevelName, number: int, hours: fl
     rng = random.Random(seed_of("team", seed, level, number))
     targets = rng.randint(1, len(config.targets))
     drones = rng.randint(min(2 * targets, len(config.drones)), len(config.drones))
-    moved = tuple((rng.uniform(-MOVED_M, MOVED_M), rng.uniform(-MOVED_M, MOVED_M)) for _ in range(targets))
+    moved = tuple(
+        (rng.uniform(-MOVED_M, MOVED_M), rng.uniform(-MOVED_M, MOVED_M)) for _ in range(targets)
+    )
     legs = max(1, round(targets * 3600.0 * hours / LEG_S))
     return TeamPlan(rng.getrandbits(31), drones, targets, moved, tuple(_faults(rng, level, legs)))
 
 
 def _faults(rng: random.Random, level: LevelName, legs: int) -> list[str]:
-    """Of the link in all legs; of programs, cameras, vehicles and batteries in some, a fifth of them at most."""
+    """Of the link in all legs; of programs, cameras, vehicles and batteries in some, a fifth of
+    them at most.
+    """
     if level == "none":
         return []
     most = {"lossy": 0.3, "harsh": 0.3, "hostile": 0.2}[level]
-    faults = [f"link_loss={rng.uniform(0.05, most):.3f}", f"link_jitter={rng.uniform(0.0, 0.05):.3f}"]
+    faults = [
+        f"link_loss={rng.uniform(0.05, most):.3f}",
+        f"link_jitter={rng.uniform(0.0, 0.05):.3f}",
+    ]
     faults += [f"link_{name}={rng.uniform(0.0, share):.3f}" for name, share in REPEATED.items()]
     if level == "lossy":
         return faults
@@ -137,7 +150,10 @@ def _team(order: RunOrder) -> tuple[Rig, TeamConfig]:
     named = RIG if order.rig == CampaignOptions().rig else order.rig
     rig = with_errors(rig_library.load(named), order.errors)
     if rig.level != "sim":
-        raise PartError(f"rig {rig.name} is of level {rig.level}", "a campaign of teams wants a rig of level sim")
+        raise PartError(
+            f"rig {rig.name} is of level {rig.level}",
+            "a campaign of teams wants a rig of level sim",
+        )
     return rig, team_of(rig)
 
 
@@ -160,17 +176,29 @@ def _fly(
     summary, record = fly_team(rig, replace(some, targets=placed), options, folder, say)
     figures = {
         "simulated_s": summary["simulated_s"],
-        "unobserved_s": math.fsum(to_s - since_s for each in record["unobserved"].values() for since_s, to_s in each),
+        "unobserved_s": math.fsum(
+            to_s - since_s for each in record["unobserved"].values() for since_s, to_s in each
+        ),
     }
     if summary["gap_s"] is not None:
         figures["gap_s"] = summary["gap_s"]["max"]
     rounded = {key: round(value, 4) for key, value in figures.items()}
     observed = {name: share for name, share in targets_of(summary).items() if share is not None}
-    return RunLine(number, level, named(summary), tuple(summary["notes"]), (), rounded, observed_percent=observed)
+    return RunLine(
+        number,
+        level,
+        named(summary),
+        tuple(summary["notes"]),
+        (),
+        rounded,
+        observed_percent=observed,
+    )
 
 
 def targets_of(summary: Mapping[str, Any]) -> dict[str, float | None]:
-    """Returns the percent of the time for which each target was observed; None for one that was never acquired."""
+    """Returns the percent of the time for which each target was observed; None for one that was
+    never acquired.
+    """
     return {name: share for name, share in summary["observed_percent"].items() if name != "all"}
 
 

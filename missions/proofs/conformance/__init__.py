@@ -1,1 +1,3 @@
-"""The behaviour of an autopilot, measured the same way on each: the embedded one, PX4 and ArduPilot."""
+"""The behaviour of an autopilot, measured the same way on each: the embedded one, PX4 and
+ArduPilot.
+"""

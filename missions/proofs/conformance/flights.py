@@ -1,4 +1,6 @@
-"""The flights of the suite: each leaves the vehicle on the ground, and gives figures by the names of ``rows``."""
+"""The flights of the suite: each leaves the vehicle on the ground, and gives figures by the names
+of ``rows``.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,10 @@ async def on_the_ground(stage: FlightStage) -> Values:
     begun_s = stage.now_s
     await stage.vehicle.arm()
     acknowledged = stage.answer(ARM, begun_s)
-    shown_s = next((each.time_s for each in stage.heard.shown if each.armed and each.time_s > begun_s), math.nan)
+    shown_s = next(
+        (each.time_s for each in stage.heard.shown if each.armed and each.time_s > begun_s),
+        math.nan,
+    )
     found["arm_s"] = stage.now_s - begun_s
     found["arm_shown_s"] = None if acknowledged is None else shown_s - acknowledged.time_s
     found["arm_again"] = await stage.order(ARM, 1.0)
@@ -111,7 +116,9 @@ async def _in_the_air(stage: FlightStage) -> Values:
 
 
 async def _hover(stage: FlightStage) -> Values:
-    """Eight seconds in HOLD: how still it stands, what its estimate is off by, how often it tells."""
+    """Eight seconds in HOLD: how still it stands, what its estimate is off by, how often it
+    tells.
+    """
     begin_s = stage.now_s
     await stage.wait(HOLD_S)
     track = FlightTrack.of(stage.bench.instants, begin_s)
@@ -281,7 +288,9 @@ async def pilot(stage: FlightStage) -> Values:
 
 
 async def battery_and_kill(stage: FlightStage) -> Values:
-    """Flies until nothing is left in the battery; and stops the motors by force before the ground."""
+    """Flies until nothing is left in the battery; and stops the motors by force before the
+    ground.
+    """
     await stage.up(HEIGHT_M)
     from_s = stage.now_s
     stage.bench.sag_battery(0.0)

@@ -1,4 +1,6 @@
-"""One vehicle through the whole suite: from power-on to the last flight, whatever fails on the way."""
+"""One vehicle through the whole suite: from power-on to the last flight, whatever fails on the
+way.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ HEARTBEAT_S = 60.0
 OPEN_S = 120.0
 TEXT_S = 0.5  # until the text that explains a refusal
 AGAIN_S = 20.0  # on the ground after a flight, until it is switched off and on
-FAILURES = (PartError, AssertionError, IndexError, ValueError)  # of a flight whose vehicle did what nobody foresaw
+# of a flight whose vehicle did what nobody foresaw
+FAILURES = (PartError, AssertionError, IndexError, ValueError)
 
 
 @dataclass(slots=True)
@@ -37,7 +40,9 @@ class VehicleMeasures:
 
 
 class FlightSuite:
-    """Flies the flights one after the other. One that fails ends in a landing, or else by switching off."""
+    """Flies the flights one after the other. One that fails ends in a landing, or else by switching
+    off.
+    """
 
     def __init__(self, bench: Callable[[], VehicleBench], say: Callable[[str], None]) -> None:
         self._bench = bench
@@ -141,9 +146,17 @@ async def _opened(stage: FlightStage, stack: AsyncExitStack) -> Vehicle:
 
 
 def chosen(words: Sequence[str]) -> list[SuiteFlight]:
-    """The flights with one of these words in their name or title; all when there are none. Raises PartError."""
-    own = [flight for flight in FLIGHTS if not words or any(word in f"{flight.name} {flight.what}" for word in words)]
+    """The flights with one of these words in their name or title; all when there are none. Raises
+    PartError.
+    """
+    own = [
+        flight
+        for flight in FLIGHTS
+        if not words or any(word in f"{flight.name} {flight.what}" for word in words)
+    ]
     if not own:
         names = ", ".join(flight.name for flight in FLIGHTS)
-        raise PartError(f"no flight is called {' or '.join(words)}", f"--only takes one of: {names}")
+        raise PartError(
+            f"no flight is called {' or '.join(words)}", f"--only takes one of: {names}"
+        )
     return own

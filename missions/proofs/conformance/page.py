@@ -1,4 +1,6 @@
-"""The table of the vehicles: on the terminal, and as the page of the documentation that the suite writes itself."""
+"""The table of the vehicles: on the terminal, and as the page of the documentation that the suite
+writes itself.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ not within the time that was waited.
 
 
 def cells(records: Mapping[str, Record]) -> Iterator[tuple[str, list[tuple[Row, list[str]]]]]:
-    """Section by section, each row with its texts: one a vehicle, then whom the embedded one is like."""
+    """Section by section, each row with its texts: one a vehicle, then whom the embedded one is
+    like.
+    """
     embedded = records.get(EMBEDDED)
     real = {NAMES[name]: record.values for name, record in records.items() if name != EMBEDDED}
     for section, rows in SECTIONS.items():
@@ -71,7 +75,9 @@ def page(records: Mapping[str, Record], flights: int) -> str:
         lines.append(_line([f"**{section}**", *([""] * (len(titles) - 1))]))
         lines += [_line([row.title, *texts]) for row, texts in rows]
     failures = [
-        f"- {NAMES[name]}, {flight}: {why}" for name, own in records.items() for flight, why in own.failed.items()
+        f"- {NAMES[name]}, {flight}: {why}"
+        for name, own in records.items()
+        for flight, why in own.failed.items()
     ]
     if failures:
         lines += ["", "Flights that did not come to their end, and why:", "", *failures]
@@ -80,7 +86,9 @@ def page(records: Mapping[str, Record], flights: int) -> str:
 
 def _conditions(records: Mapping[str, Record]) -> Iterator[str]:
     for name, record in records.items():
-        again = f"; switched off and on {record.restarts} times to arm again" if record.restarts else ""
+        again = (
+            f"; switched off and on {record.restarts} times to arm again" if record.restarts else ""
+        )
         yield (
             f"- {NAMES[name]}: {record.made}, rig `{record.rig}`, {record.cores} cores, "
             f"load {record.load_before:.1f} before and {record.load_after:.1f} after{again}"

@@ -15,7 +15,9 @@ VEHICLES = (EMBEDDED, "px4", "ardupilot")
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """``values`` by the names of ``rows``; ``failed`` by flight; ``load_*``: of this computer, over a minute."""
+    """``values`` by the names of ``rows``; ``failed`` by flight; ``load_*``: of this computer, over
+    a minute.
+    """
 
     vehicle: str
     rig: str
@@ -30,11 +32,15 @@ class Record:
 
 
 def write(folder: Path, record: Record) -> None:
-    (folder / f"{record.vehicle}.json").write_text(json.dumps(asdict(record), indent=2) + "\n", "utf-8")
+    (folder / f"{record.vehicle}.json").write_text(
+        json.dumps(asdict(record), indent=2) + "\n", "utf-8"
+    )
 
 
 def joined(before: Record | None, now: Record) -> Record:
-    """Returns a record with some flights flown again: what they gave replaces what there was, the rest is kept."""
+    """Returns a record with some flights flown again: what they gave replaces what there was, the
+    rest is kept.
+    """
     if before is None:
         return now
     failed = {name: why for name, why in before.failed.items() if name not in now.flown}
@@ -46,7 +52,9 @@ def joined(before: Record | None, now: Record) -> Record:
 
 
 def read_all(folder: Path) -> dict[str, Record]:
-    """The records of a folder, in the order of the table. Raises PartError for a file that is none."""
+    """The records of a folder, in the order of the table. Raises PartError for a file that is
+    none.
+    """
     records: dict[str, Record] = {}
     for vehicle in VEHICLES:
         file = folder / f"{vehicle}.json"
@@ -54,5 +62,7 @@ def read_all(folder: Path) -> dict[str, Record]:
             try:
                 records[vehicle] = Record(**json.loads(file.read_bytes()))
             except (ValueError, TypeError) as error:
-                raise PartError(f"{file} is no record of this suite: {error}", "delete it, or fly it again") from error
+                raise PartError(
+                    f"{file} is no record of this suite: {error}", "delete it, or fly it again"
+                ) from error
     return records

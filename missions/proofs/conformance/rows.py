@@ -13,8 +13,9 @@ class Row:
     """One figure.
 
     Attributes:
-        alike: how far apart two figures may be and still count as the same: absolute, or this share of the larger one,
-            whichever is more. None: not compared, such as texts in an autopilot's own words.
+        alike: how far apart two figures may be and still count as the same: absolute, or this share
+            of the larger one, whichever is more. None: not compared, such as texts in an
+            autopilot's own words.
     """
 
     name: str
@@ -174,7 +175,9 @@ def alike(row: Row, a: Value, b: Value) -> bool:
     return abs(a - b) <= max(absolute, share * max(abs(a), abs(b)))
 
 
-def likeness(row: Row, embedded: Mapping[str, Value], real: Mapping[str, Mapping[str, Value]]) -> str:
+def likeness(
+    row: Row, embedded: Mapping[str, Value], real: Mapping[str, Mapping[str, Value]]
+) -> str:
     """Whom the embedded vehicle is like; empty where there is nothing to compare."""
     others = {name: values[row.name] for name, values in real.items() if row.name in values}
     if row.alike is None or row.name not in embedded or not others:

@@ -29,10 +29,14 @@ EXIT_FAILED = CommandEnd.FAILED.exit_code
 
 
 def run(options: ConformanceOptions) -> int:
-    """``path-handoff conformance``; 0 when every flight came to its end, whatever it showed. Raises PartError."""
+    """``path-handoff conformance``; 0 when every flight came to its end, whatever it showed. Raises
+    PartError.
+    """
     name_simulators(options)
     flights = chosen(options.only)
-    with unless_refused(options.out or Path("conformance") / f"{datetime.now():%Y%m%d-%H%M%S}") as folder:
+    with unless_refused(
+        options.out or Path("conformance") / f"{datetime.now():%Y%m%d-%H%M%S}"
+    ) as folder:
         for vehicle in VEHICLES:
             claim_result(folder / f"{vehicle}.json", '"vehicle"')
         if options.page is not None:
@@ -58,7 +62,10 @@ def _run(options: ConformanceOptions, flights: Sequence[SuiteFlight], folder: Pa
     show(terminal_table(records), sys.stdout)
     if options.page is not None:
         options.page.write_text(page(records, len(FLIGHTS)), "utf-8")
-    _say(f"\n{folder}: {', '.join(f'{name}.json' for name in records)}" + (f"; {options.page}" if options.page else ""))
+    _say(
+        f"\n{folder}: {', '.join(f'{name}.json' for name in records)}"
+        + (f"; {options.page}" if options.page else "")
+    )
     return EXIT_FAILED if failed else 0
 
 
@@ -80,8 +87,11 @@ def fly(vehicle: str, flights: Sequence[SuiteFlight], folder: Path) -> Record:
     made = f"{datetime.now():%Y-%m-%d %H:%M}"
     load_before = os.getloadavg()[0]
     bench = trial_part(rig, "bench")
-    suite = FlightSuite(lambda: bench(rig, folder / vehicle), lambda text: _say(f"{vehicle}: {text}"))
-    logging.getLogger("drivers.mavsdk").setLevel(logging.ERROR)  # a cable that is cut is no news here
+    suite = FlightSuite(
+        lambda: bench(rig, folder / vehicle), lambda text: _say(f"{vehicle}: {text}")
+    )
+    # a cable that is cut is no news here
+    logging.getLogger("drivers.mavsdk").setLevel(logging.ERROR)
     measured = asyncio.run(suite.run(flights))
     return Record(
         vehicle=vehicle,

@@ -1,4 +1,6 @@
-"""A vehicle on the bench with its driver open, and what every check does with it. Times are the vehicle's own."""
+"""A vehicle on the bench with its driver open, and what every check does with it. Times are the
+vehicle's own.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +22,21 @@ READY_S = 90.0
 TAKE_OFF_S = 40.0
 LAND_S = 60.0
 STATION = 251  # the bench's second ground station
-RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress", "cancelled")
+RESULTS = (
+    "accepted",
+    "temporarily rejected",
+    "denied",
+    "unsupported",
+    "failed",
+    "in progress",
+    "cancelled",
+)
 # MAV_CMD
 ARM = 400
 TAKE_OFF = 22
 SET_MODE = 176
-FORCE = 21196.0  # with which disarming stops the motors in the air; only ever sent to a simulated vehicle
+# with which disarming stops the motors in the air; only ever sent to a simulated vehicle
+FORCE = 21196.0
 
 
 class FlightStage:
@@ -53,7 +64,9 @@ class FlightStage:
 
     @property
     def armed(self) -> bool:
-        """Returns whether it is armed, by the newest heartbeat, whether or not the driver hears it."""
+        """Returns whether it is armed, by the newest heartbeat, whether or not the driver hears
+        it.
+        """
         return bool(self.heard.shown) and self.heard.shown[-1].armed
 
     @property
@@ -67,7 +80,9 @@ class FlightStage:
     async def until(
         self, condition: Callable[[], bool], limit_s: float, each: Callable[[], None] = lambda: None
     ) -> float | None:
-        """Seconds until it came true, None when it did not within ``limit_s``. Raises PartError of the bench."""
+        """Seconds until it came true, None when it did not within ``limit_s``. Raises PartError of
+        the bench.
+        """
         start_s = self.now_s
         while not condition():
             self.bench.check()
@@ -94,18 +109,29 @@ class FlightStage:
 
     async def order_take_off(self, height_m: float) -> str:
         unset = math.nan if self.kind.unset is None else self.kind.unset
-        # PX4 takes the height from a parameter: what it is given as altitude would be above mean sea level.
+        # PX4 takes the height from a parameter: what it is given as altitude would be above mean
+        # sea level.
         above = unset if self.kind.name == "px4" else height_m
         return await self.order(TAKE_OFF, 0.0, 0.0, 0.0, unset, unset, unset, above)
 
-    def answer(self, command: int, since_s: float, to: tuple[int, ...] | None = None) -> CommandAnswer | None:
+    def answer(
+        self, command: int, since_s: float, to: tuple[int, ...] | None = None
+    ) -> CommandAnswer | None:
         """The first acknowledgement of a command since then."""
-        own = (each for each in self.heard.answers if each.command == command and each.time_s >= since_s)
+        own = (
+            each
+            for each in self.heard.answers
+            if each.command == command and each.time_s >= since_s
+        )
         return next((each for each in own if to is None or each.to in to), None)
 
     def texts(self, since_s: float) -> str:
         """Returns the vehicle's important texts since then, each once."""
-        said = [text for time_s, severity, text in self.heard.texts if time_s >= since_s and severity <= 4]
+        said = [
+            text
+            for time_s, severity, text in self.heard.texts
+            if time_s >= since_s and severity <= 4
+        ]
         return " | ".join(dict.fromkeys(said)) or "nothing"
 
     async def ready(self) -> None:
@@ -119,7 +145,9 @@ class FlightStage:
         await self.vehicle.take_off(height_m, TAKE_OFF_S)
 
     async def down(self) -> None:
-        """Brings it to the ground, disarmed, whatever came before. Raises PartError when it cannot be."""
+        """Brings it to the ground, disarmed, whatever came before. Raises PartError when it cannot
+        be.
+        """
         self.bench.cut = False
         since_s = self.now_s
         if await self.until(lambda: self._heard_since(since_s), ANSWER_S) is None:
@@ -131,7 +159,9 @@ class FlightStage:
         """Two heartbeats have come, so that the driver has taken the first."""
         return len(self.heard.shown) > 1 and self.heard.shown[-2].time_s > since_s
 
-    async def fly(self, velocity_n_mps: tuple[float, float, float], yaw_rad: float, seconds: float) -> float:
+    async def fly(
+        self, velocity_n_mps: tuple[float, float, float], yaw_rad: float, seconds: float
+    ) -> float:
         """Setpoints for some time; the moment of the first."""
         setpoint = VelocitySetpoint(velocity_n_mps, yaw_rad)
         start_s = self.now_s

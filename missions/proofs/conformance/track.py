@@ -1,4 +1,6 @@
-"""The figures of a recorded stretch of flight: pure functions of its instants. Heights and speeds are true ones."""
+"""The figures of a recorded stretch of flight: pure functions of its instants. Heights and speeds
+are true ones.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ LANDED_STATES = ("undefined", "on ground", "in air", "take-off", "landing")  # M
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightTrack:
-    """Arrays over time: ``t`` (n,), ``height`` (n,), ``position`` and ``velocity`` (n, 3) NED, ``yaw`` (n,)."""
+    """Arrays over time: ``t`` (n,), ``height`` (n,), ``position`` and ``velocity`` (n, 3) NED,
+    ``yaw`` (n,).
+    """
 
     t: Array
     height: Array
@@ -31,7 +35,9 @@ class FlightTrack:
     yaw: Array
 
     @classmethod
-    def of(cls, instants: Sequence[Instant], start_s: float, end_s: float = math.inf) -> FlightTrack:
+    def of(
+        cls, instants: Sequence[Instant], start_s: float, end_s: float = math.inf
+    ) -> FlightTrack:
         own = [each for each in instants if start_s <= each.time_s <= end_s]
         return cls(
             np.array([each.time_s for each in own]),
@@ -43,7 +49,9 @@ class FlightTrack:
 
 
 def first(t: Array, holds: NDArray[np.bool_], from_s: float) -> float | None:
-    """Seconds from ``from_s`` until the first sample for which it holds; None when it never does."""
+    """Seconds from ``from_s`` until the first sample for which it holds; None when it never
+    does.
+    """
     found = np.flatnonzero(holds & (t >= from_s))
     return float(t[found[0]] - from_s) if len(found) else None
 
@@ -60,7 +68,9 @@ def fastest_mps(t: Array, values: Array, window_s: float = 0.5) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """The response to a step of a speed: seconds to 63 % of it, largest excess in percent, error once settled."""
+    """The response to a step of a speed: seconds to 63 % of it, largest excess in percent, error
+    once settled.
+    """
 
     rise_s: float | None
     overshoot_percent: float
@@ -75,7 +85,9 @@ def response(t: Array, speed: Array, from_s: float, wanted_mps: float) -> Respon
     return Response(rise_s, max(0.0, excess), float(np.mean(settled)) - wanted_mps)
 
 
-def standing(track: FlightTrack, from_s: float, slow_mps: float = 0.2) -> tuple[float | None, float | None]:
+def standing(
+    track: FlightTrack, from_s: float, slow_mps: float = 0.2
+) -> tuple[float | None, float | None]:
     """Seconds and metres from a moment until the horizontal speed was first below ``slow_mps``."""
     speed = np.hypot(track.velocity[:, 0], track.velocity[:, 1])
     after_s = first(track.t, speed < slow_mps, from_s)
@@ -87,13 +99,19 @@ def standing(track: FlightTrack, from_s: float, slow_mps: float = 0.2) -> tuple[
 
 
 def estimate_errors(instants: Sequence[Instant]) -> dict[str, float]:
-    """The estimate that the driver tells, against the truth of the same moments: mean and standard deviation.
+    """The estimate that the driver tells, against the truth of the same moments: mean and standard
+    deviation.
 
-    Only of a hovering vehicle: what the telemetry is late by would count as an error of one that moves.
+    Only of a hovering vehicle: what the telemetry is late by would count as an error of one that
+    moves.
     """
-    own = [(each, each.said) for each in instants if each.said is not None and each.said.stamp_ns > 0]
+    own = [
+        (each, each.said) for each in instants if each.said is not None and each.said.stamp_ns > 0
+    ]
     position = np.array([np.subtract(said.position_n_m, each.position_n_m) for each, said in own])
-    velocity = np.array([np.subtract(said.velocity_n_mps, each.velocity_n_mps) for each, said in own])
+    velocity = np.array(
+        [np.subtract(said.velocity_n_mps, each.velocity_n_mps) for each, said in own]
+    )
     yaw = np.array([wrapped(yaw_of(said.q_n_b) - yaw_of(each.q_n_b)) for each, said in own])
     tilt = np.array([_tilt(multiply(conjugate(each.q_n_b), said.q_n_b)) for each, said in own])
     return {
@@ -130,7 +148,9 @@ def modes_since(shown: Sequence[HeartbeatShown], from_s: float) -> list[tuple[fl
 def _named(shown: HeartbeatShown) -> str:
     if not shown.armed:
         return "disarmed"
-    return shown.mode.value if shown.mode is not FlightMode.OTHER else f"mode {shown.custom_mode:#x}"
+    return (
+        shown.mode.value if shown.mode is not FlightMode.OTHER else f"mode {shown.custom_mode:#x}"
+    )
 
 
 def in_words(changes: Sequence[tuple[float, str]]) -> str:
@@ -142,7 +162,9 @@ def when(changes: Sequence[tuple[float, str]], name: str) -> float | None:
     return next((time_s for time_s, shown in changes if shown == name), None)
 
 
-def landed_since(landed: Sequence[tuple[float, int]], from_s: float, end_s: float) -> list[tuple[float, str]]:
+def landed_since(
+    landed: Sequence[tuple[float, int]], from_s: float, end_s: float
+) -> list[tuple[float, str]]:
     """(seconds after ``from_s``, landed state) of every change, with the one at the start."""
     changes: list[tuple[float, str]] = []
     for time_s, state in landed:

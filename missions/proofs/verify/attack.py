@@ -1,10 +1,12 @@
-"""A third process that wants to lock two drones out, or to move something: it floods both with what it can make.
+"""A third process that wants to lock two drones out, or to move something: it floods both with what
+it can make.
 
     python -m missions.proofs.verify.attack RATE AIR_PORT SENDER RECEIVER SEED RUN_FOLDER
 
-It hears the air and has recordings of earlier flights, knows the dialect and where both drones listen, has keys, but
-not the pair's. Half of its packets come from an address of its own, half as if from the other drone. A closed stdin
-ends it. What it heard is kept beside the run's folder, for the next attack.
+It hears the air and has recordings of earlier flights, knows the dialect and where both drones
+listen, has keys, but not the pair's. Half of its packets come from an address of its own, half as
+if from the other drone. A closed stdin ends it. What it heard is kept beside the run's folder, for
+the next attack.
 """
 
 from __future__ import annotations
@@ -33,7 +35,11 @@ class Attacker(asyncio.DatagramProtocol):
     """Hears the air on its socket, and sends from it."""
 
     def __init__(
-        self, air: Address, ends: tuple[Address, Address], rng: Random, earlier: list[tuple[int, bytes]]
+        self,
+        air: Address,
+        ends: tuple[Address, Address],
+        rng: Random,
+        earlier: list[tuple[int, bytes]],
     ) -> None:
         self._air = air
         self._ends = ends
@@ -78,7 +84,9 @@ class Attacker(asyncio.DatagramProtocol):
             due = now
 
     def _pour(self, number: int) -> None:
-        """Sends so many packets, few of them new ones. What is not of this address goes onto the air by the handful."""
+        """Sends so many packets, few of them new ones. What is not of this address goes onto the
+        air by the handful.
+        """
         for _ in range(min(number, round(FORGED_HZ * TICK_S / 2))):
             side, packet = self._made()
             pool = self._pool[side]
@@ -123,7 +131,9 @@ class Attacker(asyncio.DatagramProtocol):
 
 
 def earlier_flights(out: Path) -> list[tuple[int, bytes]]:
-    """Returns the packets recorded beside a run's folder before; a line is the side and the packet."""
+    """Returns the packets recorded beside a run's folder before; a line is the side and the
+    packet.
+    """
     recorded: list[tuple[int, bytes]] = []
     for file in sorted(out.parent.glob(f"*{RECORDING}")):
         for line in file.read_text("ascii").splitlines():
@@ -132,17 +142,23 @@ def earlier_flights(out: Path) -> list[tuple[int, bytes]]:
     return recorded
 
 
-async def attack(rate_hz: float, air: int, ends: tuple[Address, Address], seed: int, out: Path) -> None:
+async def attack(
+    rate_hz: float, air: int, ends: tuple[Address, Address], seed: int, out: Path
+) -> None:
     """Attacks until stdin is closed."""
     loop = asyncio.get_running_loop()
     ended = asyncio.Event()
     loop.add_reader(sys.stdin.fileno(), ended.set)
     attacker = Attacker(("127.0.0.1", air), ends, Random(f"attack {seed}"), earlier_flights(out))
-    transport, _ = await loop.create_datagram_endpoint(lambda: attacker, local_addr=("127.0.0.1", 0))
+    transport, _ = await loop.create_datagram_endpoint(
+        lambda: attacker, local_addr=("127.0.0.1", 0)
+    )
     flood = asyncio.create_task(attacker.flood(rate_hz))
     begun_s = loop.time()
     try:
-        await asyncio.wait([flood, asyncio.ensure_future(ended.wait())], return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait(
+            [flood, asyncio.ensure_future(ended.wait())], return_when=asyncio.FIRST_COMPLETED
+        )
     finally:
         flood.cancel()
         transport.abort()

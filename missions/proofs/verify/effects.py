@@ -1,4 +1,6 @@
-"""The effects of an event on either machine, worked out once for each state: worlds of numbers, tables of effects."""
+"""The effects of an event on either machine, worked out once for each state: worlds of numbers,
+tables of effects.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ _SENDER = 1 << 30  # in the place of a skew: the sender's clock has none
 
 
 class Interned(Generic[T]):
-    """Values by small numbers: worlds of numbers are cheap to compare, and what a machine does is worked out once."""
+    """Values by small numbers: worlds of numbers are cheap to compare, and what a machine does is
+    worked out once.
+    """
 
     def __init__(self) -> None:
         self._numbers: dict[T, int] = {}
@@ -80,7 +84,9 @@ class Effect(NamedTuple):
 
 
 def later(value: Any, past: int) -> Any:
-    """The same value a tick later: its instants (fields in ``_ns``) are that much nearer, or longer ago."""
+    """The same value a tick later: its instants (fields in ``_ns``) are that much nearer, or longer
+    ago.
+    """
     changed: dict[str, Any] = {}
     for field in fields(value):
         old = getattr(value, field.name)
@@ -104,8 +110,8 @@ def bits(mask: int) -> list[int]:
 class Effects:
     """Tables of one scope.
 
-    Machines are told every instant relative to the present of the sender's clock, which is 0. The receiver's clock then
-    shows the skew.
+    Machines are told every instant relative to the present of the sender's clock, which is 0. The
+    receiver's clock then shows the skew.
     """
 
     def __init__(self, scope: Scope) -> None:
@@ -124,7 +130,8 @@ class Effects:
         self._aged: dict[tuple[str, int], int] = {}
         self._aged_masks: dict[int, int] = {}
 
-    # --- events -----------------------------------------------------------------------------------------------
+    # --- events
+    # -----------------------------------------------------------------------------------------------
 
     def sender_told(self, state: int, event: SenderEvent, what: str) -> Effect:
         key = (state, event)
@@ -134,7 +141,9 @@ class Effects:
             assert not isinstance(before, Dead)
             after, actions = sender.step(self.config, before, event, 0)
             broken = sender_rules(before, after, event, actions, self.scope.uncertainty)
-            effect = self._by_sender[key] = self._effect("receiver", what, self.senders(after), actions, broken)
+            effect = self._by_sender[key] = self._effect(
+                "receiver", what, self.senders(after), actions, broken
+            )
         return effect
 
     def receiver_told(self, state: int, skew: int, event: ReceiverEvent, what: str) -> Effect:
@@ -145,7 +154,9 @@ class Effects:
             assert not isinstance(before, Dead)
             after, actions = receiver.step(self.config, before, event, skew)
             broken = receiver_rules(before, after, event, actions, skew, self.scope.guard)
-            effect = self._by_receiver[key] = self._effect("sender", what, self.receivers(after), actions, broken)
+            effect = self._by_receiver[key] = self._effect(
+                "sender", what, self.receivers(after), actions, broken
+            )
         return effect
 
     def _effect(self, to: Side, what: str, state: int, actions: Actions, broken: str) -> Effect:
@@ -163,18 +174,27 @@ class Effects:
             elif isinstance(action, Persist) and isinstance(action.record, ReceiverRecord):
                 kept = self.receiver_records(action.record)
             halves.append((sent, kept))
-        return Effect(what, state, sent, kept, tuple(commits), broken, tuple(dict.fromkeys(halves[:-1])))
+        return Effect(
+            what, state, sent, kept, tuple(commits), broken, tuple(dict.fromkeys(halves[:-1]))
+        )
 
-    # --- packets ----------------------------------------------------------------------------------------------
+    # --- packets
+    # ----------------------------------------------------------------------------------------------
 
     def heard_by_sender(self, state: int, packets: int) -> list[Effect]:
-        """Returns what may come of the packets on the link; those of which nothing comes are left out."""
+        """Returns what may come of the packets on the link; those of which nothing comes are left
+        out.
+        """
         return self._heard_of("sender", state, 0, packets)
 
-    def heard_by_receiver(self, state: int, skew: int, packets: int, instance: int = RECEIVER_ID) -> list[Effect]:
+    def heard_by_receiver(
+        self, state: int, skew: int, packets: int, instance: int = RECEIVER_ID
+    ) -> list[Effect]:
         return self._heard_of("receiver", state, skew, packets, instance)
 
-    def _heard_of(self, side: Side, state: int, skew: int, packets: int, instance: int = RECEIVER_ID) -> list[Effect]:
+    def _heard_of(
+        self, side: Side, state: int, skew: int, packets: int, instance: int = RECEIVER_ID
+    ) -> list[Effect]:
         where = (state, skew, instance) if side == "receiver" else (state, _SENDER, 0)
         deaf = self._deaf.get(where, 0)
         effects: list[Effect] = []
@@ -182,13 +202,17 @@ class Effects:
             key = (where, number)
             of_packet = self._heard.get(key)
             if of_packet is None:
-                of_packet = self._heard[key] = self._hear(side, state, skew, self.packets.values[number], instance)
+                of_packet = self._heard[key] = self._hear(
+                    side, state, skew, self.packets.values[number], instance
+                )
                 if not of_packet:
                     deaf = self._deaf[where] = deaf | 1 << number
             effects.extend(of_packet)
         return effects
 
-    def _hear(self, side: Side, state: int, skew: int, packet: ModelPacket, instance: int) -> tuple[Effect, ...]:
+    def _hear(
+        self, side: Side, state: int, skew: int, packet: ModelPacket, instance: int
+    ) -> tuple[Effect, ...]:
         """Returns the effects of the packet and, of the same word about something else, any at all.
 
         There may be none (S6).
@@ -197,20 +221,30 @@ class Effects:
             return ()
         name = type(packet.message).__name__
         who = side if instance == RECEIVER_ID else f"second {side}"
-        effect = self._told(side, state, skew, packet.message, f"{name} reaches the {who}", instance)
-        nothing = effect.state == state and not effect.sent and effect.kept < 0 and not effect.broken
+        effect = self._told(
+            side, state, skew, packet.message, f"{name} reaches the {who}", instance
+        )
+        nothing = (
+            effect.state == state and not effect.sent and effect.kept < 0 and not effect.broken
+        )
         found = [] if nothing else [effect]
         idle = self._tick(side, state, skew).state
         for wrong in misdirected(packet.message, self.scope):
-            told = self._told(side, state, skew, wrong, f"a misdirected {name} reaches the {who}", instance)
+            told = self._told(
+                side, state, skew, wrong, f"a misdirected {name} reaches the {who}", instance
+            )
             if told.state != idle:
                 found.append(told._replace(broken="S6"))
         return tuple(found)
 
-    def _told(self, side: Side, state: int, skew: int, message: Message, what: str, instance: int) -> Effect:
+    def _told(
+        self, side: Side, state: int, skew: int, message: Message, what: str, instance: int
+    ) -> Effect:
         uncertainty = self.scope.uncertainty
         if isinstance(message, Status):
-            event = PeerStatus(message.responsible, message.stamp_ns - uncertainty, message.instance)
+            event = PeerStatus(
+                message.responsible, message.stamp_ns - uncertainty, message.instance
+            )
         elif isinstance(message, Commit) and side == "receiver":
             event = CommitHeard(message, message.lease_end_ns, uncertainty, instance)
         else:
@@ -233,11 +267,17 @@ class Effects:
             gives = self.senders.values[state]
             takes = self.receivers.values[held]
             if not isinstance(gives, Dead):
-                packets.append(ModelPacket("receiver", status(Role.SENDER, sender.is_responsible(gives), 0)))
+                packets.append(
+                    ModelPacket("receiver", status(Role.SENDER, sender.is_responsible(gives), 0))
+                )
                 if not isinstance(gives, sender.Idle | sender.Keeping | sender.HandedOver):
                     packets.append(ModelPacket("receiver", target(gives.live)))
             if not isinstance(takes, Dead):
-                packets.append(ModelPacket("sender", status(Role.RECEIVER, receiver.is_responsible(takes, skew), skew)))
+                packets.append(
+                    ModelPacket(
+                        "sender", status(Role.RECEIVER, receiver.is_responsible(takes, skew), skew)
+                    )
+                )
                 if takes.live is not None:
                     packets.append(ModelPacket("sender", candidate(takes.live)))
             if second != NOBODY:
@@ -251,7 +291,8 @@ class Effects:
             self._words[state, held, skew, second] = found
         return found
 
-    # --- time -------------------------------------------------------------------------------------------------
+    # --- time
+    # -------------------------------------------------------------------------------------------------
 
     def aged(self, kind: str, interned: Interned[Any], number: int) -> int:
         """The number of a value a tick later."""
@@ -261,7 +302,9 @@ class Effects:
         if found is None:
             value = interned.values[number]
             timeless = isinstance(value, SenderRecord | ReceiverRecord) and value.live is None
-            found = self._aged[kind, number] = number if timeless else interned(later(value, self.scope.past))
+            found = self._aged[kind, number] = (
+                number if timeless else interned(later(value, self.scope.past))
+            )
         return found
 
     def packets_aged(self, packets: int) -> int:
@@ -281,13 +324,18 @@ class Effects:
             aged = self._aged["packet", number] = 0 if packet is None else 1 << self.packets(packet)
         return aged
 
-    # --- restarts ---------------------------------------------------------------------------------------------
+    # --- restarts
+    # ---------------------------------------------------------------------------------------------
 
     def sender_restored(self, kept: int, same_clock: bool) -> tuple[int, int]:
         """State, and what it writes down at once."""
-        state = sender.restored(self.config, self.sender_records.values[kept], 0, same_clock=same_clock)
+        state = sender.restored(
+            self.config, self.sender_records.values[kept], 0, same_clock=same_clock
+        )
         return self.senders(state), self.sender_records(sender.record(state))
 
     def receiver_restored(self, kept: int, skew: int, same_clock: bool) -> tuple[int, int]:
-        state = receiver.restored(self.config, self.receiver_records.values[kept], skew, same_clock=same_clock)
+        state = receiver.restored(
+            self.config, self.receiver_records.values[kept], skew, same_clock=same_clock
+        )
         return self.receivers(state), self.receiver_records(receiver.record(state))

@@ -3,10 +3,11 @@
 Two ways of not walking in circles:
 
 - exactly: a world that was seen is not entered again, any other is;
-- covering: nor is a world that is *covered* by one that was seen, which is the same but for more packets on the link,
-  more crashes, aborts and attempts to come, and a longer gap behind it. Nothing forces a packet to be delivered or a
-  program to crash, so whatever can happen in the covered world can happen in the other, and is held against invariants
-  that are no weaker there. Far fewer worlds tell as much, and larger scopes become possible.
+- covering: nor is a world that is *covered* by one that was seen, which is the same but for more
+  packets on the link, more crashes, aborts and attempts to come, and a longer gap behind it.
+  Nothing forces a packet to be delivered or a program to crash, so whatever can happen in the
+  covered world can happen in the other, and is held against invariants that are no weaker there.
+  Far fewer worlds tell as much, and larger scopes become possible.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ class Exploration:
         complete: everything reachable was seen; False when the limit came first.
         broken: how often each invariant was broken.
         example: the way to the first break: what happened, step by step.
-        in_flight: packets on the link at most, of which any may be delivered, or not, at any moment.
+        in_flight: packets on the link at most, of which any may be delivered, or not, at any
+            moment.
         pairs: in how many worlds each pair of machine states was.
     """
 
@@ -84,14 +86,16 @@ def weight(world: ModelWorld) -> int:
 
     A world covers another when it has all of the other's bits.
 
-    Numbers are as many ones; records, which have to be equal unless nobody reads them, are their bits and the
-    complement of their bits, of which none contains another.
+    Numbers are as many ones; records, which have to be equal unless nobody reads them, are their
+    bits and the complement of their bits, of which none contains another.
     """
     bits = world.packets
     for number in (world.crashes, world.aborts, world.attempts, world.alone):
         bits = bits << _ONES | (1 << number) - 1
     for kept in (world.sender_kept, world.receiver_kept):
-        bits = bits << 2 * _RECORD | (0 if kept == UNREAD else kept << _RECORD | (kept ^ _COMPLEMENT))
+        bits = bits << 2 * _RECORD | (
+            0 if kept == UNREAD else kept << _RECORD | (kept ^ _COMPLEMENT)
+        )
     return bits
 
 
@@ -168,7 +172,8 @@ class _Trail:
         return tuple(reversed(steps))
 
 
-@collector_off()  # worlds refer to no one another: looking for cycles among so many would take an eighth of the time
+# worlds refer to no one another: looking for cycles among so many would take an eighth of the time
+@collector_off()
 def explore(
     scope: Scope,
     limit: int = 1 << 62,
@@ -183,8 +188,8 @@ def explore(
     Args:
         limit: worlds to enter at most, or a few more.
         advance: told now and then how many ticks and worlds it is in.
-        until_broken: stop once all of these invariants are broken, with ``ANY`` at the first break of whichever: for
-            what is known to be wrong. None goes through everything.
+        until_broken: stop once all of these invariants are broken, with ``ANY`` at the first break
+            of whichever: for what is known to be wrong. None goes through everything.
         seen: ``Exact()`` unless told.
         moves: of the same scope, to number its worlds as another exploration did.
     """
@@ -207,7 +212,15 @@ def explore(
     for (gives, takes), count in trail.pairs.items():
         named[moves.names(gives, takes)] += count
     return Exploration(
-        scope, trail.entered, trail.steps, depth, not waiting, trail.broken, trail.example, trail.in_flight, named
+        scope,
+        trail.entered,
+        trail.steps,
+        depth,
+        not waiting,
+        trail.broken,
+        trail.example,
+        trail.in_flight,
+        named,
     )
 
 

@@ -24,11 +24,13 @@ FUTURE = 2**47  # units of 10 us: decades
 
 
 class Forger:
-    """Hears every packet, knows the dialect and the method's code, and has keys, but not the pair's.
+    """Hears every packet, knows the dialect and the method's code, and has keys, but not the
+    pair's.
 
     Args:
         rng: of this forger alone.
-        toward: packets on their way to the victim that it has taken already; ``back``: those that it sent itself.
+        toward: packets on their way to the victim that it has taken already; ``back``: those that
+            it sent itself.
     """
 
     def __init__(self, rng: Random) -> None:
@@ -59,7 +61,9 @@ class Forger:
         return tuple(name for name, _ in self._ways)
 
     def forge(self) -> tuple[str, bytes]:
-        """The way, and a packet that differs from all that its owner sent, or that was taken before."""
+        """The way, and a packet that differs from all that its owner sent, or that was taken
+        before.
+        """
         while True:
             name, way = self._rng.choice(self._ways)
             data = way()
@@ -102,7 +106,9 @@ class Forger:
     def _warped(self) -> bytes:
         data = self._heard()
         stamp = self._rng.choice((self._rng.randrange(FUTURE), FUTURE, 2**48 - 1, 0))
-        return self._sign(data[:-SIGNATURE], bytes((self._rng.randrange(256),)) + stamp.to_bytes(6, "little"))
+        return self._sign(
+            data[:-SIGNATURE], bytes((self._rng.randrange(256),)) + stamp.to_bytes(6, "little")
+        )
 
     def _restamped(self) -> bytes:
         data = self._heard()
@@ -136,9 +142,9 @@ class Forger:
     def _other_id(self) -> bytes:
         data = self._heard()
         header = bytearray(data[:HEADER])
-        header[7:10] = self._rng.choice((self._rng.choice(tuple(EXTRAS)), self._rng.randrange(2**24))).to_bytes(
-            3, "little"
-        )
+        header[7:10] = self._rng.choice(
+            (self._rng.choice(tuple(EXTRAS)), self._rng.randrange(2**24))
+        ).to_bytes(3, "little")
         return framed(bytes(header), data[HEADER : HEADER + data[1]]) + data[-SIGNATURE:]
 
     def _noise(self) -> bytes:

@@ -1,20 +1,26 @@
-"""A small world around the two protocol machines, in which everything that can go wrong may go wrong at any moment.
+"""A small world around the two protocol machines, in which everything that can go wrong may go
+wrong at any moment.
 
-One tick is one nanosecond of the machines. Instants are kept relative to the present of the sender's clock, so that the
-same situation at another time is the same state: what is reachable is finite, and all of it is explored.
+One tick is one nanosecond of the machines. Instants are kept relative to the present of the
+sender's clock, so that the same situation at another time is the same state: what is reachable is
+finite, and all of it is explored.
 
 What the world may do at any moment:
 
-- deliver any packet that was ever sent: at once, later (delay, reordering), again (duplication) or never (loss).
-  Nothing is ever taken off the link: any number of packets is in flight, and a lost one is one that never arrives;
-- let a tick pass, in which the receiver's clock runs slow, right or fast, always within the uncertainty that both sides
-  have been told; either program may notice the time late, by up to the guard;
-- both drones say all the time what they say all the time (Targets, Candidates, Status), and that too is kept;
-- complete an agreement, report one of another epoch or of another object, let a pilot abort on either side;
+- deliver any packet that was ever sent: at once, later (delay, reordering), again (duplication) or
+  never (loss). Nothing is ever taken off the link: any number of packets is in flight, and a lost
+  one is one that never arrives;
+- let a tick pass, in which the receiver's clock runs slow, right or fast, always within the
+  uncertainty that both sides have been told; either program may notice the time late, by up to the
+  guard;
+- both drones say all the time what they say all the time (Targets, Candidates, Status), and that
+  too is kept;
+- complete an agreement, report one of another epoch or of another object, let a pilot abort on
+  either side;
 - let programs sleep, in scopes with stalls for any time;
 - let a second receiver hear and say all that the first one does, in scopes with two;
-- kill either program between any two of its actions, and start it again, at once or at any later time, with what it had
-  written down; on a clock that goes on, or on another one after a reboot.
+- kill either program between any two of its actions, and start it again, at once or at any later
+  time, with what it had written down; on a clock that goes on, or on another one after a reboot.
 """
 
 from __future__ import annotations
@@ -47,13 +53,16 @@ class Scope:
 
     Attributes:
         crashes, aborts: how often each may happen; ``attempts``: how often the sender begins.
-        uncertainty: bound on the difference of the clocks, which wanders within it, by a tick a tick.
-        stalls: programs may sleep through anything, for any time. Nothing comes to an end in time then (L1, L2 are not
-            asked for); all else still holds.
-        receivers: 2: another drone with the same role and key hears what the first one hears, and says what it says.
-        beyond: ticks by which the clocks may differ more than both sides were told. Breaks what it is meant to: the
-            bound is an assumption.
-        forgetful: a disk may have an earlier record at a restart, or none. That it keeps the newest is an assumption.
+        uncertainty: bound on the difference of the clocks, which wanders within it, by a tick a
+            tick.
+        stalls: programs may sleep through anything, for any time. Nothing comes to an end in time
+            then (L1, L2 are not asked for); all else still holds.
+        receivers: 2: another drone with the same role and key hears what the first one hears, and
+            says what it says.
+        beyond: ticks by which the clocks may differ more than both sides were told. Breaks what it
+            is meant to: the bound is an assumption.
+        forgetful: a disk may have an earlier record at a restart, or none. That it keeps the newest
+            is an assumption.
         lease, retry, guard, settle, offer, handoff: as of the protocol.
     """
 
@@ -86,12 +95,16 @@ class Scope:
 
     @property
     def longest_gap(self) -> int:
-        """L2: nobody is responsible for longer than lease and clock uncertainty, and the lateness of a program."""
+        """L2: nobody is responsible for longer than lease and clock uncertainty, and the lateness
+        of a program.
+        """
         return self.lease + self.uncertainty + self.guard
 
     @property
     def past(self) -> int:
-        """Instants longer ago than this are all alike: no comparison of the machines tells them apart any more."""
+        """Instants longer ago than this are all alike: no comparison of the machines tells them
+        apart any more.
+        """
         return 2 * self.uncertainty + self.guard + 1 - STATUS_AGE
 
 
@@ -101,7 +114,8 @@ class ModelPacket(NamedTuple):
 
 
 class ModelWorld(NamedTuple):
-    """One situation: numbers of interned values, see ``Effects``. All instants are relative to the sender's clock.
+    """One situation: numbers of interned values, see ``Effects``. All instants are relative to the
+    sender's clock.
 
     Attributes:
         packets: on the link, a bit each.
@@ -109,7 +123,8 @@ class ModelWorld(NamedTuple):
         sender_kept, receiver_kept: what each has on disk; ``UNREAD`` when it can crash no more.
         second: another receiver's state; ``NOBODY`` when there is none.
         agreed: the epoch in which the agreement was complete; 0 before.
-        alone: ticks since somebody was responsible; no higher than one above the longest that is allowed.
+        alone: ticks since somebody was responsible; no higher than one above the longest that is
+            allowed.
     """
 
     sender: int
@@ -135,7 +150,9 @@ class ModelWorld(NamedTuple):
         receiver_kept: int | None = None,
         second: int | None = None,
     ) -> ModelWorld:
-        """The world with more packets on its link, and with what else is told: ``_replace``, in half of its time."""
+        """The world with more packets on its link, and with what else is told: ``_replace``, in
+        half of its time.
+        """
         return ModelWorld(
             self.sender if sender is None else sender,
             self.receiver if receiver is None else receiver,
@@ -153,10 +170,14 @@ class ModelWorld(NamedTuple):
 
 
 def packet_later(packet: ModelPacket, past: int) -> ModelPacket | None:
-    """A tick later; only instants that a machine looks at age. None for a Status that is too old to be told apart."""
+    """A tick later; only instants that a machine looks at age. None for a Status that is too old to
+    be told apart.
+    """
     message = packet.message
     if isinstance(message, Commit):
-        return ModelPacket(packet.to, replace(message, lease_end_ns=max(message.lease_end_ns - 1, -past)))
+        return ModelPacket(
+            packet.to, replace(message, lease_end_ns=max(message.lease_end_ns - 1, -past))
+        )
     if isinstance(message, Status):
         aged = replace(message, stamp_ns=message.stamp_ns - 1)
         return ModelPacket(packet.to, aged) if aged.stamp_ns > STATUS_AGE else None
@@ -179,12 +200,19 @@ def status(role: Role, responsible: bool, stamp: int, instance: int = RECEIVER_I
 
 
 def unstamped(message: Message) -> Message:
-    """Returns a message without the stamps that no machine looks at: packets that say the same are the same."""
-    return message if isinstance(message, Status | Target | Candidate) else replace(message, stamp_ns=0)
+    """Returns a message without the stamps that no machine looks at: packets that say the same are
+    the same.
+    """
+    return (
+        message
+        if isinstance(message, Status | Target | Candidate)
+        else replace(message, stamp_ns=0)
+    )
 
 
 def misdirected(message: Message, scope: Scope) -> tuple[Message, ...]:
-    """Returns the same word about another handoff, object, commit or receiver, and a lease that nobody gives.
+    """Returns the same word about another handoff, object, commit or receiver, and a lease that
+    nobody gives.
 
     Nothing may follow from these (S6).
 
@@ -199,4 +227,8 @@ def misdirected(message: Message, scope: Scope) -> tuple[Message, ...]:
         wrong = (*wrong, replace(message, instance=NOBODYS_ID))
     if isinstance(message, Commit):
         return (*wrong, replace(message, lease_end_ns=scope.lease + 2 * scope.uncertainty + 1))
-    return (*wrong, replace(message, nonce=message.nonce + 1)) if isinstance(message, Accept | Confirm) else wrong
+    return (
+        (*wrong, replace(message, nonce=message.nonce + 1))
+        if isinstance(message, Accept | Confirm)
+        else wrong
+    )

@@ -80,7 +80,18 @@ class Moves:
         second = held if scope.receivers > 1 else NOBODY
         packets = effects.said(state, held, skew, second)
         begun = ModelWorld(
-            state, held, skew, packets, scope.crashes, scope.aborts, scope.attempts, kept, noted, second, 0, 0
+            state,
+            held,
+            skew,
+            packets,
+            scope.crashes,
+            scope.aborts,
+            scope.attempts,
+            kept,
+            noted,
+            second,
+            0,
+            0,
         )
         return begun
 
@@ -103,19 +114,26 @@ class Moves:
             for effect in self.effects.heard_by_receiver(world.receiver, world.skew, world.packets):
                 yield from self._receiver_does(world, effect)
             if world.aborts:
-                told = self.effects.receiver_told(world.receiver, world.skew, _PILOT, "a pilot takes the receiver")
+                told = self.effects.receiver_told(
+                    world.receiver, world.skew, _PILOT, "a pilot takes the receiver"
+                )
                 yield from self._receiver_does(world._replace(aborts=world.aborts - 1), told)
         if world.second != NOBODY:
-            heard = self.effects.heard_by_receiver(world.second, world.skew, world.packets, SECOND_ID)
+            heard = self.effects.heard_by_receiver(
+                world.second, world.skew, world.packets, SECOND_ID
+            )
             for effect in heard:
                 yield self._second_does(world, effect)
         yield from self._time(world)
         yield from self._crashes(world)
 
-    # --- time -------------------------------------------------------------------------------------------------
+    # --- time
+    # -------------------------------------------------------------------------------------------------
 
     def _time(self, world: ModelWorld) -> Iterator[ModelStep]:
-        """Either program notices what is due, at once or late by up to the guard; or a tick passes."""
+        """Either program notices what is due, at once or late by up to the guard; or a tick
+        passes.
+        """
         guard = self.scope.guard
         most = self.scope.uncertainty + self.scope.beyond
         gives = self.sender_of(world)
@@ -126,7 +144,9 @@ class Moves:
             effect = self.effects.sender_told(world.sender, Tick(), "the sender notices the time")
             yield from self._sender_does(world, _awaited(effect, world.sender))
         if waiting is not None and waiting <= world.skew:
-            effect = self.effects.receiver_told(world.receiver, world.skew, Tick(), "the receiver notices the time")
+            effect = self.effects.receiver_told(
+                world.receiver, world.skew, Tick(), "the receiver notices the time"
+            )
             yield from self._receiver_does(world, _awaited(effect, world.receiver))
         second = None if world.second == NOBODY else receiver.wake_ns(self._second_of(world))
         if second is not None and second <= world.skew:
@@ -146,7 +166,11 @@ class Moves:
         effects = self.effects
         state = effects.aged("sender", effects.senders, world.sender)
         held = effects.aged("receiver", effects.receivers, world.receiver)
-        second = NOBODY if world.second == NOBODY else effects.aged("receiver", effects.receivers, world.second)
+        second = (
+            NOBODY
+            if world.second == NOBODY
+            else effects.aged("receiver", effects.receivers, world.second)
+        )
         after = ModelWorld(
             state,
             held,
@@ -159,7 +183,9 @@ class Moves:
             effects.aged("receiver record", effects.receiver_records, world.receiver_kept),
             second,
             world.agreed,
-            min(world.alone + 1, self.scope.longest_gap + 1) if self._bounded and self._nobody(world) else 0,
+            min(world.alone + 1, self.scope.longest_gap + 1)
+            if self._bounded and self._nobody(world)
+            else 0,
         )
         return ModelStep(TICK, after, self._overdue(after) if self._bounded else "")
 
@@ -198,7 +224,9 @@ class Moves:
         return not receiver.is_responsible(takes, world.skew)
 
     def _overdue(self, world: ModelWorld) -> str:
-        """L1: everything that waits, ends. L2: no gap but the orphan, and neither side takes that for all well."""
+        """L1: everything that waits, ends. L2: no gap but the orphan, and neither side takes that
+        for all well.
+        """
         state = self.sender_of(world)
         held = self.receiver_of(world)
         latest = -self.scope.guard
@@ -226,41 +254,56 @@ class Moves:
             return "L2"
         if held.settled is HandoffOutcome.TAKEN_BACK:
             return "L2"  # the receiver believes that all is well
-        no_pilot = world.aborts == self.scope.aborts  # who may have let go of what the sender knows to be held
+        # who may have let go of what the sender knows to be held
+        no_pilot = world.aborts == self.scope.aborts
         return "L2" if state.settled is HandoffOutcome.HANDED_OVER and no_pilot else ""
 
-    # --- the sender's program ---------------------------------------------------------------------------------
+    # --- the sender's program
+    # ---------------------------------------------------------------------------------
 
     def _sender_program(self, world: ModelWorld) -> Iterator[ModelStep]:
         state = self.sender_of(world)
         if world.attempts:
             begun = world._replace(attempts=world.attempts - 1)
             if isinstance(state, sender.Keeping | sender.TakenBack) or self._free(world):
-                yield from self._tell_sender(begun, Offer(HANDOFF_ID, TARGET_ID), "the sender offers the target")
+                yield from self._tell_sender(
+                    begun, Offer(HANDOFF_ID, TARGET_ID), "the sender offers the target"
+                )
             if isinstance(state, sender.TakenBack):
                 yield from self._tell_sender(begun, VerifyAgain(), "the sender verifies again")
         if isinstance(state, sender.Keeping | sender.TakenBack | sender.HandedOver):
-            yield from self._tell_sender(world, NewMission(), "the sender has landed, and begins a new mission")
+            yield from self._tell_sender(
+                world, NewMission(), "the sender has landed, and begins a new mission"
+            )
         if isinstance(state, sender.Verifying):
             yield from self._agreements(world, state.live)
         if world.aborts:
-            yield from self._tell_sender(world._replace(aborts=world.aborts - 1), _PILOT, "a pilot takes the sender")
+            yield from self._tell_sender(
+                world._replace(aborts=world.aborts - 1), _PILOT, "a pilot takes the sender"
+            )
 
     def _free(self, world: ModelWorld) -> bool:
-        """An idle sender takes off, and offers, only when it has heard that the receiver holds nothing."""
+        """An idle sender takes off, and offers, only when it has heard that the receiver holds
+        nothing.
+        """
         gives = self.sender_of(world)
         takes = self.receiver_of(world)
         if not isinstance(gives, sender.Idle):
             return False
-        return gives.epoch == 0 or not (isinstance(takes, Dead) or receiver.is_responsible(takes, world.skew))
+        return gives.epoch == 0 or not (
+            isinstance(takes, Dead) or receiver.is_responsible(takes, world.skew)
+        )
 
     def _agreements(self, world: ModelWorld, live: Handoff) -> Iterator[ModelStep]:
         """The one that the window counted, and those of which nothing may come (S5)."""
         nonce = 100 * live.epoch
         told = self.scope.uncertainty
-        for instance in (RECEIVER_ID, SECOND_ID)[: self.scope.receivers]:  # whichever of them is heard
+        # whichever of them is heard
+        for instance in (RECEIVER_ID, SECOND_ID)[: self.scope.receivers]:
             whole = AgreementComplete(live.epoch, TARGET_ID, nonce, told, instance)
-            yield from self._tell_sender(world._replace(agreed=live.epoch), whole, "the agreement is complete")
+            yield from self._tell_sender(
+                world._replace(agreed=live.epoch), whole, "the agreement is complete"
+            )
         for wrong, what in (
             (
                 AgreementComplete(live.epoch - 1, TARGET_ID, nonce, told, RECEIVER_ID),
@@ -270,15 +313,22 @@ class Moves:
                 AgreementComplete(live.epoch, OTHER_ID, nonce, told, RECEIVER_ID),
                 "an agreement on another object is told",
             ),
-            (AgreementComplete(live.epoch, TARGET_ID, nonce, None, RECEIVER_ID), "an agreement is told without clocks"),
-            (AgreementComplete(live.epoch, TARGET_ID, nonce, told, None), "an agreement is told with two receivers"),
+            (
+                AgreementComplete(live.epoch, TARGET_ID, nonce, None, RECEIVER_ID),
+                "an agreement is told without clocks",
+            ),
+            (
+                AgreementComplete(live.epoch, TARGET_ID, nonce, told, None),
+                "an agreement is told with two receivers",
+            ),
         ):
             yield from self._tell_sender(world, wrong, what)
 
     def _tell_sender(self, world: ModelWorld, event: SenderEvent, what: str) -> Iterator[ModelStep]:
         return self._sender_does(world, self.effects.sender_told(world.sender, event, what))
 
-    # --- crashes ----------------------------------------------------------------------------------------------
+    # --- crashes
+    # ----------------------------------------------------------------------------------------------
 
     def _crashes(self, world: ModelWorld) -> Iterator[ModelStep]:
         """Killed at any moment, with whatever is on disk; started again at any later one."""
@@ -287,7 +337,9 @@ class Moves:
         if world.crashes and not isinstance(gives, Dead):
             yield ModelStep("the sender is killed", self._sender_killed(world, world.sender_kept))
         if world.crashes and not isinstance(takes, Dead):
-            yield ModelStep("the receiver is killed", self._receiver_killed(world, world.receiver_kept))
+            yield ModelStep(
+                "the receiver is killed", self._receiver_killed(world, world.receiver_kept)
+            )
         if isinstance(gives, Dead):
             for same_clock, how in _CLOCKS:
                 for read, lost in self._read(world.sender_kept, self.effects.sender_records):
@@ -305,12 +357,20 @@ class Moves:
             return ((kept, ""),)
         record = interned.values[kept]
         earlier = (
-            SenderRecord(record.epoch, "mine") if isinstance(record, SenderRecord) else ReceiverRecord(record.epoch)
+            SenderRecord(record.epoch, "mine")
+            if isinstance(record, SenderRecord)
+            else ReceiverRecord(record.epoch)
         )
         nothing = type(record)()
-        return (kept, ""), (interned(earlier), ", on an earlier record"), (interned(nothing), ", its record lost")
+        return (
+            (kept, ""),
+            (interned(earlier), ", on an earlier record"),
+            (interned(nothing), ", its record lost"),
+        )
 
-    def _sender_restarted(self, world: ModelWorld, read: int, same_clock: bool, how: str) -> ModelStep:
+    def _sender_restarted(
+        self, world: ModelWorld, read: int, same_clock: bool, how: str
+    ) -> ModelStep:
         state, kept = self.effects.sender_restored(read, same_clock)
         alone = world.alone if same_clock else 0  # a new clock begins anew what is waited for
         up = world._replace(sender=state, sender_kept=kept, alone=alone)
@@ -327,7 +387,8 @@ class Moves:
         dead = self.effects.receivers(Dead(lowest_epoch(self.receiver_of(world))))
         return world._replace(receiver=dead, receiver_kept=kept, crashes=world.crashes - 1)
 
-    # --- a machine's step, with all that may interrupt it -----------------------------------------------------
+    # --- a machine's step, with all that may interrupt it
+    # -----------------------------------------------------
 
     def _sender_does(self, world: ModelWorld, effect: Effect) -> Iterator[ModelStep]:
         broken = effect.broken
@@ -349,7 +410,9 @@ class Moves:
         if world.crashes:
             for sent, half_kept in effect.halves:
                 half = world.stepped(sent)
-                dead = self._receiver_killed(half, world.receiver_kept if half_kept < 0 else half_kept)
+                dead = self._receiver_killed(
+                    half, world.receiver_kept if half_kept < 0 else half_kept
+                )
                 yield ModelStep(f"{effect.what}; it is killed half-way", dead)
 
     def _second_does(self, world: ModelWorld, effect: Effect) -> ModelStep:
@@ -357,7 +420,20 @@ class Moves:
         return self._checked(world, after, effect.what, effect.broken)
 
     def _checked(self, before: ModelWorld, after: ModelWorld, what: str, broken: str) -> ModelStep:
-        state, held, skew, packets, crashes, aborts, attempts, sender_kept, receiver_kept, second, agreed, alone = after
+        (
+            state,
+            held,
+            skew,
+            packets,
+            crashes,
+            aborts,
+            attempts,
+            sender_kept,
+            receiver_kept,
+            second,
+            agreed,
+            alone,
+        ) = after
         gives = self._gives(state)
         takes = self._takes(held, skew)
         key = before.sender, state, before.receiver, held
@@ -365,7 +441,9 @@ class Moves:
         if across is None:
             senders = self._senders
             receivers = self._receivers
-            across = across_rules(senders[key[0]], senders[state], receivers[key[2]], receivers[held])
+            across = across_rules(
+                senders[key[0]], senders[state], receivers[key[2]], receivers[held]
+            )
             self._across[key] = across
         broken = broken or across
         if gives + takes + (second != NOBODY and self._takes(second, skew)) > 1:
@@ -376,7 +454,18 @@ class Moves:
         packets |= self.effects.said(state, held, skew, second)
         alone = 0 if gives or takes else alone
         world = ModelWorld(
-            state, held, skew, packets, crashes, aborts, attempts, sender_kept, receiver_kept, second, agreed, alone
+            state,
+            held,
+            skew,
+            packets,
+            crashes,
+            aborts,
+            attempts,
+            sender_kept,
+            receiver_kept,
+            second,
+            agreed,
+            alone,
         )
         return ModelStep(what, world, broken)
 

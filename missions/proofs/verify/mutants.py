@@ -1,6 +1,8 @@
-"""Machines that skip one rule each. An explorer that does not catch every one of them proves nothing.
+"""Machines that skip one rule each. An explorer that does not catch every one of them proves
+nothing.
 
-They are here and not with the tests because ``path-handoff verify`` shows on every machine that it catches them.
+They are here and not with the tests because ``path-handoff verify`` shows on every machine that it
+catches them.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ TRIO = replace(SHORT, receivers=2)
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """A rule that is skipped, the invariants one of which this must break, and a scope in which it does."""
+    """A rule that is skipped, the invariants one of which this must break, and a scope in which it
+    does.
+    """
 
     rule: str
     breaks: tuple[str, ...]
@@ -52,7 +56,9 @@ def wrong(mutant: Mutant) -> Generator[None, None, None]:
 
 
 def caught(mutant: Mutant) -> Exploration | None:
-    """The exploration that shows an invariant broken which the mutant's rule keeps; None when there is none."""
+    """The exploration that shows an invariant broken which the mutant's rule keeps; None when there
+    is none.
+    """
     with wrong(mutant):
         found = explore(mutant.scope, until_broken=ANY, seen=Covering())
     return found if set(found.broken) & set(mutant.breaks) else None
@@ -80,14 +86,23 @@ def _early(commit: Any) -> Any:
 
 def _agreement_of_anything(commit: Any) -> Any:
     def careless(config: Any, state: Any, agreed: Any, now_ns: int) -> Any:
-        return commit(config, state, replace(agreed, epoch=state.live.epoch, target_id=state.live.target_id), now_ns)
+        return commit(
+            config,
+            state,
+            replace(agreed, epoch=state.live.epoch, target_id=state.live.target_id),
+            now_ns,
+        )
 
     return careless
 
 
 def _same_epoch_again(offer: Any) -> Any:
     def repeating(config: Any, state: Any, event: Any, now_ns: int) -> Any:
-        before = replace(state, epoch=state.epoch - 1) if isinstance(state, sender.Idle | sender.Keeping) else state
+        before = (
+            replace(state, epoch=state.epoch - 1)
+            if isinstance(state, sender.Idle | sender.Keeping)
+            else state
+        )
         return offer(config, before, event, now_ns)
 
     return repeating
@@ -104,7 +119,9 @@ def _takes_back_when_unsure(settle: Any) -> Any:
 def _confirms_what_was_aborted(hear_accept: Any) -> Any:
     def deaf(config: Any, state: Any, accept: Any, now_ns: int) -> Any:
         same = accept.nonce == state.commit.nonce
-        return hear_accept(config, replace(state, withdrawn=None) if same else state, accept, now_ns)
+        return hear_accept(
+            config, replace(state, withdrawn=None) if same else state, accept, now_ns
+        )
 
     return deaf
 
@@ -168,7 +185,11 @@ def _told_by_any_receiver(tells: Any) -> Any:
 
 def _never_lets_go(elapse: Any) -> Any:
     def clinging(config: Any, state: Any, now_ns: int) -> Any:
-        return (state, ()) if isinstance(state, receiver.Provisional) else elapse(config, state, now_ns)
+        return (
+            (state, ())
+            if isinstance(state, receiver.Provisional)
+            else elapse(config, state, now_ns)
+        )
 
     return clinging
 
@@ -192,7 +213,11 @@ def _restored_idle_as(make: Callable[[int], Any]) -> Callable[[Any], Any]:
 
     def of(restored: Any) -> Any:
         def wrong_restart(config: Any, kept: Any, now_ns: int, *, same_clock: bool = True) -> Any:
-            return make(kept.epoch) if kept.live is None else restored(config, kept, now_ns, same_clock=same_clock)
+            return (
+                make(kept.epoch)
+                if kept.live is None
+                else restored(config, kept, now_ns, same_clock=same_clock)
+            )
 
         return wrong_restart
 
@@ -206,7 +231,9 @@ def _holds_on(kept: Any, now_ns: int) -> Any:
         case "provisional":
             return receiver.Provisional(kept.live, kept.nonce, now_ns + 2, now_ns, kept.sure_ns)
         case _:
-            return receiver.LetGo(kept.live, kept.nonce, kept.sure_ns, max(kept.sure_ns, now_ns) + 2)
+            return receiver.LetGo(
+                kept.live, kept.nonce, kept.sure_ns, max(kept.sure_ns, now_ns) + 2
+            )
 
 
 def _always(value: Any) -> Callable[[Any], Any]:

@@ -20,7 +20,9 @@ from path.protocol.values import (
 
 @dataclass(frozen=True, slots=True)
 class Dead:
-    """A program that does not run, and what is remembered of it: its epoch (S2), and whether it handed over (S4)."""
+    """A program that does not run, and what is remembered of it: its epoch (S2), and whether it
+    handed over (S4).
+    """
 
     epoch: int
     handed_over: bool = False
@@ -28,11 +30,15 @@ class Dead:
 
 def used_epoch(state: sender.SenderState | Dead) -> int:
     """The sender's last epoch."""
-    return state.epoch if isinstance(state, sender.Idle | sender.Keeping | Dead) else state.live.epoch
+    return (
+        state.epoch if isinstance(state, sender.Idle | sender.Keeping | Dead) else state.live.epoch
+    )
 
 
 def lowest_epoch(state: receiver.ReceiverState | Dead) -> int:
-    """The lowest epoch that the receiver may still take. Not asked of the machine: it may be the one that is wrong."""
+    """The lowest epoch that the receiver may still take. Not asked of the machine: it may be the
+    one that is wrong.
+    """
     if isinstance(state, Dead):
         return state.epoch
     if isinstance(state, receiver.Observing):
@@ -41,17 +47,25 @@ def lowest_epoch(state: receiver.ReceiverState | Dead) -> int:
 
 
 def sender_rules(
-    before: sender.SenderState, after: sender.SenderState, event: SenderEvent, actions: Actions, uncertainty: int
+    before: sender.SenderState,
+    after: sender.SenderState,
+    event: SenderEvent,
+    actions: Actions,
+    uncertainty: int,
 ) -> str:
     """Returns the first rule that a sender's step breaks; "" when it breaks none.
 
-    S2: each attempt has an epoch of its own. S4: it releases before it says so, and takes back only after lease and
-    uncertainty. L2: only a new mission makes nothing its own.
+    S2: each attempt has an epoch of its own. S4: it releases before it says so, and takes back only
+    after lease and uncertainty. L2: only a new mission makes nothing its own.
     """
     begins = isinstance(after, sender.Offering) and not isinstance(before, sender.Offering)
     if used_epoch(after) < used_epoch(before) + begins:
         return "S2"
-    if isinstance(after, sender.Idle) and not isinstance(before, sender.Idle) and not isinstance(event, NewMission):
+    if (
+        isinstance(after, sender.Idle)
+        and not isinstance(before, sender.Idle)
+        and not isinstance(event, NewMission)
+    ):
         return "L2"
     responsible = sender.is_responsible(before)
     for action in actions:
@@ -100,8 +114,8 @@ def receiver_rules(
 ) -> str:  # fmt: skip
     """Returns the first rule that a receiver's step breaks; "" when it breaks none.
 
-    S2, S3: it takes over only on a COMMIT of an epoch it still takes, within its lease and until the guard before its
-    end on any clock. ``now``: its own clock.
+    S2, S3: it takes over only on a COMMIT of an epoch it still takes, within its lease and until
+    the guard before its end on any clock. ``now``: its own clock.
     """
     responsible = receiver.is_responsible(before, now)
     for action in actions:

@@ -1,4 +1,6 @@
-"""``path-handoff verify``: walk through everything that can happen to the two machines, and catch every wrong one."""
+"""``path-handoff verify``: walk through everything that can happen to the two machines, and catch
+every wrong one.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ INVARIANTS = ("S1", "S2", "S3", "S4", "S5", "S6", "L1", "L2")
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One scope. ``exact``: every world is entered by itself, and not only those that no other covers."""
+    """One scope. ``exact``: every world is entered by itself, and not only those that no other
+    covers.
+    """
 
     name: str
     scope: Scope
@@ -50,7 +54,11 @@ FULL = (  # the longest first, so that no core waits for it at the end
     Job("two crashes", Scope(lease=4, crashes=2), exact=False),
     Job("one crash, two attempts", Scope(lease=4, crashes=1, attempts=2), exact=False),
     Job("two aborts, two attempts", Scope(lease=4, aborts=2, attempts=2), exact=False),
-    Job("one crash, clocks that differ twice as much", Scope(lease=6, uncertainty=2, crashes=1), exact=False),
+    Job(
+        "one crash, clocks that differ twice as much",
+        Scope(lease=6, uncertainty=2, crashes=1),
+        exact=False,
+    ),
     Job("one crash, each world by itself", Scope(lease=4, crashes=1)),
     Job("one crash, one abort", Scope(lease=4, crashes=1, aborts=1), exact=False),
     Job("two attempts", Scope(lease=4, attempts=2)),
@@ -70,7 +78,9 @@ class Explored:
 
 @dataclass(frozen=True, slots=True)
 class ModelMutant:
-    """The result of a mutant: the invariant it broke, "" when it was not caught, and the worlds that took."""
+    """The result of a mutant: the invariant it broke, "" when it was not caught, and the worlds
+    that took.
+    """
 
     rule: str
     broke: str
@@ -81,9 +91,12 @@ class ModelMutant:
 def run(options: VerifyOptions) -> int:
     """Returns 0 when nothing is wrong. Raises PartError.
 
-    Then every invariant holds in every world and every mutant was caught, or no forged packet was taken.
+    Then every invariant holds in every world and every mutant was caught, or no forged packet was
+    taken.
     """
-    with unless_refused(options.out or Path("verify") / datetime.now().strftime("%Y%m%d-%H%M%S")) as folder:
+    with unless_refused(
+        options.out or Path("verify") / datetime.now().strftime("%Y%m%d-%H%M%S")
+    ) as folder:
         claim_result(folder / SUMMARY, '"holds"')
         return _run(options, folder)
 
@@ -117,7 +130,9 @@ def verify(work: Work, jobs: tuple[Job, ...]) -> tuple[list[Explored], list[Mode
     """Scopes and mutants over all cores, the mutants last: they take the least."""
     pieces: list[Job | int] = [*jobs, *range(len(MUTANTS))]
     done = work.map("explored", _piece, pieces)
-    return [one for one in done if isinstance(one, Explored)], [one for one in done if isinstance(one, ModelMutant)]
+    return [one for one in done if isinstance(one, Explored)], [
+        one for one in done if isinstance(one, ModelMutant)
+    ]
 
 
 def _piece(piece: Job | int) -> Explored | ModelMutant:
@@ -128,10 +143,14 @@ def _piece(piece: Job | int) -> Explored | ModelMutant:
     mutant = MUTANTS[piece]
     catch = caught(mutant)
     broke = next(iter(catch.broken)) if catch else ""
-    return ModelMutant(mutant.rule, broke, catch.states if catch else 0, (stopwatch_ns() - began) * 1e-9)
+    return ModelMutant(
+        mutant.rule, broke, catch.states if catch else 0, (stopwatch_ns() - began) * 1e-9
+    )
 
 
-def summarize(explored: list[Explored], tried: list[ModelMutant], wall_s: float) -> dict[str, object]:
+def summarize(
+    explored: list[Explored], tried: list[ModelMutant], wall_s: float
+) -> dict[str, object]:
     """``summary.json``. ``holds`` says whether all is as it must be."""
     violations: Counter[str] = Counter()
     for one in explored:
@@ -151,7 +170,12 @@ def summarize(explored: list[Explored], tried: list[ModelMutant], wall_s: float)
         "wall_s": round(wall_s, 1),
         "scopes": [_of_scope(one) for one in explored],
         "caught": [
-            {"rule": one.rule, "breaks": one.broke or None, "states": one.states, "wall_s": round(one.wall_s, 2)}
+            {
+                "rule": one.rule,
+                "breaks": one.broke or None,
+                "states": one.states,
+                "wall_s": round(one.wall_s, 2),
+            }
             for one in tried
         ],
     }
@@ -185,7 +209,9 @@ def _of_scope(one: Explored) -> dict[str, object]:
 def show(explored: list[Explored], tried: list[ModelMutant], wall_s: float, stream: TextIO) -> None:
     """Tables, and the way to the first violation of each scope."""
     write = stream.write
-    write(f"\n{'scope':<46}{'states':>10}{'steps':>11}{'depth':>7}{'in flight':>11}{'violations':>12}{'time':>9}\n")
+    write(
+        f"\n{'scope':<46}{'states':>10}{'steps':>11}{'depth':>7}{'in flight':>11}{'violations':>12}{'time':>9}\n"
+    )
     for one in explored:
         found = one.found
         name = one.job.name + ("" if one.job.exact else " *")
@@ -196,7 +222,9 @@ def show(explored: list[Explored], tried: list[ModelMutant], wall_s: float, stre
     states = sum(one.found.states for one in explored)
     steps = sum(one.found.steps for one in explored)
     write(f"{'all':<46}{states:>10,}{steps:>11,}{'':>30}{wall_s:>7.1f} s\n")
-    write("* worlds that no other covers: each stands for all with fewer packets or upsets to come\n\n")
+    write(
+        "* worlds that no other covers: each stands for all with fewer packets or upsets to come\n\n"
+    )
     for one in explored:
         if one.found.broken:
             write(f"VIOLATED: {one.job.name}: {dict(one.found.broken)}; the way to the first:\n")

@@ -1,10 +1,11 @@
 """Forged, altered and repeated packets by the million, and what a link's end makes of them.
 
-Between the forger's packets the true peer goes on sending, messages of every type equally often: each of its packets
-must still be taken, whatever came in between. The forger hears every packet and has everything but the key. Now and
-then the victim's process is started anew, and knows nothing of what it took before; until the peer has proven itself a
-recorded ping may be answered, as that moves nothing, and nothing else may come through, be it the true peer's. Now and
-then the peer's packet is rightly signed and *nearly* valid: one of its fields means nothing, and it must be dropped.
+Between the forger's packets the true peer goes on sending, messages of every type equally often:
+each of its packets must still be taken, whatever came in between. The forger hears every packet and
+has everything but the key. Now and then the victim's process is started anew, and knows nothing of
+what it took before; until the peer has proven itself a recorded ping may be answered, as that moves
+nothing, and nothing else may come through, be it the true peer's. Now and then the peer's packet is
+rightly signed and *nearly* valid: one of its fields means nothing, and it must be dropped.
 """
 
 from __future__ import annotations
@@ -61,10 +62,14 @@ class Fuzzed:
 
     Attributes:
         forged: packets by way of forging; ``dropped``: by the link's reason.
-        failures: what was accepted or raised, told so that it can be found again; ``failed`` how many.
-        genuine, lost: packets of the true peer in between by type; those refused, or taken as something else.
-        nearly, believed: rightly signed ones with a meaningless field, by type; those not dropped for it.
-        early, believed_early: of the true peer before it has proven itself, by type; those that were taken.
+        failures: what was accepted or raised, told so that it can be found again; ``failed`` how
+            many.
+        genuine, lost: packets of the true peer in between by type; those refused, or taken as
+            something else.
+        nearly, believed: rightly signed ones with a meaningless field, by type; those not dropped
+            for it.
+        early, believed_early: of the true peer before it has proven itself, by type; those that
+            were taken.
         decode_s: time that decoding took, of this thread.
         process: which it was, ``grown_kib`` by how much its memory grew meanwhile.
     """
@@ -126,7 +131,9 @@ def play(piece: Piece) -> Fuzzed:
                 continue
             failed += 1
             if len(failures) < SHOWN:
-                failures.append(f"seed {piece.seed}, piece {piece.number}, {way}: {data.hex()} -> {result!r}")
+                failures.append(
+                    f"seed {piece.seed}, piece {piece.number}, {way}: {data.hex()} -> {result!r}"
+                )
         exchange.go_on()
     return Fuzzed(
         forged, dropped, failed, tuple(failures), exchange.genuine, exchange.lost, exchange.nearly, exchange.believed,
@@ -188,7 +195,9 @@ class _Exchange:
         except Exception as error:
             taken = error
         # what the wire makes of the numbers, told by ends that know no key
-        self.lost += taken != self._bare[self._role].decode(self._bare[self._peer_role].encode(message))
+        self.lost += taken != self._bare[self._role].decode(
+            self._bare[self._peer_role].encode(message)
+        )
         self.forger.toward.append(data)
 
     def _peer_speaks_too_early(self) -> None:
@@ -205,12 +214,17 @@ class _Exchange:
         if payload is None:
             return
         self.nearly[type(message).__name__] += 1
-        data = framed(self._peer.encode(message)[:HEADER], payload) + self._peer.encode(message)[-SIGNATURE:-HASH]
+        data = (
+            framed(self._peer.encode(message)[:HEADER], payload)
+            + self._peer.encode(message)[-SIGNATURE:-HASH]
+        )
         self.believed += self.victim.decode(data + sign(self._key, data)) is not Drop.OUT_OF_RANGE
 
 
 def a_message(role: Role, rng: Random) -> Message:
-    """One that a role might send, of each type as likely; any numbers in it that the wire can carry."""
+    """One that a role might send, of each type as likely; any numbers in it that the wire can
+    carry.
+    """
     never = Candidate if role is Role.SENDER else Target
     wanted = rng.choice([kind for kind in FROM_WIRE if kind is not KINDS[never]])
     while True:
@@ -226,7 +240,9 @@ def a_message(role: Role, rng: Random) -> Message:
 
 
 def nonsense(message: Message, rng: Random) -> bytes | None:
-    """The payload of a message with one number in it that means nothing; None where every number means something."""
+    """The payload of a message with one number in it that means nothing; None where every number
+    means something.
+    """
     kind = KINDS[type(message)]
     values = dict(zip(kind.ordered_fieldnames, TO_WIRE[type(message)](message), strict=True))
     for _ in range(TRIES):
@@ -288,7 +304,11 @@ def summary(fuzzed: Sequence[Fuzzed]) -> dict[str, Any]:
         "grown_kib": max((sum(own) for own in _grown(fuzzed).values()), default=0.0),
         "by_way": dict(forged.most_common()),
         "by_reason": dict(dropped.most_common()),
-        "by_message": {"genuine": dict(genuine), "nearly valid": dict(nearly), "early": dict(early)},
+        "by_message": {
+            "genuine": dict(genuine),
+            "nearly valid": dict(nearly),
+            "early": dict(early),
+        },
     }
 
 
@@ -300,7 +320,9 @@ def _grown(fuzzed: Sequence[Fuzzed]) -> dict[int, list[float]]:
 
 
 def sound(figures: dict[str, Any]) -> bool:
-    """Returns whether nothing was taken that should not be, nothing raised, and no packet of the true peer lost."""
+    """Returns whether nothing was taken that should not be, nothing raised, and no packet of the
+    true peer lost.
+    """
     bad = ("accepted_or_raised", "genuine_lost", "nearly_valid_taken", "early_taken")
     return all(figures[name] == 0 for name in bad)
 
@@ -315,7 +337,9 @@ def show(figures: dict[str, Any], stream: TextIO) -> None:
     for (way, sent), (reason, count) in zip_longest(
         figures["by_way"].items(), figures["by_reason"].items(), fillvalue=("", None)
     ):
-        rows.add_row(way, "" if sent is None else f"{sent:,}", reason, "" if count is None else f"{count:,}")
+        rows.add_row(
+            way, "" if sent is None else f"{sent:,}", reason, "" if count is None else f"{count:,}"
+        )
     stream.write("\n")
     tell(rows, stream)
     for failure in figures["failures"]:

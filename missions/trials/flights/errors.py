@@ -40,7 +40,9 @@ def errors_of(compared: Sequence[Compared], rng: np.random.Generator) -> dict[st
     errors = np.concatenate([each.error_m for each in compared])
     counts = [int(each.blocks.max(initial=-1)) + 1 for each in compared]
     firsts = np.cumsum([0, *counts[:-1]])
-    groups = np.concatenate([each.blocks + first for each, first in zip(compared, firsts, strict=True)])
+    groups = np.concatenate(
+        [each.blocks + first for each, first in zip(compared, firsts, strict=True)]
+    )
     mean_interval = blocks_interval(errors, groups, rng)
     low, high = blocks_interval(errors**2, groups, rng)
     return {

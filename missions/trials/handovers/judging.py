@@ -1,7 +1,8 @@
-"""One verdict, one batch: how every experiment of this question has its Monte-Carlo hand-overs judged.
+"""One verdict, one batch: how every experiment of this question has its Monte-Carlo hand-overs
+judged.
 
-Both gates are told the same pairs. An experiment says what is asked of each attempt and what is kept of it; processes
-run batches of them.
+Both gates are told the same pairs. An experiment says what is asked of each attempt and what is
+kept of it; processes run batches of them.
 """
 
 from __future__ import annotations
@@ -32,10 +33,12 @@ class Verdict:
     """What one gate made of an attempt.
 
     Attributes:
-        after_s: from the first agreeing pair to the commit, as the paper counts; None without a commit.
+        after_s: from the first agreeing pair to the commit, as the paper counts; None without a
+            commit.
         since_s: from D2's first frame to the commit; None without one.
         right: whether D2's box was of the target; False without a commit.
-        same: whether it was of the object that D1's box was of: D1 may have gone over to another one itself.
+        same: whether it was of the object that D1's box was of: D1 may have gone over to another
+            one itself.
     """
 
     after_s: float | None = None
@@ -109,7 +112,9 @@ def wrongly(attempts: Attempts, gate: GateKind) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Batch(Generic[Asked, Answer]):
-    """What one process runs. ``judge``: a function of a module, which is told runner, method and what is asked."""
+    """What one process runs. ``judge``: a function of a module, which is told runner, method and
+    what is asked.
+    """
 
     rig: Rig
     judge: Callable[[HandoverRunner, MethodConfig, Asked], Answer]

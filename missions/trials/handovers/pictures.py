@@ -15,13 +15,22 @@ COLOURS: Mapping[GateKind, str] = {"count": ROLE[Role.SENDER], "evidence": COUNT
 
 
 def draw_shares(
-    axes: Axes, gate: GateKind, seconds: Sequence[float], attempts: int, label: str, style: str = "-"
+    axes: Axes,
+    gate: GateKind,
+    seconds: Sequence[float],
+    attempts: int,
+    label: str,
+    style: str = "-",
 ) -> None:
-    """Draw the share of the attempts that have committed by a time. ``seconds``: of those that did."""
+    """Draw the share of the attempts that have committed by a time. ``seconds``: of those that
+    did.
+    """
     if not seconds:
         return
     share = np.arange(1, len(seconds) + 1) / attempts
     named = f"{label} ({len(seconds)} of {attempts})"
-    axes.step(np.sort(seconds), share, where="post", color=COLOURS[gate], ls=style, lw=1.4, label=named)
+    axes.step(
+        np.sort(seconds), share, where="post", color=COLOURS[gate], ls=style, lw=1.4, label=named
+    )
     axes.set_ylim(0.0, 1.02)
     axes.grid(alpha=0.3)

@@ -1,4 +1,6 @@
-"""The true places of a board's corners in a photograph: its pose, and what lens and paper do beyond it."""
+"""The true places of a board's corners in a photograph: its pose, and what lens and paper do beyond
+it.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ from path.geometry import rotation
 from path.geometry.transforms import Matrix, Pose
 
 STEP_M = 1e-4  # of numerical derivatives on the board
-MARKER_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])  # of a side, in a marker's own frame
+# of a side, in a marker's own frame
+MARKER_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
 PASSES = 10
 OUTLIER_PX = 0.3  # residuals beyond it count less and less in what all views have in common
 
@@ -46,10 +49,12 @@ class BoardSeen:
     """A board's place in one photograph.
 
     Attributes:
-        T_c_o: of the plane that fits best. ``bend``: (k, 2) px, coefficients of the polynomials of ``order`` in the
-            board's coordinates about ``middle`` over ``reach`` by which the corners leave it.
-        left_px: what neither explains of the reference corners, rms per axis. ``spread``: (k, k) px², the covariance
-            of the coefficients of either axis that follows from it: how well the board's place is known.
+        T_c_o: of the plane that fits best. ``bend``: (k, 2) px, coefficients of the polynomials of
+            ``order`` in the board's coordinates about ``middle`` over ``reach`` by which the
+            corners leave it.
+        left_px: what neither explains of the reference corners, rms per axis. ``spread``: (k, k)
+            px², the covariance of the coefficients of either axis that follows from it: how well
+            the board's place is known.
     """
 
     camera: CameraModel
@@ -67,18 +72,26 @@ class BoardSeen:
         return self.camera.project(self.T_c_o.apply(points_o)) + smooth
 
     def doubt_px2(self, points_o: Array) -> Array:
-        """The covariance (2 n, 2 n) of the pixels of points (n, 3), x and y by turns: of the truth itself."""
+        """The covariance (2 n, 2 n) of the pixels of points (n, 3), x and y by turns: of the truth
+        itself.
+        """
         smooth = _powers((points_o[:, :2] - self.middle) / self.reach, self.order)
         return np.asarray(np.kron(smooth @ self.spread @ smooth.T, np.eye(2)), np.float64)
 
     def pose_at(self, T_o_m: Pose) -> Pose:
-        """``T_c_m`` on a flat board, when its rows were read: turned about the camera to where its middle is seen.
+        """``T_c_m`` on a flat board, when its rows were read: turned about the camera to where its
+        middle is seen.
 
-        A shutter that reads rows one after another sees parts of a board that moves at different times.
+        A shutter that reads rows one after another sees parts of a board that moves at different
+        times.
         """
         middle = T_o_m.t[None]
-        places = np.concatenate([self.camera.project(self.T_c_o.apply(middle)), self.pixels(middle)])
-        flat, there = (np.append(ray, 1.0) / math.hypot(*ray, 1.0) for ray in self.camera.rays(places))
+        places = np.concatenate(
+            [self.camera.project(self.T_c_o.apply(middle)), self.pixels(middle)]
+        )
+        flat, there = (
+            np.append(ray, 1.0) / math.hypot(*ray, 1.0) for ray in self.camera.rays(places)
+        )
         turn = rotation.exp(np.cross(flat, there))
         T_c_m = self.T_c_o @ T_o_m
         return Pose(turn @ T_c_m.R, turn @ T_c_m.t)
@@ -90,13 +103,20 @@ class BoardSeen:
         pixels = self.pixels(T_o_m.apply(square))
         matrix, lens = matrices_of(self.camera)
         turn, _ = cv2.Rodrigues(start.R)
-        turn, shift = cv2.solvePnPRefineLM(square, pixels, matrix, lens, turn, start.t.reshape(3, 1).copy())
-        return Pose(rotation.exp(np.asarray(turn, np.float64).ravel()), np.asarray(shift, np.float64).ravel())
+        turn, shift = cv2.solvePnPRefineLM(
+            square, pixels, matrix, lens, turn, start.t.reshape(3, 1).copy()
+        )
+        return Pose(
+            rotation.exp(np.asarray(turn, np.float64).ravel()),
+            np.asarray(shift, np.float64).ravel(),
+        )
 
     def slopes(self, points_o: Array) -> Array:
         """Derivatives (n, 2, 2) of these pixels by x and y on the board, px / m."""
         here = self.pixels(points_o)
-        along = [(self.pixels(points_o + STEP_M * np.eye(3)[axis]) - here) / STEP_M for axis in (0, 1)]
+        along = [
+            (self.pixels(points_o + STEP_M * np.eye(3)[axis]) - here) / STEP_M for axis in (0, 1)
+        ]
         return np.stack(along, axis=-1)
 
     def rises(self, points_o: Array) -> Array:
@@ -111,7 +131,8 @@ class SetSeen:
     """All photographs of a set that show its board.
 
     Attributes:
-        sigmas: relative standard errors of fx and fy and those of cx and cy in px, None when the camera was given.
+        sigmas: relative standard errors of fx and fy and those of cx and cy in px, None when the
+            camera was given.
         starts: of each view, corners good to a pixel, by id.
     """
 
@@ -178,15 +199,23 @@ def _look_at_grid(own: RealSet, greys: Sequence[tuple[str, Image]]) -> SetSeen:
         found = by_photometry(own, grey, start, camera)
         if len(found) >= 2:
             points = np.concatenate([own.markers[i].corners_o for i in found])
-            shots.append(Photograph(name, grey, points, np.concatenate([f.corners_px for f in found.values()])))
+            shots.append(
+                Photograph(
+                    name, grey, points, np.concatenate([f.corners_px for f in found.values()])
+                )
+            )
             begun.append(start)
     if not shots:
         raise PartError(f"{own.name}: no photograph shows the grid", REMEDY)
     side_m = own.file.side_m
     for _ in range(3):
         boards = tuple(see_board(camera, shot, own.file.bend_order) for shot in shots)
-        side_m *= 1.0 + growth([(s.corners_px, b, s.points_o) for s, b in zip(shots, boards, strict=True)])
-        shots = [Photograph(s.name, s.grey, _grown(s.points_o, side_m), s.corners_px) for s in shots]
+        side_m *= 1.0 + growth(
+            [(s.corners_px, b, s.points_o) for s, b in zip(shots, boards, strict=True)]
+        )
+        shots = [
+            Photograph(s.name, s.grey, _grown(s.points_o, side_m), s.corners_px) for s in shots
+        ]
     boards = tuple(see_board(camera, shot, own.file.bend_order) for shot in shots)
     return SetSeen(camera, None, tuple(shots), boards, tuple(begun))
 
@@ -200,7 +229,9 @@ def _grown(corners_o: Array, side_m: float) -> Array:
 
 
 def growth(seen: Sequence[tuple[Array, BoardSeen, Array]]) -> float:
-    """Returns how much larger markers are than their corners (4 n, 3) say, relative; seen at (4 n, 2) px."""
+    """Returns how much larger markers are than their corners (4 n, 3) say, relative; seen at (4 n,
+    2) px.
+    """
     errors = []
     pulls = []
     for corners_px, board, points_o in seen:
@@ -208,7 +239,9 @@ def growth(seen: Sequence[tuple[Array, BoardSeen, Array]]) -> float:
         out = (quads - quads.mean(axis=1, keepdims=True)).reshape(-1, 3)[:, :2]
         errors.append(corners_px - board.pixels(points_o))
         pulls.append(np.einsum("kij,kj->ki", board.slopes(points_o), out))
-    return float(robust_solution(np.concatenate(pulls).reshape(-1, 1), np.concatenate(errors).ravel())[0])
+    return float(
+        robust_solution(np.concatenate(pulls).reshape(-1, 1), np.concatenate(errors).ravel())[0]
+    )
 
 
 def robust_solution(design: Array, wanted: Array) -> Array:
@@ -217,7 +250,9 @@ def robust_solution(design: Array, wanted: Array) -> Array:
     solution = np.zeros(design.shape[1])
     for _ in range(PASSES):
         root = np.sqrt(weights)
-        solution = np.asarray(np.linalg.lstsq(design * root[:, None], wanted * root, rcond=None)[0], np.float64)
+        solution = np.asarray(
+            np.linalg.lstsq(design * root[:, None], wanted * root, rcond=None)[0], np.float64
+        )
         weights = 1.0 / (1.0 + ((wanted - design @ solution) / OUTLIER_PX) ** 2)
     return solution
 

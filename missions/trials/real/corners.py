@@ -15,7 +15,10 @@ from path.camera.model import CameraModel
 from path.geometry.transforms import Matrix
 from path.marker.detect import refine_corners, trusted_fit
 
-METHOD_TITLES = {"none": "cv2, not refined", **{name: TITLES[name] for name in ("subpix", *OPENCV, "photometric")}}
+METHOD_TITLES = {
+    "none": "cv2, not refined",
+    **{name: TITLES[name] for name in ("subpix", *OPENCV, "photometric")},
+}
 METHODS = tuple(METHOD_TITLES)
 REFINEMENTS = {
     "none": cv2.aruco.CORNER_REFINE_NONE,
@@ -31,7 +34,9 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundMarker:
-    """Corners (4, 2) px of one marker, their covariance (8, 8) where the method has one, and what it called wrong."""
+    """Corners (4, 2) px of one marker, their covariance (8, 8) where the method has one, and what
+    it called wrong.
+    """
 
     corners_px: Matrix
     covariance_px2: Matrix | None = None
@@ -46,15 +51,21 @@ def starts(own: RealSet, grey: Image) -> dict[int, Matrix]:
     return {i: found.corners_px for i, found in _by_opencv(own, grey, START).items()}
 
 
-def corners_by(method: str, own: RealSet, grey: Image, start: Mapping[int, Matrix], camera: CameraModel) -> Corners:
+def corners_by(
+    method: str, own: RealSet, grey: Image, start: Mapping[int, Matrix], camera: CameraModel
+) -> Corners:
     """Every marker of the board that a method finds."""
     if method == "photometric":
         return by_photometry(own, grey, start, camera)
     found = _by_opencv(own, grey, method)
-    return {i: replace(marker, corners_px=camera.even(marker.corners_px)) for i, marker in found.items()}
+    return {
+        i: replace(marker, corners_px=camera.even(marker.corners_px)) for i, marker in found.items()
+    }
 
 
-def by_photometry(own: RealSet, grey: Image, start: Mapping[int, Matrix], camera: CameraModel) -> Corners:
+def by_photometry(
+    own: RealSet, grey: Image, start: Mapping[int, Matrix], camera: CameraModel
+) -> Corners:
     """The project's own corners; where the fit is not to be trusted those it falls back to."""
     found: Corners = {}
     for marker_id, quad in start.items():
@@ -62,7 +73,9 @@ def by_photometry(own: RealSet, grey: Image, start: Mapping[int, Matrix], camera
         begun = np.ascontiguousarray(quad)
         fitted = trusted_fit(grey, (0, 0), begun, pattern, camera)
         if fitted is not None:
-            wrong = tuple(name for name, is_wrong in zip(NAMED, fitted.wrong, strict=True) if is_wrong)
+            wrong = tuple(
+                name for name, is_wrong in zip(NAMED, fitted.wrong, strict=True) if is_wrong
+            )
             found[marker_id] = FoundMarker(fitted.corners_px, fitted.covariance_px2, wrong)
             continue
         refined = refine_corners(grey, (0, 0), begun, pattern, camera, "subpix")

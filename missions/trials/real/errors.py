@@ -1,7 +1,8 @@
-"""Errors of corners against the board, with the print as the views show it: what all views agree on is the print's.
+"""Errors of corners against the board, with the print as the views show it: what all views agree on
+is the print's.
 
-So is the shape of a sheet that is not flat. A height moves a corner along the image of the board's normal, in every
-view another way.
+So is the shape of a sheet that is not flat. A height moves a corner along the image of the board's
+normal, in every view another way.
 """
 
 from __future__ import annotations
@@ -33,9 +34,11 @@ class SeenMarker:
 
     Attributes:
         nominal_px: (4, 2), found minus where the board says it is, all markers printed alike.
-        error_px: the same without what all views of this marker have in common; scaled for what that takes away.
+        error_px: the same without what all views of this marker have in common; scaled for what
+            that takes away.
         slopes: (4, 2, 2) px / m on the board. ``rises``: (4, 2) px / m of height above it.
-        doubt_px2: (8, 8), the covariance of where the board says it is; None where markers tell that themselves.
+        doubt_px2: (8, 8), the covariance of where the board says it is; None where markers tell
+            that themselves.
         lifted_px: (4, 2), the share of what is taken away that the paper's heights make.
     """
 
@@ -51,7 +54,9 @@ class SeenMarker:
 
     @property
     def along_px(self) -> Array:
-        """The errors (4,) in the direction in which paper that is not flat moves a corner, and what it moves it."""
+        """The errors (4,) in the direction in which paper that is not flat moves a corner, and what
+        it moves it.
+        """
         return np.einsum("ki,ki->k", self.error_px + self.lifted_px, self._upwards)
 
     @property
@@ -93,7 +98,8 @@ class MethodPoses:
 
     Attributes:
         growth: how much larger all markers are than the file says, relative.
-        print_m: by id, (4, 3) metres by which corners are off beyond that: on the board, and their heights above it.
+        print_m: by id, (4, 3) metres by which corners are off beyond that: on the board, and their
+            heights above it.
     """
 
     seen: tuple[SeenMarker, ...]
@@ -112,19 +118,41 @@ def measure_set(own: RealSet, seen: SetSeen, found: Sequence[Corners]) -> Method
     """Errors of what a method found in each view."""
     raw: list[SeenMarker] = []
     pairs = list(zip(seen.boards, found, strict=True))
-    sizes = [(one.corners_px, board, own.markers[i].corners_o) for board, some in pairs for i, one in some.items()]
+    sizes = [
+        (one.corners_px, board, own.markers[i].corners_o)
+        for board, some in pairs
+        for i, one in some.items()
+    ]
     larger = growth(sizes) if sizes else 0.0
     for view, (board, corners) in enumerate(pairs):
         for marker_id, one in corners.items():
             points = printed(own, larger, marker_id)
             error = one.corners_px - board.pixels(points)
             doubt = None if own.board is None else board.doubt_px2(points)
-            raw.append(SeenMarker(view, marker_id, one, error, error, board.slopes(points), board.rises(points), doubt))
+            raw.append(
+                SeenMarker(
+                    view,
+                    marker_id,
+                    one,
+                    error,
+                    error,
+                    board.slopes(points),
+                    board.rises(points),
+                    doubt,
+                )
+            )
     by_id: dict[int, list[SeenMarker]] = {}
     for marker in raw:
         by_id.setdefault(marker.marker_id, []).append(marker)
-    print_m = {i: _print_of(markers, own.file.flat) for i, markers in by_id.items() if len(markers) >= FEWEST_VIEWS}
-    measured = [_without_print(m, print_m.get(m.marker_id), len(by_id[m.marker_id]), own.file.flat) for m in raw]
+    print_m = {
+        i: _print_of(markers, own.file.flat)
+        for i, markers in by_id.items()
+        if len(markers) >= FEWEST_VIEWS
+    }
+    measured = [
+        _without_print(m, print_m.get(m.marker_id), len(by_id[m.marker_id]), own.file.flat)
+        for m in raw
+    ]
     return MethodPoses(tuple(measured), larger, print_m)
 
 
@@ -132,11 +160,16 @@ def _print_of(markers: Sequence[SeenMarker], flat: bool) -> Array:
     errors = np.stack([m.nominal_px for m in markers])
     pulls = np.stack([np.concatenate([m.slopes, m.rises[:, :, None]], axis=2) for m in markers])
     if _in_plane(len(markers), flat):
-        places = [robust_solution(pulls[:, c, :, :2].reshape(-1, 2), errors[:, c].ravel()) for c in range(4)]
+        places = [
+            robust_solution(pulls[:, c, :, :2].reshape(-1, 2), errors[:, c].ravel())
+            for c in range(4)
+        ]
         return np.column_stack([np.stack(places), np.zeros(4)])
     expected = np.array([[0.0, 0.0, CORNER_PX / HEIGHT_SIGMA_M]])
     designs = [np.concatenate([pulls[:, c].reshape(-1, 3), expected]) for c in range(4)]
-    return np.stack([robust_solution(d, np.append(errors[:, c].ravel(), 0.0)) for c, d in enumerate(designs)])
+    return np.stack(
+        [robust_solution(d, np.append(errors[:, c].ravel(), 0.0)) for c, d in enumerate(designs)]
+    )
 
 
 def _without_print(marker: SeenMarker, print_m: Array | None, views: int, flat: bool) -> SeenMarker:
@@ -145,7 +178,9 @@ def _without_print(marker: SeenMarker, print_m: Array | None, views: int, flat: 
     lifted = marker.rises * print_m[:, 2:]
     left = marker.nominal_px - np.einsum("kij,kj->ki", marker.slopes, print_m[:, :2]) - lifted
     unknowns = 2 if _in_plane(views, flat) else 3
-    return replace(marker, error_px=left * math.sqrt(2 * views / (2 * views - unknowns)), lifted_px=lifted)
+    return replace(
+        marker, error_px=left * math.sqrt(2 * views / (2 * views - unknowns)), lifted_px=lifted
+    )
 
 
 def _in_plane(views: int, flat: bool) -> bool:

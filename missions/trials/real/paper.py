@@ -1,7 +1,9 @@
-"""A set's print as its photographs show it: where its ink lies on the board, so that a twin can be drawn alike.
+"""A set's print as its photographs show it: where its ink lies on the board, so that a twin can be
+drawn alike.
 
-Three things move it: what all views agree on of the squares' corners and of the markers' corners and cells, which is
-the print's, and in each view what lens, motion and paper do beyond a flat board's pose (``BoardSeen.bend``).
+Three things move it: what all views agree on of the squares' corners and of the markers' corners
+and cells, which is the print's, and in each view what lens, motion and paper do beyond a flat
+board's pose (``BoardSeen.bend``).
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ Shades = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Print:
-    """A flat print of square cells: shades, the side of a cell in metres, the place of its corner on the board."""
+    """A flat print of square cells: shades, the side of a cell in metres, the place of its corner
+    on the board.
+    """
 
     shades: Shades
     cell_m: float
@@ -40,7 +44,11 @@ class Print:
         times = min(math.ceil(self.cell_m / cell_m), MOST_CELLS // max(self.shades.shape))
         if times <= 1:
             return self
-        return Print(np.kron(self.shades, np.ones((times, times), np.uint8)), self.cell_m / times, self.corner_o)
+        return Print(
+            np.kron(self.shades, np.ones((times, times), np.uint8)),
+            self.cell_m / times,
+            self.corner_o,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,9 +56,12 @@ class InkMoves:
     """By how much ink lies elsewhere than it was meant to.
 
     Attributes:
-        squares: places (n, 2) of the squares' corners on the board, and by how much they are off, metres.
-        markers: of each marker its corners as meant (4, 2) and by how much they are off (4, 2), metres.
-        inner: of each marker (2, n - 1), by how much the lines between its columns and its rows are off, in cells.
+        squares: places (n, 2) of the squares' corners on the board, and by how much they are off,
+            metres.
+        markers: of each marker its corners as meant (4, 2) and by how much they are off (4, 2),
+            metres.
+        inner: of each marker (2, n - 1), by how much the lines between its columns and its rows are
+            off, in cells.
     """
 
     squares: tuple[Array, Array]
@@ -68,14 +79,19 @@ def ink_moves(own: RealSet, seen: SetSeen, measured: MethodPoses | None) -> InkM
         for i, off in sorted(measured.print_m.items())
     )  # fmt: skip
     errors: dict[tuple[float, float], list[tuple[Array, Array]]] = {}
-    for shot, board in zip(seen.photographs if own.board is not None else (), seen.boards, strict=False):
+    for shot, board in zip(
+        seen.photographs if own.board is not None else (), seen.boards, strict=False
+    ):
         left = shot.corners_px - board.pixels(shot.points_o)
         slopes = board.slopes(shot.points_o)
         for point, error, slope in zip(shot.points_o, left, slopes, strict=True):
             errors.setdefault((float(point[0]), float(point[1])), []).append((error, slope))
     told = {place: some for place, some in errors.items() if len(some) >= FEWEST_VIEWS}
     off = [
-        robust_solution(np.concatenate([slope for _, slope in some]), np.concatenate([error for error, _ in some]))
+        robust_solution(
+            np.concatenate([slope for _, slope in some]),
+            np.concatenate([error for error, _ in some]),
+        )
         for some in told.values()
     ]
     inner = {} if measured is None else inner_edges(own, seen, measured)
@@ -111,7 +127,9 @@ def _of_squares(squares: tuple[Array, Array], x: Array, y: Array) -> Array:
     table = off[order].reshape(len(rows), len(columns), 2)
     u, v = np.meshgrid(_between(x, columns), _between(y, rows))
     for axis in (0, 1):
-        moved[..., axis] = cv2.remap(np.ascontiguousarray(table[..., axis], np.float32), u, v, cv2.INTER_LINEAR)
+        moved[..., axis] = cv2.remap(
+            np.ascontiguousarray(table[..., axis], np.float32), u, v, cv2.INTER_LINEAR
+        )
     return moved
 
 
@@ -128,7 +146,9 @@ def _move_marker(moved: Array, corners: Array, off: Array, x: Array, y: Array) -
         slice(*np.searchsorted(places, (low[axis] - rim[axis], high[axis] + rim[axis])))
         for axis, places in enumerate((x, y))
     )
-    s, t = np.meshgrid((x[across] - low[0]) / (high[0] - low[0]), (y[down] - low[1]) / (high[1] - low[1]))
+    s, t = np.meshgrid(
+        (x[across] - low[0]) / (high[0] - low[0]), (y[down] - low[1]) / (high[1] - low[1])
+    )
     share = (corners - low) / (high - low)
     moved[down, across] = sum(
         (np.where(a > 0.5, s, 1.0 - s) * np.where(b > 0.5, t, 1.0 - t))[..., None] * own
@@ -142,25 +162,38 @@ def _move_inside(moved: Array, corners: Array, inner: Array, x: Array, y: Array)
     high = corners.max(axis=0)
     n = inner.shape[1] + 1
     cell_m = (high - low) / n
-    inside = [slice(*np.searchsorted(places, (low[axis], high[axis]))) for axis, places in enumerate((x, y))]
+    inside = [
+        slice(*np.searchsorted(places, (low[axis], high[axis])))
+        for axis, places in enumerate((x, y))
+    ]
     along = [
-        np.interp((places[some] - low[axis]) / cell_m[axis], np.arange(n + 1) + ends, ends) * cell_m[axis]
-        for axis, (places, some, ends) in enumerate(zip((x, y), inside, np.pad(inner, ((0, 0), (1, 1))), strict=True))
+        np.interp((places[some] - low[axis]) / cell_m[axis], np.arange(n + 1) + ends, ends)
+        * cell_m[axis]
+        for axis, (places, some, ends) in enumerate(
+            zip((x, y), inside, np.pad(inner, ((0, 0), (1, 1))), strict=True)
+        )
     ]
     moved[inside[1], inside[0], 0] += along[0][None, :]
     moved[inside[1], inside[0], 1] += along[1][:, None]
 
 
 def _bent(board: BoardSeen, x: Array, y: Array) -> Array:
-    """By how much ink on a flat board would have to lie elsewhere to be seen where it is, (rows, columns, 2)."""
-    nodes = np.stack(np.meshgrid(np.linspace(x[0], x[-1], NODES), np.linspace(y[0], y[-1], NODES)), axis=-1)
+    """By how much ink on a flat board would have to lie elsewhere to be seen where it is, (rows,
+    columns, 2).
+    """
+    nodes = np.stack(
+        np.meshgrid(np.linspace(x[0], x[-1], NODES), np.linspace(y[0], y[-1], NODES)), axis=-1
+    )
     points = np.column_stack([nodes.reshape(-1, 2), np.zeros(NODES**2)])
     off_px = board.pixels(points) - board.camera.project(board.T_c_o.apply(points))
     off = np.linalg.solve(board.slopes(points), off_px[..., None])[..., 0].reshape(NODES, NODES, 2)
     u, v = np.meshgrid(
-        np.linspace(0.0, NODES - 1.0, len(x), dtype=np.float32), np.linspace(0.0, NODES - 1.0, len(y), dtype=np.float32)
+        np.linspace(0.0, NODES - 1.0, len(x), dtype=np.float32),
+        np.linspace(0.0, NODES - 1.0, len(y), dtype=np.float32),
     )
-    parts = [cv2.remap(off[..., axis].astype(np.float32), u, v, cv2.INTER_LINEAR) for axis in (0, 1)]
+    parts = [
+        cv2.remap(off[..., axis].astype(np.float32), u, v, cv2.INTER_LINEAR) for axis in (0, 1)
+    ]
     return np.stack(parts, axis=-1).astype(np.float64)
 
 
@@ -169,4 +202,6 @@ def pixel_m(seen: SetSeen) -> float:
     pairs: Sequence[tuple[Array, BoardSeen]] = [
         (shot.points_o, board) for shot, board in zip(seen.photographs, seen.boards, strict=True)
     ]
-    return 1.0 / max(float(np.median(np.linalg.norm(board.slopes(points), axis=1))) for points, board in pairs)
+    return 1.0 / max(
+        float(np.median(np.linalg.norm(board.slopes(points), axis=1))) for points, board in pairs
+    )

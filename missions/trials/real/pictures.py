@@ -1,4 +1,6 @@
-"""Figure of the sets of photographs: a view of each, corners by method, D2's error by what the pose rests on."""
+"""Figure of the sets of photographs: a view of each, corners by method, D2's error by what the pose
+rests on.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,11 @@ from missions.trials.real.results import Figure95, SetScore
 from missions.trials.shared.drawing import save, sheet
 
 SHOWN = {"subpix": FAULT, "apriltag": COUNT, "photometric": MARKER}
-POSES = {"single": ("one marker", MARKER), "plate": ("two markers", COUNT), "perfect_corners": ("board's corners", DIM)}
+POSES = {
+    "single": ("one marker", MARKER),
+    "plate": ("two markers", COUNT),
+    "perfect_corners": ("board's corners", DIM),
+}
 SHIFT = 0.18  # between the marks of one row
 
 
@@ -31,7 +37,11 @@ def draw_sets(scores: Sequence[SetScore], path: Path) -> None:
     corners = figure.add_subplot(grid[:, 1])
     poses = figure.add_subplot(grid[:, 2])
     for number, (method, colour) in enumerate(SHOWN.items()):
-        own = [(row, s.corners[method].robust_px) for row, s in enumerate(scores) if method in s.corners]
+        own = [
+            (row, s.corners[method].robust_px)
+            for row, s in enumerate(scores)
+            if method in s.corners
+        ]
         _marks(corners, own, (number - 1) * SHIFT, 1.0, colour, METHOD_TITLES[method])
     for number, (kind, (title, colour)) in enumerate(POSES.items()):
         own = [(row, s.poses[kind].d2_mean_m) for row, s in enumerate(scores) if kind in s.poses]
@@ -42,7 +52,12 @@ def draw_sets(scores: Sequence[SetScore], path: Path) -> None:
 
 
 def _marks(
-    axes: Axes, own: Sequence[tuple[int, Figure95]], shift: float, scale: float, colour: str, title: str
+    axes: Axes,
+    own: Sequence[tuple[int, Figure95]],
+    shift: float,
+    scale: float,
+    colour: str,
+    title: str,
 ) -> None:
     if not own:
         return
@@ -50,7 +65,18 @@ def _marks(
     values = scale * np.array([figure.value for _, figure in own])
     ends = scale * np.array([figure.interval for _, figure in own]).T
     spread = np.maximum(np.stack([values - ends[0], ends[1] - values]), 0.0)
-    axes.errorbar(values, rows, xerr=spread, fmt="o", ms=6, color=colour, mec=NEEDED, mew=0.5, ecolor=DIM, label=title)
+    axes.errorbar(
+        values,
+        rows,
+        xerr=spread,
+        fmt="o",
+        ms=6,
+        color=colour,
+        mec=NEEDED,
+        mew=0.5,
+        ecolor=DIM,
+        label=title,
+    )
 
 
 def _finish(axes: Axes, scores: Sequence[SetScore], label: str) -> None:

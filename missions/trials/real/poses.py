@@ -42,8 +42,10 @@ class PoseError:
     """One pose against the board's.
 
     Attributes:
-        d2_m: error of the camera's place in the marker's frame, scaled to the marker that the set names.
-        rotation_rad: angle between both poses. ``flipped``: the other planar solution is the right one.
+        d2_m: error of the camera's place in the marker's frame, scaled to the marker that the set
+            names.
+        rotation_rad: angle between both poses. ``flipped``: the other planar solution is the right
+            one.
         chi2: squared error of the pose over its covariance, per number.
     """
 
@@ -64,7 +66,9 @@ class Poses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseTask:
-    """Markers of one view that make up a frame ``v``: what is known of their print, and the true pose."""
+    """Markers of one view that make up a frame ``v``: what is known of their print, and the true
+    pose.
+    """
 
     view: int
     seen: tuple[MarkerDetection, ...]
@@ -74,25 +78,43 @@ class PoseTask:
 
 
 def single_tasks(
-    own: RealSet, seen: SetSeen, measured: MethodPoses, *, perfect: bool = False, squared: bool = False
+    own: RealSet,
+    seen: SetSeen,
+    measured: MethodPoses,
+    *,
+    perfect: bool = False,
+    squared: bool = False,
 ) -> list[PoseTask]:
     """Each marker on its own.
 
     Args:
-        perfect: with the corners that the whole board gives it. ``squared``: with its own, as if it had been printed
-            as a square.
+        perfect: with the corners that the whole board gives it. ``squared``: with its own, as if it
+            had been printed as a square.
     """
     tasks: list[PoseTask] = []
     for marker in measured.seen:
-        board, (T_o_m, side_m) = seen.boards[marker.view], _print_frame(own, measured, marker.marker_id)
-        found = _perfect(own, seen, measured, marker) if perfect else _detection(own, measured, marker, squared)
+        board, (T_o_m, side_m) = (
+            seen.boards[marker.view],
+            _print_frame(own, measured, marker.marker_id),
+        )
+        found = (
+            _perfect(own, seen, measured, marker)
+            if perfect
+            else _detection(own, measured, marker, squared)
+        )
         if found is not None:
-            tasks.append(_task(own, marker.view, board, (found,), {found.marker_id: (T_o_m, side_m)}, T_o_m))
+            tasks.append(
+                _task(own, marker.view, board, (found,), {found.marker_id: (T_o_m, side_m)}, T_o_m)
+            )
     return tasks
 
 
-def plate_tasks(own: RealSet, seen: SetSeen, measured: MethodPoses, *, squared: bool = False) -> list[PoseTask]:
-    """Neighbours in a row as a plate of two; frame ``v`` is the left one's. ``squared``: as ``single_tasks``."""
+def plate_tasks(
+    own: RealSet, seen: SetSeen, measured: MethodPoses, *, squared: bool = False
+) -> list[PoseTask]:
+    """Neighbours in a row as a plate of two; frame ``v`` is the left one's. ``squared``: as
+    ``single_tasks``.
+    """
     tasks: list[PoseTask] = []
     for view, board in enumerate(seen.boards):
         there = {m.marker_id: m for m in measured.seen if m.view == view}
@@ -108,18 +130,29 @@ def plate_tasks(own: RealSet, seen: SetSeen, measured: MethodPoses, *, squared: 
     return tasks
 
 
-def as_stated(camera: CameraModel, tasks: Sequence[PoseTask], seed: int, share: float = 1.0) -> list[PoseTask]:
-    """The same with corners that err by what is stated of them and nothing else: print, paper and motion are right.
+def as_stated(
+    camera: CameraModel, tasks: Sequence[PoseTask], seed: int, share: float = 1.0
+) -> list[PoseTask]:
+    """The same with corners that err by what is stated of them and nothing else: print, paper and
+    motion are right.
 
     ``share``: of the stated deviations, of corners that are better.
     """
     rng = np.random.default_rng([seed, NOISE_STREAM])
     drawn: list[PoseTask] = []
     for task in tasks:
-        places = {marker.id: camera.project(task.T_c_v.apply(marker.corners_v)) for marker in task.layout.markers}
+        places = {
+            marker.id: camera.project(task.T_c_v.apply(marker.corners_v))
+            for marker in task.layout.markers
+        }
         stated = [replace(one, covariance_px2=share**2 * one.covariance_px2) for one in task.seen]
-        draws = [rng.multivariate_normal(places[one.marker_id].ravel(), one.covariance_px2) for one in stated]
-        found = tuple(replace(one, corners_px=px.reshape(4, 2)) for one, px in zip(stated, draws, strict=True))
+        draws = [
+            rng.multivariate_normal(places[one.marker_id].ravel(), one.covariance_px2)
+            for one in stated
+        ]
+        found = tuple(
+            replace(one, corners_px=px.reshape(4, 2)) for one, px in zip(stated, draws, strict=True)
+        )
         drawn.append(replace(task, seen=found))
     return drawn
 
@@ -128,7 +161,9 @@ def estimate_all(
     own: RealSet, camera: CameraModel, tasks: Sequence[PoseTask], seed: int, *, gravity: Gravity = "stated",
     shapely: bool = False,
 ) -> Poses:  # fmt: skip
-    """Estimate every pose; gravity has an error of its own in each. ``shapely``: no marker is too wide or skewed."""
+    """Estimate every pose; gravity has an error of its own in each. ``shapely``: no marker is too
+    wide or skewed.
+    """
     rng = np.random.default_rng([seed, POSE_STREAM])
     sigma = math.radians(own.file.gravity_sigma_deg if gravity != "known" else KNOWN_DEG)
     errors: list[PoseError] = []
@@ -156,23 +191,36 @@ def _error(task: PoseTask, pose: MarkerPose) -> PoseError:
     turn = rotation.log(estimate.R @ true.R.T)
     off = np.concatenate([estimate.t - true.t, turn])
     angle = float(np.linalg.norm(turn))
-    others = [rotation.angle_between(candidate.T_c_v.R, true.R) for candidate in pose.candidates[1:]]
+    others = [
+        rotation.angle_between(candidate.T_c_v.R, true.R) for candidate in pose.candidates[1:]
+    ]
     flipped = angle > FLIPPED_RAD and any(other < angle for other in others)
-    return PoseError(task.view, d2_m, angle, flipped, float(off @ np.linalg.solve(pose.covariance, off)) / len(off))
+    return PoseError(
+        task.view,
+        d2_m,
+        angle,
+        flipped,
+        float(off @ np.linalg.solve(pose.covariance, off)) / len(off),
+    )
 
 
 def _task(
     own: RealSet, view: int, board: BoardSeen, found: tuple[MarkerDetection, ...],
     prints: Mapping[int, tuple[Pose, float]], T_o_v: Pose,
 ) -> PoseTask:  # fmt: skip
-    markers = tuple(Marker(i, side_m, 0.0, T_o_v.inverse() @ T_o_m) for i, (T_o_m, side_m) in prints.items())
+    markers = tuple(
+        Marker(i, side_m, 0.0, T_o_v.inverse() @ T_o_m) for i, (T_o_m, side_m) in prints.items()
+    )
     side_m = markers[0].side_m
     T_c_v = board.pose_at(T_o_v) if own.file.flat else board.pose_under(T_o_v, side_m)
-    return PoseTask(view, found, MarkerLayout(markers, ANY_DICTIONARY), T_c_v, own.file.scaled_side_m / side_m)
+    return PoseTask(
+        view, found, MarkerLayout(markers, ANY_DICTIONARY), T_c_v, own.file.scaled_side_m / side_m
+    )
 
 
 def _print_frame(own: RealSet, measured: MethodPoses, marker_id: int) -> tuple[Pose, float]:
-    """Returns the pose of a marker on the board as printed, and its mean side: what a ruler would tell.
+    """Returns the pose of a marker on the board as printed, and its mean side: what a ruler would
+    tell.
 
     Of a sheet that is not flat it lies in the plane through the corners that is nearest to them.
     """
@@ -184,11 +232,15 @@ def _print_frame(own: RealSet, measured: MethodPoses, marker_id: int) -> tuple[P
     y = flat[2] + flat[3] - flat[0] - flat[1]
     angle = math.atan2(float(x[1] - y[0]), float(x[0] + y[1]))
     rise = np.linalg.lstsq(flat - middle[:2], corners[:, 2] - middle[2], rcond=None)[0]
-    turn = rotation.exp(np.array([rise[1], -rise[0], 0.0])) @ rotation.exp(np.array([0.0, 0.0, angle]))
+    turn = rotation.exp(np.array([rise[1], -rise[0], 0.0])) @ rotation.exp(
+        np.array([0.0, 0.0, angle])
+    )
     return Pose(turn @ BOARD_TO_MARKER, middle), side_m
 
 
-def _detection(own: RealSet, measured: MethodPoses, marker: SeenMarker, squared: bool) -> MarkerDetection | None:
+def _detection(
+    own: RealSet, measured: MethodPoses, marker: SeenMarker, squared: bool
+) -> MarkerDetection | None:
     covariance = marker.found.covariance_px2
     corners = marker.found.corners_px
     if covariance is None:
@@ -207,7 +259,9 @@ def _printed_at(own: RealSet, measured: MethodPoses, marker_id: int) -> Array:
     return printed(own, measured.growth, marker_id) + off * TO_BOARD
 
 
-def _perfect(own: RealSet, seen: SetSeen, measured: MethodPoses, marker: SeenMarker) -> MarkerDetection:
+def _perfect(
+    own: RealSet, seen: SetSeen, measured: MethodPoses, marker: SeenMarker
+) -> MarkerDetection:
     """The corners as board and print tell them, almost without error."""
     corners = seen.boards[marker.view].pixels(_printed_at(own, measured, marker.marker_id))
     return MarkerDetection(marker.marker_id, corners, PERFECT_PX**2 * np.eye(8))
@@ -220,7 +274,11 @@ def _right_of(own: RealSet, marker_id: int, there: Mapping[int, SeenMarker]) -> 
     best: tuple[float, int] | None = None
     for other in there:
         x, y, _ = own.markers[other].corners_o.mean(axis=0) - here
-        if abs(y) < ROW_SHARE * side and side < x < PLATE_SIDES * side and (best is None or x < best[0]):
+        if (
+            abs(y) < ROW_SHARE * side
+            and side < x < PLATE_SIDES * side
+            and (best is None or x < best[0])
+        ):
             best = (float(x), other)
     return None if best is None else best[1]
 

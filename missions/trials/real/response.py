@@ -1,8 +1,10 @@
-"""A camera's response, measured on photographs of a board: how it draws an edge, how bright, and with what noise.
+"""A camera's response, measured on photographs of a board: how it draws an edge, how bright, and
+with what noise.
 
-Straight edges of the print are long and their places are known to a tenth of a pixel. So thousands of pixels beside
-them show one edge at every fraction of a pixel. A model of the imaging (``flight.harness.renderer.Imaging``) is fitted
-to that curve. The corners of markers, which a twin is made to predict, have no part in it.
+Straight edges of the print are long and their places are known to a tenth of a pixel. So thousands
+of pixels beside them show one edge at every fraction of a pixel. A model of the imaging
+(``flight.harness.renderer.Imaging``) is fitted to that curve. The corners of markers, which a twin
+is made to predict, have no part in it.
 """
 
 from __future__ import annotations
@@ -55,8 +57,10 @@ class CameraResponse:
 
     Attributes:
         imaging: the fitted blur, sharpening, gamma and noise, and the files' compression.
-        edge: the mean edge at ``PLACES``, 0 black and 1 white. ``misfit``: rms of what the imaging leaves of it.
-        noise: standard deviations on black and on white, grey levels. ``edges``: how many were seen.
+        edge: the mean edge at ``PLACES``, 0 black and 1 white. ``misfit``: rms of what the imaging
+            leaves of it.
+        noise: standard deviations on black and on white, grey levels. ``edges``: how many were
+            seen.
     """
 
     imaging: Imaging
@@ -105,18 +109,27 @@ def measure_response(own: RealSet, seen: SetSeen, images: Sequence[Path]) -> Cam
         return None
     curve, noise, (black, white) = mean_edge(edges), noise_beside(edges), levels_of(edges)
     imaging, misfit = fitted(curve, black, white)
-    light = [_slope_of_light(level, imaging.gamma) * sd for level, sd in zip((black, white), noise, strict=True)]
+    light = [
+        _slope_of_light(level, imaging.gamma) * sd
+        for level, sd in zip((black, white), noise, strict=True)
+    ]
     imaging = replace(imaging, jpeg_quality=jpeg_quality(images[0]))
-    return CameraResponse(with_noise(imaging, (black, white), light), curve, misfit, noise, len(edges))
+    return CameraResponse(
+        with_noise(imaging, (black, white), light), curve, misfit, noise, len(edges)
+    )
 
 
 def levels_of(edges: Sequence[SeenEdge]) -> tuple[float, float]:
     """Black and white beside edges, medians, grey levels."""
-    return float(np.median([edge.black for edge in edges])), float(np.median([edge.white for edge in edges]))
+    return float(np.median([edge.black for edge in edges])), float(
+        np.median([edge.white for edge in edges])
+    )
 
 
 def noise_beside(edges: Sequence[SeenEdge]) -> tuple[float, float]:
-    """Standard deviations of what is left beside edges, on black and on white, after a slope both ways."""
+    """Standard deviations of what is left beside edges, on black and on white, after a slope both
+    ways.
+    """
     left: tuple[list[Array], list[Array]] = ([], [])
     for edge in edges:
         for side, sign in enumerate((-1.0, 1.0)):
@@ -128,19 +141,26 @@ def noise_beside(edges: Sequence[SeenEdge]) -> tuple[float, float]:
                 solution = np.linalg.lstsq(design, edge.levels[flat], rcond=None)[0]
                 free = len(x) / (len(x) - design.shape[1])
                 left[side].append((edge.levels[flat] - design @ solution) * math.sqrt(free))
-    black, white = (MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(some)))) if some else 0.0 for some in left)
+    black, white = (
+        MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(some)))) if some else 0.0
+        for some in left
+    )
     return black, white
 
 
 def fitted(curve: Array, black: float, white: float) -> tuple[Imaging, float]:
-    """Blur, sharpening and gamma whose edge is most like the one seen, and the rms of what is left."""
+    """Blur, sharpening and gamma whose edge is most like the one seen, and the rms of what is
+    left.
+    """
     there = ~np.isnan(curve)
 
     def off(x: Array) -> Array:
         return (np.interp(PLACES - x[4], PLACES, edge_of(_optics(x), black, white)) - curve)[there]
 
     bounds = ([0.3, 0.0, 0.7, 1.0, -0.5], [1.8, 4.0, 2.5, 2.6, 0.5])
-    starts = [np.array([0.6, sharpen, 1.1, gamma, 0.0]) for sharpen in (0.2, 1.2) for gamma in (1.05, 2.2)]
+    starts = [
+        np.array([0.6, sharpen, 1.1, gamma, 0.0]) for sharpen in (0.2, 1.2) for gamma in (1.05, 2.2)
+    ]
     found = [least_squares(off, start, bounds=bounds) for start in starts]
     best = found[int(np.argmin([float(one.cost) for one in found]))]
     return _optics(best.x), float(np.sqrt(np.mean(best.fun**2)))
@@ -154,21 +174,28 @@ def _optics(x: Array) -> Imaging:
 def edge_of(imaging: Imaging, black: float, white: float) -> Array:
     """The share of white at the middles of ``PLACES`` that a camera with this imaging draws.
 
-    Pixels are whole ones, in rows that meet the edge at every phase: blur and sharpening are sums over pixels.
+    Pixels are whole ones, in rows that meet the edge at every phase: blur and sharpening are sums
+    over pixels.
     """
     whole = np.arange(-MODEL_REACH_PX, MODEL_REACH_PX + 1)
     x = whole[None, :] - (np.arange(PHASES)[:, None] + 0.5) / PHASES
     dark, bright = (TOP * (level / TOP) ** imaging.gamma for level in (max(black, 1.0), white))
     light = dark + (bright - dark) * np.clip(x + 0.5, 0.0, 1.0)
-    image = TOP * (np.maximum(_blurred(light, imaging.blur_sigma_px), 0.0) / TOP) ** (1.0 / imaging.gamma)
-    sharp = np.clip(image + imaging.sharpen * (image - _blurred(image, imaging.sharpen_sigma_px)), 0.0, TOP)
+    image = TOP * (np.maximum(_blurred(light, imaging.blur_sigma_px), 0.0) / TOP) ** (
+        1.0 / imaging.gamma
+    )
+    sharp = np.clip(
+        image + imaging.sharpen * (image - _blurred(image, imaging.sharpen_sigma_px)), 0.0, TOP
+    )
     order = np.argsort(x, axis=None)
     share = (sharp.ravel()[order] - sharp[0, 0]) / (sharp[0, -1] - sharp[0, 0])
     return np.interp(PLACES, x.ravel()[order], share)
 
 
 def _blurred(rows: Array, sigma_px: float) -> Array:
-    return np.asarray(gaussian_filter1d(rows, sigma_px, axis=1, mode="nearest", truncate=BLUR_REACH), np.float64)
+    return np.asarray(
+        gaussian_filter1d(rows, sigma_px, axis=1, mode="nearest", truncate=BLUR_REACH), np.float64
+    )
 
 
 def _slope_of_light(level: float, gamma: float) -> float:
@@ -177,9 +204,11 @@ def _slope_of_light(level: float, gamma: float) -> float:
 
 
 def scatter_at(photographs: Sequence[Sequence[SeenEdge]]) -> float:
-    """Robust deviation of the light at edges from the mean edge of their photograph and direction, over the contrast.
+    """Robust deviation of the light at edges from the mean edge of their photograph and direction,
+    over the contrast.
 
-    Noise of the sensor is as large beside edges as at them; what compression, a mosaic and uneven ink make is at them.
+    Noise of the sensor is as large beside edges as at them; what compression, a mosaic and uneven
+    ink make is at them.
     """
     left: list[Array] = []
     for edges, axis in ((edges, axis) for edges in photographs for axis in (0, 1)):
@@ -201,7 +230,9 @@ def scatter_at(photographs: Sequence[Sequence[SeenEdge]]) -> float:
 
 
 def with_noise(imaging: Imaging, levels: tuple[float, float], sigmas: Sequence[float]) -> Imaging:
-    """The same with noise of the light that has these deviations at two grey levels, black and white."""
+    """The same with noise of the light that has these deviations at two grey levels, black and
+    white.
+    """
     dark, bright = (TOP * (level / TOP) ** imaging.gamma for level in levels)
     gain = max(0.0, (sigmas[1] ** 2 - sigmas[0] ** 2) / (bright - dark))
     read = math.sqrt(max(0.0, sigmas[0] ** 2 - gain * dark))
@@ -209,10 +240,14 @@ def with_noise(imaging: Imaging, levels: tuple[float, float], sigmas: Sequence[f
 
 
 def coarser(quality: int | None, times: float) -> int:
-    """A JPEG quality with a table of so many times the steps; none is taken for the finest that compresses at all."""
+    """A JPEG quality with a table of so many times the steps; none is taken for the finest that
+    compresses at all.
+    """
     of = FINEST if quality is None else quality
     steps = (5000.0 / of if of < 50 else 200.0 - 2.0 * of) * times
-    return round(float(np.clip(5000.0 / steps if steps > 100.0 else 100.0 - 0.5 * steps, *QUALITIES)))
+    return round(
+        float(np.clip(5000.0 / steps if steps > 100.0 else 100.0 - 0.5 * steps, *QUALITIES))
+    )
 
 
 def jpeg_quality(file: Path) -> int | None:

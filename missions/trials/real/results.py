@@ -1,4 +1,6 @@
-"""The results of one set of photographs, and of its rendered twin, as the page and ``summary.json`` give them."""
+"""The results of one set of photographs, and of its rendered twin, as the page and ``summary.json``
+give them.
+"""
 
 from __future__ import annotations
 
@@ -31,10 +33,12 @@ class Figure95:
 
 @dataclass(frozen=True, slots=True)
 class CornerScore:
-    """One method's corners: px per axis, with the print as the views show it, and with all markers printed alike.
+    """One method's corners: px per axis, with the print as the views show it, and with all markers
+    printed alike.
 
-    ``across_px``: the robust figure in the one direction in the image in which paper that is not flat moves no corner.
-    ``doubt_px``: how well the board itself knows where corners are; ``chi2_with_doubt``: over that and what is stated.
+    ``across_px``: the robust figure in the one direction in the image in which paper that is not
+    flat moves no corner. ``doubt_px``: how well the board itself knows where corners are;
+    ``chi2_with_doubt``: over that and what is stated.
     """
 
     found: int
@@ -48,10 +52,18 @@ class CornerScore:
     chi2_with_doubt: Figure95 | None = None
 
     def summary(self) -> dict[str, Any]:
-        named: dict[str, Any] = {"found": self.found, "nominal_px": self.nominal_px, "rms_px": self.rms_px}
+        named: dict[str, Any] = {
+            "found": self.found,
+            "nominal_px": self.nominal_px,
+            "rms_px": self.rms_px,
+        }
         if self.chi2_with_doubt is not None:
             named |= {"doubt_px": self.doubt_px, **self.chi2_with_doubt.summary("chi2_with_doubt")}
-        return {**self.robust_px.summary("robust_px"), **self.across_px.summary("across_px"), **named}
+        return {
+            **self.robust_px.summary("robust_px"),
+            **self.across_px.summary("across_px"),
+            **named,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,14 +98,21 @@ class SetScore:
 
     Attributes:
         images, views: photographs, and those that show the board. ``markers``: seen in all of them.
-        board_px: residual of the board's own corners to pose and bend, median over views of the rms per axis.
-        print_m: rms by which the printed corners are off, as all views show it; None when that cannot be told.
-        height_m: by which the paper leaves its smooth surface, as the photometric corners tell it; None without any.
-        poses: by what they rest on; empty on a chessboard. ``named``: what the fits called wrong, and how often.
+        board_px: residual of the board's own corners to pose and bend, median over views of the rms
+            per axis.
+        print_m: rms by which the printed corners are off, as all views show it; None when that
+            cannot be told.
+        height_m: by which the paper leaves its smooth surface, as the photometric corners tell it;
+            None without any.
+        poses: by what they rest on; empty on a chessboard. ``named``: what the fits called wrong,
+            and how often.
         example: the photograph in the middle, for the page.
-        thinning: how the camera leaves out pixels, as these photographs tell it; None where it does not.
-        row_motion: while rows were read, as the board's corners tell it; None without markers or of a sheet.
-        twin: the same of the set's rendered twin; None without one. ``untwinned``: why there is none, if it was tried.
+        thinning: how the camera leaves out pixels, as these photographs tell it; None where it does
+            not.
+        row_motion: while rows were read, as the board's corners tell it; None without markers or of
+            a sheet.
+        twin: the same of the set's rendered twin; None without one. ``untwinned``: why there is
+            none, if it was tried.
     """
 
     name: str
@@ -154,7 +173,9 @@ class SetScore:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwinScore:
-    """A set's rendered twin: the camera's response that it was drawn with, and what comes out of it."""
+    """A set's rendered twin: the camera's response that it was drawn with, and what comes out of
+    it.
+    """
 
     response: CameraResponse
     score: SetScore
@@ -163,7 +184,9 @@ class TwinScore:
         """The twin's figures over the photographs'."""
         there = real.compared()
         return {
-            name: figure.value / there[name].value for name, figure in self.score.compared().items() if name in there
+            name: figure.value / there[name].value
+            for name, figure in self.score.compared().items()
+            if name in there
         }
 
     def summary(self, real: SetScore) -> dict[str, Any]:

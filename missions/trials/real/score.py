@@ -1,4 +1,6 @@
-"""One set of photographs, measured: corners by method, poses, and how honest what is stated about them is."""
+"""One set of photographs, measured: corners by method, poses, and how honest what is stated about
+them is.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,15 @@ from flight.harness.renderer import FrameRenderer
 from missions.trials.real.board import SetSeen, look_at_set
 from missions.trials.real.corners import METHODS, corners_by
 from missions.trials.real.errors import MethodPoses, measure_set
-from missions.trials.real.poses import Gravity, Poses, PoseTask, as_stated, estimate_all, plate_tasks, single_tasks
+from missions.trials.real.poses import (
+    Gravity,
+    Poses,
+    PoseTask,
+    as_stated,
+    estimate_all,
+    plate_tasks,
+    single_tasks,
+)
 from missions.trials.real.results import CornerScore, Figure95, PoseScore, SetScore, TwinScore
 from missions.trials.real.set import RealSet, read_set
 from missions.trials.real.shutter import held_still
@@ -74,7 +84,9 @@ def score_set(task: SetTask) -> SetScore:
     if task.renderer is None:
         return score
     try:
-        twin = render_twin(own, seen, measured.get("photometric"), images, task.renderer, task.seed, task.twins)
+        twin = render_twin(
+            own, seen, measured.get("photometric"), images, task.renderer, task.seed, task.twins
+        )
         if twin is None:
             return replace(score, untwinned="the camera's response shows in too few straight edges")
         again = look_at_set(own, twin.images)
@@ -103,7 +115,11 @@ def _score(
     rng = np.random.default_rng([seed, SCORE_STREAM])
     camera = seen.camera
     best = measured.get("photometric")
-    still = None if best is None or own.board is None or not own.file.flat else held_still(own, seen, best)
+    still = (
+        None
+        if best is None or own.board is None or not own.file.flat
+        else held_still(own, seen, best)
+    )
     return SetScore(
         own.name,
         len(images),
@@ -117,8 +133,12 @@ def _score(
         seen.sigmas,
         camera.thinning,
         {name: _corner_score(some, rng) for name, some in measured.items()},
-        {} if best is None else _pose_scores(own, seen, best, None if still is None else still[:2], seed, rng),
-        {} if best is None else dict(Counter(wrong for marker in best.seen for wrong in marker.found.wrong)),
+        {}
+        if best is None
+        else _pose_scores(own, seen, best, None if still is None else still[:2], seed, rng),
+        {}
+        if best is None
+        else dict(Counter(wrong for marker in best.seen for wrong in marker.found.wrong)),
         _thumbnail(seen),
         None if still is None else still[2],
     )
@@ -128,13 +148,19 @@ def _corner_score(measured: MethodPoses, rng: np.random.Generator) -> CornerScor
     groups = np.array([marker.view for marker in measured.seen])
     errors = np.stack([marker.error_px for marker in measured.seen])
     robust = _figure(errors, robust_sigmas, groups, rng)
-    across = _figure(np.stack([marker.across_px for marker in measured.seen]), robust_sigmas, groups, rng)
+    across = _figure(
+        np.stack([marker.across_px for marker in measured.seen]), robust_sigmas, groups, rng
+    )
     nominal = robust_sigma(np.stack([marker.nominal_px for marker in measured.seen]))
     rms = math.sqrt(float(np.mean(errors**2)))
     chi2 = np.array([marker.chi2 for marker in measured.seen])
     if np.isnan(chi2).any():
         return CornerScore(len(measured.seen), robust, across, nominal, rms)
-    traces = [float(np.trace(m.found.covariance_px2)) for m in measured.seen if m.found.covariance_px2 is not None]
+    traces = [
+        float(np.trace(m.found.covariance_px2))
+        for m in measured.seen
+        if m.found.covariance_px2 is not None
+    ]
     stated = math.sqrt(float(np.median(traces)) / 8.0)
     honesty = _honesty(chi2, 8, groups, rng)
     doubts = [marker.doubt_px2 for marker in measured.seen if marker.doubt_px2 is not None]
@@ -142,7 +168,9 @@ def _corner_score(measured: MethodPoses, rng: np.random.Generator) -> CornerScor
         return CornerScore(len(measured.seen), robust, across, nominal, rms, stated, honesty)
     doubt = math.sqrt(float(np.median([np.trace(one) for one in doubts])) / 8.0)
     both = _honesty(np.array([marker.chi2_with_doubt for marker in measured.seen]), 8, groups, rng)
-    return CornerScore(len(measured.seen), robust, across, nominal, rms, stated, honesty, doubt, both)
+    return CornerScore(
+        len(measured.seen), robust, across, nominal, rms, stated, honesty, doubt, both
+    )
 
 
 def _print_m(measured: MethodPoses) -> float:
@@ -150,9 +178,12 @@ def _print_m(measured: MethodPoses) -> float:
 
 
 def _height_m(measured: MethodPoses) -> float:
-    """By how much paper leaves its smooth surface: what moves corners along its normal more than across."""
+    """By how much paper leaves its smooth surface: what moves corners along its normal more than
+    across.
+    """
     along, across = (
-        robust_sigma(np.stack([getattr(m, name) for m in measured.seen])) for name in ("along_px", "across_px")
+        robust_sigma(np.stack([getattr(m, name) for m in measured.seen]))
+        for name in ("along_px", "across_px")
     )
     rise = float(np.median([np.linalg.norm(marker.rises, axis=1) for marker in measured.seen]))
     return math.sqrt(max(along**2 - across**2, 0.0)) / rise
@@ -179,11 +210,15 @@ def _pose_scores(
         kinds["still_plate"] = plate_tasks(own, *still, squared=True)
 
     def poses(name: str, gravity: Gravity) -> Poses:
-        return estimate_all(own, seen.camera, kinds[name], seed, gravity=gravity, shapely=name.startswith(SHAPELY))
+        return estimate_all(
+            own, seen.camera, kinds[name], seed, gravity=gravity, shapely=name.startswith(SHAPELY)
+        )
 
     found = {name: poses(name, "stated") for name in kinds}
     found["without_gravity"] = poses("single", "none")
-    found |= {f"{name}_known_gravity": poses(name, "known") for name in KNOWN_GRAVITY if name in kinds}
+    found |= {
+        f"{name}_known_gravity": poses(name, "known") for name in KNOWN_GRAVITY if name in kinds
+    }
     return {name: _pose_score(some, rng) for name, some in found.items() if some.errors}
 
 
@@ -204,11 +239,15 @@ def _pose_score(poses: Poses, rng: np.random.Generator) -> PoseScore:
 
 
 def _honesty(chi2: Array, freedom: int, groups: Groups, rng: np.random.Generator) -> Figure95:
-    """Median of chi-squares over their degrees of freedom, in units of what it is when the covariance is right."""
+    """Median of chi-squares over their degrees of freedom, in units of what it is when the
+    covariance is right.
+    """
     return _figure(chi2 / MEDIAN_OF[freedom], medians, groups, rng)
 
 
-def _figure(values: Array, statistic: Statistic, groups: Groups, rng: np.random.Generator) -> Figure95:
+def _figure(
+    values: Array, statistic: Statistic, groups: Groups, rng: np.random.Generator
+) -> Figure95:
     together = groups if len(np.unique(groups)) > 2 else None
     return Figure95(figure_of(statistic, values), bootstrap(values, statistic, rng, together))
 
@@ -216,5 +255,7 @@ def _figure(values: Array, statistic: Statistic, groups: Groups, rng: np.random.
 def _thumbnail(seen: SetSeen) -> NDArray[np.uint8]:
     shot = seen.photographs[len(seen.photographs) // 2].grey
     scale = min(1.0, THUMBNAIL_PX / shot.shape[1])
-    small: Sequence[Any] | Any = cv2.resize(shot, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    small: Sequence[Any] | Any = cv2.resize(
+        shot, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA
+    )
     return np.asarray(small, np.uint8)

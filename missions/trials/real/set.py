@@ -23,7 +23,8 @@ from path.marker.photometric.texture import dictionary_of
 
 REMEDY = "correct the set's file: docs/real.md describes it"
 FEWEST_MARKERS = 4
-GRID_CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])  # of a side, y down, as printed
+# of a side, y down, as printed
+GRID_CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 Image = NDArray[np.uint8]
 
@@ -35,7 +36,9 @@ Coefficients = tuple[float, float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class SetCamera:
-    """Table ``[camera]``: calibration of the photographs, px and OpenCV's Brown-Conrady coefficients."""
+    """Table ``[camera]``: calibration of the photographs, px and OpenCV's Brown-Conrady
+    coefficients.
+    """
 
     fx: Focal
     fy: Focal
@@ -49,21 +52,26 @@ class RealSetFile:
     """The file.
 
     Attributes:
-        images: a folder of photographs, or one; relative to the file, or to the folder that the command names.
+        images: a folder of photographs, or one; relative to the file, or to the folder that the
+            command names.
         pattern: "charuco", "chessboard", or "grid": markers alone, in rows.
         columns, rows: squares of a ChArUco board or chessboard; markers of a grid.
         pitch_m: side of a square; from marker to marker in a grid.
-        side_m: of the markers' black frame, nominal (it is measured on the photographs); 0 on a chessboard.
-        dictionary: of the markers: one of OpenCV's, or a file as its ``writeDictionary`` gives it (a grid's only).
+        side_m: of the markers' black frame, nominal (it is measured on the photographs); 0 on a
+            chessboard.
+        dictionary: of the markers: one of OpenCV's, or a file as its ``writeDictionary`` gives it
+            (a grid's only).
         first_id: of a grid: markers are numbered along rows from the top-left one.
         legacy: a ChArUco board as OpenCV drew it before 4.6.
         camera: calibration of the photographs; None: from the set itself.
-        gravity_sigma_deg: how well gravity is known between marker and camera, per axis; it is drawn from the board's
-            pose with that error. ``down``: gravity in a marker's frame (x right, y up as printed, z to the viewer).
+        gravity_sigma_deg: how well gravity is known between marker and camera, per axis; it is
+            drawn from the board's pose with that error. ``down``: gravity in a marker's frame (x
+            right, y up as printed, z to the viewer).
         scaled_side_m: errors are given for a marker of this side.
         bend_order: order of the polynomials by which lens and paper may leave the board's plane.
-        flat: whether the board is stiff, so that a marker's true pose is that of the whole board's plane; of a curled
-            sheet it is that of the surface under the marker, as the polynomials tell it.
+        flat: whether the board is stiff, so that a marker's true pose is that of the whole board's
+            plane; of a curled sheet it is that of the surface under the marker, as the polynomials
+            tell it.
     """
 
     images: Path
@@ -85,7 +93,9 @@ class RealSetFile:
     def __post_init__(self) -> None:
         if self.pattern == "grid":
             if self.camera is None:
-                raise ValueError("camera: a grid of markers cannot tell its camera: name its calibration")
+                raise ValueError(
+                    "camera: a grid of markers cannot tell its camera: name its calibration"
+                )
             if self.columns * self.rows < FEWEST_MARKERS:
                 few = f"{self.rows} x {self.columns} are not {FEWEST_MARKERS} markers"
                 raise ValueError(f"rows, columns: {few}")
@@ -104,8 +114,9 @@ class PrintedMarker:
     """One marker on the board.
 
     Attributes:
-        pattern: cells within a white border, 0 black and 1 white. ``corners_o``: (4, 3), metres in the board's frame
-            (x right, y down as printed, z away from the viewer), as it was meant to be printed.
+        pattern: cells within a white border, 0 black and 1 white. ``corners_o``: (4, 3), metres in
+            the board's frame (x right, y down as printed, z away from the viewer), as it was meant
+            to be printed.
     """
 
     pattern: Matrix
@@ -114,7 +125,9 @@ class PrintedMarker:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RealSet:
-    """Photographs, the board's own corners (None of a grid) and its markers by id (none on a chessboard)."""
+    """Photographs, the board's own corners (None of a grid) and its markers by id (none on a
+    chessboard).
+    """
 
     name: str
     file: RealSetFile
@@ -145,7 +158,10 @@ def read_set(path: Path, photographs: Path | None = None) -> RealSet:
         dictionary = dictionary_named(described.dictionary, base / path.name)
         count = described.columns * described.rows
         if described.first_id + count > len(dictionary.bytesList):
-            raise PartError(f"{path.name}: first_id: the dictionary has {len(dictionary.bytesList)} markers", REMEDY)
+            raise PartError(
+                f"{path.name}: first_id: the dictionary has {len(dictionary.bytesList)} markers",
+                REMEDY,
+            )
         return RealSet(path.stem, described, images, None, dictionary, _grid(described, dictionary))
     try:
         board = Board(
@@ -164,7 +180,9 @@ def read_set(path: Path, photographs: Path | None = None) -> RealSet:
 
 def _images(place: Path, path: Path) -> tuple[Path, ...]:
     if place.is_dir():
-        files = tuple(sorted(file for file in place.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES))
+        files = tuple(
+            sorted(file for file in place.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+        )
     else:
         files = (place,) if place.is_file() else ()
     if not files:
@@ -177,7 +195,9 @@ def _grid(described: RealSetFile, dictionary: cv2.aruco.Dictionary) -> dict[int,
     for k in range(described.columns * described.rows):
         centre = np.array([k % described.columns, k // described.columns]) * described.pitch_m
         corners = np.column_stack([centre + described.side_m * GRID_CORNERS, np.zeros(4)])
-        markers[described.first_id + k] = PrintedMarker(framed_pattern(dictionary, described.first_id + k), corners)
+        markers[described.first_id + k] = PrintedMarker(
+            framed_pattern(dictionary, described.first_id + k), corners
+        )
     return markers
 
 

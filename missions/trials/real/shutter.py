@@ -1,8 +1,8 @@
 """A set without the motion while its images' rows were read, as the whole board tells it.
 
-A board that moves is sheared by it: a shift in proportion to the row, two numbers in each view. These and a pose are
-all that a homography has, so what else shears a view is taken out as well: it is the most that knowing the motion
-could do.
+A board that moves is sheared by it: a shift in proportion to the row, two numbers in each view.
+These and a pose are all that a homography has, so what else shears a view is taken out as well: it
+is the most that knowing the motion could do.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class RowMotion:
 
     Attributes:
         motion_px: while a whole image is read, rms over views and axes.
-        pose_px, rows_px: what a pose leaves of the board's corners, and a pose with that motion: rms per axis, for
-            the unknowns.
+        pose_px, rows_px: what a pose leaves of the board's corners, and a pose with that motion:
+            rms per axis, for the unknowns.
     """
 
     motion_px: float
@@ -41,13 +41,19 @@ class RowMotion:
     rows_px: float
 
 
-def held_still(own: RealSet, seen: SetSeen, measured: MethodPoses) -> tuple[SetSeen, MethodPoses, RowMotion]:
+def held_still(
+    own: RealSet, seen: SetSeen, measured: MethodPoses
+) -> tuple[SetSeen, MethodPoses, RowMotion]:
     """The set with all corners where they would be had every row been read at once."""
-    fits = [_sheared(board, shot) for board, shot in zip(seen.boards, seen.photographs, strict=True)]
+    fits = [
+        _sheared(board, shot) for board, shot in zip(seen.boards, seen.photographs, strict=True)
+    ]
     found: list[Corners] = [{} for _ in fits]
     for marker in measured.seen:
         moved = _still(marker.found.corners_px, seen, fits[marker.view][0])
-        found[marker.view][marker.marker_id] = FoundMarker(moved, marker.found.covariance_px2, marker.found.wrong)
+        found[marker.view][marker.marker_id] = FoundMarker(
+            moved, marker.found.covariance_px2, marker.found.wrong
+        )
     shots = tuple(
         replace(shot, corners_px=_still(shot.corners_px, seen, shear))
         for shot, (shear, _, _) in zip(seen.photographs, fits, strict=True)
@@ -64,7 +70,9 @@ def held_still(own: RealSet, seen: SetSeen, measured: MethodPoses) -> tuple[SetS
 
 
 def _sheared(board: BoardSeen, shot: Photograph) -> tuple[Array, float, float]:
-    """The shift (2,) by row, px / px, and the squares of what a pose leaves without it and with it."""
+    """The shift (2,) by row, px / px, and the squares of what a pose leaves without it and with
+    it.
+    """
     camera = board.camera
     points = shot.points_o
     here = camera.project(board.T_c_o.apply(points))

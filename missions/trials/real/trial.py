@@ -1,4 +1,6 @@
-"""Real images decide: corners and poses on photographs of boards, held against the boards themselves."""
+"""Real images decide: corners and poses on photographs of boards, held against the boards
+themselves.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,14 @@ from missions.trials.real.corners import METHOD_TITLES, METHODS
 from missions.trials.real.pictures import draw_sets
 from missions.trials.real.results import Figure95, SetScore, TwinScore
 from missions.trials.real.score import KNOWN_GRAVITY, SetTask, score_set
-from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
+from missions.trials.shared.trial import (
+    TrialFinding,
+    TrialPicture,
+    TrialRequest,
+    TrialResult,
+    TrialTable,
+    verdict,
+)
 
 NEEDS = ("renderer",)
 TITLE = "Photographs of boards: corners and poses of single markers against the whole board"
@@ -58,10 +67,19 @@ def run(request: TrialRequest) -> TrialResult:
     names = [file.stem for file in request.sets]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise PartError(f"--set: {twice[0]} is named twice", "sets are told apart by the names of their files")
+        raise PartError(
+            f"--set: {twice[0]} is named twice", "sets are told apart by the names of their files"
+        )
     renderer = request.part("renderer")
     tasks = [
-        SetTask(file, request.photographs, request.seed, request.quick, renderer, request.out / "twins" / file.stem)
+        SetTask(
+            file,
+            request.photographs,
+            request.seed,
+            request.quick,
+            renderer,
+            request.out / "twins" / file.stem,
+        )
         for file in request.sets
     ]
     scores = request.work.map("sets", score_set, tasks)
@@ -69,10 +87,16 @@ def run(request: TrialRequest) -> TrialResult:
     return TrialResult(
         summary={"sets": {score.name: score.summary() for score in scores}},
         findings=tuple(finding for score in scores for finding in _findings(score)),
-        tables=(_corner_table(scores), _pose_table(scores), _twin_table(scores), _set_table(scores)),
+        tables=(
+            _corner_table(scores),
+            _pose_table(scores),
+            _twin_table(scores),
+            _set_table(scores),
+        ),
         pictures=(
             TrialPicture(
-                PICTURE, "A view of each set and its twin, corners by method, D2's error by what the pose rests on."
+                PICTURE,
+                "A view of each set and its twin, corners by method, D2's error by what the pose rests on.",
             ),
         ),
         notes=(
@@ -94,7 +118,8 @@ def run(request: TrialRequest) -> TrialResult:
 def _nothing() -> TrialResult:
     reason = "no set of photographs was named (--set)"
     return TrialResult(
-        {"sets": {}, "reason": reason}, (TrialFinding("photographs of boards", "not measured", note=reason),)
+        {"sets": {}, "reason": reason},
+        (TrialFinding("photographs of boards", "not measured", note=reason),),
     )
 
 
@@ -113,10 +138,16 @@ def _findings(score: SetScore) -> list[TrialFinding]:
                     verdict=verdict(single.flips == 0))
         )  # fmt: skip
     if "plate" in score.poses:
-        found.append(_length(score, "D2 by two markers, mean, mm", score.poses["plate"].d2_mean_m, GOAL_PLATE_M))
+        found.append(
+            _length(
+                score, "D2 by two markers, mean, mm", score.poses["plate"].d2_mean_m, GOAL_PLATE_M
+            )
+        )
     if corners is not None:
         rival = score.corners.get("apriltag")
-        limit = min(GOAL_CORNERS_PX, rival.robust_px.value if rival is not None else GOAL_CORNERS_PX)
+        limit = min(
+            GOAL_CORNERS_PX, rival.robust_px.value if rival is not None else GOAL_CORNERS_PX
+        )
         found.append(
             TrialFinding(f"{score.name}: corners, px robust per axis", corners.robust_px.text(3), goal=f"≤ {limit:.3f}",
                     verdict=verdict(corners.robust_px.value <= limit))
@@ -125,14 +156,22 @@ def _findings(score: SetScore) -> list[TrialFinding]:
             found.append(_honesty(score, "honesty of corners", corners.chi2))
     found += _twin_findings(score)
     if not found:
-        found.append(TrialFinding(f"{score.name}: corners of the board, px rms per axis", f"{score.board_px:.3f}"))
+        found.append(
+            TrialFinding(
+                f"{score.name}: corners of the board, px rms per axis", f"{score.board_px:.3f}"
+            )
+        )
     return found
 
 
 def _twin_findings(score: SetScore) -> list[TrialFinding]:
-    """The twin's figures over the photographs': 1 when simulation promises what photographs keep."""
+    """The twin's figures over the photographs': 1 when simulation promises what photographs
+    keep.
+    """
     if score.twin is None and score.untwinned:
-        return [TrialFinding(f"{score.name}: twin over photographs", "no twin", note=score.untwinned)]
+        return [
+            TrialFinding(f"{score.name}: twin over photographs", "no twin", note=score.untwinned)
+        ]
     if score.twin is None:
         return []
     low, high = GOAL_TWIN
@@ -213,7 +252,18 @@ def _pose_table(scores: Sequence[SetScore]) -> TrialTable:
     ]
     return TrialTable(
         "Poses against the board's, D2 in mm for a marker of the scaled side",
-        ("set", "from", "poses", "D2 mean", "median", "p95", "rotation, median deg", "flips", "refused", "honesty"),
+        (
+            "set",
+            "from",
+            "poses",
+            "D2 mean",
+            "median",
+            "p95",
+            "rotation, median deg",
+            "flips",
+            "refused",
+            "honesty",
+        ),
         tuple(rows),
     )
 
@@ -239,14 +289,20 @@ def _twin_table(scores: Sequence[SetScore]) -> TrialTable:
         ("set", "", "photographs", "twin", "twin over photographs"),
         tuple(rows),
         "A twin is the same board with its ink where the photographs show it, drawn at the same places by the "
-        "harness's renderer, with the camera's response as straight edges of the photographs show it: " + cameras + ".",
+        "harness's renderer, with the camera's response as straight edges of the photographs show it: "
+        + cameras
+        + ".",
     )
 
 
 def _camera_of(score: SetScore, twin: TwinScore) -> str:
     own = twin.response.imaging
     thin = score.thinning
-    kept = "" if thin is None else f"of {thin.of} rows and columns of the sensor {thin.kept} are kept, "
+    kept = (
+        ""
+        if thin is None
+        else f"of {thin.of} rows and columns of the sensor {thin.kept} are kept, "
+    )
     jpeg = "none" if own.jpeg_quality is None else str(own.jpeg_quality)
     return (
         f"{score.name}: {kept}blur {own.blur_sigma_px:.2f} px, "

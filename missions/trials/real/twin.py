@@ -1,9 +1,10 @@
-"""A set's rendered twin: the same board before the same camera, at the same places, in the same light.
+"""A set's rendered twin: the same board before the same camera, at the same places, in the same
+light.
 
 The harness's own renderer draws it. Its imaging is what edges of the board say of the camera
-(``missions.trials.real.response``), its light what they say of black and white. Its ink lies where all views agree
-that it does (``missions.trials.real.paper``). Nothing else is taken from the errors of markers: those the twin is to
-predict.
+(``missions.trials.real.response``), its light what they say of black and white. Its ink lies where
+all views agree that it does (``missions.trials.real.paper``). Nothing else is taken from the errors
+of markers: those the twin is to predict.
 """
 
 from __future__ import annotations
@@ -17,7 +18,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from flight.harness.renderer import FrameRenderer, Imaging, PlacedBoard, RenderedInstant, RendererSetup
+from flight.harness.renderer import (
+    FrameRenderer,
+    Imaging,
+    PlacedBoard,
+    RenderedInstant,
+    RendererSetup,
+)
 from missions.trials.pose.calibration.views import HERE, T_W_C, grey
 from missions.trials.real.board import BoardSeen, SetSeen
 from missions.trials.real.errors import MethodPoses
@@ -72,7 +79,8 @@ def render_twin(
     own: RealSet, seen: SetSeen, measured: MethodPoses | None, images: Sequence[Path], renderer: type[FrameRenderer],
     seed: int, out: Path,
 ) -> Twin | None:  # fmt: skip
-    """Draw every photograph of a set again, into files; None when its camera's response cannot be measured.
+    """Draw every photograph of a set again, into files; None when its camera's response cannot be
+    measured.
 
     Args:
         measured: its markers, which tell where their ink lies. ``images``: the set's files.
@@ -104,7 +112,8 @@ class _Drawing:
 
     Attributes:
         prints: where ink lies, and ``edges``: of each photograph, by its name.
-        turned: by photograph, the share of its light that a board has which is turned away from the renderer's sun.
+        turned: by photograph, the share of its light that a board has which is turned away from the
+            renderer's sun.
     """
 
     own: RealSet
@@ -117,7 +126,9 @@ class _Drawing:
     def measure_turned(self, seen: SetSeen) -> dict[str, float]:
         """Draw the boards in plain light, and see how much of it their paper has."""
         shares: dict[str, float] = {}
-        for shot, board, image in zip(seen.photographs, seen.boards, self.images(seen, PLAIN), strict=True):
+        for shot, board, image in zip(
+            seen.photographs, seen.boards, self.images(seen, PLAIN), strict=True
+        ):
             wanted = self.edges[shot.name]
             got = see_edges(self.own, replace(shot, grey=image), board)
             shares[shot.name] = _white(got) / _white(wanted) if wanted and got else 1.0
@@ -126,19 +137,25 @@ class _Drawing:
     def images(self, seen: SetSeen, imaging: Imaging) -> list[Shades]:
         """Every photograph of ``seen`` again, in its own light."""
         camera, sensor_imaging = _sensor(seen.camera, imaging)
-        made = self.renderer(RendererSetup(camera, HERE, HERE, single_marker(), imaging=sensor_imaging), self.seed)
+        made = self.renderer(
+            RendererSetup(camera, HERE, HERE, single_marker(), imaging=sensor_imaging), self.seed
+        )
         drawn: list[Shades] = []
         for number, (shot, board) in enumerate(zip(seen.photographs, seen.boards, strict=True)):
             lit = _placed(board, self.prints[shot.name], self.edges[shot.name], imaging.gamma)
             share = self.turned.get(shot.name, 1.0)
             placed = replace(lit, light=(lit.light[0] / share, lit.light[1] / share))
-            color = made.shoot(RenderedInstant({Role.SENDER: T_W_C}, boards=(placed,)), Role.SENDER, number).color
+            color = made.shoot(
+                RenderedInstant({Role.SENDER: T_W_C}, boards=(placed,)), Role.SENDER, number
+            ).color
             drawn.append(_image_of(grey(color), seen.camera, imaging))
         return drawn
 
 
 def _sensor(camera: CameraModel, imaging: Imaging) -> tuple[CameraModel, Imaging]:
-    """The camera to render for, and its imaging: its sensor's image, before pixels are left out and compressed."""
+    """The camera to render for, and its imaging: its sensor's image, before pixels are left out and
+    compressed.
+    """
     thinning = camera.thinning
     if thinning is None:
         return camera, imaging
@@ -154,7 +171,9 @@ def _image_of(drawn: Shades, camera: CameraModel, imaging: Imaging) -> Shades:
     thinning = camera.thinning
     if thinning is None:
         return drawn
-    columns, rows = (thinning.sensor_pixels(n, k) for k, n in enumerate((camera.width, camera.height)))
+    columns, rows = (
+        thinning.sensor_pixels(n, k) for k, n in enumerate((camera.width, camera.height))
+    )
     image = np.ascontiguousarray(drawn[np.ix_(rows, columns)])
     if imaging.jpeg_quality is None:
         return image
@@ -165,13 +184,16 @@ def _image_of(drawn: Shades, camera: CameraModel, imaging: Imaging) -> Shades:
 def _like_it(drawing: _Drawing, seen: SetSeen, response: CameraResponse) -> Imaging:
     """The imaging with which the twin's edges and noise, measured alike, are the photographs'.
 
-    What the measurement itself does to an edge is seen on the twin, whose imaging is known, and taken off, for as long
-    as that brings the edges nearer; so is what sharpening and compression do to noise. Where the light scatters more at
-    edges than the twin's does, a camera compressed its images more than their files.
+    What the measurement itself does to an edge is seen on the twin, whose imaging is known, and
+    taken off, for as long as that brings the edges nearer; so is what sharpening and compression do
+    to noise. Where the light scatters more at edges than the twin's does, a camera compressed its
+    images more than their files.
     """
     few = slice(None, None, max(1, len(seen.boards) // PASS_VIEWS))
     some = replace(seen, photographs=seen.photographs[few], boards=seen.boards[few])
-    scatter = scatter_at([[edge.seen for edge in drawing.edges[shot.name]] for shot in some.photographs])
+    scatter = scatter_at(
+        [[edge.seen for edge in drawing.edges[shot.name]] for shot in some.photographs]
+    )
     imaging = response.imaging
     least = math.inf
     best = imaging
@@ -202,8 +224,14 @@ def _like_it(drawing: _Drawing, seen: SetSeen, response: CameraResponse) -> Imag
             _light_sigma(imaging, level) * w / max(g, 0.1)
             for level, w, g in zip(levels, response.noise, got, strict=True)
         ]
-        optics = fitted(response.edge + edge_of(imaging, *levels) - edge, *levels)[0] if nearing else best
-        quality = coarser(imaging.jpeg_quality, more**COARSER) if more > CLEARLY else imaging.jpeg_quality
+        optics = (
+            fitted(response.edge + edge_of(imaging, *levels) - edge, *levels)[0]
+            if nearing
+            else best
+        )
+        quality = (
+            coarser(imaging.jpeg_quality, more**COARSER) if more > CLEARLY else imaging.jpeg_quality
+        )
         imaging = with_noise(replace(optics, jpeg_quality=quality), levels, light)
     return imaging
 
@@ -218,7 +246,9 @@ def _light_sigma(imaging: Imaging, level: float) -> float:
     return float(np.sqrt(imaging.read_sigma**2 + imaging.shot_gain * light))
 
 
-def _placed(board: BoardSeen, printed: Print, edges: Sequence[BoardEdge], gamma: float) -> PlacedBoard:
+def _placed(
+    board: BoardSeen, printed: Print, edges: Sequence[BoardEdge], gamma: float
+) -> PlacedBoard:
     """The print in the light of one photograph: black and white change evenly across the board."""
     shades = printed.shades
     cell_m = printed.cell_m
@@ -236,12 +266,16 @@ def _placed(board: BoardSeen, printed: Print, edges: Sequence[BoardEdge], gamma:
 
 
 def _light(edges: Sequence[BoardEdge], name: str, x: Array, y: Array, gamma: float) -> Array:
-    """Light of one side of the edges over the board, (rows, columns): a plane through all that were seen."""
+    """Light of one side of the edges over the board, (rows, columns): a plane through all that were
+    seen.
+    """
     middles = np.stack([e.middle_o for e in edges])
     levels = np.array([getattr(e.seen, name) for e in edges])
     design = np.column_stack([np.ones(len(edges)), middles])
     plane = np.linalg.lstsq(design, levels, rcond=None)[0]
-    seen = np.clip(plane[0] + plane[1] * x[None, :] + plane[2] * y[:, None], levels.min(), levels.max())
+    seen = np.clip(
+        plane[0] + plane[1] * x[None, :] + plane[2] * y[:, None], levels.min(), levels.max()
+    )
     return np.maximum(TOP * (seen / TOP) ** gamma, LEAST_LIGHT)
 
 
@@ -251,14 +285,19 @@ def _print_of(own: RealSet, seen: SetSeen) -> Print:
         return Print(shades, cell_m, np.array([-own.board.square_m, -own.board.square_m]))
     cell_m = own.file.pitch_m / GRID_CELLS
     side_m = float(np.median([_side(shot.points_o) for shot in seen.photographs]))
-    columns, rows = (round((n - 1 + 2.0 * BORDER) * GRID_CELLS) + GRID_CELLS for n in (own.file.columns, own.file.rows))
+    columns, rows = (
+        round((n - 1 + 2.0 * BORDER) * GRID_CELLS) + GRID_CELLS
+        for n in (own.file.columns, own.file.rows)
+    )
     shades = np.full((rows, columns), 255, np.uint8)
     corner_o = np.array([-1.0, -1.0]) * (BORDER + 0.5) * own.file.pitch_m
     for marker in own.markers.values():
         inner = marker.pattern[1:-1, 1:-1]
         first = marker.corners_o[:, :2].mean(axis=0) - 0.5 * side_m - corner_o
         size, (column, row) = round(side_m / cell_m), np.round(first / cell_m).astype(int)
-        big = cv2.resize(255 * inner.astype(np.uint8), (size, size), interpolation=cv2.INTER_NEAREST_EXACT)
+        big = cv2.resize(
+            255 * inner.astype(np.uint8), (size, size), interpolation=cv2.INTER_NEAREST_EXACT
+        )
         shades[row : row + size, column : column + size] = big
     return Print(shades, cell_m, corner_o)
 

@@ -23,9 +23,14 @@ WORDS: dict[Outcome, str] = {
 
 
 def draw_view(
-    request: TrialRequest, tasks: Sequence[FrameTask], judged: Sequence[FrameResult], rules: Mapping[str, Rule]
+    request: TrialRequest,
+    tasks: Sequence[FrameTask],
+    judged: Sequence[FrameResult],
+    rules: Mapping[str, Rule],
 ) -> str:
-    """``examples.png``: PATH right, then a wrong one of each method that has one. Returns the caption."""
+    """``examples.png``: PATH right, then a wrong one of each method that has one. Returns the
+    caption.
+    """
     outcomes: dict[str, list[Outcome]] = {
         "path": [of_path(each, each.path) for each in judged],
         "orb": [e.orb.outcome(rules["orb"]) for e in judged],
@@ -39,7 +44,8 @@ def draw_view(
         if number is not None:
             wanted.append((method, number))
     examples = [
-        _example(method, tasks[number], judged[number], outcomes[method][number], rules) for method, number in wanted
+        _example(method, tasks[number], judged[number], outcomes[method][number], rules)
+        for method, number in wanted
     ]
     draw_examples(examples, request.out / "examples.png")
     return (
@@ -52,7 +58,9 @@ def _first(found: Sequence[Outcome], kinds: tuple[Outcome, ...]) -> int | None:
     return next((number for number, each in enumerate(found) if each in kinds), None)
 
 
-def _example(method: str, task: FrameTask, judged: FrameResult, kind: Outcome, rules: Mapping[str, Rule]) -> Example:
+def _example(
+    method: str, task: FrameTask, judged: FrameResult, kind: Outcome, rules: Mapping[str, Rule]
+) -> Example:
     pair = shoot(task)
     images = pair.shots[Role.SENDER].color, pair.shots[Role.RECEIVER].color
     truth = shirt_box(pair.scene, Role.RECEIVER, 0) if judged.visible > 0.0 else None
@@ -60,17 +68,27 @@ def _example(method: str, task: FrameTask, judged: FrameResult, kind: Outcome, r
     if method == "path":
         answer = judged.path.answer
         region = None if answer.prior is None else answer.prior.region
-        return Example(title, images, pair.box1, answer.box, kind == "tp", pair.boxes2, truth, None, region)
+        return Example(
+            title, images, pair.box1, answer.box, kind == "tp", pair.boxes2, truth, None, region
+        )
     return _matched(method, title, task, pair, judged, rules[method], kind)
 
 
 def _matched(
-    method: str, title: str, task: FrameTask, pair: StagePair, judged: FrameResult, rule: Rule, kind: Outcome
+    method: str,
+    title: str,
+    task: FrameTask,
+    pair: StagePair,
+    judged: FrameResult,
+    rule: Rule,
+    kind: Outcome,
 ) -> Example:
     variants = task.orb_variants if method == "orb" else task.xfeat_variants
     features = Orb() if method == "orb" or task.xfeat is None else xfeat_for(task.xfeat)
     images = pair.shots[Role.SENDER].color, pair.shots[Role.RECEIVER].color
-    _, votes = associate(features, images[0], pair.box1, images[1], pair.boxes2, variants[rule.variant])
+    _, votes = associate(
+        features, images[0], pair.box1, images[1], pair.boxes2, variants[rule.variant]
+    )
     ballot = judged.orb if method == "orb" else judged.xfeat
     box = None if ballot is None else chosen_box(ballot, rule)
     truth = shirt_box(pair.scene, Role.RECEIVER, 0) if judged.visible > 0.0 else None

@@ -1,4 +1,6 @@
-"""One pair of frames of the ambiguity trial: drawn, shot, judged by truth, and given to every method."""
+"""One pair of frames of the ambiguity trial: drawn, shot, judged by truth, and given to every
+method.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,10 @@ from path.gate.agreement import iou
 from path.messages import Role
 from path.observations import Box
 
-PRESENT_SHARE = 0.5  # of its shirt is in D2's view: the target is present; of stages with less, others are drawn
-HIDDEN_SHARE = 0.6  # of it is behind other people, and nothing of it to be seen: the target is hidden
+# of its shirt is in D2's view: the target is present; of stages with less, others are drawn
+PRESENT_SHARE = 0.5
+# of it is behind other people, and nothing of it to be seen: the target is hidden
+HIDDEN_SHARE = 0.6
 # D1 sees the target's shirt well, and its detector gives it a box ...
 TRACKED_SHARE = 0.75
 TRACKED_IOU = 0.4
@@ -74,8 +78,8 @@ class FrameResult:
     """The results of one frame.
 
     Attributes:
-        path: PATH's answer, and the person its candidate really shows; ``path_depth`` the same when D2's detector looks
-            only where the depth is right.
+        path: PATH's answer, and the person its candidate really shows; ``path_depth`` the same when
+            D2's detector looks only where the depth is right.
         redraws: stages thrown away before this one, because what they show was not what was wanted.
     """
 
@@ -113,7 +117,11 @@ def renderer_for(kind: Any, role: Role, side: int, marker_side_m: float) -> Fram
 
 def people_detector() -> Detector:
     """The project's detector, on the shirts of people a few metres away instead of cars."""
-    return ColorDetector(ColorDetectorConfig(min_side_px=45.0, max_side_px=500.0, split_solidity=0.78, merge_gap=0.04))
+    return ColorDetector(
+        ColorDetectorConfig(
+            min_side_px=45.0, max_side_px=500.0, split_solidity=0.78, merge_gap=0.04
+        )
+    )
 
 
 @lru_cache(maxsize=2)
@@ -137,17 +145,25 @@ def _shoot(task: FrameTask, rng: np.random.Generator, redraws: int) -> StagePair
     scene = draw(task.wanted, rng)
     renderers = {
         Role.SENDER: renderer_for(task.renderer, Role.SENDER, 0, MARKER_SIDE_M),
-        Role.RECEIVER: renderer_for(task.renderer, Role.RECEIVER, scene.side, task.wanted.marker_side_m),
+        Role.RECEIVER: renderer_for(
+            task.renderer, Role.RECEIVER, scene.side, task.wanted.marker_side_m
+        ),
     }
     perceptions = {role: TrueView(renderers[role], scene, role) for role in Role}
     if perceptions[Role.SENDER].shirt(0)[0] < TRACKED_SHARE:
         return None
     visible, hidden = perceptions[Role.RECEIVER].shirt(0)
-    shown = {"present": visible >= PRESENT_SHARE, "hidden": visible == 0.0 and hidden >= HIDDEN_SHARE}
+    shown = {
+        "present": visible >= PRESENT_SHARE,
+        "hidden": visible == 0.0 and hidden >= HIDDEN_SHARE,
+    }
     if not shown.get(task.wanted.case, visible == 0.0):
         return None
     seeds = rng.integers(0, 2**31, 2).tolist()
-    shots = {role: renderers[role].shoot(scene.stage, role, seed) for role, seed in zip(Role, seeds, strict=True)}
+    shots = {
+        role: renderers[role].shoot(scene.stage, role, seed)
+        for role, seed in zip(Role, seeds, strict=True)
+    }
     box1 = _tracked(scene, shots[Role.SENDER])
     if box1 is None or perceptions[Role.SENDER].share(box1, 0) < OWN_SHARE:
         return None
@@ -159,9 +175,11 @@ def _shoot(task: FrameTask, rng: np.random.Generator, redraws: int) -> StagePair
 
 
 def _tracked(scene: DrawnStage, shot: Shot) -> Box | None:
-    """Returns the detection of D1 nearest to the target's true projection; None when it is not the target's box.
+    """Returns the detection of D1 nearest to the target's true projection; None when it is not the
+    target's box.
 
-    D1's tracker is not under test: it has the target, and knows from the frames before how far away it is.
+    D1's tracker is not under test: it has the target, and knows from the frames before how far away
+    it is.
     """
     expected = shirt_box(scene, Role.SENDER, 0)
     depth_m = float(scene.T_w_c(Role.SENDER).inverse().apply(scene.middle_w)[2]) - CHEST_M
@@ -175,7 +193,9 @@ def _tracked(scene: DrawnStage, shot: Shot) -> Box | None:
 def judge(task: FrameTask) -> FrameResult:
     """Every method on one pair of frames."""
     pair = shoot(task)
-    network = None if task.xfeat is None else ballot(xfeat_for(task.xfeat), pair, task.xfeat_variants)
+    network = (
+        None if task.xfeat is None else ballot(xfeat_for(task.xfeat), pair, task.xfeat_variants)
+    )
     return FrameResult(
         task.wanted,
         pair.scene.viewpoint_rad,
@@ -191,15 +211,20 @@ def judge(task: FrameTask) -> FrameResult:
 def path_on(task: FrameTask, pair: StagePair, *, depth2: bool = True) -> Owned:
     """PATH on a pair of frames; what the drones believe is of the task's seed.
 
-    Every stage draws it anew, as if it were another pair of drones: otherwise all frames would share one error.
+    Every stage draws it anew, as if it were another pair of drones: otherwise all frames would
+    share one error.
     """
     rng = np.random.default_rng([*task.seed, pair.redraws, 1])
     table = task.errors(as_drawn(task.rig, pair.scene))
     believed = beliefs(pair.scene, table.session(int(rng.integers(1 << 31))), rng)
-    answer = run_path(believed, MethodConfig(), pair.shots, pair.box1, people_detector(), depth2=depth2)
+    answer = run_path(
+        believed, MethodConfig(), pair.shots, pair.box1, people_detector(), depth2=depth2
+    )
     if answer.box is None:
         return Owned(answer, None)
-    renderer = renderer_for(task.renderer, Role.RECEIVER, pair.scene.side, task.wanted.marker_side_m)
+    renderer = renderer_for(
+        task.renderer, Role.RECEIVER, pair.scene.side, task.wanted.marker_side_m
+    )
     return Owned(answer, TrueView(renderer, pair.scene, Role.RECEIVER).owner(answer.box))
 
 
@@ -213,4 +238,8 @@ def ballot(features: Features, pair: StagePair, variants: tuple[BaselineConfig, 
         alike = [variant for variant in variants if variant.look == each]
         cast = vote_each(features, own[each][0], theirs[each], alike)
         votes |= {variant: vote.inliers for variant, vote in zip(alike, cast, strict=True)}
-    return Ballot(pair.scene.wanted.case == "present", pair.owners, tuple(votes[variant] for variant in variants))
+    return Ballot(
+        pair.scene.wanted.case == "present",
+        pair.owners,
+        tuple(votes[variant] for variant in variants),
+    )

@@ -1,4 +1,6 @@
-"""PATH on one pair of frames: what D1 and D2 believe of themselves, and their own cycles on the pixels."""
+"""PATH on one pair of frames: what D1 and D2 believe of themselves, and their own cycles on the
+pixels.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ from path.target.monocular import TargetSize
 
 STAMP_NS = 1_000_000_000
 ATTEMPT = AttemptId(1, 1, 1)
-SHIRT = TargetSize(0.65, 0.13, longest_m=0.95)  # of clean boxes at known distances, any heading: for D2 without depth
+# of clean boxes at known distances, any heading: for D2 without depth
+SHIRT = TargetSize(0.65, 0.13, longest_m=0.95)
 REGION_ERROR_PX = 10.0
 REGION_MARGIN_PX = 60.0
 
@@ -73,7 +76,9 @@ class PathAnswer:
 
 
 def beliefs(scene: DrawnStage, drawn: DrawnErrors, rng: np.random.Generator) -> Beliefs:
-    """The drones' beliefs with the errors that were drawn for this stage, and the noise of its attitudes."""
+    """The drones' beliefs with the errors that were drawn for this stage, and the noise of its
+    attitudes.
+    """
     believed = Mount(drawn.T_b_c[Role.SENDER], drawn.T_b_v)
     return Beliefs(
         drawn.cameras[Role.SENDER],
@@ -108,7 +113,9 @@ def run_path(
                 STAMP_NS,
                 1,
                 shots[role].color,
-                beliefs.depth[role].measured_mm(shots[role].depth_mm) if role is Role.SENDER or depth2 else None,
+                beliefs.depth[role].measured_mm(shots[role].depth_mm)
+                if role is Role.SENDER or depth2
+                else None,
             ),
             beliefs.camera1 if role is Role.SENDER else beliefs.camera2,
             beliefs.layout,
@@ -127,7 +134,8 @@ def run_path(
         return PathAnswer(None, message.reason)
     receiver.hear(message, STAMP_NS, STAMP_NS)
     settings = PoseSettings(
-        max_incidence_rad=math.radians(config.max_incidence_deg), max_sigma_m=config.max_pose_sigma_m
+        max_incidence_rad=math.radians(config.max_incidence_deg),
+        max_sigma_m=config.max_pose_sigma_m,
     )
     pose = estimate_pose(
         two.markers(beliefs.marker_region),
@@ -156,7 +164,9 @@ def run_path(
     )
 
 
-def _attitude(scene: DrawnStage, role: Role, drawn: DrawnErrors, rng: np.random.Generator) -> Matrix:
+def _attitude(
+    scene: DrawnStage, role: Role, drawn: DrawnErrors, rng: np.random.Generator
+) -> Matrix:
     """``R_n_b`` as the drone's own estimate has it."""
     R_n_w = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     tilt = np.array(drawn.tilt_bias_rad[role]) + rng.normal(0.0, drawn.tilt_noise_rad, 2)
@@ -164,7 +174,9 @@ def _attitude(scene: DrawnStage, role: Role, drawn: DrawnErrors, rng: np.random.
 
 
 def _marker_region(scene: DrawnStage, T_b_v: Pose, rng: np.random.Generator) -> Region:
-    """Returns where a D2 that has seen the marker before looks for it: off by some pixels, with room around."""
+    """Returns where a D2 that has seen the marker before looks for it: off by some pixels, with
+    room around.
+    """
     T_c_v = scene.T_w_c(Role.RECEIVER).inverse() @ scene.stage.T_w_b[Role.SENDER] @ T_b_v
     x, y, z = T_c_v.t.tolist()
     camera = CAMERAS[Role.RECEIVER]

@@ -71,10 +71,25 @@ def draw_outcomes(tallies: Mapping[str, FrameTally], titles: Mapping[str, str], 
         left = 0
         for each in ORDER:
             frames = getattr(counts, each)
-            axes.barh(row, frames, left=left, height=0.66, color=SHADES[each], label=NAMES[each] if row == 0 else None)
+            axes.barh(
+                row,
+                frames,
+                left=left,
+                height=0.66,
+                color=SHADES[each],
+                label=NAMES[each] if row == 0 else None,
+            )
             if frames >= 0.025 * counts.frames:
                 colour = "white" if each in ("tp", "fp") else "#222222"
-                axes.text(left + frames / 2, row, str(frames), ha="center", va="center", fontsize=9, color=colour)
+                axes.text(
+                    left + frames / 2,
+                    row,
+                    str(frames),
+                    ha="center",
+                    va="center",
+                    fontsize=9,
+                    color=colour,
+                )
             left += frames
         axes.text(
             left * 1.008, row, f"{100 * counts.accuracy:.1f} % right, {100 * counts.fp / counts.frames:.1f} % wrong",
@@ -89,7 +104,9 @@ def draw_outcomes(tallies: Mapping[str, FrameTally], titles: Mapping[str, str], 
     save(figure, path)
 
 
-def draw_sweeps(sweeps: Sequence[tuple[str, Sequence[float], Sequence[SweepCurve]]], path: Path) -> None:
+def draw_sweeps(
+    sweeps: Sequence[tuple[str, Sequence[float], Sequence[SweepCurve]]], path: Path
+) -> None:
     """Accuracy along each sweep: its axis title, its values, its curves; 95 % intervals as bars."""
     figure = sheet(6.2 * len(sweeps), 4.2)
     for column, (title, values, curves) in enumerate(sweeps):
@@ -122,14 +139,18 @@ def draw_examples(examples: Sequence[Example], path: Path) -> None:
         left, right = row.subplots(1, 2)
         _show(left, example.images[0], "D1: the person it tracks")
         _frame(left, example.tracked, RIGHT, 2.2)
-        _show(right, example.images[1], "D2: white what its detector found, " + _chosen_words(example))
+        _show(
+            right, example.images[1], "D2: white what its detector found, " + _chosen_words(example)
+        )
         for box in example.others:
             _frame(right, box, "white", 0.9)
         if example.truth is not None:
             _frame(right, example.truth, RIGHT, 1.4, "--")
         if example.region is not None:
             area = example.region
-            _frame(right, Box(area.x0, area.y0, area.x1 - area.x0, area.y1 - area.y0), PRIOR, 1.2, ":")
+            _frame(
+                right, Box(area.x0, area.y0, area.x1 - area.x0, area.y1 - area.y0), PRIOR, 1.2, ":"
+            )
         if example.chosen is not None:
             _frame(right, example.chosen, RIGHT if example.right else WRONG, 2.6)
         _join(row, left, right, example)
@@ -150,7 +171,9 @@ def _join(row: object, left: Axes, right: Axes, example: Example) -> None:
     colour = RIGHT if example.right else WRONG
     step = max(1, math.ceil(len(example.lines) / 25))
     for u1, v1, u2, v2 in example.lines[::step].tolist():
-        line = ConnectionPatch((u1, v1), (u2, v2), "data", "data", axesA=left, axesB=right, color=colour, lw=0.6)
+        line = ConnectionPatch(
+            (u1, v1), (u2, v2), "data", "data", axesA=left, axesB=right, color=colour, lw=0.6
+        )
         row.add_artist(line)  # type: ignore[attr-defined]  # a SubFigure
 
 
@@ -161,7 +184,9 @@ def _show(axes: Axes, image: Image, title: str) -> None:
 
 
 def _frame(axes: Axes, box: Box, colour: str, width: float, style: str = "-") -> None:
-    axes.add_patch(Rectangle((box.x, box.y), box.w, box.h, fill=False, ec=colour, lw=width, ls=style))
+    axes.add_patch(
+        Rectangle((box.x, box.y), box.w, box.h, fill=False, ec=colour, lw=width, ls=style)
+    )
 
 
 assert set(ORDER) == set(OUTCOMES)

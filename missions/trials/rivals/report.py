@@ -43,7 +43,14 @@ def findings(tallies: Mapping[str, FrameTally]) -> tuple[TrialFinding, ...]:
         frames = counts.frames
         goals = method == "path"
         rows = (
-            ("accuracy", "right", counts.tp + counts.tn, counts.interval("tp", "tn"), "≥ 99", GOAL_ACCURACY),
+            (
+                "accuracy",
+                "right",
+                counts.tp + counts.tn,
+                counts.interval("tp", "tn"),
+                "≥ 99",
+                GOAL_ACCURACY,
+            ),
             ("fp", "false positive", counts.fp, counts.interval("fp"), "≤ 0.3", GOAL_FP),
             ("fn", "false negative", counts.fn, counts.interval("fn"), "", 0.0),
         )
@@ -67,7 +74,15 @@ def findings(tallies: Mapping[str, FrameTally]) -> tuple[TrialFinding, ...]:
 
 def outcome_table(tallies: Mapping[str, FrameTally], rules: Mapping[str, str]) -> TrialTable:
     rows = tuple(
-        (TITLES[method], str(t.tp), str(t.tn), str(t.fp), str(t.fn), f"{100 * t.accuracy:.1f} %", rules[method])
+        (
+            TITLES[method],
+            str(t.tp),
+            str(t.tn),
+            str(t.fp),
+            str(t.fn),
+            f"{100 * t.accuracy:.1f} %",
+            rules[method],
+        )
         for method, t in tallies.items()
     )
     return TrialTable(
@@ -112,14 +127,23 @@ def _of_ballot(judged: FrameResult, ballot: Ballot, rule: Rule) -> tuple[Outcome
     kind = ballot.outcome(rule)
     own = 0 in ballot.owners
     if kind == "fn":
-        return kind, "too few matches, or too many with another" if own else "no box of D2 shows mainly the target"
+        return (
+            kind,
+            "too few matches, or too many with another"
+            if own
+            else "no box of D2 shows mainly the target",
+        )
     if kind == "fp" and judged.present:
         return kind, "another has more matches" if own else "no box of D2 shows mainly the target"
     return (kind, _absent(judged)) if kind == "fp" else None
 
 
 def _absent(judged: FrameResult) -> str:
-    return "who hides the target, or stands by it" if judged.wanted.case == "hidden" else "the target is out of view"
+    return (
+        "who hides the target, or stands by it"
+        if judged.wanted.case == "hidden"
+        else "the target is out of view"
+    )
 
 
 def chosen_box(ballot: Ballot, rule: Rule) -> int | None:
@@ -130,7 +154,11 @@ def noise_table(errors: TrialErrors) -> TrialTable:
     rows = (
         *((what, size, "drawn for each frame") for what, size, _ in errors.rows()),
         ("colour", "blur 0.6 px, read noise 1.2 grey levels, shot noise", "every pixel"),
-        ("depth of both cameras", "5 mm at 1 m, growing with the square; holes along edges; 0.3 to 6 m", "every pixel"),
+        (
+            "depth of both cameras",
+            "5 mm at 1 m, growing with the square; holes along edges; 0.3 to 6 m",
+            "every pixel",
+        ),
     )
     return TrialTable("Noise and errors, standard deviations", ("", "how much", ""), rows)
 

@@ -18,7 +18,8 @@ MAX_LEAD = 12
 
 
 def outcome(present: bool, chosen: bool, right: bool) -> Outcome:
-    """Returns the outcome by the paper: an incorrect candidate is a false positive, with the target present or not.
+    """Returns the outcome by the paper: an incorrect candidate is a false positive, with the target
+    present or not.
 
     Args:
         chosen: D2 selected something.
@@ -106,7 +107,8 @@ def tally(ballots: Sequence[Ballot], rule: Rule) -> FrameTally:
 
 
 def best_rule(ballots: Sequence[Ballot], variants: int) -> Rule:
-    """The variant and thresholds of the highest accuracy on these frames; of equals that with fewer false ones.
+    """The variant and thresholds of the highest accuracy on these frames; of equals that with fewer
+    false ones.
 
     On the frames it is judged by this is more than a baseline can know: an upper bound.
     """
@@ -114,13 +116,18 @@ def best_rule(ballots: Sequence[Ballot], variants: int) -> Rule:
     best: tuple[tuple[int, int], Rule] | None = None
     for variant in range(variants):
         most, lead, right = (
-            np.array(column) for column in zip(*(_first(ballot, variant) for ballot in ballots), strict=True)
+            np.array(column)
+            for column in zip(*(_first(ballot, variant) for ballot in ballots), strict=True)
         )
-        needs = sorted({max(1, int(count)) for count in most} | {int(most.max()) + 1})  # others decide as one of these
+        # others decide as one of these
+        needs = sorted({max(1, int(count)) for count in most} | {int(most.max()) + 1})
         for needed, least in product(needs, range(MAX_LEAD + 1)):
             chosen = (most >= needed) & (lead >= least)
             tp = int(np.count_nonzero(chosen & present & right))
-            worth = tp + int(np.count_nonzero(~chosen & ~present)), tp - int(np.count_nonzero(chosen))
+            worth = (
+                tp + int(np.count_nonzero(~chosen & ~present)),
+                tp - int(np.count_nonzero(chosen)),
+            )
             if best is None or worth > best[0]:
                 best = worth, Rule(variant, needed, least)
     assert best is not None
@@ -128,7 +135,9 @@ def best_rule(ballots: Sequence[Ballot], variants: int) -> Rule:
 
 
 def _first(ballot: Ballot, variant: int) -> tuple[int, int, bool]:
-    """Votes of the box with the most, how many more than the next, and whether it is the target's."""
+    """Votes of the box with the most, how many more than the next, and whether it is the
+    target's.
+    """
     votes = ballot.votes[variant]
     box = choose(votes, 1, 0)
     if box is None:

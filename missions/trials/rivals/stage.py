@@ -1,4 +1,6 @@
-"""Random stages of the ambiguity trial: six similar people, D1 that tracks one of them, D2 that sees D1's marker."""
+"""Random stages of the ambiguity trial: six similar people, D1 that tracks one of them, D2 that
+sees D1's marker.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,8 @@ MIN_MARKER_PX = 16.0
 MAX_INCIDENCE_RAD = math.radians(58.0)
 MARGIN_PX = 8.0  # between a person that is present and the image's border
 WIDEST_RAD = math.radians(20.0)  # viewpoint angle that drones that near to each other have
-NARROWEST_RAD: dict[Case, float] = {"hidden": math.radians(13.0), "outside": math.radians(6.0)}  # nearer, D2 sees it
+# nearer, D2 sees it
+NARROWEST_RAD: dict[Case, float] = {"hidden": math.radians(13.0), "outside": math.radians(6.0)}
 SEPARATION_M = (0.9, 1.6)  # between the cameras
 FARTHEST_M = 5.3  # of the target from D1: depth ends at 6 m
 # half of the width of who hides the target from D2, and at most from D1
@@ -55,7 +58,8 @@ BODY_WIDTH_M = 0.75
 CLEAR_M = 1.5
 HOVER_TILT_RAD = math.radians(2.5)
 R_W_N = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-FORWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # camera axes in the body: right, down, ahead
+# camera axes in the body: right, down, ahead
+FORWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 BACKWARD = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # plate: right, up, out
 ATTEMPTS = 20_000
 CROWDS = 12
@@ -70,9 +74,10 @@ class Wanted:
     """The conditions that a stage is drawn for.
 
     Attributes:
-        nearest_m: the nearest look-alike is this far from the target, horizontally (a range to draw from).
-        viewpoint_rad: angle between the two lines of sight, seen from above, at any distance between the drones; None:
-            the drones are 0.9 to 1.6 m apart.
+        nearest_m: the nearest look-alike is this far from the target, horizontally (a range to draw
+            from).
+        viewpoint_rad: angle between the two lines of sight, seen from above, at any distance
+            between the drones; None: the drones are 0.9 to 1.6 m apart.
         marker_side_m: large enough for where D2 is.
     """
 
@@ -125,7 +130,9 @@ def camera_mount() -> Pose:
 def marker_mount(side: int) -> Pose:
     """``T_b_v``: 18 cm out from the middle of D1 on one side, tilted up."""
     turn = R_from_rpy(0.0, 0.0, side * 2.0 * math.pi / SIDES)
-    return Pose(turn @ R_from_rpy(0.0, -TILT_UP_RAD, 0.0) @ BACKWARD, turn @ np.array([-0.18, 0.0, -0.06]))
+    return Pose(
+        turn @ R_from_rpy(0.0, -TILT_UP_RAD, 0.0) @ BACKWARD, turn @ np.array([-0.18, 0.0, -0.06])
+    )
 
 
 def layout(side_m: float) -> MarkerLayout:
@@ -152,7 +159,11 @@ def draw(wanted: Wanted, rng: np.random.Generator) -> DrawnStage:
         NoRoomError: none was found.
     """
     widest = WIDEST_RAD if wanted.viewpoint_rad is None else wanted.viewpoint_rad
-    narrowest = NARROWEST_RAD.get(wanted.case, 0.0) if wanted.viewpoint_rad is None else wanted.viewpoint_rad
+    narrowest = (
+        NARROWEST_RAD.get(wanted.case, 0.0)
+        if wanted.viewpoint_rad is None
+        else wanted.viewpoint_rad
+    )
     turn = rng.choice((-1.0, 1.0)) * rng.uniform(narrowest, widest)
     for _ in range(ATTEMPTS):
         drones = _drones(wanted, turn, rng)
@@ -161,14 +172,20 @@ def draw(wanted: Wanted, rng: np.random.Generator) -> DrawnStage:
         eyes = [drones.T_w_c(role).t for role in Role]
         for _ in range(CROWDS):
             people = _people(wanted, drones.middle_w[:2], eyes[0], eyes[1], rng)
-            scene = None if people is None else replace(drones, stage=replace(drones.stage, things=people))
+            scene = (
+                None
+                if people is None
+                else replace(drones, stage=replace(drones.stage, things=people))
+            )
             if scene is not None and _crowd_fits(scene):
                 return scene
     raise NoRoomError(f"no stage for {wanted}")
 
 
 def _drones(wanted: Wanted, turn: float, rng: np.random.Generator) -> DrawnStage | None:
-    """Both drones and the target alone; None when D1 does not see the target, or D2 not what it is to see."""
+    """Both drones and the target alone; None when D1 does not see the target, or D2 not what it is
+    to see.
+    """
     target = rng.uniform(-8.0, 8.0, 2)
     azimuth = rng.uniform(0.0, 2.0 * math.pi)
     eyes = _eyes(wanted, turn, rng)
@@ -180,7 +197,9 @@ def _drones(wanted: Wanted, turn: float, rng: np.random.Generator) -> DrawnStage
     T1 = _hover(eye1, target, rng.normal(0.0, math.radians(7.0)), rng)
     T2 = _hover(eye2, target, _aside(wanted, target, eye1, eye2, rng), rng)
     alone = (Thing("person", (float(target[0]), float(target[1]), 0.0)),)
-    stage = RenderedInstant({Role.SENDER: T1, Role.RECEIVER: T2}, alone, rng.uniform(0.0, 2.0 * math.pi))
+    stage = RenderedInstant(
+        {Role.SENDER: T1, Role.RECEIVER: T2}, alone, rng.uniform(0.0, 2.0 * math.pi)
+    )
     scene = DrawnStage(stage, _best_side(T1, T2), wanted)
     return scene if _target_fits(scene) else None
 
@@ -188,8 +207,12 @@ def _drones(wanted: Wanted, turn: float, rng: np.random.Generator) -> DrawnStage
 CameraPose = tuple[float, float]  # horizontal distance from the target, height
 
 
-def _eyes(wanted: Wanted, turn: float, rng: np.random.Generator) -> tuple[CameraPose, CameraPose] | None:
-    """Returns both cameras' places, D2's turned by ``turn`` from D1's line of sight; None: too far aside to be near."""
+def _eyes(
+    wanted: Wanted, turn: float, rng: np.random.Generator
+) -> tuple[CameraPose, CameraPose] | None:
+    """Returns both cameras' places, D2's turned by ``turn`` from D1's line of sight; None: too far
+    aside to be near.
+    """
     if wanted.viewpoint_rad is not None:
         near = rng.uniform(2.3, 2.8)
         far = rng.uniform(3.8, 4.4)
@@ -213,15 +236,24 @@ def _toward(azimuth: float) -> Array:
 
 
 def _height(reach: float, wanted: Wanted, rng: np.random.Generator) -> float:
-    """Returns the height from which the target's shirt at that horizontal distance is seen from above by some angle."""
-    down = rng.uniform(0.03, 0.11) if wanted.case == "hidden" else rng.normal(math.radians(24.0), math.radians(4.0))
+    """Returns the height from which the target's shirt at that horizontal distance is seen from
+    above by some angle.
+    """
+    down = (
+        rng.uniform(0.03, 0.11)
+        if wanted.case == "hidden"
+        else rng.normal(math.radians(24.0), math.radians(4.0))
+    )
     return MIDDLE_M + reach * math.tan(down)
 
 
-def _facing(wanted: Wanted, nearest: float, bearing: float, rng: np.random.Generator) -> list[float]:
+def _facing(
+    wanted: Wanted, nearest: float, bearing: float, rng: np.random.Generator
+) -> list[float]:
     """Draws where everybody looks.
 
-    Two that stand closer than they are wide stand one behind the other; who hides the target turns its front or back.
+    Two that stand closer than they are wide stand one behind the other; who hides the target turns
+    its front or back.
     """
     yaws = rng.uniform(-math.pi, math.pi, PEOPLE)
     if wanted.case == "hidden":
@@ -239,7 +271,11 @@ def _people(
     nearest = rng.uniform(*wanted.nearest_m)
     toward_eye = eye2[:2] - target
     bearing = math.atan2(toward_eye[1], toward_eye[0])
-    angle = bearing + rng.normal(0.0, 0.05) if wanted.case == "hidden" else rng.uniform(0.0, 2.0 * math.pi)
+    angle = (
+        bearing + rng.normal(0.0, 0.05)
+        if wanted.case == "hidden"
+        else rng.uniform(0.0, 2.0 * math.pi)
+    )
     places.append(target + nearest * _toward(angle))
     if wanted.case == "hidden":
         narrow, broad = SHOULDERS_M
@@ -251,7 +287,9 @@ def _people(
     for _ in range(60):
         if len(places) == PEOPLE:
             break
-        place = target + rng.uniform(max(nearest, BODY_WIDTH_M), CROWD_M) * _toward(rng.uniform(0.0, 2.0 * math.pi))
+        place = target + rng.uniform(max(nearest, BODY_WIDTH_M), CROWD_M) * _toward(
+            rng.uniform(0.0, 2.0 * math.pi)
+        )
         if min(float(np.linalg.norm(place - other)) for other in places) >= BODY_WIDTH_M:
             places.append(place)
     if len(places) < PEOPLE:
@@ -259,24 +297,32 @@ def _people(
     variants = rng.permutation(PEOPLE)
     return tuple(
         Thing("person", (float(x), float(y), 0.0), yaw, int(variant))
-        for (x, y), variant, yaw in zip(places, variants, _facing(wanted, nearest, angle, rng), strict=True)
+        for (x, y), variant, yaw in zip(
+            places, variants, _facing(wanted, nearest, angle, rng), strict=True
+        )
     )
 
 
-def _aside(wanted: Wanted, target: Array, eye1: Array, eye2: Array, rng: np.random.Generator) -> float:
+def _aside(
+    wanted: Wanted, target: Array, eye1: Array, eye2: Array, rng: np.random.Generator
+) -> float:
     """Returns by how much D2 does not look straight at the target, so that D1 is in its view too.
 
     Or the target is not.
     """
     to_target = target - eye2[:2]
     to_peer = eye1[:2] - eye2[:2]
-    between = math.remainder(math.atan2(to_peer[1], to_peer[0]) - math.atan2(to_target[1], to_target[0]), 2.0 * math.pi)
+    between = math.remainder(
+        math.atan2(to_peer[1], to_peer[0]) - math.atan2(to_target[1], to_target[0]), 2.0 * math.pi
+    )
     share = rng.uniform(0.3, 0.7) if wanted.case != "outside" else rng.uniform(1.0, 1.6)
     return share * between + rng.normal(0.0, math.radians(4.0))
 
 
 def _hover(eye: Array, target: Array, aside: float, rng: np.random.Generator) -> Pose:
-    """``T_w_b`` of a drone whose camera is about at ``eye`` and looks at the target, turned by ``aside``."""
+    """``T_w_b`` of a drone whose camera is about at ``eye`` and looks at the target, turned by
+    ``aside``.
+    """
     east, north = target - eye[:2]
     yaw = math.atan2(east, north) - aside
     roll, pitch = rng.normal(0.0, HOVER_TILT_RAD, 2)
@@ -298,14 +344,18 @@ def _target_fits(scene: DrawnStage) -> bool:
         return False
     if not _marker_seen(scene, receiver):
         return False
-    return receiver.holds(target) if scene.wanted.case != "outside" else not receiver.touches(target)
+    return (
+        receiver.holds(target) if scene.wanted.case != "outside" else not receiver.touches(target)
+    )
 
 
 def _crowd_fits(scene: DrawnStage) -> bool:
     """Returns whether nobody stands where a drone is, and D2 sees look-alikes."""
     others = scene.stage.things[1:]
     eyes = [scene.T_w_c(role).t for role in Role]
-    if any(math.dist(other.position_w_m[:2], eye[:2]) < CLEAR_M for other in others for eye in eyes):
+    if any(
+        math.dist(other.position_w_m[:2], eye[:2]) < CLEAR_M for other in others for eye in eyes
+    ):
         return False
     receiver = _view(scene, Role.RECEIVER)
     return sum(receiver.holds(other) for other in others) >= 2
@@ -327,7 +377,11 @@ def _hidden_share(eye: Array, target: Array, other: Array, shoulder_m: float) ->
         past = math.hypot(x + share * dx - ox, y + share * dy - oy)
         for height in SHIRT_HEIGHTS_M:
             up = z + share * (height - z)
-            blocked += 0.0 < share < 1.0 and past < (shoulder_m if up < SHIRT_M[1] else HEAD_M) and up < 1.7
+            blocked += (
+                0.0 < share < 1.0
+                and past < (shoulder_m if up < SHIRT_M[1] else HEAD_M)
+                and up < 1.7
+            )
     return blocked / (len(SHIRT_HEIGHTS_M) * len(SHIRT_ACROSS_M))
 
 

@@ -1,4 +1,6 @@
-"""The ambiguity trial: finding the target among six similar people, PATH against ORB and XFeat on the same frames."""
+"""The ambiguity trial: finding the target among six similar people, PATH against ORB and XFeat on
+the same frames.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,15 @@ import numpy as np
 from missions.trials.rivals.examples import draw_view
 from missions.trials.rivals.frame import FrameResult, FrameTask, judge
 from missions.trials.rivals.pictures import SweepCurve, draw_outcomes, draw_sweeps
-from missions.trials.rivals.report import TITLES, cause_table, findings, noise_table, notes, of_path, outcome_table
+from missions.trials.rivals.report import (
+    TITLES,
+    cause_table,
+    findings,
+    noise_table,
+    notes,
+    of_path,
+    outcome_table,
+)
 from missions.trials.rivals.score import Ballot, FrameTally, Rule, best_rule, tally
 from missions.trials.rivals.stage import Case, Wanted
 from missions.trials.rivals.variants import ORB_VARIANTS, XFEAT_VARIANTS, same_look, sentence, told
@@ -64,22 +74,38 @@ def run(request: TrialRequest) -> TrialResult:
             cause_table(judged, rules),
             *(_sweep_table(sweep, request.quick) for sweep in sweeps.values()),
         ),
-        pictures=_draw(request, _tasks(request, 0, wanted, variants), judged, rules, tallies, sweeps),
+        pictures=_draw(
+            request, _tasks(request, 0, wanted, variants), judged, rules, tallies, sweeps
+        ),
         notes=notes(judged, request.xfeat is not None),
     )
 
 
 def _wanted(request: TrialRequest) -> list[Wanted]:
-    """Returns the conditions of the frames, in an order by chance: the first of them shall be like all of them."""
+    """Returns the conditions of the frames, in an order by chance: the first of them shall be like
+    all of them.
+    """
     frames = QUICK_FRAMES if request.quick else FRAMES
     wanted = [Wanted(case) for case, count in frames.items() for _ in range(count)]
-    return [wanted[i] for i in np.random.default_rng([request.seed, 2]).permutation(len(wanted)).tolist()]
+    return [
+        wanted[i]
+        for i in np.random.default_rng([request.seed, 2]).permutation(len(wanted)).tolist()
+    ]
 
 
-def _tasks(request: TrialRequest, part: int, wanted: Sequence[Wanted], variants: Variants) -> list[FrameTask]:
+def _tasks(
+    request: TrialRequest, part: int, wanted: Sequence[Wanted], variants: Variants
+) -> list[FrameTask]:
     parts = request.part("renderer"), request.part("errors"), request.rig
     return [
-        FrameTask(*parts, each, (request.seed, part, number), request.xfeat, variants["orb"], variants["xfeat"])
+        FrameTask(
+            *parts,
+            each,
+            (request.seed, part, number),
+            request.xfeat,
+            variants["orb"],
+            variants["xfeat"],
+        )
         for number, each in enumerate(wanted)
     ]
 
@@ -87,18 +113,31 @@ def _tasks(request: TrialRequest, part: int, wanted: Sequence[Wanted], variants:
 def _judged(request: TrialRequest, wanted: Sequence[Wanted]) -> tuple[list[FrameResult], Variants]:
     """Every method on every frame, and the variants of the baselines that all frames were given to.
 
-    Features take longest: the first frames say which way of looking for them is best, the others keep to it.
+    Features take longest: the first frames say which way of looking for them is best, the others
+    keep to it.
     """
     tried = QUICK_TRIED if request.quick else TRIED
     variants: Variants = {"orb": ORB_VARIANTS, "xfeat": XFEAT_VARIANTS}
-    first = request.work.map("frames, all variants", judge, _tasks(request, 0, wanted, variants)[:tried])
-    kept = {"orb": same_look(ORB_VARIANTS, best_rule([each.orb for each in first], len(ORB_VARIANTS)).variant)}
+    first = request.work.map(
+        "frames, all variants", judge, _tasks(request, 0, wanted, variants)[:tried]
+    )
+    kept = {
+        "orb": same_look(
+            ORB_VARIANTS, best_rule([each.orb for each in first], len(ORB_VARIANTS)).variant
+        )
+    }
     if request.xfeat is not None:
-        kept["xfeat"] = same_look(XFEAT_VARIANTS, best_rule(_xfeat(first), len(XFEAT_VARIANTS)).variant)
-    chosen = {method: tuple(variants[method][i] for i in kept.get(method, ())) for method in variants}
+        kept["xfeat"] = same_look(
+            XFEAT_VARIANTS, best_rule(_xfeat(first), len(XFEAT_VARIANTS)).variant
+        )
+    chosen = {
+        method: tuple(variants[method][i] for i in kept.get(method, ())) for method in variants
+    }
     first = [
         replace(
-            each, orb=each.orb.only(kept["orb"]), xfeat=None if each.xfeat is None else each.xfeat.only(kept["xfeat"])
+            each,
+            orb=each.orb.only(kept["orb"]),
+            xfeat=None if each.xfeat is None else each.xfeat.only(kept["xfeat"]),
         )
         for each in first
     ]
@@ -122,15 +161,24 @@ def tallied(judged: Sequence[FrameResult], rules: Mapping[str, Rule]) -> dict[st
     return found
 
 
-def _sweeps(request: TrialRequest, variants: Variants, rules: Mapping[str, Rule]) -> dict[str, Sweep]:
+def _sweeps(
+    request: TrialRequest, variants: Variants, rules: Mapping[str, Rule]
+) -> dict[str, Sweep]:
     """Accuracy over the distance of the nearest look-alike, and over the angle between the views.
 
-    The target is present in all frames. The baselines keep the rules that were best on the main frames.
+    The target is present in all frames. The baselines keep the rules that were best on the main
+    frames.
     """
-    distances, angles = (QUICK_DISTANCES_M, QUICK_VIEWPOINTS_DEG) if request.quick else (DISTANCES_M, VIEWPOINTS_DEG)
+    distances, angles = (
+        (QUICK_DISTANCES_M, QUICK_VIEWPOINTS_DEG)
+        if request.quick
+        else (DISTANCES_M, VIEWPOINTS_DEG)
+    )
     count = QUICK_SWEEP_FRAMES if request.quick else SWEEP_FRAMES
     points = [Wanted("present", (distance, distance)) for distance in distances]
-    points += [Wanted("present", WIDE_NEAREST_M, math.radians(angle), WIDE_MARKER_M) for angle in angles]
+    points += [
+        Wanted("present", WIDE_NEAREST_M, math.radians(angle), WIDE_MARKER_M) for angle in angles
+    ]
     used: Variants = {method: (variants[method][rule.variant],) for method, rule in rules.items()}
     used = {"xfeat": (), **used}
     tasks = _tasks(request, 1, [point for point in points for _ in range(count)], used)
@@ -171,7 +219,9 @@ def _summary(
             name: {
                 "unit": title,
                 "values": list(values),
-                "methods": {method: [each[method].summary() for each in points] for method in tallies},
+                "methods": {
+                    method: [each[method].summary() for each in points] for method in tallies
+                },
             }
             for name, (title, values, points) in sweeps.items()
         },
@@ -210,16 +260,22 @@ def _draw(
         (
             title,
             values,
-            [SweepCurve(method, TITLES[method], tuple(point[method] for point in points)) for method in tallies],
+            [
+                SweepCurve(method, TITLES[method], tuple(point[method] for point in points))
+                for method in tallies
+            ],
         )
         for title, values, points in sweeps.values()
     ]
     draw_sweeps(drawn, request.out / "sweeps.png")
     caption = draw_view(request, tasks, judged, rules)
     return (
-        TrialPicture("outcomes.png", "Frames by outcome. Rates are of all frames, as the paper's are."),
         TrialPicture(
-            "sweeps.png", "Right answers over the nearest look-alike's distance and over the angle of the views."
+            "outcomes.png", "Frames by outcome. Rates are of all frames, as the paper's are."
+        ),
+        TrialPicture(
+            "sweeps.png",
+            "Right answers over the nearest look-alike's distance and over the angle of the views.",
         ),
         TrialPicture("examples.png", caption),
     )

@@ -1,4 +1,6 @@
-"""The true owner of each pixel in an image, by the exact depth of what it sees, people in front included."""
+"""The true owner of each pixel in an image, by the exact depth of what it sees, people in front
+included.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from flight.harness.renderer import FrameRenderer, Thing
-from missions.trials.rivals.stage import CAMERAS, PERSON_HEIGHT_M, SHIRT_ACROSS_M, SHIRT_HEIGHTS_M, DrawnStage
+from missions.trials.rivals.stage import (
+    CAMERAS,
+    PERSON_HEIGHT_M,
+    SHIRT_ACROSS_M,
+    SHIRT_HEIGHTS_M,
+    DrawnStage,
+)
 from path.messages import Role
 from path.observations import Box
 
@@ -31,15 +39,21 @@ class TrueView:
     role: Role
 
     def who(self, u: float, v: float) -> tuple[int | None, float]:
-        """Index of the person seen at a pixel (None: no person), and the depth there (inf: nothing in reach)."""
+        """Index of the person seen at a pixel (None: no person), and the depth there (inf: nothing
+        in reach).
+        """
         depth = self.renderer.true_depth_m(self.scene.stage, self.role, u, v)
         if depth is None:
             return None, math.inf
         x, y = CAMERAS[self.role].ray(u, v)
-        east, north, up = self.scene.T_w_c(self.role).apply(np.array([x * depth, y * depth, depth])).tolist()
+        east, north, up = (
+            self.scene.T_w_c(self.role).apply(np.array([x * depth, y * depth, depth])).tolist()
+        )
         if not GROUND_M < up < PERSON_HEIGHT_M + 0.1:
             return None, depth
-        away = [math.dist(thing.position_w_m[:2], (east, north)) for thing in self.scene.stage.things]
+        away = [
+            math.dist(thing.position_w_m[:2], (east, north)) for thing in self.scene.stage.things
+        ]
         nearest = int(np.argmin(away))
         return (nearest if away[nearest] < BODY_M else None), depth
 
@@ -75,7 +89,9 @@ class TrueView:
         shown = behind = asked = 0
         for height in SHIRT_HEIGHTS_M:
             for aside in SHIRT_ACROSS_M:
-                x, y, z = T_c_w.apply(np.array(thing.position_w_m) + aside * across + np.array([0, 0, height])).tolist()
+                x, y, z = T_c_w.apply(
+                    np.array(thing.position_w_m) + aside * across + np.array([0, 0, height])
+                ).tolist()
                 if not CAMERAS[self.role].sees((x, y, z)):
                     asked += 1
                     continue
@@ -88,7 +104,9 @@ class TrueView:
 
 
 def shirt_box(scene: DrawnStage, role: Role, person: int) -> Box:
-    """Returns about the box of a person's shirt, which is what the detector finds, when nothing hides it."""
+    """Returns about the box of a person's shirt, which is what the detector finds, when nothing
+    hides it.
+    """
     thing: Thing = scene.stage.things[person]
     T_w_c = scene.T_w_c(role)
     c = math.cos(thing.yaw_rad)

@@ -36,7 +36,9 @@ ORB_VARIANTS = _variants(
     MatchConfig(max_hamming=80),
 )
 XFEAT_VARIANTS = _variants(
-    (FeatureSearch(2.0), FeatureSearch(1.0), FeatureSearch(1.0, 0.2)), (0.8, 0.9, 0.95), MatchConfig()
+    (FeatureSearch(2.0), FeatureSearch(1.0), FeatureSearch(1.0, 0.2)),
+    (0.8, 0.9, 0.95),
+    MatchConfig(),
 )
 
 

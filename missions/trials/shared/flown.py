@@ -1,4 +1,6 @@
-"""A whole mission flown for a trial: its facts and its logs, which are thrown away once they were read."""
+"""A whole mission flown for a trial: its facts and its logs, which are thrown away once they were
+read.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The page of a trial, or of all: one HTML file with everything in it, to be read, sent and kept."""
+"""The page of a trial, or of all: one HTML file with everything in it, to be read, sent and
+kept.
+"""
 
 from __future__ import annotations
 
@@ -88,7 +90,9 @@ def _overview(chapters: Sequence[Chapter]) -> str:
     for chapter in chapters:
         link = f'<a href="#{chapter.name}">{escape(chapter.name)}</a>'
         if chapter.result is None:
-            rows.append(f'<tr><td>{link}</td><td colspan="5">failed</td><td class="short">failed</td></tr>')
+            rows.append(
+                f'<tr><td>{link}</td><td colspan="5">failed</td><td class="short">failed</td></tr>'
+            )
             continue
         compared = [finding for finding in chapter.result.findings if finding.paper or finding.goal]
         for finding in compared or chapter.result.findings[:1]:
@@ -116,10 +120,14 @@ def _chapter(chapter: Chapter, *, alone: bool) -> str:
         f'<p class="dim">{escape(paper)}Took {chapter.wall_s:.0f} s. Again: <code>{escape(chapter.command)}</code></p>'
     )
     if chapter.result is None:
-        return "\n".join([*parts, f"<p><b>This trial failed:</b></p><pre>{escape(chapter.error)}</pre>"])
+        return "\n".join(
+            [*parts, f"<p><b>This trial failed:</b></p><pre>{escape(chapter.error)}</pre>"]
+        )
     result = chapter.result
     parts.append(_findings(result.findings))
-    parts += [_picture(chapter.folder / picture.file, picture.caption) for picture in result.pictures]
+    parts += [
+        _picture(chapter.folder / picture.file, picture.caption) for picture in result.pictures
+    ]
     parts += [_table(table) for table in result.tables]
     if result.noise is not None:
         parts.append(_table(result.noise))
@@ -132,14 +140,18 @@ def _findings(findings: Iterable[TrialFinding]) -> str:
     for finding in findings:
         rows.append(f"<tr>{_cells(finding)}</tr>")
         if finding.note:
-            rows.append(f'<tr><td></td><td class="dim" colspan="5">{escape(finding.note)}</td></tr>')
+            rows.append(
+                f'<tr><td></td><td class="dim" colspan="5">{escape(finding.note)}</td></tr>'
+            )
     heads = "".join(f"<th>{head}</th>" for head in FINDING_HEADS)
     return f'<div class="wide"><table><tr>{heads}</tr>{"".join(rows)}</table></div>'
 
 
 def _table(table: TrialTable) -> str:
     heads = "".join(f"<th>{escape(head)}</th>" for head in table.columns)
-    rows = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in table.rows)
+    rows = "".join(
+        f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in table.rows
+    )
     note = f'<p class="dim">{escape(table.note)}</p>' if table.note else ""
     return f'<h3>{escape(table.title)}</h3><div class="wide"><table><tr>{heads}</tr>{rows}</table></div>{note}'
 

@@ -40,7 +40,8 @@ def wilson(successes: int, trials: int) -> Interval:
 
 
 def upper_bound(events: int, trials: int, confidence: float = 0.95) -> float:
-    """One-sided upper bound of a rate (Clopper and Pearson): events this rare are seen more often with ``confidence``.
+    """One-sided upper bound of a rate (Clopper and Pearson): events this rare are seen more often
+    with ``confidence``.
 
     No event in n trials gives about 3 / n at 95 %.
 
@@ -62,8 +63,8 @@ def bootstrap(
     """95 % percentile bootstrap of a statistic of ``values``, shape (n, ...).
 
     Args:
-        groups: (n,) numbers of what was drawn together: samples that share an error are resampled together, otherwise
-            the interval claims what repeating the same error cannot show.
+        groups: (n,) numbers of what was drawn together: samples that share an error are resampled
+            together, otherwise the interval claims what repeating the same error cannot show.
     """
     member = np.arange(len(values)) if groups is None else np.unique(groups, return_inverse=True)[1]
     order = np.argsort(member, kind="stable")
@@ -72,9 +73,12 @@ def bootstrap(
     draws = rng.integers(0, len(sizes), (RESAMPLES, len(sizes)))
     lengths = sizes[draws].sum(axis=1)
     figures: list[Array] = []
-    for length in np.unique(lengths):  # samples that are equally long are computed at once, but for what memory holds
+    # samples that are equally long are computed at once, but for what memory holds
+    for length in np.unique(lengths):
         alike = draws[lengths == length]
-        for some in np.array_split(alike, math.ceil(len(alike) * length * values[0].size / AT_ONCE)):
+        for some in np.array_split(
+            alike, math.ceil(len(alike) * length * values[0].size / AT_ONCE)
+        ):
             parts = sizes[some.ravel()]
             within = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
             picks = order[np.repeat(firsts[some.ravel()], parts) + within]
@@ -133,7 +137,9 @@ def _check(events: int, trials: int) -> None:
 
 
 def blocks_interval(values: Array, groups: NDArray[np.int64], rng: np.random.Generator) -> Interval:
-    """95 % interval of the mean of values (n,), whole groups (n,) drawn together; (nan, nan) without any."""
+    """95 % interval of the mean of values (n,), whole groups (n,) drawn together; (nan, nan)
+    without any.
+    """
     if not len(values):
         return math.nan, math.nan
     _, member = np.unique(groups, return_inverse=True)
@@ -145,6 +151,8 @@ def blocks_interval(values: Array, groups: NDArray[np.int64], rng: np.random.Gen
 
 
 def whitened(error: Array, covariance: Array) -> float:
-    """Squared error (any shape) over its stated covariance (n, n), by the number of its components: 1 when honest."""
+    """Squared error (any shape) over its stated covariance (n, n), by the number of its components:
+    1 when honest.
+    """
     e = error.ravel()
     return float(e @ np.linalg.solve(covariance, e)) / len(e)

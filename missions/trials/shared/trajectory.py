@@ -1,8 +1,9 @@
-"""Two records of one motion: how their clocks and frames lie to each other, and how far they are apart then.
+"""Two records of one motion: how their clocks and frames lie to each other, and how far they are
+apart then.
 
-A *curve* is a motion by an own clock and in an own frame; *samples* are positions of the same motion by another clock
-and in another frame. With an offset ``d`` and a transform between the frames, a sample at ``t`` is
-``R c(t + d) + shift``.
+A *curve* is a motion by an own clock and in an own frame; *samples* are positions of the same
+motion by another clock and in another frame. With an offset ``d`` and a transform between the
+frames, a sample at ``t`` is ``R c(t + d) + shift``.
 """
 
 from __future__ import annotations
@@ -61,7 +62,8 @@ class Trajectory:
 class MotionPair:
     """One motion in both records.
 
-    ``wander_s``: the curve drifts, its shift changes from one such time to the next, linearly between; None: never.
+    ``wander_s``: the curve drifts, its shift changes from one such time to the next, linearly
+    between; None: never.
     """
 
     curve: Trajectory
@@ -71,14 +73,16 @@ class MotionPair:
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """The alignment of samples with curves; standard deviations are from a bootstrap over blocks of time.
+    """The alignment of samples with curves; standard deviations are from a bootstrap over blocks of
+    time.
 
     Attributes:
         offset_s: add it to a sample's stamp to get the curve's.
         R: (3, 3), common to all pairs; ``yaw_rad`` is its turn about the vertical.
         shifts: (3,) of each pair, the mean of one that wanders.
         shift_sigma_m: per axis, of each pair.
-        residuals: of each pair, curve minus samples in the samples' frame, (n, 3); NaN where the curve is not known.
+        residuals: of each pair, curve minus samples in the samples' frame, (n, 3); NaN where the
+            curve is not known.
         used: of each pair, the samples (bool) that no outlier test refused.
         scales_m: of each pair, robust standard deviation of a residual per axis.
     """
@@ -112,7 +116,9 @@ def coarse_offset(curve: Trajectory, samples: Trajectory) -> float:
         x = a[max(0, lag) : lag + len(b)]
         y = b[max(0, -lag) :]
         n = min(len(x), len(y))
-        cost = float(np.nanmean((x[:n] - y[:n]) ** 2)) / max(float(np.nanvar(x[:n])) + float(np.nanvar(y[:n])), 1e-9)
+        cost = float(np.nanmean((x[:n] - y[:n]) ** 2)) / max(
+            float(np.nanvar(x[:n])) + float(np.nanvar(y[:n])), 1e-9
+        )
         if cost < best_cost:
             best = lag
             best_cost = cost
@@ -120,7 +126,9 @@ def coarse_offset(curve: Trajectory, samples: Trajectory) -> float:
 
 
 def _speeds(motion: Trajectory) -> tuple[float, Array]:
-    """Start, and mean speed over ``BASE_S`` on a grid; the middle of three, against single wrong positions."""
+    """Start, and mean speed over ``BASE_S`` on a grid; the middle of three, against single wrong
+    positions.
+    """
     if len(motion.t) < 3:
         return 0.0, np.zeros(0)
     middle = motion.p.copy()
@@ -156,7 +164,10 @@ def align(
         weights, _ = problem.weights(residuals, known)
         before = state
         state = problem.stepped(state, residuals, jacobian, weights)
-        if abs(state.offset_s - before.offset_s) < 1e-7 and float(np.abs(state.R - before.R).max()) < 1e-9:
+        if (
+            abs(state.offset_s - before.offset_s) < 1e-7
+            and float(np.abs(state.R - before.R).max()) < 1e-9
+        ):
             break
     residuals, jacobian, known = problem.linearized(state)
     weights, scales = problem.weights(residuals, known)
@@ -170,7 +181,9 @@ def align(
         offset_sigma_s=float(np.std([other.offset_s for other in tried])),
         yaw_sigma_rad=float(np.std([_yaw(other.R @ state.R.T) for other in tried])),
         shift_sigma_m=tuple(np.sqrt(np.mean(np.var(means, axis=0), axis=1)).tolist()),
-        residuals=tuple(np.where(known[part, None], residuals[part], np.nan) for part in problem.parts),
+        residuals=tuple(
+            np.where(known[part, None], residuals[part], np.nan) for part in problem.parts
+        ),
         used=tuple(weights[part] > 0.0 for part in problem.parts),
         scales_m=scales,
     )
@@ -186,29 +199,40 @@ class _TrajectoryFit:
 
 
 class _Problem:
-    """Residuals of all pairs, stacked: unknown are the offset, the rotation vector, and the shifts of each pair."""
+    """Residuals of all pairs, stacked: unknown are the offset, the rotation vector, and the shifts
+    of each pair.
+    """
 
     def __init__(self, pairs: Sequence[MotionPair], fit_offset: bool, turn: Turn) -> None:
         self._pairs = pairs
         self._axes = np.eye(3)[2:] if turn == "vertical" else np.eye(3)
         self._fit_offset = fit_offset
         self._turn: Turn = turn
-        self.parts = [slice(int(a), int(b)) for a, b in pairwise(np.cumsum([0, *(len(p.samples.t) for p in pairs)]))]
+        self.parts = [
+            slice(int(a), int(b))
+            for a, b in pairwise(np.cumsum([0, *(len(p.samples.t) for p in pairs)]))
+        ]
         t = np.concatenate([pair.samples.t for pair in pairs])
         # what wanders is alike for as long
-        self.blocks = blocks_of(t, max([BLOCK_S, *(pair.wander_s for pair in pairs if pair.wander_s is not None)]))
+        self.blocks = blocks_of(
+            t, max([BLOCK_S, *(pair.wander_s for pair in pairs if pair.wander_s is not None)])
+        )
         self._hats = [_hats(pair.samples.t, pair.wander_s) for pair in pairs]
         first = 1 + len(self._axes)
         self._columns = [
             slice(int(a), int(b))
-            for a, b in pairwise(first + np.cumsum([0, *(3 * hats.shape[1] for hats in self._hats)]))
+            for a, b in pairwise(
+                first + np.cumsum([0, *(3 * hats.shape[1] for hats in self._hats)])
+            )
         ]
 
     def start(self, offset_s: float) -> _TrajectoryFit:
-        """Closed form at the guessed offset (Umeyama without scale); outliers are still in, few, and within metres.
+        """Closed form at the guessed offset (Umeyama without scale); outliers are still in, few,
+        and within metres.
 
-        Shifts are medians of what is left, by then in one frame: medians of each record's own places turn with the
-        frame that they are taken in, and a pair that starts wrong by that is refused as a whole and stays so.
+        Shifts are medians of what is left, by then in one frame: medians of each record's own
+        places turn with the frame that they are taken in, and a pair that starts wrong by that is
+        refused as a whole and stays so.
         """
         together = list[tuple[Array, Array]]()
         for pair in self._pairs:
@@ -217,13 +241,19 @@ class _Problem:
             if np.count_nonzero(known) < 10:
                 raise ValueError("too few samples lie on the curve")
             together.append((x[known], pair.samples.p[known]))
-        a, b = (np.concatenate([own - own.mean(axis=0) for own in side]) for side in zip(*together, strict=True))
+        a, b = (
+            np.concatenate([own - own.mean(axis=0) for own in side])
+            for side in zip(*together, strict=True)
+        )
         R = rotation_between(a, b, self._turn)
         shifts = (np.median(y - x @ R.T, axis=0) for x, y in together)
         return _TrajectoryFit(
             offset_s,
             R,
-            tuple(np.tile(shift, (hats.shape[1], 1)) for shift, hats in zip(shifts, self._hats, strict=True)),
+            tuple(
+                np.tile(shift, (hats.shape[1], 1))
+                for shift, hats in zip(shifts, self._hats, strict=True)
+            ),
         )
 
     def linearized(self, state: _TrajectoryFit) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -240,7 +270,9 @@ class _Problem:
             velocity = pair.curve.velocity_at(instants) @ state.R.T
             fine = np.isfinite(placed[:, 0]) & np.isfinite(velocity[:, 0])
             known[where] = fine
-            residuals[where] = np.where(fine[:, None], placed + hats @ state.shifts[k] - pair.samples.p, 0.0)
+            residuals[where] = np.where(
+                fine[:, None], placed + hats @ state.shifts[k] - pair.samples.p, 0.0
+            )
             part = jacobian[where]
             if self._fit_offset:
                 part[:, :, 0] = np.where(fine[:, None], velocity, 0.0)
@@ -250,7 +282,9 @@ class _Problem:
                 part[:, i, self._columns[k].start + i : self._columns[k].stop : 3] = hats
         return residuals, jacobian, known
 
-    def weights(self, residuals: Array, known: NDArray[np.bool_]) -> tuple[Array, tuple[float, ...]]:
+    def weights(
+        self, residuals: Array, known: NDArray[np.bool_]
+    ) -> tuple[Array, tuple[float, ...]]:
         """Robust weights (n,), zero for outliers and unknown ones, and the spread of each pair."""
         weights = np.zeros(len(residuals))
         scales = list[float]()
@@ -260,13 +294,22 @@ class _Problem:
             weights[part] = np.where(known[part], huber(own, scales[-1]) / scales[-1] ** 2, 0.0)
         return weights, tuple(scales)
 
-    def stepped(self, state: _TrajectoryFit, residuals: Array, jacobian: Array, weights: Array) -> _TrajectoryFit:
+    def stepped(
+        self, state: _TrajectoryFit, residuals: Array, jacobian: Array, weights: Array
+    ) -> _TrajectoryFit:
         """One Gauss-Newton step."""
         rows = (jacobian * np.sqrt(weights)[:, None, None]).reshape(-1, jacobian.shape[2])
-        return self._moved(state, rows.T @ rows, rows.T @ (residuals * np.sqrt(weights)[:, None]).ravel())
+        return self._moved(
+            state, rows.T @ rows, rows.T @ (residuals * np.sqrt(weights)[:, None]).ravel()
+        )
 
     def resampled(
-        self, state: _TrajectoryFit, residuals: Array, jacobian: Array, weights: Array, rng: np.random.Generator
+        self,
+        state: _TrajectoryFit,
+        residuals: Array,
+        jacobian: Array,
+        weights: Array,
+        rng: np.random.Generator,
     ) -> list[_TrajectoryFit]:
         """Returns where one step leads when each block of time counts as often as it is drawn.
 
@@ -276,12 +319,18 @@ class _Problem:
         normals = list[Array]()
         gradients = list[Array]()
         for block in blocks:
-            rows = (jacobian[block] * np.sqrt(weights[block])[:, None, None]).reshape(-1, jacobian.shape[2])
+            rows = (jacobian[block] * np.sqrt(weights[block])[:, None, None]).reshape(
+                -1, jacobian.shape[2]
+            )
             normals.append(rows.T @ rows)
             gradients.append(rows.T @ (residuals[block] * np.sqrt(weights[block])[:, None]).ravel())
         draws = (rng.integers(0, len(blocks), len(blocks)) for _ in range(RESAMPLES))
         return [
-            self._moved(state, np.sum([normals[i] for i in draw], axis=0), np.sum([gradients[i] for i in draw], axis=0))
+            self._moved(
+                state,
+                np.sum([normals[i] for i in draw], axis=0),
+                np.sum([gradients[i] for i in draw], axis=0),
+            )
             for draw in draws
         ]
 
@@ -290,12 +339,17 @@ class _Problem:
         R = exp(self._axes.T @ step[1 : 1 + len(self._axes)]) @ state.R
         # small against the curve's own bends, so that the slope still holds
         offset_s = state.offset_s + float(np.clip(step[0], -0.3, 0.3))
-        shifts = [shift + step[own].reshape(-1, 3) for shift, own in zip(state.shifts, self._columns, strict=True)]
+        shifts = [
+            shift + step[own].reshape(-1, 3)
+            for shift, own in zip(state.shifts, self._columns, strict=True)
+        ]
         return _TrajectoryFit(offset_s, R, tuple(shifts))
 
 
 def _solved(normal: Array, gradient: Array) -> Array:
-    """The step of the normal equations; what no sample says anything of (a knot in a gap) stays where it is."""
+    """The step of the normal equations; what no sample says anything of (a knot in a gap) stays
+    where it is.
+    """
     scale = np.sqrt(np.diag(normal))
     scale[scale == 0.0] = 1.0
     scaled = normal / (scale[:, None] * scale) + RIDGE * np.eye(len(normal))
@@ -315,7 +369,8 @@ def rotation_between(a: Array, b: Array, turn: Turn) -> Array:
     """The rotation that takes vectors (n, 3) to others best; about z alone, or any (Umeyama)."""
     if turn == "vertical":
         angle = math.atan2(
-            float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1]))
+            float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])),
+            float(np.sum(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1])),
         )
         return exp(np.array([0.0, 0.0, angle]))
     u, _, v = np.linalg.svd(b.T @ a)
@@ -334,12 +389,17 @@ def _scale(residuals: Array) -> float:
 
 
 def huber(residuals: Array, scale: float) -> Array:
-    """Returns the weight of each of the residuals (n, 3), (n,), by its length over a deviation per axis."""
+    """Returns the weight of each of the residuals (n, 3), (n,), by its length over a deviation per
+    axis.
+    """
     length = np.linalg.norm(residuals, axis=1) / (math.sqrt(3.0) * scale)
-    return np.where(length < HUBER, 1.0, np.where(length < REJECT, HUBER / np.maximum(length, HUBER), 0.0))
+    return np.where(
+        length < HUBER, 1.0, np.where(length < REJECT, HUBER / np.maximum(length, HUBER), 0.0)
+    )
 
 
-# --- how far apart ---------------------------------------------------------------------------------------------------
+# --- how far apart
+# ---------------------------------------------------------------------------------------------------
 
 
 def ape(residuals: Array) -> Array:
@@ -348,7 +408,9 @@ def ape(residuals: Array) -> Array:
 
 
 def rpe_after(t: Array, residuals: Array, after_s: float) -> Array:
-    """Relative errors over a time: how the residuals (n, 3) at instants (n,) change; pairs within a fifth of it."""
+    """Relative errors over a time: how the residuals (n, 3) at instants (n,) change; pairs within a
+    fifth of it.
+    """
     after = np.clip(np.searchsorted(t, t + after_s), 1, len(t) - 1)
     after -= np.abs(t[after - 1] - t - after_s) < np.abs(t[after] - t - after_s)
     fine = np.abs(t[after] - t - after_s) < 0.2 * after_s

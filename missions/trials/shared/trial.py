@@ -27,8 +27,8 @@ class TrialRequest:
         xfeat: weights of XFeat (ONNX), None when not named.
         logs: folder of a session to be judged instead of flying one, None when not named.
         seconds: how long to record where nothing is flown; 0: until Ctrl-C.
-        sets: TOML files that describe sets of photographs. ``photographs``: what their paths are relative to, None for
-            each file's own folder.
+        sets: TOML files that describe sets of photographs. ``photographs``: what their paths are
+            relative to, None for each file's own folder.
     """
 
     rig: Rig
@@ -43,7 +43,9 @@ class TrialRequest:
     photographs: Path | None = None
 
     def part(self, name: str) -> Any:
-        """The class or function that the rig's ``[trials]`` table names. Raises PartError when it names none."""
+        """The class or function that the rig's ``[trials]`` table names. Raises PartError when it
+        names none.
+        """
         return trial_part(self.rig, name)
 
 

@@ -1,4 +1,6 @@
-"""Small numba routines of the photometric fit: scale of its residuals, its steps, its covariance."""
+"""Small numba routines of the photometric fit: scale of its residuals, its steps, its
+covariance.
+"""
 
 from __future__ import annotations
 
@@ -13,25 +15,33 @@ from path.marker.photometric.pattern import BLUR, TONE, UNKNOWNS
 from path.marker.photometric.print_pixels import corner_rays
 
 Statistics = tuple[float, float, float, float]
-"""Sum of weights, variance of the residual, share of the image explained, correlation of neighbours in a row."""
+"""Sum of weights, variance of the residual, share of the image explained, correlation of neighbours
+in a row.
+"""
 
 START_BLUR_PX = 0.75  # an ordinary lens and pixel
 FILTERED_BLUR_SIGMA_PX = 0.003  # beside the filter blur is as good as known: the filter can be one
 SHADOW_DAMPING = 0.005
-MOST_CHANGE = (0.2, 0.2, 0.15, 0.5, 1.0)  # in a step, of a shadow's depth, direction, offset, log width; of others
-MAX_CORRELATION = 0.5  # of neighbouring residuals; counted in both directions, it divides the pixels by up to 9
-MISFIT_PX = 2.0  # what a correlated residual as large as the contrast moves a corner; from photographs of boards
+# in a step, of a shadow's depth, direction, offset, log width; of others
+MOST_CHANGE = (0.2, 0.2, 0.15, 0.5, 1.0)
+# of neighbouring residuals; counted in both directions, it divides the pixels by up to 9
+MAX_CORRELATION = 0.5
+# what a correlated residual as large as the contrast moves a corner; from photographs of boards
+MISFIT_PX = 2.0
 # more hides what moves a corner; less has too few pixels an edge
 USUAL_BLUR_PX = 0.63
 LEAST_BLUR_PX = 0.4
 SHARP_MISFIT = 0.62  # the same where blur is less, times its power of 1.5 in px
 SURE_CORRELATION = 0.18  # of neighbouring residuals, from which on they are no noise
-CONSISTENCY = 1.6  # weights take 1.28 off the residual's variance; the rest is measured on exact images of markers
+# weights take 1.28 off the residual's variance; the rest is measured on exact images of markers
+CONSISTENCY = 1.6
 
 
 @kernel
 def robust_scale(residuals: Array) -> float:
-    """Robust standard deviation of the residuals (from their median size), at least half a grey level."""
+    """Robust standard deviation of the residuals (from their median size), at least half a grey
+    level.
+    """
     bins = np.zeros(512, np.int64)
     count = 0
     for k in range(residuals.shape[0]):
@@ -49,7 +59,9 @@ def robust_scale(residuals: Array) -> float:
 
 @kernel
 def tones(pixels: Array) -> tuple[float, float]:
-    """Black and contrast to start from: what 10 % of the pixels stay below, and how far above it 10 % are."""
+    """Black and contrast to start from: what 10 % of the pixels stay below, and how far above it 10
+    % are.
+    """
     bins = np.zeros(256, np.int64)
     total = 0
     for k in range(pixels.shape[0]):
@@ -66,9 +78,17 @@ def tones(pixels: Array) -> tuple[float, float]:
 
 @inner
 def _change(
-    normal: Array, noise: float, theta: Array, extra: Array, used: Places, sigmas: Array, factor: Array
+    normal: Array,
+    noise: float,
+    theta: Array,
+    extra: Array,
+    used: Places,
+    sigmas: Array,
+    factor: Array,
 ) -> Array:
-    """Right side of the normal equations with what is expected of the unknowns; their matrix into ``factor``."""
+    """Right side of the normal equations with what is expected of the unknowns; their matrix into
+    ``factor``.
+    """
     size = normal.shape[0]
     change = np.empty(size)
     for i in range(size):
@@ -90,7 +110,8 @@ def _change(
             weight = (noise / sigma) ** 2
             factor[i, i] += weight
             change[i] -= weight * away
-    if size > UNKNOWNS and used[-1] == extra.shape[0] - 1:  # a wide shadow is almost a slope of the light
+    # a wide shadow is almost a slope of the light
+    if size > UNKNOWNS and used[-1] == extra.shape[0] - 1:
         for i in range(size):
             if 8 <= i < BLUR or i >= size - SHADOW:
                 factor[i, i] *= 1.0 + SHADOW_DAMPING
@@ -111,10 +132,12 @@ def step(
     corners: Array,
     jacobian: Array,
 ) -> float:
-    """One Gauss-Newton step: changes the unknowns, ``corners``, their ``jacobian``; fills the Cholesky ``factor``.
+    """One Gauss-Newton step: changes the unknowns, ``corners``, their ``jacobian``; fills the
+    Cholesky ``factor``.
 
-    Weak priors keep tone, blur and the slope of light finite on tiny markers. The first 16 rows of ``normal`` are of
-    ``theta``, the others of those of ``extra`` that are ``used``, with the deviations ``sigmas`` expected of them.
+    Weak priors keep tone, blur and the slope of light finite on tiny markers. The first 16 rows of
+    ``normal`` are of ``theta``, the others of those of ``extra`` that are ``used``, with the
+    deviations ``sigmas`` expected of them.
 
     Returns:
         The longest way a corner moved, px; 1e9 when there was no step.
@@ -145,7 +168,9 @@ def step(
 
 @kernel
 def statistics(pixels: Array, residuals: Array, spread: float, used: int) -> Statistics:
-    """Sum of weights, variance of the residual, share of the image explained, correlation of neighbours in a row."""
+    """Sum of weights, variance of the residual, share of the image explained, correlation of
+    neighbours in a row.
+    """
     total = squares = grey = grey2 = beside = near = 0.0
     w_before = 0.0
     for k in range(pixels.shape[0]):
@@ -184,14 +209,19 @@ def finish(
 ) -> None:
     """Turn ``corners`` from rays into pixels and fill ``covariance``."""
     _, variance, _, correlation = measured
-    if lens[12] > 0.0:  # of a camera that leaves out pixels: it is those of its sensor that are too few or not
+    # of a camera that leaves out pixels: it is those of its sensor that are too few or not
+    if lens[12] > 0.0:
         blur_px *= lens[13] / lens[12]
-    sharp = min(correlation / SURE_CORRELATION, 1.0) * SHARP_MISFIT / max(blur_px, LEAST_BLUR_PX) ** 1.5
+    sharp = (
+        min(correlation / SURE_CORRELATION, 1.0) * SHARP_MISFIT / max(blur_px, LEAST_BLUR_PX) ** 1.5
+    )
     soft = MISFIT_PX * math.sqrt(correlation) * max(1.0, blur_px / USUAL_BLUR_PX)
     misfit_px = max(sharp, soft) * math.sqrt(variance) / contrast
     variance_used = CONSISTENCY * variance * ((1.0 + correlation) / (1.0 - correlation)) ** 2
     for k in range(4):
-        u, v, ux, uy, vx, vy = distort(corners[k, 0] / frame[4] + frame[2], corners[k, 1] / frame[4] + frame[3], lens)
+        u, v, ux, uy, vx, vy = distort(
+            corners[k, 0] / frame[4] + frame[2], corners[k, 1] / frame[4] + frame[3], lens
+        )
         corners[k, 0], corners[k, 1] = u, v
         for j in range(8):
             p = jacobian[2 * k, j] / frame[4]

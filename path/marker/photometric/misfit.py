@@ -2,12 +2,14 @@
 
     I = F * (l M),    F = 1 + sum_k f_k D_k,    l = 1 - d S((p cos a + q sin a - c) / w)
 
-M is the image of an ideal marker (``pattern``), F a symmetric filter of 5 x 5 pixels (sharpening, motion,
-what a mosaic and a codec leave) made of the second differences D_k, l the edge of a shadow, straight in the image, soft
-or hard, and the inner cell edges of M may be off, because the picture that was printed had whole pixels. The filter
-works on the model and not on the image, so that noise stays noise.
+M is the image of an ideal marker (``pattern``), F a symmetric filter of 5 x 5 pixels (sharpening,
+motion, what a mosaic and a codec leave) made of the second differences D_k, l the edge of a shadow,
+straight in the image, soft or hard, and the inner cell edges of M may be off, because the picture
+that was printed had whole pixels. The filter works on the model and not on the image, so that noise
+stays noise.
 
-The unknowns ``extra`` are, in this order: f 6, offsets of the inner edges 2 (n - 1), shadow (d, a, c, log w) 4.
+The unknowns ``extra`` are, in this order: f 6, offsets of the inner edges 2 (n - 1), shadow (d, a,
+c, log w) 4.
 """
 
 from __future__ import annotations
@@ -20,7 +22,15 @@ from numpy.typing import NDArray
 from path.camera.kernels import place
 from path.compiled import inner, kernel
 from path.marker.kernels import Array, undistort
-from path.marker.photometric.pattern import BLOCK, SATURATED, UNKNOWNS, add_last, add_row, clear, evaluate
+from path.marker.photometric.pattern import (
+    BLOCK,
+    SATURATED,
+    UNKNOWNS,
+    add_last,
+    add_row,
+    clear,
+    evaluate,
+)
 
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.int32]
@@ -63,7 +73,8 @@ def _raster(pixels: Array) -> tuple[int, int, Indices]:
 
 @kernel
 def stencil(pixels: Array, frame: Array, lens: Array) -> tuple[Array, Indices]:
-    """Places at which the filter needs the model: their rays (m, 2), and for each pixel (n, 13) which ones.
+    """Places at which the filter needs the model: their rays (m, 2), and for each pixel (n, 13)
+    which ones.
 
     A pixel's own place comes first, then both ends of each difference.
     """
@@ -96,7 +107,10 @@ def stencil(pixels: Array, frame: Array, lens: Array) -> tuple[Array, Indices]:
                 p = frame[5] * du + frame[6] * dv
                 q = frame[7] * du + frame[8] * dv
                 x, y = undistort(at_u, at_v, lens, frame[2] + p / frame[4], frame[3] + q / frame[4])
-                rays[total, 0], rays[total, 1] = (x - frame[2]) * frame[4], (y - frame[3]) * frame[4]
+                rays[total, 0], rays[total, 1] = (
+                    (x - frame[2]) * frame[4],
+                    (y - frame[3]) * frame[4],
+                )
             places[v, u] = total
             total += 1
     for k in range(count):
@@ -120,8 +134,12 @@ def own_places(pixels: Array) -> tuple[Array, Indices]:
 
 
 @kernel
-def model(rays: Array, theta: Array, extra: Array, groups: Flags, frame: Array, cells: Array, edges: Array) -> Array:
-    """The image without the filter at all places: derivatives to the 16, the offsets, the shadow; grey value last."""
+def model(
+    rays: Array, theta: Array, extra: Array, groups: Flags, frame: Array, cells: Array, edges: Array
+) -> Array:
+    """The image without the filter at all places: derivatives to the 16, the offsets, the shadow;
+    grey value last.
+    """
     n = cells.shape[0] - 2
     offsets = 2 * (n - 1) if groups[COARSE] else 0
     shadow = SHADOW if groups[SHADOWED] else 0
@@ -157,7 +175,9 @@ def model(rays: Array, theta: Array, extra: Array, groups: Flags, frame: Array, 
 
 @inner
 def _light(p: float, q: float, shadow: Array, value: float, row: Array) -> float:
-    """Light that a shadow leaves; fills ``row`` with the derivatives of ``value`` in that light to the shadow's 4."""
+    """Light that a shadow leaves; fills ``row`` with the derivatives of ``value`` in that light to
+    the shadow's 4.
+    """
     d = shadow[0]
     a = shadow[1]
     c = shadow[2]
@@ -172,11 +192,20 @@ def _light(p: float, q: float, shadow: Array, value: float, row: Array) -> float
 
 @kernel
 def accumulate_filtered(
-    pixels: Array, at: Indices, rows: Array, taps: Array, filtered: bool, spread: float, normal: Array, residuals: Array
+    pixels: Array,
+    at: Indices,
+    rows: Array,
+    taps: Array,
+    filtered: bool,
+    spread: float,
+    normal: Array,
+    residuals: Array,
 ) -> None:
-    """One pass over the pixels, as ``pattern.accumulate``, of the model's ``rows`` behind the filter.
+    """One pass over the pixels, as ``pattern.accumulate``, of the model's ``rows`` behind the
+    filter.
 
-    ``normal`` has shape (k, k + 1), its upper triangle is written; unknowns are 16, taps, then the rest of ``rows``.
+    ``normal`` has shape (k, k + 1), its upper triangle is written; unknowns are 16, taps, then the
+    rest of ``rows``.
     """
     clear(normal)
     size = normal.shape[0]
@@ -215,8 +244,11 @@ def accumulate_filtered(
     add_last(block, filled, normal)
 
 
-def used_unknowns(groups: Flags, cells: int, edge_sigma: float = EDGE_SIGMA) -> tuple[Places, Array]:
-    """Places in ``extra`` of the unknowns of some groups, in order, and the deviations expected of them (0: any).
+def used_unknowns(
+    groups: Flags, cells: int, edge_sigma: float = EDGE_SIGMA
+) -> tuple[Places, Array]:
+    """Places in ``extra`` of the unknowns of some groups, in order, and the deviations expected of
+    them (0: any).
 
     ``edge_sigma`` is that of inner edges, in cells.
     """

@@ -1,15 +1,17 @@
-"""The image of a printed marker: grey value and derivatives at one pixel, and the normal equations over all.
+"""The image of a printed marker: grey value and derivatives at one pixel, and the normal equations
+over all.
 
     I = (b0 + b1 x + b2 y) + (a0 + a1 x + a2 y) (T + kappa T (1 - T)),    (x, y) = homography(undistorted ray)
 
-where T is the printed pattern blurred by an isotropic Gaussian *of the image*. Seen from the print that blur has
-deviations s_x, s_y and a correlation rho that change with the view; per axis a cell edge becomes a normal distribution
-function, and the correlation enters at the vertices of cells as Mehler's expansion of the bivariate normal (to second
-order). kappa stands for a camera that is not linear in light. The 16 unknowns ``theta`` are, in this order: homography
-8 (its last element is 1), b 3, a 3, blur in px, kappa.
+where T is the printed pattern blurred by an isotropic Gaussian *of the image*. Seen from the print
+that blur has deviations s_x, s_y and a correlation rho that change with the view; per axis a cell
+edge becomes a normal distribution function, and the correlation enters at the vertices of cells as
+Mehler's expansion of the bivariate normal (to second order). kappa stands for a camera that is not
+linear in light. The 16 unknowns ``theta`` are, in this order: homography 8 (its last element is 1),
+b 3, a 3, blur in px, kappa.
 
-Print coordinates count cells, x right and y *down* from the top-left corner of the black frame; light is linear in
-coordinates that run from -1 to 1 over it.
+Print coordinates count cells, x right and y *down* from the top-left corner of the black frame;
+light is linear in coordinates that run from -1 to 1 over it.
 """
 
 from __future__ import annotations
@@ -35,12 +37,15 @@ _CDF = np.array([0.5 * math.erfc(-z / math.sqrt(2.0)) for z in _GRID])
 
 
 @inner
-def _edges(x: float, s: float, edges: Array, z: Array, pdf: Array, weight: Array) -> tuple[int, int]:
+def _edges(
+    x: float, s: float, edges: Array, z: Array, pdf: Array, weight: Array
+) -> tuple[int, int]:
     """Blurred cell edges along one axis at position ``x``.
 
-    Fills, for the active edges ``i = first..last``, ``z[i]`` = (x - edges[i])/s and ``pdf[i]``, and for the cells
-    ``first - 1..last`` their share ``weight[cell + 1]`` of the blur. Edges run 0..n, cells -1 (quiet) .. n (quiet).
-    Phi and phi come from a table with a third-order Taylor step (error below 1e-9).
+    Fills, for the active edges ``i = first..last``, ``z[i]`` = (x - edges[i])/s and ``pdf[i]``, and
+    for the cells ``first - 1..last`` their share ``weight[cell + 1]`` of the blur. Edges run 0..n,
+    cells -1 (quiet) .. n (quiet). Phi and phi come from a table with a third-order Taylor step
+    (error below 1e-9).
     """
     first = 0
     last = edges.shape[0] - 1
@@ -79,9 +84,10 @@ def evaluate(  # noqa: PLR0915 - one formula, written out
 ) -> float:
     """Model grey value at one pixel; fills ``row`` with its derivatives to the 16 unknowns.
 
-    ``p, q`` is the ray in the fit's own coordinates, see ``print_pixels.frame_of`` for ``frame``. ``cells`` is the
-    pattern with its quiet border, ``edges`` where its cells end along x and y, shape (2, cells + 1), ``work`` scratch
-    of shape (6, cells + 3). ``edge_row`` takes the derivatives to the inner edges, those along x first.
+    ``p, q`` is the ray in the fit's own coordinates, see ``print_pixels.frame_of`` for ``frame``.
+    ``cells`` is the pattern with its quiet border, ``edges`` where its cells end along x and y,
+    shape (2, cells + 1), ``work`` scratch of shape (6, cells + 3). ``edge_row`` takes the
+    derivatives to the inner edges, those along x first.
     """
     n = cells.shape[0] - 2
     inv_w = 1.0 / (1.0 + theta[6] * p + theta[7] * q)
@@ -180,9 +186,11 @@ def accumulate(
     normal: Array,
     residuals: Array,
 ) -> None:
-    """One pass over the pixels: weighted normal matrix, gradient in its last column, and residuals (0 where saturated).
+    """One pass over the pixels: weighted normal matrix, gradient in its last column, and residuals
+    (0 where saturated).
 
-    ``normal`` has shape (16, 17), its upper triangle is written. Weights fall off with the residual over ``spread``.
+    ``normal`` has shape (16, 17), its upper triangle is written. Weights fall off with the residual
+    over ``spread``.
     """
     clear(normal)
     work = np.empty((6, cells.shape[0] + 1))
@@ -190,8 +198,11 @@ def accumulate(
     block = np.zeros((2 * BLOCK, UNKNOWNS + 1))
     filled = 0
     for k in range(pixels.shape[0]):
-        r = pixels[k, 2] - evaluate(pixels[k, 0], pixels[k, 1], theta, frame, cells, edges, work, row, None)
-        if r < 0.0 and pixels[k, 2] >= SATURATED:  # as bright as a pixel can be: any brighter light explains it
+        r = pixels[k, 2] - evaluate(
+            pixels[k, 0], pixels[k, 1], theta, frame, cells, edges, work, row, None
+        )
+        # as bright as a pixel can be: any brighter light explains it
+        if r < 0.0 and pixels[k, 2] >= SATURATED:
             residuals[k] = 0.0
             continue
         residuals[k] = r
@@ -209,7 +220,8 @@ def clear(matrix: Array) -> None:
 
 @inner
 def add_row(row: Array, r: float, spread: float, block: Array, filled: int, normal: Array) -> int:
-    """Put a pixel's derivatives, weighted by its residual, into ``block`` (2 BLOCK, k + 1); a full one into ``normal``.
+    """Put a pixel's derivatives, weighted by its residual, into ``block`` (2 BLOCK, k + 1); a full
+    one into ``normal``.
 
     Several at once, because memory is the slow part. Returns how many rows the block holds.
     """

@@ -1,4 +1,6 @@
-"""Homography between a printed marker and the rays that see it, and which pixels of an image show the print."""
+"""Homography between a printed marker and the rays that see it, and which pixels of an image show
+the print.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,9 @@ MAX_PIXELS = 1600  # a larger marker is fitted on a selection of its pixels
 def frame_of(corners_px: Array, lens: Array, frame: Array, rays: Array) -> bool:
     """Coordinates in which a fit works: rays about the marker's centre, scaled to be of size one.
 
-    Fills ``frame`` with (centre u, v in px; centre ray x, y; scale; d(p, q)/d(u, v) by rows), shape (9,), and ``rays``
-    with (p, q) of the corners, shape (4, 2). False when the corners are no quadrilateral in front of the camera.
+    Fills ``frame`` with (centre u, v in px; centre ray x, y; scale; d(p, q)/d(u, v) by rows), shape
+    (9,), and ``rays`` with (p, q) of the corners, shape (4, 2). False when the corners are no
+    quadrilateral in front of the camera.
     """
     u = 0.25 * (corners_px[0, 0] + corners_px[1, 0] + corners_px[2, 0] + corners_px[3, 0])
     v = 0.25 * (corners_px[0, 1] + corners_px[1, 1] + corners_px[2, 1] + corners_px[3, 1])
@@ -43,7 +46,9 @@ def frame_of(corners_px: Array, lens: Array, frame: Array, rays: Array) -> bool:
 
 @kernel
 def homography(corners: Array, n: int, theta: Array) -> bool:
-    """Homography from ``corners`` (4, 2) to the print's corners (0,0) (n,0) (n,n) (0,n), into ``theta[:8]``."""
+    """Homography from ``corners`` (4, 2) to the print's corners (0,0) (n,0) (n,n) (0,n), into
+    ``theta[:8]``.
+    """
     x0 = corners[0, 0]
     y0 = corners[0, 1]
     x1 = corners[1, 0]
@@ -81,7 +86,9 @@ def homography(corners: Array, n: int, theta: Array) -> bool:
 
 @inner
 def corner_rays(theta: Array, n: int, corners: Array, jacobian: Array) -> None:
-    """The print's corners back in the fit's ray coordinates (4, 2), and d(corners)/d(theta[:8]), shape (8, 8)."""
+    """The print's corners back in the fit's ray coordinates (4, 2), and d(corners)/d(theta[:8]),
+    shape (8, 8).
+    """
     for k in range(4):
         x = 0.0 if k in (0, 3) else float(n)
         y = 0.0 if k < 2 else float(n)
@@ -98,7 +105,10 @@ def corner_rays(theta: Array, n: int, corners: Array, jacobian: Array) -> None:
         gains = (-p, -q, -1.0, x * p, x * q, y * p, y * q)
         for j in range(3):
             jacobian[2 * k, j], jacobian[2 * k + 1, j] = gains[j] * e / det, -gains[j] * d / det
-            jacobian[2 * k, 3 + j], jacobian[2 * k + 1, 3 + j] = -gains[j] * b / det, gains[j] * a / det
+            jacobian[2 * k, 3 + j], jacobian[2 * k + 1, 3 + j] = (
+                -gains[j] * b / det,
+                gains[j] * a / det,
+            )
         for j in range(2):
             gx = gains[3 + j]
             gy = gains[5 + j]
@@ -110,19 +120,23 @@ def corner_rays(theta: Array, n: int, corners: Array, jacobian: Array) -> None:
 def _on_print(p: float, q: float, theta: Array) -> tuple[float, float]:
     """Print coordinates of a ray."""
     w = 1.0 + theta[6] * p + theta[7] * q
-    return (theta[0] * p + theta[1] * q + theta[2]) / w, (theta[3] * p + theta[4] * q + theta[5]) / w
+    return (theta[0] * p + theta[1] * q + theta[2]) / w, (
+        theta[3] * p + theta[4] * q + theta[5]
+    ) / w
 
 
 @inner
 def _mixed(a: int, b: int) -> int:
-    """A whole number that looks random: a regular selection could run along the edges of a print."""
+    """A whole number that looks random: a regular selection could run along the edges of a
+    print.
+    """
     h = (a * 73856093) ^ (b * 19349663)
     h = ((h >> 13) ^ h) * 1274126177
     return h >> 7
 
 
 @kernel
-def gather(
+def gather(  # noqa: PLR0915 (one pass over the pixels, compiled)
     image: Gray,
     u_off: int,
     v_off: int,
@@ -141,15 +155,19 @@ def gather(
 
     Of a large print about ``most`` are selected: pairs in a row, or squares of 2**block.
 
-    Returns rows (p, q, grey, 1 when the row before is the pixel to the left, u, v), the last two the numbers of the
-    camera's pixels.
+    Returns rows (p, q, grey, 1 when the row before is the pixel to the left, u, v), the last two
+    the numbers of the camera's pixels.
     """
     height, width = image.shape
     cx = frame[2]
     cy = frame[3]
     scale = frame[4]
-    xs = math.hypot(theta[0] * frame[5] + theta[1] * frame[7], theta[0] * frame[6] + theta[1] * frame[8])
-    ys = math.hypot(theta[3] * frame[5] + theta[4] * frame[7], theta[3] * frame[6] + theta[4] * frame[8])
+    xs = math.hypot(
+        theta[0] * frame[5] + theta[1] * frame[7], theta[0] * frame[6] + theta[1] * frame[8]
+    )
+    ys = math.hypot(
+        theta[3] * frame[5] + theta[4] * frame[7], theta[3] * frame[6] + theta[4] * frame[8]
+    )
     if border:
         x_out = max(0.1, 1.0 - 2.0 * blur_px * xs)
         y_out = max(0.1, 1.0 - 2.0 * blur_px * ys)
@@ -171,7 +189,9 @@ def gather(
         e = theta[4] - y * theta[7]
         f = y - theta[5]
         det = a * e - b * d
-        u, v, _, _, _, _ = distort((c * e - b * f) / det / scale + cx, (a * f - c * d) / det / scale + cy, lens)
+        u, v, _, _, _, _ = distort(
+            (c * e - b * f) / det / scale + cx, (a * f - c * d) / det / scale + cy, lens
+        )
         low_u = min(low_u, u - u_off)
         high_u = max(high_u, u - u_off)
         low_v = min(low_v, v - v_off)
@@ -180,7 +200,9 @@ def gather(
     u1 = min(width, int(high_u) + 2)
     v0 = max(0, int(low_v))
     v1 = min(height, int(high_v) + 2)
-    area = abs(frame[5] * frame[8] - frame[6] * frame[7]) * abs(theta[0] * theta[4] - theta[1] * theta[3])
+    area = abs(frame[5] * frame[8] - frame[6] * frame[7]) * abs(
+        theta[0] * theta[4] - theta[1] * theta[3]
+    )
     share = round(1024.0 * most * area / ((n + x_out + x_out) * (n + y_out + y_out)))
     pixels = np.empty((max(0, (u1 - u0) * (v1 - v0)), 6))
     count = 0

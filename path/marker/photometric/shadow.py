@@ -50,7 +50,11 @@ def cell_light(pixels: Array, theta: Array, frame: Array, cells: Array, edges: A
     for k in range(sums.shape[0]):
         if sums[k, 4] > 0.0:
             weight = sums[k, 3]
-            out[count, 0], out[count, 1], out[count, 2] = sums[k, 0] / weight, sums[k, 1] / weight, sums[k, 2] / weight
+            out[count, 0], out[count, 1], out[count, 2] = (
+                sums[k, 0] / weight,
+                sums[k, 1] / weight,
+                sums[k, 2] / weight,
+            )
             out[count, 3] = weight
             count += 1
     return out[:count]
@@ -58,9 +62,11 @@ def cell_light(pixels: Array, theta: Array, frame: Array, cells: Array, edges: A
 
 @kernel
 def find_shadow(light: Array, shadow: Array) -> float:
-    """The straight edge of a shadow that explains uneven light of cells best, by trial, beside a slope of the light.
+    """The straight edge of a shadow that explains uneven light of cells best, by trial, beside a
+    slope of the light.
 
-    Fills ``shadow`` with its depth, direction, offset and the logarithm of its width, see ``misfit``.
+    Fills ``shadow`` with its depth, direction, offset and the logarithm of its width, see
+    ``misfit``.
 
     Returns:
         Light beside the shadow, at the marker's centre; 0 when there is no shadow to speak of.
@@ -106,10 +112,15 @@ def find_shadow(light: Array, shadow: Array) -> float:
                 mixed[0], mixed[1], mixed[2] = s0, s1, s2
                 cholesky_solve(slopes, mixed)
                 free = ss - mixed[0] * s0 - mixed[1] * s1 - mixed[2] * s2
-                step = (sl - mixed[0] * right[0] - mixed[1] * right[1] - mixed[2] * right[2]) / max(free, 1e-9 * ss)
+                step = (sl - mixed[0] * right[0] - mixed[1] * right[1] - mixed[2] * right[2]) / max(
+                    free, 1e-9 * ss
+                )
                 level = even[0] - step * mixed[0]
                 lit = max(level, level + step)
-                if step * step * free > max(best, most) and MIN_DEPTH * lit < abs(step) < MAX_DEPTH * lit:
+                if (
+                    step * step * free > max(best, most)
+                    and MIN_DEPTH * lit < abs(step) < MAX_DEPTH * lit
+                ):
                     best = step * step * free
                     beside = lit
                     shadow[0], shadow[3] = abs(step) / lit, math.log(width)

@@ -19,7 +19,8 @@ def dictionary_of(name: str) -> cv2.aruco.Dictionary:
 
 @cache
 def cells(dictionary: str, marker_id: int) -> NDArray[np.float64]:
-    """Cells of a marker, 0 black and 1 white, shape (bits + 2, bits + 2), black frame included, row 0 at the top.
+    """Cells of a marker, 0 black and 1 white, shape (bits + 2, bits + 2), black frame included, row
+    0 at the top.
 
     Shared: do not change it.
     """

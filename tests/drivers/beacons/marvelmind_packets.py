@@ -1,4 +1,6 @@
-"""Packets of Marvelmind's document that the emulated beacons do not send: old ones, long stamps, inertial fusion."""
+"""Packets of Marvelmind's document that the emulated beacons do not send: old ones, long stamps,
+inertial fusion.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +14,17 @@ from path.messages import Vec3
 def position_cm(stamp_ms: int, address: int, place_m: Vec3, age_ms: int = 0) -> bytes:
     """Code 0x0001, of older firmware."""
     x, y, z = (round(1e2 * each) for each in place_m)
-    return frame(0x0001, struct.pack("<IhhhBBHH", stamp_ms, x, y, z, ANOTHER, address, NO_ANGLE, age_ms))
+    return frame(
+        0x0001, struct.pack("<IhhhBBHH", stamp_ms, x, y, z, ANOTHER, address, NO_ANGLE, age_ms)
+    )
 
 
 def position_nt(stamp_ms: int, address: int, place_m: Vec3, age_ms: int = 0) -> bytes:
     """Code 0x0081, with a stamp of 64 bits."""
     x, y, z = (round(1e3 * each) for each in place_m)
-    return frame(0x0081, struct.pack("<QiiiBBHH", stamp_ms, x, y, z, ANOTHER, address, NO_ANGLE, age_ms))
+    return frame(
+        0x0081, struct.pack("<QiiiBBHH", stamp_ms, x, y, z, ANOTHER, address, NO_ANGLE, age_ms)
+    )
 
 
 def imu_nt(stamp_ms: int, readings: bytes) -> bytes:
@@ -32,7 +38,9 @@ def distances_nt(stamp_ms: int, address: int, ranges_m: Mapping[int, float]) -> 
 
 
 def imu_fusion(stamp_ms: int, place_m: Vec3, velocity_mps: Vec3) -> bytes:
-    """Code 0x0005, of a beacon that is level and does not turn: position, quaternion, velocity and no acceleration."""
+    """Code 0x0005, of a beacon that is level and does not turn: position, quaternion, velocity and
+    no acceleration.
+    """
     return frame(0x0005, _fused(place_m, velocity_mps) + struct.pack("<I4x", stamp_ms % (1 << 32)))
 
 

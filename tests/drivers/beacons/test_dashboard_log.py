@@ -1,4 +1,6 @@
-"""The log of Marvelmind's Dashboard: read in its documented columns, and refused with the line that is none."""
+"""The log of Marvelmind's Dashboard: read in its documented columns, and refused with the line that
+is none.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,10 @@ def test_a_last_line_that_was_cut_is_left_out(tmp_path: Path, cut: int) -> None:
         ("1763898305309,63,48400,five,4.1,1.7,1.5", "line 6: .* is no position"),
         ("1763898305309,63,48400,5,4,1,2", ""),
         ("1,7638983E+12,63,48400,5,4.1,1.7,1.5", "line 6: .* is no position"),
-        ("1.7638983E+12,63,48400,5,4.1,1.7,1.5", "line 6: .* time that a spreadsheet has shortened"),
+        (
+            "1.7638983E+12,63,48400,5,4.1,1.7,1.5",
+            "line 6: .* time that a spreadsheet has shortened",
+        ),
         ("1763898305309;63;48400;5;4.1;1.7;1.5", "line 6: .* is no position"),
         ("63,48400,5,4,1,1,1,3.9", "line 6: .* no Unix time"),
         ("1763898305309,63,48400,300,4.1,1.7,1.5", "line 6: .* address 300"),
@@ -71,7 +76,9 @@ def test_a_line_that_is_none_is_named(tmp_path: Path, line: str, said: str) -> N
     assert "ms since the start" in caught.value.remedy
 
 
-@pytest.mark.parametrize(("text", "said"), [("T2025_11_23,1\n", "no position"), ("x,y,z\n", "the first line")])
+@pytest.mark.parametrize(
+    ("text", "said"), [("T2025_11_23,1\n", "no position"), ("x,y,z\n", "the first line")]
+)
 def test_a_file_without_positions_is_refused(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(BeaconError, match=said):
         read_any(written(tmp_path, text))
@@ -79,15 +86,22 @@ def test_a_file_without_positions_is_refused(tmp_path: Path, text: str, said: st
 
 def test_a_list_with_its_header_is_read_as_such(tmp_path: Path) -> None:
     write_beacons(tmp_path / "beacons.csv", FIXES)
-    assert [fix.stamp_ns for fix in read_any(tmp_path / "beacons.csv")] == [fix.stamp_ns for fix in FIXES]
+    assert [fix.stamp_ns for fix in read_any(tmp_path / "beacons.csv")] == [
+        fix.stamp_ns for fix in FIXES
+    ]
 
 
-ROWS = [(1763898305120 + 125 * k, 125, 5000 + 125 * k, 5, 4.102 + k, 1.733, 1.498, 1, 3.912) for k in range(3)]
+ROWS = [
+    (1763898305120 + 125 * k, 125, 5000 + 125 * k, 5, 4.102 + k, 1.733, 1.498, 1, 3.912)
+    for k in range(3)
+]
 READ = [(4.102 + k, 1.733, 1.498) for k in range(3)]
 
 
 def with_points(separator: str = ",", quote: str = "") -> str:
-    return "".join(separator.join(f"{quote}{number}{quote}" for number in row) + "\n" for row in ROWS)
+    return "".join(
+        separator.join(f"{quote}{number}{quote}" for number in row) + "\n" for row in ROWS
+    )
 
 
 def with_commas(separator: str = ",", quote: str = "") -> str:
@@ -118,25 +132,35 @@ def with_commas(separator: str = ",", quote: str = "") -> str:
         "utf-16",
     ],
 )
-def test_a_log_that_a_spreadsheet_saved_again_is_read_as_it_was(tmp_path: Path, content: bytes, end: str) -> None:
+def test_a_log_that_a_spreadsheet_saved_again_is_read_as_it_was(
+    tmp_path: Path, content: bytes, end: str
+) -> None:
     file = tmp_path / "beacons.csv"
     coding = "utf-16" if content[:2] == b"\xff\xfe" else "utf-8"
     file.write_bytes(content.decode(coding).replace("\n", end).encode(coding))
-    assert [fix.position_m for fix in read_any(file)] == [pytest.approx(position) for position in READ]
+    assert [fix.position_m for fix in read_any(file)] == [
+        pytest.approx(position) for position in READ
+    ]
 
 
 @pytest.mark.parametrize("shorter", [0, 2], ids=["with distances", "without"])
 def test_decimal_commas_between_commas_are_refused_and_never_read_as_other_numbers(
     tmp_path: Path, shorter: int
 ) -> None:
-    text = "".join(",".join(str(n) for n in row[: len(row) - shorter]).replace(".", ",") + "\n" for row in ROWS)
-    with pytest.raises(BeaconError, match=r"line 1: .* decimal commas .* 4,102 may be one number or two") as caught:
+    text = "".join(
+        ",".join(str(n) for n in row[: len(row) - shorter]).replace(".", ",") + "\n" for row in ROWS
+    )
+    with pytest.raises(
+        BeaconError, match=r"line 1: .* decimal commas .* 4,102 may be one number or two"
+    ) as caught:
         read_any(written(tmp_path, text))
     assert "decimal points" in caught.value.remedy
 
 
 def test_one_line_with_decimal_commas_is_enough(tmp_path: Path) -> None:
-    with pytest.raises(BeaconError, match=r"line 6: .* decimal commas .* 4,1 may be one number or two"):
+    with pytest.raises(
+        BeaconError, match=r"line 6: .* decimal commas .* 4,1 may be one number or two"
+    ):
         read_any(written(tmp_path, f"{LOG}1763898305309,63,48400,5,4,1,1,7,1,5\n"))
 
 

@@ -36,7 +36,9 @@ def test_the_checksum_is_modbus() -> None:
 
 
 def test_a_frame_written_down_by_hand_is_read() -> None:
-    """Byte by byte as in the document: beacon 5 at (1, -2, 0.5) m, 1000 ms, 20 ms old, pair turned by 90 degrees."""
+    """Byte by byte as in the document: beacon 5 at (1, -2, 0.5) m, 1000 ms, 20 ms old, pair turned
+    by 90 degrees.
+    """
     body = "e8030000" + "e8030000" + "30f8ffff" + "f4010000" + "02" + "05" + "8403" + "1400"
     told = bytes.fromhex("ff47110016" + body)
     (packet,) = read(told + struct.pack("<H", crc16(told)))
@@ -91,9 +93,15 @@ def test_a_wrong_bit_never_passes(bit: int) -> None:
 
 @settings(max_examples=60)
 @given(st.lists(st.binary(max_size=60), max_size=4), st.integers(1, 40))
-def test_frames_are_found_in_any_noise_however_the_bytes_come(noise: list[bytes], size: int) -> None:
-    """Noise can cost no more than the wait for the end of a frame that it seemed to begin: under 262 bytes."""
+def test_frames_are_found_in_any_noise_however_the_bytes_come(
+    noise: list[bytes], size: int
+) -> None:
+    """Noise can cost no more than the wait for the end of a frame that it seemed to begin: under
+    262 bytes.
+    """
     stream = b"".join(each + FRAME for each in noise) + FRAME * 10
     framer = BeaconFramer()
-    found = [packet for k in range(0, len(stream), size) for packet in framer.feed(stream[k : k + size])]
+    found = [
+        packet for k in range(0, len(stream), size) for packet in framer.feed(stream[k : k + size])
+    ]
     assert found == [PACKET] * (len(noise) + 10)

@@ -11,7 +11,10 @@ from drivers.beacons.log import read_beacons
 from drivers.interfaces import BeaconError, BeaconFix
 from tests.drivers.beacons.beacon_log import write_beacons
 
-FIXES = [BeaconFix(1_520_331_200, 5, (4.102, -1.7334, 1.4985), 92.0), BeaconFix(1_562_000_001, 6, (0.0, 0.0, 0.0), 0.0)]
+FIXES = [
+    BeaconFix(1_520_331_200, 5, (4.102, -1.7334, 1.4985), 92.0),
+    BeaconFix(1_562_000_001, 6, (0.0, 0.0, 0.0), 0.0),
+]
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
@@ -29,7 +32,9 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
         ("stamp_ns,address,x_m,y_m,z_m,quality\n1,5,nan,0,0,90\n", "not finite"),
     ],
 )
-def test_what_is_no_beacon_log_is_refused_with_its_line(tmp_path: Path, text: str, said: str) -> None:
+def test_what_is_no_beacon_log_is_refused_with_its_line(
+    tmp_path: Path, text: str, said: str
+) -> None:
     file = tmp_path / "beacons.csv"
     file.write_text(text, "utf-8")
     with pytest.raises(BeaconError, match=said):

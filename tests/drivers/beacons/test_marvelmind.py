@@ -1,4 +1,6 @@
-"""The beacons' driver on a pseudo terminal: stamps, noise, silence, a port that is unplugged; and records."""
+"""The beacons' driver on a pseudo terminal: stamps, noise, silence, a port that is unplugged; and
+records.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ MS = 1_000_000
 
 
 def driver(*cables: SerialCable, **options: Any) -> Marvelmind:
-    return Marvelmind(MarvelmindConfig(tuple(str(cable.link) for cable in cables), **options), CONTEXT)
+    return Marvelmind(
+        MarvelmindConfig(tuple(str(cable.link) for cable in cables), **options), CONTEXT
+    )
 
 
 def cable(tmp_path: Path, name: str = "hedge") -> SerialCable:
@@ -49,10 +53,19 @@ def test_positions_come_with_quality_and_the_instant_of_their_ultrasound(tmp_pat
         port = cable(tmp_path)
         async with driver(port) as beacons:
             before_ns = time.monotonic_ns()
-            port.send(sent.quality(5, 88) + sent.imu(1, bytes(18)) + sent.position(70_000, 5, (1.0, 2.0, 3.0), 60))
+            port.send(
+                sent.quality(5, 88)
+                + sent.imu(1, bytes(18))
+                + sent.position(70_000, 5, (1.0, 2.0, 3.0), 60)
+            )
             fix = await beacons.read(60.0)
             after_ns = time.monotonic_ns()
-            assert (fix.address, fix.position_m, fix.quality, fix.stamp_ns) == (5, (1.0, 2.0, 3.0), 88.0, 70_000 * MS)
+            assert (fix.address, fix.position_m, fix.quality, fix.stamp_ns) == (
+                5,
+                (1.0, 2.0, 3.0),
+                88.0,
+                70_000 * MS,
+            )
             assert fix.host_ns is not None
             assert before_ns - 60 * MS <= fix.host_ns <= after_ns - 60 * MS
         port.unplug()
@@ -64,7 +77,9 @@ def test_several_beacons_on_one_port_and_on_ports_of_their_own(tmp_path: Path) -
     async def test() -> None:
         one, other = cable(tmp_path, "one"), cable(tmp_path, "other")
         async with driver(one, other) as beacons:
-            one.send(sent.position(10, 5, (0.0, 0.0, 1.0), 1) + sent.position(10, 6, (0.0, 0.0, 2.0), 1))
+            one.send(
+                sent.position(10, 5, (0.0, 0.0, 1.0), 1) + sent.position(10, 6, (0.0, 0.0, 2.0), 1)
+            )
             other.send(sent.position(999, 7, (0.0, 0.0, 3.0), 1))
             fixes = [await beacons.read(60.0) for _ in range(3)]
             assert {fix.address: fix.position_m[2] for fix in fixes} == {5: 1.0, 6: 2.0, 7: 3.0}
@@ -80,7 +95,9 @@ def test_several_beacons_on_one_port_and_on_ports_of_their_own(tmp_path: Path) -
     [
         pytest.param(b"", "is silent", id="silence"),
         pytest.param(bytes(range(60)), "no whole frame", id="another protocol"),
-        pytest.param(sent.position(1, 5, None, 0), "no position for its beacons", id="out of reach"),
+        pytest.param(
+            sent.position(1, 5, None, 0), "no position for its beacons", id="out of reach"
+        ),
         pytest.param(sent.telemetry(3.9, -60), "streams, but no positions", id="no positions"),
     ],
 )
@@ -137,7 +154,9 @@ def test_a_port_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
     run(test())
 
 
-@pytest.mark.parametrize("options", [{"ports": ()}, {"ports": ("a", "a")}, {"ports": ("a",), "baud": 300}])
+@pytest.mark.parametrize(
+    "options", [{"ports": ()}, {"ports": ("a", "a")}, {"ports": ("a",), "baud": 300}]
+)
 def test_settings_that_cannot_be_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"ports|baud"):
         MarvelmindConfig(**options)
@@ -175,15 +194,22 @@ def test_a_beacon_that_begins_again_and_a_counter_that_wraps() -> None:
 
 
 def test_age_that_a_frame_does_not_say_is_taken_from_the_rig() -> None:
-    (fix,) = MarvelmindStream(latency_s=0.08).feed("p", 1000 * MS, packets.position_cm(10, 5, (0.0, 0.0, 0.0)))
+    (fix,) = MarvelmindStream(latency_s=0.08).feed(
+        "p", 1000 * MS, packets.position_cm(10, 5, (0.0, 0.0, 0.0))
+    )
     assert fix.host_ns == 920 * MS
 
 
 def recorded(file: Path) -> list[BeaconFix]:
-    """A session with noise, a lost port and a repeated position; the positions as they came live."""
+    """A session with noise, a lost port and a repeated position; the positions as they came
+    live.
+    """
     stream, live = MarvelmindStream(), list[BeaconFix]()
     recorder = BeaconRecorder(file, 0.0)
-    frames = [sent.quality(5, 90) + sent.position(100 * k, 5, (0.1 * k, 0.0, 1.0), 40) for k in range(1, 20)]
+    frames = [
+        sent.quality(5, 90) + sent.position(100 * k, 5, (0.1 * k, 0.0, 1.0), 40)
+        for k in range(1, 20)
+    ]
     frames[5] = frames[5][:30]
     frames[8] = b"\xff\x47\x11\x00\x16" + frames[8]
     frames[12] += frames[12]

@@ -34,29 +34,42 @@ def _value(name: str, shape: Sequence[int | str], kind: int = FLOAT) -> bytes:
     return field(1, name) + field(2, field(1, field(1, kind) + field(2, sides)))
 
 
-def _node(kind: str, inputs: Sequence[str], output: str, **attributes: int | Sequence[int]) -> bytes:
+def _node(
+    kind: str, inputs: Sequence[str], output: str, **attributes: int | Sequence[int]
+) -> bytes:
     node = b"".join(field(1, name) for name in inputs) + field(2, output) + field(4, kind)
     for name, value in attributes.items():
         if isinstance(value, int):
             node += field(5, field(1, name) + field(3, value) + field(20, INT_KIND))
         else:
-            node += field(5, field(1, name) + b"".join(field(8, each) for each in value) + field(20, INTS_KIND))
+            node += field(
+                5,
+                field(1, name) + b"".join(field(8, each) for each in value) + field(20, INTS_KIND),
+            )
     return node
 
 
 def _constant(name: str, values: NDArray[np.float32] | NDArray[np.int64]) -> bytes:
     kind = FLOAT if values.dtype == np.float32 else INT64
     return (
-        b"".join(field(1, side) for side in values.shape) + field(2, kind) + field(8, name) + field(9, values.tobytes())
+        b"".join(field(1, side) for side in values.shape)
+        + field(2, kind)
+        + field(8, name)
+        + field(9, values.tobytes())
     )
 
 
 def _model(
-    nodes: Sequence[bytes], constants: Sequence[bytes], inputs: Sequence[bytes], outputs: Sequence[bytes]
+    nodes: Sequence[bytes],
+    constants: Sequence[bytes],
+    inputs: Sequence[bytes],
+    outputs: Sequence[bytes],
 ) -> bytes:
     graph = b"".join(field(1, node) for node in nodes) + field(2, "g")
     graph += b"".join(field(5, constant) for constant in constants)
-    graph += b"".join(field(11, each) for each in inputs) + b"".join(field(12, each) for each in outputs)
+    graph += b"".join(field(11, each) for each in inputs) + b"".join(
+        field(12, each) for each in outputs
+    )
     return field(1, 8) + field(7, graph) + field(8, field(1, "") + field(2, 13))
 
 
@@ -66,7 +79,8 @@ def identity_network(shape: Sequence[int]) -> bytes:
 
 
 def bright_cells_network(file: Path, side: int, classes: int) -> Path:
-    """Of the form of YOLOX: each 8 px cell is an object of its own size and of the last class, as sure as it is red.
+    """Of the form of YOLOX: each 8 px cell is an object of its own size and of the last class, as
+    sure as it is red.
 
     Its coarser levels find nothing.
     """

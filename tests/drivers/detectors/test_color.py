@@ -1,4 +1,6 @@
-"""The colour detector on rendered frames against the true outlines, and on drawn ones for its rules."""
+"""The colour detector on rendered frames against the true outlines, and on drawn ones for its
+rules.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,13 @@ from path.observations import Box, Extent, Region
 CAMERA = CameraModel(640, 480, 615.0, 613.0, 318.5, 241.0, (0.08, -0.18, 0.0005, -0.0007, 0.0))
 NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 DOWN = math.sqrt(0.5)
-T_B_C = Pose(np.array([[0.0, -DOWN, DOWN], [1.0, 0.0, 0.0], [0.0, DOWN, DOWN]]), np.array([0.1, 0.0, 0.02]))
-T_B_V = Pose(np.array([[0.0, DOWN, -DOWN], [1.0, 0.0, 0.0], [0.0, -DOWN, -DOWN]]), np.array([-0.18, 0.0, -0.06]))
+T_B_C = Pose(
+    np.array([[0.0, -DOWN, DOWN], [1.0, 0.0, 0.0], [0.0, DOWN, DOWN]]), np.array([0.1, 0.0, 0.02])
+)
+T_B_V = Pose(
+    np.array([[0.0, DOWN, -DOWN], [1.0, 0.0, 0.0], [0.0, -DOWN, -DOWN]]),
+    np.array([-0.18, 0.0, -0.06]),
+)
 ORANGE = (24, 118, 245)
 
 
@@ -38,25 +45,34 @@ def renderer() -> Renderer:
 
 
 def scene(rng: np.random.Generator, gap_m: float, count: int) -> Snapshot:
-    """The sender looks at a target with ``count`` look-alikes at ``gap_m`` around it; the receiver is far away."""
+    """The sender looks at a target with ``count`` look-alikes at ``gap_m`` around it; the receiver
+    is far away.
+    """
     height = rng.uniform(1.2, 2.0)
     attitude = R_from_rpy(rng.normal(0.0, 0.04), rng.normal(0.0, 0.04), 0.0)
     first = rng.uniform(0.0, 2.0 * math.pi)
     around = [first + 2.0 * math.pi * k / max(count, 1) for k in range(count)]
     places = [(0.0, 0.0), *((gap_m * math.cos(a), gap_m * math.sin(a)) for a in around)]
     objects = tuple(
-        ObjectTruth(i, (e, n, 0.0), rng.uniform(0.0, 2.0 * math.pi), 0.0) for i, (e, n) in enumerate(places)
+        ObjectTruth(i, (e, n, 0.0), rng.uniform(0.0, 2.0 * math.pi), 0.0)
+        for i, (e, n) in enumerate(places)
     )
     sender = Pose(NED_TO_ENU @ attitude, np.array([0.0, -height - 0.1, height]))
     away = Pose(NED_TO_ENU, np.array([0.0, -9.0, 2.0]))
     drones = {Role.SENDER: sender, Role.RECEIVER: away}
-    return Snapshot(0.0, {role: DroneTruth(T, (0.0, 0.0, 0.0), 0.0, True) for role, T in drones.items()}, objects)
+    return Snapshot(
+        0.0,
+        {role: DroneTruth(T, (0.0, 0.0, 0.0), 0.0, True) for role, T in drones.items()},
+        objects,
+    )
 
 
 def silhouette(snapshot: Snapshot, thing: ObjectTruth) -> Box:
     """Bounding box of the object's corners in the sender's image."""
     unit = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    corners = np.concatenate([unit * np.array(size) + np.array(center) for center, size, _ in CAR_BOXES])
+    corners = np.concatenate(
+        [unit * np.array(size) + np.array(center) for center, size, _ in CAR_BOXES]
+    )
     T_w_o = Pose(R_from_yaw(thing.yaw_rad), np.array(thing.position_w_m))
     T_c_w = (snapshot.drones[Role.SENDER].T_w_b @ T_B_C).inverse()
     pixels = CAMERA.project((T_c_w @ T_w_o).apply(corners))
@@ -65,14 +81,21 @@ def silhouette(snapshot: Snapshot, thing: ObjectTruth) -> Box:
 
 
 def whole(box: Box) -> bool:
-    return box.x > 1.0 and box.y > 1.0 and box.x + box.w < CAMERA.width - 2 and box.y + box.h < CAMERA.height - 2
+    return (
+        box.x > 1.0
+        and box.y > 1.0
+        and box.x + box.w < CAMERA.width - 2
+        and box.y + box.h < CAMERA.height - 2
+    )
 
 
 def detector(**settings: Any) -> ColorDetector:
     return ColorDetector(ColorDetectorConfig(**settings))
 
 
-def drawn(*rectangles: tuple[int, int, int, int], color: tuple[int, int, int] = ORANGE) -> NDArray[np.uint8]:
+def drawn(
+    *rectangles: tuple[int, int, int, int], color: tuple[int, int, int] = ORANGE
+) -> NDArray[np.uint8]:
     """Rectangles ``x y w h`` on grey."""
     image = np.full((480, 640, 3), 100, np.uint8)
     for x, y, w, h in rectangles:
@@ -81,7 +104,9 @@ def drawn(*rectangles: tuple[int, int, int, int], color: tuple[int, int, int] = 
 
 
 def overlaps(gap_m: float, count: int, scenes: int) -> list[float]:
-    """IoU of each whole car's outline with the best detection; detections must not outnumber the cars."""
+    """IoU of each whole car's outline with the best detection; detections must not outnumber the
+    cars.
+    """
     rng = np.random.default_rng(11)
     best: list[float] = []
     for k in range(scenes):
@@ -145,7 +170,9 @@ def test_a_region_gives_the_same_box_and_only_what_is_centred_in_it() -> None:
 
 def test_edges_between_pixels_are_found() -> None:
     image = drawn()
-    image[200:320, 200:360] = cv2.resize(drawn((102, 101, 161, 122)), (160, 120), interpolation=cv2.INTER_AREA)
+    image[200:320, 200:360] = cv2.resize(
+        drawn((102, 101, 161, 122)), (160, 120), interpolation=cv2.INTER_AREA
+    )
     box = detector().detect(image, None)[0].box
     # A drawn rectangle ends half a pixel outside its first and last pixel's centre.
     assert (box.x, box.y) == pytest.approx((200 + 102 / 4 - 0.5, 200 + 101 / 4 - 0.5), abs=0.4)
@@ -195,7 +222,8 @@ def test_one_of_two_that_touch_is_found_in_a_region_around_it_as_in_the_whole_im
         assert [iou(d.box, whole.box) for d in found] == pytest.approx([1.0], abs=0.05)
 
 
-STEP = drawn((200, 120, 60, 90), (260, 150, 60, 60))  # one dent alone, above; the feet stand in line
+# one dent alone, above; the feet stand in line
+STEP = drawn((200, 120, 60, 90), (260, 150, 60, 60))
 EVERYWHERE = Region(0.0, 0.0, 640.0, 480.0)
 SMALLER = replace(EVERYWHERE, extent=Extent(longest_px=100.0))
 CORNERED = (300, 200, 80, 60), (364, 256, 80, 60)
@@ -225,7 +253,8 @@ def test_what_is_too_long_and_has_no_dent_stays_whole() -> None:
 
 
 def test_one_that_is_nearer_is_not_cut_at_a_dent() -> None:
-    dented = drawn((200, 120, 160, 130), (215, 110, 50, 10), (295, 110, 50, 10))  # as a neck between shoulders
+    # as a neck between shoulders
+    dented = drawn((200, 120, 160, 130), (215, 110, 50, 10), (295, 110, 50, 10))
     (one,) = boxes(dented, replace(EVERYWHERE, extent=Extent(70.0, 90.0, 100.0)))
     assert one.w == pytest.approx(160.0, abs=1.0)
 
@@ -240,13 +269,18 @@ def test_parts_are_joined_no_further_than_one_object_reaches() -> None:
 def test_something_dark_that_makes_it_longer_than_one_can_be_is_not_part_of_it() -> None:
     image = drawn((300, 200, 80, 60))
     image[220:240, 380:400] = 30
-    (with_dark,), (alone,) = boxes(image, EVERYWHERE), boxes(image, replace(EVERYWHERE, extent=Extent(longest_px=92.0)))
+    (with_dark,), (alone,) = (
+        boxes(image, EVERYWHERE),
+        boxes(image, replace(EVERYWHERE, extent=Extent(longest_px=92.0))),
+    )
     assert (with_dark.w, alone.w) == pytest.approx((100.0, 80.0), abs=4.0)
 
 
 def test_what_is_smaller_than_one_object_is_not_two_that_touch() -> None:
     assert len(boxes(drawn(*CORNERED), EVERYWHERE)) == 2
-    assert len(boxes(drawn(*CORNERED), replace(EVERYWHERE, extent=Extent(150.0, 180.0, 200.0)))) == 1
+    assert (
+        len(boxes(drawn(*CORNERED), replace(EVERYWHERE, extent=Extent(150.0, 180.0, 200.0)))) == 1
+    )
 
 
 def test_two_in_line_are_not_one_good_vehicle() -> None:
@@ -269,4 +303,6 @@ def test_another_colour_is_another_vehicle() -> None:
 @pytest.mark.parametrize("color", [(20, 30, 230), (60, 20, 230)])
 def test_hue_wraps_around_red(color: tuple[int, int, int]) -> None:
     for hue_deg in (0.0, 360.0):
-        assert len(detector(hue_deg=hue_deg).detect(drawn((300, 200, 80, 50), color=color), None)) == 1
+        assert (
+            len(detector(hue_deg=hue_deg).detect(drawn((300, 200, 80, 50), color=color), None)) == 1
+        )

@@ -1,4 +1,6 @@
-"""XFeat: what is refused, what the graph leaves out, and the network itself when its weights are there."""
+"""XFeat: what is refused, what the graph leaves out, and the network itself when its weights are
+there.
+"""
 
 from __future__ import annotations
 
@@ -31,14 +33,19 @@ def test_a_missing_file_is_refused_with_where_to_get_it(tmp_path: Path) -> None:
 def test_a_file_that_is_no_network_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "weights.onnx"
     file.write_bytes(b"not a network")
-    with pytest.raises(PartError, match=r"weights\.onnx: expected a network in ONNX, found a file that cannot be read"):
+    with pytest.raises(
+        PartError,
+        match=r"weights\.onnx: expected a network in ONNX, found a file that cannot be read",
+    ):
         XFeat(file)
 
 
 def test_another_network_is_refused_with_expected_and_found(tmp_path: Path) -> None:
     file = tmp_path / "other.onnx"
     file.write_bytes(identity_network((1, 3, 416, 416)))
-    with pytest.raises(PartError, match=r"expected 1x3x640x640 -> .*1x65x80x80.* found 1x3x416x416 -> 1x3x416x416"):
+    with pytest.raises(
+        PartError, match=r"expected 1x3x640x640 -> .*1x65x80x80.* found 1x3x416x416 -> 1x3x416x416"
+    ):
         XFeat(file)
 
 
@@ -54,12 +61,21 @@ def test_a_heatmap_has_each_cells_pixels_in_reading_order() -> None:
 
 def test_keypoints_are_local_maxima_above_the_threshold_in_the_image_itself() -> None:
     heatmap = np.zeros((640, 640), np.float32)
-    for u, v, p in ((100, 50, 0.9), (102, 51, 0.8), (105, 50, 0.3), (300, 300, 0.04), (630, 20, 0.9), (20, 630, 0.9)):
+    for u, v, p in (
+        (100, 50, 0.9),
+        (102, 51, 0.8),
+        (105, 50, 0.3),
+        (300, 300, 0.04),
+        (630, 20, 0.9),
+        (20, 630, 0.9),
+    ):
         heatmap[v, u] = p
     points, scores = xfeat._keypoints(heatmap, np.full((80, 80), 0.5, np.float32), 600, 620)
     assert points.tolist() == [[100.0, 50.0], [105.0, 50.0]]
     assert scores == pytest.approx([0.45, 0.15])
-    nothing, none = xfeat._keypoints(np.zeros((640, 640), np.float32), np.zeros((80, 80), np.float32), 640, 640)
+    nothing, none = xfeat._keypoints(
+        np.zeros((640, 640), np.float32), np.zeros((80, 80), np.float32), 640, 640
+    )
     assert nothing.shape == (0, 2)
     assert none.shape == (0,)
 
@@ -88,7 +104,9 @@ def test_descriptors_are_sampled_bicubically_with_zeros_around_the_map() -> None
 
 
 def texture(height: int, width: int) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    coarse = np.random.default_rng(4).integers(0, 256, (height // 12 + 1, width // 12 + 1, 3), np.uint8)
+    coarse = np.random.default_rng(4).integers(
+        0, 256, (height // 12 + 1, width // 12 + 1, 3), np.uint8
+    )
     return np.kron(coarse, np.ones((12, 12, 1), np.uint8))[:height, :width]
 
 
@@ -111,7 +129,8 @@ def test_an_image_of_another_size_gives_features_in_its_own_pixels(network: XFea
     found = network.extract(small)
     assert len(found) > 50
     assert np.all((found.points_px >= 0.0) & (found.points_px < [320.0, 200.0]))
-    large = np.asarray(np.kron(texture(400, 640), np.ones((2, 2, 1), np.uint8)), np.uint8)  # twice too large
+    # twice too large
+    large = np.asarray(np.kron(texture(400, 640), np.ones((2, 2, 1), np.uint8)), np.uint8)
     seen = network.extract(large).points_px
     assert seen.max(axis=0) == pytest.approx([1280.0, 800.0], rel=0.1)
     assert np.all(seen < [1280.0, 800.0])

@@ -1,7 +1,9 @@
-"""YOLOX: what is refused, how cells become boxes, and the network itself when its weights are there.
+"""YOLOX: what is refused, how cells become boxes, and the network itself when its weights are
+there.
 
-Without weights, a small graph stands for the network: it puts the input's own values into the output's cells, so that
-letterbox, crop and decoding are tested through onnxruntime from image to box.
+Without weights, a small graph stands for the network: it puts the input's own values into the
+output's cells, so that letterbox, crop and decoding are tested through onnxruntime from image to
+box.
 """
 
 from __future__ import annotations
@@ -25,17 +27,23 @@ from path.observations import Region
 from tests.drivers.detectors.onnx_graphs import bright_cells_network, identity_network
 
 MODELS = (
-    [Path(os.environ["PATH_MODELS"])] if "PATH_MODELS" in os.environ else Path(__file__).parents[4].glob("*/models")
+    [Path(os.environ["PATH_MODELS"])]
+    if "PATH_MODELS" in os.environ
+    else Path(__file__).parents[4].glob("*/models")
 )
 WEIGHTS = [file for folder in MODELS for file in [folder / "yolox_nano.onnx"] if file.is_file()]
-needs_weights = pytest.mark.skipif(not WEIGHTS, reason="no yolox_nano.onnx in $PATH_MODELS, or in models/ beside it")
+needs_weights = pytest.mark.skipif(
+    not WEIGHTS, reason="no yolox_nano.onnx in $PATH_MODELS, or in models/ beside it"
+)
 
 SIDE = 64
 CELLS = 8 * 8 + 4 * 4 + 2 * 2
 CLASSES = 3
 
 
-def raw_cells(marks: Mapping[int, Sequence[float]]) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+def raw_cells(
+    marks: Mapping[int, Sequence[float]],
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
     raw = np.zeros((CELLS, 5 + CLASSES), np.float32)
     for cell, values in marks.items():
         raw[cell] = values
@@ -47,23 +55,34 @@ def test_cells_become_boxes_of_their_level() -> None:
     assert cells.shape == (CELLS, 2)
     marks = {
         8 * 3 + 5: (0.5, 0.25, 0.0, math.log(2.0), 0.9, 0.1, 0.8, 0.0),  # stride 8, column 5, row 3
-        64 + 4 * 1 + 2: (0.0, 0.0, math.log(3.0), 0.0, 0.5, 0.9, 0.0, 0.0),  # stride 16, column 2, row 1
-        64 + 16 + 3: (0.5, 0.5, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0),  # stride 32, but not of a class looked for
+        # stride 16, column 2, row 1
+        64 + 4 * 1 + 2: (0.0, 0.0, math.log(3.0), 0.0, 0.5, 0.9, 0.0, 0.0),
+        # stride 32, but not of a class looked for
+        64 + 16 + 3: (0.5, 0.5, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0),
         7: (0.0, 0.0, 200.0, 0.0, 1.0, 1.0, 0.0, 0.0),  # overflows
     }
-    boxes, scores, classes = decode(raw_cells(marks), cells, steps, np.array([True, True, False]), 0.3)
+    boxes, scores, classes = decode(
+        raw_cells(marks), cells, steps, np.array([True, True, False]), 0.3
+    )
     assert boxes == pytest.approx(np.array([[44.0, 26.0, 8.0, 16.0], [32.0, 16.0, 48.0, 16.0]]))
     assert scores == pytest.approx([0.72, 0.45])
     assert classes.tolist() == [1.0, 0.0]
 
 
 def test_of_boxes_that_overlap_the_best_of_each_class_stays() -> None:
-    boxes = np.array([[50, 50, 20, 20], [52, 50, 20, 20], [52, 51, 20, 20], [90, 50, 20, 20]], np.float32)
+    boxes = np.array(
+        [[50, 50, 20, 20], [52, 50, 20, 20], [52, 51, 20, 20], [90, 50, 20, 20]], np.float32
+    )
     scores = np.array([0.6, 0.9, 0.8, 0.5], np.float32)
     classes = np.array([0, 0, 1, 0], np.float32)
     assert suppress(boxes, scores, classes, 0.45).tolist() == [1, 2, 3]
     assert suppress(boxes, scores, classes, 0.95).tolist() == [1, 2, 0, 3]
-    assert suppress(np.zeros((0, 4), np.float32), np.zeros(0, np.float32), np.zeros(0, np.float32), 0.5).tolist() == []
+    assert (
+        suppress(
+            np.zeros((0, 4), np.float32), np.zeros(0, np.float32), np.zeros(0, np.float32), 0.5
+        ).tolist()
+        == []
+    )
 
 
 @pytest.fixture
@@ -75,14 +94,20 @@ def config(file: Path, **options: object) -> YoloxDetectorConfig:
     return YoloxDetectorConfig(file, **options)  # type: ignore[arg-type]
 
 
-def scene(width: int, height: int, x: int, y: int, side: int) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+def scene(
+    width: int, height: int, x: int, y: int, side: int
+) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
     image = np.zeros((height, width, 3), np.uint8)
     image[y : y + side, x : x + side, 2] = 255
     return image
 
 
-@pytest.mark.parametrize(("width", "height", "scale"), [(64, 64, 1), (128, 96, 2), (96, 128, 2), (320, 64, 5)])
-def test_boxes_are_in_the_images_own_pixels(bright_cells: Path, width: int, height: int, scale: int) -> None:
+@pytest.mark.parametrize(
+    ("width", "height", "scale"), [(64, 64, 1), (128, 96, 2), (96, 128, 2), (320, 64, 5)]
+)
+def test_boxes_are_in_the_images_own_pixels(
+    bright_cells: Path, width: int, height: int, scale: int
+) -> None:
     side = 8 * scale
     detector = YoloxDetector(config(bright_cells))
     (found,) = detector.detect(scene(width, height, 3 * side, 1 * side, side), None)
@@ -93,13 +118,17 @@ def test_boxes_are_in_the_images_own_pixels(bright_cells: Path, width: int, heig
     assert found.score > (0.6 if scale == 5 else 0.95)
 
 
-def test_a_search_region_is_looked_at_enlarged_and_only_centres_inside_count(bright_cells: Path) -> None:
+def test_a_search_region_is_looked_at_enlarged_and_only_centres_inside_count(
+    bright_cells: Path,
+) -> None:
     detector = YoloxDetector(config(bright_cells, max_side_px=12.0))
     image = scene(256, 256, 100, 140, 4)  # one pixel of the input when the image is seen whole
     assert detector.detect(image, None) == []
     region = Region(90.0, 130.0, 108.5, 148.5)  # seen from 84, 124 on, twice enlarged
     (found,) = detector.detect(image, region)
-    assert (found.box.x, found.box.y, found.box.w, found.box.h) == pytest.approx((99.5, 139.5, 4.0, 4.0))
+    assert (found.box.x, found.box.y, found.box.w, found.box.h) == pytest.approx(
+        (99.5, 139.5, 4.0, 4.0)
+    )
     assert detector.detect(image, Region(104.5, 130.0, 124.5, 150.0)) == []
     assert detector.detect(image, Region(300.0, 0.0, 400.0, 50.0)) == ()
 
@@ -108,8 +137,18 @@ def test_only_the_classes_asked_for_are_found(bright_cells: Path, tmp_path: Path
     names = tmp_path / "names.txt"
     names.write_text("cube\nball\n\ncone\n", "utf-8")
     image = scene(64, 64, 24, 8, 8)
-    assert len(YoloxDetector(config(bright_cells, names=names, classes=("cone", "ball"))).detect(image, None)) == 1
-    assert len(YoloxDetector(config(bright_cells, names=names, classes=("ball",))).detect(image, None)) == 0
+    assert (
+        len(
+            YoloxDetector(config(bright_cells, names=names, classes=("cone", "ball"))).detect(
+                image, None
+            )
+        )
+        == 1
+    )
+    assert (
+        len(YoloxDetector(config(bright_cells, names=names, classes=("ball",))).detect(image, None))
+        == 0
+    )
     with pytest.raises(PartError, match=r"knows no 'bell' \(did you mean 'ball'\?\)") as caught:
         YoloxDetector(config(bright_cells, names=names, classes=("bell",)))
     assert caught.value.remedy == "it knows cube, ball, cone"
@@ -117,20 +156,28 @@ def test_only_the_classes_asked_for_are_found(bright_cells: Path, tmp_path: Path
         YoloxDetector(config(bright_cells, classes=("car",)))
 
 
-def test_a_model_that_is_missing_or_of_the_wrong_shape_is_refused_with_expected_and_found(tmp_path: Path) -> None:
+def test_a_model_that_is_missing_or_of_the_wrong_shape_is_refused_with_expected_and_found(
+    tmp_path: Path,
+) -> None:
     with pytest.raises(ModelError, match=r"gone\.onnx: there is no such file") as caught:
         YoloxDetector(config(tmp_path / "gone.onnx"))
     assert "export_onnx.py" in caught.value.remedy
     (tmp_path / "text.onnx").write_text("no network")
-    with pytest.raises(ModelError, match="expected a network in ONNX, found a file that cannot be read"):
+    with pytest.raises(
+        ModelError, match="expected a network in ONNX, found a file that cannot be read"
+    ):
         YoloxDetector(config(tmp_path / "text.onnx"))
     (tmp_path / "other.onnx").write_bytes(identity_network((1, 3, 416, 416)))
     with pytest.raises(
-        ModelError, match=r"expected an output of 1x3549x\(5 \+ classes\), found 1x3x416x416 -> 1x3x416"
+        ModelError,
+        match=r"expected an output of 1x3549x\(5 \+ classes\), found 1x3x416x416 -> 1x3x416",
     ):
         YoloxDetector(config(tmp_path / "other.onnx"))
     (tmp_path / "odd.onnx").write_bytes(identity_network((1, 3, 100, 416)))
-    with pytest.raises(ModelError, match=r"expected an input of 1x3xHxW, H and W multiples of 32, found 1x3x100x416"):
+    with pytest.raises(
+        ModelError,
+        match=r"expected an input of 1x3xHxW, H and W multiples of 32, found 1x3x100x416",
+    ):
         YoloxDetector(config(tmp_path / "odd.onnx"))
 
 
@@ -192,7 +239,8 @@ def test_what_a_rig_lets_through_is_believed_in_flight(bright_cells: Path) -> No
     assert BELIEVED == MIN_SCORE
     image = scene(64, 64, 24, 8, 8) // 255 * 180
     scores = [
-        YoloxDetector(config(bright_cells, min_score=least)).detect(image, None)[0].score for least in (0.3, 0.1, 0.05)
+        YoloxDetector(config(bright_cells, min_score=least)).detect(image, None)[0].score
+        for least in (0.3, 0.1, 0.05)
     ]
     assert 0.3 <= scores[0] < scores[1] < scores[2] < 1.0
     assert scores[1] == pytest.approx(scores[0] ** (math.log(0.3) / math.log(0.1)))

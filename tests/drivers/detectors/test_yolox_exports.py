@@ -1,4 +1,6 @@
-"""Exports of detectors as people have them: those of YOLOX are read, others are refused as what they are."""
+"""Exports of detectors as people have them: those of YOLOX are read, others are refused as what
+they are.
+"""
 
 from __future__ import annotations
 
@@ -136,7 +138,9 @@ N = len(CELLS)
     ],
     ids=["v8", "v5", "p6", "nms", "nms of v7", "four numbers and one", "classifier"],
 )
-def test_an_output_of_another_shape_is_refused_as_what_it_is(tmp_path: Path, shape: tuple[int, ...], said: str) -> None:
+def test_an_output_of_another_shape_is_refused_as_what_it_is(
+    tmp_path: Path, shape: tuple[int, ...], said: str
+) -> None:
     with pytest.raises(ModelError, match=said) as caught:
         detector(fixed_network(tmp_path / "m.onnx", np.zeros(shape, np.float32)))
     assert "x".join(map(str, shape)) in str(caught.value)
@@ -146,7 +150,10 @@ def test_an_output_of_another_shape_is_refused_as_what_it_is(tmp_path: Path, sha
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"shape": ("n", 3, "h", "w")}, r"nx3xhxw -> .* left open when it was exported \(dynamic axes\)"),
+        (
+            {"shape": ("n", 3, "h", "w")},
+            r"nx3xhxw -> .* left open when it was exported \(dynamic axes\)",
+        ),
         ({"shape": (8, 3, SIDE, SIDE)}, "it takes 8 images at once"),
         ({"shape": (1, SIDE, SIDE, 3)}, "colours come last, as of an export for TensorFlow"),
         ({"shape": (1, 1, SIDE, SIDE)}, "expected an input of 1x3xHxW"),
@@ -155,7 +162,16 @@ def test_an_output_of_another_shape_is_refused_as_what_it_is(tmp_path: Path, sha
         ({"names": ("num_dets", "boxes", "scores", "classes")}, r"with suppression \(NMS\) inside"),
         ({"names": ("p3", "p4", "p5")}, "the levels one by one"),
     ],
-    ids=["dynamic", "batch", "colours last", "grey", "uint8", "detr", "nms of several outputs", "levels"],
+    ids=[
+        "dynamic",
+        "batch",
+        "colours last",
+        "grey",
+        "uint8",
+        "detr",
+        "nms of several outputs",
+        "levels",
+    ],
 )
 def test_a_network_of_other_inputs_or_outputs_is_refused_as_what_it_is(
     tmp_path: Path, options: dict[str, Any], said: str
@@ -165,12 +181,16 @@ def test_a_network_of_other_inputs_or_outputs_is_refused_as_what_it_is(
     assert "export" in caught.value.remedy
 
 
-def test_as_many_names_as_an_export_without_objectness_would_have_are_told_of(tmp_path: Path) -> None:
+def test_as_many_names_as_an_export_without_objectness_would_have_are_told_of(
+    tmp_path: Path,
+) -> None:
     rows = np.repeat(in_cells(), 28, axis=2)[..., :84]  # 79 classes, or 80 without an objectness
     rows[..., :8] = in_cells()
     rows[..., 8:] = 0.01
     file = fixed_network(tmp_path / "m.onnx", rows)
-    with pytest.raises(PartError, match=r"expected 79 names .* has 80 \(is it .* YOLOv8 or YOLO11\?\)"):
+    with pytest.raises(
+        PartError, match=r"expected 79 names .* has 80 \(is it .* YOLOv8 or YOLO11\?\)"
+    ):
         YoloxDetector(YoloxDetectorConfig(file, classes=("car",)))
 
 
@@ -184,7 +204,9 @@ def test_as_many_names_as_an_export_without_objectness_would_have_are_told_of(tm
     ],
     ids=["pt", "tflite", "engine", "empty"],
 )
-def test_weights_of_another_program_are_refused_as_what_they_are(tmp_path: Path, content: bytes, said: str) -> None:
+def test_weights_of_another_program_are_refused_as_what_they_are(
+    tmp_path: Path, content: bytes, said: str
+) -> None:
     file = tmp_path / "m.onnx"
     file.write_bytes(content)
     with pytest.raises(ModelError, match=said) as caught:

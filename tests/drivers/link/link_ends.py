@@ -99,9 +99,14 @@ class Cable:
         self._ends = []
 
 
-def serial_links(cable: Cable, key_file: Path | None, baud: int = 115_200) -> tuple[SerialLink, SerialLink]:
+def serial_links(
+    cable: Cable, key_file: Path | None, baud: int = 115_200
+) -> tuple[SerialLink, SerialLink]:
     one, other = (
-        SerialLink(SerialLink.Config(str(name), baud, key_file, key_file is None), Context(role, WallClock()))
+        SerialLink(
+            SerialLink.Config(str(name), baud, key_file, key_file is None),
+            Context(role, WallClock()),
+        )
         for name, role in zip(cable.names, Role, strict=True)
     )
     return one, other

@@ -13,9 +13,9 @@ import pytest
 from drivers.link.dialect import generate, path_dialect
 
 PROJECT = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())
-BUILT_WITH = next(need for need in PROJECT["build-system"]["requires"] if need.startswith("pymavlink")).removeprefix(
-    "pymavlink=="
-)
+BUILT_WITH = next(
+    need for need in PROJECT["build-system"]["requires"] if need.startswith("pymavlink")
+).removeprefix("pymavlink==")
 
 
 def layout(module: Any) -> dict[int, tuple[Any, ...]]:
@@ -53,11 +53,18 @@ def test_a_module_that_is_as_it_should_be_is_left_alone(regenerated: Path) -> No
 
 
 def test_our_ids_are_in_no_public_dialect() -> None:
-    ours = {number for number, kind in path_dialect.mavlink_map.items() if kind.msgname.startswith("PATH_")}
+    ours = {
+        number
+        for number, kind in path_dialect.mavlink_map.items()
+        if kind.msgname.startswith("PATH_")
+    }
     assert len(ours) == 9
     folder = Path(str(files("pymavlink"))) / "dialects" / "v20"
     for xml in folder.glob("*.xml"):
-        public = {int(number) for number in re.findall(r'<message id="(\d+)"', xml.read_text(encoding="utf-8"))}
+        public = {
+            int(number)
+            for number in re.findall(r'<message id="(\d+)"', xml.read_text(encoding="utf-8"))
+        }
         assert not ours & public, xml.name
 
 

@@ -17,7 +17,9 @@ def ends() -> tuple[Codec, LinkEnd]:
     return Codec(Role.SENDER, None), LinkEnd(Codec(Role.RECEIVER, None))
 
 
-def test_a_flood_is_judged_no_faster_than_the_limit_and_a_peers_own_packets_are_far_below_it() -> None:
+def test_a_flood_is_judged_no_faster_than_the_limit_and_a_peers_own_packets_are_far_below_it() -> (
+    None
+):
     peer, end = ends()
     packet = peer.encode(STATUS)
     for k in range(2 * MOST_HZ):
@@ -57,7 +59,10 @@ def taken_in_a_flood(peer: Codec, end: LinkEnd, false: list[bytes]) -> int:
     """
     before, gap = end.counters.dropped.get("superseded", 0), FLOOD_HZ // GENUINE_HZ
     for k in range(FLOOD_HZ):
-        end.arrived(peer.encode(STATUS) if k % gap == gap // 2 else false[k % len(false)], k * SECOND_NS // FLOOD_HZ)
+        end.arrived(
+            peer.encode(STATUS) if k % gap == gap // 2 else false[k % len(false)],
+            k * SECOND_NS // FLOOD_HZ,
+        )
     return end.counters.dropped["superseded"] - before + 1
 
 
@@ -66,7 +71,13 @@ def test_a_flood_that_is_not_signed_by_the_pair_costs_no_genuine_packet() -> Non
     forger = Codec(Role.SENDER, OTHER_KEY, stamp=lambda: 2**48 - 9)
     good = bytearray(peer.encode(STATUS))
     good[20] ^= 1
-    false = [forger.encode(STATUS), bytes(good), b"noise", Codec(Role.SENDER, None).encode(STATUS), b"\xfd" * 50]
+    false = [
+        forger.encode(STATUS),
+        bytes(good),
+        b"noise",
+        Codec(Role.SENDER, None).encode(STATUS),
+        b"\xfd" * 50,
+    ]
     assert taken_in_a_flood(peer, end, false) >= GENUINE_HZ
     assert end.counters.dropped["flooded"] > 0.9 * (FLOOD_HZ - GENUINE_HZ - MOST_HZ)
     assert {"bad_signature", "bad_crc", "not_mavlink", "unsigned"} <= set(end.counters.dropped)

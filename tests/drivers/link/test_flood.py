@@ -12,11 +12,18 @@ def looked(alarm: LinkAlarm, at_s: float, **dropped: int) -> str:
 
 def test_a_flood_is_told_once_and_so_is_its_end() -> None:
     alarm = LinkAlarm()
-    assert looked(alarm, 0.0, flooded=10**6) == ""  # of what was before the first look nobody knows when it came
-    assert "ALARM: 1,500 packets a second" in looked(alarm, 2.0, flooded=10**6 + 2000, stranger=1000)
+    # of what was before the first look nobody knows when it came
+    assert looked(alarm, 0.0, flooded=10**6) == ""
+    assert "ALARM: 1,500 packets a second" in looked(
+        alarm, 2.0, flooded=10**6 + 2000, stranger=1000
+    )
     assert looked(alarm, 3.0, flooded=10**6 + 50_000, stranger=1000) == ""
     after = 10**6 + 50_000 + FLOOD_HZ
-    assert looked(alarm, 4.0, flooded=after, stranger=1000) == looked(alarm, 5.0, flooded=after, stranger=1000) == ""
+    assert (
+        looked(alarm, 4.0, flooded=after, stranger=1000)
+        == looked(alarm, 5.0, flooded=after, stranger=1000)
+        == ""
+    )
     assert looked(alarm, 6.0, flooded=after, stranger=1000) == "the flood on the link is over"
     assert looked(alarm, 7.0, flooded=after, stranger=1000) == ""
     assert "ALARM" in looked(alarm, 8.0, flooded=after + FLOOD_HZ + 1, stranger=1000)
@@ -35,8 +42,14 @@ def test_a_link_without_one_is_quiet_for_ever() -> None:
 
 def test_what_was_the_peers_own_is_no_flood() -> None:
     alarm = LinkAlarm()
-    assert looked(alarm, 0.0) == looked(alarm, 1.0, superseded=9999, inbox_full=9999, network_busy=9999) == ""
-    assert "ALARM" in looked(alarm, 2.0, superseded=9999, inbox_full=9999, bad_signature=FLOOD_HZ + 1)
+    assert (
+        looked(alarm, 0.0)
+        == looked(alarm, 1.0, superseded=9999, inbox_full=9999, network_busy=9999)
+        == ""
+    )
+    assert "ALARM" in looked(
+        alarm, 2.0, superseded=9999, inbox_full=9999, bad_signature=FLOOD_HZ + 1
+    )
 
 
 def test_two_looks_at_one_instant_are_one() -> None:

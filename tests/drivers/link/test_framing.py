@@ -10,7 +10,19 @@ from path.observations import Box
 
 KEY = bytes(range(32))
 TARGET = Target(1, 2, 3, 4, 50_000, (1.0, 2.0, 3.0), (0.0, 0.0, 1.0), 0.01)
-CANDIDATE = Candidate(1, 2, 3, 4, 5, 50_000, Box(1.0, 2.0, 3.0, 4.0), None, (0.1, 0.2, 0.3), (1.0, 0.0, 0.0, 0.0), 0.01)
+CANDIDATE = Candidate(
+    1,
+    2,
+    3,
+    4,
+    5,
+    50_000,
+    Box(1.0, 2.0, 3.0, 4.0),
+    None,
+    (0.1, 0.2, 0.3),
+    (1.0, 0.0, 0.0, 0.0),
+    0.01,
+)
 MESSAGES: tuple[Message, ...] = (TARGET, CANDIDATE, Accept(1, 2, 3, 4, 5, 9))
 
 
@@ -30,7 +42,11 @@ def test_a_stream_cut_anywhere_gives_its_packets(cuts: list[int], signed: bool) 
     assert framer.skipped == 0
 
 
-@given(noise=st.lists(st.binary(max_size=40).map(lambda b: b.replace(b"\xfd", b"\xfc")), min_size=4, max_size=4))
+@given(
+    noise=st.lists(
+        st.binary(max_size=40).map(lambda b: b.replace(b"\xfd", b"\xfc")), min_size=4, max_size=4
+    )
+)
 def test_noise_between_packets_is_skipped(noise: list[bytes]) -> None:
     sent = packets()
     stream = noise[0] + b"".join(packet + gap for packet, gap in zip(sent, noise[1:], strict=True))
@@ -41,8 +57,12 @@ def test_noise_between_packets_is_skipped(noise: list[bytes]) -> None:
 
 @settings(max_examples=300)
 @given(noise=st.binary(max_size=400), sizes=st.lists(st.integers(1, 30), max_size=30))
-def test_noise_that_looks_like_a_beginning_costs_nothing_behind_it(noise: bytes, sizes: list[int]) -> None:
-    """Whatever came before, the packets are there once as many bytes have passed as the false beginning claims."""
+def test_noise_that_looks_like_a_beginning_costs_nothing_behind_it(
+    noise: bytes, sizes: list[int]
+) -> None:
+    """Whatever came before, the packets are there once as many bytes have passed as the false
+    beginning claims.
+    """
     sent, behind = packets(), bytes(300)
     stream, framer, got = noise + b"".join(sent) + behind, PacketFramer(), list[bytes]()
     for size in sizes:

@@ -1,4 +1,6 @@
-"""The serial link over pseudo terminals: the real library and the real port handling, a cable of our own between."""
+"""The serial link over pseudo terminals: the real library and the real port handling, a cable of
+our own between.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from path.messages import Accept, Target
 from tests.drivers.link.link_ends import STATUS, TARGET, Cable, introduce, run, serial_links, until
 
 
-def test_noise_on_the_radio_is_counted_and_costs_only_what_it_hit(tmp_path: Path, key_file: Path) -> None:
+def test_noise_on_the_radio_is_counted_and_costs_only_what_it_hit(
+    tmp_path: Path, key_file: Path
+) -> None:
     async def test() -> None:
         cable = Cable(tmp_path, carry=lambda data: b"\xfd\x00noise" + data)
         cable.plug()
@@ -33,7 +37,9 @@ def test_noise_on_the_radio_is_counted_and_costs_only_what_it_hit(tmp_path: Path
 
 
 def test_a_slow_radio_carries_the_present(tmp_path: Path) -> None:
-    """9600 baud are 960 B/s; twice that is asked for. What arrives is recent, and the hand-over is not held up."""
+    """9600 baud are 960 B/s; twice that is asked for. What arrives is recent, and the hand-over is
+    not held up.
+    """
 
     async def test() -> None:
         cable = Cable(tmp_path)
@@ -56,7 +62,9 @@ def test_a_slow_radio_carries_the_present(tmp_path: Path) -> None:
     run(test())
 
 
-def test_a_radio_that_is_unplugged_is_silence_and_may_come_back(tmp_path: Path, key_file: Path) -> None:
+def test_a_radio_that_is_unplugged_is_silence_and_may_come_back(
+    tmp_path: Path, key_file: Path
+) -> None:
     async def test() -> None:
         cable = Cable(tmp_path)
         cable.plug()
@@ -92,7 +100,8 @@ def test_a_port_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "named"), [({"baud": 300}, "baud"), ({"key_file": None, "allow_unsigned": False}, "key_file")]
+    ("changes", "named"),
+    [({"baud": 300}, "baud"), ({"key_file": None, "allow_unsigned": False}, "key_file")],
 )
 def test_settings_that_cannot_be_are_refused(changes: dict[str, Any], named: str) -> None:
     settings: dict[str, Any] = {"port": "/dev/null", "allow_unsigned": True}

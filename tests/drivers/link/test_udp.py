@@ -37,7 +37,9 @@ def sent_by_hand(data: bytes, to: str, port: int = 0) -> None:
 
 
 @pytest.mark.parametrize("signed", [True, False])
-def test_messages_cross_both_ways_and_are_counted_with_their_headers(signed: bool, key_file: Path) -> None:
+def test_messages_cross_both_ways_and_are_counted_with_their_headers(
+    signed: bool, key_file: Path
+) -> None:
     async def test() -> None:
         sender, receiver = pair(key_file if signed else None)
         async with sender, receiver:
@@ -83,7 +85,10 @@ def test_strangers_forgers_and_noise_are_dropped_by_reason(key_file: Path) -> No
         async with receiver:
             sent_by_hand(true.encode(TARGET), to=b)  # well signed, from another address
             port = address_of(a, "a")[1]
-            unsigned, forger = Codec(Role.SENDER, None), Codec(Role.SENDER, bytes(32), stamp=lambda: 2**48 - 9)
+            unsigned, forger = (
+                Codec(Role.SENDER, None),
+                Codec(Role.SENDER, bytes(32), stamp=lambda: 2**48 - 9),
+            )
             for data in (b"noise", unsigned.encode(TARGET), forger.encode(TARGET)):
                 sent_by_hand(data, to=b, port=port)
             sent_by_hand(true.encode(TARGET), to=b, port=port)  # perhaps a recording
@@ -94,8 +99,17 @@ def test_strangers_forgers_and_noise_are_dropped_by_reason(key_file: Path) -> No
             assert (await receiver.receive()).message == Pong(1, 5, 6, 7)
             assert (await receiver.receive()).message == TARGET
             await until(lambda: receiver.counters.packets_received == 9)
-            reasons = ("stranger", "not_mavlink", "unsigned", "bad_signature", "truncated", "replayed", "unproven")
-            receiver.counters.dropped.pop("network_error", None)  # the ping, to a port that nobody has
+            reasons = (
+                "stranger",
+                "not_mavlink",
+                "unsigned",
+                "bad_signature",
+                "truncated",
+                "replayed",
+                "unproven",
+            )
+            # the ping, to a port that nobody has
+            receiver.counters.dropped.pop("network_error", None)
             assert receiver.counters.dropped == dict.fromkeys(reasons, 1)
 
     run(test())
@@ -129,7 +143,9 @@ def test_a_network_that_is_gone_is_counted() -> None:
 def test_a_used_port_is_named() -> None:
     async def test() -> None:
         sender, _ = pair()
-        again = UdpLink(UdpLink.Config(sender_bind(sender), "127.0.0.1:9"), Context(Role.SENDER, WallClock()))
+        again = UdpLink(
+            UdpLink.Config(sender_bind(sender), "127.0.0.1:9"), Context(Role.SENDER, WallClock())
+        )
         async with sender:
             with pytest.raises(LinkError, match=rf"{sender._bind[1]} is in use"):
                 await again.__aenter__()
@@ -162,7 +178,8 @@ def test_closing_frees_the_port_at_once_and_leaves_no_socket() -> None:
 
     before, end_s = open_files(), time.monotonic() + 20.0
     run(test())
-    while open_files() > before and time.monotonic() < end_s:  # other tests' threads open and close some, too
+    # other tests' threads open and close some, too
+    while open_files() > before and time.monotonic() < end_s:
         time.sleep(0.05)
     assert open_files() <= before
 
@@ -191,7 +208,9 @@ def test_a_key_file_is_looked_at_hard(key_file: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("year", [2014, 2105, 9999])
-def test_a_clock_that_no_signature_can_say_opens_nothing(year: int, key_file: Path, monkeypatch: MonkeyPatch) -> None:
+def test_a_clock_that_no_signature_can_say_opens_nothing(
+    year: int, key_file: Path, monkeypatch: MonkeyPatch
+) -> None:
     seconds = datetime(year, 1, 2, tzinfo=UTC).timestamp()
     monkeypatch.setattr(time, "time", lambda: seconds)
 
@@ -208,7 +227,9 @@ def test_a_clock_that_no_signature_can_say_opens_nothing(year: int, key_file: Pa
 
 
 def test_what_the_peer_says_in_a_flood_is_taken(key_file: Path) -> None:
-    """400 forged datagrams from the peer's own address for each of its own, as in a flood of 50,000 a second."""
+    """400 forged datagrams from the peer's own address for each of its own, as in a flood of 50,000
+    a second.
+    """
     (port,) = free_ports(1)
     forged = Codec(Role.SENDER, bytes(32), stamp=signing_time).encode(TARGET)
     true = Codec(Role.SENDER, read_key(key_file), stamp=signing_time)
@@ -216,7 +237,9 @@ def test_what_the_peer_says_in_a_flood_is_taken(key_file: Path) -> None:
     async def test() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
             peer.bind(("127.0.0.1", 0))
-            receiver = link(Role.RECEIVER, f"127.0.0.1:{port}", f"127.0.0.1:{peer.getsockname()[1]}", key_file)
+            receiver = link(
+                Role.RECEIVER, f"127.0.0.1:{port}", f"127.0.0.1:{peer.getsockname()[1]}", key_file
+            )
             sent = 0
 
             async def say(*packets: bytes) -> None:
@@ -273,4 +296,6 @@ def test_a_config_that_cannot_be_used_is_refused(bind: str, peer: str, problem: 
 
 
 def test_unsigned_flight_must_be_asked_for() -> None:
-    assert UdpLink.Config("0.0.0.0:47001", "192.168.1.2:47001", allow_unsigned=True).key_file is None
+    assert (
+        UdpLink.Config("0.0.0.0:47001", "192.168.1.2:47001", allow_unsigned=True).key_file is None
+    )

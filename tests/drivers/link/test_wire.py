@@ -1,4 +1,6 @@
-"""Messages as packets and back: within the resolution and the budget, and nonsense dropped by its reason."""
+"""Messages as packets and back: within the resolution and the budget, and nonsense dropped by its
+reason.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,19 @@ from drivers.link.dialect import path_dialect as dialect
 from drivers.link.wire import UDP_IP_OVERHEAD, Codec, Drop, EncodeError, expected_length
 from flight.config import MissionConfig
 from flight.outcome import Outcome, name_of
-from path.messages import Abort, AbortReason, Accept, Candidate, Commit, Message, Ping, Pong, Role, Status, Target
+from path.messages import (
+    Abort,
+    AbortReason,
+    Accept,
+    Candidate,
+    Commit,
+    Message,
+    Ping,
+    Pong,
+    Role,
+    Status,
+    Target,
+)
 from path.observations import Box, MissReason
 from tests.drivers.link.wire_packets import (
     BOX,
@@ -38,11 +52,22 @@ FROM_RECEIVER: tuple[Message, ...] = (
 
 
 def raw_candidate(**changes: Any) -> Any:
-    fields: dict[str, Any] = {"capture_low": 1, "position_x": 1000, "position_y": 1000, "position_z": 1000}
+    fields: dict[str, Any] = {
+        "capture_low": 1,
+        "position_x": 1000,
+        "position_y": 1000,
+        "position_z": 1000,
+    }
     fields |= {"rotation_x": 0, "rotation_y": 0, "rotation_z": 0}
     fields |= {"handoff_id": 1, "epoch": 1, "sequence": 1, "target_sequence": 1}
     fields |= {"box_x": 1, "box_y": 1, "box_w": 16, "box_h": 16, "sigma": 10, "capture_high": 0}
-    fields |= {"position_x_part": 0, "position_y_part": 0, "position_z_part": 0, "target_id": 1, "miss": 0}
+    fields |= {
+        "position_x_part": 0,
+        "position_y_part": 0,
+        "position_z_part": 0,
+        "target_id": 1,
+        "miss": 0,
+    }
     return dialect.MAVLink_path_candidate_message(**(fields | changes))
 
 
@@ -96,17 +121,24 @@ def test_every_abort_reason_has_a_code(reason: AbortReason) -> None:
 
 
 def test_packets_stay_within_the_budget() -> None:
-    """Every packet <= 128 B on the wire; all of a link at 60 Hz, signed, <= 12 kB/s even when no byte is cut off."""
+    """Every packet <= 128 B on the wire; all of a link at 60 Hz, signed, <= 12 kB/s even when no
+    byte is cut off.
+    """
     sender, receiver = pair()
-    longest = replace(CANDIDATE, box=None, reason=MissReason.NON_FINITE)  # its last byte is not cut off
+    # its last byte is not cut off
+    longest = replace(CANDIDATE, box=None, reason=MissReason.NON_FINITE)
     sizes = {type(m): len(sender.encode(m)) + UDP_IP_OVERHEAD for m in FROM_SENDER}
     sizes |= {type(m): len(receiver.encode(m)) + UDP_IP_OVERHEAD for m in (*FROM_RECEIVER, longest)}
     assert max(sizes.values()) <= 128
     assert sizes[Target] == 12 + 28 + 13 + 28
     assert sizes[Candidate] == 12 + 41 + 13 + 28
     rates = MissionConfig()
-    sizes[Status] = len(sender.encode(replace(STATUS, alike=None))) + UDP_IP_OVERHEAD  # as it is while both verify
-    second = 60 * (sizes[Target] + sizes[Candidate]) + (rates.status_hz + rates.receiver_status_hz) * sizes[Status]
+    # as it is while both verify
+    sizes[Status] = len(sender.encode(replace(STATUS, alike=None))) + UDP_IP_OVERHEAD
+    second = (
+        60 * (sizes[Target] + sizes[Candidate])
+        + (rates.status_hz + rates.receiver_status_hz) * sizes[Status]
+    )
     assert second + 2 * rates.ping_hz * (sizes[Ping] + sizes[Pong]) <= 12_000
 
 
@@ -164,9 +196,18 @@ def test_what_does_not_fit_is_refused_before_it_is_sent(message: Message) -> Non
         (raw_candidate(box_w=0), Drop.OUT_OF_RANGE),
         (raw_candidate(miss=99), Drop.OUT_OF_RANGE),
         (dialect.MAVLink_path_abort_message(1, 1, 1, 1, 0), Drop.OUT_OF_RANGE),
-        (dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 3, 0, 0, 0, 0, 0), Drop.OUT_OF_RANGE),
-        (dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 32000, 0, 0, 1, 0, 0, 0, 0, 0), Drop.OUT_OF_RANGE),
-        (dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 201, 0, 0), Drop.OUT_OF_RANGE),
+        (
+            dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 3, 0, 0, 0, 0, 0),
+            Drop.OUT_OF_RANGE,
+        ),
+        (
+            dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 32000, 0, 0, 1, 0, 0, 0, 0, 0),
+            Drop.OUT_OF_RANGE,
+        ),
+        (
+            dialect.MAVLink_path_status_message(1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 201, 0, 0),
+            Drop.OUT_OF_RANGE,
+        ),
         (dialect.MAVLink_path_abort_message(1, 2**24, 1, 1, 1), Drop.OUT_OF_RANGE),
         (dialect.MAVLink_path_confirm_message(1, 1, 2**24, 1, 1, 1), Drop.OUT_OF_RANGE),
         (dialect.MAVLink_heartbeat_message(0, 0, 0, 0, 0, 3), Drop.UNKNOWN_ID),
@@ -195,7 +236,8 @@ def test_lengths() -> None:
     unsigned[1] += 5  # a payload longer than the message can be
     assert Codec(Role.RECEIVER, None).decode(bytes(unsigned) + b"12345") is Drop.WRONG_LENGTH
     assert receiver.decode(b"\xfe" + good[1:]) is Drop.NOT_MAVLINK  # MAVLink 1
-    assert receiver.decode(good[:2] + b"\x03" + good[3:]) is Drop.NOT_MAVLINK  # a flag nobody defined
+    # a flag nobody defined
+    assert receiver.decode(good[:2] + b"\x03" + good[3:]) is Drop.NOT_MAVLINK
     assert isinstance(receiver.decode(good), Target)
 
 
@@ -231,15 +273,25 @@ def test_any_damage_is_dropped_or_harmless(seed: int, message: Message, signed: 
 finite = st.floats(-32.0, 32.0)
 
 
-@given(x=finite, y=finite, w=st.floats(1.0, 2000.0), sigma=st.floats(0.0, 6.5), p=st.tuples(finite, finite, finite))
+@given(
+    x=finite,
+    y=finite,
+    w=st.floats(1.0, 2000.0),
+    sigma=st.floats(0.0, 6.5),
+    p=st.tuples(finite, finite, finite),
+)
 def test_a_box_comes_back_within_half_a_step(
     x: float, y: float, w: float, sigma: float, p: tuple[float, float, float]
 ) -> None:
     sender, receiver = pair(None)
-    back = sender.decode(receiver.encode(replace(CANDIDATE, box=Box(x, y, w, w), sigma_m=sigma, position_v_m=p)))
+    back = sender.decode(
+        receiver.encode(replace(CANDIDATE, box=Box(x, y, w, w), sigma_m=sigma, position_v_m=p))
+    )
     assert isinstance(back, Candidate) and back.box is not None
     half = 1 / 32 + 1e-9
-    assert abs(back.box.x - x) <= half and abs(back.box.y - y) <= half and abs(back.box.w - w) <= half
+    assert (
+        abs(back.box.x - x) <= half and abs(back.box.y - y) <= half and abs(back.box.w - w) <= half
+    )
     assert abs(back.sigma_m - sigma) <= 5.1e-5
     assert back.position_v_m == pytest.approx(p, abs=2e-6)
 
@@ -250,7 +302,11 @@ def test_a_stamp_is_never_later_than_it_was(stamp_ns: int) -> None:
     for message in (replace(TARGET, capture_ns=stamp_ns), replace(STATUS, stamp_ns=stamp_ns)):
         back = receiver.decode(sender.encode(message))
         assert isinstance(back, Target | Status)
-        assert 0 <= stamp_ns - (back.capture_ns if isinstance(back, Target) else back.stamp_ns) < 10_000
+        assert (
+            0
+            <= stamp_ns - (back.capture_ns if isinstance(back, Target) else back.stamp_ns)
+            < 10_000
+        )
 
 
 def test_no_field_can_be_a_number_that_is_none() -> None:

@@ -9,7 +9,16 @@ import pytest
 
 from drivers.link.wire import LAST_STAMP, Codec, Drop, introduce
 from path.messages import Candidate, Message, Ping, Pong, Role, Status, Target
-from tests.drivers.link.wire_packets import CANDIDATE, FROM_SENDER, KEY, STATUS, TARGET, pair, raw, raw_target
+from tests.drivers.link.wire_packets import (
+    CANDIDATE,
+    FROM_SENDER,
+    KEY,
+    STATUS,
+    TARGET,
+    pair,
+    raw,
+    raw_target,
+)
 
 
 def test_a_wrong_crc_is_told_from_a_wrong_signature() -> None:
@@ -36,7 +45,9 @@ def test_keys_must_match() -> None:
     sender = Codec(Role.SENDER, KEY)
     assert Codec(Role.RECEIVER, bytes(32)).decode(sender.encode(TARGET)) is Drop.BAD_SIGNATURE
     assert Codec(Role.RECEIVER, None).decode(sender.encode(TARGET)) is Drop.UNEXPECTED_SIGNATURE
-    assert Codec(Role.RECEIVER, KEY).decode(Codec(Role.SENDER, None).encode(TARGET)) is Drop.UNSIGNED
+    assert (
+        Codec(Role.RECEIVER, KEY).decode(Codec(Role.SENDER, None).encode(TARGET)) is Drop.UNSIGNED
+    )
     with pytest.raises(ValueError, match="32"):
         Codec(Role.SENDER, b"short")
 
@@ -93,12 +104,22 @@ def test_a_third_system_is_nobody_even_with_the_key(system: int) -> None:
 
 def test_a_recording_tells_a_restarted_side_nothing() -> None:
     sender, receiver = pair()
-    recorded = [sender.encode(message) for message in (TARGET, Ping(7, 70), Pong(0, 0, 1, 2), *FROM_SENDER[4:])]
+    recorded = [
+        sender.encode(message)
+        for message in (TARGET, Ping(7, 70), Pong(0, 0, 1, 2), *FROM_SENDER[4:])
+    ]
     assert isinstance(receiver.decode(recorded[0]), Target)
     again = Codec(Role.RECEIVER, KEY)
     again.encode(Ping(0, 1))  # other pings than those that were answered before
     told = [again.decode(data) for data in recorded]
-    assert told == [Drop.UNPROVEN, Ping(7, 70), Drop.UNPROVEN, Drop.UNPROVEN, Drop.UNPROVEN, Drop.UNPROVEN]
+    assert told == [
+        Drop.UNPROVEN,
+        Ping(7, 70),
+        Drop.UNPROVEN,
+        Drop.UNPROVEN,
+        Drop.UNPROVEN,
+        Drop.UNPROVEN,
+    ]
     again.decode(sender.encode(Pong(0, 1, 2, 3)))
     assert isinstance(again.decode(sender.encode(TARGET)), Target)
     assert {again.decode(data) for data in recorded} == {Drop.REPLAYED}
@@ -120,7 +141,9 @@ def test_two_sides_that_restart_at_once_find_each_other() -> None:
     sender, receiver = Codec(Role.SENDER, KEY), Codec(Role.RECEIVER, KEY)
     for first, second in ((sender, receiver), (receiver, sender)):
         assert second.decode(first.encode(Ping(1, 5))) == Ping(1, 5)
-        assert first.decode(second.encode(TARGET if second is sender else CANDIDATE)) is Drop.UNPROVEN
+        assert (
+            first.decode(second.encode(TARGET if second is sender else CANDIDATE)) is Drop.UNPROVEN
+        )
         assert first.decode(second.encode(Pong(1, 5, 6, 7))) == Pong(1, 5, 6, 7)
     assert isinstance(receiver.decode(sender.encode(TARGET)), Target)
     assert isinstance(sender.decode(receiver.encode(CANDIDATE)), Candidate)
@@ -137,7 +160,9 @@ def test_another_stream_of_the_peer_has_to_prove_itself_too() -> None:
 
 
 def test_without_a_key_nobody_can_prove_anything_and_nobody_is_asked() -> None:
-    assert isinstance(Codec(Role.RECEIVER, None).decode(Codec(Role.SENDER, None).encode(TARGET)), Target)
+    assert isinstance(
+        Codec(Role.RECEIVER, None).decode(Codec(Role.SENDER, None).encode(TARGET)), Target
+    )
 
 
 def test_a_side_that_restarts_in_1970_catches_up_with_the_other() -> None:
@@ -154,14 +179,18 @@ def test_a_side_that_restarts_in_1970_catches_up_with_the_other() -> None:
 
 
 def test_signing_begins_with_the_clock() -> None:
-    """Also with one that stands at nought: no packet carries a stamp that its clock has not reached."""
+    """Also with one that stands at nought: no packet carries a stamp that its clock has not
+    reached.
+    """
     codec = Codec(Role.SENDER, KEY)
     stamps = [int.from_bytes(codec.encode(Ping(1, 1))[-12:-6], "little") for _ in range(3)]
     assert stamps == [0, 1, 2]
 
 
 @pytest.mark.parametrize("message", [STATUS, *FROM_SENDER[3:]], ids=lambda m: type(m).__name__)
-def test_before_its_stream_has_proven_itself_nothing_but_a_ping_of_the_peer_is_taken(message: Message) -> None:
+def test_before_its_stream_has_proven_itself_nothing_but_a_ping_of_the_peer_is_taken(
+    message: Message,
+) -> None:
     sender, receiver = Codec(Role.SENDER, KEY), Codec(Role.RECEIVER, KEY)
     assert receiver.decode(sender.encode(message)) is Drop.UNPROVEN
     assert receiver.decode(sender.encode(Ping(7, 8))) == Ping(7, 8)
@@ -186,14 +215,21 @@ def stamp_of(packet: bytes) -> int:
 
 def test_the_clock_is_used_up_to_the_last_stamp_that_is_taken() -> None:
     """Beyond it a clock counts as standing still, and a packet is refused."""
-    last, beyond = (Codec(Role.SENDER, KEY, stamp=lambda to=to: to) for to in (LAST_STAMP, LAST_STAMP + 1))
+    last, beyond = (
+        Codec(Role.SENDER, KEY, stamp=lambda to=to: to) for to in (LAST_STAMP, LAST_STAMP + 1)
+    )
     assert stamp_of(last.encode(Ping(1, 1))) == LAST_STAMP
     assert stamp_of(beyond.encode(Ping(1, 1))) < 10
-    assert last.encode(Ping(1, 2)) and Codec(Role.RECEIVER, KEY).decode(last.encode(Ping(1, 3))) is Drop.CLOCK_AT_END
+    assert (
+        last.encode(Ping(1, 2))
+        and Codec(Role.RECEIVER, KEY).decode(last.encode(Ping(1, 3))) is Drop.CLOCK_AT_END
+    )
 
 
 def test_a_datagram_is_authentic_from_the_shortest_there_is() -> None:
-    """Ten bytes of header, two of checksum, thirteen of signature; of a whole stranger one less is none."""
+    """Ten bytes of header, two of checksum, thirteen of signature; of a whole stranger one less is
+    none.
+    """
     codec = Codec(Role.SENDER, KEY)
     for length, authentic in ((25, True), (24, False)):
         body = bytes(length - 12) + (5).to_bytes(6, "little")

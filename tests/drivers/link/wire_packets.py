@@ -7,7 +7,19 @@ from typing import Any
 from drivers.link.dialect import path_dialect as dialect
 from drivers.link.wire import Codec, introduce
 from path.alike import Alike
-from path.messages import Abort, AbortReason, Candidate, Commit, Confirm, Message, Ping, Pong, Role, Status, Target
+from path.messages import (
+    Abort,
+    AbortReason,
+    Candidate,
+    Commit,
+    Confirm,
+    Message,
+    Ping,
+    Pong,
+    Role,
+    Status,
+    Target,
+)
 from path.observations import Box
 
 KEY = bytes(range(32))
@@ -17,7 +29,17 @@ INSTANT = (2**47 + 12345) * 10_000  # what a 48 bit stamp in 10 us can say exact
 TARGET = Target(0xFFFF, 0xFFFE, 255, 0xFFFD, INSTANT, (1.25, -2.5, 0.125), (0.6, 0.0, 0.8), 0.0123)
 BOX = Box(-100.5, 200.0625, 50.25, 4095.9375)
 CANDIDATE = Candidate(
-    0xFFFF, 0xFFFE, 255, 0xFFFD, 0xFFFC, INSTANT, BOX, None, (0.5, -0.25, 1.0), (0.5, 0.5, -0.5, 0.5), 0.0042
+    0xFFFF,
+    0xFFFE,
+    255,
+    0xFFFD,
+    0xFFFC,
+    INSTANT,
+    BOX,
+    None,
+    (0.5, -0.25, 1.0),
+    (0.5, 0.5, -0.5, 0.5),
+    0.0042,
 )
 
 STATUS = Status(
@@ -42,7 +64,9 @@ def pair(key: bytes | None = KEY) -> tuple[Codec, Codec]:
     return sender, receiver
 
 
-def raw(packet: Any, key: bytes | None = KEY, stamp: int = 1, system: int = 1, component: int = 191) -> bytes:
+def raw(
+    packet: Any, key: bytes | None = KEY, stamp: int = 1, system: int = 1, component: int = 191
+) -> bytes:
     """A packet as another program would make it, with pymavlink alone."""
     mav = dialect.MAVLink(None, system, component)
     mav.signing.secret_key = key

@@ -1,4 +1,6 @@
-"""Every frame of a camera beside the log: what was put in comes out, and whoever puts it in never waits."""
+"""Every frame of a camera beside the log: what was put in comes out, and whoever puts it in never
+waits.
+"""
 
 from __future__ import annotations
 
@@ -67,10 +69,18 @@ def test_strangers_read_it(tmp_path: Path) -> None:
         ]
     video: Any = [each for each in found if each[0] == "/video"]
     depth: Any = [each for each in found if each[0] == "/depth"]
-    assert [each[1] - VIRTUAL_EPOCH_NS for each in video] == [frame(number).stamp_ns for number in range(3)]
+    assert [each[1] - VIRTUAL_EPOCH_NS for each in video] == [
+        frame(number).stamp_ns for number in range(3)
+    ]
     assert video[0][2].format == "h264" and video[0][2].frame_id == "sender/camera"
-    assert video[0][2].data[:5] in (b"\0\0\0\1\x67", b"\0\0\0\1\x09"), "a key frame begins with its parameter sets"
-    assert (depth[0][2].encoding, depth[0][2].step, depth[0][2].width) == ("16UC1", 2 * WIDTH, WIDTH)
+    assert video[0][2].data[:5] in (b"\0\0\0\1\x67", b"\0\0\0\1\x09"), (
+        "a key frame begins with its parameter sets"
+    )
+    assert (depth[0][2].encoding, depth[0][2].step, depth[0][2].width) == (
+        "16UC1",
+        2 * WIDTH,
+        WIDTH,
+    )
 
 
 def test_it_plays_as_a_recording(tmp_path: Path) -> None:
@@ -94,7 +104,9 @@ def test_a_killed_program_leaves_what_was_written(tmp_path: Path) -> None:
     assert len(list(recorded_frames(tmp_path / "cut.frames.mcap"))) == 4
 
 
-def test_a_flight_never_waits_for_the_recorder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_flight_never_waits_for_the_recorder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     going, blocked = threading.Event(), threading.Event()
 
     def hang(*_: object) -> None:
@@ -111,7 +123,9 @@ def test_a_flight_never_waits_for_the_recorder(tmp_path: Path, monkeypatch: pyte
         took_s = time.perf_counter() - began_s
         going.set()
     assert took_s < 30.0  # the recorder hangs for twice that, or until this is told
-    (told, *_) = [each.record for each in read_log(tmp_path / "sender.mcap") if each.topic == "/recording"][-1:]
+    (told, *_) = [
+        each.record for each in read_log(tmp_path / "sender.mcap") if each.topic == "/recording"
+    ][-1:]
     assert told["dropped"] >= told["taken"] - QUEUED - 2 > 10
 
 
@@ -125,9 +139,11 @@ def test_what_is_wrong_with_the_recording_ends_neither_log_nor_flight(tmp_path: 
 
 
 def test_recording_costs_less_than_its_share_of_a_core(tmp_path: Path) -> None:
-    """15 % of a core at 640 x 480, 30 Hz, is 5 ms a frame; measured by the thread's own processor time.
+    """15 % of a core at 640 x 480, 30 Hz, is 5 ms a frame; measured by the thread's own processor
+    time.
 
-    Twice the limit is let pass, and what is above it is measured again: a busy computer's caches are others' too.
+    Twice the limit is let pass, and what is above it is measured again: a busy computer's caches
+    are others' too.
     """
     limit_ns = 2.0 * 0.15e9
     spent_ns = (spent_a_second(tmp_path / f"{number}.mcap") for number in range(3))

@@ -12,7 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.log.mcap_log import VIRTUAL_EPOCH_NS, LogRecord, McapLog, decode_image, new_part, parts, read_log
+from drivers.log.mcap_log import (
+    VIRTUAL_EPOCH_NS,
+    LogRecord,
+    McapLog,
+    decode_image,
+    new_part,
+    parts,
+    read_log,
+)
 
 
 class Colour(Enum):
@@ -101,7 +109,9 @@ def test_images_are_foxglove_jpegs(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("bits", [np.uint16, np.float32, np.float64])
-def test_an_image_of_more_than_8_bits_is_refused_by_name_and_none_of_it_is_cut_off(tmp_path: Path, bits: type) -> None:
+def test_an_image_of_more_than_8_bits_is_refused_by_name_and_none_of_it_is_cut_off(
+    tmp_path: Path, bits: type
+) -> None:
     image: Any = np.full((48, 64, 3), 300, bits)
     with McapLog(tmp_path / "a.mcap", "D1") as log:
         log.image("/depth", 1, image)
@@ -110,7 +120,9 @@ def test_an_image_of_more_than_8_bits_is_refused_by_name_and_none_of_it_is_cut_o
 
 
 @pytest.mark.parametrize("closed", [False, True])
-def test_a_log_with_a_bit_turned_over_is_read_up_to_there_or_refused(tmp_path: Path, closed: bool) -> None:
+def test_a_log_with_a_bit_turned_over_is_read_up_to_there_or_refused(
+    tmp_path: Path, closed: bool
+) -> None:
     """Whatever a disk did to it, nothing but ValueError is raised."""
     log, copy = McapLog(tmp_path / "a.mcap", "D1"), tmp_path / "damaged.mcap"
     for k in range(12):
@@ -120,7 +132,9 @@ def test_a_log_with_a_bit_turned_over_is_read_up_to_there_or_refused(tmp_path: P
     whole = (tmp_path / "a.mcap").read_bytes()
     log.close()
     for place in range(0, len(whole), 41):
-        copy.write_bytes(whole[:place] + bytes([whole[place] ^ 1 << place % 8]) + whole[place + 1 :])
+        copy.write_bytes(
+            whole[:place] + bytes([whole[place] ^ 1 << place % 8]) + whole[place + 1 :]
+        )
         with suppress(ValueError):
             assert len(list(read_log(copy))) <= 12
 

@@ -44,9 +44,17 @@ def test_what_was_saved_is_loaded_by_another_program(path: Path) -> None:
 
 def test_a_drone_that_changes_its_role_has_one_record_of_the_role_it_is_in(path: Path) -> None:
     StateFile(path, None).save(HOLDING)
-    assert StateFile(path, None).load() == StateFile(path, Role.RECEIVER).load() == Kept(HOLDING, same_clock=True)
+    assert (
+        StateFile(path, None).load()
+        == StateFile(path, Role.RECEIVER).load()
+        == Kept(HOLDING, same_clock=True)
+    )
     StateFile(path, None).save(RELEASED)
-    assert StateFile(path, None).load() == StateFile(path, Role.SENDER).load() == Kept(RELEASED, same_clock=True)
+    assert (
+        StateFile(path, None).load()
+        == StateFile(path, Role.SENDER).load()
+        == Kept(RELEASED, same_clock=True)
+    )
     with pytest.raises(StateError, match="is of the sender"):
         StateFile(path, Role.RECEIVER).load()
 
@@ -58,7 +66,9 @@ def test_after_a_reboot_its_instants_are_of_another_clock(path: Path) -> None:
     assert StateFile(path, Role.SENDER, boot="").load() == Kept(RELEASED, same_clock=False)
 
 
-def test_the_computer_says_which_boot_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_computer_says_which_boot_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert boot_id() == boot_id()
     monkeypatch.setattr(state_file, "BOOT_ID", tmp_path / "none")
     assert boot_id() == ""
@@ -107,7 +117,9 @@ def changed(**changes: Any) -> Callable[[str], str]:
         (changed(record=None), "damaged: Expected `object`"),
     ],
 )
-def test_a_damaged_or_foreign_file_is_named_with_what_to_do(path: Path, spoil: Callable[[str], str], says: str) -> None:
+def test_a_damaged_or_foreign_file_is_named_with_what_to_do(
+    path: Path, spoil: Callable[[str], str], says: str
+) -> None:
     StateFile(path, Role.SENDER).save(RELEASED)
     path.write_text(spoil(path.read_text()))
     with pytest.raises(StateError) as caught:
@@ -146,13 +158,17 @@ def test_a_missing_folder_is_named(tmp_path: Path) -> None:
         StateFile(tmp_path / "none" / "file", Role.SENDER).save(RELEASED)
 
 
-def test_file_and_folder_are_on_the_disk_before_it_returns(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_and_folder_are_on_the_disk_before_it_returns(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The file before it is renamed, the folder after."""
     calls: list[str] = []
     real_sync, real_replace = os.fsync, Path.replace
 
     def sync(number: int) -> None:
-        calls.append("sync folder" if Path(f"/proc/self/fd/{number}").resolve().is_dir() else "sync file")
+        calls.append(
+            "sync folder" if Path(f"/proc/self/fd/{number}").resolve().is_dir() else "sync file"
+        )
         real_sync(number)
 
     def replace(self: Path, other: Path) -> Path:
@@ -201,7 +217,9 @@ def test_memory_keeps_it_as_long_as_it_is_there() -> None:
     assert store.load() == Kept(HOLDING, same_clock=True)
 
 
-def test_what_is_saved_aside_is_on_the_disk_when_it_says_so(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_saved_aside_is_on_the_disk_when_it_says_so(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     store = StateFile(path, Role.SENDER)
     going, real = threading.Event(), os.fsync
 
@@ -217,7 +235,9 @@ def test_what_is_saved_aside_is_on_the_disk_when_it_says_so(path: Path, monkeypa
     assert store.load() == Kept(RELEASED, same_clock=True)
 
 
-def test_a_disk_that_is_full_is_told_to_whoever_waits(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_is_full_is_told_to_whoever_waits(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(StateError, match="No space left"):
         StateFile(path, Role.SENDER).begin_save(RELEASED).result(60.0)
@@ -261,7 +281,9 @@ KEPT_BY_A_FORMER_PROGRAM = """{
 
 
 def test_what_a_former_program_wrote_down_is_still_read(path: Path) -> None:
-    """The check sum is of the content, however it is laid out: a newer program must not take it for damaged."""
+    """The check sum is of the content, however it is laid out: a newer program must not take it for
+    damaged.
+    """
     path.write_text(KEPT_BY_A_FORMER_PROGRAM)
     assert StateFile(path, Role.RECEIVER, boot="a boot").load() == Kept(HOLDING, same_clock=True)
     content = json.loads(KEPT_BY_A_FORMER_PROGRAM)

@@ -1,4 +1,6 @@
-"""The embedded PX4-like vehicle in a thread, in real time or faster, and the driver that reaches it over loopback."""
+"""The embedded PX4-like vehicle in a thread, in real time or faster, and the driver that reaches it
+over loopback.
+"""
 
 import asyncio
 import threading
@@ -46,7 +48,12 @@ class LoopClock:
 IDENTITY = Pose(np.eye(3), np.zeros(3))
 CAMERA = CameraModel(640, 480, 615.0, 615.0, 320.0, 240.0, (0.0, 0.0, 0.0, 0.0, 0.0))
 CONTEXT = PartContext(
-    Role.SENDER, LoopClock(), CAMERA, Mount(IDENTITY, IDENTITY), layout=cast(Any, None), origin=ORIGIN
+    Role.SENDER,
+    LoopClock(),
+    CAMERA,
+    Mount(IDENTITY, IDENTITY),
+    layout=cast(Any, None),
+    origin=ORIGIN,
 )
 
 
@@ -76,7 +83,9 @@ class Wire:
 
 
 @contextmanager
-def stepped(endpoint: Endpoint, world: World | None, wire: Wire, speed: float = 1.0) -> Generator[None]:
+def stepped(
+    endpoint: Endpoint, world: World | None, wire: Wire, speed: float = 1.0
+) -> Generator[None]:
     stop = threading.Event()
 
     def run() -> None:
@@ -116,7 +125,8 @@ def vehicle_at(port: int, **options: Any) -> MavsdkVehicle:
     settings: dict[str, Any] = {
         "url": f"udpin://127.0.0.1:{port}",
         "sysid": SYSID,
-        "heartbeat_timeout_s": 3.0,  # this and all others: of a machine that is busy with something else
+        # this and all others: of a machine that is busy with something else
+        "heartbeat_timeout_s": 3.0,
         "connect_timeout_s": 60.0,
         "command_timeout_s": 10.0,
         **options,
@@ -126,9 +136,13 @@ def vehicle_at(port: int, **options: Any) -> MavsdkVehicle:
 
 @contextmanager
 def px4(
-    config: AutopilotConfig = QUICK, speed: float = 1.0, port: int | None = None, gps_off_m: float = 0.0
+    config: AutopilotConfig = QUICK,
+    speed: float = 1.0,
+    port: int | None = None,
+    gps_off_m: float = 0.0,
 ) -> Generator[Bench]:
-    """The vehicle's time runs ``speed`` times as fast as ours. It speaks to ``port``, or one that is free.
+    """The vehicle's time runs ``speed`` times as fast as ours. It speaks to ``port``, or one that
+    is free.
 
     ``gps_off_m``: of the altitude that it tells.
     """

@@ -1,4 +1,6 @@
-"""Which answer is believed: of the command that was sent, after it was sent. Without MAVSDK and without a vehicle."""
+"""Which answer is believed: of the command that was sent, after it was sent. Without MAVSDK and
+without a vehicle.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ DENIED = 2
 
 
 class Direct:
-    """In the place of MAVSDK's way to the vehicle: what was sent, and what the vehicle does about it."""
+    """In the place of MAVSDK's way to the vehicle: what was sent, and what the vehicle does about
+    it.
+    """
 
     def __init__(self, on_sent: Callable[[dict[str, Any]], object]) -> None:
         self.sent: list[dict[str, Any]] = []
@@ -36,11 +40,15 @@ class Direct:
 
 
 class Session:
-    """A session that is open to a vehicle that beats; ``acks`` are what it answers, after each command."""
+    """A session that is open to a vehicle that beats; ``acks`` are what it answers, after each
+    command.
+    """
 
     def __init__(self, *acks: tuple[int, int], **options: Any) -> None:
         self.telemetry = TelemetrySlots(SYSID, LoopClock(), TANGENT)
-        config = MavsdkVehicleConfig(url="udpin://127.0.0.1:14540", sysid=SYSID, command_timeout_s=0.5, **options)
+        config = MavsdkVehicleConfig(
+            url="udpin://127.0.0.1:14540", sysid=SYSID, command_timeout_s=0.5, **options
+        )
         self.session = MavsdkSession(config, self.telemetry)
         self.direct = Direct(lambda _: [self.ack(*each) for each in acks])
         opened: Any = self.session
@@ -62,7 +70,9 @@ class Session:
     async def _beat(self) -> None:
         fields = json.dumps({"autopilot": 12, "base_mode": 1, "custom_mode": 0})
         while True:
-            self.telemetry._on_heartbeat(SimpleNamespace(system_id=SYSID, component_id=1, fields_json=fields))
+            self.telemetry._on_heartbeat(
+                SimpleNamespace(system_id=SYSID, component_id=1, fields_json=fields)
+            )
             await asyncio.sleep(0.05)
 
 
@@ -125,7 +135,8 @@ def test_motors_are_not_stopped_in_the_air_by_force() -> None:
         asyncio.run(force())
 
 
-# --- the guard's link -------------------------------------------------------------------------------------------------
+# --- the guard's link
+# -------------------------------------------------------------------------------------------------
 
 
 class Port:
@@ -147,7 +158,9 @@ class Link:
     """The guard's link to a PX4 in the air that beats."""
 
     def __init__(self) -> None:
-        config = GuardMavlinkConfig(url="udpin://127.0.0.1:14551", bind="127.0.0.1:14561", vehicle_sysid=SYSID)
+        config = GuardMavlinkConfig(
+            url="udpin://127.0.0.1:14551", bind="127.0.0.1:14561", vehicle_sysid=SYSID
+        )
         self.link = GuardMavlink(config, CONTEXT)
         self.port = Port()
         opened: Any = self.link
@@ -176,14 +189,17 @@ def test_the_guards_command_is_answered_by_its_own_acknowledgement(result: int) 
         guard.link.land()
         assert guard.says(mavlink.MAVLink_command_ack_message(SET_MODE, ACCEPTED)).acked is None
         assert guard.says(mavlink.MAVLink_command_ack_message(LAND, IN_PROGRESS)).acked is None
-        assert guard.says(mavlink.MAVLink_command_ack_message(LAND, result)).acked is (result == ACCEPTED)
+        assert guard.says(mavlink.MAVLink_command_ack_message(LAND, result)).acked is (
+            result == ACCEPTED
+        )
 
     in_time(check)
 
 
 def test_an_acknowledgement_of_the_command_before_says_nothing_of_the_next() -> None:
     def check(guard: Link) -> None:
-        assert guard.says(mavlink.MAVLink_command_ack_message(LAND, ACCEPTED)).acked is None  # somebody else's
+        # somebody else's
+        assert guard.says(mavlink.MAVLink_command_ack_message(LAND, ACCEPTED)).acked is None
         guard.link.hold()
         assert guard.says(mavlink.MAVLink_command_ack_message(SET_MODE, ACCEPTED)).acked is True
         guard.link.land()
@@ -205,10 +221,14 @@ def test_an_acknowledgement_of_the_command_before_says_nothing_of_the_next() -> 
     ],
 )
 def test_only_what_stands_on_the_ground_is_not_in_the_air(landed: int, in_air: bool) -> None:
-    """A vehicle that takes off or lands falls when its motors stop; so may one that does not know."""
+    """A vehicle that takes off or lands falls when its motors stop; so may one that does not
+    know.
+    """
 
     def check(guard: Link) -> None:
-        guard.says(mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_ON_GROUND))
+        guard.says(
+            mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_ON_GROUND)
+        )
         assert guard.says(mavlink.MAVLink_extended_sys_state_message(0, landed)).in_air is in_air
 
     in_time(check)
@@ -217,7 +237,9 @@ def test_only_what_stands_on_the_ground_is_not_in_the_air(landed: int, in_air: b
 def test_a_position_that_stopped_keeps_its_own_time_while_the_vehicle_beats() -> None:
     async def main() -> None:
         guard = Link()
-        position = mavlink.MAVLink_global_position_int_message(0, 474000000, 85000000, 481000, 1000, 0, 0, 0, 0)
+        position = mavlink.MAVLink_global_position_int_message(
+            0, 474000000, 85000000, 481000, 1000, 0, 0, 0, 0
+        )
         seen = guard.says(position)
         assert seen.position_ns == seen.heartbeat_ns
         await asyncio.sleep(3.0)

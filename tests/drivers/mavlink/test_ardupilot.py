@@ -1,4 +1,6 @@
-"""The MAVSDK driver over loopback against a scripted ArduCopter, as far as its own rules on the wire go."""
+"""The MAVSDK driver over loopback against a scripted ArduCopter, as far as its own rules on the
+wire go.
+"""
 
 import asyncio
 import math
@@ -11,14 +13,24 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import FlightMode, VehicleError
 from drivers.mavlink.session import ARM_DISARM
-from tests.drivers.mavlink.mavsdk_bench import LIMIT_S, STILL, SYSID, Wire, stepped, until, vehicle_at
+from tests.drivers.mavlink.mavsdk_bench import (
+    LIMIT_S,
+    STILL,
+    SYSID,
+    Wire,
+    stepped,
+    until,
+    vehicle_at,
+)
 from tests.free_ports import free_port
 
 
 class ArduCopter:
-    """Answers as ArduCopter would. It flies only up and down, and not at all when ``deaf`` to a command.
+    """Answers as ArduCopter would. It flies only up and down, and not at all when ``deaf`` to a
+    command.
 
-    Every rate must be asked for, arming and take-off want GUIDED, the height is param7, BRAKE is its hold.
+    Every rate must be asked for, arming and take-off want GUIDED, the height is param7, BRAKE is
+    its hold.
     """
 
     def __init__(self, port: int, wire: Wire) -> None:
@@ -53,9 +65,15 @@ class ArduCopter:
             for message in self._mav.parse_buffer(packet) or ():
                 self._wire.tap(now_s, message)
                 if message.get_type() == "COMMAND_LONG" and message.command not in self.deaf:
-                    self._send(mavlink.MAVLink_command_ack_message(message.command, self._command(message, now_s)))
+                    self._send(
+                        mavlink.MAVLink_command_ack_message(
+                            message.command, self._command(message, now_s)
+                        )
+                    )
                 elif message.get_type() == "TIMESYNC" and message.tc1 == 0:
-                    self._send(mavlink.MAVLink_timesync_message(round(now_s * 1e9) + 1, message.ts1))
+                    self._send(
+                        mavlink.MAVLink_timesync_message(round(now_s * 1e9) + 1, message.ts1)
+                    )
         for message_id, due_s in self._due_s.items():
             if now_s >= due_s:
                 self._due_s[message_id] = now_s + self._interval_s[message_id]
@@ -86,27 +104,39 @@ class ArduCopter:
             self.mode = 9
         elif what == 512:
             made = self._telemetry(int(message.param1), 0)
-            return mavlink.MAV_RESULT_ACCEPTED if made is not None else mavlink.MAV_RESULT_UNSUPPORTED
+            return (
+                mavlink.MAV_RESULT_ACCEPTED if made is not None else mavlink.MAV_RESULT_UNSUPPORTED
+            )
         return mavlink.MAV_RESULT_ACCEPTED
 
     def _telemetry(self, message_id: int, boot_ms: int) -> Any:
         position = (474_000_000, 85_000_000, round(480_000 + 1e3 * self.height_m))
         healthy = 0x1000_003F
         made: dict[int, Callable[[], Any]] = {
-            0: lambda: mavlink.MAVLink_heartbeat_message(2, 3, 1 | 128 * self.armed, self.mode, 4, 3),
+            0: lambda: mavlink.MAVLink_heartbeat_message(
+                2, 3, 1 | 128 * self.armed, self.mode, 4, 3
+            ),
             1: lambda: mavlink.MAVLink_sys_status_message(
                 healthy, healthy, healthy, 0, 16_000, 0, 80, 0, 0, 0, 0, 0, 0
             ),
-            24: lambda: mavlink.MAVLink_gps_raw_int_message(boot_ms * 1000, 3, *position, 80, 80, 0, 0, 12),
-            31: lambda: mavlink.MAVLink_attitude_quaternion_message(boot_ms, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-            32: lambda: mavlink.MAVLink_local_position_ned_message(boot_ms, 0.0, 0.0, -self.height_m, 0.0, 0.0, 0.0),
+            24: lambda: mavlink.MAVLink_gps_raw_int_message(
+                boot_ms * 1000, 3, *position, 80, 80, 0, 0, 12
+            ),
+            31: lambda: mavlink.MAVLink_attitude_quaternion_message(
+                boot_ms, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            ),
+            32: lambda: mavlink.MAVLink_local_position_ned_message(
+                boot_ms, 0.0, 0.0, -self.height_m, 0.0, 0.0, 0.0
+            ),
             33: lambda: mavlink.MAVLink_global_position_int_message(
                 boot_ms, *position, round(1e3 * self.height_m), 0, 0, 0, 0
             ),
             242: lambda: mavlink.MAVLink_home_position_message(
                 474_000_000, 85_000_000, 480_000, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0
             ),
-            245: lambda: mavlink.MAVLink_extended_sys_state_message(0, 2 if self.height_m > 0.0 else 1),
+            245: lambda: mavlink.MAVLink_extended_sys_state_message(
+                0, 2 if self.height_m > 0.0 else 1
+            ),
         }
         return made[message_id]() if message_id in made else None
 
@@ -136,7 +166,8 @@ def test_arducopter_is_guided_before_it_arms_and_brakes_to_hold() -> None:
             with pytest.raises(VehicleError, match="no answer to the command to land"):
                 await vehicle.land(LIMIT_S)
             landings = wire.commands(mavlink.MAV_CMD_NAV_LAND)
-            assert [message.confirmation for message in landings] == [0, 1, 2]  # what ends motion is resent
+            # what ends motion is resent
+            assert [message.confirmation for message in landings] == [0, 1, 2]
             copter.deaf = set()
             await vehicle.land(LIMIT_S)
             assert not copter.armed

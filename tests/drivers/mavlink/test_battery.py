@@ -1,4 +1,6 @@
-"""Which battery flies a vehicle, and what is known of it: by message, and through MAVSDK and the guard's own link."""
+"""Which battery flies a vehicle, and what is known of it: by message, and through MAVSDK and the
+guard's own link.
+"""
 
 from __future__ import annotations
 
@@ -77,7 +79,11 @@ def test_when_it_was_told_is_kept_while_it_tells_nothing() -> None:
     [
         (-1, [], "battery level"),
         (-1, [(0, UNKNOWN, -1)], "battery 0: it tells no percentage"),
-        (2, [(0, UNKNOWN, 90), (1, UNKNOWN, 90)], "battery 2, which battery_id names: it tells only of 0, 1"),
+        (
+            2,
+            [(0, UNKNOWN, 90), (1, UNKNOWN, 90)],
+            "battery 2, which battery_id names: it tells only of 0, 1",
+        ),
         (2, [], "it tells only of none"),
         (-1, [(0, UNKNOWN, 90)], ""),
     ],
@@ -90,7 +96,8 @@ def test_why_no_level_is_known_is_said_by_name(wanted: int, told: list[Told], wo
     assert bool(battery.trouble) is bool(words)
 
 
-# --- on the wire -----------------------------------------------------------------------------------------------------
+# --- on the wire
+# -----------------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -128,7 +135,9 @@ def second_battery(bench: Bench, function: int = UNKNOWN, percent: int = 8) -> N
     bench.endpoint.send_raw(packed)
 
 
-async def judged(vehicle: Any, seconds: float, beside: Callable[[], None] = lambda: None) -> set[float]:
+async def judged(
+    vehicle: Any, seconds: float, beside: Callable[[], None] = lambda: None
+) -> set[float]:
     """Return the levels seen meanwhile; the script's own limits are held against every state."""
     limits = GuardConfig(telemetry_age_s=5.0, heartbeat_age_s=10.0)
     levels: set[float] = set()
@@ -157,7 +166,9 @@ def test_a_second_battery_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize("percent", [-1, 101])
-def test_an_unknown_level_is_refused_before_take_off_by_name(monkeypatch: pytest.MonkeyPatch, percent: int) -> None:
+def test_an_unknown_level_is_refused_before_take_off_by_name(
+    monkeypatch: pytest.MonkeyPatch, percent: int
+) -> None:
     async def main(bench: Bench) -> None:
         async with bench.vehicle() as vehicle:
             with pytest.raises(VehicleError, match="level of battery 0: it tells no percentage"):
@@ -168,7 +179,9 @@ def test_an_unknown_level_is_refused_before_take_off_by_name(monkeypatch: pytest
         asyncio.run(main(bench))
 
 
-def test_a_level_that_is_not_told_any_more_in_the_air_is_kept_and_has_an_age(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_level_that_is_not_told_any_more_in_the_air_is_kept_and_has_an_age(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     async def main(bench: Bench, said: Said) -> None:
         async with bench.vehicle() as vehicle:
             await vehicle.wait_armable(60.0)

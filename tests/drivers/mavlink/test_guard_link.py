@@ -1,4 +1,6 @@
-"""The guard's own link, over real sockets to the embedded PX4-like vehicle, a scripted ArduCopter and a pty."""
+"""The guard's own link, over real sockets to the embedded PX4-like vehicle, a scripted ArduCopter
+and a pty.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,8 @@ async def seen(guard: GuardMavlink, condition: Callable[[GuardView], bool]) -> G
 async def fly(own: Bench, guard: GuardMavlink, by_setpoints: bool = True) -> None:
     """Have it climb while the guard goes on reading, as it does in its program.
 
-    Else its socket fills meanwhile, and the kernel drops what comes next: the answer to the first command.
+    Else its socket fills meanwhile, and the kernel drops what comes next: the answer to the first
+    command.
     """
     climbing = asyncio.create_task(asyncio.to_thread(own.in_air, by_setpoints))
     while not climbing.done():
@@ -78,8 +81,12 @@ def test_it_sees_what_its_rules_need_and_each_command_is_one_packet() -> None:
         async with guard_at(f"udpin://127.0.0.1:{own.port}") as guard:
             await seen(guard, lambda view: not view.armed and not view.in_air)
             await fly(own, guard)
-            view = await seen(guard, lambda v: v.armed and v.in_air and v.mode is FlightMode.OFFBOARD)
-            view = await seen(guard, lambda v: v.position_ns > view.heartbeat_ns and not math.isnan(v.battery))
+            view = await seen(
+                guard, lambda v: v.armed and v.in_air and v.mode is FlightMode.OFFBOARD
+            )
+            view = await seen(
+                guard, lambda v: v.position_ns > view.heartbeat_ns and not math.isnan(v.battery)
+            )
             with own.lock:
                 truth, battery = own.drone.estimate.position_n_m, own.autopilot.battery
             assert math.dist(view.position_n_m, truth) < 0.3
@@ -92,22 +99,30 @@ def test_it_sees_what_its_rules_need_and_each_command_is_one_packet() -> None:
             assert (await seen(guard, lambda v: v.acked is not None)).acked is True
             await seen(guard, lambda v: not v.armed)
             assert own.commands(*HOLD_OR_LAND) == [176, 21]
-            senders = {(m.get_srcSystem(), m.get_srcComponent()) for m in own.wire if m.get_type() == "COMMAND_LONG"}
+            senders = {
+                (m.get_srcSystem(), m.get_srcComponent())
+                for m in own.wire
+                if m.get_type() == "COMMAND_LONG"
+            }
             assert senders == {(246, 191)}
             (kind,) = {m.type for m in own.wire if m.get_type() == "HEARTBEAT"}
-            assert kind == mavlink.MAV_TYPE_ONBOARD_CONTROLLER  # no ground station: its failsafes must not be fed
+            # no ground station: its failsafes must not be fed
+            assert kind == mavlink.MAV_TYPE_ONBOARD_CONTROLLER
 
     run(main)
 
 
-@pytest.mark.parametrize("altitude_off_m", [10.0, -10.0, -488.0])  # of a GPS; of a PX4 with its origin at sea level
+# of a GPS; of a PX4 with its origin at sea level
+@pytest.mark.parametrize("altitude_off_m", [10.0, -10.0, -488.0])
 def test_height_may_be_reckoned_from_home_whatever_the_altitude(altitude_off_m: float) -> None:
     async def main(own: Bench) -> None:
         url = f"udpin://127.0.0.1:{own.port}"
         async with guard_at(url) as guard:  # by the altitude
             view = await seen(guard, lambda view: view.position_ns > 0)
             assert view.position_n_m[2] == pytest.approx(-0.1 - altitude_off_m, abs=0.1)
-        async with GuardMavlink(GuardMavlinkConfig(url, BIND, SYSID, height_from="home"), CONTEXT) as guard:
+        async with GuardMavlink(
+            GuardMavlinkConfig(url, BIND, SYSID, height_from="home"), CONTEXT
+        ) as guard:
             view = await seen(guard, lambda view: view.position_ns > 0)
             assert view.position_n_m[2] == pytest.approx(0.0, abs=0.05)
             await fly(own, guard)
@@ -121,7 +136,9 @@ def test_height_may_be_reckoned_from_home_whatever_the_altitude(altitude_off_m: 
 def test_motors_that_a_switch_stopped_are_known_from_a_text() -> None:
     def say(own: Bench, text: str) -> None:
         with own.lock:
-            own.autopilot.status_texts.append(StatusText(own.drone.estimate.time_s, Severity.INFO, text))
+            own.autopilot.status_texts.append(
+                StatusText(own.drone.estimate.time_s, Severity.INFO, text)
+            )
 
     async def main(own: Bench) -> None:
         async with guard_at(f"udpin://127.0.0.1:{own.port}") as guard:
@@ -155,14 +172,17 @@ def test_another_vehicle_on_the_port_is_not_taken_for_ours() -> None:
             while own.world.time_s < 1.0:  # dozens of its messages
                 assert guard.view() is None
                 await asyncio.sleep(0.01)
-        assert {message.get_srcSystem() for message in own.wire} == {245}  # and nothing was said to it
+        # and nothing was said to it
+        assert {message.get_srcSystem() for message in own.wire} == {245}
 
     run(main)
 
 
 @contextmanager
 def spoofer(port: int) -> Generator[socket.socket]:
-    """Says fifty times a second, from a port of its own, that our vehicle is in a pilot's mode, and not armed."""
+    """Says fifty times a second, from a port of its own, that our vehicle is in a pilot's mode, and
+    not armed.
+    """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
         own.bind(("127.0.0.1", 0))
         own.setblocking(False)
@@ -211,7 +231,9 @@ def test_a_second_vehicle_of_our_number_is_told_of_and_ignored() -> None:
 
 
 def test_what_one_packet_says_the_next_one_takes_back() -> None:
-    """Even from the vehicle's own address: whoever can write that into a packet is one voice between many."""
+    """Even from the vehicle's own address: whoever can write that into a packet is one voice
+    between many.
+    """
 
     async def main(own: Bench) -> None:
         async with guard_at(f"udpin://127.0.0.1:{own.port}") as guard:
@@ -225,19 +247,25 @@ def test_what_one_packet_says_the_next_one_takes_back() -> None:
                     own.vehicle._channels[1].send(packet)
                 view = await seen(guard, lambda view: view.mode is FlightMode.OTHER)
                 assert view.mode_told == 1
-                await seen(guard, lambda view: view.mode is FlightMode.OFFBOARD and view.mode_told > 1)
+                await seen(
+                    guard, lambda view: view.mode is FlightMode.OFFBOARD and view.mode_told > 1
+                )
             own.select(FlightMode.OTHER, by_pilot=True)
             await seen(guard, lambda view: view.mode is FlightMode.OTHER and view.mode_told > 1)
 
     run(main)
 
 
-def test_with_a_key_only_what_is_signed_is_believed_and_the_vehicle_takes_what_is_sent(key_file: Path) -> None:
+def test_with_a_key_only_what_is_signed_is_believed_and_the_vehicle_takes_what_is_sent(
+    key_file: Path,
+) -> None:
     async def main(own: Bench) -> None:
         config = GuardMavlinkConfig(f"udpin://127.0.0.1:{own.port}", BIND, SYSID, key_file=key_file)
         with spoofer(own.port) as other:
             async with GuardMavlink(config, CONTEXT) as guard:
-                await seen(guard, lambda view: view.mode is FlightMode.HOLD and view.position_ns > 0)
+                await seen(
+                    guard, lambda view: view.mode is FlightMode.HOLD and view.position_ns > 0
+                )
                 assert set(guard.ignored) == {UNSIGNED}
                 await fly(own, guard, by_setpoints=False)
                 guard.land()

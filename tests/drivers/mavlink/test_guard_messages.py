@@ -1,4 +1,6 @@
-"""What the guard makes of each message of a vehicle, what it asks for and when, on a port that stands in."""
+"""What the guard makes of each message of a vehicle, what it asks for and when, on a port that
+stands in.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +61,15 @@ def beat(base: int = ARMED, mode: int = PX4_OFFBOARD, autopilot: int = PX4, stat
 def place(north_m: float, east_m: float, down_m: float, above_m: float = 0.0) -> Any:
     latitude, longitude, altitude_m = TANGENT.to_global(north_m, east_m, down_m)
     return mavlink.MAVLink_global_position_int_message(
-        0, round(latitude * 1e7), round(longitude * 1e7), round(altitude_m * 1e3), round(above_m * 1e3), 0, 0, 0, 0
+        0,
+        round(latitude * 1e7),
+        round(longitude * 1e7),
+        round(altitude_m * 1e3),
+        round(above_m * 1e3),
+        0,
+        0,
+        0,
+        0,
     )
 
 
@@ -84,7 +94,12 @@ def test_the_view_is_what_the_vehicle_told() -> None:
     guard = Guard()
     beat_ns = guard.now_ns
     before = guard.view(beat())
-    assert (before.heartbeat_ns, before.position_ns, before.armed, before.in_air) == (beat_ns, 0, True, True)
+    assert (before.heartbeat_ns, before.position_ns, before.armed, before.in_air) == (
+        beat_ns,
+        0,
+        True,
+        True,
+    )
     assert math.isnan(before.position_n_m[0]) and math.isnan(before.battery)
     assert (before.mode, before.mode_told, before.acked) == (FlightMode.OFFBOARD, 1, None)
     guard.now_ns += S
@@ -96,14 +111,20 @@ def test_the_view_is_what_the_vehicle_told() -> None:
     assert (view.heartbeat_ns, view.position_ns, view.in_air) == (beat_ns, beat_ns + S, False)
 
 
-@pytest.mark.parametrize(("base", "status", "armed"), [(ARMED, 4, True), (1, 4, False), (ARMED, 8, False)])
-def test_a_vehicle_whose_motors_were_stopped_is_not_armed(base: int, status: int, armed: bool) -> None:
+@pytest.mark.parametrize(
+    ("base", "status", "armed"), [(ARMED, 4, True), (1, 4, False), (ARMED, 8, False)]
+)
+def test_a_vehicle_whose_motors_were_stopped_is_not_armed(
+    base: int, status: int, armed: bool
+) -> None:
     assert Guard().view(beat(base, status=status)).armed is armed
 
 
 def test_a_pilot_s_stop_is_believed_by_its_text_until_it_is_taken_back_or_disarmed() -> None:
     guard = Guard()
-    assert guard.view(beat(autopilot=ARDUPILOT, mode=4), text("RC7: MotorEStop HIGH")).armed is False
+    assert (
+        guard.view(beat(autopilot=ARDUPILOT, mode=4), text("RC7: MotorEStop HIGH")).armed is False
+    )
     assert guard.view(beat(autopilot=ARDUPILOT, mode=4)).armed is False
     assert guard.view(text("EKF3 IMU0 is using GPS")).armed is False
     assert guard.view(text("RC7: MotorEStop LOW")).armed is True
@@ -167,11 +188,16 @@ def test_a_battery_that_only_sys_status_tells_of_is_told_of() -> None:
     assert guard.view(status).battery == pytest.approx(0.55)
 
 
-# --- what it sends ----------------------------------------------------------------------------------------------------
+# --- what it sends
+# ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("autopilot", "hold"), [(PX4, (176, 1, 4, 3)), (ARDUPILOT, (176, 1, 17, 0))])
-def test_a_hold_and_a_landing_are_one_packet_each_to_the_autopilot(autopilot: int, hold: tuple[int, ...]) -> None:
+@pytest.mark.parametrize(
+    ("autopilot", "hold"), [(PX4, (176, 1, 4, 3)), (ARDUPILOT, (176, 1, 17, 0))]
+)
+def test_a_hold_and_a_landing_are_one_packet_each_to_the_autopilot(
+    autopilot: int, hold: tuple[int, ...]
+) -> None:
     guard = Guard()
     guard.view(beat(autopilot=autopilot))
     guard.port.sent.clear()
@@ -183,7 +209,13 @@ def test_a_hold_and_a_landing_are_one_packet_each_to_the_autopilot(autopilot: in
     guard.link.land()
     (sent,) = guard.sent("COMMAND_LONG")
     unset = [sent.param4, sent.param5, sent.param6]
-    assert (sent.command, sent.param1, sent.param2, sent.param3, sent.param7) == (21, 0.0, 0.0, 0.0, 0.0)
+    assert (sent.command, sent.param1, sent.param2, sent.param3, sent.param7) == (
+        21,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
     assert all(math.isnan(value) for value in unset) if autopilot == PX4 else unset == [0.0] * 3
 
 
@@ -191,7 +223,13 @@ def test_it_says_once_a_second_who_it_is() -> None:
     guard = Guard()
     guard.link.view()
     (own,) = guard.sent("HEARTBEAT")
-    assert (own.type, own.autopilot, own.base_mode, own.custom_mode, own.system_status) == (18, 8, 0, 0, 4)
+    assert (own.type, own.autopilot, own.base_mode, own.custom_mode, own.system_status) == (
+        18,
+        8,
+        0,
+        0,
+        4,
+    )
     guard.now_ns += S - 1
     guard.link.view()
     assert guard.sent("HEARTBEAT") == []

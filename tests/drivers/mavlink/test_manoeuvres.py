@@ -1,4 +1,6 @@
-"""Each command and the wait for what it was for, in virtual time, on a session and telemetry that stand in."""
+"""Each command and the wait for what it was for, in virtual time, on a session and telemetry that
+stand in.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +69,9 @@ class Session:
     sent: list[Sent] = field(default_factory=list[Sent])
     parameters: list[tuple[str, float]] = field(default_factory=list[tuple[str, float]])
 
-    async def command(self, command: int, params: tuple[float | None, ...], tries: int) -> int | None:
+    async def command(
+        self, command: int, params: tuple[float | None, ...], tries: int
+    ) -> int | None:
         self.sent.append((command, params, tries))
         await asyncio.sleep(0.01)
         return self.result
@@ -108,7 +112,8 @@ async def refused(step: Coroutine[Any, Any, None], kind: type[VehicleError] = Ve
     return str(caught.value)
 
 
-# --- one command ----------------------------------------------------------------------------------------------------
+# --- one command
+# ----------------------------------------------------------------------------------------------------
 
 
 def test_a_command_that_is_accepted_is_sent_once_as_it_is() -> None:
@@ -130,15 +135,21 @@ def test_a_command_without_an_answer_says_that_nobody_knows() -> None:
     fly(main)
 
 
-@pytest.mark.parametrize(("text", "said"), [("crash detected", "crash detected"), (None, "global position missing")])
-def test_a_refusal_says_the_vehicle_s_own_reason_which_may_come_after_it(text: str | None, said: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "said"), [("crash detected", "crash detected"), (None, "global position missing")]
+)
+def test_a_refusal_says_the_vehicle_s_own_reason_which_may_come_after_it(
+    text: str | None, said: str
+) -> None:
     async def main(bench: Bench) -> None:
         bench.session.result = DENIED
         if text is not None:
             bench.later(0.4, bench.telemetry.texts.append, text)
         told = await refused(bench.manoeuvres.do("arm", 400, ()))
         assert "refused to arm" in told and said in told
-        assert asyncio.get_running_loop().time() == pytest.approx(0.51 if text is None else 0.41, abs=0.05)
+        assert asyncio.get_running_loop().time() == pytest.approx(
+            0.51 if text is None else 0.41, abs=0.05
+        )
 
     fly(main)
 
@@ -151,11 +162,14 @@ def test_an_answer_that_mavlink_has_no_word_for_is_told_by_its_number() -> None:
     fly(main)
 
 
-# --- modes ----------------------------------------------------------------------------------------------------------
+# --- modes
+# ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("kind", "params"), [(PX4, (1, 4.0, 3.0)), (ARDUPILOT, (1, 17.0, 0.0))])
-def test_a_mode_is_changed_once_a_younger_report_shows_it(kind: Any, params: tuple[float, ...]) -> None:
+def test_a_mode_is_changed_once_a_younger_report_shows_it(
+    kind: Any, params: tuple[float, ...]
+) -> None:
     async def main(bench: Bench) -> None:
         telemetry = bench.telemetry
         telemetry.show(FlightMode.HOLD)  # already, as an older report says
@@ -191,7 +205,8 @@ def test_a_mode_of_somebody_else_s_is_theirs_once_more_than_one_message_says_so(
     fly(main)
 
 
-# --- take-off -------------------------------------------------------------------------------------------------------
+# --- take-off
+# -------------------------------------------------------------------------------------------------------
 
 
 def test_a_px4_is_told_an_altitude_above_the_sea_and_an_ardupilot_a_height() -> None:
@@ -298,7 +313,8 @@ def test_motors_that_stop_on_the_way_up_end_it_at_once_and_say_whose_doing_it_wa
     fly(main)
 
 
-# --- landing --------------------------------------------------------------------------------------------------------
+# --- landing
+# --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("kind", "unset"), [(PX4, None), (ARDUPILOT, 0.0)])
@@ -324,7 +340,9 @@ def test_a_vehicle_that_is_down_already_has_landed() -> None:
 
 
 @pytest.mark.parametrize(("told", "landings"), [(2, 2), (1, 1)])
-def test_a_landing_that_the_end_of_a_take_off_overrode_is_begun_again(told: int, landings: int) -> None:
+def test_a_landing_that_the_end_of_a_take_off_overrode_is_begun_again(
+    told: int, landings: int
+) -> None:
     async def main(bench: Bench) -> None:
         bench.telemetry.show(FlightMode.TAKEOFF)
         bench.later(0.2, bench.telemetry.show, FlightMode.HOLD, told)
@@ -349,13 +367,18 @@ def test_a_landing_that_takes_too_long_is_told() -> None:
     ("mode", "told", "disarms_s", "kind", "ends_s"),
     [
         (FlightMode.OTHER, 2, None, TakenOver, 5.0),
-        (FlightMode.OFFBOARD, 2, None, TakenOver, 6.5),  # a landed PX4 goes back to it before it says it is disarmed
+        # a landed PX4 goes back to it before it says it is disarmed
+        (FlightMode.OFFBOARD, 2, None, TakenOver, 6.5),
         (FlightMode.OFFBOARD, 2, 1.0, None, 6.0),
         (FlightMode.OTHER, 1, 1.0, None, 6.0),
     ],
 )
 def test_another_mode_in_a_landing_is_somebody_s_when_the_vehicle_stays_armed(
-    mode: FlightMode, told: int, disarms_s: float | None, kind: type[VehicleError] | None, ends_s: float
+    mode: FlightMode,
+    told: int,
+    disarms_s: float | None,
+    kind: type[VehicleError] | None,
+    ends_s: float,
 ) -> None:
     async def main(bench: Bench) -> None:
         bench.later(0.2, bench.telemetry.show, FlightMode.LAND)

@@ -1,4 +1,6 @@
-"""The parts of the MAVSDK driver, without MAVSDK: modes, the local frame, telemetry, the callback thread's clock."""
+"""The parts of the MAVSDK driver, without MAVSDK: modes, the local frame, telemetry, the callback
+thread's clock.
+"""
 
 import asyncio
 import json
@@ -28,7 +30,9 @@ def test_modes_of_both_autopilots() -> None:
             assert kind.mode(custom) is mode
 
 
-def ecef(latitude_deg: float, longitude_deg: float, height_m: float) -> np.ndarray[Any, np.dtype[np.float64]]:
+def ecef(
+    latitude_deg: float, longitude_deg: float, height_m: float
+) -> np.ndarray[Any, np.dtype[np.float64]]:
     latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
     normal = SEMI_MAJOR_M / math.sqrt(1.0 - ECCENTRICITY_SQUARED * math.sin(latitude) ** 2)
     return np.array(
@@ -40,7 +44,9 @@ def ecef(latitude_deg: float, longitude_deg: float, height_m: float) -> np.ndarr
     )
 
 
-@pytest.mark.parametrize(("latitude", "longitude", "altitude"), [(47.4, 8.5, 480.0), (-33.9, 179.9999, 20.0)])
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "altitude"), [(47.4, 8.5, 480.0), (-33.9, 179.9999, 20.0)]
+)
 @pytest.mark.parametrize("at", [(100.0, 0.0, 0.0), (0.0, 100.0, -30.0), (-60.0, 80.0, -5.0)])
 def test_local_frame_agrees_with_earth_centred_coordinates(
     latitude: float, longitude: float, altitude: float, at: tuple[float, float, float]
@@ -59,7 +65,8 @@ def test_local_frame_agrees_with_earth_centred_coordinates(
 def test_an_exception_in_a_callback_comes_out_at_the_next_look() -> None:
     async def look() -> None:
         telemetry = TelemetrySlots(SYSID, LoopClock(), TANGENT)
-        telemetry._guarded(telemetry._on_battery)(object(), None)  # MAVSDK itself would print it and go on
+        # MAVSDK itself would print it and go on
+        telemetry._guarded(telemetry._on_battery)(object(), None)
         with pytest.raises(VehicleError, match=r"telemetry cannot be understood.*system_id"):
             telemetry.state()
 
@@ -70,7 +77,11 @@ def test_heartbeats_of_others_are_not_the_vehicles() -> None:
     telemetry = TelemetrySlots(SYSID, LoopClock(), TANGENT)
 
     class Message:
-        system_id, component_id, fields_json = SYSID, 191, '{"autopilot":8,"base_mode":0,"custom_mode":0}'
+        system_id, component_id, fields_json = (
+            SYSID,
+            191,
+            '{"autopilot":8,"base_mode":0,"custom_mode":0}',
+        )
 
     telemetry._guarded(telemetry._on_heartbeat)(Message(), None)
     telemetry._guarded(telemetry._on_current_mode)(Message(), None)
@@ -82,7 +93,11 @@ def test_the_autopilots_count_of_its_resets_is_in_the_state_and_nobody_elses() -
     telemetry = TelemetrySlots(SYSID, LoopClock(), TANGENT)
 
     class Message:
-        system_id, component_id, fields_json = SYSID, 1, '{"x":1.0,"q":[1.0,0.0,0.0,0.0],"reset_counter":7}'
+        system_id, component_id, fields_json = (
+            SYSID,
+            1,
+            '{"x":1.0,"q":[1.0,0.0,0.0,0.0],"reset_counter":7}',
+        )
 
     class Other(Message):
         component_id = 197  # of visual odometry on the same vehicle
@@ -110,21 +125,31 @@ def test_a_mode_is_news_without_a_heartbeat() -> None:
     telemetry._on_heartbeat(Message('{"autopilot":12,"base_mode":129,"custom_mode":393216}'))
     assert mode() is FlightMode.OFFBOARD
     beat = telemetry.heartbeat
-    telemetry._on_current_mode(Message('{"standard_mode":0,"custom_mode":196608,"intended_custom_mode":196608}'))
+    telemetry._on_current_mode(
+        Message('{"standard_mode":0,"custom_mode":196608,"intended_custom_mode":196608}')
+    )
     assert mode() is FlightMode.OTHER  # POSCTL: a pilot's
     assert telemetry.heartbeat is beat  # whose age tells of a lost link
     offboard = Message('{"standard_mode":0,"custom_mode":393216,"intended_custom_mode":393216}')
     telemetry._on_current_mode(offboard)
-    assert (mode(), telemetry.mode_told) == (FlightMode.OFFBOARD, 1)  # one packet's word against another's
+    # one packet's word against another's
+    assert (mode(), telemetry.mode_told) == (FlightMode.OFFBOARD, 1)
     for _ in range(2):
-        telemetry._on_current_mode(Message('{"standard_mode":0,"custom_mode":196608,"intended_custom_mode":196608}'))
+        telemetry._on_current_mode(
+            Message('{"standard_mode":0,"custom_mode":196608,"intended_custom_mode":196608}')
+        )
     telemetry._on_current_mode(offboard)
-    assert mode() is FlightMode.OTHER  # a PX4 that has landed goes back to OFFBOARD before it tells that it is disarmed
+    # a PX4 that has landed goes back to OFFBOARD before it tells that it is disarmed
+    assert mode() is FlightMode.OTHER
 
 
 @pytest.mark.parametrize(("kind", "shown_m"), [(PX4, 2.0), (ARDUPILOT, 3.2)])
-def test_a_px4_s_height_does_not_step_with_its_altitude(kind: AutopilotKind, shown_m: float) -> None:
-    """As seen when PX4 goes over to another of its estimators: 1.2 m more above sea level, and above home."""
+def test_a_px4_s_height_does_not_step_with_its_altitude(
+    kind: AutopilotKind, shown_m: float
+) -> None:
+    """As seen when PX4 goes over to another of its estimators: 1.2 m more above sea level, and
+    above home.
+    """
     telemetry = TelemetrySlots(SYSID, LoopClock(), TANGENT, height_from_home=True)
     telemetry.kind = kind
     latitude, longitude, _ = TANGENT.to_global(0.0, 0.0, 0.0)
@@ -134,11 +159,16 @@ def test_a_px4_s_height_does_not_step_with_its_altitude(kind: AutopilotKind, sho
     )
 
     def beat(base_mode: int) -> None:
-        fields = json.dumps({"autopilot": kind.mav_autopilot, "base_mode": base_mode, "custom_mode": 0})
-        telemetry._on_heartbeat(SimpleNamespace(system_id=SYSID, component_id=1, fields_json=fields))
+        fields = json.dumps(
+            {"autopilot": kind.mav_autopilot, "base_mode": base_mode, "custom_mode": 0}
+        )
+        telemetry._on_heartbeat(
+            SimpleNamespace(system_id=SYSID, component_id=1, fields_json=fields)
+        )
 
     beat(1)
-    for down_m in (0.9, 0.3):  # before it is armed it stands on the ground, whatever it takes that for
+    # before it is armed it stands on the ground, whatever it takes that for
+    for down_m in (0.9, 0.3):
         ned.position.down_m = down_m
         telemetry._on_velocity(ned)
     beat(1 | 128)
@@ -147,7 +177,10 @@ def test_a_px4_s_height_does_not_step_with_its_altitude(kind: AutopilotKind, sho
     for above_m in (2.0, 3.2):
         telemetry._on_position(
             SimpleNamespace(
-                latitude_deg=latitude, longitude_deg=longitude, absolute_altitude_m=488.0, relative_altitude_m=above_m
+                latitude_deg=latitude,
+                longitude_deg=longitude,
+                absolute_altitude_m=488.0,
+                relative_altitude_m=above_m,
             )
         )
     assert telemetry.position is not None
@@ -158,9 +191,12 @@ def test_a_px4_s_height_does_not_step_with_its_altitude(kind: AutopilotKind, sho
 @pytest.mark.parametrize("without_gps", [False, True])
 def test_a_vehicle_without_gps_is_not_asked_for_the_gps_s_health(without_gps: bool) -> None:
     telemetry = TelemetrySlots(SYSID, LoopClock(), TANGENT, without_gps=without_gps)
-    telemetry.health = dict.fromkeys(("is_armable", "is_local_position_ok", "is_home_position_ok"), True)
+    telemetry.health = dict.fromkeys(
+        ("is_armable", "is_local_position_ok", "is_home_position_ok"), True
+    )
     assert ("global position" in telemetry.missing()) is not without_gps
-    assert "position telemetry" in telemetry.missing()  # it is to know where on earth it is all the same
+    # it is to know where on earth it is all the same
+    assert "position telemetry" in telemetry.missing()
 
 
 def test_the_callback_threads_clock_follows_the_roles() -> None:

@@ -39,7 +39,11 @@ def after(*messages: dict[str, Any], later_ms: int = 10) -> Rangefinder:
 def test_a_distance_comes_in_metres_with_its_deviation() -> None:
     below = after(message()).at(10 * MS)
     assert below is not None
-    assert (below.distance_m, below.sigma_m, below.stamp_ns) == (pytest.approx(6.5), pytest.approx(0.03), 0)
+    assert (below.distance_m, below.sigma_m, below.stamp_ns) == (
+        pytest.approx(6.5),
+        pytest.approx(0.03),
+        0,
+    )
 
 
 @pytest.mark.parametrize("covariance", [0, 255, None])
@@ -85,7 +89,9 @@ def test_a_sensor_that_looks_elsewhere_says_nothing_of_the_height(orientation: i
 
 def test_of_two_that_look_down_the_first_counts_whichever_speaks_last() -> None:
     for pair in ((1, 2), (2, 1)):
-        found = after(*(message(id=number, current_distance=100 * number) for number in (*pair, *pair)))
+        found = after(
+            *(message(id=number, current_distance=100 * number) for number in (*pair, *pair))
+        )
         below = found.at(10 * MS)
         assert below is not None and below.distance_m == pytest.approx(1.0)
 

@@ -36,7 +36,9 @@ def test_a_rangefinder_that_is_counted_on_and_not_heard_is_a_fault(bench: Bench)
     assert "[height]" in every["rangefinder"].fix
 
 
-def test_one_that_is_heard_is_told_also_where_it_is_too_near_to_the_ground_to_measure(bench: Bench) -> None:
+def test_one_that_is_heard_is_told_also_where_it_is_too_near_to_the_ground_to_measure(
+    bench: Bench,
+) -> None:
     bench.drone.rangefinder = SimRangefinder(RangefinderConfig(max_m=12.0, min_m=0.3), 0, 0)
     every = found(check_flyer(bench.vehicle(telemetry_hz=20.0), CONTEXT.clock, 0.2, height=HEIGHT))
     assert every["rangefinder"].state == "ok"
@@ -44,5 +46,7 @@ def test_one_that_is_heard_is_told_also_where_it_is_too_near_to_the_ground_to_me
 
 
 def test_a_rig_without_one_is_told_nothing_of_it(bench: Bench) -> None:
-    every = found(check_flyer(bench.vehicle(telemetry_hz=20.0), CONTEXT.clock, 0.2, height=HeightFacts()))
+    every = found(
+        check_flyer(bench.vehicle(telemetry_hz=20.0), CONTEXT.clock, 0.2, height=HeightFacts())
+    )
     assert "rangefinder" not in every

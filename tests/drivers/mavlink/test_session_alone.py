@@ -1,4 +1,6 @@
-"""Which vehicle a session takes for its own, and that a wait ends when it falls silent, without MAVSDK."""
+"""Which vehicle a session takes for its own, and that a wait ends when it falls silent, without
+MAVSDK.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from tests.drivers.mavlink.test_answers import Session
 
 def beat(session: Session, autopilot: int = 12) -> None:
     fields = json.dumps({"autopilot": autopilot, "base_mode": 1, "custom_mode": 0})
-    session.telemetry._on_heartbeat(SimpleNamespace(system_id=SYSID, component_id=1, fields_json=fields))
+    session.telemetry._on_heartbeat(
+        SimpleNamespace(system_id=SYSID, component_id=1, fields_json=fields)
+    )
 
 
 @pytest.mark.parametrize(
@@ -53,9 +57,13 @@ def test_the_autopilot_is_the_one_that_beats_and_the_one_that_the_rig_says(
         ([(SYSID + 1, True), (SYSID, True)], ""),
     ],
 )
-def test_the_vehicle_is_the_one_of_its_number_that_has_an_autopilot(heard: list[tuple[int, bool]], said: str) -> None:
+def test_the_vehicle_is_the_one_of_its_number_that_has_an_autopilot(
+    heard: list[tuple[int, bool]], said: str
+) -> None:
     systems = [
-        SimpleNamespace(get_system_id=lambda number=number: number, has_autopilot=lambda there=there: there)
+        SimpleNamespace(
+            get_system_id=lambda number=number: number, has_autopilot=lambda there=there: there
+        )
         for number, there in heard
     ]
     session: Any = Session(connect_timeout_s=0.1)

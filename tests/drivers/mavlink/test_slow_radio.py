@@ -1,4 +1,6 @@
-"""A telemetry radio that brings too little for a flight: refused before anything is armed, with rate and need."""
+"""A telemetry radio that brings too little for a flight: refused before anything is armed, with
+rate and need.
+"""
 
 from __future__ import annotations
 
@@ -35,19 +37,24 @@ def test_a_vehicle_that_tells_too_little_is_not_armable(
     async def main(bench: Bench) -> None:
         bench.endpoint._set_interval = lambda *_: answer  # type: ignore[assignment,method-assign]  # pyright: ignore
         async with bench.vehicle() as vehicle:
-            await until(lambda: not vehicle._telemetry.missing() and vehicle._telemetry.battery.known)
+            await until(
+                lambda: not vehicle._telemetry.missing() and vehicle._telemetry.battery.known
+            )
             with pytest.raises(VehicleError, match=r"this flight needs 4\.0 a second") as caught:
                 await vehicle.wait_armable(WINDOW_S)
             assert "telemetry_hz" in caught.value.remedy
             told = re.search(rf"tells its {named} ([0-9.]+) times a second", str(caught.value))
             assert told is not None, caught.value
-            assert 0.0 < float(told[1]) <= rate_hz + 1.0 / WINDOW_S  # fewer where this computer was busy
+            # fewer where this computer was busy
+            assert 0.0 < float(told[1]) <= rate_hz + 1.0 / WINDOW_S
 
     with px4() as bench:
         asyncio.run(main(bench))
 
 
-def test_a_mission_that_bears_older_telemetry_flies_by_less(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mission_that_bears_older_telemetry_flies_by_less(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     for number in (POSITION, LOCAL, ATTITUDE):
         make, _ = messages.STREAMS[number]
         monkeypatch.setitem(messages.STREAMS, number, (make, 2.0))

@@ -32,9 +32,13 @@ class Slots:
         self.telemetry.kind = PX4
         self.telemetry.check()
 
-    def message(self, name: str, fields: dict[str, Any], sysid: int = SYSID, component: int = 1) -> None:
+    def message(
+        self, name: str, fields: dict[str, Any], sysid: int = SYSID, component: int = 1
+    ) -> None:
         handler = getattr(self.telemetry, f"_on_{name}")
-        handler(SimpleNamespace(system_id=sysid, component_id=component, fields_json=json.dumps(fields)))
+        handler(
+            SimpleNamespace(system_id=sysid, component_id=component, fields_json=json.dumps(fields))
+        )
 
     def beat(self, base: int = ARMED, mode: int = OFFBOARD, **more: int) -> None:
         self.message("heartbeat", {"autopilot": 12, "base_mode": base, "custom_mode": mode, **more})
@@ -45,7 +49,9 @@ class Slots:
     def attitude(self) -> None:
         self.telemetry._on_attitude(SimpleNamespace(w=0.5, x=-0.5, y=0.5, z=-0.5))
 
-    def position(self, north_m: float = 3.0, east_m: float = -4.0, down_m: float = -2.0, above_m: float = 2.5) -> None:
+    def position(
+        self, north_m: float = 3.0, east_m: float = -4.0, down_m: float = -2.0, above_m: float = 2.5
+    ) -> None:
         latitude, longitude, altitude_m = TANGENT.to_global(north_m, east_m, down_m)
         self.telemetry._on_position(
             SimpleNamespace(
@@ -71,15 +77,27 @@ def test_the_state_is_all_that_was_told() -> None:
     time.sleep(0.002)
     slots.attitude()
     without = slots.telemetry.state()
-    assert without.stamp_ns == 0 and math.isnan(without.position_n_m[0]) and math.isnan(without.velocity_n_mps[0])
+    assert (
+        without.stamp_ns == 0
+        and math.isnan(without.position_n_m[0])
+        and math.isnan(without.velocity_n_mps[0])
+    )
     assert not without.armable and not without.in_air
     time.sleep(0.002)
     slots.position()
     slots.velocity()
     slots.telemetry._on_in_air(1)
     state, telemetry = slots.telemetry.state(), slots.telemetry
-    assert telemetry.attitude is not None and telemetry.position is not None and telemetry.heartbeat is not None
-    assert telemetry.heartbeat.arrival_ns < telemetry.attitude.arrival_ns < telemetry.position.arrival_ns
+    assert (
+        telemetry.attitude is not None
+        and telemetry.position is not None
+        and telemetry.heartbeat is not None
+    )
+    assert (
+        telemetry.heartbeat.arrival_ns
+        < telemetry.attitude.arrival_ns
+        < telemetry.position.arrival_ns
+    )
     assert state.stamp_ns == telemetry.attitude.arrival_ns  # the older of the two
     assert state.heartbeat_ns == telemetry.heartbeat.arrival_ns
     assert state.position_n_m == pytest.approx((3.0, -4.0, -2.0), abs=1e-6)
@@ -114,7 +132,13 @@ def test_who_the_vehicle_is_is_not_known_before_it_is_opened() -> None:
 def test_it_is_counted_how_many_messages_in_a_row_say_the_same() -> None:
     slots = Slots()
     told: list[tuple[int, int]] = []
-    for base, mode in ((ARMED, OFFBOARD), (ARMED, OFFBOARD), (1, OFFBOARD), (1, 3 << 16), (ARMED, 3 << 16)):
+    for base, mode in (
+        (ARMED, OFFBOARD),
+        (ARMED, OFFBOARD),
+        (1, OFFBOARD),
+        (1, 3 << 16),
+        (ARMED, 3 << 16),
+    ):
         slots.beat(base, mode)
         assert slots.telemetry.heartbeat is not None
         told.append((slots.telemetry.heartbeat.told, slots.telemetry.mode_told))
@@ -175,7 +199,13 @@ def test_what_is_missing_for_a_flight_is_named(without_gps: bool) -> None:
     slots = Slots(without_gps=without_gps)
     gps = [] if without_gps else ["global position"]
     parts = ["position telemetry", "local position telemetry"]
-    assert slots.telemetry.missing() == ["arming checks", "local position", *gps, "home position", *parts]
+    assert slots.telemetry.missing() == [
+        "arming checks",
+        "local position",
+        *gps,
+        "home position",
+        *parts,
+    ]
     names = ("is_armable", "is_local_position_ok", "is_global_position_ok", "is_home_position_ok")
     slots.telemetry._on_health(SimpleNamespace(**dict.fromkeys(names, True)))
     assert slots.telemetry.missing() == parts
@@ -208,7 +238,9 @@ def test_answers_parameters_and_versions_are_the_vehicle_s_own() -> None:
 @pytest.mark.parametrize("lacks", [None, *PARTS])
 def test_a_pilot_s_radio_is_heard_when_it_is_there_and_on_and_well(lacks: str | None) -> None:
     slots = Slots()
-    sensors = {f"onboard_control_sensors_{part}": 1 if part == lacks else RC_RECEIVER | 1 for part in PARTS}
+    sensors = {
+        f"onboard_control_sensors_{part}": 1 if part == lacks else RC_RECEIVER | 1 for part in PARTS
+    }
     slots.message("sys_status", {"battery_remaining": None, **sensors}, component=2)
     assert not slots.telemetry.radio_heard and slots.telemetry.battery.told_ns is None  # a camera's
     slots.message("sys_status", {"battery_remaining": 40, **sensors})
@@ -226,7 +258,9 @@ def test_a_battery_without_a_percentage_is_of_an_unknown_level() -> None:
 
 
 @pytest.mark.parametrize(("from_home", "height_m"), [(False, 2.0), (True, 1.75)])
-def test_heights_are_above_the_sea_or_above_where_a_px4_was_armed(from_home: bool, height_m: float) -> None:
+def test_heights_are_above_the_sea_or_above_where_a_px4_was_armed(
+    from_home: bool, height_m: float
+) -> None:
     slots = Slots(height_from_home=from_home)
     slots.beat(1)
     slots.velocity(0.25)

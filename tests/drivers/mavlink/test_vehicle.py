@@ -96,16 +96,23 @@ def test_a_flight_from_arming_to_landing() -> None:
         assert not bench.autopilot.armed
         assert bench.autopilot.setpoint_gap_s / SPEED < QUICK.offboard_loss_s
         wire = bench.wire
-    for command, times in ((mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1), (mavlink.MAV_CMD_NAV_TAKEOFF, 1)):
+    for command, times in (
+        (mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1),
+        (mavlink.MAV_CMD_NAV_TAKEOFF, 1),
+    ):
         assert len(wire.commands(command)) == times
-    assert {(sp.type_mask, sp.coordinate_frame) for sp in wire.of("SET_POSITION_TARGET_LOCAL_NED")} == {(2503, 1)}
+    assert {
+        (sp.type_mask, sp.coordinate_frame) for sp in wire.of("SET_POSITION_TARGET_LOCAL_NED")
+    } == {(2503, 1)}
     assert all(math.isfinite(sp.vy) for sp in wire.of("SET_POSITION_TARGET_LOCAL_NED"))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as again:
         again.bind(("127.0.0.1", bench.port))  # the port is free again
 
 
 def test_a_mode_that_disarming_brings_back_is_no_pilots() -> None:
-    """CURRENT_MODE shows it 20 times a second; that it was disarmed comes with a heartbeat, up to a second later."""
+    """CURRENT_MODE shows it 20 times a second; that it was disarmed comes with a heartbeat, up to a
+    second later.
+    """
 
     async def fly(bench: Bench) -> None:
         async with bench.vehicle(heartbeat_timeout_s=5.0) as vehicle:
@@ -122,7 +129,8 @@ def test_height_may_be_reckoned_from_home() -> None:
     async def fly(bench: Bench) -> None:
         async with bench.vehicle(height_from="home") as vehicle:
             await vehicle.wait_armable(LIMIT_S)
-            assert vehicle.state.position_n_m[2] == pytest.approx(0.0, abs=0.02)  # its origin is 0.1 m over the ground
+            # its origin is 0.1 m over the ground
+            assert vehicle.state.position_n_m[2] == pytest.approx(0.0, abs=0.02)
 
     with px4() as bench:
         asyncio.run(fly(bench))
@@ -167,8 +175,12 @@ def test_when_python_hangs_the_setpoints_stop_and_the_vehicle_lands() -> None:
 
 
 @pytest.mark.parametrize("gps_off_m", [0.0, 10.0])
-def test_a_take_off_climbs_to_its_height_however_lately_a_parameter_was_set(gps_off_m: float) -> None:
-    """PX4 acknowledges a parameter and looks at it up to a second later: it climbed to the height it had before."""
+def test_a_take_off_climbs_to_its_height_however_lately_a_parameter_was_set(
+    gps_off_m: float,
+) -> None:
+    """PX4 acknowledges a parameter and looks at it up to a second later: it climbed to the height
+    it had before.
+    """
 
     async def fly(bench: Bench) -> None:
         async with bench.vehicle(height_from="home") as vehicle:
@@ -220,7 +232,8 @@ def test_a_kill_switch_during_the_take_off_is_a_pilots() -> None:
                 await climb
             assert not vehicle.state.armed
 
-    with px4(replace(FAST, radio=RadioConfig(kill_disarm_s=30.0)), SPEED) as bench:  # however busy the computer is
+    # however busy the computer is
+    with px4(replace(FAST, radio=RadioConfig(kill_disarm_s=30.0)), SPEED) as bench:
         asyncio.run(fly(bench))
 
 
@@ -240,7 +253,9 @@ def test_the_pilot_and_a_lost_link_end_every_wait() -> None:
             await until(lambda: vehicle.state.mode is FlightMode.LAND)
             autopilot.request_mode(bench.drone.estimate.time_s, FlightMode.OTHER, by_pilot=True)
             # By whichever of its looks sees it first: that it lands, or that it does no more.
-            ended = r"landing ended by a change to mode other|agreed to land, and was put in mode other"
+            ended = (
+                r"landing ended by a change to mode other|agreed to land, and was put in mode other"
+            )
             with pytest.raises(TakenOver, match=ended):
                 await landing
             endpoint.silent = True
@@ -262,7 +277,8 @@ def test_one_forged_heartbeat_does_not_leave_the_vehicle_to_nobody(
     base_mode: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As if from the vehicle's own address; from any other it is not believed at all."""
-    monkeypatch.setattr("flight.pilot.DOUBT_S", LIMIT_S)  # on a busy computer the next ones come later than in flight
+    # on a busy computer the next ones come later than in flight
+    monkeypatch.setattr("flight.pilot.DOUBT_S", LIMIT_S)
 
     async def fly(bench: Bench) -> None:
         forged = mavlink.MAVLink_heartbeat_message(2, 12, base_mode, 3 << 16, 4, 3)
@@ -310,7 +326,9 @@ def test_a_pilot_who_takes_it_while_offboard_is_entered_is_not_landed_for(back: 
             await asyncio.sleep(0.9)
             if back:
                 select(bench.drone.estimate.time_s, FlightMode.HOLD, by_pilot=True)
-            with pytest.raises(TakenOver, match="agreed to enter offboard control, and was put in mode"):
+            with pytest.raises(
+                TakenOver, match="agreed to enter offboard control, and was put in mode"
+            ):
                 await entering
             assert bench.wire.commands(mavlink.MAV_CMD_NAV_LAND) == []
 
@@ -325,7 +343,9 @@ def test_a_hold_far_below_the_height_is_somebody_elses() -> None:
             await vehicle.arm()
             climb = asyncio.create_task(vehicle.take_off(10.0, LIMIT_S))
             await until(lambda: vehicle.state.in_air)
-            bench.autopilot.request_mode(bench.drone.estimate.time_s, FlightMode.HOLD, by_pilot=True)
+            bench.autopilot.request_mode(
+                bench.drone.estimate.time_s, FlightMode.HOLD, by_pilot=True
+            )
             with pytest.raises(TakenOver, match="take-off ended on the way: mode hold"):
                 await climb
 
@@ -354,7 +374,9 @@ def test_the_mode_is_asked_for_beside_heartbeats() -> None:
 def test_closing_ends_the_plugins_before_mavsdk_however_the_garbage_collector_runs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A plugin that the collector ends in one thread while MAVSDK ends in another takes the process down."""
+    """A plugin that the collector ends in one thread while MAVSDK ends in another takes the process
+    down.
+    """
     alive: list[bool] = []
     destroy = Mavsdk.destroy
 
@@ -362,7 +384,10 @@ def test_closing_ends_the_plugins_before_mavsdk_however_the_garbage_collector_ru
         async with bench.vehicle() as vehicle:
             session = vehicle._session
             assert session.parameters is not None
-            plugins = [weakref.ref(plugin) for plugin in (session._plugin, session._direct, session.parameters._plugin)]
+            plugins = [
+                weakref.ref(plugin)
+                for plugin in (session._plugin, session._direct, session.parameters._plugin)
+            ]
 
             def collected_before(mavsdk: Mavsdk) -> None:
                 gc.collect()
@@ -417,10 +442,13 @@ def test_closing_waits_for_a_parameter_that_is_being_read() -> None:
 def test_a_refused_arm_says_why() -> None:
     async def fly(bench: Bench) -> None:
         async with bench.vehicle() as vehicle:
-            with pytest.raises(VehicleError, match=r"not ready to arm after 0\.2 s: waiting for arming checks"):
+            with pytest.raises(
+                VehicleError, match=r"not ready to arm after 0\.2 s: waiting for arming checks"
+            ):
                 await vehicle.wait_armable(0.2)
             with pytest.raises(
-                VehicleError, match=r"refused to arm \(temporarily rejected\): Arming denied: compass inconsistent"
+                VehicleError,
+                match=r"refused to arm \(temporarily rejected\): Arming denied: compass inconsistent",
             ):
                 await vehicle.arm()
             with pytest.raises(VehicleError, match="not armed"):
@@ -436,11 +464,16 @@ def test_a_refused_arm_says_why() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"sysid": SYSID + 1, "connect_timeout_s": 4.0}, rf"vehicle {SYSID + 1} is not on .*heard only {SYSID}"),
+        (
+            {"sysid": SYSID + 1, "connect_timeout_s": 4.0},
+            rf"vehicle {SYSID + 1} is not on .*heard only {SYSID}",
+        ),
         ({"autopilot": "ardupilot"}, "is px4, the rig says ardupilot"),
     ],
 )
-def test_the_wrong_vehicle_is_refused_and_the_port_given_back(options: dict[str, Any], message: str) -> None:
+def test_the_wrong_vehicle_is_refused_and_the_port_given_back(
+    options: dict[str, Any], message: str
+) -> None:
     async def fly(bench: Bench) -> None:
         with pytest.raises(VehicleError, match=message):
             await bench.vehicle(**options).__aenter__()
@@ -453,7 +486,9 @@ def test_the_wrong_vehicle_is_refused_and_the_port_given_back(options: dict[str,
 
 def test_without_a_heartbeat_the_error_names_url_and_wait() -> None:
     port = free_port()
-    with pytest.raises(VehicleError, match=rf"no heartbeat on udpin://127.0.0.1:{port} in 0.2 s") as caught:
+    with pytest.raises(
+        VehicleError, match=rf"no heartbeat on udpin://127.0.0.1:{port} in 0.2 s"
+    ) as caught:
         asyncio.run(vehicle_at(port, connect_timeout_s=0.2).__aenter__())
     assert "powered" in caught.value.remedy
 

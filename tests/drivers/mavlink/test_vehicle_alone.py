@@ -1,4 +1,6 @@
-"""The driver of a vehicle on a session and telemetry that stand in: what is refused, what is sent, how often."""
+"""The driver of a vehicle on a session and telemetry that stand in: what is refused, what is sent,
+how often.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,9 @@ class Telemetry(Slots):
     firmware = None
 
     def state(self) -> Any:
-        return SimpleNamespace(armed=self.armed, in_air=self.in_air, position_n_m=(0.0, 0.0, -self.height_m))
+        return SimpleNamespace(
+            armed=self.armed, in_air=self.in_air, position_n_m=(0.0, 0.0, -self.height_m)
+        )
 
     def missing(self) -> list[str]:
         return list(self.lacking)
@@ -71,7 +75,11 @@ class Bench:
         self.vehicle._session, self.vehicle._telemetry = self.session, self.telemetry
         self.vehicle._clock = self.telemetry.clock
         self.vehicle._manoeuvres = SimpleNamespace(
-            kind=PX4, do=self._do, change_mode=self._change_mode, take_off=self._take_off, land=self._land
+            kind=PX4,
+            do=self._do,
+            change_mode=self._change_mode,
+            take_off=self._take_off,
+            land=self._land,
         )
         self.vehicle._before = SimpleNamespace(check_pilot=self._check_pilot)
         self.vehicle._too_slow = lambda: self.slow
@@ -112,7 +120,9 @@ async def refused(step: Coroutine[Any, Any, Any]) -> str:
     return str(caught.value)
 
 
-@pytest.mark.parametrize(("kind", "first"), [(PX4, []), (ARDUPILOT, [(FlightMode.OFFBOARD, "select GUIDED", 1)])])
+@pytest.mark.parametrize(
+    ("kind", "first"), [(PX4, []), (ARDUPILOT, [(FlightMode.OFFBOARD, "select GUIDED", 1)])]
+)
 def test_arming_is_commanded_once_and_seen(kind: Any, first: list[Any]) -> None:
     async def main(bench: Bench) -> None:
         bench.vehicle._manoeuvres.kind, bench.telemetry.armed = kind, False
@@ -169,7 +179,11 @@ def test_a_setpoint_is_a_velocity_and_a_yaw_in_the_local_frame() -> None:
         ((_, name, fields),) = bench.session.messages
         assert name == "SET_POSITION_TARGET_LOCAL_NED"
         assert (fields["vx"], fields["vy"], fields["vz"], fields["yaw"]) == (0.1, -0.2, 0.3, 1.2)
-        assert (fields["coordinate_frame"], fields["type_mask"], fields["time_boot_ms"]) == (1, 0b100111000111, 77)
+        assert (fields["coordinate_frame"], fields["type_mask"], fields["time_boot_ms"]) == (
+            1,
+            0b100111000111,
+            77,
+        )
         assert {fields[name] for name in ("x", "y", "z", "afx", "afy", "afz", "yaw_rate")} == {0.0}
 
     with_vehicle(main)
@@ -216,7 +230,10 @@ def test_a_vehicle_is_armable_once_nothing_is_missing_and_its_pilot_was_looked_a
         bench.telemetry.lacking, bench.slow = (), "position too seldom"
         await asyncio.sleep(1.0)
         assert not waiting.done()
-        bench.slow, bench.telemetry.battery = "", SimpleNamespace(known=False, trouble="battery level")
+        bench.slow, bench.telemetry.battery = (
+            "",
+            SimpleNamespace(known=False, trouble="battery level"),
+        )
         await asyncio.sleep(1.0)
         assert not waiting.done()
         bench.telemetry.battery = SimpleNamespace(known=True, trouble="")
@@ -229,13 +246,21 @@ def test_a_vehicle_is_armable_once_nothing_is_missing_and_its_pilot_was_looked_a
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"differing": ("COM_RCL_EXCEPT is 0, 4 is wanted",)}, "is not set for this flight: COM_RCL_EXCEPT"),
+        (
+            {"differing": ("COM_RCL_EXCEPT is 0, 4 is wanted",)},
+            "is not set for this flight: COM_RCL_EXCEPT",
+        ),
         ({"slow": "position too seldom"}, "tells its position too seldom"),
-        ({"lacking": ("home position", "arming checks")}, "waiting for home position, arming checks; the vehicle says"),
+        (
+            {"lacking": ("home position", "arming checks")},
+            "waiting for home position, arming checks; the vehicle says",
+        ),
         ({"trouble": "battery level"}, "waiting for battery level"),
     ],
 )
-def test_a_vehicle_that_is_not_armable_says_what_it_waits_for(changes: dict[str, Any], said: str) -> None:
+def test_a_vehicle_that_is_not_armable_says_what_it_waits_for(
+    changes: dict[str, Any], said: str
+) -> None:
     async def main(bench: Bench) -> None:
         bench.differing, bench.slow = changes.get("differing", ()), changes.get("slow", "")
         bench.telemetry.lacking = changes.get("lacking", ())
@@ -279,13 +304,29 @@ def test_a_vehicle_on_the_ground_that_says_it_is_high_up_is_not_armed(
     with_vehicle(main, **options)
 
 
-def test_every_stream_is_asked_for_at_its_rate_and_a_vehicle_that_answers_nothing_is_refused() -> None:
+def test_every_stream_is_asked_for_at_its_rate_and_a_vehicle_that_answers_nothing_is_refused() -> (
+    None
+):
     async def main(bench: Bench) -> None:
         await bench.vehicle._set_rates()
         assert all(command == 511 and tries == 3 for command, _, tries in bench.session.sent)
-        rates = {int(cast(float, params[0])): 1e6 / cast(float, params[1]) for _, params, _ in bench.session.sent}
+        rates = {
+            int(cast(float, params[0])): 1e6 / cast(float, params[1])
+            for _, params, _ in bench.session.sent
+        }
         assert rates == pytest.approx(
-            {0: 5.0, 436: 20.0, 31: 40.0, 32: 40.0, 33: 40.0, 245: 5.0, 1: 2.0, 24: 2.0, 147: 1.0, 242: 1.0}
+            {
+                0: 5.0,
+                436: 20.0,
+                31: 40.0,
+                32: 40.0,
+                33: 40.0,
+                245: 5.0,
+                1: 2.0,
+                24: 2.0,
+                147: 1.0,
+                242: 1.0,
+            }
         )
         assert all(params[2] == 0.0 for _, params, _ in bench.session.sent)
         bench.session.result = 3  # unsupported: it keeps its own rates
@@ -299,6 +340,9 @@ def test_every_stream_is_asked_for_at_its_rate_and_a_vehicle_that_answers_nothin
 def test_a_heartbeat_s_rate_can_be_left_alone() -> None:
     async def main(bench: Bench) -> None:
         await bench.vehicle._set_rates()
-        assert 0 not in [params[0] for _, params, _ in bench.session.sent] and len(bench.session.sent) == 9
+        assert (
+            0 not in [params[0] for _, params, _ in bench.session.sent]
+            and len(bench.session.sent) == 9
+        )
 
     with_vehicle(main, heartbeat_hz=0.0)

@@ -1,4 +1,6 @@
-"""A beacon's place as an autopilot is told it: in which frame, how sure, and when its origin follows."""
+"""A beacon's place as an autopilot is told it: in which frame, how sure, and when its origin
+follows.
+"""
 
 from __future__ import annotations
 
@@ -36,13 +38,21 @@ class Feed:
         self.sent: list[tuple[str, dict[str, Any]]] = []
         self.rpy = (0.1, -0.2, 0.7)
         self.telemetry: Any = SimpleNamespace(
-            kind=PX4, health={"is_local_position_ok": True}, velocity_n_mps=(0.0, 0.0, 0.0), attitude_at=self._attitude
+            kind=PX4,
+            health={"is_local_position_ok": True},
+            velocity_n_mps=(0.0, 0.0, 0.0),
+            attitude_at=self._attitude,
         )
 
         def send(name: str, fields: dict[str, Any]) -> None:
             self.sent.append((name, fields))
 
-        parts: Any = (config, SimpleNamespace(origin=ORIGIN), SimpleNamespace(send=send), self.telemetry)
+        parts: Any = (
+            config,
+            SimpleNamespace(origin=ORIGIN),
+            SimpleNamespace(send=send),
+            self.telemetry,
+        )
         self.feed: Any = VisionFeed(*parts)
 
     def _attitude(self, stamp_ns: int) -> tuple[float, float, float, float]:
@@ -68,11 +78,17 @@ def test_a_beacon_s_place_is_turned_and_shifted_into_the_mission_s_frame(
     assert found == pytest.approx(place_n_m)
 
 
-def test_the_autopilot_is_told_its_body_s_place_and_how_sure_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_autopilot_is_told_its_body_s_place_and_how_sure_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     feed = Feed(monkeypatch)
     feed.feed._take(FIX)
     ((name, told),) = feed.sent
-    assert name == "VISION_POSITION_ESTIMATE" and told["usec"] == 7_000_000 and told["reset_counter"] == 0
+    assert (
+        name == "VISION_POSITION_ESTIMATE"
+        and told["usec"] == 7_000_000
+        and told["reset_counter"] == 0
+    )
     body = np.array(beacon_in_n(FIX.position_m, CONFIG)) - R_from_rpy(*feed.rpy) @ CONFIG.lever_b_m
     assert (told["x"], told["y"], told["z"]) == pytest.approx(tuple(body.tolist()))
     assert (told["roll"], told["pitch"], told["yaw"]) == pytest.approx(feed.rpy)
@@ -84,7 +100,13 @@ def test_the_autopilot_is_told_its_body_s_place_and_how_sure_it_is(monkeypatch: 
 
 @pytest.mark.parametrize(
     ("changes", "passed"),
-    [({}, 1), ({"address": 4}, 0), ({"quality": 60.0}, 1), ({"quality": 59.9}, 0), ({"host_ns": None}, 0)],
+    [
+        ({}, 1),
+        ({"address": 4}, 0),
+        ({"quality": 60.0}, 1),
+        ({"quality": 59.9}, 0),
+        ({"host_ns": None}, 0),
+    ],
 )
 def test_only_this_drone_s_beacon_is_passed_on_when_it_is_good_enough_and_its_time_is_known(
     monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], passed: int
@@ -114,7 +136,9 @@ def test_the_origin_is_told_once_after_the_estimator_has_stood_still_for_three_s
     assert feed.feed.sent == 7
 
 
-def test_an_estimator_without_a_local_position_does_not_stand_still(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_estimator_without_a_local_position_does_not_stand_still(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     feed = Feed(monkeypatch)
     for health in ({}, {"is_local_position_ok": False}):
         feed.telemetry.health = health
@@ -124,7 +148,9 @@ def test_an_estimator_without_a_local_position_does_not_stand_still(monkeypatch:
 
 
 @pytest.mark.parametrize(("kind", "altitude_mm"), [(PX4, 0), (ARDUPILOT, 488_000), (None, 488_000)])
-def test_the_origin_s_altitude_is_told_to_an_ardupilot_and_not_to_a_px4(kind: Any, altitude_mm: int) -> None:
+def test_the_origin_s_altitude_is_told_to_an_ardupilot_and_not_to_a_px4(
+    kind: Any, altitude_mm: int
+) -> None:
     assert origin_fields(ORIGIN, kind) == {
         "latitude": 474_000_000, "longitude": 85_000_000, "altitude": altitude_mm, "time_usec": 0
     }  # fmt: skip

@@ -54,7 +54,9 @@ def test_it_is_heard_and_asked_and_answers() -> None:
         clock = Clock()
         async with UdpOperator(UdpOperatorConfig(f"127.0.0.1:{port}"), Context(clock)) as operator:
             with speaker() as tablet:
-                tablet.sendto(json.dumps({"place": [4, 1], "error_m": 0.3}).encode(), ("127.0.0.1", port))
+                tablet.sendto(
+                    json.dumps({"place": [4, 1], "error_m": 0.3}).encode(), ("127.0.0.1", port)
+                )
                 assert await until_heard(operator, 1) == [PlaceTold(NOW_NS, (4.0, 1.0, 0.0), 0.3)]
                 assert json.loads(tablet.recv(1 << 16)) == {"asks": None}
                 operator.ask(QUESTION, None)
@@ -75,7 +77,9 @@ def test_it_is_heard_and_asked_and_answers() -> None:
 def test_whoever_comes_in_while_a_question_is_open_is_asked_it() -> None:
     async def talk() -> None:
         port = free_port()
-        async with UdpOperator(UdpOperatorConfig(f"127.0.0.1:{port}"), Context(Clock())) as operator:
+        async with UdpOperator(
+            UdpOperatorConfig(f"127.0.0.1:{port}"), Context(Clock())
+        ) as operator:
             operator.ask(QUESTION, None)
             with speaker() as tablet:
                 tablet.sendto(b'{"hello": true}', ("127.0.0.1", port))
@@ -88,7 +92,9 @@ def test_whoever_comes_in_while_a_question_is_open_is_asked_it() -> None:
 def test_nonsense_is_counted_and_a_flood_is_dropped() -> None:
     async def talk() -> None:
         port = free_port()
-        async with UdpOperator(UdpOperatorConfig(f"127.0.0.1:{port}"), Context(Clock())) as operator:
+        async with UdpOperator(
+            UdpOperatorConfig(f"127.0.0.1:{port}"), Context(Clock())
+        ) as operator:
             for _ in range(3):
                 operator.take(b"{", ("127.0.0.1", 9))
             for _ in range(3 * WAITING):

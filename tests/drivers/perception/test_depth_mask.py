@@ -66,10 +66,14 @@ def test_two_things_that_are_both_between_are_cut_apart_at_the_step() -> None:
 
 def test_far_around_the_region_all_is_grey() -> None:
     depth = np.full((60, 120), 2500, np.uint16)
-    seen = (without_elsewhere(IMAGE, depth, (2.0, 3.0), NOISE_M, Region(5.0, 5.0, 25.0, 25.0)) == 200).all(axis=2)
+    seen = (
+        without_elsewhere(IMAGE, depth, (2.0, 3.0), NOISE_M, Region(5.0, 5.0, 25.0, 25.0)) == 200
+    ).all(axis=2)
     assert seen[:55, :55].all()
     assert not seen[:, 58:].any()
-    assert not (without_elsewhere(IMAGE, depth, (2.0, 3.0), NOISE_M, Region(300.0, 5.0, 325.0, 25.0)) == 200).any()
+    assert not (
+        without_elsewhere(IMAGE, depth, (2.0, 3.0), NOISE_M, Region(300.0, 5.0, 325.0, 25.0)) == 200
+    ).any()
 
 
 def test_what_has_no_depth_is_cut_from_what_is_between_on_its_own_side() -> None:

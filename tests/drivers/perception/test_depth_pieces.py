@@ -9,7 +9,10 @@ from drivers.perception.depth_pieces import DepthSlice
 from path.observations import Box, Detection
 
 NOISE_M = 0.005
-UPPER, LOWER = Detection(Box(20.0, 20.0, 60.0, 40.0), 0.2), Detection(Box(30.0, 50.0, 50.0, 30.0), 0.3)
+UPPER, LOWER = (
+    Detection(Box(20.0, 20.0, 60.0, 40.0), 0.2),
+    Detection(Box(30.0, 50.0, 50.0, 30.0), 0.3),
+)
 
 
 def slice_of(upper_m: float, lower_m: float) -> DepthSlice:
@@ -37,7 +40,8 @@ def test_pieces_without_depth_are_united_by_their_boxes_alone() -> None:
 
 
 def test_a_third_piece_may_overlap_only_what_the_others_make() -> None:
-    corner = Detection(Box(20.0, 62.0, 9.0, 16.0), 0.1)  # beside the lower piece, below the upper one
+    # beside the lower piece, below the upper one
+    corner = Detection(Box(20.0, 62.0, 9.0, 16.0), 0.1)
     (whole,) = slice_of(2.5, 2.5).united([UPPER, corner, LOWER])
     assert whole.box == Box(20.0, 20.0, 60.0, 60.0)
 
@@ -51,7 +55,9 @@ def test_a_third_piece_may_overlap_only_what_the_others_make() -> None:
         (Detection(Box(20.0, 70.0, 60.0, 40.0), 0.9), False),  # elsewhere
     ],
 )
-def test_only_a_solid_piece_at_a_depth_that_is_asked_for_is_a_thing(piece: Detection, thing: bool) -> None:
+def test_only_a_solid_piece_at_a_depth_that_is_asked_for_is_a_thing(
+    piece: Detection, thing: bool
+) -> None:
     assert slice_of(2.5, 4.0).is_thing(piece) == thing
 
 

@@ -1,4 +1,6 @@
-"""The perception over a camera and a detector: which frames become views, and what a view answers."""
+"""The perception over a camera and a detector: which frames become views, and what a view
+answers.
+"""
 
 from __future__ import annotations
 
@@ -79,17 +81,23 @@ class Clock:
         return 0
 
 
-CONTEXT = PartContext(Role.SENDER, Clock(), CAMERA, Mount(LEVEL, LEVEL), single_marker(), Origin(0.0, 0.0, 0.0))
+CONTEXT = PartContext(
+    Role.SENDER, Clock(), CAMERA, Mount(LEVEL, LEVEL), single_marker(), Origin(0.0, 0.0, 0.0)
+)
 
 
 def table(**settings: Any) -> dict[str, Any]:
-    parts = {"camera": {"factory": f"{__name__}:StubCamera"}, "detector": {"factory": f"{__name__}:StubDetector"}}
+    parts = {
+        "camera": {"factory": f"{__name__}:StubCamera"},
+        "detector": {"factory": f"{__name__}:StubDetector"},
+    }
     return {**parts, **settings}
 
 
 def perception(**settings: Any) -> tuple[PixelPerception, StubCamera, StubDetector]:
     made = PixelPerception(
-        decode_table(table(**settings), PixelPerceptionConfig, "rig.toml: sender.perception"), CONTEXT
+        decode_table(table(**settings), PixelPerceptionConfig, "rig.toml: sender.perception"),
+        CONTEXT,
     )
     camera, detector = made._camera, made._detector
     assert isinstance(camera, StubCamera)
@@ -143,7 +151,15 @@ def test_frames_that_wait_already_leave_the_loop_to_the_pilot() -> None:
 
 def test_old_and_repeated_frames_are_never_given() -> None:
     made, camera, _ = perception()
-    camera.frames = [frame(1), frame(1), frame(3), frame(2), frame(4, stamp_ns=3000), frame(5), frame(5, 6000)]
+    camera.frames = [
+        frame(1),
+        frame(1),
+        frame(3),
+        frame(2),
+        frame(4, stamp_ns=3000),
+        frame(5),
+        frame(5, 6000),
+    ]
     views = [view_of(made) for _ in range(3)]
     assert [view.frame_id for view in views] == [1, 3, 5]
     assert [view.stamp_ns for view in views] == [1000, 3000, 5000]
@@ -172,7 +188,9 @@ def test_the_wait_is_bounded_however_many_old_frames_come() -> None:
 
 
 @pytest.mark.parametrize("color_only", [True, False])
-def test_frames_of_another_size_than_the_calibration_are_refused_with_both_sizes(color_only: bool) -> None:
+def test_frames_of_another_size_than_the_calibration_are_refused_with_both_sizes(
+    color_only: bool,
+) -> None:
     made, camera, _ = perception()
     small = np.zeros((90, 120), np.uint16)
     good = frame(1)
@@ -244,9 +262,14 @@ def test_what_depth_cuts_off_is_no_target_and_what_it_leaves_alone_keeps_its_edg
     assert seen_cut(both, nearly_all) == [both]
 
 
-def test_a_piece_of_odd_shape_is_a_target_only_when_there_is_no_other_and_its_own_depth_is_right() -> None:
+def test_a_piece_of_odd_shape_is_a_target_only_when_there_is_no_other_and_its_own_depth_is_right() -> (
+    None
+):
     both = Detection(Box(40.0, 40.0, 80.0, 40.0), 0.9)
-    near, far = Detection(Box(40.0, 40.0, 40.0, 40.0), 0.2), Detection(Box(100.0, 40.0, 20.0, 40.0), 0.2)
+    near, far = (
+        Detection(Box(40.0, 40.0, 40.0, 40.0), 0.2),
+        Detection(Box(100.0, 40.0, 20.0, 40.0), 0.2),
+    )
     assert seen_cut(both, near, far) == [near]
     assert seen_cut(both, far) == []
     assert seen_cut(both) == []
@@ -254,7 +277,10 @@ def test_a_piece_of_odd_shape_is_a_target_only_when_there_is_no_other_and_its_ow
 
 def test_pieces_that_the_cut_made_of_one_thing_are_that_thing_with_its_own_edges() -> None:
     one = Detection(Box(20.0, 20.0, 60.0, 62.0), 0.9)
-    upper, lower = Detection(Box(20.0, 20.0, 60.0, 40.0), 0.2), Detection(Box(30.0, 50.0, 50.0, 30.0), 0.2)
+    upper, lower = (
+        Detection(Box(20.0, 20.0, 60.0, 40.0), 0.2),
+        Detection(Box(30.0, 50.0, 50.0, 30.0), 0.2),
+    )
     assert seen_cut(one, upper, lower, near_to=100) == [one]
 
 
@@ -298,7 +324,12 @@ def test_markers_are_found_in_the_pixels(corners: str) -> None:
     large[100:340, 200:440] = printed
     made, camera, _ = perception(corners=corners)
     camera.frames = [
-        Frame(1, 1, np.asarray(cv2.resize(large, (160, 120), interpolation=cv2.INTER_AREA), np.uint8), None)
+        Frame(
+            1,
+            1,
+            np.asarray(cv2.resize(large, (160, 120), interpolation=cv2.INTER_AREA), np.uint8),
+            None,
+        )
     ]
     view = view_of(made)
     (found,) = view.markers(None)
@@ -311,7 +342,9 @@ def test_markers_are_found_in_the_pixels(corners: str) -> None:
 
 def test_a_rig_that_names_no_detector_is_refused() -> None:
     with pytest.raises(RigError, match="missing key 'detector'"):
-        decode_table({"camera": table()["camera"]}, PixelPerceptionConfig, "rig.toml: sender.perception")
+        decode_table(
+            {"camera": table()["camera"]}, PixelPerceptionConfig, "rig.toml: sender.perception"
+        )
 
 
 def test_a_detector_that_wants_the_whole_image_is_asked_once_and_depth_judges_its_boxes() -> None:
@@ -320,7 +353,10 @@ def test_a_detector_that_wants_the_whole_image_is_asked_once_and_depth_judges_it
     setattr(detector, "whole_image", True)  # noqa: B010 (the stub has no such attribute)
     camera.frames = [frame(1)]
     view = view_of(made)
-    at_2_m, elsewhere = Region(0.0, 0.0, 160.0, 120.0, 1.5, 2.5), Region(0.0, 0.0, 160.0, 120.0, 3.0, 4.0)
+    at_2_m, elsewhere = (
+        Region(0.0, 0.0, 160.0, 120.0, 1.5, 2.5),
+        Region(0.0, 0.0, 160.0, 120.0, 3.0, 4.0),
+    )
     depth_mm = camera_frame_depth(view)
     depth_mm[:] = 2000
     assert len(view.targets(at_2_m)) == 1
@@ -337,7 +373,8 @@ def camera_frame_depth(view: PixelView) -> NDArray[np.uint16]:
     return depth_mm
 
 
-# --- a camera without depth --------------------------------------------------------------------------------------
+# --- a camera without depth
+# --------------------------------------------------------------------------------------
 
 
 SIZE = TargetSize(apparent_m=0.3, sigma=0.1)
@@ -356,7 +393,9 @@ def flat_view(boxes: Sequence[Box], size: TargetSize | None) -> PixelView:
 
     image = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
     finding = Finding(StubConfig(), CONTEXT)
-    return PixelView(Frame(1, 1, image, None), CAMERA, single_marker(), finding, MethodConfig(), size=size)
+    return PixelView(
+        Frame(1, 1, image, None), CAMERA, single_marker(), finding, MethodConfig(), size=size
+    )
 
 
 def test_without_depth_the_target_s_size_gives_the_range() -> None:
@@ -380,17 +419,21 @@ def test_without_depth_the_detector_is_told_how_long_a_target_can_be_there() -> 
     cut, box = Box(-0.5, 20.0, 60.0, 40.0), Box(70.0, 20.0, 30.0, 30.0)
     view = flat_view([cut, box], replace(SIZE, longest_m=0.4))
     asked = Region(0.0, 0.0, 160.0, 120.0, near_m=1.5, far_m=2.5)
-    assert [each.box for each in view.targets(asked)] == [box]  # what the border cuts is longer than 0.4 m already
+    # what the border cuts is longer than 0.4 m already
+    assert [each.box for each in view.targets(asked)] == [box]
     assert [each.box for each in flat_view([cut, box], SIZE).targets(asked)] == [cut, box]
     assert told[-2].extent.longest_px == pytest.approx(0.4 * CAMERA.fx / 2.0)
     assert told[-1].extent == UNKNOWN
 
 
 def test_a_box_that_is_longer_than_a_target_can_be_there_is_not_its_box() -> None:
-    long, box = Box(20.0, 20.0, 60.0, 12.0), Box(90.0, 60.0, 30.0, 30.0)  # of sizes that go with 2.2 m and 2 m
+    # of sizes that go with 2.2 m and 2 m
+    long, box = Box(20.0, 20.0, 60.0, 12.0), Box(90.0, 60.0, 30.0, 30.0)
     asked = Region(0.0, 0.0, 160.0, 120.0, near_m=1.5, far_m=2.5)
     assert [each.box for each in flat_view([long, box], SIZE).targets(asked)] == [long, box]
-    assert [each.box for each in flat_view([long, box], replace(SIZE, longest_m=0.4)).targets(asked)] == [box]
+    assert [
+        each.box for each in flat_view([long, box], replace(SIZE, longest_m=0.4)).targets(asked)
+    ] == [box]
 
 
 @pytest.mark.parametrize(("size", "lacks"), [(None, {Capability.RANGE}), (SIZE, set[Capability]())])
@@ -399,4 +442,7 @@ def test_a_sight_lacks_what_its_camera_lacks_but_for_ranges_by_size(
 ) -> None:
     camera = PartSpec(f"{__name__}:NoDepth", {}, "test: camera")
     detector = PartSpec(f"{__name__}:StubDetector", {}, "test: detector")
-    assert PixelPerception(PixelPerceptionConfig(camera, detector, target=size), CONTEXT).lacks == lacks
+    assert (
+        PixelPerception(PixelPerceptionConfig(camera, detector, target=size), CONTEXT).lacks
+        == lacks
+    )

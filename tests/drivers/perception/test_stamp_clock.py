@@ -1,4 +1,6 @@
-"""A camera's stamps in the role's clock: never in the future, never twice, and not biased by slow arrivals."""
+"""A camera's stamps in the role's clock: never in the future, never twice, and not biased by slow
+arrivals.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +9,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.perception.stamp_clock import WRAP_NS, Domain, StampClock, StampConfig, StampLine, StampRefused
+from drivers.perception.stamp_clock import (
+    WRAP_NS,
+    Domain,
+    StampClock,
+    StampConfig,
+    StampLine,
+    StampRefused,
+)
 
 MS = 1_000_000
 PERIOD = 20 * MS
 
 
-def mapped(clock: StampClock, stamp_ns: int, domain: Domain, arrival_ns: int, wall_ns: int = 0) -> int:
+def mapped(
+    clock: StampClock, stamp_ns: int, domain: Domain, arrival_ns: int, wall_ns: int = 0
+) -> int:
     result = clock.to_role(stamp_ns, domain, arrival_ns, wall_ns)
     assert isinstance(result, int), result
     return result
@@ -36,7 +47,8 @@ def test_late_arrivals_of_a_drifting_clock_do_not_move_the_stamps(drift_ppm: flo
 
 def test_the_counter_of_a_d400_begins_anew() -> None:
     line = StampLine()
-    stamps = [line.next(k * 600_000 * MS % WRAP_NS, Domain.HARDWARE) for k in range(20)]  # more than three hours
+    # more than three hours
+    stamps = [line.next(k * 600_000 * MS % WRAP_NS, Domain.HARDWARE) for k in range(20)]
     assert stamps == [k * 600_000 * MS for k in range(20)]
     wall = StampLine()
     assert wall.next(WRAP_NS, Domain.GLOBAL) == WRAP_NS
@@ -45,14 +57,19 @@ def test_the_counter_of_a_d400_begins_anew() -> None:
 
 def test_stamps_that_repeat_or_go_back_are_refused() -> None:
     line = StampLine()
-    results = [line.next(stamp, Domain.HARDWARE) for stamp in (100 * MS, 100 * MS, 90 * MS, 101 * MS)]
+    results = [
+        line.next(stamp, Domain.HARDWARE) for stamp in (100 * MS, 100 * MS, 90 * MS, 101 * MS)
+    ]
     assert results == [100 * MS, None, None, 101 * MS]
 
 
 def test_a_recording_keeps_its_distances_whatever_the_arrivals() -> None:
     clock = StampClock(StampConfig(50 * MS, follow=False))
     late = (30, 0, 90, 5)
-    stamps = [mapped(clock, k * PERIOD, Domain.GLOBAL, k * PERIOD + each * MS) for k, each in enumerate(late)]
+    stamps = [
+        mapped(clock, k * PERIOD, Domain.GLOBAL, k * PERIOD + each * MS)
+        for k, each in enumerate(late)
+    ]
     assert np.diff(stamps).tolist() == [PERIOD] * 3
     assert stamps[0] == (30 - 50) * MS
 
@@ -61,7 +78,8 @@ def test_a_wall_clock_stamp_is_taken_as_it_is() -> None:
     clock = StampClock()
     wall_ns = 1_700_000_000_000 * MS
     assert mapped(clock, wall_ns + 500 * MS, Domain.GLOBAL, 512 * MS, wall_ns) == 500 * MS
-    assert mapped(clock, wall_ns + 533 * MS, Domain.SYSTEM, 532 * MS, wall_ns) == 532 * MS  # not from the future
+    # not from the future
+    assert mapped(clock, wall_ns + 533 * MS, Domain.SYSTEM, 532 * MS, wall_ns) == 532 * MS
 
 
 @pytest.mark.parametrize("step_ms", [-2000, 2000])
@@ -72,9 +90,12 @@ def test_a_wall_clock_that_was_set_is_not_followed(step_ms: int) -> None:
 
 
 @given(
-    st.lists(st.tuples(st.integers(-50, 400), st.integers(0, 300)), min_size=1, max_size=30), st.sampled_from(Domain)
+    st.lists(st.tuples(st.integers(-50, 400), st.integers(0, 300)), min_size=1, max_size=30),
+    st.sampled_from(Domain),
 )
-def test_whatever_comes_stamps_grow_and_are_not_after_the_arrival(steps: list[tuple[int, int]], domain: Domain) -> None:
+def test_whatever_comes_stamps_grow_and_are_not_after_the_arrival(
+    steps: list[tuple[int, int]], domain: Domain
+) -> None:
     line, clock, stamp_ns, last = StampLine(), StampClock(), 10_000 * MS, -1
     for step, late in steps:
         stamp_ns += step * MS

@@ -1,4 +1,6 @@
-"""Cameras of the D400 family other than a D415, in software: lenses, formats and sensors, and their recordings."""
+"""Cameras of the D400 family other than a D415, in software: lenses, formats and sensors, and their
+recordings.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ ORDERS = {"bgr8": (0, 1, 2), "rgb8": (2, 1, 0), "bgra8": (0, 1, 2, 3), "rgba8": 
 
 @dataclass(frozen=True, slots=True)
 class CameraKind:
-    """A camera. ``one_sensor``: colour is a stream of the depth sensor. ``unit_m``: None where it is not said."""
+    """A camera. ``one_sensor``: colour is a stream of the depth sensor. ``unit_m``: None where it
+    is not said.
+    """
 
     name: str = "D435"
     lens: str = "inverse_brown_conrady"
@@ -37,7 +41,9 @@ class CameraKind:
 
 
 class OtherCamera:
-    """A camera of a kind. ``give`` makes a frame of each stream: colour is COLOR_BGR, depth a wall."""
+    """A camera of a kind. ``give`` makes a frame of each stream: colour is COLOR_BGR, depth a
+    wall.
+    """
 
     def __init__(self, kind: CameraKind) -> None:
         self._rs = rs = import_realsense()
@@ -57,7 +63,9 @@ class OtherCamera:
             self._stereo.add_read_only_option(rs.option.depth_units, kind.unit_m)
 
     def give(self, number: int) -> None:
-        wall = np.full((HEIGHT, WIDTH), round(self._kind.wall_m / (self._kind.unit_m or 0.001)), np.uint16)
+        wall = np.full(
+            (HEIGHT, WIDTH), round(self._kind.wall_m / (self._kind.unit_m or 0.001)), np.uint16
+        )
         for sensor, profile, pixels, size in (
             (self._stereo, self._depth, wall, 2),
             (self._rgb, self._color, _coloured(self._kind.form), BYTES[self._kind.form]),
@@ -74,7 +82,8 @@ class OtherCamera:
             sensor.on_video_frame(frame)
 
     def record(self, file: Path, every_s: float = 0.0) -> Path:
-        """Write FRAMES frames of each stream as librealsense's own recorder does, as fast as it goes or so far apart.
+        """Write FRAMES frames of each stream as librealsense's own recorder does, as fast as it
+        goes or so far apart.
 
         Recordings are played at the rate they were written at.
         """

@@ -29,9 +29,16 @@ DEPTH_MM = 1500
 
 
 def context(camera: CameraModel = COLOR) -> PartContext:
-    here = PartContext(Role.SENDER, NO_CLOCK, camera, Mount(LEVEL, LEVEL), single_marker(), Origin(0.0, 0.0, 0.0))
+    here = PartContext(
+        Role.SENDER, NO_CLOCK, camera, Mount(LEVEL, LEVEL), single_marker(), Origin(0.0, 0.0, 0.0)
+    )
     return PartContext(
-        here.role, SystemClock(SystemClockConfig(), here), here.camera, here.mount, here.layout, here.origin
+        here.role,
+        SystemClock(SystemClockConfig(), here),
+        here.camera,
+        here.mount,
+        here.layout,
+        here.origin,
     )
 
 
@@ -59,7 +66,9 @@ class Feed:
         if not self.plugged:
             raise CameraError("nothing is plugged in", "plug it in")
         self.opened += 1
-        self.software = SoftwareDevice(COLOR, DEPTH, T_COLOR_DEPTH, FPS, self.clock, f"bench-{self.opened}")
+        self.software = SoftwareDevice(
+            COLOR, DEPTH, T_COLOR_DEPTH, FPS, self.clock, f"bench-{self.opened}"
+        )
         return self.software.device
 
     def missing(self) -> CameraError | None:
@@ -84,7 +93,9 @@ class Feed:
         return stamp_ns
 
     @contextmanager
-    def running(self, rate_hz: float = 200.0, give: Callable[[], object] | None = None) -> Generator[None]:
+    def running(
+        self, rate_hz: float = 200.0, give: Callable[[], object] | None = None
+    ) -> Generator[None]:
         """Frames all the time, from a thread of its own."""
         with repeating(give or self.give, 1.0 / rate_hz):
             yield

@@ -1,4 +1,6 @@
-"""The D415 driver on pyrealsense2's software device: frames, clocks, filters, errors, coming back, recording."""
+"""The D415 driver on pyrealsense2's software device: frames, clocks, filters, errors, coming back,
+recording.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,15 @@ from drivers.realsense.sources import RecordingSource, UsbSource
 from drivers.rig.tables import RigError, decode_table
 from hil.camera.software_device import DeviceClock, SoftwareDevice
 from path.camera.model import CameraModel
-from tests.drivers.realsense.software_d415 import COLOR, DEPTH, DEPTH_MM, FPS, Feed, context, recordings
+from tests.drivers.realsense.software_d415 import (
+    COLOR,
+    DEPTH,
+    DEPTH_MM,
+    FPS,
+    Feed,
+    context,
+    recordings,
+)
 
 PATIENCE_S = 60.0
 AGAIN_S = 1.0  # the library has no room for an image while others wait in it
@@ -31,7 +41,8 @@ PLAYS = 20
 
 def camera(source: Any, model: CameraModel = COLOR, **options: Any) -> RealSense:
     made = RealSense(
-        decode_table({"fps": FPS, "silence_s": PATIENCE_S, **options}, RealSenseConfig, "test"), context(model)
+        decode_table({"fps": FPS, "silence_s": PATIENCE_S, **options}, RealSenseConfig, "test"),
+        context(model),
     )
     made.source = source
     return made
@@ -63,7 +74,9 @@ async def newest(driver: RealSense, feed: Feed, within_s: float = PATIENCE_S) ->
 
 
 async def given(driver: RealSense, feed: Feed, late_s: float = 0.0) -> tuple[int, Frame]:
-    """The stamp of a frame that is fed so long after it, and the frame; fed again, as another one, until it comes."""
+    """The stamp of a frame that is fed so long after it, and the frame; fed again, as another one,
+    until it comes.
+    """
     async with asyncio.timeout(PATIENCE_S):
         while True:
             stamp_ns = time.monotonic_ns()
@@ -84,7 +97,8 @@ async def refused(driver: RealSense, timeout_s: float, pattern: str) -> None:
                     return
 
 
-# --- frames ------------------------------------------------------------------------------------------------------
+# --- frames
+# ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("domain", Domain)
@@ -100,13 +114,16 @@ def test_a_frame_has_its_own_stamp_in_the_role_s_clock(domain: Domain) -> None:
                     assert frame.frame_id > last.frame_id
                     ages_ns.append(time.monotonic_ns() - frame.stamp_ns)
                     last = frame
-                assert 0 <= min(ages_ns) < 500 * MS  # the others are older where this process stood still
+                # the others are older where this process stood still
+                assert 0 <= min(ages_ns) < 500 * MS
 
     run(main())
 
 
 def test_the_stamp_is_of_the_middle_of_the_exposure() -> None:
-    """The device stamps the beginning of the transfer, 9 ms later, and tells both in its metadata."""
+    """The device stamps the beginning of the transfer, 9 ms later, and tells both in its
+    metadata.
+    """
 
     async def main() -> None:
         feed = Feed(DeviceClock(Domain.GLOBAL, readout_ns=9 * MS))
@@ -136,8 +153,10 @@ def test_colour_is_a_copy_and_depth_is_registered() -> None:
         assert frame.depth_mm.shape == (COLOR.height, COLOR.width)
         assert set(frame.color.ravel().tolist()) == {value}
         middle = frame.depth_mm[10:-10, 10:-10]
-        assert np.abs(middle.astype(int) - DEPTH_MM).max() < 15  # the cameras are turned against each other
-        assert (frame.depth_mm[:4, :4] == 0).all()  # the colour camera sees more than the depth camera
+        # the cameras are turned against each other
+        assert np.abs(middle.astype(int) - DEPTH_MM).max() < 15
+        # the colour camera sees more than the depth camera
+        assert (frame.depth_mm[:4, :4] == 0).all()
 
     run(main())
 
@@ -225,7 +244,8 @@ def test_the_emitter_is_switched() -> None:
     run(main())
 
 
-# --- what goes wrong ---------------------------------------------------------------------------------------------
+# --- what goes wrong
+# ---------------------------------------------------------------------------------------------
 
 
 def test_an_unplugged_camera_is_named_and_comes_back() -> None:
@@ -306,7 +326,9 @@ def test_a_silent_camera_is_refused_in_time() -> None:
 def test_a_stream_that_the_device_does_not_have_is_refused_with_those_it_has() -> None:
     async def main() -> None:
         other = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)
-        with pytest.raises(CameraError, match=r"no color stream of 64x48 px at 50 Hz; it has: 96x72 at 50"):
+        with pytest.raises(
+            CameraError, match=r"no color stream of 64x48 px at 50 Hz; it has: 96x72 at 50"
+        ):
             await camera(Feed(), other, depth_size=[96, 72]).__aenter__()
 
     run(main())
@@ -358,7 +380,11 @@ def test_a_camera_is_found_by_its_serial() -> None:
     ("serial", "connected", "message"),
     [
         ("", [], "no RealSense camera is connected"),
-        ("333", ["111", "222"], "no RealSense cameras with serial 333 are connected; there are: 111, 222"),
+        (
+            "333",
+            ["111", "222"],
+            "no RealSense cameras with serial 333 are connected; there are: 111, 222",
+        ),
         ("", ["111", "222"], "2 RealSense cameras are connected: 111, 222"),
         ("111", ["111", "111"], "2 RealSense cameras with serial 111"),
     ],
@@ -371,7 +397,9 @@ def test_the_wrong_cameras_are_listed(serial: str, connected: list[str], message
 
 
 def test_the_computer_s_own_usb_is_asked() -> None:
-    with pytest.raises(CameraError, match=r"serial none-has-this-serial|no RealSense camera is connected"):
+    with pytest.raises(
+        CameraError, match=r"serial none-has-this-serial|no RealSense camera is connected"
+    ):
         UsbSource("none-has-this-serial").open()
 
 
@@ -390,7 +418,8 @@ def test_options_that_cannot_be_are_refused(options: dict[str, Any], problem: st
         decode_table(options, RealSenseConfig, "rig.toml: sender.perception.camera")
 
 
-# --- recording and playing back ----------------------------------------------------------------------------------
+# --- recording and playing back
+# ----------------------------------------------------------------------------------
 
 
 def test_what_was_recorded_comes_back_through_the_same_driver(tmp_path: Path) -> None:
@@ -415,13 +444,15 @@ def test_what_was_recorded_comes_back_through_the_same_driver(tmp_path: Path) ->
     recorded = asyncio.run(record())
     (file,) = recordings(tmp_path)
     played, plays = asyncio.run(play(file)), 1
-    while len(set(recorded) & set(played)) < 20 and plays < PLAYS:  # who is late gets the newest frame: few, if busy
+    # who is late gets the newest frame: few, if busy
+    while len(set(recorded) & set(played)) < 20 and plays < PLAYS:
         played, plays = asyncio.run(play(file)), plays + 1
     both = sorted(set(recorded) & set(played))
     assert len(both) >= 20
     for number in both:
         np.testing.assert_array_equal(played[number].color, recorded[number].color)
-        # The file keeps the rotation between the cameras as a rounded quaternion: half a millimetre may fall elsewhere.
+        # The file keeps the rotation between the cameras as a rounded quaternion: half a millimetre
+        # may fall elsewhere.
         depth_mm, before_mm = played[number].depth_mm, recorded[number].depth_mm
         assert depth_mm is not None and before_mm is not None
         np.testing.assert_allclose(depth_mm, before_mm, rtol=0.0, atol=1.0)

@@ -1,4 +1,6 @@
-"""Cameras of the family that are no D415: their recordings are read by the driver as `export` reads them."""
+"""Cameras of the family that are no D415: their recordings are read by the driver as `export` reads
+them.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,12 @@ from tests.drivers.realsense.software_d415 import context
 
 D455 = CameraKind("D455", coefficients=(-0.055, 0.066, 0.0003, 0.0007, -0.0215))
 D405 = CameraKind(
-    "D405", coefficients=(-0.05, 0.06, 0.0, 0.0, -0.02), one_sensor=True, unit_m=0.0001, wall_m=0.4, apart_m=0.0
+    "D405",
+    coefficients=(-0.05, 0.06, 0.0, 0.0, -0.02),
+    one_sensor=True,
+    unit_m=0.0001,
+    wall_m=0.4,
+    apart_m=0.0,
 )
 STREAMS = Streams((WIDTH, HEIGHT), (WIDTH, HEIGHT), FPS)
 MODEL = CameraModel(WIDTH, HEIGHT, FOCAL_PX, FOCAL_PX, 47.5, 35.5)
@@ -45,8 +52,8 @@ FORMS = ("bgr8", "rgb8", "bgra8", "rgba8", "yuyv", "uyvy")
 def played(file: Path) -> Frame:
     """The first frame of a recording, through the driver.
 
-    librealsense plays it in real time, and drops what its own threads come too late for, all of it where they got no
-    core: then it is played again.
+    librealsense plays it in real time, and drops what its own threads come too late for, all of it
+    where they got no core: then it is played again.
     """
 
     async def first() -> Frame:
@@ -81,8 +88,13 @@ def test_a_recording_is_read_in_whatever_format_its_colour_is(tmp_path: Path, fo
 
 
 def test_a_recording_is_read_while_librealsense_still_begins_to_play_it(tmp_path: Path) -> None:
-    """Its ``resume`` may wait for images that have come to be taken: for ten seconds, and then it goes on without."""
-    recording, taken = RealSenseRecording(OtherCamera(CameraKind()).record(tmp_path / "film.db3")), threading.Event()
+    """Its ``resume`` may wait for images that have come to be taken: for ten seconds, and then it
+    goes on without.
+    """
+    recording, taken = (
+        RealSenseRecording(OtherCamera(CameraKind()).record(tmp_path / "film.db3")),
+        threading.Event(),
+    )
 
     class Waits:
         def __init__(self, playback: Any) -> None:
@@ -120,8 +132,12 @@ class Played(RecordingSource):
         return driver
 
 
-def test_what_waits_when_a_recording_is_found_at_its_end_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A few frames play in milliseconds, and a thread may be without a core for longer than that."""
+def test_what_waits_when_a_recording_is_found_at_its_end_is_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A few frames play in milliseconds, and a thread may be without a core for longer than
+    that.
+    """
     film, following = Played(monkeypatch), RealSenseDevice.next
 
     def nothing_came_and_then_all(device: RealSenseDevice, timeout_s: float) -> RawImage | None:
@@ -172,7 +188,9 @@ def test_the_last_frame_of_a_recording_is_given_to_whoever_looked_just_before_it
 
 @pytest.mark.parametrize("one_sensor", [False, True])
 @pytest.mark.parametrize("form", ["bgr8", "rgb8"])
-def test_a_camera_opens_whose_streams_are_of_one_sensor_or_of_two(form: str, one_sensor: bool) -> None:
+def test_a_camera_opens_whose_streams_are_of_one_sensor_or_of_two(
+    form: str, one_sensor: bool
+) -> None:
     camera = OtherCamera(CameraKind(form=form, one_sensor=one_sensor, unit_m=0.0001, wall_m=0.4))
     device = RealSenseDevice(camera.device, STREAMS)
     try:
@@ -203,8 +221,12 @@ def test_an_inverse_lens_is_read_as_the_brown_conrady_lens_that_looks_the_same_w
     tmp_path: Path, kind: CameraKind
 ) -> None:
     lens = RealSenseRecording(OtherCamera(kind).record(tmp_path / "film.db3")).factory_color()
-    own = Lens("inverse_brown_conrady", WIDTH, HEIGHT, FOCAL_PX, FOCAL_PX, 47.5, 35.5, kind.coefficients)
-    pixels = np.array([(0.0, 0.0), (95.0, 0.0), (0.0, 71.0), (95.0, 71.0), (47.0, 35.0), (20.0, 60.0)])
+    own = Lens(
+        "inverse_brown_conrady", WIDTH, HEIGHT, FOCAL_PX, FOCAL_PX, 47.5, 35.5, kind.coefficients
+    )
+    pixels = np.array(
+        [(0.0, 0.0), (95.0, 0.0), (0.0, 71.0), (95.0, 71.0), (47.0, 35.0), (20.0, 60.0)]
+    )
     assert lens.worst_px < 0.01
     assert np.abs(lens.camera.rays(pixels) - own.rays(pixels)).max() * FOCAL_PX < 0.01
     # Read as the forward lens of the same numbers, it would be off by pixels.

@@ -1,4 +1,6 @@
-"""Colour and depth that were taken together find each other, whatever is lost, late or out of order between the two."""
+"""Colour and depth that were taken together find each other, whatever is lost, late or out of order
+between the two.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,11 @@ TOLERANCE = PERIOD // 2
 
 def image(kind: Kind, number: int, stamp_ns: int) -> Taken:
     no_frame: Any = None
-    return Taken(stamp_ns, 0, RawImage(kind, number, stamp_ns, Domain.HARDWARE, np.zeros((1, 1), np.uint8), no_frame))
+    return Taken(
+        stamp_ns,
+        0,
+        RawImage(kind, number, stamp_ns, Domain.HARDWARE, np.zeros((1, 1), np.uint8), no_frame),
+    )
 
 
 def test_two_that_were_taken_together_are_a_pair_whichever_comes_first() -> None:
@@ -54,7 +60,11 @@ def test_one_stream_alone_is_no_pair_and_does_not_pile_up() -> None:
 
 
 @given(
-    st.lists(st.tuples(st.booleans(), st.booleans(), st.booleans(), st.integers(-8, 8)), min_size=1, max_size=40),
+    st.lists(
+        st.tuples(st.booleans(), st.booleans(), st.booleans(), st.integers(-8, 8)),
+        min_size=1,
+        max_size=40,
+    ),
 )
 def test_pairs_are_of_one_instant_and_every_image_is_used_once(
     instants: list[tuple[bool, bool, bool, int]],

@@ -1,4 +1,6 @@
-"""Depth in the colour camera's pixels: against librealsense where it is right, and by rays where it is not."""
+"""Depth in the colour camera's pixels: against librealsense where it is right, and by rays where it
+is not.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +25,23 @@ UNIT_M = 0.001
 
 
 def registered(
-    depth: NDArray[np.uint16], color: CameraModel = LENS, unit_m: float = UNIT_M, T: Pose = T_COLOR_DEPTH
+    depth: NDArray[np.uint16],
+    color: CameraModel = LENS,
+    unit_m: float = UNIT_M,
+    T: Pose = T_COLOR_DEPTH,
 ) -> NDArray[np.uint16]:
     return DepthRegistration(DEPTH, color, T, unit_m, LIMITS_M).register(depth)
 
 
-def plane_mm(camera: CameraModel, normal: NDArray[np.float64], distance_m: float) -> NDArray[np.float64]:
-    """Depth of the points with ``normal . p = distance``, p in the camera's frame, at every pixel."""
-    columns, rows = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
+def plane_mm(
+    camera: CameraModel, normal: NDArray[np.float64], distance_m: float
+) -> NDArray[np.float64]:
+    """Depth of the points with ``normal . p = distance``, p in the camera's frame, at every
+    pixel.
+    """
+    columns, rows = np.meshgrid(
+        np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float)
+    )
     rays = camera.rays(np.stack((columns.ravel(), rows.ravel()), axis=1))
     z = distance_m / (np.column_stack((rays, np.ones(len(rays)))) @ normal)
     return 1000.0 * z.reshape(camera.height, camera.width)
@@ -49,7 +60,11 @@ def aligned_by_librealsense(depth: NDArray[np.uint16], color: CameraModel) -> ND
         image = software.image("depth", depth, number * 33_000_000, number)
         software.give("depth", image, number * 33_000_000)
         blank = np.zeros((color.height, color.width, 3), np.uint8)
-        software.give("color", software.image("color", blank, number * 33_000_000, number), number * 33_000_000)
+        software.give(
+            "color",
+            software.image("color", blank, number * 33_000_000, number),
+            number * 33_000_000,
+        )
         there, frames = syncer.try_wait_for_frames(1000)
         assert there
         if frames.size() == 2:
@@ -94,7 +109,8 @@ def test_a_thing_near_the_corner_is_where_the_lens_draws_it() -> None:
     expected = np.array(LENS.project_point((x, y, z)))
     rows, columns = np.nonzero(registered(scene))
     assert np.hypot(*(np.array([columns.mean(), rows.mean()]) - expected)) < 0.5
-    assert np.hypot(*(np.array(PLAIN.project_point((x, y, z))) - expected)) > 2.0  # what leaving the lens out would do
+    # what leaving the lens out would do
+    assert np.hypot(*(np.array(PLAIN.project_point((x, y, z))) - expected)) > 2.0
 
 
 def test_what_is_nearer_hides_what_is_behind_it() -> None:
@@ -103,7 +119,9 @@ def test_what_is_nearer_hides_what_is_behind_it() -> None:
     scene[100:140, 140:180] = 700
     out = registered(scene, PLAIN, T=T)
     shift = PLAIN.fx * 0.06 / 0.7
-    near = out[105:135, round(145 + shift + PLAIN.cx - DEPTH.cx) : round(175 + shift + PLAIN.cx - DEPTH.cx)]
+    near = out[
+        105:135, round(145 + shift + PLAIN.cx - DEPTH.cx) : round(175 + shift + PLAIN.cx - DEPTH.cx)
+    ]
     assert set(near.ravel().tolist()) == {700}
 
 
@@ -130,7 +148,9 @@ def test_streams_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ValueError, match="finer depth stream"):
         DepthRegistration(DEPTH, fine, T_COLOR_DEPTH, UNIT_M, LIMITS_M)
     with pytest.raises(ValueError, match="only rectified depth"):
-        DepthRegistration(replace(DEPTH, distortion=LENS.distortion), LENS, T_COLOR_DEPTH, UNIT_M, LIMITS_M)
+        DepthRegistration(
+            replace(DEPTH, distortion=LENS.distortion), LENS, T_COLOR_DEPTH, UNIT_M, LIMITS_M
+        )
     backwards = Pose(np.diag([-1.0, 1.0, -1.0]), np.zeros(3))
     with pytest.raises(ValueError, match="different directions"):
         DepthRegistration(DEPTH, LENS, backwards, UNIT_M, LIMITS_M)

@@ -26,7 +26,9 @@ print(import_realsense().context.__name__)
 
 def test_it_works_without_the_systems_libusb() -> None:
     """In a process of its own: a library once loaded stays."""
-    ran = subprocess.run([sys.executable, "-c", WITHOUT_SYSTEM_LIBRARY], capture_output=True, text=True, check=False)
+    ran = subprocess.run(
+        [sys.executable, "-c", WITHOUT_SYSTEM_LIBRARY], capture_output=True, text=True, check=False
+    )
     assert ran.stdout == "context\n", ran.stderr
 
 

@@ -27,7 +27,9 @@ ORDERS = {"bgr8": (0, 1, 2), "rgb8": (2, 1, 0), "bgra8": (0, 1, 2, 3), "rgba8": 
 
 @dataclass(frozen=True, slots=True)
 class BagKind:
-    """What is in a bag. ``model``: of the lens; None: no camera_info. ``late_ns``: depth's stamps after colour's."""
+    """What is in a bag. ``model``: of the lens; None: no camera_info. ``late_ns``: depth's stamps
+    after colour's.
+    """
 
     color: str = "rgb8"
     depth: str = "16UC1"
@@ -69,16 +71,24 @@ def _messages(store: Any, form: Form, kind: BagKind) -> Iterator[tuple[str, int,
             beside = kind.color_topic.removesuffix("/compressed").rpartition("/")[0]
             yield f"{beside}/camera_info", stamp_ns, info
         if kind.depth_topic is not None:
-            yield kind.depth_topic, stamp_ns, _depth(store, _header(store, form, number, kind.late_ns), kind)
+            yield (
+                kind.depth_topic,
+                stamp_ns,
+                _depth(store, _header(store, form, number, kind.late_ns), kind),
+            )
             info = _info(store, _header(store, form, number, 0), form, kind, kind.depth_focal_px)
             yield f"{kind.depth_topic.rpartition('/')[0]}/camera_info", stamp_ns, info
 
 
 def _header(store: Any, form: Form, number: int, late_ns: int) -> Any:
     stamp_ns = BEGIN_NS + number * STEP_NS + late_ns
-    stamp = store.types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+    stamp = store.types["builtin_interfaces/msg/Time"](
+        sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9
+    )
     counted = {"seq": number} if form == "ros1" else {}
-    return store.types["std_msgs/msg/Header"](stamp=stamp, frame_id="camera_color_optical_frame", **counted)
+    return store.types["std_msgs/msg/Header"](
+        stamp=stamp, frame_id="camera_color_optical_frame", **counted
+    )
 
 
 def _info(store: Any, header: Any, form: Form, kind: BagKind, focal_px: float) -> Any:
@@ -99,9 +109,13 @@ def _color(store: Any, header: Any, kind: BagKind) -> Any:
     if kind.color in ("jpeg", "png"):
         picture = np.full((HEIGHT, WIDTH, 3), COLOR_BGR, np.uint8)
         data = cv2.imencode(f".{kind.color}", picture)[1].ravel()
-        return store.types["sensor_msgs/msg/CompressedImage"](header=header, format=f"rgb8; {kind.color}", data=data)
+        return store.types["sensor_msgs/msg/CompressedImage"](
+            header=header, format=f"rgb8; {kind.color}", data=data
+        )
     pixel = [(*COLOR_BGR, 255)[k] for k in ORDERS.get(kind.color, (0, 1, 2))]
-    return _image(store, header, kind.color, np.tile(np.array(pixel, np.uint8), (HEIGHT, WIDTH, 1)), kind)
+    return _image(
+        store, header, kind.color, np.tile(np.array(pixel, np.uint8), (HEIGHT, WIDTH, 1)), kind
+    )
 
 
 def _depth(store: Any, header: Any, kind: BagKind) -> Any:

@@ -1,4 +1,6 @@
-"""A recording as a camera: paced by its stamps, ends by saying so, and is held against the calibration."""
+"""A recording as a camera: paced by its stamps, ends by saying so, and is held against the
+calibration.
+"""
 
 from __future__ import annotations
 
@@ -46,15 +48,22 @@ class LoopClock:
 
 
 def context(width: int = WIDTH, height: int = HEIGHT, serial: str = "") -> PartContext:
-    camera, mount = CameraModel(width, height, 60.0, 60.0, width / 2, height / 2), Mount(LEVEL, LEVEL)
+    camera, mount = (
+        CameraModel(width, height, 60.0, 60.0, width / 2, height / 2),
+        Mount(LEVEL, LEVEL),
+    )
     origin = Origin(0.0, 0.0, 0.0)
-    return PartContext(Role.SENDER, LoopClock(), camera, mount, single_marker(), origin, camera_serial=serial)
+    return PartContext(
+        Role.SENDER, LoopClock(), camera, mount, single_marker(), origin, camera_serial=serial
+    )
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Five images at 0, 0.1, 0.2, 1.0 and 1.1 s."""
-    return write_images(tmp_path / "images", ("10.0.png", "10.1.png", "10.2.png", "11.0.png", "11.1.png"))
+    return write_images(
+        tmp_path / "images", ("10.0.png", "10.1.png", "10.2.png", "11.0.png", "11.1.png")
+    )
 
 
 def play(use: Callable[[RecordedCamera], Awaitable[Any]], file: Path, **options: Any) -> Any:
@@ -67,7 +76,9 @@ def play(use: Callable[[RecordedCamera], Awaitable[Any]], file: Path, **options:
 
 def taken(frames: list[Frame]) -> list[tuple[int, float, int]]:
     """Frame id, seconds since the start by its stamp, grey level."""
-    return [(f.frame_id, round((f.stamp_ns - START_NS) / 1e9, 6), seen_level(f.color)) for f in frames]
+    return [
+        (f.frame_id, round((f.stamp_ns - START_NS) / 1e9, 6), seen_level(f.color)) for f in frames
+    ]
 
 
 async def until_it_ends(camera: RecordedCamera, pause_s: float = 0.0) -> list[Frame]:
@@ -119,7 +130,9 @@ def test_a_gap_longer_than_the_wait_is_no_frame(folder: Path) -> None:
         for _ in range(3):
             await camera.read(0.5)
         begin = asyncio.get_running_loop().time()
-        with pytest.raises(CameraError, match=r"no frame from .* for 0.5 s; the next one comes after 0.8"):
+        with pytest.raises(
+            CameraError, match=r"no frame from .* for 0.5 s; the next one comes after 0.8"
+        ):
             await camera.read(0.5)
         assert asyncio.get_running_loop().time() - begin == pytest.approx(0.5)
         assert taken([await camera.read(0.5)]) == [(3, 1.0, 140)]  # it comes all the same
@@ -158,7 +171,9 @@ def test_videos_and_logs_play_in_real_time_too(tmp_path: Path) -> None:
         ctx = context()
         clock = SystemClock(SystemClockConfig(), ctx)
         real = PartContext(ctx.role, clock, ctx.camera, ctx.mount, ctx.layout, ctx.origin)
-        config = decode_table({"file": str(file), "pace": pace}, RecordedCameraConfig, "rig.toml: camera")
+        config = decode_table(
+            {"file": str(file), "pace": pace}, RecordedCameraConfig, "rig.toml: camera"
+        )
         async with RecordedCamera(config, real) as camera:
             begin = asyncio.get_running_loop().time()
             return await until_it_ends(camera), asyncio.get_running_loop().time() - begin
@@ -181,7 +196,8 @@ def perception(file: Path, serial: str) -> PixelPerception:
     detector = {"factory": "drivers.detectors.color:ColorDetector"}
     table = {"camera": camera, "detector": detector}
     return PixelPerception(
-        decode_table(table, PixelPerceptionConfig, "rig.toml: sender.perception"), context(serial=serial)
+        decode_table(table, PixelPerceptionConfig, "rig.toml: sender.perception"),
+        context(serial=serial),
     )
 
 

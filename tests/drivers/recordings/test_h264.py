@@ -1,4 +1,6 @@
-"""Bare H.264 streams: a rate is asked for, what was lost keeps its place in time, and what is torn is no frame."""
+"""Bare H.264 streams: a rate is asked for, what was lost keeps its place in time, and what is torn
+is no frame.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ AT_RATE = RecordingOptions(rate_hz=RATE_HZ)
 
 
 def coded(slices: int = 1, group: int = GROUP, count: int = PICTURES) -> list[bytes]:
-    """Packets of a stream whose picture n is a bar at column 2 n, on noise that no codec takes for nothing."""
+    """Packets of a stream whose picture n is a bar at column 2 n, on noise that no codec takes for
+    nothing.
+    """
     codec: Any = av.CodecContext.create("libx264", "w")
     codec.width, codec.height, codec.pix_fmt = WIDTH, HEIGHT, "yuv420p"
     codec.time_base, codec.framerate, codec.gop_size = Fraction(1, 30), 30, group
@@ -41,11 +45,15 @@ def coded(slices: int = 1, group: int = GROUP, count: int = PICTURES) -> list[by
 
 
 def shown(file: Path) -> list[tuple[int, int]]:
-    """Of each frame, the picture that its stamp says (from the first frame) and the one that its bar says."""
+    """Of each frame, the picture that its stamp says (from the first frame) and the one that its
+    bar says.
+    """
     found: list[tuple[int, int]] = []
     for frame in open_recording(file, AT_RATE).frames():
         columns = frame.load().color.mean(axis=(0, 2)) > 130.0
-        found.append((round(frame.stamp_ns * RATE_HZ / 1e9), round(float(np.flatnonzero(columns)[0]) / 2)))
+        found.append(
+            (round(frame.stamp_ns * RATE_HZ / 1e9), round(float(np.flatnonzero(columns)[0]) / 2))
+        )
     return found
 
 
@@ -56,7 +64,9 @@ def written(folder: Path, parts: Sequence[bytes]) -> Path:
 
 
 @pytest.mark.parametrize("slices", [1, 4])
-def test_a_whole_stream_has_all_its_pictures_at_the_rate_that_is_given(tmp_path: Path, slices: int) -> None:
+def test_a_whole_stream_has_all_its_pictures_at_the_rate_that_is_given(
+    tmp_path: Path, slices: int
+) -> None:
     file = written(tmp_path, coded(slices))
     assert shown(file) == [(n, n) for n in range(PICTURES)]
     recording = open_recording(file, AT_RATE)
@@ -68,20 +78,31 @@ def test_a_whole_stream_has_all_its_pictures_at_the_rate_that_is_given(tmp_path:
 def test_a_bare_stream_without_a_rate_is_refused(tmp_path: Path, suffix: str) -> None:
     file = tmp_path / f"film{suffix}"
     if suffix == ".mjpeg":
-        picture: Any = av.VideoFrame.from_ndarray(np.full((HEIGHT, WIDTH, 3), 90, np.uint8), format="bgr24")
+        picture: Any = av.VideoFrame.from_ndarray(
+            np.full((HEIGHT, WIDTH, 3), 90, np.uint8), format="bgr24"
+        )
         codec: Any = av.CodecContext.create("mjpeg", "w")
-        codec.width, codec.height, codec.pix_fmt, codec.time_base = WIDTH, HEIGHT, "yuvj420p", Fraction(1, 30)
+        codec.width, codec.height, codec.pix_fmt, codec.time_base = (
+            WIDTH,
+            HEIGHT,
+            "yuvj420p",
+            Fraction(1, 30),
+        )
         file.write_bytes(b"".join(bytes(p) for _ in range(5) for p in codec.encode(picture)))
     else:
         file.write_bytes(b"".join(coded(count=5)))
-    with pytest.raises(RecordingError, match="does not say how many pictures a second it has") as caught:
+    with pytest.raises(
+        RecordingError, match="does not say how many pictures a second it has"
+    ) as caught:
         open_recording(file)
     assert "--rate-hz" in caught.value.remedy
     assert len(list(open_recording(file, AT_RATE).frames())) == 5
 
 
 @pytest.mark.parametrize("cut", [1, 7, 19])
-def test_a_stream_that_begins_within_a_group_gives_frames_from_the_next_key_frame_on(tmp_path: Path, cut: int) -> None:
+def test_a_stream_that_begins_within_a_group_gives_frames_from_the_next_key_frame_on(
+    tmp_path: Path, cut: int
+) -> None:
     file = written(tmp_path, coded()[cut:])
     assert shown(file) == [(n, GROUP + n) for n in range(PICTURES - GROUP)]
     recording = open_recording(file, AT_RATE)
@@ -89,23 +110,30 @@ def test_a_stream_that_begins_within_a_group_gives_frames_from_the_next_key_fram
     assert recording.damage.startswith(f"0 pictures are missing and {GROUP - cut} are torn")
 
 
-@pytest.mark.parametrize("lost", [(5,), (5, 6, 7), (25,), (5, 44), (39,), (18, 19), (17, 18, 19, 20, 21), (40, 41)])
+@pytest.mark.parametrize(
+    "lost", [(5,), (5, 6, 7), (25,), (5, 44), (39,), (18, 19), (17, 18, 19, 20, 21), (40, 41)]
+)
 def test_lost_pictures_keep_their_place_in_time_and_what_leans_on_them_is_no_frame(
     tmp_path: Path, lost: tuple[int, ...]
 ) -> None:
     packets = coded()
-    file = written(tmp_path, [packet for number, packet in enumerate(packets) if number not in lost])
+    file = written(
+        tmp_path, [packet for number, packet in enumerate(packets) if number not in lost]
+    )
     frames = shown(file)
     fresh = {n for n in range(PICTURES) if not any(n - n % GROUP <= each <= n for each in lost)}
     assert {bar for _, bar in frames} == fresh
-    # A group may end early, and of three groups two say nothing of their length: nothing tells what is missing there.
+    # A group may end early, and of three groups two say nothing of their length: nothing tells what
+    # is missing there.
     if lost not in ((39,), (18, 19), (17, 18, 19, 20, 21)):
         assert all(stamp == bar for stamp, bar in frames)
 
 
 @pytest.mark.parametrize("slices", [1, 3])
 @pytest.mark.parametrize("seed", range(8))
-def test_of_a_stream_that_lost_datagrams_no_torn_picture_is_a_frame(tmp_path: Path, seed: int, slices: int) -> None:
+def test_of_a_stream_that_lost_datagrams_no_torn_picture_is_a_frame(
+    tmp_path: Path, seed: int, slices: int
+) -> None:
     chance = random.Random(seed)
     stream = b"".join(coded(slices))
     parts = [stream[at : at + 700] for at in range(0, len(stream), 700)]

@@ -1,4 +1,6 @@
-"""Recordings: video files, image folders and logs, each through a real file; what cannot be played is refused."""
+"""Recordings: video files, image folders and logs, each through a real file; what cannot be played
+is refused.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,12 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.log.mcap_log import McapLog
-from drivers.recordings.recording import RecordedFrame, RecordingError, RecordingOptions, open_recording
+from drivers.recordings.recording import (
+    RecordedFrame,
+    RecordingError,
+    RecordingOptions,
+    open_recording,
+)
 
 WIDTH, HEIGHT = 64, 48
 GREYS = (20, 60, 100, 140, 180)
@@ -24,7 +31,9 @@ def image(grey: int, width: int = WIDTH, height: int = HEIGHT) -> NDArray[np.uin
     return np.full((height, width, 3), grey, np.uint8)
 
 
-def write_video(file: Path, greys: Sequence[int] = GREYS, stamps_ms: Sequence[int] | None = None) -> None:
+def write_video(
+    file: Path, greys: Sequence[int] = GREYS, stamps_ms: Sequence[int] | None = None
+) -> None:
     """H.264 with the given presentation times, 40 ms apart by default."""
     with av.open(str(file), "w") as container:
         stream: Any = container.add_stream("libx264", rate=25)
@@ -76,7 +85,11 @@ def test_a_damaged_video_is_refused_or_ends_with_the_reason(tmp_path: Path) -> N
     noise.write_bytes(bytes(range(256)) * 20)
     empty = tmp_path / "empty.mkv"
     empty.write_bytes(b"")
-    for file, words in ((cut, "no video stream|cannot be read"), (noise, "cannot be read"), (empty, "cannot be read")):
+    for file, words in (
+        (cut, "no video stream|cannot be read"),
+        (noise, "cannot be read"),
+        (empty, "cannot be read"),
+    ):
         with pytest.raises(RecordingError, match=words) as caught:
             open_recording(file)
         assert file.name in str(caught.value)
@@ -95,7 +108,9 @@ def test_a_sound_file_is_no_video(tmp_path: Path) -> None:
     file = tmp_path / "sound.mkv"
     with av.open(str(file), "w") as container:
         stream: Any = container.add_stream("pcm_s16le", rate=8000, layout="mono")
-        frame = av.AudioFrame.from_ndarray(np.zeros((1, 160), np.int16), format="s16", layout="mono")
+        frame = av.AudioFrame.from_ndarray(
+            np.zeros((1, 160), np.int16), format="s16", layout="mono"
+        )
         frame.sample_rate = 8000
         container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
@@ -106,11 +121,16 @@ def test_a_sound_file_is_no_video(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("names", "steps_ns"),
     [
-        (("1700000000000000100.png", "1700000000000000300.png", "1700000000000000200.png"), [0, 100, 200]),
+        (
+            ("1700000000000000100.png", "1700000000000000300.png", "1700000000000000200.png"),
+            [0, 100, 200],
+        ),
         (("12.5.png", "13.75.png", "12.75.png"), [0, 250_000_000, 1_250_000_000]),
     ],
 )
-def test_names_of_images_can_be_their_stamps(tmp_path: Path, names: Sequence[str], steps_ns: list[int]) -> None:
+def test_names_of_images_can_be_their_stamps(
+    tmp_path: Path, names: Sequence[str], steps_ns: list[int]
+) -> None:
     frames = list(open_recording(write_images(tmp_path / "images", names)).frames())
     assert [frame.stamp_ns - frames[0].stamp_ns for frame in frames] == steps_ns
     assert seen(frames) == [GREYS[0], GREYS[2], GREYS[1]]
@@ -122,11 +142,19 @@ def test_stamps_come_from_a_table_or_a_rate(tmp_path: Path) -> None:
     assert by_rate.count == 3
     assert [frame.name for frame in by_rate.frames()] == ["img1.png", "img2.png", "img10.png"]
     assert [frame.stamp_ns for frame in by_rate.frames()] == [0, 20_000_000, 40_000_000]
-    (folder / "stamps.csv").write_text("file,stamp_s\nimg10.png,1.5\nimg1.png,1.75\nimg2.png,1.0\n", "utf-8")
-    assert [frame.name for frame in open_recording(folder).frames()] == ["img2.png", "img10.png", "img1.png"]
+    (folder / "stamps.csv").write_text(
+        "file,stamp_s\nimg10.png,1.5\nimg1.png,1.75\nimg2.png,1.0\n", "utf-8"
+    )
+    assert [frame.name for frame in open_recording(folder).frames()] == [
+        "img2.png",
+        "img10.png",
+        "img1.png",
+    ]
     other = tmp_path / "other.csv"
     other.write_text("file,stamp_ns\nimg10.png,5\nimg1.png,6\nimg2.png,7\n", "utf-8")
-    assert [f.stamp_ns for f in open_recording(folder, RecordingOptions(stamps=other)).frames()] == [5, 6, 7]
+    assert [
+        f.stamp_ns for f in open_recording(folder, RecordingOptions(stamps=other)).frames()
+    ] == [5, 6, 7]
 
 
 @pytest.mark.parametrize(
@@ -170,7 +198,9 @@ def test_an_image_of_another_size_or_none_is_refused_with_its_name(tmp_path: Pat
     (folder / "4.0.png").write_bytes(b"no image")
     first, second, third, fourth = open_recording(folder).frames()
     assert seen((first, second)) == list(GREYS[:2])
-    with pytest.raises(RecordingError, match=r"3\.0\.png: 32x24 px, the images before it have 64x48 px"):
+    with pytest.raises(
+        RecordingError, match=r"3\.0\.png: 32x24 px, the images before it have 64x48 px"
+    ):
         third.load()
     with pytest.raises(RecordingError, match=r"4\.0\.png: this is no image"):
         fourth.load()
@@ -201,7 +231,9 @@ def test_the_images_of_a_log_play_again_also_when_it_was_cut_off(tmp_path: Path)
     assert 0 < len(list(open_recording(file).frames())) < 5
 
 
-def test_a_log_without_images_or_with_several_kinds_is_refused_with_what_is_there(tmp_path: Path) -> None:
+def test_a_log_without_images_or_with_several_kinds_is_refused_with_what_is_there(
+    tmp_path: Path,
+) -> None:
     none, two = tmp_path / "none.mcap", tmp_path / "two.mcap"
     write_log(none, [])
     write_log(two, ["/image", "/other"])
@@ -220,7 +252,11 @@ def test_a_log_without_images_or_with_several_kinds_is_refused_with_what_is_ther
 def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("x")
     (tmp_path / "empty").mkdir()
-    for name, words in (("gone.mp4", "there is no such"), ("notes.txt", "kind '.txt'"), ("empty", "no frames in it")):
+    for name, words in (
+        ("gone.mp4", "there is no such"),
+        ("notes.txt", "kind '.txt'"),
+        ("empty", "no frames in it"),
+    ):
         with pytest.raises(RecordingError, match=words) as caught:
             open_recording(tmp_path / name)
         assert "folder of images" in caught.value.remedy

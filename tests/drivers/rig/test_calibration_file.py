@@ -1,4 +1,6 @@
-"""Calibrations on disk: what is written can be read, by a rig too; what does not belong together is refused."""
+"""Calibrations on disk: what is written can be read, by a rig too; what does not belong together is
+refused.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ CAMERA = CameraCalibration(
     serial="0815",
     source="views",
     board="a board",
-    camera=CameraTable(640, 480, 610.1234568, 611.0, 320.5, 240.25, (0.1, -0.2, 0.001, -0.002, 0.05), (DOUBT,)),
+    camera=CameraTable(
+        640, 480, 610.1234568, 611.0, 320.5, 240.25, (0.1, -0.2, 0.001, -0.002, 0.05), (DOUBT,)
+    ),
     standard_errors={"fx": 0.1, "fy": 0.1},
     quality=Quality(0.02, 0.021, 25, 1300, 0.9),
 )
@@ -54,7 +58,9 @@ MOUNT = MountCalibration(
 )
 
 
-def rig_with(tmp_path: Path, *, camera: str | None = None, marker: str | None = None, more: str = "") -> Path:
+def rig_with(
+    tmp_path: Path, *, camera: str | None = None, marker: str | None = None, more: str = ""
+) -> Path:
     """The rig sim-rendered with the sender's numbers replaced."""
     text = (FOLDER / "sim-rendered.toml").read_text("utf-8")
     if camera is not None:
@@ -64,7 +70,9 @@ def rig_with(tmp_path: Path, *, camera: str | None = None, marker: str | None = 
         begin, end = text.index("[sender.mount.marker]"), text.index("# --- D2")
         text = f"{text[:begin]}[sender.mount.marker]\n{marker}\n\n{text[end:]}"
     file = tmp_path / "rig.toml"
-    file.write_text(text.replace("[sender.perception.camera]", f"[sender.perception.camera]\n{more}"), "utf-8")
+    file.write_text(
+        text.replace("[sender.perception.camera]", f"[sender.perception.camera]\n{more}"), "utf-8"
+    )
     return file
 
 
@@ -88,7 +96,9 @@ def test_a_file_comes_back_as_it_was_and_a_person_can_read_it(tmp_path: Path) ->
         ("[camera]", "[camera", "c.toml"),
     ],
 )
-def test_a_damaged_file_is_refused_with_its_name(tmp_path: Path, old: str, new: str, words: str) -> None:
+def test_a_damaged_file_is_refused_with_its_name(
+    tmp_path: Path, old: str, new: str, words: str
+) -> None:
     file = tmp_path / "c.toml"
     write_calibration(file, CAMERA)
     file.write_text(file.read_text("utf-8").replace(old, new), "utf-8")
@@ -102,7 +112,9 @@ def test_a_damaged_file_is_refused_with_its_name(tmp_path: Path, old: str, new: 
 def test_a_rig_takes_camera_and_mount_from_their_files(tmp_path: Path) -> None:
     write_calibration(tmp_path / "c.toml", CAMERA)
     write_calibration(tmp_path / "m.toml", MOUNT)
-    rig = load_rig(rig_with(tmp_path, camera='calibration = "c.toml"', marker='calibration = "m.toml"'))
+    rig = load_rig(
+        rig_with(tmp_path, camera='calibration = "c.toml"', marker='calibration = "m.toml"')
+    )
     assert rig.sender.camera == CAMERA.camera.model()
     assert rig.sender.camera.doubts == (DOUBT,)
     assert rig.receiver.camera.doubts == ()
@@ -116,20 +128,32 @@ def test_a_rig_takes_camera_and_mount_from_their_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("mount", "words"),
     [
-        (replace(MOUNT, markers=(MarkerPrint(0, 0.050),)), r"it is of the markers 0 \(50 mm\), this rig has 0 \(40 mm"),
+        (
+            replace(MOUNT, markers=(MarkerPrint(0, 0.050),)),
+            r"it is of the markers 0 \(50 mm\), this rig has 0 \(40 mm",
+        ),
         (replace(MOUNT, serial="4711"), "serial number 4711, sender.camera.calibration of 0815"),
-        (replace(MOUNT, position_sigma_m=(0.001, 0.006, 0.001)), "promise more than .* has: 0.006 m"),
+        (
+            replace(MOUNT, position_sigma_m=(0.001, 0.006, 0.001)),
+            "promise more than .* has: 0.006 m",
+        ),
     ],
 )
-def test_a_mount_of_something_else_is_refused(tmp_path: Path, mount: MountCalibration, words: str) -> None:
+def test_a_mount_of_something_else_is_refused(
+    tmp_path: Path, mount: MountCalibration, words: str
+) -> None:
     write_calibration(tmp_path / "c.toml", CAMERA)
     write_calibration(tmp_path / "m.toml", mount)
     with pytest.raises(RigError, match=words):
-        load_rig(rig_with(tmp_path, camera='calibration = "c.toml"', marker='calibration = "m.toml"'))
+        load_rig(
+            rig_with(tmp_path, camera='calibration = "c.toml"', marker='calibration = "m.toml"')
+        )
 
 
 def test_a_missing_calibration_names_rig_key_and_file(tmp_path: Path) -> None:
-    with pytest.raises(RigError, match=r"rig.toml: sender.camera.calibration: .*gone.toml: No such file"):
+    with pytest.raises(
+        RigError, match=r"rig.toml: sender.camera.calibration: .*gone.toml: No such file"
+    ):
         load_rig(rig_with(tmp_path, camera='calibration = "gone.toml"'))
     with pytest.raises(RigError, match=r"rig.toml: sender.camera: unknown key 'fx'"):
         load_rig(rig_with(tmp_path, camera='calibration = "gone.toml"\nfx = 600.0'))

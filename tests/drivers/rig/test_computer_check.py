@@ -12,7 +12,9 @@ from drivers.rig import computer_check
 from drivers.rig.computer_check import clock_finding, write_finding
 
 
-def test_a_folder_is_written_to_and_left_empty(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_folder_is_written_to_and_left_empty(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(computer_check, "WRITE_S", 0.05)
     monkeypatch.setattr(computer_check, "SLOW_MB_S", 0.0)
     finding = write_finding(tmp_path / "runs")
@@ -31,7 +33,9 @@ def test_a_folder_that_cannot_be_written_to_is_a_fault(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("said", "state", "words"), [("yes\n", "ok", "set by NTP"), ("no\n", "note", "not set by NTP")]
 )
-def test_the_wall_clock_is_told(monkeypatch: pytest.MonkeyPatch, said: str, state: str, words: str) -> None:
+def test_the_wall_clock_is_told(
+    monkeypatch: pytest.MonkeyPatch, said: str, state: str, words: str
+) -> None:
     def answer(*_: object, **__: object) -> SimpleNamespace:
         return SimpleNamespace(stdout=said)
 

@@ -1,4 +1,6 @@
-"""Calibrations of other programs: each is told as what it is, with its lens, and none is taken for PATH's own."""
+"""Calibrations of other programs: each is told as what it is, with its lens, and none is taken for
+PATH's own.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ distortion_coefficients: {rows: 1, cols: N, data: [COEFFICIENTS]}
 
 def ros(model: str, count: int) -> str:
     coefficients = ", ".join(["0.1"] * count)
-    return ROS.replace("MODEL", model).replace("N,", f"{count},").replace("COEFFICIENTS", coefficients)
+    return (
+        ROS.replace("MODEL", model).replace("N,", f"{count},").replace("COEFFICIENTS", coefficients)
+    )
 
 
 KALIBR = """cam0:
@@ -35,21 +39,57 @@ XML = """<?xml version="1.0"?>
 """
 YAML = "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [600., 0., 320.]\n"
 FILES: dict[str, tuple[str, str, str]] = {
-    "plumb.yaml": (ros("plumb_bob", 5), "a camera_info of ROS", "write its numbers into [sender.camera]"),
+    "plumb.yaml": (
+        ros("plumb_bob", 5),
+        "a camera_info of ROS",
+        "write its numbers into [sender.camera]",
+    ),
     "rational.yaml": (ros("rational_polynomial", 8), "of a rational lens", "calibrate camera"),
     "fisheye.yaml": (ros("equidistant", 4), "of an equidistant lens", "calibrate camera"),
     "prism.yaml": (ros("thin_prism_fisheye", 4), "of a fisheye lens", "calibrate camera"),
-    "radtan.yaml": (KALIBR.replace("MODEL", "radtan"), "a camera chain of Kalibr", "write its numbers"),
-    "kalibr.yaml": (KALIBR.replace("MODEL", "equidistant"), "of an equidistant lens", "calibrate camera"),
-    "omni.yaml": (KALIBR.replace("pinhole", "omni"), "of an omnidirectional lens", "calibrate camera"),
+    "radtan.yaml": (
+        KALIBR.replace("MODEL", "radtan"),
+        "a camera chain of Kalibr",
+        "write its numbers",
+    ),
+    "kalibr.yaml": (
+        KALIBR.replace("MODEL", "equidistant"),
+        "of an equidistant lens",
+        "calibrate camera",
+    ),
+    "omni.yaml": (
+        KALIBR.replace("pinhole", "omni"),
+        "of an omnidirectional lens",
+        "calibrate camera",
+    ),
     "opencv.xml": (XML, "OpenCV's FileStorage", "write its numbers"),
     "opencv.yml": (YAML, "OpenCV's FileStorage", "write its numbers"),
     "fisheye.yml": (YAML + "fisheye_model: 1\n", "of a fisheye lens", "calibrate camera"),
-    "opencv.json": ('{"K": {"type_id": "opencv-matrix", "rows": 3}}', "OpenCV's FileStorage", "write its numbers"),
-    "d435.json": ('{"fx": 600, "ppx": 320, "ppy": 240, "model": "plumb"}', "librealsense", "write its numbers"),
-    "d455.json": ('{"fx": 600, "ppx": 320, "ppy": 240, "model": "inverse_brown_conrady"}', "an inverse", "calibrate"),
-    "cameras.txt": ("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 OPENCV_FISHEYE 640 480 6\n", "COLMAP", "calibrate"),
-    "matlab.json": ('{"FocalLength": [600, 600], "RadialDistortion": [0.1, 0.2]}', "MATLAB", "write its numbers"),
+    "opencv.json": (
+        '{"K": {"type_id": "opencv-matrix", "rows": 3}}',
+        "OpenCV's FileStorage",
+        "write its numbers",
+    ),
+    "d435.json": (
+        '{"fx": 600, "ppx": 320, "ppy": 240, "model": "plumb"}',
+        "librealsense",
+        "write its numbers",
+    ),
+    "d455.json": (
+        '{"fx": 600, "ppx": 320, "ppy": 240, "model": "inverse_brown_conrady"}',
+        "an inverse",
+        "calibrate",
+    ),
+    "cameras.txt": (
+        "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 OPENCV_FISHEYE 640 480 6\n",
+        "COLMAP",
+        "calibrate",
+    ),
+    "matlab.json": (
+        '{"FocalLength": [600, 600], "RadialDistortion": [0.1, 0.2]}',
+        "MATLAB",
+        "write its numbers",
+    ),
 }
 
 
@@ -63,7 +103,9 @@ def test_a_calibration_of_another_program_is_told_as_what_it_is(tmp_path: Path, 
             read(file)
         assert name in str(refused.value) and what in str(refused.value)
         assert fix in refused.value.remedy
-    (tmp_path / "rig.toml").write_text(f'like = "sim"\n[sender.camera]\ncalibration = "{name}"\n', "utf-8")
+    (tmp_path / "rig.toml").write_text(
+        f'like = "sim"\n[sender.camera]\ncalibration = "{name}"\n', "utf-8"
+    )
     with pytest.raises(rig_library.RigError) as error:
         rig_library.load(str(tmp_path / "rig.toml"))
     assert "sender.camera.calibration" in str(error.value) and what in str(error.value)

@@ -18,7 +18,9 @@ def test_a_stream_slower_than_asked_for_is_told_with_the_fix(hz: float, state: s
     assert finding.fix == ("" if state == "ok" else "a faster link")
 
 
-def test_each_stamp_counts_once_and_a_silent_stream_not_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_stamp_counts_once_and_a_silent_stream_not_at_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(part_check, "COUNT_S", 0.3)
 
     async def main() -> None:

@@ -1,4 +1,6 @@
-"""Rigs: decoded strictly, checked whole, every problem named with file, table, key and what is allowed."""
+"""Rigs: decoded strictly, checked whole, every problem named with file, table, key and what is
+allowed.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ from drivers.rig.parts import PartContext, PartSpec, create, part_context
 from drivers.rig.tables import RigError, decode_table, suggestion
 from path.messages import Role
 
-# --- tables ----------------------------------------------------------------------------------------------------
+# --- tables
+# ----------------------------------------------------------------------------------------------------
 
 
 class Colour(Enum):
@@ -111,8 +114,12 @@ def test_unknown_keys_are_found_at_any_depth() -> None:
     assert refused({"winds": [{"speed_mps": 1}, {"speed": 1}]})[0].startswith(
         "r.toml: mission.winds[1]: unknown key 'speed' (did you mean 'speed_mps'?)"
     )
-    assert refused({"wind": {"speed_mps": 1, "gust": True}})[0].startswith("r.toml: mission.wind: unknown key 'gust'")
-    assert refused({"by_name": {"n": {}}}) == ("r.toml: mission.by_name.n: missing key 'speed_mps' (a finite number)",)
+    assert refused({"wind": {"speed_mps": 1, "gust": True}})[0].startswith(
+        "r.toml: mission.wind: unknown key 'gust'"
+    )
+    assert refused({"by_name": {"n": {}}}) == (
+        "r.toml: mission.by_name.n: missing key 'speed_mps' (a finite number)",
+    )
 
 
 @pytest.mark.parametrize(
@@ -144,7 +151,8 @@ def test_all_problems_are_shown_at_once() -> None:
     assert len(refused({"height": 1, "count": "x", "winds": [{"speed_mps": "x"}, {}]})) == 4
 
 
-# --- rigs ------------------------------------------------------------------------------------------------------
+# --- rigs
+# ------------------------------------------------------------------------------------------------------
 
 
 class Fake:
@@ -187,7 +195,11 @@ def fake_parts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def role(name: str, own: int, other: int) -> str:
-    marker = "[sender.mount.marker]\nposition_b_m = [-0.18, 0, -0.06]\ntilt_up_deg = 45\n" if name == "sender" else ""
+    marker = (
+        "[sender.mount.marker]\nposition_b_m = [-0.18, 0, -0.06]\ntilt_up_deg = 45\n"
+        if name == "sender"
+        else ""
+    )
     return f"""
 [{name}.vehicle]
 factory = "fake_parts:Fake"
@@ -289,15 +301,31 @@ def test_a_part_is_made_with_its_options_and_context(write: Write) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("sysid = 2", "sysid = 1", "receiver.vehicle.sysid: 1 is already used by sender.vehicle.sysid"),
-        (":14542", ":14541", "receiver.vehicle.url: 'udpin://127.0.0.1:14541' is already used by sender.vehicle.url"),
-        (":14542", ":14601", "receiver.vehicle.url: 'udpin://127.0.0.1:14601' is already used by sender.link.bind"),
+        (
+            "sysid = 2",
+            "sysid = 1",
+            "receiver.vehicle.sysid: 1 is already used by sender.vehicle.sysid",
+        ),
+        (
+            ":14542",
+            ":14541",
+            "receiver.vehicle.url: 'udpin://127.0.0.1:14541' is already used by sender.vehicle.url",
+        ),
+        (
+            ":14542",
+            ":14601",
+            "receiver.vehicle.url: 'udpin://127.0.0.1:14601' is already used by sender.link.bind",
+        ),
         (
             "eth2",
             "eth1",
             "receiver.perception.inner.interface: 'eth1' is already used by sender.perception.inner.interface",
         ),
-        ('peer = "127.0.0.1:14602"', 'peer = "127.0.0.1:9"', "sender.link.peer: '127.0.0.1:9' is not where the other"),
+        (
+            'peer = "127.0.0.1:14602"',
+            'peer = "127.0.0.1:9"',
+            "sender.link.peer: '127.0.0.1:9' is not where the other",
+        ),
         ("sysid = 1", "sysid_ = 1", "sender.vehicle: unknown key 'sysid_' (did you mean 'sysid'?)"),
         ("fx = 615", "", "sender.camera: missing key 'fx'"),
         (
@@ -328,8 +356,14 @@ def test_a_bad_rig_is_refused_by_name(write: Write, old: str, new: str, expected
     [
         ("fake_parts", "sender.vehicle.factory: 'fake_parts' is not module:Class"),
         ("fake:parts:Fake", "sender.vehicle.factory: 'fake:parts:Fake' is not module:Class"),
-        ("fake_parts:Fakee", "sender.vehicle.factory: fake_parts has no Fakee (did you mean 'Fake'?)"),
-        ("drivers.detectors.tracked:TrackedDetector", "TrackedDetector is no longer offered: it cost more than the"),
+        (
+            "fake_parts:Fakee",
+            "sender.vehicle.factory: fake_parts has no Fakee (did you mean 'Fake'?)",
+        ),
+        (
+            "drivers.detectors.tracked:TrackedDetector",
+            "TrackedDetector is no longer offered: it cost more than the",
+        ),
         ("no_such_module:Fake", "sender.vehicle.factory: cannot import no_such_module"),
         ("fake_parts:NoPart", "sender.vehicle.factory: fake_parts:NoPart is no part"),
     ],
@@ -374,13 +408,17 @@ def test_rigs_are_found_by_name_or_path(write: Write, tmp_path: Path) -> None:
     path = write(RIG)
     assert find_rig("bench", [tmp_path]) == path
     assert find_rig(str(path)) == path
-    with pytest.raises(RigError, match=r"no rig named 'bensh' \(did you mean 'bench'\?\); there are: bench"):
+    with pytest.raises(
+        RigError, match=r"no rig named 'bensh' \(did you mean 'bench'\?\); there are: bench"
+    ):
         find_rig("bensh", [tmp_path])
     with pytest.raises(RigError, match="no such rig file"):
         find_rig("elsewhere/bench.toml", [tmp_path])
 
 
-def test_a_rig_says_only_where_it_differs_from_the_one_it_is_like(write: Write, tmp_path: Path) -> None:
+def test_a_rig_says_only_where_it_differs_from_the_one_it_is_like(
+    write: Write, tmp_path: Path
+) -> None:
     write(RIG)
     other = tmp_path / "elsewhere" / "gusty.toml"
     other.parent.mkdir()
@@ -393,7 +431,9 @@ def test_a_rig_says_only_where_it_differs_from_the_one_it_is_like(write: Write, 
     assert (rig.name, rig.level, rig.file) == ("gusty", "hitl", other)
     assert rig.mission == {"guard": {"fence_radius_m": 9.0}}
     assert rig.sender.vehicle.options == {**bench.sender.vehicle.options, "sysid": 7}
-    assert rig.sender.link.options == {"bind": "127.0.0.1:14701"}, "another part is as it is written"
+    assert rig.sender.link.options == {"bind": "127.0.0.1:14701"}, (
+        "another part is as it is written"
+    )
     assert [marker.id for marker in rig.layout.markers] == [3]
     assert rig.receiver.vehicle.options == bench.receiver.vehicle.options
     assert load_rig(other, rig.folders).name == "gusty"

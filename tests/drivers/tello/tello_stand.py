@@ -1,4 +1,6 @@
-"""An emulated Tello on a loopback address of its own, stepped in a thread, and the drivers' context to go with it."""
+"""An emulated Tello on a loopback address of its own, stepped in a thread, and the drivers' context
+to go with it.
+"""
 
 from __future__ import annotations
 
@@ -63,14 +65,20 @@ async def until(condition: Callable[[], bool], limit_s: float = 60.0) -> None:
 
 
 @contextmanager
-def emulated(config: dict[str, Any] | None = None, rate_hz: float = 0.0, speed: float = 1.0) -> Generator[Stand]:
-    """One Tello; its time runs ``speed`` times as fast as ours. With a rate its camera films a clock."""
+def emulated(
+    config: dict[str, Any] | None = None, rate_hz: float = 0.0, speed: float = 1.0
+) -> Generator[Stand]:
+    """One Tello; its time runs ``speed`` times as fast as ours. With a rate its camera films a
+    clock.
+    """
     world = World(WorldConfig(), seed=3)
     host = free_host()
     drone = world.drone(Role.SENDER)
     camera = TelloVideo(TelloVideoConfig(CAMERA.width, CAMERA.height, rate_hz or 30.0))
     emulator = TelloEmulator(TelloEmulatorConfig(host, **(config or {})), drone, camera)
-    stand = Stand(emulator, camera, drone, {"host": host, "state_port": STATE_PORT, "video_port": free_port()})
+    stand = Stand(
+        emulator, camera, drone, {"host": host, "state_port": STATE_PORT, "video_port": free_port()}
+    )
     emulator.tap = lambda _, text: stand.heard.append(text)
     world.advance(3.0)  # its estimate has settled
     start_s, ending, passed = time.monotonic(), threading.Event(), SteadyTime(speed, 3.0)
@@ -108,7 +116,9 @@ def time_code(stamp_ns: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
     for bit in range(CODE_BITS):
         row, column = divmod(bit, 12)
         level = 230 if value >> bit & 1 else 20
-        image[40 + row * 60 : 40 + row * 60 + CELL, 20 + column * 23 : 20 + column * 23 + CELL] = level
+        image[40 + row * 60 : 40 + row * 60 + CELL, 20 + column * 23 : 20 + column * 23 + CELL] = (
+            level
+        )
     return image
 
 
@@ -127,7 +137,9 @@ def code_is_whole(image: np.ndarray[Any, np.dtype[np.uint8]]) -> bool:
     """Returns whether every square is clearly black or white."""
     for bit in range(CODE_BITS):
         row, column = divmod(bit, 12)
-        inner = image[44 + row * 60 : 36 + row * 60 + CELL, 24 + column * 23 : 16 + column * 23 + CELL].astype(int)
+        inner = image[
+            44 + row * 60 : 36 + row * 60 + CELL, 24 + column * 23 : 16 + column * 23 + CELL
+        ].astype(int)
         if not (inner.min() > 180 or inner.max() < 70):
             return False
     return True

@@ -1,4 +1,6 @@
-"""The Tello's camera through djitellopy's reader, over real UDP: images that show when they were taken."""
+"""The Tello's camera through djitellopy's reader, over real UDP: images that show when they were
+taken.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ LATENCY_S = 0.25
 
 
 def camera(stand: Stand, **options: Any) -> TelloCamera:
-    return TelloCamera(TelloCameraConfig(**stand.address, latency_s=LATENCY_S, **options), context())
+    return TelloCamera(
+        TelloCameraConfig(**stand.address, latency_s=LATENCY_S, **options), context()
+    )
 
 
 def readers() -> list[str]:
@@ -45,7 +49,8 @@ def readers() -> list[str]:
 async def newest_only(seen: TelloCamera) -> None:
     age_s = math.inf
     async with asyncio.timeout(PATIENCE_S):
-        while age_s >= LATENCY_S + 0.15:  # again where a busy machine was late: a queue would be late every time
+        # again where a busy machine was late: a queue would be late every time
+        while age_s >= LATENCY_S + 0.15:
             skipped, come = seen.skipped, seen._count
             while seen._count < come + 10:  # noqa: ASYNC110 (a slow reader, and frames that come meanwhile)
                 await asyncio.sleep(0.01)
@@ -76,7 +81,9 @@ def test_frames_are_new_stamped_and_whole_and_their_end_is_told() -> None:
         assert stand.count("streamoff") == 1
 
     async def damaged(stand: Stand, seen: TelloCamera) -> None:
-        """Frames that cannot be decoded are not given; one that is given may still be damaged, and most are not."""
+        """Frames that cannot be decoded are not given; one that is given may still be damaged, and
+        most are not.
+        """
         stand.video.corrupt = True
         end_s = time.monotonic() + PATIENCE_S
         while seen.damaged < 3:
@@ -93,7 +100,9 @@ def test_frames_are_new_stamped_and_whole_and_their_end_is_told() -> None:
     async def silent(stand: Stand, seen: TelloCamera) -> None:
         stand.video.silent = True
         start_s = time.monotonic()
-        with pytest.raises(CameraError, match=f"no video frame from {stand.address['host']} for 0.5 s"):
+        with pytest.raises(
+            CameraError, match=f"no video frame from {stand.address['host']} for 0.5 s"
+        ):
             while time.monotonic() - start_s < PATIENCE_S:
                 await seen.read(0.5)
         assert time.monotonic() - start_s < PATIENCE_S / 2.0
@@ -110,7 +119,9 @@ def check_frames(frames: list[Frame]) -> None:
 
 
 def check_stamps(frames: list[Frame]) -> None:
-    """By the code in the image: how far its stamp is off. The machine may be busy, but never early."""
+    """By the code in the image: how far its stamp is off. The machine may be busy, but never
+    early.
+    """
     off_s = [age_of(frame.color, frame.stamp_ns + 4_000_000_000) - 4.0 for frame in frames]
     assert min(off_s) > -LATENCY_S
     assert statistics.median(off_s) < 0.5

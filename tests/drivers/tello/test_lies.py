@@ -1,6 +1,8 @@
-"""A drone whose words and whose state packets contradict each other: the state packets are believed.
+"""A drone whose words and whose state packets contradict each other: the state packets are
+believed.
 
-Real drones were seen to answer with their app's binary packets, with "error" while they obeyed, and not at all.
+Real drones were seen to answer with their app's binary packets, with "error" while they obeyed, and
+not at all.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ TOLD_NOTHING = {
 Script = Callable[[Stand, TelloVehicle], Awaitable[None]]
 
 
-def fly(script: Script, prepare: Callable[[Stand], None] = lambda _: None, speed: float = 4.0) -> None:
+def fly(
+    script: Script, prepare: Callable[[Stand], None] = lambda _: None, speed: float = 4.0
+) -> None:
     """Run a script against a drone that is prepared to lie before anybody connects."""
 
     async def whole(stand: Stand) -> None:
@@ -58,7 +62,9 @@ def test_a_take_off_that_is_answered_by_no_ok_and_flown_is_flown(answer: bytes) 
     fly(script)
 
 
-@pytest.mark.parametrize("answer", [b"error", b"ok", BINARY], ids=["error", "ok at once", "a binary packet"])
+@pytest.mark.parametrize(
+    "answer", [b"error", b"ok", BINARY], ids=["error", "ok at once", "a binary packet"]
+)
 def test_a_landing_lasts_until_state_packets_show_it_down(answer: bytes) -> None:
     async def script(stand: Stand, drone: TelloVehicle) -> None:
         await drone.arm()
@@ -71,7 +77,9 @@ def test_a_landing_lasts_until_state_packets_show_it_down(answer: bytes) -> None
     fly(script)
 
 
-def test_a_drone_that_says_ok_and_does_not_land_is_told_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_drone_that_says_ok_and_does_not_land_is_told_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("drivers.tello.vehicle.LAND_AGAIN_S", 0.5)
     told: list[None] = []
 
@@ -102,7 +110,10 @@ def test_a_drone_that_never_lands_is_an_alarm_and_not_kept_awake(
         await drone.arm()
         await drone.take_off(0.9, 30.0)
         stand.emulator._commands["land"] = lambda: "ok"  # pyright: ignore[reportPrivateUsage]
-        with caplog.at_level(logging.ERROR), pytest.raises(VehicleError, match=r"not on the ground 1\.5 s after"):
+        with (
+            caplog.at_level(logging.ERROR),
+            pytest.raises(VehicleError, match=r"not on the ground 1\.5 s after"),
+        ):
             await drone.land(1.5)
         assert "not on the ground" in caplog.text
         heard = len(stand.heard)
@@ -115,7 +126,8 @@ def test_a_drone_that_never_lands_is_an_alarm_and_not_kept_awake(
 
 def test_a_take_off_that_failed_is_not_kept_in_the_air(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.tello.vehicle.KEEP_ALIVE_S", 0.1)
-    monkeypatch.setattr("drivers.tello.vehicle.JUDGE_S", 0.05)  # it is refused before the drone has begun to climb
+    # it is refused before the drone has begun to climb
+    monkeypatch.setattr("drivers.tello.vehicle.JUDGE_S", 0.05)
 
     async def script(stand: Stand, drone: TelloVehicle) -> None:
         stand.emulator.faults.words["takeoff"] = b"error"
@@ -217,7 +229,8 @@ def test_what_is_an_answer_in_words(data: bytes, is_one: bool) -> None:
 
 BAD_STATES: dict[str, bytes] = {
     "a byte above 127": b"pitch:0;roll:0;yaw:\xb0;",
-    "400 digits": b"pitch:0;roll:0;yaw:0;vgx:0;vgy:0;vgz:0;tof:10;h:%s;bat:87;time:0;temph:63;" % (b"9" * 400),
+    "400 digits": b"pitch:0;roll:0;yaw:0;vgx:0;vgy:0;vgz:0;tof:10;h:%s;bat:87;time:0;temph:63;"
+    % (b"9" * 400),
     "5000 digits": b"h:%s;" % (b"9" * 1900),
     "beyond any height": b"pitch:0;roll:0;yaw:0;vgx:0;vgy:0;vgz:0;tof:10;h:9999999;bat:87;time:0;temph:63;",
     "binary": BINARY,
@@ -247,8 +260,13 @@ def test_a_receiving_thread_that_ended_is_an_alarm(
 
     async def script(stand: Stand, drone: TelloVehicle) -> None:
         stand.emulator.faults.no_state = True  # what is not received any more
-        monkeypatch.setattr("drivers.tello.commands.ended_receivers", lambda: ["udp_state_receiver"])
-        with caplog.at_level(logging.ERROR), pytest.raises(VehicleError, match="udp_state_receiver has ended"):
+        monkeypatch.setattr(
+            "drivers.tello.commands.ended_receivers", lambda: ["udp_state_receiver"]
+        )
+        with (
+            caplog.at_level(logging.ERROR),
+            pytest.raises(VehicleError, match="udp_state_receiver has ended"),
+        ):
             await asyncio.sleep(1.2)
             await drone.wait_armable(5.0)
         assert "ALARM" in caplog.text
@@ -258,18 +276,24 @@ def test_a_receiving_thread_that_ended_is_an_alarm(
 
 
 def test_state_packets_without_a_drone_of_ours_are_left_to_the_library() -> None:
-    """Drones that somebody opened by djitellopy itself, in the same program, are received as before."""
+    """Drones that somebody opened by djitellopy itself, in the same program, are received as
+    before.
+    """
     entry: dict[str, Any] = {"responses": [], "state": {}}
     _take_state(entry, b"bat:87;")
     _take_state(entry, b"bat:\xff;")
     assert entry["state"] == {"bat": 87}
 
 
-def test_a_drone_that_sends_too_few_state_packets_is_not_armable(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_drone_that_sends_too_few_state_packets_is_not_armable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("hil.tello.emulator.STATE_PERIOD_S", 0.8)
 
     async def script(_: Stand, drone: TelloVehicle) -> None:
-        with pytest.raises(VehicleError, match=r"state packets \d\.\d times a second.*needs 4\.0 a second"):
+        with pytest.raises(
+            VehicleError, match=r"state packets \d\.\d times a second.*needs 4\.0 a second"
+        ):
             await drone.wait_armable(3.0)
 
     fly(script, speed=1.0)

@@ -1,4 +1,6 @@
-"""The rig of two Tellos: what may be shared by the parts of one drone, and by none of the other's."""
+"""The rig of two Tellos: what may be shared by the parts of one drone, and by none of the
+other's.
+"""
 
 from __future__ import annotations
 
@@ -35,12 +37,20 @@ def test_it_loads_and_its_ports_are_known() -> None:
     ("change", "problem"),
     [
         (('"127.0.0.3"', '"127.0.0.2"'), "'127.0.0.2' is already used by sender.vehicle.host"),
-        (("state_port = 8892", "state_port = 8890"), "8890 is already used by sender.vehicle.state_port"),
-        (("video_port = 11112", "video_port = 11111"), "11111 is already used by sender.vehicle.video_port"),
+        (
+            ("state_port = 8892", "state_port = 8890"),
+            "8890 is already used by sender.vehicle.state_port",
+        ),
+        (
+            ("video_port = 11112", "video_port = 11111"),
+            "11111 is already used by sender.vehicle.video_port",
+        ),
         (("video_port = 11112", "video_port = 14621"), "14621 is already used by sender.link.bind"),
     ],
 )
-def test_two_drones_on_one_address_or_port_are_refused(tmp_path: Path, change: tuple[str, str], problem: str) -> None:
+def test_two_drones_on_one_address_or_port_are_refused(
+    tmp_path: Path, change: tuple[str, str], problem: str
+) -> None:
     with pytest.raises(RigError) as caught:
         check_rig(load_rig(rig_with(tmp_path, change)))
     assert any(problem in line for line in caught.value.problems)
@@ -71,10 +81,17 @@ def test_both_rigs_of_tellos_fly_the_same_mission_with_the_same_eyes() -> None:
     real, virtual = rig_library.load("sitl-tello"), rig_library.load("sim-tello")
     assert virtual.method == real.method
     assert virtual.mission == real.mission
-    assert [(m.id, m.side_m) for m in virtual.layout.markers] == [(m.id, m.side_m) for m in real.layout.markers]
+    assert [(m.id, m.side_m) for m in virtual.layout.markers] == [
+        (m.id, m.side_m) for m in real.layout.markers
+    ]
     for role in Role:
         assert virtual.role(role).camera == real.role(role).camera
         for table in ("target", "detector"):
-            assert virtual.role(role).perception.options[table] == real.role(role).perception.options[table]
+            assert (
+                virtual.role(role).perception.options[table]
+                == real.role(role).perception.options[table]
+            )
         for name in ("north_m", "east_m", "heading_deg"):
-            assert virtual.role(role).vehicle.options.get(name) == real.role(role).vehicle.options.get(name)
+            assert virtual.role(role).vehicle.options.get(name) == real.role(
+                role
+            ).vehicle.options.get(name)

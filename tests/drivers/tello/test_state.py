@@ -25,13 +25,24 @@ def test_a_packet_in_its_units() -> None:
     read = read_report(FIELDS, 7)
     assert read is not None
     assert read.velocity_mps == pytest.approx((0.5, -0.2, 0.1))
-    assert (read.tof_m, read.height_m, read.battery, read.motors_s) == pytest.approx((0.83, 0.80, 0.76, 12))
+    assert (read.tof_m, read.height_m, read.battery, read.motors_s) == pytest.approx(
+        (0.83, 0.80, 0.76, 12)
+    )
     assert math.degrees(read.yaw_rad) == pytest.approx(90.0)
     assert read.arrival_ns == 7
 
 
 @pytest.mark.parametrize(
-    "changes", [{"yaw": "x"}, {"bat": 101}, {"bat": -1}, {"pitch": 4000}, {"vgx": math.nan}, {"vgy": True}, {"h": None}]
+    "changes",
+    [
+        {"yaw": "x"},
+        {"bat": 101},
+        {"bat": -1},
+        {"pitch": 4000},
+        {"vgx": math.nan},
+        {"vgy": True},
+        {"h": None},
+    ],
 )
 def test_a_packet_that_cannot_be_is_none(changes: dict[str, object]) -> None:
     assert read_report({**FIELDS, **changes}, 0) is None
@@ -59,7 +70,8 @@ def test_a_drone_put_down_looking_east_flies_east_along_its_x() -> None:
     where = reckoning(90.0)
     for tick in range(11):
         where.add(report(0.1 * tick, yaw=30, vgx=5, vgy=0, vgz=0))
-    # switched on 30 degrees to the left of where it looks when it is connected, and x is of that moment
+    # switched on 30 degrees to the left of where it looks when it is connected, and x is of that
+    # moment
     assert where.heading_rad == pytest.approx(math.pi / 2.0)
     north, east, _ = where.position_n_m
     way = 0.5 * 1.0

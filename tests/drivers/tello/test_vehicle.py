@@ -1,4 +1,5 @@
-"""The Tello's driver through an unmodified djitellopy, over real sockets, against the emulated drone.
+"""The Tello's driver through an unmodified djitellopy, over real sockets, against the emulated
+drone.
 
 Where a whole flight is needed the drone's time runs faster than ours.
 """
@@ -45,7 +46,9 @@ def test_a_flight_from_take_off_to_landing() -> None:
             assert drone.state.mode is FlightMode.HOLD
             assert drone.state.in_air
             assert -drone.state.position_n_m[2] == pytest.approx(1.1, abs=0.2)
-            assert stand.drone.true_position_n_m[2] == pytest.approx(drone.state.position_n_m[2], abs=0.25)
+            assert stand.drone.true_position_n_m[2] == pytest.approx(
+                drone.state.position_n_m[2], abs=0.25
+            )
             await drone.start_offboard(STILL)
             assert drone.state.mode is FlightMode.OFFBOARD
             # its nose looks east by the rig and north in truth: north is to its left
@@ -77,10 +80,13 @@ def test_a_second_drone_is_told_from_the_first() -> None:
         asyncio.run(both(one, other))
 
 
-# --- refusals ----------------------------------------------------------------------------------------------------
+# --- refusals
+# ----------------------------------------------------------------------------------------------------
 
 
-def test_a_refused_take_off_is_told_in_the_drone_s_words_and_not_said_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refused_take_off_is_told_in_the_drone_s_words_and_not_said_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("drivers.tello.vehicle.JUDGE_S", 0.5)
 
     async def refused(stand: Stand) -> None:
@@ -122,7 +128,9 @@ def test_a_take_off_that_is_lost_is_told_and_said_once(monkeypatch: pytest.Monke
         async with vehicle(stand) as drone:
             await drone.arm()
             stand.emulator.faults.deaf = True
-            with pytest.raises(VehicleError, match="no answer to the command to take off: it seems to stand"):
+            with pytest.raises(
+                VehicleError, match="no answer to the command to take off: it seems to stand"
+            ):
                 await drone.take_off(1.0, 0.5)
             assert not drone.state.armed
         assert stand.count("takeoff") == 0
@@ -157,7 +165,8 @@ def test_setpoints_that_are_no_numbers_are_not_sent() -> None:
         asyncio.run(fly(stand))
 
 
-# --- unplugged ---------------------------------------------------------------------------------------------------
+# --- unplugged
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_when_state_packets_stop_every_wait_ends_and_the_age_is_told() -> None:
@@ -170,7 +179,8 @@ def test_when_state_packets_stop_every_wait_ends_and_the_age_is_told() -> None:
             with pytest.raises(VehicleError, match=r"no state packet from the drone for \d\.\d s"):
                 await drone.land(600.0)
             assert time.monotonic() - start_s < 60.0
-            assert drone.link.clock.now_ns() - drone.state.stamp_ns > 1e9  # not made to look younger than it is
+            # not made to look younger than it is
+            assert drone.link.clock.now_ns() - drone.state.stamp_ns > 1e9
             assert drone.state.armed  # nobody has seen it land
         assert stand.count("land") >= 3  # it was told to, and does
         await until(lambda: stand.drone.on_ground)
@@ -212,7 +222,9 @@ def test_a_late_answer_does_not_satisfy_the_next_command() -> None:
         asyncio.run(late(stand))
 
 
-def test_it_is_kept_awake_while_it_holds_and_not_while_a_script_flies_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_kept_awake_while_it_holds_and_not_while_a_script_flies_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("drivers.tello.vehicle.KEEP_ALIVE_S", 0.1)
 
     async def idle(stand: Stand) -> None:
@@ -222,7 +234,8 @@ def test_it_is_kept_awake_while_it_holds_and_not_while_a_script_flies_it(monkeyp
             await drone.take_off(0.9, 60.0)
             await until(lambda: stand.heard[-2:] == ["rc 0 0 0 0"] * 2)
             await drone.start_offboard(RISING)
-            await until(lambda: stand.heard[-1] not in ("rc 0 0 0 0", "command"))  # and all that was said before it
+            # and all that was said before it
+            await until(lambda: stand.heard[-1] not in ("rc 0 0 0 0", "command"))
             heard = len(stand.heard)
             await asyncio.sleep(0.5)  # nothing is to happen
             assert len(stand.heard) == heard
@@ -232,7 +245,8 @@ def test_it_is_kept_awake_while_it_holds_and_not_while_a_script_flies_it(monkeyp
         asyncio.run(idle(stand))
 
 
-# --- before anything is sent -------------------------------------------------------------------------------------
+# --- before anything is sent
+# -------------------------------------------------------------------------------------
 
 
 def refusal(stand: Stand | None = None, **options: Any) -> VehicleError:
@@ -317,5 +331,9 @@ def test_options_that_cannot_be(options: dict[str, Any], names: str) -> None:
 
 
 def test_what_it_lacks_is_said() -> None:
-    assert {each.value for each in TelloVehicle.lacks} == {"geofence", "global_position", "pilot_override"}
+    assert {each.value for each in TelloVehicle.lacks} == {
+        "geofence",
+        "global_position",
+        "pilot_override",
+    }
     assert dataclasses.fields(TelloVehicleConfig)[0].name == "host"

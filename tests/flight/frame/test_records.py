@@ -40,11 +40,15 @@ CAMERA = CameraModel(640, 480, 615.0, 615.0, 320.0, 240.0, (0.1, -0.2, 0.0, 0.0,
 BOX = Box(10.0, 20.0, 30.0, 40.0)
 TARGET = Target(1, 2, 3, 77, 123, (0.1, 0.2, 0.3), (0.0, -1.0, 0.0), 0.02)
 FOUND = Candidate(1, 2, 3, 5, 77, 456, BOX, None, (0.0, 0.1, 1.2), (1.0, 0.0, 0.0, 0.0), 0.01)
-NONE = Candidate(1, 2, 3, 6, 77, 457, None, MissReason.NO_CANDIDATE, (0.0, 0.1, 1.2), (1.0, 0.0, 0.0, 0.0), 0.01)
+NONE = Candidate(
+    1, 2, 3, 6, 77, 457, None, MissReason.NO_CANDIDATE, (0.0, 0.1, 1.2), (1.0, 0.0, 0.0, 0.0), 0.01
+)
 MISSED = Missed(MissReason.NO_MARKER)
 POSE = Pose(R_from_rpy(0.2, -0.4, 1.0), np.array([0.3, -0.1, 1.4]))
 COVARIANCE = np.diag([1e-4, 2e-4, 3e-4, 1e-6, 1e-6, 1e-6])
-FIX = MarkerFix(POSE, COVARIANCE, 24.0, (MarkerDetection(0, np.arange(8.0).reshape(4, 2), np.eye(8)),))
+FIX = MarkerFix(
+    POSE, COVARIANCE, 24.0, (MarkerDetection(0, np.arange(8.0).reshape(4, 2), np.eye(8)),)
+)
 GATE = make_gate(MethodConfig())
 PRIOR = Prior(
     CAMERA.project_point((0.2, 0.1, 2.0)),
@@ -75,7 +79,11 @@ def test_a_target_that_was_sent() -> None:
 def test_a_box_without_a_point_says_why() -> None:
     record = target_record(OwnFrame(9, 123, Sighting(BOX, None), Missed(MissReason.NO_DEPTH)), 130)
     check("/target", record)
-    assert (record["box"], record["depth_m"], record["point_v_m"]) == ([10.0, 20.0, 30.0, 40.0], None, None)
+    assert (record["box"], record["depth_m"], record["point_v_m"]) == (
+        [10.0, 20.0, 30.0, 40.0],
+        None,
+        None,
+    )
     assert record["reason"] == "no_depth"
 
 
@@ -101,7 +109,9 @@ def test_a_frame_without_a_target_says_why_it_was_not_seen_and_has_a_number() ->
 
 def test_an_agreement() -> None:
     verdict = Agreed(iou=0.7, tau=0.3, count=12)
-    record = agreement_record(PairVerdict(FOUND, 456, verdict, BOX, Box(11.0, 21.0, 30.0, 40.0), 0.3), GATE, 350, 3)
+    record = agreement_record(
+        PairVerdict(FOUND, 456, verdict, BOX, Box(11.0, 21.0, 30.0, 40.0), 0.3), GATE, 350, 3
+    )
     check("/agreement", record)
     assert (record["agreed"], record["counted"], record["reason"]) == (True, True, None)
     assert (record["iou"], record["tau"], record["count"], record["needed"]) == (0.7, 0.3, 12, 350)
@@ -113,7 +123,11 @@ def test_an_agreement_of_the_gate_that_goes_by_evidence() -> None:
     pair = PairVerdict(FOUND, 456, Agreed(0.7, 0.3, 12, Evidence(3.7, 4.3)), BOX, BOX)
     record = agreement_record(pair, GATE, 30, 3)
     check("/agreement", record)
-    assert (record["evidence"], record["evidence_needed"], record["epoch"]) == (3.7, 4.3, FOUND.epoch)
+    assert (record["evidence"], record["evidence_needed"], record["epoch"]) == (
+        3.7,
+        4.3,
+        FOUND.epoch,
+    )
 
 
 @pytest.mark.parametrize(("ignored", "counted"), [(True, False), (False, True)])
@@ -126,7 +140,9 @@ def test_a_miss_counts_unless_it_was_no_evidence_at_all(ignored: bool, counted: 
 
 
 def test_a_gap_in_the_answers_has_no_candidate() -> None:
-    record = agreement_record(PairVerdict(None, 456, Missed(MissReason.LINK_SILENT), None, None), GATE, 350, 3)
+    record = agreement_record(
+        PairVerdict(None, 456, Missed(MissReason.LINK_SILENT), None, None), GATE, 350, 3
+    )
     check("/agreement", record)
     assert (record["sequence"], record["target_sequence"]) == (None, None)
 
@@ -137,7 +153,9 @@ def test_a_candidate_with_its_prior() -> None:
     assert record["region"] == [1.0, 2.0, 3.0, 4.0]
     assert record["box"] == [10.0, 20.0, 30.0, 40.0]
     # the point in D2's camera, carried back to the marker's frame
-    assert POSE.apply(np.array(record["point_v_m"])) == pytest.approx(np.array([0.2, 0.1, 2.0]), abs=1e-9)
+    assert POSE.apply(np.array(record["point_v_m"])) == pytest.approx(
+        np.array([0.2, 0.1, 2.0]), abs=1e-9
+    )
 
 
 def test_a_candidate_without_a_prior_says_why() -> None:
@@ -154,7 +172,13 @@ def test_markers_seen_and_missed() -> None:
     assert seen["position_v_m"] == pytest.approx(tuple(POSE.inverse().t), abs=1e-12)
     assert seen["sigma_m"] == pytest.approx(np.sqrt(2e-4))
     missed = marker_record(6, MISSED)
-    assert missed == {"capture_ns": 6, "position_v_m": None, "corners_px": None, "reason": "no_marker", "cause": None}
+    assert missed == {
+        "capture_ns": 6,
+        "position_v_m": None,
+        "corners_px": None,
+        "reason": "no_marker",
+        "cause": None,
+    }
 
 
 def test_no_box_is_null() -> None:

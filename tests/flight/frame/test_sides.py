@@ -1,4 +1,6 @@
-"""Both sides of an attempt, frame by frame: what one says, the other answers, and what comes of it."""
+"""Both sides of an attempt, frame by frame: what one says, the other answers, and what comes of
+it.
+"""
 
 from __future__ import annotations
 
@@ -45,12 +47,16 @@ def test_what_d1_says_is_answered_by_d2_and_judged_by_d1() -> None:
 
 
 def test_a_frame_without_the_target_is_a_miss_and_its_reason_is_the_trackers() -> None:
-    own = SenderSide(CAMERAS, MethodConfig(), ATTEMPT).observe(1, FRAME_NS, MissReason.AMBIGUOUS_TARGET, DOWN)
+    own = SenderSide(CAMERAS, MethodConfig(), ATTEMPT).observe(
+        1, FRAME_NS, MissReason.AMBIGUOUS_TARGET, DOWN
+    )
     assert own.seen is MissReason.AMBIGUOUS_TARGET
     assert isinstance(own.message, Missed) and own.message.reason is MissReason.NO_TARGET
 
 
-def test_a_marker_that_was_not_seen_goes_out_as_the_answers_reason_and_a_frame_is_answered_once() -> None:
+def test_a_marker_that_was_not_seen_goes_out_as_the_answers_reason_and_a_frame_is_answered_once() -> (
+    None
+):
     receiver = ReceiverSide(CAMERAS, MethodConfig(), ATTEMPT)
     prior = receiver.prior(Missed(MissReason.NO_MARKER), FRAME_NS)
     answer = receiver.answer(1, FRAME_NS, (), prior)

@@ -22,5 +22,7 @@ def test_the_last_level_counts_for_ten_seconds_to_the_nanosecond() -> None:
 
 
 def test_the_crew_is_told_before_the_flight_ends_and_with_time_to_land_it() -> None:
-    """A vehicle tells its level every second: two that are missing are worth a word, and half of the time is left."""
+    """A vehicle tells its level every second: two that are missing are worth a word, and half of
+    the time is left.
+    """
     assert 2.0 < TELL_S <= 0.5 * UNTOLD_S

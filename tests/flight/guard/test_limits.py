@@ -17,9 +17,24 @@ from flight.guard.rules import GuardRules, Limits, ProgramBeat, broken_limit
 from flight.outcome import MissionEnd, Outcome
 
 NOW_NS = 100_000_000_000
-LIMITS = GuardConfig(fence_radius_m=10.0, fence_height_m=5.0, min_battery=0.2, telemetry_age_s=0.5, heartbeat_age_s=2.0)
+LIMITS = GuardConfig(
+    fence_radius_m=10.0,
+    fence_height_m=5.0,
+    min_battery=0.2,
+    telemetry_age_s=0.5,
+    heartbeat_age_s=2.0,
+)
 GOOD = VehicleState(
-    NOW_NS, NOW_NS, (1.0, 2.0, -1.5), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), True, True, True, FlightMode.OFFBOARD, 0.9
+    NOW_NS,
+    NOW_NS,
+    (1.0, 2.0, -1.5),
+    (0.0, 0.0, 0.0),
+    (1.0, 0.0, 0.0, 0.0),
+    True,
+    True,
+    True,
+    FlightMode.OFFBOARD,
+    0.9,
 )
 
 
@@ -36,7 +51,11 @@ def ago(seconds: float) -> int:
     [
         (Outcome.VEHICLE_LOST, {"stamp_ns": ago(0.6)}, "no telemetry for 0.6 s"),
         (Outcome.VEHICLE_LOST, {"heartbeat_ns": ago(2.1)}, "no heartbeat for 2.1 s"),
-        (Outcome.PILOT_OVERRIDE, {"mode": FlightMode.OTHER}, "mode is other, the script flew offboard"),
+        (
+            Outcome.PILOT_OVERRIDE,
+            {"mode": FlightMode.OTHER},
+            "mode is other, the script flew offboard",
+        ),
         (Outcome.PILOT_OVERRIDE, {"mode": FlightMode.HOLD}, "mode is hold"),
         (Outcome.PILOT_OVERRIDE, {"armed": False}, "the motors were stopped"),
         (Outcome.GUARD, {"position_n_m": (10.1, 0.0, -1.0)}, "fence"),
@@ -46,12 +65,22 @@ def ago(seconds: float) -> int:
         (Outcome.GUARD, {"position_n_m": (math.nan, 0.0, -1.0)}, "fence"),
         (Outcome.GUARD, {"position_n_m": (0.0, 0.0, math.nan)}, "fence"),
         (Outcome.GUARD, {"battery": math.nan}, "battery of an unknown level"),
-        (Outcome.GUARD, {"battery": 0.9, "battery_ns": ago(10.1)}, "battery at 90 % when it was told last, 10 s ago"),
-        (Outcome.GUARD, {"battery": math.nan, "battery_ns": ago(10.1)}, "of a level that was never told, 10 s ago"),
+        (
+            Outcome.GUARD,
+            {"battery": 0.9, "battery_ns": ago(10.1)},
+            "battery at 90 % when it was told last, 10 s ago",
+        ),
+        (
+            Outcome.GUARD,
+            {"battery": math.nan, "battery_ns": ago(10.1)},
+            "of a level that was never told, 10 s ago",
+        ),
         (Outcome.GUARD, {"battery": 0.19, "battery_ns": ago(9.0)}, "battery at 19 %"),
     ],
 )
-def test_each_limit_ends_the_mission_by_its_name(outcome: Outcome, changes: dict[str, Any], seen: str) -> None:
+def test_each_limit_ends_the_mission_by_its_name(
+    outcome: Outcome, changes: dict[str, Any], seen: str
+) -> None:
     with pytest.raises(MissionEnd) as caught:
         check(**changes)
     assert caught.value.outcome is outcome
@@ -98,10 +127,22 @@ def test_far_enough_is_not() -> None:
 def test_script_and_guard_judge_a_battery_alike(level: float, silent_s: float | None) -> None:
     told_ns = None if silent_s is None else ago(silent_s)
     view = GuardView(
-        NOW_NS, NOW_NS, True, True, FlightMode.OFFBOARD, GOOD.position_n_m, level, None, battery_ns=told_ns
+        NOW_NS,
+        NOW_NS,
+        True,
+        True,
+        FlightMode.OFFBOARD,
+        GOOD.position_n_m,
+        level,
+        None,
+        battery_ns=told_ns,
     )
     of_guard = broken_limit(
-        view, ProgramBeat(NOW_NS, Script.CONTROL, NOW_NS), NOW_NS, GuardRules(), Limits(Fence(10.0, 5.0), 0.2, 0.7)
+        view,
+        ProgramBeat(NOW_NS, Script.CONTROL, NOW_NS),
+        NOW_NS,
+        GuardRules(),
+        Limits(Fence(10.0, 5.0), 0.2, 0.7),
     )
     try:
         check(battery=level, battery_ns=told_ns)
@@ -124,5 +165,7 @@ def test_script_and_guard_judge_a_battery_alike(level: float, silent_s: float | 
         ({"armed_told": 1}, False),
     ],
 )
-def test_in_doubt_is_what_one_message_alone_says_against_the_script(changes: dict[str, Any], doubt: bool) -> None:
+def test_in_doubt_is_what_one_message_alone_says_against_the_script(
+    changes: dict[str, Any], doubt: bool
+) -> None:
     assert in_doubt(replace(GOOD, **changes), FlightMode.OFFBOARD) is doubt

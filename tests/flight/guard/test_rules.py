@@ -13,17 +13,31 @@ from hypothesis import strategies as st
 from drivers.interfaces import FlightMode
 from drivers.mavlink.guard.interfaces import GuardView, Hand, Script
 from flight.guard.rules import Act, GuardRules, GuardStage, GuardState, ProgramBeat
-from tests.flight.guard.guard_views import DOWN, HEARD, HELD, MOVING, NOW, RULES, VIEW, S, dead, ns, step
+from tests.flight.guard.guard_views import (
+    DOWN,
+    HEARD,
+    HELD,
+    MOVING,
+    NOW,
+    RULES,
+    VIEW,
+    S,
+    dead,
+    ns,
+    step,
+)
 
 FLOWN = (FlightMode.OFFBOARD, FlightMode.TAKEOFF, FlightMode.HOLD)
 FLIES = tuple(script for script in Script if script.flies)
 
 
-# --- the table: whose program is silent, in which mode ---------------------------------------------------------------
+# --- the table: whose program is silent, in which mode
+# ---------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("script", "mode", "armed", "in_air"), [*product(Script, FlightMode, (True, False), (True, False))]
+    ("script", "mode", "armed", "in_air"),
+    [*product(Script, FlightMode, (True, False), (True, False))],
 )
 def test_a_silent_program_s_vehicle_is_taken_when_it_is_flown_and_never_else(
     script: Script, mode: FlightMode, armed: bool, in_air: bool
@@ -57,7 +71,9 @@ ODD = {
 
 
 @pytest.mark.parametrize(("script", "mode"), [*product(FLIES, FLOWN + DOWN)])
-def test_a_mode_the_script_does_not_fly_is_somebody_else_s_after_a_grace(script: Script, mode: FlightMode) -> None:
+def test_a_mode_the_script_does_not_fly_is_somebody_else_s_after_a_grace(
+    script: Script, mode: FlightMode
+) -> None:
     state, view = GuardState(), replace(VIEW, mode=mode)
     for passed_s in (0.0, RULES.mode_grace_s - 0.01, RULES.mode_grace_s + 0.01):
         now = NOW + ns(passed_s)
@@ -65,7 +81,9 @@ def test_a_mode_the_script_does_not_fly_is_somebody_else_s_after_a_grace(script:
         state, act = step(state, replace(view, heartbeat_ns=now), heard, now)
         assert act is Act.NOTHING
         late = passed_s > RULES.mode_grace_s
-        assert state.stage is (GuardStage.LET_GO if late and mode in ODD[script] else GuardStage.WATCHING)
+        assert state.stage is (
+            GuardStage.LET_GO if late and mode in ODD[script] else GuardStage.WATCHING
+        )
 
 
 def test_the_beat_may_be_as_old_as_the_rule_says_and_no_older() -> None:
@@ -92,13 +110,17 @@ def test_a_program_that_lives_but_sends_no_setpoints_loses_the_vehicle() -> None
         (VIEW, replace(HEARD, separation_m=0.69, separation_ns=NOW), "as measured"),
     ],
 )
-def test_a_limit_that_stays_broken_takes_the_vehicle(view: GuardView, heard: ProgramBeat, said: str) -> None:
+def test_a_limit_that_stays_broken_takes_the_vehicle(
+    view: GuardView, heard: ProgramBeat, said: str
+) -> None:
     state, act = step(view=view, heard=heard)
     assert (state.stage, act) == (GuardStage.WATCHING, Act.NOTHING)  # the script is given time
     late = NOW + ns(RULES.patience_s + 0.01)
     separation_ns = late if heard.separation_ns else 0
     heard = replace(heard, beat_ns=late, setpoint_ns=late, separation_ns=separation_ns)
-    recovered, _ = step(state, replace(VIEW, heartbeat_ns=late), replace(heard, separation_m=2.0), late)
+    recovered, _ = step(
+        state, replace(VIEW, heartbeat_ns=late), replace(heard, separation_m=2.0), late
+    )
     assert recovered.broken_ns is None
     state, act = step(state, replace(view, heartbeat_ns=late), heard, late)
     assert (state.stage, act) == (GuardStage.HOLDING, Act.HOLD)
@@ -110,7 +132,9 @@ def test_positions_count_as_far_as_they_can_be_trusted() -> None:
     exact, coarse = replace(RULES, position_error_m=0.1), RULES
     assert step(heard=near, rules=exact)[0].broken_ns == NOW
     assert step(heard=near, rules=coarse)[0].broken_ns is None
-    assert step(heard=replace(near, peer_n_m=(math.nan, 2.1, -1.5)), rules=exact)[0].broken_ns is None
+    assert (
+        step(heard=replace(near, peer_n_m=(math.nan, 2.1, -1.5)), rules=exact)[0].broken_ns is None
+    )
     old = replace(HEARD, separation_m=0.1, separation_ns=NOW - S)
     assert step(heard=old)[0].broken_ns is None
 
@@ -124,7 +148,9 @@ def test_a_vehicle_that_is_not_seen_is_told_nothing(stage: GuardStage) -> None:
 
 
 def test_whose_the_vehicle_is() -> None:
-    hands = {stage: replace(HELD, stage=stage).hand(Script.CONTROL, armed=True) for stage in GuardStage}
+    hands = {
+        stage: replace(HELD, stage=stage).hand(Script.CONTROL, armed=True) for stage in GuardStage
+    }
     assert hands == {
         GuardStage.WATCHING: Hand.SCRIPT,
         GuardStage.HOLDING: Hand.GUARD,
@@ -136,7 +162,9 @@ def test_whose_the_vehicle_is() -> None:
     assert GuardState().hand(Script.LET_GO, armed=True) is Hand.FREE
 
 
-@pytest.mark.parametrize("name", ["beat_age_s", "setpoint_gap_s", "ack_s", "confirm_s", "blind_s", "answer_age_s"])
+@pytest.mark.parametrize(
+    "name", ["beat_age_s", "setpoint_gap_s", "ack_s", "confirm_s", "blind_s", "answer_age_s"]
+)
 def test_rules_without_time_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match=name):
         replace(RULES, **{name: 0.0})
@@ -144,7 +172,8 @@ def test_rules_without_time_are_refused(name: str) -> None:
         GuardRules(land_tries=0)
 
 
-# --- whatever it sees ------------------------------------------------------------------------------------------------
+# --- whatever it sees
+# ------------------------------------------------------------------------------------------------
 
 AGES_S = st.floats(0.0, 4.0)
 VIEWS = st.builds(
@@ -190,15 +219,23 @@ def test_whatever_it_sees(state: GuardState, view: GuardView, heard: ProgramBeat
         assert view.armed
         assert view.mode is not FlightMode.OTHER  # never against a pilot
         assert state.stage is not GuardStage.GAVE_UP
-        assert state.stage is not GuardStage.LET_GO or (view.mode in MOVING and view.mode_told > 1)  # nobody's
+        # nobody's
+        assert state.stage is not GuardStage.LET_GO or (view.mode in MOVING and view.mode_told > 1)
         assert after.sent_ns == NOW and after.shown_ns is None
         assert NOW - view.heartbeat_ns <= ns(RULES.blind_s)
     if act is Act.HOLD:
-        let_go = state.stage is GuardStage.LET_GO or (heard is not None and heard.script is Script.LET_GO)
-        assert let_go or (state.stage is GuardStage.WATCHING and heard is not None and heard.script.flies)
+        let_go = state.stage is GuardStage.LET_GO or (
+            heard is not None and heard.script is Script.LET_GO
+        )
+        assert let_go or (
+            state.stage is GuardStage.WATCHING and heard is not None and heard.script.flies
+        )
     if act is Act.LAND:
         assert after.stage is GuardStage.LANDING and after.tries <= RULES.land_tries
-        assert view.mode not in (FlightMode.LAND, FlightMode.RETURN) or state.stage is GuardStage.LANDING
+        assert (
+            view.mode not in (FlightMode.LAND, FlightMode.RETURN)
+            or state.stage is GuardStage.LANDING
+        )
     if state.stage is GuardStage.LET_GO and view.armed and view.mode not in MOVING:
         assert replace(after, odd_ns=None) == replace(state, odd_ns=None)
     if after.stage is GuardStage.LET_GO and state.stage is not GuardStage.LET_GO:
@@ -209,8 +246,12 @@ def test_whatever_it_sees(state: GuardState, view: GuardView, heard: ProgramBeat
 
 @settings(max_examples=200)
 @given(st.lists(st.sampled_from(FLOWN), min_size=60, max_size=60))
-def test_however_a_dead_script_s_vehicle_behaves_it_is_told_to_land_in_bounded_time(modes: list[FlightMode]) -> None:
-    """Modes that only a script would select, in any order, at 10 Hz: taken at once, landed soon, not told for ever."""
+def test_however_a_dead_script_s_vehicle_behaves_it_is_told_to_land_in_bounded_time(
+    modes: list[FlightMode],
+) -> None:
+    """Modes that only a script would select, in any order, at 10 Hz: taken at once, landed soon,
+    not told for ever.
+    """
     state, acts = GuardState(), list[tuple[float, Act]]()
     for k, mode in enumerate(modes):
         now = NOW + ns(0.1 * k)
@@ -230,5 +271,7 @@ def test_a_limit_that_is_broken_again_after_a_landing_was_begun_has_its_patience
     state, _ = step(view=low)
     assert state.broken_ns == NOW
     landing = ProgramBeat(NOW + 1, Script.LANDING, NOW + 1)
-    state, _ = step(state, replace(low, mode=FlightMode.LAND, heartbeat_ns=NOW + 1), landing, NOW + 1)
+    state, _ = step(
+        state, replace(low, mode=FlightMode.LAND, heartbeat_ns=NOW + 1), landing, NOW + 1
+    )
     assert (state.stage, state.broken_ns) == (GuardStage.WATCHING, None)

@@ -53,7 +53,8 @@ def test_patience_and_the_hold_are_over_when_they_are_reached(less_ns: int) -> N
         (replace(VIEW, position_n_m=(0.0, 0.0, -6.0)), HEARD),
         (replace(VIEW, battery=0.25), HEARD),
         (VIEW, replace(HEARD, separation_m=1.0, separation_ns=NOW)),
-        (VIEW, replace(HEARD, separation_m=0.1, separation_ns=ago(0.5, 1))),  # measured too long ago
+        # measured too long ago
+        (VIEW, replace(HEARD, separation_m=0.1, separation_ns=ago(0.5, 1))),
         (replace(VIEW, position_n_m=(1.0, 2.0, -1.5)), replace(HEARD, peer_n_m=(1.5, 2.0, -1.5))),
     ],
 )
@@ -79,9 +80,13 @@ def test_beyond_a_limit_is_not(view: GuardView, heard: ProgramBeat) -> None:
 
 @pytest.mark.parametrize("more_ns", [0, 1])
 def test_a_program_is_dead_or_alive_when_its_vehicle_comes_down(more_ns: int) -> None:
-    """Of a living one the script may have ordered it, telemetry is late; of a dead one it is somebody's will."""
+    """Of a living one the script may have ordered it, telemetry is late; of a dead one it is
+    somebody's will.
+    """
     beat = replace(HEARD, beat_ns=ago(0.5, more_ns))
-    assert (at(view=replace(VIEW, mode=FlightMode.LAND), heard=beat)[0].stage is GuardStage.LET_GO) is bool(more_ns)
+    assert (
+        at(view=replace(VIEW, mode=FlightMode.LAND), heard=beat)[0].stage is GuardStage.LET_GO
+    ) is bool(more_ns)
 
 
 @pytest.mark.parametrize("stage", [GuardStage.HOLDING, GuardStage.LANDING])

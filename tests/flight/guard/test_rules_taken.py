@@ -1,4 +1,6 @@
-"""A vehicle that the guard has taken: held, landed, let go of, taken back, and ended by whoever disarms it."""
+"""A vehicle that the guard has taken: held, landed, let go of, taken back, and ended by whoever
+disarms it.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ LANDING = GuardState(GuardStage.LANDING, "why", sent_ns=NOW, tries=1)
 COMING_DOWN = replace(LANDING, shown_ns=NOW)
 
 
-def later(state: GuardState, seconds: float, mode: FlightMode, acked: bool | None = None) -> tuple[GuardState, Act]:
+def later(
+    state: GuardState, seconds: float, mode: FlightMode, acked: bool | None = None
+) -> tuple[GuardState, Act]:
     now = NOW + ns(seconds)
     return step(state, replace(VIEW, heartbeat_ns=now, mode=mode, acked=acked), None, now)
 
@@ -77,7 +81,9 @@ def test_a_landing_alone_is_commanded_again_and_not_for_ever() -> None:
 
 @pytest.mark.parametrize("taken", [HELD, COMING_DOWN])
 @pytest.mark.parametrize("mode", [FlightMode.OFFBOARD, FlightMode.TAKEOFF])
-def test_a_script_that_wakes_up_and_takes_control_is_landed(taken: GuardState, mode: FlightMode) -> None:
+def test_a_script_that_wakes_up_and_takes_control_is_landed(
+    taken: GuardState, mode: FlightMode
+) -> None:
     state, act = later(taken, 0.1, mode)
     assert (state.stage, act) == (GuardStage.LANDING, Act.LAND)
 
@@ -92,11 +98,15 @@ def test_a_pilot_wins_at_any_time(taken: GuardState) -> None:
 
 @pytest.mark.parametrize("state", [GuardState(), HOLDING, HELD, LANDING, COMING_DOWN])
 @pytest.mark.parametrize("script", [script for script in Script if script.flies])
-def test_one_message_alone_lets_nobody_go_and_nothing_is_sent_against_it(state: GuardState, script: Script) -> None:
+def test_one_message_alone_lets_nobody_go_and_nothing_is_sent_against_it(
+    state: GuardState, script: Script
+) -> None:
     view = replace(VIEW, mode=FlightMode.OTHER, mode_told=1)
     after, act = step(state, view, dead(script))
     assert act is Act.NOTHING and after.stage is state.stage
-    after, act = step(after, replace(VIEW, mode=FlightMode.OFFBOARD, mode_told=1), replace(HEARD, script=script))
+    after, act = step(
+        after, replace(VIEW, mode=FlightMode.OFFBOARD, mode_told=1), replace(HEARD, script=script)
+    )
     assert after.stage is not GuardStage.LET_GO
     assert step(state, replace(view, mode_told=2), dead(script))[0].stage is GuardStage.LET_GO
 
@@ -106,17 +116,23 @@ GONE = replace(HEARD, script=Script.LET_GO, beat_ns=NOW - 9 * S)
 
 
 @pytest.mark.parametrize("mode", MOVING)
-@pytest.mark.parametrize(("state", "heard"), [(LET_GO, dead()), (LET_GO, None), (LET_GO, GONE), (GuardState(), GONE)])
+@pytest.mark.parametrize(
+    ("state", "heard"), [(LET_GO, dead()), (LET_GO, None), (LET_GO, GONE), (GuardState(), GONE)]
+)
 def test_what_was_let_go_of_and_nobody_took_is_taken_back(
     state: GuardState, heard: ProgramBeat | None, mode: FlightMode
 ) -> None:
     begun, grace = state, RULES.mode_grace_s
     for passed_s, told in ((0.0, 1), (0.1, 2), (grace, 9)):
         now = NOW + ns(passed_s)
-        state, act = step(state, replace(VIEW, mode=mode, mode_told=told, heartbeat_ns=now), heard, now)
+        state, act = step(
+            state, replace(VIEW, mode=mode, mode_told=told, heartbeat_ns=now), heard, now
+        )
         assert (state.stage, act) == (begun.stage, Act.NOTHING)
     now = NOW + ns(grace + 0.11)
-    flickered, _ = step(state, replace(VIEW, mode=FlightMode.OTHER, mode_told=1, heartbeat_ns=now), heard, now)
+    flickered, _ = step(
+        state, replace(VIEW, mode=FlightMode.OTHER, mode_told=1, heartbeat_ns=now), heard, now
+    )
     assert flickered.odd_ns is None
     state, act = step(state, replace(VIEW, mode=mode, heartbeat_ns=now), heard, now)
     assert (state.stage, act) == (GuardStage.HOLDING, Act.HOLD)
@@ -132,7 +148,8 @@ def test_a_script_that_still_flies_is_watched_again() -> None:
 
 def test_a_pilot_may_stop_the_landing_by_hold_too() -> None:
     assert later(COMING_DOWN, 0.5, FlightMode.HOLD)[0].stage is GuardStage.LET_GO
-    assert later(LANDING, 0.1, FlightMode.HOLD)[0].stage is GuardStage.LANDING  # of the hold before it
+    # of the hold before it
+    assert later(LANDING, 0.1, FlightMode.HOLD)[0].stage is GuardStage.LANDING
 
 
 @pytest.mark.parametrize("mode", DOWN)
@@ -154,12 +171,16 @@ def test_whoever_disarms_has_ended_it(stage: GuardStage) -> None:
 
 def test_a_landing_that_was_seen_leaves_the_vehicle_to_whoever_ends_it() -> None:
     """By a hold, too; one that was never seen to land may be holding by the guard's own word."""
-    state, act = at(GuardState(GuardStage.LANDING, "x", sent_ns=ago(0.3), tries=1), replace(VIEW, mode=FlightMode.LAND))
+    state, act = at(
+        GuardState(GuardStage.LANDING, "x", sent_ns=ago(0.3), tries=1),
+        replace(VIEW, mode=FlightMode.LAND),
+    )
     assert act is Act.NOTHING and state.shown_ns == NOW
     assert at(state, replace(VIEW, mode=FlightMode.HOLD))[0].stage is GuardStage.LET_GO
     unseen = GuardState(GuardStage.LANDING, "x", sent_ns=ago(0.3), tries=1)
     assert at(unseen, replace(VIEW, mode=FlightMode.HOLD)) == (unseen, Act.NOTHING)
-    old = replace(VIEW, mode=FlightMode.LAND, heartbeat_ns=ago(0.3))  # said as the command was sent: not its doing
+    # said as the command was sent: not its doing
+    old = replace(VIEW, mode=FlightMode.LAND, heartbeat_ns=ago(0.3))
     assert at(unseen, old)[0].shown_ns is None
 
 
@@ -170,7 +191,9 @@ def test_a_vehicle_taken_on_the_ground_is_told_to_land_as_often_as_the_rule_says
     while state.stage is not GuardStage.GAVE_UP and now < NOW + 60 * S:
         acts.append(act)
         now += ns(0.6)
-        state, act = decide(state, replace(view, heartbeat_ns=now), dead(for_s=9.0), now, rules, WHOLE)
+        state, act = decide(
+            state, replace(view, heartbeat_ns=now), dead(for_s=9.0), now, rules, WHOLE
+        )
     assert acts == 3 * [Act.LAND]
 
 
@@ -184,10 +207,15 @@ def test_the_reason_of_a_let_go_names_what_it_was_taken_for_only_if_it_was() -> 
 
 
 def test_a_vehicle_that_holds_already_is_held_for_its_time_though_nothing_was_sent() -> None:
-    """No answer is awaited: it is not landed early for want of one, by a guard that hears no newer heartbeat."""
+    """No answer is awaited: it is not landed early for want of one, by a guard that hears no newer
+    heartbeat.
+    """
     holding = replace(VIEW, mode=FlightMode.HOLD)
     state, act = step(view=holding, heard=dead())
     assert (state.stage, act) == (GuardStage.HOLDING, Act.NOTHING)
-    acts = [step(state, holding, None, NOW + ns(after_s))[1] for after_s in (RULES.ack_s + 0.1, RULES.hold_s - 0.1)]
+    acts = [
+        step(state, holding, None, NOW + ns(after_s))[1]
+        for after_s in (RULES.ack_s + 0.1, RULES.hold_s - 0.1)
+    ]
     assert acts == [Act.NOTHING, Act.NOTHING]
     assert step(state, holding, None, NOW + ns(RULES.hold_s))[1] is Act.LAND

@@ -164,7 +164,10 @@ def test_a_vehicle_that_refuses_because_the_guard_has_it_is_the_guard_s_doing() 
     async def main() -> None:
         line = FakeLine()
         guard = UnderGuard(line, LoopClock(), RULES)
-        refused, lost = MissionEnd(Outcome.VEHICLE_REFUSED, "denied"), MissionEnd(Outcome.PEER_LOST, "silent")
+        refused, lost = (
+            MissionEnd(Outcome.VEHICLE_REFUSED, "denied"),
+            MissionEnd(Outcome.PEER_LOST, "silent"),
+        )
         assert guard.behind(refused) is refused
         line.say(GuardAnswer(True, Hand.GUARD, "no sign of life"))
         assert guard.behind(refused).outcome is Outcome.GUARD

@@ -87,7 +87,9 @@ class FakeLine:
 
 @dataclass
 class ListLog:
-    records: list[tuple[str, dict[str, Any]]] = field(default_factory=list[tuple[str, dict[str, Any]]])
+    records: list[tuple[str, dict[str, Any]]] = field(
+        default_factory=list[tuple[str, dict[str, Any]]]
+    )
 
     def write(self, topic: str, stamp_ns: int, record: Any) -> None:
         self.records.append((topic, dict(record)))
@@ -103,7 +105,10 @@ class Bench:
         self.guard = GuardWatch(self.vehicle, self.line, LoopClock(), config, self.log)
         self.script, self.hung, self.setpoints = Script.IDLE, False, 0
         self.stop = asyncio.Event()
-        self._tasks = [asyncio.create_task(watch((self.guard,), self.stop)), asyncio.create_task(self._role())]
+        self._tasks = [
+            asyncio.create_task(watch((self.guard,), self.stop)),
+            asyncio.create_task(self._role()),
+        ]
 
     async def _role(self) -> None:
         while True:
@@ -316,7 +321,9 @@ def test_what_is_blind_says_so_and_sends_nothing() -> None:
 
 
 def test_heartbeats_alone_are_not_seeing_where_the_vehicle_is() -> None:
-    """The fence and the distances are kept by positions: a guard whose positions stopped says that it is blind."""
+    """The fence and the distances are kept by positions: a guard whose positions stopped says that
+    it is blind.
+    """
 
     async def fly() -> Bench:
         bench = Bench()
@@ -339,7 +346,9 @@ def test_heartbeats_alone_are_not_seeing_where_the_vehicle_is() -> None:
 
 @pytest.mark.parametrize("goes_on", [True, False])
 def test_a_distance_that_is_not_measured_any_more_is_forgotten(goes_on: bool) -> None:
-    """Measured once, near, while a beat was late: what is measured again counts, and what is old does not."""
+    """Measured once, near, while a beat was late: what is measured again counts, and what is old
+    does not.
+    """
 
     async def fly() -> Bench:
         bench = Bench()
@@ -363,7 +372,9 @@ def test_a_distance_that_is_not_measured_any_more_is_forgotten(goes_on: bool) ->
 
 
 def test_a_near_distance_of_long_ago_does_not_take_the_vehicle() -> None:
-    """It was within the bounds of its own time only: the rules are asked with a fresh one and with an old one."""
+    """It was within the bounds of its own time only: the rules are asked with a fresh one and with
+    an old one.
+    """
 
     async def fly(age_s: float) -> list[tuple[float, str]]:
         bench = Bench()
@@ -418,7 +429,9 @@ def test_what_is_ignored_raises_an_alarm_once_and_the_role_is_told() -> None:
         bench = Bench()
         await bench.in_control()
         for _ in range(3):
-            bench.line.ignored["beats of another"] = bench.line.ignored.get("beats of another", 0) + 1
+            bench.line.ignored["beats of another"] = (
+                bench.line.ignored.get("beats of another", 0) + 1
+            )
             await asyncio.sleep(0.6)
         assert bench.line.answers[-1] == GuardAnswer(True, Hand.SCRIPT, "", "beats of another")
         alarms = [record for topic, record in bench.log.records if topic == "/guard_alarm"]

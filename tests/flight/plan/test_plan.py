@@ -59,7 +59,9 @@ def values(rig: Rig) -> dict[str, float]:
     return {each.key: each.value for each in derived_of(rig)}
 
 
-def test_a_car_of_the_shipped_size_is_flown_round_about_as_the_shipped_rig_does(rig_of: RigOf) -> None:
+def test_a_car_of_the_shipped_size_is_flown_round_about_as_the_shipped_rig_does(
+    rig_of: RigOf,
+) -> None:
     rig = rig_of(CAR)
     follow, shipped = mission_of(rig).follow, mission_of(rig_library.load("sim")).follow
     assert follow.height_m == pytest.approx(shipped.height_m, rel=0.1)
@@ -81,7 +83,9 @@ def test_what_the_rig_names_is_not_derived(rig_of: RigOf) -> None:
     assert mission_of(rig).take_off_height_m == 2.4  # as high as D1 follows
 
 
-def test_what_another_rig_says_of_its_own_target_is_not_taken(tmp_path: Path, rig_of: RigOf) -> None:
+def test_what_another_rig_says_of_its_own_target_is_not_taken(
+    tmp_path: Path, rig_of: RigOf
+) -> None:
     rig_of("[mission.follow]\nheight_m = 2.9\n[method.evidence]\nspan_m = 3.0\n", "base")
     file = tmp_path / "child.toml"
     file.write_text(f'name = "child"\nlike = "base.toml"\nlevel = "sim"\n{CAR}')
@@ -90,8 +94,9 @@ def test_what_another_rig_says_of_its_own_target_is_not_taken(tmp_path: Path, ri
     assert rig.method.evidence.span_m == pytest.approx(math.hypot(0.32, 0.22), rel=1e-3)
 
 
-# What does not grow with the world, and why: an acceleration of a tilt has gravity in it, and waits have the
-# times of take-off and landing, which are the vehicles' own. So is the speed of a landing, which the way out has in it.
+# What does not grow with the world, and why: an acceleration of a tilt has gravity in it, and waits
+# have the times of take-off and landing, which are the vehicles' own. So is the speed of a landing,
+# which the way out has in it.
 ABSOLUTE = (
     "mission.depart_m",
     "mission.max_accel_mps2",
@@ -103,7 +108,9 @@ ABSOLUTE = (
 
 
 def scaled(facts: Facts, k: float) -> Facts:
-    """Return facts of a world in which every length and speed is k times as large, and every time as it is."""
+    """Return facts of a world in which every length and speed is k times as large, and every time
+    as it is.
+    """
 
     def grown(pose: Pose) -> Pose:
         return Pose(pose.R, k * pose.t)
@@ -161,9 +168,14 @@ def test_more_pixels_change_no_distance(rig_of: RigOf) -> None:
     def seen_by(times: float) -> dict[str, float]:
         return values(rig_of(CAR + cameras(times), f"px{times:g}"))
 
-    # twice as many: with four times as many the box would be larger than detectors were measured with
+    # twice as many: with four times as many the box would be larger than detectors were measured
+    # with
     few, many = seen_by(1.0), seen_by(2.0)
-    for key in ("mission.follow.behind_m", "mission.follow.height_m", "mission.separation.viewpoint_m"):
+    for key in (
+        "mission.follow.behind_m",
+        "mission.follow.height_m",
+        "mission.separation.viewpoint_m",
+    ):
         assert many[key] == pytest.approx(few[key], rel=1e-3), key
 
 
@@ -197,7 +209,9 @@ def test_a_plate_that_is_too_small_is_named_the_least_that_would_do(rig_of: RigO
     assert not isinstance(with_side(1e-3 * side_mm).placed.viewpoint, NoViewpoint)
 
 
-def test_more_wind_than_the_drones_can_lean_against_is_refused_with_what_can_be_borne(rig_of: RigOf) -> None:
+def test_more_wind_than_the_drones_can_lean_against_is_refused_with_what_can_be_borne(
+    rig_of: RigOf,
+) -> None:
     rig = rig_of("[site]\nwind_mps = 10.0\ngust_mps = 2.0\n")
     said = [problem for problem in problems(of(rig)) if problem.where == "site.wind_mps"]
     assert said
@@ -214,7 +228,11 @@ def test_the_world_of_a_simulated_rig_has_the_wind_that_it_says(rig_of: RigOf) -
 
 def test_a_target_faster_than_what_follows_it_is_refused(rig_of: RigOf) -> None:
     rig = rig_of(CAR.replace("0.3\n", "6.0\n"))
-    said = [str(problem) for problem in problems(of(rig)) if problem.where == "mission.follow.max_speed_mps"]
+    said = [
+        str(problem)
+        for problem in problems(of(rig))
+        if problem.where == "mission.follow.max_speed_mps"
+    ]
     assert said
     assert "6.9 m/s would do" in said[0]
 
@@ -228,11 +246,15 @@ def test_frames_that_come_slowly_are_given_longer_gaps(rig_of: RigOf) -> None:
 
 
 def test_depth_over_a_large_target_may_spread_and_its_perception_knows(rig_of: RigOf) -> None:
-    rig = rig_of("[target]\nlength_m = 4.5\nwidth_m = 1.8\nheight_m = 1.5\n[method]\nmax_depth_m = 30.0\n")
+    rig = rig_of(
+        "[target]\nlength_m = 4.5\nwidth_m = 1.8\nheight_m = 1.5\n[method]\nmax_depth_m = 30.0\n"
+    )
     assert rig.method.max_depth_spread_m > 3.0
     for role in (rig.sender, rig.receiver):
         assert role.perception.options["method"]["max_depth_m"] == 30.0
-        assert role.perception.options["method"]["max_depth_spread_m"] == rig.method.max_depth_spread_m
+        assert (
+            role.perception.options["method"]["max_depth_spread_m"] == rig.method.max_depth_spread_m
+        )
 
 
 def test_an_offset_is_what_its_sources_add_up_to_and_grows_with_each(rig_of: RigOf) -> None:
@@ -250,12 +272,15 @@ def test_an_offset_is_what_its_sources_add_up_to_and_grows_with_each(rig_of: Rig
         assert predict(worse, plain.placed).offset_sigma_m > expected.offset_sigma_m
 
 
-def test_an_error_of_depth_alone_moves_the_box_by_the_angle_between_both_views(rig_of: RigOf) -> None:
+def test_an_error_of_depth_alone_moves_the_box_by_the_angle_between_both_views(
+    rig_of: RigOf,
+) -> None:
     plain = of(rig_of(CAR))
     depth = next(s for s in predict(plain.facts, plain.placed).sources if s.name == "depth")
     z_m = plain.range_m
     error_m = math.hypot(0.01 * z_m, 0.003)
-    # by hand: the point slides along D1's ray, D2 sees it beside by error * sin(angle), D1 maps that back
+    # by hand: the point slides along D1's ray, D2 sees it beside by error * sin(angle), D1 maps
+    # that back
     by_hand_m = error_m * math.sin(plain.placed.between_rad) / math.sqrt(2.0)
     assert depth.sigma_m == pytest.approx(by_hand_m, rel=0.35)
 
@@ -282,7 +307,9 @@ def test_a_body_that_hides_the_target_is_helped_by_a_range(rig_of: RigOf) -> Non
     assert of(near).range_m < range_m < 10.0 * of(near).range_m
 
 
-def test_a_link_that_is_late_is_given_time_and_one_that_is_too_late_is_refused(rig_of: RigOf) -> None:
+def test_a_link_that_is_late_is_given_time_and_one_that_is_too_late_is_refused(
+    rig_of: RigOf,
+) -> None:
     late = rig_of("[link]\nlatency_s = 0.15\nloss = 0.2\n", "late")
     assert mission_of(late).clock_uncertainty_s == pytest.approx(0.225)
     assert late.method.max_extrapolation_s > 0.25
@@ -298,7 +325,9 @@ def test_a_link_that_is_late_is_given_time_and_one_that_is_too_late_is_refused(r
 def test_look_alikes_of_a_large_target_keep_so_far_from_it_as_it_is_large(rig_of: RigOf) -> None:
     """Where the world says nothing of them; boats 1.2 m apart would be one boat."""
     boat = rig_of("[target]\nlength_m = 2.5\nwidth_m = 1.0\nheight_m = 0.8")
-    assert boat.world["look_alikes"]["min_distance_m"] == pytest.approx(1.8 * math.hypot(2.5, 1.0), abs=0.01)
+    assert boat.world["look_alikes"]["min_distance_m"] == pytest.approx(
+        1.8 * math.hypot(2.5, 1.0), abs=0.01
+    )
     car = rig_of(CAR)
     assert car.world["look_alikes"]["min_distance_m"] == LookAlikeConfig().min_distance_m
     assert car.world["look_alikes"]["max_distance_m"] == LookAlikeConfig().max_distance_m
@@ -329,7 +358,9 @@ def test_walls_are_kept_from_by_what_positions_are_worth(rig_of: RigOf) -> None:
     assert [each.where for each in problems(of(satellites))] == ["site.corners_m"]
 
 
-def test_a_depth_that_does_not_tell_a_person_from_who_stands_behind_is_refused(rig_of: RigOf) -> None:
+def test_a_depth_that_does_not_tell_a_person_from_who_stands_behind_is_refused(
+    rig_of: RigOf,
+) -> None:
     """Both were one box, D1 went over to the one behind, and that one was handed over."""
     person = "[target]\nlength_m = 0.6\nwidth_m = 0.5\nheight_m = 1.75\n[depth]\nmax_m = 30.0\n"
     far = "[mission.follow]\nbehind_m = 5.7\nheight_m = 6.5\n[[markers]]\nid = 0\nside_m = 0.08\nside_sigma_m = 1e-4\n"

@@ -54,7 +54,9 @@ def facts(folder: Path, height: HeightFacts | None) -> Facts:
     return replace(facts_of(rig, mission_of(rig)), height=height)
 
 
-def test_a_person_from_eight_metres_is_out_of_depths_reach_and_a_rangefinder_makes_up_for_it(tmp_path: Path) -> None:
+def test_a_person_from_eight_metres_is_out_of_depths_reach_and_a_rangefinder_makes_up_for_it(
+    tmp_path: Path,
+) -> None:
     with pytest.raises(RigError, match="a rangefinder would do"):
         load(written(tmp_path, PERSON))
     rig = load(written(tmp_path, PERSON + HEIGHT))

@@ -39,7 +39,9 @@ class Seen:
 
 def state(position_n_m: Vec3) -> VehicleState:
     still = (0.0, 0.0, 0.0)
-    return VehicleState(0, 0, position_n_m, still, LEVEL, True, True, True, FlightMode.OFFBOARD, 1.0)
+    return VehicleState(
+        0, 0, position_n_m, still, LEVEL, True, True, True, FlightMode.OFFBOARD, 1.0
+    )
 
 
 def rendezvous(
@@ -101,9 +103,17 @@ def test_an_approach_goes_on_only_within_its_bounds(seen: Seen, why: str) -> Non
 
 @pytest.mark.parametrize(
     ("off_m", "speed_mps", "there"),
-    [(0.0, 0.0, True), (0.9, 0.9, True), (0.0, 1.1, False), (1.1, 0.0, False), (0.0, math.nan, False)],
+    [
+        (0.0, 0.0, True),
+        (0.9, 0.9, True),
+        (0.0, 1.1, False),
+        (1.1, 0.0, False),
+        (0.0, math.nan, False),
+    ],
 )
-def test_at_the_viewpoint_is_near_and_slow_in_any_direction(off_m: float, speed_mps: float, there: bool) -> None:
+def test_at_the_viewpoint_is_near_and_slow_in_any_direction(
+    off_m: float, speed_mps: float, there: bool
+) -> None:
     """Shares of what the settings allow: a drone that passes through at speed has not arrived."""
     config = MissionConfig()
     most_m, most_mps = config.rendezvous.arrived_m, config.rendezvous.arrived_speed_mps
@@ -117,7 +127,9 @@ def test_at_the_viewpoint_is_near_and_slow_in_any_direction(off_m: float, speed_
     assert not rendezvous(config, Seen(known=False)).at_viewpoint()
 
 
-def test_the_search_comes_no_nearer_than_the_stand_off_while_the_marker_can_be_seen_from_there() -> None:
+def test_the_search_comes_no_nearer_than_the_stand_off_while_the_marker_can_be_seen_from_there() -> (
+    None
+):
     config, clock_ns = MissionConfig(rendezvous=replace(WRONG, gain_per_s=0.1)), [0]
     guide = rendezvous(config, Seen(known=False), clock_ns, "sim-field")
     guide.begin_search()
@@ -127,9 +139,11 @@ def test_the_search_comes_no_nearer_than_the_stand_off_while_the_marker_can_be_s
         clock_ns[0] = second * 1_000_000_000
         setpoint = guide.search(state(place))
         ahead, _, down = setpoint.velocity_n_mps
-        assert ahead * math.cos(yaw) <= 1e-9 and down <= 1e-9  # outward and upward only, from the stand-off
+        # outward and upward only, from the stand-off
+        assert ahead * math.cos(yaw) <= 1e-9 and down <= 1e-9
         yaws.append(setpoint.yaw_rad - yaw)
-    assert yaws[:2] == [0.0, 0.0] and abs(yaws[3]) > 0.1  # it settles for 1.5 s, and then looks to and fro
+    # it settles for 1.5 s, and then looks to and fro
+    assert yaws[:2] == [0.0, 0.0] and abs(yaws[3]) > 0.1
     assert min(yaws) < -0.7 and max(yaws) > 0.7
 
 
@@ -158,7 +172,9 @@ def test_a_plate_that_faces_up_is_looked_for_from_behind_its_drone() -> None:
 
 
 def test_a_lost_marker_is_climbed_for_as_far_as_the_way_to_it_is_long() -> None:
-    """The missing height is that of the camera's axis over both parts of the way, north and east."""
+    """The missing height is that of the camera's axis over both parts of the way, north and
+    east.
+    """
     guide = rendezvous(MissionConfig(), Seen(known=False))
     own, gain = state((-1.0, 0.5, -2.0)), MissionConfig().rendezvous.gain_per_s
     steepness = math.asin(float(rig_library.load("sim").receiver.mount.T_b_c.R[2, 2]))
@@ -167,7 +183,9 @@ def test_a_lost_marker_is_climbed_for_as_far_as_the_way_to_it_is_long() -> None:
     assert down == pytest.approx(-0.1 * gain)
 
 
-def test_for_a_small_marker_the_search_comes_in_along_the_axis_of_the_camera_and_no_farther_than_it_must() -> None:
+def test_for_a_small_marker_the_search_comes_in_along_the_axis_of_the_camera_and_no_farther_than_it_must() -> (
+    None
+):
     config, clock_ns = MissionConfig(rendezvous=replace(WRONG, gain_per_s=10.0)), [0]
     guide = rendezvous(config, Seen(known=False), clock_ns)
     guide.begin_search()
@@ -187,22 +205,30 @@ def test_for_a_small_marker_the_search_comes_in_along_the_axis_of_the_camera_and
 
 
 @pytest.mark.parametrize("there", [(2.0, 0.0, -4.5), (-24.0, 5.0, -1.5)])
-def test_wherever_the_sender_is_the_receiver_looks_for_it_from_within_the_fence(there: Vec3) -> None:
+def test_wherever_the_sender_is_the_receiver_looks_for_it_from_within_the_fence(
+    there: Vec3,
+) -> None:
     config, clock_ns = MissionConfig(rendezvous=replace(WRONG, gain_per_s=1.0)), [0]
     guide = rendezvous(config, Seen(known=False), clock_ns, "sim-field", there)
-    radius_m, height_m = config.guard.fence_radius_m - 2.0, config.guard.fence_height_m - 1.0  # less what may be wrong
+    # less what may be wrong
+    radius_m, height_m = config.guard.fence_radius_m - 2.0, config.guard.fence_height_m - 1.0
     place, _ = guide._facing_marker(guide.stand_off_m)
     guide.begin_search()
     farthest_m = highest_m = 0.0
     for second in range(0, 60):
         clock_ns[0] = second * 1_000_000_000
         place = add(place, guide.search(state(place)).velocity_n_mps)
-        farthest_m, highest_m = max(farthest_m, math.hypot(place[0], place[1])), max(highest_m, -place[2])
+        farthest_m, highest_m = (
+            max(farthest_m, math.hypot(place[0], place[1])),
+            max(highest_m, -place[2]),
+        )
     assert farthest_m <= radius_m + 1e-6 and highest_m <= height_m + 1e-6
     assert farthest_m > radius_m - 0.05 or highest_m > height_m - 0.05  # it would have gone farther
 
 
-def test_a_lost_marker_is_looked_for_where_positions_have_it_and_from_as_far_above_as_the_camera_looks_down() -> None:
+def test_a_lost_marker_is_looked_for_where_positions_have_it_and_from_as_far_above_as_the_camera_looks_down() -> (
+    None
+):
     seen = Seen(marker_n_m=(0.6, 0.8, 0.3))
     guide = rendezvous(MissionConfig(), seen)
     own = state((-1.0, 0.5, -2.0))

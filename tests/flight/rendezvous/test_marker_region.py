@@ -1,4 +1,6 @@
-"""How large the place is that the receiver looks at for the marker, and what its settings are made of."""
+"""How large the place is that the receiver looks at for the marker, and what its settings are made
+of.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +19,24 @@ from path.config import MethodConfig
 from path.geometry.rotation import R_from_rpy
 from path.geometry.transforms import Matrix, Pose
 from path.observations import Region
-from tests.flight.rendezvous.test_marker_view import CAMERA, FRAME_NS, LAYOUT, MOUNT, MS, NEAR, R_N_C, TURNED, Watch
+from tests.flight.rendezvous.test_marker_view import (
+    CAMERA,
+    FRAME_NS,
+    LAYOUT,
+    MOUNT,
+    MS,
+    NEAR,
+    R_N_C,
+    TURNED,
+    Watch,
+)
 
 HALF_DIAGONAL_M = math.sqrt(2.0) * 0.02  # of the printed 40 mm
 
 
-def where(T_c_v: Pose, sigma_m: float = 0.01, unseen_s: float = 0.0) -> tuple[Region | None, Pose | None]:
+def where(
+    T_c_v: Pose, sigma_m: float = 0.01, unseen_s: float = 0.0
+) -> tuple[Region | None, Pose | None]:
     """Where a view looks whose filter says that the marker is there."""
     watch = Watch()
 
@@ -45,14 +59,19 @@ def test_the_region_is_that_of_the_corners_with_room_for_the_plate_and_for_three
     region, _ = where(NEAR, sigma_m)
     corners_c = NEAR.apply(LAYOUT.markers[0].corners_v)
     pixels = CAMERA.project(corners_c)
-    room_px = CAMERA.fx * (0.012 + 0.1 * HALF_DIAGONAL_M + 3.0 * sigma_m) / float(corners_c[:, 2].min()) + 12.0
+    room_px = (
+        CAMERA.fx * (0.012 + 0.1 * HALF_DIAGONAL_M + 3.0 * sigma_m) / float(corners_c[:, 2].min())
+        + 12.0
+    )
     (left, top), (right, bottom) = pixels.min(axis=0) - room_px, pixels.max(axis=0) + room_px
     assert region is not None
     assert (region.x0, region.y0, region.x1, region.y1) == pytest.approx((left, top, right, bottom))
 
 
 @pytest.mark.parametrize(("distance_m", "known"), [(0.101, True), (0.099, False)])
-def test_a_marker_nearer_than_ten_centimetres_is_looked_for_everywhere(distance_m: float, known: bool) -> None:
+def test_a_marker_nearer_than_ten_centimetres_is_looked_for_everywhere(
+    distance_m: float, known: bool
+) -> None:
     region, expected = where(Pose(TURNED, np.array([0.0, 0.0, distance_m])))
     assert (region is not None, expected is not None) == (known, known)
 
@@ -109,7 +128,11 @@ def test_a_view_is_made_with_the_mission_s_angles_the_method_s_limits_and_both_l
     mission = replace(MissionConfig(), attitude_sigma_deg=0.7)
     method = replace(MethodConfig(), max_incidence_deg=55.0, max_pose_sigma_m=0.07)
     settings = MarkerView(LAYOUT, CAMERA, Mount(T_b_c, T_b_v), method, mission)._settings
-    assert settings.attitude_c_sigma_rad == settings.attitude_v_sigma_rad == pytest.approx(math.radians(0.7))
+    assert (
+        settings.attitude_c_sigma_rad
+        == settings.attitude_v_sigma_rad
+        == pytest.approx(math.radians(0.7))
+    )
     assert settings.max_incidence_rad == pytest.approx(math.radians(55.0))
     assert settings.max_sigma_m == 0.07
     assert levers["c"] == pytest.approx(-T_b_c.inverse().t)

@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 from drivers.rig.parts import Mount
 from flight.config import MissionConfig
 from flight.guidance import Vec3
-from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions, _relative_settings, levelled
+from flight.rendezvous.marker_view import (
+    MarkerFix,
+    MarkerView,
+    VehicleMotions,
+    _relative_settings,
+    levelled,
+)
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.cycle.prior import Prior
@@ -51,7 +57,9 @@ class FakeView:
     asked: list[Region | None] = field(default_factory=list[Region | None])
     expected: Pose | None = None
 
-    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
+    def markers(
+        self, region: Region | None, expected: Pose | None = None
+    ) -> Sequence[MarkerDetection]:
         self.asked.append(region)
         self.expected = expected
         if self.T_c_v is None:
@@ -75,11 +83,15 @@ class FakeView:
 class Watch:
     """A receiver that looks at frame after frame."""
 
-    view: MarkerView = field(default_factory=lambda: MarkerView(LAYOUT, CAMERA, MOUNT, MethodConfig(), MissionConfig()))
+    view: MarkerView = field(
+        default_factory=lambda: MarkerView(LAYOUT, CAMERA, MOUNT, MethodConfig(), MissionConfig())
+    )
     stamp_ns: int = 1_000 * MS
     last: FakeView = field(default_factory=lambda: FakeView(0, None))
 
-    def look(self, T_c_v: Pose | None, R_n_c: Matrix = R_N_C, after_ns: int = FRAME_NS) -> MarkerFix | Missed:
+    def look(
+        self, T_c_v: Pose | None, R_n_c: Matrix = R_N_C, after_ns: int = FRAME_NS
+    ) -> MarkerFix | Missed:
         self.stamp_ns += after_ns
         self.last = FakeView(self.stamp_ns, T_c_v)
         gravity_c = tuple((R_n_c.T @ (0.0, 0.0, 1.0)).tolist())
@@ -93,7 +105,9 @@ class Watch:
         return fix  # type: ignore[possibly-undefined]
 
 
-def motion(stamp_ns: int, peer_n_mps: Vec3, own_n_mps: Vec3, peer_yaw_rad: float = 0.0) -> VehicleMotions:
+def motion(
+    stamp_ns: int, peer_n_mps: Vec3, own_n_mps: Vec3, peer_yaw_rad: float = 0.0
+) -> VehicleMotions:
     return VehicleMotions(stamp_ns, own_n_mps, stamp_ns, peer_n_mps, peer_yaw_rad)
 
 
@@ -158,7 +172,8 @@ def test_all_markers_of_a_plate_are_in_the_region() -> None:
     (region,) = watch.last.asked
     assert region is not None
     for marker in layout.markers:
-        quiet_v = marker.T_v_m.t + (1.0 + 2.0 / 6.0) * (marker.corners_v - marker.T_v_m.t)  # with its white border
+        # with its white border
+        quiet_v = marker.T_v_m.t + (1.0 + 2.0 / 6.0) * (marker.corners_v - marker.T_v_m.t)
         assert all(region.contains(u, v) for u, v in CAMERA.project(T_c_v.apply(quiet_v)).tolist())
     assert region.x1 - region.x0 < 2.5 * CAMERA.fx * 0.15 / 1.4
 
@@ -239,7 +254,9 @@ def test_a_prediction_turns_with_the_drone_that_carries_the_marker() -> None:
     watch = Watch()
     watch.see(NEAR)
     assert watch.view.R_n_v is None
-    watch.view.note_motion(motion(watch.stamp_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), peer_yaw_rad=0.7))
+    watch.view.note_motion(
+        motion(watch.stamp_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), peer_yaw_rad=0.7)
+    )
     fix = watch.see(NEAR)
     assert watch.view.R_n_v is not None
     assert watch.view.R_n_v[2] == pytest.approx(R_N_C[2] @ fix.T_c_v.R, abs=1e-3)  # down
@@ -264,11 +281,17 @@ def test_the_targets_place_is_kept_for_the_heading() -> None:
     assert watch.view.target_n_m is None
     pixel = CAMERA.project_point((0.3, 0.4, 2.0))
     region = Region(0.0, 0.0, 1.0, 1.0)
-    watch.view.note_target(Prior(pixel, 2.0, (1.0, 0.0, 1.0), region, 1, rigid(NEAR), 0.01, (0.0, 0.0, 1.0)), R_N_C)
-    assert watch.view.target_n_m == pytest.approx(tuple((R_N_C @ (0.3, 0.4, 2.0)).tolist()), abs=1e-6)
+    watch.view.note_target(
+        Prior(pixel, 2.0, (1.0, 0.0, 1.0), region, 1, rigid(NEAR), 0.01, (0.0, 0.0, 1.0)), R_N_C
+    )
+    assert watch.view.target_n_m == pytest.approx(
+        tuple((R_N_C @ (0.3, 0.4, 2.0)).tolist()), abs=1e-6
+    )
 
 
-def test_a_computer_that_does_not_keep_up_searches_more_rarely_and_with_one_look_instead_of_three() -> None:
+def test_a_computer_that_does_not_keep_up_searches_more_rarely_and_with_one_look_instead_of_three() -> (
+    None
+):
     """A whole image is looked at three times, a region once, also one that is the whole image."""
     watch = Watch()
     watch.view.search_every, watch.view.thorough = 4, False
@@ -288,7 +311,9 @@ def test_a_computer_that_does_not_keep_up_searches_more_rarely_and_with_one_look
 
 
 @pytest.mark.parametrize("wander_deg", [0.0, 0.5, 5.0])
-def test_a_drones_attitude_wanders_as_the_mission_says_and_its_heading_no_less_than_usual(wander_deg: float) -> None:
+def test_a_drones_attitude_wanders_as_the_mission_says_and_its_heading_no_less_than_usual(
+    wander_deg: float,
+) -> None:
     usual = RelativeSettings()
     settings = _relative_settings(replace(MissionConfig(), attitude_wander_deg=wander_deg))
     assert settings.tilt_wander_rad == pytest.approx(math.radians(wander_deg))

@@ -39,11 +39,14 @@ def turned(position_n_m: Vec3, yaw_rad: float) -> VehicleState:
     return replace(state(position_n_m), q_n_b=(w, x, y, z))
 
 
-def at_viewpoint(guide: Rendezvous, camera_h_m: Vec3 = (-1.2, 0.1, -0.6), yaw_h_rad: float = 0.2) -> None:
+def at_viewpoint(
+    guide: Rendezvous, camera_h_m: Vec3 = (-1.2, 0.1, -0.6), yaw_h_rad: float = 0.2
+) -> None:
     guide._viewpoint = cast(Any, SimpleNamespace(camera_h_m=camera_h_m, yaw_h_rad=yaw_h_rad))
 
 
-# --- by positions -------------------------------------------------------------------------------------------------
+# --- by positions
+# -------------------------------------------------------------------------------------------------
 
 
 def test_the_way_to_the_stand_off_is_flown_at_a_metre_a_second_beside_a_sender_that_moves() -> None:
@@ -71,8 +74,12 @@ def test_at_the_stand_off_is_nearer_than_its_tolerance(monkeypatch: pytest.Monke
     assert not guide.at_stand_off(state((0.0, 0.25, 0.0)))
 
 
-def searched(second: float, config: MissionConfig, rig_name: str = "sim-field") -> tuple[Vec3, float]:
-    """Where a search leads after so long, ahead, right and down of where it began, and the yaw off the marker."""
+def searched(
+    second: float, config: MissionConfig, rig_name: str = "sim-field"
+) -> tuple[Vec3, float]:
+    """Where a search leads after so long, ahead, right and down of where it began, and the yaw off
+    the marker.
+    """
     clock_ns = [5_000_000_000]
     guide = rendezvous(config, Seen(known=False), clock_ns, rig_name)
     guide.begin_search()
@@ -84,21 +91,33 @@ def searched(second: float, config: MissionConfig, rig_name: str = "sim-field") 
 
 
 @pytest.mark.parametrize("second", [1.0, 2.5, 4.0, 7.0, 12.0, 20.0])
-def test_a_search_looks_to_and_fro_slides_outward_and_climbs_each_in_its_own_time(second: float) -> None:
-    """After 1.5 s: 1.1 rad/s to and fro, wider over 3.3 s; 0.3 rad/s outward and back, 0.19 rad/s up and down."""
-    wide = replace(RULES, positions_within_m=2.0, heights_within_m=1.0, search_slide_m=2.4, gain_per_s=0.1)
-    config = replace(CONFIG, rendezvous=wide, guard=GuardConfig(fence_radius_m=90.0, fence_height_m=60.0))
+def test_a_search_looks_to_and_fro_slides_outward_and_climbs_each_in_its_own_time(
+    second: float,
+) -> None:
+    """After 1.5 s: 1.1 rad/s to and fro, wider over 3.3 s; 0.3 rad/s outward and back, 0.19 rad/s
+    up and down.
+    """
+    wide = replace(
+        RULES, positions_within_m=2.0, heights_within_m=1.0, search_slide_m=2.4, gain_per_s=0.1
+    )
+    config = replace(
+        CONFIG, rendezvous=wide, guard=GuardConfig(fence_radius_m=90.0, fence_height_m=60.0)
+    )
     (ahead, right, down), turn = searched(second, config)
     passed = max(0.0, second - 1.5)
     slid_m = 1.2 * (1.0 - math.cos(0.3 * passed))
     assert (ahead, right) == (pytest.approx(-slid_m, abs=1e-9), pytest.approx(0.0, abs=1e-9))
     assert down == pytest.approx(-0.5 * (1.0 - math.cos(0.19 * passed)), abs=1e-9)
-    assert turn == pytest.approx(math.radians(50.0) * min(1.0, 0.3 * passed) * math.sin(1.1 * passed), abs=1e-9)
+    assert turn == pytest.approx(
+        math.radians(50.0) * min(1.0, 0.3 * passed) * math.sin(1.1 * passed), abs=1e-9
+    )
 
 
 def test_a_search_slides_by_what_the_positions_may_be_wrong_where_that_is_more() -> None:
     rules = replace(RULES, positions_within_m=3.0, search_slide_m=0.8, gain_per_s=0.1)
-    config = replace(CONFIG, rendezvous=rules, guard=GuardConfig(fence_radius_m=90.0, fence_height_m=60.0))
+    config = replace(
+        CONFIG, rendezvous=rules, guard=GuardConfig(fence_radius_m=90.0, fence_height_m=60.0)
+    )
     (ahead, _, _), _ = searched(1.5 + math.pi / 0.3, config)
     assert ahead == pytest.approx(-3.0, abs=1e-6)
 
@@ -112,7 +131,9 @@ def test_a_search_is_as_near_as_the_marker_has_fourteen_pixels() -> None:
 
 
 def test_where_the_sender_is_follows_from_both_headings_and_both_mountings() -> None:
-    """D2 looks east, D1 has its own heading: camera and marker are where their drones carry them."""
+    """D2 looks east, D1 has its own heading: camera and marker are where their drones carry
+    them.
+    """
     guide = moving(CONFIG, Seen())
     mount = guide._mount
     guide._mount = Mount(mount.T_b_c, Pose(mount.T_b_v.R, np.array([-0.2, 0.15, -0.05])))
@@ -133,7 +154,9 @@ def test_a_plate_that_hardly_leans_to_any_side_faces_none(level: float, used: bo
     mount = guide._mount
     normal = np.array([0.0, level, -math.sqrt(1.0 - level * level)])
     right = np.array([1.0, 0.0, 0.0])
-    guide._mount = Mount(mount.T_b_c, Pose(np.stack([right, np.cross(normal, right), normal], axis=1), mount.T_b_v.t))
+    guide._mount = Mount(
+        mount.T_b_c, Pose(np.stack([right, np.cross(normal, right), normal], axis=1), mount.T_b_v.t)
+    )
     north, east, down = subtract(guide._facing_marker(2.0)[0], (2.0, 0.0, -1.5))
     steepness = math.asin(float(mount.T_b_c.R[2, 2]))
     assert down == pytest.approx(-2.0 * math.sin(steepness))
@@ -145,19 +168,26 @@ def test_a_fence_with_corners_is_kept_by_its_own_shape() -> None:
     corners = ((-5.0, -5.0), (5.0, -5.0), (5.0, 0.3), (-5.0, 0.3))
     config = replace(CONFIG, guard=replace(CONFIG.guard, corners_m=corners))
     guide = rendezvous(config, Seen())
-    assert guide._within_fence((1.0, 4.0, -1.0)) == pytest.approx(config.fence.nearest((1.0, 4.0, -1.0)))
+    assert guide._within_fence((1.0, 4.0, -1.0)) == pytest.approx(
+        config.fence.nearest((1.0, 4.0, -1.0))
+    )
     assert guide._within_fence((1.0, 4.0, -1.0))[1] < 0.3
 
 
-# --- by the marker ------------------------------------------------------------------------------------------------
+# --- by the marker
+# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("sigmas", "share"), [(0.5, 1.0), (1.0, 1.0), (1.01, 0.3)])
-def test_the_approach_is_slower_while_the_marker_s_pose_is_unsure(sigmas: float, share: float) -> None:
+def test_the_approach_is_slower_while_the_marker_s_pose_is_unsure(
+    sigmas: float, share: float
+) -> None:
     seen = Seen(marker_n_m=(9.0, 0.0, 0.0), sigma_m=sigmas * RULES.max_position_sigma_m)
     guide = moving(CONFIG, seen)
     at_viewpoint(guide)
-    velocity = subtract(guide.to_viewpoint(state((0.0, 0.0, -2.0))).velocity_n_mps, PEER.velocity_n_mps)
+    velocity = subtract(
+        guide.to_viewpoint(state((0.0, 0.0, -2.0))).velocity_n_mps, PEER.velocity_n_mps
+    )
     assert norm(velocity) == pytest.approx(share * RULES.max_speed_mps)
     error = add(from_heading((-1.2, 0.1, -0.6), PEER.yaw_rad), seen.marker_n_m)
     assert scale(velocity, 1.0 / norm(velocity)) == pytest.approx(scale(error, 1.0 / norm(error)))
@@ -219,7 +249,9 @@ def test_a_drone_that_backs_off_keeps_with_a_sender_that_moves() -> None:
     guide = moving(CONFIG, Seen(known=False))
     own = turned((-1.0, 0.5, -2.0), 1.2)
     setpoint = guide.to_viewpoint(own)
-    assert setpoint.velocity_n_mps == pytest.approx(add(PEER.velocity_n_mps, from_heading((-0.25, 0.0, 0.0), 1.2)))
+    assert setpoint.velocity_n_mps == pytest.approx(
+        add(PEER.velocity_n_mps, from_heading((-0.25, 0.0, 0.0), 1.2))
+    )
     assert setpoint.yaw_rad == pytest.approx(1.2)
 
 
@@ -237,7 +269,8 @@ def test_a_drone_that_backs_off_climbs_at_0_4_metres_a_second_at_most() -> None:
         (Seen(marker_n_m=(0.8499, 0.0, 0.0)), True),
         (Seen(marker_n_m=(1.2, 0.0, 0.0), velocity_n_mps=(-0.899, 0.0, 0.0)), False),
         (Seen(marker_n_m=(1.2, 0.0, 0.0), velocity_n_mps=(-0.901, 0.0, 0.0)), True),
-        (Seen(marker_n_m=(0.0, 1.2, 0.0), velocity_n_mps=(-5.0, -0.899, -5.0)), False),  # past it, not at it
+        # past it, not at it
+        (Seen(marker_n_m=(0.0, 1.2, 0.0), velocity_n_mps=(-5.0, -0.899, -5.0)), False),
         (Seen(marker_n_m=(1.2, 0.0, 0.0), sigma_m=0.16), False),
         (Seen(marker_n_m=(1.2, 0.0, 0.0), sigma_m=0.1601), True),
         (Seen(marker_n_m=(1.5999, 0.0, 0.0), sigma_m=0.5), True),
@@ -245,7 +278,9 @@ def test_a_drone_that_backs_off_climbs_at_0_4_metres_a_second_at_most() -> None:
     ],
 )
 def test_each_bound_of_an_approach_is_where_it_is(seen: Seen, stops: bool) -> None:
-    """0.85 m; 0.4 m/s above the speed of an approach (0.5); twice the uncertainty to close in with; to 1.6 m."""
+    """0.85 m; 0.4 m/s above the speed of an approach (0.5); twice the uncertainty to close in with;
+    to 1.6 m.
+    """
     assert farthest_m(CONFIG.separation) == pytest.approx(1.6)
     assert bool(rendezvous(CONFIG, seen).out_of_bounds()) is stops
 
@@ -255,13 +290,16 @@ def test_the_farthest_place_of_a_marker_grows_with_the_drones() -> None:
     assert farthest_m(wide) == pytest.approx(1.18 * 2.0)
 
 
-# --- the plan -----------------------------------------------------------------------------------------------------
+# --- the plan
+# -----------------------------------------------------------------------------------------------------
 
 
 def test_the_viewpoint_is_planned_for_the_sender_as_it_leans_and_the_receiver_as_it_leans(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """What the planner is given: the scene in D1's levelled frame, and D2's lean as D1's heading has it."""
+    """What the planner is given: the scene in D1's levelled frame, and D2's lean as D1's heading
+    has it.
+    """
     asked: list[tuple[Any, ...]] = []
 
     def plan(*given: Any) -> NoViewpoint:
@@ -287,7 +325,12 @@ def test_the_viewpoint_is_planned_for_the_sender_as_it_leans_and_the_receiver_as
     assert scene.marker_side_m == max(marker.side_m for marker in rig.layout.markers)
     assert scene.body_radius_m == 0.5 * CONFIG.separation.horizontal_m
     assert scene.target_radius_m == CONFIG.target.half_size_m
-    assert (camera, T_b_c, rules, separation) == (guide._camera, mount.T_b_c, RULES, CONFIG.separation)
+    assert (camera, T_b_c, rules, separation) == (
+        guide._camera,
+        mount.T_b_c,
+        RULES,
+        CONFIG.separation,
+    )
     expected = (0.1 * math.cos(-0.7), 0.1 * math.sin(-0.7), math.sqrt(0.99))
     assert tuple(tilt_h) == pytest.approx(expected)
     assert bearing((1.0, 1.0, 0.0)) == pytest.approx(math.pi / 4)

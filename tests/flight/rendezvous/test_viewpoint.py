@@ -11,12 +11,19 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from flight.config import RendezvousConfig, SeparationConfig
-from flight.rendezvous.viewpoint import Floats, NoViewpoint, Viewpoint, ViewpointScene, plan_viewpoint
+from flight.rendezvous.viewpoint import (
+    Floats,
+    NoViewpoint,
+    Viewpoint,
+    ViewpointScene,
+    plan_viewpoint,
+)
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 
 CAMERA = CameraModel(640, 480, 612.8, 613.1, 317.6, 238.2, (0.104, -0.221, -0.0003, 0.0007, 0.088))
-BARREL = CameraModel(640, 480, 615.0, 615.0, 320.0, 240.0, (-0.32, 0.0, 0.0, 0.0, 0.0))  # folds back beyond its rim
+# folds back beyond its rim
+BARREL = CameraModel(640, 480, 615.0, 615.0, 320.0, 240.0, (-0.32, 0.0, 0.0, 0.0, 0.0))
 RULES = RendezvousConfig()
 APART = SeparationConfig()
 LEVEL = np.array([0.0, 0.0, 1.0])
@@ -29,7 +36,11 @@ def pitched(down_deg: float) -> Pose:
 
 
 def scene(
-    ahead_m: float = 1.65, right_m: float = 0.0, below_m: float = 1.42, side_m: float = 0.04, normal_up_deg: float = 45
+    ahead_m: float = 1.65,
+    right_m: float = 0.0,
+    below_m: float = 1.42,
+    side_m: float = 0.04,
+    normal_up_deg: float = 45,
 ) -> ViewpointScene:
     """D1's marker looks back and up; the target is ahead and below."""
     up = math.radians(normal_up_deg)
@@ -53,7 +64,10 @@ def plan(
 
 
 def found(
-    view: ViewpointScene, camera: CameraModel = CAMERA, rules: RendezvousConfig = RULES, tilt_h: Floats | None = None
+    view: ViewpointScene,
+    camera: CameraModel = CAMERA,
+    rules: RendezvousConfig = RULES,
+    tilt_h: Floats | None = None,
 ) -> Viewpoint:
     viewpoint = plan(view, camera, rules=rules, tilt_h=tilt_h)
     assert isinstance(viewpoint, Viewpoint), str(viewpoint)
@@ -84,15 +98,27 @@ class Seen:
     def points_c(self) -> tuple[Floats, Floats]:
         """Marker and target in the camera frame."""
         yaw = self.viewpoint.yaw_h_rad
-        turned = np.array([[math.cos(yaw), -math.sin(yaw), 0.0], [math.sin(yaw), math.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
-        R_h_c = leaning(LEVEL if self.tilt_h is None else self.tilt_h) @ turned @ pitched(self.pitch_deg).R
+        turned = np.array(
+            [
+                [math.cos(yaw), -math.sin(yaw), 0.0],
+                [math.sin(yaw), math.cos(yaw), 0.0],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+        R_h_c = (
+            leaning(LEVEL if self.tilt_h is None else self.tilt_h)
+            @ turned
+            @ pitched(self.pitch_deg).R
+        )
         place = np.array(self.viewpoint.camera_h_m)
         return R_h_c.T @ -place, R_h_c.T @ (self.view.target_h_m - place)
 
     def margins(self) -> list[float]:
         """From marker's and target's rims to the border, px."""
         margins: list[float] = []
-        for point, size in zip(self.points_c(), (self.view.marker_side_m, self.view.target_radius_m), strict=True):
+        for point, size in zip(
+            self.points_c(), (self.view.marker_side_m, self.view.target_radius_m), strict=True
+        ):
             x, y, z = point.tolist()
             assert self.camera.sees((x, y, z))
             u, v = self.camera.project_point((x, y, z))
@@ -101,7 +127,9 @@ class Seen:
         return margins
 
 
-def check_rules(seen: Seen, rules: RendezvousConfig = RULES, apart: SeparationConfig = APART) -> None:
+def check_rules(
+    seen: Seen, rules: RendezvousConfig = RULES, apart: SeparationConfig = APART
+) -> None:
     view, viewpoint = seen.view, seen.viewpoint
     place = np.array(viewpoint.camera_h_m)
     to_body, to_target = view.body_h_m - place, view.target_h_m - place
@@ -161,7 +189,9 @@ def test_every_viewpoint_keeps_every_rule(
         (scene(1.10, 0.133, 0.925, 0.0844, 53.8), -12.8),
     ],
 )
-def test_what_a_lens_folds_back_into_the_image_is_not_in_view(view: ViewpointScene, pitch_deg: float) -> None:
+def test_what_a_lens_folds_back_into_the_image_is_not_in_view(
+    view: ViewpointScene, pitch_deg: float
+) -> None:
     """Beyond ``max_radius`` a pixel says nothing: the target is then far outside the image."""
     viewpoint = plan(view, BARREL, pitch_deg)
     if isinstance(viewpoint, Viewpoint):
@@ -189,7 +219,9 @@ def test_a_scene_and_its_mirror_image_are_equally_good(view: ViewpointScene) -> 
 
 
 def score(viewpoint: Viewpoint) -> float:
-    return min(viewpoint.margin_px, 150.0) + 2.0 * viewpoint.marker_px - 20.0 * viewpoint.incidence_rad
+    return (
+        min(viewpoint.margin_px, 150.0) + 2.0 * viewpoint.marker_px - 20.0 * viewpoint.incidence_rad
+    )
 
 
 @pytest.mark.parametrize(
@@ -214,7 +246,16 @@ def test_no_viewpoint_says_which_rule_left_none(rule: str, changes: dict[str, fl
     [
         ("separation", replace(APART, horizontal_m=3.0, vertical_m=3.0)),
         ("too close", replace(APART, viewpoint_m=3.0)),
-        ("downwash", replace(APART, downwash_half_angle_deg=89.0, horizontal_m=0.1, vertical_m=0.1, viewpoint_m=0.1)),
+        (
+            "downwash",
+            replace(
+                APART,
+                downwash_half_angle_deg=89.0,
+                horizontal_m=0.1,
+                vertical_m=0.1,
+                viewpoint_m=0.1,
+            ),
+        ),
     ],
 )
 def test_no_place_far_enough_says_so(rule: str, apart: SeparationConfig) -> None:
@@ -244,21 +285,31 @@ def test_every_candidate_is_accounted_for_once() -> None:
 
 
 def test_a_leaning_drone_is_planned_for_as_it_leans() -> None:
-    """The planner's margin is the one that a drone with that tilt will have, and a level plan's is not."""
-    lean = np.array([math.sin(0.1), 0.0, math.cos(0.1)])  # z axis towards the front: nose up, the camera looks higher
+    """The planner's margin is the one that a drone with that tilt will have, and a level plan's is
+    not.
+    """
+    # z axis towards the front: nose up, the camera looks higher
+    lean = np.array([math.sin(0.1), 0.0, math.cos(0.1)])
     level, leant = found(scene()), found(scene(), tilt_h=lean)
-    assert min(Seen(scene(), leant, tilt_h=lean).margins()) == pytest.approx(leant.margin_px, abs=1e-6)
+    assert min(Seen(scene(), leant, tilt_h=lean).margins()) == pytest.approx(
+        leant.margin_px, abs=1e-6
+    )
     surprised = min(Seen(scene(), level, tilt_h=lean).margins())
     assert surprised != pytest.approx(level.margin_px, abs=5.0)
     assert leant.margin_px >= surprised
 
 
 @pytest.mark.parametrize(("forward", "lower"), [(0.1, True), (-0.1, False)])
-def test_a_camera_that_leans_back_sees_things_lower_in_its_image(forward: float, lower: bool) -> None:
+def test_a_camera_that_leans_back_sees_things_lower_in_its_image(
+    forward: float, lower: bool
+) -> None:
     """Nose up: everything moves down in the image; nose down: up."""
     lean = np.array([math.sin(forward), 0.0, math.cos(forward)])
     straight = replace(found(scene()), yaw_h_rad=0.0)
-    before, after = Seen(scene(), straight).points_c(), Seen(scene(), straight, tilt_h=lean).points_c()
+    before, after = (
+        Seen(scene(), straight).points_c(),
+        Seen(scene(), straight, tilt_h=lean).points_c(),
+    )
     for was, now in zip(before, after, strict=True):
         assert bool(now[1] / now[2] > was[1] / was[2]) is lower
 
@@ -266,7 +317,9 @@ def test_a_camera_that_leans_back_sees_things_lower_in_its_image(forward: float,
 def test_a_rule_that_is_made_stricter_is_kept() -> None:
     loose = found(scene())
     for rules in (
-        replace(RULES, max_incidence_deg=math.degrees(loose.incidence_rad) - 1.0, image_margin_px=60.0),
+        replace(
+            RULES, max_incidence_deg=math.degrees(loose.incidence_rad) - 1.0, image_margin_px=60.0
+        ),
         replace(RULES, min_marker_px=loose.marker_px + 0.5, image_margin_px=20.0),
         replace(RULES, image_margin_px=loose.margin_px - 1.0),
     ):
@@ -274,7 +327,9 @@ def test_a_rule_that_is_made_stricter_is_kept() -> None:
 
 
 def test_it_keeps_away_from_the_target() -> None:
-    """A target as high as D1 itself, just ahead of it: a camera beside D1 would be too near to something large."""
+    """A target as high as D1 itself, just ahead of it: a camera beside D1 would be too near to
+    something large.
+    """
     near = replace(scene(ahead_m=0.9, below_m=0.1), target_radius_m=1.2)
     refused = plan(near)
     assert isinstance(refused, NoViewpoint)
@@ -282,7 +337,9 @@ def test_it_keeps_away_from_the_target() -> None:
 
 
 def person_from_the_side(right_m: float) -> ViewpointScene:
-    """A person seen from 3.5 m above, who is not straight ahead of D1: both fit best into an image from close by."""
+    """A person seen from 3.5 m above, who is not straight ahead of D1: both fit best into an image
+    from close by.
+    """
     return replace(scene(ahead_m=2.4, right_m=right_m, below_m=2.6), target_radius_m=0.6)
 
 
@@ -295,8 +352,12 @@ def test_the_marker_is_far_enough_for_two_drones_that_swing(right_m: float) -> N
 
 
 def test_a_viewpoint_that_is_nearer_to_the_marker_is_better_than_none() -> None:
-    """None of 20 px and more is as far as the first: the farthest is taken. Unasked it would be a nearer one."""
-    near, unasked = (plan(person_from_the_side(0.25), apart=replace(APART, marker_m=m)) for m in (1.5, 0.2))
+    """None of 20 px and more is as far as the first: the farthest is taken. Unasked it would be a
+    nearer one.
+    """
+    near, unasked = (
+        plan(person_from_the_side(0.25), apart=replace(APART, marker_m=m)) for m in (1.5, 0.2)
+    )
     assert isinstance(near, Viewpoint) and isinstance(unasked, Viewpoint)
     assert 0.8 < math.hypot(*unasked.camera_h_m) < math.hypot(*near.camera_h_m) < 1.5
 

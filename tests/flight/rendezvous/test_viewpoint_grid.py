@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from flight.config import RendezvousConfig, SeparationConfig
-from flight.rendezvous.viewpoint import Floats, NoViewpoint, Viewpoint, ViewpointScene, _candidates, farthest_m
+from flight.rendezvous.viewpoint import (
+    Floats,
+    NoViewpoint,
+    Viewpoint,
+    ViewpointScene,
+    _candidates,
+    farthest_m,
+)
 from path.camera.model import CameraModel
 from tests.flight.rendezvous.test_viewpoint import (
     APART,
@@ -40,7 +47,9 @@ def test_the_grid_is_behind_and_above_the_marker_from_0_8_to_1_6_metres() -> Non
     assert np.linalg.norm(_candidates(large), axis=1).max() == pytest.approx(farthest_m(large))
 
 
-def broken_rule(place: Floats, view: ViewpointScene, camera: CameraModel, rules: RendezvousConfig) -> str:
+def broken_rule(
+    place: Floats, view: ViewpointScene, camera: CameraModel, rules: RendezvousConfig
+) -> str:
     """The first rule that a place breaks; "" when it keeps all that are not about the image."""
     to_body, to_target = view.body_h_m - place, view.target_h_m - place
     level, height = math.hypot(to_body[0], to_body[1]), abs(float(to_body[2]))
@@ -52,7 +61,8 @@ def broken_rule(place: Floats, view: ViewpointScene, camera: CameraModel, rules:
         "separation": (level / APART.horizontal_m) ** 2 + (height / APART.vertical_m) ** 2 >= 1.0,
         "too close": body_m >= APART.viewpoint_m,
         "downwash": level >= height * math.tan(math.radians(APART.downwash_half_angle_deg)),
-        "marker too small": 0.5 * (camera.fx + camera.fy) * view.marker_side_m / marker_m >= rules.min_marker_px,
+        "marker too small": 0.5 * (camera.fx + camera.fy) * view.marker_side_m / marker_m
+        >= rules.min_marker_px,
         "too oblique": incidence <= math.radians(rules.max_incidence_deg),
         "target too far": target_m <= rules.max_range_m,
         "target too near": target_m >= APART.minimum_m + view.target_radius_m,
@@ -61,12 +71,21 @@ def broken_rule(place: Floats, view: ViewpointScene, camera: CameraModel, rules:
     return next((name for name, holds in kept.items() if not holds), "")
 
 
-def margin_px(place: Floats, yaw: float, view: ViewpointScene, camera: CameraModel, tilt_h: Floats) -> float:
-    """From the rims of marker and target to the border; minus infinity where one of them is not seen."""
+def margin_px(
+    place: Floats, yaw: float, view: ViewpointScene, camera: CameraModel, tilt_h: Floats
+) -> float:
+    """From the rims of marker and target to the border; minus infinity where one of them is not
+    seen.
+    """
     c, s = math.cos(yaw), math.sin(yaw)
-    R_h_c = leaning(tilt_h) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ pitched(45.0).R
+    R_h_c = (
+        leaning(tilt_h) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ pitched(45.0).R
+    )
     margins: list[float] = []
-    for way, size_m in ((-place, view.marker_side_m), (view.target_h_m - place, view.target_radius_m)):
+    for way, size_m in (
+        (-place, view.marker_side_m),
+        (view.target_h_m - place, view.target_radius_m),
+    ):
         x, y, z = (R_h_c.T @ way).tolist()
         if z <= 0.1 or math.hypot(x, y) > camera.max_radius * z:
             return -math.inf
@@ -76,7 +95,11 @@ def margin_px(place: Floats, yaw: float, view: ViewpointScene, camera: CameraMod
 
 
 def best_of_all(
-    view: ViewpointScene, camera: CameraModel, rules: RendezvousConfig, apart: SeparationConfig, tilt_h: Floats
+    view: ViewpointScene,
+    camera: CameraModel,
+    rules: RendezvousConfig,
+    apart: SeparationConfig,
+    tilt_h: Floats,
 ) -> tuple[float, dict[str, int]]:
     """The best score of any place and yaw of the grid, and how many places each rule took first."""
     rejected: dict[str, int] = {}
@@ -133,14 +156,20 @@ def test_no_place_of_the_grid_that_keeps_the_rules_is_better_than_the_one_that_i
 
 @pytest.mark.parametrize(
     "view",
-    [scene(), person_from_the_side(0.5), replace(scene(ahead_m=0.9, below_m=0.1), target_radius_m=1.2)],
+    [
+        scene(),
+        person_from_the_side(0.5),
+        replace(scene(ahead_m=0.9, below_m=0.1), target_radius_m=1.2),
+    ],
 )
 def test_what_is_rejected_is_counted_by_the_first_rule_it_breaks(view: ViewpointScene) -> None:
     rules = replace(RULES, image_margin_px=235.0)
     none = plan(view, rules=rules)
     assert isinstance(none, NoViewpoint)
     _, rejected = best_of_all(view, CAMERA, rules, APART, LEVEL)
-    assert {name: count for name, count in none.rejected.items() if count and name != "not both in view"} == rejected
+    assert {
+        name: count for name, count in none.rejected.items() if count and name != "not both in view"
+    } == rejected
     words = str(none).removeprefix("no viewpoint: ").split(", ")
     counts = [int(word.rpartition(" ")[2]) for word in words]
     assert counts == sorted(counts, reverse=True)
@@ -162,7 +191,10 @@ def test_a_place_at_a_bound_of_a_rule_keeps_it() -> None:
         replace(RULES, image_margin_px=best.margin_px),
     ):
         assert plan(view, rules=rules) == best
-    for apart in (replace(APART, viewpoint_m=body_m), replace(APART, horizontal_m=level_m, vertical_m=1e300)):
+    for apart in (
+        replace(APART, viewpoint_m=body_m),
+        replace(APART, horizontal_m=level_m, vertical_m=1e300),
+    ):
         assert farthest_m(apart) == farthest_m(APART)
         assert plan(view, apart=apart) == best
 

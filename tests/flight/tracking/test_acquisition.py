@@ -1,4 +1,6 @@
-"""What D1 takes for its target: the one that is meant, alone in a box that is no larger than the target can be."""
+"""What D1 takes for its target: the one that is meant, alone in a box that is no larger than the
+target can be.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +66,9 @@ def taken(
     return None if found is None else found.position_n_m, acquisition.ambiguous
 
 
-def begun(method: MethodConfig = PERSON, told: Told | None = None, error_m: float = 0.3) -> Acquisition:
+def begun(
+    method: MethodConfig = PERSON, told: Told | None = None, error_m: float = 0.3
+) -> Acquisition:
     mission = MissionConfig(target=TargetDesignation(height_m=-PLACE[2]), follow=FOLLOW)
     acquisition = Acquisition(CAMERA, method, mission)
     acquisition.tell(told or PlaceTold(0, PLACE, error_m))
@@ -107,10 +111,15 @@ class BoxInABox(Boxes):
 
 
 @pytest.mark.parametrize(
-    ("behind_m", "inside", "sure"), [(1.7, True, False), (-1.2, True, False), (0.3, True, True), (1.7, False, True)]
+    ("behind_m", "inside", "sure"),
+    [(1.7, True, False), (-1.2, True, False), (0.3, True, True), (1.7, False, True)],
 )
-def test_a_box_with_somebody_farther_off_in_it_is_of_two(behind_m: float, inside: bool, sure: bool) -> None:
-    """A detector gave one box around two and another around the one behind, in the upper right of the first."""
+def test_a_box_with_somebody_farther_off_in_it_is_of_two(
+    behind_m: float, inside: bool, sure: bool
+) -> None:
+    """A detector gave one box around two and another around the one behind, in the upper right of
+    the first.
+    """
     box, z_m = box_of(PLACE, ONE_PX)
     other = Box(box.x + (0.4 if inside else 0.8) * box.w, box.y - 0.5, 0.58 * box.w, 0.5 * box.h)
     acquisition, found = begun(), None
@@ -162,7 +171,9 @@ def test_answers_to_what_was_never_asked_or_not_shown_are_of_no_use() -> None:
     question = asked(acquisition, lambda ns: two_at(ns, (PLACE, BESIDE)))
     assert not acquisition.choose(Chosen(question.number + 7, question.shown[0].number))
     assert not acquisition.choose(Chosen(question.number, 99))
-    assert acquisition.look(seen(two_at(question.stamp_ns + FRAME_NS, (PLACE, BESIDE))), T_N_C) is None
+    assert (
+        acquisition.look(seen(two_at(question.stamp_ns + FRAME_NS, (PLACE, BESIDE))), T_N_C) is None
+    )
 
 
 def test_none_of_these_leaves_the_ones_that_were_shown_out() -> None:
@@ -230,7 +241,12 @@ def test_what_drives_as_was_said_is_told_from_what_stands_nearer_to_the_place() 
         (RegionTold(0, ((3.4, -0.5), (4.6, -0.5), (4.6, 0.5), (3.4, 0.5))), True),
         (RegionTold(0, ((3.4, -0.5), (4.6, -0.5), (4.6, 1.5), (3.4, 1.5))), False),
     ],
-    ids=["in the direction of both", "in the direction of one", "within edges around one", "within edges around both"],
+    ids=[
+        "in the direction of both",
+        "in the direction of one",
+        "within edges around one",
+        "within edges around both",
+    ],
 )
 def test_a_direction_or_edges_tell_which_where_only_one_is_there(told: Told, right: bool) -> None:
     acquisition = begun(told=told)
@@ -269,7 +285,9 @@ def test_what_is_surely_the_target_is_taken_once_it_is_as_near_as_it_is_followed
 
 @dataclass
 class CoarseDepth(Boxes):
-    """Depth as a stereo camera has it far off, with its own error in every frame and for every box."""
+    """Depth as a stereo camera has it far off, with its own error in every frame and for every
+    box.
+    """
 
     sigma_m: float = 0.5
 
@@ -279,7 +297,9 @@ class CoarseDepth(Boxes):
 
 
 def test_an_answer_holds_for_one_of_two_that_go_beside_each_other_however_coarse_depth_is() -> None:
-    """What errs is along the line of sight: across it they are 1.2 m apart, and are never confused."""
+    """What errs is along the line of sight: across it they are 1.2 m apart, and are never
+    confused.
+    """
     acquisition = begun(error_m=1.0)
 
     def at(stamp_ns: int) -> CoarseDepth:

@@ -1,4 +1,6 @@
-"""Following one object: it must be where it is expected, be told apart from what looks alike, and survive gaps."""
+"""Following one object: it must be where it is expected, be told apart from what looks alike, and
+survive gaps.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ class FakeView:
         found = [Detection(box, score) for box, score in zip(self.boxes(), scores, strict=True)]
         return [d for d in found if region is None or region.contains(*d.box.center)]
 
-    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
+    def markers(
+        self, region: Region | None, expected: Pose | None = None
+    ) -> Sequence[MarkerDetection]:
         return []
 
     def depth(self, box: Box) -> Depth | None:
@@ -76,7 +80,8 @@ def beside(place: Vec3, east_m: float) -> Vec3:
     return place[0], place[1] + east_m, place[2]
 
 
-# --- geometry --------------------------------------------------------------------------------------------------
+# --- geometry
+# --------------------------------------------------------------------------------------------------
 
 
 @given(st.floats(1.0, 3.5), st.floats(-0.8, 0.8), st.floats(-0.5, 0.0))
@@ -85,20 +90,26 @@ def test_a_box_and_its_depth_give_back_the_place(north: float, east: float, down
     box = view.boxes()[0]
     depth = view.depth(box)
     assert depth is not None
-    assert to_local(point_in_camera(box, depth.z_m, CAMERA), T_N_C) == pytest.approx((north, east, down), abs=1e-6)
+    assert to_local(point_in_camera(box, depth.z_m, CAMERA), T_N_C) == pytest.approx(
+        (north, east, down), abs=1e-6
+    )
 
 
-# --- the designated object ---------------------------------------------------------------------------------------
+# --- the designated object
+# ---------------------------------------------------------------------------------------
 
 
-# --- following ---------------------------------------------------------------------------------------------------
+# --- following
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_a_moving_object_is_followed_and_its_velocity_learnt() -> None:
     track = TargetTrack(PLACE, 0)
     for k in range(1, 151):
         place = beside(PLACE, 0.4 * k / 50)
-        assert tracked(FakeView([place], k * SECOND // 50), track).box == FakeView([place]).boxes()[0]
+        assert (
+            tracked(FakeView([place], k * SECOND // 50), track).box == FakeView([place]).boxes()[0]
+        )
     assert norm(subtract(track.position_n_m, beside(PLACE, 1.2))) < 0.03
     assert track.velocity_n_mps == pytest.approx((0.0, 0.4, 0.0), abs=0.03)
     assert track.seen_ns == 3 * SECOND
@@ -121,12 +132,23 @@ def settled(place: Vec3) -> TargetTrack:
 
 @pytest.mark.parametrize(
     ("target_m", "other_m", "told_apart"),
-    [(0.0, 0.25, True), (0.05, 0.2, True), (0.1, -0.12, False), (0.1, 0.15, False), (0.02, 0.6, True)],
+    [
+        (0.0, 0.25, True),
+        (0.05, 0.2, True),
+        (0.1, -0.12, False),
+        (0.1, 0.15, False),
+        (0.02, 0.6, True),
+    ],
 )
-def test_a_look_alike_nearly_as_near_is_not_told_apart(target_m: float, other_m: float, told_apart: bool) -> None:
+def test_a_look_alike_nearly_as_near_is_not_told_apart(
+    target_m: float, other_m: float, told_apart: bool
+) -> None:
     for order in (1, -1):
         track = settled(PLACE)
-        view = FakeView([beside(PLACE, target_m), beside(PLACE, other_m)][::order], track.stamp_ns + SECOND // 50)
+        view = FakeView(
+            [beside(PLACE, target_m), beside(PLACE, other_m)][::order],
+            track.stamp_ns + SECOND // 50,
+        )
         seen = follow(view, T_N_C, CAMERA, track)
         if told_apart:
             assert isinstance(seen, Sighting)
@@ -146,20 +168,33 @@ def test_two_objects_are_never_put_together(east_m: float, north_m: float) -> No
 
 def test_what_is_hardly_an_object_makes_nothing_ambiguous() -> None:
     track = settled(PLACE)
-    view = FakeView([beside(PLACE, 0.05), beside(PLACE, 0.06)], track.stamp_ns + SECOND // 50, scores=[0.9, 0.2])
+    view = FakeView(
+        [beside(PLACE, 0.05), beside(PLACE, 0.06)], track.stamp_ns + SECOND // 50, scores=[0.9, 0.2]
+    )
     assert tracked(view, track).box == view.boxes()[0]
 
 
 def test_an_ambiguous_frame_leaves_the_track_as_it_was() -> None:
     track = settled(PLACE)
     before = (track.position_n_m, track.velocity_n_mps, track.seen_ns)
-    follow(FakeView([beside(PLACE, 0.1), beside(PLACE, -0.1)], track.stamp_ns + SECOND // 50), T_N_C, CAMERA, track)
+    follow(
+        FakeView([beside(PLACE, 0.1), beside(PLACE, -0.1)], track.stamp_ns + SECOND // 50),
+        T_N_C,
+        CAMERA,
+        track,
+    )
     assert (track.position_n_m, track.velocity_n_mps, track.seen_ns) == before
 
 
-@pytest.mark.parametrize(("gap_s", "beside_it", "found"), [(0.3, True, True), (1.0, True, False), (1.0, False, True)])
-def test_the_target_is_found_again_where_it_must_be_after_a_gap(gap_s: float, beside_it: bool, found: bool) -> None:
-    """It moved on unseen; a look-alike may stand where it was. After a while only what is alone is taken for it."""
+@pytest.mark.parametrize(
+    ("gap_s", "beside_it", "found"), [(0.3, True, True), (1.0, True, False), (1.0, False, True)]
+)
+def test_the_target_is_found_again_where_it_must_be_after_a_gap(
+    gap_s: float, beside_it: bool, found: bool
+) -> None:
+    """It moved on unseen; a look-alike may stand where it was. After a while only what is alone is
+    taken for it.
+    """
     track = TargetTrack(PLACE, 0)
     for k in range(1, 101):
         tracked(FakeView([beside(PLACE, 0.4 * k / 50)], k * SECOND // 50), track)
@@ -174,11 +209,15 @@ def test_the_target_is_found_again_where_it_must_be_after_a_gap(gap_s: float, be
         assert seen is MissReason.AMBIGUOUS_TARGET
 
 
-@pytest.mark.parametrize(("gap_s", "away_m", "found"), [(0.7, 1.3, True), (0.9, 1.3, True), (1.8, 1.3, False)])
+@pytest.mark.parametrize(
+    ("gap_s", "away_m", "found"), [(0.7, 1.3, True), (0.9, 1.3, True), (1.8, 1.3, False)]
+)
 def test_a_target_that_was_missed_is_taken_again_while_the_other_cannot_be_it(
     gap_s: float, away_m: float, found: bool
 ) -> None:
-    """The other is farther off than the target can have driven meanwhile; after 1.8 s it no longer is."""
+    """The other is farther off than the target can have driven meanwhile; after 1.8 s it no longer
+    is.
+    """
     track = settled(PLACE)
     view = FakeView([PLACE, beside(PLACE, away_m)], track.stamp_ns + round(gap_s * SECOND))
     seen = follow(view, T_N_C, CAMERA, track)
@@ -186,7 +225,9 @@ def test_a_target_that_was_missed_is_taken_again_while_the_other_cannot_be_it(
 
 
 def test_the_other_alone_is_not_taken_for_a_target_that_is_missed() -> None:
-    """However long, wherever the target may have gone, as long as it is farther off than a gate is ever wide."""
+    """However long, wherever the target may have gone, as long as it is farther off than a gate is
+    ever wide.
+    """
     for tenths in range(6, 60):
         track = settled(PLACE)
         view = FakeView([beside(PLACE, 0.65)], track.stamp_ns + tenths * SECOND // 10)
@@ -210,7 +251,9 @@ class Framed(FakeView):
 
 
 def test_a_box_that_the_border_cuts_keeps_the_track_and_says_nothing_of_the_velocity() -> None:
-    """It stands at the edge of the image and is half in it; half a box's middle is 0.05 m from the object's."""
+    """It stands at the edge of the image and is half in it; half a box's middle is 0.05 m from the
+    object's.
+    """
     edge: Vec3 = (2.0, 1.2, -0.1)
     track = settled(edge)
     view = Framed([edge])
@@ -220,21 +263,31 @@ def test_a_box_that_the_border_cuts_keeps_the_track_and_says_nothing_of_the_velo
     for k in range(1, 101):
         view = Framed([at_border], begun_ns + k * SECOND // 50)
         assert is_cut(view.boxes()[0], CAMERA)
-        assert follow(view, T_N_C, CAMERA, track) is MissReason.NO_TARGET  # no evidence for the other drone
+        # no evidence for the other drone
+        assert follow(view, T_N_C, CAMERA, track) is MissReason.NO_TARGET
         assert track.seen_ns == view.stamp_ns
     assert norm(track.velocity_n_mps) < 0.02
     assert math.dist(track.position_n_m, at_border) < 0.04
-    assert isinstance(follow(Framed([edge], track.stamp_ns + SECOND // 50), T_N_C, CAMERA, track), Sighting)
+    assert isinstance(
+        follow(Framed([edge], track.stamp_ns + SECOND // 50), T_N_C, CAMERA, track), Sighting
+    )
 
 
 def test_what_was_seen_beside_the_target_is_never_taken_for_it() -> None:
-    """The target is not detected for a while; the look-alike 0.3 m beside it is, alone, all the time."""
+    """The target is not detected for a while; the look-alike 0.3 m beside it is, alone, all the
+    time.
+    """
     track, other = settled(PLACE), beside(PLACE, 0.3)
     tracked(FakeView([PLACE, other], track.stamp_ns + SECOND // 50), track)
     begin_ns = track.stamp_ns
     for k in range(1, 140):
-        assert isinstance(follow(FakeView([other], begin_ns + k * SECOND // 50), T_N_C, CAMERA, track), MissReason)
-    assert tracked(FakeView([PLACE], begin_ns + 140 * SECOND // 50), track).box == FakeView([PLACE]).boxes()[0]
+        assert isinstance(
+            follow(FakeView([other], begin_ns + k * SECOND // 50), T_N_C, CAMERA, track), MissReason
+        )
+    assert (
+        tracked(FakeView([PLACE], begin_ns + 140 * SECOND // 50), track).box
+        == FakeView([PLACE]).boxes()[0]
+    )
 
 
 def test_an_object_farther_off_does_not_make_a_nearer_one_forgotten() -> None:
@@ -257,7 +310,9 @@ def test_without_depth_the_target_is_followed_at_the_height_it_had() -> None:
 
 
 def test_the_depth_of_what_hangs_in_front_of_the_target_is_not_the_targets() -> None:
-    """Believed, it would take the track up its ray, and a drone that keeps its distance would flee backwards."""
+    """Believed, it would take the track up its ray, and a drone that keeps its distance would flee
+    backwards.
+    """
     track = TargetTrack(PLACE, 0)
     for k in range(1, 51):
         tracked(FakeView([PLACE], k * SECOND // 50), track)
@@ -269,8 +324,12 @@ def test_the_depth_of_what_hangs_in_front_of_the_target_is_not_the_targets() -> 
 
 
 def test_a_ray_that_hardly_comes_down_places_nothing() -> None:
-    """Looking level, a pixel near the horizon says nothing about the distance: seen, but not measured."""
-    level = Pose(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([0.0, 0.0, -0.4]))
+    """Looking level, a pixel near the horizon says nothing about the distance: seen, but not
+    measured.
+    """
+    level = Pose(
+        np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([0.0, 0.0, -0.4])
+    )
     track = TargetTrack(PLACE, 0)
 
     class LevelView(FakeView):
@@ -293,7 +352,8 @@ def test_a_target_outside_the_image_is_not_looked_for(place: Vec3) -> None:
     assert follow(Blind([]), T_N_C, CAMERA, TargetTrack(place, 0)) is MissReason.NO_TARGET
 
 
-# --- the filter --------------------------------------------------------------------------------------------------
+# --- the filter
+# --------------------------------------------------------------------------------------------------
 
 
 def test_a_coast_grows_less_sure_and_leaves_the_filter_as_it_is() -> None:
@@ -342,7 +402,9 @@ def test_a_velocity_that_is_not_known_yet_is_not_flown_by() -> None:
 
 @given(st.integers(0, 2**32 - 1))
 def test_the_filter_is_as_sure_as_it_may_be(seed: int) -> None:
-    """Noise of 0.05 m on a steady course: the error stays within a few of its own standard deviations."""
+    """Noise of 0.05 m on a steady course: the error stays within a few of its own standard
+    deviations.
+    """
     rng = np.random.default_rng(seed)
     velocity = rng.uniform(-0.4, 0.4, 3)
     track = TargetTrack((0.0, 0.0, 0.0), 0)
@@ -356,7 +418,8 @@ def test_the_filter_is_as_sure_as_it_may_be(seed: int) -> None:
     assert norm(subtract(at, (north, east, down))) < 6.0 * sigma_m
 
 
-# --- ranges that are only estimated ------------------------------------------------------------------------------
+# --- ranges that are only estimated
+# ------------------------------------------------------------------------------
 
 
 def test_an_estimated_range_gives_way_to_the_height_that_is_known() -> None:
@@ -368,9 +431,13 @@ def test_an_estimated_range_gives_way_to_the_height_that_is_known() -> None:
 
 
 def test_an_estimated_range_is_all_there_is_for_what_is_level_with_the_camera() -> None:
-    level = Pose(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([0.0, 0.0, -2.0]))
+    level = Pose(
+        np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([0.0, 0.0, -2.0])
+    )
     box = Box(290.0, 220.0, 60.0, 40.0)  # around the principal point
-    assert place(box, Depth(3.0, 0.3), CAMERA, level, 0.0) == pytest.approx((3.0, 0.0, -2.0), abs=0.01)
+    assert place(box, Depth(3.0, 0.3), CAMERA, level, 0.0) == pytest.approx(
+        (3.0, 0.0, -2.0), abs=0.01
+    )
 
 
 class TakenForOne(FakeView):
@@ -380,13 +447,18 @@ class TakenForOne(FakeView):
         return [Box(box.x, box.y - 0.6 * box.h, box.w, 1.6 * box.h) for box in super().boxes()]
 
 
-def test_a_box_that_has_more_in_it_from_one_frame_to_the_next_moves_the_track_little_and_not_up() -> None:
+def test_a_box_that_has_more_in_it_from_one_frame_to_the_next_moves_the_track_little_and_not_up() -> (
+    None
+):
     track = settled(PLACE)
     for _ in range(10):
         seen = follow(TakenForOne([PLACE], track.stamp_ns + SECOND // 50), T_N_C, CAMERA, track)
         assert seen is MissReason.AMBIGUOUS_TARGET
     assert math.dist(track.position_n_m, PLACE) < 0.02
-    assert tracked(FakeView([PLACE], track.stamp_ns + SECOND // 50), track).box == FakeView([PLACE]).boxes()[0]
+    assert (
+        tracked(FakeView([PLACE], track.stamp_ns + SECOND // 50), track).box
+        == FakeView([PLACE]).boxes()[0]
+    )
 
 
 def test_what_has_grown_and_stays_so_is_the_object() -> None:
@@ -398,7 +470,9 @@ def test_what_has_grown_and_stays_so_is_the_object() -> None:
 
 
 class FarBehind(FakeView):
-    """Its object, and one so far behind it that the middle of the box around both is outside the gate."""
+    """Its object, and one so far behind it that the middle of the box around both is outside the
+    gate.
+    """
 
     def boxes(self) -> list[Box]:
         return [Box(box.x, box.y - 4.0 * box.h, box.w, 5.0 * box.h) for box in super().boxes()]
@@ -406,7 +480,10 @@ class FarBehind(FakeView):
 
 def test_in_a_box_around_more_than_the_object_it_is_kept_for_a_while() -> None:
     track = settled(PLACE)
-    while follow(FarBehind([PLACE], track.stamp_ns + SECOND // 50), T_N_C, CAMERA, track) is not MissReason.NO_TARGET:
+    while (
+        follow(FarBehind([PLACE], track.stamp_ns + SECOND // 50), T_N_C, CAMERA, track)
+        is not MissReason.NO_TARGET
+    ):
         assert math.dist(track.position_n_m, PLACE) < 0.02
     assert 4.5 * SECOND < track.seen_ns - SECOND < 5.5 * SECOND
 

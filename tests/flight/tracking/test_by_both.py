@@ -1,4 +1,6 @@
-"""D2's reckoning of the target's place, by what both drones see of one car in the geometric world."""
+"""D2's reckoning of the target's place, by what both drones see of one car in the geometric
+world.
+"""
 
 from __future__ import annotations
 
@@ -44,12 +46,18 @@ def one_box(role: Role) -> tuple[Box, Depth]:
 
 
 def reckoned(
-    *, scale1: float = 1.0, turned_deg: float = 0.0, own: bool = True, beside_px: float = 0.0, frames: int = 1
+    *,
+    scale1: float = 1.0,
+    turned_deg: float = 0.0,
+    own: bool = True,
+    beside_px: float = 0.0,
+    frames: int = 1,
 ) -> tuple[ByBoth, float, float]:
     """What comes out, and how far D1's word and that are off in D2's camera, m.
 
     Args:
-        scale1: of D1's depth; ``turned_deg``: what D2 is wrong about the pose; ``beside_px``: D2 boxes something else.
+        scale1: of D1's depth; ``turned_deg``: what D2 is wrong about the pose; ``beside_px``: D2
+            boxes something else.
     """
     (box1, depth1), (box2, depth2) = one_box(Role.SENDER), one_box(Role.RECEIVER)
     true_c1 = back_project(CAMERA, *box1.center, depth1.z_m)
@@ -58,7 +66,9 @@ def reckoned(
     T_c2_v = T_v_c2.inverse()
     believed = Pose(exp(np.radians([turned_deg, 0.0, 0.0])) @ T_c2_v.R, T_c2_v.t)
     x, y, z = T_V_C1.apply(np.array(said_c1)).tolist()
-    prior = Prior((0.0, 0.0), 0.0, (1.0, 0.0, 1.0), Region(0, 0, 1, 1), 1, rigid(believed), 0.003, (x, y, z))
+    prior = Prior(
+        (0.0, 0.0), 0.0, (1.0, 0.0, 1.0), Region(0, 0, 1, 1), 1, rigid(believed), 0.003, (x, y, z)
+    )
     gx, gy, gz = ((NED_TO_ENU @ np.array([0.0, 0.0, 1.0])) @ (RECEIVER.T_w_b @ T_B_C).R).tolist()
     seen = replace(box2, x=box2.x + beside_px)
     both_views = FromBothViews(METHOD, CAMERA, T_V_C1, CAMERA)

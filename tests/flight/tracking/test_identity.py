@@ -1,4 +1,6 @@
-"""A box is offered only while it is the designated object's for sure; else it is followed, and the frame is a miss."""
+"""A box is offered only while it is the designated object's for sure; else it is followed, and the
+frame is a miss.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,9 @@ def test_what_stands_beside_it_is_not_the_one() -> None:
 
 
 @pytest.mark.parametrize(("gap_s", "offered"), [(0.2, True), (4.0, False)])
-def test_one_of_two_that_were_out_of_sight_for_long_is_followed_and_not_offered(gap_s: float, offered: bool) -> None:
+def test_one_of_two_that_were_out_of_sight_for_long_is_followed_and_not_offered(
+    gap_s: float, offered: bool
+) -> None:
     track = followed(0.35)
     stamp_ns = track.stamp_ns + round(gap_s * SECOND)
     offers: list[bool] = []
@@ -61,7 +65,9 @@ def test_one_of_two_that_were_out_of_sight_for_long_is_followed_and_not_offered(
 
 
 def test_another_one_that_walks_through_the_place_of_one_that_is_missed_is_not_gone_after() -> None:
-    """The detector misses the target for a second and a half, and finds the other one in every frame."""
+    """The detector misses the target for a second and a half, and finds the other one in every
+    frame.
+    """
     track = TargetTrack.of(MissionConfig(follow=FollowConfig(carry_s=0.0)), PLACE, 0)
 
     def other(k: int) -> Vec3:

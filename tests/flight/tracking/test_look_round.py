@@ -1,4 +1,6 @@
-"""A drone that finds nothing at the designated place looks at it from other sides, and keeps the one that shows it."""
+"""A drone that finds nothing at the designated place looks at it from other sides, and keeps the
+one that shows it.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,12 @@ PLACE: Vec3 = (4.0, 0.0, -0.1)
 TICK_NS = 50_000_000
 
 
-def flown(config: MissionConfig, seconds: float, look: LookRound | None = None) -> list[tuple[float, float]]:
-    """(s, degrees from the first heading) of each tick of a drone that has come to its place after 2 s."""
+def flown(
+    config: MissionConfig, seconds: float, look: LookRound | None = None
+) -> list[tuple[float, float]]:
+    """(s, degrees from the first heading) of each tick of a drone that has come to its place after
+    2 s.
+    """
     look = look or LookRound(config)
     told: list[tuple[float, float]] = []
     for k in range(round(seconds * 20)):
@@ -33,14 +39,18 @@ def flown(config: MissionConfig, seconds: float, look: LookRound | None = None) 
     return told
 
 
-def test_it_hangs_at_its_first_heading_for_a_while_and_then_goes_a_quarter_round_to_both_sides() -> None:
+def test_it_hangs_at_its_first_heading_for_a_while_and_then_goes_a_quarter_round_to_both_sides() -> (
+    None
+):
     told = flown(CONFIG, 40.0)
     assert {round_deg for at_s, round_deg in told if at_s < 5.0} == {0.0}
     rounds = [round_deg for _, round_deg in told]
     assert 85.0 < max(rounds) <= 90.0
     assert -90.0 <= min(rounds) < -85.0
     steps_m = np.abs(np.diff(np.radians(rounds))) * CONFIG.follow.behind_m
-    assert steps_m.max() * 20 < math.sqrt(0.5 * CONFIG.max_accel_mps2 * CONFIG.follow.behind_m) + 1e-6
+    assert (
+        steps_m.max() * 20 < math.sqrt(0.5 * CONFIG.max_accel_mps2 * CONFIG.follow.behind_m) + 1e-6
+    )
 
 
 @pytest.mark.parametrize(
@@ -75,7 +85,9 @@ def test_where_two_may_be_the_designated_one_it_goes_no_farther() -> None:
     assert look.velocity_n_mps == (0.0, 0.0, 0.0)
 
 
-def test_a_target_that_is_seen_from_one_side_only_is_found_from_there_and_the_heading_kept() -> None:
+def test_a_target_that_is_seen_from_one_side_only_is_found_from_there_and_the_heading_kept() -> (
+    None
+):
     """The detector knows it from within 25 degrees of the east alone; D1 came from the south."""
     config = MissionConfig(heading_deg=0.0)
     look, acquisition = LookRound(config), Acquisition(CAMERA, MethodConfig(), config)
@@ -83,7 +95,9 @@ def test_a_target_that_is_seen_from_one_side_only_is_found_from_there_and_the_he
     rng, heading = np.random.default_rng(0), None
     for k in range(round(30.0 * 20)):
         look.step(k * TICK_NS, 0.0, PLACE)
-        behind = from_heading((-config.follow.behind_m, 0.0, -(config.follow.height_m - 0.1)), look.heading_rad)
+        behind = from_heading(
+            (-config.follow.behind_m, 0.0, -(config.follow.height_m - 0.1)), look.heading_rad
+        )
         at = add(PLACE, behind)
         R_n_b = R_from_rpy(0.0, 0.0, look.yaw_rad(at, PLACE))
         T_n_c = Pose(R_n_b @ MOUNT.T_b_c.R, np.array(at) + R_n_b @ MOUNT.T_b_c.t)

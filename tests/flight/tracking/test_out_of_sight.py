@@ -1,4 +1,6 @@
-"""Who was out of sight is taken again only where nothing else can be taken for them, as a detector misses people."""
+"""Who was out of sight is taken again only where nothing else can be taken for them, as a detector
+misses people.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +10,24 @@ import pytest
 
 from flight.tracking.association import Sighting, follow
 from path.observations import MissReason
-from tests.flight.tracking.test_association import CAMERA, PLACE, SECOND, T_N_C, FakeView, beside, settled
+from tests.flight.tracking.test_association import (
+    CAMERA,
+    PLACE,
+    SECOND,
+    T_N_C,
+    FakeView,
+    beside,
+    settled,
+)
 
 
 @pytest.mark.parametrize(("later_s", "found"), [(0.3, False), (2.8, False), (3.2, True)])
-def test_what_was_lately_seen_there_with_another_one_is_not_taken_when_it_is_alone(later_s: float, found: bool) -> None:
-    """A detector misses objects for half a second and more: that one is alone in a frame says little."""
+def test_what_was_lately_seen_there_with_another_one_is_not_taken_when_it_is_alone(
+    later_s: float, found: bool
+) -> None:
+    """A detector misses objects for half a second and more: that one is alone in a frame says
+    little.
+    """
     track = settled(PLACE)
     both_ns = track.stamp_ns + SECOND
     both = FakeView([beside(PLACE, 0.5), beside(PLACE, -0.5)], both_ns)
@@ -24,7 +38,9 @@ def test_what_was_lately_seen_there_with_another_one_is_not_taken_when_it_is_alo
 
 
 @pytest.mark.parametrize(("gap_s", "found"), [(0.3, True), (0.7, False)])
-def test_what_is_much_smaller_is_not_taken_for_a_target_that_was_out_of_sight(gap_s: float, found: bool) -> None:
+def test_what_is_much_smaller_is_not_taken_for_a_target_that_was_out_of_sight(
+    gap_s: float, found: bool
+) -> None:
     """Its box was around two, and this is one of them: nobody knows which."""
     track = settled(PLACE)
     assert track.size_m is not None
@@ -41,7 +57,9 @@ def test_what_is_much_smaller_is_not_taken_for_a_target_that_was_out_of_sight(ga
 def test_what_is_too_far_behind_is_not_taken_for_a_target_that_was_out_of_sight(
     behind_m: float, has_depth: bool, found: bool
 ) -> None:
-    """The target passed in front of another one. What is in front of it may hide it: that tells nothing."""
+    """The target passed in front of another one. What is in front of it may hide it: that tells
+    nothing.
+    """
     track = settled(PLACE)
     north, east, down = PLACE
     along = 1.0 + behind_m / math.dist(PLACE, T_N_C.t)

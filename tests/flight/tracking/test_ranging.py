@@ -1,4 +1,6 @@
-"""The ranges that a drone asks for: when, and what they are by where its rays come down to the ground."""
+"""The ranges that a drone asks for: when, and what they are by where its rays come down to the
+ground.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ TELLO = CameraModel(960, 720, 920.0, 920.0, 480.0, 360.0, (0.0, 0.0, 0.0, 0.0, 0
 
 
 class Coarse(FakeView):
-    """Ranges by the object's size, a fifth too far; of what is true the view below has it to a centimetre."""
+    """Ranges by the object's size, a fifth too far; of what is true the view below has it to a
+    centimetre.
+    """
 
     def depth(self, box: Box) -> Depth | None:
         true = super().depth(box)
@@ -32,10 +36,15 @@ class Coarse(FakeView):
 
 
 def depths(mission: MissionConfig) -> tuple[Depth, Depth, Depth]:
-    """Of a target: in truth, of its sighting, and of what stands beside it against the truth of that."""
+    """Of a target: in truth, of its sighting, and of what stands beside it against the truth of
+    that.
+    """
     other = (2.0, 0.5, -0.1)
     ranging = Ranging.of(mission, MethodConfig())
-    track, view = TargetTrack.of(mission, PLACE, 0, ranging=ranging), Coarse([PLACE, other], SECOND // 50)
+    track, view = (
+        TargetTrack.of(mission, PLACE, 0, ranging=ranging),
+        Coarse([PLACE, other], SECOND // 50),
+    )
     seen = tracked(view, track)
     true = FakeView([PLACE, other]).depth(seen.box)
     (rival,) = seen.beside
@@ -46,13 +55,16 @@ def depths(mission: MissionConfig) -> tuple[Depth, Depth, Depth]:
 def test_an_estimated_range_is_bettered_by_the_height_of_the_drone() -> None:
     true, found, beside = depths(MISSION)
     assert found.z_m == pytest.approx(true.z_m, rel=0.03)
-    assert beside.z_m == pytest.approx(true.z_m, rel=0.06)  # it stands as far away, and on the same ground
+    # it stands as far away, and on the same ground
+    assert beside.z_m == pytest.approx(true.z_m, rel=0.06)
     assert abs(found.z_m - true.z_m) < 2.0 * found.sigma_m < 0.1 * true.z_m
 
 
 @pytest.mark.parametrize("flies", [False, True])
 def test_nothing_is_said_where_no_height_is_known_or_the_target_flies(flies: bool) -> None:
-    mission = replace(MISSION, target=replace(MISSION.target, flies=True)) if flies else MissionConfig()
+    mission = (
+        replace(MISSION, target=replace(MISSION.target, flies=True)) if flies else MissionConfig()
+    )
     true, found, _ = depths(mission)
     assert found.z_m == pytest.approx(1.2 * true.z_m)
 
@@ -61,7 +73,13 @@ def test_nothing_is_said_where_no_height_is_known_or_the_target_flies(flies: boo
 
 PERSON = Body(0.78, 1.75)
 LOOKING_DOWN = Pose(
-    np.array([[0.0, -math.sqrt(0.5), math.sqrt(0.5)], [1.0, 0.0, 0.0], [0.0, math.sqrt(0.5), math.sqrt(0.5)]]),
+    np.array(
+        [
+            [0.0, -math.sqrt(0.5), math.sqrt(0.5)],
+            [1.0, 0.0, 0.0],
+            [0.0, math.sqrt(0.5), math.sqrt(0.5)],
+        ]
+    ),
     np.array([0.0, 0.0, -6.5]),
 )
 BOX = Box(440.0, 260.0, 80.0, 200.0)
@@ -114,5 +132,7 @@ def test_a_ray_that_hardly_comes_down_is_left_to_the_others() -> None:
     found = ranging(body=Body()).ranged(depth, Box(450.0, 340.0, 60.0, 40.0), TELLO, level, 3.0)
     assert found is not None and found.depth is depth
     from_below = Pose(T_N_C.R, np.array([0.0, 0.0, 0.5]))
-    found = ranging(body=Body()).ranged(depth, Box(300.0, 240.0, 40.0, 40.0), CAMERA, from_below, 3.0)
+    found = ranging(body=Body()).ranged(
+        depth, Box(300.0, 240.0, 40.0, 40.0), CAMERA, from_below, 3.0
+    )
     assert found is not None and found.depth is depth

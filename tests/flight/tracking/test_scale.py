@@ -1,4 +1,6 @@
-"""A world so many times as large is followed the same, frame by frame; so is one seen in so many more pixels."""
+"""A world so many times as large is followed the same, frame by frame; so is one seen in so many
+more pixels.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ LOOKING_DOWN = np.array([[0.0, -C, C], [1.0, 0.0, 0.0], [0.0, C, C]])
 
 @dataclass(frozen=True)
 class World:
-    """Everything that is a length is ``scale`` times as long, every image ``pixels`` times as fine."""
+    """Everything that is a length is ``scale`` times as long, every image ``pixels`` times as
+    fine.
+    """
 
     scale: float = 1.0
     pixels: float = 1.0
@@ -34,7 +38,9 @@ class World:
     @property
     def camera(self) -> CameraModel:
         p = self.pixels
-        return CameraModel(round(640 * p), round(480 * p), 615.0 * p, 615.0 * p, 319.5 * p, 239.5 * p)
+        return CameraModel(
+            round(640 * p), round(480 * p), 615.0 * p, 615.0 * p, 319.5 * p, 239.5 * p
+        )
 
     @property
     def T_n_c(self) -> Pose:
@@ -55,7 +61,9 @@ class World:
         return TargetTrack.of(self.mission, (north, east, down), 0)
 
     def view(self, k: int) -> Seen:
-        """The target drives; another one comes past it so near that both are in one box; a miss now and then."""
+        """The target drives; another one comes past it so near that both are in one box; a miss now
+        and then.
+        """
         rng = np.random.default_rng([7, k])
         target = (1.7 + 0.001 * k, 0.0, -0.1)
         other = (1.95 + 0.001 * k, 0.9 - 0.006 * k, -0.1)
@@ -96,7 +104,9 @@ class Seen:
         found = [Detection(box, 0.9) for box, _ in self._boxes()]
         return [each for each in found if region is None or region.contains(*each.box.center)]
 
-    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
+    def markers(
+        self, region: Region | None, expected: Pose | None = None
+    ) -> Sequence[MarkerDetection]:
         return []
 
     def depth(self, box: Box) -> Depth | None:
@@ -140,7 +150,9 @@ def test_a_world_so_many_times_as_large_is_followed_the_same(
 def test_a_camera_with_so_many_times_the_pixels_sees_no_worse(
     pixels: float, usual: tuple[list[str], NDArray[np.float64]]
 ) -> None:
-    """Noise of boxes is stated in pixels: it is a smaller angle there, so that more can be told apart, not less."""
+    """Noise of boxes is stated in pixels: it is a smaller angle there, so that more can be told
+    apart, not less.
+    """
     made, _ = decisions(World(pixels=pixels))
     gained = [one for one, other in zip(made, usual[0], strict=True) if one != other]
     assert len(gained) <= 0.05 * FRAMES

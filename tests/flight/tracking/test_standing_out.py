@@ -1,4 +1,6 @@
-"""A body that stands out in depth carries the track of an object that the detector misses, and nothing else does."""
+"""A body that stands out in depth carries the track of an object that the detector misses, and
+nothing else does.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,8 @@ WIDE, HIGH, FAR_M = 0.5, 1.3, 5.6  # of a body, of its box across the line of si
 class Upright:
     """Bodies as wide and high as a person, upright, before something that is farther off.
 
-    ``found``: those of them that the detector finds. ``before_m``: of what fills the image's left half.
+    ``found``: those of them that the detector finds. ``before_m``: of what fills the image's left
+    half.
     """
 
     places: Sequence[Vec3]
@@ -52,10 +55,14 @@ class Upright:
     def targets(self, region: Region | None) -> Sequence[Detection]:
         boxes = self.boxes()
         return [
-            Detection(boxes[k][0], 0.9) for k in self.found if region is None or region.contains(*boxes[k][0].center)
+            Detection(boxes[k][0], 0.9)
+            for k in self.found
+            if region is None or region.contains(*boxes[k][0].center)
         ]
 
-    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
+    def markers(
+        self, region: Region | None, expected: Pose | None = None
+    ) -> Sequence[MarkerDetection]:
         return []
 
     def depth(self, box: Box) -> Depth | None:
@@ -115,7 +122,9 @@ def test_depth_carries_for_so_long_as_is_stated() -> None:
 
 
 @pytest.mark.parametrize(("gap_s", "carried"), [(0.4, True), (0.6, False)])
-def test_depth_does_not_take_a_track_up_again_that_nothing_kept_for_a_while(gap_s: float, carried: bool) -> None:
+def test_depth_does_not_take_a_track_up_again_that_nothing_kept_for_a_while(
+    gap_s: float, carried: bool
+) -> None:
     """Another one may have come to the place of an object that was neither seen nor carried."""
     track = settled()
     seen_ns = track.stamp_ns
@@ -151,7 +160,8 @@ def test_what_flies_is_not_carried() -> None:
 def test_what_may_be_something_else_carries_nothing(view: Upright) -> None:
     track = settled()
     view.stamp_ns = after(0.02, track)
-    if view.found:  # another object, by its box, that is no box of the target: seen, and much larger
+    # another object, by its box, that is no box of the target: seen, and much larger
+    if view.found:
         found = Detection(Box(200.0, 0.0, 400.0, 470.0), 0.9)
         view.targets = lambda region: [found]  # type: ignore[method-assign]
         track.whole_ns = -10 * SECOND

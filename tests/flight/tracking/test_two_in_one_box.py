@@ -1,4 +1,6 @@
-"""Two people one behind the other are one box to a detector: the track of one of them stays where that one is."""
+"""Two people one behind the other are one box to a detector: the track of one of them stays where
+that one is.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ BEHIND: Vec3 = (PLACE[0] + 2.4, PLACE[1] + 0.3, PLACE[2])
 
 @dataclass
 class InOneBox(Upright):
-    """The first body and all behind it in one box, which the image's border cuts, and which is scored low for that.
+    """The first body and all behind it in one box, which the image's border cuts, and which is
+    scored low for that.
 
     ``shown``: whether depth shows the first one.
     """
@@ -41,7 +44,9 @@ class InOneBox(Upright):
 
 
 def kept(track: TargetTrack, seconds: float, place: Vec3 = PLACE, *, shown: bool = True) -> None:
-    """The target is at a place, or on its way to it, and one box is around it and another one behind it."""
+    """The target is at a place, or on its way to it, and one box is around it and another one
+    behind it.
+    """
     begun_ns = track.stamp_ns
     frames = round(50 * seconds)
     for k in range(1, frames + 1):
@@ -49,7 +54,8 @@ def kept(track: TargetTrack, seconds: float, place: Vec3 = PLACE, *, shown: bool
         view = InOneBox([(north, east, down), BEHIND], (), begun_ns + k * SECOND // 50, shown=shown)
         (found,) = view.targets(None)
         assert is_cut(found.box, CAMERA)
-        assert follow(view, T_N_C, CAMERA, track) is MissReason.AMBIGUOUS_TARGET  # no evidence for the other drone
+        # no evidence for the other drone
+        assert follow(view, T_N_C, CAMERA, track) is MissReason.AMBIGUOUS_TARGET
     assert track.stamp_ns == begun_ns + frames * SECOND // 50
 
 
@@ -83,7 +89,9 @@ def test_without_a_sighting_such_a_box_keeps_a_track_for_a_while_only() -> None:
 
 
 def test_one_box_around_it_does_not_make_a_nearer_one_the_target() -> None:
-    """Another one comes before it, less than a metre away: what the depth shows then is not the target."""
+    """Another one comes before it, less than a metre away: what the depth shows then is not the
+    target.
+    """
     track = settled()
     begun_ns = track.stamp_ns
     for k in range(1, 51):
@@ -99,14 +107,20 @@ STATED = MethodConfig(evidence=EvidenceConfig(span_m=0.77, height_m=1.75))
 @pytest.mark.parametrize("stated", [True, False])
 def test_a_box_larger_than_the_target_can_be_is_never_its_own(stated: bool) -> None:
     """Where the size is not stated, what has looked so for 3 s is the target."""
-    track = TargetTrack(PLACE, 0, carry_s=6.0, largest=LargestBox.of(CAMERA, STATED if stated else MethodConfig()))
+    track = TargetTrack(
+        PLACE, 0, carry_s=6.0, largest=LargestBox.of(CAMERA, STATED if stated else MethodConfig())
+    )
     for k in range(1, 51):
-        assert isinstance(follow(Upright([PLACE], [0], k * SECOND // 50), T_N_C, CAMERA, track), Sighting)
+        assert isinstance(
+            follow(Upright([PLACE], [0], k * SECOND // 50), T_N_C, CAMERA, track), Sighting
+        )
     own_m, taken = track.size_m, False
     for k in range(51, 351):
         view = Upright([PLACE], [], k * SECOND // 50)
         box, _ = view.boxes()[0]
-        found = Detection(Box(box.x - 0.6 * box.w, box.y - 0.1 * box.h, 2.2 * box.w, 1.2 * box.h), 0.9)
+        found = Detection(
+            Box(box.x - 0.6 * box.w, box.y - 0.1 * box.h, 2.2 * box.w, 1.2 * box.h), 0.9
+        )
         view.targets = lambda region, found=found: [found]  # type: ignore[method-assign]
         taken = taken or isinstance(follow(view, T_N_C, CAMERA, track), Sighting)
     assert taken is not stated

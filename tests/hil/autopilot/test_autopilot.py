@@ -32,7 +32,9 @@ class Bench:
         on_ground = self.position[2] >= 0.0 and self.velocity[2] >= 0.0
         q = quat_from_rpy(0.0, 0.0, self.yaw)
         x, y, z = self.position
-        command = self.autopilot.step(self.now_s, Estimate(self.now_s, (x, y, z), self.velocity, q), on_ground)
+        command = self.autopilot.step(
+            self.now_s, Estimate(self.now_s, (x, y, z), self.velocity, q), on_ground
+        )
         self.thrust, self.yaw = command.thrust_on, command.yaw_rad
         assert self.thrust or on_ground, "motors stopped in the air"
         self.velocity = command.velocity_n_mps or (0.0, 0.0, 0.0)
@@ -41,12 +43,19 @@ class Bench:
         self.now_s += TICK_S
 
     def until(
-        self, condition: Callable[[], bool], within_s: float = 30.0, setpoint: VelocitySetpoint | None = None
+        self,
+        condition: Callable[[], bool],
+        within_s: float = 30.0,
+        setpoint: VelocitySetpoint | None = None,
     ) -> float:
-        """Tick until the condition holds (how long it took), feeding a setpoint every tick if given."""
+        """Tick until the condition holds (how long it took), feeding a setpoint every tick if
+        given.
+        """
         start_s = self.now_s
         while not condition():
-            assert self.now_s - start_s < within_s, f"not within {within_s} s; mode {self.autopilot.mode}"
+            assert self.now_s - start_s < within_s, (
+                f"not within {within_s} s; mode {self.autopilot.mode}"
+            )
             if setpoint is not None:
                 self.autopilot.setpoint(self.now_s, setpoint)
             self.tick()
@@ -109,7 +118,9 @@ def _settled(seed: int) -> float:
         (AutopilotConfig(), 0.05, "battery low"),
     ],
 )
-def test_refuses_to_arm_for_a_named_reason(config: AutopilotConfig, battery: float, reason: str) -> None:
+def test_refuses_to_arm_for_a_named_reason(
+    config: AutopilotConfig, battery: float, reason: str
+) -> None:
     bench = Bench(config)
     bench.autopilot.set_battery(battery)
     bench.run(5.0)
@@ -297,7 +308,9 @@ def test_on_the_ground_it_disarms_when_told_to() -> None:
     assert bench.autopilot.request_arm(bench.now_s, False).accepted
 
 
-LIKE_ARDUCOPTER = AutopilotConfig(offboard_loss_s=math.inf, setpoint_stale_s=3.0, companion_loss_s=2.0)
+LIKE_ARDUCOPTER = AutopilotConfig(
+    offboard_loss_s=math.inf, setpoint_stale_s=3.0, companion_loss_s=2.0
+)
 
 
 def test_one_that_watches_no_setpoints_stands_still_when_they_are_stale() -> None:
@@ -315,7 +328,9 @@ def test_one_that_watches_its_ground_station_lands_without_it() -> None:
     bench.run(5.0)
     assert bench.autopilot.mode is FlightMode.HOLD  # nobody was ever heard
     bench.autopilot.companion_heard(bench.now_s)
-    assert bench.until(lambda: bench.autopilot.mode is FlightMode.LAND) == pytest.approx(2.0, abs=0.1)
+    assert bench.until(lambda: bench.autopilot.mode is FlightMode.LAND) == pytest.approx(
+        2.0, abs=0.1
+    )
     assert bench.texts[-1] == "No ground station, landing"
     bench.until(lambda: not bench.autopilot.armed)
 
@@ -383,7 +398,9 @@ def test_a_take_off_between_landing_and_disarming_is_not_cut_short() -> None:
 def test_a_kill_switch_stops_the_motors_in_the_air_and_nothing_starts_them_again() -> None:
     bench = Bench().fly()
     bench.autopilot.kill(bench.now_s)
-    command = bench.autopilot.step(bench.now_s, Estimate(bench.now_s, (0.0, 0.0, -1.5), (0.0, 0.0, 0.0), LEVEL), False)
+    command = bench.autopilot.step(
+        bench.now_s, Estimate(bench.now_s, (0.0, 0.0, -1.5), (0.0, 0.0, 0.0), LEVEL), False
+    )
     assert not command.thrust_on
     assert not bench.autopilot.armed
     assert not bench.autopilot.request_arm(bench.now_s, True).accepted
@@ -394,8 +411,12 @@ def test_a_kill_switch_stops_the_motors_in_the_air_and_nothing_starts_them_again
     ("action", "mode"),
     [(2, FlightMode.HOLD), (3, FlightMode.RETURN), (5, FlightMode.LAND), (1, FlightMode.OFFBOARD)],
 )
-def test_outside_its_own_fence_the_autopilot_acts_by_itself_and_once(action: int, mode: FlightMode) -> None:
-    bench = Bench(AutopilotConfig(settle_s=0.0, fence=FenceConfig(action, radius_m=2.0, height_m=4.0)))
+def test_outside_its_own_fence_the_autopilot_acts_by_itself_and_once(
+    action: int, mode: FlightMode
+) -> None:
+    bench = Bench(
+        AutopilotConfig(settle_s=0.0, fence=FenceConfig(action, radius_m=2.0, height_m=4.0))
+    )
     bench.fly(1.5)
     bench.run(0.1, NORTH)
     assert bench.request(FlightMode.OFFBOARD).accepted

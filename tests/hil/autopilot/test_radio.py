@@ -43,9 +43,14 @@ class Flown:
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds / TICK_S)):
             self.autopilot.setpoint(self.now_s, STILL)
-            estimate = Estimate(self.now_s, (0.0, 0.0, -self.height_m), self.velocity, (1.0, 0.0, 0.0, 0.0))
+            estimate = Estimate(
+                self.now_s, (0.0, 0.0, -self.height_m), self.velocity, (1.0, 0.0, 0.0, 0.0)
+            )
             command = self.autopilot.step(self.now_s, estimate, self.height_m <= 0.0)
-            self.thrust, self.velocity = command.thrust_on, command.velocity_n_mps or (0.0, 0.0, 0.0)
+            self.thrust, self.velocity = (
+                command.thrust_on,
+                command.velocity_n_mps or (0.0, 0.0, 0.0),
+            )
             fall_mps = 3.0 if not self.thrust else self.velocity[2]
             self.height_m = max(0.0, self.height_m - TICK_S * fall_mps)
             self.now_s += TICK_S
@@ -86,8 +91,12 @@ def test_a_kill_switch_thrown_back_in_time_lets_the_motors_turn_again() -> None:
     assert flown.thrust and flown.autopilot.powered
 
 
-@pytest.mark.parametrize(("override", "mode"), [(3, FlightMode.OTHER), (2, FlightMode.OTHER), (1, FlightMode.OFFBOARD)])
-def test_grabbed_sticks_take_over_from_offboard_where_the_parameter_lets_them(override: int, mode: FlightMode) -> None:
+@pytest.mark.parametrize(
+    ("override", "mode"), [(3, FlightMode.OTHER), (2, FlightMode.OTHER), (1, FlightMode.OFFBOARD)]
+)
+def test_grabbed_sticks_take_over_from_offboard_where_the_parameter_lets_them(
+    override: int, mode: FlightMode
+) -> None:
     flown = Flown(override=override)
     flown.held.sticks = (0.0, -0.6, 0.0, 0.0)
     flown.run(0.1)
@@ -149,7 +158,9 @@ def test_values_that_ignore_the_radio_leave_the_pilot_nothing(in_mode: int) -> N
 def test_channels_from_a_ground_station_count_until_they_stop() -> None:
     radio, config = Radio(), RadioConfig(fitted=False)
     assert not radio.step(0.0, config).heard
-    radio.override(0.1, (MIDDLE_US, MIDDLE_US, MIDDLE_US, MIDDLE_US, LOW_US, UNCHANGED, LOW_US, LOW_US))
+    radio.override(
+        0.1, (MIDDLE_US, MIDDLE_US, MIDDLE_US, MIDDLE_US, LOW_US, UNCHANGED, LOW_US, LOW_US)
+    )
     assert radio.step(0.1, config).heard
     radio.override(0.2, (MIDDLE_US,) * 4 + (HIGH_US, UNCHANGED, HIGH_US, LOW_US))
     thrown = radio.step(0.2, config)

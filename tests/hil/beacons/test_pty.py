@@ -75,5 +75,8 @@ def test_each_drone_hears_where_it_is(role: Role, monkeypatch: pytest.MonkeyPatc
 
 def test_drones_in_different_frames_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(RUN_VARIABLE, "hedges-refused")
-    with pytest.raises(RigError, match="differ"), open_hedges(rig_of(0.0, 90.0), 0, time.monotonic, None):  # type: ignore[arg-type]
+    with (
+        pytest.raises(RigError, match="differ"),
+        open_hedges(rig_of(0.0, 90.0), 0, time.monotonic, None),  # type: ignore[arg-type]
+    ):
         pass

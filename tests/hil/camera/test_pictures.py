@@ -1,4 +1,6 @@
-"""The renderer of trials draws what that of the world draws, knows the exact depth, and gives the same bytes again."""
+"""The renderer of trials draws what that of the world draws, knows the exact depth, and gives the
+same bytes again.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ def test_a_stage_looks_as_the_simulated_world_does() -> None:
 
 def test_the_same_arguments_give_the_same_bytes() -> None:
     stage = RenderedInstant(T_W_B, (CAR, PERSON))
-    first, again = (CameraRenderer(setup(SMALL), 1).shoot(stage, Role.RECEIVER, 2) for _ in range(2))
+    first, again = (
+        CameraRenderer(setup(SMALL), 1).shoot(stage, Role.RECEIVER, 2) for _ in range(2)
+    )
     assert first.color.tobytes() == again.color.tobytes()
     assert first.depth_mm.tobytes() == again.depth_mm.tobytes()
     other_seed = CameraRenderer(setup(SMALL), 2).shoot(stage, Role.RECEIVER, 2)
@@ -70,7 +74,10 @@ def test_a_drone_that_is_not_named_is_not_there() -> None:
     renderer = CameraRenderer(setup(depth=EXACT), 0)
     both = renderer.shoot(RenderedInstant(T_W_B), Role.RECEIVER, 0)
     assert np.mean(both.color != renderer.shoot(alone, Role.RECEIVER, 0).color) > 0.02
-    assert detect_markers(renderer.shoot(alone, Role.RECEIVER, 0).color, None, single_marker(), VGA) == ()
+    assert (
+        detect_markers(renderer.shoot(alone, Role.RECEIVER, 0).color, None, single_marker(), VGA)
+        == ()
+    )
 
 
 def test_true_depth_is_that_of_the_surface_seen() -> None:
@@ -97,19 +104,31 @@ def test_true_depth_is_exact_and_between_pixels() -> None:
     straight = replace(setup(), T_b_c=Pose(mount(90.0).R, np.zeros(3)))
     renderer = CameraRenderer(straight, 0)
     stage = RenderedInstant({Role.RECEIVER: overhead}, (CAR,))
-    assert renderer.true_depth_m(stage, Role.RECEIVER, VGA.cx - 3.3, VGA.cy + 4.7) == pytest.approx(1.84, abs=1e-12)
+    assert renderer.true_depth_m(stage, Role.RECEIVER, VGA.cx - 3.3, VGA.cy + 4.7) == pytest.approx(
+        1.84, abs=1e-12
+    )
     assert renderer.true_depth_m(stage, Role.RECEIVER, 5.0, 5.0) == pytest.approx(2.0, abs=1e-12)
     level = CameraRenderer(setup(), 0)
     up = RenderedInstant(
-        {Role.RECEIVER: Pose(hovering(0, 0, 2).R @ mount(-60.0).R @ DOWN.R.T, np.array([0.0, 0.0, 2.0]))}
+        {
+            Role.RECEIVER: Pose(
+                hovering(0, 0, 2).R @ mount(-60.0).R @ DOWN.R.T, np.array([0.0, 0.0, 2.0])
+            )
+        }
     )
     assert level.true_depth_m(up, Role.RECEIVER, VGA.cx, VGA.cy) is None
 
 
 def test_depth_noise_is_what_the_setup_says() -> None:
     stage = RenderedInstant({Role.RECEIVER: T_W_B[Role.RECEIVER]})
-    exact = CameraRenderer(setup(depth=EXACT), 0).shoot(stage, Role.RECEIVER, 1).depth_mm.astype(float)
-    noisy = CameraRenderer(setup(depth=replace(EXACT, sigma_at_1m_m=0.02)), 0).shoot(stage, Role.RECEIVER, 1).depth_mm
+    exact = (
+        CameraRenderer(setup(depth=EXACT), 0).shoot(stage, Role.RECEIVER, 1).depth_mm.astype(float)
+    )
+    noisy = (
+        CameraRenderer(setup(depth=replace(EXACT, sigma_at_1m_m=0.02)), 0)
+        .shoot(stage, Role.RECEIVER, 1)
+        .depth_mm
+    )
     both = (exact > 0) & (noisy > 0) & (exact < 4000)
     assert np.std((noisy - exact)[both] / exact[both] ** 2 * 1e6) == pytest.approx(20.0, rel=0.05)
 

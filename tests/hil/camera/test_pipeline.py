@@ -98,7 +98,9 @@ def test_without_effects_the_image_is_the_light() -> None:
 
 
 def test_optics_and_noise_are_those_of_the_plain_camera() -> None:
-    """The pipeline, forced by a gamma that changes nothing visible, against the renderer's own exposure."""
+    """The pipeline, forced by a gamma that changes nothing visible, against the renderer's own
+    exposure.
+    """
     stage = RenderedInstant({Role.RECEIVER: T_W_B[Role.RECEIVER]})
     almost = replace(IDEAL, gamma=1.0 + 1e-9)
     assert not is_plain(almost)
@@ -115,7 +117,8 @@ def test_optics_and_noise_are_those_of_the_plain_camera() -> None:
     ]
     means = [stack.mean(axis=0) for stack in images]
     assert np.mean(means[0] - means[1]) == pytest.approx(0.0, abs=0.03)
-    assert np.std(means[0] - means[1]) < 2.2 * np.sqrt(2.0 / 3.0)  # sigma of a single image: 1.6 to 2.2
+    # sigma of a single image: 1.6 to 2.2
+    assert np.std(means[0] - means[1]) < 2.2 * np.sqrt(2.0 / 3.0)
     assert np.std(images[0] - means[0]) == pytest.approx(np.std(images[1] - means[1]), rel=0.03)
 
 
@@ -146,7 +149,9 @@ def test_motion_moves_nothing() -> None:
 def test_gamma_is_the_power_of_the_light() -> None:
     for level in (10.0, 26.0, 128.0, 228.0):
         expected = 255.0 * (level / 255.0) ** (1.0 / 2.2)
-        assert seen(flat(level), replace(QUIET, gamma=2.2)).mean() == pytest.approx(expected, abs=0.51)
+        assert seen(flat(level), replace(QUIET, gamma=2.2)).mean() == pytest.approx(
+            expected, abs=0.51
+        )
 
 
 def test_noise_comes_before_gamma() -> None:
@@ -165,7 +170,9 @@ def test_sharpening_overshoots_at_edges_by_what_the_blurs_differ(amount: float) 
     def blurred(values: Array, sigma: float) -> Array:
         at = np.arange(-12, 13)
         kernel = np.exp(-0.5 * (at / sigma) ** 2)
-        return np.asarray(np.convolve(np.pad(values, 12, mode="edge"), kernel / kernel.sum(), mode="valid"), float)
+        return np.asarray(
+            np.convolve(np.pad(values, 12, mode="edge"), kernel / kernel.sum(), mode="valid"), float
+        )
 
     sharp = blurred(step_edge()[1, 32].astype(float), 0.7)
     expected = sharp + amount * (sharp - blurred(sharp, 1.1))
@@ -194,7 +201,9 @@ def test_a_mosaic_keeps_colours_and_frays_their_edges() -> None:
 
 def test_a_mosaic_correlates_the_noise() -> None:
     def neighbours(mosaic: bool) -> float:
-        noise = seen(flat(120.0, 128), replace(QUIET, read_sigma=4.0, mosaic=mosaic))[..., 2] - 120.0
+        noise = (
+            seen(flat(120.0, 128), replace(QUIET, read_sigma=4.0, mosaic=mosaic))[..., 2] - 120.0
+        )
         return float(np.corrcoef(noise[:, 1:].ravel(), noise[:, :-1].ravel())[0, 1])
 
     assert abs(neighbours(False)) < 0.03
@@ -205,7 +214,9 @@ def test_jpeg_loses_more_the_harder_it_compresses() -> None:
     light = np.random.default_rng(1).integers(60, 200, (3, 64, 64), np.uint8)
     light = np.stack([cv2.GaussianBlur(plane, (0, 0), 2.0) for plane in light])
     plain = seen(light, QUIET)
-    losses = [np.abs(seen(light, replace(QUIET, jpeg_quality=q)) - plain).mean() for q in (98, 90, 50)]
+    losses = [
+        np.abs(seen(light, replace(QUIET, jpeg_quality=q)) - plain).mean() for q in (98, 90, 50)
+    ]
     assert 0.0 < losses[0] < losses[1] < losses[2] < 8.0
 
 
@@ -213,7 +224,9 @@ def scenery(shift: int = 0) -> NDArray[np.uint8]:
     """Blurred noise, (96, 128, 3), that moves ``shift`` px to the right."""
     wide = cv2.GaussianBlur(np.random.default_rng(2).uniform(0, 255, (96, 160)), (0, 0), 3.0)
     wide = 110.0 + 4.0 * (wide - wide.mean())
-    return np.repeat(np.clip(wide[:, 16 - shift : 144 - shift, None], 0, 255).astype(np.uint8), 3, axis=2)
+    return np.repeat(
+        np.clip(wide[:, 16 - shift : 144 - shift, None], 0, 255).astype(np.uint8), 3, axis=2
+    )
 
 
 def test_h264_gives_each_frame_of_a_stream_in_its_place() -> None:
@@ -256,7 +269,9 @@ def test_jpeg_and_h264_leave_grey_grey() -> None:
 @pytest.mark.parametrize("imaging", [REALISTIC, REALISTIC_VIDEO])
 def test_a_shot_of_the_realistic_camera_repeats_byte_for_byte(imaging: Imaging) -> None:
     setup = RendererSetup(VGA, mount(45.0), TAIL, single_marker(), imaging, PRINTED)
-    first, again = (CameraRenderer(setup, 1).shoot(RenderedInstant(T_W_B), Role.RECEIVER, 5) for _ in range(2))
+    first, again = (
+        CameraRenderer(setup, 1).shoot(RenderedInstant(T_W_B), Role.RECEIVER, 5) for _ in range(2)
+    )
     assert first.color.tobytes() == again.color.tobytes()
     other = CameraRenderer(setup, 1).shoot(RenderedInstant(T_W_B), Role.RECEIVER, 6)
     assert np.any(first.color != other.color)

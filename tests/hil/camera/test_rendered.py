@@ -1,4 +1,6 @@
-"""The rendered camera in virtual time: when frames come, that they are the world's, and that nobody's are not drawn."""
+"""The rendered camera in virtual time: when frames come, that they are the world's, and that
+nobody's are not drawn.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ STILL = (0.0, 0.0, 0.0)
 
 @dataclass
 class DrivingWorld:
-    """A car that drives east under the sender's camera at 0.5 m/s; ``looked`` are the instants it was looked at."""
+    """A car that drives east under the sender's camera at 0.5 m/s; ``looked`` are the instants it
+    was looked at.
+    """
 
     looked: list[float] = field(default_factory=list[float])
 
@@ -64,11 +68,14 @@ class LoopClock:
 
 def context(harness: object | None, role: Role = Role.SENDER) -> PartContext:
     mount = Mount(LEVEL, LEVEL)
-    return PartContext(role, LoopClock(), CAMERA, mount, single_marker(), Origin(0.0, 0.0, 0.0), harness)
+    return PartContext(
+        role, LoopClock(), CAMERA, mount, single_marker(), Origin(0.0, 0.0, 0.0), harness
+    )
 
 
 def with_camera(
-    program: Callable[[RenderedCamera, StubHarness], Awaitable[None]], config: RenderedCameraConfig | None = None
+    program: Callable[[RenderedCamera, StubHarness], Awaitable[None]],
+    config: RenderedCameraConfig | None = None,
 ) -> StubHarness:
     harness = StubHarness()
 
@@ -101,7 +108,8 @@ def test_frames_come_at_the_rate_with_stamps_of_their_capture(latency_s: float) 
 def test_the_picture_is_that_of_the_capture_not_of_the_delivery() -> None:
     async def program(camera: RenderedCamera, _: StubHarness) -> None:
         await asyncio.sleep(0.39)
-        frame = await camera.read(1.0)  # taken at 0.4 s: x = -0.2 m; there at 0.9 s, when the car is at 0.05 m
+        # taken at 0.4 s: x = -0.2 m; there at 0.9 s, when the car is at 0.05 m
+        frame = await camera.read(1.0)
         assert now() == pytest.approx(0.9)
         orange = np.argwhere((frame.color[:, :, 2] > 120) & (frame.color[:, :, 0] < 80))
         along = -0.2 * 90.0 / 1.4  # body x (FRD, level and heading east) is camera x here
@@ -119,7 +127,8 @@ def test_frames_nobody_reads_are_neither_taken_nor_drawn() -> None:
             await camera.read(1.0)
         await asyncio.sleep(10.0)
         frame = await camera.read(1.0)
-        assert now() - (frame.stamp_ns / 1e9 - 1.0) < 0.05  # not the one that lay there since 10 s ago
+        # not the one that lay there since 10 s ago
+        assert now() - (frame.stamp_ns / 1e9 - 1.0) < 0.05
 
     harness = with_camera(program, RenderedCameraConfig(rate_hz=50.0, latency_s=0.03))
     assert len(harness.world.looked) <= 12
@@ -129,7 +138,9 @@ def test_what_is_read_and_not_looked_at_is_not_drawn(monkeypatch: pytest.MonkeyP
     drawn: list[int] = []
     render = Renderer.render
 
-    def counted(renderer: Renderer, snapshot: Snapshot, role: Role, frame_seed: int, *more: Any) -> Images:
+    def counted(
+        renderer: Renderer, snapshot: Snapshot, role: Role, frame_seed: int, *more: Any
+    ) -> Images:
         drawn.append(frame_seed)
         return render(renderer, snapshot, role, frame_seed, *more)
 
@@ -166,7 +177,9 @@ def test_a_frozen_camera_is_an_error_after_the_bounded_wait() -> None:
         await camera.read(1.0)
         harness.frozen_cameras[Role.SENDER] = Freeze.SILENT
         start = now()
-        with pytest.raises(CameraError, match=r"no frame from the sender.s rendered camera for 0\.5 s"):
+        with pytest.raises(
+            CameraError, match=r"no frame from the sender.s rendered camera for 0\.5 s"
+        ):
             for _ in range(3):  # what was under way still comes
                 await camera.read(0.5)
         assert now() - start < 0.6
@@ -222,7 +235,10 @@ def test_a_measured_cameras_imaging_makes_the_image_and_leaves_the_depth() -> No
     assert plain.depth_mm.tobytes() == brighter.depth_mm.tobytes()
     assert brighter.color.shape == plain.color.shape
     assert float(np.mean(brighter.color)) > 1.2 * float(np.mean(plain.color))
-    assert brighter.color.tobytes() == frame(Imaging(gamma=2.2, sharpen=1.0, jpeg_quality=90)).color.tobytes()
+    assert (
+        brighter.color.tobytes()
+        == frame(Imaging(gamma=2.2, sharpen=1.0, jpeg_quality=90)).color.tobytes()
+    )
 
 
 def test_two_cameras_are_out_of_step_unless_told_otherwise() -> None:

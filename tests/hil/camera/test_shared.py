@@ -1,4 +1,6 @@
-"""Frames through shared memory: whole, newest first, bounded waits, and nothing left behind by who was killed."""
+"""Frames through shared memory: whole, newest first, bounded waits, and nothing left behind by who
+was killed.
+"""
 
 from __future__ import annotations
 
@@ -41,9 +43,13 @@ def reader(run: str, open_timeout_s: float = PATIENCE_S) -> SharedCameraReader:
     return SharedCameraReader(run, Role.RECEIVER, open_timeout_s)
 
 
-def write(world: SharedCameraWriter, value: int, stamp_ns: int = 0, size: tuple[int, int] = SIZE) -> None:
+def write(
+    world: SharedCameraWriter, value: int, stamp_ns: int = 0, size: tuple[int, int] = SIZE
+) -> None:
     color = np.full((size[1], size[0], 3), value % 251, np.uint8)
-    world.write(stamp_ns or time.monotonic_ns(), color, np.full(DEPTH_SIZE[::-1], value % 251, np.uint16))
+    world.write(
+        stamp_ns or time.monotonic_ns(), color, np.full(DEPTH_SIZE[::-1], value % 251, np.uint16)
+    )
 
 
 def write_all(world: SharedCameraWriter, values: Iterable[int]) -> None:
@@ -61,7 +67,11 @@ def value_of(frame: SharedFrame | None) -> int:
 
 def test_a_frame_comes_through_whole_with_its_stamp_and_sizes(run: str) -> None:
     with writer(run) as world, reader(run) as camera:
-        assert (camera.layout.color_size, camera.layout.depth_size, camera.layout.fps) == (SIZE, DEPTH_SIZE, FPS)
+        assert (camera.layout.color_size, camera.layout.depth_size, camera.layout.fps) == (
+            SIZE,
+            DEPTH_SIZE,
+            FPS,
+        )
         write(world, 42, stamp_ns=123_456)
         frame = camera.next(PATIENCE_S)
         assert frame is not None
@@ -123,7 +133,11 @@ def test_no_frame_is_torn_nor_out_of_order(run: str) -> None:
                 copy = frame.color.copy(), frame.depth_mm.copy()
                 if camera.is_whole(frame):
                     whole += 1
-                    assert {plane.min() for plane in copy} == {plane.max() for plane in copy} == {frame.number % 251}
+                    assert (
+                        {plane.min() for plane in copy}
+                        == {plane.max() for plane in copy}
+                        == {frame.number % 251}
+                    )
                 assert frame.number > last
                 last = frame.number
         finally:
@@ -132,7 +146,10 @@ def test_no_frame_is_torn_nor_out_of_order(run: str) -> None:
 
 
 def test_a_world_that_never_comes_is_an_error_after_a_bounded_wait(run: str) -> None:
-    with pytest.raises(CameraError, match="no camera frames are published"), reader(run, open_timeout_s=0.05):
+    with (
+        pytest.raises(CameraError, match="no camera frames are published"),
+        reader(run, open_timeout_s=0.05),
+    ):
         pass
 
 
@@ -168,7 +185,9 @@ sys.stdin.read()
 @contextlib.contextmanager
 def process(script: str, argument: str) -> Generator[subprocess.Popen[bytes]]:
     """A child that said it is up; it is killed in the end."""
-    child = subprocess.Popen([sys.executable, "-c", script, argument], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    child = subprocess.Popen(
+        [sys.executable, "-c", script, argument], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
     try:
         assert child.stdout is not None
         assert child.stdout.readline() == b"up\n"
@@ -199,10 +218,15 @@ def test_what_a_living_world_writes_is_not_taken_for_abandoned(run: str) -> None
 
 
 def test_a_killed_reader_leaves_nothing_that_bars_the_next(run: str) -> None:
-    socket_path = segment_path(run, Role.RECEIVER).with_name(f"{segment_path(run, Role.RECEIVER).name}.sock")
+    socket_path = segment_path(run, Role.RECEIVER).with_name(
+        f"{segment_path(run, Role.RECEIVER).name}.sock"
+    )
 
     with writer(run) as world:
-        with process(SOCKET, str(socket_path)), pytest.raises(CameraError, match="already has a reader"):
+        with (
+            process(SOCKET, str(socket_path)),
+            pytest.raises(CameraError, match="already has a reader"),
+        ):
             reader(run).__enter__()
         assert socket_path.exists()
         write(world, 1)

@@ -1,4 +1,6 @@
-"""The way of the world's pictures to the driver through pyrealsense2: frames, stamps, and a world that is gone."""
+"""The way of the world's pictures to the driver through pyrealsense2: frames, stamps, and a world
+that is gone.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +38,12 @@ def run() -> Iterator[str]:
 
 
 def driver(run: str, **options: Any) -> RealSense:
-    source = PartSpec("hil.camera.software_d415:SoftwareD415", {"run": run, **options}, "test: source")
-    return RealSense(RealSenseConfig(source=source, fps=FPS, depth_size=DEPTH_SIZE, silence_s=0.2), context())
+    source = PartSpec(
+        "hil.camera.software_d415:SoftwareD415", {"run": run, **options}, "test: source"
+    )
+    return RealSense(
+        RealSenseConfig(source=source, fps=FPS, depth_size=DEPTH_SIZE, silence_s=0.2), context()
+    )
 
 
 def world(run: str) -> SharedCameraWriter:
@@ -73,13 +79,17 @@ def test_frames_of_the_world_come_through_with_their_instants(run: str, clock: s
         assert set(frame.color.ravel().tolist()) == {77}
         assert np.abs(frame.depth_mm[20:-20, 20:-20].astype(int) - 1000).max() < 10
         # By the wall clock it is exact; by its own clock it is as late as the quickest arrival.
-        assert abs(frame.stamp_ns - stamp_ns) < (1_000_000 if clock == "global_time" else 100_000_000)
+        assert abs(frame.stamp_ns - stamp_ns) < (
+            1_000_000 if clock == "global_time" else 100_000_000
+        )
 
     asyncio.run(main())
 
 
 def test_no_frame_comes_before_it_is_read_out(run: str) -> None:
-    """A stamp that errs by 12 ms would else be of the future on a quick computer, and be refused."""
+    """A stamp that errs by 12 ms would else be of the future on a quick computer, and be
+    refused.
+    """
 
     async def main() -> None:
         with world(run) as writer:
@@ -122,7 +132,10 @@ def test_a_world_that_is_gone_is_said(run: str) -> None:
 def test_a_world_that_draws_another_size_is_refused(run: str) -> None:
     async def main() -> None:
         other = SharedCameraWriter(run, Role.SENDER, (64, 48), DEPTH_SIZE, FPS)
-        with other, pytest.raises(CameraError, match=r"is for 96x72 px but the world draws 64x48 px"):
+        with (
+            other,
+            pytest.raises(CameraError, match=r"is for 96x72 px but the world draws 64x48 px"),
+        ):
             await driver(run).__aenter__()
 
     asyncio.run(main())
@@ -141,6 +154,9 @@ def test_the_world_draws_what_the_driver_asks_for() -> None:
     rig = rig_library.load("sitl")
     assert (camera_config(rig, Role.SENDER).fps, depth_size(rig, Role.SENDER)) == (50, (640, 480))
     perception = rig.sender.perception
-    other = {**perception.options, "camera": {**perception.options["camera"], "depth_size": [320, 240]}}
+    other = {
+        **perception.options,
+        "camera": {**perception.options["camera"], "depth_size": [320, 240]},
+    }
     finer = replace(rig, sender=replace(rig.sender, perception=replace(perception, options=other)))
     assert depth_size(finer, Role.SENDER) == (320, 240)

@@ -1,8 +1,9 @@
-"""The measurement of ``hil.world.detector.MEASURED``: detectors on pictures of a followed target, against geometry.
+"""The measurement of ``hil.world.detector.MEASURED``: detectors on pictures of a followed target,
+against geometry.
 
-``python -m tests.hil.geometric.detector_films --model yolox_nano.onnx --kind person --scene hall`` prints a line of the
-table, and the noise of the boxes. Pictures are taken far apart, so that each counts; what is missed in one is followed
-back and on for as long as it is missed.
+``python -m tests.hil.geometric.detector_films --model yolox_nano.onnx --kind person --scene hall``
+prints a line of the table, and the noise of the boxes. Pictures are taken far apart, so that each
+counts; what is missed in one is followed back and on for as long as it is missed.
 """
 
 from __future__ import annotations
@@ -37,17 +38,34 @@ from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
 from path.observations import Box, around
-from tests.hil.geometric.noise_measurement import CAMERA, NED_TO_ENU, T_B_C, T_B_V, Array, edges_off, setup
+from tests.hil.geometric.noise_measurement import (
+    CAMERA,
+    NED_TO_ENU,
+    T_B_C,
+    T_B_V,
+    Array,
+    edges_off,
+    setup,
+)
 
-RATE_HZ, CAMERAS_HZ = 25.0, 50.0  # at which a spell is followed, and of the cameras in whose frames it is counted
-PLACES_M: dict[TargetKind, tuple[float, float]] = {"car": (1.55, 1.5), "person": (2.2, 3.5), "drone": (1.45, 2.2)}
-"""Behind the target and above the ground: as the rigs have D1. D2 is a quarter farther off and 0.5 m higher."""
+# at which a spell is followed, and of the cameras in whose frames it is counted
+RATE_HZ, CAMERAS_HZ = 25.0, 50.0
+PLACES_M: dict[TargetKind, tuple[float, float]] = {
+    "car": (1.55, 1.5),
+    "person": (2.2, 3.5),
+    "drone": (1.45, 2.2),
+}
+"""Behind the target and above the ground: as the rigs have D1. D2 is a quarter farther off and 0.5
+m higher.
+"""
 FOUND_IOU, NOTHING_IOU, IN_VIEW_SHARE = 0.4, 0.1, 0.5
 BORDER_PX = 1.0
 WHOLE_PX = 1300.0  # so far around a region the network sees: all of the image
-BEGINS_S, APART_S, STEP_S = 20.0, 2.3, 1e-3  # of the pictures of one walk; the last is for velocities
+# of the pictures of one walk; the last is for velocities
+BEGINS_S, APART_S, STEP_S = 20.0, 2.3, 1e-3
 PICTURES = 16  # of one walk and camera
-SIDES = 0.6180339887  # of a turn from one picture to the next: any number sees the target from all sides evenly
+# of a turn from one picture to the next: any number sees the target from all sides evenly
+SIDES = 0.6180339887
 FOLLOWED = 75  # a spell is followed for so many frames each way, at most
 FOLLOWED_EACH = 3  # one in so many pictures is followed, where the target is missed in it
 FAR_OFF_PX = 10.0  # an edge that is off by more is off for another reason than noise
@@ -61,8 +79,8 @@ class SeenTarget:
     Attributes:
         found: one of its boxes is the target's.
         inventions: boxes that are of nothing.
-        edges_px: left, top, right, bottom of that box against the visible outline; None: not found, in part hidden or
-            beside another one.
+        edges_px: left, top, right, bottom of that box against the visible outline; None: not found,
+            in part hidden or beside another one.
         height_px: of the visible outline.
         touches: another one in the image; ``joined``: that box is around both.
         spell: frames in a row in which it was missed, this one among them; 0: found.
@@ -84,16 +102,26 @@ def detector_of(kind: TargetKind, model: Path | None) -> Detector:
     if kind != "person":
         return ColorDetector(ColorDetectorConfig())
     assert model is not None, "people need a model: --model yolox_nano.onnx"
-    return YoloxDetector(YoloxDetectorConfig(model, ("person",), min_score=0.05, max_side_px=WHOLE_PX))
+    return YoloxDetector(
+        YoloxDetectorConfig(model, ("person",), min_score=0.05, max_side_px=WHOLE_PX)
+    )
 
 
 class Walk:
-    """A target that moves and two drones that follow it, swaying, from a side that every picture has anew."""
+    """A target that moves and two drones that follow it, swaying, from a side that every picture
+    has anew.
+    """
 
     def __init__(self, kind: TargetKind, seed: int) -> None:
-        alike = LookAlikeConfig(min_distance_m=1.8, max_distance_m=3.0) if kind == "person" else LookAlikeConfig()
+        alike = (
+            LookAlikeConfig(min_distance_m=1.8, max_distance_m=3.0)
+            if kind == "person"
+            else LookAlikeConfig()
+        )
         target = TargetConfig(kind=kind, start_time_s=0.0)
-        self._traffic = GroundVehicles(target, alike, [(0.0, 0.0), (1.5, -3.0)], np.random.SeedSequence(seed))
+        self._traffic = GroundVehicles(
+            target, alike, [(0.0, 0.0), (1.5, -3.0)], np.random.SeedSequence(seed)
+        )
         self._phase = np.random.default_rng(seed).uniform(0.0, 2.0 * math.pi, 8)
         self._kind: TargetKind = kind
         self._seed = seed
@@ -105,28 +133,53 @@ class Walk:
         first = behind + 2.0 * math.pi * ((self._seed * PICTURES + picture) * SIDES % 1.0)
         time_s, drones = begins_s + late_s, dict[Role, DroneTruth]()
         for i, role in enumerate(Role):
-            now, after = (self._hung(i, time_s + by_s, first + 0.1 * late_s + 0.6 * i) for by_s in (0.0, STEP_S))
+            now, after = (
+                self._hung(i, time_s + by_s, first + 0.1 * late_s + 0.6 * i)
+                for by_s in (0.0, STEP_S)
+            )
             vx, vy, vz = ((after.t - now.t) / STEP_S).tolist()
             wx, wy, wz = (log(now.R.T @ after.R) / STEP_S).tolist()
             drones[role] = DroneTruth(now, (vx, vy, vz), 7.0 * time_s % 6.0, True, (wx, wy, wz))
         return Snapshot(time_s, drones, self._traffic.at(time_s), kind=self._kind)
 
     def _hung(self, i: int, time_s: float, bearing: float) -> Pose:
-        (x, y, z), (behind_m, height_m) = self._traffic.at(time_s)[0].position_w_m, PLACES_M[self._kind]
-        back_m, up_m = behind_m * (1.0 + 0.25 * i), height_m + 0.5 * i + (z - 0.8 if self._kind == "drone" else z)
+        (x, y, z), (behind_m, height_m) = (
+            self._traffic.at(time_s)[0].position_w_m,
+            PLACES_M[self._kind],
+        )
+        back_m, up_m = (
+            behind_m * (1.0 + 0.25 * i),
+            height_m + 0.5 * i + (z - 0.8 if self._kind == "drone" else z),
+        )
         sway = 0.05 * np.sin(0.7 * time_s + self._phase[3 * i : 3 * i + 3])
-        place_w = np.array([x - back_m * math.sin(bearing), y - back_m * math.cos(bearing), up_m]) + sway
-        roll, pitch = 0.03 * math.sin(1.3 * time_s + self._phase[6 + i]), 0.03 * math.sin(1.7 * time_s + self._phase[i])
+        place_w = (
+            np.array([x - back_m * math.sin(bearing), y - back_m * math.cos(bearing), up_m]) + sway
+        )
+        roll, pitch = (
+            0.03 * math.sin(1.3 * time_s + self._phase[6 + i]),
+            0.03 * math.sin(1.7 * time_s + self._phase[i]),
+        )
         return Pose(NED_TO_ENU @ R_from_rpy(roll, pitch, bearing), place_w)
 
 
 class Watcher:
-    """One camera that flies, exposed and read out for as long as a careful crew's may be, and a detector behind it."""
+    """One camera that flies, exposed and read out for as long as a careful crew's may be, and a
+    detector behind it.
+    """
 
     def __init__(self, detector: Detector, role: Role, seed: int, scene: SceneName) -> None:
-        errors = draw_sensor(sizes_of("careful"), np.random.default_rng([seed, list(Role).index(role)]))
+        errors = draw_sensor(
+            sizes_of("careful"), np.random.default_rng([seed, list(Role).index(role)])
+        )
         self._renderer = Renderer(
-            CAMERA, T_B_C, T_B_V, single_marker(), seed=seed, scene=scene, imaging=IMAGING, shutter=shutter_of(errors)
+            CAMERA,
+            T_B_C,
+            T_B_V,
+            single_marker(),
+            seed=seed,
+            scene=scene,
+            imaging=IMAGING,
+            shutter=shutter_of(errors),
         )
         self._detector, self._role = detector, role
 
@@ -145,12 +198,18 @@ class Watcher:
         inventions = sum(all(iou(box, thing) < NOTHING_IOU for thing in things) for box in boxes)
         alone = found and seen[0, SHARE] >= 1.0 and beside < 0 and _inside(target)
         both = None if beside < 0 else around((target, things_by[beside]))
-        joined = both is not None and best is not None and iou(best, both) > max(iou(best, target), FOUND_IOU)
+        joined = (
+            both is not None
+            and best is not None
+            and iou(best, both) > max(iou(best, target), FOUND_IOU)
+        )
         edges = edges_off(best, target) if alone and best is not None else None
         return SeenTarget(found or joined, inventions, edges, target.h, beside >= 0, joined)
 
     def spell(self, walk: Walk, picture: int, way: int) -> int:
-        """The number of frames after one, or before it (``way`` -1), for which the target is missed on."""
+        """The number of frames after one, or before it (``way`` -1), for which the target is missed
+        on.
+        """
         for k in range(1, FOLLOWED + 1):
             seen = self.sees(walk.at(picture, way * k / RATE_HZ))
             if seen is None or seen.found:
@@ -185,8 +244,14 @@ class DetectorFigures:
 
     @property
     def spells(self) -> Array:
-        """Lengths in frames of the cameras of the spells that pictures fell into: the longer, the more fell into it."""
-        return np.array([picture.spell for picture in self.pictures if picture.spell]) * CAMERAS_HZ / RATE_HZ
+        """Lengths in frames of the cameras of the spells that pictures fell into: the longer, the
+        more fell into it.
+        """
+        return (
+            np.array([picture.spell for picture in self.pictures if picture.spell])
+            * CAMERAS_HZ
+            / RATE_HZ
+        )
 
     @property
     def mean_spell(self) -> float:
@@ -201,20 +266,29 @@ class DetectorFigures:
 
     @property
     def edges_px(self) -> Array:
-        """(n, 5): left, top, right and bottom edge of the boxes in full view, and the height of the outline."""
+        """(n, 5): left, top, right and bottom edge of the boxes in full view, and the height of the
+        outline.
+        """
         alone = [picture for picture in self.pictures if picture.edges_px is not None]
         return np.array([(*(each.edges_px or ()), each.height_px) for each in alone]).reshape(-1, 5)
 
     @property
     def joined(self) -> tuple[int, int]:
-        """The number of those that touched another one, and how many of them were one box with it."""
+        """The number of those that touched another one, and how many of them were one box with
+        it.
+        """
         touching = [picture for picture in self.pictures if picture.touches]
         return len(touching), sum(picture.joined for picture in touching)
 
 
 def _share(walks: Sequence[Sequence[bool]]) -> tuple[float, float]:
-    """The share of pictures that are so, and half of its 95 % interval: whole walks are what is independent."""
-    hits, counts = np.array([sum(walk) for walk in walks], float), np.array([len(walk) for walk in walks], float)
+    """The share of pictures that are so, and half of its 95 % interval: whole walks are what is
+    independent.
+    """
+    hits, counts = (
+        np.array([sum(walk) for walk in walks], float),
+        np.array([len(walk) for walk in walks], float),
+    )
     share = float(hits.sum() / counts.sum())
     spread = float(np.sum((hits - share * counts) ** 2)) * len(walks) / max(1, len(walks) - 1)
     return share, NORMAL_95 * math.sqrt(spread) / float(counts.sum())
@@ -226,8 +300,10 @@ class EdgeNoise:
 
     Attributes:
         bias_px: median; ``sigma_px``: half of the middle 68 %; both of boxes that leave out no top.
-        cut_rate, deep_cut_rate: share of boxes that leave out the top, by ``FAR_OFF_PX`` and by twice that.
-        far_rate: share of the others with an edge that is far off, by ``far_px`` (root mean square).
+        cut_rate, deep_cut_rate: share of boxes that leave out the top, by ``FAR_OFF_PX`` and by
+            twice that.
+        far_rate: share of the others with an edge that is far off, by ``far_px`` (root mean
+            square).
     """
 
     bias_px: Array
@@ -267,9 +343,16 @@ def measured(
             watcher = Watcher(detector, role, seed, scene)
             for number in range(pictures):
                 picture = watcher.sees(walk.at(number))
-                if picture is not None and not picture.found and follow and number % FOLLOWED_EACH == 0:
+                if (
+                    picture is not None
+                    and not picture.found
+                    and follow
+                    and number % FOLLOWED_EACH == 0
+                ):
                     left = 1 + watcher.spell(walk, number, 1)
-                    picture = replace(picture, left=left, spell=left + watcher.spell(walk, number, -1))
+                    picture = replace(
+                        picture, left=left, spell=left + watcher.spell(walk, number, -1)
+                    )
                 if picture is not None:
                     seen.append(picture)
         walks.append(seen)
@@ -287,20 +370,33 @@ def main() -> None:
     seeds = range(options.seed, options.seed + options.walks)
     kinds: tuple[TargetKind, ...] = (options.kind,) if options.kind else get_args(TargetKind)
     for kind, scene in product(kinds, (options.scene,) if options.scene else SCENES):
-        if (not options.scene and (kind, scene) not in MEASURED) or (kind == "person" and options.model is None):
+        if (not options.scene and (kind, scene) not in MEASURED) or (
+            kind == "person" and options.model is None
+        ):
             continue
-        print(f"{kind:7}{scene:12} {described(measured(kind, scene, seeds, options.model))}", flush=True)
+        print(
+            f"{kind:7}{scene:12} {described(measured(kind, scene, seeds, options.model))}",
+            flush=True,
+        )
 
 
 def described(figures: DetectorFigures) -> str:
     """A line of the table, spells by their lengths, and the boxes by size, in thirds."""
-    (recall, recall_95), (invented, invented_95), spells = figures.recall, figures.false_positives, figures.spells
+    (recall, recall_95), (invented, invented_95), spells = (
+        figures.recall,
+        figures.false_positives,
+        figures.spells,
+    )
     lines = [f"found {recall:.3f} +- {recall_95:.3f} of {len(figures.pictures)}"]
     lines[0] += f", invented in {invented:.4f} +- {invented_95:.4f}"
     if len(spells):
         p50, p90, p99 = np.percentile(spells, [50.0, 90.0, 99.0])
-        lines.append(f"a spell lasts {figures.mean_spell:.1f} frames, from a picture on {figures.mean_left:.1f}")
-        lines.append(f"{len(spells)} pictures fell into spells of median {p50:.0f}, 90 % {p90:.0f}, 99 % {p99:.0f}")
+        lines.append(
+            f"a spell lasts {figures.mean_spell:.1f} frames, from a picture on {figures.mean_left:.1f}"
+        )
+        lines.append(
+            f"{len(spells)} pictures fell into spells of median {p50:.0f}, 90 % {p90:.0f}, 99 % {p99:.0f}"
+        )
     lines.append("{} touched another one, {} of them in one box with it".format(*figures.joined))
     edges = figures.edges_px
     if len(edges):
@@ -308,9 +404,13 @@ def described(figures: DetectorFigures) -> str:
         for least, most in ((0.0, math.inf), (0.0, low), (low, high), (high, math.inf)):
             own = edges[(edges[:, 4] >= least) & (edges[:, 4] < most)]
             noise, heights = edge_noise(own[:, :4]), own[:, 4]
-            lines.append(f"outlines {heights.min():.0f} to {heights.max():.0f} px high, {len(own)}: edges ")
+            lines.append(
+                f"outlines {heights.min():.0f} to {heights.max():.0f} px high, {len(own)}: edges "
+            )
             lines[-1] += f"{noise.bias_px.round(1)} +- {noise.sigma_px.round(1)} px"
-            lines[-1] += f", top left out in {noise.cut_rate:.3f}, by twice that in {noise.deep_cut_rate:.3f}"
+            lines[-1] += (
+                f", top left out in {noise.cut_rate:.3f}, by twice that in {noise.deep_cut_rate:.3f}"
+            )
             lines[-1] += f", far off in {noise.far_rate:.3f} of the others by {noise.far_px:.1f} px"
     return "\n    ".join(lines)
 

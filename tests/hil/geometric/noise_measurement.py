@@ -1,7 +1,9 @@
-"""The measurement of the numbers in ``hil.geometric.noise``: the real perception on rendered frames, against geometry.
+"""The measurement of the numbers in ``hil.geometric.noise``: the real perception on rendered
+frames, against geometry.
 
-``collect`` asks a view of a scene what a mission would and compares it with the exact geometry. Done with rendered
-frames it gives what ``measure_noise`` fits; done with the geometric perception it shows whether that is as noisy.
+``collect`` asks a view of a scene what a mission would and compares it with the exact geometry.
+Done with rendered frames it gives what ``measure_noise`` fits; done with the geometric perception
+it shows whether that is as noisy.
 """
 
 from __future__ import annotations
@@ -36,12 +38,19 @@ from path.target.place import MEDIAN_TO_MEAN
 NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 SLANT = math.sqrt(0.5)
 CAMERA = CameraModel(640, 480, 615.2, 615.9, 322.1, 241.3, (0.112, -0.236, 0.0006, -0.0004, 0.095))
-T_B_C = Pose(np.array([[0.0, -SLANT, SLANT], [1.0, 0.0, 0.0], [0.0, SLANT, SLANT]]), np.array([0.10, 0.0, 0.02]))
-T_B_V = Pose(np.array([[0.0, SLANT, -SLANT], [1.0, 0.0, 0.0], [0.0, -SLANT, -SLANT]]), np.array([-0.18, 0.0, -0.06]))
+T_B_C = Pose(
+    np.array([[0.0, -SLANT, SLANT], [1.0, 0.0, 0.0], [0.0, SLANT, SLANT]]),
+    np.array([0.10, 0.0, 0.02]),
+)
+T_B_V = Pose(
+    np.array([[0.0, SLANT, -SLANT], [1.0, 0.0, 0.0], [0.0, -SLANT, -SLANT]]),
+    np.array([-0.18, 0.0, -0.06]),
+)
 SAME_IOU = 0.3
 SEARCH_PX = 12.0  # around a marker, as a mission searches for it
 MARGIN_PX = 2.0
-SURELY_FOUND_PX = 14.0  # a marker of this side that is not found is missed for another reason than its size
+# a marker of this side that is not found is missed for another reason than its size
+SURELY_FOUND_PX = 14.0
 
 
 def setup(role: Role) -> CameraSetup:
@@ -50,18 +59,27 @@ def setup(role: Role) -> CameraSetup:
 
 
 def scenes(seed: int, count: int, kind: TargetKind = "car") -> Iterator[Snapshot]:
-    """Moments of a mission: D1 behind and above the target, D2 at all distances that it looks at the marker from.
+    """Moments of a mission: D1 behind and above the target, D2 at all distances that it looks at
+    the marker from.
 
     What flies hangs as high as the rigs have it while it waits.
     """
     rng = np.random.default_rng(seed)
     low_m = 0.8 if kind == "drone" else 0.0
     for _ in range(count):
-        sender = _posed(rng, np.array([0.0, -1.55, 1.5 + low_m]) + rng.normal(0.0, 0.15, 3), rng.normal(0.0, 0.15))
+        sender = _posed(
+            rng,
+            np.array([0.0, -1.55, 1.5 + low_m]) + rng.normal(0.0, 0.15, 3),
+            rng.normal(0.0, 0.15),
+        )
         plate = sender @ T_B_V
         below, aside = math.radians(rng.uniform(28.0, 60.0)), rng.normal(0.0, 0.4)
-        back = np.array([math.cos(below) * math.sin(aside), -math.cos(below) * math.cos(aside), math.sin(below)])
-        receiver = _posed(rng, plate.t + rng.uniform(0.7, 2.9) * back, -aside + rng.normal(0.0, 0.15))
+        back = np.array(
+            [math.cos(below) * math.sin(aside), -math.cos(below) * math.cos(aside), math.sin(below)]
+        )
+        receiver = _posed(
+            rng, plate.t + rng.uniform(0.7, 2.9) * back, -aside + rng.normal(0.0, 0.15)
+        )
         first, radius = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(0.8, 1.5)
         around = [first + 2.0 * math.pi * k / 3 for k in range(3)]
         places = [(0.0, 0.0), *((radius * math.cos(a), radius * math.sin(a)) for a in around)]
@@ -72,7 +90,8 @@ def scenes(seed: int, count: int, kind: TargetKind = "car") -> Iterator[Snapshot
                 Role.RECEIVER: DroneTruth(receiver, (0.0, 0.0, 0.0), rng.uniform(0.0, 6.0), True),
             },
             tuple(
-                ObjectTruth(k, (e, n, low_m), rng.uniform(0.0, 2.0 * math.pi), 0.0) for k, (e, n) in enumerate(places)
+                ObjectTruth(k, (e, n, low_m), rng.uniform(0.0, 2.0 * math.pi), 0.0)
+                for k, (e, n) in enumerate(places)
             ),
             kind=kind,
         )
@@ -88,17 +107,27 @@ Perceive = Callable[[Snapshot, Role, int], View]
 
 def rendered(seed: int, method: MethodConfig | None = None) -> Perceive:
     """The whole perception on rendered frames."""
-    detector, method, layout = ColorDetector(ColorDetectorConfig()), method or MethodConfig(), single_marker()
-    renderers = {role: Renderer(CAMERA, T_B_C, T_B_V, layout, seed=seed, imaging=MEASURED) for role in Role}
+    detector, method, layout = (
+        ColorDetector(ColorDetectorConfig()),
+        method or MethodConfig(),
+        single_marker(),
+    )
+    renderers = {
+        role: Renderer(CAMERA, T_B_C, T_B_V, layout, seed=seed, imaging=MEASURED) for role in Role
+    }
 
     def perceive(snapshot: Snapshot, role: Role, frame_id: int) -> View:
         color, depth_mm = renderers[role].render(snapshot, role, frame_id)
-        return PixelView(Frame(frame_id, frame_id, color, depth_mm), CAMERA, layout, detector, method)
+        return PixelView(
+            Frame(frame_id, frame_id, color, depth_mm), CAMERA, layout, detector, method
+        )
 
     return perceive
 
 
-def geometric(seed: int, noise: ObservationNoise | None = None, method: MethodConfig | None = None) -> Perceive:
+def geometric(
+    seed: int, noise: ObservationNoise | None = None, method: MethodConfig | None = None
+) -> Perceive:
     """The geometric perception; with ``EXACT`` noise the truth."""
     noise, method = noise or ObservationNoise(), method or MethodConfig()
     sensors = {role: Sensor(setup(role), noise, method, seed) for role in Role}
@@ -114,14 +143,15 @@ class Residuals:
     """The errors of a perception against the truth; one entry an observation.
 
     Attributes:
-        edges_px: left, top, right, bottom of boxes of cars in full view; ``cars`` of them there were.
+        edges_px: left, top, right, bottom of boxes of cars in full view; ``cars`` of them there
+            were.
         scores: of these boxes.
-        sides_px, found, whole: shortest side of each marker in view, whether it was found, and whether it was searched
-            for in the whole image.
-        corners_px: (u, v) x 4 of those found in a region, ``corner_sides_px`` their sides, ``claimed_px`` the standard
-            deviation they claim.
-        depths: error over depth squared in 1/m; ``claimed_depths`` the standard deviation claimed, likewise;
-            ``no_depth`` counts boxes without any where there should be one.
+        sides_px, found, whole: shortest side of each marker in view, whether it was found, and
+            whether it was searched for in the whole image.
+        corners_px: (u, v) x 4 of those found in a region, ``corner_sides_px`` their sides,
+            ``claimed_px`` the standard deviation they claim.
+        depths: error over depth squared in 1/m; ``claimed_depths`` the standard deviation claimed,
+            likewise; ``no_depth`` counts boxes without any where there should be one.
     """
 
     edges_px: list[list[float]] = field(default_factory=list[list[float]])
@@ -162,7 +192,12 @@ def _in_full_view(snapshot: Snapshot, role: Role) -> list[Box]:
     boxes: list[Box] = []
     for row in outlines(camera, place(camera, snapshot)):
         x0, y0, x1, y1 = row[:4].tolist()
-        inside = x0 > MARGIN_PX and y0 > MARGIN_PX and x1 < CAMERA.width - MARGIN_PX and y1 < CAMERA.height - MARGIN_PX
+        inside = (
+            x0 > MARGIN_PX
+            and y0 > MARGIN_PX
+            and x1 < CAMERA.width - MARGIN_PX
+            and y1 < CAMERA.height - MARGIN_PX
+        )
         if row[SHARE] == 1.0 and row[CONTACT] == 0.0 and inside:
             boxes.append(Box(x0, y0, x1 - x0, y1 - y0))
     return boxes
@@ -201,7 +236,9 @@ def _collect_marker(residuals: Residuals, view: View, truth: MarkerDetection) ->
 
 
 def measure_noise(residuals: Residuals) -> ObservationNoise:
-    """The noise model's numbers from residuals; what they do not show (cars that touch or hide) stays as it is."""
+    """The noise model's numbers from residuals; what they do not show (cars that touch or hide)
+    stays as it is.
+    """
     default = ObservationNoise()
     edges, scores = np.array(residuals.edges_px), np.array(residuals.scores)
     bias, spread = np.median(edges, axis=0), float(_spread(edges).mean())
@@ -220,7 +257,11 @@ def measure_noise(residuals: Residuals) -> ObservationNoise:
         score_sigma=float(_spread(scores[~odd])),
         odd_rate=float(odd.mean()),
     )
-    side, found, whole = np.array(residuals.sides_px), np.array(residuals.found), np.array(residuals.whole)
+    side, found, whole = (
+        np.array(residuals.sides_px),
+        np.array(residuals.found),
+        np.array(residuals.whole),
+    )
     small = side < SURELY_FOUND_PX
     half, slope = _logistic(side[~whole & small], found[~whole & small])
     half_whole, _ = _logistic(side[whole & small], found[whole & small])
@@ -241,7 +282,8 @@ def measure_noise(residuals: Residuals) -> ObservationNoise:
         coarse_sigma_px=float(np.sqrt(np.mean(rms[coarse] ** 2))) if coarse.any() else 0.0,
     )
     pixel = default.depth_sigma_at_1m_m
-    alone = MEDIAN_TO_MEAN * pixel / DEPTH_CELLS  # residual of a pixel's noise over a box when none err together
+    # residual of a pixel's noise over a box when none err together
+    alone = MEDIAN_TO_MEAN * pixel / DEPTH_CELLS
     common = math.sqrt(max(0.0, float(_spread(np.array(residuals.depths))) ** 2 - alone**2))
     return ObservationNoise(targets, default.drones, default.people, marker, pixel, common)
 
@@ -253,7 +295,9 @@ def _spread(values: Array) -> Array:
 
 
 def _logistic(x: Array, hit: Array) -> tuple[float, float]:
-    """Returns where the chance of a hit is 1/2, and how fast its logit grows: maximum likelihood by Newton's method."""
+    """Returns where the chance of a hit is 1/2, and how fast its logit grows: maximum likelihood by
+    Newton's method.
+    """
     middle = float(x.mean())
     design, weights = np.stack((np.ones_like(x), x - middle), axis=1), np.zeros(2)
     for _ in range(25):
@@ -264,7 +308,9 @@ def _logistic(x: Array, hit: Array) -> tuple[float, float]:
 
 
 def _corner_law(side: Array, rms: Array) -> tuple[float, float, float]:
-    """sigma = hypot(a / side, b) and its log-normal spread, from the rms of eight coordinates each."""
+    """sigma = hypot(a / side, b) and its log-normal spread, from the rms of eight coordinates
+    each.
+    """
     typical = rms / 0.958  # median of the rms of eight normal numbers
     terms = np.stack((1.0 / side**2, np.ones_like(side)), axis=1)
     a2, b2 = float(np.median(typical[side < 15.0] * side[side < 15.0])) ** 2, 0.0

@@ -1,4 +1,6 @@
-"""The detectors of level ``sim`` against pictures of rendered frames, and the rules by which pictures are counted."""
+"""The detectors of level ``sim`` against pictures of rendered frames, and the rules by which
+pictures are counted.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ class Blind(Watcher):
         self._first, self._last = first, last
 
     def sees(self, moment: Snapshot) -> SeenTarget:
-        return SeenTarget(not self._first <= round((moment.time_s - BEGINS_S) * RATE_HZ) <= self._last)
+        return SeenTarget(
+            not self._first <= round((moment.time_s - BEGINS_S) * RATE_HZ) <= self._last
+        )
 
 
 def test_spells_are_counted_once_each_and_in_frames_of_the_cameras() -> None:

@@ -1,4 +1,6 @@
-"""The noise of level ``sim`` against that of the whole perception on rendered frames of the same scenes."""
+"""The noise of level ``sim`` against that of the whole perception on rendered frames of the same
+scenes.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,14 @@ import numpy as np
 import pytest
 
 from hil.geometric.noise import EXACT, ObservationNoise
-from tests.hil.geometric.noise_measurement import Residuals, collect, geometric, measure_noise, rendered, scenes
+from tests.hil.geometric.noise_measurement import (
+    Residuals,
+    collect,
+    geometric,
+    measure_noise,
+    rendered,
+    scenes,
+)
 
 SCENES = 90
 
@@ -42,7 +51,9 @@ def spread(values: np.ndarray) -> np.ndarray:
 def figures(residuals: Residuals) -> NoiseFigures:
     edges = np.array(residuals.edges_px)
     centers = 0.5 * (edges[:, :2] + edges[:, 2:])
-    scaled = np.sqrt(np.mean(np.array(residuals.corners_px) ** 2, axis=1)) * np.array(residuals.corner_sides_px)
+    scaled = np.sqrt(np.mean(np.array(residuals.corners_px) ** 2, axis=1)) * np.array(
+        residuals.corner_sides_px
+    )
     found, whole = np.array(residuals.found), np.array(residuals.whole)
     depths = np.array(residuals.depths)
     return NoiseFigures(
@@ -54,7 +65,9 @@ def figures(residuals: Residuals) -> NoiseFigures:
         score=float(np.median(residuals.scores)),
         corner_px=float(np.median(scaled)),
         corner_p95_px=float(np.percentile(scaled, 95.0)),
-        claimed=float(np.median(np.array(residuals.claimed_px) * np.array(residuals.corner_sides_px))),
+        claimed=float(
+            np.median(np.array(residuals.claimed_px) * np.array(residuals.corner_sides_px))
+        ),
         marker_rate=float(found[~whole].mean()),
         marker_rate_whole=float(found[whole].mean()),
         depth=float(spread(depths)),
@@ -88,7 +101,9 @@ def test_boxes_are_as_noisy_as_the_detector_s() -> None:
 
 
 def test_boxes_of_what_flies_are_as_noisy_as_the_detector_s() -> None:
-    sim, real = (collect(perceive, scenes(22, 45, "drone")) for perceive in (geometric(5), rendered(5)))
+    sim, real = (
+        collect(perceive, scenes(22, 45, "drone")) for perceive in (geometric(5), rendered(5))
+    )
     edges, seen = (np.array(residuals.edges_px) for residuals in (sim, real))
     assert np.abs(np.median(edges, axis=0) - np.median(seen, axis=0)).max() < 1.0
     assert alike(float(spread(edges).mean()), float(spread(seen).mean()), 1.5)
@@ -122,8 +137,12 @@ def test_what_is_measured_on_sim_is_what_sim_was_given() -> None:
     given = ObservationNoise()
     given = replace(
         given,
-        targets=given.targets._replace(edge_sigma_px=0.6, bias_top_px=1.0, outlier_rate=0.0, score=0.7, miss_rate=0.2),
-        marker=given.marker._replace(half_side_px=11.0, side_slope_per_px=1.0, corner_sigma_px2=1.0, coarse_rate=0.0),
+        targets=given.targets._replace(
+            edge_sigma_px=0.6, bias_top_px=1.0, outlier_rate=0.0, score=0.7, miss_rate=0.2
+        ),
+        marker=given.marker._replace(
+            half_side_px=11.0, side_slope_per_px=1.0, corner_sigma_px2=1.0, coarse_rate=0.0
+        ),
         depth_common_sigma_at_1m_m=0.004,
     )
     measured = measure_noise(collect(geometric(2, given), scenes(4, 500)))

@@ -1,4 +1,6 @@
-"""The geometric perception against the camera model and the renderer, and beside that on pixels as one contract."""
+"""The geometric perception against the camera model and the renderer, and beside that on pixels as
+one contract.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,13 @@ from drivers.rig.parts import Mount, Origin, PartContext
 from hil.camera.capture import Capture, Freeze
 from hil.geometric import targets as geometric_targets
 from hil.geometric.noise import EXACT, ObservationNoise
-from hil.geometric.perception import GeometricPerception, GeometricPerceptionConfig, GeometricView, Sensor, warm_up
+from hil.geometric.perception import (
+    GeometricPerception,
+    GeometricPerceptionConfig,
+    GeometricView,
+    Sensor,
+    warm_up,
+)
 from hil.geometric.scene import Array, CameraSetup, outlines, place
 from hil.render.renderer import Renderer
 from hil.render.scene import car
@@ -34,14 +42,24 @@ from path.target.place import registered_depth
 CAMERA = CameraModel(640, 480, 615.2, 615.9, 322.1, 241.3, (0.112, -0.236, 0.0006, -0.0004, 0.095))
 NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 SLANT = math.sqrt(0.5)
-T_B_C = Pose(np.array([[0.0, -SLANT, SLANT], [1.0, 0.0, 0.0], [0.0, SLANT, SLANT]]), np.array([0.10, 0.0, 0.02]))
-T_B_V = Pose(np.array([[0.0, SLANT, -SLANT], [1.0, 0.0, 0.0], [0.0, -SLANT, -SLANT]]), np.array([-0.18, 0.0, -0.06]))
+T_B_C = Pose(
+    np.array([[0.0, -SLANT, SLANT], [1.0, 0.0, 0.0], [0.0, SLANT, SLANT]]),
+    np.array([0.10, 0.0, 0.02]),
+)
+T_B_V = Pose(
+    np.array([[0.0, SLANT, -SLANT], [1.0, 0.0, 0.0], [0.0, -SLANT, -SLANT]]),
+    np.array([-0.18, 0.0, -0.06]),
+)
 LAYOUT = single_marker()
 
 
-def drone(east: float, north: float, up: float, heading_deg: float = 0.0, roll_deg: float = 0.0) -> DroneTruth:
+def drone(
+    east: float, north: float, up: float, heading_deg: float = 0.0, roll_deg: float = 0.0
+) -> DroneTruth:
     R_n_b = R_from_rpy(math.radians(roll_deg), 0.02, math.radians(heading_deg))
-    return DroneTruth(Pose(NED_TO_ENU @ R_n_b, np.array([east, north, up])), (0.0, 0.0, 0.0), 0.3, True)
+    return DroneTruth(
+        Pose(NED_TO_ENU @ R_n_b, np.array([east, north, up])), (0.0, 0.0, 0.0), 0.3, True
+    )
 
 
 SENDER = drone(0.0, -1.55, 1.5, 3.0, 2.0)
@@ -52,7 +70,9 @@ def thing(number: int, east: float, north: float, yaw_deg: float = 30.0) -> Obje
     return ObjectTruth(number, (east, north, 0.0), math.radians(yaw_deg), 0.0)
 
 
-def moment(*things: ObjectTruth, sender: DroneTruth = SENDER, receiver: DroneTruth = RECEIVER) -> Snapshot:
+def moment(
+    *things: ObjectTruth, sender: DroneTruth = SENDER, receiver: DroneTruth = RECEIVER
+) -> Snapshot:
     return Snapshot(0.0, {Role.SENDER: sender, Role.RECEIVER: receiver}, things)
 
 
@@ -88,9 +108,13 @@ def T_c_w(snapshot: Snapshot, role: Role) -> Pose:
 def bounds(snapshot: Snapshot, role: Role, thing: ObjectTruth) -> tuple[float, float, float, float]:
     """Box around the car's drawn corners, by the camera model."""
     rows = car().corners
-    corners = np.concatenate([rows[:, :3] + a * rows[:, 3:6] + b * rows[:, 6:] for a in (0, 1) for b in (0, 1)])
+    corners = np.concatenate(
+        [rows[:, :3] + a * rows[:, 3:6] + b * rows[:, 6:] for a in (0, 1) for b in (0, 1)]
+    )
     c, s = math.cos(thing.yaw_rad), math.sin(thing.yaw_rad)
-    world = corners @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + np.array(thing.position_w_m)
+    world = corners @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + np.array(
+        thing.position_w_m
+    )
     pixels = CAMERA.project(T_c_w(snapshot, role).apply(world))
     (x0, y0), (x1, y1) = pixels.min(axis=0), pixels.max(axis=0)
     return float(x0), float(y0), float(x1 - x0), float(y1 - y0)
@@ -113,7 +137,9 @@ def test_boxes_are_those_of_the_camera_model(role: Role) -> None:
     things = thing(0, 0.1, 0.0), thing(1, -0.6, 0.4, 110.0), thing(2, 0.7, 0.5, -60.0)
     snapshot = alone(moment(*things), role)
     found = [values(d.box) for d in look(snapshot, role).targets(None)]
-    assert sorted(found) == [pytest.approx(box, abs=1e-9) for box in sorted(bounds(snapshot, role, t) for t in things)]
+    assert sorted(found) == [
+        pytest.approx(box, abs=1e-9) for box in sorted(bounds(snapshot, role, t) for t in things)
+    ]
 
 
 def test_only_cars_centred_in_the_region_are_given_best_first() -> None:
@@ -122,7 +148,9 @@ def test_only_cars_centred_in_the_region_are_given_best_first() -> None:
     assert [d.score for d in everything] == sorted((d.score for d in everything), reverse=True)
     for detection in everything:
         u, v = detection.box.center
-        assert look(snapshot, noise=ObservationNoise()).targets(Region(u - 1, v - 1, u + 1, v + 1)) == [detection]
+        assert look(snapshot, noise=ObservationNoise()).targets(
+            Region(u - 1, v - 1, u + 1, v + 1)
+        ) == [detection]
 
 
 def test_what_the_border_cuts_ends_there_with_a_low_score() -> None:
@@ -142,7 +170,9 @@ def test_a_car_in_front_hides_part_of_the_one_behind() -> None:
     rear = boxes[round(far[1])]
     assert rear.y == pytest.approx(far[1])
     renderer = Renderer(CAMERA, T_B_C, T_B_V, LAYOUT, NOISE_FREE)
-    with_rear, without = (renderer.render(m, Role.SENDER, 0)[1].astype(int) for m in (both, moment(front)))
+    with_rear, without = (
+        renderer.render(m, Role.SENDER, 0)[1].astype(int) for m in (both, moment(front))
+    )
     lowest_row = np.flatnonzero((np.abs(with_rear - without) > 2).any(axis=1))[-1]
     assert lowest_row < far[1] + far[3] - 6.0
     assert rear.y + rear.h == pytest.approx(lowest_row, abs=7.0)
@@ -151,16 +181,24 @@ def test_a_car_in_front_hides_part_of_the_one_behind() -> None:
 def test_two_that_touch_in_the_image_may_be_taken_for_one() -> None:
     touching = moment(thing(0, 0.0, 0.0, 0.0), thing(1, 0.16, 0.235, 0.0))
     apart = moment(thing(0, 0.0, 0.0, 0.0), thing(1, 0.6, 0.3, 0.0))
-    counts = [len(look(touching, noise=ObservationNoise(), frame_id=k).targets(None)) for k in range(200)]
+    counts = [
+        len(look(touching, noise=ObservationNoise(), frame_id=k).targets(None)) for k in range(200)
+    ]
     assert {1, 2} == set(counts)
-    assert all(len(look(apart, noise=ObservationNoise(), frame_id=k).targets(None)) == 2 for k in range(200))
+    assert all(
+        len(look(apart, noise=ObservationNoise(), frame_id=k).targets(None)) == 2
+        for k in range(200)
+    )
 
 
 def test_boxes_leave_out_the_top_as_often_and_by_as_much_as_is_said() -> None:
     cut = EXACT.targets._replace(edge_sigma_px=1e-6, cut_rate=0.3, cut_px=20.0)
     snapshot = alone(moment(thing(0, 0.1, 0.0)), Role.SENDER)
     ((x, y, w, h),) = [values(d.box) for d in look(snapshot).targets(None)]
-    boxes = [look(snapshot, Role.SENDER, replace(EXACT, targets=cut), 10 * k).targets(None)[0].box for k in range(400)]
+    boxes = [
+        look(snapshot, Role.SENDER, replace(EXACT, targets=cut), 10 * k).targets(None)[0].box
+        for k in range(400)
+    ]
     assert all(values(b) == pytest.approx((x, b.y, w, y + h - b.y), abs=1e-4) for b in boxes)
     tops = np.array([b.y - y for b in boxes])
     assert np.mean(tops > 1e-3) == pytest.approx(0.3, abs=0.07)
@@ -173,7 +211,10 @@ def test_placed_later_is_the_world_carried_on(role: Role) -> None:
     drones = (replace(each, velocity_w_mps=(0.5, -0.3, 0.2)) for each in (SENDER, RECEIVER))
     then = moment(moving, thing(1, -0.9, 0.4), sender=next(drones), receiver=next(drones))
     setup = usual(role, EXACT, 1).setup
-    later, carried = outlines(setup, place(setup, then, 0.04)), outlines(setup, place(setup, then.carried_on(0.04)))
+    later, carried = (
+        outlines(setup, place(setup, then, 0.04)),
+        outlines(setup, place(setup, then.carried_on(0.04))),
+    )
     np.testing.assert_array_equal(later, carried)
     assert not np.array_equal(later, outlines(setup, place(setup, then)))
 
@@ -277,11 +318,20 @@ def test_a_marker_is_found_up_to_the_incidence_where_the_finder_gives_up() -> No
         direction = plate.R @ np.array([math.sin(angle), 0.0, math.cos(angle)])
         right = np.cross(-direction, [0.0, 0.0, 1.0])
         right /= np.linalg.norm(right)
-        T_w_c = Pose(np.column_stack((right, np.cross(-direction, right), -direction)), plate.t + 0.8 * direction)
+        T_w_c = Pose(
+            np.column_stack((right, np.cross(-direction, right), -direction)),
+            plate.t + 0.8 * direction,
+        )
         receiver = DroneTruth(T_w_c @ T_B_C.inverse(), (0.0, 0.0, 0.0), 0.0, True)
         return bool(look(moment(receiver=receiver), Role.RECEIVER).markers(None))
 
-    assert [found(angle) for angle in (0.0, 40.0, 75.0, 84.0, 89.0)] == [True, True, True, False, False]
+    assert [found(angle) for angle in (0.0, 40.0, 75.0, 84.0, 89.0)] == [
+        True,
+        True,
+        True,
+        False,
+        False,
+    ]
 
 
 def test_a_marker_behind_a_part_of_the_sender_is_not_found() -> None:
@@ -307,7 +357,9 @@ def test_small_markers_are_found_less_often_and_better_in_a_region() -> None:
         pixels = marker_pixels(moment(receiver=eye))
         (u0, v0), (u1, v1) = pixels.min(axis=0) - 12, pixels.max(axis=0) + 12
         region = None if whole else Region(u0, v0, u1, v1)
-        views = [look(moment(receiver=eye), Role.RECEIVER, ObservationNoise(), k) for k in range(100)]
+        views = [
+            look(moment(receiver=eye), Role.RECEIVER, ObservationNoise(), k) for k in range(100)
+        ]
         return sum(bool(view.markers(region)) for view in views) / 100
 
     rates = [rate(d, False) for d in (1.0, 2.9, 4.0)]
@@ -347,8 +399,14 @@ def test_a_question_does_not_change_the_answer_to_another() -> None:
 
 
 def test_what_goes_wrong_for_a_while_lasts_some_frames_at_its_rate() -> None:
-    noise = replace(EXACT, marker=EXACT.marker._replace(lapse_rate=0.3), targets=EXACT.targets._replace(odd_rate=0.3))
-    views = [look(moment(thing(0, 0.1, 0.0)), Role.RECEIVER, noise, frame_id=k) for k in range(3000)]
+    noise = replace(
+        EXACT,
+        marker=EXACT.marker._replace(lapse_rate=0.3),
+        targets=EXACT.targets._replace(odd_rate=0.3),
+    )
+    views = [
+        look(moment(thing(0, 0.1, 0.0)), Role.RECEIVER, noise, frame_id=k) for k in range(3000)
+    ]
     missed = np.array([not view.markers(None) for view in views])
     odd = np.array([view.targets(None)[0].score < 0.5 for view in views])
     for event in (missed, odd):
@@ -381,7 +439,9 @@ class LoopClock:
 
 def context(harness: object | None) -> PartContext:
     mount = Mount(T_B_C, T_B_V)
-    return PartContext(Role.SENDER, LoopClock(), CAMERA, mount, LAYOUT, Origin(0.0, 0.0, 0.0), harness)
+    return PartContext(
+        Role.SENDER, LoopClock(), CAMERA, mount, LAYOUT, Origin(0.0, 0.0, 0.0), harness
+    )
 
 
 def geometric_perception(harness: StubHarness) -> Perception:

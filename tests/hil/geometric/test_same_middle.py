@@ -1,4 +1,6 @@
-"""Two cameras that look at one body from different sides mean the same middle of it, whichever way it heads."""
+"""Two cameras that look at one body from different sides mean the same middle of it, whichever way
+it heads.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ NOWHERE = Pose(np.eye(3), np.zeros(3))
 
 
 def looking(at_m: float, azimuth_deg: float, away_m: float, up_m: float) -> Pose:
-    """``T_w_c`` of a camera that looks at a point above the origin, so far off and so high above that point."""
+    """``T_w_c`` of a camera that looks at a point above the origin, so far off and so high above
+    that point.
+    """
     c, s = math.cos(math.radians(azimuth_deg)), math.sin(math.radians(azimuth_deg))
     eye = np.array([away_m * c, away_m * s, at_m + up_m])
     ahead = np.array([-away_m * c, -away_m * s, -up_m]) / math.hypot(away_m, up_m)
@@ -44,7 +48,12 @@ def looking(at_m: float, azimuth_deg: float, away_m: float, up_m: float) -> Pose
     ],
 )
 def test_offsets_are_of_what_two_cameras_mean_not_of_where_they_look_from(
-    name: str, kind: TargetKind, middle_m: float, unstated_m: float, most_m: float, overlaps: tuple[float, float]
+    name: str,
+    kind: TargetKind,
+    middle_m: float,
+    unstated_m: float,
+    most_m: float,
+    overlaps: tuple[float, float],
 ) -> None:
     rig = rig_library.load_unchecked(name)
     method, mission = rig.method, rig.mission
@@ -52,7 +61,8 @@ def test_offsets_are_of_what_two_cameras_mean_not_of_where_they_look_from(
     height_m = float(mission.get("follow", {}).get("height_m", 1.5))
     cameras = rig.sender.camera, rig.receiver.camera
     setups = [
-        CameraSetup(role, camera, NOWHERE, NOWHERE, single_marker()) for role, camera in zip(Role, cameras, strict=True)
+        CameraSetup(role, camera, NOWHERE, NOWHERE, single_marker())
+        for role, camera in zip(Role, cameras, strict=True)
     ]
     depths = Sensor(setups[0], ObservationNoise(), method, 0).depth
     unstated = replace(method, evidence=replace(method.evidence, span_m=0.0))
@@ -63,7 +73,10 @@ def test_offsets_are_of_what_two_cameras_mean_not_of_where_they_look_from(
             looking(middle_m, 180.0, behind_m, height_m - middle_m),
             looking(middle_m, 180.0 + azimuth_deg, 1.9, 1.9),
         )
-        drones = {role: DroneTruth(pose, (0.0, 0.0, 0.0), 0.0, True) for role, pose in zip(Role, poses, strict=True)}
+        drones = {
+            role: DroneTruth(pose, (0.0, 0.0, 0.0), 0.0, True)
+            for role, pose in zip(Role, poses, strict=True)
+        }
         for heading in np.linspace(0.0, math.pi, 9).tolist():
             thing = ObjectTruth(0, (0.0, 0.0, middle_m if kind == "drone" else 0.0), heading, 0.0)
             snapshot = Snapshot(0.0, drones, (thing,), kind=kind)

@@ -1,4 +1,6 @@
-"""A detector's misses and inventions at level ``sim``: how many, for how long, and the same by seed."""
+"""A detector's misses and inventions at level ``sim``: how many, for how long, and the same by
+seed.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +66,9 @@ def test_an_invention_stays_where_it_is_for_its_spell() -> None:
 def view(frame: int, sensor: Sensor, detector: DetectorConfig) -> GeometricView:
     drones = {role: DroneTruth(DOWN, (0.0, 0.0, 0.0), 0.0, True) for role in Role}
     things = (ObjectTruth(0, (0.0, 0.0, 0.0), 0.0, 0.0), ObjectTruth(1, (0.6, 0.0, 0.0), 0.0, 0.0))
-    return GeometricView(Capture(frame, frame, Snapshot(0.0, drones, things, detector=detector)), sensor)
+    return GeometricView(
+        Capture(frame, frame, Snapshot(0.0, drones, things, detector=detector)), sensor
+    )
 
 
 def sensor() -> Sensor:

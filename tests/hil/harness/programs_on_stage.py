@@ -57,7 +57,9 @@ class Stage:
     rig: Any
     out: Path
     shown: list[Progress] = field(default_factory=list[Progress])
-    processes: list[asyncio.subprocess.Process] = field(default_factory=list[asyncio.subprocess.Process])
+    processes: list[asyncio.subprocess.Process] = field(
+        default_factory=list[asyncio.subprocess.Process]
+    )
     on_progress: Any = None
     ending: Any = None
     shares: Mapping[str, CpuShare] = field(default_factory=dict[str, CpuShare])
@@ -79,9 +81,13 @@ class Stage:
         self.processes.append(process)
         return process
 
-    def run_of(self, programs: Programs, faults: Sequence[str] = (), world: str = "") -> RealTimeRun:
+    def run_of(
+        self, programs: Programs, faults: Sequence[str] = (), world: str = ""
+    ) -> RealTimeRun:
         """``world`` writes down what it is told. A role's programs start one after another."""
-        left = {role: iter([own] if isinstance(own, str) else own) for role, own in programs.items()}
+        left = {
+            role: iter([own] if isinstance(own, str) else own) for role, own in programs.items()
+        }
 
         def python(program: str) -> Sequence[str]:
             return [sys.executable, "-I", "-S", "-c", program]
@@ -98,7 +104,11 @@ class Stage:
         return RealTimeRun(orders, sitl.ENDS, {LEG: [parse_fault(text) for text in faults]})
 
     def fly(
-        self, programs: Programs, faults: Sequence[str] = (), world: str = "", limit_s: float = 600.0
+        self,
+        programs: Programs,
+        faults: Sequence[str] = (),
+        world: str = "",
+        limit_s: float = 600.0,
     ) -> RealTimeRun:
         """One run to its end."""
         run = self.run_of(programs, faults, world)
@@ -107,13 +117,21 @@ class Stage:
         return run
 
     def told(self) -> list[Any]:
-        """Returns the faults that the world was told of: their names, of which drone, their values."""
+        """Returns the faults that the world was told of: their names, of which drone, their
+        values.
+        """
         told = [json.loads(line) for line in (self.out / "told").read_text().splitlines()]
-        return [(command["fault"], command["drone"], command["value"]) for command in told if "fault" in command]
+        return [
+            (command["fault"], command["drone"], command["value"])
+            for command in told
+            if "fault" in command
+        ]
 
 
 def results(run: RealTimeRun) -> dict[Role, RoleResult]:
-    return {Role(name): drone.result for name, drone in run.drones.items() if drone.result is not None}
+    return {
+        Role(name): drone.result for name, drone in run.drones.items() if drone.result is not None
+    }
 
 
 def gone(pid: int) -> bool:

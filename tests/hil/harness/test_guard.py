@@ -1,4 +1,6 @@
-"""The guard in virtual time: a killed program's vehicle comes down although the autopilot would fly on."""
+"""The guard in virtual time: a killed program's vehicle comes down although the autopilot would fly
+on.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def decisions(out: Path, role: str) -> list[tuple[float, str, str]]:
 def test_a_killed_program_s_vehicle_is_held_and_landed_by_its_guard(tmp_path: Path) -> None:
     rig = rig_library.load("sim")
     shown = list[str]()
-    facts = fly_once(rig, 3, ("no_failsafe", "kill_sender@acquire+1"), tmp_path, lambda p: shown.append(p.phase))
+    facts = fly_once(
+        rig, 3, ("no_failsafe", "kill_sender@acquire+1"), tmp_path, lambda p: shown.append(p.phase)
+    )
     assert facts.outcome == "crashed"
     assert facts.violations == {}
     assert "acquire" in shown
@@ -39,7 +43,11 @@ def test_a_killed_program_s_vehicle_is_held_and_landed_by_its_guard(tmp_path: Pa
         ("watching", "nothing"),
     ]
     world = list(read_log(tmp_path / "world.mcap"))
-    (killed_s,) = (r.stamp_ns * 1e-9 for r in world if r.topic == "/fault" and r.record["fault"] == "kill_sender")
+    (killed_s,) = (
+        r.stamp_ns * 1e-9
+        for r in world
+        if r.topic == "/fault" and r.record["fault"] == "kill_sender"
+    )
     modes = [
         (r.stamp_ns * 1e-9, r.record["mode"], r.record["armed"])
         for r in world
@@ -48,7 +56,10 @@ def test_a_killed_program_s_vehicle_is_held_and_landed_by_its_guard(tmp_path: Pa
     assert [mode for _, mode, _ in modes] == ["hold", "land", "hold"]
     assert modes[0][0] - killed_s < 0.6
     assert not modes[-1][2]
-    assert [stage for _, stage, _ in decisions(tmp_path, "receiver")] in ([], ["landing", "watching"])
+    assert [stage for _, stage, _ in decisions(tmp_path, "receiver")] in (
+        [],
+        ["landing", "watching"],
+    )
 
 
 @pytest.mark.parametrize("fault", ["stop_sender", "stop_receiver", "guard_death"])

@@ -49,9 +49,18 @@ def test_what_the_host_takes_is_the_most_of_one_core_at_once(tmp_path: Path) -> 
     stolen = StolenTime(tmp_path / "stat")
     seen: list[float] = []
     # on the ground 50, unwatched; then 3 and 4 together on one core, 5 on the other, 2 much later
-    for now_s, one, two in ((0.0, 7, 9), (2.0, 57, 9), (2.1, 60, 9), (2.15, 99, 9), (2.2, 64, 14), (3.0, 66, 14)):
+    for now_s, one, two in (
+        (0.0, 7, 9),
+        (2.0, 57, 9),
+        (2.1, 60, 9),
+        (2.15, 99, 9),
+        (2.2, 64, 14),
+        (3.0, 66, 14),
+    ):
         line = "cpu{} 5 5 5 5 5 5 5 {} 0 0\n"
-        (tmp_path / "stat").write_text(line.format("", one + two) + line.format(0, one) + line.format(1, two))
+        (tmp_path / "stat").write_text(
+            line.format("", one + two) + line.format(0, one) + line.format(1, two)
+        )
         stolen.watch(now_s)
         seen.append(round(stolen.longest_s / tick_s))
     assert seen == [0, 0, 3, 3, 7, 7]

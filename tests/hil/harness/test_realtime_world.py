@@ -57,7 +57,9 @@ def test_the_longest_time_between_two_steps_of_a_flight_is_kept(
     with (tmp_path / "orders").open() as orders:
         monkeypatch.setattr("sys.stdin", orders)
         world = Paced()
-    for k, (clock_s, in_air) in enumerate([(0.1, False), (3.0, False), (3.05, True), (5.25, True), (5.3, True)]):
+    for k, (clock_s, in_air) in enumerate(
+        [(0.1, False), (3.0, False), (3.05, True), (5.25, True), (5.3, True)]
+    ):
         world.clock_s, world.in_air = clock_s, in_air
         world.step(k)
     assert world.stood_s == pytest.approx(2.2, abs=0.02)  # not the 2.9 s on the ground

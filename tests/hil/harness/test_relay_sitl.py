@@ -1,4 +1,6 @@
-"""The world and the parent of a relay in real time: what is judged, in which order, and what is refused."""
+"""The world and the parent of a relay in real time: what is judged, in which order, and what is
+refused.
+"""
 
 from __future__ import annotations
 
@@ -71,15 +73,22 @@ def test_a_record_is_judged_by_the_truth_of_its_time() -> None:
     assert len(hindsight._truth) < 250
 
 
-def test_programs_that_take_their_frames_up_late_are_found_in_what_is_watched(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert "/frame" in WATCHED and "/frame" in OFTEN  # so that it reaches the world, and is in no log
+def test_programs_that_take_their_frames_up_late_are_found_in_what_is_watched(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # so that it reaches the world, and is in no log
+    assert "/frame" in WATCHED and "/frame" in OFTEN
     with Path(os.devnull).open() as nothing:
         monkeypatch.setattr(sys, "stdin", nothing)
         world = RelaySitlWorld(rig_library.load("team-sitl"), 0, "3", "2", "0.1")
     for number in range(60):
         for name, age_s in (("D1", 0.5), ("D2", 0.05)):
-            world.record(name, "/frame", number, {"number": number, "age_ns": round(age_s * 1e9), "bytes": 1})
-    assert world.findings()["overload"] == "D1's program: 60 of 60 frames were late, a tenth by 0.50 s"
+            world.record(
+                name, "/frame", number, {"number": number, "age_ns": round(age_s * 1e9), "bytes": 1}
+            )
+    assert (
+        world.findings()["overload"] == "D1's program: 60 of 60 frames were late, a tenth by 0.50 s"
+    )
 
 
 @pytest.mark.parametrize(("name", "explained"), [("D1", ["S8"]), ("D2", [])])
@@ -94,7 +103,13 @@ def test_a_gap_is_explained_by_what_its_own_drones_program_was_watched_to_say(
     session.note_gap(12.0, 12.244)
     world._world.switch_on("D1")
     world._world.drone("D1").autopilot.offboard_sessions.append(session)
-    late = {"since_ns": 230_000_000, "loop_ns": 190_000_000, "waited_ns": 180_000_000, "beside_ns": 0, "stolen_ns": 0}
+    late = {
+        "since_ns": 230_000_000,
+        "loop_ns": 190_000_000,
+        "waited_ns": 180_000_000,
+        "beside_ns": 0,
+        "stolen_ns": 0,
+    }
     world.record(name, "/late", 12_240_000_000, late)
     found = world.findings()
     assert (found["violations"], found["explained"]) == ({"S8": 1}, explained)
@@ -111,7 +126,12 @@ def test_each_drone_is_its_own_on_the_wire(rig: Rig) -> None:
         check_drones(rig, replace(config, drones=(first, replace(second, link=None))))
     assert first.link is not None
     with pytest.raises(RigError, match="is already used"):
-        check_drones(rig, replace(config, drones=(first, replace(second, link=replace(first.link, where="D2's")))))
+        check_drones(
+            rig,
+            replace(
+                config, drones=(first, replace(second, link=replace(first.link, where="D2's")))
+            ),
+        )
 
 
 def test_the_faults_of_a_leg_are_its_own_and_follow_its_roles() -> None:
@@ -121,7 +141,9 @@ def test_the_faults_of_a_leg_are_its_own_and_follow_its_roles() -> None:
         begun.append((leg, fault.name))
 
     texts = {0: ["link_loss=0.1"], 2: ["kill_receiver@approach", "kill_sender@released"]}
-    legs = LegFaults({leg: [parse_fault(text) for text in faults] for leg, faults in texts.items()}, inject)
+    legs = LegFaults(
+        {leg: [parse_fault(text) for text in faults] for leg, faults in texts.items()}, inject
+    )
 
     def says(name: str, role: Role, phase: str) -> None:
         legs.on_progress(name, Progress(role, 0, phase, 0, 30, None, None, None, 0.0, False, ""))
@@ -133,7 +155,11 @@ def test_the_faults_of_a_leg_are_its_own_and_follow_its_roles() -> None:
     says("D2", Role.RECEIVER, "approach")  # what it still was
     says("D1", Role.RECEIVER, "approach")  # not in this leg
     assert begun[1:] == [(2, "link_loss")]
-    assert legs.waits_for_duty("D2") and not legs.waits_for_duty("D3") and not legs.waits_for_duty("D1")
+    assert (
+        legs.waits_for_duty("D2")
+        and not legs.waits_for_duty("D3")
+        and not legs.waits_for_duty("D1")
+    )
     legs.on_duty("D2", "released")
     says("D3", Role.RECEIVER, "approach")
     assert begun[2:] == [(2, "kill_sender"), (2, "kill_receiver")]
@@ -156,7 +182,9 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def test_what_a_killed_program_did_not_finish_saying_is_not_passed_on(rig: Rig, tmp_path: Path) -> None:
+def test_what_a_killed_program_did_not_finish_saying_is_not_passed_on(
+    rig: Rig, tmp_path: Path
+) -> None:
     record = '{"event":"record","record":["D1","/phase",1,{"phase":"follow"}]}'
     said: list[Any] = []
     nothing: Any = None
@@ -170,7 +198,9 @@ def test_what_a_killed_program_did_not_finish_saying_is_not_passed_on(rig: Rig, 
     async def main() -> object:
         relay = RealTimeRun(orders_of(request), ("D1", "D2", "D3"), {})
         python = [sys.executable, "-I", "-S", "-c"]
-        relay.world = await spawn([*python, WRITES_DOWN.format(file=str(tmp_path / "told"))], tmp_path / "world.txt")
+        relay.world = await spawn(
+            [*python, WRITES_DOWN.format(file=str(tmp_path / "told"))], tmp_path / "world.txt"
+        )
         dies = DIES_IN_THE_MIDDLE.format(record=record, half=record[:40])
         program = await spawn([*python, dies], tmp_path / "D1.txt")
         await relay._listen(relay.drones["D1"], program)
@@ -184,7 +214,9 @@ def test_what_a_killed_program_did_not_finish_saying_is_not_passed_on(rig: Rig, 
 
 def test_a_run_without_findings_is_reported_too(rig: Rig, tmp_path: Path) -> None:
     nothing: Any = None
-    request = RelayRequest(rig, field_of(rig, 3, 0), tmp_path, 1, {}, nothing, nothing, NO_PROCESSES)
+    request = RelayRequest(
+        rig, field_of(rig, 3, 0), tmp_path, 1, {}, nothing, nothing, NO_PROCESSES
+    )
     run = RealTimeRun(orders_of(request), ("D1", "D2", "D3"), {})
     report = report_of(request, run, Ending({}, "the world's process ended", "", 3.0, 1.0))
     assert report.failure == "the world's process ended"
@@ -203,8 +235,12 @@ def test_the_parent_knows_a_record_from_other_lines(capsys: pytest.CaptureFixtur
     assert capsys.readouterr().out.encode().startswith(RECORD)
 
 
-def test_a_share_of_a_core_is_refused_by_a_relay_which_confines_nobody(rig: Rig, tmp_path: Path) -> None:
+def test_a_share_of_a_core_is_refused_by_a_relay_which_confines_nobody(
+    rig: Rig, tmp_path: Path
+) -> None:
     nothing: Any = None
-    request = RelayRequest(with_slow(rig, 0.2), field_of(rig, 3, 0), tmp_path, 1, {}, nothing, nothing, nothing)
+    request = RelayRequest(
+        with_slow(rig, 0.2), field_of(rig, 3, 0), tmp_path, 1, {}, nothing, nothing, nothing
+    )
     with pytest.raises(RigError, match="confines no program"):
         RelaySitl().fly(request)

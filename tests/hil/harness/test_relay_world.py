@@ -19,13 +19,17 @@ from missions.ground.team_config import team_of
 def world() -> RelayWorld:
     rig = rig_library.load("team-sim")
     team = team_of(rig, 4, 2)
-    made = RelayWorld(decode_table(rig.world, WorldConfig, rig.where("[world]")), 1, team.drones, team.targets)
+    made = RelayWorld(
+        decode_table(rig.world, WorldConfig, rig.where("[world]")), 1, team.drones, team.targets
+    )
     for name in made.names:
         made.switch_on(name)
     return made
 
 
-def test_a_covered_marker_is_the_sender_s_and_clear_again_in_the_next_leg(world: RelayWorld) -> None:
+def test_a_covered_marker_is_the_sender_s_and_clear_again_in_the_next_leg(
+    world: RelayWorld,
+) -> None:
     world.inject("marker_hidden", "D1", None, ("D1", "D2"))
     assert world.view("D2", "D1").marker_hidden
     assert not world.view("D4", "D3").marker_hidden  # another leg at the same time
@@ -35,7 +39,12 @@ def test_a_covered_marker_is_the_sender_s_and_clear_again_in_the_next_leg(world:
 
 def test_depth_holes_are_of_a_leg_s_two_cameras(world: RelayWorld) -> None:
     world.inject("depth_holes", "D1", None, ("D1", "D2"))
-    assert [world.view(name, None).depth_holes for name in world.names] == [True, True, False, False]
+    assert [world.view(name, None).depth_holes for name in world.names] == [
+        True,
+        True,
+        False,
+        False,
+    ]
     world.close_leg("D1", "D2")
     assert not any(world.view(name, None).depth_holes for name in world.names)
 
@@ -45,7 +54,9 @@ def test_drones_stand_where_a_crew_has_measured_and_not_quite(world: RelayWorld)
     offs = [
         part - said
         for drone in team.drones
-        for part, said in zip(world.drone(drone.name).true_position_n_m, reversed(drone.home_m), strict=False)
+        for part, said in zip(
+            world.drone(drone.name).true_position_n_m, reversed(drone.home_m), strict=False
+        )
     ]
     assert len(set(offs)) == 8 and 0.01 < math.sqrt(sum(off * off for off in offs) / 8) < 0.15
 

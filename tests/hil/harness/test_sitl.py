@@ -1,4 +1,6 @@
-"""The parent of a run in real time, with small programs in the places of the world and the roles."""
+"""The parent of a run in real time, with small programs in the places of the world and the
+roles.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,10 @@ from tests.hil.harness.programs_on_stage import (
 
 
 def test_results_are_collected_and_progress_shown_whatever_else_is_printed(stage: Stage) -> None:
-    programs = {role: saying("[Info] a library says hello", progress(role), "{}", result(role), "bye") for role in Role}
+    programs = {
+        role: saying("[Info] a library says hello", progress(role), "{}", result(role), "bye")
+        for role in Role
+    }
     run = stage.fly(programs)
     assert results(run) == {role: result(role) for role in Role}
     assert sorted(shown.role.value for shown in stage.shown) == ["receiver", "sender"]
@@ -49,7 +54,9 @@ def test_a_program_that_dies_has_no_result(stage: Stage) -> None:
     assert results(stage.fly(programs)) == {Role.SENDER: result(Role.SENDER)}
 
 
-def test_a_program_that_is_stopped_for_good_is_ended_at_last(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_program_that_is_stopped_for_good_is_ended_at_last(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(children, "STOPPED_S", 0.2)
     programs = {
         Role.SENDER: saying(progress(Role.SENDER, AT_COUNT), then="import time; time.sleep(600)"),
@@ -74,7 +81,9 @@ def test_a_program_that_begins_while_the_world_dies_has_ended_when_the_run_has(
     spawn, both_begin = children.spawn, stage.out / "both begin"
     dies = f"import os, time\nwhile not os.path.exists({str(both_begin)!r}): time.sleep(0.001)\nraise SystemExit(1)"
 
-    async def slowly(command: Sequence[str], errors: Path, run: str = "") -> asyncio.subprocess.Process:
+    async def slowly(
+        command: Sequence[str], errors: Path, run: str = ""
+    ) -> asyncio.subprocess.Process:
         made.append(child := await spawn(command, errors, run))
         if child is made[0]:
             return child
@@ -83,7 +92,8 @@ def test_a_program_that_begins_while_the_world_dies_has_ended_when_the_run_has(
         try:
             await asyncio.Event().wait()
         except asyncio.CancelledError:
-            for _ in range(1000 * (len(made) - 2) if child is made[-1] else 0):  # turns: it ends after the other one
+            # turns: it ends after the other one
+            for _ in range(1000 * (len(made) - 2) if child is made[-1] else 0):
                 await asyncio.sleep(0.0)
             child.kill()
             await child.wait()
@@ -161,14 +171,17 @@ def test_nothing_is_left_behind_not_even_a_child_of_a_child(stage: Stage) -> Non
     child = asyncio.run(main())
     assert all(process.returncode is not None for process in stage.processes)
     given_up_s = time.monotonic() + 60.0
-    while not gone(child) and time.monotonic() < given_up_s:  # whoever reaps it may be a busy process
+    # whoever reaps it may be a busy process
+    while not gone(child) and time.monotonic() < given_up_s:
         os.sched_yield()
     assert gone(child)
 
 
 def test_the_children_of_a_run_share_its_name(stage: Stage) -> None:
     async def main() -> bytes:
-        process = await stage.start("child", f"import os; print(os.environ[{children.RUN_VARIABLE!r}])")
+        process = await stage.start(
+            "child", f"import os; print(os.environ[{children.RUN_VARIABLE!r}])"
+        )
         output, _ = await process.communicate()
         await children.end(stage.processes)
         return output
@@ -181,7 +194,8 @@ def test_what_a_program_writes_to_stderr_is_kept(stage: Stage) -> None:
     assert (stage.out / "sender.stderr.txt").read_text() == "why"
 
 
-# --- wiring ------------------------------------------------------------------------------------------------------
+# --- wiring
+# ------------------------------------------------------------------------------------------------------
 
 
 def test_the_proxy_is_where_each_link_believes_the_other_drone_to_be(rig: Any) -> None:
@@ -206,7 +220,9 @@ assert "-{}\\n" in open("/proc/self/cgroup").read()
 """
 
 
-def test_each_roles_program_gets_a_group_of_its_own_also_when_it_is_started_again(stage: Stage) -> None:
+def test_each_roles_program_gets_a_group_of_its_own_also_when_it_is_started_again(
+    stage: Stage,
+) -> None:
     """It goes on only when it finds itself in it."""
     try:
         with CpuShare("test", 0.5):
@@ -216,8 +232,10 @@ def test_each_roles_program_gets_a_group_of_its_own_also_when_it_is_started_agai
     of_sender, of_receiver = (UNTIL_CONFINED.format(name) for name in sitl.ENDS)
     programs = {
         Role.SENDER: [
-            of_sender + saying(progress(Role.SENDER, AT_COUNT), then="import time; time.sleep(600)"),
-            of_sender + saying(progress(Role.SENDER, AT_COUNT), result(Role.SENDER, Outcome.RESTARTED)),
+            of_sender
+            + saying(progress(Role.SENDER, AT_COUNT), then="import time; time.sleep(600)"),
+            of_sender
+            + saying(progress(Role.SENDER, AT_COUNT), result(Role.SENDER, Outcome.RESTARTED)),
         ],
         Role.RECEIVER: of_receiver + saying(result(Role.RECEIVER)),
     }
@@ -233,7 +251,15 @@ def test_a_share_that_cannot_be_had_ends_before_anything_starts(
     rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("drivers.cpu_share.hierarchies", lambda: iter(()))
-    request = FlightRequest(with_slow(rig, 0.2), tmp_path, 1, (), None, lambda role: [], lambda _: None)  # type: ignore[arg-type]
+    request = FlightRequest(
+        with_slow(rig, 0.2),
+        tmp_path,
+        1,
+        (),
+        None,  # type: ignore[arg-type]
+        lambda role: [],
+        lambda _: None,
+    )
     with pytest.raises(PartError, match="control group"):
         sitl.SitlHarness().fly(request)
     assert not list(tmp_path.iterdir())

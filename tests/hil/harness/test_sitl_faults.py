@@ -70,7 +70,9 @@ def test_a_fault_that_is_due_while_its_program_is_being_started_strikes_once_it_
     """The other drone's count makes it due, and of this one's program nothing is known here yet."""
     begun: list[asyncio.subprocess.Process] = []
 
-    async def spawn(command: Sequence[str], errors: Path, run: str = "") -> asyncio.subprocess.Process:
+    async def spawn(
+        command: Sequence[str], errors: Path, run: str = ""
+    ) -> asyncio.subprocess.Process:
         process = await children.spawn(command, errors, run)
         if errors.name == "receiver.stderr.txt":
             begun.append(process)
@@ -83,7 +85,9 @@ def test_a_fault_that_is_due_while_its_program_is_being_started_strikes_once_it_
 
     monkeypatch.setattr("hil.harness.realtime.programs.spawn", spawn)
     waits = f"import os, time\nwhile not os.path.exists({str(stage.out / 'begins')!r}): time.sleep(0.001)\n"
-    receiver = saying(replace(progress(Role.RECEIVER), phase="waiting"), then="import time; time.sleep(600)")
+    receiver = saying(
+        replace(progress(Role.RECEIVER), phase="waiting"), then="import time; time.sleep(600)"
+    )
     programs = {
         Role.SENDER: waits + saying(progress(Role.SENDER, AT_COUNT), result(Role.SENDER)),
         Role.RECEIVER: [receiver] * (1 + again),
@@ -92,7 +96,9 @@ def test_a_fault_that_is_due_while_its_program_is_being_started_strikes_once_it_
     run = stage.fly(programs, faults, limit_s=60.0)
     assert set(results(run)) == {Role.SENDER}
     assert [process.returncode for process in begun] == [-signal.SIGKILL] * len(faults)
-    assert stage.told()[-1] == ("kill_receiver", "receiver", None) and len(stage.told()) == len(faults)
+    assert stage.told()[-1] == ("kill_receiver", "receiver", None) and len(stage.told()) == len(
+        faults
+    )
     assert run.missed == []
 
 
@@ -105,7 +111,8 @@ def test_a_fault_of_a_program_that_has_ended_is_told_as_missed_in_the_report(sta
     """
     writes = f"import os; open('{pid}.new', 'w').write(str(os.getpid())); os.rename('{pid}.new', {str(pid)!r})"
     programs = {
-        Role.SENDER: textwrap.dedent(waits) + saying(progress(Role.SENDER, AT_COUNT), result(Role.SENDER)),
+        Role.SENDER: textwrap.dedent(waits)
+        + saying(progress(Role.SENDER, AT_COUNT), result(Role.SENDER)),
         Role.RECEIVER: saying(result(Role.RECEIVER), then=writes),
     }
     run = stage.fly(programs, ["kill_receiver", "guard_death", "marker_hidden"])
@@ -120,9 +127,13 @@ def test_a_fault_of_a_program_that_has_ended_is_told_as_missed_in_the_report(sta
 def test_a_record_that_is_written_down_is_a_moment_too(
     stage: Stage, late_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is noticed on the disk: nobody but the file says so, and a quick program writes it before it is known here."""
+    """It is noticed on the disk: nobody but the file says so, and a quick program writes it before
+    it is known here.
+    """
 
-    async def spawn(command: Sequence[str], errors: Path, run: str = "") -> asyncio.subprocess.Process:
+    async def spawn(
+        command: Sequence[str], errors: Path, run: str = ""
+    ) -> asyncio.subprocess.Process:
         process = await children.spawn(command, errors, run)
         until_s = time.monotonic() + 30.0
         if late_s and errors.name == "receiver.stderr.txt":

@@ -31,7 +31,9 @@ def report(
     return sitl.report_of(stage.request, run, Ending(finished, failure, "", 50.0, 0.0))
 
 
-def log_responsibility(stage: Stage, role: Role, *changes: tuple[int, bool], ended: bool = True) -> None:
+def log_responsibility(
+    stage: Stage, role: Role, *changes: tuple[int, bool], ended: bool = True
+) -> None:
     with McapLog(new_part(stage.out, role.value)) as log:
         for stamp_ns, responsible in changes:
             log.write("/responsibility", stamp_ns, {"responsible": responsible, "until_ns": None})
@@ -83,10 +85,14 @@ def test_a_dead_program_is_named_with_its_last_words(stage: Stage) -> None:
     dead = report(stage, dead=[Role.RECEIVER])
     assert dead.results[Role.RECEIVER] is None
     (note,) = dead.notes
-    assert note.startswith("the receiver's program died") and note.endswith("ValueError: no such camera")
+    assert note.startswith("the receiver's program died") and note.endswith(
+        "ValueError: no such camera"
+    )
 
 
-def test_a_world_without_findings_is_a_failure(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_world_without_findings_is_a_failure(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(children, "FINDINGS_S", 0.2)
     stage.fly({role: saying(result(role)) for role in Role}, world="import sys; sys.stdin.read()")
     assert stage.ending.failure == "the world did not end"
@@ -113,13 +119,20 @@ def log_lateness(stage: Stage, role: Role, until_s: float, waited_s: float) -> N
         log.write("/outcome", stamp_ns + 1, {"outcome": "committed"})
 
 
-def test_a_gap_while_its_own_program_had_no_core_is_the_computers_and_is_told_with_that(stage: Stage) -> None:
+def test_a_gap_while_its_own_program_had_no_core_is_the_computers_and_is_told_with_that(
+    stage: Stage,
+) -> None:
     log_lateness(stage, Role.SENDER, 12.24, 0.18)
     late = report(stage, WITH_A_GAP)
     assert (late.violations, late.explained) == ({"S8": 1}, ("S8",))
-    assert late.overload == "sender's program had no core for 0.18 s of the 0.24 s without a setpoint at 12.00 s"
+    assert (
+        late.overload
+        == "sender's program had no core for 0.18 s of the 0.24 s without a setpoint at 12.00 s"
+    )
     said = "then its program's loop was 0.19 s late and had no core for 0.18 s, the world stood still for 0.40 s"
-    assert list(late.notes) == [f"S8 at 12.00 s: sender: 0.244 s between setpoints, until 12.24 s; {said}"]
+    assert list(late.notes) == [
+        f"S8 at 12.00 s: sender: 0.244 s between setpoints, until 12.24 s; {said}"
+    ]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,6 @@
-"""A program that stands still in virtual time: nothing of it runs, everybody else does, and nothing of it is lost."""
+"""A program that stands still in virtual time: nothing of it runs, everybody else does, and nothing
+of it is lost.
+"""
 
 from __future__ import annotations
 
@@ -88,7 +90,9 @@ def test_a_deadline_that_passed_in_a_stall_has_passed_when_the_program_goes_on()
     assert fly(main()) == pytest.approx(2.1)
 
 
-def test_a_second_stall_within_the_first_makes_it_longer_and_one_that_is_killed_waits_for_nothing() -> None:
+def test_a_second_stall_within_the_first_makes_it_longer_and_one_that_is_killed_waits_for_nothing() -> (
+    None
+):
     async def own() -> None:
         await asyncio.sleep(0.2)
 

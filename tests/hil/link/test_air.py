@@ -22,14 +22,22 @@ def test_packets_are_overheard_and_sent_with_the_peer_s_address() -> None:
         loop = asyncio.get_running_loop()
         with udp() as sender, udp() as receiver, udp() as stranger:
             listens = tuple(("127.0.0.1", port) for port in free_ports(2))
-            sides = ProxySide(listens[0], sender.getsockname()), ProxySide(listens[1], receiver.getsockname())
-            async with UdpFaultProxy(*sides, seed=1) as proxy, Air(proxy) as air, asyncio.timeout(60.0):
+            sides = (
+                ProxySide(listens[0], sender.getsockname()),
+                ProxySide(listens[1], receiver.getsockname()),
+            )
+            async with (
+                UdpFaultProxy(*sides, seed=1) as proxy,
+                Air(proxy) as air,
+                asyncio.timeout(60.0),
+            ):
                 where = ("127.0.0.1", air.port)
                 await loop.sock_sendto(sender, b"before", listens[0])
                 assert await loop.sock_recv(receiver, 100) == b"before"
                 await loop.sock_sendto(stranger, b"\1forged", where)
                 data, source = await loop.sock_recvfrom(receiver, 100)
-                assert (data, source) == (b"forged", listens[1])  # as if the proxy, so the peer, had sent it
+                # as if the proxy, so the peer, had sent it
+                assert (data, source) == (b"forged", listens[1])
                 await loop.sock_sendto(sender, b"true", listens[0])
                 assert await loop.sock_recv(stranger, 100) == b"\1true"
                 await loop.sock_sendto(stranger, b"", where)

@@ -13,7 +13,14 @@ from hypothesis import strategies as st
 from drivers.interfaces import Link, LinkError, Received
 from drivers.link.udp import UdpLink
 from hil.harness.virtual_time import run_virtual
-from hil.link.faulty import FaultyChannel, LinkFaults, MemoryHub, MemoryLink, ProxySide, UdpFaultProxy
+from hil.link.faulty import (
+    FaultyChannel,
+    LinkFaults,
+    MemoryHub,
+    MemoryLink,
+    ProxySide,
+    UdpFaultProxy,
+)
 from path.messages import Accept, Ping, Role
 from tests.drivers.link.link_ends import TARGET, introduce
 from tests.free_ports import free_port, free_ports
@@ -54,7 +61,9 @@ async def collect(link: Link, into: list[Received]) -> None:
         into.append(await link.receive())
 
 
-async def talk(faults: LinkFaults, seed: int = 1, messages: int = 400) -> tuple[list[Received], dict[str, int]]:
+async def talk(
+    faults: LinkFaults, seed: int = 1, messages: int = 400
+) -> tuple[list[Received], dict[str, int]]:
     """Pings at 100 Hz through the in-memory link: what came out, and what was dropped."""
     hub = MemoryHub(seed, CLEAN)
     sender, receiver = memory_pair(hub)
@@ -132,7 +141,9 @@ def test_damage_never_passes_for_a_message() -> None:
 
 
 def test_the_same_seed_gives_the_same_history() -> None:
-    faults = LinkFaults(loss=0.2, delay_s=0.01, jitter_s=0.03, duplicate=0.2, corrupt=0.2, reorder=0.2)
+    faults = LinkFaults(
+        loss=0.2, delay_s=0.01, jitter_s=0.03, duplicate=0.2, corrupt=0.2, reorder=0.2
+    )
     first, again, other = (run_virtual(talk(faults, seed)) for seed in (7, 7, 8))
     assert first == again
     assert first != other
@@ -158,7 +169,9 @@ def test_faults_may_change_and_a_role_may_fall_silent() -> None:
             sender.send(TARGET)
             receiver.send(Accept(1, 2, 3, 4, 6, 9))
             await asyncio.sleep(1.0)
-            assert receiver.counters.packets_received == sender.counters.packets_received == sent + 1
+            assert (
+                receiver.counters.packets_received == sender.counters.packets_received == sent + 1
+            )
 
     run_virtual(test())
 
@@ -184,7 +197,13 @@ def test_the_link_needs_a_harness_and_one_end_for_each_role() -> None:
 
 @pytest.mark.parametrize(
     "changes",
-    [{"loss": 1.1}, {"reorder": -0.1}, {"corrupt": float("nan")}, {"delay_s": -1.0}, {"jitter_s": float("inf")}],
+    [
+        {"loss": 1.1},
+        {"reorder": -0.1},
+        {"corrupt": float("nan")},
+        {"delay_s": -1.0},
+        {"jitter_s": float("inf")},
+    ],
 )
 def test_faults_that_cannot_be_are_refused(changes: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(changes))):
@@ -197,7 +216,9 @@ def test_faults_that_cannot_be_are_refused(changes: dict[str, float]) -> None:
     delay=st.floats(0.0, 1.0),
     jitter=st.floats(0.0, 1.0),
 )
-def test_no_packet_is_early_or_later_than_the_faults_allow(data: bytes, seed: int, delay: float, jitter: float) -> None:
+def test_no_packet_is_early_or_later_than_the_faults_allow(
+    data: bytes, seed: int, delay: float, jitter: float
+) -> None:
     channel = FaultyChannel(str(seed), LinkFaults(0.1, delay, jitter, 0.3, 0.3, 0.3))
     for k in range(20):
         for at_s, packet in channel.arrivals(data, float(k)):
@@ -228,7 +249,9 @@ def through_proxy() -> tuple[CountingProxy, UdpLink, UdpLink]:
     a, b, to_b, to_a = ((LOOPBACK, port) for port in free_ports(4))
     named = {end: f"{end[0]}:{end[1]}" for end in (a, b, to_b, to_a)}
     sender = UdpLink(UdpLink.Config(named[a], named[to_b]), UdpContext(Role.SENDER, RealClock()))
-    receiver = UdpLink(UdpLink.Config(named[b], named[to_a]), UdpContext(Role.RECEIVER, RealClock()))
+    receiver = UdpLink(
+        UdpLink.Config(named[b], named[to_a]), UdpContext(Role.RECEIVER, RealClock())
+    )
     return CountingProxy(ProxySide(to_b, a), ProxySide(to_a, b), seed=1), sender, receiver
 
 
@@ -290,7 +313,9 @@ def test_the_proxy_ignores_strangers_and_names_a_used_port() -> None:
             assert (await receiver.receive()).message == TARGET
             await until(lambda: proxy.seen == 2)
             assert receiver.counters.packets_received == 1
-            second = UdpFaultProxy(ProxySide((LOOPBACK, free_port()), ("127.0.0.1", 1)), proxy._sides[0], seed=1)
+            second = UdpFaultProxy(
+                ProxySide((LOOPBACK, free_port()), ("127.0.0.1", 1)), proxy._sides[0], seed=1
+            )
             with pytest.raises(LinkError, match=f"{listen[1]} is in use"):
                 await second.__aenter__()
             assert second._transports == []

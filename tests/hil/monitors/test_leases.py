@@ -1,4 +1,6 @@
-"""S2, S3, S4, L1 and L2 from scripted records: silent about what goes well, and each sees what it is there for."""
+"""S2, S3, S4, L1 and L2 from scripted records: silent about what goes well, and each sees what it
+is there for.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ D1, D2 = Role.SENDER, Role.RECEIVER
 
 
 class Story:
-    """Records of both roles, in the order of time. The agreement is left out: S5 is held elsewhere."""
+    """Records of both roles, in the order of time. The agreement is left out: S5 is held
+    elsewhere.
+    """
 
     def __init__(self) -> None:
         self.monitors = Monitors(MethodConfig(), 0.7)
@@ -24,7 +28,9 @@ class Story:
     def epoch(self, role: Role, at_s: float, epoch: int, duty: str) -> None:
         self.write(role, "/epoch", at_s, epoch=epoch, duty=duty)
 
-    def holds(self, role: Role, at_s: float, responsible: bool, until_s: float | None = None) -> None:
+    def holds(
+        self, role: Role, at_s: float, responsible: bool, until_s: float | None = None
+    ) -> None:
         until_ns = None if until_s is None else round(until_s * 1e9)
         self.write(role, "/responsibility", at_s, responsible=responsible, until_ns=until_ns)
 
@@ -174,7 +180,9 @@ def test_a_claim_that_outlasts_the_lease_is_seen_and_one_that_ran_out_is_none() 
 
 
 def test_what_was_written_down_in_time_and_told_after_a_stall_is_not_taken() -> None:
-    """A program that slept over its lease says what it wrote down when it goes on, and takes nothing."""
+    """A program that slept over its lease says what it wrote down when it goes on, and takes
+    nothing.
+    """
     story = begun()
     story.commit()
     story.take_back(2.6)

@@ -36,7 +36,15 @@ def pairs(number: int, first: int = 1, **changes: Any) -> Iterator[dict[str, Any
     """Agreeing pairs as the sender logs them."""
     for k in range(number):
         capture_ns = (first + k) * PERIOD_NS
-        record = {"agreed": True, "counted": True, "iou": 0.7, "tau": 0.3, "count": k + 1, "target_id": 1, "epoch": 1}
+        record = {
+            "agreed": True,
+            "counted": True,
+            "iou": 0.7,
+            "tau": 0.3,
+            "count": k + 1,
+            "target_id": 1,
+            "epoch": 1,
+        }
         yield {**record, "evidence": None, "capture_ns": capture_ns, **changes}
 
 
@@ -49,10 +57,17 @@ def commit(monitors: Monitors, target_id: int = 1) -> None:
     give(monitors, 10 * PERIOD_NS, target_id=target_id)
 
 
-def give(monitors: Monitors, stamp_ns: int, epoch: int = 1, target_id: int = 1, **changes: Any) -> None:
+def give(
+    monitors: Monitors, stamp_ns: int, epoch: int = 1, target_id: int = 1, **changes: Any
+) -> None:
     """Release and COMMIT, as the sender logs them."""
     monitors.on_record(Role.SENDER, "/epoch", stamp_ns, {"epoch": epoch, "duty": "released"})
-    record = {"target_id": target_id, "epoch": epoch, "nonce": 7, "lease_end_ns": stamp_ns + 1_500_000_000}
+    record = {
+        "target_id": target_id,
+        "epoch": epoch,
+        "nonce": 7,
+        "lease_end_ns": stamp_ns + 1_500_000_000,
+    }
     monitors.on_record(Role.SENDER, "/commit", stamp_ns, {**record, **changes})
 
 
@@ -77,7 +92,8 @@ def test_a_good_run_violates_nothing(monitors: Monitors) -> None:
     assert monitors.closest_m == pytest.approx(1.1, abs=0.01)
 
 
-# --- S1 ------------------------------------------------------------------------------------------------------------
+# --- S1
+# ------------------------------------------------------------------------------------------------------------
 
 
 def test_s1_two_responsible_drones(monitors: Monitors) -> None:
@@ -95,7 +111,8 @@ def test_s1_nobody_is_no_violation(monitors: Monitors) -> None:
     assert not monitors.violations
 
 
-# --- S5 ------------------------------------------------------------------------------------------------------------
+# --- S5
+# ------------------------------------------------------------------------------------------------------------
 
 
 def test_s5_a_commit_without_enough_pairs(monitors: Monitors) -> None:
@@ -124,8 +141,12 @@ def test_s5_a_commit_out_of_nothing(monitors: Monitors) -> None:
     assert dict(monitors.violations) == {"S5": 1}
 
 
-@pytest.mark.parametrize("changes", [{"agreed": False, "reason": "low_iou", "iou": 0.1, "tau": None, "count": 0}])
-def test_s5_a_miss_in_between_restarts_the_count(monitors: Monitors, changes: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    "changes", [{"agreed": False, "reason": "low_iou", "iou": 0.1, "tau": None, "count": 0}]
+)
+def test_s5_a_miss_in_between_restarts_the_count(
+    monitors: Monitors, changes: dict[str, Any]
+) -> None:
     first, missed, rest = pairs(3), next(pairs(1, 4, **changes)), pairs(4, 5)
     judge(monitors, *first, missed, *rest)
     assert not monitors.violations
@@ -141,7 +162,8 @@ def test_s5_what_is_no_evidence_does_not_restart_it(monitors: Monitors) -> None:
     assert not monitors.violations
 
 
-# --- S6 ------------------------------------------------------------------------------------------------------------
+# --- S6
+# ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -174,9 +196,13 @@ def test_s6_a_role_that_counts_more_than_there_was(monitors: Monitors) -> None:
 
 
 @pytest.mark.parametrize(
-    ("later", "first"), [({"count": 4}, 7), ({"count": 4, "target_id": 2}, 4)], ids=["a gap", "another target"]
+    ("later", "first"),
+    [({"count": 4}, 7), ({"count": 4, "target_id": 2}, 4)],
+    ids=["a gap", "another target"],
 )
-def test_s6_a_count_that_should_have_begun_again(monitors: Monitors, later: dict[str, Any], first: int) -> None:
+def test_s6_a_count_that_should_have_begun_again(
+    monitors: Monitors, later: dict[str, Any], first: int
+) -> None:
     judge(monitors, *pairs(3), *pairs(1, first, **later))
     assert dict(monitors.violations) == {"S6": 1}
     assert "the monitor 1" in monitors.details[0]
@@ -188,10 +214,13 @@ def test_a_count_that_begins_again_after_a_gap_is_right(monitors: Monitors) -> N
     assert not monitors.violations
 
 
-# --- the gate "evidence" ----------------------------------------------------------------------------------------------
+# --- the gate "evidence"
+# ----------------------------------------------------------------------------------------------
 
 EVIDENCE = MethodConfig(gate="evidence")
-PATIENT = MethodConfig(gate="evidence", evidence=EvidenceConfig(patient_block_s=1.0, patient_strength=0.1))
+PATIENT = MethodConfig(
+    gate="evidence", evidence=EvidenceConfig(patient_block_s=1.0, patient_strength=0.1)
+)
 BLOCK = 20  # pairs at 50 Hz
 
 
@@ -213,8 +242,19 @@ class Stream:
         refusal = self.gate.agree(pair, iou, 0.4)
         evidence = self.gate.evidence.reached if self.gate.evidence else None
         counted = refusal in (None, MissReason.AMBIGUOUS_TARGET)
-        record = {"agreed": refusal is None and iou >= 0.4, "counted": counted, "iou": iou, "tau": 0.4, "target_id": 1}
-        record |= {"count": self.gate.count, "evidence": evidence, "epoch": self.epoch, "capture_ns": capture_ns}
+        record = {
+            "agreed": refusal is None and iou >= 0.4,
+            "counted": counted,
+            "iou": iou,
+            "tau": 0.4,
+            "target_id": 1,
+        }
+        record |= {
+            "count": self.gate.count,
+            "evidence": evidence,
+            "epoch": self.epoch,
+            "capture_ns": capture_ns,
+        }
         record |= {"offset_m": self.offsets.target_m, "rival_offset_m": nearest_rival(self.offsets)}
         record |= {"oversize": self.oversize, "placed_iou": self.placed_iou}
         judge(self.monitors, {**record, **changes})
@@ -235,7 +275,9 @@ def test_evidence_enough_for_a_commit_is_enough_for_the_monitors() -> None:
     assert stream.commit() == {}
 
 
-@pytest.mark.parametrize(("iou", "placed_iou", "passes"), [(0.5, 0.8, True), (0.8, 0.5, False), (0.8, 0.3, False)])
+@pytest.mark.parametrize(
+    ("iou", "placed_iou", "passes"), [(0.5, 0.8, True), (0.8, 0.5, False), (0.8, 0.3, False)]
+)
 def test_blocks_are_as_strong_as_the_overlap_of_placed_boxes_for_gate_and_monitors(
     iou: float, placed_iou: float, passes: bool
 ) -> None:
@@ -288,9 +330,16 @@ def test_s6_a_box_too_large_for_the_target_that_counts() -> None:
 
 @pytest.mark.parametrize(("more", "violated"), [(1, {}), (0, {"S5": 1})])
 def test_s5_is_as_patient_as_the_gate(more: int, violated: dict[str, int]) -> None:
-    """Weak blocks all the time: nothing by the short ones, enough by the long ones, and not a pair sooner."""
-    stream, (_, patient) = Stream(Monitors(PATIENT, 0.7), make_gate(PATIENT)), PATIENT.evidence.paces
-    blocks = next(n for n in range(1, 100) if evidence_of(n, patient) >= evidence_needed(1, patient))
+    """Weak blocks all the time: nothing by the short ones, enough by the long ones, and not a pair
+    sooner.
+    """
+    stream, (_, patient) = (
+        Stream(Monitors(PATIENT, 0.7), make_gate(PATIENT)),
+        PATIENT.evidence.paces,
+    )
+    blocks = next(
+        n for n in range(1, 100) if evidence_of(n, patient) >= evidence_needed(1, patient)
+    )
     stream.pairs(0, 50 * blocks + more, 0.5)
     assert stream.gate.complete == (not violated)
     assert stream.commit() == violated
@@ -353,11 +402,20 @@ def test_s6_a_role_that_claims_more_evidence_than_there_is() -> None:
     assert "the role has evidence 4.40, the monitor 2.44" in stream.monitors.details[0]
 
 
-@given(st.lists(st.tuples(st.sampled_from("aaaaaaaaawmsg"), st.integers(1, 50), st.floats(0.4, 1.0)), max_size=12))
+@given(
+    st.lists(
+        st.tuples(st.sampled_from("aaaaaaaaawmsg"), st.integers(1, 50), st.floats(0.4, 1.0)),
+        max_size=12,
+    )
+)
 @settings(max_examples=100)
 @pytest.mark.parametrize("method", [EVIDENCE, PATIENT])
-def test_gate_and_monitors_never_differ(method: MethodConfig, script: list[tuple[str, int, float]]) -> None:
-    """Whatever comes in, in whatever order: what the gate completes is full for the monitors, and nothing else."""
+def test_gate_and_monitors_never_differ(
+    method: MethodConfig, script: list[tuple[str, int, float]]
+) -> None:
+    """Whatever comes in, in whatever order: what the gate completes is full for the monitors, and
+    nothing else.
+    """
     stream, index = Stream(Monitors(method, 0.7), make_gate(method)), 0
     for kind, length, iou in script:
         if kind in "aw":
@@ -369,7 +427,10 @@ def test_gate_and_monitors_never_differ(method: MethodConfig, script: list[tuple
         elif kind == "m":
             index += 1
             stream.gate.disagree(index, index * 20_000_000)
-            judge(stream.monitors, next(pairs(1, agreed=False, tau=None, capture_ns=index * 20_000_000)))
+            judge(
+                stream.monitors,
+                next(pairs(1, agreed=False, tau=None, capture_ns=index * 20_000_000)),
+            )
         elif kind == "s":
             index += 1
             stream.gate.restart(index * 20_000_000)
@@ -378,7 +439,8 @@ def test_gate_and_monitors_never_differ(method: MethodConfig, script: list[tuple
     assert not stream.monitors.violations
 
 
-# --- S8 ------------------------------------------------------------------------------------------------------------
+# --- S8
+# ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -397,7 +459,10 @@ def test_s8_setpoint_gaps(
     monitors: Monitors, gap_s: float, ended_by: FlightMode | None, cut_off: bool, violated: bool
 ) -> None:
     end_s = None if ended_by is None else 9.0
-    sessions = [OffboardSession(1.0, 0.05, 2.0, FlightMode.LAND), OffboardSession(3.0, 0.0, end_s, ended_by)]
+    sessions = [
+        OffboardSession(1.0, 0.05, 2.0, FlightMode.LAND),
+        OffboardSession(3.0, 0.0, end_s, ended_by),
+    ]
     sessions[1].note_gap(4.0, 4.0 + gap_s)
     monitors.on_offboard(Role.RECEIVER, sessions, [8.0] if cut_off else [])
     assert dict(monitors.violations) == ({"S8": 1} if violated else {})
@@ -417,7 +482,8 @@ def test_s8_is_told_with_the_gaps_own_time_and_each_gap_counts(monitors: Monitor
     assert [(gap.who, gap.from_s) for gap in monitors.gaps] == [("sender", 12.0), ("sender", 31.5)]
 
 
-# --- S9 ------------------------------------------------------------------------------------------------------------
+# --- S9
+# ------------------------------------------------------------------------------------------------------------
 
 
 def test_s9_each_excursion_counts_once(monitors: Monitors) -> None:
@@ -441,7 +507,8 @@ def test_s9_is_about_flight(monitors: Monitors) -> None:
     assert monitors.closest_m == math.inf
 
 
-# --- the watched log -----------------------------------------------------------------------------------------------
+# --- the watched log
+# -----------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -455,7 +522,9 @@ class ListLog:
         self.records.append((topic, stamp_ns, image))
 
 
-def test_a_watched_log_passes_everything_on_and_tells_the_monitors_world_time(monitors: Monitors) -> None:
+def test_a_watched_log_passes_everything_on_and_tells_the_monitors_world_time(
+    monitors: Monitors,
+) -> None:
     log = ListLog()
     responsible(monitors, Role.RECEIVER, True)
     watched = WatchedLog(log, Role.SENDER, monitors.on_record, offset_ns=4_000_000_000)
@@ -466,7 +535,9 @@ def test_a_watched_log_passes_everything_on_and_tells_the_monitors_world_time(mo
     assert monitors.details == ["S1 at 2.50 s: two responsible drones"]
 
 
-def test_bounds_in_time_of_programs_that_run_do_not_bind_one_that_is_made_to_stand_still(monitors: Monitors) -> None:
+def test_bounds_in_time_of_programs_that_run_do_not_bind_one_that_is_made_to_stand_still(
+    monitors: Monitors,
+) -> None:
     """Whoever is responsible, and until when, is not excused."""
     monitors.stalls = True
     for name in ("S7", "L1", "L2", "S1"):
@@ -488,7 +559,8 @@ def test_what_was_promised_of_records_is_not_after_a_disk_has_lost_one(monitors:
     assert monitors.broken == ("disk",)
 
 
-# --- the gate "likelihood" --------------------------------------------------------------------------------------------
+# --- the gate "likelihood"
+# --------------------------------------------------------------------------------------------
 
 LIKELIHOOD = MethodConfig(gate="likelihood")
 
@@ -504,7 +576,9 @@ def test_a_likelihood_enough_for_a_commit_is_enough_for_the_monitors(
     stream, rng = by_likelihood(), np.random.default_rng(3)
     for index in range(500):
         wavers = float(rng.normal(0.0, 0.01))
-        stream.offsets = Offsets((0.02 + wavers, -0.005), tuple((x + wavers, y) for x, y in rivals_m))
+        stream.offsets = Offsets(
+            (0.02 + wavers, -0.005), tuple((x + wavers, y) for x, y in rivals_m)
+        )
         stream.pair(index, 0.1 if index % 17 == 5 else 0.8)
         if stream.gate.complete:
             break

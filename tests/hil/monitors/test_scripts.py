@@ -1,4 +1,6 @@
-"""S7 and S10 from scripted truth: silent while somebody looks and the script obeys, and not when it does not."""
+"""S7 and S10 from scripted truth: silent while somebody looks and the script obeys, and not when it
+does not.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from path.config import MethodConfig
 from path.messages import Role
 
 D1, D2 = Role.SENDER, Role.RECEIVER
-FLYING = VehicleTruth(FlightMode.OFFBOARD, True, False, False, 0.9, 0.1, 0.0, (1.0, 0.0, -1.5), True)
+FLYING = VehicleTruth(
+    FlightMode.OFFBOARD, True, False, False, 0.9, 0.1, 0.0, (1.0, 0.0, -1.5), True
+)
 
 
 @pytest.fixture
@@ -33,14 +37,22 @@ def scripts(monitors: Monitors) -> ScriptMonitor:
     return monitors.scripts
 
 
-def fly(scripts: ScriptMonitor, first_s: float, last_s: float, looks: tuple[Role, ...] = (D1, D2), **own: Any) -> None:
+def fly(
+    scripts: ScriptMonitor,
+    first_s: float,
+    last_s: float,
+    looks: tuple[Role, ...] = (D1, D2),
+    **own: Any,
+) -> None:
     """Truth 5 times a second: the sender as told, the receiver as it should be."""
     for step in range(round(first_s * 5), round(last_s * 5)):
         now_s = step / 5
         for role in looks:
             scripts.on_frame(role, now_s)
         told = {"setpoint_s": now_s, **own}
-        scripts.on_truth(now_s, {D1: replace(FLYING, **told), D2: replace(FLYING, setpoint_s=now_s)})
+        scripts.on_truth(
+            now_s, {D1: replace(FLYING, **told), D2: replace(FLYING, setpoint_s=now_s)}
+        )
 
 
 def test_a_good_run_violates_nothing(monitors: Monitors, scripts: ScriptMonitor) -> None:
@@ -52,21 +64,26 @@ def test_a_good_run_violates_nothing(monitors: Monitors, scripts: ScriptMonitor)
     assert not monitors.violations
 
 
-def test_s7_one_that_looks_is_enough_and_none_is_not(monitors: Monitors, scripts: ScriptMonitor) -> None:
+def test_s7_one_that_looks_is_enough_and_none_is_not(
+    monitors: Monitors, scripts: ScriptMonitor
+) -> None:
     fly(scripts, 0.0, 3.0, looks=(D2,))
     assert not monitors.violations
     fly(scripts, 3.0, 5.0, looks=())
     assert dict(monitors.violations) == {"S7": 1}
 
 
-def test_s7_what_no_camera_sees_nobody_need_look_at(monitors: Monitors, scripts: ScriptMonitor) -> None:
+def test_s7_what_no_camera_sees_nobody_need_look_at(
+    monitors: Monitors, scripts: ScriptMonitor
+) -> None:
     scripts.on_death(D2)
     fly(scripts, 0.0, 5.0, looks=(), sees_target=False)
     assert not monitors.violations
 
 
 @pytest.mark.parametrize(
-    "ruled", [{"battery": 0.15}, {"position_n_m": (26.0, 0.0, -1.5)}, {"position_n_m": (1.0, 0.0, -7.0)}]
+    "ruled",
+    [{"battery": 0.15}, {"position_n_m": (26.0, 0.0, -1.5)}, {"position_n_m": (1.0, 0.0, -7.0)}],
 )
 def test_s10_a_mission_that_goes_on_against_its_limit(
     monitors: Monitors, scripts: ScriptMonitor, ruled: dict[str, Any]
@@ -77,7 +94,9 @@ def test_s10_a_mission_that_goes_on_against_its_limit(
     assert dict(monitors.violations) == {"S10": 1}
 
 
-def test_s10_a_mission_that_ends_at_its_limit_obeys(monitors: Monitors, scripts: ScriptMonitor) -> None:
+def test_s10_a_mission_that_ends_at_its_limit_obeys(
+    monitors: Monitors, scripts: ScriptMonitor
+) -> None:
     fly(scripts, 0.0, 1.0, battery=0.15)
     scripts.on_phase(D1, 1.0, "land")
     fly(scripts, 1.0, 5.0, battery=0.15, mode=FlightMode.LAND)
@@ -99,22 +118,52 @@ def test_s10_the_mode_changed_under_a_pilot(monitors: Monitors, scripts: ScriptM
     assert "from its pilot: land" in monitors.details[0]
 
 
-def test_s10_a_pilot_may_change_the_mode_once_more(monitors: Monitors, scripts: ScriptMonitor) -> None:
-    fly(scripts, 0.0, 3.0, pilot=True, mode=FlightMode.OTHER, setpoint_s=0.0, pilots_mode=FlightMode.OTHER)
-    fly(scripts, 3.0, 4.0, pilot=True, mode=FlightMode.LAND, setpoint_s=0.0, pilots_mode=FlightMode.LAND)
+def test_s10_a_pilot_may_change_the_mode_once_more(
+    monitors: Monitors, scripts: ScriptMonitor
+) -> None:
+    fly(
+        scripts,
+        0.0,
+        3.0,
+        pilot=True,
+        mode=FlightMode.OTHER,
+        setpoint_s=0.0,
+        pilots_mode=FlightMode.OTHER,
+    )
+    fly(
+        scripts,
+        3.0,
+        4.0,
+        pilot=True,
+        mode=FlightMode.LAND,
+        setpoint_s=0.0,
+        pilots_mode=FlightMode.LAND,
+    )
     assert not monitors.violations
-    fly(scripts, 4.0, 5.0, pilot=True, mode=FlightMode.HOLD, setpoint_s=0.0, pilots_mode=FlightMode.LAND)
+    fly(
+        scripts,
+        4.0,
+        5.0,
+        pilot=True,
+        mode=FlightMode.HOLD,
+        setpoint_s=0.0,
+        pilots_mode=FlightMode.LAND,
+    )
     assert "from its pilot: hold" in monitors.details[0]
 
 
-def test_s10_a_script_that_flies_on_with_its_motors_stopped(monitors: Monitors, scripts: ScriptMonitor) -> None:
+def test_s10_a_script_that_flies_on_with_its_motors_stopped(
+    monitors: Monitors, scripts: ScriptMonitor
+) -> None:
     fly(scripts, 0.0, 3.0, killed=True, armed=False, setpoint_s=1.0)
     assert not monitors.violations
     fly(scripts, 3.0, 4.0, killed=True, armed=False)
     assert dict(monitors.violations) == {"S10": 1}
 
 
-def test_s10_a_script_that_arms_a_vehicle_whose_motors_were_stopped(monitors: Monitors, scripts: ScriptMonitor) -> None:
+def test_s10_a_script_that_arms_a_vehicle_whose_motors_were_stopped(
+    monitors: Monitors, scripts: ScriptMonitor
+) -> None:
     fly(scripts, 0.0, 3.0, killed=True, armed=True, setpoint_s=0.0)
     assert dict(monitors.violations) == {"S10": 1}
 

@@ -1,4 +1,6 @@
-"""A gap between setpoints is the script's, unless its own program was given no core for so long, and just then."""
+"""A gap between setpoints is the script's, unless its own program was given no core for so long,
+and just then.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,15 @@ from dataclasses import replace
 
 import pytest
 
-from hil.monitors.setpoints import Late, SetpointGap, all_explained, excuse_of, judged, late_of, told_with
+from hil.monitors.setpoints import (
+    Late,
+    SetpointGap,
+    all_explained,
+    excuse_of,
+    judged,
+    late_of,
+    told_with,
+)
 
 GAP = SetpointGap("sender", 12.0, 12.244)
 LATE = Late(12.02, 12.24, 0.21, 0.19)
@@ -28,7 +38,9 @@ def test_a_gap_in_which_the_program_had_no_core_is_explained() -> None:
 
 
 @pytest.mark.parametrize(("unserved_s", "explained"), [(0.043, False), (0.045, True)])
-def test_what_the_computer_did_not_take_must_be_within_the_bound(unserved_s: float, explained: bool) -> None:
+def test_what_the_computer_did_not_take_must_be_within_the_bound(
+    unserved_s: float, explained: bool
+) -> None:
     assert judged(GAP, [replace(LATE, unserved_s=unserved_s)]).explained is explained
 
 
@@ -36,16 +48,23 @@ def test_a_loop_that_was_late_by_its_own_doing_explains_nothing() -> None:
     """It computed, or slept: it had its core all the time."""
     judgement = judged(GAP, [replace(LATE, unserved_s=0.0)])
     assert not judgement.explained
-    assert judgement.lateness == "then its program's loop was 0.21 s late and had no core for 0.00 s"
+    assert (
+        judgement.lateness == "then its program's loop was 0.21 s late and had no core for 0.00 s"
+    )
 
 
-@pytest.mark.parametrize("late", [replace(LATE, from_s=11.7, to_s=11.99), replace(LATE, from_s=12.4, to_s=12.6)])
+@pytest.mark.parametrize(
+    "late", [replace(LATE, from_s=11.7, to_s=11.99), replace(LATE, from_s=12.4, to_s=12.6)]
+)
 def test_lateness_at_another_time_explains_nothing(late: Late) -> None:
     assert not judged(GAP, [late]).explained
 
 
 def test_waits_in_the_same_gap_add_up() -> None:
-    waits = [replace(LATE, from_s=12.0 + k * 0.05, to_s=12.05 + k * 0.05, unserved_s=0.02) for k in range(4)]
+    waits = [
+        replace(LATE, from_s=12.0 + k * 0.05, to_s=12.05 + k * 0.05, unserved_s=0.02)
+        for k in range(4)
+    ]
     assert judged(GAP, waits).unserved_s == pytest.approx(0.08)
     assert judged(GAP, waits).explained
 
@@ -55,7 +74,8 @@ def test_one_gap_that_nothing_explains_is_enough_to_blame_the_script() -> None:
     gaps = [judged(GAP, [LATE]), judged(other, [LATE])]
     assert not all_explained({"S8": 2}, gaps)
     assert all_explained({"S8": 1}, gaps[:1])
-    assert not all_explained({"S8": 2}, gaps[:1])  # a failsafe that did not come is no gap of the program's
+    # a failsafe that did not come is no gap of the program's
+    assert not all_explained({"S8": 2}, gaps[:1])
     assert not all_explained({}, [])
 
 
@@ -67,14 +87,22 @@ def test_a_world_that_stood_still_is_told_and_explains_nothing() -> None:
 
 
 def test_a_record_says_how_long_all_that_sends_had_no_core() -> None:
-    record = {"since_ns": 250_000_000, "loop_ns": 210_000_000, "waited_ns": 120_000_000, "beside_ns": 30_000_000}
+    record = {
+        "since_ns": 250_000_000,
+        "loop_ns": 210_000_000,
+        "waited_ns": 120_000_000,
+        "beside_ns": 30_000_000,
+    }
     late = late_of({**record, "stolen_ns": 10_000_000}, 12.25)
     assert (late.from_s, late.to_s, late.loop_s) == pytest.approx((12.0, 12.25, 0.21))
     assert late.unserved_s == pytest.approx(0.16)
 
 
 def test_the_report_has_the_lateness_beside_the_gap_and_leaves_the_rest_as_it_is() -> None:
-    details = ["S8 at 12.00 s: sender: 0.244 s between setpoints, until 12.24 s", "S9 at 3.00 s: too close"]
+    details = [
+        "S8 at 12.00 s: sender: 0.244 s between setpoints, until 12.24 s",
+        "S9 at 3.00 s: too close",
+    ]
     assert told_with(details, [judged(GAP, [LATE])]) == [
         f"{details[0]}; then its program's loop was 0.21 s late and had no core for 0.19 s",
         details[1],

@@ -71,7 +71,9 @@ def test_the_truth_is_where_everything_is(rig: Rig, records: dict[str, list[LogR
     for role in Role:
         body = truth.record[role.value]
         assert body["t"] == pytest.approx(snapshot.drones[role].T_w_b.t)
-        assert R_from_quat(tuple(body["q"])) == pytest.approx(snapshot.drones[role].T_w_b.R, abs=1e-9)
+        assert R_from_quat(tuple(body["q"])) == pytest.approx(
+            snapshot.drones[role].T_w_b.R, abs=1e-9
+        )
         assert body["in_air"] is False
     assert truth.record["objects"] == [
         {"id": o.object_id, "t": pytest.approx(o.position_w_m), "yaw": pytest.approx(o.yaw_rad)}
@@ -82,7 +84,10 @@ def test_the_truth_is_where_everything_is(rig: Rig, records: dict[str, list[LogR
 
 def test_gaps_and_violations_are_written_down(records: dict[str, list[LogRecord]]) -> None:
     (gap,) = records["/setpoint_gap"]
-    assert (gap.stamp_ns, gap.record) == (7_000_000_000, {"role": "receiver", "gap_s": 0.0, "last_ns": None})
+    assert (gap.stamp_ns, gap.record) == (
+        7_000_000_000,
+        {"role": "receiver", "gap_s": 0.0, "last_ns": None},
+    )
     (violation,) = records["/violation"]
     assert violation.stamp_ns == 7_500_000_000
     assert violation.record == {"monitor": "S9", "detail": "S9 at 2.50 s: separation 0.60 m"}

@@ -11,7 +11,16 @@ import pytest
 
 from drivers.interfaces import PartError
 from drivers.rig.parts import Rig
-from flight.harness.montecarlo import OWN_MISS, PAIR, Attempt, FaultName, Series, WrongAssociation, agreeing, tell
+from flight.harness.montecarlo import (
+    OWN_MISS,
+    PAIR,
+    Attempt,
+    FaultName,
+    Series,
+    WrongAssociation,
+    agreeing,
+    tell,
+)
 from hil.montecarlo.run import MonteCarloHandovers
 from missions.ground import rig_library
 from path.config import MethodConfig
@@ -41,8 +50,17 @@ def same(a: Series, b: Series) -> None:
 
 @pytest.mark.parametrize("kind", ["shift", "turn"])
 @pytest.mark.parametrize("roll_deg", [0.0, 40.0])
-def test_overlaps_are_those_of_both_mappings_whichever_the_method_uses(kind: str, roll_deg: float) -> None:
-    attempt = Attempt(4, 1, wrong=WrongAssociation(kind, 0.5), roll_deg=roll_deg, limit_s=1.5, whole=True)  # type: ignore[arg-type]
+def test_overlaps_are_those_of_both_mappings_whichever_the_method_uses(
+    kind: str, roll_deg: float
+) -> None:
+    attempt = Attempt(
+        4,
+        1,
+        wrong=WrongAssociation(kind, 0.5),  # type: ignore[arg-type]
+        roll_deg=roll_deg,
+        limit_s=1.5,
+        whole=True,
+    )
     by_corner = MonteCarloHandovers(rig(), replace(SHORT, box_mapping="corner"))
     same(runner().run(attempt).series, by_corner.run(attempt).series)
 
@@ -79,7 +97,11 @@ def test_an_attempt_that_can_no_longer_commit_is_given_up_and_no_other() -> None
     for index in range(12):
         attempt = Attempt(6, index, "mixed", limit_s=3.0)
         found, whole = runner().run(attempt), runner().run(replace(attempt, whole=True))
-        assert (found.outcome, found.commit_s, found.right) == (whole.outcome, whole.commit_s, whole.right)
+        assert (found.outcome, found.commit_s, found.right) == (
+            whole.outcome,
+            whole.commit_s,
+            whole.right,
+        )
     never = runner().run(Attempt(6, 0, wrong=WrongAssociation("lock", 0.8), limit_s=4.2))
     assert never.outcome == "timeout"
     assert 3.4 < never.simulated_s < 4.2  # the window needs 0.8 s
@@ -94,7 +116,10 @@ def test_the_closest_look_alike_is_the_one_that_drives_past() -> None:
 
 def test_a_pose_that_is_off_makes_the_boxes_of_a_look_alike_agree() -> None:
     """The mapping goes back by the same wrong pose: decision 0209 says so."""
-    found = [runner().run(Attempt(0, k, wrong=WrongAssociation("shift", 0.8, 0.0), limit_s=4.0)) for k in range(6)]
+    found = [
+        runner().run(Attempt(0, k, wrong=WrongAssociation("shift", 0.8, 0.0), limit_s=4.0))
+        for k in range(6)
+    ]
     assert sum(each.right is False for each in found) >= 4
 
 
@@ -123,7 +148,9 @@ def test_an_own_miss_restarts_and_a_higher_threshold_agrees_less() -> None:
 
 
 def test_from_farther_away_the_target_is_farther_and_nothing_else_is_drawn_anew() -> None:
-    near, far = (runner().run(Attempt(0, 3, reach=reach, limit_s=0.5)).circumstances for reach in (1.0, 1.4))
+    near, far = (
+        runner().run(Attempt(0, 3, reach=reach, limit_s=0.5)).circumstances for reach in (1.0, 1.4)
+    )
     assert far.range_1_m == pytest.approx(1.4 * near.range_1_m, rel=0.02)
     assert (far.look_alike_m, far.target_mps) == (near.look_alike_m, near.target_mps)
 
@@ -137,15 +164,26 @@ def test_conditions_and_every_fault_are_put_into_words() -> None:
 def test_one_marker_is_needed() -> None:
     one = rig()
     still = Pose(np.eye(3), np.zeros(3))
-    two = MarkerLayout((Marker(0, 0.04, 0.0, still), Marker(1, 0.04, 0.0, Pose(np.eye(3), np.array([0.1, 0.0, 0.0])))))
+    two = MarkerLayout(
+        (
+            Marker(0, 0.04, 0.0, still),
+            Marker(1, 0.04, 0.0, Pose(np.eye(3), np.array([0.1, 0.0, 0.0]))),
+        )
+    )
     with pytest.raises(PartError, match="one marker"):
         MonteCarloHandovers(replace(one, layout=two))
 
 
 def test_what_d1_followed_itself_is_told_apart_from_what_both_did_not_agree_on() -> None:
-    """Right boxes are of what D1 follows as long as it follows the target; a look-alike for D2 alone is neither."""
+    """Right boxes are of what D1 follows as long as it follows the target; a look-alike for D2
+    alone is neither.
+    """
     good = runner().run(Attempt(0, 0, limit_s=2.0)).series
     assert good.same[good.right].all()
-    misled = runner().run(Attempt(0, 0, wrong=WrongAssociation("shift", 0.8, 0.0), limit_s=2.0, whole=True)).series
+    misled = (
+        runner()
+        .run(Attempt(0, 0, wrong=WrongAssociation("shift", 0.8, 0.0), limit_s=2.0, whole=True))
+        .series
+    )
     assert (misled.kind == PAIR).sum() > 50
     assert not misled.same.any() and not misled.right.any()

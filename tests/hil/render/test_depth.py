@@ -1,4 +1,6 @@
-"""The depth camera beside the colour camera: registered, its depth is that of the colour camera's own pixels."""
+"""The depth camera beside the colour camera: registered, its depth is that of the colour camera's
+own pixels.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def snapshot(*, depth_holes: bool = False) -> Snapshot:
         Role.SENDER: DroneTruth(ABOVE, (0.0, 0.0, 0.0), 0.0, True),
         Role.RECEIVER: DroneTruth(ASIDE, (0.0, 0.0, 0.0), 0.0, True),
     }
-    return Snapshot(0.0, drones, (ObjectTruth(0, (0.1, -0.1, 0.0), 0.4, 0.0),), depth_holes=depth_holes)
+    return Snapshot(
+        0.0, drones, (ObjectTruth(0, (0.1, -0.1, 0.0), 0.4, 0.0),), depth_holes=depth_holes
+    )
 
 
 def renderers(noise: SensorNoise) -> tuple[Renderer, DepthRenderer]:
@@ -41,7 +45,8 @@ def test_registered_it_is_the_depth_of_the_colour_camera_s_pixels() -> None:
     _, truth = color.render(snapshot(), Role.SENDER, 0)
     raw = depth.render(snapshot(), Role.SENDER, 0)
     assert len(np.unique(truth)) > 20  # a car stands there
-    assert np.abs(raw.astype(int) - truth)[60:180, 80:240].max() > 100  # and the cameras see it in other pixels
+    # and the cameras see it in other pixels
+    assert np.abs(raw.astype(int) - truth)[60:180, 80:240].max() > 100
     out = DepthRegistration(DEPTH, CAMERA, T_COLOR_DEPTH, 0.001, (0.3, 6.0)).register(raw)
     both = (out > 0) & (truth > 0)
     assert both[10:-10, 10:-10].mean() > 0.97

@@ -1,4 +1,6 @@
-"""The picture is where the camera model says it is: corners to hundredths of a pixel, depth to the millimetre."""
+"""The picture is where the camera model says it is: corners to hundredths of a pixel, depth to the
+millimetre.
+"""
 
 from __future__ import annotations
 
@@ -28,29 +30,42 @@ BORDER = 1.0 / 6.0  # a 4x4 marker's black frame over its side
 
 def random_pose(rng: np.random.Generator, nearest: float, farthest: float, most_deg: float) -> Pose:
     """T_c_v somewhere in view, its normal up to ``most_deg`` from the line of sight."""
-    position = np.array([rng.uniform(-0.4, 0.4), rng.uniform(-0.3, 0.3), 1.0]) * rng.uniform(nearest, farthest)
+    position = np.array([rng.uniform(-0.4, 0.4), rng.uniform(-0.3, 0.3), 1.0]) * rng.uniform(
+        nearest, farthest
+    )
     back = -position / np.linalg.norm(position)
     right = np.cross((0.0, 1.0, 0.0), back)
     right /= np.linalg.norm(right)
     facing = np.column_stack((right, np.cross(back, right), back))
-    tilt, towards, spin = np.radians(rng.uniform(0, most_deg)), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
+    tilt, towards, spin = (
+        np.radians(rng.uniform(0, most_deg)),
+        rng.uniform(0, 2 * np.pi),
+        rng.uniform(0, 2 * np.pi),
+    )
     tilted = cv2.Rodrigues(tilt * np.array([np.cos(towards), np.sin(towards), 0.0]))[0]
     return Pose(facing @ tilted @ cv2.Rodrigues(np.array([0.0, 0.0, spin]))[0], position)
 
 
 def project(camera: CameraModel, T_c_v: Pose, points_v: Array) -> Array:
     rotation = cv2.Rodrigues(T_c_v.R)[0]
-    pixels = cv2.projectPoints(points_v, rotation, T_c_v.t, camera.K, np.array(camera.distortion))[0]
+    pixels = cv2.projectPoints(points_v, rotation, T_c_v.t, camera.K, np.array(camera.distortion))[
+        0
+    ]
     return np.asarray(pixels, float).reshape(-1, 2)
 
 
-def edge_rays(image: Array, camera: CameraModel, T_c_v: Pose, start: Array, end: Array, inward: Array) -> Array | None:
-    """Points on one edge of the black frame as undistorted rays, by the area under profiles across it.
+def edge_rays(
+    image: Array, camera: CameraModel, T_c_v: Pose, start: Array, end: Array, inward: Array
+) -> Array | None:
+    """Points on one edge of the black frame as undistorted rays, by the area under profiles across
+    it.
 
-    ``inward``: from the edge to the inner side of the black frame. None when the frame is too thin in the picture.
+    ``inward``: from the edge to the inner side of the black frame. None when the frame is too thin
+    in the picture.
     """
     ends = project(camera, T_c_v, np.array((start, end)))
-    margin = min(0.35, 6.0 / np.hypot(*(ends[1] - ends[0])))  # a profile must not reach around a corner
+    # a profile must not reach around a corner
+    margin = min(0.35, 6.0 / np.hypot(*(ends[1] - ends[0])))
     along = np.linspace(margin, 1.0 - margin, 60)[:, None]
     on_edge = project(camera, T_c_v, start + along * (end - start))
     inside = project(camera, T_c_v, start + along * (end - start) + inward)
@@ -96,8 +111,12 @@ def measured_corners(image: Array, camera: CameraModel, T_c_v: Pose, side_m: flo
     return camera.project(np.array(found))
 
 
-@pytest.mark.parametrize(("side_m", "farthest_m", "most_deg"), [(0.2, 3.0, 70.0), (0.04, 0.8, 45.0)])
-def test_marker_corners_are_where_project_points_puts_them(side_m: float, farthest_m: float, most_deg: float) -> None:
+@pytest.mark.parametrize(
+    ("side_m", "farthest_m", "most_deg"), [(0.2, 3.0, 70.0), (0.04, 0.8, 45.0)]
+)
+def test_marker_corners_are_where_project_points_puts_them(
+    side_m: float, farthest_m: float, most_deg: float
+) -> None:
     rng = np.random.default_rng(7)
     renderer = Renderer(VGA, LEVEL, ABOVE, single_marker(side_m), NOISE_FREE)
     corners_v = single_marker(side_m).markers[0].corners_v
@@ -121,7 +140,9 @@ def test_depth_of_a_tilted_plate_is_exact_to_the_millimetre() -> None:
     compared = 0
     for _ in range(20):
         T_c_v = random_pose(rng, 0.6, 3.0, 70.0)
-        inside = np.array([[x, y, 0.0] for x in np.linspace(-0.13, 0.13, 9) for y in np.linspace(-0.13, 0.13, 9)])
+        inside = np.array(
+            [[x, y, 0.0] for x in np.linspace(-0.13, 0.13, 9) for y in np.linspace(-0.13, 0.13, 9)]
+        )
         pixels = np.round(project(VGA, T_c_v, inside))
         pixels = pixels[np.all((pixels >= 0) & (pixels < (640, 480)), axis=1)]
         rays = np.column_stack((VGA.rays(pixels), np.ones(len(pixels))))
@@ -140,7 +161,9 @@ def test_depth_of_the_ground_is_exact_to_the_millimetre() -> None:
     bare = Snapshot(0.0, {Role.RECEIVER: drone(pose)}, ())
     _, depth = renderer.render(bare, Role.RECEIVER, 0)
     columns, rows = np.meshgrid(np.arange(640.0), np.arange(480.0))
-    rays = np.column_stack((VGA.rays(np.column_stack((columns.ravel(), rows.ravel()))), np.ones(640 * 480)))
+    rays = np.column_stack(
+        (VGA.rays(np.column_stack((columns.ravel(), rows.ravel()))), np.ones(640 * 480))
+    )
     T_w_c = pose @ mount(45.0)
     z_mm = -1000.0 * T_w_c.t[2] / (rays @ T_w_c.R[2])
     expected = np.where(z_mm <= 6000.0, z_mm, 0.0).reshape(480, 640)
@@ -149,7 +172,9 @@ def test_depth_of_the_ground_is_exact_to_the_millimetre() -> None:
 
 
 def test_a_camera_that_leaves_out_pixels_sees_where_its_pixels_are() -> None:
-    """Corners fitted with the pattern are where the model projects them; without it they are not."""
+    """Corners fitted with the pattern are where the model projects them; without it they are
+    not.
+    """
     thinned = replace(VGA, thinning=Thinning(3, 5, (1, 2)))
     rng, layout = np.random.default_rng(8), single_marker(0.2)
     renderer = Renderer(thinned, LEVEL, ABOVE, layout, SensorNoise(read_sigma=0.0, shot_gain=0.0))

@@ -1,4 +1,6 @@
-"""Each scene looks otherwise, the same each time, and the drones' own shadows fall where the sun puts them."""
+"""Each scene looks otherwise, the same each time, and the drones' own shadows fall where the sun
+puts them.
+"""
 
 from __future__ import annotations
 
@@ -83,7 +85,10 @@ def test_litter_lies_by_the_seed_within_its_area() -> None:
 def test_a_name_that_is_none_is_refused_with_those_that_are() -> None:
     rig = rig_library.load("sim-rendered")
     assert scene_of(rig) == "plain"
-    with pytest.raises(RigError, match=r'"plain", "outdoor-sun", "overcast", "low-sun", "dusk", "hall", found "moon"'):
+    with pytest.raises(
+        RigError,
+        match=r'"plain", "outdoor-sun", "overcast", "low-sun", "dusk", "hall", found "moon"',
+    ):
         check_world(with_scene(rig, "moon"))
     check_world(with_scene(rig, "dusk"))
     assert scene_of(with_scene(rig, "dusk")) == "dusk"
@@ -93,7 +98,9 @@ def test_a_name_that_is_none_is_refused_with_those_that_are() -> None:
 def test_where_boxes_come_from_geometry_a_scene_is_one_in_which_a_detector_was_measured() -> None:
     rig = rig_library.load("sim-person")
     check_world(with_scene(rig, "overcast"))
-    with pytest.raises(RigError, match=r"on a person in 'dusk': state .*, or take one of plain, overcast, hall"):
+    with pytest.raises(
+        RigError, match=r"on a person in 'dusk': state .*, or take one of plain, overcast, hall"
+    ):
         check_world(with_scene(rig, "dusk"))
     stated = replace(rig, world={**rig.world, "detector": {"recall": 0.5}})
     check_world(with_scene(stated, "dusk"))

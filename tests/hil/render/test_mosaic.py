@@ -22,7 +22,9 @@ HEIGHT, WIDTH = 120, 160
 KEY = 0x5A_17_42_99
 SEEN_AT_PX = (-1.84, -1.09, -0.71, -0.34, 0.04, 0.41, 0.79, 1.16, 1.54)
 PHOTOGRAPHED = (-0.015, 0.0, 0.095, 0.248, 0.452, 0.675, 0.868, 0.981, 1.037)
-"""Shares of white at distances from an edge, as the photographs of the measured camera have them."""
+"""Shares of white at distances from an edge, as the photographs of the measured camera have
+them.
+"""
 
 
 def image(imaging: Imaging, light: NDArray[np.uint8], key: int = KEY) -> NDArray[np.float64]:
@@ -33,8 +35,12 @@ def image(imaging: Imaging, light: NDArray[np.uint8], key: int = KEY) -> NDArray
 
 def colored() -> NDArray[np.uint8]:
     """Something with colours and edges of every direction."""
-    planes = np.random.default_rng(2).integers(0, 256, (3, HEIGHT // 12, WIDTH // 12), dtype=np.uint8)
-    return np.stack([cv2.resize(each, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC) for each in planes])
+    planes = np.random.default_rng(2).integers(
+        0, 256, (3, HEIGHT // 12, WIDTH // 12), dtype=np.uint8
+    )
+    return np.stack(
+        [cv2.resize(each, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC) for each in planes]
+    )
 
 
 def flat(level: int) -> NDArray[np.uint8]:
@@ -67,7 +73,10 @@ def slanted_edge(slant_rad: float) -> SeenEdge:
     light = np.round(40.0 + 122.0 * np.clip(across + 0.5, 0.0, 1.0)).astype(np.uint8)
     grey = cv2.cvtColor(image(QUIET, np.stack([light] * 3)).astype(np.uint8), cv2.COLOR_BGR2GRAY)
     along = np.array([-math.sin(slant_rad), math.cos(slant_rad)])
-    edge = see_edge(np.asarray(grey, np.uint8), np.array([WIDTH / 2, HEIGHT / 2]) + np.outer((-50.0, 50.0), along))
+    edge = see_edge(
+        np.asarray(grey, np.uint8),
+        np.array([WIDTH / 2, HEIGHT / 2]) + np.outer((-50.0, 50.0), along),
+    )
     assert edge is not None
     return edge
 
@@ -81,7 +90,8 @@ def test_an_edge_is_drawn_as_on_the_photographs() -> None:
 def test_colour_has_half_the_width() -> None:
     shown = as_yuyv(np.moveaxis(colored(), 0, -1).copy(), 0.0, 1.0)
     again = as_yuyv(shown, 0.0, 1.0)
-    assert np.abs(shown.astype(int) - again).mean() < 0.6  # what has half the width already keeps it
+    # what has half the width already keeps it
+    assert np.abs(shown.astype(int) - again).mean() < 0.6
     odd = np.zeros((4, 5, 3), np.uint8)
     with pytest.raises(ValueError, match="odd in width"):
         as_yuyv(odd, 0.0, 1.0)
@@ -89,7 +99,14 @@ def test_colour_has_half_the_width() -> None:
 
 def test_an_imaging_that_asks_for_more_is_refused() -> None:
     assert is_quick(MEASURED)
-    for other in (REALISTIC, Imaging(), replace(MEASURED, gamma=2.2), replace(MEASURED, motion_px=(1.0, 0.0))):
+    for other in (
+        REALISTIC,
+        Imaging(),
+        replace(MEASURED, gamma=2.2),
+        replace(MEASURED, motion_px=(1.0, 0.0)),
+    ):
         assert not is_quick(other)
         with pytest.raises(ValueError, match="imaging"):
-            MosaicSensor(other, HEIGHT, WIDTH, noise_pool(np.random.default_rng(0), HEIGHT, WIDTH, 0.0))
+            MosaicSensor(
+                other, HEIGHT, WIDTH, noise_pool(np.random.default_rng(0), HEIGHT, WIDTH, 0.0)
+            )

@@ -1,4 +1,6 @@
-"""People have the size of people, differ a little, and a colour detector that knows nothing of them finds them."""
+"""People have the size of people, differ a little, and a colour detector that knows nothing of them
+finds them.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def test_variants_are_alike_but_not_the_same() -> None:
     assert one.kinds.tolist() == other.kinds.tolist()
     assert np.abs(one.corners - other.corners).max() > 0.01
     assert np.abs(one.colors - other.colors).max() < 40.0
-    shares = [float(np.mean(a != b)) for a, b in zip(one.shades, other.shades, strict=True) if a.size > 30]
+    shares = [
+        float(np.mean(a != b)) for a, b in zip(one.shades, other.shades, strict=True) if a.size > 30
+    ]
     assert 0.05 < np.mean(shares) < 0.30  # both flip 8 %
     assert person(1) is other
 

@@ -1,4 +1,6 @@
-"""Ink, black, shadows and blades change what the plate looks like by as much as they say, and not where it is."""
+"""Ink, black, shadows and blades change what the plate looks like by as much as they say, and not
+where it is.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ from tests.hil.render.views import TAIL, VGA, hovering, mount
 SIDE_M = 0.040
 CELLS = cells("DICT_4X4_50", 0)
 QUIET = Imaging(read_sigma=0.0, shot_gain=0.0)
-STAGE = RenderedInstant({Role.SENDER: hovering(0.0, 0.0, 1.4), Role.RECEIVER: hovering(0.1, -0.8, 1.9, -0.1)})
+STAGE = RenderedInstant(
+    {Role.SENDER: hovering(0.0, 0.0, 1.4), Role.RECEIVER: hovering(0.1, -0.8, 1.9, -0.1)}
+)
 BLACK = 255.0 * INK[0] / PAPER[0]
 
 
@@ -53,7 +57,10 @@ def test_ink_moves_every_edge_by_its_spread(spread_m: float) -> None:
     nominal, spread = plate(Printing()), plate(Printing(ink_spread_m=spread_m))
     size = len(nominal)
     row = size // 6 + size // 18  # through the black frame only
-    width_m = [(255.0 - shades[row]).sum() / (255.0 - BLACK) * texel_m(shades) for shades in (nominal, spread)]
+    width_m = [
+        (255.0 - shades[row]).sum() / (255.0 - BLACK) * texel_m(shades)
+        for shades in (nominal, spread)
+    ]
     assert width_m[0] == pytest.approx(SIDE_M, rel=3e-3)  # of 8-bit shades
     assert width_m[1] - width_m[0] == pytest.approx(2.0 * spread_m, abs=6e-6)
     inside = slice(size // 6 + size // 9, -(size // 6 + size // 9))
@@ -70,11 +77,14 @@ def test_black_differs_from_cell_to_cell_and_stays_with_the_print() -> None:
     assert levels.mean() == pytest.approx(INK[0], abs=4.0)
     uneven = Printing(black_spread=6.0, blade=True)
     plates = [
-        marker_print(0.0 * CELLS, SIDE_M, uneven, np.random.default_rng(0), np.random.default_rng(light)).astype(float)
+        marker_print(
+            0.0 * CELLS, SIDE_M, uneven, np.random.default_rng(0), np.random.default_rng(light)
+        ).astype(float)
         for light in range(2)
     ]
     middle = slice(len(shades) // 6, -(len(shades) // 6))  # without the white border
-    assert np.mean(plates[0][middle, middle] == plates[1][middle, middle]) > 0.5  # everywhere but under the two blades
+    # everywhere but under the two blades
+    assert np.mean(plates[0][middle, middle] == plates[1][middle, middle]) > 0.5
 
 
 def test_cells_of_a_picture_of_few_pixels_end_with_whole_ones_and_the_frame_stays() -> None:
@@ -89,8 +99,12 @@ def test_cells_of_a_picture_of_few_pixels_end_with_whole_ones_and_the_frame_stay
         assert np.all(shades[: border - 1] == 255.0) and np.all(shades[:, : border - 1] == 255.0)
 
 
-@pytest.mark.parametrize(("kind", "narrowest_m", "widest_m"), [("soft", 0.02, 0.045), ("hard", 0.0005, 0.0015)])
-def test_a_shadow_takes_light_away_over_its_own_width(kind: str, narrowest_m: float, widest_m: float) -> None:
+@pytest.mark.parametrize(
+    ("kind", "narrowest_m", "widest_m"), [("soft", 0.02, 0.045), ("hard", 0.0005, 0.0015)]
+)
+def test_a_shadow_takes_light_away_over_its_own_width(
+    kind: str, narrowest_m: float, widest_m: float
+) -> None:
     light = plate(Printing(shadow=kind), np.ones_like(CELLS)) / 255.0  # type: ignore[arg-type]
     assert light.max() == pytest.approx(1.0, abs=0.02)
     assert light.min() == pytest.approx(SHADED, abs=0.05)

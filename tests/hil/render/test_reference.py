@@ -1,4 +1,6 @@
-"""The whole picture against a slow ray caster that shares only the scene's rectangles with the renderer."""
+"""The whole picture against a slow ray caster that shares only the scene's rectangles with the
+renderer.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ def instances(snapshot: Snapshot, role: Role) -> list[tuple[Model, Pose]]:
 
 
 def cast(snapshot: Snapshot, role: Role, T_w_c: Pose, rays: Array) -> tuple[Array, Array]:
-    """Nearest opaque face of each ray (n, 3): its colour (n, 3), NaN where there is none, and its z (n,)."""
+    """Nearest opaque face of each ray (n, 3): its colour (n, 3), NaN where there is none, and its z
+    (n,).
+    """
     with np.errstate(divide="ignore"):
         ground_z = np.divide(-T_w_c.t[2], rays @ T_w_c.R[2])
     nearest = np.where(ground_z > 0.0, ground_z, np.inf)
@@ -76,14 +80,21 @@ def rotor_pixels(snapshot: Snapshot, role: Role, T_w_c: Pose, rays: Array) -> ND
     for model, T_w_body in instances(snapshot, role):
         T_c_body = T_w_c.inverse() @ T_w_body
         for corners in model.corners[model.kinds == ROTOR]:
-            p0, e1, e2 = T_c_body.apply(corners[:3]), T_c_body.R @ corners[3:6], T_c_body.R @ corners[6:9]
+            p0, e1, e2 = (
+                T_c_body.apply(corners[:3]),
+                T_c_body.R @ corners[3:6],
+                T_c_body.R @ corners[6:9],
+            )
             uv = np.linalg.solve(np.column_stack((e1, e2, p0)), rays.T)
             near |= np.hypot(uv[0] / uv[2] - 0.5, uv[1] / uv[2] - 0.5) < 0.6
     return near
 
 
 def test_every_pixel_is_what_a_ray_caster_finds() -> None:
-    near = {Role.SENDER: drone(hovering(-0.1, 0.0, 1.4, 0.5)), Role.RECEIVER: drone(hovering(0.1, -0.42, 1.75, -0.2))}
+    near = {
+        Role.SENDER: drone(hovering(-0.1, 0.0, 1.4, 0.5)),
+        Role.RECEIVER: drone(hovering(0.1, -0.42, 1.75, -0.2)),
+    }
     for snapshot in (scene(), Snapshot(0.0, near, (at(0, 0.1, 1.2, 0.4),))):
         T_b_c = mount(42.0)
         T_w_c = snapshot.drones[Role.RECEIVER].T_w_b @ T_b_c
@@ -110,8 +121,11 @@ def test_every_pixel_is_what_a_ray_caster_finds() -> None:
         difference = np.abs(color - mean).max(axis=2)[clear]
         drawn = np.abs(mean - ground).max(axis=2)[clear] > 0.5
         assert drawn.sum() > 150
-        assert np.mean(difference[~drawn] > 1.0) < 0.005  # a corner that one of the two sample patterns just misses
+        # a corner that one of the two sample patterns just misses
+        assert np.mean(difference[~drawn] > 1.0) < 0.005
         assert difference[drawn].mean() < 4.0
-        assert difference.max() < 50.0  # two patterns of 16 samples, at worst on a slanted edge of high contrast
+        # two patterns of 16 samples, at worst on a slanted edge of high contrast
+        assert difference.max() < 50.0
         inside = clear & (z_mm > 301.0) & (z_mm < 5999.0)
-        assert np.mean(np.abs(depth - z_mm)[inside] > 0.51) < 2e-4  # ties between faces that hide each other
+        # ties between faces that hide each other
+        assert np.mean(np.abs(depth - z_mm)[inside] > 0.51) < 2e-4

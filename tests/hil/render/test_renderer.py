@@ -1,4 +1,6 @@
-"""The renderer draws each thing where it is, and hides what is behind it; the same inputs give the same bytes."""
+"""The renderer draws each thing where it is, and hides what is behind it; the same inputs give the
+same bytes.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,28 @@ from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.marker.layout import Marker, MarkerLayout, single_marker
 from path.messages import Role
-from tests.hil.render.views import ABOVE, FAR_AWAY, LEVEL, TAIL, VGA, at, drone, hovering, looking_at, mount, scene
+from tests.hil.render.views import (
+    ABOVE,
+    FAR_AWAY,
+    LEVEL,
+    TAIL,
+    VGA,
+    at,
+    drone,
+    hovering,
+    looking_at,
+    mount,
+    scene,
+)
 
 Image = NDArray[np.uint8]
 
 DOWN = mount(45.0)
 
 
-def renderer(noise: SensorNoise | None = None, seed: int = 1, camera: CameraModel = VGA) -> Renderer:
+def renderer(
+    noise: SensorNoise | None = None, seed: int = 1, camera: CameraModel = VGA
+) -> Renderer:
     return Renderer(camera, DOWN, TAIL, single_marker(), noise, seed)
 
 
@@ -93,7 +109,9 @@ def test_look_alikes_look_exactly_like_the_target() -> None:
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_the_nearer_car_hides_the_farther_and_both_hide_the_ground(order: tuple[int, int]) -> None:
-    """Whatever order they are listed in; seen along the ground from the south, in the level camera."""
+    """Whatever order they are listed in; seen along the ground from the south, in the level
+    camera.
+    """
     pair = (at(0, 0.0, 1.5, 0.0), at(1, 0.05, 2.2, 0.0))
     low = Pose(hovering(0, 0, 0).R @ mount(0.0).R @ np.eye(3), np.array([0.0, 0.0, 0.09]))
     drones = {Role.RECEIVER: drone(low)}
@@ -129,7 +147,10 @@ def test_rotors_are_translucent_and_leave_the_depth() -> None:
         armed: Renderer(VGA, LEVEL, TAIL, single_marker(), NOISE_FREE).render(
             Snapshot(
                 0.0,
-                {Role.RECEIVER: drone(T_w_c), Role.SENDER: drone(snapshot.drones[Role.SENDER].T_w_b, armed=armed)},
+                {
+                    Role.RECEIVER: drone(T_w_c),
+                    Role.SENDER: drone(snapshot.drones[Role.SENDER].T_w_b, armed=armed),
+                },
                 (at(0, float(rotor_w[0]), float(rotor_w[1])),),
             ),
             Role.RECEIVER,
@@ -150,7 +171,9 @@ def test_rotors_are_translucent_and_leave_the_depth() -> None:
 def test_blades_turn_with_the_phase() -> None:
     def view(phase_rad: float) -> Image:
         snapshot = scene()
-        snapshot.drones[Role.SENDER] = drone(snapshot.drones[Role.SENDER].T_w_b, phase_rad=phase_rad)
+        snapshot.drones[Role.SENDER] = drone(
+            snapshot.drones[Role.SENDER].T_w_b, phase_rad=phase_rad
+        )
         return renderer(NOISE_FREE).render(snapshot, Role.RECEIVER, 0)[0]
 
     assert np.any(view(0.0) != view(1.0))
@@ -179,13 +202,19 @@ def test_depth_holes_are_over_the_cars_only() -> None:
 
 def test_every_marker_of_a_layout_is_drawn() -> None:
     still = np.eye(3)
-    markers = tuple(Marker(i, 0.04, 0.0, Pose(still, np.array([x, 0.0, 0.0]))) for i, x in ((3, -0.05), (7, 0.05)))
+    markers = tuple(
+        Marker(i, 0.04, 0.0, Pose(still, np.array([x, 0.0, 0.0])))
+        for i, x in ((3, -0.05), (7, 0.05))
+    )
     camera = Renderer(VGA, DOWN, TAIL, MarkerLayout(markers), NOISE_FREE)
     assert sorted(found_markers(camera.render(scene(), Role.RECEIVER, 0)[0])) == [3, 7]
 
 
 def test_a_camera_that_stands_on_the_ground_still_sees() -> None:
-    drones = {Role.SENDER: drone(hovering(0.0, 1.0, 0.0)), Role.RECEIVER: drone(hovering(0.0, 0.0, 0.0))}
+    drones = {
+        Role.SENDER: drone(hovering(0.0, 1.0, 0.0)),
+        Role.RECEIVER: drone(hovering(0.0, 0.0, 0.0)),
+    }
     landed = Snapshot(0.0, drones, ())
     for role in Role:
         color, _ = renderer(NOISE_FREE).render(landed, role, 0)
@@ -196,12 +225,18 @@ def test_nothing_behind_the_camera_is_drawn() -> None:
     snapshot = looking_at(Pose(np.eye(3), np.array([0.0, 0.0, -2.0])))
     camera = Renderer(VGA, LEVEL, TAIL, single_marker(), NOISE_FREE)
     bare = Snapshot(0.0, {Role.RECEIVER: snapshot.drones[Role.RECEIVER]}, ())
-    assert np.array_equal(camera.render(snapshot, Role.RECEIVER, 0)[0], camera.render(bare, Role.RECEIVER, 0)[0])
+    assert np.array_equal(
+        camera.render(snapshot, Role.RECEIVER, 0)[0], camera.render(bare, Role.RECEIVER, 0)[0]
+    )
 
 
 def test_a_face_that_reaches_past_the_camera_is_drawn() -> None:
-    """The camera half a metre before the plate of a marker of two metres, its lower part behind the camera."""
-    tilted = Pose(np.array([[1.0, 0, 0], [0, -0.2, -0.98], [0, 0.98, -0.2]]), np.array([0.0, 0.4, 0.6]))
+    """The camera half a metre before the plate of a marker of two metres, its lower part behind the
+    camera.
+    """
+    tilted = Pose(
+        np.array([[1.0, 0, 0], [0, -0.2, -0.98], [0, 0.98, -0.2]]), np.array([0.0, 0.4, 0.6])
+    )
     camera = Renderer(VGA, LEVEL, LEVEL, single_marker(2.0), NOISE_FREE)
     _, depth = camera.render(looking_at(tilted), Role.RECEIVER, 0)
     x, y = VGA.ray(320.0, 400.0)
@@ -233,7 +268,12 @@ def test_the_same_inputs_give_the_same_bytes_in_another_process() -> None:
     )
     root = Path(__file__).parents[3]
     there = subprocess.run(
-        [sys.executable, "-c", code], cwd=root, check=True, capture_output=True, text=True, timeout=600
+        [sys.executable, "-c", code],
+        cwd=root,
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=600,
     )
     assert there.stdout == here
 
@@ -257,11 +297,16 @@ def test_warm_up_tells_how_far_it_is() -> None:
 def test_a_tilted_plate_keeps_its_backing_behind_it() -> None:
     """Faces a millimetre apart do not fight: the blank plate is one colour."""
     camera = Renderer(VGA, LEVEL, ABOVE, single_marker(0.2), NOISE_FREE)
-    T_c_v = Pose(cv2.Rodrigues(np.array([0.0, 1.1, 0.0]))[0] @ np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 3.0]))
+    T_c_v = Pose(
+        cv2.Rodrigues(np.array([0.0, 1.1, 0.0]))[0] @ np.diag([1.0, -1.0, -1.0]),
+        np.array([0.0, 0.0, 3.0]),
+    )
     snapshot = looking_at(T_c_v @ ABOVE.inverse())
     blank = Snapshot(0.0, snapshot.drones, (), marker_hidden=True)
     color, depth = camera.render(blank, Role.RECEIVER, 0)
-    corners = VGA.project(T_c_v.apply(0.13 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])))
+    corners = VGA.project(
+        T_c_v.apply(0.13 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]))
+    )
     inside = np.zeros((480, 640), np.uint8)
     cv2.fillConvexPoly(inside, np.round(corners).astype(np.int32), 1)
     inside = cv2.erode(inside, np.ones((3, 3))) > 0
@@ -276,8 +321,13 @@ def test_a_world_far_from_the_origin_looks_the_same() -> None:
     period = 2.048 * 8
 
     def view(shift: float) -> tuple[Image, NDArray[np.uint16]]:
-        drones = {Role.RECEIVER: drone(hovering(0.2 + shift, 0.1, 2.0)), Role.SENDER: drone(FAR_AWAY)}
-        return renderer(NOISE_FREE).render(Snapshot(0.0, drones, (at(0, 0.2 + shift, 1.6),)), Role.RECEIVER, 0)
+        drones = {
+            Role.RECEIVER: drone(hovering(0.2 + shift, 0.1, 2.0)),
+            Role.SENDER: drone(FAR_AWAY),
+        }
+        return renderer(NOISE_FREE).render(
+            Snapshot(0.0, drones, (at(0, 0.2 + shift, 1.6),)), Role.RECEIVER, 0
+        )
 
     near, far = view(0.0), view(40 * period)
     assert np.abs(near[0].astype(int) - far[0]).max() <= 2

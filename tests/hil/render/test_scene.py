@@ -20,7 +20,9 @@ Array = NDArray[np.float64]
 
 def vertices(model: Model) -> Array:
     c = model.corners
-    return np.concatenate([c[:, :3] + a * c[:, 3:6] + b * c[:, 6:9] for a in (0, 1) for b in (0, 1)])
+    return np.concatenate(
+        [c[:, :3] + a * c[:, 3:6] + b * c[:, 6:9] for a in (0, 1) for b in (0, 1)]
+    )
 
 
 def test_box_faces_look_outward_and_close() -> None:
@@ -50,13 +52,19 @@ def test_parts_of_what_is_tracked_do_not_touch(parts: Boxes) -> None:
 
 
 @pytest.mark.parametrize(("kind", "height_m"), [("car", 0.16), ("person", 1.75)])
-def test_cameras_see_the_boxes_that_geometry_reckons_with(kind: TargetKind, height_m: float) -> None:
+def test_cameras_see_the_boxes_that_geometry_reckons_with(
+    kind: TargetKind, height_m: float
+) -> None:
     points = vertices(model_of_thing(kind, ObjectTruth(3, (0.0, 0.0, 0.0), 0.0, 0.0)))
-    ends = np.array([np.add(c, np.multiply(half, s)) for c, s, _ in BOXES[kind] for half in (-0.5, 0.5)])
+    ends = np.array(
+        [np.add(c, np.multiply(half, s)) for c, s, _ in BOXES[kind] for half in (-0.5, 0.5)]
+    )
     assert np.ptp(ends[:, 2]) == pytest.approx(height_m, abs=0.01)
-    own = slice(1 if kind == "person" else 0, 3)  # of people who walk, tests/hil/render/test_walking.py has the depth
+    # of people who walk, tests/hil/render/test_walking.py has the depth
+    own = slice(1 if kind == "person" else 0, 3)
     spans = np.ptp(ends, axis=0)[own]
-    assert np.ptp(points, axis=0)[own] == pytest.approx(spans, rel=0.08)  # people are not quite alike
+    # people are not quite alike
+    assert np.ptp(points, axis=0)[own] == pytest.approx(spans, rel=0.08)
 
 
 def test_plate_carries_the_marker_with_a_white_border() -> None:

@@ -63,7 +63,12 @@ def test_noise_of_the_colour_grows_with_the_light() -> None:
     noise = replace(NOISE_FREE, read_sigma=2.0, shot_gain=0.05)
     clean = view(NOISE_FREE, scene())[0].astype(float)
     renderer = Renderer(VGA, mount(45.0), TAIL, single_marker(), noise, 5)
-    noisy = np.stack([renderer.render(scene(), Role.RECEIVER, frame_seed)[0].astype(float) for frame_seed in range(6)])
+    noisy = np.stack(
+        [
+            renderer.render(scene(), Role.RECEIVER, frame_seed)[0].astype(float)
+            for frame_seed in range(6)
+        ]
+    )
     residual = noisy - clean
     for low, high in ((30, 60), (90, 120), (180, 220)):
         chosen = (clean >= low) & (clean < high)
@@ -110,7 +115,9 @@ def test_depth_noise_hangs_together() -> None:
     def neighbour_correlation(correlation_px: float) -> float:
         noise = replace(NOISE_FREE, depth_sigma_at_1m_m=0.01, depth_correlation_px=correlation_px)
         snapshot = Snapshot(0.0, {Role.RECEIVER: drone(hovering(0.0, 0.0, 1.5))}, ())
-        residual = view(noise, snapshot, 0, 90.0)[1].astype(float) - view(NOISE_FREE, snapshot, 0, 90.0)[1]
+        residual = (
+            view(noise, snapshot, 0, 90.0)[1].astype(float) - view(NOISE_FREE, snapshot, 0, 90.0)[1]
+        )
         return float(np.corrcoef(residual[:, 1:].ravel(), residual[:, :-1].ravel())[0, 1])
 
     assert abs(neighbour_correlation(0.0)) < 0.05

@@ -1,4 +1,6 @@
-"""A picture whose rows are read one after another shows each corner where it is when its own row is read."""
+"""A picture whose rows are read one after another shows each corner where it is when its own row is
+read.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,12 @@ READOUT_S = 0.02
 MOTIONS = {
     "camera turns": ((0.0, 0.0, 0.0), (0.3, -0.5, 0.4), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
     "camera moves": ((0.6, -0.4, 0.3), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-    "marker turns and moves": ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (-0.5, 0.3, -0.2), (0.6, 0.2, -0.5)),
+    "marker turns and moves": (
+        (0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0),
+        (-0.5, 0.3, -0.2),
+        (0.6, 0.2, -0.5),
+    ),
     "both": ((0.3, 0.2, -0.2), (-0.4, 0.3, 0.2), (0.5, -0.3, 0.1), (0.3, -0.5, 0.4)),
 }
 
@@ -48,17 +55,25 @@ def moment() -> Snapshot:
     raise AssertionError("no such moment")
 
 
-def moving(snapshot: Snapshot, eye_mps: Vec3, eye_radps: Vec3, other_mps: Vec3, other_radps: Vec3) -> Snapshot:
+def moving(
+    snapshot: Snapshot, eye_mps: Vec3, eye_radps: Vec3, other_mps: Vec3, other_radps: Vec3
+) -> Snapshot:
     drones = {
-        Role.RECEIVER: replace(snapshot.drones[Role.RECEIVER], velocity_w_mps=eye_mps, rates_b_radps=eye_radps),
-        Role.SENDER: replace(snapshot.drones[Role.SENDER], velocity_w_mps=other_mps, rates_b_radps=other_radps),
+        Role.RECEIVER: replace(
+            snapshot.drones[Role.RECEIVER], velocity_w_mps=eye_mps, rates_b_radps=eye_radps
+        ),
+        Role.SENDER: replace(
+            snapshot.drones[Role.SENDER], velocity_w_mps=other_mps, rates_b_radps=other_radps
+        ),
     }
     return replace(snapshot, drones=drones)
 
 
 def later(drone: DroneTruth, by_s: float) -> Pose:
     T = drone.T_w_b
-    return Pose(T.R @ exp(by_s * np.array(drone.rates_b_radps)), T.t + by_s * np.array(drone.velocity_w_mps))
+    return Pose(
+        T.R @ exp(by_s * np.array(drone.rates_b_radps)), T.t + by_s * np.array(drone.velocity_w_mps)
+    )
 
 
 def seen_at(snapshot: Snapshot, by_s: float) -> NDArray[np.float64]:
@@ -86,10 +101,13 @@ def found(snapshot: Snapshot, shutter: Shutter | None) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
-def test_each_corner_is_where_it_is_when_its_row_is_read(motion: tuple[Vec3, Vec3, Vec3, Vec3]) -> None:
+def test_each_corner_is_where_it_is_when_its_row_is_read(
+    motion: tuple[Vec3, Vec3, Vec3, Vec3],
+) -> None:
     snapshot = moving(moment(), *motion)
     corners = found(snapshot, Shutter(readout_s=READOUT_S))
-    assert np.abs(as_read(snapshot) - seen_at(snapshot, 0.0)).max() > 0.7  # there is something to see
+    # there is something to see
+    assert np.abs(as_read(snapshot) - seen_at(snapshot, 0.0)).max() > 0.7
     assert np.abs(corners - as_read(snapshot)).max() < 0.08
     assert np.abs(found(snapshot, None) - seen_at(snapshot, 0.0)).max() < 0.08
 
@@ -97,7 +115,9 @@ def test_each_corner_is_where_it_is_when_its_row_is_read(motion: tuple[Vec3, Vec
 def test_nothing_moves_is_one_instant() -> None:
     snapshot = moment()
     shown = [
-        Renderer(CAMERA, T_B_C, T_B_V, LAYOUT, QUIET, shutter=shutter).render(snapshot, Role.RECEIVER, 0)[0]
+        Renderer(CAMERA, T_B_C, T_B_V, LAYOUT, QUIET, shutter=shutter).render(
+            snapshot, Role.RECEIVER, 0
+        )[0]
         for shutter in (None, Shutter(0.01, READOUT_S))
     ]
     assert np.abs(shown[0].astype(int) - shown[1]).max() <= 1
@@ -108,7 +128,9 @@ def test_motion_during_the_exposure_is_that_of_what_is_in_the_middle() -> None:
     renderer = Renderer(CAMERA, T_B_C, T_B_V, LAYOUT, QUIET)
     own = snapshot.drones[Role.RECEIVER]
     seen = carried(own.T_w_b, T_B_C, np.zeros(3), own.T_w_b.R @ np.array(own.rates_b_radps))
-    u, v = smear_px(renderer.bodies(snapshot, Role.RECEIVER), seen, CAMERA, Shutter(exposure_s=0.01))
+    u, v = smear_px(
+        renderer.bodies(snapshot, Role.RECEIVER), seen, CAMERA, Shutter(exposure_s=0.01)
+    )
     assert math.hypot(u, v) == pytest.approx(0.01 * 0.5 * CAMERA.fx, rel=0.5)
     assert abs(v) > abs(u)  # it pitches
     far = smear_px(renderer.bodies(snapshot, Role.RECEIVER), seen, CAMERA, Shutter(exposure_s=10.0))

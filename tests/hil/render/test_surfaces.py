@@ -1,4 +1,6 @@
-"""In scenes that are not ideal, depth is lost on black surfaces, and on paint in which the sun is mirrored."""
+"""In scenes that are not ideal, depth is lost on black surfaces, and on paint in which the sun is
+mirrored.
+"""
 
 from __future__ import annotations
 
@@ -25,19 +27,27 @@ CAMERA = CameraModel(320, 240, 300.0, 300.0, 160.0, 120.0)
 
 
 def looking(azimuth_deg: float, elevation_deg: float, away_m: float = 0.8) -> Pose:
-    """The pose of a camera that looks at a car at the origin from there. ``azimuth_deg``: clockwise from north."""
+    """The pose of a camera that looks at a car at the origin from there. ``azimuth_deg``: clockwise
+    from north.
+    """
     a, e = np.radians([azimuth_deg, elevation_deg])
     outwards = np.array([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)])
     forward = -outwards
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
-    return Pose(np.column_stack([right, np.cross(forward, right), forward]), away_m * outwards + [0.0, 0.0, 0.08])
+    return Pose(
+        np.column_stack([right, np.cross(forward, right), forward]),
+        away_m * outwards + [0.0, 0.0, 0.08],
+    )
 
 
 def measured(name: SceneName, T_w_c: Pose, key: int = 3) -> tuple[Depth, NDArray[np.uint8]]:
     """A car's depth in a scene, and its picture in one without shadows."""
     body = standing(car(), (0.0, 0.0, 0.0), 0.6)
-    noisy, plain = (Renderer(CAMERA, LEVEL, TAIL, single_marker(), NOISE_FREE, 5, each) for each in (name, "plain"))
+    noisy, plain = (
+        Renderer(CAMERA, LEVEL, TAIL, single_marker(), NOISE_FREE, 5, each)
+        for each in (name, "plain")
+    )
     _, depth = noisy.draw(T_w_c, [body], key)
     light, _ = plain.draw(T_w_c, [body], key)
     return depth, np.moveaxis(light, 0, -1)
@@ -74,7 +84,10 @@ def test_on_plain_nothing_is_lost() -> None:
 def test_paint_that_mirrors_the_sun_into_the_camera_loses_depth(name: SceneName) -> None:
     """The roof does, seen from as high as the sun is and from opposite to it."""
     x, y, z = LOOKS[name].sun_w
-    azimuth, elevation = math.degrees(math.atan2(x, y)), math.degrees(math.atan2(z, math.hypot(x, y)))
+    azimuth, elevation = (
+        math.degrees(math.atan2(x, y)),
+        math.degrees(math.atan2(z, math.hypot(x, y))),
+    )
     (mirrored, light), (seen, other) = (
         measured(name, looking(azimuth + turned, elevation)) for turned in (180.0, 90.0)
     )
@@ -85,4 +98,6 @@ def test_paint_that_mirrors_the_sun_into_the_camera_loses_depth(name: SceneName)
 def test_the_same_arguments_lose_the_same_pixels() -> None:
     view = looking(20.0, 30.0, 0.5)
     assert np.array_equal(measured("overcast", view)[0], measured("overcast", view)[0])
-    assert not np.array_equal(measured("overcast", view)[0] == 0, measured("overcast", view, key=400)[0] == 0)
+    assert not np.array_equal(
+        measured("overcast", view)[0] == 0, measured("overcast", view, key=400)[0] == 0
+    )

@@ -1,4 +1,6 @@
-"""People walk: feet that stand stay where they are, limbs hang together, nothing leaves the boxes of the geometry."""
+"""People walk: feet that stand stay where they are, limbs hang together, nothing leaves the boxes
+of the geometry.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,16 @@ import pytest
 
 from hil.render.bodies.kinds import BOXES, WALKING_MPS, model_of_thing
 from hil.render.bodies.people import person
-from hil.render.bodies.walking import ARM, SHIN, SHOE, SIGNS, THIGH, boxes_of_a_walker, walker, walking
+from hil.render.bodies.walking import (
+    ARM,
+    SHIN,
+    SHOE,
+    SIGNS,
+    THIGH,
+    boxes_of_a_walker,
+    walker,
+    walking,
+)
 from hil.world.gait import STANCE, step_m, strides_of
 from hil.world.snapshot import ObjectTruth
 from tests.hil.render.test_scene import Array, vertices
@@ -57,12 +68,17 @@ def test_shins_hang_on_thighs(speed_mps: float) -> None:
         points, limbs = vertices(walking(4, strides, speed_mps)).reshape(4, -1, 3), walker(4).limbs
         for side in range(2):
             # the last face of each is its cap at the knee
-            thigh, shin = (points[:, np.flatnonzero(limbs == limb + side)[-1]].mean(axis=0) for limb in (THIGH, SHIN))
+            thigh, shin = (
+                points[:, np.flatnonzero(limbs == limb + side)[-1]].mean(axis=0)
+                for limb in (THIGH, SHIN)
+            )
             assert np.linalg.norm(thigh - shin) < 0.005
 
 
 def test_the_boxes_of_the_geometry_hold_all_of_a_walk() -> None:
-    ends = np.array([np.add(c, np.multiply(half, s)) for c, s, _ in BOXES["person"] for half in (-0.5, 0.5)])
+    ends = np.array(
+        [np.add(c, np.multiply(half, s)) for c, s, _ in BOXES["person"] for half in (-0.5, 0.5)]
+    )
     low, high = ends.min(axis=0), ends.max(axis=0)
     widest = np.zeros(3)
     for strides in np.linspace(0.0, 1.0, 33):
@@ -82,12 +98,21 @@ def test_the_boxes_of_one_moment_are_around_the_drawn_limbs(speed_mps: float) ->
         corners = [row[:3] + (row[3:6] * SIGNS) @ row[6:].reshape(3, 3).T for row in rows]
         whole = np.concatenate(corners)
         points = vertices(walking(5, strides, speed_mps)) / walker(5).build
-        assert np.abs(whole.min(axis=0) - points.min(axis=0)).max() < 0.03  # a tall person's step is no longer
+        # a tall person's step is no longer
+        assert np.abs(whole.min(axis=0) - points.min(axis=0)).max() < 0.03
         assert np.abs(whole.max(axis=0) - points.max(axis=0)).max() < 0.03
         assert len(rows) == len(BOXES["person"])
 
 
 def test_the_same_moment_is_the_same_posture_and_nobody_walks_in_step() -> None:
-    one, other = (ObjectTruth(number, (0.0, 0.0, 0.0), 0.0, 0.3, strides=4.2) for number in (1, 9))  # of one variant
-    assert np.array_equal(model_of_thing("person", one).corners, model_of_thing("person", one).corners)
-    assert np.abs(model_of_thing("person", one).corners - model_of_thing("person", other).corners).max() > 0.05
+    # of one variant
+    one, other = (ObjectTruth(number, (0.0, 0.0, 0.0), 0.0, 0.3, strides=4.2) for number in (1, 9))
+    assert np.array_equal(
+        model_of_thing("person", one).corners, model_of_thing("person", one).corners
+    )
+    assert (
+        np.abs(
+            model_of_thing("person", one).corners - model_of_thing("person", other).corners
+        ).max()
+        > 0.05
+    )

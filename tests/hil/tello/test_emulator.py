@@ -1,4 +1,6 @@
-"""The emulated Tello answers as the SDK's guides say: over a socket, but with the world's time in the test's hands."""
+"""The emulated Tello answers as the SDK's guides say: over a socket, but with the world's time in
+the test's hands.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ class Bench:
         self.world = World(WorldConfig(), seed=1)
         self.drone = self.world.drone(Role.SENDER)
         self.video = TelloVideo(TelloVideoConfig(64, 48))
-        self.emulator = TelloEmulator(TelloEmulatorConfig(host, **config), self.drone, self.video, arrived)
+        self.emulator = TelloEmulator(
+            TelloEmulatorConfig(host, **config), self.drone, self.video, arrived
+        )
         self.commands = self._socket()
         self.states = self._socket()
         self.advance(4.0)
@@ -180,7 +184,9 @@ def test_an_early_firmware_does_not_know_the_newer_commands() -> None:
     bench.close()
 
 
-def test_a_take_off_is_answered_when_it_hovers_and_a_landing_when_the_motors_stand(bench: Bench) -> None:
+def test_a_take_off_is_answered_when_it_hovers_and_a_landing_when_the_motors_stand(
+    bench: Bench,
+) -> None:
     bench.enter()
     assert bench.ask("takeoff", 1.0) is None
     assert bench.ask("takeoff") == "error"  # once is enough
@@ -251,7 +257,11 @@ def test_a_relative_move_is_answered_when_it_is_over(bench: Bench) -> None:
 
 def test_what_is_asked_for_ends_a_line_and_ok_does_not(bench: Bench) -> None:
     bench.enter()
-    for command, answer in (("battery?", "100\r\n"), ("speed 30", "ok"), ("speed 9", "out of range")):
+    for command, answer in (
+        ("battery?", "100\r\n"),
+        ("speed 30", "ok"),
+        ("speed 9", "out of range"),
+    ):
         bench.send(command)
         bench.advance(0.1)
         assert bench.answer() == answer
@@ -334,7 +344,9 @@ def test_the_longest_time_between_two_sticks_is_kept(bench: Bench) -> None:
     assert session.end_s is not None
 
 
-@pytest.mark.parametrize(("sent_s", "longest_s"), [((0.1, 0.2, 0.3, 0.4), 0.1), ((0.1, 0.35, 0.4), 0.25)])
+@pytest.mark.parametrize(
+    ("sent_s", "longest_s"), [((0.1, 0.2, 0.3, 0.4), 0.1), ((0.1, 0.35, 0.4), 0.25)]
+)
 def test_sticks_that_came_while_the_world_stood_still_count_from_then(
     sent_s: tuple[float, ...], longest_s: float
 ) -> None:

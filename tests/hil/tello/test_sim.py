@@ -39,7 +39,9 @@ def test_it_knows_of_itself_what_state_packets_say() -> None:
                 state = tello.state
                 stamps.add(state.stamp_ns)
                 w, x, y, z = state.q_n_b
-                roll_deg = math.degrees(math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)))
+                roll_deg = math.degrees(
+                    math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+                )
                 assert roll_deg == pytest.approx(round(roll_deg), abs=1e-6)
                 climb_dmps = 10.0 * state.velocity_n_mps[2]
                 assert climb_dmps == pytest.approx(round(climb_dmps), abs=1e-6)
@@ -54,7 +56,9 @@ def test_it_knows_of_itself_what_state_packets_say() -> None:
 
 def test_its_camera_has_no_depth_and_went_through_a_codec() -> None:
     async def main() -> None:
-        async with SimTelloCamera(RenderedCameraConfig(rate_hz=15.0), camera_context(StubHarness())) as camera:
+        async with SimTelloCamera(
+            RenderedCameraConfig(rate_hz=15.0), camera_context(StubHarness())
+        ) as camera:
             frames = [await camera.read(1.0) for _ in range(4)]
         assert Capability.RANGE in camera.lacks
         assert all(frame.depth_mm is None for frame in frames)

@@ -25,7 +25,9 @@ STEP_S = 0.005
 class Bench:
     """A vehicle and a ground station's socket, both in simulated time."""
 
-    def __init__(self, config: AutopilotConfig = QUICK, arrived: Callable[[float], float] | None = None) -> None:
+    def __init__(
+        self, config: AutopilotConfig = QUICK, arrived: Callable[[float], float] | None = None
+    ) -> None:
         self.ground = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.ground.bind(("127.0.0.1", 0))
         self.ground.settimeout(0.0)
@@ -75,7 +77,9 @@ class Bench:
         self.run(STEP_S)
         return next((ack.result for ack in self.of("COMMAND_ACK") if ack.command == command), None)
 
-    def setpoint(self, velocity: tuple[float, float, float], mask: int = 2503, **fields: float) -> None:
+    def setpoint(
+        self, velocity: tuple[float, float, float], mask: int = 2503, **fields: float
+    ) -> None:
         at = {"x": 0.0, "y": 0.0, "z": 0.0, "yaw": 0.0, "yaw_rate": 0.0, "frame": 1, **fields}
         self.send(
             mavlink.MAVLink_set_position_target_local_ned_message(
@@ -87,7 +91,10 @@ class Bench:
     def fly_at(self, height_m: float = 0.8) -> None:
         self.run(0.5)
         self.send(mavlink.MAVLink_param_set_message(SYSID, 1, b"MIS_TAKEOFF_ALT", height_m, 9))
-        assert self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED
+        assert (
+            self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0)
+            == mavlink.MAV_RESULT_ACCEPTED
+        )
         assert self.command(mavlink.MAV_CMD_NAV_TAKEOFF) == mavlink.MAV_RESULT_ACCEPTED
         self.run(4.0)
         assert self.drone.autopilot.mode is FlightMode.HOLD

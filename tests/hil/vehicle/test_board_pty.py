@@ -1,4 +1,6 @@
-"""A flight controller on serial ports: real MAVSDK on the one, the harness's truth on the other, both over ptys."""
+"""A flight controller on serial ports: real MAVSDK on the one, the harness's truth on the other,
+both over ptys.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ def on_ports(rig: Rig, folder: Path) -> tuple[Rig, SimulatorConfig]:
 
 
 @contextmanager
-def board(rig: Rig, folder: Path, home: HomeConfig) -> Generator[tuple[SimDrone, Callable[[], None]]]:
+def board(
+    rig: Rig, folder: Path, home: HomeConfig
+) -> Generator[tuple[SimDrone, Callable[[], None]]]:
     """The board in a thread; gives its drone, and what pulls its cables."""
     world = exact_world(sender_home=home)
     tangent = LocalTangent(rig.origin.latitude_deg, rig.origin.longitude_deg, rig.origin.altitude_m)
@@ -100,7 +104,10 @@ async def flight(vehicle: Vehicle, simulated: SimulatedVehicle, drone: SimDrone)
     begin_m = truth()[0]
     await until(lambda: truth()[0] > begin_m + 0.25, lambda: vehicle.fly(north))
     assert simulated.link.watch.armed and simulated.link.watch.mode is FlightMode.OFFBOARD
-    await until(lambda: truth() == pytest.approx(drone.true_position_n_m, abs=0.1), lambda: vehicle.fly(north))
+    await until(
+        lambda: truth() == pytest.approx(drone.true_position_n_m, abs=0.1),
+        lambda: vehicle.fly(north),
+    )
     simulated.link.pilot_takes_over()
     await until(lambda: vehicle.state.mode is FlightMode.HOLD)
     await vehicle.land(LIMIT_S)
@@ -119,7 +126,9 @@ def test_it_flies_over_serial_ports_and_a_pulled_cable_is_told(tmp_path: Path) -
                 async with create(rig.sender.vehicle, part_context(rig, Role.SENDER)) as vehicle:
                     await flight(vehicle, simulated, drone)
                     pull()
-                    with pytest.raises(VehicleError, match=r"heartbeat of vehicle 1 lost on serial://"):
+                    with pytest.raises(
+                        VehicleError, match=r"heartbeat of vehicle 1 lost on serial://"
+                    ):
                         await vehicle._session.until(lambda: False, LIMIT_S)
             finally:
                 simulated.close()
@@ -136,7 +145,8 @@ def test_a_board_that_stands_elsewhere_is_told_where_to_begin(tmp_path: Path) ->
             simulated = SimulatedVehicle(rig, Role.SENDER, config, world, tmp_path)
             try:
                 with pytest.raises(
-                    SimulatorBroken, match=r"stands 5\.0 m from .* SIH_LOC_LAT0 47\.3977000, SIH_LOC_LON0"
+                    SimulatorBroken,
+                    match=r"stands 5\.0 m from .* SIH_LOC_LAT0 47\.3977000, SIH_LOC_LON0",
                 ):
                     await start_simulators({Role.SENDER: simulated})
             finally:
@@ -155,7 +165,11 @@ def test_a_board_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "options",
-    [{"url": "udp://127.0.0.1:14540"}, {"kind": "ardupilot", "speedup": 5.0}, {"parameters": {"SIM_WIND_SPD": 3.0}}],
+    [
+        {"url": "udp://127.0.0.1:14540"},
+        {"kind": "ardupilot", "speedup": 5.0},
+        {"parameters": {"SIM_WIND_SPD": 3.0}},
+    ],
 )
 def test_a_board_is_not_started_by_anybody(options: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="flight controller"):

@@ -1,4 +1,6 @@
-"""A world that gets to its packets late: what came in counts from when it came, and what came late counts as late."""
+"""A world that gets to its packets late: what came in counts from when it came, and what came late
+counts as late.
+"""
 
 from collections.abc import Iterator
 from typing import Any
@@ -18,7 +20,9 @@ TOLERANCE_S = 1e-6
 
 
 class BusyBench(Bench):
-    """The kernel's stamps are what a test says they are: ``stamps``, in the order of what is sent; after them now."""
+    """The kernel's stamps are what a test says they are: ``stamps``, in the order of what is sent;
+    after them now.
+    """
 
     def __init__(self) -> None:
         self.stamps: list[float] = []
@@ -28,7 +32,9 @@ class BusyBench(Bench):
         """Flies by setpoints, one every 0.05 s, the newest just now."""
         self.fly_at(0.8)
         self.setpoint(STILL)
-        assert self.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED
+        assert (
+            self.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED
+        )
         for _ in range(4):
             self.setpoint(STILL)
             self.run(0.05)
@@ -37,7 +43,9 @@ class BusyBench(Bench):
         assert self.drone.autopilot.mode is FlightMode.OFFBOARD
 
     def stand_still(self, duration_s: float, *sent_s: float) -> None:
-        """The world does nothing for a while, and then all at once; setpoints come so long after it stopped."""
+        """The world does nothing for a while, and then all at once; setpoints come so long after it
+        stopped.
+        """
         self.stamps += [self.now_s + at_s for at_s in sent_s]
         for _ in sent_s:
             self.setpoint(STILL)
@@ -69,11 +77,14 @@ def test_setpoints_that_came_while_the_world_stood_still_came_in_time(bench: Bus
 
 
 @pytest.mark.parametrize("sent_s", [(0.05, 0.30, 0.35, 0.40), (0.05, 0.10), (0.38, 0.42)])
-def test_a_program_that_sent_late_meanwhile_is_told_on(bench: BusyBench, sent_s: tuple[float, ...]) -> None:
+def test_a_program_that_sent_late_meanwhile_is_told_on(
+    bench: BusyBench, sent_s: tuple[float, ...]
+) -> None:
     bench.offboard()
     bench.stand_still(0.45, *sent_s)
     gaps = [b - a for a, b in zip((-0.005, *sent_s), (*sent_s, 0.45), strict=True)]
-    assert bench.drone.autopilot.setpoint_gap_s == pytest.approx(max(gaps), abs=0.021)  # a tick, while it is open
+    # a tick, while it is open
+    assert bench.drone.autopilot.setpoint_gap_s == pytest.approx(max(gaps), abs=0.021)
     assert bench.violations == {"S8": 1}
 
 
@@ -101,7 +112,9 @@ def test_the_autopilot_gives_up_nobody_whose_setpoints_wait(bench: BusyBench) ->
 
 
 def test_what_came_after_the_newest_step_waits_for_the_next(bench: BusyBench) -> None:
-    """The world's time is the time it was stepped to; a packet that came since is not heard before it was sent."""
+    """The world's time is the time it was stepped to; a packet that came since is not heard before
+    it was sent.
+    """
     bench.offboard()
     heard: list[tuple[float, Any]] = []
     bench.vehicle.tap = lambda at_s, message: heard.append((at_s, message))

@@ -1,4 +1,6 @@
-"""A ground station on a port of its own: it sees the vehicle, is answered, and its word on the mode is a pilot's."""
+"""A ground station on a port of its own: it sees the vehicle, is answered, and its word on the mode
+is a pilot's.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +25,17 @@ STEP_S = 0.005
 
 
 class Ground:
-    """pymavlink's own link, as MAVProxy has it, listening as ground stations do; and a vehicle in simulated time."""
+    """pymavlink's own link, as MAVProxy has it, listening as ground stations do; and a vehicle in
+    simulated time.
+    """
 
     def __init__(self) -> None:
         address = ("127.0.0.1", free_port())
         self.script = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.script.bind(("127.0.0.1", 0))
-        self.link: Any = mavutil.mavlink_connection(f"udpin:{address[0]}:{address[1]}", source_system=255)
+        self.link: Any = mavutil.mavlink_connection(
+            f"udpin:{address[0]}:{address[1]}", source_system=255
+        )
         self.world = World(WorldConfig(), seed=1)
         self.drone = self.world.drone(Role.SENDER)
         config = MavlinkVehicleConfig(SYSID, self.script.getsockname(), ground=address)
@@ -76,7 +82,11 @@ def test_parameters_come_as_a_list(ground: Ground) -> None:
 
 def test_missions_and_fences_are_answered(ground: Ground) -> None:
     ground.run(0.5)
-    for kind in (mavlink.MAV_MISSION_TYPE_MISSION, mavlink.MAV_MISSION_TYPE_FENCE, mavlink.MAV_MISSION_TYPE_RALLY):
+    for kind in (
+        mavlink.MAV_MISSION_TYPE_MISSION,
+        mavlink.MAV_MISSION_TYPE_FENCE,
+        mavlink.MAV_MISSION_TYPE_RALLY,
+    ):
         ground.link.mav.mission_request_list_send(SYSID, 1, kind)
         ground.link.mav.mission_count_send(SYSID, 1, 3, kind)
         heard = ground.run(0.2)
@@ -87,13 +97,18 @@ def test_missions_and_fences_are_answered(ground: Ground) -> None:
 
 def test_its_mode_is_a_pilots(ground: Ground) -> None:
     ground.run(8.0)
-    ground.link.mav.command_long_send(SYSID, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
+    ground.link.mav.command_long_send(
+        SYSID, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0
+    )
     ground.run(0.1)
     ground.link.mav.command_long_send(SYSID, 1, mavlink.MAV_CMD_NAV_TAKEOFF, 0, *[float("nan")] * 7)
     ground.run(6.0)
     assert not ground.drone.autopilot.landed
     base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-    ground.link.mav.command_long_send(SYSID, 1, mavlink.MAV_CMD_DO_SET_MODE, 0, base, 3, 0, 0, 0, 0, 0)  # POSCTL
+    # POSCTL
+    ground.link.mav.command_long_send(
+        SYSID, 1, mavlink.MAV_CMD_DO_SET_MODE, 0, base, 3, 0, 0, 0, 0, 0
+    )
     ground.run(0.2)
     assert ground.drone.autopilot.mode is FlightMode.OTHER
 
@@ -107,6 +122,8 @@ def test_whoever_watches_does_not_disturb_the_script(ground: Ground) -> None:
     heard: set[str] = set()
     with pytest.raises(BlockingIOError):
         while True:
-            heard |= {message.get_type() for message in mav.parse_buffer(ground.script.recv(2048)) or ()}
+            heard |= {
+                message.get_type() for message in mav.parse_buffer(ground.script.recv(2048)) or ()
+            }
     assert "HEARTBEAT" in heard
     assert "PARAM_VALUE" not in heard

@@ -21,7 +21,9 @@ from tests.steady_time import SteadyTime
 
 
 class RealTime:
-    """Steps a bench in a thread, in real time. Keeps the largest pause, and every message that reached the vehicle."""
+    """Steps a bench in a thread, in real time. Keeps the largest pause, and every message that
+    reached the vehicle.
+    """
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
@@ -78,7 +80,13 @@ def test_mavsdks_own_plugins_fly_it(bench: Bench) -> None:
         telemetry.subscribe_flight_mode(keep("mode"))
         telemetry.subscribe_in_air(keep("in_air"))
         telemetry.subscribe_position_velocity_ned(keep("ned"))
-        until(lambda: "health" in seen and seen["health"].is_armable and seen["health"].is_home_position_ok)
+        until(
+            lambda: (
+                "health" in seen
+                and seen["health"].is_armable
+                and seen["health"].is_home_position_ok
+            )
+        )
         assert seen["health"].is_global_position_ok and seen["health"].is_local_position_ok
         action.set_takeoff_altitude(0.7)
         assert action.get_takeoff_altitude() == pytest.approx(0.7)
@@ -114,7 +122,9 @@ def test_the_transmitter_is_told_of_and_takes_the_vehicle(bench: Bench) -> None:
     assert bench.of("RC_CHANNELS")[-1].rssi == 0
 
 
-def test_a_kill_switch_shows_as_flight_termination_while_the_vehicle_calls_itself_armed(bench: Bench) -> None:
+def test_a_kill_switch_shows_as_flight_termination_while_the_vehicle_calls_itself_armed(
+    bench: Bench,
+) -> None:
     """By channels of a ground station: seven is the kill switch."""
     bench.fly_at(0.8)
 

@@ -1,4 +1,6 @@
-"""The embedded MAVLink vehicle's streams, texts and parameters, in simulated time, against a raw socket."""
+"""The embedded MAVLink vehicle's streams, texts and parameters, in simulated time, against a raw
+socket.
+"""
 
 import math
 import struct
@@ -32,7 +34,9 @@ def test_streams_come_at_the_rates_asked_for_and_stop_when_told(bench: Bench) ->
     assert len(bench.of("ATTITUDE")) == pytest.approx(10, abs=1)
 
 
-def test_what_is_due_at_one_instant_is_one_datagram(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_due_at_one_instant_is_one_datagram(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     datagrams: list[tuple[float, int]] = []
     send = UdpChannel.send
 
@@ -57,25 +61,37 @@ def test_a_stalled_world_goes_on_without_a_burst(bench: Bench) -> None:
 
 def test_a_changed_mode_is_told_at_once(bench: Bench) -> None:
     bench.run(0.6)
-    assert bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED
+    assert (
+        bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED
+    )
     assert bench.of("HEARTBEAT")[-1].base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
     assert bench.command(mavlink.MAV_CMD_NAV_TAKEOFF) == mavlink.MAV_RESULT_ACCEPTED
     assert bench.of("HEARTBEAT")[-1].custom_mode == 4 << 16 | 2 << 24
 
 
 def test_arming_too_early_is_denied_with_its_reason_in_text(bench: Bench) -> None:
-    assert bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
-    assert [text.text for text in bench.of("STATUSTEXT")] == ["Arming denied: position estimate is settling"]
+    assert (
+        bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0)
+        == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+    )
+    assert [text.text for text in bench.of("STATUSTEXT")] == [
+        "Arming denied: position estimate is settling"
+    ]
     assert not bench.drone.autopilot.armed
 
 
 def test_there_is_no_global_position_before_the_estimate_has_settled(bench: Bench) -> None:
     bench.run(0.1)
     assert bench.of("GLOBAL_POSITION_INT") == []
-    assert bench.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 242.0) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+    assert (
+        bench.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 242.0)
+        == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+    )
     bench.run(0.6)
     there = bench.of("GLOBAL_POSITION_INT")[-1]
-    assert TANGENT.to_ned(there.lat * 1e-7, there.lon * 1e-7, there.alt * 1e-3) == pytest.approx(START, abs=0.012)
+    assert TANGENT.to_ned(there.lat * 1e-7, there.lon * 1e-7, there.alt * 1e-3) == pytest.approx(
+        START, abs=0.012
+    )
     assert bench.of("LOCAL_POSITION_NED")[-1].x == pytest.approx(0.0, abs=1e-6)
     assert bench.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 242.0) == mavlink.MAV_RESULT_ACCEPTED
     assert len(bench.of("HOME_POSITION")) == 1
@@ -85,9 +101,15 @@ def test_there_is_no_global_position_before_the_estimate_has_settled(bench: Benc
 
 def test_the_prearm_bit_follows_the_autopilot(bench: Bench) -> None:
     bench.run(0.1)
-    assert not bench.of("SYS_STATUS")[-1].onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    assert (
+        not bench.of("SYS_STATUS")[-1].onboard_control_sensors_health
+        & mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    )
     bench.run(0.6)
-    assert bench.of("SYS_STATUS")[-1].onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    assert (
+        bench.of("SYS_STATUS")[-1].onboard_control_sensors_health
+        & mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    )
 
 
 def test_parameters_are_listed_and_what_is_set_takes_effect(bench: Bench) -> None:
@@ -107,7 +129,8 @@ def test_parameters_are_listed_and_what_is_set_takes_effect(bench: Bench) -> Non
     assert set_to(b"MIS_TAKEOFF_ALT", 2.25) == 2.25
     assert set_to(b"MIS_TAKEOFF_ALT", math.nan) == 2.25
     assert set_to(b"MIS_TAKEOFF_ALT", 1e6) == 2.25
-    assert set_to(b"COM_OF_LOSS_T", 60.5) == pytest.approx(QUICK.offboard_loss_s)  # out of its bounds
+    # out of its bounds
+    assert set_to(b"COM_OF_LOSS_T", 60.5) == pytest.approx(QUICK.offboard_loss_s)
     assert set_to(b"COM_OF_LOSS_T", 2.0) == 2.0
     assert bench.drone.autopilot.config.offboard_loss_s == 2.0
     assert set_to(b"COM_RC_IN_MODE", 4.0) == 0.0  # of another type
@@ -115,7 +138,8 @@ def test_parameters_are_listed_and_what_is_set_takes_effect(bench: Bench) -> Non
     assert set_to(b"COM_RC_IN_MODE", ignored, 6) == ignored
     assert not bench.drone.autopilot.config.radio.hears
     set_to(b"COM_OBL_RC_ACT", struct.unpack("<f", struct.pack("<i", 0))[0], 6)
-    assert struct.unpack("<i", struct.pack("<f", bench.of("PARAM_VALUE")[-1].param_value)) == (4,)  # it lands
+    # it lands
+    assert struct.unpack("<i", struct.pack("<f", bench.of("PARAM_VALUE")[-1].param_value)) == (4,)
 
 
 @pytest.fixture
@@ -127,9 +151,13 @@ def slow_beat() -> Iterator[Bench]:
 
 def test_one_that_beats_at_its_own_rate_shows_a_change_with_the_next_beat(slow_beat: Bench) -> None:
     bench = slow_beat
-    assert bench.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0.0, 2e5) == mavlink.MAV_RESULT_ACCEPTED
+    assert (
+        bench.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0.0, 2e5) == mavlink.MAV_RESULT_ACCEPTED
+    )
     bench.run(0.6)
-    assert bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED
+    assert (
+        bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED
+    )
     assert bench.of("HEARTBEAT") == []
     bench.run(4.0)
     assert len(bench.of("HEARTBEAT")) == 4
@@ -140,7 +168,9 @@ def test_a_ground_stations_heartbeat_is_heard_and_a_companions_is_none(slow_beat
     bench = slow_beat
 
     def beat(kind: int) -> None:
-        bench.send(mavlink.MAVLink_heartbeat_message(kind, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3))
+        bench.send(
+            mavlink.MAVLink_heartbeat_message(kind, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+        )
 
     bench.fly_at()
     bench.run(1.0, lambda: beat(mavlink.MAV_TYPE_GCS))

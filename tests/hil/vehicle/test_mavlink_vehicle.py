@@ -1,4 +1,6 @@
-"""The embedded MAVLink vehicle under commands, setpoints and noise, in simulated time, against a raw socket."""
+"""The embedded MAVLink vehicle under commands, setpoints and noise, in simulated time, against a
+raw socket.
+"""
 
 import math
 import socket
@@ -16,7 +18,8 @@ from tests.hil.vehicle.mavlink_bench import STEP_S, SYSID, Bench
 def test_velocity_and_position_setpoints_fly(bench: Bench) -> None:
     bench.fly_at(0.8)
     assert (
-        bench.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0, 0.0) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+        bench.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0, 0.0)
+        == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
     )  # no setpoint yet
     bench.setpoint((0.5, 0.0, 0.0), yaw=1.0)
     assert bench.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED
@@ -30,7 +33,11 @@ def test_velocity_and_position_setpoints_fly(bench: Bench) -> None:
 
 @pytest.mark.parametrize(
     ("velocity", "mask", "yaw"),
-    [((math.nan, 0.0, 0.0), 2503, 0.0), ((0.0, math.inf, 0.0), 2503, 0.0), ((1.0, 0.0, 0.0), 2503, math.nan)],
+    [
+        ((math.nan, 0.0, 0.0), 2503, 0.0),
+        ((0.0, math.inf, 0.0), 2503, 0.0),
+        ((1.0, 0.0, 0.0), 2503, math.nan),
+    ],
 )
 def test_a_setpoint_that_is_not_finite_does_not_count(
     bench: Bench, velocity: tuple[float, float, float], mask: int, yaw: float
@@ -39,7 +46,10 @@ def test_a_setpoint_that_is_not_finite_does_not_count(
     bench.setpoint(velocity, mask, yaw=yaw)
     bench.run(STEP_S)
     assert bench.vehicle.malformed == 1
-    assert bench.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0, 0.0) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+    assert (
+        bench.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0, 0.0)
+        == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+    )
 
 
 def test_without_setpoints_it_holds_then_lands(bench: Bench) -> None:
@@ -54,8 +64,14 @@ def test_without_setpoints_it_holds_then_lands(bench: Bench) -> None:
 
 def test_only_force_stops_the_motors_in_the_air(bench: Bench) -> None:
     bench.fly_at()
-    assert bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 0.0) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
-    assert bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 21196.0) == mavlink.MAV_RESULT_ACCEPTED
+    assert (
+        bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 0.0)
+        == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+    )
+    assert (
+        bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 21196.0)
+        == mavlink.MAV_RESULT_ACCEPTED
+    )
     bench.run(1.0)
     assert bench.drone.on_ground
 
@@ -69,7 +85,11 @@ def test_a_pilots_mode_from_a_second_ground_station_is_obeyed(bench: Bench) -> N
         second.sendto(message.pack(mav), bench.vehicle.address)
         bench.run(STEP_S)
         (ack,) = mav.parse_buffer(second.recv(2048))
-    assert (ack.get_type(), ack.result, ack.target_system) == ("COMMAND_ACK", mavlink.MAV_RESULT_ACCEPTED, 255)
+    assert (ack.get_type(), ack.result, ack.target_system) == (
+        "COMMAND_ACK",
+        mavlink.MAV_RESULT_ACCEPTED,
+        255,
+    )
     assert bench.drone.autopilot.mode is FlightMode.OTHER
     assert bench.drone.autopilot.pilot_in_control
 
@@ -99,7 +119,9 @@ def test_unknown_commands_are_unsupported(bench: Bench, command: int) -> None:
 
 
 def test_velocity_in_the_body_s_frame_is_ahead_and_right_of_the_heading(bench: Bench) -> None:
-    """MAVSDK's set_velocity_body: the yaw is ignored, its rate is not. It was accepted and not followed."""
+    """MAVSDK's set_velocity_body: the yaw is ignored, its rate is not. It was accepted and not
+    followed.
+    """
     bench.fly_at(1.5)
     body, mask = mavlink.MAV_FRAME_BODY_NED, 0b010111000111
     bench.setpoint((0.0, 0.0, 0.0), mask, frame=body)
@@ -140,7 +162,9 @@ def test_a_silent_vehicle_neither_sends_nor_hears(bench: Bench) -> None:
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.binary(max_size=300), st.integers(0, 60), st.integers(0, 255))
 def test_noise_never_stops_it(bench: Bench, noise: bytes, at: int, byte: int) -> None:
-    arm = bytearray(mavlink.MAVLink_command_long_message(SYSID, 1, 400, 0, *[1.0] * 7).pack(bench.mav))
+    arm = bytearray(
+        mavlink.MAVLink_command_long_message(SYSID, 1, 400, 0, *[1.0] * 7).pack(bench.mav)
+    )
     arm[at % len(arm)] ^= byte or 1
     bench.send_raw(noise)
     bench.send_raw(bytes(arm))
@@ -151,5 +175,7 @@ def test_noise_never_stops_it(bench: Bench, noise: bytes, at: int, byte: int) ->
 def test_half_a_packet_does_not_swallow_the_next_one(bench: Bench) -> None:
     bench.run(0.5)
     bench.send_raw(b"\xfd\xff\x00\x00")
-    assert bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED
+    assert (
+        bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED
+    )
     assert bench.vehicle.malformed == 1

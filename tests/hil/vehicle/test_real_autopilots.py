@@ -1,4 +1,6 @@
-"""A short flight on each real autopilot whose simulator is named; skipped, with the reason, where none is."""
+"""A short flight on each real autopilot whose simulator is named; skipped, with the reason, where
+none is.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +29,14 @@ LIMIT_S = 90.0
 
 def named(kind: Kind) -> pytest.MarkDecorator:
     variable = BINARY_VARIABLE[kind]
-    return pytest.mark.skipif(not os.environ.get(variable), reason=f"{variable} names no simulator of {kind}")
+    return pytest.mark.skipif(
+        not os.environ.get(variable), reason=f"{variable} names no simulator of {kind}"
+    )
 
 
-@pytest.mark.parametrize("kind", [pytest.param(kind, marks=named(kind)) for kind in BINARY_VARIABLE])
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=named(kind)) for kind in BINARY_VARIABLE]
+)
 def test_it_takes_off_flies_north_and_lands(kind: Kind, tmp_path: Path) -> None:
     rig = rig_library.load(f"sitl-{kind}")
     config = decode_table(rig.world, WorldConfig, "world")
@@ -58,7 +64,8 @@ async def flight(vehicle: MavsdkVehicle, simulated: SimulatedVehicle) -> None:
     await vehicle.wait_armable(LIMIT_S)
     await vehicle.arm()
     await vehicle.take_off(HEIGHT_M, LIMIT_S)
-    assert -truth()[2] - ground_m == pytest.approx(HEIGHT_M, abs=1.2)  # PX4's height is its first GPS sample's
+    # PX4's height is its first GPS sample's
+    assert -truth()[2] - ground_m == pytest.approx(HEIGHT_M, abs=1.2)
     north = VelocitySetpoint((0.8, 0.0, 0.0), 0.0)
     await vehicle.start_offboard(north)
     start_n_m = truth()[0]

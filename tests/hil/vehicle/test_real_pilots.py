@@ -1,7 +1,8 @@
-"""A pilot's radio and the guard on each real autopilot whose simulator is named; skipped, with the reason, without one.
+"""A pilot's radio and the guard on each real autopilot whose simulator is named; skipped, with the
+reason, without one.
 
-What each order does, and how soon the companion's driver sees it, in OFFBOARD (GUIDED); a guard whose script is dead,
-or climbs on, with a GPS altitude that is 10 m off. No cameras, one vehicle.
+What each order does, and how soon the companion's driver sees it, in OFFBOARD (GUIDED); a guard
+whose script is dead, or climbs on, with a GPS altitude that is 10 m off. No cameras, one vehicle.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ from path.messages import Role
 
 LIMIT_S = 90.0
 HEIGHT_M = 2.0
-SEEN_WITHIN_S = {"mode": 0.5, "sticks": 0.5, "kill": 1.5, "lost": 1.7}  # ArduCopter counts a radio lost after 1 s
+# ArduCopter counts a radio lost after 1 s
+SEEN_WITHIN_S = {"mode": 0.5, "sticks": 0.5, "kill": 1.5, "lost": 1.7}
 AFTER = {"mode": FlightMode.OTHER, "sticks": FlightMode.OTHER}
 STILL = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
 
@@ -46,7 +48,9 @@ PATIENT: dict[Kind, dict[str, float]] = {"px4": {"COM_OF_LOSS_T": 5.0}, "ardupil
 
 CEILING_M = 3.5
 OVER_M: dict[Kind, float] = {"px4": 2.0, "ardupilot": 1.0}
-"""In truth over the ceiling at most: half a second of patience at 0.5 m/s, and PX4's error of height, 1.7 m seen."""
+"""In truth over the ceiling at most: half a second of patience at 0.5 m/s, and PX4's error of
+height, 1.7 m seen.
+"""
 
 CLIMB = VelocitySetpoint((0.0, 0.0, -0.5), 0.0)
 
@@ -74,7 +78,9 @@ ORDERS: dict[str, Order] = {"mode": by_mode, "sticks": by_sticks, "kill": by_kil
 
 def named(kind: Kind) -> pytest.MarkDecorator:
     variable = BINARY_VARIABLE[kind]
-    return pytest.mark.skipif(not os.environ.get(variable), reason=f"{variable} names no simulator of {kind}")
+    return pytest.mark.skipif(
+        not os.environ.get(variable), reason=f"{variable} names no simulator of {kind}"
+    )
 
 
 KINDS = [pytest.param(kind, marks=named(kind)) for kind in BINARY_VARIABLE]
@@ -86,11 +92,18 @@ def field_rig(kind: Kind) -> Rig:
 
 @asynccontextmanager
 async def offboard(
-    kind: Kind, folder: Path, role: Role = Role.SENDER, before: Callable[[], Awaitable[None]] | None = None
+    kind: Kind,
+    folder: Path,
+    role: Role = Role.SENDER,
+    before: Callable[[], Awaitable[None]] | None = None,
 ) -> AsyncGenerator[tuple[MavsdkVehicle, SimulatedVehicle]]:
-    """One vehicle with the field rig's parameters, in the air under its companion; without the wrong height of D2."""
+    """One vehicle with the field rig's parameters, in the air under its companion; without the
+    wrong height of D2.
+    """
     rig = field_rig(kind)
-    config = replace(decode_table(rig.world, WorldConfig, "world"), position_offset=PositionOffsetConfig())
+    config = replace(
+        decode_table(rig.world, WorldConfig, "world"), position_offset=PositionOffsetConfig()
+    )
     simulator = config.simulator(role)
     assert simulator is not None
     patient = replace(simulator, parameters={**simulator.parameters, **PATIENT[kind]})
@@ -123,7 +136,9 @@ async def pump(simulated: SimulatedVehicle) -> None:
         await asyncio.sleep(0.01)
 
 
-async def flown(vehicle: MavsdkVehicle, seconds: float, until: Callable[[VehicleState], bool]) -> float | None:
+async def flown(
+    vehicle: MavsdkVehicle, seconds: float, until: Callable[[VehicleState], bool]
+) -> float | None:
     """Setpoints at 20 Hz until something is seen: after how long, or None when it never was."""
     start_s = time.monotonic()
     while time.monotonic() - start_s < seconds:
@@ -143,12 +158,17 @@ def test_the_pilots_radio_wins(kind: Kind, order: str, tmp_path: Path) -> None:
             assert simulated.radio is not None and vehicle.state.mode is FlightMode.OFFBOARD
             ORDERS[order](simulated.radio.transmitter)
             if kind == "ardupilot" and order == "sticks":
-                assert await flown(vehicle, 3.0, lambda state: state.mode is not FlightMode.OFFBOARD) is None
+                assert (
+                    await flown(vehicle, 3.0, lambda state: state.mode is not FlightMode.OFFBOARD)
+                    is None
+                )
                 return  # in GUIDED it looks at no stick: docs/field.md
             seen_s = await flown(
                 vehicle,
                 5.0,
-                lambda state: not state.armed if order == "kill" else state.mode is not FlightMode.OFFBOARD,
+                lambda state: (
+                    not state.armed if order == "kill" else state.mode is not FlightMode.OFFBOARD
+                ),
             )
             print(f"\n{kind} {order}: seen after {seen_s} s")
             assert seen_s is not None and seen_s <= SEEN_WITHIN_S[order]
@@ -191,7 +211,9 @@ class Silent:
 async def guarded(
     kind: Kind, folder: Path, role: Role = Role.SENDER
 ) -> AsyncGenerator[tuple[MavsdkVehicle, SimulatedVehicle, GuardWatch, Beating]]:
-    """As ``offboard``, with a guard on a link of its own from before the flight, and a ceiling of CEILING_M."""
+    """As ``offboard``, with a guard on a link of its own from before the flight, and a ceiling of
+    CEILING_M.
+    """
     async with AsyncExitStack() as stack:
         guards: list[tuple[GuardWatch, Beating]] = []
 
@@ -200,7 +222,9 @@ async def guarded(
             context = part_context(rig, role)
             line, ended = Beating(context), asyncio.Event()
             mission = MissionConfig(guard=GuardConfig(fence_height_m=CEILING_M))
-            link = await stack.enter_async_context(create(as_flown(rig, role, guard_of(rig, role)), context))
+            link = await stack.enter_async_context(
+                create(as_flown(rig, role, guard_of(rig, role)), context)
+            )
             guard = GuardWatch(link, line, context.clock, mission, Silent())
             stack.callback(asyncio.create_task(watch((guard,), ended)).cancel)
             stack.callback(ended.set)
@@ -211,7 +235,9 @@ async def guarded(
         guard, line = guards[0]
         line.script = Script.CONTROL
         await flown(vehicle, 1.0, lambda _: False)
-        assert guard.state.stage is GuardStage.WATCHING, f"{guard.state.reason}; in truth {height_m(simulated):.1f} m"
+        assert guard.state.stage is GuardStage.WATCHING, (
+            f"{guard.state.reason}; in truth {height_m(simulated):.1f} m"
+        )
         yield vehicle, simulated, guard, line
 
 
@@ -259,7 +285,9 @@ def test_a_guard_that_has_the_vehicle_gives_it_to_the_pilot(kind: Kind, tmp_path
 
 @pytest.mark.parametrize("role", list(Role))
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_ceiling_is_kept_in_truth_with_ten_metres_of_gps_altitude(kind: Kind, role: Role, tmp_path: Path) -> None:
+def test_the_ceiling_is_kept_in_truth_with_ten_metres_of_gps_altitude(
+    kind: Kind, role: Role, tmp_path: Path
+) -> None:
     """D1's says 10 m too much, D2's 10 m too little; the script climbs on and looks at no limit."""
 
     async def fly() -> None:

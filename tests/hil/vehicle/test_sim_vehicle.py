@@ -1,4 +1,6 @@
-"""The in-process vehicle on a virtual loop: the whole flight, telemetry as it arrives, refusals, a dead link."""
+"""The in-process vehicle on a virtual loop: the whole flight, telemetry as it arrives, refusals, a
+dead link.
+"""
 
 import asyncio
 import math
@@ -49,7 +51,9 @@ def context(harness: object | None) -> PartContext:
     camera = CameraModel(640, 480, 615.0, 615.0, 319.5, 239.5, (0.0, 0.0, 0.0, 0.0, 0.0))
     layout = MarkerLayout((Marker(0, 0.04, 0.0, IDENTITY),), "DICT_4X4_50")
     mount = Mount(IDENTITY, IDENTITY)
-    return PartContext(Role.SENDER, Clock(), camera, mount, layout, Origin(47.0, 8.0, 400.0), harness)
+    return PartContext(
+        Role.SENDER, Clock(), camera, mount, layout, Origin(47.0, 8.0, 400.0), harness
+    )
 
 
 def fly(
@@ -114,9 +118,12 @@ def test_telemetry_comes_late_and_with_the_stamps_of_its_arrival() -> None:
         estimates = {time_s: each.estimate for time_s, each in told.items()}
         assert vehicle.state.position_n_m == told[1.0].position_n_m
         assert vehicle.state.position_n_m[:2] == estimates[1.0].position_n_m[:2]
-        assert vehicle.state.position_n_m[2] == pytest.approx(0.0, abs=0.2)  # on the ground: above its home
+        # on the ground: above its home
+        assert vehicle.state.position_n_m[2] == pytest.approx(0.0, abs=0.2)
         half_way = vehicle.attitude_at(round((0.994 + CLOCK_AHEAD_S) * 1e9))
-        middle = [(a + b) / 2 for a, b in zip(estimates[0.98].q_n_b, estimates[1.0].q_n_b, strict=True)]
+        middle = [
+            (a + b) / 2 for a, b in zip(estimates[0.98].q_n_b, estimates[1.0].q_n_b, strict=True)
+        ]
         assert half_way == pytest.approx(middle, abs=1e-6)
         assert vehicle.attitude_at(0) == estimates[0.0].q_n_b
 
@@ -133,16 +140,24 @@ def test_what_is_told_does_not_depend_on_how_often_is_asked() -> None:
                 await asyncio.sleep(every_s)
                 _ = vehicle.state
             await asyncio.sleep(end_s - asyncio.get_running_loop().time())
-            return vehicle.state.position_n_m, vehicle.state.q_n_b, round(vehicle.state.stamp_ns, -1)
+            return (
+                vehicle.state.position_n_m,
+                vehicle.state.q_n_b,
+                round(vehicle.state.stamp_ns, -1),
+            )
 
     assert run_virtual(asked(0.9)) == run_virtual(asked(0.013))
 
 
 def test_refusals_carry_the_reason() -> None:
     async def mission(vehicle: SimVehicle, harness: Harness) -> None:
-        with pytest.raises(VehicleError, match="refused to arm: Arming denied: position estimate is settling"):
+        with pytest.raises(
+            VehicleError, match="refused to arm: Arming denied: position estimate is settling"
+        ):
             await vehicle.arm()
-        with pytest.raises(VehicleError, match="not ready to arm after 4 s: compass not calibrated"):
+        with pytest.raises(
+            VehicleError, match="not ready to arm after 4 s: compass not calibrated"
+        ):
             await vehicle.wait_armable(4.0)
         with pytest.raises(VehicleError, match="refused to arm: Arming denied: compass"):
             await vehicle.arm()

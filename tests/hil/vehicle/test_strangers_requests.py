@@ -1,4 +1,6 @@
-"""What a stranger's ground station asks the embedded vehicle that MAVSDK does not, answered as PX4 answers it."""
+"""What a stranger's ground station asks the embedded vehicle that MAVSDK does not, answered as PX4
+answers it.
+"""
 
 import math
 from typing import Any
@@ -23,7 +25,10 @@ def test_a_ground_station_is_told_how_often_a_message_comes(bench: Bench) -> Non
 
 
 def test_the_older_request_for_what_it_can_do_is_answered(bench: Bench) -> None:
-    assert bench.command(mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, 1.0) == mavlink.MAV_RESULT_ACCEPTED
+    assert (
+        bench.command(mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, 1.0)
+        == mavlink.MAV_RESULT_ACCEPTED
+    )
     assert len(bench.of("AUTOPILOT_VERSION")) == 1
 
 
@@ -33,12 +38,17 @@ def test_commands_for_another_component_or_for_every_system_are_not_obeyed(bench
     arm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
     assert bench.command(arm, 1.0, 0.0, target=0) is None
     for system, component in ((SYSID, 50), (SYSID + 1, 1)):
-        bench.send(mavlink.MAVLink_command_long_message(system, component, arm, 0, 1.0, 0.0, 0, 0, 0, 0, 0))
+        bench.send(
+            mavlink.MAVLink_command_long_message(system, component, arm, 0, 1.0, 0.0, 0, 0, 0, 0, 0)
+        )
         bench.run(STEP_S)
     assert not bench.of("COMMAND_ACK")
     assert not bench.drone.autopilot.armed
     version = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
-    assert bench.command(mavlink.MAV_CMD_REQUEST_MESSAGE, version, target=0) == mavlink.MAV_RESULT_ACCEPTED
+    assert (
+        bench.command(mavlink.MAV_CMD_REQUEST_MESSAGE, version, target=0)
+        == mavlink.MAV_RESULT_ACCEPTED
+    )
     bench.heard.clear()
     bench.send(mavlink.MAVLink_param_request_read_message(SYSID, 50, b"RTL_RETURN_ALT", -1))
     bench.run(STEP_S)
@@ -48,7 +58,9 @@ def test_commands_for_another_component_or_for_every_system_are_not_obeyed(bench
 def test_a_pilots_mode_by_the_old_message_is_obeyed(bench: Bench) -> None:
     bench.fly_at()
     bench.heard.clear()
-    bench.send(mavlink.MAVLink_set_mode_message(SYSID, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, 3 << 16))
+    bench.send(
+        mavlink.MAVLink_set_mode_message(SYSID, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, 3 << 16)
+    )
     bench.run(STEP_S)
     (ack,) = bench.of("COMMAND_ACK")
     assert (ack.command, ack.result) == (mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_RESULT_ACCEPTED)
@@ -58,7 +70,9 @@ def test_a_pilots_mode_by_the_old_message_is_obeyed(bench: Bench) -> None:
 def test_an_upload_of_nothing_clears_and_one_of_something_is_refused(bench: Bench) -> None:
     for count, result in ((0, mavlink.MAV_MISSION_ACCEPTED), (3, mavlink.MAV_MISSION_UNSUPPORTED)):
         bench.heard.clear()
-        bench.send(mavlink.MAVLink_mission_count_message(SYSID, 1, count, mavlink.MAV_MISSION_TYPE_MISSION))
+        bench.send(
+            mavlink.MAVLink_mission_count_message(SYSID, 1, count, mavlink.MAV_MISSION_TYPE_MISSION)
+        )
         bench.run(STEP_S)
         assert [ack.type for ack in bench.of("MISSION_ACK")] == [result]
 
@@ -68,7 +82,9 @@ def test_pings_and_lists_of_logs_are_answered(bench: Bench) -> None:
     bench.send(mavlink.MAVLink_ping_message(6, 10, SYSID, 1))  # an answer is not answered
     bench.send(mavlink.MAVLink_log_request_list_message(SYSID, 1, 0, 0xFFFF))
     bench.run(STEP_S)
-    assert [(each.time_usec, each.seq, each.target_system) for each in bench.of("PING")] == [(5, 9, 245)]
+    assert [(each.time_usec, each.seq, each.target_system) for each in bench.of("PING")] == [
+        (5, 9, 245)
+    ]
     assert [each.num_logs for each in bench.of("LOG_ENTRY")] == [0]
 
 
@@ -80,7 +96,11 @@ def test_setpoints_that_are_not_followed_are_said_to_be(bench: Bench) -> None:
         )
     )
     bench.run(1.5)
-    bench.send(mavlink.MAVLink_set_attitude_target_message(0, SYSID, 1, 0, [1.0, 0.0, 0.0, 0.0], 0, 0, 0, 0.5))
+    bench.send(
+        mavlink.MAVLink_set_attitude_target_message(
+            0, SYSID, 1, 0, [1.0, 0.0, 0.0, 0.0], 0, 0, 0, 0.5
+        )
+    )
     bench.run(STEP_S)
     said = [each.text for each in bench.of("STATUSTEXT") if "unsupported" in each.text]
     assert said == ["SET_POSITION_TARGET_GLOBAL_INT unsupported", "SET_ATTITUDE_TARGET unsupported"]
@@ -89,12 +109,24 @@ def test_setpoints_that_are_not_followed_are_said_to_be(bench: Bench) -> None:
 def test_a_take_off_as_an_integer_command_goes_to_its_own_altitude(bench: Bench) -> None:
     """In COMMAND_INT the altitude is ``z``; over home it is not taken for one over the sea."""
     bench.run(0.5)
-    assert bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED
-    (home,) = (message.altitude * 1e-3 for message in requested(bench, mavlink.MAVLINK_MSG_ID_HOME_POSITION))
-    for frame, z, result in ((6, 2.0, mavlink.MAV_RESULT_DENIED), (5, home + 2.0, mavlink.MAV_RESULT_ACCEPTED)):
+    assert (
+        bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED
+    )
+    (home,) = (
+        message.altitude * 1e-3
+        for message in requested(bench, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
+    )
+    for frame, z, result in (
+        (6, 2.0, mavlink.MAV_RESULT_DENIED),
+        (5, home + 2.0, mavlink.MAV_RESULT_ACCEPTED),
+    ):
         bench.heard.clear()
         take_off = mavlink.MAV_CMD_NAV_TAKEOFF
-        bench.send(mavlink.MAVLink_command_int_message(SYSID, 1, frame, take_off, 0, 0, 0, 0, 0, math.nan, 0, 0, z))
+        bench.send(
+            mavlink.MAVLink_command_int_message(
+                SYSID, 1, frame, take_off, 0, 0, 0, 0, 0, math.nan, 0, 0, z
+            )
+        )
         bench.run(STEP_S)
         assert [ack.result for ack in bench.of("COMMAND_ACK")] == [result]
     bench.run(5.0)

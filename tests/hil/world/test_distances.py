@@ -27,7 +27,12 @@ class Above(World):
 
 @pytest.mark.parametrize(
     ("kind", "height_m", "expected_m"),
-    [("person", 1.75 + 1.0, 1.0), ("person", 0.5, 2.0 - 0.35), ("drone", 1.0, 2.0 - 0.16), ("car", 0.2, math.inf)],
+    [
+        ("person", 1.75 + 1.0, 1.0),
+        ("person", 0.5, 2.0 - 0.35),
+        ("drone", 1.0, 2.0 - 0.16),
+        ("car", 0.2, math.inf),
+    ],
 )
 def test_it_is_between_the_bodies(kind: TargetKind, height_m: float, expected_m: float) -> None:
     """The target waits 4 m to the north: straight above it, or two metres to its side."""

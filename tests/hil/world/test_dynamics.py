@@ -1,4 +1,6 @@
-"""The quadrotor: it tilts to move, stands against wind, follows commands, and stops at the ground."""
+"""The quadrotor: it tilts to move, stands against wind, follows commands, and stops at the
+ground.
+"""
 
 import math
 
@@ -45,7 +47,10 @@ class Drone:
             self.states[0, CONTACT] = 0.0
 
     def go(
-        self, seconds: float, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0), motors: float = MOTORS_FLY
+        self,
+        seconds: float,
+        velocity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        motors: float = MOTORS_FLY,
     ) -> Array:
         """The states at every step, shape (steps, STATE_SIZE)."""
         self.command[0] = (motors, *velocity, self.told_yaw)
@@ -61,7 +66,9 @@ class Drone:
 
     @property
     def rpy_deg(self) -> tuple[float, float, float]:
-        roll, pitch, yaw = (math.degrees(angle) for angle in rpy_from_quat(tuple(self.states[0, ATTITUDE].tolist())))
+        roll, pitch, yaw = (
+            math.degrees(angle) for angle in rpy_from_quat(tuple(self.states[0, ATTITUDE].tolist()))
+        )
         return roll, pitch, yaw
 
 
@@ -89,7 +96,9 @@ def test_it_tilts_into_an_acceleration_and_back() -> None:
 
 def test_tilt_is_limited() -> None:
     rows = Drone(5.0).go(3.0, (50.0, 0.0, 0.0))
-    tilt = np.array([math.acos(R_from_quat(tuple(row))[2, 2]) for row in rows[:, ATTITUDE].tolist()])
+    tilt = np.array(
+        [math.acos(R_from_quat(tuple(row))[2, 2]) for row in rows[:, ATTITUDE].tolist()]
+    )
     limit = math.atan(CONFIG.max_horizontal_mps2 / (GRAVITY_MPS2 - 0.5))
     assert math.degrees(tilt.max()) < math.degrees(limit) + 4.0
 
@@ -100,7 +109,9 @@ def test_it_leans_into_a_steady_wind_and_stays() -> None:
     drone.go(12.0)
     late = drone.go(2.0)
     assert np.abs(late[:, VELOCITY]).max() < 0.02
-    assert drone.rpy_deg[1] == pytest.approx(-math.degrees(math.atan(CONFIG.drag_hz * 4.0 / GRAVITY_MPS2)), abs=0.2)
+    assert drone.rpy_deg[1] == pytest.approx(
+        -math.degrees(math.atan(CONFIG.drag_hz * 4.0 / GRAVITY_MPS2)), abs=0.2
+    )
 
 
 def test_the_wrong_level_of_the_estimator_is_flown_but_does_not_drift() -> None:
@@ -108,7 +119,8 @@ def test_the_wrong_level_of_the_estimator_is_flown_but_does_not_drift() -> None:
     drone.attitude_error[0] = (math.radians(1.0), 0.0, 0.0)
     drone.go(10.0)
     assert np.abs(drone.states[0, VELOCITY]).max() < 0.02
-    assert drone.rpy_deg[0] == pytest.approx(0.0, abs=0.05)  # truly level: the loop tilts against the error
+    # truly level: the loop tilts against the error
+    assert drone.rpy_deg[0] == pytest.approx(0.0, abs=0.05)
 
 
 def test_velocity_errors_of_the_estimator_become_drift() -> None:

@@ -1,4 +1,6 @@
-"""The table of errors: what is drawn of it, for whom, and that nothing is drawn by the name of exact."""
+"""The table of errors: what is drawn of it, for whom, and that nothing is drawn by the name of
+exact.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +66,12 @@ def test_an_exact_world_is_built_as_the_rig_says(rig: Rig) -> None:
         assert np.array_equal(true.mount.T_b_c.t, said.mount.T_b_c.t)
         assert np.allclose(true.mount.T_b_c.R, said.mount.T_b_c.R, atol=1e-15)
         sensor = built.sensors[role]
-        assert (sensor.depth, sensor.depth_bias_m, sensor.depth_late_s, sensor.stamp_jitter_s) == (1.0, 0.0, 0.0, 0.0)
+        assert (sensor.depth, sensor.depth_bias_m, sensor.depth_late_s, sensor.stamp_jitter_s) == (
+            1.0,
+            0.0,
+            0.0,
+            0.0,
+        )
         assert (sensor.exposure_s, sensor.readout_s) == (0.0, 0.0)
         assert StampErrors(sensor, 50.0).next_ns() == 0
     assert built.rig.layout.markers[0].side_m == rig.layout.markers[0].side_m
@@ -75,7 +82,10 @@ def test_the_same_seed_builds_the_same_and_another_one_does_not(rig: Rig) -> Non
     assert first.rig.sender.camera == again.rig.sender.camera
     assert first.sensors == again.sensors
     assert first.rig.sender.camera != other.rig.sender.camera
-    assert first.rig.sender.camera.fx / rig.sender.camera.fx != first.rig.receiver.camera.fx / rig.receiver.camera.fx
+    assert (
+        first.rig.sender.camera.fx / rig.sender.camera.fx
+        != first.rig.receiver.camera.fx / rig.receiver.camera.fx
+    )
 
 
 def test_both_roles_have_the_marker_at_the_same_true_place(rig: Rig) -> None:
@@ -94,20 +104,32 @@ def test_what_is_drawn_has_the_sizes_of_the_table(rig: Rig, level: str) -> None:
 
     said = rig.receiver
     trues = [each.rig.receiver for each in drawn]
-    assert spread([t.camera.fx / said.camera.fx - 1.0 for t in trues]) == pytest.approx(sizes.focal, rel=0.3)
-    assert spread([t.camera.cx - said.camera.cx for t in trues]) == pytest.approx(sizes.centre_px, rel=0.3)
-    assert spread([t.mount.T_b_c.t - said.mount.T_b_c.t for t in trues]) == pytest.approx(sizes.mount_m, rel=0.2)
+    assert spread([t.camera.fx / said.camera.fx - 1.0 for t in trues]) == pytest.approx(
+        sizes.focal, rel=0.3
+    )
+    assert spread([t.camera.cx - said.camera.cx for t in trues]) == pytest.approx(
+        sizes.centre_px, rel=0.3
+    )
+    assert spread([t.mount.T_b_c.t - said.mount.T_b_c.t for t in trues]) == pytest.approx(
+        sizes.mount_m, rel=0.2
+    )
     turns = [turned_rad(t.mount.T_b_c, said.mount.T_b_c) for t in trues]
     assert spread(turns) == pytest.approx(np.radians(sizes.mount_deg) * np.sqrt(3.0), rel=0.2)
-    sides = [each.rig.layout.markers[0].side_m / rig.layout.markers[0].side_m - 1.0 for each in drawn]
+    sides = [
+        each.rig.layout.markers[0].side_m / rig.layout.markers[0].side_m - 1.0 for each in drawn
+    ]
     assert spread(sides) == pytest.approx(sizes.side, rel=0.3)
     depths = [each.sensors[Role.SENDER] for each in drawn]
     assert spread([each.depth - 1.0 for each in depths]) == pytest.approx(sizes.depth, rel=0.3)
-    assert spread([each.depth_bias_m for each in depths]) == pytest.approx(sizes.depth_bias_m, rel=0.3)
+    assert spread([each.depth_bias_m for each in depths]) == pytest.approx(
+        sizes.depth_bias_m, rel=0.3
+    )
     assert spread([each.edges_px for each in depths]) == pytest.approx(sizes.edge_px, rel=0.2)
 
 
-def test_exposure_and_read_out_are_within_their_bounds_and_no_longer_than_a_period(rig: Rig) -> None:
+def test_exposure_and_read_out_are_within_their_bounds_and_no_longer_than_a_period(
+    rig: Rig,
+) -> None:
     for level, exposures_s, readouts_s in (
         ("careful", (0.002, 0.010), (0.010, 0.020)),
         ("careless", (0.006, LONGEST_S), (LONGEST_S, LONGEST_S)),
@@ -124,7 +146,9 @@ def test_a_lens_is_off_by_as_much_as_the_table_says_in_the_corner(rig: Rig) -> N
     off: list[float] = []
     for seed in SEEDS:
         true = as_built(rig, seed).rig.sender.camera
-        alike = type(said)(said.width, said.height, said.fx, said.fy, said.cx, said.cy, true.distortion)
+        alike = type(said)(
+            said.width, said.height, said.fx, said.fy, said.cx, said.cy, true.distortion
+        )
         off.append(np.hypot(*np.subtract(alike.project_point(point), said.project_point(point))))
     assert 0.5 * sizes.distortion_px < np.sqrt(np.mean(np.square(off))) < 2.0 * sizes.distortion_px
 

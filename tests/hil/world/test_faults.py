@@ -14,7 +14,15 @@ from flight.harness.flights import Progress
 from hil.harness.inject import inject_in_world, need_own_estimators
 from hil.link.faulty import LinkFaults
 from hil.world.config import WorldConfig
-from hil.world.faults import AT_COUNT, FAULTS, FaultError, FaultKind, FaultTrigger, parse_fault, parse_faults
+from hil.world.faults import (
+    AT_COUNT,
+    FAULTS,
+    FaultError,
+    FaultKind,
+    FaultTrigger,
+    parse_fault,
+    parse_faults,
+)
 from hil.world.world import World
 from missions.ground import rig_library
 from path.geometry.rotation import yaw_of
@@ -47,7 +55,9 @@ def test_every_fault_can_be_asked_for_by_its_name(kind: FaultKind) -> None:
         ("pilot_takeover@stand-off", None, "stand-off", 0.0),
     ],
 )
-def test_when_it_begins_is_written_behind_it(text: str, value: float | None, moment: str, after_s: float) -> None:
+def test_when_it_begins_is_written_behind_it(
+    text: str, value: float | None, moment: str, after_s: float
+) -> None:
     fault = parse_fault(text)
     assert (fault.value, fault.moment, fault.after_s) == (value, moment, after_s)
 
@@ -59,7 +69,9 @@ def test_an_estimator_steps_either_way_and_only_where_it_is_simulated() -> None:
         parse_fault("step_yaw_sender=-181")
     faults = parse_faults(["step_north_sender=1"], "sitl")
     need_own_estimators(rig_library.load("sitl"), faults)
-    with pytest.raises(FaultError, match=r"step_north_sender: the estimators of .* are the autopilots' own"):
+    with pytest.raises(
+        FaultError, match=r"step_north_sender: the estimators of .* are the autopilots' own"
+    ):
         need_own_estimators(rig_library.load("sitl-px4"), faults)
 
 
@@ -141,7 +153,10 @@ def test_what_is_taken_the_link_can_do(name: str, value: float | str) -> None:
     if name == "link_loss":
         assert LinkFaults(loss=fault.value or 0.0).loss == fault.value
     else:
-        assert LinkFaults(delay_s=fault.value or 0.0, jitter_s=fault.value or 0.0).delay_s == fault.value
+        assert (
+            LinkFaults(delay_s=fault.value or 0.0, jitter_s=fault.value or 0.0).delay_s
+            == fault.value
+        )
 
 
 @pytest.mark.parametrize(
@@ -155,13 +170,19 @@ def test_what_is_taken_the_link_can_do(name: str, value: float | str) -> None:
         ("rc_kill_sender", None, None),
     ],
 )
-def test_who_is_killed_and_who_is_cut_off(name: str, kills: Role | None, cuts_off: Role | None) -> None:
+def test_who_is_killed_and_who_is_cut_off(
+    name: str, kills: Role | None, cuts_off: Role | None
+) -> None:
     fault = parse_fault(name)
     assert (fault.kills, fault.cuts_off) == (kills, cuts_off)
 
 
 def test_what_is_there_from_the_start_and_what_begins_while_the_views_agree() -> None:
-    loss, lookalike, freeze = parse_fault("link_loss=0.3"), parse_fault("lookalike"), parse_fault("camera_freeze")
+    loss, lookalike, freeze = (
+        parse_fault("link_loss=0.3"),
+        parse_fault("lookalike"),
+        parse_fault("camera_freeze"),
+    )
     trigger = FaultTrigger([lookalike, loss, freeze])
     assert trigger.from_the_start() == [loss]
     assert trigger.on_progress(progress(Role.SENDER, AT_COUNT - 1)) == []
@@ -183,7 +204,8 @@ def at(role: Role, phase: str) -> Progress:
 
 def test_a_fault_with_a_moment_begins_at_no_other() -> None:
     loss, kill, pilot = (
-        parse_fault(t) for t in ("link_loss=0.3@follow", "kill_sender=1@verify", "pilot_takeover@verify")
+        parse_fault(t)
+        for t in ("link_loss=0.3@follow", "kill_sender=1@verify", "pilot_takeover@verify")
     )
     trigger = FaultTrigger([loss, kill, pilot])
     assert trigger.from_the_start() == []

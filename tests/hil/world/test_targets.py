@@ -1,4 +1,6 @@
-"""Target and look-alikes: smooth, bounded, apart from each other, and the one that is sent comes close but not too."""
+"""Target and look-alikes: smooth, bounded, apart from each other, and the one that is sent comes
+close but not too.
+"""
 
 import math
 from itertools import pairwise
@@ -7,15 +9,26 @@ import numpy as np
 import pytest
 
 from hil.world.snapshot import ObjectTruth
-from hil.world.targets import CROSSING_S, HIGHEST_M, LOWEST_M, GroundVehicles, LookAlikeConfig, TargetConfig
+from hil.world.targets import (
+    CROSSING_S,
+    HIGHEST_M,
+    LOWEST_M,
+    GroundVehicles,
+    LookAlikeConfig,
+    TargetConfig,
+)
 
 TARGET = TargetConfig(start_time_s=20.0, stands_s=(0.0, 0.0))  # steadily, once it has started
 HOMES = ((0.0, 0.0), (1.5, -3.0))
 SEEDS = range(25)
 
 
-def traffic(seed: int, target: TargetConfig = TARGET, look_alikes: LookAlikeConfig | None = None) -> GroundVehicles:
-    return GroundVehicles(target, look_alikes or LookAlikeConfig(), HOMES, np.random.SeedSequence(seed))
+def traffic(
+    seed: int, target: TargetConfig = TARGET, look_alikes: LookAlikeConfig | None = None
+) -> GroundVehicles:
+    return GroundVehicles(
+        target, look_alikes or LookAlikeConfig(), HOMES, np.random.SeedSequence(seed)
+    )
 
 
 def apart(a: ObjectTruth, b: ObjectTruth) -> float:
@@ -104,7 +117,9 @@ def test_the_nose_points_where_it_drives() -> None:
     world = traffic(4)
     for k in range(200):
         a, b = world.at(25.0 + 0.2 * k)[0], world.at(25.01 + 0.2 * k)[0]
-        course = math.atan2(b.position_w_m[1] - a.position_w_m[1], b.position_w_m[0] - a.position_w_m[0])
+        course = math.atan2(
+            b.position_w_m[1] - a.position_w_m[1], b.position_w_m[0] - a.position_w_m[0]
+        )
         assert math.remainder(course - a.yaw_rad, 2 * math.pi) == pytest.approx(0.0, abs=0.03)
 
 
@@ -112,7 +127,9 @@ def test_a_sent_look_alike_points_where_it_drives() -> None:
     world = traffic(5)
     world.send_lookalike(40.0)
     a, b = world.at(43.0)[-1], world.at(43.01)[-1]
-    course = math.atan2(b.position_w_m[1] - a.position_w_m[1], b.position_w_m[0] - a.position_w_m[0])
+    course = math.atan2(
+        b.position_w_m[1] - a.position_w_m[1], b.position_w_m[0] - a.position_w_m[0]
+    )
     assert math.remainder(course - a.yaw_rad, 2 * math.pi) == pytest.approx(0.0, abs=0.02)
     assert apart(a, b) / 0.01 == pytest.approx(a.speed_mps, rel=0.02)
 
@@ -144,7 +161,9 @@ def test_what_flies_goes_up_and_down_and_its_look_alikes_hang_at_heights_of_thei
     assert (min(heights), max(heights)) == pytest.approx((0.8, 2.4), abs=0.01)
     assert heights[: round(10 * flying.start_time_s)] == [0.8] * round(10 * flying.start_time_s)
     before, after = world.at(33.0)[0], world.at(33.01)[0]
-    assert (after.position_w_m[2] - before.position_w_m[2]) / 0.01 == pytest.approx(before.climb_mps, abs=0.01)
+    assert (after.position_w_m[2] - before.position_w_m[2]) / 0.01 == pytest.approx(
+        before.climb_mps, abs=0.01
+    )
     parked = [thing.position_w_m[2] for thing in world.at(33.0)[2:]]
     assert all(LOWEST_M <= height <= HIGHEST_M for height in parked)
     assert len(set(parked)) == 2

@@ -1,4 +1,6 @@
-"""The world: the same floats for a seed however it is advanced, hover in wind, estimate errors, faults, truth."""
+"""The world: the same floats for a seed however it is advanced, hover in wind, estimate errors,
+faults, truth.
+"""
 
 import itertools
 import math
@@ -42,7 +44,8 @@ def fingerprint(world: World) -> tuple[Any, ...]:
     """Every float that could differ."""
     snapshot = world.snapshot()
     drones = [
-        (d.T_w_b.R.tolist(), d.T_w_b.t.tolist(), d.velocity_w_mps, d.rotor_phase_rad) for d in snapshot.drones.values()
+        (d.T_w_b.R.tolist(), d.T_w_b.t.tolist(), d.velocity_w_mps, d.rotor_phase_rad)
+        for d in snapshot.drones.values()
     ]
     return snapshot.objects, drones, [world.drone(role).estimate for role in Role]
 
@@ -140,7 +143,10 @@ def test_estimates_are_off_by_as_much_as_the_table_says_and_positions_wander() -
         world.advance(12.0)
         estimates = (world.drone(role).estimate.position_n_m for role in Role)
         truths = (world.drone(role).true_position_n_m for role in Role)
-        later += [[e - t for e, t in zip(*both, strict=True)] for both in zip(estimates, truths, strict=True)]
+        later += [
+            [e - t for e, t in zip(*both, strict=True)]
+            for both in zip(estimates, truths, strict=True)
+        ]
     sizes = np.array((0.5, 0.5, 1.0))
     for spread in (np.std(errors, axis=0), np.std(later, axis=0)):
         assert spread == pytest.approx(sizes, rel=0.25)
@@ -160,7 +166,9 @@ def test_a_perfect_estimator_is_the_truth() -> None:
 
 
 def test_the_snapshot_is_the_same_truth_in_enu() -> None:
-    world = World(WorldConfig(errors=ErrorsConfig("exact"), sender_home=HomeConfig((2.0, 5.0), 90.0)), 1)
+    world = World(
+        WorldConfig(errors=ErrorsConfig("exact"), sender_home=HomeConfig((2.0, 5.0), 90.0)), 1
+    )
     drone = world.snapshot().drones[Role.SENDER]
     assert drone.T_w_b.t == pytest.approx((2.0, 5.0, 0.1))
     nose, belly = drone.T_w_b.R[:, 0], drone.T_w_b.R[:, 2]
@@ -170,7 +178,9 @@ def test_the_snapshot_is_the_same_truth_in_enu() -> None:
     north, east, down = world.drone(Role.SENDER).true_position_n_m
     world.advance(math.ceil(world.time_s / 0.02) * 0.02)
     north, east, down = world.drone(Role.SENDER).true_position_n_m
-    assert world.snapshot().drones[Role.SENDER].T_w_b.t == pytest.approx((east, north, -down), abs=1e-9)
+    assert world.snapshot().drones[Role.SENDER].T_w_b.t == pytest.approx(
+        (east, north, -down), abs=1e-9
+    )
     R = world.snapshot().drones[Role.SENDER].T_w_b.R
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(R) == pytest.approx(1.0)
@@ -246,7 +256,9 @@ def test_an_estimator_steps_and_the_drone_does_not() -> None:
     stepped, before = world.drone(Role.RECEIVER), plain.drone(Role.RECEIVER)
     moved = np.subtract(stepped.estimate.position_n_m, before.estimate.position_n_m)
     assert moved == pytest.approx((1.0, -0.5, -0.2))
-    assert yaw_of(stepped.estimate.q_n_b) - yaw_of(before.estimate.q_n_b) == pytest.approx(0.3, abs=0.01)
+    assert yaw_of(stepped.estimate.q_n_b) - yaw_of(before.estimate.q_n_b) == pytest.approx(
+        0.3, abs=0.01
+    )
     assert (stepped.estimate.resets, before.estimate.resets) == (1, 0)
     assert stepped.true_position_n_m == before.true_position_n_m
     assert world.drone(Role.SENDER).estimate == plain.drone(Role.SENDER).estimate
@@ -260,7 +272,11 @@ def test_time_does_not_go_back() -> None:
 
 
 def test_the_configuration_is_a_table_and_wrong_keys_are_named() -> None:
-    table = {"wind": {"speed_mps": 2}, "target": {"start_m": [1, 6]}, "autopilot": {"settle_s": 1.0}}
+    table = {
+        "wind": {"speed_mps": 2},
+        "target": {"start_m": [1, 6]},
+        "autopilot": {"settle_s": 1.0},
+    }
     config = decode_table(table, WorldConfig, "rig.toml: world")
     assert config == replace(
         WorldConfig(),
@@ -295,12 +311,18 @@ def test_positions_cannot_be_apart_by_less_than_nothing() -> None:
 
 
 def test_what_is_on_the_ground_waits_until_it_is_told_to_begin() -> None:
-    """However long a busy computer takes to start the drones' programs, the target is where it was said to be."""
+    """However long a busy computer takes to start the drones' programs, the target is where it was
+    said to be.
+    """
     late, prompt = World(WorldConfig(), 3), World(WorldConfig(), 3)
     late.hold_traffic()
     late.advance(60.0)
-    assert late.snapshot().objects[0].position_w_m == pytest.approx(prompt.snapshot().objects[0].position_w_m)
+    assert late.snapshot().objects[0].position_w_m == pytest.approx(
+        prompt.snapshot().objects[0].position_w_m
+    )
     late.begin_traffic()
     late.advance(90.0)
     prompt.advance(30.0)
-    assert late.snapshot().objects[0].position_w_m == pytest.approx(prompt.snapshot().objects[0].position_w_m)
+    assert late.snapshot().objects[0].position_w_m == pytest.approx(
+        prompt.snapshot().objects[0].position_w_m
+    )

@@ -38,7 +38,9 @@ def said(options: DetectOptions) -> str:
     return out.getvalue()
 
 
-def test_the_rigs_detector_finds_what_there_is_and_says_how_long_it_took(film: Path, tmp_path: Path) -> None:
+def test_the_rigs_detector_finds_what_there_is_and_says_how_long_it_took(
+    film: Path, tmp_path: Path
+) -> None:
     text = said(DetectOptions(film, out=tmp_path / "out"))
     assert "8 frames, 7 with something, 7 boxes" in text
     assert "ColorDetector: " in text

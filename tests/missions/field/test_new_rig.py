@@ -1,4 +1,6 @@
-"""A rig that one command writes: refused until it is filled in, and then as good as one that comes with PATH."""
+"""A rig that one command writes: refused until it is filled in, and then as good as one that comes
+with PATH.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,9 @@ def rigs(**options: str) -> tuple[int, str]:
 def fill_in(rig: Path) -> None:
     text = rig.read_text()
     for name, value in MEASURED.items():
-        text, count = re.subn(rf'^{name} = "MEASURE"', f"{name} = {value}", text, flags=re.MULTILINE)
+        text, count = re.subn(
+            rf'^{name} = "MEASURE"', f"{name} = {value}", text, flags=re.MULTILINE
+        )
         assert count == 1, name
     text = text.replace('["MEASURE", "MEASURE", "MEASURE"]', "[0.1, 0.0, 0.02]", 1)
     text = text.replace('["MEASURE", "MEASURE", "MEASURE"]', "[-0.18, 0.0, -0.06]", 1)

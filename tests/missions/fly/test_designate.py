@@ -1,4 +1,6 @@
-"""``path-handoff designate``: what is said at a terminal is heard by D1, and what D1 asks is shown and answered."""
+"""``path-handoff designate``: what is said at a terminal is heard by D1, and what D1 asks is shown
+and answered.
+"""
 
 from __future__ import annotations
 
@@ -29,18 +31,24 @@ def rig_with_port(folder: Path, port: int) -> str:
     return str(file)
 
 
-def test_a_place_and_a_direction_are_heard(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_place_and_a_direction_are_heard(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     port = free_port()
     rig = rig_with_port(tmp_path, port)
 
     async def say() -> None:
-        async with UdpOperator(UdpOperatorConfig(f"127.0.0.1:{port}"), Context(Clock())) as operator:
+        async with UdpOperator(
+            UdpOperatorConfig(f"127.0.0.1:{port}"), Context(Clock())
+        ) as operator:
             place = DesignateOptions(rig, place=(4.2, 1.5), error_m=0.4)
             assert await asyncio.to_thread(designate.run, place) == 0
             told = await until_heard(operator, 1)
             assert isinstance(told[0], PlaceTold)
             assert (told[0].place_n_m, told[0].error_m) == ((4.2, 1.5, 0.0), 0.4)
-            assert await asyncio.to_thread(designate.run, DesignateOptions(rig, bearing_deg=40.0)) == 0
+            assert (
+                await asyncio.to_thread(designate.run, DesignateOptions(rig, bearing_deg=40.0)) == 0
+            )
             assert isinstance((await until_heard(operator, 1))[0], BearingTold)
 
     asyncio.run(say())
@@ -52,12 +60,16 @@ def test_a_question_is_shown_and_the_number_that_is_typed_is_the_answer(tmp_path
     picture, shown = tmp_path / "which.jpg", io.StringIO()
 
     async def answer() -> None:
-        async with UdpOperator(UdpOperatorConfig(f"127.0.0.1:{port}"), Context(Clock())) as operator:
+        async with UdpOperator(
+            UdpOperatorConfig(f"127.0.0.1:{port}"), Context(Clock())
+        ) as operator:
             operator.ask(QUESTION, b"jpeg")
             read, write = os.pipe()
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line, os.fdopen(read) as keys:
                 line.connect(("127.0.0.1", port))
-                talking = asyncio.create_task(asyncio.to_thread(designate.answer_questions, line, keys, shown, picture))
+                talking = asyncio.create_task(
+                    asyncio.to_thread(designate.answer_questions, line, keys, shown, picture)
+                )
                 while "which one" not in shown.getvalue():  # noqa: ASYNC110 (another thread writes)
                     await asyncio.sleep(0.01)
                 os.write(write, b"what\n7\n")

@@ -55,7 +55,9 @@ def field_rig(tmp_path: Path) -> Path:
     file = tmp_path / "ours.toml"
     base = tmp_path / "base.toml"
     shipped = rig_library.FOLDER / "sitl.toml"
-    lines = [line for line in shipped.read_text("utf-8").splitlines() if not line.startswith("harness")]
+    lines = [
+        line for line in shipped.read_text("utf-8").splitlines() if not line.startswith("harness")
+    ]
     base.write_text("\n".join(lines), "utf-8")
     own = FIELD.replace('like = "sitl"', 'like = "base.toml"').replace('harness = "none"\n', "")
     file.write_text(own, "utf-8")
@@ -63,7 +65,9 @@ def field_rig(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("level", ["sim", "sim-rendered", "sitl"])
-def test_all_that_is_no_hardware_stays_as_it_is(field_rig: Path, tmp_path: Path, level: str) -> None:
+def test_all_that_is_no_hardware_stays_as_it_is(
+    field_rig: Path, tmp_path: Path, level: str
+) -> None:
     rig = rig_library.load_unchecked(str(field_rig))
     made = tmp_path / "made.toml"
     made.write_text(rehearse.toml_text(rehearse.rehearsed(rig, level)), "utf-8")

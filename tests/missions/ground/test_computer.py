@@ -1,4 +1,6 @@
-"""What a computer holds, from the times of its stages; and that the stages can be measured at all."""
+"""What a computer holds, from the times of its stages; and that the stages can be measured at
+all.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,12 @@ from missions.ground.pace import SIZES, Pace, Stage
 from path.messages import Role
 
 
-def pace(frame_ms: float, link_ms: float = 0.0, size: tuple[int, int] = (640, 480), search_ms: float = 0.0) -> Pace:
+def pace(
+    frame_ms: float,
+    link_ms: float = 0.0,
+    size: tuple[int, int] = (640, 480),
+    search_ms: float = 0.0,
+) -> Pace:
     stages = {"pose": Stage(frame_ms, frame_ms), "link": Stage(link_ms, link_ms)}
     return Pace(size, stages, Stage(search_ms, search_ms))
 
@@ -45,12 +52,15 @@ def test_what_is_held_leaves_the_margin_free() -> None:
 
 def test_the_rest_of_a_program_takes_its_part_first() -> None:
     alone, link_ms = holds_hz(pace(10.0)), 0.1e3 / REST
-    assert holds_hz(pace(10.0 - link_ms, link_ms)) == pytest.approx(alone * (1.0 - MARGIN - 0.1) / (1.0 - MARGIN))
+    assert holds_hz(pace(10.0 - link_ms, link_ms)) == pytest.approx(
+        alone * (1.0 - MARGIN - 0.1) / (1.0 - MARGIN)
+    )
     assert holds_hz(pace(10.0, 1.0), share=0.1) == 0.0
 
 
 @pytest.mark.parametrize(
-    ("frame_ms", "share", "state"), [(4.0, 1.0, "ok"), (14.0, 1.0, "note"), (4.0, 0.2, "note"), (4.0, 0.05, "fault")]
+    ("frame_ms", "share", "state"),
+    [(4.0, 1.0, "ok"), (14.0, 1.0, "note"), (4.0, 0.2, "note"), (4.0, 0.05, "fault")],
 )
 def test_a_rate_that_is_not_held_is_told_and_one_that_nothing_flies_with_is_a_fault(
     frame_ms: float, share: float, state: str
@@ -64,7 +74,9 @@ def test_a_rate_that_is_not_held_is_told_and_one_that_nothing_flies_with_is_a_fa
 @pytest.mark.parametrize(
     ("search_ms", "share", "state"), [(7.0, 0.2, "ok"), (7.0, 0.09, "fault"), (80.0, 1.0, "fault")]
 )
-def test_a_search_that_keeps_setpoints_waiting_too_long_is_a_fault(search_ms: float, share: float, state: str) -> None:
+def test_a_search_that_keeps_setpoints_waiting_too_long_is_a_fault(
+    search_ms: float, share: float, state: str
+) -> None:
     assert waits(pace(1.0, search_ms=search_ms), share).state == state
 
 
@@ -72,7 +84,11 @@ def test_a_search_that_keeps_setpoints_waiting_too_long_is_a_fault(search_ms: fl
     ("measured", "share", "why"),
     [
         (pace(3.4, 0.024), 0.1, "0.1 of this core is too little for the sender: rate"),
-        (pace(1.0, 0.001, search_ms=8.0), 0.1, "0.1 of this core is too little for the sender: setpoints"),
+        (
+            pace(1.0, 0.001, search_ms=8.0),
+            0.1,
+            "0.1 of this core is too little for the sender: setpoints",
+        ),
         (pace(3.4, 0.024, search_ms=8.0), 0.2, ""),
     ],
 )
@@ -89,7 +105,9 @@ def test_a_share_that_flies_nothing_is_refused_with_what_was_measured(
     assert f"doctor --rig sitl --role sender --slow {share}" in refused.value.remedy
 
 
-def test_a_share_is_refused_only_when_it_was_too_little_each_time(monkeypatch: pytest.MonkeyPatch, rig: Any) -> None:
+def test_a_share_is_refused_only_when_it_was_too_little_each_time(
+    monkeypatch: pytest.MonkeyPatch, rig: Any
+) -> None:
     busy, quiet = pace(9.0, 0.04), pace(3.4, 0.024)
     measured = [busy, busy, quiet, quiet]
     monkeypatch.setattr(computer, "pace_of", lambda *_, own_only: [measured.pop(0)])  # type: ignore[misc]
@@ -113,7 +131,9 @@ def test_every_stage_and_every_size_is_told(monkeypatch: pytest.MonkeyPatch, rig
     assert found["receiver computer setpoints"].state == "ok"
 
 
-def test_a_computer_that_cannot_be_measured_is_a_fault(monkeypatch: pytest.MonkeyPatch, rig: Any) -> None:
+def test_a_computer_that_cannot_be_measured_is_a_fault(
+    monkeypatch: pytest.MonkeyPatch, rig: Any
+) -> None:
     monkeypatch.setattr(sys, "executable", "/bin/false")
     with pytest.raises(PartError, match="not measured"):
         pace_of(rig, Role.SENDER)

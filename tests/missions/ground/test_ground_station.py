@@ -1,4 +1,6 @@
-"""``--gcs``: which rigs have vehicles that a ground station can watch, and that each of theirs is heard there."""
+"""``--gcs``: which rigs have vehicles that a ground station can watch, and that each of theirs is
+heard there.
+"""
 
 from __future__ import annotations
 
@@ -59,11 +61,15 @@ def test_it_hears_every_vehicle_of_a_relay_and_of_a_team(name: str, targets: int
         name_ground_station(rig, f"127.0.0.1:{ground.getsockname()[1]}")
         for drone in field_of(rig, 3, targets).drones:
             own = pair_of(rig, drone, drone).receiver
-            vehicle = embedded_vehicle(rig, own, World(WorldConfig(), seed=1).drone(Role.SENDER), lambda _: 0.0)
+            vehicle = embedded_vehicle(
+                rig, own, World(WorldConfig(), seed=1).drone(Role.SENDER), lambda _: 0.0
+            )
             try:
                 vehicle.pump(0.0)
             finally:
                 vehicle.close()
             messages = mav.parse_buffer(ground.recv(2048)) or ()
-            heard |= {message.get_srcSystem() for message in messages if message.get_type() == "HEARTBEAT"}
+            heard |= {
+                message.get_srcSystem() for message in messages if message.get_type() == "HEARTBEAT"
+            }
     assert heard == {1, 2, 3}

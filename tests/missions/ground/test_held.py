@@ -1,4 +1,6 @@
-"""Two programs with one --out: the second is refused, names the first, and the first's files are as it left them."""
+"""Two programs with one --out: the second is refused, names the first, and the first's files are as
+it left them.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +35,13 @@ with held_file(Path(path)) if what == "file" else held_folder(Path(path), beside
 
 
 @contextmanager
-def another_program(what: str, path: Path, beside: str = "") -> Generator[subprocess.Popen[str], None, None]:
+def another_program(
+    what: str, path: Path, beside: str = ""
+) -> Generator[subprocess.Popen[str], None, None]:
     command = [sys.executable, "-c", HOLD, what, str(path), beside]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
         assert process.stdout is not None
         try:
             assert process.stdout.readline() == "held\n"
@@ -60,7 +66,18 @@ def test_the_second_of_two_flights_into_a_folder_is_refused_and_the_first_is_wha
     tmp_path: Path,
 ) -> None:
     out = tmp_path / "run"
-    first = [sys.executable, "-m", "missions.cli", "handoff", "--rig", "sim", "--seed", "7", "--out", str(out)]
+    first = [
+        sys.executable,
+        "-m",
+        "missions.cli",
+        "handoff",
+        "--rig",
+        "sim",
+        "--seed",
+        "7",
+        "--out",
+        str(out),
+    ]
     with subprocess.Popen(first, stdout=subprocess.DEVNULL, start_new_session=True) as process:
         try:
             end_s = time.monotonic() + 120.0
@@ -70,7 +87,9 @@ def test_the_second_of_two_flights_into_a_folder_is_refused_and_the_first_is_wha
             code, said = refused(f"handoff --rig sim --seed 8 --out {out}")
             os.kill(process.pid, signal.SIGCONT)
             assert code == 3, said
-            assert f"{out} is being written to by process {process.pid} (" in said and "fix: " in said
+            assert (
+                f"{out} is being written to by process {process.pid} (" in said and "fix: " in said
+            )
             assert process.wait(timeout=300.0) == 0
         finally:
             process.kill()
@@ -112,7 +131,9 @@ def test_no_command_writes_a_file_that_another_program_writes(tmp_path: Path, na
     assert str(told.value) == f"{folder / file} is being written by process {process.pid}"
 
 
-def test_programs_of_one_run_write_beside_each_other_and_a_new_run_waits_for_the_last_of_them(tmp_path: Path) -> None:
+def test_programs_of_one_run_write_beside_each_other_and_a_new_run_waits_for_the_last_of_them(
+    tmp_path: Path,
+) -> None:
     with another_program("folder", tmp_path, "beside") as sender:
         with another_program("folder", tmp_path, "beside"):
             pass
@@ -144,7 +165,11 @@ def test_what_a_program_does_inside_its_own_folder_needs_no_further_lock(tmp_pat
 def test_a_folder_that_goes_by_another_name_is_the_same_folder(tmp_path: Path) -> None:
     (tmp_path / "real").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "real")
-    with another_program("folder", tmp_path / "real"), pytest.raises(PartError), held_folder(tmp_path / "link"):
+    with (
+        another_program("folder", tmp_path / "real"),
+        pytest.raises(PartError),
+        held_folder(tmp_path / "link"),
+    ):
         pass
 
 
@@ -171,5 +196,8 @@ def test_a_role_whose_record_another_program_keeps_is_refused(here: Path) -> Non
     state = Path("sender.state.json")
     with another_program("file", state) as process:
         code, said = refused(f"sender --rig sitl --guard none --state {state} --out run")
-    assert (code, f"sender.state.json is being written by process {process.pid}" in said) == (3, True), said
+    assert (code, f"sender.state.json is being written by process {process.pid}" in said) == (
+        3,
+        True,
+    ), said
     assert not Path("run").exists()

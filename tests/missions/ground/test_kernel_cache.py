@@ -25,7 +25,9 @@ def test_where_a_usual_folder_can_be_written_to_nothing_is_changed(tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
 
 
-def test_else_a_folder_of_our_own_is_made_and_told_to_every_program_that_is_started(tmp_path: Path) -> None:
+def test_else_a_folder_of_our_own_is_made_and_told_to_every_program_that_is_started(
+    tmp_path: Path,
+) -> None:
     have_kernel_cache(NOWHERE, tmp_path)
     own = Path(os.environ[VARIABLE])
     assert own.parent == tmp_path
@@ -58,7 +60,9 @@ def test_where_nothing_can_be_written_the_folders_and_the_fix_are_named() -> Non
     assert VARIABLE in refused.value.remedy
 
 
-def test_a_named_folder_that_cannot_be_written_to_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_named_folder_that_cannot_be_written_to_is_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setenv(VARIABLE, "/proc/mine")
     with pytest.raises(PartError, match="/proc/mine cannot be written to"):
         have_kernel_cache((tmp_path,), tmp_path)

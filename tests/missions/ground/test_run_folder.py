@@ -16,11 +16,27 @@ from missions.field import detect
 from missions.field.calibrate import board, camera, mount
 from missions.fly.guard.measure import measure
 from missions.fly.handoff import command as handoff
-from missions.ground.options.calibrate import CalibrateBoardOptions, CalibrateCameraOptions, CalibrateMountOptions
+from missions.ground.options.calibrate import (
+    CalibrateBoardOptions,
+    CalibrateCameraOptions,
+    CalibrateMountOptions,
+)
 from missions.ground.options.field import DetectOptions, GuardOptions
 from missions.ground.options.flights import HandoffOptions
-from missions.ground.options.proofs import CampaignOptions, ConformanceOptions, TrialOptions, VerifyOptions
-from missions.ground.run_folder import RunKind, claim_folder, claim_result, claimed, discard, unless_refused
+from missions.ground.options.proofs import (
+    CampaignOptions,
+    ConformanceOptions,
+    TrialOptions,
+    VerifyOptions,
+)
+from missions.ground.run_folder import (
+    RunKind,
+    claim_folder,
+    claim_result,
+    claimed,
+    discard,
+    unless_refused,
+)
 from missions.look.report.records import FACTS, RUN
 from missions.proofs.campaign import run as campaign
 from missions.proofs.conformance import run as conformance
@@ -28,8 +44,22 @@ from missions.proofs.verify import run as verify
 from missions.trials import run as trial_run
 
 RELAY_RUN = RunKind("relay.json", ("summary.json", "relay.png"), ("world", "D1", "D2"))
-OURS = ("sender.mcap", "sender.2.mcap", "receiver.guard.mcap", "world.stderr.txt", "sender.state.json", "run.png")
-USERS = ("notes.mcap", "letter.stderr.txt", "save.state.json", "sender.mcap.bak", "mysender.mcap", "rig.toml")
+OURS = (
+    "sender.mcap",
+    "sender.2.mcap",
+    "receiver.guard.mcap",
+    "world.stderr.txt",
+    "sender.state.json",
+    "run.png",
+)
+USERS = (
+    "notes.mcap",
+    "letter.stderr.txt",
+    "save.state.json",
+    "sender.mcap.bak",
+    "mysender.mcap",
+    "rig.toml",
+)
 
 
 def fill(folder: Path, *names: str) -> dict[str, bytes]:
@@ -57,7 +87,9 @@ def test_an_earlier_run_makes_way_and_what_is_the_users_stays(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("name", [*OURS, "summary.json"])
-def test_what_has_the_name_of_a_runs_file_and_no_run_beside_it_is_not_touched(tmp_path: Path, name: str) -> None:
+def test_what_has_the_name_of_a_runs_file_and_no_run_beside_it_is_not_touched(
+    tmp_path: Path, name: str
+) -> None:
     before = fill(tmp_path, name, "notes.mcap")
     with pytest.raises(PartError, match=name) as refused:
         claim(tmp_path, RUN)
@@ -66,7 +98,9 @@ def test_what_has_the_name_of_a_runs_file_and_no_run_beside_it_is_not_touched(tm
     assert sorted(before) == sorted(file.name for file in tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("content", ["", "[]", "{}", "null", '{"scripts": {"test": "x"}}', "\x00\x01"])
+@pytest.mark.parametrize(
+    "content", ["", "[]", "{}", "null", '{"scripts": {"test": "x"}}', "\x00\x01"]
+)
 def test_a_run_json_of_something_else_is_no_marker(tmp_path: Path, content: str) -> None:
     (tmp_path / FACTS).write_text(content)
     before = fill(tmp_path, "sender.mcap")
@@ -112,7 +146,11 @@ def test_a_result_is_written_over_only_when_it_is_an_earlier_one(tmp_path: Path)
 
 
 def test_a_run_that_is_refused_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(PartError), unless_refused(tmp_path / "a" / "b") as folder, claimed(folder, RUN):
+    with (
+        pytest.raises(PartError),
+        unless_refused(tmp_path / "a" / "b") as folder,
+        claimed(folder, RUN),
+    ):
         assert (folder / FACTS).exists()
         raise PartError("no")
     assert list(tmp_path.iterdir()) == []
@@ -120,7 +158,11 @@ def test_a_run_that_is_refused_leaves_nothing(tmp_path: Path) -> None:
 
 def test_a_folder_that_was_there_stays_after_a_refusal(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
-    with pytest.raises(PartError), unless_refused(tmp_path / "mine") as folder, claimed(folder, RUN):
+    with (
+        pytest.raises(PartError),
+        unless_refused(tmp_path / "mine") as folder,
+        claimed(folder, RUN),
+    ):
         raise PartError("no")
     assert [file.name for file in tmp_path.iterdir()] == ["mine"]
     assert list((tmp_path / "mine").iterdir()) == []
@@ -133,7 +175,9 @@ def test_what_a_refused_run_has_written_stays(tmp_path: Path) -> None:
     assert (tmp_path / "a" / "sender.mcap").exists()
 
 
-def test_a_folder_of_many_results_is_taken_when_it_is_empty_or_an_earlier_one(tmp_path: Path) -> None:
+def test_a_folder_of_many_results_is_taken_when_it_is_empty_or_an_earlier_one(
+    tmp_path: Path,
+) -> None:
     claim_folder(tmp_path, "summary.json", '"findings"')
     before = fill(tmp_path, "errors.png")
     with pytest.raises(PartError, match=r"holds errors\.png, and is no earlier result"):

@@ -30,7 +30,9 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("text", "key", "said"), FAULTS)
-def test_a_bad_team_is_refused_by_file_key_and_fix(tmp_path: Path, text: str, key: str, said: str) -> None:
+def test_a_bad_team_is_refused_by_file_key_and_fix(
+    tmp_path: Path, text: str, key: str, said: str
+) -> None:
     file, out = tmp_path / "mine.toml", io.StringIO()
     file.write_text(text, "utf-8")
     assert text != WHOLE
@@ -47,9 +49,13 @@ def test_a_bad_team_is_refused_by_file_key_and_fix(tmp_path: Path, text: str, ke
         ("link", 'key_file = "team.key"', "key_file"),
     ],
 )
-def test_two_drones_that_are_the_same_on_the_wire_are_refused(tmp_path: Path, part: str, same: str, key: str) -> None:
+def test_two_drones_that_are_the_same_on_the_wire_are_refused(
+    tmp_path: Path, part: str, same: str, key: str
+) -> None:
     rig = rig_library.load("team-sim")
-    factory = "hil.vehicle.sim_vehicle:SimVehicle" if part == "vehicle" else "hil.link.faulty:MemoryLink"
+    factory = (
+        "hil.vehicle.sim_vehicle:SimVehicle" if part == "vehicle" else "hil.link.faulty:MemoryLink"
+    )
     line = f'{part} = {{ factory = "{factory}", {same} }}\n'
     parts = WHOLE.split("[[drones]]\n")
     assert len(parts) == 1 + len(rig.drones)
@@ -57,7 +63,10 @@ def test_two_drones_that_are_the_same_on_the_wire_are_refused(tmp_path: Path, pa
     file, out = tmp_path / "mine.toml", io.StringIO()
     file.write_text("[[drones]]\n".join(parts), "utf-8")
     assert check(str(file), out) != 0
-    assert f"mine.toml: drones[2].{part}.{key}" in out.getvalue() and "each needs its own" in out.getvalue()
+    assert (
+        f"mine.toml: drones[2].{part}.{key}" in out.getvalue()
+        and "each needs its own" in out.getvalue()
+    )
 
 
 def test_more_targets_than_drones_are_refused(tmp_path: Path) -> None:

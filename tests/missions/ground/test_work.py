@@ -46,7 +46,9 @@ def test_a_piece_that_fails_ends_the_work_with_its_own_error() -> None:
 
 def test_where_no_terminal_is_each_tenth_gives_a_line() -> None:
     stream = io.StringIO()
-    assert Work(1, Bars(stream)).map("squares", square, list(range(30))) == [x * x for x in range(30)]
+    assert Work(1, Bars(stream)).map("squares", square, list(range(30))) == [
+        x * x for x in range(30)
+    ]
     lines = stream.getvalue().splitlines()
     assert lines[0] == "squares: 3/30"
     assert lines[-1] == "squares: 30/30"

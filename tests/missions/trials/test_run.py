@@ -1,4 +1,6 @@
-"""The command: folders, summaries, what is refused, and what a failing trial leaves of the others."""
+"""The command: folders, summaries, what is refused, and what a failing trial leaves of the
+others.
+"""
 
 import importlib
 import json
@@ -19,14 +21,18 @@ from missions.trials.questions import EXPERIMENTS, QUESTIONS
 from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, trial_part
 
 
-def trial(name: str, monkeypatch: pytest.MonkeyPatch, *, fails: bool = False, needs: tuple[str, ...] = ()) -> None:
+def trial(
+    name: str, monkeypatch: pytest.MonkeyPatch, *, fails: bool = False, needs: tuple[str, ...] = ()
+) -> None:
     """Puts a trial of a few numbers in the place of one that takes minutes."""
 
     def run(request: TrialRequest) -> TrialResult:
         if fails:
             raise ValueError("the lens broke")
         values = np.array([0.5, np.nan]) * request.seed
-        return TrialResult({"d2_mean_m": np.float64(0.25), "values": values}, (TrialFinding("error", "0.25 m"),))
+        return TrialResult(
+            {"d2_mean_m": np.float64(0.25), "values": values}, (TrialFinding("error", "0.25 m"),)
+        )
 
     module = ModuleType(name)
     vars(module).update(TITLE=f"The {name} trial", PAPER="", run=run, NEEDS=needs)
@@ -77,11 +83,16 @@ def test_a_rig_that_knows_no_truth_is_refused() -> None:
 
 
 def test_the_command_that_is_shown_runs_the_same_again() -> None:
-    options = TrialOptions("all", seed=5, quick=True, xfeat=Path("my models/xfeat.onnx"), rig="my.toml")
+    options = TrialOptions(
+        "all", seed=5, quick=True, xfeat=Path("my models/xfeat.onnx"), rig="my.toml"
+    )
     assert command.command(options, "ambiguity") == (
         "path-handoff trial rivals --only ambiguity --seed 5 --rig my.toml --quick --xfeat 'my models/xfeat.onnx'"
     )
-    assert command.command(options, "link") == "path-handoff trial cost --only link --seed 5 --rig my.toml --quick"
+    assert (
+        command.command(options, "link")
+        == "path-handoff trial cost --only link --seed 5 --rig my.toml --quick"
+    )
 
 
 def test_a_short_form_meets_no_goal(
@@ -96,14 +107,18 @@ def test_a_short_form_meets_no_goal(
     assert command.SHORT in capsys.readouterr().out
 
 
-def test_a_rig_without_a_part_that_the_trial_needs_is_refused_before_anything_is_flown(tmp_path: Path) -> None:
+def test_a_rig_without_a_part_that_the_trial_needs_is_refused_before_anything_is_flown(
+    tmp_path: Path,
+) -> None:
     with pytest.raises(PartError, match=r"dynamic-sim\.toml: trials: missing key 'estimator'"):
         command.run(TrialOptions("dynamic", out=tmp_path / "x", quick=True, rig="dynamic-sim"))
     assert not (tmp_path / "x").exists()
 
 
 @pytest.mark.parametrize("name", ["summary.json", "index.html"])
-def test_somebody_elses_page_is_not_written_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_somebody_elses_page_is_not_written_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
     trial("static", monkeypatch)
     (tmp_path / name).write_text("mine")
     with pytest.raises(PartError, match=name):
@@ -131,11 +146,17 @@ def test_an_experiments_own_name_is_what_only_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     trial("static", monkeypatch)
-    for number, options in enumerate((TrialOptions("static"), TrialOptions("pose", only=("static",)))):
+    for number, options in enumerate(
+        (TrialOptions("static"), TrialOptions("pose", only=("static",)))
+    ):
         assert command.run(replace(options, out=tmp_path / str(number), seed=3, jobs=1)) == 0
         said = capsys.readouterr().out
-        assert ("path-handoff trial pose --only static --seed 3" in said) == (options.name == "static")
-    first, second = (json.loads((tmp_path / str(number) / "summary.json").read_text()) for number in range(2))
+        assert ("path-handoff trial pose --only static --seed 3" in said) == (
+            options.name == "static"
+        )
+    first, second = (
+        json.loads((tmp_path / str(number) / "summary.json").read_text()) for number in range(2)
+    )
     del first["wall_s"], second["wall_s"]
     assert first == second
 

@@ -1,4 +1,6 @@
-"""One cycle of a baseline on drawn images: the same pattern is found again, and a box without it is not taken."""
+"""One cycle of a baseline on drawn images: the same pattern is found again, and a box without it is
+not taken.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +70,13 @@ def test_no_boxes_give_no_target(scope: Scope) -> None:
 
 @pytest.mark.parametrize(
     ("inliers", "needed", "lead", "chosen"),
-    [((), 1, 0, None), ((5, 9, 3), 6, 4, 1), ((5, 9, 3), 6, 5, None), ((5, 9, 3), 10, 1, None), ((0, 0), 0, 0, None)],
+    [
+        ((), 1, 0, None),
+        ((5, 9, 3), 6, 4, 1),
+        ((5, 9, 3), 6, 5, None),
+        ((5, 9, 3), 10, 1, None),
+        ((0, 0), 0, 0, None),
+    ],
 )
 def test_a_box_needs_enough_votes_and_a_lead(
     inliers: tuple[int, ...], needed: int, lead: int, chosen: int | None

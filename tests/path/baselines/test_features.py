@@ -27,7 +27,9 @@ class Corners:
         grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         count, _, _, centres = cv2.connectedComponentsWithStats((grey > 128).astype(np.uint8))
         points = centres[1:count].astype(np.float32)
-        return Keypoints(points, np.zeros((len(points), 32), np.uint8), np.ones(len(points), np.float32))
+        return Keypoints(
+            points, np.zeros((len(points), 32), np.uint8), np.ones(len(points), np.float32)
+        )
 
 
 def dots(*places: tuple[int, int], size: tuple[int, int] = (360, 480)) -> Image:
@@ -42,9 +44,14 @@ def dots(*places: tuple[int, int], size: tuple[int, int] = (360, 480)) -> Image:
 def test_features_come_back_in_pixels_of_the_whole_image(side_px: int | None, zoom: float) -> None:
     image = dots((100, 120), (140, 90), (400, 300))
     first, second = look(
-        Corners(side_px), image, [Box(80, 70, 80, 80), Box(380, 280, 50, 50)], FeatureSearch(zoom, 0.0)
+        Corners(side_px),
+        image,
+        [Box(80, 70, 80, 80), Box(380, 280, 50, 50)],
+        FeatureSearch(zoom, 0.0),
     )
-    assert np.sort(first.points_px, axis=0) == pytest.approx(np.array([[100, 90], [140, 120]]), abs=0.3)
+    assert np.sort(first.points_px, axis=0) == pytest.approx(
+        np.array([[100, 90], [140, 120]]), abs=0.3
+    )
     assert second.points_px == pytest.approx(np.array([[400, 300]]), abs=0.3)
 
 
@@ -57,7 +64,12 @@ def test_context_is_what_is_around_the_box_too() -> None:
 
 def test_boxes_that_share_a_window_share_the_work() -> None:
     corners = Corners(320)
-    look(corners, dots(), [Box(80, 70, 60, 60), Box(150, 90, 60, 60), Box(400, 250, 60, 60)], FeatureSearch(2.0, 0.0))
+    look(
+        corners,
+        dots(),
+        [Box(80, 70, 60, 60), Box(150, 90, 60, 60), Box(400, 250, 60, 60)],
+        FeatureSearch(2.0, 0.0),
+    )
     assert corners.shown == [(320, 320), (320, 320)]  # and nothing else is asked for
 
 
@@ -81,7 +93,9 @@ def test_a_box_outside_the_image_has_no_features() -> None:
 
 def test_inside_is_half_open() -> None:
     points = np.array([[0, 0], [10, 5], [9.9, 5]], np.float32)
-    kept = inside(Keypoints(points, np.zeros((3, 32), np.uint8), np.ones(3, np.float32)), Region(0, 0, 10, 10))
+    kept = inside(
+        Keypoints(points, np.zeros((3, 32), np.uint8), np.ones(3, np.float32)), Region(0, 0, 10, 10)
+    )
     assert kept.points_px.tolist() == points[[0, 2]].tolist()
 
 
@@ -95,7 +109,9 @@ areas = st.lists(
 
 
 @given(areas, st.sampled_from([213.0, 320.0, 640.0]))
-def test_every_area_is_wholly_in_a_window_inside_the_image(wanted: list[Region], side: float) -> None:
+def test_every_area_is_wholly_in_a_window_inside_the_image(
+    wanted: list[Region], side: float
+) -> None:
     windows = cover(wanted, side, 1280, 720)
     assert len(windows) <= len(wanted)
     for w in windows:

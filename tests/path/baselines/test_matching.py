@@ -99,4 +99,6 @@ def test_too_few_pairs_verify_nothing(model: Model) -> None:
     one = np.array([[0, 0]])
     point = keypoints(bits(1, 1))
     assert not verify(point, point, one, replace(MatchConfig(), model=model)).any()
-    assert verify(point, point, np.zeros((0, 2), np.int64), replace(MatchConfig(), model=model)).shape == (0,)
+    assert verify(
+        point, point, np.zeros((0, 2), np.int64), replace(MatchConfig(), model=model)
+    ).shape == (0,)

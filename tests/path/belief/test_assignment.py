@@ -33,7 +33,9 @@ def by_hand(weights: Array) -> tuple[list[int | None], Array]:
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 3), (2, 2), (3, 2), (2, 4), (3, 4)])
-def test_marginals_and_assignment_are_those_of_every_event_written_out(shape: tuple[int, int]) -> None:
+def test_marginals_and_assignment_are_those_of_every_event_written_out(
+    shape: tuple[int, int],
+) -> None:
     weights = np.random.default_rng(shape[0] * 10 + shape[1]).lognormal(0.0, 2.0, shape)
     assigned, marginals = associate(weights)
     expected, sums = by_hand(weights)

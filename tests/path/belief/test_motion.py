@@ -25,7 +25,9 @@ def test_a_steady_object_is_known_better_than_one_box_of_it() -> None:
     rng = np.random.default_rng(4)
     for k in range(1, 101):
         motion.advance(k * 20_000_000, 0.6)
-        motion.update(np.array([0.3 * k * 0.02, 0.0, 0.0]) + 0.02 * rng.standard_normal(3), 0.02**2 * EYE)
+        motion.update(
+            np.array([0.3 * k * 0.02, 0.0, 0.0]) + 0.02 * rng.standard_normal(3), 0.02**2 * EYE
+        )
     assert math.sqrt(motion.place_covariance_m2[0, 0]) < 0.012
     assert np.linalg.norm(motion.place_m - (0.6, 0.0, 0.0)) < 0.04
     assert np.linalg.norm(motion.mean[3:] - (0.3, 0.0, 0.0)) < 0.3
@@ -46,7 +48,9 @@ def test_densities_add_up_to_one() -> None:
     for x in axis[::4]:
         for y in axis[::4]:
             for z in axis[::4]:
-                total += density(np.array([x, y, z]), 0.1**2 * EYE, 0.05**2 * EYE) * (4.0 * step) ** 3
+                total += (
+                    density(np.array([x, y, z]), 0.1**2 * EYE, 0.05**2 * EYE) * (4.0 * step) ** 3
+                )
     assert total == pytest.approx(1.0, abs=0.01)
 
 

@@ -12,7 +12,8 @@ import pytest
 from path.belief.motion import MANOEUVRE_S, Array, density
 from path.belief.objects import SHOWN, SPELL_S, Belief, Measured
 
-AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # level, to the north: right is east
+# level, to the north: right is east
+AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 FRAME_NS = 20_000_000
 FRAME_S = 0.02
 SIGMA_M = 0.012
@@ -44,14 +45,18 @@ def box(
     )
 
 
-def begun(east_m: float = 0.0, scale: float = 1.0, others_m: Sequence[float] = ()) -> tuple[Belief, int]:
+def begun(
+    east_m: float = 0.0, scale: float = 1.0, others_m: Sequence[float] = ()
+) -> tuple[Belief, int]:
     """A target, and others, that have been followed for a second; and the newest stamp."""
     belief = Belief(scale * ACCEL)
     belief.designate(box(east_m, scale=scale).place_m, box(east_m, scale=scale), 0)
     stamp_ns = 0
     for _ in range(50):
         stamp_ns += FRAME_NS
-        belief.update([box(each, scale=scale) for each in (east_m, *others_m)], EVERYWHERE, stamp_ns)
+        belief.update(
+            [box(each, scale=scale) for each in (east_m, *others_m)], EVERYWHERE, stamp_ns
+        )
     return belief, stamp_ns
 
 
@@ -69,7 +74,9 @@ def test_one_beside_it_has_a_track_of_its_own_and_nothing_of_its_identity() -> N
 
 
 def test_two_that_were_out_of_sight_are_told_apart_as_far_as_their_places_were_known() -> None:
-    """Both hidden for T; two boxes come back where both were. By hand: a swap against none, in normal errors."""
+    """Both hidden for T; two boxes come back where both were. By hand: a swap against none, in
+    normal errors.
+    """
     apart_m, hidden_s = 0.35, 0.8
     belief, stamp_ns = begun(others_m=[apart_m])
     first, second = belief.tracks
@@ -82,7 +89,10 @@ def test_two_that_were_out_of_sight_are_told_apart_as_far_as_their_places_were_k
     known, noise = variance * np.eye(3), SIGMA_M**2 * np.eye(3)
     speed = second.motion.mean[4] - first.motion.mean[4]
     off = np.array([0.0, apart_m + hidden_s * speed, 0.0])
-    swapped, kept = density(off, known, noise) ** 2, density(off - (0.0, apart_m, 0.0), known, noise) ** 2
+    swapped, kept = (
+        density(off, known, noise) ** 2,
+        density(off - (0.0, apart_m, 0.0), known, noise) ** 2,
+    )
     by_hand = swapped / (swapped + kept)
     belief.update([box(0.0), box(apart_m)], EVERYWHERE, seen_ns)
     assert 0.001 < by_hand < 0.3
@@ -131,8 +141,12 @@ def test_a_box_too_large_for_the_target_that_comes_apart_leaves_it_open_which_ha
 
 
 @pytest.mark.parametrize("poor", [1.0, 10.0])
-def test_either_half_of_such_a_box_is_as_likely_however_poorly_one_of_them_is_shown(poor: float) -> None:
-    """What else was in it was an object too: that a detector is not sure of one says nothing of which is which."""
+def test_either_half_of_such_a_box_is_as_likely_however_poorly_one_of_them_is_shown(
+    poor: float,
+) -> None:
+    """What else was in it was an object too: that a detector is not sure of one says nothing of
+    which is which.
+    """
     belief, most = Belief(ACCEL), (0.36, 0.36)
     belief.designate(box(0.0).place_m, box(0.0, wide_m=0.65, most_m=most), 0)
     for k in range(1, 5):
@@ -189,7 +203,9 @@ def test_a_missed_frame_costs_nothing() -> None:
 
 @pytest.mark.parametrize("scale", [0.2, 5.0, 20.0])
 def test_a_world_so_many_times_as_large_is_believed_the_same(scale: float) -> None:
-    """Two that cross, in one box for a while, one of them out of sight: the same tracks and probabilities."""
+    """Two that cross, in one box for a while, one of them out of sight: the same tracks and
+    probabilities.
+    """
     beliefs = []
     for factor in (1.0, scale):
         belief, stamp_ns = begun(scale=factor, others_m=[0.6])
@@ -204,11 +220,15 @@ def test_a_world_so_many_times_as_large_is_believed_the_same(scale: float) -> No
             if 90 < k < 100:
                 boxes = []
             belief.update(boxes, EVERYWHERE, stamp_ns)
-            history.append([(track.number, belief.probability(track.number)) for track in belief.tracks])
+            history.append(
+                [(track.number, belief.probability(track.number)) for track in belief.tracks]
+            )
         beliefs.append(history)
     for one, other in zip(*beliefs, strict=True):
         assert [number for number, _ in one] == [number for number, _ in other]
-        np.testing.assert_allclose([q for _, q in one], [q for _, q in other], rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(
+            [q for _, q in one], [q for _, q in other], rtol=1e-6, atol=1e-12
+        )
 
 
 def test_one_of_two_that_were_in_one_box_may_be_hidden_when_the_other_comes_out_of_it() -> None:

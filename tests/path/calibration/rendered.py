@@ -16,7 +16,18 @@ from path.calibration.board import Board, BoardView
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 
-__all__ = ["CAMERA", "CHARUCO", "CHESSBOARD", "LEVEL", "Held", "grey", "photographs", "placed", "poses", "seen"]
+__all__ = [
+    "CAMERA",
+    "CHARUCO",
+    "CHESSBOARD",
+    "LEVEL",
+    "Held",
+    "grey",
+    "photographs",
+    "placed",
+    "poses",
+    "seen",
+]
 
 CAMERA = CameraModel(640, 480, 615.2, 615.9, 322.1, 241.3, (0.112, -0.236, 0.0006, -0.0004, 0.095))
 CHARUCO = Board("charuco", 10, 7, 0.030, 0.0225)
@@ -35,10 +46,14 @@ def photographs(
     return calibration_views.photographs(CameraRenderer, CAMERA, board, where, seed, imaging)
 
 
-def seen(board: Board, pose: Pose, sigma_px: float, rng: np.random.Generator, *, blur_px: float = 0.7) -> BoardView:
+def seen(
+    board: Board, pose: Pose, sigma_px: float, rng: np.random.Generator, *, blur_px: float = 0.7
+) -> BoardView:
     """A view without an image: projected corners with noise, those inside the image."""
     corners = CAMERA.project(pose.apply(board.corners_o))
-    inside = ((corners > 6.0) & (corners < np.array([CAMERA.width, CAMERA.height]) - 6.0)).all(axis=1)
+    inside = ((corners > 6.0) & (corners < np.array([CAMERA.width, CAMERA.height]) - 6.0)).all(
+        axis=1
+    )
     ids = np.flatnonzero(inside)
     noisy = corners[ids] + rng.normal(0.0, sigma_px, (len(ids), 2))
     return BoardView(ids, noisy, np.full(len(ids), sigma_px), blur_px)

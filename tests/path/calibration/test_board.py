@@ -15,17 +15,30 @@ from missions.trials.pose.calibration.views import board_poses
 from missions.trials.pose.calibration.views import photographs as shoot
 from path.calibration.board import Board, find_board, other_size, print_cells
 from path.camera.model import CameraModel
-from tests.path.calibration.rendered import CAMERA, CHARUCO, CHESSBOARD, Held, grey, photographs, poses
+from tests.path.calibration.rendered import (
+    CAMERA,
+    CHARUCO,
+    CHESSBOARD,
+    Held,
+    grey,
+    photographs,
+    poses,
+)
 
 MOTION = replace(IDEAL, motion_px=(4.0, 2.0))
 
 
 @pytest.mark.parametrize("board", [CHARUCO, CHESSBOARD], ids=lambda b: b.pattern)
 @pytest.mark.parametrize(
-    ("imaging", "worst_px", "blur_px"), [(IDEAL, 0.012, 0.65), (REALISTIC, 0.04, 0.65), (MOTION, 0.015, 1.4)]
+    ("imaging", "worst_px", "blur_px"),
+    [(IDEAL, 0.012, 0.65), (REALISTIC, 0.04, 0.65), (MOTION, 0.015, 1.4)],
 )
-def test_corners_are_where_they_are(board: Board, imaging: Imaging, worst_px: float, blur_px: float) -> None:
-    """Also through sharpening, gamma and JPEG, and along a motion: the corner of a chessboard is symmetric."""
+def test_corners_are_where_they_are(
+    board: Board, imaging: Imaging, worst_px: float, blur_px: float
+) -> None:
+    """Also through sharpening, gamma and JPEG, and along a motion: the corner of a chessboard is
+    symmetric.
+    """
     where = list(poses(board, Held(reach=0.15), 2, 5))
     errors: list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]] = []
     stated: list[float] = []
@@ -35,7 +48,9 @@ def test_corners_are_where_they_are(board: Board, imaging: Imaging, worst_px: fl
         true = CAMERA.project(T_c_o.apply(board.corners_o))
         ids = view.ids
         if board.pattern == "chessboard":  # it may be found turned by half a turn
-            forward, backward = (float(np.abs(view.corners_px - true[i]).max()) for i in (ids, ids[::-1]))
+            forward, backward = (
+                float(np.abs(view.corners_px - true[i]).max()) for i in (ids, ids[::-1])
+            )
             ids = ids if forward < backward else ids[::-1]
         errors.append(view.corners_px - true[ids])
         stated.append(float((view.sigma_px**2).mean()))
@@ -43,14 +58,18 @@ def test_corners_are_where_they_are(board: Board, imaging: Imaging, worst_px: fl
     error = np.concatenate(errors)
     assert len(error) > 0.8 * 2 * len(board.corners_o)
     assert np.sqrt((error**2).mean()) < worst_px
-    assert np.abs(error.mean(axis=0)).max() < 0.2 * worst_px  # OpenCV's own corners are off by 0.004 px here
+    # OpenCV's own corners are off by 0.004 px here
+    assert np.abs(error.mean(axis=0)).max() < 0.2 * worst_px
     assert 0.5 < np.mean(stated) / (error**2).mean() < 25.0  # never too sure
 
 
 def test_of_a_charuco_board_a_part_is_enough_and_nothing_is_nothing() -> None:
     T_c_o = next(poses(CHARUCO, Held((0.3, 0.3), (10.0, 10.0), 0.0), 1, 0))
     color = next(photographs(CHARUCO, [T_c_o], 0))
-    whole, half = find_board(grey(color), CHARUCO), find_board(np.ascontiguousarray(grey(color)[:, :300]), CHARUCO)
+    whole, half = (
+        find_board(grey(color), CHARUCO),
+        find_board(np.ascontiguousarray(grey(color)[:, :300]), CHARUCO),
+    )
     assert whole is not None
     assert half is not None
     assert 10 < len(half.ids) < len(whole.ids)
@@ -80,7 +99,9 @@ def test_a_single_row_of_corners_is_no_chessboard(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize(("height", "number"), [(720, 5), (540, 0)])
 def test_corners_of_the_outermost_squares_are_not_counted(height: int, number: int) -> None:
-    """OpenCV takes the outer corners of a dark row for another row of inner ones: of 9x7 squares it makes 9x8 here."""
+    """OpenCV takes the outer corners of a dark row for another row of inner ones: of 9x7 squares it
+    makes 9x8 here.
+    """
     camera = CameraModel(960, height, 922.5, 922.5, 480.0, height / 2, CAMERA.distortion)
     board = Board("chessboard", 9, 7, 0.030)
     where = list(board_poses(camera, board, Held(reach=0.2), 6, 3))[number]

@@ -1,4 +1,6 @@
-"""A fisheye's views are told from those of a lens that Brown-Conrady describes, by the corners alone."""
+"""A fisheye's views are told from those of a lens that Brown-Conrady describes, by the corners
+alone.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,12 @@ BOARD = Board("charuco", 10, 7, 0.03, 0.0225)
 SIZE = (1280, 720)
 
 
-def views(focal_px: float, coefficients: tuple[float, ...], count: int, noise_px: float, seed: int) -> list[BoardView]:
-    """Corners of a board held everywhere before a camera: of a fisheye with four coefficients, else Brown-Conrady."""
+def views(
+    focal_px: float, coefficients: tuple[float, ...], count: int, noise_px: float, seed: int
+) -> list[BoardView]:
+    """Corners of a board held everywhere before a camera: of a fisheye with four coefficients, else
+    Brown-Conrady.
+    """
     rng = np.random.default_rng(seed)
     K = np.array([[focal_px, 0.0, 639.5], [0.0, focal_px, 359.5], [0.0, 0.0, 1.0]])
     middle, k = BOARD.corners_o.mean(axis=0), np.array(coefficients)
@@ -47,7 +53,9 @@ def collected(seen: list[BoardView]) -> Collected:
 @pytest.mark.parametrize("focal_px", [560.0, 450.0, 380.0])
 def test_a_fisheye_is_refused_as_what_it_is(focal_px: float) -> None:
     seen = views(focal_px, (-0.02, 0.003, -0.002, 0.0005), 20, 0.05, 3)
-    with pytest.raises(BadViews, match=rf"other_lens: the lens is a fisheye: .* \(fx {focal_px:.0f} px\)") as caught:
+    with pytest.raises(
+        BadViews, match=rf"other_lens: the lens is a fisheye: .* \(fx {focal_px:.0f} px\)"
+    ) as caught:
         calibrate(collected(seen), BOARD)
     assert "fisheyes are not flown with" in caught.value.remedy
 
@@ -58,7 +66,9 @@ def test_a_fisheye_is_refused_as_what_it_is(focal_px: float) -> None:
     ids=["none", "D415", "barrel"],
 )
 @pytest.mark.parametrize("noise_px", [0.05, 0.2])
-def test_a_lens_that_brown_conrady_describes_is_none(coefficients: tuple[float, ...], noise_px: float) -> None:
+def test_a_lens_that_brown_conrady_describes_is_none(
+    coefficients: tuple[float, ...], noise_px: float
+) -> None:
     seen = views(800.0, coefficients, 20, noise_px, 4)
     fit = fit_fisheye(solve_intrinsics(seen, BOARD, SIZE), BOARD)
     assert fit is None or not fit.is_clear

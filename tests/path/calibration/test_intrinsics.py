@@ -1,4 +1,6 @@
-"""The camera comes out as it truly is, and how sure that is; sets that do not determine it are refused by name."""
+"""The camera comes out as it truly is, and how sure that is; sets that do not determine it are
+refused by name.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,10 @@ def views(held: Held, count: int, seed: int, sigma_px: float = NOISE_PX) -> list
 
 def reasons(found: list[BoardView]) -> set[BadSet]:
     solution = solve_intrinsics(found, CHARUCO, SIZE)
-    return {fault.reason for fault in (*judge_views(found, SIZE, LIMITS), *judge_solution(solution, LIMITS))}
+    return {
+        fault.reason
+        for fault in (*judge_views(found, SIZE, LIMITS), *judge_solution(solution, LIMITS))
+    }
 
 
 def test_rendered_boards_give_the_focal_length_to_a_thousandth_and_predict_unseen_views() -> None:
@@ -65,11 +70,16 @@ def test_standard_errors_are_the_errors_there_are() -> None:
         assert solution.camera is not None
         rays = np.column_stack([solution.camera.rays(pixels), np.ones(3)])
         radial = np.isin(np.arange(9), (4, 5, 8))
-        moved = [moved_by(solution.camera, np.where(radial, doubt, 0.0), rays) for doubt in solution.doubts]
-        apart = [
-            moved_by(solution.camera, np.where(np.arange(9) == k, together, 0.0), rays) for k in np.flatnonzero(radial)
+        moved = [
+            moved_by(solution.camera, np.where(radial, doubt, 0.0), rays)
+            for doubt in solution.doubts
         ]
-        # radial terms make up for each other: one by one they would move the corners of the image by more
+        apart = [
+            moved_by(solution.camera, np.where(np.arange(9) == k, together, 0.0), rays)
+            for k in np.flatnonzero(radial)
+        ]
+        # radial terms make up for each other: one by one they would move the corners of the image
+        # by more
         assert np.linalg.norm(moved) < 0.7 * np.linalg.norm(apart)
     assert 0.3 < np.sqrt((np.array(ratios) ** 2).mean()) < 1.4
 
@@ -106,7 +116,9 @@ def test_the_residual_is_the_noise_and_corners_far_off_are_left_out() -> None:
         (Held(distance_m=(0.9, 1.4), tilt_deg=(0.0, 3.0), reach=0.05), 14, BadSet.UNCERTAIN),
     ],
 )
-def test_a_set_that_does_not_determine_the_camera_is_refused(held: Held, count: int, reason: BadSet) -> None:
+def test_a_set_that_does_not_determine_the_camera_is_refused(
+    held: Held, count: int, reason: BadSet
+) -> None:
     assert reason in reasons(views(held, count, 1))
 
 
@@ -115,7 +127,9 @@ def test_a_good_set_is_not() -> None:
 
 
 def test_a_boards_curl_is_told_from_the_focal_length() -> None:
-    """0.3 mm over 330: taken as flat, the camera is off by more than is stated, and nothing shows it."""
+    """0.3 mm over 330: taken as flat, the camera is off by more than is stated, and nothing shows
+    it.
+    """
     rng = np.random.default_rng(5)
     size_m = (CHARUCO.columns * CHARUCO.square_m, CHARUCO.rows * CHARUCO.square_m)
     true_m = np.array([0.0003, 0.0, -0.0001])
@@ -141,11 +155,14 @@ def test_a_board_other_than_said_is_seen_in_the_residual() -> None:
 
 
 def test_a_camera_that_leaves_out_pixels_is_named() -> None:
-    """Of every three columns one is where it should be, and two are off by some; corners follow them by halves."""
+    """Of every three columns one is where it should be, and two are off by some; corners follow
+    them by halves.
+    """
     even = views(Held(), 15, 2)
     off = np.array([0.1, -0.1, 0.0])
     uneven = [
-        replace(view, corners_px=view.corners_px - off[np.round(view.corners_px).astype(int) % 3]) for view in even
+        replace(view, corners_px=view.corners_px - off[np.round(view.corners_px).astype(int) % 3])
+        for view in even
     ]
     period, off_px = uneven_pixels(solve_intrinsics(uneven, CHARUCO, SIZE))
     assert period == 3

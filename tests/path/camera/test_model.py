@@ -1,4 +1,6 @@
-"""The camera against OpenCV, against itself inverted, and against calibrations that cannot be right."""
+"""The camera against OpenCV, against itself inverted, and against calibrations that cannot be
+right.
+"""
 
 import math
 from dataclasses import replace
@@ -35,7 +37,9 @@ def test_projection_is_opencvs(camera: CameraModel, point: tuple[float, float, f
     assert camera.project_point(point) == pytest.approx(expected.ravel().tolist(), abs=1e-9)
     np.testing.assert_allclose(camera.project(np.array([point])), expected[:, 0], atol=1e-9)
     # OpenCV's derivative by translation is the derivative by the point
-    np.testing.assert_allclose(camera.jacobian(np.array([point]))[0], derivatives[:, 3:6], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        camera.jacobian(np.array([point]))[0], derivatives[:, 3:6], rtol=1e-9, atol=1e-9
+    )
 
 
 @given(cameras, points)

@@ -50,7 +50,9 @@ def test_places_between_pixels_are_shared_out() -> None:
     assert camera.even(pixels.mean(axis=0, keepdims=True))[0] == pytest.approx(even.mean(axis=0))
 
 
-@pytest.mark.parametrize(("kept", "of", "begins"), [(3, 3, (0, 0)), (0, 2, (0, 0)), (2, 3, (2, 0)), (2, 3, (0, -1))])
+@pytest.mark.parametrize(
+    ("kept", "of", "begins"), [(3, 3, (0, 0)), (0, 2, (0, 0)), (2, 3, (2, 0)), (2, 3, (0, -1))]
+)
 def test_what_leaves_nothing_out_is_refused(kept: int, of: int, begins: tuple[int, int]) -> None:
     with pytest.raises(ValueError, match=r"kept|begins"):
         Thinning(kept, of, begins)

@@ -1,4 +1,6 @@
-"""The prior in D2's image: the paper's own figure, covariance against sampling, and what is no prior at all."""
+"""The prior in D2's image: the paper's own figure, covariance against sampling, and what is no
+prior at all.
+"""
 
 import math
 from dataclasses import replace
@@ -44,10 +46,16 @@ def covariance(t_sigma_m: float = 0.004, r_sigma_rad: float = 0.003) -> Matrix:
 
 
 def propagate(
-    covariance: Matrix, sigma_m: float, sigma_px: float, way_v: Vec3 = (0.0, 0.0, 1.0), across_m: float = -1.0
+    covariance: Matrix,
+    sigma_m: float,
+    sigma_px: float,
+    way_v: Vec3 = (0.0, 0.0, 1.0),
+    across_m: float = -1.0,
 ) -> tuple[tuple[float, float, float], float]:
     """The covariance of the point's pixel, and the standard deviation of D2's position."""
-    found = projected(lens_of(CAMERA), rigid(POSE), covariance, POINT, sigma_m, sigma_px, way_v, across_m)
+    found = projected(
+        lens_of(CAMERA), rigid(POSE), covariance, POINT, sigma_m, sigma_px, way_v, across_m
+    )
     return found[3], found[4]
 
 
@@ -65,10 +73,13 @@ def prior_of(**changes: Any) -> Prior | Missed:
 
 
 def test_nominal_projection_of_the_paper() -> None:
-    # the target at D1's principal point at 1 m, v and c1 taken as one frame, yaw about the camera's y axis
+    # the target at D1's principal point at 1 m, v and c1 taken as one frame, yaw about the camera's
+    # y axis
     assert NOMINAL.fx == pytest.approx(1386.42, abs=0.01)
     assert NOMINAL.fy == pytest.approx(1388.61, abs=0.01)
-    prior = predict(lens_of(NOMINAL), rigid(NOMINAL_POSE), covariance(), (0.0, 0.0, 1.0), 0.005, 0, CONFIG)
+    prior = predict(
+        lens_of(NOMINAL), rigid(NOMINAL_POSE), covariance(), (0.0, 0.0, 1.0), 0.005, 0, CONFIG
+    )
     assert isinstance(prior, Prior)
     assert prior.pixel == pytest.approx((540.08, 685.69), abs=0.01)
 
@@ -79,7 +90,9 @@ def test_nominal_geometry_could_not_see_the_marker() -> None:
 
 
 def perturbed(direction: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pixel of the target and D2's position in ``v``: rotated from the left in the camera frame, t untouched."""
+    """Pixel of the target and D2's position in ``v``: rotated from the left in the camera frame, t
+    untouched.
+    """
     R, t = exp(step * direction[3:]) @ POSE.R, POSE.t + step * direction[:3]
     x, y, z = (R @ np.array(POINT) + t).tolist()
     return np.array(CAMERA.project_point((x, y, z))), -R.T @ t
@@ -157,7 +170,9 @@ def test_depth_has_the_covariance_of_the_pose(direction: np.ndarray) -> None:
         for step in (-1e-6, 1e-6)
     )
     pose = np.outer(direction, direction)
-    sigma_m = projected(lens_of(CAMERA), rigid(POSE), pose, POINT, 0.0, 0.0, (0.0, 0.0, 1.0), -1.0)[5]
+    sigma_m = projected(lens_of(CAMERA), rigid(POSE), pose, POINT, 0.0, 0.0, (0.0, 0.0, 1.0), -1.0)[
+        5
+    ]
     assert sigma_m == pytest.approx(abs(after - before) / 2e-6, abs=1e-6)
 
 
@@ -173,13 +188,17 @@ def test_the_region_reaches_as_far_away_as_the_target_can_be() -> None:
     assert not wide.region.any_depth
 
 
-# --- a range that is worse than the bearing ----------------------------------------------------------------------
+# --- a range that is worse than the bearing
+# ----------------------------------------------------------------------
 
 
 def test_a_range_error_moves_the_prior_along_the_line_of_sight_only() -> None:
     direction = np.array([0.8, -0.1, 0.6])
     direction /= np.linalg.norm(direction)
-    way_v, pose = (float(direction[0]), float(direction[1]), float(direction[2])), covariance(1e-9, 1e-9)
+    way_v, pose = (
+        (float(direction[0]), float(direction[1]), float(direction[2])),
+        covariance(1e-9, 1e-9),
+    )
     (uu, uv, vv), _ = propagate(pose, 0.02, 0.0, way_v, 0.005)
     rng = np.random.default_rng(5)
     along, across = rng.normal(0.0, 0.02, 40_000), rng.normal(0.0, 0.005, (40_000, 3))
@@ -194,15 +213,21 @@ def test_a_range_error_moves_the_prior_along_the_line_of_sight_only() -> None:
 
 @pytest.mark.parametrize("across_m", [0.0, 0.005])
 @pytest.mark.parametrize("point_v", [POINT, (0.6, 0.3, 1.1), (-0.2, -0.5, 1.8)])
-def test_along_and_across_the_line_of_sight_errors_are_those_of_the_projection(point_v: Vec3, across_m: float) -> None:
-    """To first order exactly: ``J (across² I + (along² - across²) w wᵀ) Jᵀ`` with ``w`` in the camera's frame."""
+def test_along_and_across_the_line_of_sight_errors_are_those_of_the_projection(
+    point_v: Vec3, across_m: float
+) -> None:
+    """To first order exactly: ``J (across² I + (along² - across²) w wᵀ) Jᵀ`` with ``w`` in the
+    camera's frame.
+    """
     way = np.array([0.48, -0.6, 0.64])
     way_v = (0.48, -0.6, 0.64)
     point_c = transform(rigid(POSE), point_v)
     J = CAMERA.jacobian(np.array([point_c]))[0]
     along_c = POSE.R @ way
     spread = across_m**2 * np.eye(3) + (0.02**2 - across_m**2) * np.outer(along_c, along_c)
-    found = projected(lens_of(CAMERA), rigid(POSE), np.zeros((6, 6)), point_v, 0.02, 0.0, way_v, across_m)
+    found = projected(
+        lens_of(CAMERA), rigid(POSE), np.zeros((6, 6)), point_v, 0.02, 0.0, way_v, across_m
+    )
     expected = J @ spread @ J.T
     uu, uv, vv = found[3]
     assert (uu, uv, vv) == pytest.approx((expected[0, 0], expected[0, 1], expected[1, 1]), rel=1e-6)
@@ -216,7 +241,8 @@ def test_across_it_the_target_is_never_less_certain_than_along_it() -> None:
     assert far_off.covariance_px2 == pytest.approx(plain.covariance_px2)
 
 
-# --- what D2's camera sees, to the edge ---------------------------------------------------------------------------
+# --- what D2's camera sees, to the edge
+# ---------------------------------------------------------------------------
 
 SQUARE = CameraModel(640, 480, 128.0, 128.0, 0.0, 0.0)
 STRAIGHT = rigid(Pose(np.eye(3), np.zeros(3)))
@@ -232,7 +258,9 @@ def is_seen(point_v: Vec3, max_radius: float = 9.0) -> bool:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_the_image_reaches_from_half_a_pixel_before_the_first_to_half_a_pixel_before_its_end(axis: int) -> None:
+def test_the_image_reaches_from_half_a_pixel_before_the_first_to_half_a_pixel_before_its_end(
+    axis: int,
+) -> None:
     def at(pixel: float) -> Vec3:
         along = pixel / 128.0
         return (along, 0.1, 1.0) if axis == 0 else (0.1, along, 1.0)
@@ -245,7 +273,9 @@ def test_the_image_reaches_from_half_a_pixel_before_the_first_to_half_a_pixel_be
 def test_the_lens_sees_to_its_own_bound_and_nothing_behind_it() -> None:
     assert is_seen((0.5, 0.0, 1.0), max_radius=0.5) and is_seen((0.0, 0.5, 1.0), max_radius=0.5)
     assert is_seen((0.25, 0.0, 0.5), max_radius=0.5)
-    assert not is_seen((0.501, 0.0, 1.0), max_radius=0.5) and not is_seen((0.0, 0.501, 1.0), max_radius=0.5)
+    assert not is_seen((0.501, 0.0, 1.0), max_radius=0.5) and not is_seen(
+        (0.0, 0.501, 1.0), max_radius=0.5
+    )
     assert not is_seen((0.4, 0.4, 1.0), max_radius=0.5)
     assert not is_seen((-0.1, -0.1, -1.0))  # its picture would fall inside the image
     assert not is_seen((0.0, 0.0, -1.0))
@@ -254,10 +284,15 @@ def test_the_lens_sees_to_its_own_bound_and_nothing_behind_it() -> None:
 def test_at_its_limits_a_prior_is_still_one() -> None:
     prior = prior_of()
     assert isinstance(prior, Prior)
-    half_px = CONFIG.search_sigmas * math.sqrt(max(prior.covariance_px2[0], prior.covariance_px2[2]))
+    half_px = CONFIG.search_sigmas * math.sqrt(
+        max(prior.covariance_px2[0], prior.covariance_px2[2])
+    )
     at_limits = replace(CONFIG, max_pose_sigma_m=prior.pose_sigma_m, max_search_px=half_px)
     assert prior_of(config=at_limits) == prior
-    for tighter in ({"max_pose_sigma_m": 0.999 * prior.pose_sigma_m}, {"max_search_px": 0.999 * half_px}):
+    for tighter in (
+        {"max_pose_sigma_m": 0.999 * prior.pose_sigma_m},
+        {"max_search_px": 0.999 * half_px},
+    ):
         assert prior_of(config=replace(at_limits, **tighter)) == Missed(MissReason.POSE_UNCERTAIN)
 
 
@@ -267,14 +302,18 @@ def test_a_covariance_that_is_none_is_no_number() -> None:
     assert prior_of(covariance=negative) == Missed(MissReason.NON_FINITE)
     exact = replace(CONFIG, pixel_sigma_px=0.0, target_center_sigma_m=0.0)
     nothing = np.zeros((6, 6))
-    assert prior_of(covariance=nothing, point_sigma_m=0.0, config=exact) == Missed(MissReason.NON_FINITE)
+    assert prior_of(covariance=nothing, point_sigma_m=0.0, config=exact) == Missed(
+        MissReason.NON_FINITE
+    )
 
 
 def test_the_region_reaches_a_body_s_depth_further_than_the_uncertainty() -> None:
     exact = prior_of(covariance=covariance(1e-9, 1e-9), point_sigma_m=0.0)
     assert isinstance(exact, Prior)
     assert exact.region.far_m - exact.depth_m == pytest.approx(0.3, abs=1e-6)
-    near = prior_of(lens=lens_of(SQUARE), T_c2_v=STRAIGHT, point_v=(0.02, 0.02, 0.2), point_sigma_m=0.0)
+    near = prior_of(
+        lens=lens_of(SQUARE), T_c2_v=STRAIGHT, point_v=(0.02, 0.02, 0.2), point_sigma_m=0.0
+    )
     assert isinstance(near, Prior)
     assert near.region.near_m == 0.0  # nothing is behind the camera
 

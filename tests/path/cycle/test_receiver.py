@@ -69,7 +69,9 @@ def sound_prior(receiver: ReceiverCycle, ms: float = 90.0) -> Prior:
     return prior
 
 
-def answer(receiver: ReceiverCycle, frame_id: int, found: list[Detection], prior: Prior | Missed) -> Candidate:
+def answer(
+    receiver: ReceiverCycle, frame_id: int, found: list[Detection], prior: Prior | Missed
+) -> Candidate:
     candidate = receiver.candidate(frame_id, frame_id * 20 * MS, found, prior)
     assert isinstance(candidate, Candidate)
     return candidate
@@ -78,7 +80,9 @@ def answer(receiver: ReceiverCycle, frame_id: int, found: list[Detection], prior
 @pytest.mark.parametrize("ms", [30.0, 80.0, 95.0, 150.0])
 def test_a_moving_target_is_expected_where_it_is_at_the_frames_instant(ms: float) -> None:
     prior = sound_prior(primed(moving_mps=1.0), ms)
-    assert prior.pixel == pytest.approx(pixel_of((POINT[0] + ms / 1000.0, POINT[1], POINT[2])), abs=1e-6)
+    assert prior.pixel == pytest.approx(
+        pixel_of((POINT[0] + ms / 1000.0, POINT[1], POINT[2])), abs=1e-6
+    )
     assert prior.target_sequence == 4
 
 
@@ -91,7 +95,9 @@ def test_the_prior_widens_the_longer_the_last_sample_is_ago() -> None:
 def test_without_fresh_samples_there_is_no_prior() -> None:
     receiver = primed()
     assert prior_at(cycle(), 0.0) == Missed(MissReason.LINK_SILENT)
-    assert prior_at(receiver, 80.0 + 1000.0 * CONFIG.max_extrapolation_s + 1.0) == Missed(MissReason.LINK_SILENT)
+    assert prior_at(receiver, 80.0 + 1000.0 * CONFIG.max_extrapolation_s + 1.0) == Missed(
+        MissReason.LINK_SILENT
+    )
     assert prior_at(receiver, -1.0) == Missed(MissReason.NO_TRACK)
 
 
@@ -176,7 +182,10 @@ def test_a_numpy_detection_goes_out_as_plain_floats() -> None:
     box = Box(np.float64(u - 30.0), np.float64(v - 20.0), np.float64(60.0), np.float64(40.0))
     candidate = answer(receiver, 1, [Detection(box, 0.9)], prior)
     assert candidate.box is not None
-    assert all(type(part) is float for part in (candidate.box.x, candidate.box.y, candidate.box.w, candidate.box.h))
+    assert all(
+        type(part) is float
+        for part in (candidate.box.x, candidate.box.y, candidate.box.w, candidate.box.h)
+    )
 
 
 def test_the_gate_is_an_ellipse_around_the_prior() -> None:
@@ -214,7 +223,9 @@ def test_one_object_found_twice_is_not_ambiguous() -> None:
 
 
 def test_one_object_in_two_boxes_is_that_object_and_two_objects_are_not() -> None:
-    """As a colour detector showed a car for single frames of video (handoff --rig sim-tello --seed 12015)."""
+    """As a colour detector showed a car for single frames of video (handoff --rig sim-tello --seed
+    12015).
+    """
     receiver = primed()
     prior = sound_prior(receiver)
     u, v = prior.pixel
@@ -223,7 +234,8 @@ def test_one_object_in_two_boxes_is_that_object_and_two_objects_are_not() -> Non
         Detection(Box(left, top + 8.0, 60.0, bottom - top - 8.0), 0.2),
         Detection(Box(left + 22.0, top, right - left - 22.0, 44.0), 0.9),
     ]
-    assert answer(receiver, 1, pieces, prior).reason is MissReason.AMBIGUOUS_TARGET  # how large it is nobody knows yet
+    # how large it is nobody knows yet
+    assert answer(receiver, 1, pieces, prior).reason is MissReason.AMBIGUOUS_TARGET
     answer(receiver, 2, [detection(u, v, w=80.0, h=50.0)], prior)
     assert answer(receiver, 3, pieces, prior).box == Box(left, top, 80.0, 50.0)
     apart = [detection(u - 20.0, v, w=38.0, h=50.0), detection(u + 20.0, v, w=40.0, h=50.0)]
@@ -269,7 +281,9 @@ def test_an_old_or_repeated_frame_is_not_answered() -> None:
     receiver = primed()
     answer(receiver, 5, [], Missed(MissReason.NO_MARKER))
     nothing = Missed(MissReason.NO_MARKER)
-    assert receiver.candidate(5, 120 * MS, [], nothing) == Missed(MissReason.DUPLICATE, ignored=True)
+    assert receiver.candidate(5, 120 * MS, [], nothing) == Missed(
+        MissReason.DUPLICATE, ignored=True
+    )
     assert receiver.candidate(4, 120 * MS, [], nothing) == Missed(MissReason.STALE, ignored=True)
     assert receiver.candidate(6, 100 * MS, [], nothing) == Missed(MissReason.STALE, ignored=True)
     assert isinstance(receiver.candidate(6, 120 * MS, [], nothing), Candidate)
@@ -297,10 +311,12 @@ def test_a_range_by_size_widens_the_search_along_the_sender_s_line_of_sight_only
         return math.sqrt(uu * vv - uv * uv)
 
     assert spread(config, 0.8) < 0.5 * spread(CONFIG, 0.8)
-    assert spread(config, 0.0) < 0.2 * spread(CONFIG, 0.0)  # D2 looks along it: the range does not matter
+    # D2 looks along it: the range does not matter
+    assert spread(config, 0.0) < 0.2 * spread(CONFIG, 0.0)
 
 
-# --- to the bound -------------------------------------------------------------------------------------------------
+# --- to the bound
+# -------------------------------------------------------------------------------------------------
 
 LATE_NS = 10**15
 
@@ -323,7 +339,9 @@ def test_gravity_is_told_for_as_long_as_a_sample_may_be_carried_on_however_late_
         ({"gravity_v": (0.0, 0.0, 1.05)}, False),
     ],
 )
-def test_a_direction_may_have_lost_a_twentieth_of_its_length_on_the_way(changes: dict[str, Any], taken: bool) -> None:
+def test_a_direction_may_have_lost_a_twentieth_of_its_length_on_the_way(
+    changes: dict[str, Any], taken: bool
+) -> None:
     assert (feed(cycle(), target(1, **changes)) is None) is taken
 
 
@@ -341,7 +359,9 @@ def region_of(prior: Prior) -> tuple[float, ...]:
     return region.x0, region.y0, region.x1, region.y1, region.near_m, region.far_m
 
 
-def test_the_prior_is_as_wide_as_the_sample_the_clocks_and_an_unknown_acceleration_make_it() -> None:
+def test_the_prior_is_as_wide_as_the_sample_the_clocks_and_an_unknown_acceleration_make_it() -> (
+    None
+):
     config = replace(CONFIG, clock_sigma_s=0.004, relative_speed_mps=1.5, relative_accel_mps2=2.0)
     receiver = cycle(config)
     for i in range(5):
@@ -360,7 +380,9 @@ def test_the_prior_is_as_wide_as_the_sample_the_clocks_and_an_unknown_accelerati
 def test_across_the_sender_s_line_of_sight_count_pixels_mounting_and_what_moved() -> None:
     config = replace(CONFIG, target_error="ray", clock_sigma_s=0.004, relative_speed_mps=1.5)
     eye_v = (0.5, -0.3, -0.2)
-    receiver = ReceiverCycle(CAMERA, config, handoff_id=1, epoch=2, target_id=3, sender=(CAMERA, eye_v))
+    receiver = ReceiverCycle(
+        CAMERA, config, handoff_id=1, epoch=2, target_id=3, sender=(CAMERA, eye_v)
+    )
     for i in range(5):
         feed(receiver, target(i, sigma_m=0.15))
     away = np.array(POINT) - np.array(eye_v)
@@ -369,14 +391,25 @@ def test_across_the_sender_s_line_of_sight_count_pixels_mounting_and_what_moved(
     across_m = math.hypot(across_sigma(CAMERA, distance_m, config), config.mount_sigma_m, moved_m)
     x, y, z = (away / distance_m).tolist()
     ray = Ray((x, y, z), across_m)
-    expected = predict(lens_of(CAMERA), rigid(POSE), COVARIANCE, POINT, math.hypot(0.15, moved_m), 4, config, ray=ray)
+    expected = predict(
+        lens_of(CAMERA),
+        rigid(POSE),
+        COVARIANCE,
+        POINT,
+        math.hypot(0.15, moved_m),
+        4,
+        config,
+        ray=ray,
+    )
     assert isinstance(expected, Prior)
     assert sound_prior(receiver, 80.0).covariance_px2 == pytest.approx(expected.covariance_px2)
 
 
 def test_a_target_in_the_sender_s_own_eye_has_no_line_of_sight() -> None:
     config = replace(CONFIG, target_error="ray")
-    with_eye = ReceiverCycle(CAMERA, config, handoff_id=1, epoch=2, target_id=3, sender=(CAMERA, POINT))
+    with_eye = ReceiverCycle(
+        CAMERA, config, handoff_id=1, epoch=2, target_id=3, sender=(CAMERA, POINT)
+    )
     without = cycle()
     for receiver in (with_eye, without):
         for i in range(5):

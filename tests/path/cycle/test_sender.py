@@ -1,4 +1,6 @@
-"""D1's cycle, alone and with D2's: what counts, what restarts, and that no disorder on the link finishes it early."""
+"""D1's cycle, alone and with D2's: what counts, what restarts, and that no disorder on the link
+finishes it early.
+"""
 
 import math
 import random
@@ -62,7 +64,9 @@ def candidate(sequence: int, ms: float, speed_mps: float = 0.0, **changes: Any) 
     box = box_in(CAMERA2, T_C2_C1.apply(place(ms, speed_mps)))
     answered = max(0, math.floor(ms / 20.0)) % 65_536
     rotation = quat_from_R(T_V_C2.R)
-    good = Candidate(1, 2, 3, sequence % 65_536, answered, round(ms * MS), box, None, (x, y, z), rotation, 0.005)
+    good = Candidate(
+        1, 2, 3, sequence % 65_536, answered, round(ms * MS), box, None, (x, y, z), rotation, 0.005
+    )
     return replace(good, **changes)
 
 
@@ -70,7 +74,9 @@ class Bench:
     """A sender whose frames come every 20 ms from 0 on, and whose clock D2 shares."""
 
     def __init__(self, config: MethodConfig = CONFIG, speed_mps: float = 0.0) -> None:
-        self.sender = SenderCycle(CAMERA1, CAMERA2, T_V_C1, config, handoff_id=1, epoch=2, target_id=3)
+        self.sender = SenderCycle(
+            CAMERA1, CAMERA2, T_V_C1, config, handoff_id=1, epoch=2, target_id=3
+        )
         self.speed_mps = speed_mps
 
     def see(self, index: int, **changes: Any) -> Target | Missed:
@@ -80,7 +86,9 @@ class Bench:
         return self.sender.observe(index, index * PERIOD, box, depth, gravity_v, rivals)
 
     def offer(self, message: Candidate, late_ms: float = 5.0) -> Missed | None:
-        return self.sender.offer(message, message.capture_ns, message.capture_ns + round(late_ms * MS))
+        return self.sender.offer(
+            message, message.capture_ns, message.capture_ns + round(late_ms * MS)
+        )
 
     def step(self, index: int, **changes: Any) -> list[PairVerdict]:
         """D1's frame ``index``, after D2's frame 7 ms before it came in."""
@@ -111,11 +119,14 @@ def test_the_overlap_where_a_body_has_its_middle_is_told_when_its_size_is_stated
     (pair,) = Bench(replace(CONFIG, evidence=stated)).run(1)
     assert pair.verdict.iou == unstated.verdict.iou  # what S itself says stays as it is
     assert pair.placed_iou is not None
-    assert 0.5 < pair.placed_iou < 0.99  # these boxes are around points, whose middles lie where they are
+    # these boxes are around points, whose middles lie where they are
+    assert 0.5 < pair.placed_iou < 0.99
 
 
 @pytest.mark.parametrize(("gate", "agrees"), [("evidence", False), ("count", True)])
-def test_boxes_larger_than_the_target_disagree_though_they_overlap(gate: GateKind, agrees: bool) -> None:
+def test_boxes_larger_than_the_target_disagree_though_they_overlap(
+    gate: GateKind, agrees: bool
+) -> None:
     sized = replace(CONFIG.evidence, span_m=0.5 * SIZE_M, height_m=0.5 * SIZE_M)
     bench = Bench(replace(CONFIG, gate=gate, evidence=sized))
     (pair,) = bench.run(1)
@@ -124,7 +135,8 @@ def test_boxes_larger_than_the_target_disagree_though_they_overlap(gate: GateKin
     if not agrees:
         assert pair.verdict == Missed(MissReason.AMBIGUOUS_TARGET, pair.verdict.iou)
         assert bench.sender.misses == {MissReason.AMBIGUOUS_TARGET: 1}
-        assert bench.offer(candidate(1, 13.0)) == Missed(MissReason.DUPLICATE, ignored=True)  # it was an answer
+        # it was an answer
+        assert bench.offer(candidate(1, 13.0)) == Missed(MissReason.DUPLICATE, ignored=True)
 
 
 def test_a_box_that_grows_at_once_in_either_camera_disagrees() -> None:
@@ -174,7 +186,9 @@ def test_the_message_carries_the_target_in_the_marker_frame() -> None:
         ({"gravity_v": (0.0, 0.0, 9.81)}, MissReason.NON_FINITE),
     ],
 )
-def test_a_frame_of_d1_without_a_target_restarts_the_count(changes: dict[str, Any], reason: MissReason) -> None:
+def test_a_frame_of_d1_without_a_target_restarts_the_count(
+    changes: dict[str, Any], reason: MissReason
+) -> None:
     bench = Bench()
     bench.run(5)
     assert bench.count == 5
@@ -206,7 +220,9 @@ def test_no_pair_is_made_next_to_a_frame_that_saw_nothing_nor_one_from_before_it
         (6, 0, MissReason.STALE),
     ],
 )
-def test_an_old_or_repeated_frame_of_d1_changes_nothing(frame_id: int, stamp_ns: int, reason: MissReason) -> None:
+def test_an_old_or_repeated_frame_of_d1_changes_nothing(
+    frame_id: int, stamp_ns: int, reason: MissReason
+) -> None:
     bench = Bench()
     bench.run(5)
     result = bench.sender.observe(frame_id, stamp_ns, None, None, GRAVITY)
@@ -244,7 +260,9 @@ def test_depth_of_no_uncertainty_is_depth_and_of_a_negative_one_is_none() -> Non
     assert Bench().see(0, depth=Depth(DEPTH_M, -1e-9)) == Missed(MissReason.NO_DEPTH)
 
 
-def test_what_the_gate_refuses_as_no_new_evidence_is_no_disagreement_either(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_gate_refuses_as_no_new_evidence_is_no_disagreement_either(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     bench = Bench()
     bench.run(5)
 
@@ -300,13 +318,16 @@ def test_a_fresh_frame_of_d2_that_does_not_agree_restarts_the_count(
         ({"box": None, "reason": MissReason.NO_CANDIDATE}, False),
         ({"sigma_m": 0.5}, False),
         ({"target_sequence": 40_000}, False),
-        ({"rotation_v_c2": quat_from_R(T_V_C2.R @ exp(np.array([0.0, math.pi, 0.0])))}, False),  # turned away
+        # turned away
+        ({"rotation_v_c2": quat_from_R(T_V_C2.R @ exp(np.array([0.0, math.pi, 0.0])))}, False),
     ],
 )
 def test_the_gate_is_told_by_how_much_a_pair_disagrees_and_of_nothing_where_nothing_was_compared(
     monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], compared: bool
 ) -> None:
-    """A pair that was compared and disagrees speaks against the object; one that could not be compared does not."""
+    """A pair that was compared and disagrees speaks against the object; one that could not be
+    compared does not.
+    """
     bench = Bench()
     bench.run(5)
     told: list[float | None] = []
@@ -317,11 +338,16 @@ def test_the_gate_is_told_by_how_much_a_pair_disagrees_and_of_nothing_where_noth
 
     monkeypatch.setattr(bench.sender.gate, "disagree", disagree)
     (pair,) = bench.step(6, **changes)
-    assert pair.candidate is not None and (pair.candidate.sequence, pair.capture_ns) == (6, 113 * MS)
+    assert pair.candidate is not None and (pair.candidate.sequence, pair.capture_ns) == (
+        6,
+        113 * MS,
+    )
     if not compared:
         assert told == [None]
         return
-    assert isinstance(pair.verdict, Missed) and pair.verdict.iou is not None and pair.tau is not None
+    assert (
+        isinstance(pair.verdict, Missed) and pair.verdict.iou is not None and pair.tau is not None
+    )
     assert told == [strength(pair.verdict.iou, pair.tau)]
     assert told[0] is not None and told[0] < -0.5
 
@@ -413,7 +439,11 @@ def test_candidates_that_overtook_each_other_are_judged_in_order() -> None:
         bench.offer(candidate(sequence, ms))
     bench.see(1)
     pairs = bench.sender.evaluate_ready(PERIOD)
-    assert [pair.candidate.sequence for pair in pairs if pair.candidate is not None] == [65_535, 0, 1]
+    assert [pair.candidate.sequence for pair in pairs if pair.candidate is not None] == [
+        65_535,
+        0,
+        1,
+    ]
     # two frames of D1 make two distinct pairs at most
     assert [isinstance(pair.verdict, Agreed) for pair in pairs] == [True, True, False]
     assert bench.count == 2
@@ -455,7 +485,9 @@ def test_a_window_of_lost_packets_within_the_gap_goes_on() -> None:
 
 
 def test_the_whole_method_agrees_on_a_moving_target_and_completes_on_time() -> None:
-    """Both cycles, D2's frames 7 ms before D1's, 8 ms of link; the targets point goes over, the box comes back."""
+    """Both cycles, D2's frames 7 ms before D1's, 8 ms of link; the targets point goes over, the box
+    comes back.
+    """
     config = MethodConfig(gate="count")
     speed = 0.05
     bench = Bench(config, speed_mps=speed)
@@ -497,7 +529,11 @@ def test_the_gate_that_goes_by_evidence_decides_when_the_settings_say_so() -> No
     pairs = bench.run(81)
     assert bench.sender.gate.complete
     verdicts = [pair.verdict for pair in pairs]
-    reached = [verdict.evidence.reached for verdict in verdicts if isinstance(verdict, Agreed) and verdict.evidence]
+    reached = [
+        verdict.evidence.reached
+        for verdict in verdicts
+        if isinstance(verdict, Agreed) and verdict.evidence
+    ]
     assert len(reached) == 81
     assert reached == sorted(reached)
     assert reached[19] == 0.0
@@ -516,7 +552,14 @@ def test_the_gate_that_goes_by_evidence_wants_a_better_pose() -> None:
 def test_another_gate_can_look_on() -> None:
     window, evidence = AgreementWindow(CONFIG), EvidenceGate(CONFIG)
     sender = SenderCycle(
-        CAMERA1, CAMERA2, T_V_C1, CONFIG, handoff_id=1, epoch=2, target_id=3, gate=SideBySide(window, evidence)
+        CAMERA1,
+        CAMERA2,
+        T_V_C1,
+        CONFIG,
+        handoff_id=1,
+        epoch=2,
+        target_id=3,
+        gate=SideBySide(window, evidence),
     )
     bench = Bench()
     bench.sender = sender
@@ -547,7 +590,9 @@ def test_a_look_alike_beside_the_target_never_agrees() -> None:
 def test_no_disorder_on_the_link_completes_the_window_early(
     seed: int, frames: int, loss: float, disagreeing: set[int]
 ) -> None:
-    """Packets lost, echoed up to three times and shuffled: complete only after enough distinct frames that agree."""
+    """Packets lost, echoed up to three times and shuffled: complete only after enough distinct
+    frames that agree.
+    """
     rng = random.Random(seed)
     arrivals: list[tuple[float, Candidate]] = []
     for index in range(1, frames + 1):
@@ -576,10 +621,13 @@ def test_no_disorder_on_the_link_completes_the_window_early(
             assert now_ms >= 13.0 + 180.0
 
 
-# --- what else D1 sees, and every bound ---------------------------------------------------------------------------
+# --- what else D1 sees, and every bound
+# ---------------------------------------------------------------------------
 
 
-def test_a_pair_is_measured_from_what_stands_beside_the_target_once_it_was_seen_often_enough() -> None:
+def test_a_pair_is_measured_from_what_stands_beside_the_target_once_it_was_seen_often_enough() -> (
+    None
+):
     bench = Bench()
     beside = place(0.0) + np.array([0.5, 0.0, 0.0])
     rival = Rival(box_in(CAMERA1, beside), Depth(DEPTH_M, 0.02))
@@ -605,14 +653,20 @@ def test_nothing_is_added_up_across_an_interruption_of_its_own_reckoning() -> No
     assert bench.count == 3
 
 
-@pytest.mark.parametrize(("z_m", "holds"), [(0.3, True), (6.0, True), (0.299, False), (6.001, False)])
+@pytest.mark.parametrize(
+    ("z_m", "holds"), [(0.3, True), (6.0, True), (0.299, False), (6.001, False)]
+)
 def test_depth_is_taken_between_its_bounds_and_at_them(z_m: float, holds: bool) -> None:
     assert (CONFIG.min_depth_m, CONFIG.max_depth_m) == (0.3, 6.0)
     assert isinstance(Bench().see(0, depth=Depth(z_m, 0.02)), Target) is holds
 
 
-@pytest.mark.parametrize(("length", "holds"), [(0.951, True), (1.049, True), (0.949, False), (1.051, False)])
-def test_a_direction_and_a_rotation_are_of_length_one_to_a_twentieth(length: float, holds: bool) -> None:
+@pytest.mark.parametrize(
+    ("length", "holds"), [(0.951, True), (1.049, True), (0.949, False), (1.051, False)]
+)
+def test_a_direction_and_a_rotation_are_of_length_one_to_a_twentieth(
+    length: float, holds: bool
+) -> None:
     gravity_v = (0.0, 0.0, length)
     assert isinstance(Bench().see(0, gravity_v=gravity_v), Target) is holds
     bench = Bench()
@@ -634,7 +688,11 @@ def test_a_direction_and_a_rotation_are_of_length_one_to_a_twentieth(length: flo
 )
 def test_a_box_without_a_size_is_none_on_either_side(box: Box) -> None:
     assert Bench().offer(candidate(1, 13.0, box=box)) == Missed(MissReason.NON_FINITE, ignored=True)
-    reason = MissReason.NO_TARGET if math.isfinite(box.x + box.y + box.w + box.h) else MissReason.NON_FINITE
+    reason = (
+        MissReason.NO_TARGET
+        if math.isfinite(box.x + box.y + box.w + box.h)
+        else MissReason.NON_FINITE
+    )
     assert Bench().see(0, box=box) == Missed(reason)
 
 
@@ -649,14 +707,18 @@ def test_a_pose_of_no_uncertainty_is_a_pose() -> None:
 
 
 @pytest.mark.parametrize(("age_ns", "reason"), [(500 * MS, None), (500 * MS + 1, MissReason.STALE)])
-def test_a_candidate_is_evidence_until_it_is_too_old(age_ns: int, reason: MissReason | None) -> None:
+def test_a_candidate_is_evidence_until_it_is_too_old(
+    age_ns: int, reason: MissReason | None
+) -> None:
     message = candidate(1, 13.0)
     refused = Bench().sender.offer(message, LATE_NS, LATE_NS + age_ns)
     assert refused == (None if reason is None else Missed(reason, ignored=True))
 
 
 @pytest.mark.parametrize(("early_ns", "reason"), [(50 * MS, None), (50 * MS + 1, MissReason.CLOCK)])
-def test_a_candidate_may_come_a_little_before_its_time(early_ns: int, reason: MissReason | None) -> None:
+def test_a_candidate_may_come_a_little_before_its_time(
+    early_ns: int, reason: MissReason | None
+) -> None:
     message = candidate(9, 173.0)
     refused = Bench().sender.offer(message, LATE_NS, LATE_NS - early_ns)
     assert refused == (None if reason is None else Missed(reason, ignored=True))
@@ -674,7 +736,9 @@ def test_a_candidate_of_the_very_instant_of_a_frame_is_judged_with_that_frame() 
 
 
 @pytest.mark.parametrize("more", [0.0, 1e-9])
-def test_a_pair_agrees_when_it_reaches_what_is_asked_of_it(monkeypatch: pytest.MonkeyPatch, more: float) -> None:
+def test_a_pair_agrees_when_it_reaches_what_is_asked_of_it(
+    monkeypatch: pytest.MonkeyPatch, more: float
+) -> None:
     (usual,) = Bench().run(1)
     assert isinstance(usual.verdict, Agreed)
     asked = usual.verdict.iou + more

@@ -1,4 +1,6 @@
-"""Nothing that the cycles call is compiled in flight, whatever numbers a detector's boxes are made of."""
+"""Nothing that the cycles call is compiled in flight, whatever numbers a detector's boxes are made
+of.
+"""
 
 from __future__ import annotations
 

@@ -16,7 +16,9 @@ def own_values(box: Box, z_m: float, point_v: Vec3, gravity_v: Vec3 = (0.0, 0.0,
     return (box.x, box.y, box.w, box.h, *point_v, z_m, 0.01, *gravity_v, 0.0)
 
 
-def compared(views: TwoViews, T_v_c2: Pose, own: Values, box2: Box, config: MethodConfig) -> Comparison:
+def compared(
+    views: TwoViews, T_v_c2: Pose, own: Values, box2: Box, config: MethodConfig
+) -> Comparison:
     x, y, z = T_v_c2.t.tolist()
     candidate = Candidate(1, 1, 1, 0, 0, 0, box2, None, (x, y, z), quat_from_R(T_v_c2.R), 0.01)
     return Comparer(views, config).compare(own, candidate, box2)

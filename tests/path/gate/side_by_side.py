@@ -16,7 +16,9 @@ def _first(answers: list[T]) -> T:
 
 
 class SideBySide:
-    """Several gates fed with the same pairs: the first one decides, the others look on (to compare them)."""
+    """Several gates fed with the same pairs: the first one decides, the others look on (to compare
+    them).
+    """
 
     def __init__(self, first: Gate, *others: Gate) -> None:
         self.gates: tuple[Gate, ...] = (first, *others)
@@ -40,7 +42,9 @@ class SideBySide:
     def agree(self, pair: FramePair, iou: float, tau: float) -> MissReason | None:
         return _first([gate.agree(pair, iou, tau) for gate in self.gates])
 
-    def disagree(self, peer_sequence: int, capture_ns: int, by: float | None = None) -> MissReason | None:
+    def disagree(
+        self, peer_sequence: int, capture_ns: int, by: float | None = None
+    ) -> MissReason | None:
         return _first([gate.disagree(peer_sequence, capture_ns, by) for gate in self.gates])
 
     def restart(self, stamp_ns: int) -> None:

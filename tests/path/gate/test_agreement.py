@@ -1,4 +1,6 @@
-"""Box mapping, overlap and threshold: exact where geometry is, and what the paper's corner does under roll."""
+"""Box mapping, overlap and threshold: exact where geometry is, and what the paper's corner does
+under roll.
+"""
 
 import math
 from dataclasses import replace
@@ -25,7 +27,9 @@ LENS = (-0.1, 0.05, 0.001, -0.001, 0.0)
 T_V_C1 = Pose(exp(np.array([0.3, -2.0, 0.4])), np.array([0.1, -0.05, -0.2]))
 MAPPINGS: tuple[Literal["center", "corner"], ...] = ("center", "corner")
 
-boxes = st.builds(Box, st.floats(-50, 600), st.floats(-50, 400), st.floats(1, 200), st.floats(1, 200))
+boxes = st.builds(
+    Box, st.floats(-50, 600), st.floats(-50, 400), st.floats(1, 200), st.floats(1, 200)
+)
 
 
 def views(distorted: bool = False) -> TwoViews:
@@ -35,7 +39,9 @@ def views(distorted: bool = False) -> TwoViews:
     return TwoViews(*cameras, rigid(T_V_C1))
 
 
-def box_of_plate(camera: CameraModel, center: tuple[float, float, float], width_m: float, height_m: float) -> Box:
+def box_of_plate(
+    camera: CameraModel, center: tuple[float, float, float], width_m: float, height_m: float
+) -> Box:
     """The image of a plate parallel to an undistorted camera's image plane."""
     x, y, z = center
     left, top = camera.project_point((x - width_m / 2, y - height_m / 2, z))
@@ -60,12 +66,19 @@ def test_mapping_is_exact_between_parallel_image_planes(
     own, peer = box_of_plate(CAMERA1, center, *size), box_of_plate(CAMERA2, in_c2, *size)
     mapped = map_box(views(), T_v_c2, peer, (center[2], in_c2[2]), mapping)
     assert mapped is not None
-    assert (mapped.x, mapped.y, mapped.w, mapped.h) == pytest.approx((own.x, own.y, own.w, own.h), abs=1e-6)
+    assert (mapped.x, mapped.y, mapped.w, mapped.h) == pytest.approx(
+        (own.x, own.y, own.w, own.h), abs=1e-6
+    )
     assert iou(own, mapped) == pytest.approx(1.0, abs=1e-6)
 
 
-@given(st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)), st.floats(-3.0, 3.0))
-def test_a_box_centred_on_the_prior_maps_onto_the_targets_pixel(w: tuple[float, float, float], roll: float) -> None:
+@given(
+    st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)),
+    st.floats(-3.0, 3.0),
+)
+def test_a_box_centred_on_the_prior_maps_onto_the_targets_pixel(
+    w: tuple[float, float, float], roll: float
+) -> None:
     both = views(distorted=True)
     T_c2_c1 = Pose(exp(np.array([0.0, 0.0, roll])) @ exp(np.array(w)), np.array([-0.2, 0.1, 0.5]))
     T_v_c2 = rigid(T_V_C1 @ T_c2_c1.inverse())
@@ -80,7 +93,9 @@ def test_a_box_centred_on_the_prior_maps_onto_the_targets_pixel(w: tuple[float, 
 
 
 def roll_overlap(roll_deg: float, mapping: Literal["center", "corner"]) -> float:
-    """IoU for a round target of equal boxes in both views, when D2 is D1 rolled about its optical axis."""
+    """IoU for a round target of equal boxes in both views, when D2 is D1 rolled about its optical
+    axis.
+    """
     both = TwoViews(CAMERA1, replace(CAMERA1, fy=615.0), rigid(T_V_C1))
     both = replace(both, camera1=replace(CAMERA1, fy=615.0))
     T_v_c2 = rigid(T_V_C1 @ Pose(exp(np.array([0.0, 0.0, math.radians(roll_deg)])), np.zeros(3)))
@@ -92,7 +107,8 @@ def roll_overlap(roll_deg: float, mapping: Literal["center", "corner"]) -> float
 
 def test_the_papers_corner_drifts_under_roll_and_the_centre_does_not() -> None:
     corner = [roll_overlap(roll, "corner") for roll in (0.0, 10.0, 30.0, 60.0, 90.0, 180.0)]
-    # the corner of a square of side 1 turned by r is off by (cos r - sin r - 1, sin r + cos r - 1) / 2
+    # the corner of a square of side 1 turned by r is off by (cos r - sin r - 1, sin r + cos r - 1)
+    # / 2
     expected: list[float] = []
     for roll in (0.0, 10.0, 30.0, 60.0, 90.0, 180.0):
         c, s = math.cos(math.radians(roll)), math.sin(math.radians(roll))
@@ -110,7 +126,9 @@ def test_no_box_when_the_target_is_behind_d1_or_off_the_lens() -> None:
     box = Box(600.0, 320.0, 80.0, 80.0)
     assert map_box(views(), behind, box, (2.0, 2.0), "center") is None
     barrel = replace(views(), camera2=replace(CAMERA2, distortion=(-0.2, 0.0, 0.0, 0.0, 0.0)))
-    assert map_box(barrel, rigid(T_V_C1), Box(6000.0, 300.0, 80.0, 80.0), (2.0, 2.0), "center") is None
+    assert (
+        map_box(barrel, rigid(T_V_C1), Box(6000.0, 300.0, 80.0, 80.0), (2.0, 2.0), "center") is None
+    )
 
 
 @given(boxes, boxes)
@@ -143,7 +161,9 @@ def test_threshold_falls_with_distance_between_its_bounds(a: float, b: float) ->
 def test_threshold_of_known_distances() -> None:
     assert threshold(CONFIG.z0_m, CONFIG) == pytest.approx(CONFIG.tau_max)
     assert threshold(0.5 * CONFIG.z0_m, CONFIG) == pytest.approx(CONFIG.tau_max)
-    assert threshold(2.0 * CONFIG.z0_m, CONFIG) == pytest.approx(0.75 * CONFIG.tau_min + 0.25 * CONFIG.tau_max)
+    assert threshold(2.0 * CONFIG.z0_m, CONFIG) == pytest.approx(
+        0.75 * CONFIG.tau_min + 0.25 * CONFIG.tau_max
+    )
 
 
 def test_boxes_are_compared_in_d1s_image() -> None:

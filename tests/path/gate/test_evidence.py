@@ -105,7 +105,8 @@ def test_a_miss_costs_no_evidence_only_time(what: str) -> None:
             gate.restart(pair_of(index).capture_ns)
         assert gate.evidence == before
         assert not gate.complete
-    assert feed(gate, range(85, 300)) == 85  # the block was long enough by then, and has pairs enough
+    # the block was long enough by then, and has pairs enough
+    assert feed(gate, range(85, 300)) == 85
 
 
 def test_after_a_long_gap_everything_begins_anew() -> None:
@@ -131,8 +132,12 @@ def test_a_few_boxes_in_wrong_places_cost_nothing_and_many_the_block() -> None:
     assert many.evidence.reached == 0.0
 
 
-@pytest.mark.parametrize(("recall", "frames", "within_s"), [(0.9, 5, 4.0), (0.7, 5, 10.0), (0.7, 15, 10.0)])
-def test_detectors_that_miss_in_spells_hold_nothing_up_for_long(recall: float, frames: int, within_s: float) -> None:
+@pytest.mark.parametrize(
+    ("recall", "frames", "within_s"), [(0.9, 5, 4.0), (0.7, 5, 10.0), (0.7, 15, 10.0)]
+)
+def test_detectors_that_miss_in_spells_hold_nothing_up_for_long(
+    recall: float, frames: int, within_s: float
+) -> None:
     rng = np.random.default_rng([4, frames])
     times_s: list[float] = []
     for _ in range(40):
@@ -161,7 +166,10 @@ def test_duplicates_and_echoes_are_no_evidence() -> None:
     for _ in range(500):
         assert gate.agree(pair_of(29), CLEAR, TAU) is MissReason.DUPLICATE
         assert gate.agree(pair_of(12), CLEAR, TAU) is MissReason.STALE
-        assert gate.agree(pair_of(29)._replace(peer_sequence=pair_of(12).peer_sequence), 1.0, TAU) is not None
+        assert (
+            gate.agree(pair_of(29)._replace(peer_sequence=pair_of(12).peer_sequence), 1.0, TAU)
+            is not None
+        )
         assert gate.disagree(pair_of(12).peer_sequence, 0) is MissReason.STALE
     assert (gate.count, gate.evidence) == before
 
@@ -172,7 +180,8 @@ def test_a_pair_that_does_not_agree_gains_nothing_whoever_says_otherwise(iou: fl
     feed(gate, range(80))
     before = gate.count, gate.evidence
     gate.agree(pair_of(80), iou, TAU)
-    assert (gate.count, gate.blocks) == (before[0], 4)  # it fills the block, which agrees in spite of it
+    # it fills the block, which agrees in spite of it
+    assert (gate.count, gate.blocks) == (before[0], 4)
     assert not gate.complete
     for index in range(81, 500):
         gate.agree(pair_of(index), iou, TAU)
@@ -180,7 +189,9 @@ def test_a_pair_that_does_not_agree_gains_nothing_whoever_says_otherwise(iou: fl
     assert gate.evidence.reached == 0.0
 
 
-@pytest.mark.parametrize(("iou", "tau", "expected"), [(0.4, 0.4, 0.0), (1.0, 0.4, 1.0), (0.7, 0.4, 0.5), (1, 1, 0)])
+@pytest.mark.parametrize(
+    ("iou", "tau", "expected"), [(0.4, 0.4, 0.0), (1.0, 0.4, 1.0), (0.7, 0.4, 0.5), (1, 1, 0)]
+)
 def test_strength(iou: float, tau: float, expected: float) -> None:
     assert strength(iou, tau) == pytest.approx(expected)
 
@@ -261,7 +272,9 @@ def test_a_pair_exactly_at_the_threshold_counts_into_the_share() -> None:
 
 
 def test_another_run_is_not_held_against_where_the_boxes_of_the_last_one_lay() -> None:
-    """Nor does it profit from them: what speaks for the target is of the pairs of this run alone."""
+    """Nor does it profit from them: what speaks for the target is of the pairs of this run
+    alone.
+    """
     aside = Offsets((OWN.apart_m, OWN.apart_m))
     fresh, again = EvidenceGate(METHOD), EvidenceGate(METHOD)
     for index in range(200):
@@ -279,7 +292,9 @@ def test_a_run_without_setbacks_has_the_evidence_of_its_first_block() -> None:
     assert evidence_of(1, OWN, 1) == pytest.approx(first + math.log10(OWN.setback))
 
 
-def test_a_run_that_is_ended_is_followed_by_one_that_needs_more_and_what_was_captured_before_does_not_count() -> None:
+def test_a_run_that_is_ended_is_followed_by_one_that_needs_more_and_what_was_captured_before_does_not_count() -> (
+    None
+):
     gate = EvidenceGate(METHOD)
     assert feed(gate, range(70)) is None
     needed = gate.evidence.needed
@@ -289,4 +304,5 @@ def test_a_run_that_is_ended_is_followed_by_one_that_needs_more_and_what_was_cap
     completed = feed(gate, range(76, 1000))
     assert completed is not None
     assert completed >= 76 + 80
-    assert gate.evidence.needed == pytest.approx(needed + math.log10(3.0))  # the second run of its attempt
+    # the second run of its attempt
+    assert gate.evidence.needed == pytest.approx(needed + math.log10(3.0))

@@ -1,4 +1,6 @@
-"""The bound of the gate "evidence": it holds where one for independent frames breaks, whatever is fed."""
+"""The bound of the gate "evidence": it holds where one for independent frames breaks, whatever is
+fed.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ def test_all_runs_together_never_spend_more_than_alpha(runs: int, alpha: float) 
 
 
 def test_a_run_of_blocks_that_agree_as_often_as_allowed_is_a_bet_that_does_not_pay() -> None:
-    """Whatever the order of agreeing blocks, evidence exceeds 1 / a at any time with a probability of at most a."""
+    """Whatever the order of agreeing blocks, evidence exceeds 1 / a at any time with a probability
+    of at most a.
+    """
     own, rng = EvidenceConfig(first_rate=0.05), np.random.default_rng(8)
     tries, limits, exceeded = 40_000, (1.5, 2.0, 2.5), np.zeros(3)
     for _ in range(tries):
@@ -61,10 +65,13 @@ def test_the_persistent_part_is_a_tail_beyond_the_reach_and_heavier_the_less_was
     assert beyond / tries == pytest.approx(persistent_bound(3.0, 0.0, 1.0, measured), rel=0.1)
 
 
-# --- whatever is fed -------------------------------------------------------------------------------------------------
+# --- whatever is fed
+# -------------------------------------------------------------------------------------------------
 
 SMALL = MethodConfig(
-    gate="evidence", max_gap_s=0.05, evidence=EvidenceConfig(block_s=0.06, block_pairs=3, min_s=0.15, min_pairs=8)
+    gate="evidence",
+    max_gap_s=0.05,
+    evidence=EvidenceConfig(block_s=0.06, block_pairs=3, min_s=0.15, min_pairs=8),
 )
 
 TICK = 10 * MS
@@ -109,7 +116,9 @@ def play(gate: Gate, event: Event) -> MissReason | None:
 
 @settings(max_examples=300)
 @given(events())
-def test_complete_only_after_the_floors_and_with_the_evidence_of_its_blocks(stream: list[Event]) -> None:
+def test_complete_only_after_the_floors_and_with_the_evidence_of_its_blocks(
+    stream: list[Event],
+) -> None:
     gate, own = EvidenceGate(SMALL), SMALL.evidence
     for event in stream:
         before = gate.evidence
@@ -134,8 +143,12 @@ def test_what_is_refused_changes_nothing(stream: list[Event]) -> None:
 
 @settings(max_examples=100)
 @given(st.lists(st.floats(0.62, 1.0), min_size=10, max_size=60), st.data())
-def test_more_overlap_in_every_pair_never_takes_longer(ious: list[float], data: st.DataObject) -> None:
-    """For streams all of whose pairs are strong enough; a single miss anywhere never makes it faster either."""
+def test_more_overlap_in_every_pair_never_takes_longer(
+    ious: list[float], data: st.DataObject
+) -> None:
+    """For streams all of whose pairs are strong enough; a single miss anywhere never makes it
+    faster either.
+    """
     missed = data.draw(st.integers(0, len(ious) - 1))
     plain, raised, broken = EvidenceGate(SMALL), EvidenceGate(SMALL), EvidenceGate(SMALL)
     for index, iou in enumerate(ious):
@@ -151,7 +164,8 @@ def test_more_overlap_in_every_pair_never_takes_longer(ious: list[float], data: 
         assert broken.complete <= plain.complete
 
 
-# --- the bound, where frames are correlated ---------------------------------------------------------------------------
+# --- the bound, where frames are correlated
+# ---------------------------------------------------------------------------
 
 FRAMES, ATTEMPTS, RATE_HZ = 200, 700, 25.0
 
@@ -164,20 +178,26 @@ MODEL_ALPHA = 0.02
 
 
 def overlaps(rng: np.random.Generator, offset: float) -> NDArray[np.float64]:
-    """IoU of equal boxes, (ATTEMPTS, FRAMES), whose offset along one side wanders about a persistent one."""
+    """IoU of equal boxes, (ATTEMPTS, FRAMES), whose offset along one side wanders about a
+    persistent one.
+    """
     keep = math.exp(-1.0 / (RATE_HZ * CORRELATION_S))
     wander = np.empty((ATTEMPTS, FRAMES))
     wander[:, 0] = rng.standard_normal(ATTEMPTS)
     for k in range(1, FRAMES):
-        wander[:, k] = keep * wander[:, k - 1] + math.sqrt(1.0 - keep * keep) * rng.standard_normal(ATTEMPTS)
+        wander[:, k] = keep * wander[:, k - 1] + math.sqrt(1.0 - keep * keep) * rng.standard_normal(
+            ATTEMPTS
+        )
     off = np.minimum(1.0, np.abs(offset + SPREAD * wander))
     return (1.0 - off) / (1.0 + off)
 
 
 def independent_test(iou: NDArray[np.float64], rng: np.random.Generator) -> float:
-    """Returns the share of attempts that Wald's test accepts with the same alpha, as if the frames were independent.
+    """Returns the share of attempts that Wald's test accepts with the same alpha, as if the frames
+    were independent.
 
-    It has the very densities of one frame's overlap, and is begun again whenever it rejects, as a handshake is.
+    It has the very densities of one frame's overlap, and is begun again whenever it rejects, as a
+    handshake is.
     """
     edges = np.linspace(0.0, 1.0, 41)
     true = np.histogram(overlaps(rng, TRUE_OFFSET), edges)[0] + 1.0
@@ -193,7 +213,9 @@ def independent_test(iou: NDArray[np.float64], rng: np.random.Generator) -> floa
 
 
 def gate_test(iou: NDArray[np.float64], config: MethodConfig) -> tuple[float, list[int], list[int]]:
-    """Share of attempts that the gate accepts, and of the first blocks and of the later ones: judged, agreeing."""
+    """Share of attempts that the gate accepts, and of the first blocks and of the later ones:
+    judged, agreeing.
+    """
     accepted, first, later = 0, [0, 0], [0, 0]
     period = round(1e9 / RATE_HZ)
     for attempt in iou.tolist():
@@ -211,13 +233,17 @@ def gate_test(iou: NDArray[np.float64], config: MethodConfig) -> tuple[float, li
 def test_the_bound_holds_for_correlated_frames_where_one_for_independent_frames_breaks() -> None:
     never = MethodConfig(gate="evidence", evidence=EvidenceConfig(alpha=1e-300))
     _, first, later = gate_test(overlaps(np.random.default_rng([1, 1]), APART), never)
-    first_rate, next_rate = (first[1] + 3.0) / first[0], (later[1] + 3.0 * math.sqrt(later[1])) / later[0]
+    first_rate, next_rate = (
+        (first[1] + 3.0) / first[0],
+        (later[1] + 3.0 * math.sqrt(later[1])) / later[0],
+    )
     assert next_rate > 3.0 * first_rate  # they are far from independent: who is in, stays in
     own = EvidenceConfig(alpha=MODEL_ALPHA, first_rate=first_rate, next_rate=next_rate)
     wrong = overlaps(np.random.default_rng([1, 2]), APART)
     false_rate = gate_test(wrong, MethodConfig(gate="evidence", evidence=own))[0]
     true_rate = gate_test(
-        overlaps(np.random.default_rng([1, 3]), TRUE_OFFSET), MethodConfig(gate="evidence", evidence=own)
+        overlaps(np.random.default_rng([1, 3]), TRUE_OFFSET),
+        MethodConfig(gate="evidence", evidence=own),
     )[0]
     assert false_rate <= MODEL_ALPHA
     assert true_rate > 0.5

@@ -1,4 +1,6 @@
-"""Which object D2's box is of: the ratio of likelihoods, and that its bound holds for errors as they are said to be."""
+"""Which object D2's box is of: the ratio of likelihoods, and that its bound holds for errors as
+they are said to be.
+"""
 
 from __future__ import annotations
 
@@ -52,13 +54,16 @@ def test_an_object_beyond_the_errors_does_not_disturb() -> None:
 
 
 def test_runs_that_began_too_weakly_are_no_more_observations_of_errors_that_last() -> None:
-    """An offset that is enough in an attempt's first run is enough in its fifth; one that is not never is."""
+    """An offset that is enough in an attempt's first run is enough in its fifth; one that is not
+    never is.
+    """
 
     def complete(offset_m: float) -> bool:
         gate = EvidenceGate(MethodConfig(gate="evidence"))
         for k in range(300):
             frames = (k, 20 * k * MS), (k + 1, 20 * (k + 1) * MS)
-            iou = 0.45 if k < 100 else 0.9  # above the threshold, but not by as much as a first block needs
+            # above the threshold, but not by as much as a first block needs
+            iou = 0.45 if k < 100 else 0.9
             gate.agree(FramePair(k, 20 * k * MS, frames, Offsets((offset_m, 0.0))), iou, 0.4)
         assert gate.evidence.needed > ENOUGH + 0.5
         return gate.complete
@@ -84,7 +89,9 @@ def test_pairs_of_which_nobody_knows_the_offset_identify_nothing() -> None:
     assert not gate.complete
 
 
-def test_an_object_that_comes_up_counts_from_then_on_and_in_the_next_run_only_when_it_is_there() -> None:
+def test_an_object_that_comes_up_counts_from_then_on_and_in_the_next_run_only_when_it_is_there() -> (
+    None
+):
     identity = Identity()
     for _ in range(50):
         identity.note(Offsets((0.01, 0.0)))
@@ -106,15 +113,23 @@ def test_ratios_as_by_hand() -> None:
     """For errors known exactly they are those of normal distributions."""
     exact = EvidenceConfig(offset_known=10_000, offset_sigma_m=0.02, unseen=1e-3)
     target, rival = (0.02, 0.0), (0.0, 0.08)
-    assert against_rival(target, rival, exact) == pytest.approx((16.0 - 1.0) / 2.0 / math.log(10.0), rel=1e-2)
+    assert against_rival(target, rival, exact) == pytest.approx(
+        (16.0 - 1.0) / 2.0 / math.log(10.0), rel=1e-2
+    )
     anywhere = 1.0 / (math.pi * (REACH_SIGMAS * 0.02) ** 2)
     here = math.exp(-0.5) / (2.0 * math.pi * 0.02**2)
-    assert against_unseen(target, exact) == pytest.approx(math.log10(here / (1e-3 * anywhere)), rel=1e-3)
+    assert against_unseen(target, exact) == pytest.approx(
+        math.log10(here / (1e-3 * anywhere)), rel=1e-3
+    )
 
 
 @pytest.mark.parametrize("distance_m", [0.02, 0.05, 0.08, 0.12, 0.2])
-def test_a_box_of_the_rival_is_taken_for_the_targets_no_more_often_than_the_bound(distance_m: float) -> None:
-    """Errors that last are drawn once; the box is of the rival: the ratio exceeds 1/a in a share a of them at most."""
+def test_a_box_of_the_rival_is_taken_for_the_targets_no_more_often_than_the_bound(
+    distance_m: float,
+) -> None:
+    """Errors that last are drawn once; the box is of the rival: the ratio exceeds 1/a in a share a
+    of them at most.
+    """
     rng, count, bar = np.random.default_rng(5), 100_000, 2.0
     errors = SIGMA * rng.standard_normal((count, 2))
     rival: list[Offset] = [(x, y) for x, y in errors.tolist()]
@@ -131,7 +146,9 @@ def test_a_box_of_something_unseen_passes_no_more_often_than_the_bound() -> None
 
 @pytest.mark.parametrize("scale", [0.2, 1.0, 5.0, 20.0])
 def test_the_same_offset_in_errors_says_the_same_however_large_the_errors_are(scale: float) -> None:
-    """Where boxes of a boat lie 0.14 m apart, D2 looks for it as many times farther: it was never handed over."""
+    """Where boxes of a boat lie 0.14 m apart, D2 looks for it as many times farther: it was never
+    handed over.
+    """
     larger = replace(OWN, offset_sigma_m=scale * SIGMA)
     there = against_unseen((scale * SIGMA, 0.0), larger)
     assert there == pytest.approx(against_unseen((SIGMA, 0.0), OWN))
@@ -141,7 +158,10 @@ def test_the_same_offset_in_errors_says_the_same_however_large_the_errors_are(sc
 def test_true_boxes_pass() -> None:
     """Errors of the size stated: 94 in 100 reach what a first run needs."""
     rng = np.random.default_rng(7)
-    passed = [against_unseen((x, y), OWN) >= ENOUGH for x, y in (SIGMA * rng.standard_normal((20_000, 2))).tolist()]
+    passed = [
+        against_unseen((x, y), OWN) >= ENOUGH
+        for x, y in (SIGMA * rng.standard_normal((20_000, 2))).tolist()
+    ]
     assert np.mean(passed) > 0.94
 
 
@@ -150,7 +170,8 @@ def test_true_boxes_pass() -> None:
     [
         (0.00, 0.35, True, False),  # D1 may have gone over to it itself
         (0.06, 0.35, True, False),
-        (0.00, 0.50, True, True),  # what beats the gate: the error is the whole way, which nobody said it can be
+        # what beats the gate: the error is the whole way, which nobody said it can be
+        (0.00, 0.50, True, True),
         (0.06, 0.50, True, True),
         (0.06, 1.00, True, True),
         (0.09, 0.50, True, False),
@@ -164,8 +185,9 @@ def test_true_boxes_pass() -> None:
 def test_a_prior_that_is_forced_onto_another_object(
     beside_m: float, object_m: float, seen: bool, handed_over: bool
 ) -> None:
-    """A pose that is off by as much as lies between the objects, all but ``beside_m``: by the same wrong pose the other
-    object's box is mapped to that far from the target. No frame can tell (docs/gates.md).
+    """A pose that is off by as much as lies between the objects, all but ``beside_m``: by the same
+    wrong pose the other object's box is mapped to that far from the target. No frame can tell
+    (docs/gates.md).
     """
     rivals = ((beside_m - object_m, 0.0),) if seen else ()
     assert gate_after(2000, Offsets((beside_m, 0.0), rivals)).complete is handed_over

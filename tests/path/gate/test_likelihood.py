@@ -1,4 +1,6 @@
-"""The gate "likelihood": what offsets say of which object D2's box is of, on paper and drawn as they are said to be."""
+"""The gate "likelihood": what offsets say of which object D2's box is of, on paper and drawn as
+they are said to be.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ def test_on_the_target_alone_it_is_enough_after_the_shortest_time() -> None:
 
 
 @pytest.mark.parametrize("sigmas", [4.5, 6.0])
-def test_no_number_of_frames_makes_up_for_an_offset_that_errors_do_not_explain(sigmas: float) -> None:
+def test_no_number_of_frames_makes_up_for_an_offset_that_errors_do_not_explain(
+    sigmas: float,
+) -> None:
     assert not after(1000, (0.0, sigmas * SIGMA)).complete
 
 
@@ -60,7 +64,9 @@ def test_without_scatter_the_ratio_is_that_of_two_normal_distributions_with_heav
 
 
 def test_one_that_moves_about_the_box_is_not_what_the_box_is_of() -> None:
-    """Another object wanders past the box: its offset is as small in the mean, and scatters ten times as much."""
+    """Another object wanders past the box: its offset is as small in the mean, and scatters ten
+    times as much.
+    """
     still, moving = make_gate(CONFIG), make_gate(CONFIG)
     for k in range(150):
         x = 8.0 * SIGMA * math.sin(0.05 * k)
@@ -107,7 +113,9 @@ def test_correlation_and_variance_are_those_of_the_noise() -> None:
 
 
 def test_boxes_of_something_else_are_accepted_as_seldom_as_the_bound_says() -> None:
-    """D2 sees only the other object, wherever it stands; errors are drawn as they are said to be."""
+    """D2 sees only the other object, wherever it stands; errors are drawn as they are said to
+    be.
+    """
     rng = np.random.default_rng(11)
     accepted, tries = 0, 400
     for _ in range(tries):

@@ -27,7 +27,9 @@ from tests.path.gate.test_evidence_bound import (
     play,
 )
 
-OWN = EvidenceConfig(patient_block_s=1.0, patient_strength=0.1, patient_first_rate=0.08, patient_next_rate=0.5)
+OWN = EvidenceConfig(
+    patient_block_s=1.0, patient_strength=0.1, patient_first_rate=0.08, patient_next_rate=0.5
+)
 PATIENT = MethodConfig(gate="evidence", evidence=OWN)
 STRONG, WEAK, TOO_WEAK = 0.5, 0.15, 0.05
 
@@ -62,12 +64,18 @@ def test_the_gate_has_two_paces_where_the_settings_say_so() -> None:
 def test_a_clear_agreement_takes_as_long_as_with_short_blocks_alone() -> None:
     short, _ = OWN.paces
     alone = EvidenceGate(replace(PATIENT, evidence=short))
-    assert completed(make_gate(PATIENT), [STRONG] * 300) == completed(alone, [STRONG] * 300) is not None
+    assert (
+        completed(make_gate(PATIENT), [STRONG] * 300)
+        == completed(alone, [STRONG] * 300)
+        is not None
+    )
 
 
 def test_a_weak_agreement_that_lasts_takes_the_long_blocks_that_are_needed() -> None:
     _, patient = OWN.paces
-    blocks = next(n for n in range(1, 100) if evidence_of(n, patient) >= evidence_needed(1, patient))
+    blocks = next(
+        n for n in range(1, 100) if evidence_of(n, patient) >= evidence_needed(1, patient)
+    )
     assert completed(make_gate(PATIENT), [WEAK] * 3000) == 50 * blocks
     assert completed(make_gate(replace(PATIENT, evidence=EvidenceConfig())), [WEAK] * 3000) is None
     assert completed(make_gate(PATIENT), [TOO_WEAK] * 3000) is None
@@ -87,10 +95,18 @@ def test_errors_that_last_are_asked_for_the_same_by_both(off_m: float, passes: b
 @given(events())
 def test_either_alone_decides_and_nothing_else_does(stream: list[Event]) -> None:
     small = EvidenceConfig(
-        block_s=0.06, block_pairs=3, min_s=0.15, min_pairs=8, patient_block_s=0.2, patient_strength=0.05
+        block_s=0.06,
+        block_pairs=3,
+        min_s=0.15,
+        min_pairs=8,
+        patient_block_s=0.2,
+        patient_strength=0.05,
     )
     method = MethodConfig(gate="evidence", max_gap_s=0.05, evidence=small)
-    both, each = make_gate(method), [EvidenceGate(replace(method, evidence=own)) for own in small.paces]
+    both, each = (
+        make_gate(method),
+        [EvidenceGate(replace(method, evidence=own)) for own in small.paces],
+    )
     for event in stream:
         answers = {play(gate, event) for gate in (both, *each)}
         assert len(answers) == 1
@@ -102,7 +118,9 @@ def test_either_alone_decides_and_nothing_else_does(stream: list[Event]) -> None
 def accepted(iou: NDArray[np.float64], method: MethodConfig) -> float:
     """Share of the attempts that the gate is complete in at some time."""
     gates = [make_gate(method) for _ in iou]
-    return sum(_is_accepted(gate, attempt) for gate, attempt in zip(gates, iou.tolist(), strict=True)) / len(iou)
+    return sum(
+        _is_accepted(gate, attempt) for gate, attempt in zip(gates, iou.tolist(), strict=True)
+    ) / len(iou)
 
 
 def _is_accepted(gate: Gate, attempt: list[float]) -> bool:
@@ -114,7 +132,9 @@ def _is_accepted(gate: Gate, attempt: list[float]) -> bool:
 
 
 def test_the_bound_holds_for_both_together_with_the_rates_that_are_measured_of_each() -> None:
-    """Rates of boxes that wander about an offset at which they do not agree, and other such boxes."""
+    """Rates of boxes that wander about an offset at which they do not agree, and other such
+    boxes.
+    """
     wrong, again = (overlaps(np.random.default_rng([7, k]), APART) for k in range(2))
     never = replace(OWN, alpha=1e-300, min_pairs=16)
     rates: list[float] = []

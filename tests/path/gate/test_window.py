@@ -1,4 +1,6 @@
-"""The window counts distinct fresh pairs and nothing else (S6, G6), whatever comes in and in whatever order."""
+"""The window counts distinct fresh pairs and nothing else (S6, G6), whatever comes in and in
+whatever order.
+"""
 
 from dataclasses import replace
 
@@ -15,16 +17,24 @@ PERIOD = 20 * MS
 SMALL = replace(MethodConfig(), hold_frames=6, hold_s=0.1, max_gap_s=0.05)
 
 
-def pair_of(index: int, period_ns: int = PERIOD, own_period_ns: int = PERIOD, start: int = 65_530) -> FramePair:
-    """D2's frame of this index and D1's frames around it, in a steady stream; the sequence wraps on the way."""
+def pair_of(
+    index: int, period_ns: int = PERIOD, own_period_ns: int = PERIOD, start: int = 65_530
+) -> FramePair:
+    """D2's frame of this index and D1's frames around it, in a steady stream; the sequence wraps on
+    the way.
+    """
     capture_ns = index * period_ns + 3 * MS
     before = capture_ns // own_period_ns
     own = (before, before * own_period_ns), (before + 1, (before + 1) * own_period_ns)
     return FramePair((start + index) % 65_536, capture_ns, own)
 
 
-def pairs_until_complete(config: MethodConfig, period_ns: int, own_period_ns: int = PERIOD) -> tuple[int, int]:
-    """Frames of D2 needed, and the time from the first to the last, in a stream that always agrees."""
+def pairs_until_complete(
+    config: MethodConfig, period_ns: int, own_period_ns: int = PERIOD
+) -> tuple[int, int]:
+    """Frames of D2 needed, and the time from the first to the last, in a stream that always
+    agrees.
+    """
     window = AgreementWindow(config)
     for index in range(5000):
         window.agree(pair_of(index, period_ns, own_period_ns))
@@ -61,7 +71,8 @@ def test_a_fast_camera_against_a_slow_one_counts_at_the_slow_ones_pace() -> None
 def test_no_pair_is_lost_to_the_phase_of_two_equal_cameras() -> None:
     window = AgreementWindow(MethodConfig())
     for index in range(100):
-        jitter = 2 * MS if index % 2 else -2 * MS  # captures fall just before or after D1's own, in turn
+        # captures fall just before or after D1's own, in turn
+        jitter = 2 * MS if index % 2 else -2 * MS
         capture_ns = (index + 1) * PERIOD + jitter
         before = capture_ns // PERIOD
         own = (before, before * PERIOD), (before + 1, (before + 1) * PERIOD)
@@ -147,11 +158,15 @@ def tick_pair(tick: int, own: int | None = None, capture: int | None = None) -> 
     """D2's frame of a tick, with D1's frames and the capture instant of any other tick."""
     own = tick if own is None else own
     capture = tick if capture is None else capture
-    return FramePair((65_500 + tick) % 65_536, capture * TICK, ((own, own * TICK), (own + 1, (own + 1) * TICK)))
+    return FramePair(
+        (65_500 + tick) % 65_536, capture * TICK, ((own, own * TICK), (own + 1, (own + 1) * TICK))
+    )
 
 
 class AnyInput(RuleBasedStateMachine):
-    """Whatever is fed, a complete window rests on enough distinct agreeing frames of both sides, in order."""
+    """Whatever is fed, a complete window rests on enough distinct agreeing frames of both sides, in
+    order.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -168,7 +183,9 @@ class AnyInput(RuleBasedStateMachine):
         for tick in shuffled:
             self._agree(tick_pair(tick))
 
-    @rule(first=ticks, stride=st.integers(1, 6), length=st.integers(1, 16), repeats=st.integers(1, 2))
+    @rule(
+        first=ticks, stride=st.integers(1, 6), length=st.integers(1, 16), repeats=st.integers(1, 2)
+    )
     def agree_on_an_echoed_stream(self, first: int, stride: int, length: int, repeats: int) -> None:
         for tick in range(first, first + stride * length, stride):
             for _ in range(repeats):
@@ -254,12 +271,18 @@ def test_a_miss_of_an_earlier_instant_does_not_let_older_pairs_count() -> None:
 
 
 def test_a_frame_that_was_passed_over_is_a_floor_for_what_is_captured() -> None:
-    """A newer sequence with an older capture, after a frame that added nothing, is no new evidence (G6)."""
+    """A newer sequence with an older capture, after a frame that added nothing, is no new evidence
+    (G6).
+    """
     window = AgreementWindow(SMALL)
     assert window.agree(pair_of(0)) is None
     assert window.skip(pair_of(2).peer_sequence, pair_of(2).capture_ns) is None
     late = pair_of(1)._replace(peer_sequence=pair_of(3).peer_sequence)
     assert window.agree(late) is MissReason.STALE
-    assert window.skip(pair_of(4).peer_sequence, pair_of(1).capture_ns) is None  # it does not come down again
-    assert window.agree(pair_of(2)._replace(peer_sequence=pair_of(5).peer_sequence)) is MissReason.STALE
+    # it does not come down again
+    assert window.skip(pair_of(4).peer_sequence, pair_of(1).capture_ns) is None
+    assert (
+        window.agree(pair_of(2)._replace(peer_sequence=pair_of(5).peer_sequence))
+        is MissReason.STALE
+    )
     assert window.agree(pair_of(6)) is None

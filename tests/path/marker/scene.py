@@ -19,8 +19,10 @@ from path.observations import Region
 VGA = CameraModel(640, 480, 615.0, 614.0, 321.5, 238.0, (0.06, -0.12, 0.001, -0.0008, 0.0))
 HD = CameraModel(1280, 720, 920.0, 919.0, 642.0, 358.0, (0.06, -0.12, 0.001, -0.0008, 0.0))
 C45 = math.sqrt(0.5)
-R_B_V = np.array([[0.0, C45, -C45], [1.0, 0.0, 0.0], [0.0, -C45, -C45]])  # marker on D1's tail, facing back and up
-R_B_C = np.array([[0.0, -C45, C45], [1.0, 0.0, 0.0], [0.0, C45, C45]])  # camera pitched down by 45 degrees
+# marker on D1's tail, facing back and up
+R_B_V = np.array([[0.0, C45, -C45], [1.0, 0.0, 0.0], [0.0, -C45, -C45]])
+# camera pitched down by 45 degrees
+R_B_C = np.array([[0.0, -C45, C45], [1.0, 0.0, 0.0], [0.0, C45, C45]])
 
 
 @dataclass(frozen=True)
@@ -32,14 +34,25 @@ class View:
     gravity_c: Vector
 
 
-def random_view(rng: np.random.Generator, camera: CameraModel, near_m: float, far_m: float, cone_deg: float) -> View:
-    """D1 and D2 nearly level, the marker well inside D2's image, seen at most ``cone_deg`` off its normal."""
+def random_view(
+    rng: np.random.Generator, camera: CameraModel, near_m: float, far_m: float, cone_deg: float
+) -> View:
+    """D1 and D2 nearly level, the marker well inside D2's image, seen at most ``cone_deg`` off its
+    normal.
+    """
     while True:
         tilt1, tilt2 = rng.normal(0.0, math.radians(4.0), (2, 2))
         R_n_v = rotation.R_from_rpy(tilt1[0], tilt1[1], 0.0) @ R_B_V
-        incidence, around = math.radians(cone_deg) * math.sqrt(rng.uniform()), rng.uniform(-math.pi, math.pi)
+        incidence, around = (
+            math.radians(cone_deg) * math.sqrt(rng.uniform()),
+            rng.uniform(-math.pi, math.pi),
+        )
         toward = np.array(
-            [math.sin(incidence) * math.cos(around), math.sin(incidence) * math.sin(around), math.cos(incidence)]
+            [
+                math.sin(incidence) * math.cos(around),
+                math.sin(incidence) * math.sin(around),
+                math.cos(incidence),
+            ]
         )
         camera_n = R_n_v @ toward * rng.uniform(near_m, far_m)
         heading = math.atan2(-camera_n[1], -camera_n[0]) + rng.uniform(-0.3, 0.3)
@@ -55,7 +68,9 @@ def tilted(direction: Vector, sigma_rad: float, rng: np.random.Generator) -> Vec
     return rotation.exp(rng.normal(0.0, sigma_rad, 3)) @ direction
 
 
-def true_corners(camera: CameraModel, T_c_v: Pose, layout: MarkerLayout, marker_id: int = 0) -> NDArray[np.float64]:
+def true_corners(
+    camera: CameraModel, T_c_v: Pose, layout: MarkerLayout, marker_id: int = 0
+) -> NDArray[np.float64]:
     marker = layout.marker(marker_id)
     assert marker is not None
     return camera.project(T_c_v.apply(marker.corners_v))
@@ -81,7 +96,9 @@ class Optics:
 
 @dataclass(frozen=True)
 class Plate:
-    """A plate that a print was glued to, cut out with a white border of so many cells; it reaches 3 cells around."""
+    """A plate that a print was glued to, cut out with a white border of so many cells; it reaches 3
+    cells around.
+    """
 
     border: float
     grey: float
@@ -108,7 +125,9 @@ def render(
     ground: NDArray[np.float64] | None = None,
     plate: Plate | None = None,
 ) -> NDArray[np.uint8]:
-    """The grey image of all markers of a layout, shape (height, width): supersampled, blurred, noisy, quantised."""
+    """The grey image of all markers of a layout, shape (height, width): supersampled, blurred,
+    noisy, quantised.
+    """
     image = background(camera, rng) if ground is None else ground.copy()
     for marker in layout.markers:
         around = 1 if plate is None else PLATE_CELLS
@@ -132,7 +151,9 @@ def _draw(
     n = texture.shape[0]
     cell = side_m / (n - 2 * (1 if plate is None else PLATE_CELLS))
     half = 0.5 * n * cell
-    ends_px = camera.project(T_c_m.apply(half * np.array([[-1.0, 1.0, 0.0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])))
+    ends_px = camera.project(
+        T_c_m.apply(half * np.array([[-1.0, 1.0, 0.0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]]))
+    )
     margin = 4.0 + 4.0 * optics.blur_px
     u0, v0 = np.floor(ends_px.min(axis=0) - margin).astype(int)
     u1, v1 = np.ceil(ends_px.max(axis=0) + margin).astype(int)
@@ -161,25 +182,39 @@ def _draw(
     if plate is not None:
         cut_m = 0.5 * side_m + plate.border * cell
         value = np.where(np.maximum(np.abs(x), np.abs(y)) > cut_m, plate.grey, value)
-    cut_v, cut_u = slice(max(v0, 0), min(v1, camera.height)), slice(max(u0, 0), min(u1, camera.width))
+    cut_v, cut_u = (
+        slice(max(v0, 0), min(v1, camera.height)),
+        slice(max(u0, 0), min(u1, camera.width)),
+    )
     behind = np.zeros(u.shape)
-    behind[cut_v.start - v0 : cut_v.stop - v0, cut_u.start - u0 : cut_u.stop - u0] = image[cut_v, cut_u]
+    behind[cut_v.start - v0 : cut_v.stop - v0, cut_u.start - u0 : cut_u.stop - u0] = image[
+        cut_v, cut_u
+    ]
     value = np.where(inside, value, behind[:, :, None, None])
     s = optics.samples
     value = value.transpose(0, 2, 1, 3).reshape(u.shape[0] * s, u.shape[1] * s)
     if optics.blur_px > 0.0:
         value = cv2.GaussianBlur(value, (0, 0), optics.blur_px * s, borderType=cv2.BORDER_REPLICATE)
     patch = value.reshape(u.shape[0], s, u.shape[1], s).mean(axis=(1, 3))
-    image[cut_v, cut_u] = patch[cut_v.start - v0 : cut_v.stop - v0, cut_u.start - u0 : cut_u.stop - u0]
+    image[cut_v, cut_u] = patch[
+        cut_v.start - v0 : cut_v.stop - v0, cut_u.start - u0 : cut_u.stop - u0
+    ]
 
 
 def covered(
-    image: NDArray[np.uint8], corners_px: NDArray[np.float64], outline: NDArray[np.float64], grey: float
+    image: NDArray[np.uint8],
+    corners_px: NDArray[np.float64],
+    outline: NDArray[np.float64],
+    grey: float,
 ) -> NDArray[np.uint8]:
-    """The image with something flat over a part of a marker: ``outline`` in its sides, (0, 0) top left to (1, 1)."""
+    """The image with something flat over a part of a marker: ``outline`` in its sides, (0, 0) top
+    left to (1, 1).
+    """
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], np.float32)
     H = cv2.getPerspectiveTransform(square, corners_px.astype(np.float32))
-    places = cv2.perspectiveTransform(outline.reshape(-1, 1, 2), H.astype(np.float64)).reshape(-1, 2)
+    places = cv2.perspectiveTransform(outline.reshape(-1, 1, 2), H.astype(np.float64)).reshape(
+        -1, 2
+    )
     mask = np.zeros(image.shape[:2], np.uint8)
     cv2.fillPoly(mask, [np.round(16.0 * places).astype(np.int32)], (255,), cv2.LINE_AA, 4)
     share = cv2.GaussianBlur(mask / 255.0, (0, 0), 0.7)

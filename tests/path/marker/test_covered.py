@@ -1,4 +1,6 @@
-"""Something lies over a part of a marker: its corners are where the print has them, or as doubtful as they are off."""
+"""Something lies over a part of a marker: its corners are where the print has them, or as doubtful
+as they are off.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,16 @@ from numpy.typing import NDArray
 from path.marker.detect import Refine, detect_markers
 from path.marker.layout import single_marker
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
-from tests.path.marker.scene import VGA, Optics, background, covered, random_view, region_around, render, true_corners
+from tests.path.marker.scene import (
+    VGA,
+    Optics,
+    background,
+    covered,
+    random_view,
+    region_around,
+    render,
+    true_corners,
+)
 
 GROUND = background(VGA, np.random.default_rng(0))
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
@@ -45,7 +56,9 @@ SHAPES = (a_square, a_strip, a_finger)
 def surprises(
     dictionary: str, refine: Refine, corners: tuple[int, ...], size: float, views: int
 ) -> tuple[list[float], list[float], int]:
-    """Squared errors over the covariance: of corners, per number, and of positions; and how many were looked at."""
+    """Squared errors over the covariance: of corners, per number, and of positions; and how many
+    were looked at.
+    """
     layout = single_marker(marker_id=3, dictionary=dictionary)
     rng, of_corners, of_poses, looked = np.random.default_rng(3), list[float](), list[float](), 0
     for _ in range(views):
@@ -59,13 +72,21 @@ def surprises(
                 for corner in corners:
                     image = covered(image, truth, shape(corner, size), grey)
                 looked += 1
-                for found in detect_markers(image, region_around(truth, 80.0), layout, VGA, refine=refine):
+                for found in detect_markers(
+                    image, region_around(truth, 80.0), layout, VGA, refine=refine
+                ):
                     error = (found.corners_px - truth).ravel()
-                    of_corners.append(float(error @ np.linalg.solve(found.covariance_px2, error)) / 8.0)
-                    pose = estimate_pose((found,), layout, VGA, (gx, gy, gz), (cx, cy, cz), PoseSettings())
+                    of_corners.append(
+                        float(error @ np.linalg.solve(found.covariance_px2, error)) / 8.0
+                    )
+                    pose = estimate_pose(
+                        (found,), layout, VGA, (gx, gy, gz), (cx, cy, cz), PoseSettings()
+                    )
                     if isinstance(pose, MarkerPose):
                         off = pose.T_c_v.t - view.T_c_v.t
-                        of_poses.append(float(off @ np.linalg.solve(pose.covariance[:3, :3], off)) / 3.0)
+                        of_poses.append(
+                            float(off @ np.linalg.solve(pose.covariance[:3, :3], off)) / 3.0
+                        )
     return of_corners, of_poses, looked
 
 

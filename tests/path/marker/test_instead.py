@@ -1,4 +1,6 @@
-"""No marker of the layout: what else is in the image is told, and nothing where there is nothing."""
+"""No marker of the layout: what else is in the image is told, and nothing where there is
+nothing.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ GROUND = background(VGA, np.random.default_rng(0))
 WANTED = "DICT_4X4_50"
 
 
-def printed(dictionary: str, marker_id: int, *, inverted: bool = False, mirrored: bool = False) -> NDArray[np.uint8]:
+def printed(
+    dictionary: str, marker_id: int, *, inverted: bool = False, mirrored: bool = False
+) -> NDArray[np.uint8]:
     """A print with its border on ground, at a slant, some 45 px wide."""
     pattern = np.pad(cells(dictionary, marker_id), 1, constant_values=1.0)
     pattern = pattern[:, ::-1] if mirrored else pattern
@@ -27,7 +31,9 @@ def printed(dictionary: str, marker_id: int, *, inverted: bool = False, mirrored
     H = cv2.getPerspectiveTransform(of, 4.0 * to + 1.5)
     ground = cv2.resize(GROUND, None, fx=4.0, fy=4.0)
     cv2.warpPerspective(picture, H, (2560, 1920), ground, borderMode=cv2.BORDER_TRANSPARENT)
-    seen = cv2.resize(cv2.GaussianBlur(ground, (0, 0), 2.8), (640, 480), interpolation=cv2.INTER_AREA)
+    seen = cv2.resize(
+        cv2.GaussianBlur(ground, (0, 0), 2.8), (640, 480), interpolation=cv2.INTER_AREA
+    )
     noisy = seen + np.random.default_rng(1).normal(0.0, 2.0, seen.shape)
     return np.clip(noisy, 0.0, 255.0).astype(np.uint8)
 

@@ -17,13 +17,20 @@ HERE = Pose(np.eye(3), np.zeros(3))
 
 def test_corners_run_clockwise_from_the_top_left_seen_by_the_viewer():
     corners = single_marker(side_m=0.04).markers[0].corners_v
-    assert corners.tolist() == [[-0.02, 0.02, 0.0], [0.02, 0.02, 0.0], [0.02, -0.02, 0.0], [-0.02, -0.02, 0.0]]
+    assert corners.tolist() == [
+        [-0.02, 0.02, 0.0],
+        [0.02, 0.02, 0.0],
+        [0.02, -0.02, 0.0],
+        [-0.02, -0.02, 0.0],
+    ]
 
 
 def test_a_marker_sits_where_its_pose_says():
     quarter = Pose(rotation.exp(np.array([0.0, 0.0, math.pi / 2])), np.array([1.0, 2.0, 3.0]))
     corners = Marker(3, 0.2, 0.001, quarter).corners_v
-    assert corners == pytest.approx(np.array([[0.9, 1.9, 3], [0.9, 2.1, 3], [1.1, 2.1, 3], [1.1, 1.9, 3]]))
+    assert corners == pytest.approx(
+        np.array([[0.9, 1.9, 3], [0.9, 2.1, 3], [1.1, 2.1, 3], [1.1, 1.9, 3]])
+    )
 
 
 @pytest.mark.parametrize("name", DICTIONARIES)
@@ -40,7 +47,8 @@ def test_cells_have_a_black_frame_and_both_colours_inside():
 
 
 @pytest.mark.parametrize(
-    ("side_m", "sigma_m", "said"), [(0.0, 0.0, "side_m"), (math.nan, 0.0, "side_m"), (0.04, -1e-3, "side_sigma_m")]
+    ("side_m", "sigma_m", "said"),
+    [(0.0, 0.0, "side_m"), (math.nan, 0.0, "side_m"), (0.04, -1e-3, "side_sigma_m")],
 )
 def test_a_marker_that_cannot_be_is_refused(side_m: float, sigma_m: float, said: str):
     with pytest.raises(ValueError, match=said):

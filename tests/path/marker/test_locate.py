@@ -24,7 +24,8 @@ from path.observations import Missed, MissReason, Region
 from tests.path.marker.scene import HD, VGA, Optics, background, render, true_corners
 
 LAYOUT = single_marker()
-# the marker leans back by 45 degrees, the camera is pitched down by 45: both see the other straight ahead
+# the marker leans back by 45 degrees, the camera is pitched down by 45: both see the other straight
+# ahead
 FACING = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 DOWN_V, DOWN_C = (0.0, -math.sqrt(0.5), -math.sqrt(0.5)), (0.0, math.sqrt(0.5), math.sqrt(0.5))
 GROUND = background(VGA, np.random.default_rng(0))
@@ -68,7 +69,9 @@ def test_everything_that_is_known_of_a_marker_comes_out():
     error = np.concatenate([found.T_c_v.t - pose.t, rotation.log(found.T_c_v.R @ pose.R.T)])
     assert error @ np.linalg.solve(found.covariance, error) < 16.8  # 99 % of six
     assert 0.004 < math.sqrt(found.covariance[2, 2]) < 0.008  # the print alone is 0.5 % of a metre
-    assert found.incidence_rad == pytest.approx(math.acos(-(pose.R[:, 2] @ pose.t) / np.linalg.norm(pose.t)), abs=0.02)
+    assert found.incidence_rad == pytest.approx(
+        math.acos(-(pose.R[:, 2] @ pose.t) / np.linalg.norm(pose.t)), abs=0.02
+    )
     assert found.side_px == pytest.approx(0.04 * VGA.fx, rel=0.15)
     assert found.ambiguity < 1e-6 and found.rms < 1.5
     assert [round(c.likelihood, 6) for c in found.candidates] == [1.0, 0.0]
@@ -80,7 +83,10 @@ def test_a_grey_and_a_colour_image_are_the_same():
     pose, gravity_v, gravity_c = leaning()
     grey = image_of(pose)
     color = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
-    one, two = (locate_marker(i, VGA, LAYOUT, gravity_v=gravity_v, gravity_c=gravity_c) for i in (grey, color))
+    one, two = (
+        locate_marker(i, VGA, LAYOUT, gravity_v=gravity_v, gravity_c=gravity_c)
+        for i in (grey, color)
+    )
     assert isinstance(one, LocatedMarker) and isinstance(two, LocatedMarker)
     assert (one.T_c_v.t == two.T_c_v.t).all()
 
@@ -141,20 +147,28 @@ def areas(monkeypatch: pytest.MonkeyPatch) -> list[Region | None]:
 def test_a_previous_pose_is_where_to_look_first(areas: list[Region | None]):
     pose, gravity_v, gravity_c = leaning()
     near = Pose(pose.R, pose.t + np.array([0.02, 0.01, 0.03]))
-    found = locate_marker(image_of(pose), VGA, LAYOUT, gravity_v=gravity_v, gravity_c=gravity_c, previous=near)
+    found = locate_marker(
+        image_of(pose), VGA, LAYOUT, gravity_v=gravity_v, gravity_c=gravity_c, previous=near
+    )
     assert isinstance(found, LocatedMarker)
     (area,) = areas
     assert area is not None and area.x1 - area.x0 < 120.0
-    everywhere = locate_marker(image_of(pose), VGA, LAYOUT, gravity_v=gravity_v, gravity_c=gravity_c)
+    everywhere = locate_marker(
+        image_of(pose), VGA, LAYOUT, gravity_v=gravity_v, gravity_c=gravity_c
+    )
     assert isinstance(everywhere, LocatedMarker)
     assert found.T_c_v.t == pytest.approx(everywhere.T_c_v.t, abs=2e-4)
 
 
 @pytest.mark.parametrize("moved", [(0.35, 0.2, 0.0), (3.0, 0.0, 0.0), (0.0, 0.0, -3.0)])
-def test_a_marker_that_moved_on_is_found_all_the_same(moved: tuple[float, float, float], areas: list[Region | None]):
+def test_a_marker_that_moved_on_is_found_all_the_same(
+    moved: tuple[float, float, float], areas: list[Region | None]
+):
     pose, gravity_v, gravity_c = leaning()
     previous = Pose(pose.R, pose.t + np.array(moved))
-    found = locate_marker(image_of(pose), VGA, LAYOUT, gravity_v=gravity_v, gravity_c=gravity_c, previous=previous)
+    found = locate_marker(
+        image_of(pose), VGA, LAYOUT, gravity_v=gravity_v, gravity_c=gravity_c, previous=previous
+    )
     assert isinstance(found, LocatedMarker)
     assert areas[-1] is None
 
@@ -162,7 +176,9 @@ def test_a_marker_that_moved_on_is_found_all_the_same(moved: tuple[float, float,
 def test_only_the_region_is_looked_at():
     pose, gravity_v, gravity_c = leaning()
     elsewhere = Region(0.0, 0.0, 150.0, 150.0)
-    missed = locate_marker(image_of(pose), VGA, LAYOUT, gravity_v=gravity_v, gravity_c=gravity_c, region=elsewhere)
+    missed = locate_marker(
+        image_of(pose), VGA, LAYOUT, gravity_v=gravity_v, gravity_c=gravity_c, region=elsewhere
+    )
     assert missed == Missed(MissReason.NO_MARKER)
 
 
@@ -174,7 +190,9 @@ def test_every_marker_of_a_layout_is_used():
         )
     )
     pose, gravity_v, gravity_c = leaning()
-    found = locate_marker(image_of(pose, layout), VGA, layout, gravity_v=gravity_v, gravity_c=gravity_c)
+    found = locate_marker(
+        image_of(pose, layout), VGA, layout, gravity_v=gravity_v, gravity_c=gravity_c
+    )
     assert isinstance(found, LocatedMarker)
     assert [d.marker_id for d in found.detections] == [0, 5]
     assert found.T_c_v.t == pytest.approx(pose.t, abs=0.003)
@@ -186,10 +204,20 @@ def test_why_there_is_no_pose():
     assert locate_marker(empty, VGA, LAYOUT) == Missed(MissReason.NO_MARKER)
     strict = PoseSettings(max_incidence_rad=0.1)
     oblique = locate_marker(
-        image_of(pose), VGA, LAYOUT, gravity_v=gravity_v, gravity_c=gravity_c, previous=pose, settings=strict
+        image_of(pose),
+        VGA,
+        LAYOUT,
+        gravity_v=gravity_v,
+        gravity_c=gravity_c,
+        previous=pose,
+        settings=strict,
     )
     assert oblique == Missed(MissReason.MARKER_OBLIQUE)
-    for image in (np.zeros((10, 10), np.uint8), np.zeros((480, 640)), np.zeros((480, 640, 4), np.uint8)):
+    for image in (
+        np.zeros((10, 10), np.uint8),
+        np.zeros((480, 640)),
+        np.zeros((480, 640, 4), np.uint8),
+    ):
         with pytest.raises(ValueError, match="image"):
             locate_marker(image, VGA, LAYOUT)  # type: ignore[arg-type]
 

@@ -19,7 +19,15 @@ from path.marker.photometric.corners import PhotometricFit, fit
 from path.marker.photometric.misfit import COARSE, FILTERED, SHADOWED, TAPS, model
 from path.marker.photometric.pattern import UNKNOWNS
 from path.marker.photometric.texture import cells
-from tests.path.marker.scene import HD, VGA, Optics, random_view, region_around, render, true_corners
+from tests.path.marker.scene import (
+    HD,
+    VGA,
+    Optics,
+    random_view,
+    region_around,
+    render,
+    true_corners,
+)
 
 LAYOUT = single_marker()
 CELLS = np.pad(cells("DICT_4X4_50", 0), 1, constant_values=1.0)
@@ -40,7 +48,9 @@ class Sample:
         return float(e @ np.linalg.solve(self.fitted.covariance_px2, e)) / 8.0
 
 
-def sample(camera: CameraModel, seed: int, optics: Optics, start_px: float = 0.4, far_m: float = 1.5) -> Sample:
+def sample(
+    camera: CameraModel, seed: int, optics: Optics, start_px: float = 0.4, far_m: float = 1.5
+) -> Sample:
     rng = np.random.default_rng(seed)
     view = random_view(rng, camera, 0.7, far_m, 50.0)
     truth = true_corners(camera, view.T_c_v, LAYOUT)
@@ -63,14 +73,20 @@ def rms(samples: list[Sample]) -> float:
 def test_without_noise_the_model_is_exact_to_a_hundredth_of_a_pixel():
     found = [sample(VGA, seed, Optics(noise=0.0, samples=16)) for seed in range(8)]
     assert rms(found) < 0.01
-    assert all(s.fitted.blur_px == pytest.approx(np.hypot(0.7, np.sqrt(1 / 12)), abs=0.06) for s in found)
+    assert all(
+        s.fitted.blur_px == pytest.approx(np.hypot(0.7, np.sqrt(1 / 12)), abs=0.06) for s in found
+    )
 
 
 def test_pixels_that_a_camera_leaves_out_are_reckoned_with():
-    """Corners are as good as those of an even image; without the pattern they are off by what the pixels are."""
+    """Corners are as good as those of an even image; without the pattern they are off by what the
+    pixels are.
+    """
     thinned = replace(VGA, thinning=THINNED)
     sensor = sensor_of(thinned)
-    columns, rows = (THINNED.sensor_pixels(n, axis) for axis, n in enumerate((VGA.width, VGA.height)))
+    columns, rows = (
+        THINNED.sensor_pixels(n, axis) for axis, n in enumerate((VGA.width, VGA.height))
+    )
     errors: dict[CameraModel, list[NDArray[np.float64]]] = {thinned: [], VGA: []}
     for seed in range(12):
         rng = np.random.default_rng(seed)
@@ -79,7 +95,13 @@ def test_pixels_that_a_camera_leaves_out_are_reckoned_with():
         image = render(sensor, view.T_c_v, LAYOUT, rng, Optics(), ground)[np.ix_(rows, columns)]
         truth = true_corners(VGA, view.T_c_v, LAYOUT)
         for camera, off in errors.items():
-            fitted = fit(np.ascontiguousarray(image), (0, 0), truth + rng.uniform(-0.4, 0.4, (4, 2)), camera, CELLS)
+            fitted = fit(
+                np.ascontiguousarray(image),
+                (0, 0),
+                truth + rng.uniform(-0.4, 0.4, (4, 2)),
+                camera,
+                CELLS,
+            )
             assert fitted is not None
             off.append(fitted.corners_px - truth)
     even, uneven = (float(np.sqrt(np.mean(np.square(off)))) for off in errors.values())
@@ -104,7 +126,9 @@ def test_corners_are_accurate_and_know_how_much(camera: CameraModel, limit_px: f
         (Optics(shade=0.25), 0.03),
     ],
 )
-def test_light_that_is_not_ideal_is_part_of_the_model_or_of_the_covariance(optics: Optics, limit_px: float):
+def test_light_that_is_not_ideal_is_part_of_the_model_or_of_the_covariance(
+    optics: Optics, limit_px: float
+):
     found = [sample(VGA, seed, optics) for seed in range(20)]
     assert rms(found) < limit_px
     assert np.mean([s.surprise for s in found]) < 2.5
@@ -114,14 +138,18 @@ def test_what_the_model_does_not_know_makes_it_less_sure():
     plain = [sample(VGA, seed, Optics(noise=1.0)) for seed in range(10)]
     sharp = [sharpened(seed) for seed in range(10)]
     assert np.mean([s.surprise for s in sharp]) < 2.5
-    assert np.sqrt(np.trace(sharp[0].fitted.covariance_px2)) > 2.0 * np.sqrt(np.trace(plain[0].fitted.covariance_px2))
+    assert np.sqrt(np.trace(sharp[0].fitted.covariance_px2)) > 2.0 * np.sqrt(
+        np.trace(plain[0].fitted.covariance_px2)
+    )
 
 
 def sharpened(seed: int) -> Sample:
     rng = np.random.default_rng(seed)
     view = random_view(rng, VGA, 0.7, 1.5, 50.0)
     truth = true_corners(VGA, view.T_c_v, LAYOUT)
-    image = render(VGA, view.T_c_v, LAYOUT, rng, Optics(noise=1.0), np.full((480, 640), 105.0)).astype(np.float64)
+    image = render(
+        VGA, view.T_c_v, LAYOUT, rng, Optics(noise=1.0), np.full((480, 640), 105.0)
+    ).astype(np.float64)
     image = image + 1.5 * (image - cv2.GaussianBlur(image, (0, 0), 1.2))
     fitted = fit(np.clip(image, 0.0, 255.0).astype(np.uint8), (0, 0), truth.copy(), VGA, CELLS)
     assert fitted is not None
@@ -145,12 +173,17 @@ def test_corners_that_are_no_quadrilateral_give_no_fit():
     image = np.full((90, 90), 120, np.uint8)
     assert fit(image, (0, 0), np.full((4, 2), 40.0), VGA, CELLS) is None
     assert fit(image, (0, 0), np.full((4, 2), np.nan), VGA, CELLS) is None
-    assert fit(image, (0, 0), np.array([[300.0, 300], [330, 300], [330, 330], [300, 330]]), VGA, CELLS) is None
+    assert (
+        fit(image, (0, 0), np.array([[300.0, 300], [330, 300], [330, 330], [300, 330]]), VGA, CELLS)
+        is None
+    )
 
 
 def test_derivatives_are_those_of_the_grey_value():
     rng = np.random.default_rng(7)
-    theta = np.array([2.1, 0.3, 3.1, -0.2, 2.3, 2.8, 0.0, 0.0, 40.0, 3.0, -2.0, 150.0, 5.0, -4.0, 0.02, 0.2])
+    theta = np.array(
+        [2.1, 0.3, 3.1, -0.2, 2.3, 2.8, 0.0, 0.0, 40.0, 3.0, -2.0, 150.0, 5.0, -4.0, 0.02, 0.2]
+    )
     extra = np.concatenate([np.zeros(TAPS), rng.normal(0.0, 0.03, 10), [0.4, 0.7, 0.1, -1.0]])
     frame = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 11.0, 1.0, -2.0, 12.0])
     edges, groups = np.stack([np.arange(7.0)] * 2), np.array([True, True, True])
@@ -161,11 +194,16 @@ def test_derivatives_are_those_of_the_grey_value():
 
     slopes = rows(theta, extra)
     # of the homography a shift alone: the rest turns the blur too
-    places = [(k, theta) for k in (2, 5, *range(8, UNKNOWNS))] + [(k, extra) for k in range(TAPS, len(extra))]
+    places = [(k, theta) for k in (2, 5, *range(8, UNKNOWNS))] + [
+        (k, extra) for k in range(TAPS, len(extra))
+    ]
     for k, of in places:
         h = np.zeros(len(of))
         h[k] = 1e-6 * max(1.0, abs(of[k]))
-        more, less = (rows(theta + s * h, extra) if of is theta else rows(theta, extra + s * h) for s in (1.0, -1.0))
+        more, less = (
+            rows(theta + s * h, extra) if of is theta else rows(theta, extra + s * h)
+            for s in (1.0, -1.0)
+        )
         slope = (more[:, -1] - less[:, -1]) / (2.0 * h[k])
         own = slopes[:, k if of is theta else UNKNOWNS + k - TAPS]
         assert np.linalg.norm(own - slope) < 0.1 * np.linalg.norm(slope), (k, of is theta)
@@ -176,7 +214,9 @@ def test_motion_is_found_and_corners_stay_good_with_it_and_with_sharpening():
         rng = np.random.default_rng(seed)
         view = random_view(rng, VGA, 0.6, 1.0, 40.0)
         truth = true_corners(VGA, view.T_c_v, LAYOUT)
-        drawn = render(VGA, view.T_c_v, LAYOUT, rng, Optics(), np.full((480, 640), 105.0)).astype(np.float64)
+        drawn = render(VGA, view.T_c_v, LAYOUT, rng, Optics(), np.full((480, 640), 105.0)).astype(
+            np.float64
+        )
         grey = np.clip(np.rint(image(drawn)), 0.0, 255.0).astype(np.uint8)
         fitted = fit(grey, (0, 0), truth + rng.uniform(-0.4, 0.4, (4, 2)), VGA, CELLS)
         assert fitted is not None
@@ -200,7 +240,9 @@ def test_the_edge_of_a_shadow_is_found():
         rng = np.random.default_rng(seed)
         view = random_view(rng, HD, 0.7, 1.0, 40.0)
         truth = true_corners(HD, view.T_c_v, LAYOUT)
-        image = render(HD, view.T_c_v, LAYOUT, rng, Optics(), np.full((720, 1280), 105.0)).astype(np.float64)
+        image = render(HD, view.T_c_v, LAYOUT, rng, Optics(), np.full((720, 1280), 105.0)).astype(
+            np.float64
+        )
         v, u = np.mgrid[0:720, 0:1280] - truth.mean(axis=0)[::-1, None, None]
         angle = rng.uniform(0.0, 2.0 * np.pi)
         across = u * np.cos(angle) + v * np.sin(angle) - rng.uniform(-4.0, 4.0)
@@ -269,13 +311,23 @@ def coarse_print(
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     grid = (np.arange(size * zoom) + 0.5) / zoom - 0.5
     u, v = np.meshgrid(grid, grid)
-    x, y = np.tensordot(turn.T, np.stack([u - corner[0] - 0.5 * side_px, v - corner[1]]), axes=1) * 6.0 / side
+    x, y = (
+        np.tensordot(turn.T, np.stack([u - corner[0] - 0.5 * side_px, v - corner[1]]), axes=1)
+        * 6.0
+        / side
+    )
     places = [np.searchsorted(ends, axis, side="right") for axis in (x, y)]
     light = 40.0 + 150.0 * CELLS[places[1], places[0]]
-    light = cv2.GaussianBlur(light, (0, 0), 0.6 * zoom).reshape(size, zoom, size, zoom).mean(axis=(1, 3))
+    light = (
+        cv2.GaussianBlur(light, (0, 0), 0.6 * zoom)
+        .reshape(size, zoom, size, zoom)
+        .mean(axis=(1, 3))
+    )
     noisy = np.rint(light + rng.normal(0.0, 1.5, light.shape))
     square = np.array([[0.0, 0.0], [side, 0.0], [side, side], [0.0, side]])
-    return np.clip(noisy, 0, 255).astype(np.uint8), square @ turn.T + corner + np.array([0.5 * side_px, 0.0])
+    return np.clip(noisy, 0, 255).astype(np.uint8), square @ turn.T + corner + np.array(
+        [0.5 * side_px, 0.0]
+    )
 
 
 @pytest.mark.parametrize("degrees", [26.57, 63.43])
@@ -285,7 +337,9 @@ def test_a_selection_of_the_pixels_of_a_large_marker_is_not_along_its_edges(degr
         T_c_v = Pose(turned, np.array([0.01 * k, 0.005, 0.3]))
         truth = HD.project(T_c_v.apply(LAYOUT.markers[0].corners_v))
         ground = np.full((720, 1280), 105.0)
-        image = render(HD, T_c_v, LAYOUT, np.random.default_rng(k), Optics(noise=1.0, samples=12), ground)
+        image = render(
+            HD, T_c_v, LAYOUT, np.random.default_rng(k), Optics(noise=1.0, samples=12), ground
+        )
         fitted = fit(image, (0, 0), truth + 0.2, HD, CELLS)
         assert fitted is not None
         assert float(np.sqrt(np.mean((fitted.corners_px - truth) ** 2))) < 0.02

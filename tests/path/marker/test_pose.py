@@ -21,7 +21,16 @@ from path.marker.pose import MarkerPose, PoseSettings, _ippe, estimate_pose
 from path.marker.warm_up import warm_up
 from path.messages import Vec3
 from path.observations import MarkerDetection, Missed, MissReason
-from tests.path.marker.scene import HD, VGA, View, random_view, region_around, render, tilted, true_corners
+from tests.path.marker.scene import (
+    HD,
+    VGA,
+    View,
+    random_view,
+    region_around,
+    render,
+    tilted,
+    true_corners,
+)
 
 LAYOUT = single_marker(side_sigma_m=0.0)
 ATTITUDE_RAD = math.radians(0.5)
@@ -35,7 +44,11 @@ def vec(direction: NDArray[np.float64]) -> Vec3:
 
 
 def seen(
-    camera: CameraModel, view: View, sigma_px: float, rng: np.random.Generator, layout: MarkerLayout = LAYOUT
+    camera: CameraModel,
+    view: View,
+    sigma_px: float,
+    rng: np.random.Generator,
+    layout: MarkerLayout = LAYOUT,
 ) -> tuple[MarkerDetection, ...]:
     return tuple(
         MarkerDetection(
@@ -61,7 +74,9 @@ def solve(
 
 def error(pose: MarkerPose, view: View) -> NDArray[np.float64]:
     """(dt, dw) of the pose's convention, shape (6,)."""
-    return np.concatenate([pose.T_c_v.t - view.T_c_v.t, rotation.log(pose.T_c_v.R @ view.T_c_v.R.T)])
+    return np.concatenate(
+        [pose.T_c_v.t - view.T_c_v.t, rotation.log(pose.T_c_v.R @ view.T_c_v.R.T)]
+    )
 
 
 def turned_over(R: NDArray[np.float64], view: View) -> bool:
@@ -80,20 +95,26 @@ def test_without_noise_the_pose_is_exact():
             view = random_view(rng, camera, 0.4, 2.0, 60.0)
             corners = true_corners(camera, view.T_c_v, LAYOUT)
             detection = MarkerDetection(0, corners, 1e-4 * np.eye(8))
-            pose = estimate_pose((detection,), LAYOUT, camera, vec(view.gravity_v), vec(view.gravity_c), SETTINGS)
+            pose = estimate_pose(
+                (detection,), LAYOUT, camera, vec(view.gravity_v), vec(view.gravity_c), SETTINGS
+            )
             assert isinstance(pose, MarkerPose)
             assert np.abs(error(pose, view)).max() < 1e-6
 
 
 @pytest.mark.parametrize("sigma_px", [0.1, 0.3])
 def test_gravity_ends_flips(sigma_px: float):
-    """Corners as good as cv2's: the first planar solution turns over, the pose with gravity never."""
+    """Corners as good as cv2's: the first planar solution turns over, the pose with gravity
+    never.
+    """
     rng = np.random.default_rng(1)
     first_flips, flips, tries = 0, 0, 300
     for _ in range(tries):
         view = random_view(rng, VGA, 0.7, 1.5, 60.0)
         detections = seen(VGA, view, sigma_px, rng)
-        first_flips += turned_over(_ippe(detections[0], LAYOUT.markers[0], lens_of(VGA))[0][0], view)
+        first_flips += turned_over(
+            _ippe(detections[0], LAYOUT.markers[0], lens_of(VGA))[0][0], view
+        )
         pose = solve(VGA, view, detections, rng)
         assert isinstance(pose, MarkerPose)
         flips += turned_over(pose.T_c_v.R, view)
@@ -119,9 +140,15 @@ def test_the_covariance_holds(camera: CameraModel, sigma_px: float):
 def test_the_squared_error_of_six_numbers_is_six_with_every_stated_error(
     sigma_px: float, sigma_v_deg: float, sigma_c_deg: float
 ):
-    """Corner noise, print, focal length and two attitudes of different quality: normalised squared errors (NEES)."""
+    """Corner noise, print, focal length and two attitudes of different quality: normalised squared
+    errors (NEES).
+    """
     rng = np.random.default_rng(3)
-    layout, sigma_v, sigma_c = single_marker(side_sigma_m=0.0002), math.radians(sigma_v_deg), math.radians(sigma_c_deg)
+    layout, sigma_v, sigma_c = (
+        single_marker(side_sigma_m=0.0002),
+        math.radians(sigma_v_deg),
+        math.radians(sigma_c_deg),
+    )
     settings = PoseSettings(sigma_v, sigma_c, focal_sigma=0.002, shape_sigma=0.0)
     squared = list[float]()
     for _ in range(400):
@@ -129,8 +156,13 @@ def test_the_squared_error_of_six_numbers_is_six_with_every_stated_error(
         printed = single_marker(side_m=0.04 + rng.normal(0.0, 0.0002))
         focal = 1.0 + rng.normal(0.0, 0.002)
         lens = dataclasses.replace(VGA, fx=VGA.fx * focal, fy=VGA.fy * focal)
-        down_v, down_c = vec(tilted(view.gravity_v, sigma_v, rng)), vec(tilted(view.gravity_c, sigma_c, rng))
-        pose = estimate_pose(seen(lens, view, sigma_px, rng, printed), layout, VGA, down_v, down_c, settings)
+        down_v, down_c = (
+            vec(tilted(view.gravity_v, sigma_v, rng)),
+            vec(tilted(view.gravity_c, sigma_c, rng)),
+        )
+        pose = estimate_pose(
+            seen(lens, view, sigma_px, rng, printed), layout, VGA, down_v, down_c, settings
+        )
         assert isinstance(pose, MarkerPose)
         squared.append(6.0 * surprise(pose, view))
     assert 5.4 < np.mean(squared) < 6.8  # its own standard deviation is 0.17
@@ -139,7 +171,9 @@ def test_the_squared_error_of_six_numbers_is_six_with_every_stated_error(
 
 @pytest.mark.parametrize("sigma_px", [0.02, 0.2])
 def test_what_a_weak_calibration_does_not_know_is_in_the_covariance(sigma_px: float):
-    """The camera that takes the image is off from the believed one by what its calibration states, all together."""
+    """The camera that takes the image is off from the believed one by what its calibration states,
+    all together.
+    """
     doubts: tuple[Nine, ...] = (
         (14.0, 11.0, 0.0, 2.0, 0.02, -0.05, 0.0, 0.0, 0.06),
         (0.0, 5.0, 6.0, 0.0, -0.02, 0.1, 0.001, 0.0, -0.2),
@@ -158,7 +192,9 @@ def test_what_a_weak_calibration_does_not_know_is_in_the_covariance(sigma_px: fl
             distortion=(k1, k2, p1, p2, k3),
         )  # fmt: skip
         detections = seen(true, view, sigma_px, rng)
-        down_v, down_c = (vec(tilted(down, ATTITUDE_RAD, rng)) for down in (view.gravity_v, view.gravity_c))
+        down_v, down_c = (
+            vec(tilted(down, ATTITUDE_RAD, rng)) for down in (view.gravity_v, view.gravity_c)
+        )
         for stated, camera in ((True, believed), (False, VGA)):
             pose = estimate_pose(detections, LAYOUT, camera, down_v, down_c, settings)
             assert isinstance(pose, MarkerPose)
@@ -168,7 +204,9 @@ def test_what_a_weak_calibration_does_not_know_is_in_the_covariance(sigma_px: fl
 
 
 def test_an_image_too_wide_or_skewed_is_in_the_covariance():
-    """As stretched paper makes it, and rows that are read one after another: no residual of four corners shows it."""
+    """As stretched paper makes it, and rows that are read one after another: no residual of four
+    corners shows it.
+    """
     rng = np.random.default_rng(18)
     plain = dataclasses.replace(SETTINGS, max_ambiguity=1.0)
     believing = dataclasses.replace(plain, shape_sigma=0.003)
@@ -179,7 +217,9 @@ def test_an_image_too_wide_or_skewed_is_in_the_covariance():
         p, q = rng.normal(0.0, 0.003, 2)
         off = (found.corners_px - found.corners_px.mean(axis=0)) @ np.array([[p, q], [q, -p]])
         shown = dataclasses.replace(found, corners_px=found.corners_px + off)
-        down_v, down_c = (vec(tilted(down, ATTITUDE_RAD, rng)) for down in (view.gravity_v, view.gravity_c))
+        down_v, down_c = (
+            vec(tilted(down, ATTITUDE_RAD, rng)) for down in (view.gravity_v, view.gravity_c)
+        )
         for stated, settings in ((True, believing), (False, plain)):
             pose = estimate_pose((shown,), LAYOUT, HD, down_v, down_c, settings)
             assert isinstance(pose, MarkerPose)
@@ -195,7 +235,9 @@ def test_an_attitude_that_is_less_sure_counts_for_less():
     spread = list[float]()
     for sigma_v, sigma_c in ((0.001, 0.001), (0.001, 0.02), (0.02, 0.001), (0.02, 0.02)):
         settings = PoseSettings(sigma_v, sigma_c, focal_sigma=0.0, shape_sigma=0.0)
-        pose = estimate_pose(detections, LAYOUT, VGA, vec(view.gravity_v), vec(view.gravity_c), settings)
+        pose = estimate_pose(
+            detections, LAYOUT, VGA, vec(view.gravity_v), vec(view.gravity_c), settings
+        )
         assert isinstance(pose, MarkerPose)
         spread.append(float(np.trace(pose.covariance[3:, 3:])))
     assert spread[0] < 0.5 * spread[1] < 0.5 * spread[3]
@@ -209,11 +251,17 @@ def test_one_gravity_alone_says_nothing():
     settings = dataclasses.replace(SETTINGS, max_ambiguity=1.0)
     poses = [
         estimate_pose(detections, LAYOUT, VGA, down_v, down_c, settings)
-        for down_v, down_c in ((None, None), (vec(view.gravity_v), None), (None, vec(view.gravity_c)))
+        for down_v, down_c in (
+            (None, None),
+            (vec(view.gravity_v), None),
+            (None, vec(view.gravity_c)),
+        )
     ]
     for pose in poses:
         assert isinstance(pose, MarkerPose) and isinstance(poses[0], MarkerPose)
-        assert (pose.T_c_v.R == poses[0].T_c_v.R).all() and (pose.covariance == poses[0].covariance).all()
+        assert (pose.T_c_v.R == poses[0].T_c_v.R).all() and (
+            pose.covariance == poses[0].covariance
+        ).all()
 
 
 def test_both_solutions_are_given_the_right_one_first():
@@ -245,7 +293,9 @@ def test_the_likelihood_of_the_other_solution_is_how_often_it_is_the_right_one()
             best, other = pose.candidates
             assert pose.ambiguity == other.likelihood
             claimed.append(other.likelihood / (1.0 + other.likelihood))
-            to_best, to_other = (rotation.angle_between(c.T_c_v.R, view.T_c_v.R) for c in (best, other))
+            to_best, to_other = (
+                rotation.angle_between(c.T_c_v.R, view.T_c_v.R) for c in (best, other)
+            )
             wrong.append(to_other < to_best)
     assert len(wrong) > 300 and np.mean(wrong) > 0.05
     assert np.mean(claimed) == pytest.approx(np.mean(wrong), abs=0.04)
@@ -310,7 +360,10 @@ def test_several_markers_make_one_pose_and_need_no_gravity():
 
 def test_only_another_marker_of_the_layout_in_view_gives_the_pose_of_the_layout():
     layout = MarkerLayout(
-        (Marker(0, 0.04, 0.0, HERE), Marker(1, 0.06, 0.0, Pose(np.eye(3), np.array([0.1, 0.0, 0.0]))))
+        (
+            Marker(0, 0.04, 0.0, HERE),
+            Marker(1, 0.06, 0.0, Pose(np.eye(3), np.array([0.1, 0.0, 0.0]))),
+        )
     )
     rng = np.random.default_rng(7)
     view = random_view(rng, VGA, 0.8, 1.0, 40.0)
@@ -334,18 +387,27 @@ def test_every_miss_has_its_reason():
     assert reason(found, found) is MissReason.MARKER_TWICE
     assert reason(found, max_incidence_rad=0.01) is MissReason.MARKER_OBLIQUE
     assert reason(found, max_sigma_m=1e-5) is MissReason.POSE_UNCERTAIN
-    assert reason(dataclasses.replace(found, corners_px=np.full((4, 2), np.nan))) is MissReason.NON_FINITE
+    assert (
+        reason(dataclasses.replace(found, corners_px=np.full((4, 2), np.nan)))
+        is MissReason.NON_FINITE
+    )
 
 
 def test_incidence_and_size_are_those_of_the_view():
     rng = np.random.default_rng(9)
-    T_c_v = Pose(rotation.exp(np.array([math.pi - math.radians(75.0), 0.0, 0.0])), np.array([0.0, 0.0, 0.8]))
+    T_c_v = Pose(
+        rotation.exp(np.array([math.pi - math.radians(75.0), 0.0, 0.0])), np.array([0.0, 0.0, 0.8])
+    )
     down_v, down_c = np.array([0.0, -1.0, 0.0]), T_c_v.R @ np.array([0.0, -1.0, 0.0])
     view = View(T_c_v, down_v, down_c)
     missed = solve(VGA, view, seen(VGA, view, 0.02, rng), rng)
     assert missed == Missed(MissReason.MARKER_OBLIQUE)
     pose = solve(
-        VGA, view, seen(VGA, view, 0.02, rng), rng, settings=dataclasses.replace(SETTINGS, max_incidence_rad=1.4)
+        VGA,
+        view,
+        seen(VGA, view, 0.02, rng),
+        rng,
+        settings=dataclasses.replace(SETTINGS, max_incidence_rad=1.4),
     )
     assert isinstance(pose, MarkerPose)
     assert pose.incidence_rad == pytest.approx(math.radians(75.0), abs=0.02)

@@ -1,4 +1,6 @@
-"""A marker's size in the rig against depth measured on it: what contradicts it is told, and nothing else."""
+"""A marker's size in the rig against depth measured on it: what contradicts it is told, and nothing
+else.
+"""
 
 from __future__ import annotations
 
@@ -35,13 +37,19 @@ def looked(
     seed: int = 1,
     depth: Callable[[Box, float], Depth | None] | None = None,
 ) -> SizeCheck:
-    """The check after so many looks at a marker of another size than the rig says, at a distance ``z_m``."""
+    """The check after so many looks at a marker of another size than the rig says, at a distance
+    ``z_m``.
+    """
     rng = np.random.default_rng(seed)
     check = SizeCheck(said(said_m), METHOD)
-    wild_m = z_m * (1.0 + POSE_SIGMA * rng.standard_normal())  # the same in every frame: the worst case
+    # the same in every frame: the worst case
+    wild_m = z_m * (1.0 + POSE_SIGMA * rng.standard_normal())
     for _ in range(looks):
         half_px = 0.5 * true_m * CAMERA.fx / z_m
-        corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half_px + (320.0, 240.0)
+        corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half_px + (
+            320.0,
+            240.0,
+        )
         detection = MarkerDetection(0, corners, 0.01 * np.eye(8))
         by_pose_m = wild_m * said_m / true_m
         covariance = np.diag([1e-6, 1e-6, (POSE_SIGMA * by_pose_m) ** 2, 1e-4, 1e-4, 1e-4])
@@ -111,7 +119,9 @@ def test_what_is_no_measurement_says_nothing() -> None:
 
 
 def test_a_marker_that_is_tiny_in_the_image_has_the_depth_of_what_is_behind() -> None:
-    assert looked(0.040, z_m=2.5, depth=lambda _, z_m: Depth(2.0 * z_m, 0.01)).contradiction() is None
+    assert (
+        looked(0.040, z_m=2.5, depth=lambda _, z_m: Depth(2.0 * z_m, 0.01)).contradiction() is None
+    )
 
 
 def test_depth_is_asked_for_well_inside_of_the_marker() -> None:
@@ -132,7 +142,10 @@ def test_the_certainty_needed_grows_with_what_a_side_is_known_to() -> None:
     sure, unsure = looked(0.044), SizeCheck(single_marker(side_m=0.040, side_sigma_m=0.004), METHOD)
     assert sure.contradiction() is not None
     for _ in range(LOOKS):
-        corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * 10.0 + (320.0, 240.0)
+        corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * 10.0 + (
+            320.0,
+            240.0,
+        )
         unsure.look(
             Pose(FACING, np.array([0.0, 0.0, 1.0])),
             1e-6 * np.eye(6),

@@ -16,7 +16,15 @@ from path.marker.layout import Marker, MarkerLayout, single_marker
 from path.marker.photometric import corners
 from path.marker.track import recognise
 from path.observations import Region
-from tests.path.marker.scene import VGA, Optics, background, random_view, region_around, render, true_corners
+from tests.path.marker.scene import (
+    VGA,
+    Optics,
+    background,
+    random_view,
+    region_around,
+    render,
+    true_corners,
+)
 
 LAYOUT = single_marker()
 GROUND = background(VGA, np.random.default_rng(0))
@@ -27,12 +35,16 @@ def facing(distance_m: float, x_m: float = 0.0) -> Pose:
     return Pose(rotation.exp(np.array([math.pi - 0.4, 0.0, 0.3])), np.array([x_m, 0.0, distance_m]))
 
 
-def image_of(pose: Pose, layout: MarkerLayout = LAYOUT, optics: Optics | None = None) -> NDArray[np.uint8]:
+def image_of(
+    pose: Pose, layout: MarkerLayout = LAYOUT, optics: Optics | None = None
+) -> NDArray[np.uint8]:
     return render(VGA, pose, layout, np.random.default_rng(4), optics or Optics(), GROUND)
 
 
 def off(pose: Pose, rng: np.random.Generator) -> Pose:
-    return Pose(rotation.exp(rng.normal(0.0, OFF_RAD, 3)) @ pose.R, pose.t + rng.normal(0.0, OFF_M, 3))
+    return Pose(
+        rotation.exp(rng.normal(0.0, OFF_RAD, 3)) @ pose.R, pose.t + rng.normal(0.0, OFF_M, 3)
+    )
 
 
 @pytest.fixture
@@ -45,7 +57,9 @@ def undecoded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(detect, "decode", refuse)
 
 
-@pytest.mark.parametrize(("dictionary", "far_m"), [("DICT_4X4_50", 1.2), ("DICT_APRILTAG_36h11", 0.7)])
+@pytest.mark.parametrize(
+    ("dictionary", "far_m"), [("DICT_4X4_50", 1.2), ("DICT_APRILTAG_36h11", 0.7)]
+)
 @pytest.mark.usefixtures("undecoded")
 def test_corners_are_as_good_as_those_of_a_decoded_marker(dictionary: str, far_m: float):
     layout = single_marker(dictionary=dictionary)
@@ -66,10 +80,14 @@ def test_the_start_is_good_to_a_third_of_a_pixel():
     rng, errors = np.random.default_rng(7), list[float]()
     for _ in range(25):
         view = random_view(rng, VGA, 0.4, 1.2, 50.0)
-        seen = recognise(render(VGA, view.T_c_v, LAYOUT, rng, ground=GROUND), off(view.T_c_v, rng), LAYOUT, VGA)
+        seen = recognise(
+            render(VGA, view.T_c_v, LAYOUT, rng, ground=GROUND), off(view.T_c_v, rng), LAYOUT, VGA
+        )
         assert seen is not None
         (one,) = seen
-        errors.append(float(np.abs(one.quad + one.offset - true_corners(VGA, view.T_c_v, LAYOUT)).mean()))
+        errors.append(
+            float(np.abs(one.quad + one.offset - true_corners(VGA, view.T_c_v, LAYOUT)).mean())
+        )
     assert np.mean(errors) < 0.33
 
 
@@ -94,7 +112,9 @@ def test_what_is_not_where_it_was_expected_is_decoded():
     assert (found.corners_px == decoded[0].corners_px).all()
 
 
-@pytest.mark.parametrize("pose", [facing(0.6, 0.33), facing(2.4), Pose(np.eye(3), np.array([0.0, 0.0, 0.6]))])
+@pytest.mark.parametrize(
+    "pose", [facing(0.6, 0.33), facing(2.4), Pose(np.eye(3), np.array([0.0, 0.0, 0.6]))]
+)
 def test_none_is_expected_at_the_edge_of_the_image_too_small_or_from_behind(pose: Pose):
     assert recognise(image_of(facing(0.6)), pose, LAYOUT, VGA) is None
 
@@ -125,7 +145,9 @@ def test_corners_of_opencv_are_always_decoded():
 def test_what_the_last_step_may_explain_is_asked_again_before_anything_wrong_is_looked_for(
     monkeypatch: pytest.MonkeyPatch,
 ):
-    """The share of pixels that count is low after the first pass with all of them, and well after the next."""
+    """The share of pixels that count is low after the first pass with all of them, and well after
+    the next.
+    """
 
     def refuse(_: object) -> None:
         raise AssertionError("looked for")
@@ -134,5 +156,7 @@ def test_what_the_last_step_may_explain_is_asked_again_before_anything_wrong_is_
     monkeypatch.setattr(corners._FitState, "share_used", few_then_enough)
     monkeypatch.setattr(corners, "_fit_misfit", refuse)
     truth = true_corners(VGA, facing(0.6), LAYOUT)
-    found = detect_markers(image_of(facing(0.6)), region_around(truth, 60.0), LAYOUT, VGA, expected=facing(0.6))
+    found = detect_markers(
+        image_of(facing(0.6)), region_around(truth, 60.0), LAYOUT, VGA, expected=facing(0.6)
+    )
     assert np.abs(found[0].corners_px - truth).max() < 0.04

@@ -15,7 +15,16 @@ from path.marker.locate import Gravity, LocatedMarker, locate_marker
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
 from path.messages import Vec3
 from path.observations import MarkerDetection, Missed, MissReason
-from tests.path.marker.scene import VGA, Optics, View, background, random_view, render, tilted, true_corners
+from tests.path.marker.scene import (
+    VGA,
+    Optics,
+    View,
+    background,
+    random_view,
+    render,
+    tilted,
+    true_corners,
+)
 
 GROUND = background(VGA, np.random.default_rng(0))
 UP = single_marker()
@@ -23,10 +32,13 @@ Z = np.array([0.0, 0.0, 1.0])
 
 
 def turned(layout: MarkerLayout, degrees: float) -> MarkerLayout:
-    """The layout as its markers hang on the plate when that is glued on counter-clockwise by so much."""
+    """The layout as its markers hang on the plate when that is glued on counter-clockwise by so
+    much.
+    """
     turn = Pose(rotation.exp(math.radians(degrees) * Z), np.zeros(3))
     return MarkerLayout(
-        tuple(dataclasses.replace(each, T_v_m=turn @ each.T_v_m) for each in layout.markers), layout.dictionary
+        tuple(dataclasses.replace(each, T_v_m=turn @ each.T_v_m) for each in layout.markers),
+        layout.dictionary,
     )
 
 
@@ -43,9 +55,15 @@ def vec3(vector: np.ndarray) -> Vec3:
 
 
 def posed(
-    view: View, as_glued: MarkerLayout, layout: MarkerLayout, gravity_v: np.ndarray, gravity_c: np.ndarray
+    view: View,
+    as_glued: MarkerLayout,
+    layout: MarkerLayout,
+    gravity_v: np.ndarray,
+    gravity_c: np.ndarray,
 ) -> MarkerPose | Missed:
-    return estimate_pose(seen(view, as_glued), layout, VGA, vec3(gravity_v), vec3(gravity_c), PoseSettings())
+    return estimate_pose(
+        seen(view, as_glued), layout, VGA, vec3(gravity_v), vec3(gravity_c), PoseSettings()
+    )
 
 
 def views(seed: int, count: int) -> list[View]:
@@ -55,7 +73,8 @@ def views(seed: int, count: int) -> list[View]:
 
 @pytest.mark.parametrize("dictionary", ["DICT_4X4_50", "DICT_APRILTAG_36h11", "DICT_APRILTAG_16h5"])
 @pytest.mark.parametrize(
-    ("degrees", "words"), [(180.0, "right way up"), (90.0, "90 degrees counter"), (-90.0, "90 degrees clock")]
+    ("degrees", "words"),
+    [(180.0, "right way up"), (90.0, "90 degrees counter"), (-90.0, "90 degrees clock")],
 )
 def test_a_plate_that_is_turned_in_its_plane_gives_no_pose_but_its_likely_cause(
     dictionary: str, degrees: float, words: str
@@ -66,12 +85,17 @@ def test_a_plate_that_is_turned_in_its_plane_gives_no_pose_but_its_likely_cause(
         assert isinstance(missed, Missed)
         assert missed.reason is MissReason.MARKER_TURNED
         assert missed.cause is not None and words in missed.cause
-        assert ("AprilTags are turned" in missed.cause) == (dictionary != "DICT_4X4_50" and degrees == 180.0)
+        assert ("AprilTags are turned" in missed.cause) == (
+            dictionary != "DICT_4X4_50" and degrees == 180.0
+        )
 
 
 def test_two_markers_on_a_plate_that_is_turned_say_the_same():
     two = MarkerLayout(
-        tuple(Marker(i, 0.04, 0.0002, Pose(np.eye(3), np.array([0.06 * i - 0.03, 0.0, 0.0]))) for i in range(2))
+        tuple(
+            Marker(i, 0.04, 0.0002, Pose(np.eye(3), np.array([0.06 * i - 0.03, 0.0, 0.0])))
+            for i in range(2)
+        )
     )
     for view in views(2, 5):
         missed = posed(view, turned(two, 180.0), two, view.gravity_v, view.gravity_c)
@@ -84,12 +108,17 @@ def test_gravity_that_points_up_is_told():
         missed = posed(view, UP, UP, view.gravity_v, -view.gravity_c)
         assert isinstance(missed, Missed)
         assert missed.reason is MissReason.MARKER_TURNED
-        assert missed.cause is not None and ("point up" in missed.cause or "right way up" in missed.cause)
+        assert missed.cause is not None and (
+            "point up" in missed.cause or "right way up" in missed.cause
+        )
 
 
 def test_a_mount_far_from_what_the_rig_says_is_told():
     for view in views(4, 5):
-        sideways = rotation.exp(math.radians(35.0) * np.cross(view.gravity_v, [0.0, 0.0, 1.0])) @ view.gravity_v
+        sideways = (
+            rotation.exp(math.radians(35.0) * np.cross(view.gravity_v, [0.0, 0.0, 1.0]))
+            @ view.gravity_v
+        )
         missed = posed(view, UP, UP, sideways, view.gravity_c)
         assert isinstance(missed, Missed)
         assert missed.reason is MissReason.MARKER_TURNED

@@ -1,4 +1,6 @@
-"""Two machines over a link that loses, duplicates, delays and reorders, with clocks that differ and drift."""
+"""Two machines over a link that loses, duplicates, delays and reorders, with clocks that differ and
+drift.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,15 @@ from path.messages import AbortReason, Accept, Candidate, Commit, Confirm, Messa
 from path.observations import MissReason
 from path.protocol import receiver, sender
 from path.protocol.receiver import Holding, Provisional, ReceiverMachine
-from path.protocol.sender import AwaitingAccept, HandedOver, Idle, Keeping, SenderMachine, TakenBack, Verifying
+from path.protocol.sender import (
+    AwaitingAccept,
+    HandedOver,
+    Idle,
+    Keeping,
+    SenderMachine,
+    TakenBack,
+    Verifying,
+)
 from path.protocol.values import (
     AbortRequested,
     Actions,
@@ -47,7 +57,8 @@ class Pair:
     offset_ns: int = 0
     error_ns: int = 0  # of the receiver's conversion of a lease's end; at most UNCERTAINTY
     now_ns: int = 10**12
-    wire: list[tuple[bool, Message]] = field(default_factory=list[tuple[bool, Message]])  # to the sender?
+    # to the sender?
+    wire: list[tuple[bool, Message]] = field(default_factory=list[tuple[bool, Message]])
     sender: SenderMachine = field(default_factory=SenderMachine)
     receiver: ReceiverMachine = field(default_factory=ReceiverMachine)
     sender_kept: SenderRecord = field(default_factory=SenderRecord)
@@ -106,7 +117,9 @@ class Pair:
 
     def restart_receiver(self) -> None:
         config, now_ns = self.receiver.config, self.receiver_clock(self.now_ns)
-        self.receiver = ReceiverMachine(config, receiver.restored(config, self.receiver_kept, now_ns))
+        self.receiver = ReceiverMachine(
+            config, receiver.restored(config, self.receiver_kept, now_ns)
+        )
         self.receiver_flag = self.holds()
 
     def deliver(self, to_sender: bool, message: Message) -> None:
@@ -148,12 +161,16 @@ class Pair:
         if live is None:
             return
         point, down = (0.0, 0.0, 1.0), (0.0, 0.0, 1.0)
-        self.wire.append((False, Target(live.handoff_id, live.epoch, live.target_id, 0, 0, point, down, 0.0)))
+        self.wire.append(
+            (False, Target(live.handoff_id, live.epoch, live.target_id, 0, 0, point, down, 0.0))
+        )
         known = self.receiver.live
         if known is not None:
             reason = MissReason.NO_CANDIDATE
             ids = (known.handoff_id, known.epoch, known.target_id)
-            self.wire.append((True, Candidate(*ids, 0, 0, 0, None, reason, point, (1.0, 0.0, 0.0, 0.0), 0.0)))
+            self.wire.append(
+                (True, Candidate(*ids, 0, 0, 0, None, reason, point, (1.0, 0.0, 0.0, 0.0), 0.0))
+            )
 
     def agree(self, nonce: int = 1) -> None:
         live = self.sender.live
@@ -162,7 +179,10 @@ class Pair:
 
 
 class Handovers(RuleBasedStateMachine):
-    @initialize(offset=st.integers(-(10**9), 10**9), error=st.integers(-UNCERTAINTY + 2 * MS, UNCERTAINTY - 2 * MS))
+    @initialize(
+        offset=st.integers(-(10**9), 10**9),
+        error=st.integers(-UNCERTAINTY + 2 * MS, UNCERTAINTY - 2 * MS),
+    )
     def begin(self, offset: int, error: int) -> None:
         self.pair = Pair(offset, error)
         self.nonce = 0
@@ -227,7 +247,11 @@ class Handovers(RuleBasedStateMachine):
         self.pair.tell_sender(VerifyAgain())
 
     @precondition(lambda self: self.upsets < 3)
-    @rule(kind=st.sampled_from(["sender's veto", "receiver's veto", "sender restarts", "receiver restarts"]))
+    @rule(
+        kind=st.sampled_from(
+            ["sender's veto", "receiver's veto", "sender restarts", "receiver restarts"]
+        )
+    )
     def upset(self, kind: str) -> None:
         self.upsets += 1
         pair = self.pair
@@ -250,7 +274,9 @@ class Handovers(RuleBasedStateMachine):
         assert gives.responsible == self.pair.sender_flag, "the actions tell the state"
         assert self.pair.holds() == self.pair.receiver_flag, "the actions tell the state"
         epoch = sender.epoch(gives.state)
-        assert epoch >= self.sender_epoch and receiver.floor(takes.state) >= self.receiver_floor, "S2"
+        assert epoch >= self.sender_epoch and receiver.floor(takes.state) >= self.receiver_floor, (
+            "S2"
+        )
         self.sender_epoch, self.receiver_floor = epoch, receiver.floor(takes.state)
         assert not (self.was_handed_over and gives.responsible), "S4"
         self.was_handed_over = isinstance(gives.state, HandedOver)
@@ -310,5 +336,8 @@ def test_a_link_that_dies_between_accept_and_confirm_leaves_an_orphan_that_both_
     assert isinstance(pair.wire.pop()[1], Confirm)  # lost, and everything after it
     pair.advance(6 * 10**9)
     assert not pair.sender.responsible and not pair.holds()
-    assert isinstance(pair.sender.state, HandedOver) and pair.sender.state.settled is HandoffOutcome.UNCONFIRMED
+    assert (
+        isinstance(pair.sender.state, HandedOver)
+        and pair.sender.state.settled is HandoffOutcome.UNCONFIRMED
+    )
     assert pair.sender.state.settled.alarming

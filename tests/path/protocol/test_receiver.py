@@ -6,7 +6,15 @@ from dataclasses import replace
 import pytest
 
 from path.messages import Abort, AbortReason, Accept, Commit, Confirm, Target
-from path.protocol.receiver import Holding, LetGo, Observing, Provisional, ReceiverMachine, record, restored
+from path.protocol.receiver import (
+    Holding,
+    LetGo,
+    Observing,
+    Provisional,
+    ReceiverMachine,
+    record,
+    restored,
+)
 from path.protocol.values import (
     AbortRequested,
     CommitHeard,
@@ -30,11 +38,15 @@ from path.protocol.values import (
 
 S = 1_000_000_000
 MS = 1_000_000
-CONFIG = ProtocolConfig(handoff_s=20.0, lease_s=1.0, retry_s=0.1, guard_s=0.02, settle_s=2.0, max_uncertainty_s=0.1)
+CONFIG = ProtocolConfig(
+    handoff_s=20.0, lease_s=1.0, retry_s=0.1, guard_s=0.02, settle_s=2.0, max_uncertainty_s=0.1
+)
 TARGET = Target(7, 5, 3, 1, 1, (0.0, 0.0, 1.0), (0.0, 0.0, 1.0), 0.01)
 T0 = 100 * S
 ME, OTHER = 77, 78  # instances of receivers
-HEARD = CommitHeard(Commit(7, 5, 3, 99, 12345, 1, ME), lease_end_ns=T0 + S, uncertainty_ns=5 * MS, instance=ME)
+HEARD = CommitHeard(
+    Commit(7, 5, 3, 99, 12345, 1, ME), lease_end_ns=T0 + S, uncertainty_ns=5 * MS, instance=ME
+)
 LEASE_END = T0 + S - 5 * MS - 20 * MS
 SURE = T0 + S + 5 * MS + 100 * MS + 20 * MS
 CONFIRM = Confirm(7, 5, 3, 99, 5, ME)
@@ -72,14 +84,22 @@ def test_the_whole_way() -> None:
     machine = joined()
     assert machine.live == Handoff(7, 5, 3) and not machine.responsible(T0)
     assert machine.step(Heard(TARGET), T0) == ()
-    assert machine.step(HEARD, T0) == (HELD, TakeResponsibility(LEASE_END), Send(Accept(7, 5, 3, 99, T0, ME)))
+    assert machine.step(HEARD, T0) == (
+        HELD,
+        TakeResponsibility(LEASE_END),
+        Send(Accept(7, 5, 3, 99, T0, ME)),
+    )
     assert machine.responsible(T0)
     again = T0 + 100 * MS
     assert machine.wake_ns == again
     assert machine.step(Tick(), again) == (Send(Accept(7, 5, 3, 99, again, ME)),)
     assert machine.step(HEARD, again) == ()  # the repeated Commit changes nothing
     kept = Persist(ReceiverRecord(5, "holding", LIVE, 99))
-    assert machine.step(Heard(CONFIRM), again) == (kept, TakeResponsibility(), Ended(HandoffOutcome.HANDED_OVER))
+    assert machine.step(Heard(CONFIRM), again) == (
+        kept,
+        TakeResponsibility(),
+        Ended(HandoffOutcome.HANDED_OVER),
+    )
     assert isinstance(machine.state, Holding) and machine.responsible(T0)
     assert machine.step(Heard(CONFIRM), again) == () and machine.step(HEARD, again) == ()
     assert machine.step(Tick(), T0 + 1000 * S) == () and machine.responsible(T0 + 1000 * S)
@@ -127,7 +147,9 @@ def test_it_takes_over_only_on_the_live_commit(heard: CommitHeard, why: Refusal)
 
 def test_a_commit_without_any_target_heard_is_refused() -> None:
     assert ReceiverMachine(CONFIG).step(HEARD, T0) == (Refused(Refusal.UNKNOWN_EPOCH),)
-    assert ReceiverMachine(CONFIG, Observing(5)).step(HEARD, T0) == (Refused(Refusal.UNKNOWN_EPOCH),)
+    assert ReceiverMachine(CONFIG, Observing(5)).step(HEARD, T0) == (
+        Refused(Refusal.UNKNOWN_EPOCH),
+    )
     assert ReceiverMachine(CONFIG, Observing(6)).step(HEARD, T0) == (Refused(Refusal.LOWER_EPOCH),)
 
 
@@ -136,11 +158,14 @@ def test_one_nonce_an_epoch() -> None:
     for machine in (provisional(), holding()):
         assert machine.step(other, T0) == (Refused(Refusal.WRONG_NONCE),)
         assert machine.responsible(T0)
-    assert provisional().step(Heard(replace(CONFIRM, nonce=98)), T0) == (Refused(Refusal.WRONG_NONCE),)
+    assert provisional().step(Heard(replace(CONFIRM, nonce=98)), T0) == (
+        Refused(Refusal.WRONG_NONCE),
+    )
 
 
 @pytest.mark.parametrize(
-    "confirm", [replace(CONFIRM, epoch=4), replace(CONFIRM, target_id=4), replace(CONFIRM, handoff_id=8)]
+    "confirm",
+    [replace(CONFIRM, epoch=4), replace(CONFIRM, target_id=4), replace(CONFIRM, handoff_id=8)],
 )
 def test_only_the_live_confirm_counts(confirm: Confirm) -> None:
     machine = provisional()
@@ -162,7 +187,9 @@ def test_an_epoch_let_go_is_never_taken_again() -> None:
 
 
 def test_lower_epochs_are_refused_and_higher_ones_beat_everything() -> None:
-    assert ReceiverMachine(CONFIG, Observing(6)).step(Heard(TARGET), T0) == (Refused(Refusal.LOWER_EPOCH),)
+    assert ReceiverMachine(CONFIG, Observing(6)).step(Heard(TARGET), T0) == (
+        Refused(Refusal.LOWER_EPOCH),
+    )
     for machine in (provisional(), holding()):
         assert machine.step(Heard(replace(TARGET, epoch=4)), T0) == (Refused(Refusal.LOWER_EPOCH),)
         actions = machine.step(Heard(replace(TARGET, epoch=6)), T0)
@@ -173,7 +200,9 @@ def test_lower_epochs_are_refused_and_higher_ones_beat_everything() -> None:
 def test_another_target_or_handoff_within_the_epoch_is_refused() -> None:
     machine = joined()
     assert machine.step(Heard(replace(TARGET, target_id=4)), T0) == (Refused(Refusal.WRONG_TARGET),)
-    assert machine.step(Heard(replace(TARGET, handoff_id=8)), T0) == (Refused(Refusal.WRONG_HANDOFF),)
+    assert machine.step(Heard(replace(TARGET, handoff_id=8)), T0) == (
+        Refused(Refusal.WRONG_HANDOFF),
+    )
     assert machine.live == Handoff(7, 5, 3)
 
 
@@ -181,7 +210,9 @@ def test_the_senders_abort_ends_it_and_spends_the_epoch() -> None:
     abort = Heard(Abort(7, 5, AbortReason.TARGET_LOST, 5))
     ended = Ended(HandoffOutcome.ABORTED, AbortReason.TARGET_LOST)
     machine = joined()
-    assert machine.step(Heard(Abort(7, 4, AbortReason.PILOT, 5)), T0) == (Refused(Refusal.WRONG_HANDOFF),)
+    assert machine.step(Heard(Abort(7, 4, AbortReason.PILOT, 5)), T0) == (
+        Refused(Refusal.WRONG_HANDOFF),
+    )
     assert machine.step(abort, T0) == (Persist(ReceiverRecord(6)), ended)
     assert machine.step(HEARD, T0) == (Refused(Refusal.LOWER_EPOCH),)
     machine = provisional()
@@ -205,7 +236,13 @@ def test_the_pilots_veto() -> None:
     assert not machine.responsible(T0)
     machine = holding()
     gone = Persist(ReceiverRecord(6, "let_go", LIVE, 99, 0, T0))
-    assert machine.step(PILOT, T0) == (Release(), gone, told, ended, Settled(HandoffOutcome.ORPHANED))
+    assert machine.step(PILOT, T0) == (
+        Release(),
+        gone,
+        told,
+        ended,
+        Settled(HandoffOutcome.ORPHANED),
+    )
     assert ReceiverMachine(CONFIG).step(PILOT, T0) == (Refused(Refusal.WRONG_STATE),)
 
 
@@ -215,7 +252,11 @@ def test_a_handoff_that_comes_to_nothing_ends_in_timeout() -> None:
     assert machine.wake_ns == end
     assert machine.step(Tick(), end - 1) == ()
     told = Send(Abort(7, 5, AbortReason.TIMEOUT, end))
-    assert machine.step(Tick(), end) == (Persist(ReceiverRecord(6)), told, Ended(HandoffOutcome.TIMEOUT))
+    assert machine.step(Tick(), end) == (
+        Persist(ReceiverRecord(6)),
+        told,
+        Ended(HandoffOutcome.TIMEOUT),
+    )
     assert machine.live is None and machine.wake_ns is None
 
 
@@ -251,12 +292,15 @@ def test_within_its_lease_it_holds_on_after_a_restart_and_says_so() -> None:
     assert isinstance(machine.state, Holding)
 
 
-@pytest.mark.parametrize(("now_ns", "same_clock"), [(LEASE_END, True), (LEASE_END + 10 * S, True), (5 * S, False)])
+@pytest.mark.parametrize(
+    ("now_ns", "same_clock"), [(LEASE_END, True), (LEASE_END + 10 * S, True), (5 * S, False)]
+)
 def test_a_lease_that_may_be_over_is_let_go_after_a_restart(now_ns: int, same_clock: bool) -> None:
     machine = restarted(provisional(), now_ns, same_clock=same_clock)
     assert isinstance(machine.state, LetGo) and not machine.responsible(now_ns)
     assert machine.step(HEARD, now_ns) == (Refused(Refusal.LEASE_OVER),)
-    last = now_ns + S + 220 * MS if not same_clock else SURE  # nothing said before may be taken for news
+    # nothing said before may be taken for news
+    last = now_ns + S + 220 * MS if not same_clock else SURE
     assert machine.step(PeerStatus(responsible=False, stamp_ns=last), last) == ()
 
 
@@ -279,7 +323,9 @@ def test_a_commit_or_confirm_to_another_receiver_is_none() -> None:
     assert not machine.responsible(T0) and isinstance(machine.state, Observing)
     for machine in (provisional(), holding()):
         before = machine.state
-        assert machine.step(Heard(replace(CONFIRM, instance=OTHER)), T0) == (Refused(Refusal.WRONG_INSTANCE),)
+        assert machine.step(Heard(replace(CONFIRM, instance=OTHER)), T0) == (
+            Refused(Refusal.WRONG_INSTANCE),
+        )
         assert machine.step(other, T0) == (Refused(Refusal.WRONG_INSTANCE),)
         assert machine.state == before
 
@@ -287,7 +333,9 @@ def test_a_commit_or_confirm_to_another_receiver_is_none() -> None:
 def test_a_lease_longer_than_any_that_is_given_is_no_lease() -> None:
     machine = joined()
     longest = T0 + S + HEARD.uncertainty_ns
-    assert machine.step(replace(HEARD, lease_end_ns=longest + 1), T0) == (Refused(Refusal.LEASE_TOO_LONG),)
+    assert machine.step(replace(HEARD, lease_end_ns=longest + 1), T0) == (
+        Refused(Refusal.LEASE_TOO_LONG),
+    )
     until_ns = LEASE_END + HEARD.uncertainty_ns
     assert machine.step(replace(HEARD, lease_end_ns=longest), T0)[1] == TakeResponsibility(until_ns)
 
@@ -312,4 +360,8 @@ def test_a_new_mission_within_a_lease_is_none() -> None:
 
 def test_what_has_an_end_is_provisional() -> None:
     assert TakeResponsibility(5).provisional and not TakeResponsibility().provisional
-    assert TakeResponsibility(5).at(4) and not TakeResponsibility(5).at(5) and TakeResponsibility().at(1 << 62)
+    assert (
+        TakeResponsibility(5).at(4)
+        and not TakeResponsibility(5).at(5)
+        and TakeResponsibility().at(1 << 62)
+    )

@@ -47,7 +47,9 @@ CONFIG = ProtocolConfig(offer_s=10.0, handoff_s=20.0, lease_s=1.0, retry_s=0.1, 
 ME, OTHER = 77, 78  # instances of receivers
 OPEN = Handoff(handoff_id=7, epoch=1, target_id=3)  # before a COMMIT
 LIVE = replace(OPEN, instance=ME)
-CANDIDATE = Candidate(7, 1, 3, 1, 1, 5, None, MissReason.NO_MARKER, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 0.0)
+CANDIDATE = Candidate(
+    7, 1, 3, 1, 1, 5, None, MissReason.NO_MARKER, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 0.0
+)
 ACCEPT = Accept(7, 1, 3, 99, 5, ME)
 CONFIRM = Confirm(7, 1, 3, 99, 0, ME)
 AGREED = AgreementComplete(epoch=1, target_id=3, nonce=99, uncertainty_ns=5 * MS, instance=ME)
@@ -110,13 +112,19 @@ def test_an_accept_is_final_and_every_accept_is_confirmed() -> None:
     machine = awaiting()
     confirm = replace(CONFIRM, stamp_ns=T0 + 1)
     kept = Persist(SenderRecord(1, "handed_over", LIVE, 99, 0, TAKE_BACK))
-    assert machine.step(Heard(ACCEPT), T0 + 1) == (kept, Send(confirm), Ended(HandoffOutcome.HANDED_OVER))
+    assert machine.step(Heard(ACCEPT), T0 + 1) == (
+        kept,
+        Send(confirm),
+        Ended(HandoffOutcome.HANDED_OVER),
+    )
     assert not machine.responsible
     for late in (T0 + 2, TAKE_BACK + 100 * S):
         actions = machine.step(Heard(ACCEPT), late)
         assert Send(replace(CONFIRM, stamp_ns=late)) in actions
         assert isinstance(machine.state, HandedOver)
-    assert machine.step(AbortRequested(AbortReason.PILOT), TAKE_BACK + 101 * S) == (Refused(Refusal.WRONG_STATE),)
+    assert machine.step(AbortRequested(AbortReason.PILOT), TAKE_BACK + 101 * S) == (
+        Refused(Refusal.WRONG_STATE),
+    )
     assert not machine.responsible
 
 
@@ -125,7 +133,11 @@ def test_it_takes_back_only_after_lease_end_and_uncertainty() -> None:
     machine.step(Tick(), TAKE_BACK - 1)
     assert not machine.responsible
     actions = machine.step(Tick(), TAKE_BACK)
-    assert actions == (Persist(SenderRecord(2, "mine")), TakeResponsibility(), Ended(HandoffOutcome.TAKEN_BACK))
+    assert actions == (
+        Persist(SenderRecord(2, "mine")),
+        TakeResponsibility(),
+        Ended(HandoffOutcome.TAKEN_BACK),
+    )
     assert machine.responsible and machine.live == replace(OPEN, epoch=2)
 
 
@@ -145,7 +157,9 @@ def test_after_taking_back_it_verifies_again_in_the_new_epoch_only() -> None:
     assert machine.step(Heard(CANDIDATE), TAKE_BACK) == (Refused(Refusal.LOWER_EPOCH),)
     actions = machine.step(replace(AGREED, epoch=2, nonce=5), TAKE_BACK)
     second = replace(LIVE, epoch=2)
-    assert actions[0] == Persist(SenderRecord(2, "released", second, 5, TAKE_BACK + 1 * S, TAKE_BACK + 1 * S + 5 * MS))
+    assert actions[0] == Persist(
+        SenderRecord(2, "released", second, 5, TAKE_BACK + 1 * S, TAKE_BACK + 1 * S + 5 * MS)
+    )
     assert machine.step(Heard(ACCEPT), TAKE_BACK + 1) == (Refused(Refusal.LOWER_EPOCH),)
 
 
@@ -160,7 +174,9 @@ def test_after_taking_back_it_verifies_again_in_the_new_epoch_only() -> None:
         (replace(AGREED, instance=None), Refusal.NOT_ONE_RECEIVER),
     ],
 )
-def test_no_commit_without_the_full_agreement_and_a_clock(agreed: AgreementComplete, why: Refusal) -> None:
+def test_no_commit_without_the_full_agreement_and_a_clock(
+    agreed: AgreementComplete, why: Refusal
+) -> None:
     machine = verifying()
     assert machine.step(agreed, T0) == (Refused(why),)
     assert machine.responsible and isinstance(machine.state, Verifying)
@@ -204,18 +220,25 @@ def test_deadlines_end_in_timeout_and_responsible() -> None:
 
 def test_an_abort_before_the_commit_ends_it_at_once() -> None:
     machine = verifying()
-    told = (Send(Abort(7, 1, AbortReason.PILOT, T0)), Ended(HandoffOutcome.ABORTED, AbortReason.PILOT))
+    told = (
+        Send(Abort(7, 1, AbortReason.PILOT, T0)),
+        Ended(HandoffOutcome.ABORTED, AbortReason.PILOT),
+    )
     assert machine.step(AbortRequested(AbortReason.PILOT), T0) == told
     assert machine.state == Keeping(1)
     machine = verifying()
     abort = Abort(7, 1, AbortReason.TARGET_LOST, 5)
     assert machine.step(Heard(replace(abort, epoch=0)), T0) == (Refused(Refusal.WRONG_HANDOFF),)
-    assert machine.step(Heard(abort), T0) == (Ended(HandoffOutcome.ABORTED, AbortReason.TARGET_LOST),)
+    assert machine.step(Heard(abort), T0) == (
+        Ended(HandoffOutcome.ABORTED, AbortReason.TARGET_LOST),
+    )
     assert machine.responsible
 
 
 @pytest.mark.parametrize(
-    "event", [AbortRequested(AbortReason.PILOT), Heard(Abort(7, 1, AbortReason.PILOT, 5))], ids=["own", "peer"]
+    "event",
+    [AbortRequested(AbortReason.PILOT), Heard(Abort(7, 1, AbortReason.PILOT, 5))],
+    ids=["own", "peer"],
 )
 def test_an_abort_after_the_commit_still_waits_for_the_lease_and_confirms_nothing(
     event: AbortRequested | Heard,
@@ -227,7 +250,9 @@ def test_an_abort_after_the_commit_still_waits_for_the_lease_and_confirms_nothin
     assert isinstance(answer, Send) and isinstance(answer.message, Abort)
     assert machine.step(Tick(), TAKE_BACK - 1) == ()
     actions = machine.step(Tick(), TAKE_BACK)
-    assert TakeResponsibility() in actions and actions[-1] == Ended(HandoffOutcome.ABORTED, AbortReason.PILOT)
+    assert TakeResponsibility() in actions and actions[-1] == Ended(
+        HandoffOutcome.ABORTED, AbortReason.PILOT
+    )
 
 
 @pytest.mark.parametrize(
@@ -261,7 +286,9 @@ def test_it_learns_what_became_of_the_receiver(
         Heard(Abort(7, 1, AbortReason.PILOT, 5)),
     ],
 )
-def test_another_receiver_does_not_say_what_became_of_the_one_that_accepted(word: PeerStatus | Heard) -> None:
+def test_another_receiver_does_not_say_what_became_of_the_one_that_accepted(
+    word: PeerStatus | Heard,
+) -> None:
     machine = handed_over()
     before = machine.state
     machine.step(word, TAKE_BACK + 2)
@@ -313,10 +340,14 @@ def test_after_a_reboot_the_lease_is_waited_for_anew_and_never_promised_again() 
 
 
 @pytest.mark.parametrize("same_clock", [True, False])
-def test_what_was_handed_over_stays_so_after_a_restart_and_is_still_confirmed(same_clock: bool) -> None:
+def test_what_was_handed_over_stays_so_after_a_restart_and_is_still_confirmed(
+    same_clock: bool,
+) -> None:
     machine = restarted(handed_over(), T0 + 300 * MS, same_clock=same_clock)
     assert isinstance(machine.state, HandedOver) and not machine.responsible
-    assert machine.step(Heard(ACCEPT), T0 + 400 * MS) == (Send(Confirm(7, 1, 3, 99, T0 + 400 * MS, ME)),)
+    assert machine.step(Heard(ACCEPT), T0 + 400 * MS) == (
+        Send(Confirm(7, 1, 3, 99, T0 + 400 * MS, ME)),
+    )
 
 
 @pytest.mark.parametrize("make", [offering, verifying, awaiting, handed_over])
@@ -326,7 +357,9 @@ def test_a_restored_state_is_written_down_as_it_was(make: Callable[[], SenderMac
 
 
 @pytest.mark.parametrize("make", [verifying, handed_over])
-def test_after_a_new_mission_nothing_is_its_own_and_no_restart_makes_it_so(make: Callable[[], SenderMachine]) -> None:
+def test_after_a_new_mission_nothing_is_its_own_and_no_restart_makes_it_so(
+    make: Callable[[], SenderMachine],
+) -> None:
     machine = make()
     machine.step(Tick(), T0 + 60 * S)
     released = (Release(),) if machine.responsible else ()
@@ -346,11 +379,15 @@ def test_epochs_do_not_wrap() -> None:
     machine.step(replace(AGREED, epoch=65534), T0)
     assert Persist(SenderRecord(65535, "mine")) in machine.step(Tick(), TAKE_BACK)
     machine.step(VerifyAgain(), TAKE_BACK)
-    assert machine.step(replace(AGREED, epoch=65535), TAKE_BACK) == (Refused(Refusal.EPOCHS_EXHAUSTED),)
+    assert machine.step(replace(AGREED, epoch=65535), TAKE_BACK) == (
+        Refused(Refusal.EPOCHS_EXHAUSTED),
+    )
     assert machine.responsible
 
 
-@pytest.mark.parametrize("changes", [{"lease_s": 0.1}, {"retry_s": 0.0}, {"handoff_s": float("nan")}])
+@pytest.mark.parametrize(
+    "changes", [{"lease_s": 0.1}, {"retry_s": 0.0}, {"handoff_s": float("nan")}]
+)
 def test_a_config_that_cannot_work_is_refused(changes: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(changes))):
         replace(CONFIG, **changes)
@@ -362,15 +399,24 @@ def test_an_orphan_is_told_of_once() -> None:
     assert machine.step(abort, T0 + 3) == ()
 
 
-@pytest.mark.parametrize("word", [AbortRequested(AbortReason.PILOT), Heard(Abort(7, 1, AbortReason.PILOT, 5, ME))])
-def test_a_withdrawal_is_written_down_before_anything_is_said_of_it(word: AbortRequested | Heard) -> None:
+@pytest.mark.parametrize(
+    "word", [AbortRequested(AbortReason.PILOT), Heard(Abort(7, 1, AbortReason.PILOT, 5, ME))]
+)
+def test_a_withdrawal_is_written_down_before_anything_is_said_of_it(
+    word: AbortRequested | Heard,
+) -> None:
     machine = awaiting()
     actions = machine.step(word, T0 + 1)
     assert isinstance(actions[0], Persist) and isinstance(actions[0].record, SenderRecord)
     assert actions[0].record.withdrawn is AbortReason.PILOT
-    told = (Send(Abort(7, 1, AbortReason.PILOT, T0 + 1, ME)),) if isinstance(word, AbortRequested) else ()
+    told = (
+        (Send(Abort(7, 1, AbortReason.PILOT, T0 + 1, ME)),)
+        if isinstance(word, AbortRequested)
+        else ()
+    )
     assert actions[1:] == told
-    assert machine.step(Heard(Abort(7, 1, AbortReason.GUARD, 6, ME)), T0 + 2) == ()  # the first word counts
+    # the first word counts
+    assert machine.step(Heard(Abort(7, 1, AbortReason.GUARD, 6, ME)), T0 + 2) == ()
 
 
 def test_a_new_mission_within_a_lease_is_none() -> None:
@@ -416,7 +462,9 @@ def test_clocks_may_be_as_uncertain_as_is_allowed_and_no_more() -> None:
         assert isinstance(machine.state, AwaitingAccept) is commits
 
 
-@pytest.mark.parametrize("field", ["offer_s", "handoff_s", "lease_s", "retry_s", "settle_s", "max_uncertainty_s"])
+@pytest.mark.parametrize(
+    "field", ["offer_s", "handoff_s", "lease_s", "retry_s", "settle_s", "max_uncertainty_s"]
+)
 def test_no_deadline_is_nothing_and_only_the_guard_may_be(field: str) -> None:
     for value in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match=field):

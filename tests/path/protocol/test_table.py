@@ -1,7 +1,9 @@
-"""Each machine's answer to each event in each of its states: both tables whole, one row a state and event.
+"""Each machine's answer to each event in each of its states: both tables whole, one row a state and
+event.
 
-A row says the state that comes after and the actions in their order. Whatever has no row is refused: the state stays,
-and the one action is Refused(WRONG_STATE). Words about another attempt, and instants, are in the other tests.
+A row says the state that comes after and the actions in their order. Whatever has no row is
+refused: the state stays, and the one action is Refused(WRONG_STATE). Words about another attempt,
+and instants, are in the other tests.
 """
 
 from __future__ import annotations
@@ -65,7 +67,9 @@ def step(machine: Any, event: Any, now_ns: int) -> str:
     return ", ".join([after, *actions])
 
 
-def sender_after(make: Callable[[], SenderMachine], *events: tuple[Any, int]) -> Callable[[], SenderMachine]:
+def sender_after(
+    make: Callable[[], SenderMachine], *events: tuple[Any, int]
+) -> Callable[[], SenderMachine]:
     def made() -> SenderMachine:
         machine = make()
         for event, now_ns in events:
@@ -75,7 +79,9 @@ def sender_after(make: Callable[[], SenderMachine], *events: tuple[Any, int]) ->
     return made
 
 
-def receiver_after(make: Callable[[], ReceiverMachine], *events: tuple[Any, int]) -> Callable[[], ReceiverMachine]:
+def receiver_after(
+    make: Callable[[], ReceiverMachine], *events: tuple[Any, int]
+) -> Callable[[], ReceiverMachine]:
     def made() -> ReceiverMachine:
         machine = make()
         for event, now_ns in events:
@@ -95,7 +101,9 @@ SENDERS = {
     "withdrawn": sender_after(at_sender.awaiting, (STOP, T0)),
     "handed over": at_sender.handed_over,
     "held": sender_after(at_sender.handed_over, (PeerStatus(True, LATE - 1, at_sender.ME), T0 + S)),
-    "orphaned": sender_after(at_sender.handed_over, (PeerStatus(False, LATE - 1, at_sender.ME), T0 + S)),
+    "orphaned": sender_after(
+        at_sender.handed_over, (PeerStatus(False, LATE - 1, at_sender.ME), T0 + S)
+    ),
     "unconfirmed": sender_after(at_sender.handed_over, (Tick(), LATE - 1)),
     "taken back": sender_after(at_sender.awaiting, (Tick(), at_sender.TAKE_BACK)),
 }
@@ -282,7 +290,15 @@ def rows(table: str) -> dict[str, str]:
 
 def when(name: str) -> int:
     """An instant at which time alone brings nothing about in that state."""
-    if name in ("offering", "verifying", "awaiting", "withdrawn", "handed over", "joined", "provisional"):
+    if name in (
+        "offering",
+        "verifying",
+        "awaiting",
+        "withdrawn",
+        "handed over",
+        "joined",
+        "provisional",
+    ):
         return T0 + 50 * MS
     return T0 + 1500 * MS if name == "let go" else LATE
 

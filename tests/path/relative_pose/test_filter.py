@@ -1,4 +1,6 @@
-"""The filter between marker measurements: what it learns, what it refuses, and whether its covariance holds."""
+"""The filter between marker measurements: what it learns, what it refuses, and whether its
+covariance holds.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,8 @@ SECOND_NS = 1_000_000_000
 LEVEL = np.eye(3)
 R_N_C = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # a camera that looks north
 FACING = R_N_C @ R_from_rpy(math.pi, 0.0, 0.0)  # ``R_n_v`` of a marker that faces it
-SIGMAS = np.array([0.0007, 0.0005, 0.004, 0.003, 0.003, 0.0015])  # of a marker pose at 1.3 m, as rendered ones claim
+# of a marker pose at 1.3 m, as rendered ones claim
+SIGMAS = np.array([0.0007, 0.0005, 0.004, 0.003, 0.003, 0.0015])
 COVARIANCE = np.diag(SIGMAS**2)
 
 
@@ -34,11 +37,19 @@ def measured(x: float, y: float = 0.0, z: float = 0.0, turn: Matrix = LEVEL) -> 
     return Pose(R_N_C.T @ turn @ FACING, R_N_C.T @ np.array([x, y, z]))
 
 
-def see(filtered: RelativeFilter, stamp_ns: int, x: float, y: float = 0.0, z: float = 0.0, turn: Matrix = LEVEL):
+def see(
+    filtered: RelativeFilter,
+    stamp_ns: int,
+    x: float,
+    y: float = 0.0,
+    z: float = 0.0,
+    turn: Matrix = LEVEL,
+):
     return filtered.update(stamp_ns, measured(x, y, z, turn), COVARIANCE, R_N_C, FACING)
 
 
-# --- what it does ----------------------------------------------------------------------------------------------------
+# --- what it does
+# ----------------------------------------------------------------------------------------------------
 
 
 def test_a_steady_error_of_the_reported_velocity_is_learnt():
@@ -52,7 +63,9 @@ def test_a_steady_error_of_the_reported_velocity_is_learnt():
         x, y, z = (np.array([1.0, 0.5, -0.6]) + true_mps * k * 0.02 + noise).tolist()
         assert see(filtered, k * FRAME_NS, x, y, z) is None
     ahead = at(filtered, 149 * FRAME_NS + SECOND_NS)
-    error_m = np.linalg.norm(np.array(ahead.marker_n_m) - (np.array([1.0, 0.5, -0.6]) + true_mps * (149 * 0.02 + 1.0)))
+    error_m = np.linalg.norm(
+        np.array(ahead.marker_n_m) - (np.array([1.0, 0.5, -0.6]) + true_mps * (149 * 0.02 + 1.0))
+    )
     assert error_m < 0.04  # the reports alone are 0.17 m off after a second
     assert ahead.velocity_n_mps == pytest.approx(true_mps, abs=0.04)
 
@@ -65,7 +78,12 @@ def reported() -> RelativeFilter:
     return filtered
 
 
-def at(filtered: RelativeFilter, stamp_ns: int, R_n_c: Matrix | None = None, R_n_v: Matrix | None = None) -> Relative:
+def at(
+    filtered: RelativeFilter,
+    stamp_ns: int,
+    R_n_c: Matrix | None = None,
+    R_n_v: Matrix | None = None,
+) -> Relative:
     relative = filtered.predict(stamp_ns, R_n_c, R_n_v)
     assert relative is not None
     return relative
@@ -85,7 +103,9 @@ def test_a_coast_follows_every_report_and_not_the_newest_alone():
 
 
 def test_both_attitudes_turn_what_is_predicted():
-    """The marker stays where it is in ``n`` when the camera turns, and turns with its own drone about its centre."""
+    """The marker stays where it is in ``n`` when the camera turns, and turns with its own drone
+    about its centre.
+    """
     lever_c, lever_v = np.array([0.0, 0.0, 0.1]), np.array([0.0, 0.05, 0.2])
     filtered = RelativeFilter(None, lever_c, lever_v)
     see(filtered, 0, 1.2, 0.1, -0.3)
@@ -105,7 +125,12 @@ def test_a_constant_error_of_either_attitude_does_no_harm():
     for k in range(30):
         turn = R_from_rpy(0.02 * math.sin(0.3 * k), 0.0, 0.004 * k)
         T_c_v = Pose((turn @ R_N_C).T @ FACING, (turn @ R_N_C).T @ np.array([1.2, 0.1, -0.3]))
-        assert filtered.update(k * FRAME_NS, T_c_v, COVARIANCE, own_error @ turn @ R_N_C, peer_error @ FACING) is None
+        assert (
+            filtered.update(
+                k * FRAME_NS, T_c_v, COVARIANCE, own_error @ turn @ R_N_C, peer_error @ FACING
+            )
+            is None
+        )
     turn = R_from_rpy(0.1, 0.1, 0.3)
     ahead = at(filtered, 32 * FRAME_NS, own_error @ turn @ R_N_C, peer_error @ FACING)
     assert ahead.T_c_v.t == pytest.approx((turn @ R_N_C).T @ np.array([1.2, 0.1, -0.3]), abs=2e-3)
@@ -156,7 +181,8 @@ def test_travel_is_the_integral_of_the_reports():
     assert (vx, vy) == (math.sin(stamps[-1] * 1e-9), 1.0)
 
 
-# --- what it refuses -------------------------------------------------------------------------------------------------
+# --- what it refuses
+# -------------------------------------------------------------------------------------------------
 
 
 def flipped(T_c_v: Pose) -> Pose:
@@ -178,7 +204,9 @@ def test_injected_flips_are_refused_and_leave_no_trace(tilt_deg: float):
         flip = k >= 25 and k % 4 in (1, 2)  # in and out, never long enough to be believed
         if not flip:
             assert clean.update(k * FRAME_NS, T_c_v, COVARIANCE, R_N_C, FACING) is None
-        came = filtered.update(k * FRAME_NS, flipped(T_c_v) if flip else T_c_v, COVARIANCE, R_N_C, FACING)
+        came = filtered.update(
+            k * FRAME_NS, flipped(T_c_v) if flip else T_c_v, COVARIANCE, R_N_C, FACING
+        )
         if flip:
             refused.append(came)
         else:
@@ -210,7 +238,10 @@ def test_a_filter_that_began_with_a_flip_recovers():
     filtered = RelativeFilter()
     right = measured(1.3, 0.1, 0.2, R_from_rpy(0.0, 0.4, 0.0))
     filtered.update(0, flipped(right), COVARIANCE, R_N_C, FACING)
-    took = [filtered.update(k * FRAME_NS, right, COVARIANCE, R_N_C, FACING) is None for k in range(1, 40)]
+    took = [
+        filtered.update(k * FRAME_NS, right, COVARIANCE, R_N_C, FACING) is None
+        for k in range(1, 40)
+    ]
     assert took.index(True) == RelativeSettings().settle - 1 and all(took[took.index(True) :])
     assert pytest.approx(right.R, abs=1e-3) == at(filtered, 39 * FRAME_NS).T_c_v.R
 
@@ -234,17 +265,20 @@ def test_an_old_or_repeated_measurement_changes_nothing():
     assert at(filtered, FRAME_NS).marker_n_m == before.marker_n_m
 
 
-# --- whether its covariance holds ------------------------------------------------------------------------------------
+# --- whether its covariance holds
+# ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Flight:
-    """Two hovering drones, what they report, and what the marker's pose errs; standard deviations per axis.
+    """Two hovering drones, what they report, and what the marker's pose errs; standard deviations
+    per axis.
 
     Attributes:
         velocity_bias_mps: for a whole flight, of each vehicle's report.
         velocity_noise_mps: of each, wandering within 3 s.
-        tilt_bias_deg, yaw_bias_deg, tilt_noise_deg, yaw_noise_deg: of each attitude; noise wanders within 0.5 s.
+        tilt_bias_deg, yaw_bias_deg, tilt_noise_deg, yaw_noise_deg: of each attitude; noise wanders
+            within 0.5 s.
         gust_mps2: accelerations of each drone, wandering within 1 s.
         persistent: share of the marker's error that stays for a whole flight.
         latency_s: of the other drone's reports, which come at 10 Hz.
@@ -261,12 +295,22 @@ class Flight:
     latency_s: float = 0.03
     target_mps: float = 0.4
 
-    def errors_at(self, coasts: list[int], rng: np.random.Generator) -> Iterator[tuple[Vector, Matrix]]:
-        """The true error (6,) and the covariance claimed for it, some frames after the newest measurement."""
-        dt, seen, turn_sigma = 0.02, 40, np.radians([self.tilt_noise_deg] * 2 + [self.yaw_noise_deg])
+    def errors_at(
+        self, coasts: list[int], rng: np.random.Generator
+    ) -> Iterator[tuple[Vector, Matrix]]:
+        """The true error (6,) and the covariance claimed for it, some frames after the newest
+        measurement.
+        """
+        dt, seen, turn_sigma = (
+            0.02,
+            40,
+            np.radians([self.tilt_noise_deg] * 2 + [self.yaw_noise_deg]),
+        )
         bias = rng.normal(0.0, self.velocity_bias_mps, (2, 3))
         noise = rng.normal(0.0, self.velocity_noise_mps, (2, 3))
-        fixed = np.radians([self.tilt_bias_deg] * 2 + [self.yaw_bias_deg]) * rng.standard_normal((2, 3))
+        fixed = np.radians([self.tilt_bias_deg] * 2 + [self.yaw_bias_deg]) * rng.standard_normal(
+            (2, 3)
+        )
         wander = turn_sigma * rng.standard_normal((2, 3))
         accel = rng.normal(0.0, self.gust_mps2, (2, 3))
         heading = rng.uniform(0.0, 2.0 * math.pi)
@@ -294,12 +338,17 @@ class Flight:
             true = Pose(R_n_c.T @ R_n_v, R_n_c.T @ (position[1] - position[0]))
             R_c, R_v = exp(fixed[0] + wander[0]) @ R_n_c, exp(fixed[1] + wander[1]) @ R_n_v
             if k < seen:
-                error = persistent + math.sqrt(1.0 - self.persistent) * SIGMAS * rng.standard_normal(6)
+                error = persistent + math.sqrt(
+                    1.0 - self.persistent
+                ) * SIGMAS * rng.standard_normal(6)
                 found = Pose(exp(error[3:]) @ true.R, true.t + error[:3])
                 assert filtered.update(stamp, found, COVARIANCE, R_c, R_v) is None
             if k - seen + 1 in coasts:
                 ahead = at(filtered, stamp, R_c, R_v)
-                yield np.concatenate([true.t - ahead.T_c_v.t, log(true.R @ ahead.T_c_v.R.T)]), ahead.covariance
+                yield (
+                    np.concatenate([true.t - ahead.T_c_v.t, log(true.R @ ahead.T_c_v.R.T)]),
+                    ahead.covariance,
+                )
 
 
 def triple(values: Vector) -> Vec3:
@@ -307,7 +356,9 @@ def triple(values: Vector) -> Vec3:
     return x, y, z
 
 
-def wandering(values: Vector, sigma: float | Vector, step: float, rng: np.random.Generator) -> Vector:
+def wandering(
+    values: Vector, sigma: float | Vector, step: float, rng: np.random.Generator
+) -> Vector:
     kept = math.exp(-step)
     return kept * values + math.sqrt(1.0 - kept * kept) * sigma * rng.standard_normal(values.shape)
 
@@ -326,10 +377,12 @@ FLIGHTS = {
 
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_the_covariance_holds_before_and_after_a_coast(name: str):
-    """Mean normalised error squared per degree of freedom, at 0, 0.2, 0.5 and 1 s: 1 when sigmas are exactly right.
+    """Mean normalised error squared per degree of freedom, at 0, 0.2, 0.5 and 1 s: 1 when sigmas
+    are exactly right.
 
-    Never overconfident by more than the sampling allows, and not so wide as to be useless. Only when the marker's whole
-    error persists does the start claim a little too much, as half of it is taken for noise.
+    Never overconfident by more than the sampling allows, and not so wide as to be useless. Only
+    when the marker's whole error persists does the start claim a little too much, as half of it is
+    taken for noise.
     """
     nees = surprises(FLIGHTS[name], 50)
     print(name, nees)
@@ -342,7 +395,12 @@ def surprises(flight: Flight, runs: int) -> NDArray[np.float64]:
     rows = list[list[float]]()
     for seed in range(runs):
         errors = flight.errors_at(COASTS, np.random.default_rng([11, seed]))
-        rows.append([float(error @ np.linalg.solve(covariance, error)) / 6.0 for error, covariance in errors])
+        rows.append(
+            [
+                float(error @ np.linalg.solve(covariance, error)) / 6.0
+                for error, covariance in errors
+            ]
+        )
     return np.mean(rows, axis=0)
 
 
@@ -373,17 +431,24 @@ def test_what_persists_never_averages_out():
 
 
 def test_a_better_marker_that_comes_into_view_is_believed():
-    """Another marker has another persistent error: one coarse marker for long, then a fine one 3 sigma from it."""
+    """Another marker has another persistent error: one coarse marker for long, then a fine one 3
+    sigma from it.
+    """
     filtered = RelativeFilter()
     for k in range(300):
         filtered.update(k * FRAME_NS, measured(1.33), 100.0 * COVARIANCE, R_N_C, FACING)
-    fine = [filtered.update(k * FRAME_NS, measured(1.30), COVARIANCE, R_N_C, FACING) for k in range(300, 330)]
+    fine = [
+        filtered.update(k * FRAME_NS, measured(1.30), COVARIANCE, R_N_C, FACING)
+        for k in range(300, 330)
+    ]
     assert fine == [None] * 30
     assert at(filtered, 329 * FRAME_NS).marker_n_m[0] == pytest.approx(1.30, abs=0.004)
 
 
 def test_a_cycle_costs_little():
-    """An update and two predictions, with room for a slow and busy machine: the goal is 0.05 ms for each of them."""
+    """An update and two predictions, with room for a slow and busy machine: the goal is 0.05 ms for
+    each of them.
+    """
     filtered = RelativeFilter()
     for k in range(20):
         filtered.set_own_velocity(k * FRAME_NS, (0.1, 0.0, 0.0))

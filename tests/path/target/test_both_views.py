@@ -1,4 +1,6 @@
-"""The target's place by both drones' views: what two lines of sight and their ranges make of each other."""
+"""The target's place by both drones' views: what two lines of sight and their ranges make of each
+other.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ def sighted(parallax_deg: float, k: float, along_m: float, across_m: float) -> S
     angle = math.radians(parallax_deg)
     back = np.array([math.sin(angle), 0.0, -math.cos(angle)])
     pose = np.diag([(PLACE_M * k) ** 2] * 3 + [TURN_RAD**2] * 3)
-    return Sighted(k * TARGET, -2.0 * k * back, k * (TARGET - MARKER), along_m * k, across_m * k, pose)
+    return Sighted(
+        k * TARGET, -2.0 * k * back, k * (TARGET - MARKER), along_m * k, across_m * k, pose
+    )
 
 
 def ray_to(point: NDArray[np.float64], off_rad: NDArray[np.float64]) -> tuple[float, float, float]:
@@ -36,8 +40,12 @@ def drawn(said: Sighted, rng: np.random.Generator) -> Sighted:
     return replace(said, point_c=said.point_c + noise)
 
 
-def errors(parallax_deg: float, k: float, along_m: float, *, own_sigma_m: float = math.inf) -> tuple[float, ...]:
-    """Root mean squares over drawn errors: D1's alone, both views', and both views' in stated deviations per axis."""
+def errors(
+    parallax_deg: float, k: float, along_m: float, *, own_sigma_m: float = math.inf
+) -> tuple[float, ...]:
+    """Root mean squares over drawn errors: D1's alone, both views', and both views' in stated
+    deviations per axis.
+    """
     rng, truth = np.random.default_rng(11), sighted(parallax_deg, k, along_m, 0.015)
     alone: list[float] = []
     together: list[float] = []
@@ -47,7 +55,9 @@ def errors(parallax_deg: float, k: float, along_m: float, *, own_sigma_m: float 
         ray = ray_to(truth.point_c, RAY_RAD * rng.standard_normal(2))
         found = triangulate(said, ray, RAY_RAD)
         if math.isfinite(own_sigma_m):
-            distance_m = float(np.linalg.norm(truth.point_c)) + own_sigma_m * k * rng.standard_normal()
+            distance_m = (
+                float(np.linalg.norm(truth.point_c)) + own_sigma_m * k * rng.standard_normal()
+            )
             found = with_range(found, ray, distance_m, own_sigma_m * k)
         off = found.point_c - truth.point_c
         alone.append(float(np.sum((said.point_c - truth.point_c) ** 2)))
@@ -59,7 +69,9 @@ def errors(parallax_deg: float, k: float, along_m: float, *, own_sigma_m: float 
 
 @pytest.mark.parametrize("k", SCALES)
 @pytest.mark.parametrize("parallax_deg", [5.0, 10.0, 40.0, 90.0])
-def test_both_views_are_never_worse_than_one_and_off_by_as_much_as_they_state(parallax_deg: float, k: float) -> None:
+def test_both_views_are_never_worse_than_one_and_off_by_as_much_as_they_state(
+    parallax_deg: float, k: float
+) -> None:
     alone, together, share = errors(parallax_deg, k, 0.025)
     assert together < alone
     assert 0.9 < share < 1.1

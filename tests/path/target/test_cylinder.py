@@ -1,4 +1,6 @@
-"""The cylinder that a target fits into: how far it reaches in an image, and where the middle of its box is."""
+"""The cylinder that a target fits into: how far it reaches in an image, and where the middle of its
+box is.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ MIDDLE: Vec3 = (0.0, 0.0, 0.0)
 
 
 def looking(elevation_deg: float, distance_m: float, azimuth_deg: float = 0.0) -> Pose:
-    """``T_v_c`` of a camera that looks at the origin from above: ``v`` has z down, the image's x is level."""
+    """``T_v_c`` of a camera that looks at the origin from above: ``v`` has z down, the image's x is
+    level.
+    """
     down, level = math.sin(math.radians(elevation_deg)), math.cos(math.radians(elevation_deg))
     c, s = math.cos(math.radians(azimuth_deg)), math.sin(math.radians(azimuth_deg))
     ahead, right = np.array([level * c, level * s, down]), np.array([-s, c, 0.0])
@@ -31,7 +35,9 @@ def looking(elevation_deg: float, distance_m: float, azimuth_deg: float = 0.0) -
 def rims(span_m: float, height_m: float) -> Array:
     turns = np.linspace(0.0, 2.0 * math.pi, 721)
     rim = 0.5 * span_m * np.stack((np.cos(turns), np.sin(turns), np.zeros(721)), axis=1)
-    return np.concatenate([rim + np.array((0.0, 0.0, 0.5 * side * height_m)) for side in (-1.0, 1.0)])
+    return np.concatenate(
+        [rim + np.array((0.0, 0.0, 0.5 * side * height_m)) for side in (-1.0, 1.0)]
+    )
 
 
 def middle_of_box(T_v_c: Pose, body: Array) -> Array:
@@ -56,8 +62,11 @@ def test_a_camera_that_is_turned_about_its_axis_has_the_sides_the_other_way_roun
 
 
 @pytest.mark.parametrize("off", [(0.0, 0.0), (0.5, -0.3), (-0.6, 0.3)])
-def test_what_a_cylinder_fills_is_what_its_points_do_anywhere_in_the_image(off: tuple[float, float]) -> None:
-    T_v_c, z_m, small = looking(35.0, 3.0), 3.0, 1e-4  # so small that its perspective does not matter
+def test_what_a_cylinder_fills_is_what_its_points_do_anywhere_in_the_image(
+    off: tuple[float, float],
+) -> None:
+    # so small that its perspective does not matter
+    T_v_c, z_m, small = looking(35.0, 3.0), 3.0, 1e-4
     point_v = transform(rigid(T_v_c), (off[0] * z_m, off[1] * z_m, z_m))
     x, y, z = T_v_c.inverse().apply(rims(*CAR_M) * small + point_v).T
     seen = np.ptp(x / z) * z_m / small, np.ptp(y / z) * z_m / small
@@ -88,7 +97,9 @@ def test_the_middle_of_a_persons_box_from_above_is_above_theirs() -> None:
 def test_two_cameras_mean_the_same_middle_of_a_body_half_as_thick_as_it_is_wide(
     azimuth_deg: float, elevation_deg: float
 ) -> None:
-    """D1's ray meets the body's side (or its top), and both of its boxes are of the same cylinder."""
+    """D1's ray meets the body's side (or its top), and both of its boxes are of the same
+    cylinder.
+    """
     span_m, height_m = PERSON_M
     T_1, T_2 = looking(45.0, 3.4), looking(elevation_deg, 2.8, azimuth_deg)
     x, y = middle_of_box(T_1, rims(span_m, height_m))

@@ -22,6 +22,8 @@ def test_the_middle_is_numpys(sigma_mm: float) -> None:
         if valid.size:
             about = float(np.median(valid))
             off = np.abs(valid - about)
-            spread = max(MAD_TO_SIGMA * float(np.median(off)), 1000.0 * (SIGMA_M * (about / 1000.0) ** 2))
+            spread = max(
+                MAD_TO_SIGMA * float(np.median(off)), 1000.0 * (SIGMA_M * (about / 1000.0) ** 2)
+            )
             assert found[1] == pytest.approx(spread, rel=1e-15)
             assert found[2] == np.median(valid[off <= OUTLIER_SIGMAS * spread])

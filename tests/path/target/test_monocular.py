@@ -33,7 +33,10 @@ def test_an_error_of_size_is_within_what_it_says() -> None:
 
 
 def test_few_pixels_know_less() -> None:
-    near, far = monocular_range(box_at(1.0), CAMERA, SIZE), monocular_range(box_at(25.0), CAMERA, SIZE)
+    near, far = (
+        monocular_range(box_at(1.0), CAMERA, SIZE),
+        monocular_range(box_at(25.0), CAMERA, SIZE),
+    )
     assert near is not None
     assert far is not None
     assert far.sigma_m / far.z_m > 1.5 * near.sigma_m / near.z_m
@@ -63,4 +66,6 @@ def test_sizes_that_cannot_be(name: str, value: float) -> None:
 
 def test_the_size_of_a_box_at_a_depth_is_told_in_pixels() -> None:
     extent = extent_at(2.0, 600.0, TargetSize(0.4, 0.1, longest_m=0.6))
-    assert (extent.usual_px, extent.most_px, extent.longest_px) == pytest.approx((120.0, 144.0, 180.0))
+    assert (extent.usual_px, extent.most_px, extent.longest_px) == pytest.approx(
+        (120.0, 144.0, 180.0)
+    )

@@ -38,7 +38,9 @@ def test_depth_of_a_clean_target() -> None:
 
 
 @given(st.floats(0.0, 0.4), st.sampled_from([0, 2600, 9000, 100]), st.integers(0, 20))
-def test_holes_flying_pixels_and_background_do_not_move_it(share: float, value: int, seed: int) -> None:
+def test_holes_flying_pixels_and_background_do_not_move_it(
+    share: float, value: int, seed: int
+) -> None:
     depth_mm = scene(seed=seed)
     spoilt = np.random.default_rng(seed + 1).random((40, 60)) < share
     depth_mm[100:140, 100:160][spoilt] = value
@@ -84,7 +86,10 @@ def test_a_large_box_is_thinned_not_biased() -> None:
 
 
 def test_farther_depth_is_less_certain() -> None:
-    near, far = registered_depth(scene(1000.0), BOX, CONFIG), registered_depth(scene(4000.0), BOX, CONFIG)
+    near, far = (
+        registered_depth(scene(1000.0), BOX, CONFIG),
+        registered_depth(scene(4000.0), BOX, CONFIG),
+    )
     assert near is not None
     assert far is not None
     assert far.sigma_m >= 10.0 * near.sigma_m
@@ -101,7 +106,10 @@ def test_the_targets_point_in_the_marker_frame() -> None:
     point_c = (0.2, -0.1, 2.0)
     u, v = CAMERA.project_point(point_c)
     found = locate(
-        TwoViews(CAMERA, CAMERA, rigid(T_v_c1)), Box(u - 30.0, v - 20.0, 60.0, 40.0), Depth(2.0, 0.02), CONFIG
+        TwoViews(CAMERA, CAMERA, rigid(T_v_c1)),
+        Box(u - 30.0, v - 20.0, 60.0, 40.0),
+        Depth(2.0, 0.02),
+        CONFIG,
     )
     assert found.point_v_m == pytest.approx(T_v_c1.apply(np.array(point_c)).tolist(), abs=1e-9)
     assert found.z_m == 2.0
@@ -113,7 +121,10 @@ def test_sigma_covers_the_worst_direction_of_simulated_errors() -> None:
     point_c, depth_sigma, n = (0.2, -0.1, 2.0), 0.02, 4000
     u, v = CAMERA.project_point(point_c)
     stated = locate(
-        TwoViews(CAMERA, CAMERA, rigid(T_v_c1)), Box(u - 30.0, v - 20.0, 60.0, 40.0), Depth(2.0, depth_sigma), CONFIG
+        TwoViews(CAMERA, CAMERA, rigid(T_v_c1)),
+        Box(u - 30.0, v - 20.0, 60.0, 40.0),
+        Depth(2.0, depth_sigma),
+        CONFIG,
     ).sigma_m
     found = np.empty((n, 3))
     for i in range(n):

@@ -16,7 +16,12 @@ from path.target.range import USUAL_SPAN, Body, Sight, by_ground, by_size, toget
 CAMERA = CameraModel(640, 480, 615.0, 615.0, 320.0, 240.0)
 PERSON, CAR = Body(0.78, 1.75), Body(0.39, 0.16)
 SCALES = (0.2, 1.0, 5.0, 20.0)
-DEPTH, SIZE, GROUND, VIEWS = RangeSource.DEPTH, RangeSource.SIZE, RangeSource.GROUND, RangeSource.VIEWS
+DEPTH, SIZE, GROUND, VIEWS = (
+    RangeSource.DEPTH,
+    RangeSource.SIZE,
+    RangeSource.GROUND,
+    RangeSource.VIEWS,
+)
 
 
 def looking(down_deg: float, right: float = 0.0) -> Sight:
@@ -27,8 +32,12 @@ def looking(down_deg: float, right: float = 0.0) -> Sight:
 
 def box_of(body: Body, sight: Sight, z_m: float) -> Box:
     """The box of a body that is as wide as one usually is, around its line of sight."""
-    wide, _ = reach_m(AT_THE_CAMERA, sight.ray_c, sight.gravity_c, USUAL_SPAN * body.span_m, body.height_m)
-    _, high = reach_m(AT_THE_CAMERA, sight.ray_c, sight.gravity_c, USUAL_SPAN * body.span_m, body.height_m)
+    wide, _ = reach_m(
+        AT_THE_CAMERA, sight.ray_c, sight.gravity_c, USUAL_SPAN * body.span_m, body.height_m
+    )
+    _, high = reach_m(
+        AT_THE_CAMERA, sight.ray_c, sight.gravity_c, USUAL_SPAN * body.span_m, body.height_m
+    )
     w, h = CAMERA.fx * wide / z_m, CAMERA.fy * high / z_m
     x, y, _ = sight.ray_c
     return Box(CAMERA.cx + CAMERA.fx * x - w / 2.0, CAMERA.cy + CAMERA.fy * y - h / 2.0, w, h)
@@ -47,14 +56,19 @@ def test_a_body_of_known_size_is_as_far_away_as_its_box_is_small(body: Body, k: 
     scaled, sight = Body(k * body.span_m, k * body.height_m), looking(45.0)
     found = by_size(box_of(scaled, sight, 8.0 * k), CAMERA, sight, scaled, 1.5)
     assert found is not None and found.source is SIZE
-    # to its surface, which is up to a quarter of its span and a line of sight's slant before its middle
+    # to its surface, which is up to a quarter of its span and a line of sight's slant before its
+    # middle
     assert 8.0 * k - 0.36 * scaled.span_m < found.z_m < 8.0 * k
     assert 0.02 * found.z_m < found.sigma_m < 0.2 * found.z_m
 
 
-def test_a_tall_body_is_known_better_than_a_flat_one_from_the_side_and_few_pixels_know_less() -> None:
+def test_a_tall_body_is_known_better_than_a_flat_one_from_the_side_and_few_pixels_know_less() -> (
+    None
+):
     side = looking(10.0)
-    tall, flat = (by_size(box_of(body, side, 6.0), CAMERA, side, body, 1.5) for body in (PERSON, CAR))
+    tall, flat = (
+        by_size(box_of(body, side, 6.0), CAMERA, side, body, 1.5) for body in (PERSON, CAR)
+    )
     far = by_size(box_of(PERSON, side, 40.0), CAMERA, side, PERSON, 1.5)
     assert tall is not None and flat is not None and far is not None
     assert tall.sigma_m / tall.z_m < 0.7 * flat.sigma_m / flat.z_m
@@ -62,7 +76,9 @@ def test_a_tall_body_is_known_better_than_a_flat_one_from_the_side_and_few_pixel
 
 
 def test_a_size_is_off_by_as_much_as_it_says_whichever_way_the_body_heads() -> None:
-    """Upright boxes of 1.6 to 1, seen from 45 degrees above, at every heading: off by what is stated, not by more."""
+    """Upright boxes of 1.6 to 1, seen from 45 degrees above, at every heading: off by what is
+    stated, not by more.
+    """
     sight, off = looking(45.0), []
     length, width, height = 0.34, 0.21, 0.16
     body = Body(math.hypot(length, width), height)
@@ -77,15 +93,21 @@ def test_a_size_is_off_by_as_much_as_it_says_whichever_way_the_body_heads() -> N
     assert float(np.sqrt(np.mean(np.square(off)))) < 1.2
 
 
-@pytest.mark.parametrize("box", [Box(-1.0, 9.0, 60.0, 60.0), Box(9.0, 420.0, 60.0, 70.0), Box(9.0, 9.0, 2.0, 60.0)])
-def test_a_box_that_is_cut_or_a_speck_tells_no_range_and_no_more_does_an_unknown_body(box: Box) -> None:
+@pytest.mark.parametrize(
+    "box", [Box(-1.0, 9.0, 60.0, 60.0), Box(9.0, 420.0, 60.0, 70.0), Box(9.0, 9.0, 2.0, 60.0)]
+)
+def test_a_box_that_is_cut_or_a_speck_tells_no_range_and_no_more_does_an_unknown_body(
+    box: Box,
+) -> None:
     assert by_size(box, CAMERA, looking(45.0), PERSON, 1.5) is None
     assert by_size(Box(99.0, 99.0, 60.0, 60.0), CAMERA, looking(45.0), Body(), 1.5) is None
 
 
 @pytest.mark.parametrize("k", SCALES)
 @pytest.mark.parametrize("down_deg", [25.0, 45.0, 70.0])
-def test_a_line_of_sight_ends_where_it_comes_down_to_the_middle_of_the_body(down_deg: float, k: float) -> None:
+def test_a_line_of_sight_ends_where_it_comes_down_to_the_middle_of_the_body(
+    down_deg: float, k: float
+) -> None:
     body = Body(k * PERSON.span_m, k * PERSON.height_m)
     angle = math.radians(down_deg)
     gravity = (0.0, math.cos(angle), math.sin(angle))
@@ -96,13 +118,17 @@ def test_a_line_of_sight_ends_where_it_comes_down_to_the_middle_of_the_body(down
     found = by_ground(above_m, 0.05 * k, 0.01, sight, body, GROUND)
     assert found is not None
     surface_m = found.z_m
-    # the surface that faces the camera is before the middle, by a quarter of the span as the ray slants
+    # the surface that faces the camera is before the middle, by a quarter of the span as the ray
+    # slants
     assert 7.4 * k < surface_m < 8.0 * k
     plain = by_ground(above_m, 0.05 * k, 0.01, sight, Body(), GROUND)
     assert plain is not None
-    assert plain.z_m != pytest.approx(8.0 * k, rel=1e-4)  # what is reckoned with where the size is known
+    # what is reckoned with where the size is known
+    assert plain.z_m != pytest.approx(8.0 * k, rel=1e-4)
     behind_m = 8.0 * k - surface_m
-    assert behind_m == pytest.approx(0.25 * body.span_m / math.hypot(*sight.ray_c) / level_of(sight), rel=0.02)
+    assert behind_m == pytest.approx(
+        0.25 * body.span_m / math.hypot(*sight.ray_c) / level_of(sight), rel=0.02
+    )
 
 
 def level_of(sight: Sight) -> float:
@@ -137,12 +163,16 @@ def test_one_alone_is_left_as_it_is_and_none_is_none() -> None:
     assert found is not None
     assert found.depth is one and found.by == (DEPTH,) and found.against == ()
     assert together([]) is None
-    assert together(ranges((math.nan, 0.1, SIZE), (-1.0, 0.1, GROUND), (2.0, math.inf, VIEWS))) is None
+    assert (
+        together(ranges((math.nan, 0.1, SIZE), (-1.0, 0.1, GROUND), (2.0, math.inf, VIEWS))) is None
+    )
 
 
 @pytest.mark.parametrize("k", SCALES)
 def test_ranges_that_agree_count_by_their_variance_and_the_surest_is_named_first(k: float) -> None:
-    found = together(ranges((8.2 * k, 0.4 * k, SIZE), (8.0 * k, 0.1 * k, GROUND), (7.9 * k, 0.2 * k, VIEWS)))
+    found = together(
+        ranges((8.2 * k, 0.4 * k, SIZE), (8.0 * k, 0.1 * k, GROUND), (7.9 * k, 0.2 * k, VIEWS))
+    )
     assert found is not None
     assert found.depth.z_m == pytest.approx(7.99 * k, rel=2e-3)
     assert found.depth.sigma_m == pytest.approx(k / math.sqrt(100.0 + 25.0 + 6.25))
@@ -151,11 +181,15 @@ def test_ranges_that_agree_count_by_their_variance_and_the_surest_is_named_first
 
 @pytest.mark.parametrize("k", SCALES)
 @pytest.mark.parametrize("wrong", [DEPTH, SIZE, GROUND])
-def test_one_that_contradicts_two_is_not_believed_however_sure_it_is(wrong: RangeSource, k: float) -> None:
+def test_one_that_contradicts_two_is_not_believed_however_sure_it_is(
+    wrong: RangeSource, k: float
+) -> None:
     """A depth of the wall behind, half a person, a step in the ground."""
     said = {DEPTH: (8.0, 0.1), SIZE: (8.1, 0.3), GROUND: (7.9, 0.15)}
     said[wrong] = (10.5, 0.05)
-    found = together([Depth(k * z_m, k * sigma_m, source) for source, (z_m, sigma_m) in said.items()])
+    found = together(
+        [Depth(k * z_m, k * sigma_m, source) for source, (z_m, sigma_m) in said.items()]
+    )
     assert found is not None
     assert found.against == (wrong,)
     assert found.chi2 > 10.0
@@ -164,7 +198,9 @@ def test_one_that_contradicts_two_is_not_believed_however_sure_it_is(wrong: Rang
 
 
 @pytest.mark.parametrize("k", SCALES)
-def test_where_two_contradict_each_other_nobody_knows_which_is_right_and_the_variance_holds_both(k: float) -> None:
+def test_where_two_contradict_each_other_nobody_knows_which_is_right_and_the_variance_holds_both(
+    k: float,
+) -> None:
     found = together(ranges((6.0 * k, 0.05 * k, DEPTH), (9.0 * k, 0.3 * k, GROUND)))
     assert found is not None
     assert (found.by, found.against) == ((DEPTH,), (GROUND,))
@@ -183,7 +219,9 @@ def test_whatever_contradicts_whatever_there_is_a_range() -> None:
 
 
 @pytest.mark.parametrize("k", SCALES)
-def test_a_size_that_is_too_far_is_of_a_body_that_is_half_hidden_and_makes_nothing_less_sure(k: float) -> None:
+def test_a_size_that_is_too_far_is_of_a_body_that_is_half_hidden_and_makes_nothing_less_sure(
+    k: float,
+) -> None:
     """Its box is half as large; one that is too near is larger than such a body can be."""
     ground = Depth(7.9 * k, 0.12 * k, RangeSource.RANGEFINDER)
     half = together([ground, Depth(11.0 * k, 0.6 * k, SIZE)])
@@ -205,13 +243,17 @@ def test_a_depth_that_is_off_by_its_scale_contradicts_nothing() -> None:
 
 
 def test_what_is_stated_holds_what_comes_out() -> None:
-    """Ranges drawn as they say: the fused one is off by as much as it says, and one in a thousand is doubted."""
+    """Ranges drawn as they say: the fused one is off by as much as it says, and one in a thousand
+    is doubted.
+    """
     rng = np.random.default_rng(5)
     sigmas: Sequence[tuple[float, RangeSource]] = ((0.4, SIZE), (0.1, GROUND), (0.15, VIEWS))
     off: list[float] = []
     doubted = 0
     for _ in range(3000):
-        found = together([Depth(8.0 + s * rng.standard_normal(), s, source) for s, source in sigmas])
+        found = together(
+            [Depth(8.0 + s * rng.standard_normal(), s, source) for s, source in sigmas]
+        )
         assert found is not None
         off.append((found.depth.z_m - 8.0) / found.depth.sigma_m)
         doubted += bool(found.against)
@@ -221,5 +263,7 @@ def test_what_is_stated_holds_what_comes_out() -> None:
 
 def test_a_body_is_never_before_half_of_its_range() -> None:
     """From nearer than it is long, what it has before its middle is no rule any more."""
-    found = by_size(box_of(Body(4.0, 4.0), looking(45.0), 9.0), CAMERA, looking(45.0), Body(4.0, 4.0), 1.5)
+    found = by_size(
+        box_of(Body(4.0, 4.0), looking(45.0), 9.0), CAMERA, looking(45.0), Body(4.0, 4.0), 1.5
+    )
     assert found is not None and found.z_m > 0.0

@@ -20,7 +20,8 @@ from tests.path.gate.compared import compared, own_values
 
 CAMERA = CameraModel(640, 480, 600.0, 600.0, 319.5, 239.5, (0.0, 0.0, 0.0, 0.0, 0.0))
 DOWN: Vec3 = (0.0, 0.0, 1.0)
-# the marker's frame is D1's camera's; both look straight down, D2 from half a metre aside and turned
+# the marker's frame is D1's camera's; both look straight down, D2 from half a metre aside and
+# turned
 T_V_C1 = Pose(np.eye(3), np.zeros(3))
 T_V_C2 = Pose(exp(np.array([0.0, -0.2, 0.5])), np.array([0.5, 0.2, -0.4]))
 VIEWS = TwoViews(CAMERA, CAMERA, rigid(T_V_C1))
@@ -48,7 +49,9 @@ def rivals_after(*frames: list[Rival], seconds: float = 0.02) -> Rivals:
     return rivals
 
 
-def measured(rivals: Rivals, seen_by_2: Vec3) -> tuple[tuple[float, float], tuple[tuple[float, float], ...]]:
+def measured(
+    rivals: Rivals, seen_by_2: Vec3
+) -> tuple[tuple[float, float], tuple[tuple[float, float], ...]]:
     T = rigid(T_V_C2)
     box2, own_box = box_at(seen_by_2, T), box_at(TARGET, rigid(T_V_C1))
     own = own_values(own_box, TARGET[2], TARGET, DOWN)

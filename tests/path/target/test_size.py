@@ -1,4 +1,6 @@
-"""The size of a box in metres against the target's: a body that turns stays within it, two in one box do not."""
+"""The size of a box in metres against the target's: a body that turns stays within it, two in one
+box do not.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ MOST = STATED.evidence.size_sigmas
 
 
 def looking(elevation_deg: float, distance_m: float) -> Pose:
-    """``T_v_c`` of a camera that looks at the origin from above: ``v`` has z down, the image's x is level."""
+    """``T_v_c`` of a camera that looks at the origin from above: ``v`` has z down, the image's x is
+    level.
+    """
     down, level = math.sin(math.radians(elevation_deg)), math.cos(math.radians(elevation_deg))
     ahead = np.array([level, 0.0, down])
     right = np.array([0.0, 1.0, 0.0])
@@ -45,11 +49,17 @@ def corners(place_m: tuple[float, float], heading_rad: float) -> np.ndarray:
     """(8, 3) of a car around the origin's height, in ``v``."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     signs = np.array(list(product((-0.5, 0.5), repeat=3)))
-    return (signs * CAR_M) @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + (*place_m, 0.0)
+    return (signs * CAR_M) @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + (
+        *place_m,
+        0.0,
+    )
 
 
 def box_of(T_v_c: Pose, *bodies: np.ndarray) -> Box:
-    pixels = [CAMERA.project_point(tuple(p)) for p in T_v_c.inverse().apply(np.concatenate(bodies)).tolist()]  # type: ignore[arg-type]
+    pixels = [
+        CAMERA.project_point(tuple(p))
+        for p in T_v_c.inverse().apply(np.concatenate(bodies)).tolist()
+    ]  # type: ignore[arg-type]
     (left, top), (right, bottom) = np.min(pixels, axis=0).tolist(), np.max(pixels, axis=0).tolist()
     return Box(left, top, right - left, bottom - top)
 
@@ -73,7 +83,9 @@ def test_a_car_fits_whichever_way_it_heads(elevation_deg: float, distance_m: flo
 
 @pytest.mark.parametrize(("elevation_deg", "distance_m"), [(35.0, 2.9), (45.0, 1.9)])
 def test_two_cars_in_one_box_do_not(elevation_deg: float, distance_m: float) -> None:
-    """0.32 m apart, which is as near as two of them can be in any direction; all headings and directions."""
+    """0.32 m apart, which is as near as two of them can be in any direction; all headings and
+    directions.
+    """
     T_v_c = looking(elevation_deg, distance_m)
     for way, first, second in product(*(np.linspace(0.0, math.pi, 7).tolist(),) * 3):
         aside = 0.16 * math.cos(way), 0.16 * math.sin(way)
@@ -98,7 +110,9 @@ class Frames:
 
     def above(self, *bodies: np.ndarray) -> float:
         self.k += 1
-        return self.sizes.own(20 * self.k * MS, box_of(self.T_v_c, *bodies), DEPTH, (0.0, 0.0, 0.0), DOWN)
+        return self.sizes.own(
+            20 * self.k * MS, box_of(self.T_v_c, *bodies), DEPTH, (0.0, 0.0, 0.0), DOWN
+        )
 
 
 def test_a_car_that_turns_by_a_radian_a_second_fits_though_it_becomes_twice_as_wide() -> None:
@@ -139,14 +153,22 @@ def test_what_was_hidden_in_part_for_a_moment_is_not_held_up_when_it_is_whole_ag
     box = box_of(frames.T_v_c, corners((0.0, 0.0), 0.5))
     part = Box(box.x, box.y, box.w, 0.4 * box.h)
     for k in range(100):
-        assert frames.sizes.own(20 * k * MS, part if 70 <= k < 80 else box, DEPTH, (0.0, 0.0, 0.0), DOWN) < MOST
+        assert (
+            frames.sizes.own(
+                20 * k * MS, part if 70 <= k < 80 else box, DEPTH, (0.0, 0.0, 0.0), DOWN
+            )
+            < MOST
+        )
 
 
 def test_d2s_box_is_judged_at_its_own_range_and_by_its_own_history() -> None:
     T_v_c1, T_v_c2 = looking(45.0, 1.9), looking(30.0, 3.0)
     both, origin = sizes(T_v_c1, UNKNOWN), (0.0, 0.0, 0.0)
     one, two = corners((0.0, 0.0), 0.5), corners((0.0, 0.36), 0.0)
-    views, own = TwoViews(CAMERA, CAMERA, rigid(T_v_c1)), own_values(box_of(T_v_c1, one), DEPTH.z_m, origin, DOWN)
+    views, own = (
+        TwoViews(CAMERA, CAMERA, rigid(T_v_c1)),
+        own_values(box_of(T_v_c1, one), DEPTH.z_m, origin, DOWN),
+    )
 
     def theirs(stamp_ns: int, *bodies: np.ndarray) -> float:
         box2 = box_of(T_v_c2, *bodies)
@@ -166,7 +188,9 @@ def told(
     for k in range(first, first + pairs):
         frames = (k, 20 * k * MS), (k + 1, 20 * (k + 1) * MS)
         oversize = MOST + 0.1 if oversize_every and k % oversize_every == 0 else MOST - 0.1
-        answers.add(gate.agree(FramePair(k, 20 * k * MS, frames, Offsets((0.0, 0.0)), oversize), 0.9, 0.4))
+        answers.add(
+            gate.agree(FramePair(k, 20 * k * MS, frames, Offsets((0.0, 0.0)), oversize), 0.9, 0.4)
+        )
     return answers
 
 

@@ -45,7 +45,8 @@ class Parts:
 
 
 class Aboard:
-    """Everything of a drone but the order in which it does things (``missions.fly.relay.drone.life.DroneFlight``).
+    """Everything of a drone but the order in which it does things
+    (``missions.fly.relay.drone.life.DroneFlight``).
 
     Args:
         base: knows what this drone was called for, and who relieves it.
@@ -53,7 +54,9 @@ class Aboard:
 
     _parts: Parts  # once they are open
 
-    def __init__(self, rig: Rig, relay: RelayConfig, base: Ground, name: str, given: ProgramContext) -> None:
+    def __init__(
+        self, rig: Rig, relay: RelayConfig, base: Ground, name: str, given: ProgramContext
+    ) -> None:
         self._rig = rig
         self._relay = relay
         self._base = base
@@ -68,12 +71,15 @@ class Aboard:
         self._leg_s = deadlines.peer_s + deadlines.receiver_ready_s + deadlines.verify_s
         self._gauge = Gauge(relay.endurance_s, relay.reserve)
         self._called = asyncio.Event()
-        self._failed_at: tuple[Vec3, float] | None = None  # where a relief was heard last that failed, and until when
+        # where a relief was heard last that failed, and until when
+        self._failed_at: tuple[Vec3, float] | None = None
 
     # --- sessions ---
 
     async def _open(self, stack: AsyncExitStack) -> Parts:
-        """Opens the parts once for the whole flight. To them a drone is always the one that sees the other's marker."""
+        """Opens the parts once for the whole flight. To them a drone is always the one that sees
+        the other's marker.
+        """
         context = self._context(Role.RECEIVER)
         own = self._alone.receiver
         warm_up_for(own, self._harness)
@@ -83,9 +89,12 @@ class Aboard:
         guard: UnderGuard | None = None
         if own.guard is not None:
             line = guard_line_of(own.guard, Role.RECEIVER, context.clock, self._harness)
-            guard = UnderGuard(await stack.enter_async_context(line), context.clock, self._mission.guard_process)
+            guard = UnderGuard(
+                await stack.enter_async_context(line), context.clock, self._mission.guard_process
+            )
         leave_opening(self._harness)
-        steady = SteadyVehicle.of(vehicle, self._mission)  # one for all sessions: a step is taken out once
+        # one for all sessions: a step is taken out once
+        steady = SteadyVehicle.of(vehicle, self._mission)
         return Parts(context.clock, steady, perception, guard)
 
     @property
@@ -101,24 +110,35 @@ class Aboard:
         return part_context(self._alone, role, self._harness)
 
     async def _link(self, stack: AsyncExitStack, role: Role) -> Link:
-        return await stack.enter_async_context(create(self._alone.role(role).link, self._context(role)))
+        return await stack.enter_async_context(
+            create(self._alone.role(role).link, self._context(role))
+        )
 
     def _session(self, role: Role, leg: Leg | None, link: Link) -> RoleSession:
         drones = {drone.name: drone for drone in self._relay.drones}
-        rig = self._alone if leg is None else pair_of(self._rig, drones[leg.sender], drones[leg.receiver])
+        rig = (
+            self._alone
+            if leg is None
+            else pair_of(self._rig, drones[leg.sender], drones[leg.receiver])
+        )
         number = 1 if leg is None else 1 + (leg.number - 1) % 65535
-        config: MissionConfig = replace(self._mission, handoff_id=number, follow_after_s=self._relay.follow_s)
+        config: MissionConfig = replace(
+            self._mission, handoff_id=number, follow_after_s=self._relay.follow_s
+        )
         parts = self._parts
         given = self._given
         made = (parts.clock, parts.vehicle, parts.perception, link)
-        session = RoleSession(rig, role, config, given.log, given.emit, given.stop, made, self._entropy, parts.guard)
+        session = RoleSession(
+            rig, role, config, given.log, given.emit, given.stop, made, self._entropy, parts.guard
+        )
         self._flying = session
         return session
 
     async def _go_on(
         self, before: RoleSession, leg: Leg | None, link: Link, track: TargetTrack | None
     ) -> tuple[RoleSession, Holder]:
-        """The next session of a drone that stays in the air: the same pilot flies it, and misses no setpoint.
+        """The next session of a drone that stays in the air: the same pilot flies it, and misses no
+        setpoint.
 
         Raises StateError; then the one before goes on.
         """
@@ -128,7 +148,8 @@ class Aboard:
         pilot: Pilot = before.pilot
         script = before.guarding.script
         session.off_n_m = before.off_n_m
-        holder = Holder(session, self._store, self, track)  # responsible by its record, or nothing has changed
+        # responsible by its record, or nothing has changed
+        holder = Holder(session, self._store, self, track)
         await before.cancel_spawned()
         session.pilot = pilot
         session.guarding.script = script
@@ -139,7 +160,9 @@ class Aboard:
     # --- what holds in every session ---
 
     async def watch_battery(self, holder: Holder, *, ask: bool) -> None:
-        """Ask for a relief in time, and go home in time without one. Raises MissionEnd(NO_RELIEF)."""
+        """Ask for a relief in time, and go home in time without one. Raises
+        MissionEnd(NO_RELIEF).
+        """
         vehicle = self._parts.vehicle
         relay = self._relay
         base = self._base
@@ -165,7 +188,9 @@ class Aboard:
     turning_back = False  # to find the target again, instead of coming home
 
     async def go_out(self, session: RoleSession, place: Callable[[], Vec3]) -> None:
-        """The targets of a relay are near: the rendezvous, or the way to the designated place, begins at home."""
+        """The targets of a relay are near: the rendezvous, or the way to the designated place,
+        begins at home.
+        """
 
     def designated(self) -> Vec3 | None:
         return None
@@ -174,11 +199,15 @@ class Aboard:
         """The base of a relay need not know where the target is."""
 
     async def _give_up(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd) -> None:
-        """Does nothing at a relay's end: its last drone stays responsible until a person says where the target is."""
+        """Does nothing at a relay's end: its last drone stays responsible until a person says where
+        the target is.
+        """
 
     # --- what holds in every session ---
 
-    def clear_of_the_failed(self, state: VehicleState, wanted: VelocitySetpoint) -> VelocitySetpoint:
+    def clear_of_the_failed(
+        self, state: VehicleState, wanted: VelocitySetpoint
+    ) -> VelocitySetpoint:
         """A relief that failed hangs or sinks where it was: the target may lead there."""
         if self._failed_at is None:
             return wanted
@@ -186,7 +215,9 @@ class Aboard:
         if asyncio.get_running_loop().time() > until_s:
             self._failed_at = None
             return wanted
-        velocity = keep_clear(wanted.velocity_n_mps, state.position_n_m, place_n_m, self._relay.clear_m)
+        velocity = keep_clear(
+            wanted.velocity_n_mps, state.position_n_m, place_n_m, self._relay.clear_m
+        )
         return replace(wanted, velocity_n_mps=velocity)
 
     async def come_home(self, session: RoleSession, end: MissionEnd | None, aside: Anchor) -> bool:
@@ -206,7 +237,11 @@ class Aboard:
         return add((north, east, -height_m), self.off_n_m)
 
     async def _fly_to(
-        self, session: RoleSession, anchor: Anchor, speed_mps: float = 1.2, until: Callable[[], bool] = lambda: False
+        self,
+        session: RoleSession,
+        anchor: Anchor,
+        speed_mps: float = 1.2,
+        until: Callable[[], bool] = lambda: False,
     ) -> None:
         session.pilot.guidance = lambda state: anchor.hold(state, max_speed_mps=speed_mps)
         loop = asyncio.get_running_loop()
@@ -225,5 +260,7 @@ def from_home(mission: MissionConfig, drone: NamedDrone) -> MissionConfig:
     target = mission.target
     rendezvous = mission.rendezvous
     return replace(
-        mission, target=replace(target, home_m=(north, east)), rendezvous=replace(rendezvous, home_m=(north, east))
+        mission,
+        target=replace(target, home_m=(north, east)),
+        rendezvous=replace(rendezvous, home_m=(north, east)),
     )

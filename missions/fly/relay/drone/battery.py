@@ -13,7 +13,8 @@ class Gauge:
     """Time until the reserve is reached.
 
     Args:
-        endurance_s: of a full battery, as far as is known; one that is seen to run down quicker does.
+        endurance_s: of a full battery, as far as is known; one that is seen to run down quicker
+            does.
         reserve: 0..1.
     """
 

@@ -10,7 +10,9 @@ _PUSH_PER_S = 0.8
 
 
 def keep_clear(velocity_n_mps: Vec3, own_n_m: Vec3, other_n_m: Vec3, clear_m: float) -> Vec3:
-    """A velocity that does not lead within ``clear_m`` of a place, looked at from above, and leads out of there."""
+    """A velocity that does not lead within ``clear_m`` of a place, looked at from above, and leads
+    out of there.
+    """
     north = own_n_m[0] - other_n_m[0]
     east = own_n_m[1] - other_n_m[1]
     away_m = math.hypot(north, east)

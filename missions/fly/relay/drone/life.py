@@ -1,8 +1,10 @@
-"""One drone's flight in a relay: it takes the target over, has it, hands it over and comes home, all in one program.
+"""One drone's flight in a relay: it takes the target over, has it, hands it over and comes home,
+all in one program.
 
-A relief is the receiver of a handoff; once it holds, it changes its role in the air. Vehicle, perception and pilot
-stay. The session and the protocol's machine begin anew on the other side. What it holds is written down as its own
-before the receiver's machine is let go of, so that at any instant one record says that this drone is responsible.
+A relief is the receiver of a handoff; once it holds, it changes its role in the air. Vehicle,
+perception and pilot stay. The session and the protocol's machine begin anew on the other side. What
+it holds is written down as its own before the receiver's machine is let go of, so that at any
+instant one record says that this drone is responsible.
 """
 
 from __future__ import annotations
@@ -24,13 +26,21 @@ from path.messages import Role
 from path.protocol.values import SenderRecord
 
 _THE_RELIEFS = frozenset(
-    {Outcome.NO_AGREEMENT, Outcome.PEER_LOST, Outcome.PEER_ABORTED, Outcome.CLOCK_FAULT, Outcome.TOO_CLOSE}
+    {
+        Outcome.NO_AGREEMENT,
+        Outcome.PEER_LOST,
+        Outcome.PEER_ABORTED,
+        Outcome.CLOCK_FAULT,
+        Outcome.TOO_CLOSE,
+    }
 )
 """Ends of a leg after which the target is still this drone's, and followed on."""
 
 
 class DroneFlight(Aboard):
-    """A drone's program, and its whole life: its order, a leg as receiver, holder, a leg as sender, home."""
+    """A drone's program, and its whole life: its order, a leg as receiver, holder, a leg as sender,
+    home.
+    """
 
     async def run(self) -> RoleResult:
         """Raises PartError when a part cannot be opened."""
@@ -52,7 +62,9 @@ class DroneFlight(Aboard):
         return await self._look_for(session, holder, holder.find)
 
     async def _look_for(self, session: RoleSession, holder: Holder, course: Course) -> RoleResult:
-        """Finds its target: for the first time, or once more instead of coming home, when nobody has it any more."""
+        """Finds its target: for the first time, or once more instead of coming home, when nobody
+        has it any more.
+        """
         end = await run_course(session, course)
         if end is not None:
             return await self._end(session, holder, end)
@@ -62,7 +74,9 @@ class DroneFlight(Aboard):
         leg = self._base.leg_of(self._name)
         if leg is None:  # started again on the ground, too late
             what = "the leg it was called for is over"
-            return RoleResult(Role.RECEIVER, Outcome.PEER_ABORTED, what, responsible=False, landed=True)
+            return RoleResult(
+                Role.RECEIVER, Outcome.PEER_ABORTED, what, responsible=False, landed=True
+            )
         await write(self._store, as_relief(self._store.load()))
         async with AsyncExitStack() as stack:
             session = self._session(Role.RECEIVER, leg, await self._link(stack, Role.RECEIVER))
@@ -76,7 +90,9 @@ class DroneFlight(Aboard):
     async def _change_role(
         self, session: RoleSession, flown: Holder | Relief, link: AsyncExitStack | None = None
     ) -> RoleResult:
-        """Flies on as a sender: from here on this drone is responsible by its own record, follows and hands over."""
+        """Flies on as a sender: from here on this drone is responsible by its own record, follows
+        and hands over.
+        """
         try:
             await write(self._store, as_holder(self._store.load()))
             self._base.holds(self._name)
@@ -90,7 +106,9 @@ class DroneFlight(Aboard):
                 if end is not None or leg is None:
                     return await self._end(session, flown, end)
                 async with AsyncExitStack() as stack:
-                    session, flown = await self._go_on(session, leg, await self._link(stack, Role.SENDER), flown.track)
+                    session, flown = await self._go_on(
+                        session, leg, await self._link(stack, Role.SENDER), flown.track
+                    )
                     end = await run_course(session, partial(flown.pass_on, leg))
                     if end is None or end.outcome not in _THE_RELIEFS or flown.decided:
                         return await self._end(session, flown, end)
@@ -108,7 +126,9 @@ class DroneFlight(Aboard):
         self._base.leg_failed(self._name, end)
 
     async def _begun_in_the_air(self) -> RoleResult:
-        """Started again: what was under way is settled by what the disk says, and the drone lands."""
+        """Started again: what was under way is settled by what the disk says, and the drone
+        lands.
+        """
         kept = self._store.load()
         sender = kept is not None and isinstance(kept.record, SenderRecord)
         role = Role.SENDER if sender else Role.RECEIVER
@@ -117,11 +137,17 @@ class DroneFlight(Aboard):
             in_leg = leg is not None and self._name == (leg.sender if sender else leg.receiver)
             link = await self._link(stack, role) if in_leg else Nobody()
             session = self._session(role, leg if in_leg else None, link)
-            flown = Holder(session, self._store, self, None) if sender else Relief(session, self._store, self)
+            flown = (
+                Holder(session, self._store, self, None)
+                if sender
+                else Relief(session, self._store, self)
+            )
             end = await run_course(session, flown.resume)
             return await self._end(session, flown, end)
 
-    async def _end(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd | None) -> RoleResult:
+    async def _end(
+        self, session: RoleSession, flown: Holder | Relief, end: MissionEnd | None
+    ) -> RoleResult:
         """Raises _TurnsBack for a drone that is not to come home."""
         landed = False
         flies_on = False
@@ -144,7 +170,9 @@ class DroneFlight(Aboard):
 
 
 class _TurnsBack(Exception):
-    """A drone on its way home is to find its target again; whatever was open for its last leg is closed on the way."""
+    """A drone on its way home is to find its target again; whatever was open for its last leg is
+    closed on the way.
+    """
 
     def __init__(self, session: RoleSession, holder: Holder) -> None:
         super().__init__()

@@ -1,10 +1,12 @@
 """The record on a drone's disk when it changes its role.
 
-One record is on it at any time, of the role it is in; epochs only grow, whichever role wrote them. So a program that
-dies between two roles finds either the one or the other, and both say the same: who is responsible.
+One record is on it at any time, of the role it is in; epochs only grow, whichever role wrote them.
+So a program that dies between two roles finds either the one or the other, and both say the same:
+who is responsible.
 
-A drone goes from one target of a team to another, and takes its epoch with it. So the epochs of a leg begin above all
-that any drone can have seen before: by the leg's number, not by what its sender held.
+A drone goes from one target of a team to another, and takes its epoch with it. So the epochs of a
+leg begin above all that any drone can have seen before: by the leg's number, not by what its sender
+held.
 """
 
 from __future__ import annotations
@@ -15,7 +17,9 @@ from drivers.interfaces import Kept, RecordStore
 from path.protocol.values import LAST_EPOCH, ReceiverRecord, SenderRecord
 
 Record = SenderRecord | ReceiverRecord
-EPOCHS = 8  # of a leg: as often can its target be taken back and offered once more before it meets the next leg's
+# of a leg: as often can its target be taken back and offered once more before it meets the next
+# leg's
+EPOCHS = 8
 
 
 def as_holder(kept: Kept | None) -> SenderRecord:
@@ -32,7 +36,8 @@ def as_holder(kept: Kept | None) -> SenderRecord:
 
 
 def for_leg(kept: Kept | None, number: int) -> SenderRecord:
-    """Returns the record of a responsible drone whose relief has been called, before anything is said to it.
+    """Returns the record of a responsible drone whose relief has been called, before anything is
+    said to it.
 
     Raises ValueError for a record of a drone that has nothing to hand over.
     """
@@ -43,8 +48,8 @@ def for_leg(kept: Kept | None, number: int) -> SenderRecord:
 def as_relief(kept: Kept | None) -> ReceiverRecord:
     """Returns the record of a drone on the ground that is called.
 
-    Nothing is its own, and of what it handed over nothing is taken back. What it held when its program died has long
-    been given to another drone.
+    Nothing is its own, and of what it handed over nothing is taken back. What it held when its
+    program died has long been given to another drone.
     """
     record = None if kept is None else kept.record
     if record is None or (isinstance(record, ReceiverRecord) and record.live is None):
@@ -53,7 +58,9 @@ def as_relief(kept: Kept | None) -> ReceiverRecord:
 
 
 def as_first(kept: Kept | None) -> SenderRecord:
-    """Returns the record of a drone that is to find the target, which nobody has: nothing is its own yet."""
+    """Returns the record of a drone that is to find the target, which nobody has: nothing is its
+    own yet.
+    """
     return SenderRecord() if kept is None else SenderRecord(kept.record.epoch)
 
 

@@ -1,7 +1,9 @@
-"""The roles of a drone in a relay, one after the other: the relief that takes the target over, the holder that has it.
+"""The roles of a drone in a relay, one after the other: the relief that takes the target over, the
+holder that has it.
 
-Both are a handoff's roles. They differ from them in what comes before and after: a relief does not land, a holder has
-its track of the target from the start, and both fly home instead of landing where they are.
+Both are a handoff's roles. They differ from them in what comes before and after: a relief does not
+land, a holder has its track of the target from the start, and both fly home instead of landing
+where they are.
 """
 
 from __future__ import annotations
@@ -25,7 +27,9 @@ from path.messages import Message
 
 
 class Conduct(Protocol):
-    """Settings of a drone in either role of a relay. ``entry_m``: how far behind the other one it goes down."""
+    """Settings of a drone in either role of a relay. ``entry_m``: how far behind the other one it
+    goes down.
+    """
 
     @property
     def entry_m(self) -> float: ...
@@ -34,7 +38,9 @@ class Conduct(Protocol):
         """Watches the battery for ever. Raises MissionEnd(NO_RELIEF) when it is time to go home."""
         ...
 
-    def clear_of_the_failed(self, state: VehicleState, wanted: VelocitySetpoint) -> VelocitySetpoint:
+    def clear_of_the_failed(
+        self, state: VehicleState, wanted: VelocitySetpoint
+    ) -> VelocitySetpoint:
         """The setpoint, led away from a relief that failed nearby."""
         ...
 
@@ -46,7 +52,9 @@ class Conduct(Protocol):
         """The place at which the target is pointed; None: the mission's."""
         ...
 
-    def come_home(self, session: RoleSession, end: MissionEnd | None, aside: Anchor) -> Awaitable[bool]:
+    def come_home(
+        self, session: RoleSession, end: MissionEnd | None, aside: Anchor
+    ) -> Awaitable[bool]:
         """True when the script landed the vehicle."""
         ...
 
@@ -72,7 +80,9 @@ class Nobody:
 class Holder(Sender):
     """The responsible drone: alone with the target, or handing it over."""
 
-    def __init__(self, session: RoleSession, store: RecordStore, conduct: Conduct, track: TargetTrack | None) -> None:
+    def __init__(
+        self, session: RoleSession, store: RecordStore, conduct: Conduct, track: TargetTrack | None
+    ) -> None:
         super().__init__(session, store)
         self._track = track
         self._conduct = conduct
@@ -102,7 +112,9 @@ class Holder(Sender):
     async def find_again(self) -> None:
         """Flies from wherever it is until the target is tracked."""
         session = self._session
-        await self._conduct.go_out(session, lambda: self._view_of(*self._place_to_look_at(session.now_ns())))
+        await self._conduct.go_out(
+            session, lambda: self._view_of(*self._place_to_look_at(session.now_ns()))
+        )
         await self.acquire()
 
     async def resume(self) -> None:
@@ -179,7 +191,9 @@ class Relief(Receiver):
     def _entry(self) -> Vec3:
         """Behind the other drone, at the height from which the rendezvous begins."""
         peer = self._peer()
-        north, east, _ = add(peer.position_n_m, from_heading((-self._conduct.entry_m, 0.0, 0.0), peer.yaw_rad))
+        north, east, _ = add(
+            peer.position_n_m, from_heading((-self._conduct.entry_m, 0.0, 0.0), peer.yaw_rad)
+        )
         return north, east, -self._config.receiver_take_off_height_m
 
     async def leave_role(self) -> None:

@@ -1,4 +1,6 @@
-"""``path-handoff replay FILMS.toml``: what the method makes of two films, as logs, a table and a picture."""
+"""``path-handoff replay FILMS.toml``: what the method makes of two films, as logs, a table and a
+picture.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,13 @@ from drivers.interfaces import PartError
 from missions.ground.options.runs import ReplayOptions
 from missions.ground.run_folder import RunKind, claimed, unless_refused
 from missions.ground.shown import tell_line
-from missions.look.replay.command import asked_of, logs_of, replay_changed, replay_logs, show_columns
+from missions.look.replay.command import (
+    asked_of,
+    logs_of,
+    replay_changed,
+    replay_logs,
+    show_columns,
+)
 from missions.look.replay.films.config import NS, read_films
 from missions.look.replay.films.play import play
 from missions.look.report.records import REPLAY
@@ -20,9 +28,13 @@ KIND = RunKind(FILMS, (REPLAY,), tuple(role.value for role in Role))
 
 
 def replay_films(options: ReplayOptions, file: Path) -> int:
-    """Looks at two films; decides also with other settings, if any are asked for. Raises PartError."""
+    """Looks at two films; decides also with other settings, if any are asked for. Raises
+    PartError.
+    """
     if options.frames or options.rig is not None:
-        raise PartError(f"{file} names its films and its rig itself", "leave --frames and --rig out")
+        raise PartError(
+            f"{file} names its films and its rig itself", "leave --frames and --rig out"
+        )
     change, seen_with = asked_of(options)
     films = read_films(file)
     with unless_refused(options.out) as folder, claimed(folder, KIND):
@@ -35,7 +47,9 @@ def replay_films(options: ReplayOptions, file: Path) -> int:
         logs = logs_of(folder)
         columns = {"as filmed": replay_logs(logs)}
         if change is not None:
-            columns[" ".join((*options.set, options.gate or "")).strip()] = replay_changed(logs, change)
+            columns[" ".join((*options.set, options.gate or "")).strip()] = replay_changed(
+                logs, change
+            )
         show_columns(columns, options.picture, folder)
         complete = [each.stamp_ns for drone in columns["as filmed"] for each in drone.complete]
         record = {

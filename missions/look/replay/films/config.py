@@ -10,7 +10,13 @@ from pathlib import Path
 from typing import Annotated
 
 from drivers.interfaces import PartError
-from drivers.recordings.recording import RecordedFrame, Recording, RecordingError, RecordingOptions, open_recording
+from drivers.recordings.recording import (
+    RecordedFrame,
+    Recording,
+    RecordingError,
+    RecordingOptions,
+    open_recording,
+)
 from drivers.rig.calibration_file import check_size, read_camera
 from drivers.rig.parts import Rig, RoleRig
 from drivers.rig.tables import RigError, decode_table, read_toml
@@ -33,9 +39,10 @@ class FilmTable:
         calibration: of the camera, as `path-handoff calibrate camera` writes it.
         stamps, depth, rate_hz, topic: as in ``drivers.recordings.recording.RecordingOptions``.
         depth_unit_mm: of one step of the depth images.
-        offset_s: what is added to its stamps, and its trajectory's, so that both drones are on one clock.
-        trajectory: where the drone was (TUM: seconds, x y z, quaternion x y z w; body to north-east-down); without it
-            the drone is taken to hang level in one place.
+        offset_s: what is added to its stamps, and its trajectory's, so that both drones are on one
+            clock.
+        trajectory: where the drone was (TUM: seconds, x y z, quaternion x y z w; body to
+            north-east-down); without it the drone is taken to hang level in one place.
     """
 
     film: Path
@@ -51,7 +58,9 @@ class FilmTable:
 
 @dataclass(frozen=True, slots=True)
 class TargetPick:
-    """The target in D1's film: what is at a pixel, ``at_s`` after both films run; None: the only object there is."""
+    """The target in D1's film: what is at a pixel, ``at_s`` after both films run; None: the only
+    object there is.
+    """
 
     pixel: Annotated[tuple[float, float], Bounds(-0.5, 16384.0, "px")] | None = None
     at_s: Annotated[float, Bounds(0.0, 1e6)] = 0.0
@@ -62,11 +71,13 @@ class FilmsTable:
     """The whole file.
 
     Attributes:
-        rig: a rig's name, or a file beside this one: marker, mounts, method, mission, and the perception's detector.
+        rig: a rig's name, or a file beside this one: marker, mounts, method, mission, and the
+            perception's detector.
         link_s: from the instant of a frame until what it gave is at the other drone.
         begin_s, end_s: the part to look at, from when both films run; None: to where one ends.
-        attitude_sigma_deg: how well roll and pitch of both are known, one standard deviation; None: as the rig says
-            with two trajectories, and ``HANGING_SIGMA_DEG`` for drones that are taken to hang level.
+        attitude_sigma_deg: how well roll and pitch of both are known, one standard deviation; None:
+            as the rig says with two trajectories, and ``HANGING_SIGMA_DEG`` for drones that are
+            taken to hang level.
     """
 
     rig: str
@@ -91,7 +102,9 @@ class PlayedFilm:
     depth_unit_mm: float = 1.0
 
     def frames(self, begin_ns: int, end_ns: int) -> Iterator[tuple[int, RecordedFrame]]:
-        """Those within a part of the common clock, with their stamps on it; one that is no newer is left out."""
+        """Those within a part of the common clock, with their stamps on it; one that is no newer is
+        left out.
+        """
         newest_ns = begin_ns - 1
         for frame in self.recording.frames():
             stamp_ns = frame.stamp_ns + self.offset_ns
@@ -121,7 +134,9 @@ class Films:
 
 
 def read_films(file: Path) -> Films:
-    """Raises PartError naming what is missing or cannot be: keys, files, sizes, stamps that do not overlap."""
+    """Raises PartError naming what is missing or cannot be: keys, files, sizes, stamps that do not
+    overlap.
+    """
     try:
         table = decode_table(read_toml(file), FilmsTable, file.name, file.parent)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
@@ -130,17 +145,26 @@ def read_films(file: Path) -> Films:
         raise PartError(str(error), REMEDY) from error
     beside = file.parent / table.rig
     rig = rig_library.load_unchecked(str(beside) if beside.is_file() else table.rig)
-    rig = replace(rig, sender=_filmed(rig.sender, table.sender), receiver=_filmed(rig.receiver, table.receiver))
+    rig = replace(
+        rig,
+        sender=_filmed(rig.sender, table.sender),
+        receiver=_filmed(rig.receiver, table.receiver),
+    )
     known = table.sender.trajectory is not None and table.receiver.trajectory is not None
     sigma_deg = table.attitude_sigma_deg or (None if known else HANGING_SIGMA_DEG)
     if sigma_deg is not None:
         rig = replace(rig, mission={**rig.mission, "attitude_sigma_deg": sigma_deg})
     sender = _film(table.sender, rig.sender, True)
     receiver = _film(table.receiver, rig.receiver, False)
-    both_ns, over_ns = (pick(a, b) for pick, a, b in zip((max, min), sender.span_ns, receiver.span_ns, strict=True))
+    both_ns, over_ns = (
+        pick(a, b) for pick, a, b in zip((max, min), sender.span_ns, receiver.span_ns, strict=True)
+    )
     if over_ns <= both_ns:
         spans = "; ".join(f"{each.file.name} {_span(each)}" for each in (sender, receiver))
-        raise PartError(f"{file.name}: the films do not overlap on one clock: {spans}", "set offset_s of one of them")
+        raise PartError(
+            f"{file.name}: the films do not overlap on one clock: {spans}",
+            "set offset_s of one of them",
+        )
     begin_ns = both_ns + round(table.begin_s * NS)
     end_ns = over_ns if table.end_s is None else min(over_ns, both_ns + round(table.end_s * NS))
     if end_ns <= begin_ns:
@@ -157,8 +181,13 @@ def read_films(file: Path) -> Films:
             )
     target_ns = max(begin_ns, both_ns + round(table.target.at_s * NS))
     if target_ns >= end_ns:
-        raise PartError(f"{file.name}: target.at_s = {table.target.at_s:g} is after the end", "take an earlier one")
-    return Films(rig, sender, receiver, table.target, target_ns, round(table.link_s * NS), begin_ns, end_ns)
+        raise PartError(
+            f"{file.name}: target.at_s = {table.target.at_s:g} is after the end",
+            "take an earlier one",
+        )
+    return Films(
+        rig, sender, receiver, table.target, target_ns, round(table.link_s * NS), begin_ns, end_ns
+    )
 
 
 def _filmed(own: RoleRig, table: FilmTable) -> RoleRig:
@@ -189,11 +218,17 @@ def _film(table: FilmTable, own: RoleRig, own_is_sender: bool) -> PlayedFilm:
     for number, (before, stamp_ns) in enumerate(pairwise(stamps), 1):
         if stamp_ns < before:
             raise RecordingError(
-                f"{table.film}: {frames[number].name} is older than the frame before", "correct the stamps"
+                f"{table.film}: {frames[number].name} is older than the frame before",
+                "correct the stamps",
             )
     flown = None if table.trajectory is None else read_flown_path(table.trajectory, offset_ns)
     return PlayedFilm(
-        table.film, recording, offset_ns, (stamps[0] + offset_ns, stamps[-1] + offset_ns), flown, table.depth_unit_mm
+        table.film,
+        recording,
+        offset_ns,
+        (stamps[0] + offset_ns, stamps[-1] + offset_ns),
+        flown,
+        table.depth_unit_mm,
     )
 
 

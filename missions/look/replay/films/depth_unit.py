@@ -1,6 +1,8 @@
-"""Depth in another unit than millimetres: a target that is much farther off by its depth than by its size says so.
+"""Depth in another unit than millimetres: a target that is much farther off by its depth than by
+its size says so.
 
-RGB-D data of others have 5000 steps a metre (TUM, BONN), 0.1 mm a step (a D405), metres; all are 16-bit PNGs.
+RGB-D data of others have 5000 steps a metre (TUM, BONN), 0.1 mm a step (a D405), metres; all are
+16-bit PNGs.
 """
 
 from __future__ import annotations
@@ -41,7 +43,9 @@ class DepthAgainstSize:
         return f"{ranges}: {self.times:.2g} times as far; are these millimetres?"
 
 
-def depth_against_size(view: View, box: Box, camera: CameraModel, side_m: float) -> DepthAgainstSize | None:
+def depth_against_size(
+    view: View, box: Box, camera: CameraModel, side_m: float
+) -> DepthAgainstSize | None:
     """Return how far a target is by each; None where there is no depth at all.
 
     Args:

@@ -1,4 +1,6 @@
-"""Both drones' cycles over the frames of their films, as in flight, and the records that a flight would have left."""
+"""Both drones' cycles over the frames of their films, as in flight, and the records that a flight
+would have left.
+"""
 
 from __future__ import annotations
 
@@ -77,7 +79,9 @@ class FilmedSender:
         begin(log, films, config, Role.SENDER)
 
     def look(self, view: View) -> Target | None:
-        """Returns D1's message about one frame. Raises PartError when the target is not where it was picked."""
+        """Returns D1's message about one frame. Raises PartError when the target is not where it
+        was picked.
+        """
         stamp_ns = view.stamp_ns
         camera = self._rig.sender.camera
         T_n_c, R_n_b = self._body.camera(stamp_ns)
@@ -96,7 +100,9 @@ class FilmedSender:
 
     def hear(self, candidate: Candidate, now_ns: int) -> None:
         self._side.hear(candidate, candidate.capture_ns, now_ns)
-        self._log.write("/heard_candidate", now_ns, heard_candidate_record(candidate, candidate.capture_ns))
+        self._log.write(
+            "/heard_candidate", now_ns, heard_candidate_record(candidate, candidate.capture_ns)
+        )
 
     @property
     def has_target(self) -> bool:
@@ -106,17 +112,25 @@ class FilmedSender:
         """The track of what was picked; None when this frame does not show it with a depth."""
         camera = self._rig.sender.camera
         pixel = self._films.target.pixel
-        boxes = [d.box for d in view.targets(None) if d.score >= MIN_SCORE and not is_cut(d.box, camera)]
+        boxes = [
+            d.box for d in view.targets(None) if d.score >= MIN_SCORE and not is_cut(d.box, camera)
+        ]
         picked = boxes if pixel is None else [box for box in boxes if _holds(box, pixel)]
         if pixel is None and len(boxes) > 1:
-            raise PartError(f"{self._where(view)}: {_places(boxes)}: which of them is the target?", "say target.pixel")
+            raise PartError(
+                f"{self._where(view)}: {_places(boxes)}: which of them is the target?",
+                "say target.pixel",
+            )
         if picked:
             box = min(picked, key=lambda each: each.w * each.h)
             depth = view.depth(box)
             against = depth_against_size(view, box, camera, self._side_m)
             contradicts = against is not None and against.is_contradiction
             if against is not None and contradicts and depth is None:
-                raise PartError(f"{self._where(view)}: the target has no depth to be believed: {against.text}", UNIT)
+                raise PartError(
+                    f"{self._where(view)}: the target has no depth to be believed: {against.text}",
+                    UNIT,
+                )
             if depth is not None:
                 if against is not None and contradicts:
                     tell_line(f"{self._where(view)}: the target: {against.text} ({UNIT})")
@@ -126,7 +140,9 @@ class FilmedSender:
         if view.stamp_ns - self._films.target_ns > PICK_S * 1e9:
             at = "" if pixel is None else f" at ({pixel[0]:g}, {pixel[1]:g})"
             what = "without depth" if picked else f"not there{at}; {_places(boxes)}"
-            raise PartError(f"{self._where(view)}: the target is {what}", "correct target.pixel and target.at_s")
+            raise PartError(
+                f"{self._where(view)}: the target is {what}", "correct target.pixel and target.at_s"
+            )
         return None
 
     def _where(self, view: View) -> str:
@@ -142,7 +158,9 @@ class FilmedReceiver:
         self._body = FilmingBody(films.receiver, rig.receiver.mount)
         self._peer = FilmingBody(films.sender, rig.sender.mount)
         self._together = films.sender.flown is not None and films.receiver.flown is not None
-        self._marker = MarkerView(rig.layout, rig.receiver.camera, rig.receiver.mount, rig.method, config)
+        self._marker = MarkerView(
+            rig.layout, rig.receiver.camera, rig.receiver.mount, rig.method, config
+        )
         self._side = ReceiverSide(PairCameras.of(rig), rig.method, _attempt(config))
         begin(log, films, config, Role.RECEIVER)
 
@@ -173,7 +191,9 @@ class FilmedReceiver:
     def _motion(self, stamp_ns: int) -> VehicleMotions:
         own = self._body.at(stamp_ns)
         peer = self._peer.at(stamp_ns)
-        return VehicleMotions(stamp_ns, own.velocity_n_mps, stamp_ns, peer.velocity_n_mps, yaw_of(peer.q_n_b))
+        return VehicleMotions(
+            stamp_ns, own.velocity_n_mps, stamp_ns, peer.velocity_n_mps, yaw_of(peer.q_n_b)
+        )
 
 
 def begin(log: Log, films: Films, config: MissionConfig, role: Role) -> None:
@@ -201,4 +221,6 @@ def _places(boxes: Sequence[Box]) -> str:
     """Returns the places where things are seen, for whoever picks one."""
     if not boxes:
         return "nothing is seen"
-    return "seen at " + ", ".join(f"({box.center[0]:.0f}, {box.center[1]:.0f})" for box in boxes[:8])
+    return "seen at " + ", ".join(
+        f"({box.center[0]:.0f}, {box.center[1]:.0f})" for box in boxes[:8]
+    )

@@ -1,4 +1,6 @@
-"""Two films played on one clock: each frame to its drone, each message to the other one some time later."""
+"""Two films played on one clock: each frame to its drone, each message to the other one some time
+later.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +29,16 @@ class FilmCount:
 
 
 def play(films: Films, folder: Path, change: PerceptionChange) -> FilmCount:
-    """Both drones' logs of two films, into a folder. Raises PartError for a damaged frame, or a target not there."""
+    """Both drones' logs of two films, into a folder. Raises PartError for a damaged frame, or a
+    target not there.
+    """
     mission = rig_library.mission_of(films.rig)
     period_ns = round(1e9 / mission.image_hz) if mission.image_hz > 0.0 else 1 << 63
     logs = {
-        role: McapLog(folder / f"{role.value}.mcap", role.value, utc_minus_stamp_ns=0, buffered=True) for role in Role
+        role: McapLog(
+            folder / f"{role.value}.mcap", role.value, utc_minus_stamp_ns=0, buffered=True
+        )
+        for role in Role
     }
     try:
         sender = FilmedSender(films, mission, logs[Role.SENDER])
@@ -57,7 +64,8 @@ def play(films: Films, folder: Path, change: PerceptionChange) -> FilmCount:
                 logs[role].image("/image", stamp_ns, image)
         if not sender.has_target:
             raise PartError(
-                f"{films.sender.file.name}: it ends before the target was seen", "take an earlier target.at_s"
+                f"{films.sender.file.name}: it ends before the target was seen",
+                "take an earlier target.at_s",
             )
     finally:
         for log in logs.values():
@@ -71,8 +79,12 @@ def _views(films: Films, change: PerceptionChange) -> Iterator[tuple[int, Role, 
     return heapq.merge(*each, key=lambda seen: (seen[0], seen[1].value))
 
 
-def _views_of(films: Films, role: Role, change: PerceptionChange) -> Iterator[tuple[int, Role, View]]:
-    see: Callable[[Frame], View] = perception_of(films.rig, role, films.rig.role(role).camera, change).view_of
+def _views_of(
+    films: Films, role: Role, change: PerceptionChange
+) -> Iterator[tuple[int, Role, View]]:
+    see: Callable[[Frame], View] = perception_of(
+        films.rig, role, films.rig.role(role).camera, change
+    ).view_of
     film = films.of(role)
     for number, (stamp_ns, recorded) in enumerate(film.frames(films.begin_ns, films.end_ns)):
         loaded = recorded.load()

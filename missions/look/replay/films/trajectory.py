@@ -1,4 +1,6 @@
-"""A drone's poses while it filmed: a trajectory as evo and its like write it, or nothing but that it hung level."""
+"""A drone's poses while it filmed: a trajectory as evo and its like write it, or nothing but that
+it hung level.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from path.geometry.rotation import IDENTITY, normalized, slerp
 from path.messages import Quat, Vec3
 
 NS = 1_000_000_000
-SLOPE_NS = 600_000_000  # positions of GPS are rough from one to the next, and the marker's filter goes by velocities
+# positions of GPS are rough from one to the next, and the marker's filter goes by velocities
+SLOPE_NS = 600_000_000
 REMEDY = "lines are: seconds, x y z in m (north, east, down), quaternion x y z w of the body (forward, right, down)"
 
 
@@ -34,9 +37,13 @@ HANGING = BodyState((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), IDENTITY)
 
 
 class FlownPath:
-    """Positions and attitudes by stamps, ns, that increase; what is between two of them is interpolated."""
+    """Positions and attitudes by stamps, ns, that increase; what is between two of them is
+    interpolated.
+    """
 
-    def __init__(self, stamps: Sequence[int], positions: Sequence[Vec3], attitudes: Sequence[Quat]) -> None:
+    def __init__(
+        self, stamps: Sequence[int], positions: Sequence[Vec3], attitudes: Sequence[Quat]
+    ) -> None:
         self._stamps = stamps
         self._positions = positions
         self._attitudes = attitudes
@@ -90,10 +97,14 @@ def read_flown_path(file: Path, offset_ns: int) -> FlownPath:
             if not math.isfinite(x + y + z):
                 raise ValueError
         except (ValueError, OverflowError) as error:
-            raise PartError(f"{file}: line {number}: {line.strip()!r} is no pose", REMEDY) from error
+            raise PartError(
+                f"{file}: line {number}: {line.strip()!r} is no pose", REMEDY
+            ) from error
         stamps.append(stamp_ns)
         positions.append((x, y, z))
         attitudes.append(q)
     if len(stamps) < 2 or any(after <= before for before, after in pairwise(stamps)):
-        raise PartError(f"{file}: fewer than two poses, or not in the order of their stamps", REMEDY)
+        raise PartError(
+            f"{file}: fewer than two poses, or not in the order of their stamps", REMEDY
+        )
     return FlownPath(stamps, positions, attitudes)

@@ -1,4 +1,6 @@
-"""Frames of both drones that hover and watch four cars: what every method of the compute trial is timed on."""
+"""Frames of both drones that hover and watch four cars: what every method of the compute trial is
+timed on.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,9 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Film:
-    """Moments that repeat without a jump: the drones' swaying has their number of frames as its period."""
+    """Moments that repeat without a jump: the drones' swaying has their number of frames as its
+    period.
+    """
 
     size: str
     cameras: dict[Role, CameraModel]
@@ -71,14 +75,17 @@ class Film:
 
 
 def shoot_film(request: TrialRequest, size: str, count: int) -> Film:
-    """Render ``count`` moments. Raises SceneError when the detector does not find the target in one of them."""
+    """Render ``count`` moments. Raises SceneError when the detector does not find the target in one
+    of them.
+    """
     rig = request.rig
     renderer_of = request.part("renderer")
     cameras = {role: camera_of(rig, role, size) for role in Role}
     mounts = {role: rig.role(role).mount for role in Role}
     renderers: dict[Role, FrameRenderer] = {
         role: renderer_of(
-            RendererSetup(cameras[role], mounts[role].T_b_c, mounts[role].T_b_v, rig.layout), request.seed
+            RendererSetup(cameras[role], mounts[role].T_b_c, mounts[role].T_b_v, rig.layout),
+            request.seed,
         )
         for role in Role
     }
@@ -90,7 +97,10 @@ def shoot_film(request: TrialRequest, size: str, count: int) -> Film:
         shots = {role: renderers[role].shoot(stage, role, k) for role, stage in stages.items()}
         T_c_w = (stages[Role.SENDER].T_w_b[Role.SENDER] @ mounts[Role.SENDER].T_b_c).inverse()
         x, y, z = T_c_w.apply(np.array(TARGET_W_M)).tolist()
-        found = {role: [each.box for each in detector.detect(shot.color, None)] for role, shot in shots.items()}
+        found = {
+            role: [each.box for each in detector.detect(shot.color, None)]
+            for role, shot in shots.items()
+        }
         box1 = _nearest(found[Role.SENDER], cameras[Role.SENDER].project_point((x, y, z)))
         if box1 is None or not found[Role.RECEIVER]:
             raise SceneError(f"{size}, frame {k}: the target is not found")
@@ -108,7 +118,9 @@ def shoot_film(request: TrialRequest, size: str, count: int) -> Film:
 
 
 def camera_of(rig: Rig, role: Role, size: str) -> CameraModel:
-    """The rig's camera, or one with the same lens for another size: the D415 crops its wide image for 4:3."""
+    """The rig's camera, or one with the same lens for another size: the D415 crops its wide image
+    for 4:3.
+    """
     camera = rig.role(role).camera
     width, height = SIZES[size]
     factor = height / camera.height
@@ -116,7 +128,15 @@ def camera_of(rig: Rig, role: Role, size: str) -> CameraModel:
         return camera
     cx = 0.5 * (width - 1) + factor * (camera.cx - 0.5 * (camera.width - 1))
     cy = factor * (camera.cy + 0.5) - 0.5
-    return replace(camera, width=width, height=height, fx=factor * camera.fx, fy=factor * camera.fy, cx=cx, cy=cy)
+    return replace(
+        camera,
+        width=width,
+        height=height,
+        fx=factor * camera.fx,
+        fy=factor * camera.fy,
+        cx=cx,
+        cy=cy,
+    )
 
 
 def _stage(phase: float, count: int) -> RenderedInstant:
@@ -136,12 +156,20 @@ def _stage(phase: float, count: int) -> RenderedInstant:
 
 
 def _velocity(role: Role, instant: float, count: int) -> Vec3:
-    """Returns a velocity in ``n``, m/s, at an instant in frames, of a film that repeats after ``count`` of them."""
-    before, after = (_stage((instant + step) / count, count).T_w_b[role].t for step in (-0.05, 0.05))
+    """Returns a velocity in ``n``, m/s, at an instant in frames, of a film that repeats after
+    ``count`` of them.
+    """
+    before, after = (
+        _stage((instant + step) / count, count).T_w_b[role].t for step in (-0.05, 0.05)
+    )
     north, east, down = (R_W_N.T @ (after - before) / (0.1 * PERIOD_NS * 1e-9)).tolist()
     return north, east, down
 
 
 def _nearest(boxes: Sequence[Box], pixel: tuple[float, float]) -> Box | None:
     nearest = min(boxes, key=lambda box: math.dist(box.center, pixel), default=None)
-    return nearest if nearest is not None and math.dist(nearest.center, pixel) < 0.5 * nearest.w else None
+    return (
+        nearest
+        if nearest is not None and math.dist(nearest.center, pixel) < 0.5 * nearest.w
+        else None
+    )

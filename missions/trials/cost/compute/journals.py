@@ -1,4 +1,6 @@
-"""The records that both roles write in a cycle: made, encoded and written as in flight, from the same functions."""
+"""The records that both roles write in a cycle: made, encoded and written as in flight, from the
+same functions.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,12 @@ class Journals:
         self._logs = logs
 
     def sender(
-        self, view: View, own: OwnFrame, heard: Candidate, pairs: Sequence[PairVerdict], side: SenderSide
+        self,
+        view: View,
+        own: OwnFrame,
+        heard: Candidate,
+        pairs: Sequence[PairVerdict],
+        side: SenderSide,
     ) -> None:
         """D1's frame, what it sent, what it heard, and what that was worth."""
         log = self._logs[Role.SENDER]
@@ -50,7 +57,9 @@ class Journals:
         attitudes: tuple[Matrix, Matrix | None],
         answer: Answer,
     ) -> None:
-        """D2's frame, what it heard, the marker, and its answer. ``attitudes`` are ``R_n_c`` and ``R_n_v``."""
+        """D2's frame, what it heard, the marker, and its answer. ``attitudes`` are ``R_n_c`` and
+        ``R_n_v``.
+        """
         log = self._logs[Role.RECEIVER]
         stamp_ns = view.stamp_ns
         log.write("/frame", stamp_ns, frame_record(view, stamp_ns))

@@ -1,4 +1,6 @@
-"""One cycle of PATH on both sides, every stage of it timed: the mission's own parts, called as the mission does."""
+"""One cycle of PATH on both sides, every stage of it timed: the mission's own parts, called as the
+mission does.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,14 @@ from flight.frame.records import Answer, AttemptId, OwnFrame
 from flight.frame.sender import PairCameras, SenderSide
 from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
 from flight.tracking.association import Sighting
-from missions.trials.cost.compute.film import BETWEEN_NS, HEADINGS_RAD, PERIOD_NS, Film, Moment, SceneError
+from missions.trials.cost.compute.film import (
+    BETWEEN_NS,
+    HEADINGS_RAD,
+    PERIOD_NS,
+    Film,
+    Moment,
+    SceneError,
+)
 from missions.trials.cost.compute.journals import Journals
 from missions.trials.cost.compute.stopwatch import Stopwatch, TimedView, overhead_ns
 from path.cycle.prior import Prior
@@ -35,7 +44,15 @@ from path.observations import Box, Depth, Detection, Missed, Region
 GEOMETRY = ("d1_target", "d2_take", "d2_prior", "d2_candidate", "d1_judge")
 MESSAGES = ("encode_target", "decode_target", "encode_candidate", "decode_candidate")
 D1_CYCLE = ("d1_depth", "d1_target", "encode_target", "decode_candidate", "d1_judge", "d1_log")
-D2_CYCLE = ("decode_target", "d2_take", "d2_marker", "d2_prior", "d2_candidate", "encode_candidate", "d2_log")
+D2_CYCLE = (
+    "decode_target",
+    "d2_take",
+    "d2_marker",
+    "d2_prior",
+    "d2_candidate",
+    "encode_candidate",
+    "d2_log",
+)
 SUMS = {
     "geometry": GEOMETRY,
     "geometry_and_depth": ("d1_depth", *GEOMETRY),
@@ -60,7 +77,9 @@ class _Seen:
 class PathPair:
     """Both roles on a film. ``cycle`` goes on in time for ever; the film repeats."""
 
-    def __init__(self, rig: Rig, mission: MissionConfig, film: Film, seed: int, logs: Mapping[Role, Log]) -> None:
+    def __init__(
+        self, rig: Rig, mission: MissionConfig, film: Film, seed: int, logs: Mapping[Role, Log]
+    ) -> None:
         self._rig = rig
         self._film = film
         self._journals = Journals(logs)
@@ -68,11 +87,15 @@ class PathPair:
         self._pairs: Sequence[PairVerdict] = ()
         self._mounts = {role: rig.role(role).mount for role in Role}
         cameras = film.cameras
-        pair = PairCameras(cameras[Role.SENDER], cameras[Role.RECEIVER], self._mounts[Role.SENDER].T_v_c)
+        pair = PairCameras(
+            cameras[Role.SENDER], cameras[Role.RECEIVER], self._mounts[Role.SENDER].T_v_c
+        )
         attempt = AttemptId(1, 1, 1)
         self._sender = SenderSide(pair, rig.method, attempt)
         self._receiver = ReceiverSide(pair, rig.method, attempt)
-        self._marker = MarkerView(rig.layout, pair.receiver, rig.receiver.mount, rig.method, mission)
+        self._marker = MarkerView(
+            rig.layout, pair.receiver, rig.receiver.mount, rig.method, mission
+        )
         self._detector = ColorDetector(ColorDetectorConfig())
         key = np.random.default_rng([seed, 3]).bytes(KEY_LENGTH)
         self._codecs = {role: Codec(role, key) for role in Role}
@@ -83,7 +106,9 @@ class PathPair:
         self.agreed = 0
 
     def cycle(self) -> dict[str, float]:
-        """The next pair of frames; time of each stage and sum, us. Raises SceneError when PATH makes nothing of it."""
+        """The next pair of frames; time of each stage and sum, us. Raises SceneError when PATH
+        makes nothing of it.
+        """
         moment, number, watch = self._next()
         stamp_ns = self._frame * PERIOD_NS
         view = self._view(moment, Role.SENDER, stamp_ns)
@@ -112,7 +137,8 @@ class PathPair:
     def geometry(self) -> float:
         """The geometry of the next pair of frames with nothing between its stages, us.
 
-        What the pixels gave is taken from the last ``cycle`` on these frames, which there must have been.
+        What the pixels gave is taken from the last ``cycle`` on these frames, which there must have
+        been.
         """
         moment, number, watch = self._next()
         seen = self._seen[number]
@@ -130,9 +156,13 @@ class PathPair:
     def _view(self, moment: Moment, role: Role, stamp_ns: int) -> PixelView:
         depth_mm = moment.depth_mm if role is Role.SENDER else None
         frame = Frame(stamp_ns, self._frame, moment.color[role], depth_mm)
-        return PixelView(frame, self._film.cameras[role], self._rig.layout, self._detector, self._rig.method)
+        return PixelView(
+            frame, self._film.cameras[role], self._rig.layout, self._detector, self._rig.method
+        )
 
-    def _own_frame(self, moment: Moment, depth: Depth | None, watch: Stopwatch) -> tuple[OwnFrame, Target]:
+    def _own_frame(
+        self, moment: Moment, depth: Depth | None, watch: Stopwatch
+    ) -> tuple[OwnFrame, Target]:
         """The frame, and the message in it. Raises SceneError when there is none."""
         gravity_v = gravity_in(moment.R_n_b[Role.SENDER] @ self._mounts[Role.SENDER].T_b_v.R)
         stamp_ns = self._frame * PERIOD_NS
@@ -147,7 +177,9 @@ class PathPair:
         self._receiver.hear(target, target.capture_ns, stamp_ns)
         return self._receiver.gravity_v(stamp_ns)
 
-    def _fix(self, moment: Moment, view: TimedView, gravity_v: Vec3 | None, watch: Stopwatch) -> MarkerFix:
+    def _fix(
+        self, moment: Moment, view: TimedView, gravity_v: Vec3 | None, watch: Stopwatch
+    ) -> MarkerFix:
         R_n_c = moment.R_n_b[Role.RECEIVER] @ self._mounts[Role.RECEIVER].T_b_c.R
         gravity_c = gravity_in(R_n_c)
         motion = VehicleMotions(
@@ -175,7 +207,12 @@ class PathPair:
         return answer
 
     def _look(
-        self, view: TimedView, motion: VehicleMotions, R_n_c: Matrix, gravity_v: Vec3 | None, gravity_c: Vec3
+        self,
+        view: TimedView,
+        motion: VehicleMotions,
+        R_n_c: Matrix,
+        gravity_v: Vec3 | None,
+        gravity_c: Vec3,
     ) -> MarkerFix | Missed:
         self._motion = motion
         self._marker.note_motion(motion)
@@ -191,13 +228,17 @@ class PathPair:
     ) -> None:
         target, moment, fix, answer = made
         assert self._motion is not None
-        watch("d1_log", self._journals.sender, one, own, answer.candidate, self._pairs, self._sender)
+        watch(
+            "d1_log", self._journals.sender, one, own, answer.candidate, self._pairs, self._sender
+        )
         R_n_c = moment.R_n_b[Role.RECEIVER] @ self._mounts[Role.RECEIVER].T_b_c.R
         attitudes = R_n_c, self._marker.R_n_v
         watch("d2_log", self._journals.receiver, two, target, fix, self._motion, attitudes, answer)
 
     def _hear_and_judge(self, candidate: Candidate) -> None:
-        """A candidate waits for D1's next frame: what is judged in a cycle is that of the cycle before."""
+        """A candidate waits for D1's next frame: what is judged in a cycle is that of the cycle
+        before.
+        """
         now_ns = self._frame * PERIOD_NS + BETWEEN_NS
         self._pairs = self._sender.judge(now_ns)
         for pair in self._pairs:
@@ -213,17 +254,41 @@ class PathPair:
         gravity_c: Vec3,
         watch: Stopwatch,
     ) -> None:
-        """Two parts of the marker's pose by themselves, as flown: all before the fit, and the pose from corners."""
+        """Two parts of the marker's pose by themselves, as flown: all before the fit, and the pose
+        from corners.
+        """
         camera = self._film.cameras[Role.RECEIVER]
         layout = self._rig.layout
         color = moment.color[Role.RECEIVER]
-        if view.expected is None or watch("d2_marker_detect", recognise, color, view.expected, layout, camera) is None:
-            watch("d2_marker_detect", detect_markers, color, view.region, layout, camera, refine="subpix")
-        watch("d2_marker_pose", estimate_pose, fix.detections, layout, camera, gravity_v, gravity_c, PoseSettings())
+        if (
+            view.expected is None
+            or watch("d2_marker_detect", recognise, color, view.expected, layout, camera) is None
+        ):
+            watch(
+                "d2_marker_detect",
+                detect_markers,
+                color,
+                view.region,
+                layout,
+                camera,
+                refine="subpix",
+            )
+        watch(
+            "d2_marker_pose",
+            estimate_pose,
+            fix.detections,
+            layout,
+            camera,
+            gravity_v,
+            gravity_c,
+            PoseSettings(),
+        )
 
 
 def _with_sums(us: dict[str, float]) -> dict[str, float]:
-    """Returns the times with the sums of the stages, and the rest of the marker's time by its parts."""
+    """Returns the times with the sums of the stages, and the rest of the marker's time by its
+    parts.
+    """
     for name, stages in SUMS.items():
         us[name] = sum(us[stage] for stage in stages)
     us["d2_marker_fit"] = us["d2_marker_corners"] - us["d2_marker_detect"]

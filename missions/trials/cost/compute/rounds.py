@@ -1,4 +1,6 @@
-"""The methods' cycles in turns on the same frames, so that whatever slows the machine down hits all of them alike."""
+"""The methods' cycles in turns on the same frames, so that whatever slows the machine down hits all
+of them alike.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ LEAD_IN = 3  # cycles after the geometry alone, which leaves the marker unseen f
 
 @dataclass(frozen=True, slots=True)
 class ComputePlan:
-    """The number of blocks, and of each method's cycles in a block; ``path`` is at least the number of frames."""
+    """The number of blocks, and of each method's cycles in a block; ``path`` is at least the number
+    of frames.
+    """
 
     frames: int = 16
     blocks: int = 12
@@ -47,7 +51,9 @@ QUICK = ComputePlan(frames=4, blocks=3, path=4, orb=1)
 
 @dataclass(frozen=True, slots=True)
 class Timings:
-    """The times of one image size: every cycle of a stage or method, us, by block: (blocks, cycles)."""
+    """The times of one image size: every cycle of a stage or method, us, by block: (blocks,
+    cycles).
+    """
 
     us: dict[str, Array]
 
@@ -61,7 +67,10 @@ class Timings:
 def time_all(request: TrialRequest, film: Film, plan: ComputePlan) -> Timings:
     """Every method in every block, one thread. The order within a block turns."""
     with TemporaryDirectory() as folder, ExitStack() as stack:
-        logs = {role: stack.enter_context(McapLog(Path(folder) / f"{role.value}.mcap", role.value)) for role in Role}
+        logs = {
+            role: stack.enter_context(McapLog(Path(folder) / f"{role.value}.mcap", role.value))
+            for role in Role
+        }
         path = PathPair(request.rig, rig_library.mission_of(request.rig), film, request.seed, logs)
         return _time_all(request, film, plan, path)
 
@@ -86,16 +95,20 @@ def _time_all(request: TrialRequest, film: Film, plan: ComputePlan, path: PathPa
 
 
 class Baseline:
-    """A baseline on a film: features of D1's and D2's frame, matched, verified, associated with one of D2's boxes.
+    """A baseline on a film: features of D1's and D2's frame, matched, verified, associated with one
+    of D2's boxes.
 
-    ``whole``: features of the whole frames, as they come, instead of in enlarged windows around the boxes.
+    ``whole``: features of the whole frames, as they come, instead of in enlarged windows around the
+    boxes.
     """
 
     def __init__(self, features: Features, film: Film, whole: bool) -> None:
         self._features = features
         self._film = film
         self._whole = whole
-        self._config = replace(BaselineConfig(), look=FeatureSearch(zoom=1.0)) if whole else BaselineConfig()
+        self._config = (
+            replace(BaselineConfig(), look=FeatureSearch(zoom=1.0)) if whole else BaselineConfig()
+        )
         self._next = 0
 
     def cycle(self) -> float:
@@ -133,7 +146,9 @@ def _baselines(request: TrialRequest, plan: ComputePlan) -> list[tuple[str, Feat
     return found
 
 
-def _turn(name: str, cycle: Callable[[], float], cycles: int) -> Callable[[], dict[str, list[float]]]:
+def _turn(
+    name: str, cycle: Callable[[], float], cycles: int
+) -> Callable[[], dict[str, list[float]]]:
     return lambda: {name: [cycle() for _ in range(cycles)]}
 
 
@@ -150,7 +165,9 @@ def _all_of(image: Image) -> Box:
 
 @contextmanager
 def one_thread() -> Generator[None, None, None]:
-    """OpenCV on one thread, and nothing loaded by now to be walked by a collection, as in flight."""
+    """OpenCV on one thread, and nothing loaded by now to be walked by a collection, as in
+    flight.
+    """
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     gc.collect()

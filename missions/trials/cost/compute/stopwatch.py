@@ -18,13 +18,17 @@ R = TypeVar("R")
 
 
 class Stopwatch:
-    """Time that each stage of one cycle kept the core busy, us; what asking for the time takes is taken off."""
+    """Time that each stage of one cycle kept the core busy, us; what asking for the time takes is
+    taken off.
+    """
 
     def __init__(self, overhead_ns: int) -> None:
         self.us: dict[str, float] = {}
         self._overhead_ns = overhead_ns
 
-    def __call__(self, stage: str, call: Callable[P, R], *arguments: P.args, **options: P.kwargs) -> R:
+    def __call__(
+        self, stage: str, call: Callable[P, R], *arguments: P.args, **options: P.kwargs
+    ) -> R:
         """Returns the call's value, timed as a stage."""
         begin_ns = busy_ns()
         result = call(*arguments, **options)
@@ -57,7 +61,9 @@ class TimedView:
     def targets(self, region: Region | None) -> Sequence[Detection]:
         return self._view.targets(region)
 
-    def markers(self, region: Region | None, expected: Pose | None = None) -> Sequence[MarkerDetection]:
+    def markers(
+        self, region: Region | None, expected: Pose | None = None
+    ) -> Sequence[MarkerDetection]:
         self.region = region
         self.expected = expected
         return self._watch("d2_marker_corners", self._view.markers, region, expected)

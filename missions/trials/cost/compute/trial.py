@@ -17,7 +17,14 @@ from missions.trials.cost.compute.path import DETECTORS, GEOMETRY, MESSAGES, SUM
 from missions.trials.cost.compute.rounds import HOT, QUICK, Array, ComputePlan, Timings, time_all
 from missions.trials.shared.drawing import save, sheet
 from missions.trials.shared.statistics import Statistic, bootstrap, figure_of, medians, percentiles
-from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
+from missions.trials.shared.trial import (
+    TrialFinding,
+    TrialPicture,
+    TrialRequest,
+    TrialResult,
+    TrialTable,
+    verdict,
+)
 from path.messages import Role
 
 TITLE = "Compute: every stage of PATH against ORB and XFeat, one thread, same frames"
@@ -74,7 +81,9 @@ LEFT_MS = 4e-3  # where the picture begins
 def run(request: TrialRequest) -> TrialResult:
     plan = QUICK if request.quick else ComputePlan()
     sizes = tuple(SIZES)[:1] if request.quick else tuple(SIZES)
-    timings = {size: time_all(request, shoot_film(request, size, plan.frames), plan) for size in sizes}
+    timings = {
+        size: time_all(request, shoot_film(request, size, plan.frames), plan) for size in sizes
+    }
     rng = np.random.default_rng([request.seed, 8])
     ratios = {size: _ratios(timing, rng) for size, timing in timings.items()}
     _draw(timings, request.out / PICTURE)
@@ -91,13 +100,20 @@ def run(request: TrialRequest) -> TrialResult:
         findings=(*_budget_findings(timings, rng), *_ratio_findings(ratios)),
         noise=_conditions(plan),
         tables=(_stage_table(timings), _counted_table()),
-        pictures=(TrialPicture(PICTURE, "Median time of stages and cycles; thin lines reach to the 99th percentile."),),
+        pictures=(
+            TrialPicture(
+                PICTURE,
+                "Median time of stages and cycles; thin lines reach to the 99th percentile.",
+            ),
+        ),
         notes=_notes(request),
     )
 
 
 def _ratios(timing: Timings, rng: np.random.Generator) -> dict[str, dict[str, float]]:
-    """Returns how many times a baseline's cycle costs what PATH does: medians, interval by resampling blocks."""
+    """Returns how many times a baseline's cycle costs what PATH does: medians, interval by
+    resampling blocks.
+    """
     found: dict[str, dict[str, float]] = {}
     for method in (name for name in timing.us if name.startswith(("orb_", "xfeat_"))):
         for counted in COUNTED:
@@ -105,18 +121,28 @@ def _ratios(timing: Timings, rng: np.random.Generator) -> dict[str, dict[str, fl
             theirs = np.median(timing.us[method], axis=1)
             blocks = np.column_stack((theirs, ours))
             low, high = bootstrap(blocks, _ratios_of, rng)
-            found[f"{counted}_vs_{method}"] = {"ratio": figure_of(_ratios_of, blocks), "low": low, "high": high}
+            found[f"{counted}_vs_{method}"] = {
+                "ratio": figure_of(_ratios_of, blocks),
+                "low": low,
+                "high": high,
+            }
     return found
 
 
 def _ratios_of(samples: Array) -> Array:
-    return np.asarray(np.median(samples[..., 0], axis=1) / np.median(samples[..., 1], axis=1), np.float64)
+    return np.asarray(
+        np.median(samples[..., 0], axis=1) / np.median(samples[..., 1], axis=1), np.float64
+    )
 
 
-def _budget_findings(timings: Mapping[str, Timings], rng: np.random.Generator) -> tuple[TrialFinding, ...]:
+def _budget_findings(
+    timings: Mapping[str, Timings], rng: np.random.Generator
+) -> tuple[TrialFinding, ...]:
     findings: list[TrialFinding] = []
 
-    def add(size: str, quantity: str, name: str, statistic: Statistic, goal_ms: float | None = None) -> None:
+    def add(
+        size: str, quantity: str, name: str, statistic: Statistic, goal_ms: float | None = None
+    ) -> None:
         us = timings[size].us[name]
         ours = figure_of(statistic, us) / MS
         low, high = bootstrap(us, statistic, rng)
@@ -139,7 +165,9 @@ def _budget_findings(timings: Mapping[str, Timings], rng: np.random.Generator) -
         for number in (1, 2):
             name = f"whole cycle of D{number} as flown, without its detector, p99"
             add(size, name, f"d{number}_cycle", _p99s, CYCLE_GOAL_MS)
-    findings += [_log_finding(timing, size, number) for size, timing in timings.items() for number in (1, 2)]
+    findings += [
+        _log_finding(timing, size, number) for size, timing in timings.items() for number in (1, 2)
+    ]
     return tuple(findings)
 
 
@@ -215,7 +243,8 @@ def _conditions(plan: ComputePlan) -> TrialTable:
 def _stage_table(timings: Mapping[str, Timings]) -> TrialTable:
     names = [name for name in TITLES if any(name in timing.us for timing in timings.values())]
     rows = tuple(
-        (TITLES[name], *(text for timing in timings.values() for text in _two(timing, name))) for name in names
+        (TITLES[name], *(text for timing in timings.values() for text in _two(timing, name)))
+        for name in names
     )
     columns = tuple(text for size in timings for text in (f"{size} median", "p99"))
     return TrialTable(
@@ -279,13 +308,25 @@ def _draw_stages(axes: Axes, timing: Timings, labels: bool) -> None:
     names = [name for name in reversed(TITLES) if name in timing.us]
     medians = [max(timing.median_ms(name), LEFT_MS) for name in names]
     widths = [median - LEFT_MS for median in medians]
-    axes.barh(range(len(names)), widths, 0.66, left=LEFT_MS, color=[_colour(name) for name in names])
+    axes.barh(
+        range(len(names)), widths, 0.66, left=LEFT_MS, color=[_colour(name) for name in names]
+    )
     for row, name in enumerate(names):
-        axes.plot([medians[row], max(timing.p99_ms(name), LEFT_MS)], [row, row], color=NEEDED, lw=0.8)
-        axes.text(max(timing.p99_ms(name), medians[row]) * 1.15, row, f"{medians[row]:.3g}", va="center", fontsize=7)
+        axes.plot(
+            [medians[row], max(timing.p99_ms(name), LEFT_MS)], [row, row], color=NEEDED, lw=0.8
+        )
+        axes.text(
+            max(timing.p99_ms(name), medians[row]) * 1.15,
+            row,
+            f"{medians[row]:.3g}",
+            va="center",
+            fontsize=7,
+        )
     axes.set_xscale("log")
     axes.set_xlim(LEFT_MS, 4e3)
-    axes.set_yticks(range(len(names)), [TITLES[name] for name in names] if labels else [""] * len(names))
+    axes.set_yticks(
+        range(len(names)), [TITLES[name] for name in names] if labels else [""] * len(names)
+    )
     axes.axvline(min(MARKER_GOALS_MS.values()), color=DIM, lw=0.8, ls="--")
     axes.set_xlabel("ms, median    (dashed: goal of the marker)", fontsize=8)
     tidy(axes)
@@ -298,4 +339,8 @@ def _colour(name: str) -> str:
         return COUNT
     if name in DETECTORS:
         return DIM
-    return ROLE[Role.SENDER] if name.startswith("d1_") or name.endswith("_target") else ROLE[Role.RECEIVER]
+    return (
+        ROLE[Role.SENDER]
+        if name.startswith("d1_") or name.endswith("_target")
+        else ROLE[Role.RECEIVER]
+    )

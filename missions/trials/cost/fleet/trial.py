@@ -1,7 +1,8 @@
-"""The cost of a team by its size: processor time for each drone and simulated hour, and a field of two hundred drones.
+"""The cost of a team by its size: processor time for each drone and simulated hour, and a field of
+two hundred drones.
 
-The flights go one after the other in this process, so that each has the processor's caches to itself. The first one is
-not counted: it loads what every later one finds loaded.
+The flights go one after the other in this process, so that each has the processor's caches to
+itself. The first one is not counted: it loads what every later one finds loaded.
 """
 
 from __future__ import annotations
@@ -21,7 +22,14 @@ from missions.ground.team_config import checked_team, fenced, laid_out
 from missions.look.report.palette import DIM, NEEDED, ROLE
 from missions.look.report.tables import counts_text, sum_of
 from missions.trials.shared.drawing import panels, save
-from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
+from missions.trials.shared.trial import (
+    TrialFinding,
+    TrialPicture,
+    TrialRequest,
+    TrialResult,
+    TrialTable,
+    verdict,
+)
 from path.messages import Role
 
 TITLE = "Fleet: processor time for each drone and simulated hour, by the size of the team"
@@ -85,7 +93,10 @@ def run(request: TrialRequest) -> TrialResult:
     costs = teams + fields
     violations = sum_of(cost.violations for cost in costs)
     return TrialResult(
-        summary={"teams": [asdict(cost) for cost in costs], "off_the_middle": off_the_middle(teams)},
+        summary={
+            "teams": [asdict(cost) for cost in costs],
+            "off_the_middle": off_the_middle(teams),
+        },
         findings=_findings(teams, fields, violations),
         tables=(_table(costs),),
         pictures=(TrialPicture(PICTURE, "The band is 20 % to either side of the middle."),),
@@ -113,7 +124,11 @@ def _fly(request: TrialRequest, size: TeamSize, name: str) -> TeamCost:
     battery = 1.0 if size is FIELD else BATTERY
     config = replace(field, drones=tuple(replace(drone, battery=battery) for drone in field.drones))
     options = TeamOptions(
-        rig=request.rig.name, drones=size.drones, targets=size.targets, hours=size.hours, seed=request.seed
+        rig=request.rig.name,
+        drones=size.drones,
+        targets=size.targets,
+        hours=size.hours,
+        seed=request.seed,
     )
     folder = new_folder(request.out / name)
     summary, _ = fly_team(fenced(request.rig, config), config, options, folder, lambda _: None)
@@ -137,7 +152,9 @@ def cost_of(summary: dict[str, Any]) -> TeamCost:
 
 
 def off_the_middle(teams: Sequence[TeamCost]) -> float:
-    """Returns how far the cheapest and the dearest team are from the middle between them, as a share of it."""
+    """Returns how far the cheapest and the dearest team are from the middle between them, as a
+    share of it.
+    """
     each = [cost.cpu_s_per_drone_hour for cost in teams]
     return (max(each) - min(each)) / (max(each) + min(each))
 
@@ -194,7 +211,14 @@ def _draw(teams: Sequence[TeamCost], path: Path) -> None:
     axes.axhspan((1.0 - FLAT) * middle, (1.0 + FLAT) * middle, color=DIM, alpha=0.15, lw=0.0)
     axes.plot(drones, each, "o-", color=NEEDED, lw=1.6, label="each drone and simulated hour")
     flown = [cost.cpu_s_per_flown_hour for cost in teams]
-    axes.plot(drones, flown, "s--", color=ROLE[Role.SENDER], lw=1.2, label="each hour that a drone is in the air")
+    axes.plot(
+        drones,
+        flown,
+        "s--",
+        color=ROLE[Role.SENDER],
+        lw=1.2,
+        label="each hour that a drone is in the air",
+    )
     axes.set_xscale("log")
     axes.set_xticks(drones, [f"{number}" for number in drones])
     axes.minorticks_off()

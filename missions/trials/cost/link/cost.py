@@ -23,13 +23,22 @@ Pair = tuple[Codec, Codec]
 
 
 def measure_costs(request: TrialRequest) -> dict[str, Times]:
-    """Mean time per packet in us of each batch, by what was done; signed and unsigned take turns."""
+    """Mean time per packet in us of each batch, by what was done; signed and unsigned take
+    turns.
+    """
     rng = np.random.default_rng([request.seed, 5])
-    pairs = {how: _pair(key) for how, key in (("signed", rng.bytes(KEY_LENGTH)), ("unsigned", None))}
-    times: dict[str, list[float]] = {f"{what}_{how}": [] for how in pairs for what in ("encode", "decode")}
-    for batch in request.work.steps("batches of packets", range(QUICK_BATCHES if request.quick else BATCHES)):
+    pairs = {
+        how: _pair(key) for how, key in (("signed", rng.bytes(KEY_LENGTH)), ("unsigned", None))
+    }
+    times: dict[str, list[float]] = {
+        f"{what}_{how}": [] for how in pairs for what in ("encode", "decode")
+    }
+    for batch in request.work.steps(
+        "batches of packets", range(QUICK_BATCHES if request.quick else BATCHES)
+    ):
         messages = [
-            (a_target(rng, k, stopwatch_ns()), a_candidate(rng, k, stopwatch_ns())) for k in range(1, BATCH + 1)
+            (a_target(rng, k, stopwatch_ns()), a_candidate(rng, k, stopwatch_ns()))
+            for k in range(1, BATCH + 1)
         ]
         for how in sorted(pairs, reverse=batch % 2 == 1):
             encode_us, decode_us = _time(pairs[how], messages)
@@ -51,7 +60,9 @@ def _time(pair: Pair, messages: list[tuple[Target, Candidate]]) -> tuple[float, 
         return sender.encode(target), receiver.encode(candidate)
 
     def decode(target: bytes, candidate: bytes) -> bool:
-        return isinstance(receiver.decode(target), Target) and isinstance(sender.decode(candidate), Candidate)
+        return isinstance(receiver.decode(target), Target) and isinstance(
+            sender.decode(candidate), Candidate
+        )
 
     begin_ns = stopwatch_ns()
     packets = list(starmap(encode, messages))

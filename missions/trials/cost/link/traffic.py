@@ -1,4 +1,6 @@
-"""The traffic of a verification, over real UDP links on loopback, counted by a tap between the two ends."""
+"""The traffic of a verification, over real UDP links on loopback, counted by a tap between the two
+ends.
+"""
 
 from __future__ import annotations
 
@@ -113,14 +115,26 @@ class _Tap(asyncio.DatagramProtocol):
         self._transport = transport
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        kind = dialect.mavlink_map[int.from_bytes(data[7:10], "little")].msgname.removeprefix("PATH_").lower()
-        self.packets.append(TappedPacket(kind, self.direction, data[1], len(data), asyncio.get_running_loop().time()))
+        kind = (
+            dialect.mavlink_map[int.from_bytes(data[7:10], "little")]
+            .msgname.removeprefix("PATH_")
+            .lower()
+        )
+        self.packets.append(
+            TappedPacket(
+                kind, self.direction, data[1], len(data), asyncio.get_running_loop().time()
+            )
+        )
         if self.other is not None and self.other._transport is not None:
             self.other._transport.sendto(data, self.other._to)
 
 
-def flow(work: Work, rates_hz: Sequence[int], seconds: int, mission: MissionConfig, seed: int) -> list[LinkTraffic]:
-    """The traffic at each rate, all at the same time. Raises LinkError when a port cannot be had."""
+def flow(
+    work: Work, rates_hz: Sequence[int], seconds: int, mission: MissionConfig, seed: int
+) -> list[LinkTraffic]:
+    """The traffic at each rate, all at the same time. Raises LinkError when a port cannot be
+    had.
+    """
     return asyncio.run(_flow(work, rates_hz, seconds, mission, seed))
 
 
@@ -150,7 +164,9 @@ async def _one(hz: int, seconds: int, mission: MissionConfig, seed: int, key: Pa
         links: dict[Role, UdpLink] = {}
         for role in Role:
             tap = _Tap(role, (HOST, own[role]))
-            transport, _ = await loop.create_datagram_endpoint(lambda tap=tap: tap, local_addr=(HOST, 0))
+            transport, _ = await loop.create_datagram_endpoint(
+                lambda tap=tap: tap, local_addr=(HOST, 0)
+            )
             stack.callback(transport.abort)
             port = transport.get_extra_info("sockname")[1]
             config = UdpLink.Config(f"{HOST}:{own[role]}", f"{HOST}:{port}", key)
@@ -160,7 +176,9 @@ async def _one(hz: int, seconds: int, mission: MissionConfig, seed: int, key: Pa
         taps[Role.RECEIVER].other = taps[Role.SENDER]
         pumps = [asyncio.create_task(_pump(link)) for link in links.values()]
         rngs = (np.random.default_rng([seed, hz, k]) for k in range(2))
-        sides = [_Side(role, links[role], mission, hz, rng) for role, rng in zip(Role, rngs, strict=True)]
+        sides = [
+            _Side(role, links[role], mission, hz, rng) for role, rng in zip(Role, rngs, strict=True)
+        ]
         await asyncio.gather(*(side.talk(seconds) for side in sides))
         await asyncio.sleep(SETTLE_S)
         traffic = LinkTraffic(hz, seconds, _taken(taps))
@@ -181,7 +199,9 @@ async def _one(hz: int, seconds: int, mission: MissionConfig, seed: int, key: Pa
 
 
 def _taken(taps: dict[Role, _Tap]) -> list[TappedPacket]:
-    packets = sorted((packet for tap in taps.values() for packet in tap.packets), key=lambda packet: packet.at_s)
+    packets = sorted(
+        (packet for tap in taps.values() for packet in tap.packets), key=lambda packet: packet.at_s
+    )
     for tap in taps.values():
         tap.packets = []
     return packets
@@ -198,12 +218,18 @@ async def _pump(link: UdpLink) -> None:
 class _Side:
     """The messages of one role while it verifies, and the hand-over at the end of it."""
 
-    def __init__(self, role: Role, link: UdpLink, mission: MissionConfig, hz: int, rng: np.random.Generator) -> None:
+    def __init__(
+        self, role: Role, link: UdpLink, mission: MissionConfig, hz: int, rng: np.random.Generator
+    ) -> None:
         self._role = role
         self._link = link
         self._rng = rng
         status_hz = mission.status_hz if role is Role.SENDER else mission.receiver_status_hz
-        self._streams = ((float(hz), self._frame), (status_hz, self._status), (mission.ping_hz, self._ping))
+        self._streams = (
+            (float(hz), self._frame),
+            (status_hz, self._status),
+            (mission.ping_hz, self._ping),
+        )
 
     async def talk(self, seconds: int) -> None:
         await asyncio.gather(*(self._stream(rate, send, seconds) for rate, send in self._streams))
@@ -249,12 +275,23 @@ class _Side:
 
 
 def a_target(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Target:
-    """Returns a Target with everything it can carry, as in a verification two metres from the target."""
+    """Returns a Target with everything it can carry, as in a verification two metres from the
+    target.
+    """
     x, y, z = rng.normal((0.0, 0.0, 1.0), 0.3).tolist()
     norm = float(np.linalg.norm((x, y, z)))
     gravity = (x / norm, y / norm, z / norm)
     point = _vector(rng, 2.0)
-    return Target(HANDOFF, EPOCH, TARGET_ID, sequence, stamp_ns, point, gravity, float(rng.uniform(0.004, 0.02)))
+    return Target(
+        HANDOFF,
+        EPOCH,
+        TARGET_ID,
+        sequence,
+        stamp_ns,
+        point,
+        gravity,
+        float(rng.uniform(0.004, 0.02)),
+    )
 
 
 def a_candidate(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Candidate:
@@ -262,11 +299,23 @@ def a_candidate(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Candi
     w, x, y, z = rng.standard_normal(4).tolist()
     norm = float(np.linalg.norm((w, x, y, z)))
     rotation: Quat = (w / norm, x / norm, y / norm, z / norm)
-    u, v, width, height = rng.uniform((0.0, 0.0, 30.0, 30.0), (1100.0, 600.0, 150.0, 100.0)).tolist()
+    u, v, width, height = rng.uniform(
+        (0.0, 0.0, 30.0, 30.0), (1100.0, 600.0, 150.0, 100.0)
+    ).tolist()
     box = Box(u, v, width, height)
     sigma_m = float(rng.uniform(0.002, 0.02))
     return Candidate(
-        HANDOFF, EPOCH, TARGET_ID, sequence, sequence - 1, stamp_ns, box, None, _vector(rng, 1.5), rotation, sigma_m
+        HANDOFF,
+        EPOCH,
+        TARGET_ID,
+        sequence,
+        sequence - 1,
+        stamp_ns,
+        box,
+        None,
+        _vector(rng, 1.5),
+        rotation,
+        sigma_m,
     )
 
 
@@ -285,7 +334,9 @@ def _handover(role: Role) -> tuple[Message, ...]:
 
 
 def extremes(role: Role) -> tuple[Message, ...]:
-    """One message of every kind the role sends, as long as it can be on the wire: its last byte is not zero."""
+    """One message of every kind the role sends, as long as it can be on the wire: its last byte is
+    not zero.
+    """
     late = 2**64 - 1
     full = 2**16 - 1
     most = 2**32 - 1
@@ -315,12 +366,16 @@ def extremes(role: Role) -> tuple[Message, ...]:
         return target, status, ping, pong, commit, confirm, abort
     pose: Quat = (0.5, -0.5, 0.5, 0.5)
     missed = MissReason.NO_CANDIDATE
-    candidate = Candidate(full, full, 255, full, full, late // 8, None, missed, (-1.0, 2.0, 0.5), pose, 0.05)
+    candidate = Candidate(
+        full, full, 255, full, full, late // 8, None, missed, (-1.0, 2.0, 0.5), pose, 0.05
+    )
     return candidate, status, ping, pong, Accept(full, full, 255, most, late, INSTANCE), abort
 
 
 def _free_ports(count: int) -> list[int]:
-    """UDP ports that are free now; they are named in the links' configuration, so they must be known before."""
+    """UDP ports that are free now; they are named in the links' configuration, so they must be
+    known before.
+    """
     sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
     try:
         for one in sockets:

@@ -1,4 +1,6 @@
-"""Bytes on the link between the drones, counted at the socket, and what signing and checking a packet costs."""
+"""Bytes on the link between the drones, counted at the socket, and what signing and checking a
+packet costs.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,14 @@ from missions.trials.cost.link.cost import PACKETS, Times, measure_costs
 from missions.trials.cost.link.traffic import LinkTraffic, TappedPacket, flow
 from missions.trials.shared.drawing import save, sheet
 from missions.trials.shared.statistics import bootstrap, median, medians
-from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
+from missions.trials.shared.trial import (
+    TrialFinding,
+    TrialPicture,
+    TrialRequest,
+    TrialResult,
+    TrialTable,
+    verdict,
+)
 from path.alike import Alike
 from path.messages import Role
 
@@ -71,7 +80,9 @@ def run(request: TrialRequest) -> TrialResult:
         findings=(*_size_findings(rates, largest, traffic), *_cost_findings(costs, rng)),
         noise=_conditions(mission.status_hz, mission.receiver_status_hz, mission.ping_hz, seconds),
         tables=(_size_table(sizes), _rate_table(rates), _cost_table(costs, rng)),
-        pictures=(TrialPicture(PICTURE, "Bytes a second by message, and what a packet consists of."),),
+        pictures=(
+            TrialPicture(PICTURE, "Bytes a second by message, and what a packet consists of."),
+        ),
         notes=(
             f"Counted by a tap between two real UDP links on loopback: each datagram's length and {UDP_IP_OVERHEAD} B "
             "for its UDP and IPv4 headers. Ethernet, Wi-Fi or radio framing comes on top and is the channel's.",
@@ -85,7 +96,9 @@ def run(request: TrialRequest) -> TrialResult:
 
 def _sizes(kind: str, traffic: Sequence[LinkTraffic]) -> dict[str, int]:
     """The largest packet of a kind that was seen."""
-    seen = [packet for one in traffic for packet in (*one.packets, *one.extremes) if packet.kind == kind]
+    seen = [
+        packet for one in traffic for packet in (*one.packets, *one.extremes) if packet.kind == kind
+    ]
     packet = max(seen, key=lambda p: p.wire_b)
     return {"payload_b": packet.payload_b, "mavlink_b": packet.mavlink_b, "wire_b": packet.wire_b}
 
@@ -93,16 +106,21 @@ def _sizes(kind: str, traffic: Sequence[LinkTraffic]) -> dict[str, int]:
 def while_verifying(sizes: dict[str, dict[str, int]]) -> dict[str, dict[str, int]]:
     """Return the largest packets of each kind while both verify.
 
-    A Status leaves its digests out then, and neither flight has ended: those bytes are zero, and MAVLink cuts them off.
+    A Status leaves its digests out then, and neither flight has ended: those bytes are zero, and
+    MAVLink cuts them off.
     """
     status = {name: size_b - ALIKE_B - ENDED_B for name, size_b in sizes["status"].items()}
     return {**sizes, "status": status}
 
 
 def _rates(one: LinkTraffic, sizes: dict[str, dict[str, int]]) -> dict[str, float]:
-    """Bytes a second of one link: as sent, by direction, over its seconds, and if no byte had been cut off."""
+    """Bytes a second of one link: as sent, by direction, over its seconds, and if no byte had been
+    cut off.
+    """
     stream = [packet for packet in one.packets if packet.kind not in ONCE]
-    by_role = {role: sum(p.wire_b for p in stream if p.direction is role) / one.seconds for role in Role}
+    by_role = {
+        role: sum(p.wire_b for p in stream if p.direction is role) / one.seconds for role in Role
+    }
     each = _each_second(stream, one.seconds)
     return {
         "bytes_per_s": sum(by_role.values()),
@@ -110,7 +128,8 @@ def _rates(one: LinkTraffic, sizes: dict[str, dict[str, int]]) -> dict[str, floa
         "receiver_bytes_per_s": by_role[Role.RECEIVER],
         "least_second_b": float(min(each)),
         "most_second_b": float(max(each)),
-        "untrimmed_bytes_per_s": sum(sizes[packet.kind]["wire_b"] for packet in stream) / one.seconds,
+        "untrimmed_bytes_per_s": sum(sizes[packet.kind]["wire_b"] for packet in stream)
+        / one.seconds,
         "packets_per_s": len(stream) / one.seconds,
     }
 
@@ -147,7 +166,11 @@ def _size_findings(
         )
     lost = sum(one.sent - one.received for one in traffic)
     dropped = sum(sum(one.dropped.values()) for one in traffic)
-    findings.append(TrialFinding("packets lost, and dropped by a codec", f"{lost}, {dropped}", "of all that were sent"))
+    findings.append(
+        TrialFinding(
+            "packets lost, and dropped by a codec", f"{lost}, {dropped}", "of all that were sent"
+        )
+    )
     return tuple(findings)
 
 
@@ -162,7 +185,11 @@ def _cost_findings(costs: dict[str, Times], rng: np.random.Generator) -> tuple[T
     return (
         found("encode and sign a packet, µs median", "encode_signed"),
         found("verify and decode a packet, µs median", "decode_signed"),
-        TrialFinding("signed against unsigned, both ends, ratio", f"{median(added):.2f}", f"{low:.2f} to {high:.2f}"),
+        TrialFinding(
+            "signed against unsigned, both ends, ratio",
+            f"{median(added):.2f}",
+            f"{low:.2f} to {high:.2f}",
+        ),
         TrialFinding("one core at 60 Hz, a packet out and one in, per role", f"{share:.2f} %"),
     )
 
@@ -178,7 +205,10 @@ def _conditions(sender_hz: float, receiver_hz: float, ping_hz: float, seconds: i
         (
             ("target: point, gravity, sigma, capture, ids", "30, 50 or 60 Hz, D1"),
             ("candidate: box, T_v_c2, sigma, capture, ids", "30, 50 or 60 Hz, D2"),
-            ("status: position, velocity, yaw, phase, flags, battery", f"{sender_hz:g} Hz D1, {receiver_hz:g} Hz D2"),
+            (
+                "status: position, velocity, yaw, phase, flags, battery",
+                f"{sender_hz:g} Hz D1, {receiver_hz:g} Hz D2",
+            ),
             ("ping, and its pong: clock exchange", f"{ping_hz:g} Hz each way"),
             ("commit, accept, confirm: one hand-over", "once; not in the rates"),
             ("faults", "none: loopback, every packet signed with the pair's key"),
@@ -209,7 +239,9 @@ def _rate_table(rates: dict[str, dict[str, float]]) -> TrialTable:
         for hz, r in rates.items()
     )  # fmt: skip
     return TrialTable(
-        "Bytes a second", ("frames", "D1 to D2", "D2 to D1", "both", "no byte cut off", "packets a second"), rows
+        "Bytes a second",
+        ("frames", "D1 to D2", "D2 to D1", "both", "no byte cut off", "packets a second"),
+        rows,
     )
 
 
@@ -218,7 +250,14 @@ def _cost_table(costs: dict[str, Times], rng: np.random.Generator) -> TrialTable
     for name, values in costs.items():
         low, high = bootstrap(values, medians, rng)
         ends = f"{low:.1f} to {high:.1f}"
-        rows.append((name.replace("_", ", "), f"{median(values):.1f}", ends, f"{np.percentile(values, 99):.1f}"))
+        rows.append(
+            (
+                name.replace("_", ", "),
+                f"{median(values):.1f}",
+                ends,
+                f"{np.percentile(values, 99):.1f}",
+            )
+        )
     return TrialTable(
         f"Time per packet, µs (targets and candidates alike, mean of {PACKETS} each)",
         ("", "median", "95 % interval", "p99 of the means"),
@@ -237,7 +276,11 @@ def _draw(traffic: Sequence[LinkTraffic], sizes: dict[str, dict[str, int]], path
 def _draw_rates(axes: Axes, traffic: Sequence[LinkTraffic]) -> None:
     def rate(one: LinkTraffic, chosen: Callable[[TappedPacket], bool]) -> float:
         return (
-            sum(packet.wire_b for packet in one.packets if chosen(packet) and packet.kind not in ONCE)
+            sum(
+                packet.wire_b
+                for packet in one.packets
+                if chosen(packet) and packet.kind not in ONCE
+            )
             / one.seconds
             / 1000.0
         )
@@ -251,7 +294,14 @@ def _draw_rates(axes: Axes, traffic: Sequence[LinkTraffic]) -> None:
     base = np.zeros(len(traffic))
     for label, colour, chosen in parts:
         heights = np.array([rate(one, chosen) for one in traffic])
-        axes.bar([f"{one.hz} Hz" for one in traffic], heights, 0.55, bottom=base, color=colour, label=label)
+        axes.bar(
+            [f"{one.hz} Hz" for one in traffic],
+            heights,
+            0.55,
+            bottom=base,
+            color=colour,
+            label=label,
+        )
         base += heights
     axes.axhline(GOAL_BYTES_PER_S / 1000.0, color=NEEDED, lw=1.0, ls="--")
     axes.axhline(PAPER_LIMIT / 1000.0, color=FAULT, lw=1.0, ls=":")

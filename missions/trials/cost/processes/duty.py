@@ -1,7 +1,8 @@
-"""The responsibility over time, from the logs of both roles' programs: nobody's own count is believed.
+"""The responsibility over time, from the logs of both roles' programs: nobody's own count is
+believed.
 
-A program that died is responsible for nothing until it is started again and says what it is; one that ended in good
-order keeps its last word. Instants are of the world's clock.
+A program that died is responsible for nothing until it is started again and says what it is; one
+that ended in good order keeps its last word. Instants are of the world's clock.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ class Responsibility:
     """
     Attributes:
         both_s: longest time with two responsible drones.
-        gap_s: longest time with none between two of its holders, or at the end, that no dead program excuses.
+        gap_s: longest time with none between two of its holders, or at the end, that no dead
+            program excuses.
         dead_s: longest time with none because the program whose turn it was did not run.
         orphaned: somebody said that nobody may be responsible, and it was so.
         holder: the role that is responsible at the end; None when none is.
@@ -89,7 +91,9 @@ def read(folder: Path) -> Responsibility:
     return judge(sorted(told, key=lambda one: one.at_ns), min(commits, default=None), alarm)
 
 
-def judge(told: Sequence[RoleEvent], commit_ns: int | None = None, alarm: bool = False) -> Responsibility:
+def judge(
+    told: Sequence[RoleEvent], commit_ns: int | None = None, alarm: bool = False
+) -> Responsibility:
     """
     Args:
         told: in the order of time; nothing counts before the first responsibility.
@@ -107,13 +111,18 @@ def judge(told: Sequence[RoleEvent], commit_ns: int | None = None, alarm: bool =
         for name, most in longest.items():
             if name == what:
                 running[name] += after.at_ns - one.at_ns
-            elif not (name == "gap" and what == "dead"):  # a gap goes on where it was when the dead one is back
+            # a gap goes on where it was when the dead one is back
+            elif not (name == "gap" and what == "dead"):
                 running[name] = 0
             longest[name] = max(most, running[name])
     if begin < len(told):
         now.take(told[-1])
     holders = [role for role in Role if now.responsible[role]]
-    commit_s = (commit_ns - told[begin].at_ns) * 1e-9 if commit_ns is not None and begin < len(told) else None
+    commit_s = (
+        (commit_ns - told[begin].at_ns) * 1e-9
+        if commit_ns is not None and begin < len(told)
+        else None
+    )
     return Responsibility(
         both_s=longest["both"] * 1e-9,
         gap_s=longest["gap"] * 1e-9,

@@ -1,4 +1,6 @@
-"""Runs of whole handoffs in which the link is bad, a program is killed, or a stranger floods it; what came of each."""
+"""Runs of whole handoffs in which the link is bad, a program is killed, or a stranger floods it;
+what came of each.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,10 @@ ATTACKS: Kinds = (
     ("2,000 packets a second", ("attack=2000",)),
     ("2,000 a second, and 20 % lost", ("attack=2000", "link_loss=0.2")),
 )
-STEPS = {Role.SENDER: ("released", "handed_over"), Role.RECEIVER: ("provisional", "holding", "let_go")}
+STEPS = {
+    Role.SENDER: ("released", "handed_over"),
+    Role.RECEIVER: ("provisional", "holding", "let_go"),
+}
 NO_CONFIRM = "link_out=3@handed_over"  # so that a receiver lets go
 
 
@@ -62,7 +67,8 @@ class Came:
     """The result of a run.
 
     Attributes:
-        outcomes: by role; "died" for a program that was not started again, with the run's own ending for the rest.
+        outcomes: by role; "died" for a program that was not started again, with the run's own
+            ending for the rest.
         landed: both vehicles on the ground, disarmed.
         violations: of the harness's monitors, by name.
     """
@@ -89,7 +95,9 @@ def signed_rig(name: str, folder: Path) -> str:
     key.chmod(0o600)
     links = {role.value: {"link": {"key_file": key.name}} for role in Role}
     like = str(rig_library.load(name).file.resolve())
-    file.write_text(toml_text({"like": like, **links}, f"{name}, whose drones share a key"), "utf-8")
+    file.write_text(
+        toml_text({"like": like, **links}, f"{name}, whose drones share a key"), "utf-8"
+    )
     return str(file)
 
 
@@ -112,11 +120,17 @@ def _each(kinds: Kinds, rig: str, seeds: Sequence[int], out: Path) -> list[Proce
 
 
 def kills(
-    rig: str, seeds: Sequence[int], phases_s: Sequence[float], restarts_s: Sequence[float | None], out: Path
+    rig: str,
+    seeds: Sequence[int],
+    phases_s: Sequence[float],
+    restarts_s: Sequence[float | None],
+    out: Path,
 ) -> list[ProcessRun]:
-    """Returns a kill of either side in every phase of its course, and at every record it writes down.
+    """Returns a kill of either side in every phase of its course, and at every record it writes
+    down.
 
-    The phases' kills come ``phases_s`` after each began. All are without and with being started again.
+    The phases' kills come ``phases_s`` after each began. All are without and with being started
+    again.
     """
     asked: list[ProcessRun] = []
     for role in Role:
@@ -125,17 +139,35 @@ def kills(
         for moment, after_s in moments:
             for restart_s in restarts_s:
                 for seed in seeds:
-                    asked.append(_kill(rig, seed, role, moment, after_s, restart_s, out / f"kill-{len(asked):04d}"))
+                    asked.append(
+                        _kill(
+                            rig,
+                            seed,
+                            role,
+                            moment,
+                            after_s,
+                            restart_s,
+                            out / f"kill-{len(asked):04d}",
+                        )
+                    )
     return asked
 
 
 def _kill(
-    rig: str, seed: int, role: Role, moment: str, after_s: float, restart_s: float | None, folder: Path
+    rig: str,
+    seed: int,
+    role: Role,
+    moment: str,
+    after_s: float,
+    restart_s: float | None,
+    folder: Path,
 ) -> ProcessRun:
     where = moment + (f"+{after_s:g}" if after_s else "")
     fault = f"kill_{role.value}" + ("" if restart_s is None else f"={restart_s:g}") + f"@{where}"
     faults = (NO_CONFIRM, fault) if moment == "let_go" else (fault,)
-    return ProcessRun(rig, seed, f"{role.value} killed at {where}", faults, folder, role, where, restart_s)
+    return ProcessRun(
+        rig, seed, f"{role.value} killed at {where}", faults, folder, role, where, restart_s
+    )
 
 
 def fly(asked: ProcessRun) -> Came:
@@ -165,10 +197,18 @@ def fly(asked: ProcessRun) -> Came:
 def suspicious(came: Came) -> bool:
     """Worth a look at its logs."""
     return bool(
-        came.violations or came.duty.both_s or not came.landed or came.wrong or came.outcome == "harness_failed"
+        came.violations
+        or came.duty.both_s
+        or not came.landed
+        or came.wrong
+        or came.outcome == "harness_failed"
     )
 
 
 def _ending(summary: dict[str, Any], role: Role, asked: ProcessRun) -> str:
     end = summary["roles"][role.value]
-    return "died" if end is None or (role is asked.killed and asked.restart_s is None) else str(end["outcome"])
+    return (
+        "died"
+        if end is None or (role is asked.killed and asked.restart_s is None)
+        else str(end["outcome"])
+    )

@@ -1,4 +1,6 @@
-"""Two real role processes on a bad link, killed at every step, flooded by a third: who was responsible, and when."""
+"""Two real role processes on a bad link, killed at every step, flooded by a third: who was
+responsible, and when.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,13 @@ from missions.ground.run_folder import new_folder
 from missions.look.report.tables import counts_text, sum_of
 from missions.trials.cost.processes import runs
 from missions.trials.cost.processes.runs import LIVE, SIM, Came
-from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, TrialTable, verdict
+from missions.trials.shared.trial import (
+    TrialFinding,
+    TrialRequest,
+    TrialResult,
+    TrialTable,
+    verdict,
+)
 from path.protocol.values import ProtocolConfig
 
 TITLE = "Processes: the hand-over on bad links, killed at every step, and under attack"
@@ -28,7 +36,9 @@ Runs = Sequence[Came]
 
 
 def bound_s(config: ProtocolConfig | None = None) -> float:
-    """L2: nobody is responsible for longer than lease, clock uncertainty, and the lateness of a program."""
+    """L2: nobody is responsible for longer than lease, clock uncertainty, and the lateness of a
+    program.
+    """
     config = config or ProtocolConfig()
     return config.lease_s + config.max_uncertainty_s + config.guard_s
 
@@ -49,7 +59,9 @@ def run(request: TrialRequest) -> TrialResult:
         attacks = []
     in_sim = request.work.map("kills in virtual time", runs.fly, simulated)
     at_once = [runs.fly(one) for one in request.work.steps("kills of real processes", live)]
-    linked = [runs.fly(one) for one in request.work.steps("bad links between real processes", links)]
+    linked = [
+        runs.fly(one) for one in request.work.steps("bad links between real processes", links)
+    ]
     attacked = [runs.fly(one) for one in request.work.steps("attacks by a third process", attacks)]
     return TrialResult(
         summary={
@@ -90,7 +102,9 @@ def _figures(came: Runs) -> dict[str, Any]:
         "runs": len(came),
         "outcomes": dict(Counter(one.outcome for one in came)),
         "two_responsible_s": max((one.duty.both_s for one in came), default=0.0),
-        "longest_gap_s": max((one.duty.gap_s for one in came if not one.duty.orphaned), default=0.0),
+        "longest_gap_s": max(
+            (one.duty.gap_s for one in came if not one.duty.orphaned), default=0.0
+        ),
         "orphaned": sum(one.duty.orphaned for one in came),
         "not_landed": sum(not one.landed for one in came),
         "wrong": sum(one.wrong for one in came),
@@ -145,7 +159,9 @@ def _seconds(values: Sequence[float | None]) -> str:
 
 
 def _counted(names: Sequence[str]) -> str:
-    return ", ".join(name + (f" ×{count}" if count > 1 else "") for name, count in Counter(names).items())
+    return ", ".join(
+        name + (f" ×{count}" if count > 1 else "") for name, count in Counter(names).items()
+    )
 
 
 def _link_tables(title: str, came: Runs) -> tuple[TrialTable, ...]:
@@ -161,7 +177,14 @@ def _link_tables(title: str, came: Runs) -> tuple[TrialTable, ...]:
         )
         for what, own in groups.items()
     ]  # fmt: skip
-    columns = ("link", "outcome", "agreement took, s", "nobody, at most, s", "two, s", "packets dropped by the ends")
+    columns = (
+        "link",
+        "outcome",
+        "agreement took, s",
+        "nobody, at most, s",
+        "two, s",
+        "packets dropped by the ends",
+    )
     return (TrialTable(title, columns, tuple(rows)),)
 
 

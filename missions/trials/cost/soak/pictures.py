@@ -18,7 +18,9 @@ _BLOCK_S = 5.0
 
 
 def draw(
-    samples: Mapping[str, Sequence[ProgramSample]], frames: Mapping[Role, Sequence[LogRecord]], path: Path
+    samples: Mapping[str, Sequence[ProgramSample]],
+    frames: Mapping[Role, Sequence[LogRecord]],
+    path: Path,
 ) -> None:
     """Raises OSError when it cannot be written."""
     figure, (left, right) = panels(11.0, 4.2, columns=2)

@@ -1,4 +1,6 @@
-"""A long verification in real time: does memory stay flat, does anything queue up, and what costs how much."""
+"""A long verification in real time: does memory stay flat, does anything queue up, and what costs
+how much.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,14 @@ from missions.look.report.command import make_report
 from missions.look.report.records import Records, RunRecords, load_run
 from missions.trials.cost.soak.pictures import draw
 from missions.trials.cost.soak.watch import PROC, ProgramSample, Watch
-from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
+from missions.trials.shared.trial import (
+    TrialFinding,
+    TrialPicture,
+    TrialRequest,
+    TrialResult,
+    TrialTable,
+    verdict,
+)
 from path.messages import Role
 
 TITLE = "Soak: memory, processor and queues over a long verification in real time"
@@ -35,7 +44,8 @@ QUICK_SECONDS = 20.0
 SAMPLE_S = 2.0
 SETTLED = 0.25  # of the time: what is allocated once is allocated by then
 FLAT_MIB = 5.0
-NEVER = 1.0  # the overlap that is asked for: no two boxes are that alike, it verifies until its deadline
+# the overlap that is asked for: no two boxes are that alike, it verifies until its deadline
+NEVER = 1.0
 GOAL_MIB = 300.0
 QUEUE_MS = 5.0
 PICTURE = "soak.png"
@@ -82,7 +92,9 @@ def run(request: TrialRequest) -> TrialResult:
 
 
 def _endless(rig: Rig, seconds: float, out: Path) -> Rig:
-    """The rig, with a verification that ends by its deadline only, as a file that its programs can read."""
+    """The rig, with a verification that ends by its deadline only, as a file that its programs can
+    read.
+    """
     table: dict[str, Any] = {
         "like": str(rig.file.resolve()),
         "method": {"tau_min": NEVER, "tau_max": NEVER, "gate": "count"},
@@ -91,12 +103,16 @@ def _endless(rig: Rig, seconds: float, out: Path) -> Rig:
     if rig.world.get("sender_simulator") is None:
         table["world"] = {"autopilot": {"endurance_s": 10.0 * seconds + 3000.0}}
     file = out / "rig.toml"
-    file.write_text(toml_text(table, f"{rig.name}, with a verification of {seconds:.0f} s"), "utf-8")
+    file.write_text(
+        toml_text(table, f"{rig.name}, with a verification of {seconds:.0f} s"), "utf-8"
+    )
     return rig_library.load(str(file))
 
 
 def _fly(rig: Rig, request: TrialRequest, seconds: float) -> tuple[Samples, RunRecords]:
-    """Samples of the programs while both verify, and the flight's logs. Raises PartError when they never did."""
+    """Samples of the programs while both verify, and the flight's logs. Raises PartError when they
+    never did.
+    """
     phases: dict[Role, str] = {}
 
     def note(progress: Progress) -> None:
@@ -122,7 +138,8 @@ def _fly(rig: Rig, request: TrialRequest, seconds: float) -> tuple[Samples, RunR
     return watch.samples, load_run(folder)
 
 
-# --- what was measured --------------------------------------------------------------------------------------------
+# --- what was measured
+# --------------------------------------------------------------------------------------------
 
 
 def growth_mib(taken: Sequence[ProgramSample]) -> float:
@@ -144,7 +161,9 @@ def cpu_share(taken: Sequence[ProgramSample]) -> dict[str, float]:
 
 
 def stages_ms(records: Records) -> dict[str, float]:
-    """Processor time of a frame's cycle by stage while the role verified; what is in no stage is ``rest``."""
+    """Processor time of a frame's cycle by stage while the role verified; what is in no stage is
+    ``rest``.
+    """
     cpu = _verifying(records, "/cpu")
     frames = _verifying(records, "/frame")
     if len(cpu) < 2:
@@ -155,24 +174,38 @@ def stages_ms(records: Records) -> dict[str, float]:
     spent = {name: (of - first.get(name, 0)) * 1e-6 / max(cycles, 1) for name, of in last.items()}
     program = spent.pop("program")
     thread = spent.pop("thread")
-    rest = {"rest of the main thread": thread - sum(spent.values()), "other threads": program - thread}
-    return {name: round(of, 3) for name, of in (*sorted(spent.items(), key=lambda item: -item[1]), *rest.items())}
+    rest = {
+        "rest of the main thread": thread - sum(spent.values()),
+        "other threads": program - thread,
+    }
+    return {
+        name: round(of, 3)
+        for name, of in (*sorted(spent.items(), key=lambda item: -item[1]), *rest.items())
+    }
 
 
 def ages_ms(records: Records) -> dict[str, float]:
-    """Returns the age of frames when their cycle began: over all, and in the first and the last quarter of the time."""
+    """Returns the age of frames when their cycle began: over all, and in the first and the last
+    quarter of the time.
+    """
     ages = np.array([frame.record["age_ns"] * 1e-6 for frame in _verifying(records, "/frame")])
     if len(ages) < 4:
         return {}
     quarter = len(ages) // 4
     parts = {"": ages, "first_quarter_": ages[:quarter], "last_quarter_": ages[-quarter:]}
-    return {f"{name}{q}": round(float(np.percentile(of, p)), 2) for name, of in parts.items() for q, p in _QUANTILES}
+    return {
+        f"{name}{q}": round(float(np.percentile(of, p)), 2)
+        for name, of in parts.items()
+        for q, p in _QUANTILES
+    }
 
 
 def _verifying(records: Records, topic: str) -> list[LogRecord]:
     """Records of the time from the begin of verifying to the next phase."""
     phases = records.get("/phase", ())
-    begin = next((k for k, phase in enumerate(phases) if phase.record["phase"] == Phase.VERIFY.title), None)
+    begin = next(
+        (k for k, phase in enumerate(phases) if phase.record["phase"] == Phase.VERIFY.title), None
+    )
     if begin is None:
         return []
     from_ns = phases[begin].stamp_ns
@@ -180,7 +213,8 @@ def _verifying(records: Records, topic: str) -> list[LogRecord]:
     return [record for record in records.get(topic, ()) if from_ns <= record.stamp_ns < to_ns]
 
 
-# --- how it is shown ----------------------------------------------------------------------------------------------
+# --- how it is shown
+# ----------------------------------------------------------------------------------------------
 
 
 def _findings(samples: Samples, run: RunRecords, seconds: float) -> tuple[TrialFinding, ...]:
@@ -207,10 +241,17 @@ def _memory_findings(name: str, taken: Sequence[ProgramSample]) -> Iterator[Tria
     grown = growth_mib(taken)
     most = max(one.private_mib for one in taken)
     goal = f"<= {FLAT_MIB:.0f}"
-    yield TrialFinding(f"memory grown, {name}, MiB", f"{grown:+.1f}", "", "", goal, verdict(grown <= FLAT_MIB))
+    yield TrialFinding(
+        f"memory grown, {name}, MiB", f"{grown:+.1f}", "", "", goal, verdict(grown <= FLAT_MIB)
+    )
     if name in [role.value for role in Role]:
         yield TrialFinding(
-            f"memory, {name}, MiB", f"{most:.0f}", "", "", f"<= {GOAL_MIB:.0f}", verdict(most <= GOAL_MIB)
+            f"memory, {name}, MiB",
+            f"{most:.0f}",
+            "",
+            "",
+            f"<= {GOAL_MIB:.0f}",
+            verdict(most <= GOAL_MIB),
         )
 
 
@@ -233,14 +274,18 @@ def _memory_table(samples: Samples) -> TrialTable:
          f"{taken[-1].private_mib:.1f}", f"{growth_mib(taken):+.2f}")
         for name, taken in samples.items()
     )  # fmt: skip
-    return TrialTable("Memory of their own, MiB", ("program", "begin", "highest", "end", "grown"), rows)
+    return TrialTable(
+        "Memory of their own, MiB", ("program", "begin", "highest", "end", "grown"), rows
+    )
 
 
 def _cpu_table(samples: Samples) -> TrialTable:
     rows: list[tuple[str, str, str]] = []
     for name, taken in samples.items():
         shares = cpu_share(taken)
-        threads = ", ".join(f"{thread} {100 * share:.1f}" for thread, share in shares.items() if share >= 0.001)
+        threads = ", ".join(
+            f"{thread} {100 * share:.1f}" for thread, share in shares.items() if share >= 0.001
+        )
         rows.append((name, f"{100 * sum(shares.values()):.1f}", threads))
     return TrialTable("Processor, % of a core", ("program", "all", "by thread"), tuple(rows))
 
@@ -248,5 +293,10 @@ def _cpu_table(samples: Samples) -> TrialTable:
 def _stage_table(run: RunRecords) -> TrialTable:
     of = {role: stages_ms(run.role(role)) for role in Role}
     names = list(dict.fromkeys(name for stages in of.values() for name in stages))
-    rows = tuple((name, *(f"{of[role][name]:.3f}" if name in of[role] else "" for role in Role)) for name in names)
-    return TrialTable("Processor time of a frame, ms", ("stage", *(role.value for role in Role)), rows)
+    rows = tuple(
+        (name, *(f"{of[role][name]:.3f}" if name in of[role] else "" for role in Role))
+        for name in names
+    )
+    return TrialTable(
+        "Processor time of a frame, ms", ("stage", *(role.value for role in Role)), rows
+    )

@@ -18,7 +18,8 @@ class ProgramSample:
     """One program at one time.
 
     Attributes:
-        private_mib: memory that is its own; what programs share, such as camera images, is not in it.
+        private_mib: memory that is its own; what programs share, such as camera images, is not in
+            it.
         cpu_s: processor time of its threads since they began, by thread name.
     """
 
@@ -29,7 +30,8 @@ class ProgramSample:
 
 @dataclass(slots=True)
 class Watch:
-    """Samples of every descendant of a process, by a name that a reader knows, taken in a thread of its own.
+    """Samples of every descendant of a process, by a name that a reader knows, taken in a thread of
+    its own.
 
     Args:
         period_s: between samples.
@@ -102,7 +104,9 @@ def _line(process: int, parents: dict[int, int]) -> Iterator[int]:
 
 def _name(process: int) -> str:
     try:
-        words = (PROC / str(process) / "cmdline").read_bytes().decode("utf-8", "replace").split("\0")
+        words = (
+            (PROC / str(process) / "cmdline").read_bytes().decode("utf-8", "replace").split("\0")
+        )
     except OSError:
         return ""
     if any(word.endswith("mavsdk_server") for word in words[:1]):

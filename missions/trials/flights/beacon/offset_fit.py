@@ -1,21 +1,25 @@
-"""The offset between two clocks by generalised least squares: what errs together in time or place counts as such.
+"""The offset between two clocks by generalised least squares: what errs together in time or place
+counts as such.
 
-The model of the residuals between a beacon's positions and a vehicle's own ones, by axis, independent of each other
-(``T`` is the time over which the vehicle's own positions were steadied, weights ``exp(-|t|/T)/2T``; ``u = |dt|/T``):
+The model of the residuals between a beacon's positions and a vehicle's own ones, by axis,
+independent of each other (``T`` is the time over which the vehicle's own positions were steadied,
+weights ``exp(-|t|/T)/2T``; ``u = |dt|/T``):
 
 - a constant shift of each vehicle's estimate (any; free);
 - white noise of a position of the beacons, ``noise_m``;
-- jitter of the vehicle's positions, white before they were steadied, ``jitter_m``: covariance ``(1 + u) exp(-u)``;
+- jitter of the vehicle's positions, white before they were steadied, ``jitter_m``: covariance ``(1
+  + u) exp(-u)``;
 - a random walk of the vehicle's positions, ``walk_m_per_sqrt_s``, steadied likewise: spectrum
-  ``1 / (w^2 (1 + (w T)^2)^2)``, thus covariance ``-|dt|/2 - (3 T/4 + |dt|/4) exp(-u)`` up to a constant that the free
-  shift takes;
-- a static warp of the beacons' frame, ``warp_m``, that all beacons share and that changes over ``WARP_LENGTH_M``:
-  ``exp(-D^2 / 2 L^2)`` for places ``D`` apart.
+  ``1 / (w^2 (1 + (w T)^2)^2)``, thus covariance ``-|dt|/2 - (3 T/4 + |dt|/4) exp(-u)`` up to a
+  constant that the free shift takes;
+- a static warp of the beacons' frame, ``warp_m``, that all beacons share and that changes over
+  ``WARP_LENGTH_M``: ``exp(-D^2 / 2 L^2)`` for places ``D`` apart.
 
-The four standard deviations are those that are likeliest given the records alone: restricted maximum likelihood
-(Patterson and Thompson 1971), by average information (Gilmour, Thompson and Cullis 1995). Kernels as in Rasmussen and
-Williams, Gaussian Processes for Machine Learning (2006), chapter 4. A warp is then what it is: where all places are
-passed in one direction only, an offset cannot be told from it, and the standard deviation says so.
+The four standard deviations are those that are likeliest given the records alone: restricted
+maximum likelihood (Patterson and Thompson 1971), by average information (Gilmour, Thompson and
+Cullis 1995). Kernels as in Rasmussen and Williams, Gaussian Processes for Machine Learning (2006),
+chapter 4. A warp is then what it is: where all places are passed in one direction only, an offset
+cannot be told from it, and the standard deviation says so.
 """
 
 from __future__ import annotations
@@ -32,9 +36,11 @@ from path.geometry.rotation import exp
 
 Array = NDArray[np.float64]
 
-BLOCK_S = 0.5  # positions within this are one mean: nothing that moves a drone is quicker, and matrices stay small
+# positions within this are one mean: nothing that moves a drone is quicker, and matrices stay small
+BLOCK_S = 0.5
 WARP_LENGTH_M = 2.0  # half the way between stationary beacons, about; 1.5 m does as well
-START_M = (0.02, 0.02, 0.01, 0.01)  # noise, jitter, walk, warp: where the search for the likeliest begins
+# noise, jitter, walk, warp: where the search for the likeliest begins
+START_M = (0.02, 0.02, 0.01, 0.01)
 LEAST_M = 0.001  # of each of them
 ROUNDS = 5
 SEARCH_STEPS = 25
@@ -53,7 +59,9 @@ class Spreads:
 
 @dataclass(frozen=True, slots=True)
 class OffsetFit:
-    """``offset_sigma_s`` is for the likeliest spreads; ``yaw_rad`` turns curves to samples about the vertical."""
+    """``offset_sigma_s`` is for the likeliest spreads; ``yaw_rad`` turns curves to samples about
+    the vertical.
+    """
 
     offset_s: float
     offset_sigma_s: float
@@ -62,18 +70,23 @@ class OffsetFit:
 
 
 def fit_offset(pairs: Sequence[MotionPair], start: Alignment, steady_s: float) -> OffsetFit:
-    """Offset of samples to curves of several vehicles in one frame of beacons that is turned about the vertical.
+    """Offset of samples to curves of several vehicles in one frame of beacons that is turned about
+    the vertical.
 
     Args:
-        pairs: curves are of vehicles' own positions, steadied over ``steady_s``; samples are of beacons.
-        start: a robust alignment of the same pairs; which samples count, and how much, is taken from it.
+        pairs: curves are of vehicles' own positions, steadied over ``steady_s``; samples are of
+            beacons.
+        start: a robust alignment of the same pairs; which samples count, and how much, is taken
+            from it.
 
     Raises:
         ValueError: a pair has no sample that counts, or nothing moved.
     """
     weights = [
         np.where(used, huber(np.nan_to_num(residuals), scale_m), 0.0)
-        for used, residuals, scale_m in zip(start.used, start.residuals, start.scales_m, strict=True)
+        for used, residuals, scale_m in zip(
+            start.used, start.residuals, start.scales_m, strict=True
+        )
     ]
     if any(not np.any(own > 0.5) for own in weights):
         raise ValueError("no sample of a vehicle's beacon fits its own motion")
@@ -101,10 +114,11 @@ class _Means:
     """Means over blocks of time, of all pairs.
 
     Attributes:
-        t, place: (n,) and (n, 3) where the vehicle is by its own estimate, turned; it has none of a sample's noise,
-            which a warp over the samples' places would explain away.
+        t, place: (n,) and (n, 3) where the vehicle is by its own estimate, turned; it has none of a
+            sample's noise, which a warp over the samples' places would explain away.
         count: (n,) samples in each, by weight. pair: (n,).
-        residual: (3, n), samples minus curve, by axis. jacobian: (3, n, unknowns): offset, turn, and shifts.
+        residual: (3, n), samples minus curve, by axis. jacobian: (3, n, unknowns): offset, turn,
+            and shifts.
     """
 
     t: Array
@@ -115,7 +129,9 @@ class _Means:
     jacobian: Array
 
 
-def _means(pairs: Sequence[MotionPair], weights: Sequence[Array], offset_s: float, yaw_rad: float) -> _Means:
+def _means(
+    pairs: Sequence[MotionPair], weights: Sequence[Array], offset_s: float, yaw_rad: float
+) -> _Means:
     R = exp(np.array([0.0, 0.0, yaw_rad]))
     rows = list[Array]()
     of = list[int]()
@@ -126,7 +142,9 @@ def _means(pairs: Sequence[MotionPair], weights: Sequence[Array], offset_s: floa
         fine = (weight > 0.0) & np.isfinite(placed[:, 0]) & np.isfinite(velocity[:, 0])
         apart = pair.samples.p[fine] - placed[fine]
         turning = np.cross([0.0, 0.0, 1.0], placed[fine])
-        data = np.column_stack([t[fine], placed[fine] + np.median(apart, axis=0), apart, velocity[fine], turning])
+        data = np.column_stack(
+            [t[fine], placed[fine] + np.median(apart, axis=0), apart, velocity[fine], turning]
+        )
         _, block = np.unique(((t[fine] - t[0]) / BLOCK_S).astype(np.int64), return_inverse=True)
         sums = np.zeros((int(block.max()) + 1, data.shape[1] + 1))
         np.add.at(sums, block, np.column_stack([data, np.ones(len(data))]) * weight[fine, None])
@@ -150,7 +168,12 @@ def _kernels(means: _Means, steady_s: float) -> Array:
     same = means.pair[:, None] == means.pair
     fading = np.exp(-apart_s / steady_s)
     # the constant makes it a covariance; the free shifts make its value indifferent
-    walk = np.ptp(means.t) + 2.0 * steady_s - 0.5 * apart_s - (0.75 * steady_s + 0.25 * apart_s) * fading
+    walk = (
+        np.ptp(means.t)
+        + 2.0 * steady_s
+        - 0.5 * apart_s
+        - (0.75 * steady_s + 0.25 * apart_s) * fading
+    )
     return np.stack([
         np.diag(1.0 / means.count),
         same * (1.0 + apart_s / steady_s) * fading,
@@ -167,7 +190,8 @@ class _Solution:
         likelihood: logarithm of the restricted one, up to a constant.
         unknowns, covariance: (u,), (u, u).
         inverse: (n, n), of the residuals' covariance, the same for all axes.
-        gains: (3, n, u), inverse times Jacobian. left: (3, n), inverse times the residuals after the fit.
+        gains: (3, n, u), inverse times Jacobian. left: (3, n), inverse times the residuals after
+            the fit.
     """
 
     likelihood: float
@@ -184,7 +208,9 @@ class _Solution:
 
 
 def _solution(spreads: Array, kernels: Array, means: _Means) -> _Solution:
-    """``spreads``: logarithms of the four variances. Raises LinAlgError: something cannot be told at all."""
+    """``spreads``: logarithms of the four variances. Raises LinAlgError: something cannot be told
+    at all.
+    """
     covariance = np.tensordot(np.exp(spreads), kernels, 1)
     inverse = np.linalg.inv(covariance)
     gains = inverse @ means.jacobian
@@ -201,7 +227,9 @@ def _solution(spreads: Array, kernels: Array, means: _Means) -> _Solution:
 
 
 def _likeliest(spreads: Array, kernels: Array, means: _Means) -> tuple[Array, _Solution]:
-    """Steps by average information, damped (Levenberg) so that none makes the records less likely."""
+    """Steps by average information, damped (Levenberg) so that none makes the records less
+    likely.
+    """
     now = _solution(spreads, kernels, means)
     damping = 1e-3
     for _ in range(SEARCH_STEPS):
@@ -226,9 +254,13 @@ def _likeliest(spreads: Array, kernels: Array, means: _Means) -> tuple[Array, _S
 
 
 def _slopes(now: _Solution, spreads: Array, kernels: Array) -> tuple[Array, Array]:
-    """Gradient (4,) of the likelihood by the logarithms of the variances, and average information (4, 4)."""
+    """Gradient (4,) of the likelihood by the logarithms of the variances, and average information
+    (4, 4).
+    """
     variances = np.exp(spreads)
-    seen = 3.0 * now.inverse - np.einsum("anu,uv,amv->nm", now.gains, now.covariance, now.gains, optimize=True)
+    seen = 3.0 * now.inverse - np.einsum(
+        "anu,uv,amv->nm", now.gains, now.covariance, now.gains, optimize=True
+    )
     pulls = [now.left @ kernel for kernel in kernels]
     gradient = np.array([
         0.5 * v * (np.sum(now.left * pull) - np.sum(seen * kernel))

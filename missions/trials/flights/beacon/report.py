@@ -1,4 +1,6 @@
-"""The beacon trial's segments, tables and findings: from the records alone, judged beside where a harness can."""
+"""The beacon trial's segments, tables and findings: from the records alone, judged beside where a
+harness can.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +15,30 @@ import numpy as np
 
 from missions.look.report.records import RunRecords, phase_changes
 from missions.trials.flights.dynamic.judge import SUBJECTS, Compared, SessionErrors
-from missions.trials.flights.errors import COLUMNS, NAMES, OFFSET_GOAL_S, between, cells, errors_of, mm
+from missions.trials.flights.errors import (
+    COLUMNS,
+    NAMES,
+    OFFSET_GOAL_S,
+    between,
+    cells,
+    errors_of,
+    mm,
+)
 from missions.trials.shared.trial import TrialFinding, TrialTable, verdict
 
 LEAST = 10  # errors that a segment must have
 LENGTHS = ("rmse_m", "rmse_low_m", "rmse_high_m", "mean_m", "median_m", "p95_m", "max_m")
 
 Row = Mapping[str, Any]
-"""Errors of one trajectory in one segment, as ``summary.json`` has them; the interval is 95 %, over blocks of time."""
+"""Errors of one trajectory in one segment, as ``summary.json`` has them; the interval is 95 %, over
+blocks of time.
+"""
 
 
 def rows_of(run: RunRecords, measured: SessionErrors, seed: int) -> list[Row]:
-    """Return the errors of all, and of those phases of the receiver in which there was something to compare."""
+    """Return the errors of all, and of those phases of the receiver in which there was something to
+    compare.
+    """
     rows: list[Row] = []
     for segment, start_s, end_s in _segments(run):
         for name in SUBJECTS:
@@ -53,7 +67,9 @@ def write_errors(file: Path, rows: Sequence[Row]) -> None:
     """Write the table as CSV. The same records give the same bytes. Raises OSError."""
     with file.open("w", newline="", encoding="utf-8") as out:
         table = csv.writer(out)
-        table.writerow(("segment", "trajectory", "n", *(name.replace("_m", "_mm") for name in LENGTHS)))
+        table.writerow(
+            ("segment", "trajectory", "n", *(name.replace("_m", "_mm") for name in LENGTHS))
+        )
         for row in rows:
             low, high = row["rmse_interval_m"]
             lengths = {**row, "rmse_low_m": low, "rmse_high_m": high}
@@ -61,19 +77,27 @@ def write_errors(file: Path, rows: Sequence[Row]) -> None:
             table.writerow((row["segment"], row["subject"], row["n"], *texts))
 
 
-def findings(measured: SessionErrors, rows: Sequence[Row], offset_error_s: float | None) -> list[TrialFinding]:
+def findings(
+    measured: SessionErrors, rows: Sequence[Row], offset_error_s: float | None
+) -> list[TrialFinding]:
     clock = measured.clock
     half_ms = 1e3 * 1.96 * clock.offset_sigma_s
     offset_ms = 1e3 * clock.offset_s
     known = offset_error_s is not None
-    judged = f"; off by {1e3 * offset_error_s:+.1f} ms, judged by the harness" if offset_error_s is not None else ""
+    judged = (
+        f"; off by {1e3 * offset_error_s:+.1f} ms, judged by the harness"
+        if offset_error_s is not None
+        else ""
+    )
     found = [
         TrialFinding(
             "receiver's clock minus the listener's, ms",
             f"{offset_ms:.1f}",
             f"{offset_ms - half_ms:.1f} to {offset_ms + half_ms:.1f}",
             goal="known to 10" if known else "",
-            verdict="measured" if offset_error_s is None else verdict(abs(offset_error_s) <= OFFSET_GOAL_S),
+            verdict="measured"
+            if offset_error_s is None
+            else verdict(abs(offset_error_s) <= OFFSET_GOAL_S),
             note=f"from both vehicles' own records; what delays all telemetry or all positions alike is in it{judged}",
         )
     ]
@@ -101,7 +125,9 @@ def table(rows: Sequence[Row]) -> TrialTable:
     )
 
 
-def summary(measured: SessionErrors, rows: Sequence[Row], offset_error_s: float | None) -> dict[str, Any]:
+def summary(
+    measured: SessionErrors, rows: Sequence[Row], offset_error_s: float | None
+) -> dict[str, Any]:
     clock = measured.clock
     frame = measured.frame
     return {

@@ -1,8 +1,9 @@
-"""A session with beacons: they are listened to while the drones fly, and everything is kept as it came.
+"""A session with beacons: they are listened to while the drones fly, and everything is kept as it
+came.
 
-A session's folder has the logs of both roles and the beacons' record, ``beacons.mcap`` (or ``beacons.csv``, the
-Dashboard's own log or a list from another program); ``world.mcap`` and ``beacons.truth.json`` only where a harness
-knows them.
+A session's folder has the logs of both roles and the beacons' record, ``beacons.mcap`` (or
+``beacons.csv``, the Dashboard's own log or a list from another program); ``world.mcap`` and
+``beacons.truth.json`` only where a harness knows them.
 """
 
 from __future__ import annotations
@@ -56,12 +57,20 @@ def load_session(folder: Path) -> BeaconSession:
             "put both roles' logs and the beacons' record into one folder and name it with --logs",
         )
     facts = load_facts(folder)
-    notes = () if facts is None or facts.outcome == "committed" else (f"The flight ended as '{facts.outcome}'.",)
-    return BeaconSession(folder, tuple(read_any(records[0])), notes, read_truth(folder / TRUTH_FILE))
+    notes = (
+        ()
+        if facts is None or facts.outcome == "committed"
+        else (f"The flight ended as '{facts.outcome}'.",)
+    )
+    return BeaconSession(
+        folder, tuple(read_any(records[0])), notes, read_truth(folder / TRUTH_FILE)
+    )
 
 
 def fly_session(rig: Rig, seed: int, folder: Path) -> BeaconSession:
-    """Fly the rig once and listen to its beacons. Raises PartError: the rig cannot, or the beacons give nothing."""
+    """Fly the rig once and listen to its beacons. Raises PartError: the rig cannot, or the beacons
+    give nothing.
+    """
     reference = reference_of(rig)
     if reference.beacons is None:
         facts = fly_once(rig, seed, (), folder, lambda _: None)
@@ -78,7 +87,9 @@ def fly_session(rig: Rig, seed: int, folder: Path) -> BeaconSession:
 
 
 def _hear_afterwards(rig: Rig, seed: int, folder: Path) -> list[BeaconFix]:
-    """Makes the bytes from the flight's truth in virtual time; what takes them is what takes a port's."""
+    """Makes the bytes from the flight's truth in virtual time; what takes them is what takes a
+    port's.
+    """
     if "beacons" not in rig.trials:
         raise PartError(
             f"{rig.where('[reference]')}: nobody listens to the beacons",
@@ -93,7 +104,9 @@ def _hear_afterwards(rig: Rig, seed: int, folder: Path) -> list[BeaconFix]:
         fixes.extend(stream.feed(port, arrival_ns, data))
 
     listen = import_factory(rig.trials["beacons"], rig.where("trials.beacons"))
-    write_truth(folder / TRUTH_FILE, listen(folder / WORLD_LOG, hear, seed, reference_of(rig).mounted))
+    write_truth(
+        folder / TRUTH_FILE, listen(folder / WORLD_LOG, hear, seed, reference_of(rig).mounted)
+    )
     recorder.close()
     return fixes
 
@@ -106,7 +119,8 @@ class _HasBytes(Protocol):
 
 
 class Listener:
-    """Listens to beacons in a thread of its own, as a flight takes this one; entered and left around the flight.
+    """Listens to beacons in a thread of its own, as a flight takes this one; entered and left
+    around the flight.
 
     Attributes:
         fixes: positions so far.
@@ -114,14 +128,20 @@ class Listener:
     """
 
     def __init__(self, rig: Rig, spec: PartSpec, file: Path) -> None:
-        context = replace(part_context(rig, Role.RECEIVER), clock=SystemClock(SystemClockConfig(), None))  # type: ignore[arg-type]
+        context = replace(
+            part_context(rig, Role.RECEIVER),
+            clock=SystemClock(SystemClockConfig(), None),  # type: ignore[arg-type]
+        )
         self._beacons: Beacons = create(spec, context)
         self._file = file
-        self._partial = file.with_name(f"{file.name}.part")  # a flight clears its folder of earlier logs
+        # a flight clears its folder of earlier logs
+        self._partial = file.with_name(f"{file.name}.part")
         self._recorder = BeaconRecorder(self._partial, float(spec.options.get("latency_s", 0.0)))
         self._stop = threading.Event()
         self._running: tuple[asyncio.AbstractEventLoop, asyncio.Task[None]] | None = None
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._listen()), name="listener", daemon=True)
+        self._thread = threading.Thread(
+            target=lambda: asyncio.run(self._listen()), name="listener", daemon=True
+        )
         self.fixes: list[BeaconFix] = []
         self.notes: list[str] = []
 
@@ -130,7 +150,11 @@ class Listener:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+        /,
     ) -> None:
         """Raises BeaconError when not one position was heard, or the record is not whole."""
         self._stop.set()
@@ -145,7 +169,9 @@ class Listener:
         else:
             self._partial.unlink()
         if error is None and not self.fixes:
-            raise BeaconError("; ".join(self.notes) or "no position of a beacon was heard", "docs/beacons.md")
+            raise BeaconError(
+                "; ".join(self.notes) or "no position of a beacon was heard", "docs/beacons.md"
+            )
 
     async def _listen(self) -> None:
         task = asyncio.current_task()
@@ -164,7 +190,9 @@ class Listener:
                 raise
 
     async def _heard(self, beacons: Beacons) -> bool:
-        """One more position, or one more silence, which is noted once; False at the end of a record."""
+        """One more position, or one more silence, which is noted once; False at the end of a
+        record.
+        """
         try:
             fix = await beacons.read(SILENT_S)
         except BeaconError as error:
@@ -176,14 +204,19 @@ class Listener:
         return fix is not None
 
 
-def record_session(rig: Rig, folder: Path, seconds: float, show: Callable[[str], None]) -> tuple[BeaconFix, ...]:
-    """Listen without flying, as in the field: until ``seconds`` have passed (0: for ever) or Ctrl-C.
+def record_session(
+    rig: Rig, folder: Path, seconds: float, show: Callable[[str], None]
+) -> tuple[BeaconFix, ...]:
+    """Listen without flying, as in the field: until ``seconds`` have passed (0: for ever) or
+    Ctrl-C.
 
     Raises PartError for a rig without beacons and for beacons that give nothing.
     """
     reference = reference_of(rig)
     if reference.beacons is None:
-        raise PartError(f"{rig.where('[reference]')}: missing table 'beacons'", "name the part that listens")
+        raise PartError(
+            f"{rig.where('[reference]')}: missing table 'beacons'", "name the part that listens"
+        )
     end = threading.Event()
     with Listener(rig, reference.beacons, folder / BEACON_RECORD) as listener:
         left_s = seconds or float("inf")
@@ -191,7 +224,8 @@ def record_session(rig: Rig, folder: Path, seconds: float, show: Callable[[str],
             while left_s > 0.0 and not end.wait(min(1.0, left_s)):
                 left_s -= 1.0
                 rated = ", ".join(
-                    f"{name} {_of(listener.fixes, own.address)}" for name, own in reference.mounted.items()
+                    f"{name} {_of(listener.fixes, own.address)}"
+                    for name, own in reference.mounted.items()
                 )
                 show(f"positions: {rated}{'; ' + listener.notes[-1] if listener.notes else ''}")
         except KeyboardInterrupt:

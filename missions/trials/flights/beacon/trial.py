@@ -1,4 +1,6 @@
-"""A whole accuracy session with beacons: flown and recorded, or from the records of one, to errors by segment."""
+"""A whole accuracy session with beacons: flown and recorded, or from the records of one, to errors
+by segment.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +15,20 @@ from missions.ground.run_folder import new_folder
 from missions.look.report.records import RunRecords, load_run
 from missions.look.report.truth import truth_of
 from missions.trials.flights.beacon import report
-from missions.trials.flights.beacon.session import BeaconSession, fly_session, load_session, record_session
+from missions.trials.flights.beacon.session import (
+    BeaconSession,
+    fly_session,
+    load_session,
+    record_session,
+)
 from missions.trials.flights.dynamic.flight import heard_of, reference_of
-from missions.trials.flights.dynamic.judge import SessionErrors, against_truth, measure, offset_error_s, true_path
+from missions.trials.flights.dynamic.judge import (
+    SessionErrors,
+    against_truth,
+    measure,
+    offset_error_s,
+    true_path,
+)
 from missions.trials.flights.dynamic.pictures import draw_errors, draw_map
 from missions.trials.flights.errors import alignments
 from missions.trials.shared.trial import TrialPicture, TrialRequest, TrialResult, TrialTable
@@ -58,7 +71,11 @@ def run(request: TrialRequest) -> TrialResult:
     report.write_errors(request.out / ERRORS, rows)
     error_s = _draw(session, flown, measured, request.out)
     truth = session.truth
-    noise = None if truth is None else TrialTable("What the harness put in", ("what", "value"), truth.noise)
+    noise = (
+        None
+        if truth is None
+        else TrialTable("What the harness put in", ("what", "value"), truth.noise)
+    )
     return TrialResult(
         summary=report.summary(measured, rows, error_s),
         findings=tuple(report.findings(measured, rows, error_s)),
@@ -68,7 +85,10 @@ def run(request: TrialRequest) -> TrialResult:
             TrialPicture("map.png", "From above: left in the beacons' frame, right seen from D1"),
             TrialPicture("errors.png", "Errors over time"),
         ),
-        notes=(*session.notes, "A constant latency of the beacons cannot be told from an offset between the clocks."),
+        notes=(
+            *session.notes,
+            "A constant latency of the beacons cannot be told from an offset between the clocks.",
+        ),
     )
 
 
@@ -77,7 +97,9 @@ def _fly(order: tuple[Rig, int, Path]) -> BeaconSession:
     return fly_session(rig, seed, new_folder(out / FLOWN))
 
 
-def _draw(session: BeaconSession, flown: RunRecords, measured: SessionErrors, out: Path) -> float | None:
+def _draw(
+    session: BeaconSession, flown: RunRecords, measured: SessionErrors, out: Path
+) -> float | None:
     """Draws both pictures; returns the error of the clock's offset where it is known."""
     truth = truth_of(flown.world)
     beacons = session.truth

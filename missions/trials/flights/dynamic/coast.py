@@ -1,4 +1,6 @@
-"""The relative-pose filter on a marker that it does not see: a recorded flight replayed with gaps in it."""
+"""The relative-pose filter on a marker that it does not see: a recorded flight replayed with gaps
+in it.
+"""
 
 from __future__ import annotations
 
@@ -25,12 +27,15 @@ HIDDEN_S = 1.05
 STEP_S = 0.1
 SLACK_S = 0.009
 STARTS = 6  # of the rows of gaps, in one replay each
-TRUTH_SIGMAS = np.array([3e-4] * 3 + [5e-4] * 3)  # of the true pose, m and rad: it is logged at 25 Hz only
+# of the true pose, m and rad: it is logged at 25 Hz only
+TRUTH_SIGMAS = np.array([3e-4] * 3 + [5e-4] * 3)
 
 
 @dataclass(frozen=True, slots=True)
 class FilterInput:
-    """The filter's input of one frame; ``T_c_v`` and ``covariance`` are None when no marker was seen."""
+    """The filter's input of one frame; ``T_c_v`` and ``covariance`` are None when no marker was
+    seen.
+    """
 
     stamp_ns: int
     own: tuple[int, Vec3]
@@ -69,7 +74,9 @@ def frames_of(run: RunRecords) -> list[FilterInput]:
         motion = given[r.stamp_ns]
         T_c_v = covariance = None
         if r.record["position_v_m"] is not None and motion["covariance"] is not None:
-            T_c_v = Pose(R_from_quat(r.record["rotation_v_c2"]), np.array(r.record["position_v_m"], float)).inverse()
+            T_c_v = Pose(
+                R_from_quat(r.record["rotation_v_c2"]), np.array(r.record["position_v_m"], float)
+            ).inverse()
             covariance = np.reshape(np.array(motion["covariance"], float), (6, 6))
         frames.append(
             FilterInput(
@@ -91,7 +98,8 @@ def _vec3(values: list[float]) -> Vec3:
 
 
 def coasts(run: RunRecords, rig: Rig, truth: Truth) -> Coasts:
-    """Replay a flight with gaps of ``HIDDEN_S`` after ``SEEN_S`` of marker each, begun at several instants.
+    """Replay a flight with gaps of ``HIDDEN_S`` after ``SEEN_S`` of marker each, begun at several
+    instants.
 
     Predictions are judged every ``STEP_S`` of a gap.
     """
@@ -103,7 +111,8 @@ def coasts(run: RunRecords, rig: Rig, truth: Truth) -> Coasts:
 
     rows = [row for start in range(STARTS) for row in _replayed(frames, rig, true_at, start)]
     unseen, errors, sigmas_m, sigmas_rad, nees, blocks = (
-        np.array([row[k] for row in rows]) if rows else np.zeros((0, 6)[: 2 if k == 1 else 1]) for k in range(6)
+        np.array([row[k] for row in rows]) if rows else np.zeros((0, 6)[: 2 if k == 1 else 1])
+        for k in range(6)
     )
     return Coasts(unseen, errors, sigmas_m, sigmas_rad, nees, blocks.astype(np.int64))
 
@@ -128,7 +137,11 @@ def _replayed(
         if not hidden and frame.T_c_v is not None and frame.covariance is not None:
             filtered.update(frame.stamp_ns, frame.T_c_v, frame.covariance, frame.R_n_c, frame.R_n_v)
         unseen_s = filtered.unseen_s(frame.stamp_ns)
-        if since_ns <= 0 or not unseen_s <= HIDDEN_S or abs(math.remainder(unseen_s, STEP_S)) > SLACK_S:
+        if (
+            since_ns <= 0
+            or not unseen_s <= HIDDEN_S
+            or abs(math.remainder(unseen_s, STEP_S)) > SLACK_S
+        ):
             continue
         relative = filtered.predict(frame.stamp_ns, frame.R_n_c, frame.R_n_v)
         if relative is not None:

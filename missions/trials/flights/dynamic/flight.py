@@ -1,7 +1,7 @@
 """A whole mission flown for the trial, and what its logs say: PATH's trajectories and the beacons'.
 
-Frame ``u`` is north, west, up by a drone's own estimate: as the beacons' frame it is level, so that only a turn about
-the vertical lies between the two.
+Frame ``u`` is north, west, up by a drone's own estimate: as the beacons' frame it is level, so that
+only a turn about the vertical lies between the two.
 """
 
 from __future__ import annotations
@@ -42,7 +42,9 @@ JUMP_M = 0.25  # from the median of its neighbours: no drone moves so between tw
 
 @dataclass(frozen=True, slots=True)
 class FlightOrder:
-    """One flight to fly, in a process of its own. ``rig``: with the trial's motion already in it."""
+    """One flight to fly, in a process of its own. ``rig``: with the trial's motion already in
+    it.
+    """
 
     rig: Rig
     beacons: str
@@ -79,7 +81,9 @@ def fly(order: FlightOrder) -> FlownSession:
     facts = fly_once(order.rig, order.seed, (), order.folder, lambda _: None)
     listen = import_factory(order.beacons, order.rig.where("trials.beacons"))
     recorder = BeaconRecorder(order.folder / BEACON_RECORD, 0.0, virtual=True)
-    truth = listen(order.folder / WORLD_LOG, recorder.write, order.seed, reference_of(order.rig).mounted)
+    truth = listen(
+        order.folder / WORLD_LOG, recorder.write, order.seed, reference_of(order.rig).mounted
+    )
     recorder.close()
     return FlownSession(order.folder, order.seed, facts.outcome, facts.simulated_s, truth)
 
@@ -100,9 +104,10 @@ class Motions:
     """The motions that PATH and the vehicles tell, by the receiver's clock, s, in ``u``.
 
     Attributes:
-        own, own_1: D2's and D1's beacon by their own estimates; ``still_until_s`` is when D2 was armed.
-        d2, target: from D1's beacon to D2's, and to the point on the target, as PATH has them. D1's attitude turns
-            them from ``v`` to ``u``.
+        own, own_1: D2's and D1's beacon by their own estimates; ``still_until_s`` is when D2 was
+            armed.
+        d2, target: from D1's beacon to D2's, and to the point on the target, as PATH has them. D1's
+            attitude turns them from ``v`` to ``u``.
         speed_mps: rms of D1 and of D2 while flown by the scripts.
     """
 
@@ -116,16 +121,23 @@ class Motions:
 
 def load_motions(run: RunRecords, rig: Rig) -> Motions:
     """Read from the logs of the roles alone."""
-    levers = {name: np.array(mounted.lever_m) for name, mounted in reference_of(rig).mounted.items()}
+    levers = {
+        name: np.array(mounted.lever_m) for name, mounted in reference_of(rig).mounted.items()
+    }
     states = run.receiver["/state"]
-    offsets = [r.record["clock_offset_ns"] for r in run.receiver["/link"]]  # D1's clock minus D2's, by their pings
+    # D1's clock minus D2's, by their pings
+    offsets = [r.record["clock_offset_ns"] for r in run.receiver["/link"]]
     offset_ns = int(np.median([offset for offset in offsets if offset is not None]))
     armed = next((r.stamp_ns for r in states if r.record["armed"]), states[-1].stamp_ns)
     T_v_b = rig.sender.mount.T_b_v.inverse()
     T_c_b = rig.receiver.mount.T_b_c.inverse()
     beacon_1_v = T_v_b.apply(levers["sender"])
     beacon_2_c = T_c_b.apply(levers["receiver"])
-    R_n_v = {r.stamp_ns: _R(r.record["q_n_v"]) for r in run.receiver["/motion"] if r.record["q_n_v"] is not None}
+    R_n_v = {
+        r.stamp_ns: _R(r.record["q_n_v"])
+        for r in run.receiver["/motion"]
+        if r.record["q_n_v"] is not None
+    }
     d2: list[tuple[int, Array]] = []
     for r in run.receiver["/marker"]:
         if r.record["position_v_m"] is not None and r.stamp_ns in R_n_v:
@@ -150,19 +162,24 @@ def load_motions(run: RunRecords, rig: Rig) -> Motions:
 def _by_own_estimate(states: Sequence[LogRecord], lever_b: Array, offset_ns: int) -> Trajectory:
     """``offset_ns``: of the log's stamps from the receiver's clock."""
     t = np.array([r.stamp_ns - offset_ns for r in states]) * 1e-9
-    p, v = (np.array([r.record[name] for r in states]) for name in ("position_n_m", "velocity_n_mps"))
+    p, v = (
+        np.array([r.record[name] for r in states]) for name in ("position_n_m", "velocity_n_mps")
+    )
     levers = np.array([_R(r.record["q_n_b"]) @ lever_b for r in states])
     return Trajectory(t, (steadied(t, p, v) + levers) @ R_U_N.T)
 
 
 def steadied(t: Array, p: Array, v: Array, over_s: float = STEADY_S) -> Array:
-    """Positions (n, 3) whose quick changes are those of the velocities (n, 3), and whose slow ones are their own.
+    """Positions (n, 3) whose quick changes are those of the velocities (n, 3), and whose slow ones
+    are their own.
 
-    Positions of a navigation filter jitter and jump within a second, its velocities do not. What the positions have
-    beyond the integrated velocities is taken as a line within ``over_s`` of each instant, to both sides alike: nothing
-    is delayed.
+    Positions of a navigation filter jitter and jump within a second, its velocities do not. What
+    the positions have beyond the integrated velocities is taken as a line within ``over_s`` of each
+    instant, to both sides alike: nothing is delayed.
     """
-    driven = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t)[:, None], axis=0)])
+    driven = np.concatenate(
+        [np.zeros((1, 3)), np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t)[:, None], axis=0)]
+    )
     weights = np.exp(-np.abs(t[:, None] - t) / over_s)
     weights /= weights.sum(axis=1, keepdims=True)
     middle = weights @ t
@@ -193,7 +210,9 @@ def _trajectory(samples: Sequence[tuple[int, Array]]) -> Trajectory:
 
 def _rms_speed(records: Mapping[str, Sequence[LogRecord]]) -> float:
     """Reported velocity while the script flew the drone."""
-    flown = [r.record["velocity_n_mps"] for r in records["/state"] if r.record["mode"] == "offboard"]
+    flown = [
+        r.record["velocity_n_mps"] for r in records["/state"] if r.record["mode"] == "offboard"
+    ]
     return math.sqrt(float(np.mean(np.sum(np.square(flown), axis=1)))) if flown else 0.0
 
 
@@ -201,7 +220,8 @@ def _rms_speed(records: Mapping[str, Sequence[LogRecord]]) -> float:
 class BeaconTrace:
     """The beacons' log by body, without what is plainly wrong.
 
-    Instants are by the clock of who listened (the beacons' own in a log without it), s; places in their frame.
+    Instants are by the clock of who listened (the beacons' own in a log without it), s; places in
+    their frame.
     """
 
     paths: Mapping[str, Trajectory]
@@ -211,7 +231,10 @@ class BeaconTrace:
 
 def heard_of(fixes: Sequence[BeaconFix], mounted: Mapping[str, Mounted]) -> BeaconTrace:
     """Poorly rated positions and jumps are left out, and counted."""
-    paths = {name: _clean([fix for fix in fixes if fix.address == own.address]) for name, own in mounted.items()}
+    paths = {
+        name: _clean([fix for fix in fixes if fix.address == own.address])
+        for name, own in mounted.items()
+    }
     return BeaconTrace(paths, len(fixes), len(fixes) - sum(len(path.t) for path in paths.values()))
 
 
@@ -223,7 +246,9 @@ def _clean(fixes: Sequence[BeaconFix]) -> Trajectory:
     p = np.array([fix.position_m for fix in rated])
     half = MEDIAN_OVER // 2
     padded = np.pad(p, ((half, half), (0, 0)), mode="edge")
-    median = np.median(np.lib.stride_tricks.sliding_window_view(padded, MEDIAN_OVER, axis=0), axis=2)
+    median = np.median(
+        np.lib.stride_tricks.sliding_window_view(padded, MEDIAN_OVER, axis=0), axis=2
+    )
     fine = np.linalg.norm(p - median, axis=1) < JUMP_M
     fine[1:] &= np.diff(t) > 0.0
     return Trajectory(t[fine], p[fine])

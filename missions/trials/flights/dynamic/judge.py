@@ -1,4 +1,6 @@
-"""One flight of the trial judged: by its beacons, as in the field, and by the truth, as only a harness can."""
+"""One flight of the trial judged: by its beacons, as in the field, and by the truth, as only a
+harness can.
+"""
 
 from __future__ import annotations
 
@@ -74,12 +76,14 @@ class Compared:
 
 @dataclass(frozen=True, slots=True)
 class SessionErrors:
-    """A session as its records alone give it: how they lie to each other, and how far apart they are.
+    """A session as its records alone give it: how they lie to each other, and how far apart they
+    are.
 
     Attributes:
-        clock: the beacons' clock and frame against what both vehicles believe of their own motion; its offset and
-            that one's deviation are of ``fit_offset``.
-        frame, free: their frame against PATH's trajectories: about the vertical, and by any rotation.
+        clock: the beacons' clock and frame against what both vehicles believe of their own motion;
+            its offset and that one's deviation are of ``fit_offset``.
+        frame, free: their frame against PATH's trajectories: about the vertical, and by any
+            rotation.
         noise_m: of a beacon position per axis, from the spread of D2's before it was armed.
         beacons: by subject.
     """
@@ -111,7 +115,9 @@ class HarnessVerdict(SessionErrors):
 
 
 def measure(run: RunRecords, heard: BeaconTrace, rig: Rig, seed: int) -> SessionErrors:
-    """Everything that the records say. Raises ValueError when they are too short or have nothing in common."""
+    """Everything that the records say. Raises ValueError when they are too short or have nothing in
+    common.
+    """
     motions = load_motions(run, rig)
     rng = np.random.default_rng([seed, 1])
     clock = clock_of(motions, heard, rng)
@@ -145,12 +151,19 @@ def judge(order: tuple[FlownSession, Rig]) -> HarnessVerdict:
 
 
 def offset_error_s(measured: SessionErrors, beacons: BeaconTruth, truth: Truth) -> float:
-    """Returns the error of the offset between the receiver's clock and the listener's, as the harness set them."""
-    return measured.clock.offset_s - beacons.offset_s - truth.scene.clock_offset_ns[Role.RECEIVER] * 1e-9
+    """Returns the error of the offset between the receiver's clock and the listener's, as the
+    harness set them.
+    """
+    return (
+        measured.clock.offset_s
+        - beacons.offset_s
+        - truth.scene.clock_offset_ns[Role.RECEIVER] * 1e-9
+    )
 
 
 def clock_of(motions: Motions, heard: BeaconTrace, rng: np.random.Generator) -> Alignment:
-    """The beacons' clock and frame from the whole flight of both drones, as both believe it to have been.
+    """The beacons' clock and frame from the whole flight of both drones, as both believe it to have
+    been.
 
     Robust first, so that outliers are known; then by what errs together. Raises ValueError.
     """
@@ -161,21 +174,29 @@ def clock_of(motions: Motions, heard: BeaconTrace, rng: np.random.Generator) -> 
     ]
     robust = align(pairs, offset_s, rng)
     found = fit_offset(pairs, robust, STEADY_S)
-    return replace(align(pairs, found.offset_s, rng, fit_offset=False), offset_sigma_s=found.offset_sigma_s)
+    return replace(
+        align(pairs, found.offset_s, rng, fit_offset=False), offset_sigma_s=found.offset_sigma_s
+    )
 
 
 def pairs_of(motions: Motions, heard: BeaconTrace) -> tuple[list[MotionPair], list[Array]]:
-    """PATH's trajectories from D1 with what the beacons say, and how much noisier that is than one position."""
+    """PATH's trajectories from D1 with what the beacons say, and how much noisier that is than one
+    position.
+    """
     d2, d2_noise = between(heard.paths["receiver"], heard.paths["sender"])
     target, target_noise = between(heard.paths["target"], heard.paths["sender"])
-    return [MotionPair(motions.d2, d2), MotionPair(motions.target, target)], [d2_noise, target_noise]
+    return [MotionPair(motions.d2, d2), MotionPair(motions.target, target)], [
+        d2_noise,
+        target_noise,
+    ]
 
 
 def noise_at_rest(motions: Motions, heard: BeaconTrace, offset_s: float) -> tuple[float, int]:
     """Standard deviation of a position per axis while D2 had not been armed yet, and from how many.
 
     Of D2 alone: the target may move from the first second, and D1 takes off first.
-    From the median deviation: a few reflections in a row pass the check for jumps, and would say all positions are bad.
+    From the median deviation: a few reflections in a row pass the check for jumps, and would say
+    all positions are bad.
     """
     path = heard.paths["receiver"]
     rest = path.p[path.t + offset_s < motions.still_until_s - 0.5]
@@ -185,7 +206,9 @@ def noise_at_rest(motions: Motions, heard: BeaconTrace, offset_s: float) -> tupl
     return MAD_TO_SIGMA * float(np.median(off)), off.size
 
 
-def _against_beacons(pair: MotionPair, frame: Alignment, k: int, noise_m: float, factors: Array) -> Compared:
+def _against_beacons(
+    pair: MotionPair, frame: Alignment, k: int, noise_m: float, factors: Array
+) -> Compared:
     used = frame.used[k]
     t = pair.samples.t[used] + frame.offset_s
     residuals = frame.residuals[k][used]
@@ -203,9 +226,15 @@ def against_truth(run: RunRecords, truth: Truth, motions: Motions) -> dict[str, 
     """D2's camera in ``v``; the very point of the target that D1 measured, in D2's camera frame."""
     seen = [r for r in run.receiver["/marker"] if r.record["position_v_m"] is not None]
     t = np.array([r.stamp_ns for r in seen]) * 1e-9
-    errors = np.array([np.array(r.record["position_v_m"]) - truth.T_v_c2(r.stamp_ns).t for r in seen])
-    d2 = Compared(t, ape(errors), rpe_after(t, errors, RPE_S), rpe_along(motions.d2.at(t), errors, RPE_M))
-    sent = {r.record["sequence"]: r.record for r in run.sender["/target"] if r.record["reason"] is None}
+    errors = np.array(
+        [np.array(r.record["position_v_m"]) - truth.T_v_c2(r.stamp_ns).t for r in seen]
+    )
+    d2 = Compared(
+        t, ape(errors), rpe_after(t, errors, RPE_S), rpe_along(motions.d2.at(t), errors, RPE_M)
+    )
+    sent = {
+        r.record["sequence"]: r.record for r in run.sender["/target"] if r.record["reason"] is None
+    }
     times = list[float]()
     lengths = list[float]()
     for r in run.receiver.get("/candidate", ()):
@@ -224,7 +253,9 @@ def _yaw_error(frame: Alignment, beacons: BeaconTruth) -> float:
 
 
 def true_places(judged: HarnessVerdict) -> Callable[[str, Array], Array]:
-    """Returns a body's true places in the beacons' frame, (n, 3), by instants of the receiver's clock."""
+    """Returns a body's true places in the beacons' frame, (n, 3), by instants of the receiver's
+    clock.
+    """
     truth = truth_of(load_run(judged.flown.folder).world)
     assert truth is not None
     return lambda name, t: true_path(truth, name, judged.flown.beacons, t)
@@ -244,7 +275,14 @@ def truth_positions(truth: Truth, name: str) -> Array:
     role = Role.RECEIVER
     shift = truth.scene.clock_offset_ns[role]
     if name == "target":
-        return np.array([truth.T_w_o(truth.scene.target_id, role, int(s) + shift).t for s in truth.stamps_ns])
+        return np.array(
+            [truth.T_w_o(truth.scene.target_id, role, int(s) + shift).t for s in truth.stamps_ns]
+        )
     own = Role(name)
     T_c_b = truth.scene.T_b_c[own].inverse()
-    return np.array([(truth.T_w_c(own, int(s) + truth.scene.clock_offset_ns[own]) @ T_c_b).t for s in truth.stamps_ns])
+    return np.array(
+        [
+            (truth.T_w_c(own, int(s) + truth.scene.clock_offset_ns[own]) @ T_c_b).t
+            for s in truth.stamps_ns
+        ]
+    )

@@ -71,8 +71,14 @@ def noise(rig: Rig, estimator: Any, flown: FlownSession) -> TrialTable:
     rows = [
         ("target", f"{TARGET_MPS:g} m/s round a bent loop, D1 behind it, D2 round D1"),
         ("wind", ", ".join(f"{key} {value:g}" for key, value in rig.world.get("wind", {}).items())),
-        ("cameras", f"{rig.sender.camera.width} x {rig.sender.camera.height}, of level {rig.level}"),
-        *((f"own estimate: {part.name}", f"{getattr(estimator, part.name):g}") for part in fields(estimator)),
+        (
+            "cameras",
+            f"{rig.sender.camera.width} x {rig.sender.camera.height}, of level {rig.level}",
+        ),
+        *(
+            (f"own estimate: {part.name}", f"{getattr(estimator, part.name):g}")
+            for part in fields(estimator)
+        ),
         *flown.beacons.noise,
     ]
     return TrialTable("Noise and systematic errors", ("what", "value"), tuple(rows))
@@ -93,7 +99,10 @@ def flights(judged: Sequence[HarnessVerdict]) -> TrialTable:
         "fixes compared",
     )  # fmt: skip
     return TrialTable(
-        "Flights", columns, tuple(rows), "The views had to agree for longer than usual, to have more to compare."
+        "Flights",
+        columns,
+        tuple(rows),
+        "The views had to agree for longer than usual, to have more to compare.",
     )
 
 
@@ -107,7 +116,9 @@ def errors(summary: Mapping[str, Any]) -> TrialTable:
                 found = summary[key].get(name, {}).get(part)
                 if found is not None and found["n"]:
                     rows.append((f"{NAMES[name]}, change over {over}, {what}", *cells(found)))
-    alone = ", ".join(f"{mm(summary['ape_expected_m'][name])} mm rms for {NAMES[name]}" for name in SUBJECTS)
+    alone = ", ".join(
+        f"{mm(summary['ape_expected_m'][name])} mm rms for {NAMES[name]}" for name in SUBJECTS
+    )
     left = ", ".join(f"{mm(summary['ape_left_m'][name])} mm" for name in SUBJECTS)
     return TrialTable(
         "Absolute and relative errors, mm",

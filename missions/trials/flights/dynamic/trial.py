@@ -1,8 +1,9 @@
 """Both drones and the target moving, PATH's trajectories against an ultrasonic reference.
 
-The mission's own code flies whole hand-overs. What is compared comes from logs: PATH's trajectories from the roles',
-the reference from the beacons'. Clock and frame of the beacons are estimated from these records. The truth of the
-simulation is used for two things only: to make the beacons' records up, and to judge beside them.
+The mission's own code flies whole hand-overs. What is compared comes from logs: PATH's trajectories
+from the roles', the reference from the beacons'. Clock and frame of the beacons are estimated from
+these records. The truth of the simulation is used for two things only: to make the beacons' records
+up, and to judge beside them.
 """
 
 from __future__ import annotations
@@ -18,7 +19,14 @@ from numpy.typing import NDArray
 from drivers.rig.parts import Rig
 from missions.ground import rig_library
 from missions.trials.flights.dynamic import report
-from missions.trials.flights.dynamic.flight import VERIFY_S, FlightOrder, FlownSession, fly, moving, reference_of
+from missions.trials.flights.dynamic.flight import (
+    VERIFY_S,
+    FlightOrder,
+    FlownSession,
+    fly,
+    moving,
+    reference_of,
+)
 from missions.trials.flights.dynamic.judge import SUBJECTS, HarnessVerdict, judge, true_places
 from missions.trials.flights.dynamic.pictures import draw_coast, draw_errors, draw_map
 from missions.trials.flights.errors import alignments, errors_of, spread, tilt_rad
@@ -45,14 +53,19 @@ def check(rig: Rig) -> None:
 
 def run(request: TrialRequest) -> TrialResult:
     rig = request.rig
-    if request.quick:  # geometric perception instead of rendered frames: the same mission, seconds instead of minutes
+    # geometric perception instead of rendered frames: the same mission, seconds instead of minutes
+    if request.quick:
         quick = rig_library.load(QUICK_LEVEL)
         errors = {key: value for key, value in rig.world.items() if key == "errors"}
-        rig = replace(quick, trials=rig.trials, reference=rig.reference, world={**quick.world, **errors})
+        rig = replace(
+            quick, trials=rig.trials, reference=rig.reference, world={**quick.world, **errors}
+        )
     flights = 1 if request.quick else FLIGHTS
     rig = moving(rig, QUICK_VERIFY_S if request.quick else VERIFY_S)
     orders = [
-        FlightOrder(rig, rig.trials["beacons"], request.seed + k, request.out / f"flight-{request.seed + k}")
+        FlightOrder(
+            rig, rig.trials["beacons"], request.seed + k, request.out / f"flight-{request.seed + k}"
+        )
         for k in range(flights)
     ]
     flown: list[FlownSession] = request.work.map("missions flown", fly, orders)
@@ -76,10 +89,16 @@ def run(request: TrialRequest) -> TrialResult:
         ),
         pictures=(
             TrialPicture(
-                "map.png", "The flight with the first seed from above: left in the beacons' frame, right seen from D1"
+                "map.png",
+                "The flight with the first seed from above: left in the beacons' frame, right seen from D1",
             ),
-            TrialPicture("errors.png", "Errors over time, against the beacons and against the truth"),
-            TrialPicture("coast.png", "Without a marker: error of the predicted position, and what the filter claims"),
+            TrialPicture(
+                "errors.png", "Errors over time, against the beacons and against the truth"
+            ),
+            TrialPicture(
+                "coast.png",
+                "Without a marker: error of the predicted position, and what the filter claims",
+            ),
         ),
         notes=report.notes(summary, request.quick),
     )
@@ -87,7 +106,11 @@ def run(request: TrialRequest) -> TrialResult:
 
 def _summary(judged: Sequence[HarnessVerdict], rng: np.random.Generator) -> dict[str, Any]:
     noise = [(each.noise_m, each.noise_samples) for each in judged if each.noise_samples]
-    beacon_noise_m = math.sqrt(sum(s * s * n for s, n in noise) / sum(n for _, n in noise)) if noise else math.nan
+    beacon_noise_m = (
+        math.sqrt(sum(s * s * n for s, n in noise) / sum(n for _, n in noise))
+        if noise
+        else math.nan
+    )
     expected = {name: rms([each.beacons[name].expected_m for each in judged]) for name in SUBJECTS}
     against = {name: errors_of([each.beacons[name] for each in judged], rng) for name in SUBJECTS}
     return {
@@ -102,8 +125,14 @@ def _summary(judged: Sequence[HarnessVerdict], rng: np.random.Generator) -> dict
                 "yaw_rad": each.frame.yaw_rad,
                 "yaw_sigma_rad": each.frame.yaw_sigma_rad,
                 "yaw_error_rad": each.yaw_error_rad,
-                **{f"shift_{name}_m": each.frame.shifts[k].tolist() for k, name in enumerate(SUBJECTS)},
-                **{f"shift_{name}_sigma_m": each.frame.shift_sigma_m[k] for k, name in enumerate(SUBJECTS)},
+                **{
+                    f"shift_{name}_m": each.frame.shifts[k].tolist()
+                    for k, name in enumerate(SUBJECTS)
+                },
+                **{
+                    f"shift_{name}_sigma_m": each.frame.shift_sigma_m[k]
+                    for k, name in enumerate(SUBJECTS)
+                },
                 "tilt_if_free_rad": tilt_rad(each),
             }
             for each in judged
@@ -112,9 +141,12 @@ def _summary(judged: Sequence[HarnessVerdict], rng: np.random.Generator) -> dict
         "ape": against,
         "ape_expected_m": expected,
         "ape_left_m": {
-            name: math.sqrt(max(0.0, against[name]["rmse_m"] ** 2 - expected[name] ** 2)) for name in SUBJECTS
+            name: math.sqrt(max(0.0, against[name]["rmse_m"] ** 2 - expected[name] ** 2))
+            for name in SUBJECTS
         },
-        "ape_truth": {name: errors_of([each.truth[name] for each in judged], rng) for name in SUBJECTS},
+        "ape_truth": {
+            name: errors_of([each.truth[name] for each in judged], rng) for name in SUBJECTS
+        },
         "rpe": {
             name: {
                 "s": spread(np.concatenate([each.beacons[name].rpe_s for each in judged])),
@@ -132,7 +164,9 @@ def _summary(judged: Sequence[HarnessVerdict], rng: np.random.Generator) -> dict
     }
 
 
-def _coast(judged: Sequence[HarnessVerdict], after_s: float, rng: np.random.Generator) -> dict[str, Any]:
+def _coast(
+    judged: Sequence[HarnessVerdict], after_s: float, rng: np.random.Generator
+) -> dict[str, Any]:
     errors, sigmas, turns, turn_sigmas, nees, groups = ([] for _ in range(6))
     base = 0
     for each in judged:

@@ -1,4 +1,6 @@
-"""Whole missions of level ``sim`` for the rendezvous: how near the drones truly came, and where it ended."""
+"""Whole missions of level ``sim`` for the rendezvous: how near the drones truly came, and where it
+ended.
+"""
 
 from __future__ import annotations
 
@@ -39,12 +41,15 @@ class RendezvousResult:
         seed: of the mission.
         arrived: the receiver reached the viewpoint and began to verify.
         why: what the role whose mission ended first said, when it did not hand over.
-        separation_m: the smallest one between the bodies, in truth; None when they never flew together.
-        ellipsoid: the smallest distance in units of the separation ellipsoid: inside below 1; None likewise.
+        separation_m: the smallest one between the bodies, in truth; None when they never flew
+            together.
+        ellipsoid: the smallest distance in units of the separation ellipsoid: inside below 1; None
+            likewise.
         downwash_s: how long the lower drone was in the cone below the upper one.
-        began_s, arrived_s: of the receiver's way to the stand-off, and of its verifying; None when it did not.
-        way_h_m: the receiver's true places from the sender until it verifies, in the sender's heading (forward, right,
-            up).
+        began_s, arrived_s: of the receiver's way to the stand-off, and of its verifying; None when
+            it did not.
+        way_h_m: the receiver's true places from the sender until it verifies, in the sender's
+            heading (forward, right, up).
     """
 
     seed: int
@@ -67,7 +72,11 @@ class RendezvousResult:
     @property
     def rendezvous_s(self) -> float | None:
         """The time from the take-off's end to the viewpoint."""
-        return None if self.began_s is None or self.arrived_s is None else self.arrived_s - self.began_s
+        return (
+            None
+            if self.began_s is None or self.arrived_s is None
+            else self.arrived_s - self.began_s
+        )
 
 
 def asked_for(rig: Rig, count: int, seed: int, out: Path) -> list[RendezvousOrder]:
@@ -87,7 +96,9 @@ def fly(asked: RendezvousOrder) -> RendezvousResult:
         outcome=facts.outcome,
         why=facts.detail,
         arrived=arrived_s is not None,
-        go_arounds=sum(one.record["note"].startswith("goes around") for one in run.receiver.get("/note", ())),
+        go_arounds=sum(
+            one.record["note"].startswith("goes around") for one in run.receiver.get("/note", ())
+        ),
         separation_m=min((math.hypot(*place.offset_w_m) for place in places), default=None),
         ellipsoid=min((_in_ellipsoids(place, separation) for place in places), default=None),
         downwash_s=_in_cone_s(places, separation),
@@ -102,15 +113,21 @@ def fly(asked: RendezvousOrder) -> RendezvousResult:
 
 
 def _entered(run: RunRecords, phase: Phase) -> float | None:
-    """Returns when the receiver first entered a phase, on its own clock, s; None when it did not."""
-    of = (one.stamp_ns for one in run.receiver.get("/phase", ()) if one.record["phase"] == phase.title)
+    """Returns when the receiver first entered a phase, on its own clock, s; None when it did
+    not.
+    """
+    of = (
+        one.stamp_ns for one in run.receiver.get("/phase", ()) if one.record["phase"] == phase.title
+    )
     first = next(of, None)
     return None if first is None else first * 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Both drones in truth, while both are in the air; ``offset_w_m`` from the sender to the receiver, ENU."""
+    """Both drones in truth, while both are in the air; ``offset_w_m`` from the sender to the
+    receiver, ENU.
+    """
 
     at_s: float
     offset_w_m: Vec3
@@ -145,8 +162,12 @@ def _in_cone_s(places: Sequence[_Place], separation: SeparationConfig) -> float:
     return cone_s
 
 
-def _way(run: RunRecords, places: Sequence[_Place], began_s: float | None, arrived_s: float | None) -> tuple[Vec3, ...]:
-    """Returns the way from the stand-off's beginning until it verifies, or for as long as both fly."""
+def _way(
+    run: RunRecords, places: Sequence[_Place], began_s: float | None, arrived_s: float | None
+) -> tuple[Vec3, ...]:
+    """Returns the way from the stand-off's beginning until it verifies, or for as long as both
+    fly.
+    """
     if began_s is None or not run.world.get("/scene"):
         return ()
     offset_s = run.world["/scene"][0].record["clock_offset_ns"][Role.RECEIVER.value] * 1e-9
@@ -181,7 +202,9 @@ def as_summary(flown: Sequence[RendezvousResult]) -> dict[str, Any]:
         "go_arounds": sum(one.go_arounds for one in flown),
         "violations": sum(sum(one.violations.values()) for one in flown),
         "smallest_separation_m": min(separations_m(flown), default=None),
-        "smallest_ellipsoid": min((one.ellipsoid for one in flown if one.ellipsoid is not None), default=None),
+        "smallest_ellipsoid": min(
+            (one.ellipsoid for one in flown if one.ellipsoid is not None), default=None
+        ),
         "in_downwash": sum(one.downwash_s > 0.0 for one in flown),
         "longest_in_downwash_s": max(one.downwash_s for one in flown),
         "reasons": reasons(flown),

@@ -25,7 +25,9 @@ def draw(flown: Sequence[RendezvousResult], separation: SeparationConfig, path: 
     together_m = separations_m(flown)
     bins = np.arange(0.5, max(together_m, default=0.5) + 0.1, 0.05)
     right.hist(together_m, bins=bins.tolist(), color=ROLE[Role.RECEIVER])
-    right.axvline(separation.minimum_m, color=NEEDED, lw=1.2, label=f"limit {separation.minimum_m:.2f} m")
+    right.axvline(
+        separation.minimum_m, color=NEEDED, lw=1.2, label=f"limit {separation.minimum_m:.2f} m"
+    )
     right.set(xlabel="smallest true separation, m", ylabel="missions")
     right.legend(fontsize=8, frameon=False)
     save(figure, path)

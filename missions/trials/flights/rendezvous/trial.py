@@ -1,4 +1,6 @@
-"""Rendezvous from bad positions: does the receiver find the sender, and does it ever come too near on its way."""
+"""Rendezvous from bad positions: does the receiver find the sender, and does it ever come too near
+on its way.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,14 @@ from missions.trials.flights.rendezvous import flights
 from missions.trials.flights.rendezvous.flights import RendezvousOrder, RendezvousResult
 from missions.trials.flights.rendezvous.pictures import draw
 from missions.trials.shared.statistics import upper_bound, wilson
-from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
+from missions.trials.shared.trial import (
+    TrialFinding,
+    TrialPicture,
+    TrialRequest,
+    TrialResult,
+    TrialTable,
+    verdict,
+)
 
 TITLE = "Rendezvous: positions that are wrong by metres, in wind"
 PAPER = ""
@@ -38,7 +47,12 @@ def run(request: TrialRequest) -> TrialResult:
     return TrialResult(
         summary=flights.as_summary(flown),
         findings=_findings(flown, separation.minimum_m),
-        noise=TrialTable("What goes wrong", ("what", "how much"), _conditions(rig), "Directions are drawn by seed."),
+        noise=TrialTable(
+            "What goes wrong",
+            ("what", "how much"),
+            _conditions(rig),
+            "Directions are drawn by seed.",
+        ),
         tables=(_ends(flown), _times(flown)),
         pictures=(
             TrialPicture(
@@ -57,10 +71,17 @@ def run(request: TrialRequest) -> TrialResult:
 
 
 def _flown(request: TrialRequest, asked: Sequence[RendezvousOrder]) -> list[RendezvousResult]:
-    """Each is kept as soon as it is flown: the same command with the same ``--out`` flies what is left."""
+    """Each is kept as soon as it is flown: the same command with the same ``--out`` flies what is
+    left.
+    """
     rig = request.rig
     errors = rig.world.get("errors")
-    head = {"format": "path-handoff rendezvous 2", "rig": str(rig.file), "seed": request.seed, "errors": errors}
+    head = {
+        "format": "path-handoff rendezvous 2",
+        "rig": str(rig.file),
+        "seed": request.seed,
+        "errors": errors,
+    }
     with ResumableLines(request.out / KEPT, RendezvousResult, head) as kept:
         done = {one.seed for one in kept.lines}
         left = [one for one in asked if one.seed not in done]
@@ -115,14 +136,19 @@ def _ends(flown: Sequence[RendezvousResult]) -> TrialTable:
         (name, str(number), f"{examples[name].why} (seed {examples[name].seed})")
         for name, number in flights.reasons(flown).items()
     )
-    return TrialTable("Why the rest did not hand over", ("outcome", "missions", "for example"), rows)
+    return TrialTable(
+        "Why the rest did not hand over", ("outcome", "missions", "for example"), rows
+    )
 
 
 def _times(flown: Sequence[RendezvousResult]) -> TrialTable:
     took = np.array([one.rendezvous_s for one in flown if one.rendezvous_s is not None])
     if not len(took):
         return TrialTable("From the first way to the viewpoint", ("", "s"), ())
-    rows = tuple((name, f"{np.percentile(took, q):.1f}") for name, q in (("median", 50), ("p95", 95), ("longest", 100)))
+    rows = tuple(
+        (name, f"{np.percentile(took, q):.1f}")
+        for name, q in (("median", 50), ("p95", 95), ("longest", 100))
+    )
     return TrialTable("From the first way to the viewpoint", ("", "s"), rows)
 
 
@@ -136,10 +162,22 @@ def _conditions(rig: Rig) -> tuple[tuple[str, ...], ...]:
     height_m = float(apart.get("height_m", 0.0))
     known = mission.rendezvous
     return (
-        ("positions apart, besides each estimator's own error", f"{across_m:.1f} m across, {height_m:.1f} m in height"),
-        ("each estimator's own error", "0.25 m per axis, 0.2 m in height, constant; wanders 0.01 m per root second"),
-        ("wind, gusts (standard deviation)", f"{wind.get('speed_mps', 0.0):.1f} m/s, {wind.get('gust_mps', 0.0):.1f}"),
-        ("what the mission takes them for", f"{known.positions_within_m:.1f} m and {known.heights_within_m:.1f} m"),
+        (
+            "positions apart, besides each estimator's own error",
+            f"{across_m:.1f} m across, {height_m:.1f} m in height",
+        ),
+        (
+            "each estimator's own error",
+            "0.25 m per axis, 0.2 m in height, constant; wanders 0.01 m per root second",
+        ),
+        (
+            "wind, gusts (standard deviation)",
+            f"{wind.get('speed_mps', 0.0):.1f} m/s, {wind.get('gust_mps', 0.0):.1f}",
+        ),
+        (
+            "what the mission takes them for",
+            f"{known.positions_within_m:.1f} m and {known.heights_within_m:.1f} m",
+        ),
         ("stand-off that follows", f"{stand_off_m(mission):.2f} m"),
         ("target", "0.33 m car, 0.3 m/s; three look-alikes"),
         ("markers", ", ".join(f"{1000 * marker.side_m:.0f} mm" for marker in rig.layout.markers)),

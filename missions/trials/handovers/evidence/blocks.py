@@ -51,7 +51,9 @@ def judge(runner: HandoverRunner, method: MethodConfig, attempt: Attempt) -> Evi
         evidence=verdict_of(series, method, "evidence"),
         limit_s=attempt.limit_s,
         strength=mean_strength(series, method),
-        blocks=tuple(_blocks(series, replace(method, evidence=own)) for own in method.evidence.paces),
+        blocks=tuple(
+            _blocks(series, replace(method, evidence=own)) for own in method.evidence.paces
+        ),
         correlation=correlation(series.iou[series.kind == PAIR, 0]),
     )
 

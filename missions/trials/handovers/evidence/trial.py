@@ -1,4 +1,6 @@
-"""The gate "evidence" next to the paper's N in a row, on the same hand-overs: how soon, and how often fooled."""
+"""The gate "evidence" next to the paper's N in a row, on the same hand-overs: how soon, and how
+often fooled.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,14 @@ from missions.trials.handovers.judging import (
 from missions.trials.handovers.pictures import draw_shares
 from missions.trials.shared.drawing import panels, save
 from missions.trials.shared.statistics import Interval, bootstrap, medians, upper_bound
-from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
+from missions.trials.shared.trial import (
+    TrialFinding,
+    TrialPicture,
+    TrialRequest,
+    TrialResult,
+    TrialTable,
+    verdict,
+)
 from path.config import EvidenceConfig, GateKind, MethodConfig
 from path.gate.evidence import evidence_needed, evidence_of, persistent_bound
 from path.messages import Role
@@ -49,8 +58,10 @@ FORCED_S = 12.0
 FAR_M = 1.0
 BESIDE_M = 0.09
 ACCIDENT = 0.05  # mean strength up to which a wrong pair agrees by accident only
-NEAR_ACCIDENT = 0.2  # up to which later blocks are counted: few of the others have any; the rate is flat up to here
-BELOW = 0.05  # a block's strength: later blocks are counted of attempts that are weaker than that by so much
+# up to which later blocks are counted: few of the others have any; the rate is flat up to here
+NEAR_ACCIDENT = 0.2
+# a block's strength: later blocks are counted of attempts that are weaker than that by so much
+BELOW = 0.05
 # of the persistent error, per axis across the line of sight; from so many attempts
 SIGMA_M = 0.03
 MEASURED = 148
@@ -71,7 +82,9 @@ def run(request: TrialRequest) -> TrialResult:
     flat = [attempt for attempts in groups.values() for attempt in attempts]
     pieces = batches(rig, judge, flat, BATCH)
     told = iter(together(request.work.map("Monte-Carlo hand-overs", run_batch, pieces)))
-    by_group: Groups = {name: list(islice(told, len(attempts))) for name, attempts in groups.items()}
+    by_group: Groups = {
+        name: list(islice(told, len(attempts))) for name, attempts in groups.items()
+    }
     _draw(by_group, method, request.out / PICTURE)
     return _result(by_group, method, request.seed)
 
@@ -83,29 +96,47 @@ def _groups(seed: int, quick: bool) -> dict[str, list[Attempt]]:
     groups = {
         "true": [Attempt(seed, k, limit_s=true_s) for k in range(true)],
         "wrong": [
-            Attempt(seed, 10_000 + k, wrong=WrongAssociation("shift", FAR_M, BESIDE_M), limit_s=wrong_s)
+            Attempt(
+                seed, 10_000 + k, wrong=WrongAssociation("shift", FAR_M, BESIDE_M), limit_s=wrong_s
+            )
             for k in range(wrong)
         ],
-        "mixed faults": [Attempt(seed, 20_000 + k, fault="mixed", limit_s=forced_s) for k in range(4 * forced)],
+        "mixed faults": [
+            Attempt(seed, 20_000 + k, fault="mixed", limit_s=forced_s) for k in range(4 * forced)
+        ],
     }
     for name, forms in FORCED_WAYS.items():
         for form in forms:
             title = f"{name} at {form.distance_m:.2f} m"
             first = 30_000 + 1000 * len(groups)
-            groups[title] = [Attempt(seed, first + k, wrong=form, limit_s=forced_s) for k in range(forced)]
+            groups[title] = [
+                Attempt(seed, first + k, wrong=form, limit_s=forced_s) for k in range(forced)
+            ]
     return groups
 
 
 FORCED_WAYS: dict[str, tuple[WrongAssociation, ...]] = {
-    "prior shifted onto a look-alike": tuple(WrongAssociation("shift", d) for d in (0.35, 0.5, 1.0, 1.5)),
-    "prior turned onto a look-alike": tuple(WrongAssociation("turn", d) for d in (0.35, 0.5, 1.0, 1.5)),
-    "prior right, D2 sees only the look-alike": tuple(WrongAssociation("lock", d) for d in (0.2, 0.35, 0.5, 1.0, 1.5)),
-    "prior shifted onto one driving past": tuple(WrongAssociation("shift", d, crossing=True) for d in (0.2, 0.36, 0.5)),
+    "prior shifted onto a look-alike": tuple(
+        WrongAssociation("shift", d) for d in (0.35, 0.5, 1.0, 1.5)
+    ),
+    "prior turned onto a look-alike": tuple(
+        WrongAssociation("turn", d) for d in (0.35, 0.5, 1.0, 1.5)
+    ),
+    "prior right, D2 sees only the look-alike": tuple(
+        WrongAssociation("lock", d) for d in (0.2, 0.35, 0.5, 1.0, 1.5)
+    ),
+    "prior shifted onto one driving past": tuple(
+        WrongAssociation("shift", d, crossing=True) for d in (0.2, 0.36, 0.5)
+    ),
 }
 
 
-def rate(told: Sequence[EvidenceAttempt], later: bool, seed: int, pace: int = 0) -> tuple[int, int, Interval]:
-    """Agreeing of judged blocks, and a 95 % interval by attempts: its upper end by Clopper and Pearson if larger."""
+def rate(
+    told: Sequence[EvidenceAttempt], later: bool, seed: int, pace: int = 0
+) -> tuple[int, int, Interval]:
+    """Agreeing of judged blocks, and a 95 % interval by attempts: its upper end by Clopper and
+    Pearson if larger.
+    """
     agreeing, judged = _counted(told, later, pace)
     blocks = [each.blocks[pace].later if later else each.blocks[pace].first for each in told]
     counts = np.array([block[::-1] for block in blocks], float)
@@ -121,7 +152,9 @@ def rate(told: Sequence[EvidenceAttempt], later: bool, seed: int, pace: int = 0)
 
 
 def reach_m(side_m: float = SIDE_M, tau: float = TAU) -> float:
-    """Offset ``r0`` of a mapped box from which on agreement is an accident: where the overlap has that strength."""
+    """Offset ``r0`` of a mapped box from which on agreement is an accident: where the overlap has
+    that strength.
+    """
     overlap = tau + ACCIDENT * (1.0 - tau)
     return side_m * (1.0 - overlap) / (1.0 + overlap)
 
@@ -153,7 +186,9 @@ def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
         **({"patient": rates[1].summary} if rates[1:] else {}),
         "accident_attempts": len(accident),
         "accident_accepted": fooled,
-        "iou_correlation": {f"{lag / RATE_HZ:.2f}": _mean(lags[:, k]) for k, lag in enumerate(LAGS)},
+        "iou_correlation": {
+            f"{lag / RATE_HZ:.2f}": _mean(lags[:, k]) for k, lag in enumerate(LAGS)
+        },
         "reach_m": reach_m(),
         "persistent_sigma_m": SIGMA_M,
         "forced": {name: _forced_summary(told) for name, told in forced.items()},
@@ -208,13 +243,25 @@ class _Rates:
 def _rates(wrong: Sequence[EvidenceAttempt], own: EvidenceConfig, pace: int, seed: int) -> _Rates:
     """``own``: the settings of the test that is the ``pace``-th of its gate."""
     most = min(NEAR_ACCIDENT, max(ACCIDENT, own.strength - BELOW))
-    accident, near = ([each for each in wrong if each.strength <= limit] for limit in (ACCIDENT, most))
+    accident, near = (
+        [each for each in wrong if each.strength <= limit] for limit in (ACCIDENT, most)
+    )
     first = rate(accident, False, seed, pace)
     later = rate(near, True, seed, pace)
     long = f", blocks of {own.block_s:g} s" if pace else ""
     summary = {
-        "first_rate": {"agreeing": first[0], "judged": first[1], "upper": first[2][1], "setting": own.first_rate},
-        "next_rate": {"agreeing": later[0], "judged": later[1], "upper": later[2][1], "setting": own.next_rate},
+        "first_rate": {
+            "agreeing": first[0],
+            "judged": first[1],
+            "upper": first[2][1],
+            "setting": own.first_rate,
+        },
+        "next_rate": {
+            "agreeing": later[0],
+            "judged": later[1],
+            "upper": later[2][1],
+            "setting": own.next_rate,
+        },
     }
     findings = (
         TrialFinding(
@@ -336,19 +383,35 @@ def _draw(by_group: Groups, method: MethodConfig, path: Path) -> None:
     for gate in GATES:
         draw_shares(left, gate, times_s(true, gate), len(true), GATE_TITLES[gate])
     left.axvline(GOAL_S, color=DIM, lw=0.8, ls=":")
-    left.set(xlabel="s from the first agreeing pair", ylabel="share of true attempts", xlim=(0.0, None))
+    left.set(
+        xlabel="s from the first agreeing pair", ylabel="share of true attempts", xlim=(0.0, None)
+    )
     left.legend(fontsize=8)
     strengths = np.array([each.strength for each in by_group["wrong"]])
-    for key, colour, label in (("first", FAULT, "first block"), ("later", ROLE[Role.RECEIVER], "later ones")):
+    for key, colour, label in (
+        ("first", FAULT, "first block"),
+        ("later", ROLE[Role.RECEIVER], "later ones"),
+    ):
         counts = np.array([getattr(each.blocks[0], key) for each in by_group["wrong"]], float)
         rows = [(strengths > a) & (strengths <= b) for a, b in pairwise(EDGES)]
         middles = [float(np.mean(strengths[row])) for row in rows if counts[row, 0].sum() > 0]
-        shares = [float(counts[row, 1].sum() / counts[row, 0].sum()) for row in rows if counts[row, 0].sum() > 0]
+        shares = [
+            float(counts[row, 1].sum() / counts[row, 0].sum())
+            for row in rows
+            if counts[row, 0].sum() > 0
+        ]
         right.plot(middles, shares, "o-", ms=4, color=colour, label=label)
-    for limit, colour in ((method.evidence.first_rate, FAULT), (method.evidence.next_rate, ROLE[Role.RECEIVER])):
+    for limit, colour in (
+        (method.evidence.first_rate, FAULT),
+        (method.evidence.next_rate, ROLE[Role.RECEIVER]),
+    ):
         right.axhline(limit, color=colour, lw=0.8, ls=":")
     right.axvline(ACCIDENT, color=DIM, lw=0.8, ls=":")
     right.set_yscale("symlog", linthresh=1e-4)
-    right.set(xlabel="mean strength of a wrong attempt", ylabel="share of blocks that agree", ylim=(0.0, 1.2))
+    right.set(
+        xlabel="mean strength of a wrong attempt",
+        ylabel="share of blocks that agree",
+        ylim=(0.0, 1.2),
+    )
     right.legend(fontsize=8)
     save(figure, path)

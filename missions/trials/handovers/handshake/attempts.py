@@ -1,4 +1,6 @@
-"""Hand-overs with faults, by the thousand: each until the default gate has decided, every second until both have."""
+"""Hand-overs with faults, by the thousand: each until the default gate has decided, every second
+until both have.
+"""
 
 from __future__ import annotations
 
@@ -43,20 +45,26 @@ def attempt_of(seed: int, index: int) -> Attempt:
 
 
 def is_counted(index: int) -> bool:
-    """Return whether an attempt is run to the end of the paper's gate too: every second round of all faults.
+    """Return whether an attempt is run to the end of the paper's gate too: every second round of
+    all faults.
 
-    That gate takes 7 s at the least where the other takes 1.7 s, which is most of what an attempt costs.
+    That gate takes 7 s at the least where the other takes 1.7 s, which is most of what an attempt
+    costs.
     """
     return index // len(FAULT_NAMES) % 2 == 0
 
 
 def judge(runner: HandoverRunner, method: MethodConfig, attempt: Attempt) -> HandshakeAttempt:
-    """Run one attempt until the default gate has committed, and where it is counted until the paper's has decided."""
+    """Run one attempt until the default gate has committed, and where it is counted until the
+    paper's has decided.
+    """
     begin_ns = busy_ns()
     counted = is_counted(attempt.index)
     own = replace(method, gate="evidence")
     telling = Telling(make_gate(own), own)
-    found = runner.run(replace(attempt, whole=not counted), lambda series: telling.on(series) is not None)
+    found = runner.run(
+        replace(attempt, whole=not counted), lambda series: telling.on(series) is not None
+    )
     return HandshakeAttempt(
         index=attempt.index,
         count=verdict_of(found.series, method, "count") if counted else None,

@@ -1,4 +1,6 @@
-"""Whole missions of level ``sim`` for the handshake: how long agreement took, by the paper's definition."""
+"""Whole missions of level ``sim`` for the handshake: how long agreement took, by the paper's
+definition.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from path.config import GateKind
 
 RIG = "sim"
 Errors = Mapping[str, Any] | None
-# The faults of 45 attempts, in this order again and again; wind, look-alikes and biases are as ever.
+# The faults of 45 attempts, in this order again and again; wind, look-alikes and biases are as
+# ever.
 FAULTS: tuple[tuple[str, ...], ...] = (
     (), ("link_loss=0.05",), (), ("lookalike",), (), ("link_delay=0.02",), (), ("link_loss=0.2",), (),
     (), ("lookalike",), (), ("link_loss=0.1",), (), ("link_delay=0.05",), (), ("marker_hidden",), (),
@@ -38,7 +41,8 @@ class FlownMission:
     """The result of a mission.
 
     Attributes:
-        seconds: from the first pair whose overlap exceeds the threshold to the commit; None without a commit.
+        seconds: from the first pair whose overlap exceeds the threshold to the commit; None without
+            a commit.
         ended: outcome and detail of the run.
         wrong: whether another object than the target was handed over.
     """
@@ -94,10 +98,13 @@ def fly(asked: MissionOrder) -> FlownMission:
 
 
 def agreement_s(run: RunRecords) -> float | None:
-    """The paper's time to hand-off: from the first frame whose IoU exceeds the threshold to the commit, s.
+    """The paper's time to hand-off: from the first frame whose IoU exceeds the threshold to the
+    commit, s.
 
     None without a commit. Resets of the count in between are part of it.
     """
     commit = last(run.sender, "/commit")
-    agreed = [record.record["capture_ns"] for record in judged_pairs(run) if record.record["agreed"]]
+    agreed = [
+        record.record["capture_ns"] for record in judged_pairs(run) if record.record["agreed"]
+    ]
     return (commit.stamp_ns - agreed[0]) * 1e-9 if commit is not None and agreed else None

@@ -30,15 +30,26 @@ def draw_times(flown: Flown, tried: Tried, path: Path) -> None:
         draw_shares(right, gate, times_s(tried, gate), attempts, f"Monte-Carlo hand-overs, {title}")
         own = of_gate(flown, gate)
         draw_shares(right, gate, seconds_of(own), len(own), f"missions, {title}", style="--")
-    right.set(xlabel="time from the first agreeing pair, s", ylabel="share of all attempts", xlim=(0.0, LIMIT_S))
-    right.legend(fontsize=7, frameon=False, handlelength=1.4, loc="lower left", bbox_to_anchor=(0.14, 0.0))
+    right.set(
+        xlabel="time from the first agreeing pair, s",
+        ylabel="share of all attempts",
+        xlim=(0.0, LIMIT_S),
+    )
+    right.legend(
+        fontsize=7, frameon=False, handlelength=1.4, loc="lower left", bbox_to_anchor=(0.14, 0.0)
+    )
     save(figure, path)
 
 
 def _missions(axes: Axes, seconds: Sequence[float]) -> None:
     last = max([9.0, *seconds])
     bins = np.arange(6.9, last + 2.0 * BIN_S, BIN_S)
-    axes.hist(seconds, bins=bins.tolist(), color=COLOURS["count"], label=f"{len(seconds)} commits, level sim")
+    axes.hist(
+        seconds,
+        bins=bins.tolist(),
+        color=COLOURS["count"],
+        label=f"{len(seconds)} commits, level sim",
+    )
     for style, (name, value) in zip(("-", ":"), PAPER_S.items(), strict=True):
         axes.axvline(value, color=NEEDED, ls=style, lw=1.2, label=f"{name} {value:.2f} s")
     axes.set(xlabel="time from the first agreeing pair to the commit, s", ylabel="missions")
@@ -46,7 +57,9 @@ def _missions(axes: Axes, seconds: Sequence[float]) -> None:
 
 
 def draw_faults(tried: Tried, path: Path) -> None:
-    """Draw the shares that committed, by fault and gate. Raises OSError when it cannot be written."""
+    """Draw the shares that committed, by fault and gate. Raises OSError when it cannot be
+    written.
+    """
     figure, (axes,) = panels(11.0, 4.6)
     rows = np.arange(len(FAULT_NAMES))
     for gate, beside in zip(GATES, (-0.2, 0.2), strict=True):

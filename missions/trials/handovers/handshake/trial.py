@@ -1,4 +1,6 @@
-"""The mutual agreement handshake: whole missions by the paper's protocol, then thousands of hand-overs with faults."""
+"""The mutual agreement handshake: whole missions by the paper's protocol, then thousands of
+hand-overs with faults.
+"""
 
 from __future__ import annotations
 
@@ -94,20 +96,32 @@ def run(request: TrialRequest) -> TrialResult:
     summary = _summary(flown, tried)
     draw_times(flown, tried, request.out / TIMES)
     draw_faults(tried, request.out / FAULTS)
-    drawn = TrialTable("What Monte-Carlo hand-overs are drawn from", ("what", "how much"), runner.conditions(), _DRAWN)
-    shares = "Time from the first agreeing pair to the commit, and the share of attempts done by then."
+    drawn = TrialTable(
+        "What Monte-Carlo hand-overs are drawn from",
+        ("what", "how much"),
+        runner.conditions(),
+        _DRAWN,
+    )
+    shares = (
+        "Time from the first agreeing pair to the commit, and the share of attempts done by then."
+    )
     by_fault = "Share of attempts that committed in time, by fault and gate, with 95 % intervals."
     return TrialResult(
         summary=summary,
         findings=(*_mission_findings(flown, rng), *_handover_findings(tried, summary, rng)),
         noise=drawn,
-        tables=(_mission_table(flown), _gate_table(tried, rng), _fault_table(tried, runner.meanings())),
+        tables=(
+            _mission_table(flown),
+            _gate_table(tried, rng),
+            _fault_table(tried, runner.meanings()),
+        ),
         pictures=(TrialPicture(TIMES, shares), TrialPicture(FAULTS, by_fault)),
         notes=_notes(tried),
     )
 
 
-# --- figures ------------------------------------------------------------------------------------------------------
+# --- figures
+# ------------------------------------------------------------------------------------------------------
 
 
 def _summary(flown: Flown, tried: Tried) -> dict[str, Any]:
@@ -207,7 +221,8 @@ def _timed(values: Sequence[float], statistic: Statistic, rng: np.random.Generat
     return _Timed(f"{figure_of(statistic, array):.2f}", f"{low:.2f}-{high:.2f}")
 
 
-# --- findings -----------------------------------------------------------------------------------------------------
+# --- findings
+# -----------------------------------------------------------------------------------------------------
 
 
 def _mission_findings(flown: Flown, rng: np.random.Generator) -> list[TrialFinding]:
@@ -259,7 +274,9 @@ def _mission_findings(flown: Flown, rng: np.random.Generator) -> list[TrialFindi
     return findings
 
 
-def _handover_findings(tried: Tried, summary: dict[str, Any], rng: np.random.Generator) -> list[TrialFinding]:
+def _handover_findings(
+    tried: Tried, summary: dict[str, Any], rng: np.random.Generator
+) -> list[TrialFinding]:
     gates = summary["gates"]
     near, beside = (_look_alikes(tried, within) for within in (NEAR_M, BESIDE_M))
     low, high = wilson(near, len(tried))
@@ -302,7 +319,9 @@ def _handover_findings(tried: Tried, summary: dict[str, Any], rng: np.random.Gen
 
 
 def _wrong_findings(tried: Tried, gate: GateKind, figures: dict[str, Any]) -> list[TrialFinding]:
-    """Return how often a gate handed over another object, and how often boxes of different objects agreed."""
+    """Return how often a gate handed over another object, and how often boxes of different objects
+    agreed.
+    """
     where = ", ".join(f"{name} {count}" for name, count in wrong_by_fault(tried)[gate].items())
     why = f"by fault: {where}. Where both boxes were of one object, D1 had lost the target to it by itself"
     return [
@@ -325,7 +344,8 @@ def _wrong_findings(tried: Tried, gate: GateKind, figures: dict[str, Any]) -> li
     ]
 
 
-# --- tables -------------------------------------------------------------------------------------------------------
+# --- tables
+# -------------------------------------------------------------------------------------------------------
 
 
 def _mission_table(flown: Flown) -> TrialTable:
@@ -337,7 +357,9 @@ def _mission_table(flown: Flown) -> TrialTable:
             times = [f"{seconds:.2f}" for seconds in sorted(seconds_of(some))]
             ends = sorted({each.ended for each in some if each.seconds is None})
             named = ", ".join(faults) or "none"
-            rows.append((gate, named, str(len(some)), str(len(times)), ", ".join(times), "; ".join(ends)))
+            rows.append(
+                (gate, named, str(len(some)), str(len(times)), ", ".join(times), "; ".join(ends))
+            )
     return TrialTable(
         "Whole missions, by gate and fault",
         ("gate", "fault", "attempts", "commits", "time to commit, s", "how the others ended"),

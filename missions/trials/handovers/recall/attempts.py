@@ -1,4 +1,6 @@
-"""Monte-Carlo hand-overs run once each, seen through detectors that miss and invent, and judged by both gates."""
+"""Monte-Carlo hand-overs run once each, seen through detectors that miss and invent, and judged by
+both gates.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +11,21 @@ from typing import Literal
 
 import numpy as np
 
-from flight.harness.montecarlo import Attempt, HandoverRunner, Series, Telling, WrongAssociation, agreeing
+from flight.harness.montecarlo import (
+    Attempt,
+    HandoverRunner,
+    Series,
+    Telling,
+    WrongAssociation,
+    agreeing,
+)
 from missions.trials.handovers.judging import GATES, JudgedAttempt, Verdict, verdict_of
-from missions.trials.handovers.recall.detectors import DetectorFaults, FaultyFrames, faulty_frames, with_detector
+from missions.trials.handovers.recall.detectors import (
+    DetectorFaults,
+    FaultyFrames,
+    faulty_frames,
+    with_detector,
+)
 from missions.trials.handovers.recall.identity import NOTHING_STATED, StatedCounts, counted
 from path.config import GateKind, MethodConfig
 from path.gate.evidence import evidence_needed, evidence_of, make_gate
@@ -27,13 +41,16 @@ FRAMES = 520  # more than any camera takes in that time
 FAR_M = 0.15
 FAR_S = 1.0
 LATE_S = 0.5  # by less than that, what was captured is judged later
-LOCKED_M = (0.3, 0.4, 0.6, 1.0)  # from the target to the object that D2 sees instead of it, all the time
+# from the target to the object that D2 sees instead of it, all the time
+LOCKED_M = (0.3, 0.4, 0.6, 1.0)
 FAULT_STREAM = 0x64657465
 
 
 @dataclass(frozen=True, slots=True)
 class AttemptOrder:
-    """One attempt: a hand-over of its own, through one pair of detectors. ``cell``: number of that pair."""
+    """One attempt: a hand-over of its own, through one pair of detectors. ``cell``: number of that
+    pair.
+    """
 
     cell: int
     detector: DetectorFaults
@@ -56,8 +73,8 @@ class RecallAttempt(JudgedAttempt):
 def orders(seed: int, detectors: Sequence[DetectorFaults], of_each: int) -> list[AttemptOrder]:
     """Return the attempts, each with a hand-over of its own.
 
-    Half have nothing but the errors that last, a quarter a look-alike beside the target or driving past it, a quarter a
-    D2 that sees only another object.
+    Half have nothing but the errors that last, a quarter a look-alike beside the target or driving
+    past it, a quarter a D2 that sees only another object.
     """
     made: list[AttemptOrder] = []
     for index in range(len(detectors) * of_each):
@@ -65,7 +82,9 @@ def orders(seed: int, detectors: Sequence[DetectorFaults], of_each: int) -> list
         group: Group = ("true", "wrong object", "look-alike", "true")[turn % 4]
         attempt = Attempt(seed, index, limit_s=LIMIT_S, whole=True)
         if group == "look-alike":
-            attempt = replace(attempt, fault=("look_alike_near", "look_alike_crossing")[turn // 4 % 2])
+            attempt = replace(
+                attempt, fault=("look_alike_near", "look_alike_crossing")[turn // 4 % 2]
+            )
         elif group == "wrong object":
             distance_m = LOCKED_M[turn // 4 % len(LOCKED_M)]
             attempt = replace(attempt, wrong=WrongAssociation("lock", distance_m))
@@ -108,8 +127,8 @@ def judge(runner: HandoverRunner, method: MethodConfig, order: AttemptOrder) -> 
 def can_complete(gate: Gate, method: MethodConfig, series: Series, faults: FaultyFrames) -> bool:
     """Returns whether a gate that was told a series may be complete before the attempt's limit.
 
-    The run under way may go on, or another begin with what is captured next. "count" needs a stretch of frames for it
-    in which both detectors see the target and nothing else.
+    The run under way may go on, or another begin with what is captured next. "count" needs a
+    stretch of frames for it in which both detectors see the target and nothing else.
     """
     span_s = gate.span_s
     first_ns = int(series.capture_ns[0])
@@ -123,9 +142,11 @@ def can_complete(gate: Gate, method: MethodConfig, series: Series, faults: Fault
 
 
 def stays_far(series: Series) -> bool:
-    """Returns whether D2, which sees only another object, has seen it nowhere near the target for long enough.
+    """Returns whether D2, which sees only another object, has seen it nowhere near the target for
+    long enough.
 
-    The offset of its box wavers by 0.01 m (docs/gates.md); "evidence" and "likelihood" let no mean above 0.074 m pass.
+    The offset of its box wavers by 0.01 m (docs/gates.md); "evidence" and "likelihood" let no mean
+    above 0.074 m pass.
     """
     if (int(series.now_ns[-1]) - int(series.capture_ns[0])) * 1e-9 < FAR_S:
         return False
@@ -133,7 +154,9 @@ def stays_far(series: Series) -> bool:
 
 
 def shortest_s(method: MethodConfig) -> float:
-    """Returns from the first to the last frame of the shortest run with which the gate can be complete."""
+    """Returns from the first to the last frame of the shortest run with which the gate can be
+    complete.
+    """
     if method.gate == "count":
         return method.hold_s
     if method.gate == "likelihood":

@@ -1,8 +1,10 @@
-"""The effect of a detector's misses and false positives on the pairs of a Monte-Carlo hand-over run without them.
+"""The effect of a detector's misses and false positives on the pairs of a Monte-Carlo hand-over run
+without them.
 
-Both drones' detectors have spells of misses and spells of inventions, each a chain of two states. A frame of D2 that is
-missed is no candidate; one of D1 leaves nothing to compare with, and D2 without a target once D1's newest sample is too
-old. An invented box is taken for the target: it overlaps with nothing.
+Both drones' detectors have spells of misses and spells of inventions, each a chain of two states. A
+frame of D2 that is missed is no candidate; one of D1 leaves nothing to compare with, and D2 without
+a target once D1's newest sample is too old. An invented box is taken for the target: it overlaps
+with nothing.
 """
 
 from __future__ import annotations
@@ -45,7 +47,8 @@ class DetectorFaults:
 
 
 def spells(share: float, mean_frames: float, count: int, rng: Generator) -> Flags:
-    """(count,) a chain of two states that is on in ``share`` of the frames, for ``mean_frames`` at a time in the mean.
+    """(count,) a chain of two states that is on in ``share`` of the frames, for ``mean_frames`` at
+    a time in the mean.
 
     Where so short spells cannot make up so large a share, the pauses between them are of one frame.
     """
@@ -63,20 +66,26 @@ def spells(share: float, mean_frames: float, count: int, rng: Generator) -> Flag
 
 
 def unwrapped(sequence: Whole) -> Whole:
-    """u16 numbers of frames as they were counted, from the first on; entries may be a little out of order."""
+    """u16 numbers of frames as they were counted, from the first on; entries may be a little out of
+    order.
+    """
     steps = (np.diff(sequence, prepend=sequence[:1]) + SEQUENCES // 2) % SEQUENCES - SEQUENCES // 2
     return np.cumsum(steps)
 
 
 @dataclass(frozen=True, slots=True)
 class FaultyFrames:
-    """The frames of D1 and D2 in which detectors miss, and in which they invent: (n,) each, from the first on."""
+    """The frames of D1 and D2 in which detectors miss, and in which they invent: (n,) each, from
+    the first on.
+    """
 
     missed: tuple[Flags, Flags]
     false: tuple[Flags, Flags]
 
     def longest_clear(self, first: int = 0) -> int:
-        """Frames of the longest stretch from one on in which both detectors see the target and nothing else."""
+        """Frames of the longest stretch from one on in which both detectors see the target and
+        nothing else.
+        """
         begin = min(max(0, first), len(self.missed[0]))
         faulty = np.flatnonzero(np.any((*self.missed, *self.false), axis=0)[begin:])
         edges = np.concatenate(([-1], faulty, [len(self.missed[0]) - begin]))
@@ -85,7 +94,10 @@ class FaultyFrames:
 
 def faulty_frames(detector: DetectorFaults, many: int, rng: Generator) -> FaultyFrames:
     share = 1.0 - detector.recall
-    missed = spells(share, detector.miss_frames, many, rng), spells(share, detector.miss_frames, many, rng)
+    missed = (
+        spells(share, detector.miss_frames, many, rng),
+        spells(share, detector.miss_frames, many, rng),
+    )
     rate = detector.false_positives
     length = detector.miss_frames
     return FaultyFrames(missed, (spells(rate, length, many, rng), spells(rate, length, many, rng)))

@@ -1,4 +1,6 @@
-"""How far D1's identity is to be believed: of the frames with a stated probability, the share that was wrong."""
+"""How far D1's identity is to be believed: of the frames with a stated probability, the share that
+was wrong.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,9 @@ from missions.trials.shared.statistics import upper_bound
 from missions.trials.shared.trial import TrialTable
 
 EDGES = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 0.0)
-"""Of the stated probability that D1 follows another object than the designated one: each bin ends at the next."""
+"""Of the stated probability that D1 follows another object than the designated one: each bin ends
+at the next.
+"""
 
 StatedCounts = tuple[tuple[int, int], ...]
 """Of one attempt, for each bin: its frames, and those in which D1 followed another object."""
@@ -32,7 +36,8 @@ def counted(stated: Sequence[StatedIdentity]) -> StatedCounts:
 def reliability(attempts: Sequence[StatedCounts]) -> TrialTable:
     """Return the table of stated probabilities against the shares that were wrong.
 
-    Frames of one attempt have one cause: so many attempts had such a frame, and in so many of them one was wrong.
+    Frames of one attempt have one cause: so many attempts had such a frame, and in so many of them
+    one was wrong.
     """
     rows: list[tuple[str, ...]] = []
     for k, edge in enumerate(EDGES):
@@ -43,10 +48,19 @@ def reliability(attempts: Sequence[StatedCounts]) -> TrialTable:
         above = 1.0 if k == 0 else EDGES[k - 1]
         share = f"{wrong / frames:.2g}" if frames else "-"
         bound = f"{upper_bound(in_attempts, len(own)):.2g}" if own else "-"
-        rows.append((f"{edge:g} to {above:g}", str(frames), share, str(len(own)), str(in_attempts), bound))
+        rows.append(
+            (f"{edge:g} to {above:g}", str(frames), share, str(len(own)), str(in_attempts), bound)
+        )
     return TrialTable(
         "What D1 states of the object that it follows: the probability that it is not the designated one",
-        ("stated", "frames", "share wrong", "attempts", "with a wrong one", "share, at most (95 %)"),
+        (
+            "stated",
+            "frames",
+            "share wrong",
+            "attempts",
+            "with a wrong one",
+            "share, at most (95 %)",
+        ),
         tuple(rows),
         "Of the frames that show what D1 follows in a box of its own, offered or not.",
     )

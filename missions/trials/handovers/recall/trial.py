@@ -1,4 +1,6 @@
-"""Detectors that miss in spells and invent boxes, and all gates: how many commit, how soon, how many wrongly."""
+"""Detectors that miss in spells and invent boxes, and all gates: how many commit, how soon, how
+many wrongly.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +67,9 @@ Pair = tuple[AttemptOrder, RecallAttempt]
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One pair of detectors, judged by one gate. Times are of true attempts; one without a commit takes for ever."""
+    """One pair of detectors, judged by one gate. Times are of true attempts; one without a commit
+    takes for ever.
+    """
 
     detector: DetectorFaults
     gate: GateKind
@@ -92,7 +96,12 @@ class Cell:
     @property
     def shown(self) -> tuple[str, ...]:
         """Return the figures as a table has them."""
-        return f"{self.commit_rate:.0%}", f"{self.t_median_s:.2f}", f"{self.t_p90_s:.2f}", str(self.wrong)
+        return (
+            f"{self.commit_rate:.0%}",
+            f"{self.t_median_s:.2f}",
+            f"{self.t_p90_s:.2f}",
+            str(self.wrong),
+        )
 
 
 def run(request: TrialRequest) -> TrialResult:
@@ -101,7 +110,9 @@ def run(request: TrialRequest) -> TrialResult:
 
 
 def _judged(request: TrialRequest, asked: Sequence[AttemptOrder]) -> list[Pair]:
-    """Attempts are kept as they are judged: the same command with the same ``--out`` goes on with what is left."""
+    """Attempts are kept as they are judged: the same command with the same ``--out`` goes on with
+    what is left.
+    """
     rig = request.rig
     head = {
         "format": "path-handoff recall 3", "rig": str(rig.file), "seed": request.seed,
@@ -110,7 +121,9 @@ def _judged(request: TrialRequest, asked: Sequence[AttemptOrder]) -> list[Pair]:
     with ResumableLines(request.out / KEPT, RecallAttempt, head) as kept:
         done = {line.index for line in kept.lines}
         left = [order for order in asked if order.attempt.index not in done]
-        for part in request.work.stream("Monte-Carlo hand-overs", run_batch, batches(rig, judge, left, BATCH)):
+        for part in request.work.stream(
+            "Monte-Carlo hand-overs", run_batch, batches(rig, judge, left, BATCH)
+        ):
             kept.add(part)
         by_index = {line.index: line for line in kept.lines}
     return [(order, by_index[order.attempt.index]) for order in asked]
@@ -122,7 +135,10 @@ def cell_of(judged: Sequence[Pair], number: int, gate: GateKind) -> Cell:
     true = verdicts_of([attempt for order, attempt in own if order.group == "true"], gate)
     times = np.array([np.inf if each.since_s is None else each.since_s for each in true])
     committed = float(np.mean(np.isfinite(times))) if len(times) else 0.0
-    median, p90 = (float(np.percentile(times, q, method="higher")) if len(times) else np.inf for q in (50.0, 90.0))
+    median, p90 = (
+        float(np.percentile(times, q, method="higher")) if len(times) else np.inf
+        for q in (50.0, 90.0)
+    )
     wrong = wrongly([attempt for _, attempt in own], gate)
     return Cell(DETECTORS[number], gate, len(true), len(own), committed, median, p90, wrong)
 
@@ -130,7 +146,9 @@ def cell_of(judged: Sequence[Pair], number: int, gate: GateKind) -> Cell:
 def result(judged: Sequence[Pair], short: bool) -> TrialResult:
     """Return the result of so many attempts."""
     attempts = [attempt for _, attempt in judged]
-    cells = [cell_of(judged, number, gate) for number in range(len(DETECTORS)) for gate in ALL_GATES]
+    cells = [
+        cell_of(judged, number, gate) for number in range(len(DETECTORS)) for gate in ALL_GATES
+    ]
     wrong = {gate: wrongly(attempts, gate) for gate in ALL_GATES}
     followed = sum(each.evidence.wrong and each.evidence.same for each in attempts)
     summary = {
@@ -143,8 +161,14 @@ def result(judged: Sequence[Pair], short: bool) -> TrialResult:
         "wrong_upper": upper_bound(wrong["evidence"], len(judged)),
         "cells": [cell.summary for cell in cells],
     }
-    tables = (_table(cells), _wrong_table(judged), reliability([each.identity for each in attempts]))
-    return TrialResult(summary, (*_commit_findings(cells), _wrong_finding(summary)), tables=tables, notes=NOTES)
+    tables = (
+        _table(cells),
+        _wrong_table(judged),
+        reliability([each.identity for each in attempts]),
+    )
+    return TrialResult(
+        summary, (*_commit_findings(cells), _wrong_finding(summary)), tables=tables, notes=NOTES
+    )
 
 
 def _commit_findings(cells: Sequence[Cell]) -> list[TrialFinding]:

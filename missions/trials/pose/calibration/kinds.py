@@ -1,7 +1,9 @@
-"""Sets of views as people bring them: boards of every kind, cameras of every size, held with care and without.
+"""Sets of views as people bring them: boards of every kind, cameras of every size, held with care
+and without.
 
-Each is to end in a calibration with a grade whose stated errors are true, or in a refusal that says what is wrong. The
-camera has a sensor's mosaic, sharpening and compression, and the paper is curled.
+Each is to end in a calibration with a grade whose stated errors are true, or in a refusal that says
+what is wrong. The camera has a sensor's mosaic, sharpening and compression, and the paper is
+curled.
 """
 
 from __future__ import annotations
@@ -14,7 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from flight.harness.renderer import REALISTIC, FrameRenderer, PlacedBoard, RenderedInstant, RendererSetup
+from flight.harness.renderer import (
+    REALISTIC,
+    FrameRenderer,
+    PlacedBoard,
+    RenderedInstant,
+    RendererSetup,
+)
 from missions.field.calibrate.board import otherwise
 from missions.field.calibrate.camera import BadViews, Calibrated, calibrate
 from missions.field.calibrate.collect import Collected
@@ -62,7 +70,9 @@ FINE = Board("charuco", 10, 7, 0.030, 0.0225)
 LEGACY = replace(CHARUCO, legacy=True)
 KINDS: Mapping[str, ViewsKind] = {
     "chessboard 320x240, 20 views": ViewsKind(CHESSBOARD, (320, 240), 20),
-    "chessboard 640x480, 25 views of one distance": ViewsKind(SQUARE, (640, 480), 25, NEAR_ONE_DISTANCE),
+    "chessboard 640x480, 25 views of one distance": ViewsKind(
+        SQUARE, (640, 480), 25, NEAR_ONE_DISTANCE
+    ),
     "chessboard 640x480, 30 views": ViewsKind(SQUARE, (640, 480), 30),
     "chessboard 960x720, 15 views, counted wrongly": ViewsKind(
         CHESSBOARD, (960, 720), 15, named=replace(CHESSBOARD, columns=10), refusal=BadSet.NO_BOARD
@@ -74,8 +84,12 @@ KINDS: Mapping[str, ViewsKind] = {
     "chessboard 640x480, 10 views, never tilted": ViewsKind(SQUARE, (640, 480), 10, FLAT_ON),
     "ChArUco 640x480, 17 views": ViewsKind(CHARUCO, (640, 480), 17),
     "ChArUco 640x480, old pattern, 20 views": ViewsKind(LEGACY, (640, 480), 20),
-    "ChArUco 1280x720, old pattern named as new, 10 views": ViewsKind(LEGACY, (1280, 720), 10, named=CHARUCO),
-    "ChArUco 1280x720, 30 views of one distance": ViewsKind(CHARUCO, (1280, 720), 30, NEAR_ONE_DISTANCE),
+    "ChArUco 1280x720, old pattern named as new, 10 views": ViewsKind(
+        LEGACY, (1280, 720), 10, named=CHARUCO
+    ),
+    "ChArUco 1280x720, 30 views of one distance": ViewsKind(
+        CHARUCO, (1280, 720), 30, NEAR_ONE_DISTANCE
+    ),
     "ChArUco 1920x1080, 12 views": ViewsKind(CHARUCO, (1920, 1080), 12),
     "ChArUco 640x480, 16 views, hardly tilted": ViewsKind(
         FINE, (640, 480), 16, Held(tilt_deg=(0.0, 4.0)), fault=BadSet.NO_TILT
@@ -150,7 +164,14 @@ def kind_table(results: Sequence[KindResult]) -> TrialTable:
     ]
     return TrialTable(
         "Sets of every kind, as the command takes them",
-        ("set", "grade", "said to be wrong", "fx, fy off, %", "stated, %", "fx / fy / cx / cy off, stated errors"),
+        (
+            "set",
+            "grade",
+            "said to be wrong",
+            "fx, fy off, %",
+            "stated, %",
+            "fx / fy / cx / cy off, stated errors",
+        ),
         tuple(rows),
         f"Realistic imaging; the print is curled by {1e3 * SAG_M:g} mm, from its middle to its ends.",
     )
@@ -174,7 +195,9 @@ def calibrate_kind(work: tuple[type[FrameRenderer], str, int]) -> KindResult:
     except BadViews as refusal:
         reasons = tuple(fault.reason for fault in refusal.faults)
         right = (kind.refusal or kind.fault) in reasons
-        return KindResult(name, None, tuple(r.value for r in reasons), (), (math.nan, math.nan), right)
+        return KindResult(
+            name, None, tuple(r.value for r in reasons), (), (math.nan, math.nan), right
+        )
     told = kind.fault is None or kind.fault in (fault.reason for fault in done.faults)
     return _result(name, done, camera, kind.refusal is None and told)
 
@@ -184,7 +207,13 @@ def camera_of(size: tuple[int, int]) -> CameraModel:
     width, height = size
     focal = 0.95 * width if 4 * height == 3 * width else 0.72 * width
     return CameraModel(
-        width, height, focal, 1.001 * focal, 0.5 * width + 0.004 * width, 0.5 * height - 0.003 * width, LENS
+        width,
+        height,
+        focal,
+        1.001 * focal,
+        0.5 * width + 0.004 * width,
+        0.5 * height - 0.003 * width,
+        LENS,
     )
 
 
@@ -210,12 +239,18 @@ def _photographs(
     setup = RendererSetup(camera, HERE, HERE, single_marker(), imaging=REALISTIC)
     made = renderer(setup, seed)
     where = board_poses(camera, kind.board, kind.held, kind.views, seed)
-    stages = (RenderedInstant({Role.SENDER: T_W_C}, boards=curled(kind.board, T_W_C @ T_c_o)) for T_c_o in where)
-    return [grey(made.shoot(stage, Role.SENDER, number).color) for number, stage in enumerate(stages)]
+    stages = (
+        RenderedInstant({Role.SENDER: T_W_C}, boards=curled(kind.board, T_W_C @ T_c_o))
+        for T_c_o in where
+    )
+    return [
+        grey(made.shoot(stage, Role.SENDER, number).color) for number, stage in enumerate(stages)
+    ]
 
 
 def curled(board: Board, T_w_o: Pose, sag_m: float = SAG_M) -> tuple[PlacedBoard, ...]:
-    """The print, curled about its y axis: strips that meet in the middles of squares, where no corner is.
+    """The print, curled about its y axis: strips that meet in the middles of squares, where no
+    corner is.
 
     They lie on a circle; the board's frame is that of its middle.
     """
@@ -225,7 +260,9 @@ def curled(board: Board, T_w_o: Pose, sag_m: float = SAG_M) -> tuple[PlacedBoard
     seams = [0, *range(per_square // 2, columns, per_square), columns]
     if per_square < 2:  # a cell is a square
         flat = replace(
-            flat, side_m=0.5 * flat.side_m, print_shades=np.kron(flat.print_shades, np.ones((2, 2), np.uint8))
+            flat,
+            side_m=0.5 * flat.side_m,
+            print_shades=np.kron(flat.print_shades, np.ones((2, 2), np.uint8)),
         )
         columns = 2 * columns
         seams = [0, *range(1, columns, 2), columns]
@@ -235,12 +272,22 @@ def curled(board: Board, T_w_o: Pose, sag_m: float = SAG_M) -> tuple[PlacedBoard
     for first, last in pairwise(seams):
         start, end = ((k * flat.side_m - middle_m) / radius_m for k in (first, last))
         turned = exp(np.array([0.0, -0.5 * (start + end), 0.0]))
-        at = np.array([middle_m + radius_m * math.sin(start), 0.0, radius_m * (1.0 - math.cos(start))])
-        strips.append(replace(flat, T_w_o=flat.T_w_o @ Pose(turned, at), print_shades=flat.print_shades[:, first:last]))
+        at = np.array(
+            [middle_m + radius_m * math.sin(start), 0.0, radius_m * (1.0 - math.cos(start))]
+        )
+        strips.append(
+            replace(
+                flat,
+                T_w_o=flat.T_w_o @ Pose(turned, at),
+                print_shades=flat.print_shades[:, first:last],
+            )
+        )
     return tuple(strips)
 
 
-def _collected(images: Sequence[np.ndarray[tuple[int, ...], np.dtype[np.uint8]]], board: Board) -> Collected:
+def _collected(
+    images: Sequence[np.ndarray[tuple[int, ...], np.dtype[np.uint8]]], board: Board
+) -> Collected:
     collected = Collected()
     for number, image in enumerate(images):
         collected.add(str(number), image, find_board(image, board))

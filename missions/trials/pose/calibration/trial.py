@@ -1,4 +1,6 @@
-"""The trial of camera calibration from views of a board, on rendered boards whose camera is known."""
+"""The trial of camera calibration from views of a board, on rendered boards whose camera is
+known.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +11,22 @@ from typing import Any
 import numpy as np
 
 from flight.harness.renderer import IDEAL, REALISTIC, REALISTIC_VIDEO, FrameRenderer, Imaging
-from missions.trials.pose.calibration.kinds import KINDS, QUICK, calibrate_kind, kind_findings, kind_table
+from missions.trials.pose.calibration.kinds import (
+    KINDS,
+    QUICK,
+    calibrate_kind,
+    kind_findings,
+    kind_table,
+)
 from missions.trials.pose.calibration.views import Held, board_poses, grey, photographs
 from missions.trials.shared.statistics import bootstrap, means, rms
-from missions.trials.shared.trial import TrialFinding, TrialRequest, TrialResult, TrialTable, verdict
+from missions.trials.shared.trial import (
+    TrialFinding,
+    TrialRequest,
+    TrialResult,
+    TrialTable,
+    verdict,
+)
 from path.calibration.board import Board, BoardView, find_board, find_corners
 from path.calibration.intrinsics import left_by, solve_intrinsics
 from path.camera.model import CameraModel
@@ -22,8 +36,13 @@ PAPER = "Experimental Setup (a chessboard calibration; its accuracy is not evalu
 NEEDS = ("renderer",)
 
 CAMERA = CameraModel(1280, 720, 920.0, 919.0, 642.0, 358.0, (0.112, -0.236, 0.0006, -0.0004, 0.095))
-QUICK_CAMERA = CameraModel(640, 480, 615.2, 615.9, 322.1, 241.3, (0.112, -0.236, 0.0006, -0.0004, 0.095))
-BOARDS = {"charuco": Board("charuco", 10, 7, 0.030, 0.0225), "chessboard": Board("chessboard", 10, 7, 0.030)}
+QUICK_CAMERA = CameraModel(
+    640, 480, 615.2, 615.9, 322.1, 241.3, (0.112, -0.236, 0.0006, -0.0004, 0.095)
+)
+BOARDS = {
+    "charuco": Board("charuco", 10, 7, 0.030, 0.0225),
+    "chessboard": Board("chessboard", 10, 7, 0.030),
+}
 CONDITIONS: Mapping[str, Imaging] = {
     "ideal": IDEAL,
     "realistic": REALISTIC,
@@ -52,7 +71,8 @@ class Set:
 
 @dataclass(frozen=True, slots=True)
 class SetResult:
-    """The result of a set: errors of the corners (n, 2) px by method, relative ones of fx and fy, and the residuals.
+    """The result of a set: errors of the corners (n, 2) px by method, relative ones of fx and fy,
+    and the residuals.
 
     Attributes:
         normalised: errors of all nine parameters in units of their stated standard errors.
@@ -83,8 +103,14 @@ def run(request: TrialRequest) -> TrialResult:
         for number in range(sets)
     ]
     outcomes = request.work.map("sets of views", calibrate_set, pieces)
-    ends = request.work.map("kinds of sets", calibrate_kind, [(renderer, kind, request.seed) for kind in kinds])
-    groups = {(c, b): [o for o in outcomes if (o.condition, o.board) == (c, b)] for c in conditions for b in BOARDS}
+    ends = request.work.map(
+        "kinds of sets", calibrate_kind, [(renderer, kind, request.seed) for kind in kinds]
+    )
+    groups = {
+        (c, b): [o for o in outcomes if (o.condition, o.board) == (c, b)]
+        for c in conditions
+        for b in BOARDS
+    }
     findings = [*_focal_findings(outcomes, groups), *kind_findings(ends)]
     return TrialResult(
         summary={
@@ -121,7 +147,8 @@ def calibrate_set(work: Set) -> SetResult:
         if raw is None or view is None:
             continue
         true = camera.project(T_c_o.apply(board.corners_o))
-        turned = float(np.abs(view.corners_px - true[view.ids]).max()) > 20.0  # a chessboard, by half a turn
+        # a chessboard, by half a turn
+        turned = float(np.abs(view.corners_px - true[view.ids]).max()) > 20.0
         count = len(true) - 1
         own.append(view.corners_px - true[count - view.ids if turned else view.ids])
         opencv.append(raw.corners_px - true[count - raw.ids if turned else raw.ids])
@@ -199,7 +226,9 @@ def _table(groups: Groups, camera: CameraModel, sets: int, views: int) -> TrialT
         (
             f"{condition}, {board}",
             f"{rms(np.concatenate([o.opencv_px for o in own])):.4f}",
-            " / ".join(f"{b:+.4f}" for b in np.concatenate([o.opencv_px for o in own]).mean(axis=0)),
+            " / ".join(
+                f"{b:+.4f}" for b in np.concatenate([o.opencv_px for o in own]).mean(axis=0)
+            ),
             f"{rms(np.concatenate([o.own_px for o in own])):.4f}",
             " / ".join(f"{b:+.4f}" for b in np.concatenate([o.own_px for o in own]).mean(axis=0)),
             f"{100.0 * max(max(abs(f) for f in o.focal) for o in own):.3f}",

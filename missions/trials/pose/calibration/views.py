@@ -1,4 +1,6 @@
-"""Boards before a camera, with known truth: how they are held, and what a renderer makes of them."""
+"""Boards before a camera, with known truth: how they are held, and what a renderer makes of
+them.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from flight.harness.renderer import FrameRenderer, Imaging, PlacedBoard, RenderedInstant, RendererSetup
+from flight.harness.renderer import (
+    FrameRenderer,
+    Imaging,
+    PlacedBoard,
+    RenderedInstant,
+    RendererSetup,
+)
 from path.calibration.board import Board, print_cells
 from path.camera.model import CameraModel
 from path.geometry.rotation import exp
@@ -20,25 +28,33 @@ from path.messages import Role
 
 MOST_ROLL_RAD = 1.0
 HERE = Pose(np.eye(3), np.zeros(3))
-T_W_C = Pose(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]), np.array([0.0, 0.0, 1.5]))
+T_W_C = Pose(
+    np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]), np.array([0.0, 0.0, 1.5])
+)
 """The camera, 1.5 m high, level."""
 
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """The pose of a board: distance, tilt, and how far from the image's middle its own may be (share of each side)."""
+    """The pose of a board: distance, tilt, and how far from the image's middle its own may be
+    (share of each side).
+    """
 
     distance_m: tuple[float, float] = (0.40, 0.75)
     tilt_deg: tuple[float, float] = (0.0, 40.0)
     reach: float = 0.3
 
 
-def board_poses(camera: CameraModel, board: Board, held: Held, count: int, seed: int) -> Iterator[Pose]:
+def board_poses(
+    camera: CameraModel, board: Board, held: Held, count: int, seed: int
+) -> Iterator[Pose]:
     """``T_c_o``, random."""
     rng = np.random.default_rng(seed)
     middle = 0.5 * board.square_m * np.array([board.columns, board.rows, 0.0])
     for _ in range(count):
-        u, v = np.array([camera.width, camera.height]) * (0.5 + rng.uniform(-held.reach, held.reach, 2))
+        u, v = np.array([camera.width, camera.height]) * (
+            0.5 + rng.uniform(-held.reach, held.reach, 2)
+        )
         x, y = camera.ray(float(u), float(v))
         tilt = math.radians(rng.uniform(*held.tilt_deg))
         towards = rng.uniform(0.0, 2.0 * math.pi)

@@ -1,4 +1,6 @@
-"""The inputs of the corner methods: cameras, conditions of image and print, and poses of the marker."""
+"""The inputs of the corner methods: cameras, conditions of image and print, and poses of the
+marker.
+"""
 
 from __future__ import annotations
 
@@ -74,11 +76,15 @@ CONDITIONS = {
     "blade": Condition("rotor blade", printing=Printing(blade=True)),
     "soft_shadow": Condition("soft shadow", printing=Printing(shadow="soft")),
     "hard_shadow": Condition("hard shadow", printing=Printing(shadow="hard")),
-    "ink_spread": Condition("ink spread 0.1 mm", printing=Printing(ink_spread_m=PRINTED.ink_spread_m)),
+    "ink_spread": Condition(
+        "ink spread 0.1 mm", printing=Printing(ink_spread_m=PRINTED.ink_spread_m)
+    ),
     "uneven_black": Condition("uneven black", printing=Printing(black_spread=PRINTED.black_spread)),
     "coarse_print": Condition("coarse print", printing=COARSE),
     "realistic": Condition("realistic", REALISTIC, PRINTED),
-    "realistic_coarse": Condition("realistic, coarse print", REALISTIC, replace(PRINTED, picture_px=COARSE.picture_px)),
+    "realistic_coarse": Condition(
+        "realistic, coarse print", REALISTIC, replace(PRINTED, picture_px=COARSE.picture_px)
+    ),
     "realistic_video": Condition("realistic video", REALISTIC_VIDEO, PRINTED),
     "webcam": Condition("sharp webcam", WEBCAM, PRINTED),
 }
@@ -102,10 +108,13 @@ class ShotPose:
 
 
 def view(seed: int, number: int, camera: CameraModel, T_b_v: Pose) -> ShotPose:
-    """A random view: range, incidence and place in the image uniform, the same for every camera of one shape."""
+    """A random view: range, incidence and place in the image uniform, the same for every camera of
+    one shape.
+    """
     rng = np.random.default_rng([seed, POSE_STREAM, number])
     T_w_b1 = Pose(
-        _turned(rng.normal(0.0, TILT_RAD, 2), rng.uniform(0.0, 2.0 * math.pi)), np.array([0.0, 0.0, HEIGHT_M])
+        _turned(rng.normal(0.0, TILT_RAD, 2), rng.uniform(0.0, 2.0 * math.pi)),
+        np.array([0.0, 0.0, HEIGHT_M]),
     )
     T_w_v = T_w_b1 @ T_b_v
     right, up, out = T_w_v.R.T

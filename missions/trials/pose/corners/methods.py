@@ -19,7 +19,8 @@ from path.marker.photometric.texture import dictionary_of
 from path.observations import Region
 
 OPENCV = {"contour": cv2.aruco.CORNER_REFINE_CONTOUR, "apriltag": cv2.aruco.CORNER_REFINE_APRILTAG}
-PIXEL_CENTRE = {"contour": 0.0, "apriltag": 0.5}  # AprilTag's own code puts the centre of the first pixel at 0.5
+# AprilTag's own code puts the centre of the first pixel at 0.5
+PIXEL_CENTRE = {"contour": 0.0, "apriltag": 0.5}
 TITLES = {
     "subpix": "cv2 SUBPIX",
     "contour": "cv2 CONTOUR",
@@ -28,21 +29,31 @@ TITLES = {
     "photometric": "photometric",
     "expected": "photometric, expected",
 }
-METHODS: tuple[str, ...] = tuple(name for name in TITLES if name in (*OPENCV, *get_args(Refine), "expected"))
-ENLARGED = 4.0  # OpenCV's own methods see the region so much larger: at its own size they miss small markers
+METHODS: tuple[str, ...] = tuple(
+    name for name in TITLES if name in (*OPENCV, *get_args(Refine), "expected")
+)
+# OpenCV's own methods see the region so much larger: at its own size they miss small markers
+ENLARGED = 4.0
 WINDOW_PX = 23  # of the threshold, in the enlarged region
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Corners (4, 2) in px, in the order of the print, and their covariance (8, 8) where the method has one."""
+    """Corners (4, 2) in px, in the order of the print, and their covariance (8, 8) where the method
+    has one.
+    """
 
     corners_px: Matrix
     covariance_px2: Matrix | None
 
 
 def find(
-    method: str, image: NDArray[np.uint8], region: Region, layout: MarkerLayout, camera: CameraModel, T_c_v: Pose
+    method: str,
+    image: NDArray[np.uint8],
+    region: Region,
+    layout: MarkerLayout,
+    camera: CameraModel,
+    T_c_v: Pose,
 ) -> Found | None:
     """The first marker of the layout in a region, None when it is not found, or more than once.
 
@@ -57,7 +68,9 @@ def find(
     return Found(found[0].corners_px, found[0].covariance_px2) if len(found) == 1 else None
 
 
-def _by_opencv(method: str, image: NDArray[np.uint8], region: Region, layout: MarkerLayout) -> Found | None:
+def _by_opencv(
+    method: str, image: NDArray[np.uint8], region: Region, layout: MarkerLayout
+) -> Found | None:
     area = region.clipped(image.shape[1], image.shape[0])
     if area is None:
         return None
@@ -66,7 +79,11 @@ def _by_opencv(method: str, image: NDArray[np.uint8], region: Region, layout: Ma
     cut = cv2.cvtColor(image[v0 : math.ceil(area.y1), u0 : math.ceil(area.x1)], cv2.COLOR_BGR2GRAY)
     large = cv2.resize(cut, None, fx=ENLARGED, fy=ENLARGED, interpolation=cv2.INTER_CUBIC)
     corners, ids, _ = _detector(layout.dictionary, OPENCV[method]).detectMarkers(large)
-    own = [k for k, marker_id in enumerate(np.ravel(ids)) if marker_id == layout.markers[0].id] if corners else []
+    own = (
+        [k for k, marker_id in enumerate(np.ravel(ids)) if marker_id == layout.markers[0].id]
+        if corners
+        else []
+    )
     if len(own) != 1:
         return None
     quad = np.asarray(corners[own[0]], float).reshape(4, 2) - PIXEL_CENTRE[method]

@@ -1,4 +1,6 @@
-"""Figures of the trial of the corners: error by condition and method, and what the conditions look like."""
+"""Figures of the trial of the corners: error by condition and method, and what the conditions look
+like.
+"""
 
 from __future__ import annotations
 
@@ -39,21 +41,31 @@ def draw_errors(scores: Scores, cameras: Sequence[str], path: Path) -> None:
     for axes, camera in zip(panels, cameras, strict=True):
         _draw_camera(axes, scores, camera)
     panels[0].legend(fontsize=8, loc="upper left", ncols=len(METHODS), framealpha=0.9)
-    panels[-1].set_xticks(range(len(CONDITIONS)), [c.title for c in CONDITIONS.values()], rotation=35, ha="right")
+    panels[-1].set_xticks(
+        range(len(CONDITIONS)), [c.title for c in CONDITIONS.values()], rotation=35, ha="right"
+    )
     save(figure, path)
 
 
 def _draw_camera(axes: Axes, scores: Scores, camera: str) -> None:
     step = 0.7 / len(METHODS)
     for number, method in enumerate(METHODS):
-        shown = [(k, s) for k, name in enumerate(CONDITIONS) if (s := scores[camera, name, method]) is not None]
+        shown = [
+            (k, s)
+            for k, name in enumerate(CONDITIONS)
+            if (s := scores[camera, name, method]) is not None
+        ]
         x = [k + step * (number - 0.5 * (len(METHODS) - 1)) for k, _ in shown]
         y = [s.rms_px for _, s in shown]
         low, high = ([abs(s.interval_px[end] - s.rms_px) for _, s in shown] for end in (0, 1))
-        axes.errorbar(x, y, (low, high), fmt="o", ms=4, lw=1.2, color=COLOURS[method], label=TITLES[method])
+        axes.errorbar(
+            x, y, (low, high), fmt="o", ms=4, lw=1.2, color=COLOURS[method], label=TITLES[method]
+        )
     axes.set_yscale("log")
     axes.set_ylim(0.006, 1.5)
-    axes.set_yticks([0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0], ["0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1"])
+    axes.set_yticks(
+        [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0], ["0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1"]
+    )
     axes.grid(axis="y", color="#dddddd", lw=0.6)
     axes.set_axisbelow(True)
     axes.set_xlim(-0.5, len(CONDITIONS) - 0.5)
@@ -73,7 +85,9 @@ def draw_strip(samples: Sequence[CornerShot], path: Path) -> None:
     for axes, sample in zip(panels, shown, strict=False):
         _draw_sample(axes, sample)
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9, frameon=False)
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9, frameon=False
+    )
     save(figure, path)
 
 
@@ -83,7 +97,9 @@ def _draw_sample(axes: Axes, sample: CornerShot) -> None:
     height, width = sample.picture.shape[:2]
     u0, v0 = sample.corner_px
     extent = (u0 - 0.5, u0 + width - 0.5, v0 + height - 0.5, v0 - 0.5)
-    axes.imshow(cv2.cvtColor(sample.picture, cv2.COLOR_BGR2RGB), extent=extent, interpolation="nearest")
+    axes.imshow(
+        cv2.cvtColor(sample.picture, cv2.COLOR_BGR2RGB), extent=extent, interpolation="nearest"
+    )
     u, v = sample.true_px.T
     axes.plot(u, v, "+", ms=11, mew=1.4, color=OWN_BOX, label="true")
     for method, color in SHOWN_METHODS.items():

@@ -1,4 +1,6 @@
-"""The accuracy of corners: error per axis, bias towards or away from the centre, honesty of the covariance."""
+"""The accuracy of corners: error per axis, bias towards or away from the centre, honesty of the
+covariance.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,8 @@ class Score:
         robust_px: 1.48 times the median absolute error per axis.
         radial_px: mean error away from the marker's centre, over the corners.
         found, found_interval: share of the views, 0..1.
-        calibration: mean squared error in units of the stated covariance, 1 when that is honest; None without one.
+        calibration: mean squared error in units of the stated covariance, 1 when that is honest;
+            None without one.
         calibration_interval: 95 %, views resampled.
     """
 
@@ -60,7 +63,9 @@ class Score:
 
 
 def calibration_text(calibration: float | None, interval: Interval | None) -> str:
-    """A mean squared error in units of what was stated, and its interval, as text; "" without one."""
+    """A mean squared error in units of what was stated, and its interval, as text; "" without
+    one.
+    """
     if calibration is None or interval is None:
         return ""
     return f"{calibration:.2f} ({interval[0]:.2f}–{interval[1]:.2f})"
@@ -68,7 +73,9 @@ def calibration_text(calibration: float | None, interval: Interval | None) -> st
 
 def score(samples: Sequence[CornerShot], method: str, seed: int) -> Score | None:
     """None when the method found nothing."""
-    pairs = [(sample.true_px, found) for sample in samples if (found := sample.found[method]) is not None]
+    pairs = [
+        (sample.true_px, found) for sample in samples if (found := sample.found[method]) is not None
+    ]
     if not pairs:
         return None
     rng = np.random.default_rng([seed, SCORE_STREAM])
@@ -78,7 +85,9 @@ def score(samples: Sequence[CornerShot], method: str, seed: int) -> Score | None
     picks = rng.integers(0, len(pairs), (RESAMPLES, len(pairs)))
     calibration = interval = None
     if all(covariance is not None for covariance in covariances):
-        honest = np.array([whitened(e, c) for e, c in zip(errors, covariances, strict=True) if c is not None])
+        honest = np.array(
+            [whitened(e, c) for e, c in zip(errors, covariances, strict=True) if c is not None]
+        )
         calibration = float(honest.mean())
         interval = _between(honest[picks].mean(axis=1))
     low, high = _between(squares[picks].mean(axis=1))
@@ -87,7 +96,9 @@ def score(samples: Sequence[CornerShot], method: str, seed: int) -> Score | None
         math.sqrt(float(squares.mean())),
         (math.sqrt(low), math.sqrt(high)),
         MAD_TO_SIGMA * float(np.median(np.abs(errors))),
-        float(np.mean([_radial(e, true_px) for e, (true_px, _) in zip(errors, pairs, strict=True)])),
+        float(
+            np.mean([_radial(e, true_px) for e, (true_px, _) in zip(errors, pairs, strict=True)])
+        ),
         len(pairs) / len(samples),
         wilson(len(pairs), len(samples)),
         calibration,
@@ -96,7 +107,9 @@ def score(samples: Sequence[CornerShot], method: str, seed: int) -> Score | None
 
 
 def _between(resampled: Vector) -> Interval:
-    """95 % of a statistic, from its values over resampled views (all at once: there are hundreds of scores)."""
+    """95 % of a statistic, from its values over resampled views (all at once: there are hundreds of
+    scores).
+    """
     low, high = np.percentile(resampled, (2.5, 97.5))
     return float(low), float(high)
 

@@ -44,7 +44,8 @@ class CornerShot:
     Attributes:
         true_px: (4, 2).
         found: by method.
-        picture: (h, w, 3) BGR around the marker, whose first pixel is ``corner_px``; only of the view that is shown.
+        picture: (h, w, 3) BGR around the marker, whose first pixel is ``corner_px``; only of the
+            view that is shown.
     """
 
     camera: str
@@ -61,7 +62,9 @@ def shoot(shooting: CornerSeries) -> list[CornerShot]:
     camera = CAMERAS[shooting.camera]
     condition = CONDITIONS[shooting.condition]
     here = Pose(np.eye(3), np.zeros(3))
-    setup = RendererSetup(camera, here, shooting.T_b_v, LAYOUT, condition.imaging, condition.printing)
+    setup = RendererSetup(
+        camera, here, shooting.T_b_v, LAYOUT, condition.imaging, condition.printing
+    )
     renderer = shooting.renderer(setup, shooting.seed)
     samples: list[CornerShot] = []
     for number in shooting.views:
@@ -69,8 +72,12 @@ def shoot(shooting: CornerSeries) -> list[CornerShot]:
         true_px = seen.corners_px(camera, shooting.T_b_v)
         image = renderer.shoot(seen.stage(), Role.RECEIVER, number).color
         region = _predicted(true_px, np.random.default_rng([shooting.seed, REGION_STREAM, number]))
-        expected = _expected(seen.T_w_c.inverse() @ seen.T_w_b1 @ shooting.T_b_v, shooting.seed, number)
-        found = {method: find(method, image, region, LAYOUT, camera, expected) for method in METHODS}
+        expected = _expected(
+            seen.T_w_c.inverse() @ seen.T_w_b1 @ shooting.T_b_v, shooting.seed, number
+        )
+        found = {
+            method: find(method, image, region, LAYOUT, camera, expected) for method in METHODS
+        }
         sample = CornerShot(shooting.camera, shooting.condition, number, true_px, found)
         samples.append(_pictured(sample, image) if number == shooting.shown else sample)
     return samples
@@ -81,7 +88,10 @@ def _predicted(true_px: Matrix, rng: np.random.Generator) -> Region:
     low = true_px.min(axis=0)
     high = true_px.max(axis=0)
     extent = float((high - low).max())
-    low, high = (end + rng.uniform(-OFF, OFF, 2) * extent for end in (low - AROUND * extent, high + AROUND * extent))
+    low, high = (
+        end + rng.uniform(-OFF, OFF, 2) * extent
+        for end in (low - AROUND * extent, high + AROUND * extent)
+    )
     return Region(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
@@ -97,4 +107,6 @@ def _pictured(sample: CornerShot, image: NDArray[np.uint8]) -> CornerShot:
     u0 = max(round(u - reach), 0)
     v0 = max(round(v - reach), 0)
     cut = image[v0 : round(v + reach) + 1, u0 : round(u + reach) + 1].copy()
-    return CornerShot(sample.camera, sample.condition, sample.view, sample.true_px, sample.found, cut, (u0, v0))
+    return CornerShot(
+        sample.camera, sample.condition, sample.view, sample.true_px, sample.found, cut, (u0, v0)
+    )

@@ -1,4 +1,6 @@
-"""The accuracy of marker corners: OpenCV's methods and the project's, in conditions that depart from the ideal."""
+"""The accuracy of marker corners: OpenCV's methods and the project's, in conditions that depart
+from the ideal.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,14 @@ from missions.trials.pose.corners.methods import ENLARGED, METHODS, OPENCV, TITL
 from missions.trials.pose.corners.pictures import Scores, draw_errors, draw_strip
 from missions.trials.pose.corners.score import Score, score
 from missions.trials.pose.corners.shots import OFF_M, OFF_RAD, CornerSeries, CornerShot, shoot
-from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
+from missions.trials.shared.trial import (
+    TrialFinding,
+    TrialPicture,
+    TrialRequest,
+    TrialResult,
+    TrialTable,
+    verdict,
+)
 
 TITLE = "Corners of a 40 mm marker: five methods, on cameras and prints as they are"
 PAPER = "Experimental Setup (corner detection is not evaluated there)"
@@ -35,7 +44,9 @@ VIEWS_A_PIECE = 10
 ERRORS = "corners_error.png"
 STRIP = "corners_examples.png"
 NEEDED_PX = 0.05
-"""Good enough for a mean of 8 mm of D2 and target at 720p, by simulation with every systematic error."""
+"""Good enough for a mean of 8 mm of D2 and target at 720p, by simulation with every systematic
+error.
+"""
 REALISTIC = ("realistic", "realistic_video", "webcam")
 
 
@@ -46,8 +57,14 @@ def run(request: TrialRequest) -> TrialResult:
     scores: dict[tuple[str, str, str], Score | None] = {}
     for camera in cameras:
         for condition in CONDITIONS:
-            own = [sample for sample in samples if (sample.camera, sample.condition) == (camera, condition)]
-            scores |= {(camera, condition, method): score(own, method, request.seed) for method in METHODS}
+            own = [
+                sample
+                for sample in samples
+                if (sample.camera, sample.condition) == (camera, condition)
+            ]
+            scores |= {
+                (camera, condition, method): score(own, method, request.seed) for method in METHODS
+            }
     draw_errors(scores, cameras, request.out / ERRORS)
     draw_strip([sample for sample in samples if sample.camera == main], request.out / STRIP)
     return TrialResult(
@@ -64,8 +81,12 @@ def run(request: TrialRequest) -> TrialResult:
             _honesty_table(scores, main),
         ),
         pictures=(
-            TrialPicture(ERRORS, "Error of the corners per axis, with 95 % intervals over the views."),
-            TrialPicture(STRIP, f"One view at {main} in every condition, with true and found corners."),
+            TrialPicture(
+                ERRORS, "Error of the corners per axis, with 95 % intervals over the views."
+            ),
+            TrialPicture(
+                STRIP, f"One view at {main} in every condition, with true and found corners."
+            ),
         ),
         notes=_notes(main),
     )
@@ -77,7 +98,13 @@ def _shots(request: TrialRequest, cameras: Sequence[str]) -> list[CornerShot]:
     T_b_v = request.rig.sender.mount.T_b_v
     pieces = [
         CornerSeries(
-            renderer, T_b_v, camera, condition, request.seed, tuple(views[first : first + VIEWS_A_PIECE]), shown=0
+            renderer,
+            T_b_v,
+            camera,
+            condition,
+            request.seed,
+            tuple(views[first : first + VIEWS_A_PIECE]),
+            shown=0,
         )
         for camera in sorted(cameras, key=lambda name: -CAMERAS[name].width)  # the long ones first
         for condition in CONDITIONS
@@ -90,7 +117,9 @@ def _summary(scores: Scores, camera: str) -> dict[str, dict[str, Any]]:
     summary: dict[str, dict[str, Any]] = {}
     for condition in CONDITIONS:
         by_method = {method: scores[camera, condition, method] for method in METHODS}
-        summary[condition] = {method: s.summary() for method, s in by_method.items() if s is not None}
+        summary[condition] = {
+            method: s.summary() for method, s in by_method.items() if s is not None
+        }
     return summary
 
 
@@ -116,7 +145,9 @@ def _findings(scores: Scores, camera: str) -> tuple[TrialFinding, ...]:
 
 
 def _worst(scores: Scores, camera: str) -> tuple[TrialFinding, ...]:
-    """Returns the default method's worst condition, and the honesty of its covariance where that is boldest."""
+    """Returns the default method's worst condition, and the honesty of its covariance where that is
+    boldest.
+    """
     own = {name: s for name in CONDITIONS if (s := scores[camera, name, "photometric"]) is not None}
     if not own:
         return ()
@@ -156,13 +187,18 @@ def _error_table(scores: Scores, camera: str) -> TrialTable:
 def _cell(own: Score | None) -> str:
     if own is None:
         return "found in no view"
-    return f"{own.rms_px:.3f} / {own.robust_px:.3f} / {own.radial_px:+.3f}; {100.0 * own.found:.0f} %"
+    return (
+        f"{own.rms_px:.3f} / {own.robust_px:.3f} / {own.radial_px:+.3f}; {100.0 * own.found:.0f} %"
+    )
 
 
 def _honesty_table(scores: Scores, camera: str) -> TrialTable:
     stated = [method for method in METHODS if method not in OPENCV]
     rows = [
-        (condition.title, *("" if (own := scores[camera, name, m]) is None else own.honesty for m in stated))
+        (
+            condition.title,
+            *("" if (own := scores[camera, name, m]) is None else own.honesty for m in stated),
+        )
         for name, condition in CONDITIONS.items()
     ]
     return TrialTable(
@@ -186,8 +222,12 @@ def _noise_table() -> TrialTable:
         ("expected pose", f"{1000.0 * OFF_M:g} mm, {math.degrees(OFF_RAD):.1f}° per axis",
          "of the method that is told one; where it does not recognise the marker there, it decodes"),
     ]  # fmt: skip
-    rows += [(condition.title, *_departures(condition)) for condition in list(CONDITIONS.values())[1:]]
-    return TrialTable("Cameras, views and conditions", ("what", "how much", "how it is applied"), tuple(rows))
+    rows += [
+        (condition.title, *_departures(condition)) for condition in list(CONDITIONS.values())[1:]
+    ]
+    return TrialTable(
+        "Cameras, views and conditions", ("what", "how much", "how it is applied"), tuple(rows)
+    )
 
 
 HOW: Mapping[str, str] = {
@@ -216,7 +256,9 @@ def _departures(condition: Condition) -> tuple[str, str]:
             if hasattr(value, name) and getattr(value, name) != getattr(ideal, name):
                 changed.append(f"{name} {_short(getattr(value, name))}")
     how = "; ".join(HOW[text.split()[0]] for text in changed)
-    return ", ".join(text.rstrip() for text in changed), how if len(changed) == 1 else "each as above"
+    return ", ".join(text.rstrip() for text in changed), how if len(
+        changed
+    ) == 1 else "each as above"
 
 
 def _short(value: object) -> str:

@@ -1,4 +1,6 @@
-"""The effect of a wrong depth and a wrong marker pose on D2's prior, in the paper's nominal geometry."""
+"""The effect of a wrong depth and a wrong marker pose on D2's prior, in the paper's nominal
+geometry.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,14 @@ import numpy as np
 from missions.look.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE, tidy
 from missions.trials.shared.drawing import panels, save
 from missions.trials.shared.statistics import Z95
-from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialRequest, TrialResult, TrialTable, verdict
+from missions.trials.shared.trial import (
+    TrialFinding,
+    TrialPicture,
+    TrialRequest,
+    TrialResult,
+    TrialTable,
+    verdict,
+)
 from path.messages import Role
 from path.sensitivity import (
     ReferenceErrors,
@@ -34,9 +43,15 @@ DIRECTIONS = 500_000
 QUICK_DIRECTIONS = 20_000
 DEPTHS_M = tuple(round(0.6 + 0.05 * k, 2) for k in range(19))
 NOMINAL_DEPTH_M = 1.0
-LAWS = {"constant": 0.0, "linear": 1.0, "power_1.5": 1.5, "quadratic": 2.0}  # power of the depth, 5 mm at 1 m
+# power of the depth, 5 mm at 1 m
+LAWS = {"constant": 0.0, "linear": 1.0, "power_1.5": 1.5, "quadratic": 2.0}
 LAW_TITLES = {"constant": "constant", "linear": "~ Z", "power_1.5": "~ Z^1.5", "quadratic": "~ Z²"}
-COLOURS = {"constant": DIM, "linear": ROLE[Role.SENDER], "power_1.5": COUNT, "quadratic": ROLE[Role.RECEIVER]}
+COLOURS = {
+    "constant": DIM,
+    "linear": ROLE[Role.SENDER],
+    "power_1.5": COUNT,
+    "quadratic": ROLE[Role.RECEIVER],
+}
 
 PAPER_RANGE = (12.75, 21.57)
 PAPER_NOMINAL = (540.08, 685.69)
@@ -46,7 +61,9 @@ PICTURE = "sensitivity.png"
 
 @dataclass(frozen=True, slots=True)
 class AtDepth:
-    """Translation and rotation term at one depth, px RMS, and the standard error of the pose term."""
+    """Translation and rotation term at one depth, px RMS, and the standard error of the pose
+    term.
+    """
 
     depth_m: float
     translation: float
@@ -57,7 +74,9 @@ class AtDepth:
         """Returns the terms with the depth term of a law of the depth's error."""
         camera = nominal_camera()
         T_c2_v = nominal_pose()
-        squares = depth_error2(camera, T_c2_v, on_axis(self.depth_m), depth_error_m(law, self.depth_m))
+        squares = depth_error2(
+            camera, T_c2_v, on_axis(self.depth_m), depth_error_m(law, self.depth_m)
+        )
         return Terms(math.sqrt(float(np.mean(squares))), self.translation, self.rotation)
 
     def interval(self, law: str | None = None) -> tuple[float, float]:
@@ -73,7 +92,9 @@ def depth_error_m(law: str, depth_m: float) -> float:
 
 
 def at_depth(asked: tuple[float, int, int]) -> AtDepth:
-    """The pose terms at (depth in m, number of directions, seed): the same directions at every depth."""
+    """The pose terms at (depth in m, number of directions, seed): the same directions at every
+    depth.
+    """
     depth_m, count, seed = asked
     camera = nominal_camera()
     T_c2_v = nominal_pose()
@@ -84,8 +105,11 @@ def at_depth(asked: tuple[float, int, int]) -> AtDepth:
     turned = rotation_error2(camera, T_c2_v, point, errors.rotation_rad, toward)
     both = moved + turned
     pose = math.sqrt(float(np.mean(both)))
-    error = float(np.std(both)) / math.sqrt(count) / (2.0 * pose)  # of a root, from that of the mean square
-    return AtDepth(depth_m, math.sqrt(float(np.mean(moved))), math.sqrt(float(np.mean(turned))), error)
+    # of a root, from that of the mean square
+    error = float(np.std(both)) / math.sqrt(count) / (2.0 * pose)
+    return AtDepth(
+        depth_m, math.sqrt(float(np.mean(moved))), math.sqrt(float(np.mean(turned))), error
+    )
 
 
 def run(request: TrialRequest) -> TrialResult:
@@ -119,19 +143,27 @@ def run(request: TrialRequest) -> TrialResult:
         findings=(*_nominal_findings(nominal, pixel, diagonal), *_range_findings(depths)),
         noise=_noise_table(),
         tables=(_depth_table(depths), _linear_table(depths)),
-        pictures=(TrialPicture(PICTURE, "RMS displacement of the prior over the target's depth, by what is wrong."),),
+        pictures=(
+            TrialPicture(
+                PICTURE, "RMS displacement of the prior over the target's depth, by what is wrong."
+            ),
+        ),
         notes=_notes(marker, count),
     )
 
 
-def _nominal_findings(nominal: AtDepth, pixel: np.ndarray, diagonal: float) -> tuple[TrialFinding, ...]:
+def _nominal_findings(
+    nominal: AtDepth, pixel: np.ndarray, diagonal: float
+) -> tuple[TrialFinding, ...]:
     terms = nominal.terms("constant")
     tolerance = TOLERANCE_PX
 
     def near(ours: float, paper: float, by: float) -> bool:
         return abs(ours - paper) <= by
 
-    pixel_met = all(near(float(a), b, tolerance["nominal"]) for a, b in zip(pixel, PAPER_NOMINAL, strict=True))
+    pixel_met = all(
+        near(float(a), b, tolerance["nominal"]) for a, b in zip(pixel, PAPER_NOMINAL, strict=True)
+    )
     exact = "exact: both signs"
     return (
         TrialFinding("nominal projection, px", f"({pixel[0]:.3f}, {pixel[1]:.3f})", "exact", "(540.08, 685.69)",
@@ -162,7 +194,9 @@ def _range_findings(depths: list[AtDepth]) -> tuple[TrialFinding, ...]:
                 "12.75–21.57",
                 f"± {TOLERANCE_PX['range']} with the law stated" if law == "power_1.5" else "",
                 verdict(far <= TOLERANCE_PX["range"]) if law == "power_1.5" else "measured",
-                "The paper does not state its law; this one comes nearest." if law == "power_1.5" else "",
+                "The paper does not state its law; this one comes nearest."
+                if law == "power_1.5"
+                else "",
             )
         )
     return tuple(findings)
@@ -173,9 +207,21 @@ def _noise_table() -> TrialTable:
         "What is wrong, and how",
         ("input", "error", "how it is applied"),
         (
-            ("target depth", "5 mm at 1 m", "both signs; over 0.6–1.5 m constant, ~ Z, ~ Z^1.5 and ~ Z²"),
-            ("marker translation", "4.3 mm", "this length in every direction, uniform on the sphere"),
-            ("marker rotation", "1.83°", "this angle about every axis, uniform on the sphere; turns R, leaves t"),
+            (
+                "target depth",
+                "5 mm at 1 m",
+                "both signs; over 0.6–1.5 m constant, ~ Z, ~ Z^1.5 and ~ Z²",
+            ),
+            (
+                "marker translation",
+                "4.3 mm",
+                "this length in every direction, uniform on the sphere",
+            ),
+            (
+                "marker rotation",
+                "1.83°",
+                "this angle about every axis, uniform on the sphere; turns R, leaves t",
+            ),
             ("intrinsics, distortion", "none", "nominal pinhole camera of the data sheet"),
         ),
         "The paper's reference magnitudes from the literature; no distribution is claimed for them.",
@@ -187,9 +233,13 @@ def _depth_table(depths: list[AtDepth]) -> TrialTable:
     for depth in depths:
         by_law = [depth.terms(law) for law in LAWS]
         texts = [f"{terms.depth:.2f} / {terms.combined:.2f}" for terms in by_law]
-        rows.append((f"{depth.depth_m:.2f}", f"{depth.translation:.2f}", f"{depth.rotation:.2f}", *texts))
+        rows.append(
+            (f"{depth.depth_m:.2f}", f"{depth.translation:.2f}", f"{depth.rotation:.2f}", *texts)
+        )
     laws = tuple(f"depth {LAW_TITLES[law]} / combined" for law in LAWS)
-    return TrialTable("Over the target's depth, px RMS", ("Z, m", "translation", "rotation", *laws), tuple(rows))
+    return TrialTable(
+        "Over the target's depth, px RMS", ("Z, m", "translation", "rotation", *laws), tuple(rows)
+    )
 
 
 def _linear(depth_m: float) -> Terms:
@@ -199,7 +249,12 @@ def _linear(depth_m: float) -> Terms:
 
 def _linear_summary() -> dict[str, float]:
     terms = _linear(NOMINAL_DEPTH_M)
-    return {"depth": terms.depth, "translation": terms.translation, "rotation": terms.rotation, "pose": terms.pose}
+    return {
+        "depth": terms.depth,
+        "translation": terms.translation,
+        "rotation": terms.rotation,
+        "pose": terms.pose,
+    }
 
 
 def _linear_table(depths: list[AtDepth]) -> TrialTable:
@@ -241,14 +296,40 @@ def _between(interval: tuple[float, float]) -> str:
 def _draw(depths: list[AtDepth], path: Path) -> None:
     figure, (axes,) = panels(8.0, 4.6)
     z = [depth.depth_m for depth in depths]
-    axes.plot(z, [depth.rotation for depth in depths], color=FAULT, lw=1.2, ls="--", label="rotation 1.83°")
-    axes.plot(z, [depth.translation for depth in depths], color=NEEDED, lw=1.2, ls=":", label="translation 4.3 mm")
+    axes.plot(
+        z,
+        [depth.rotation for depth in depths],
+        color=FAULT,
+        lw=1.2,
+        ls="--",
+        label="rotation 1.83°",
+    )
+    axes.plot(
+        z,
+        [depth.translation for depth in depths],
+        color=NEEDED,
+        lw=1.2,
+        ls=":",
+        label="translation 4.3 mm",
+    )
     for law, title in LAW_TITLES.items():
         terms = [depth.terms(law) for depth in depths]
-        axes.plot(z, [t.combined for t in terms], color=COLOURS[law], lw=1.8, label=f"combined, depth {title}")
+        axes.plot(
+            z,
+            [t.combined for t in terms],
+            color=COLOURS[law],
+            lw=1.8,
+            label=f"combined, depth {title}",
+        )
         axes.plot(z, [t.depth for t in terms], color=COLOURS[law], lw=1.0, ls="-.")
     axes.plot(
-        [0.6, 1.0, 1.5], [PAPER_RANGE[0], 17.41, PAPER_RANGE[1]], "o", ms=6, mfc="none", color=NEEDED, label="paper"
+        [0.6, 1.0, 1.5],
+        [PAPER_RANGE[0], 17.41, PAPER_RANGE[1]],
+        "o",
+        ms=6,
+        mfc="none",
+        color=NEEDED,
+        label="paper",
     )
     axes.set_xlabel("depth of the target, m    (dash-dotted: depth term alone)", fontsize=9)
     axes.set_ylabel("displacement of the prior, px RMS", fontsize=9)

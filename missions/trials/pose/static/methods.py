@@ -1,7 +1,8 @@
-"""The errors of D2's and the target's place from one sighting, by method, under errors of calibration, print, attitude.
+"""The errors of D2's and the target's place from one sighting, by method, under errors of
+calibration, print, attitude.
 
-What a method is told (print, cameras, mounts, attitudes) is the truth with the errors of its session, from the
-world's table; it is never told the truth.
+What a method is told (print, cameras, mounts, attitudes) is the truth with the errors of its
+session, from the world's table; it is never told the truth.
 """
 
 from __future__ import annotations
@@ -40,15 +41,17 @@ CORNERS: dict[Method, str] = {
 }
 
 SETTINGS = PoseSettings()  # as in flight
-NEVER_REFUSES = replace(SETTINGS, max_incidence_rad=math.pi, max_sigma_m=math.inf, max_ambiguity=1.0)
+NEVER_REFUSES = replace(
+    SETTINGS, max_incidence_rad=math.pi, max_sigma_m=math.inf, max_ambiguity=1.0
+)
 FLIPPED_RAD = math.radians(10.0)
 SESSION_STREAM = 2
 FRAME_STREAM = 3
 
 Error = Literal["side", "optics", "mount", "bias", "noise", "depth", "narrow"]
 ALL: tuple[Error, ...] = ("side", "optics", "mount", "bias", "noise", "depth")
-"""The errors of the trial: print, cameras, mounts, attitude biases, attitude noise, depth. Beside them, for comparison:
-"narrow", depth from a smaller part of the target's box."""
+"""The errors of the trial: print, cameras, mounts, attitude biases, attitude noise, depth. Beside
+them, for comparison: "narrow", depth from a smaller part of the target's box."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,14 +77,18 @@ def session_seed(seed: int, session: int) -> int:
     return int(np.random.SeedSequence([seed, SESSION_STREAM, session]).generate_state(1)[0])
 
 
-def errors_of(drawn: DrawnErrors, mounts: Mounts, frame: tuple[int, int, int], on: tuple[Error, ...]) -> MethodErrors:
+def errors_of(
+    drawn: DrawnErrors, mounts: Mounts, frame: tuple[int, int, int], on: tuple[Error, ...]
+) -> MethodErrors:
     """The errors of a measurement; ``on`` names those that are switched on.
 
     Args:
         drawn: the errors of its session; ``mounts`` the true ones.
         frame: seed, configuration and session: of the noise of its attitudes.
     """
-    noise = drawn.tilt_noise_rad * np.random.default_rng([frame[0], FRAME_STREAM, *frame[1:]]).normal(size=(2, 2))
+    noise = drawn.tilt_noise_rad * np.random.default_rng(
+        [frame[0], FRAME_STREAM, *frame[1:]]
+    ).normal(size=(2, 2))
     bias = np.array([drawn.tilt_bias_rad[role] for role in Role])
     believed = Mounts(drawn.T_b_c[Role.SENDER], drawn.T_b_v, drawn.T_b_c[Role.RECEIVER])
     return MethodErrors(
@@ -103,7 +110,8 @@ class MethodResult:
         rotation_rad: of the relative rotation.
         target_m: of the target's point in D2's camera; NaN when D1 did not see it.
         sent_m: of the target's point that D1 sends, in ``v``; the same for all methods.
-        nees: squared error of the pose in units of its covariance, 6 on average when that is right; NaN without one.
+        nees: squared error of the pose in units of its covariance, 6 on average when that is right;
+            NaN without one.
     """
 
     d2_m: float
@@ -150,13 +158,17 @@ def measure(judging: Judging) -> Results:
     return Results(*table)
 
 
-def judge(sighting: StaticMeasurement, mounts: Mounts, method: Method, errors: MethodErrors) -> MethodResult:
+def judge(
+    sighting: StaticMeasurement, mounts: Mounts, method: Method, errors: MethodErrors
+) -> MethodResult:
     """One method on one sighting, told what its session believes."""
     truth = sighting.T_c2_v
     found = sighting.markers[CORNERS[method]]
     sent_v = sent_point(sighting, errors)
     true_v = _true_point(sighting, mounts)
-    sent_m = math.nan if sent_v is None or true_v is None else float(np.linalg.norm(sent_v - true_v))
+    sent_m = (
+        math.nan if sent_v is None or true_v is None else float(np.linalg.norm(sent_v - true_v))
+    )
     refused = MethodResult(math.nan, math.nan, math.nan, sent_m, math.nan)
     if found is None:
         return refused
@@ -191,7 +203,9 @@ def estimated(
         down_v = _felt(sighting.gravity_b1, errors.attitude_rad[0], errors.mounts.T_b_v)
         down_c = _felt(sighting.gravity_b2, errors.attitude_rad[1], errors.mounts.T_b_c2)
     settings = NEVER_REFUSES if method == "photometric" else SETTINGS
-    pose = estimate_pose((found,), errors.layout, errors.cameras[Role.RECEIVER], down_v, down_c, settings)
+    pose = estimate_pose(
+        (found,), errors.layout, errors.cameras[Role.RECEIVER], down_v, down_c, settings
+    )
     return pose if isinstance(pose, MarkerPose) else None
 
 
@@ -202,14 +216,20 @@ def sent_point(sighting: StaticMeasurement, errors: MethodErrors) -> Vector | No
     if seen is None or depth is None:
         return None
     measured = replace(depth, z_m=errors.depth.measured_m(depth.z_m))
-    views = TwoViews(errors.cameras[Role.SENDER], errors.cameras[Role.RECEIVER], rigid(errors.mounts.T_v_c1))
+    views = TwoViews(
+        errors.cameras[Role.SENDER], errors.cameras[Role.RECEIVER], rigid(errors.mounts.T_v_c1)
+    )
     return np.array(locate(views, seen.box, measured, MethodConfig()).point_v_m)
 
 
 def first_ippe(found: MarkerDetection, layout: MarkerLayout, camera: CameraModel) -> Pose:
     """The first of OpenCV's two solutions, the one with the smaller reprojection error."""
     solved: Any = cv2.solvePnPGeneric(
-        layout.markers[0].corners_v, camera.rays(found.corners_px), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        layout.markers[0].corners_v,
+        camera.rays(found.corners_px),
+        np.eye(3),
+        None,
+        flags=cv2.SOLVEPNP_IPPE_SQUARE,
     )
     _, turns, shifts, _ = solved
     return Pose(rotation.exp(turns[0].ravel()), shifts[0].ravel())

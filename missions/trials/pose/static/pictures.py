@@ -1,4 +1,6 @@
-"""Pictures of the static experiment: the seven configurations, the errors of each method, and a view of D2."""
+"""Pictures of the static experiment: the seven configurations, the errors of each method, and a
+view of D2.
+"""
 
 from __future__ import annotations
 
@@ -40,10 +42,24 @@ def draw_configurations(mounts: Mounts, path: Path) -> None:
     marker_w = (D1 @ mounts.T_b_v).t
     camera_w = (D1 @ mounts.T_b_c1).t
     for axes, up in ((above, 1), (side, 2)):
-        axes.plot([marker_w[0], camera_w[0]], [marker_w[up], camera_w[up]], color=ROLE[Role.SENDER], lw=5, zorder=3)
+        axes.plot(
+            [marker_w[0], camera_w[0]],
+            [marker_w[up], camera_w[up]],
+            color=ROLE[Role.SENDER],
+            lw=5,
+            zorder=3,
+        )
         axes.plot(marker_w[0], marker_w[up], "s", ms=7, color=NEEDED, zorder=4)
-    above.annotate("D1", (camera_w[0], camera_w[1]), (4, 6), textcoords="offset points", color=ROLE[Role.SENDER])
-    above.annotate("marker", (marker_w[0], marker_w[1]), (-4, -16), textcoords="offset points", fontsize=8)
+    above.annotate(
+        "D1",
+        (camera_w[0], camera_w[1]),
+        (4, 6),
+        textcoords="offset points",
+        color=ROLE[Role.SENDER],
+    )
+    above.annotate(
+        "marker", (marker_w[0], marker_w[1]), (-4, -16), textcoords="offset points", fontsize=8
+    )
     for number, (x, y) in enumerate(PLACES_M, 1):
         above.plot(x, y, "*", ms=13, color="#e0760f")
         above.annotate(f"target {number}", (x, y), (8, -3), textcoords="offset points", fontsize=8)
@@ -58,7 +74,12 @@ def draw_configurations(mounts: Mounts, path: Path) -> None:
             dx = 0.22 * T_w_c.R[0, 2]
             dy = 0.22 * T_w_c.R[up, 2]
             axes.plot([x, marker_w[0]], [y, marker_w[up]], color=colour, lw=0.6, alpha=0.5)
-            axes.annotate("", (x + dx, y + dy), (x, y), arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.6})
+            axes.annotate(
+                "",
+                (x + dx, y + dy),
+                (x, y),
+                arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.6},
+            )
             axes.plot(x, y, "o", ms=6, color=colour)
             name = f"{c.name} {c.range_m:.2f} m" if axes is above else c.name
             axes.annotate(name, (x, y), (-9, 6), textcoords="offset points", fontsize=8)
@@ -78,10 +99,14 @@ def draw_configurations(mounts: Mounts, path: Path) -> None:
 
 
 def draw_errors(results: Mapping[str, Mapping[Method, Results]], path: Path) -> None:
-    """Share of the measurements with at most a given error: D2 and target, measured and ideal camera."""
+    """Share of the measurements with at most a given error: D2 and target, measured and ideal
+    camera.
+    """
     figure = sheet(11.0, 4.6)
     axes = figure.subplots(1, 2, sharey=True)
-    for axis, title, field in zip(axes, ("D2's position", "target's position"), ("d2_m", "target_m"), strict=True):
+    for axis, title, field in zip(
+        axes, ("D2's position", "target's position"), ("d2_m", "target_m"), strict=True
+    ):
         for method in METHODS:
             for pipeline, line in ((HEADLINE, "-"), ("ideal", ":")):
                 errors = getattr(results[pipeline][method], field)[:, SEVEN]
@@ -99,7 +124,9 @@ def draw_errors(results: Mapping[str, Mapping[Method, Results]], path: Path) -> 
     save(figure, path)
 
 
-def _shares(axis: Axes, errors: NDArray[np.float64], colour: str, line: str, label: str | None) -> None:
+def _shares(
+    axis: Axes, errors: NDArray[np.float64], colour: str, line: str, label: str | None
+) -> None:
     """A measurement without a pose never reaches its share."""
     given = np.sort(errors[~np.isnan(errors)])
     share = np.arange(1, len(given) + 1) / errors.size
@@ -126,7 +153,9 @@ def draw_view(
     axes.add_patch(Ellipse(prior.pixel, width, height, angle=turn, fill=False, color=PRIOR, lw=1.4))
     region = prior.region
     sides = region.x1 - region.x0, region.y1 - region.y0
-    axes.add_patch(Rectangle((region.x0, region.y0), *sides, fill=False, color=PRIOR, lw=0.7, ls="--"))
+    axes.add_patch(
+        Rectangle((region.x0, region.y0), *sides, fill=False, color=PRIOR, lw=0.7, ls="--")
+    )
     axes.plot(*prior.pixel, "+", ms=12, color=PRIOR, mew=1.5)
     axes.plot(*target_px, "x", ms=8, color=FAULT, mew=1.5)
     axes.set_axis_off()

@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from flight.harness.errors import TrialErrors
 from missions.trials.pose.static.methods import FLIPPED_RAD, METHODS, SETTINGS, Method, Results
 from missions.trials.pose.static.shots import DEPTH, METHOD
-from missions.trials.pose.static.stage import CAMERA, CONFIGURATIONS, HOVER_M, HOVER_RAD, HOVER_YAW_RAD, SIDE_SIGMA_M
+from missions.trials.pose.static.stage import (
+    CAMERA,
+    CONFIGURATIONS,
+    HOVER_M,
+    HOVER_RAD,
+    HOVER_YAW_RAD,
+    SIDE_SIGMA_M,
+)
 from missions.trials.shared.statistics import RESAMPLES, Interval, wilson
 from missions.trials.shared.trial import TrialFinding, TrialTable, verdict
 
@@ -81,7 +88,10 @@ class Figures:
 
     def summary(self) -> dict[str, Any]:
         plain: dict[str, Any] = {name: plain_number(value) for name, value in self.values.items()}
-        plain |= {f"{name}_interval": [plain_number(x) for x in ends] for name, ends in self.intervals.items()}
+        plain |= {
+            f"{name}_interval": [plain_number(x) for x in ends]
+            for name, ends in self.intervals.items()
+        }
         plain["flip_rate"] = self.flips / self.given if self.given else None
         plain["flip_rate_interval"] = list(wilson(self.flips, self.given))
         plain["refused_rate"] = self.refused / (self.refused + self.given)
@@ -91,7 +101,9 @@ class Figures:
 
 
 def figures_of(results: Results, seed: int) -> Figures:
-    """The unit of the intervals is the session: its measurements share print, calibration, mounting and biases."""
+    """The unit of the intervals is the session: its measurements share print, calibration, mounting
+    and biases.
+    """
     d2 = results.d2_m[:, SEVEN]
     target = results.target_m[:, SEVEN]
     turned = results.rotation_rad[:, SEVEN]
@@ -109,11 +121,22 @@ def figures_of(results: Results, seed: int) -> Figures:
         intervals |= _intervals(errors, statistics, np.random.default_rng([seed, 11]))
     refused = int(np.isnan(d2).sum())
     flips = int((turned > FLIPPED_RAD).sum())
-    return Figures(values, intervals, flips, refused, d2.size - refused, float(mean(results.nees[:, SEVEN].ravel())))
+    return Figures(
+        values,
+        intervals,
+        flips,
+        refused,
+        d2.size - refused,
+        float(mean(results.nees[:, SEVEN].ravel())),
+    )
 
 
-def _intervals(errors: Array, statistics: Mapping[str, Statistic], rng: np.random.Generator) -> dict[str, Interval]:
-    """95 % percentile bootstrap over sessions, all resamples at once: as ``statistics.bootstrap``, but faster."""
+def _intervals(
+    errors: Array, statistics: Mapping[str, Statistic], rng: np.random.Generator
+) -> dict[str, Interval]:
+    """95 % percentile bootstrap over sessions, all resamples at once: as ``statistics.bootstrap``,
+    but faster.
+    """
     sessions = len(errors)
     drawn = errors[rng.integers(0, sessions, (RESAMPLES, sessions))].reshape(RESAMPLES, -1)
     ends: dict[str, Interval] = {}
@@ -131,7 +154,10 @@ def plain_number(value: float | Array) -> float | None:
 
 
 def configurations_summary(
-    results: Mapping[Method, Results], headings: Sequence[float], incidence: Sequence[float], side_px: Sequence[float]
+    results: Mapping[Method, Results],
+    headings: Sequence[float],
+    incidence: Sequence[float],
+    side_px: Sequence[float],
 ) -> list[dict[str, Any]]:
     """Geometry of each of the seven and what each method made of it."""
     return [
@@ -166,12 +192,19 @@ def findings(
     square_p95_m: float | Array,
     alone: Sequence[tuple[str, Results]],
 ) -> tuple[TrialFinding, ...]:
-    """The paper's numbers, and the goals, beside ours; ``alone``: the errors of the table one by one, with a title."""
+    """The paper's numbers, and the goals, beside ours; ``alone``: the errors of the table one by
+    one, with a title.
+    """
     own = figures[HEADLINE][DEFAULT]
     raw = figures[HEADLINE]["ippe"]
-    parts = sorted(((float(mean(each.target_m[:, SEVEN].ravel())), title) for title, each in alone), reverse=True)
+    parts = sorted(
+        ((float(mean(each.target_m[:, SEVEN].ravel())), title) for title, each in alone),
+        reverse=True,
+    )
     target = "mean error with " + ", ".join(f"{title} {_mm(size)}" for size, title in parts) + " mm"
-    worst = f"seen along its normal from 1.5 m, which is none of the seven: p95 {_mm(square_p95_m)} mm"
+    worst = (
+        f"seen along its normal from 1.5 m, which is none of the seven: p95 {_mm(square_p95_m)} mm"
+    )
     out = [
         _finding(own, "d2_mean_m", "D2's position, mean, mm", "47", GOAL_MEAN_M),
         _finding(own, "d2_p95_m", "D2's position, 95th percentile, mm", "", GOAL_P95_M, worst),
@@ -185,20 +218,37 @@ def findings(
     for pipeline in ("ideal", "realistic", "realistic_h264"):
         short = figures[pipeline][DEFAULT]
         title = PIPELINES[pipeline]
-        out.append(_finding(short, "d2_mean_m", f"D2 mean, camera with {title}, mm", "47", GOAL_MEAN_M))
-        out.append(_finding(short, "target_mean_m", f"target mean, camera with {title}, mm", "30", GOAL_MEAN_M))
+        out.append(
+            _finding(short, "d2_mean_m", f"D2 mean, camera with {title}, mm", "47", GOAL_MEAN_M)
+        )
+        out.append(
+            _finding(
+                short, "target_mean_m", f"target mean, camera with {title}, mm", "30", GOAL_MEAN_M
+            )
+        )
     return tuple(out)
 
 
 def _finding(
-    figures: Figures, name: str, quantity: str, paper: str, goal_m: float | None = None, note: str = ""
+    figures: Figures,
+    name: str,
+    quantity: str,
+    paper: str,
+    goal_m: float | None = None,
+    note: str = "",
 ) -> TrialFinding:
     value, (low, high) = figures.values[name], figures.intervals[name]
     if goal_m is None:
         return TrialFinding(quantity, _mm(value), f"{_mm(low)} to {_mm(high)}", paper, note=note)
     reached = verdict(value <= goal_m)
     return TrialFinding(
-        quantity, _mm(value), f"{_mm(low)} to {_mm(high)}", paper, f"≤ {1e3 * goal_m:.0f}", reached, note
+        quantity,
+        _mm(value),
+        f"{_mm(low)} to {_mm(high)}",
+        paper,
+        f"≤ {1e3 * goal_m:.0f}",
+        reached,
+        note,
     )
 
 
@@ -228,7 +278,14 @@ def methods_table(title: str, figures: Mapping[Method, Figures]) -> TrialTable:
 
 
 def breakdown_table(title: str, rows: Sequence[tuple[str, Results]]) -> TrialTable:
-    columns = ("errors", "D2 mean, mm", "p95", "target in D2's camera mean, mm", "p95", "target as sent mean, mm")
+    columns = (
+        "errors",
+        "D2 mean, mm",
+        "p95",
+        "target in D2's camera mean, mm",
+        "p95",
+        "target as sent mean, mm",
+    )
     return TrialTable(
         title,
         columns,
@@ -268,7 +325,8 @@ def configurations_table(summary: Sequence[Mapping[str, Any]]) -> TrialTable:
     columns = ("", "D2", "range, m", "azimuth, °", "elevation, °", "yaw, °", "incidence, °", "marker, px", "place",
                "D2 mm: IPPE", "gravity SUBPIX", "photometric", "default", "target mm: IPPE", "default")  # fmt: skip
     note = (
-        "Azimuth of D2 from behind D1, seen from the marker; incidence between the marker's normal and the perception."
+        "Azimuth of D2 from behind D1, seen from the marker; "
+        "incidence between the marker's normal and the perception."
     )
     return TrialTable("The seven configurations", columns, rows, note)
 
@@ -290,5 +348,7 @@ def noise_table(errors: TrialErrors) -> TrialTable:
                                      "is 170 to 300 px wide", "–"),
     )  # fmt: skip
     return TrialTable(
-        "Noise: standard deviations, normally distributed", ("what", "how much", "drawn anew for every"), rows
+        "Noise: standard deviations, normally distributed",
+        ("what", "how much", "drawn anew for every"),
+        rows,
     )

@@ -1,4 +1,6 @@
-"""Shots of the static experiment: both cameras' images, and what the project's own detectors see in them."""
+"""Shots of the static experiment: both cameras' images, and what the project's own detectors see in
+them.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,14 @@ from functools import lru_cache
 import numpy as np
 
 from drivers.detectors.color import ColorDetector, ColorDetectorConfig
-from flight.harness.renderer import DepthNoise, FrameRenderer, Imaging, RenderedInstant, RendererSetup, Shot
+from flight.harness.renderer import (
+    DepthNoise,
+    FrameRenderer,
+    Imaging,
+    RenderedInstant,
+    RendererSetup,
+    Shot,
+)
 from missions.trials.pose.static.stage import CAMERA, SIDE_M, SIDE_SIGMA_M, STANDS, Mounts, stage_of
 from path.config import MethodConfig
 from path.geometry.transforms import Pose, Vector
@@ -25,7 +34,8 @@ DEPTH = DepthNoise(sigma_at_1m_m=0.005, correlation_px=2.0)
 REFINES: tuple[Refine, ...] = ("subpix", "photometric")
 DETECTOR = ColorDetectorConfig(max_side_px=500.0)
 METHOD = MethodConfig()  # as it flies
-NARROW = MethodConfig(depth_center_fraction=0.08)  # of a target 170 to 300 px wide: a few stereo windows
+# of a target 170 to 300 px wide: a few stereo windows
+NARROW = MethodConfig(depth_center_fraction=0.08)
 STREAM = 1  # first of the seeds of a stage; errors use others
 
 
@@ -70,7 +80,8 @@ class StaticMeasurement:
     Attributes:
         T_c2_v: the true pose of the marker frame in D2's camera.
         gravity_b1, gravity_b2: true direction of gravity in each body.
-        markers: the only detection of D2's marker by kind of corners; None when it was not found, or found twice.
+        markers: the only detection of D2's marker by kind of corners; None when it was not found,
+            or found twice.
         target: None when D1's detector or depth camera did not see it.
     """
 
@@ -91,7 +102,9 @@ def shoot(shooting: StaticSeries) -> list[StaticMeasurement]:
 
 def renderer_of(shooting: StaticSeries, role: Role) -> FrameRenderer:
     """One drone's camera."""
-    return _studio_renderer(shooting.renderer, shooting.mounts, shooting.imaging[role], shooting.seed, role)
+    return _studio_renderer(
+        shooting.renderer, shooting.mounts, shooting.imaging[role], shooting.seed, role
+    )
 
 
 @lru_cache(maxsize=2)
@@ -99,7 +112,9 @@ def _studio_renderer(
     kind: type[FrameRenderer], mounts: Mounts, imaging: Imaging, seed: int, role: Role
 ) -> FrameRenderer:
     """Kept: to make one takes longer than to use it for a measurement."""
-    return kind(RendererSetup(CAMERA, mounts.T_b_c(role), mounts.T_b_v, LAYOUT, imaging, depth=DEPTH), seed)
+    return kind(
+        RendererSetup(CAMERA, mounts.T_b_c(role), mounts.T_b_v, LAYOUT, imaging, depth=DEPTH), seed
+    )
 
 
 def stage_in(shooting: StaticSeries, session: int) -> RenderedInstant:
@@ -112,10 +127,15 @@ def shot_seed(shooting: StaticSeries, session: int) -> int:
     return 10_000 * shooting.configuration + session
 
 
-def _sighting(shooting: StaticSeries, renderers: dict[Role, FrameRenderer], session: int) -> StaticMeasurement:
+def _sighting(
+    shooting: StaticSeries, renderers: dict[Role, FrameRenderer], session: int
+) -> StaticMeasurement:
     stage = stage_in(shooting, session)
     mounts = shooting.mounts
-    shots = {role: renderer.shoot(stage, role, shot_seed(shooting, session)) for role, renderer in renderers.items()}
+    shots = {
+        role: renderer.shoot(stage, role, shot_seed(shooting, session))
+        for role, renderer in renderers.items()
+    }
     T_w_b1 = stage.T_w_b[Role.SENDER]
     T_w_b2 = stage.T_w_b[Role.RECEIVER]
     return StaticMeasurement(
@@ -132,19 +152,25 @@ def _sighting(shooting: StaticSeries, renderers: dict[Role, FrameRenderer], sess
 def find_marker(shot: Shot) -> dict[str, MarkerDetection | None]:
     """D2's marker, looked for in the whole image, with both kinds of corners.
 
-    OpenCV's corners are taken in a region around it, enlarged: so they start better than they would in the whole.
+    OpenCV's corners are taken in a region around it, enlarged: so they start better than they would
+    in the whole.
     """
     found = detect_markers(shot.color, None, LAYOUT, CAMERA, thorough=False)
     if len(found) != 1:
         return dict.fromkeys(REFINES)
-    (u0, v0), (u1, v1) = found[0].corners_px.min(axis=0).tolist(), found[0].corners_px.max(axis=0).tolist()
+    (u0, v0), (u1, v1) = (
+        found[0].corners_px.min(axis=0).tolist(),
+        found[0].corners_px.max(axis=0).tolist(),
+    )
     room = 1.5 * max(u1 - u0, v1 - v0)
     region = Region(u0 - room, v0 - room, u1 + room, v1 + room)
     again = detect_markers(shot.color, region, LAYOUT, CAMERA, refine="subpix")
     return {"photometric": found[0], "subpix": again[0] if len(again) == 1 else None}
 
 
-def _target(shot: Shot, renderer: FrameRenderer, stage: RenderedInstant) -> SenderObservation | None:
+def _target(
+    shot: Shot, renderer: FrameRenderer, stage: RenderedInstant
+) -> SenderObservation | None:
     """D1's target: its best detection, and the depth over it."""
     found = ColorDetector(DETECTOR).detect(shot.color, None)
     depth = registered_depth(shot.depth_mm, found[0].box, METHOD) if found else None
@@ -155,4 +181,6 @@ def _target(shot: Shot, renderer: FrameRenderer, stage: RenderedInstant) -> Send
     if true_m is None:
         return None
     narrow = registered_depth(shot.depth_mm, found[0].box, NARROW)
-    return SenderObservation(found[0].box, depth, narrow, np.array(back_project(CAMERA, u, v, true_m)))
+    return SenderObservation(
+        found[0].box, depth, narrow, np.array(back_project(CAMERA, u, v, true_m))
+    )

@@ -1,7 +1,7 @@
 """The seven configurations of the static experiment: where D1, D2 and the target truly are.
 
-World ``w`` is ENU; D1 hovers above the origin and heads east. D2's place is given from the marker: range, azimuth from
-straight behind D1 (positive to D1's left), elevation.
+World ``w`` is ENU; D1 hovers above the origin and heads east. D2's place is given from the marker:
+range, azimuth from straight behind D1 (positive to D1's left), elevation.
 """
 
 from __future__ import annotations
@@ -60,15 +60,21 @@ CONFIGURATIONS = (
     Configuration("F", True, 1.23, -40.0, 40.0, 0),
     Configuration("G", True, 1.37, 65.0, 50.0, 1),
 )
-"""Ranges evenly over 0.7 to 1.5 m, elevations 45° and 10° to either side, three places of the target."""
+"""Ranges evenly over 0.7 to 1.5 m, elevations 45° and 10° to either side, three places of the
+target.
+"""
 SQUARE = Configuration("H", False, 1.50, 0.0, 45.0, 0)
-"""Beside the seven: the worst view there is, from afar along the marker's normal, where its tilt hardly shows."""
+"""Beside the seven: the worst view there is, from afar along the marker's normal, where its tilt
+hardly shows.
+"""
 STANDS = (*CONFIGURATIONS, SQUARE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mounts:
-    """The true mounts of both drones: cameras and marker frame to body (FRD). Equal by their numbers."""
+    """The true mounts of both drones: cameras and marker frame to body (FRD). Equal by their
+    numbers.
+    """
 
     T_b_c1: Pose
     T_b_v: Pose
@@ -81,7 +87,9 @@ class Mounts:
         return hash(self._bytes())
 
     def _bytes(self) -> bytes:
-        return b"".join(array.tobytes() for T in (self.T_b_c1, self.T_b_v, self.T_b_c2) for array in (T.R, T.t))
+        return b"".join(
+            array.tobytes() for T in (self.T_b_c1, self.T_b_v, self.T_b_c2) for array in (T.R, T.t)
+        )
 
     @property
     def T_v_c1(self) -> Pose:
@@ -102,7 +110,9 @@ def mounts_of(rig: Rig) -> Mounts:
 
 
 def nominal(configuration: Configuration, mounts: Mounts) -> tuple[Pose, Pose, float]:
-    """``T_w_b`` of D1 and of D2 without hover motion, and D2's heading relative to D1's, rad counter-clockwise."""
+    """``T_w_b`` of D1 and of D2 without hover motion, and D2's heading relative to D1's, rad
+    counter-clockwise.
+    """
     D1 = Pose(attitude(0.0, 0.0, 0.0), np.array([0.0, 0.0, HEIGHT_M]))
     marker_w = (D1 @ mounts.T_b_v).t
     azimuth = math.radians(configuration.azimuth_deg)
@@ -134,7 +144,9 @@ def stage_of(
     D1, D2, _ = nominal(configuration, mounts)
     x, y, z = target_w(configuration).tolist()
     drones = {Role.SENDER: hovering(D1, rng), Role.RECEIVER: hovering(D2, rng)}
-    return RenderedInstant(drones, (Thing("car", (x, y, z), heading_rad),), float(rng.uniform(0.0, math.tau)))
+    return RenderedInstant(
+        drones, (Thing("car", (x, y, z), heading_rad),), float(rng.uniform(0.0, math.tau))
+    )
 
 
 def attitude(roll: float, pitch: float, heading_rad: float) -> Matrix:

@@ -1,8 +1,9 @@
-"""The accuracy of D2's place and the target's from one frame: seven configurations, sixty measurements each.
+"""The accuracy of D2's place and the target's from one frame: seven configurations, sixty
+measurements each.
 
-Sixty sessions: in each a drone pair is printed, calibrated, mounted and flown anew, with errors of its own, and
-measures once in all seven configurations. So 420 measurements rest on sixty draws of every systematic error, not on
-one; the session is the unit of all intervals.
+Sixty sessions: in each a drone pair is printed, calibrated, mounted and flown anew, with errors of
+its own, and measures once in all seven configurations. So 420 measurements rest on sixty draws of
+every systematic error, not on one; the session is the unit of all intervals.
 """
 
 from __future__ import annotations
@@ -29,7 +30,12 @@ from missions.trials.pose.static.methods import (
     sent_point,
     session_seed,
 )
-from missions.trials.pose.static.pictures import draw_configurations, draw_errors, draw_view, incidence
+from missions.trials.pose.static.pictures import (
+    draw_configurations,
+    draw_errors,
+    draw_view,
+    incidence,
+)
 from missions.trials.pose.static.report import (
     DEFAULT,
     HEADLINE,
@@ -57,7 +63,15 @@ from missions.trials.pose.static.shots import (
     shot_seed,
     stage_in,
 )
-from missions.trials.pose.static.stage import CAMERA, CONFIGURATIONS, STANDS, Mounts, mounts_of, nominal, with_camera
+from missions.trials.pose.static.stage import (
+    CAMERA,
+    CONFIGURATIONS,
+    STANDS,
+    Mounts,
+    mounts_of,
+    nominal,
+    with_camera,
+)
 from missions.trials.shared.trial import TrialPicture, TrialRequest, TrialResult, TrialTable
 from path.camera.kernels import lens_of
 from path.config import MethodConfig
@@ -81,7 +95,8 @@ IMAGING: dict[str, dict[Role, Imaging]] = {
     HEADLINE: {Role.SENDER: MEASURED, Role.RECEIVER: MEASURED},
     "ideal": {Role.SENDER: Imaging(), Role.RECEIVER: Imaging()},
     "realistic": {Role.SENDER: REALISTIC, Role.RECEIVER: REALISTIC},
-    "realistic_h264": {Role.SENDER: REALISTIC, Role.RECEIVER: REALISTIC_VIDEO},  # D1's depth camera is on board
+    # D1's depth camera is on board
+    "realistic_h264": {Role.SENDER: REALISTIC, Role.RECEIVER: REALISTIC_VIDEO},
 }
 ByPipeline = Mapping[str, Mapping[Method, Figures]]
 SHOWN = 4  # the configuration in the picture of D2's view
@@ -108,12 +123,16 @@ def run(request: TrialRequest) -> TrialResult:
         name: {method: figures_of(result, request.seed) for method, result in by_method.items()}
         for name, by_method in results.items()
     }
-    configurations = configurations_summary(results[HEADLINE], *_geometry(mounts, sightings[HEADLINE]))
+    configurations = configurations_summary(
+        results[HEADLINE], *_geometry(mounts, sightings[HEADLINE])
+    )
     square = results[HEADLINE][DEFAULT].d2_m[:, len(CONFIGURATIONS)]
     pictures = _draw(request, mounts, results)
     return TrialResult(
         summary=_summary(figures, configurations, rows, square, sightings),
-        findings=findings(figures, p95(square), [(title, r) for key, title, r in rows if key in ALONE]),
+        findings=findings(
+            figures, p95(square), [(title, r) for key, title, r in rows if key in ALONE]
+        ),
         noise=noise_table(_table(request)),
         tables=_tables(figures, configurations, rows),
         pictures=pictures,
@@ -122,16 +141,29 @@ def run(request: TrialRequest) -> TrialResult:
 
 
 def _shoot(request: TrialRequest, mounts: Mounts, pipeline: str) -> list[StaticMeasurement]:
-    """All measurements with one camera pipeline; the view beside the seven only with the headline's."""
+    """All measurements with one camera pipeline; the view beside the seven only with the
+    headline's.
+    """
     sessions = (QUICK_SESSIONS if request.quick else SESSIONS)[pipeline]
     stands = STANDS if pipeline == HEADLINE else CONFIGURATIONS
     renderer = request.part("renderer")
     items = [
-        StaticSeries(renderer, mounts, IMAGING[pipeline], request.seed, k, tuple(range(s, min(s + BLOCK, sessions))))
+        StaticSeries(
+            renderer,
+            mounts,
+            IMAGING[pipeline],
+            request.seed,
+            k,
+            tuple(range(s, min(s + BLOCK, sessions))),
+        )
         for k in range(len(stands))
         for s in range(0, sessions, BLOCK)
     ]
-    return [sighting for block in request.work.map(f"images, {pipeline}", shoot, items) for sighting in block]
+    return [
+        sighting
+        for block in request.work.map(f"images, {pipeline}", shoot, items)
+        for sighting in block
+    ]
 
 
 def _table(request: TrialRequest) -> TrialErrors:
@@ -148,25 +180,38 @@ def _judge(
     count = 1 + max(each.session for shots in sightings.values() for each in shots)
     table = _table(request)
     drawn = [table.session(session_seed(request.seed, session)) for session in range(count)]
-    items = [Judging(sightings[name], mounts, drawn, request.seed, method) for name, method in names]
-    items += [Judging(sightings[HEADLINE], mounts, drawn, request.seed, DEFAULT, on) for _, _, on in BREAKDOWN]
+    items = [
+        Judging(sightings[name], mounts, drawn, request.seed, method) for name, method in names
+    ]
+    items += [
+        Judging(sightings[HEADLINE], mounts, drawn, request.seed, DEFAULT, on)
+        for _, _, on in BREAKDOWN
+    ]
     done = request.work.map("methods", measure, items)
     results: dict[str, dict[Method, Results]] = {name: {} for name in sightings}
     for (name, method), result in zip(names, done, strict=False):
         results[name][method] = result
-    rows = [(key, title, r) for (key, title, _), r in zip(BREAKDOWN, done[len(names) :], strict=True)]
+    rows = [
+        (key, title, r) for (key, title, _), r in zip(BREAKDOWN, done[len(names) :], strict=True)
+    ]
     return results, rows
 
 
-def _geometry(mounts: Mounts, sightings: Sequence[StaticMeasurement]) -> tuple[list[float], list[float], list[float]]:
-    """Returns each configuration's geometry: D2's heading relative to D1's, mean incidence in rad, mean side in px."""
+def _geometry(
+    mounts: Mounts, sightings: Sequence[StaticMeasurement]
+) -> tuple[list[float], list[float], list[float]]:
+    """Returns each configuration's geometry: D2's heading relative to D1's, mean incidence in rad,
+    mean side in px.
+    """
     headings = [nominal(c, mounts)[2] for c in CONFIGURATIONS]
     angles: list[list[float]] = [[] for _ in STANDS]
     sides: list[list[float]] = [[] for _ in STANDS]
     for sighting in sightings:
         corners = CAMERA.project(sighting.T_c2_v.apply(LAYOUT.markers[0].corners_v))
         angles[sighting.configuration].append(incidence(sighting.T_c2_v))
-        sides[sighting.configuration].append(float(np.hypot(*(corners - np.roll(corners, 1, axis=0)).T).mean()))
+        sides[sighting.configuration].append(
+            float(np.hypot(*(corners - np.roll(corners, 1, axis=0)).T).mean())
+        )
     return headings, [float(np.mean(a)) for a in angles], [float(np.mean(s)) for s in sides]
 
 
@@ -177,7 +222,9 @@ def _summary(
     square: np.ndarray,
     sightings: dict[str, list[StaticMeasurement]],
 ) -> dict[str, Any]:
-    tables = {name: {"methods": {m: f.summary() for m, f in by.items()}} for name, by in figures.items()}
+    tables = {
+        name: {"methods": {m: f.summary() for m, f in by.items()}} for name, by in figures.items()
+    }
     seen = {
         name: {
             "markers_missed": {r: sum(s.markers[r] is None for s in shots) for r in REFINES},
@@ -205,7 +252,10 @@ def _summary(
             }
             for key, _, r in rows
         },
-        "along_the_normal": {"d2_mean_m": plain_number(mean(square)), "d2_p95_m": plain_number(p95(square))},
+        "along_the_normal": {
+            "d2_mean_m": plain_number(mean(square)),
+            "d2_p95_m": plain_number(p95(square)),
+        },
     }
 
 
@@ -221,7 +271,9 @@ def _tables(
     )
 
 
-def _notes(figures: ByPipeline, square: np.ndarray, sightings: dict[str, list[StaticMeasurement]]) -> tuple[str, ...]:
+def _notes(
+    figures: ByPipeline, square: np.ndarray, sightings: dict[str, list[StaticMeasurement]]
+) -> tuple[str, ...]:
     missed = sum(s.target is None for shots in sightings.values() for s in shots)
     counted = sum(len(shots) for shots in sightings.values())
     return (
@@ -246,12 +298,19 @@ def _notes(figures: ByPipeline, square: np.ndarray, sightings: dict[str, list[St
     )
 
 
-def _draw(request: TrialRequest, mounts: Mounts, results: dict[str, dict[Method, Results]]) -> tuple[TrialPicture, ...]:
+def _draw(
+    request: TrialRequest, mounts: Mounts, results: dict[str, dict[Method, Results]]
+) -> tuple[TrialPicture, ...]:
     draw_configurations(mounts, request.out / "configurations.png")
     draw_errors(results, request.out / "errors.png")
     pictures = [
-        TrialPicture("configurations.png", "The seven configurations and the three places of the target."),
-        TrialPicture("errors.png", "Share of the measurements below an error, by method, on a logarithmic scale."),
+        TrialPicture(
+            "configurations.png", "The seven configurations and the three places of the target."
+        ),
+        TrialPicture(
+            "errors.png",
+            "Share of the measurements below an error, by method, on a logarithmic scale.",
+        ),
     ]
     if _draw_view(request, mounts):
         caption = (
@@ -264,7 +323,9 @@ def _draw(request: TrialRequest, mounts: Mounts, results: dict[str, dict[Method,
 
 def _draw_view(request: TrialRequest, mounts: Mounts) -> bool:
     """The first session of one configuration; False when there is nothing to show."""
-    shooting = StaticSeries(request.part("renderer"), mounts, IMAGING[HEADLINE], request.seed, SHOWN, (0,))
+    shooting = StaticSeries(
+        request.part("renderer"), mounts, IMAGING[HEADLINE], request.seed, SHOWN, (0,)
+    )
     (sighting,) = shoot(shooting)
     drawn = _table(request).session(session_seed(request.seed, 0))
     errors = errors_of(drawn, mounts, (request.seed, SHOWN, 0), ALL)
@@ -277,11 +338,19 @@ def _draw_view(request: TrialRequest, mounts: Mounts) -> bool:
         return False
     x, y, z = point_v.tolist()
     prior = predict(
-        lens_of(CAMERA), rigid(pose.T_c_v), pose.covariance, (x, y, z), sighting.target.depth.sigma_m, 0, MethodConfig()
+        lens_of(CAMERA),
+        rigid(pose.T_c_v),
+        pose.covariance,
+        (x, y, z),
+        sighting.target.depth.sigma_m,
+        0,
+        MethodConfig(),
     )
     if not isinstance(prior, Prior):
         return False
-    shot = renderer_of(shooting, Role.RECEIVER).shoot(stage_in(shooting, 0), Role.RECEIVER, shot_seed(shooting, 0))
+    shot = renderer_of(shooting, Role.RECEIVER).shoot(
+        stage_in(shooting, 0), Role.RECEIVER, shot_seed(shooting, 0)
+    )
     true_c2 = sighting.T_c2_v.apply(mounts.T_v_c1.apply(sighting.target.point_c1_m))
     target_px = CAMERA.project(true_c2[None, :])[0]
     if not math.isfinite(float(target_px.sum())):

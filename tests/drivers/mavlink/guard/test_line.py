@@ -40,7 +40,15 @@ WORDS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]
 FLOATS = st.floats(width=32, allow_nan=False)
 
 
-@given(st.builds(Beat, st.sampled_from(Script), st.integers(0, 2**32 - 1), FLOATS, st.tuples(FLOATS, FLOATS, FLOATS)))
+@given(
+    st.builds(
+        Beat,
+        st.sampled_from(Script),
+        st.integers(0, 2**32 - 1),
+        FLOATS,
+        st.tuples(FLOATS, FLOATS, FLOATS),
+    )
+)
 def test_a_beat_comes_back_as_it_was(beat: Beat) -> None:
     assert decode_beat(encode_beat(beat)) == beat
 
@@ -158,7 +166,8 @@ def test_who_sits_where_the_guard_was_is_not_believed() -> None:
                 impostor.sendto(Seals().seal(bytes(32), said), role._socket._socket.getsockname())  # type: ignore[union-attr]
                 await asyncio.sleep(0)
                 assert role.answer() is None
-            async with UdpBeatLine(bind, clock) as again:  # another run, another key, the same program
+            # another run, another key, the same program
+            async with UdpBeatLine(bind, clock) as again:
                 role.beat(Beat(Script.CONTROL, 3))
                 assert again.newest() is not None and again.ignored == {}
                 again.answer(GuardAnswer(True, Hand.FREE))

@@ -1,4 +1,6 @@
-"""The autopilot's parameters against the rig's: compared over the wire, refused where they differ, set when told to."""
+"""The autopilot's parameters against the rig's: compared over the wire, refused where they differ,
+set when told to.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,10 @@ def test_differences_are_named_in_the_order_of_the_rig() -> None:
     wanted = {"A": 1.0, "B": 0.5, "C": 3.0}
     wrong = differences(wanted, {"C": 2.0, "B": 0.5000001, "A": None})
     assert wrong == (Difference("A", 1.0, None), Difference("C", 3.0, 2.0))
-    assert [str(each) for each in wrong] == ["A is not there, the rig wants 1", "C is 2, the rig wants 3"]
+    assert [str(each) for each in wrong] == [
+        "A is not there, the rig wants 1",
+        "C is 2, the rig wants 3",
+    ]
 
 
 @pytest.fixture
@@ -53,7 +58,9 @@ def url(embedded: AutopilotConfig) -> Generator[str]:
     port = free_port()
     world = World(WorldConfig(autopilot=embedded), seed=1)
     tangent = LocalTangent(47.3977, 8.5456, 488.0)
-    endpoint = MavlinkVehicle(MavlinkVehicleConfig(5, ("127.0.0.1", port)), world.drone(Role.SENDER), tangent)
+    endpoint = MavlinkVehicle(
+        MavlinkVehicleConfig(5, ("127.0.0.1", port)), world.drone(Role.SENDER), tangent
+    )
     stop, passed = threading.Event(), SteadyTime()
 
     def run() -> None:
@@ -73,8 +80,15 @@ def url(embedded: AutopilotConfig) -> Generator[str]:
 
 def rig_with(url: str, parameters: dict[str, float]) -> Rig:
     rig = rig_library.load("sitl-px4")
-    options: dict[str, Any] = {**rig.sender.vehicle.options, "url": url, "parameters": parameters, "rc": "required"}
-    return replace(rig, sender=replace(rig.sender, vehicle=replace(rig.sender.vehicle, options=options)))
+    options: dict[str, Any] = {
+        **rig.sender.vehicle.options,
+        "url": url,
+        "parameters": parameters,
+        "rc": "required",
+    }
+    return replace(
+        rig, sender=replace(rig.sender, vehicle=replace(rig.sender.vehicle, options=options))
+    )
 
 
 def opened(rig: Rig) -> MavsdkVehicle:
@@ -106,7 +120,8 @@ def test_the_doctor_compares_sets_and_records(url: str, tmp_path: Path) -> None:
     (file,) = tmp_path.iterdir()
     assert json.loads(file.read_text())["parameters"] == [
         {"name": "MIS_TAKEOFF_ALT", "before": 1.5, "after": 2.75},
-        {"name": "GF_MAX_HOR_DIST", "before": 0.0, "after": 29.0},  # it stands 0.3 m from the origin, as it believes
+        # it stands 0.3 m from the origin, as it believes
+        {"name": "GF_MAX_HOR_DIST", "before": 0.0, "after": 29.0},
         {"name": "GF_MAX_VER_DIST", "before": 0.0, "after": 9.0},
     ]
     after, pilot = doctor_vehicle.check_vehicle(rig, Role.SENDER, False, tmp_path)
@@ -117,11 +132,19 @@ def test_the_doctor_compares_sets_and_records(url: str, tmp_path: Path) -> None:
 BARE = AutopilotConfig(settle_s=0.1, radio=RadioConfig(in_mode=3, override=1, loss_act=2))
 """As PX4 is delivered."""
 
-WANTED = {"COM_RC_IN_MODE": 0.0, "COM_RC_OVERRIDE": 3.0, "COM_RCL_EXCEPT": 0.0, "NAV_RCL_ACT": 3.0, "GF_ACTION": 2.0}
+WANTED = {
+    "COM_RC_IN_MODE": 0.0,
+    "COM_RC_OVERRIDE": 3.0,
+    "COM_RCL_EXCEPT": 0.0,
+    "NAV_RCL_ACT": 3.0,
+    "GF_ACTION": 2.0,
+}
 
 
 @pytest.mark.parametrize("embedded", [BARE], indirect=True)
-def test_the_doctor_makes_a_bare_vehicle_one_that_a_pilot_can_take(url: str, tmp_path: Path) -> None:
+def test_the_doctor_makes_a_bare_vehicle_one_that_a_pilot_can_take(
+    url: str, tmp_path: Path
+) -> None:
     rig = rig_with(url, WANTED)
 
     async def ready() -> None:
@@ -134,10 +157,19 @@ def test_the_doctor_makes_a_bare_vehicle_one_that_a_pilot_can_take(url: str, tmp
     done = list(doctor_vehicle.check_vehicle(rig, Role.SENDER, True, tmp_path))
     assert {finding.state for finding in done} == {"note", "ok"}
     (file,) = tmp_path.iterdir()
-    written = {each["name"]: (each["before"], each["after"]) for each in json.loads(file.read_text())["parameters"]}
+    written = {
+        each["name"]: (each["before"], each["after"])
+        for each in json.loads(file.read_text())["parameters"]
+    }
     assert written["COM_RC_IN_MODE"] == (3.0, 0.0)
     assert written["NAV_RCL_ACT"] == (2.0, 3.0)
-    assert set(written) == {"COM_RC_IN_MODE", "COM_RC_OVERRIDE", "NAV_RCL_ACT", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST"}
+    assert set(written) == {
+        "COM_RC_IN_MODE",
+        "COM_RC_OVERRIDE",
+        "NAV_RCL_ACT",
+        "GF_MAX_HOR_DIST",
+        "GF_MAX_VER_DIST",
+    }
     asyncio.run(ready())
 
 
@@ -145,8 +177,14 @@ def test_the_doctor_makes_a_bare_vehicle_one_that_a_pilot_can_take(url: str, tmp
     ("embedded", "why"),
     [
         (replace(BARE, radio=RadioConfig(fitted=False)), "no radio is heard"),
-        (replace(BARE, radio=RadioConfig(in_mode=4)), "COM_RC_IN_MODE is 4: 1 and 4 ignore every radio"),
-        (replace(BARE, radio=RadioConfig(kill_channel=0)), "RC_MAP_KILL_SW is 0: no channel is the kill switch"),
+        (
+            replace(BARE, radio=RadioConfig(in_mode=4)),
+            "COM_RC_IN_MODE is 4: 1 and 4 ignore every radio",
+        ),
+        (
+            replace(BARE, radio=RadioConfig(kill_channel=0)),
+            "RC_MAP_KILL_SW is 0: no channel is the kill switch",
+        ),
     ],
     indirect=["embedded"],
 )
@@ -154,7 +192,9 @@ def test_nothing_is_armed_that_its_pilot_cannot_take(url: str, why: str) -> None
     async def fly(**options: Any) -> None:
         rig = rig_with(url, {})
         alone = {**rig.sender.vehicle.options, "mode_timeout_s": 0.5, **options}
-        rig = replace(rig, sender=replace(rig.sender, vehicle=replace(rig.sender.vehicle, options=alone)))
+        rig = replace(
+            rig, sender=replace(rig.sender, vehicle=replace(rig.sender.vehicle, options=alone))
+        )
         async with opened(rig) as vehicle:
             await vehicle.wait_armable(LIMIT_S)
             (told,) = await vehicle.pilot_findings()
@@ -170,9 +210,14 @@ def test_the_fence_is_given_before_arming_and_a_crews_narrower_one_is_left(url: 
     async def fly() -> None:
         async with opened(rig_with(url, {})) as vehicle:
             await vehicle.wait_armable(LIMIT_S)
-            assert await vehicle.keep_geofence(Geofence(25.0, 6.0)) == {"GF_MAX_HOR_DIST": 29.0, "GF_MAX_VER_DIST": 9.0}
+            assert await vehicle.keep_geofence(Geofence(25.0, 6.0)) == {
+                "GF_MAX_HOR_DIST": 29.0,
+                "GF_MAX_VER_DIST": 9.0,
+            }
             assert await vehicle.keep_geofence(Geofence(25.0, 6.0)) == {}
-            with pytest.raises(VehicleError, match="GF_MAX_VER_DIST is 9 m, inside the script's own fence of 20"):
+            with pytest.raises(
+                VehicleError, match="GF_MAX_VER_DIST is 9 m, inside the script's own fence of 20"
+            ):
                 await vehicle.keep_geofence(Geofence(25.0, 20.0))
 
     asyncio.run(fly())

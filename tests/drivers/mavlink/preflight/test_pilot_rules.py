@@ -1,4 +1,6 @@
-"""The values that would keep a pilot out, and the autopilot's own fence: by tables, without a vehicle."""
+"""The values that would keep a pilot out, and the autopilot's own fence: by tables, without a
+vehicle.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,13 @@ from path.messages import Role
 
 FENCE = Geofence(25.0, 6.0)
 PX4_OFF = {"GF_MAX_HOR_DIST": 0.0, "GF_MAX_VER_DIST": 0.0, "GF_ACTION": 2.0}
-COPTER = {"FENCE_RADIUS": 300.0, "FENCE_ALT_MAX": 100.0, "FENCE_ACTION": 1.0, "FENCE_TYPE": 7.0, "FENCE_ENABLE": 0.0}
+COPTER = {
+    "FENCE_RADIUS": 300.0,
+    "FENCE_ALT_MAX": 100.0,
+    "FENCE_ACTION": 1.0,
+    "FENCE_TYPE": 7.0,
+    "FENCE_ENABLE": 0.0,
+}
 PX4_GOOD = {"COM_RC_IN_MODE": 0.0, "RC_MAP_FLTMODE": 5.0, "RC_MAP_KILL_SW": 7.0}
 COPTER_GOOD = {
     **dict.fromkeys(names_of(ARDUPILOT), 0.0), "FLTMODE_CH": 5.0, "FS_THR_ENABLE": 3.0, "RC_OPTIONS": 32.0,
@@ -83,7 +91,12 @@ def test_a_fence_that_is_off_or_too_wide_is_drawn_in_around_where_it_stands() ->
 
 
 def test_a_bit_of_the_fence_type_that_is_missing_is_set_beside_the_others() -> None:
-    assert plan_fence(ARDUPILOT, {**COPTER, "FENCE_TYPE": 4.0}, FENCE, (0.0, 0.0, 0.0)).set_to["FENCE_TYPE"] == 7.0
+    assert (
+        plan_fence(ARDUPILOT, {**COPTER, "FENCE_TYPE": 4.0}, FENCE, (0.0, 0.0, 0.0)).set_to[
+            "FENCE_TYPE"
+        ]
+        == 7.0
+    )
 
 
 @pytest.mark.parametrize(
@@ -96,7 +109,11 @@ def test_a_bit_of_the_fence_type_that_is_missing_is_set_beside_the_others() -> N
         (PX4, {}, "cannot be read back"),
         (PX4, PX4_OFF, "it stands outside the script's fence"),
         (ARDUPILOT, {**COPTER, "FENCE_ACTION": 0.0}, "does nothing"),
-        (ARDUPILOT, {**COPTER, "FENCE_ENABLE": 1.0, "FENCE_ALT_MAX": 4.0}, "FENCE_ALT_MAX is 4 m, inside"),
+        (
+            ARDUPILOT,
+            {**COPTER, "FENCE_ENABLE": 1.0, "FENCE_ALT_MAX": 4.0},
+            "FENCE_ALT_MAX is 4 m, inside",
+        ),
     ],
 )
 def test_a_fence_that_is_none_or_a_crews_own_is_not_overridden(

@@ -1,4 +1,6 @@
-"""Every parameter that the pages name, with values a rig may want and values that are refused before anything moves."""
+"""Every parameter that the pages name, with values a rig may want and values that are refused
+before anything moves.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ DOCS = Path(rig_library.__file__).parents[1] / "docs"
 PAGES = ("autopilots.md", "field.md")
 OURS = 245
 
-BOTH_WAYS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {  # what may be wanted, and what may not
+# what may be wanted, and what may not
+BOTH_WAYS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     "COM_RC_IN_MODE": ((0, 5, 7), (1, 2, 3, 4, 6, 8, -1)),
     "COM_RC_OVERRIDE": ((2, 3), (0, 1)),
     "COM_RCL_EXCEPT": ((0, 1, 3), (4, 6, 7)),
@@ -56,7 +59,9 @@ ONLY_WITH_RADIO = {
 NOT_JUDGED = {  # named on the pages for other reasons: no value of theirs is unsafe by itself
     "COM_FAIL_ACT_T", "PILOT_THR_BHV", "RC_CHANNELS_OVERRIDE", "FENCE_MARGIN", "RC7_OPTION", "RCN_OPTION",
 }  # fmt: skip
-_SAFETY = re.compile(r"`((?:COM|NAV|GF|RC|FS|FENCE|RTL|LAND|FLTMODE|MAV_GCS|SYSID)_?[A-Z0-9_]*)`?(?= |`|,)")
+_SAFETY = re.compile(
+    r"`((?:COM|NAV|GF|RC|FS|FENCE|RTL|LAND|FLTMODE|MAV_GCS|SYSID)_?[A-Z0-9_]*)`?(?= |`|,)"
+)
 
 
 @pytest.mark.parametrize("name", BOTH_WAYS)
@@ -71,7 +76,9 @@ def test_each_parameter_of_the_pages_both_ways(name: str) -> None:
         if math.isfinite(value):
             with pytest.raises(ValueError, match=f"parameters: {name} = "):
                 MavsdkVehicleConfig("udpin://127.0.0.1:14540", parameters={name: float(value)})
-        assert bool(refused({name: float(value)}, radio=False, companion_id=OURS)) is (name not in ONLY_WITH_RADIO)
+        assert bool(refused({name: float(value)}, radio=False, companion_id=OURS)) is (
+            name not in ONLY_WITH_RADIO
+        )
 
 
 def test_the_table_and_its_test_name_the_same() -> None:
@@ -79,7 +86,12 @@ def test_the_table_and_its_test_name_the_same() -> None:
 
 
 def test_every_safety_parameter_of_the_pages_is_in_the_table() -> None:
-    named = {name for page in PAGES for name in _SAFETY.findall((DOCS / page).read_text("utf-8")) if "_" in name}
+    named = {
+        name
+        for page in PAGES
+        for name in _SAFETY.findall((DOCS / page).read_text("utf-8"))
+        if "_" in name
+    }
     assert len(named) > 20
     assert named - NOT_JUDGED <= set(BOTH_WAYS)
 
@@ -90,20 +102,29 @@ def test_what_nothing_is_known_of_is_not_judged() -> None:
 
 @pytest.mark.parametrize(
     ("rig", "told"),
-    [("GF_ACTION = 4", "GF_ACTION = 4"), ("COM_OF_LOSS_T = 50", "COM_OF_LOSS_T = 50"), ("NAV_DLL_ACT = 6", "motors")],
+    [
+        ("GF_ACTION = 4", "GF_ACTION = 4"),
+        ("COM_OF_LOSS_T = 50", "COM_OF_LOSS_T = 50"),
+        ("NAV_DLL_ACT = 6", "motors"),
+    ],
 )
-def test_a_rig_that_wants_an_unsafe_value_is_refused_when_it_is_checked(tmp_path: Path, rig: str, told: str) -> None:
+def test_a_rig_that_wants_an_unsafe_value_is_refused_when_it_is_checked(
+    tmp_path: Path, rig: str, told: str
+) -> None:
     own = tmp_path / "mine.toml"
     name = rig.split(" ", maxsplit=1)[0]
     own.write_text(
-        f'name = "mine"\nlike = "sitl-px4"\nlevel = "sitl"\n\n[receiver.vehicle.parameters]\n{rig}\n', "utf-8"
+        f'name = "mine"\nlike = "sitl-px4"\nlevel = "sitl"\n\n[receiver.vehicle.parameters]\n{rig}\n',
+        "utf-8",
     )
     with pytest.raises(RigError, match=told) as caught:
         check_rig(rig_library.load_unchecked(str(own)), harness=False)
     assert name in str(caught.value)
 
 
-def test_a_simulator_that_no_pilot_can_take_may_wait_so_that_the_guard_is_measured_before_it() -> None:
+def test_a_simulator_that_no_pilot_can_take_may_wait_so_that_the_guard_is_measured_before_it() -> (
+    None
+):
     assert not refused({"COM_OF_LOSS_T": 5.0}, radio=False, companion_id=245)
     for value in (2.1, 5.0, 10.0):
         assert refused({"COM_OF_LOSS_T": value}, radio=True, companion_id=245)

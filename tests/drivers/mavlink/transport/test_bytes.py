@@ -1,4 +1,6 @@
-"""Packets that come in pieces, as a serial line cuts them: none is lost, and nobody's rest hides another's packet."""
+"""Packets that come in pieces, as a serial line cuts them: none is lost, and nobody's rest hides
+another's packet.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +87,9 @@ def heard(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> An
 
 @pytest.mark.parametrize("size", [1, 7, 38, 39, 100])
 def test_a_stream_is_heard_whole_however_it_is_cut(heard: Any, size: int) -> None:
-    """A serial line gives what has come so far: the rest of a packet comes with the next reading."""
+    """A serial line gives what has come so far: the rest of a packet comes with the next
+    reading.
+    """
     stream = b"".join(packet(number) for number in range(3))
     pieces: Pieces = [(stream[at : at + size], None) for at in range(0, len(stream), size)]
     assert heard(pieces) == [0, 1, 2]

@@ -1,4 +1,6 @@
-"""Source of the vehicle's words on the script's own port: proven once, all others ignored, signed with a key."""
+"""Source of the vehicle's words on the script's own port: proven once, all others ignored, signed
+with a key.
+"""
 
 import asyncio
 import socket
@@ -79,7 +81,9 @@ def test_heartbeats_in_a_pilots_mode_from_another_address_do_not_take_the_vehicl
                     await asyncio.sleep(0.05)
                     assert vehicle.state.mode is FlightMode.OFFBOARD
                 assert isinstance(vehicle, Wary)
-                assert any(f"a second vehicle {SYSID}, at 127.0.0.1:" in what for what in vehicle.ignored)
+                assert any(
+                    f"a second vehicle {SYSID}, at 127.0.0.1:" in what for what in vehicle.ignored
+                )
                 assert forger.heard() == []
                 await vehicle.hold()
                 await vehicle.land(LIMIT_S)
@@ -120,7 +124,8 @@ def test_another_vehicle_on_the_port_is_named() -> None:
 
 @contextmanager
 def signing_router(to_script: int, key: bytes) -> Generator[tuple[int, list[bool]]]:
-    """Between an autopilot that speaks to the port yielded and the script: signs one way, checks and unwraps the other.
+    """Between an autopilot that speaks to the port yielded and the script: signs one way, checks
+    and unwraps the other.
 
     Also yields whether each packet of the script's was rightly signed.
     """
@@ -139,7 +144,9 @@ def signing_router(to_script: int, key: bytes) -> Generator[tuple[int, list[bool
                 packet, vehicle = vehicle_side.recvfrom(4096)
                 signed = [signer.sign(frame) for frame in take_frames(bytearray(packet))]
                 assert signed and None not in signed
-                script_side.sendto(b"".join(frame for frame in signed if frame), ("127.0.0.1", to_script))
+                script_side.sendto(
+                    b"".join(frame for frame in signed if frame), ("127.0.0.1", to_script)
+                )
             except TimeoutError:
                 pass
             script_side.setblocking(False)
@@ -175,7 +182,9 @@ def test_with_a_key_all_is_signed_and_what_is_not_is_ignored(tmp_path: Path) -> 
             forger = Forger(port)
             forger.send(heartbeat())
             await until(lambda: bool(vehicle.ignored))
-            assert list(vehicle.ignored) == ["packets of the vehicle's number that are not signed with the key"]
+            assert list(vehicle.ignored) == [
+                "packets of the vehicle's number that are not signed with the key"
+            ]
             assert vehicle.state.mode is FlightMode.HOLD
             forger.socket.close()
             await vehicle.land(LIMIT_S)
@@ -216,8 +225,12 @@ def test_what_cannot_be_signed_is_said() -> None:
         MavsdkVehicleConfig("tcpout://10.0.0.2:5760", key_file=Path("a.key"))
     with pytest.raises(VehicleError, match="cannot be signed"):
         MavsdkLine("tcpout://10.0.0.2:5760", SYSID, (245, 190), KEY)
-    assert needs_line("udpin://0.0.0.0:14540", None) and needs_line("serial:///dev/ttyACM0:57600", KEY)
-    assert not needs_line("serial:///dev/ttyACM0:57600", None) and not needs_line("udpout://10.0.0.2:14550", None)
+    assert needs_line("udpin://0.0.0.0:14540", None) and needs_line(
+        "serial:///dev/ttyACM0:57600", KEY
+    )
+    assert not needs_line("serial:///dev/ttyACM0:57600", None) and not needs_line(
+        "udpout://10.0.0.2:14550", None
+    )
 
 
 class Taking:

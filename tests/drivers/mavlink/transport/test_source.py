@@ -10,7 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
-from drivers.mavlink.transport.frames import HEARTBEAT, TIMESYNC, crc, head_of, make, take_frames, whole
+from drivers.mavlink.transport.frames import (
+    HEARTBEAT,
+    TIMESYNC,
+    crc,
+    head_of,
+    make,
+    take_frames,
+    whole,
+)
 from drivers.mavlink.transport.port import extras
 from drivers.mavlink.transport.signing import SignatureCheck, Signer
 from drivers.mavlink.transport.source import OTHERS, QUIET_S, VehicleSource
@@ -130,7 +138,8 @@ def test_checksums_are_mavlinks() -> None:
     assert whole(BEAT) and head_of(BEAT).message == HEARTBEAT
 
 
-# --- signatures ------------------------------------------------------------------------------------------------------
+# --- signatures
+# ------------------------------------------------------------------------------------------------------
 
 
 def signing(key: bytes, stamp: int) -> Any:
@@ -154,8 +163,12 @@ def test_what_is_signed_here_is_signed_as_the_standard_says() -> None:
 
 def test_only_what_the_key_signed_holds_and_once() -> None:
     check, theirs = SignatureCheck(KEY), signing(KEY, 1000)
-    first, second = (bytes(mavlink.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0).pack(theirs)) for _ in range(2))
-    forged = bytes(mavlink.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0).pack(signing(bytes(32), 2**48 - 9)))
+    first, second = (
+        bytes(mavlink.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0).pack(theirs)) for _ in range(2)
+    )
+    forged = bytes(
+        mavlink.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0).pack(signing(bytes(32), 2**48 - 9))
+    )
     assert not check.holds(forged) and not check.holds(ATTITUDE)
     assert check.holds(second)
     assert not check.holds(second) and not check.holds(first)
@@ -163,6 +176,8 @@ def test_only_what_the_key_signed_holds_and_once() -> None:
 
 @pytest.mark.parametrize("index", range(-19, 0))
 def test_a_changed_byte_breaks_the_signature(index: int) -> None:
-    frame = bytearray(mavlink.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0).pack(signing(KEY, 1000)))
+    frame = bytearray(
+        mavlink.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0).pack(signing(KEY, 1000))
+    )
     frame[index] ^= 1
     assert not SignatureCheck(KEY).holds(bytes(frame))

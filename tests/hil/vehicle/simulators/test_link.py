@@ -1,4 +1,6 @@
-"""The harness's connection to a simulator: truth as each autopilot tells it, readiness, and simulators that fail."""
+"""The harness's connection to a simulator: truth as each autopilot tells it, readiness, and
+simulators that fail.
+"""
 
 from __future__ import annotations
 
@@ -90,7 +92,18 @@ def truths(kind: str) -> list[Any]:
     speeds = (0.505, 0.0, -0.205)
     return [
         mavlink.MAVLink_sim_state_message(
-            1.0, 0.0, 0.0, 0.0, *zeros[:8], 0.1, LATITUDE * 1e7, LONGITUDE * 1e7, ALTITUDE, 0.0, 0.0, *speeds
+            1.0,
+            0.0,
+            0.0,
+            0.0,
+            *zeros[:8],
+            0.1,
+            LATITUDE * 1e7,
+            LONGITUDE * 1e7,
+            ALTITUDE,
+            0.0,
+            0.0,
+            *speeds,
         ),
         mavlink.MAVLink_simstate_message(*zeros, latitude, longitude),
     ]
@@ -101,7 +114,9 @@ def readiness() -> list[Any]:
         mavlink.MAVLink_heartbeat_message(2, 3, 0, 4, 4, 3),
         mavlink.MAVLink_local_position_ned_message(0, 0, 0, 0, 0, 0, 0),
         mavlink.MAVLink_global_position_int_message(0, 474000000, 85000000, 0, 0, 0, 0, 0, 0),
-        mavlink.MAVLink_home_position_message(474000000, 85000000, 0, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0),
+        mavlink.MAVLink_home_position_message(
+            474000000, 85000000, 0, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0
+        ),
         mavlink.MAVLink_sys_status_message(0, 0, PREARM_CHECK, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0),
     ]
 
@@ -111,14 +126,16 @@ def test_the_truth_of_both_autopilots_is_the_same(simulator: Simulator) -> None:
     simulator.say(*truths(kind))
     assert simulator.follower.ready
     row = simulator.follower.row(simulator.follower.newest_s)
-    assert row[POSITION] == pytest.approx([3.0, -2.0, -1.6], abs=0.012)  # a leg higher: there stands its origin
+    # a leg higher: there stands its origin
+    assert row[POSITION] == pytest.approx([3.0, -2.0, -1.6], abs=0.012)
     assert row[VELOCITY] == pytest.approx([0.505, 0.0, -0.205])
 
 
 def test_it_is_ready_when_nothing_is_missing(simulator: Simulator) -> None:
     kind = simulator.link._kind  # type: ignore[reportPrivateUsage]
     said = [*truths(kind), *readiness()]
-    for message in said[len(truths(kind)) + (kind == "px4") :]:  # PX4's truth link carries no heartbeat
+    # PX4's truth link carries no heartbeat
+    for message in said[len(truths(kind)) + (kind == "px4") :]:
         assert simulator.link.missing != []
         simulator.say(message)
     assert simulator.link.missing == ["truth"]
@@ -135,9 +152,9 @@ def test_it_asks_for_what_does_not_come_and_never_beats(simulator: Simulator) ->
     asked = simulator.heard()
     truth = {"px4": {115}, "ardupilot": {108, 164}}[simulator.link._kind]  # type: ignore[reportPrivateUsage]
     assert truth < {int(message.param1) for message in asked}
-    assert {(message.get_type(), message.command, message.get_srcSystem()) for message in asked} == {
-        ("COMMAND_LONG", mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, OWN_SYSID)
-    }
+    assert {
+        (message.get_type(), message.command, message.get_srcSystem()) for message in asked
+    } == {("COMMAND_LONG", mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, OWN_SYSID)}
     simulator.link.ask(now_s + 0.01)
     assert simulator.heard() == []  # not again at once
 
@@ -151,12 +168,17 @@ def current_mode(main: int, sub: int) -> Any:
 def test_a_px4s_mode_is_known_before_its_next_heartbeat(simulator: Simulator) -> None:
     def asked(now_s: float) -> bool:
         simulator.link.ask(now_s)
-        return mavlink.MAVLINK_MSG_ID_CURRENT_MODE in {int(message.param1) for message in simulator.heard()}
+        return mavlink.MAVLINK_MSG_ID_CURRENT_MODE in {
+            int(message.param1) for message in simulator.heard()
+        }
 
     now_s = time.monotonic()
     simulator.say(*truths("px4"))
     assert asked(now_s) and asked(now_s + 2.0)  # a request may be lost
-    for told, mode in ((current_mode(6, 0), FlightMode.OFFBOARD), (current_mode(4, 3), FlightMode.HOLD)):
+    for told, mode in (
+        (current_mode(6, 0), FlightMode.OFFBOARD),
+        (current_mode(4, 3), FlightMode.HOLD),
+    ):
         simulator.say(told)
         assert simulator.link.watch.mode is mode
     assert not asked(now_s + 4.0)  # it comes by itself now
@@ -210,8 +232,14 @@ def started(rig: Rig, folder: Path, ready_s: float) -> None:
 @pytest.mark.parametrize(
     ("script", "said"),
     [
-        ("echo cannot open the port; exit 7", r"ardupilot of vehicle [78] ended \(exit code 7\): cannot open the port"),
-        ("echo booting; exec sleep 60", "not ready after 3 s: waiting for heartbeat, local position.*booting"),
+        (
+            "echo cannot open the port; exit 7",
+            r"ardupilot of vehicle [78] ended \(exit code 7\): cannot open the port",
+        ),
+        (
+            "echo booting; exec sleep 60",
+            "not ready after 3 s: waiting for heartbeat, local position.*booting",
+        ),
     ],
 )
 def test_simulators_that_fail_are_no_missions_failure(
@@ -228,7 +256,9 @@ def test_simulators_that_fail_are_no_missions_failure(
 def test_the_world_is_where_the_simulators_say(rig: Rig, tmp_path: Path) -> None:
     config = decode_table(rig.world, WorldConfig, "world")
     assert config.sender_simulator is not None
-    external = replace(config.sender_simulator, url="udp://127.0.0.1:0", truth_url="udp://127.0.0.1:0")
+    external = replace(
+        config.sender_simulator, url="udp://127.0.0.1:0", truth_url="udp://127.0.0.1:0"
+    )
     vehicles = {role: SimulatedVehicle(rig, role, external, config, tmp_path) for role in Role}
     tangent = LocalTangent(rig.origin.latitude_deg, rig.origin.longitude_deg, rig.origin.altitude_m)
     try:
@@ -239,9 +269,23 @@ def test_the_world_is_where_the_simulators_say(rig: Rig, tmp_path: Path) -> None
                 latitude, longitude, _ = place
                 messages = [
                     mavlink.MAVLink_sim_state_message(
-                        1.0, 0.0, 0.0, 0.0, *[0.0] * 9, 0.0, 0.0, place[2] + height_m, 0.0, 0.0, 0.0, 0.0, 0.0
+                        1.0,
+                        0.0,
+                        0.0,
+                        0.0,
+                        *[0.0] * 9,
+                        0.0,
+                        0.0,
+                        place[2] + height_m,
+                        0.0,
+                        0.0,
+                        0.0,
+                        0.0,
+                        0.0,
                     ),
-                    mavlink.MAVLink_simstate_message(*[0.0] * 9, round(latitude * 1e7), round(longitude * 1e7)),
+                    mavlink.MAVLink_simstate_message(
+                        *[0.0] * 9, round(latitude * 1e7), round(longitude * 1e7)
+                    ),
                 ]
                 for message in messages:
                     vehicle.link._take(message, now_s)  # type: ignore[reportPrivateUsage]
@@ -250,11 +294,21 @@ def test_the_world_is_where_the_simulators_say(rig: Rig, tmp_path: Path) -> None
         world.advance(0.01)
         assert world.both_in_air
         assert world.separation_m == pytest.approx(3.0, abs=0.02)
-        assert world.drone(Role.SENDER).true_position_n_m == pytest.approx((1.0, 0.0, -2.1), abs=0.02)
-        assert world.snapshot().drones[Role.RECEIVER].T_w_b.t == pytest.approx([0.0, 4.0, 2.1], abs=0.02)
+        assert world.drone(Role.SENDER).true_position_n_m == pytest.approx(
+            (1.0, 0.0, -2.1), abs=0.02
+        )
+        assert world.snapshot().drones[Role.RECEIVER].T_w_b.t == pytest.approx(
+            [0.0, 4.0, 2.1], abs=0.02
+        )
         assert not world.drone(Role.SENDER).autopilot.armed
-        seen = vehicles_of(world, rig)[Role.SENDER]  # the monitors find there all that they ask of an embedded one
-        assert (seen.pilot, seen.killed, seen.battery, seen.setpoint_s) == (False, False, 1.0, -math.inf)
+        # the monitors find there all that they ask of an embedded one
+        seen = vehicles_of(world, rig)[Role.SENDER]
+        assert (seen.pilot, seen.killed, seen.battery, seen.setpoint_s) == (
+            False,
+            False,
+            1.0,
+            -math.inf,
+        )
         assert world._states[:, CONTACT].tolist() == [0.0, 0.0]  # type: ignore[reportPrivateUsage]
     finally:
         for vehicle in vehicles.values():

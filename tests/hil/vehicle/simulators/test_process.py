@@ -12,7 +12,13 @@ import pytest
 
 from drivers.interfaces import PartError
 from hil.autopilot.simulator import SimulatorConfig
-from hil.vehicle.simulators.process import AutopilotProcess, Home, NoBinary, SimulatorBroken, binary_of
+from hil.vehicle.simulators.process import (
+    AutopilotProcess,
+    Home,
+    NoBinary,
+    SimulatorBroken,
+    binary_of,
+)
 
 HOME = Home(47.4, 8.5, 480.0, 90.0)
 LIMIT_S = 60.0
@@ -35,7 +41,9 @@ def program(folder: Path, text: str, name: str = "arducopter") -> Path:
 
 def ardupilot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> AutopilotProcess:
     monkeypatch.setenv("PATH_ARDUPILOT", str(program(tmp_path / "bin", text)))
-    return AutopilotProcess("ardupilot", 5, HOME, {"RTL_ALT": 300, "MAV_GCS_SYSID": 245}, tmp_path / "run")
+    return AutopilotProcess(
+        "ardupilot", 5, HOME, {"RTL_ALT": 300, "MAV_GCS_SYSID": 245}, tmp_path / "run"
+    )
 
 
 def alive(pid: int) -> bool:
@@ -54,19 +62,25 @@ def test_without_a_binary_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) ->
     assert "PATH_PX4" in caught.value.remedy
 
 
-def test_a_binary_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_binary_that_is_not_there_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setenv("PATH_ARDUPILOT", str(tmp_path / "nowhere"))
     with pytest.raises(NoBinary, match="nowhere: there is no such program"):
         binary_of("ardupilot")
 
 
-def test_px4_without_its_scripts_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_px4_without_its_scripts_is_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setenv("PATH_PX4", str(program(tmp_path, "true", "px4")))
     with pytest.raises(NoBinary, match="rcS"):
         binary_of("px4")
 
 
-def test_ardupilot_gets_its_own_numbers_home_and_parameters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ardupilot_gets_its_own_numbers_home_and_parameters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     process = ardupilot(tmp_path, monkeypatch, 'echo "$@"; pwd; exec sleep 600')
     process.start()
     try:
@@ -80,7 +94,9 @@ def test_ardupilot_gets_its_own_numbers_home_and_parameters(tmp_path: Path, monk
     assert {"RTL_ALT 300", "MAV_GCS_SYSID 245", "SYSID_MYGCS 245"} < set(defaults)
 
 
-def test_px4_finds_its_parameters_on_its_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_px4_finds_its_parameters_on_its_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     script = tmp_path / "build" / "etc" / "init.d-posix" / "rcS"
     script.parent.mkdir(parents=True)
     script.touch()
@@ -100,7 +116,9 @@ def test_px4_finds_its_parameters_on_its_path(tmp_path: Path, monkeypatch: pytes
     assert f"-i 5 -d {tmp_path}/build/etc" in said
 
 
-def test_a_simulator_that_dies_is_broken_and_quoted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_simulator_that_dies_is_broken_and_quoted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     process = ardupilot(tmp_path, monkeypatch, "echo bind failed on port 5760; exit 3")
     process.start()
 
@@ -108,7 +126,9 @@ def test_a_simulator_that_dies_is_broken_and_quoted(tmp_path: Path, monkeypatch:
         try:
             process.check()
         except SimulatorBroken as error:
-            assert "ardupilot of vehicle 5 ended (exit code 3): bind failed on port 5760" in str(error)
+            assert "ardupilot of vehicle 5 ended (exit code 3): bind failed on port 5760" in str(
+                error
+            )
             return True
         return False
 
@@ -120,7 +140,9 @@ def test_stop_ends_its_children_too_and_those_who_do_not_listen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hil.vehicle.simulators.process.STOP_S", 0.3)
-    process = ardupilot(tmp_path, monkeypatch, "trap '' TERM; sleep 600 & echo $! > child; wait; sleep 600")
+    process = ardupilot(
+        tmp_path, monkeypatch, "trap '' TERM; sleep 600 & echo $! > child; wait; sleep 600"
+    )
     process.start()
     child = tmp_path / "run" / "child"
     until(lambda: child.exists() and child.read_text().strip() != "")
@@ -139,7 +161,9 @@ def test_it_dies_with_a_harness_that_is_killed(tmp_path: Path) -> None:
         "time.sleep(600)\n"
     )
     environment = {**os.environ, "PATH_ARDUPILOT": str(binary)}
-    harness = subprocess.Popen([sys.executable, "-c", source, str(tmp_path / "run")], env=environment)
+    harness = subprocess.Popen(
+        [sys.executable, "-c", source, str(tmp_path / "run")], env=environment
+    )
     try:
         pid = tmp_path / "run" / "pid"
         until(lambda: pid.exists() and pid.read_text().strip() != "")

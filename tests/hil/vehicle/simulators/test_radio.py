@@ -1,4 +1,6 @@
-"""The pilot's transmitter behind a real autopilot's simulator: what each kind is sent, and what its loss is there."""
+"""The pilot's transmitter behind a real autopilot's simulator: what each kind is sent, and what its
+loss is there.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,14 @@ from drivers.rig.tables import decode_table
 from hil.autopilot.radio import HIGH_US, MIDDLE_US, RadioConfig, Transmitter, channels_of
 from hil.autopilot.simulator import Kind
 from hil.harness.inject import need_radios
-from hil.vehicle.simulators.radio import FAIL, FIRST_PORT, PORTS_APART, SEND_S, SET_UP, SimulatedRadio
+from hil.vehicle.simulators.radio import (
+    FAIL,
+    FIRST_PORT,
+    PORTS_APART,
+    SEND_S,
+    SET_UP,
+    SimulatedRadio,
+)
 from hil.world.config import WorldConfig
 from hil.world.faults import FaultError, parse_faults
 from missions.ground import rig_library
@@ -74,7 +83,9 @@ def test_px4_is_sent_its_switches_and_nothing_once_the_radio_is_lost() -> None:
     radio.close()
 
 
-def test_ardupilot_gets_pulses_on_its_port_and_is_told_of_a_loss_until_it_knows(port: socket.socket) -> None:
+def test_ardupilot_gets_pulses_on_its_port_and_is_told_of_a_loss_until_it_knows(
+    port: socket.socket,
+) -> None:
     wire = Wire()
     radio = SimulatedRadio("ardupilot", SYSID, wire)
     radio.pump(0.0)
@@ -118,7 +129,9 @@ def test_with_the_field_rigs_parameters_a_pilot_is_in_command(kind: Kind) -> Non
         assert not refused(own, radio=True, companion_id=245)
         autopilot = PX4 if kind == "px4" else ARDUPILOT
         delivered = {"RC_OPTIONS": 32.0, **{f"RC{n}_OPTION": 0.0 for n in range(5, 17)}}
-        found = {name: {**delivered, **SET_UP[kind], **own}.get(name) for name in names_of(autopilot)}
+        found = {
+            name: {**delivered, **SET_UP[kind], **own}.get(name) for name in names_of(autopilot)
+        }
         assert not kept_out(autopilot, found)
 
 

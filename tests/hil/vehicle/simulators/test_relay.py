@@ -1,4 +1,6 @@
-"""The relay between an autopilot and its companion: every byte passes, and what it sees is what was on the wire."""
+"""The relay between an autopilot and its companion: every byte passes, and what it sees is what was
+on the wire.
+"""
 
 import socket
 import time
@@ -51,11 +53,17 @@ def test_a_session_ends_when_the_mode_is_told_and_not_a_heartbeat_later() -> Non
     watch.on_mode(1.5, HOLD)
     watch.on_heartbeat(2.0, HOLD, ARMED)
     (session,) = watch.offboard_sessions
-    assert (session.end_s, session.ended_by, session.max_gap_s) == (1.5, FlightMode.HOLD, pytest.approx(0.45))
+    assert (session.end_s, session.ended_by, session.max_gap_s) == (
+        1.5,
+        FlightMode.HOLD,
+        pytest.approx(0.45),
+    )
 
 
 @pytest.mark.parametrize(("command", "param2"), [(NAV_LAND, 0.0), (DO_SET_MODE, 4.0)])
-def test_leaving_by_command_is_no_gap_however_late_the_heartbeat(command: int, param2: float) -> None:
+def test_leaving_by_command_is_no_gap_however_late_the_heartbeat(
+    command: int, param2: float
+) -> None:
     watch = px4_in_offboard()
     watch.on_command(1.02, command, param2)
     watch.on_setpoint(1.04)  # one that was under way
@@ -157,7 +165,9 @@ def test_answers_go_back_to_the_vehicle(ends: Ends) -> None:
     assert ends.pass_on(ends.vehicle) == b"anything"
 
 
-@pytest.mark.parametrize("garbage", [b"", b"\xfd", b"\xfd\xff\x00", b"not mavlink at all", b"\xfe\x09\x00\x01\x01\x00"])
+@pytest.mark.parametrize(
+    "garbage", [b"", b"\xfd", b"\xfd\xff\x00", b"not mavlink at all", b"\xfe\x09\x00\x01\x01\x00"]
+)
 def test_what_is_no_mavlink_passes_too(ends: Ends, garbage: bytes) -> None:
     ends.vehicle.sendto(garbage, ends.vehicle_side)
     assert ends.pass_on(ends.companion) == garbage
@@ -177,7 +187,9 @@ def test_a_relay_that_was_busy_does_not_lengthen_the_gaps(ends: Ends) -> None:
     ends.relay.receive(epoch_s)
     sent: list[tuple[float, float]] = []
     for _ in range(2):
-        setpoint = mavlink.MAVLink_set_position_target_local_ned_message(0, SYSID, 1, 1, 2503, *[0.0] * 11)
+        setpoint = mavlink.MAVLink_set_position_target_local_ned_message(
+            0, SYSID, 1, 1, 2503, *[0.0] * 11
+        )
         before_s = time.monotonic()
         ends.companion.sendto(setpoint.pack(ends.mav), ends.relay.sockets[1].getsockname())
         sent.append((before_s, time.monotonic()))
@@ -186,7 +198,11 @@ def test_a_relay_that_was_busy_does_not_lengthen_the_gaps(ends: Ends) -> None:
     (session,) = ends.relay.watch.offboard_sessions
     (first_before_s, first_after_s), (second_before_s, second_after_s) = sent
     assert session.start_s < first_after_s - epoch_s + CLOCKS_S
-    assert second_before_s - first_after_s - CLOCKS_S < session.max_gap_s < second_after_s - first_before_s + CLOCKS_S
+    assert (
+        second_before_s - first_after_s - CLOCKS_S
+        < session.max_gap_s
+        < second_after_s - first_before_s + CLOCKS_S
+    )
 
 
 def test_a_mode_that_is_left_after_setpoints_was_not_left_before_them(ends: Ends) -> None:
@@ -195,7 +211,9 @@ def test_a_mode_that_is_left_after_setpoints_was_not_left_before_them(ends: Ends
     ends.vehicle.sendto(heartbeat(ends), ends.vehicle_side)
     ends.relay.receive(0.0)
     for _ in range(3):
-        setpoint = mavlink.MAVLink_set_position_target_local_ned_message(0, SYSID, 1, 1, 2503, *[0.0] * 11)
+        setpoint = mavlink.MAVLink_set_position_target_local_ned_message(
+            0, SYSID, 1, 1, 2503, *[0.0] * 11
+        )
         ends.companion.sendto(setpoint.pack(ends.mav), ends.relay.sockets[1].getsockname())
     ends.vehicle.sendto(heartbeat(ends, HOLD), ends.vehicle_side)
     ends.relay.receive(0.0)
@@ -211,7 +229,8 @@ def test_a_pilot_changes_the_mode(ends: Ends) -> None:
     decode: Callable[[bytearray], object] = ends.mav.decode
     command = decode(bytearray(ends.vehicle.recv(4096)))
     asked = command.command, command.param2, command.param3  # type: ignore[attr-defined]
-    assert asked == (DO_SET_MODE, 4.0, 3.0)  # HOLD: a PX4 without sticks refuses a pilot's own modes
+    # HOLD: a PX4 without sticks refuses a pilot's own modes
+    assert asked == (DO_SET_MODE, 4.0, 3.0)
     assert command.get_srcSystem() != SYSID  # type: ignore[attr-defined]
 
 

@@ -65,7 +65,9 @@ def test_attitude_is_carried_on_by_the_rates() -> None:
     follower = TruthFollower(LEG_M)
     follower.on_motion(TrueMotion(0.0, STILL, LEVEL, (0.0, 0.0, 0.5)))
     follower.on_fix(Fix(0.0, (0.0, 0.0, 0.0)))
-    assert follower.row(0.02)[ATTITUDE] == pytest.approx([math.cos(0.005), 0, 0, math.sin(0.005)], abs=1e-6)
+    assert follower.row(0.02)[ATTITUDE] == pytest.approx(
+        [math.cos(0.005), 0, 0, math.sin(0.005)], abs=1e-6
+    )
 
 
 def test_it_stands_on_the_ground_where_it_stood_first() -> None:

@@ -19,7 +19,11 @@ from missions.field import rig_list
 from missions.field.calibrate.camera import BadViews, calibrate
 from missions.field.calibrate.collect import Chooser, Collected, CollectedImage, from_recording
 from missions.field.calibrate.run import run
-from missions.ground.options.calibrate import CalibrateBoardOptions, CalibrateCameraOptions, CalibrateOptions
+from missions.ground.options.calibrate import (
+    CalibrateBoardOptions,
+    CalibrateCameraOptions,
+    CalibrateOptions,
+)
 from missions.ground.options.field import RigsOptions
 from missions.ground.rigs import FOLDER
 from missions.ground.work import Bars
@@ -28,7 +32,16 @@ from path.calibration.board import Board
 from path.calibration.judge import BadSet
 from path.camera.model import sensor_of
 from path.camera.thinning import Thinning
-from tests.path.calibration.rendered import CAMERA, CHARUCO, CHESSBOARD, Held, grey, photographs, poses, seen
+from tests.path.calibration.rendered import (
+    CAMERA,
+    CHARUCO,
+    CHESSBOARD,
+    Held,
+    grey,
+    photographs,
+    poses,
+    seen,
+)
 
 THINNED = Thinning(3, 5, (1, 2))
 
@@ -67,7 +80,9 @@ def film_of(folder: Path, film: Path, views: int) -> Path:
     film.mkdir()
     for number in range(views):
         for again in range(2):
-            shutil.copy(folder / f"view-{number}.png", film / f"{10 + 0.2 * (2 * number + again):.1f}.png")
+            shutil.copy(
+                folder / f"view-{number}.png", film / f"{10 + 0.2 * (2 * number + again):.1f}.png"
+            )
     return film
 
 
@@ -105,11 +120,17 @@ def test_a_rigs_camera_is_calibrated_as_it_runs(folder: Path, tmp_path: Path) ->
 def test_a_new_rigs_camera_is_calibrated_as_the_rigs_own_comment_says(
     folder: Path, tmp_path: Path, role: Literal["sender", "receiver"]
 ) -> None:
-    """Nothing else of the rig is measured by then, and the calibrations that it names are not made yet."""
+    """Nothing else of the rig is measured by then, and the calibrations that it names are not made
+    yet.
+    """
     film_of(folder, tmp_path / "film", 13)
     rig = tmp_path / "my-rig.toml"
     assert rig_list.run(RigsOptions(new=str(rig)), io.StringIO()) == 0
-    command_line = rig.read_text("utf-8").split("`path-handoff calibrate camera --rig THIS-FILE ", 1)[1].split("`")[0]
+    command_line = (
+        rig.read_text("utf-8")
+        .split("`path-handoff calibrate camera --rig THIS-FILE ", 1)[1]
+        .split("`")[0]
+    )
     assert command_line == "--role sender --out d1.camera.toml"
     camera = 'factory = "drivers.recordings.camera:RecordedCamera"\nfile = "film"\npace = "fast"'
     real = 'factory = "drivers.realsense.camera:RealSense"\nfps = 30'
@@ -119,16 +140,22 @@ def test_a_new_rigs_camera_is_calibrated_as_the_rigs_own_comment_says(
     assert read_camera(out).camera.fx == pytest.approx(CAMERA.fx, rel=1e-3)
 
 
-def test_a_new_rigs_film_of_another_size_than_was_said_is_refused_with_both(folder: Path, tmp_path: Path) -> None:
+def test_a_new_rigs_film_of_another_size_than_was_said_is_refused_with_both(
+    folder: Path, tmp_path: Path
+) -> None:
     film_of(folder, tmp_path / "film", 2)
     text = 'like = "sim-rendered"\n[sender.camera]\ncalibration = "d1.camera.toml"\n[sender.perception.camera]\n'
     text += 'factory = "drivers.recordings.camera:RecordedCamera"\nfile = "film"\n'
     (tmp_path / "rig.toml").write_text(text, "utf-8")
     with pytest.raises(PartError, match=r"1280x720 px but the frames are 640x480"):
-        command(CalibrateCameraOptions(rig=str(tmp_path / "rig.toml"), out=tmp_path / "d1.camera.toml"))
+        command(
+            CalibrateCameraOptions(rig=str(tmp_path / "rig.toml"), out=tmp_path / "d1.camera.toml")
+        )
 
 
-@pytest.mark.parametrize("size", ["1280", "1280x", "axb", "0x0", "1280x-720", "99999x720", "1280*720", ""])
+@pytest.mark.parametrize(
+    "size", ["1280", "1280x", "axb", "0x0", "1280x-720", "99999x720", "1280*720", ""]
+)
 def test_a_size_that_is_none_is_refused(tmp_path: Path, size: str) -> None:
     with pytest.raises(PartError, match="--size"):
         command(CalibrateCameraOptions(rig="sim", size=size, out=tmp_path / "c.toml"))
@@ -136,8 +163,12 @@ def test_a_size_that_is_none_is_refused(tmp_path: Path, size: str) -> None:
 
 def collected(held: Held, count: int, **change: float) -> Collected:
     rng = np.random.default_rng(1)
-    views = [replace(seen(CHARUCO, pose, 0.05, rng), **change) for pose in poses(CHARUCO, held, count, 1)]
-    return Collected([CollectedImage(f"{number}.png", (640, 480), view) for number, view in enumerate(views)])
+    views = [
+        replace(seen(CHARUCO, pose, 0.05, rng), **change) for pose in poses(CHARUCO, held, count, 1)
+    ]
+    return Collected(
+        [CollectedImage(f"{number}.png", (640, 480), view) for number, view in enumerate(views)]
+    )
 
 
 def graded(views: Collected, board: Board = CHARUCO) -> tuple[set[BadSet], str]:
@@ -156,7 +187,9 @@ def refused(views: Collected, board: Board = CHARUCO) -> tuple[set[BadSet], str]
 
 def test_pixels_that_a_camera_leaves_out_are_in_its_calibration(tmp_path: Path) -> None:
     """The sensor's images are drawn, and three of five rows and columns kept."""
-    columns, rows = (THINNED.sensor_pixels(n, axis) for axis, n in enumerate((CAMERA.width, CAMERA.height)))
+    columns, rows = (
+        THINNED.sensor_pixels(n, axis) for axis, n in enumerate((CAMERA.width, CAMERA.height))
+    )
     where = list(poses(CHARUCO, Held(), 8, 3))
     shots = calibration_views.photographs(
         CameraRenderer, sensor_of(replace(CAMERA, thinning=THINNED)), CHARUCO, where, 4
@@ -222,7 +255,9 @@ def test_a_board_of_the_old_pattern_is_found_out(tmp_path: Path) -> None:
     (tmp_path / "views").mkdir()
     for number, color in enumerate(photographs(old, list(poses(old, Held(), 6, 5)), 4)):
         cv2.imwrite(str(tmp_path / "views" / f"{number}.png"), color)
-    options = CalibrateCameraOptions(images=tmp_path / "views", out=tmp_path / "old.toml", squares="10x8")
+    options = CalibrateCameraOptions(
+        images=tmp_path / "views", out=tmp_path / "old.toml", squares="10x8"
+    )
     text = command(options)
     assert "tried as ChArUco, 10x8 squares of 30 mm, DICT_4X4_50, old pattern" in text
     assert "old pattern" in read_camera(tmp_path / "old.toml").board
@@ -243,7 +278,9 @@ def test_every_reason_is_given_at_once() -> None:
         (CHESSBOARD, replace(CHESSBOARD, columns=7), "a chessboard of about"),
     ],
 )
-def test_another_board_than_named_is_told_by_what_is_there(shown: Board, named: Board, words: str) -> None:
+def test_another_board_than_named_is_told_by_what_is_there(
+    shown: Board, named: Board, words: str
+) -> None:
     pose = next(poses(shown, Held((0.6, 0.6), (5.0, 5.0), 0.0), 1, 0))
     image = grey(next(photographs(shown, [pose], 0)))
     views = Collected()
@@ -300,7 +337,9 @@ def test_a_board_can_be_drawn_and_found_again(tmp_path: Path) -> None:
     assert picture is not None
     assert "DICT_4X4_50" in text
     _, ids, _, _ = cv2.aruco.CharucoDetector(
-        cv2.aruco.CharucoBoard((10, 7), 0.03, 0.0225, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50))
+        cv2.aruco.CharucoBoard(
+            (10, 7), 0.03, 0.0225, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+        )
     ).detectBoard(picture)
     assert len(ids) == 54
     with pytest.raises(PartError, match="--dpi 100000"):

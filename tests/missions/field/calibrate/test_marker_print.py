@@ -51,24 +51,38 @@ def printed(file: Path) -> NDArray[np.uint8]:
     ],
     ids=["one", "three", "apriltag"],
 )
-def test_a_detector_finds_what_the_rigs_tables_say(options: CalibrateMarkerOptions, tmp_path: Path) -> None:
+def test_a_detector_finds_what_the_rigs_tables_say(
+    options: CalibrateMarkerOptions, tmp_path: Path
+) -> None:
     file = tmp_path / "marker.svg"
-    options = CalibrateMarkerOptions(options.ids, options.side_m, options.gap_m, options.dictionary, file)
+    options = CalibrateMarkerOptions(
+        options.ids, options.side_m, options.gap_m, options.dictionary, file
+    )
     said = drawn(options)
     cell_mm = 1e3 * options.side_m / (dictionary_of(options.dictionary).markerSize + 2)
-    assert f"Leave the white around it: {cell_mm:.1f} mm are needed, {1.5 * cell_mm:.1f} mm are drawn" in said
+    assert (
+        f"Leave the white around it: {cell_mm:.1f} mm are needed, {1.5 * cell_mm:.1f} mm are drawn"
+        in said
+    )
     assert ("AprilTags are turned by 180 degrees" in said) == ("APRILTAG" in options.dictionary)
     rig = tomllib.loads(said.split("into the rig:\n\n")[1])
     assert rig.get("marker_dictionary", "DICT_4X4_50") == options.dictionary
-    found, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(options.dictionary)).detectMarkers(printed(file))
+    found, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(options.dictionary)).detectMarkers(
+        printed(file)
+    )
     assert ids is not None
-    seen = {int(each): corners.reshape(4, 2) / PX for each, corners in zip(ids.ravel(), found, strict=True)}
+    seen = {
+        int(each): corners.reshape(4, 2) / PX
+        for each, corners in zip(ids.ravel(), found, strict=True)
+    }
     tables = {table["id"]: table for table in rig["markers"]}
     assert set(seen) == set(tables) == set(options.ids)
     middle = np.mean([corners.mean(axis=0) for corners in seen.values()], axis=0)
     for marker_id, corners in seen.items():
         x_m, y_m, _ = tables[marker_id].get("position_v_m", (0.0, 0.0, 0.0))
-        assert np.linalg.norm(corners[1] - corners[0]) == pytest.approx(1e3 * tables[marker_id]["side_m"], abs=0.3)
+        assert np.linalg.norm(corners[1] - corners[0]) == pytest.approx(
+            1e3 * tables[marker_id]["side_m"], abs=0.3
+        )
         assert corners.mean(axis=0) - middle == pytest.approx([1e3 * x_m, -1e3 * y_m], abs=0.3)
         assert corners[0][0] < corners[1][0] and corners[0][1] < corners[3][1]  # upright as printed
 
@@ -92,7 +106,9 @@ def test_the_same_drawing_is_written_again_and_another_is_not_written_over(tmp_p
     ],
     ids=["no such id", "twice", "none", "dictionary", "gap", "folder"],
 )
-def test_what_cannot_be_printed_is_refused(options: CalibrateMarkerOptions, said: str, tmp_path: Path) -> None:
+def test_what_cannot_be_printed_is_refused(
+    options: CalibrateMarkerOptions, said: str, tmp_path: Path
+) -> None:
     with pytest.raises(PartError, match=said) as caught:
         drawn(options)
     assert caught.value.remedy

@@ -1,4 +1,6 @@
-"""The place of D1's camera relative to its marker: from pairs of rendered images, and from a tape measure."""
+"""The place of D1's camera relative to its marker: from pairs of rendered images, and from a tape
+measure.
+"""
 
 from __future__ import annotations
 
@@ -54,21 +56,31 @@ class Truth(NamedTuple):
 
 
 def moment(rig: Rig, rng: np.random.Generator) -> Truth:
-    """D1 above ground, the board ahead of it to one side, the other camera behind and above, on that side."""
+    """D1 above ground, the board ahead of it to one side, the other camera behind and above, on
+    that side.
+    """
     T_w_b = Pose(NED_TO_ENU @ R_from_rpy(*rng.uniform(-0.1, 0.1, 3)), np.array([0.0, 0.0, 1.2]))
     side = rng.choice([-1.0, 1.0])
     middle = 0.5 * BOARD.square_m * np.array([BOARD.columns, BOARD.rows, 0.0])
     towards = rng.uniform(0.0, 2.0 * math.pi)
-    R = exp(np.array([math.cos(towards), math.sin(towards), 0.0]) * math.radians(rng.uniform(0.0, 20.0)))
-    at = np.array([side * rng.uniform(0.12, 0.25), rng.uniform(-0.2, -0.05), 1.0]) * rng.uniform(0.8, 1.0)
+    R = exp(
+        np.array([math.cos(towards), math.sin(towards), 0.0]) * math.radians(rng.uniform(0.0, 20.0))
+    )
+    at = np.array([side * rng.uniform(0.12, 0.25), rng.uniform(-0.2, -0.05), 1.0]) * rng.uniform(
+        0.8, 1.0
+    )
     T_w_o = T_w_b @ rig.sender.mount.T_b_c @ Pose(R, at - R @ middle)
     v = (T_w_b @ rig.sender.mount.T_b_v).t
-    eye = v + np.array([side * rng.uniform(0.0, 0.35), rng.uniform(-0.45, -0.2), rng.uniform(0.3, 0.55)])
+    eye = v + np.array(
+        [side * rng.uniform(0.0, 0.35), rng.uniform(-0.45, -0.2), rng.uniform(0.3, 0.55)]
+    )
     z = 0.5 * (v + T_w_o.apply(middle)) - eye
     z /= np.linalg.norm(z)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
-    R_w_c3 = np.column_stack((x, np.cross(z, x), z)) @ exp(np.array([0.0, 0.0, rng.uniform(-0.4, 0.4)]))
+    R_w_c3 = np.column_stack((x, np.cross(z, x), z)) @ exp(
+        np.array([0.0, 0.0, rng.uniform(-0.4, 0.4)])
+    )
     return Truth(T_w_b, T_w_o, Pose(R_w_c3, eye))
 
 
@@ -86,15 +98,21 @@ def views(tmp_path_factory: pytest.TempPathFactory) -> Views:
     folder = tmp_path_factory.mktemp("mount")
     rig = load_rig("sim-rendered", [FOLDER])
     mount, rng = rig.sender.mount, np.random.default_rng(3)
-    of_d1 = CameraRenderer(RendererSetup(rig.sender.camera, mount.T_b_c, mount.T_b_v, rig.layout), 1)
+    of_d1 = CameraRenderer(
+        RendererSetup(rig.sender.camera, mount.T_b_c, mount.T_b_v, rig.layout), 1
+    )
     of_other = CameraRenderer(RendererSetup(OTHER, LEVEL, mount.T_b_v, rig.layout), 2)
     pairs: list[MountPair] = []
     for number in range(PAIRS):
         truth = moment(rig, rng)
         stage = RenderedInstant(
-            {Role.SENDER: truth.T_w_b, Role.RECEIVER: truth.T_w_c3}, boards=(placed(BOARD, truth.T_w_o),)
+            {Role.SENDER: truth.T_w_b, Role.RECEIVER: truth.T_w_c3},
+            boards=(placed(BOARD, truth.T_w_o),),
         )
-        one, three = of_d1.shoot(stage, Role.SENDER, number), of_other.shoot(stage, Role.RECEIVER, number)
+        one, three = (
+            of_d1.shoot(stage, Role.SENDER, number),
+            of_other.shoot(stage, Role.RECEIVER, number),
+        )
         for name, color in (("d1", one.color), ("other", three.color)):
             (folder / name).mkdir(exist_ok=True)
             cv2.imwrite(str(folder / name / f"{number}.png"), color)
@@ -102,9 +120,13 @@ def views(tmp_path_factory: pytest.TempPathFactory) -> Views:
         markers = detect_markers(three.color, None, rig.layout, OTHER)
         if board_1 is not None and board_3 is not None and markers:
             pairs.append(MountPair(f"{number}.png", board_1, board_3, tuple(markers)))
-    lens = CameraTable(OTHER.width, OTHER.height, OTHER.fx, OTHER.fy, OTHER.cx, OTHER.cy, OTHER.distortion)
+    lens = CameraTable(
+        OTHER.width, OTHER.height, OTHER.fx, OTHER.fy, OTHER.cx, OTHER.cy, OTHER.distortion
+    )
     file = folder / "other.toml"
-    write_calibration(file, CameraCalibration("camera", 1, "", "", "", "", lens, {}, Quality(0.0, 0.0, 0, 0, 0.0)))
+    write_calibration(
+        file, CameraCalibration("camera", 1, "", "", "", "", lens, {}, Quality(0.0, 0.0, 0, 0, 0.0))
+    )
     return Views(rig, folder / "d1", folder / "other", file, pairs)
 
 
@@ -124,7 +146,9 @@ def options(views: Views, out: Path, **changes: object) -> CalibrateMountOptions
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
-def test_pairs_of_images_give_the_mount_to_a_millimetre_and_a_tenth_of_a_degree(views: Views, tmp_path: Path) -> None:
+def test_pairs_of_images_give_the_mount_to_a_millimetre_and_a_tenth_of_a_degree(
+    views: Views, tmp_path: Path
+) -> None:
     out = io.StringIO()
     file = tmp_path / "mount.toml"
     assert run(CalibrateOptions(options(views, file)), out) == 0
@@ -142,7 +166,10 @@ def test_pairs_of_images_give_the_mount_to_a_millimetre_and_a_tenth_of_a_degree(
 
 def moved(pair: MountPair) -> MountPair:
     """The board was pushed between the two images."""
-    return replace(pair, board_1=replace(pair.board_1, corners_px=pair.board_1.corners_px + np.array([25.0, 0.0])))
+    return replace(
+        pair,
+        board_1=replace(pair.board_1, corners_px=pair.board_1.corners_px + np.array([25.0, 0.0])),
+    )
 
 
 def test_a_pair_in_which_something_moved_is_left_out(views: Views) -> None:
@@ -168,7 +195,9 @@ def wrong_side(rig: Rig) -> Rig:
         (wrong_side, PAIRS, r"the marker measures 0\.97\d+ times what the rig says"),
     ],
 )
-def test_pairs_that_are_not_enough_are_refused(views: Views, rig: Callable[[Rig], Rig], count: int, words: str) -> None:
+def test_pairs_that_are_not_enough_are_refused(
+    views: Views, rig: Callable[[Rig], Rig], count: int, words: str
+) -> None:
     with pytest.raises(CalibrationError, match=words) as caught:
         solve_pairs(views.pairs[:count], rig(views.rig), OTHER, BOARD)
     assert caught.value.remedy
@@ -177,7 +206,12 @@ def test_pairs_that_are_not_enough_are_refused(views: Views, rig: Callable[[Rig]
 def test_pairs_that_contradict_each_other_are_refused(views: Views) -> None:
     rng = np.random.default_rng(0)
     shaken = [
-        replace(pair, board_1=replace(pair.board_1, corners_px=pair.board_1.corners_px + rng.uniform(-30, 30, 2)))
+        replace(
+            pair,
+            board_1=replace(
+                pair.board_1, corners_px=pair.board_1.corners_px + rng.uniform(-30, 30, 2)
+            ),
+        )
         for pair in views.pairs
     ]
     with pytest.raises(CalibrationError, match=r"contradict|no mount fits"):
@@ -194,14 +228,21 @@ def test_pairs_that_contradict_each_other_are_refused(views: Views) -> None:
         ({"other_images": Path("no-such")}, "no images in it"),
     ],
 )
-def test_what_is_asked_wrongly_is_said(views: Views, tmp_path: Path, changes: dict[str, object], words: str) -> None:
+def test_what_is_asked_wrongly_is_said(
+    views: Views, tmp_path: Path, changes: dict[str, object], words: str
+) -> None:
     with pytest.raises(PartError, match=words):
         run(CalibrateOptions(options(views, tmp_path / "m.toml", **changes)), io.StringIO())
 
 
-def test_images_of_another_size_than_the_calibration_are_refused(views: Views, tmp_path: Path) -> None:
+def test_images_of_another_size_than_the_calibration_are_refused(
+    views: Views, tmp_path: Path
+) -> None:
     with pytest.raises(CalibrationError, match="for 800x600 px but the frames are 640x480 px"):
-        run(CalibrateOptions(options(views, tmp_path / "m.toml", other_images=views.first)), io.StringIO())
+        run(
+            CalibrateOptions(options(views, tmp_path / "m.toml", other_images=views.first)),
+            io.StringIO(),
+        )
 
 
 TAPE = """
@@ -220,24 +261,44 @@ angle_deg = 1.0
 def test_a_tape_measure_gives_the_mount_of_the_rig_with_its_errors(tmp_path: Path) -> None:
     tape, out, said = tmp_path / "tape.toml", tmp_path / "m.toml", io.StringIO()
     tape.write_text(TAPE, "utf-8")
-    assert run(CalibrateOptions(CalibrateMountOptions(rig="sim-rendered", measured=tape, out=out)), said) == 0
+    assert (
+        run(
+            CalibrateOptions(CalibrateMountOptions(rig="sim-rendered", measured=tape, out=out)),
+            said,
+        )
+        == 0
+    )
     written, true = read_mount(out), load_rig("sim-rendered", [FOLDER]).sender.mount.T_v_c
     assert written.T_v_c.t == pytest.approx(true.t)
     assert pytest.approx(true.R) == written.T_v_c.R
     lever_m = math.radians(1.0) * np.linalg.norm(true.t)
-    assert written.position_sigma_m == pytest.approx(3 * (math.hypot(0.002, 0.002, lever_m),), rel=1e-3)
+    assert written.position_sigma_m == pytest.approx(
+        3 * (math.hypot(0.002, 0.002, lever_m),), rel=1e-3
+    )
     assert "mount_sigma_m = " in said.getvalue()
     assert "right way up" not in said.getvalue()
     tape.write_text(TAPE.replace("angle_deg", "angle"), "utf-8")
     with pytest.raises(CalibrationError, match="unknown key 'angle'"):
-        run(CalibrateOptions(CalibrateMountOptions(rig="sim-rendered", measured=tape, out=out)), said)
+        run(
+            CalibrateOptions(CalibrateMountOptions(rig="sim-rendered", measured=tape, out=out)),
+            said,
+        )
 
 
 def test_a_marker_that_hangs_far_from_what_the_rig_says_is_told(tmp_path: Path) -> None:
     tape, out, said = tmp_path / "tape.toml", tmp_path / "m.toml", io.StringIO()
     tape.write_text(TAPE.replace("tilt_up_deg = 45.0", "tilt_up_deg = 90.0"), "utf-8")
-    assert run(CalibrateOptions(CalibrateMountOptions(rig="sim-rendered", measured=tape, out=out)), said) == 0
-    assert "turned by 45 degrees against the mounts in the rig. Is the plate the right way up?" in said.getvalue()
+    assert (
+        run(
+            CalibrateOptions(CalibrateMountOptions(rig="sim-rendered", measured=tape, out=out)),
+            said,
+        )
+        == 0
+    )
+    assert (
+        "turned by 45 degrees against the mounts in the rig. Is the plate the right way up?"
+        in said.getvalue()
+    )
 
 
 def test_the_mount_that_the_rig_names_may_be_the_one_that_is_made(tmp_path: Path) -> None:
@@ -246,8 +307,13 @@ def test_the_mount_that_the_rig_names_may_be_the_one_that_is_made(tmp_path: Path
     out = tmp_path / "d1.mount.toml"
     said = io.StringIO()
     tape.write_text(TAPE, "utf-8")
-    rig.write_text('like = "sim-rendered"\n[sender.mount.marker]\ncalibration = "d1.mount.toml"\n', "utf-8")
-    assert run(CalibrateOptions(CalibrateMountOptions(rig=str(rig), measured=tape, out=out)), said) == 0
+    rig.write_text(
+        'like = "sim-rendered"\n[sender.mount.marker]\ncalibration = "d1.mount.toml"\n', "utf-8"
+    )
+    assert (
+        run(CalibrateOptions(CalibrateMountOptions(rig=str(rig), measured=tape, out=out)), said)
+        == 0
+    )
     assert "right way up" not in said.getvalue()  # the rig says nothing of how it hangs
     true = load_rig("sim-rendered", [FOLDER]).sender.mount.T_v_c
     assert read_mount(out).T_v_c.t == pytest.approx(true.t)

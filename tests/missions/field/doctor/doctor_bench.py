@@ -33,7 +33,9 @@ class Named:
 class Bench(Feed):
     """``skip``: of so many frames one never comes. ``device``: what the device says of itself."""
 
-    def __init__(self, picture: NDArray[np.uint8], skip: int = 0, device: dict[str, str] | None = None) -> None:
+    def __init__(
+        self, picture: NDArray[np.uint8], skip: int = 0, device: dict[str, str] | None = None
+    ) -> None:
         super().__init__()
         self.picture, self.skip, self.device = picture, skip, device or {}
 
@@ -52,5 +54,7 @@ class Bench(Feed):
         if depth:
             software.give("depth", software.image("depth", wall, stamp_ns, self.number), stamp_ns)
         if color:
-            software.give("color", software.image("color", self.picture, stamp_ns, self.number), stamp_ns)
+            software.give(
+                "color", software.image("color", self.picture, stamp_ns, self.number), stamp_ns
+            )
         return stamp_ns

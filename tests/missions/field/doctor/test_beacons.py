@@ -1,4 +1,6 @@
-"""The test of the beacons through pyserial on a pseudo terminal: heard, missing, silent, not on this computer."""
+"""The test of the beacons through pyserial on a pseudo terminal: heard, missing, silent, not on
+this computer.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,10 @@ def streaming(cable: SerialCable, addresses: tuple[int, ...], quality: int) -> G
     def send() -> None:
         stamp_ms = next(stamps_ms)
         for address in addresses:
-            cable.send(sent.quality(address, quality) + sent.position(stamp_ms, address, (1.0, 2.0, 3.0), 40))
+            cable.send(
+                sent.quality(address, quality)
+                + sent.position(stamp_ms, address, (1.0, 2.0, 3.0), 40)
+            )
         cable.send(sent.telemetry(3.9, -60))
 
     with repeating(send, 0.05):
@@ -75,7 +80,9 @@ def test_one_that_is_missing_poor_or_a_stranger_is_told(tmp_path: Path) -> None:
     assert every["others"].detail.endswith(": 9")
 
 
-def test_silence_is_a_fault_and_a_port_that_is_not_here_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_silence_is_a_fault_and_a_port_that_is_not_here_a_note(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(doctor_beacons, "FIRST_S", 1.0)
     every = looked_at(tmp_path, ())
     assert every[""].state == "fault"

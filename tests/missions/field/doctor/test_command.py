@@ -24,7 +24,9 @@ def gives(value: Any) -> Callable[[str], Any]:
 
 
 @pytest.mark.parametrize(("state", "code"), [("ok", 0), ("note", 0), ("fault", doctor.EXIT_UNFIT)])
-def test_only_faults_make_a_machine_unfit(monkeypatch: pytest.MonkeyPatch, state: State, code: int) -> None:
+def test_only_faults_make_a_machine_unfit(
+    monkeypatch: pytest.MonkeyPatch, state: State, code: int
+) -> None:
     monkeypatch.setattr(doctor, "findings", gives([Finding(state, "thing", "is so", "do this")]))
     out = io.StringIO()
     assert doctor.run(DoctorOptions("sim"), out) == code
@@ -52,11 +54,15 @@ def test_a_missing_camera_library_is_a_fault_where_it_is_needed(
     assert (finding.state, finding.fix) == (state, "build librealsense")
 
 
-def test_an_opencv_with_windows_or_without_aruco_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_opencv_with_windows_or_without_aruco_is_a_fault(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     text = "  GUI:                           QT5\n"
     fakes = {
         "without ArUco": SimpleNamespace(__version__="5", getBuildInformation=lambda: text),
-        "QT5 windows": SimpleNamespace(__version__="5", aruco=None, getBuildInformation=lambda: text),
+        "QT5 windows": SimpleNamespace(
+            __version__="5", aruco=None, getBuildInformation=lambda: text
+        ),
     }
     for words, fake in fakes.items():
         monkeypatch.setattr(doctor.importlib, "import_module", gives(fake))
@@ -87,7 +93,9 @@ def test_a_port_in_use_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(doctor.check_rig_file("r"))[-1].state == "ok"
 
 
-def test_the_row_about_room_says_what_a_rig_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_row_about_room_says_what_a_rig_records(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     text = rig_library.load("sim-rendered").file.read_text("utf-8")
     for record in ("keyframes", "all"):
         (tmp_path / f"{record}.toml").write_text(

@@ -1,4 +1,6 @@
-"""The test of the link on real sockets: both ends at once, one alone, and ends that do not belong together."""
+"""The test of the link on real sockets: both ends at once, one alone, and ends that do not belong
+together.
+"""
 
 from __future__ import annotations
 
@@ -49,11 +51,18 @@ def named(findings: list[Finding]) -> dict[str, Finding]:
 def test_two_ends_that_look_at_once_measure_each_other(key_file: Path) -> None:
     one, other = ports()
     ahead = AheadClock()
-    sender, receiver = end(Role.SENDER, one, other, key_file), end(Role.RECEIVER, other, one, key_file, ahead)
-    found_both = asyncio.run(both(check_link(sender, WallClock(), LIMIT_S), check_link(receiver, ahead, LIMIT_S)))
+    sender, receiver = (
+        end(Role.SENDER, one, other, key_file),
+        end(Role.RECEIVER, other, one, key_file, ahead),
+    )
+    found_both = asyncio.run(
+        both(check_link(sender, WallClock(), LIMIT_S), check_link(receiver, ahead, LIMIT_S))
+    )
     for findings, offset in zip(found_both, (5.0, -5.0), strict=True):
         every = named(findings)
-        assert every["key"].state == every["clocks"].state == every["round trip"].state == "ok", every
+        assert every["key"].state == every["clocks"].state == every["round trip"].state == "ok", (
+            every
+        )
         assert every["loss"].state != "fault", every
         told_s = float(every["clocks"].detail.split(" is ")[1].split(" s ")[0])
         assert told_s == pytest.approx(offset, abs=0.02)
@@ -73,14 +82,18 @@ def test_another_key_at_the_other_end_is_a_fault(key_file: Path, tmp_path: Path)
     wrong.write_bytes(bytes(32))
     wrong.chmod(0o600)
     ends = end(Role.SENDER, one, other, key_file), end(Role.RECEIVER, other, one, wrong)
-    for findings in asyncio.run(both(*(check_link(each, WallClock(), wait_s=1.5) for each in ends))):
+    for findings in asyncio.run(
+        both(*(check_link(each, WallClock(), wait_s=1.5) for each in ends))
+    ):
         every = named(findings)
         assert every["packets"].state == "fault"
         assert "bad_signature" in every["packets"].detail
         assert every["other end"].state == "note"
 
 
-def radios(folder: Path, look: Callable[[Cable], list[AsyncIterator[Finding]]]) -> list[dict[str, Finding]]:
+def radios(
+    folder: Path, look: Callable[[Cable], list[AsyncIterator[Finding]]]
+) -> list[dict[str, Finding]]:
     """Returns the findings at the ends of a pair of pseudo terminals."""
 
     async def looked() -> list[list[Finding]]:
@@ -104,7 +117,9 @@ def test_two_ends_of_a_pair_of_radios_measure_each_other(tmp_path: Path, key_fil
         assert "packets" not in every
 
 
-def test_radios_that_bring_noise_are_a_fault_that_names_the_baud(tmp_path: Path, key_file: Path) -> None:
+def test_radios_that_bring_noise_are_a_fault_that_names_the_baud(
+    tmp_path: Path, key_file: Path
+) -> None:
     def look(cable: Cable) -> list[AsyncIterator[Finding]]:
         cable.garble()
         return [check_link(each, WallClock(), wait_s=1.5) for each in serial_links(cable, key_file)]
@@ -141,7 +156,9 @@ def test_losses_are_judged(answered: int, state: str) -> None:
     for nonce in range(1, answered + 1):
         sent_ns = nonce * 25_000_000
         exchange.trips_ms[nonce] = 2.0
-        exchange.alignment.on_pong(Pong(nonce, sent_ns, sent_ns + 1_000_000, sent_ns + 1_000_000), sent_ns + 2_000_000)
+        exchange.alignment.on_pong(
+            Pong(nonce, sent_ns, sent_ns + 1_000_000, sent_ns + 1_000_000), sent_ns + 2_000_000
+        )
     every = named(list(judged(exchange, doctor_link.LinkCounters())))
     assert every["loss"].state == state
     assert every["clocks"].state == "ok"

@@ -1,4 +1,6 @@
-"""A role's parts by its rig: what is tested, what a harness stands in for, how a test is ended, and how it is shown."""
+"""A role's parts by its rig: what is tested, what a harness stands in for, how a test is ended, and
+how it is shown.
+"""
 
 from __future__ import annotations
 
@@ -38,18 +40,26 @@ def test_behind_a_harness_only_what_needs_no_far_side_is_tested() -> None:
         (finding,) = run_test(test)
         assert finding.state == "note"
         assert finding.untested and finding.name == test.name
-        assert finding.detail.startswith("not tested: the harness hil.harness.sitl:SitlHarness stands in")
+        assert finding.detail.startswith(
+            "not tested: the harness hil.harness.sitl:SitlHarness stands in"
+        )
     assert run_test(tests[0])[0].state == "ok"
 
 
 def with_model(file: Path) -> PartTest:
     """The test of a detector that is a network, as the rig names it."""
     detector = {"factory": "drivers.detectors.yolox:YoloxDetector", "model": str(file)}
-    perception = replace(SITL.sender.perception, options={**SITL.sender.perception.options, "detector": detector})
-    return next(part_tests(replace(SITL, sender=replace(SITL.sender, perception=perception)), Role.SENDER))
+    perception = replace(
+        SITL.sender.perception, options={**SITL.sender.perception.options, "detector": detector}
+    )
+    return next(
+        part_tests(replace(SITL, sender=replace(SITL.sender, perception=perception)), Role.SENDER)
+    )
 
 
-def test_a_model_is_loaded_and_timed_through_onnxruntime_and_one_that_cannot_be_used_is_named(tmp_path: Path) -> None:
+def test_a_model_is_loaded_and_timed_through_onnxruntime_and_one_that_cannot_be_used_is_named(
+    tmp_path: Path,
+) -> None:
     loads, timed = run_test(with_model(bright_cells_network(tmp_path / "bright.onnx", 64, 3)))
     assert (loads.state, loads.detail) == ("ok", "YoloxDetector")
     assert timed.name == "sender detector time" and "ms for a grey image of 640x480" in timed.detail
@@ -67,7 +77,11 @@ def test_in_the_field_every_part_is_opened(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(doctor_parts, "WAIT_S", 0.1)
     own, peer = ports()
     link = {"bind": f"127.0.0.1:{own}", "peer": f"127.0.0.1:{peer}"}
-    options = {**SITL.sender.vehicle.options, "url": f"udpin://127.0.0.1:{own}", "connect_timeout_s": 0.1}
+    options = {
+        **SITL.sender.vehicle.options,
+        "url": f"udpin://127.0.0.1:{own}",
+        "connect_timeout_s": 0.1,
+    }
     camera = {
         "factory": "drivers.realsense.camera:RealSense",
         "serial": "none-such",
@@ -77,19 +91,25 @@ def test_in_the_field_every_part_is_opened(monkeypatch: pytest.MonkeyPatch) -> N
     sender = replace(
         SITL.sender,
         vehicle=replace(SITL.sender.vehicle, options=options),
-        perception=replace(SITL.sender.perception, options={**SITL.sender.perception.options, "camera": camera}),
+        perception=replace(
+            SITL.sender.perception, options={**SITL.sender.perception.options, "camera": camera}
+        ),
         link=replace(SITL.sender.link, options=link),
         guard=None,
     )
     rig = replace(SITL, level="field", harness=None, sender=sender)
-    every = {finding.name: finding for test in part_tests(rig, Role.SENDER) for finding in run_test(test)}
+    every = {
+        finding.name: finding for test in part_tests(rig, Role.SENDER) for finding in run_test(test)
+    }
     assert every["sender vehicle"].state == "fault"
     assert "no heartbeat" in every["sender vehicle"].detail
     assert every["sender perception"].state == "fault"
     assert "RealSense" in every["sender perception"].detail
     assert every["sender link opens"].state == "ok"
     assert every["sender link other end"].state == "note"
-    assert [finding.name for finding in every.values() if finding.untested] == ["sender link other end"]
+    assert [finding.name for finding in every.values() if finding.untested] == [
+        "sender link other end"
+    ]
 
 
 class Part:
@@ -127,7 +147,8 @@ def test_ctrl_c_closes_the_part_and_shows_what_was_found() -> None:
 
     def press() -> None:
         assert part.waits.wait(60.0)
-        time.sleep(0.2)  # one that comes just before the loop begins to wait is seen when that has ended: 40 s
+        # one that comes just before the loop begins to wait is seen when that has ended: 40 s
+        time.sleep(0.2)
         os.kill(os.getpid(), signal.SIGINT)
 
     thread = threading.Thread(target=press)
@@ -148,10 +169,16 @@ def test_doctor_tests_the_parts_of_the_role_and_a_fault_among_them_is_its_exit_c
     monkeypatch.chdir(tmp_path)
 
     def tests(rig: object, role: Role) -> Iterator[PartTest]:
-        yield PartTest(f"{role.value} perception", "frames", Part(CameraError("it fell silent")).findings)
+        yield PartTest(
+            f"{role.value} perception", "frames", Part(CameraError("it fell silent")).findings
+        )
 
     monkeypatch.setattr(doctor, "part_tests", tests)
-    monkeypatch.setattr(doctor, "computer_findings", lambda *_: [Finding("ok", "computer", "is quick")])  # type: ignore[misc]
+    monkeypatch.setattr(
+        doctor,
+        "computer_findings",
+        lambda *_: [Finding("ok", "computer", "is quick")],  # type: ignore[misc]
+    )
     monkeypatch.setattr(doctor, "findings", lambda _: [Finding("ok", "rig", "is read")])  # type: ignore[misc]
     out = io.StringIO()
     assert doctor.run(DoctorOptions("sitl", role="receiver"), out) == doctor.EXIT_UNFIT
@@ -168,7 +195,11 @@ def test_nothing_is_called_ready_to_fly_of_which_nothing_was_tested(
     name: str, role: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(doctor, "computer_findings", lambda *_: [Finding("ok", "computer", "is quick")])  # type: ignore[misc]
+    monkeypatch.setattr(
+        doctor,
+        "computer_findings",
+        lambda *_: [Finding("ok", "computer", "is quick")],  # type: ignore[misc]
+    )
     monkeypatch.setattr(doctor, "findings", lambda _: [Finding("ok", "rig", "is read")])  # type: ignore[misc]
     out = io.StringIO()
     assert doctor.run(DoctorOptions(name, role=role), out) == 0  # type: ignore[arg-type]
@@ -177,7 +208,9 @@ def test_nothing_is_called_ready_to_fly_of_which_nothing_was_tested(
     assert last == f"no fault, but not known to be ready to fly; not tested: {parts}"
 
 
-def test_the_last_line_tells_what_was_not_tested_beside_faults_and_notes_and_else_that_it_is_ready() -> None:
+def test_the_last_line_tells_what_was_not_tested_beside_faults_and_notes_and_else_that_it_is_ready() -> (
+    None
+):
     alone = Finding("note", "sender link other end", "nobody answered", untested=True)
     fault = Finding("fault", "sender vehicle", "no heartbeat")
     note = Finding("note", "Python", "one core")

@@ -1,4 +1,6 @@
-"""The test of a perception, with the D415 driver on librealsense's software device: what is well, and what is not."""
+"""The test of a perception, with the D415 driver on librealsense's software device: what is well,
+and what is not.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,8 @@ from tests.missions.field.doctor.doctor_bench import BENCHES, Bench
 from tests.missions.field.doctor.doctor_findings import found
 
 LAYOUT = single_marker(side_m=1.5 * 30.0 / COLOR.fx)  # as large as 30 px are on a wall at 1.5 m
-WANTED = WantedMarker(LAYOUT, (0.0, -1.0, 0.0), (0.0, 1.0, 0.0))  # a plate on a wall, a camera that looks ahead
+# a plate on a wall, a camera that looks ahead
+WANTED = WantedMarker(LAYOUT, (0.0, -1.0, 0.0), (0.0, 1.0, 0.0))
 FED_HZ = 40.0
 TRIES = 5
 
@@ -65,7 +68,9 @@ def examined(bench: Bench, calibrated: str = "", model: CameraModel = COLOR) -> 
     }
     options = {"camera": camera, "detector": {"factory": "drivers.detectors.color:ColorDetector"}}
     here = replace(context(model), camera_serial=calibrated)
-    perception: PixelPerception = create(PartSpec("drivers.perception.pixels:PixelPerception", options, "test"), here)
+    perception: PixelPerception = create(
+        PartSpec("drivers.perception.pixels:PixelPerception", options, "test"), here
+    )
     with bench.running(FED_HZ):
         every = found(check_perception(perception, here.clock, WANTED))
     del BENCHES["d415"], perception
@@ -74,7 +79,11 @@ def examined(bench: Bench, calibrated: str = "", model: CameraModel = COLOR) -> 
 
 
 def test_a_camera_that_is_well_has_figures_and_a_marker() -> None:
-    device = {"firmware_version": "5.16.0", "recommended_firmware_version": "5.16.0", "usb_type_descriptor": "3.2"}
+    device = {
+        "firmware_version": "5.16.0",
+        "recommended_firmware_version": "5.16.0",
+        "usb_type_descriptor": "3.2",
+    }
     every = examined(Bench(picture(marker_px=30), device=device))
     for _ in range(TRIES):
         if every["pairs"].state == every["stamps"].state == "ok":  # a busy computer's may not be
@@ -103,7 +112,9 @@ def test_a_marker_whose_size_contradicts_depth_is_a_fault_with_the_size_that_dep
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     wrong = single_marker(side_m=1.6 * LAYOUT.markers[0].side_m)
-    monkeypatch.setattr("tests.missions.field.doctor.test_perception.WANTED", replace(WANTED, layout=wrong))
+    monkeypatch.setattr(
+        "tests.missions.field.doctor.test_perception.WANTED", replace(WANTED, layout=wrong)
+    )
     size = examined(Bench(picture(marker_px=30)))["marker size"]
     assert size.state == "fault"
     by_depth_mm = float(size.detail.partition("by the rig and ")[2].partition(" ")[0])
@@ -120,14 +131,27 @@ def test_a_marker_that_is_printed_wrongly_is_said_as_what_it_is() -> None:
 
 
 def test_what_is_not_as_it_should_be_is_said_with_its_fix() -> None:
-    device = {"firmware_version": "5.15.0", "recommended_firmware_version": "5.16.0", "usb_type_descriptor": "2.1"}
+    device = {
+        "firmware_version": "5.15.0",
+        "recommended_firmware_version": "5.16.0",
+        "usb_type_descriptor": "2.1",
+    }
     every = examined(Bench(picture(grey=20), skip=4, device=device))
-    wrong = {"device": "5.16.0", "USB": "2.1", "missed": "%", "brightness": "mean 20", "marker": "no marker"}
+    wrong = {
+        "device": "5.16.0",
+        "USB": "2.1",
+        "missed": "%",
+        "brightness": "mean 20",
+        "marker": "no marker",
+    }
     for name, words in wrong.items():
         assert every[name].state == "note", every[name]
         assert words in every[name].detail
         assert every[name].fix
-    assert every["calibration"].detail == "does not say of which camera it is; it is not compared with the camera's"
+    assert (
+        every["calibration"].detail
+        == "does not say of which camera it is; it is not compared with the camera's"
+    )
 
 
 def test_a_camera_that_is_silent_or_of_another_size_ends_the_test_with_its_reason() -> None:

@@ -1,4 +1,6 @@
-"""A Tello's tests through djitellopy, on the emulated drone: its answers, its video, and a drone that is not there."""
+"""A Tello's tests through djitellopy, on the emulated drone: its answers, its video, and a drone
+that is not there.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +32,15 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor_perception, "FRAME_S", 30.0)
 
 
-def test_a_drone_that_is_well_answers_with_sdk_battery_and_state_packets_and_does_not_move() -> None:
+def test_a_drone_that_is_well_answers_with_sdk_battery_and_state_packets_and_does_not_move() -> (
+    None
+):
     with emulated() as stand:
-        every = found(check_flyer(TelloVehicle(TelloVehicleConfig(**stand.address), context()), context().clock, 0.2))
+        every = found(
+            check_flyer(
+                TelloVehicle(TelloVehicleConfig(**stand.address), context()), context().clock, 0.2
+            )
+        )
         assert [word for word in MOTION if stand.count(word)] == []
     assert every["SDK"].detail == "30"
     assert every["serial"].detail == "0TQZH77ED00000"
@@ -44,7 +52,11 @@ def test_a_drone_that_is_well_answers_with_sdk_battery_and_state_packets_and_doe
 
 def test_an_early_firmware_cannot_have_other_ports() -> None:
     with emulated({"sdk3": False}) as stand:
-        every = found(check_flyer(TelloVehicle(TelloVehicleConfig(**stand.address), context()), context().clock, 0.2))
+        every = found(
+            check_flyer(
+                TelloVehicle(TelloVehicleConfig(**stand.address), context()), context().clock, 0.2
+            )
+        )
     assert every[""].state == "fault"  # other ports than the stock ones need SDK 3
     assert "SDK 3" in every[""].fix
 
@@ -52,9 +64,14 @@ def test_an_early_firmware_cannot_have_other_ports() -> None:
 def video_findings() -> dict[str, Finding]:
     with emulated(rate_hz=30.0) as stand:
         camera = {"factory": "drivers.tello.camera:TelloCamera", "latency_s": 0.0, **stand.address}
-        options = {"camera": camera, "detector": {"factory": "drivers.detectors.color:ColorDetector"}}
+        options = {
+            "camera": camera,
+            "detector": {"factory": "drivers.detectors.color:ColorDetector"},
+        }
         here = context()
-        perception = create(PartSpec("drivers.perception.pixels:PixelPerception", options, "t"), here)
+        perception = create(
+            PartSpec("drivers.perception.pixels:PixelPerception", options, "t"), here
+        )
         return found(check_perception(perception, here.clock, None))
 
 
@@ -66,7 +83,10 @@ def test_its_video_is_timed_from_the_first_frame_on() -> None:
         every = video_findings()
     assert every["opens"].detail.startswith("first frame after ")
     assert "of 30 a second" in every["rate"].detail
-    assert every["size"].detail == f"{CAMERA.width}x{CAMERA.height}, as its calibration {CAMERA.width}x{CAMERA.height}"
+    assert (
+        every["size"].detail
+        == f"{CAMERA.width}x{CAMERA.height}, as its calibration {CAMERA.width}x{CAMERA.height}"
+    )
     assert every["latency"].state == every["damaged"].state == "ok"
     assert "range" not in every  # it has none of its own
     assert "marker" not in every  # a sender looks for none

@@ -1,4 +1,6 @@
-"""The test of a vehicle: through MAVSDK to the embedded one, and judgements on what a vehicle may say."""
+"""The test of a vehicle: through MAVSDK to the embedded one, and judgements on what a vehicle may
+say.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,16 @@ from tests.free_ports import free_port
 from tests.missions.field.doctor.doctor_findings import found, states
 
 STATE = VehicleState(
-    1, 1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), False, False, True, FlightMode.HOLD, 0.8
+    1,
+    1,
+    (0.0, 0.0, 0.0),
+    (0.0, 0.0, 0.0),
+    (1.0, 0.0, 0.0, 0.0),
+    False,
+    False,
+    True,
+    FlightMode.HOLD,
+    0.8,
 )
 
 
@@ -25,10 +36,14 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(doctor_vehicle, name, seconds)
 
 
-def test_a_vehicle_that_is_well_is_told_by_its_firmware_rates_and_battery_and_nothing_is_commanded() -> None:
+def test_a_vehicle_that_is_well_is_told_by_its_firmware_rates_and_battery_and_nothing_is_commanded() -> (
+    None
+):
     with px4() as bench:
         every = found(check_flyer(bench.vehicle(telemetry_hz=20.0), CONTEXT.clock, 0.2))
-        assert bench.wire.commands(400) == bench.wire.commands(22) == bench.wire.of("PARAM_SET") == []
+        assert (
+            bench.wire.commands(400) == bench.wire.commands(22) == bench.wire.of("PARAM_SET") == []
+        )
         assert not bench.wire.of("SET_POSITION_TARGET_LOCAL_NED")
     assert every["autopilot"].detail == f"px4, firmware 1.16.0, system id {SYSID}"
     for name in ("connects", "heartbeat", "armed", "battery", "ready to arm", "parameters"):
@@ -40,7 +55,9 @@ def test_a_vehicle_that_is_well_is_told_by_its_firmware_rates_and_battery_and_no
 
 def test_a_parameter_that_differs_is_a_fault_and_stays_as_it_is() -> None:
     with px4() as bench:
-        every = found(check_flyer(bench.vehicle(parameters={"MIS_TAKEOFF_ALT": 99.0}), CONTEXT.clock, 0.2))
+        every = found(
+            check_flyer(bench.vehicle(parameters={"MIS_TAKEOFF_ALT": 99.0}), CONTEXT.clock, 0.2)
+        )
         assert bench.wire.of("PARAM_SET") == []
     assert every["parameters"].state == "fault"
     assert "99" in every["parameters"].detail
@@ -60,7 +77,9 @@ def test_a_vehicle_that_is_not_there_or_cannot_be_armed_is_a_fault() -> None:
 )  # fmt: skip
 def test_what_forbids_a_flight_is_a_fault(changed: dict[str, object], name: str) -> None:
     assert {finding.state for finding in condition(STATE, 0.2)} == {"ok"}
-    faults = [finding for finding in condition(replace(STATE, **changed), 0.2) if finding.state == "fault"]  # type: ignore[arg-type]
+    faults = [
+        finding for finding in condition(replace(STATE, **changed), 0.2) if finding.state == "fault"
+    ]  # type: ignore[arg-type]
     assert [finding.name for finding in faults] == [name]
     assert faults[0].fix
 

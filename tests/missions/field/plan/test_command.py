@@ -38,7 +38,12 @@ def test_each_value_is_shown_with_what_it_follows_from(walker: Path) -> None:
     said = io.StringIO()
     assert run(PlanOptions(rig=str(walker)), said) == CommandEnd.DONE.exit_code
     text = said.getvalue()
-    for word in ("mission.follow.height_m", "the target fits the image", "time to agreement", "wind that can be borne"):
+    for word in (
+        "mission.follow.height_m",
+        "the target fits the image",
+        "time to agreement",
+        "wind that can be borne",
+    ):
         assert word in text
     assert "nothing stands against it" in text
 

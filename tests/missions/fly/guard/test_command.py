@@ -1,4 +1,6 @@
-"""The guard's program over real sockets, beside a role that hangs while its MAVSDK goes on sending setpoints."""
+"""The guard's program over real sockets, beside a role that hangs while its MAVSDK goes on sending
+setpoints.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +73,9 @@ class FakeRole:
 def rig_file(folder: Path, own: Bench, beat_port: int, hold_s: float = 2.0) -> Path:
     """The rig ``sitl`` with the sender's guard on free ports, patient enough for a busy machine."""
     text = (FOLDER / "sitl.toml").read_text()
-    text = text.replace("127.0.0.1:14551", f"127.0.0.1:{own.port}").replace("127.0.0.1:14561", f"127.0.0.1:{beat_port}")
+    text = text.replace("127.0.0.1:14551", f"127.0.0.1:{own.port}").replace(
+        "127.0.0.1:14561", f"127.0.0.1:{beat_port}"
+    )
     rules = f"[mission.guard_process]\nhold_s = {hold_s}\nbeat_age_s = 2.5\nsetpoint_gap_s = 2.5\n"
     rules += "ack_s = 10.0\nconfirm_s = 10.0\nblind_s = 10.0\n"
     text = text.replace("[mission.target]", rules + "[mission.target]")
@@ -81,15 +85,26 @@ def rig_file(folder: Path, own: Bench, beat_port: int, hold_s: float = 2.0) -> P
 
 
 @contextmanager
-def guarded(folder: Path, *more: str, hold_s: float = 2.0) -> Generator[tuple[Bench, FakeRole, subprocess.Popen[str]]]:
+def guarded(
+    folder: Path, *more: str, hold_s: float = 2.0
+) -> Generator[tuple[Bench, FakeRole, subprocess.Popen[str]]]:
     """A vehicle in offboard control, its guard's program, and a role that beats."""
     port, stop = free_port(), threading.Event()
     role = FakeRole(f"127.0.0.1:{port}")
     thread = threading.Thread(target=role.run, args=(stop,))
     with bench(speed=3.0) as own:
-        command = [sys.executable, "-m", "missions.cli", "guard", "--rig", str(rig_file(folder, own, port, hold_s))]
+        command = [
+            sys.executable,
+            "-m",
+            "missions.cli",
+            "guard",
+            "--rig",
+            str(rig_file(folder, own, port, hold_s)),
+        ]
         command += ["--role", "sender", "--out", str(folder), *more]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        with subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        ) as process:
             thread.start()
             try:
                 until(lambda: role.hand is Hand.FREE)
@@ -108,11 +123,14 @@ def modes(own: Bench) -> list[OffboardSession]:
     return list(own.autopilot.offboard_sessions)
 
 
-def test_a_hung_role_s_vehicle_is_held_and_landed_though_its_setpoints_go_on(tmp_path: Path) -> None:
+def test_a_hung_role_s_vehicle_is_held_and_landed_though_its_setpoints_go_on(
+    tmp_path: Path,
+) -> None:
     with guarded(tmp_path, "--while-flown") as (own, role, process):
         role.stopped = True
         until(lambda: own.autopilot.mode is FlightMode.HOLD)
-        own.select(FlightMode.OFFBOARD)  # what a role that wakes up in the middle of something may send
+        # what a role that wakes up in the middle of something may send
+        own.select(FlightMode.OFFBOARD)
         until(lambda: own.autopilot.mode is FlightMode.LAND)
         role.stopped = False
         until(lambda: role.hand is Hand.GUARD)
@@ -127,24 +145,32 @@ def test_a_hung_role_s_vehicle_is_held_and_landed_though_its_setpoints_go_on(tmp
         said = process.stdout.read()
     assert "watching vehicle 1" in said
     assert "holding, told it to hold: no sign of life" in said
-    decisions = [r.record["stage"] for r in read_log(tmp_path / "sender.guard.mcap") if r.topic == "/guard"]
+    decisions = [
+        r.record["stage"] for r in read_log(tmp_path / "sender.guard.mcap") if r.topic == "/guard"
+    ]
     assert decisions == ["holding", "landing", "watching"]
 
 
 def test_another_program_s_beats_do_not_keep_a_guard_quiet(tmp_path: Path) -> None:
-    with guarded(tmp_path) as (own, role, process), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign:
+    with (
+        guarded(tmp_path) as (own, role, process),
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign,
+    ):
         stop = threading.Event()
 
         def beat_on() -> None:
             setpoints = 1000
             while not stop.wait(0.02):
                 setpoints += 1
-                foreign.sendto(encode_beat(Beat(Script.CONTROL, setpoints)), address_of(role.guard, "bind"))
+                foreign.sendto(
+                    encode_beat(Beat(Script.CONTROL, setpoints)), address_of(role.guard, "bind")
+                )
 
         thread = threading.Thread(target=beat_on)
         thread.start()
         try:
-            until(lambda: bool(role.answers) and "not sealed" in role.answers[-1].alarm)  # the crew is told
+            # the crew is told
+            until(lambda: bool(role.answers) and "not sealed" in role.answers[-1].alarm)
             assert role.hand is Hand.SCRIPT  # and goes on
             role.stopped = True
             until(lambda: own.autopilot.mode is FlightMode.HOLD)
@@ -158,7 +184,9 @@ def test_another_program_s_beats_do_not_keep_a_guard_quiet(tmp_path: Path) -> No
         assert "ALARM: ignored beats that are not sealed" in process.stdout.read()
 
 
-def test_a_guard_that_is_told_to_end_stays_until_the_vehicle_is_down_and_leaves_it_to_a_pilot(tmp_path: Path) -> None:
+def test_a_guard_that_is_told_to_end_stays_until_the_vehicle_is_down_and_leaves_it_to_a_pilot(
+    tmp_path: Path,
+) -> None:
     with guarded(tmp_path, hold_s=30.0) as (own, role, process):
         process.send_signal(signal.SIGTERM)
         process.send_signal(signal.SIGINT)
@@ -190,7 +218,9 @@ def test_a_role_s_guard_begins_beside_it_and_ends_by_itself(tmp_path: Path) -> N
     assert "watching vehicle 1" in (tmp_path / "sender.guard.txt").read_text()
 
 
-def test_a_rig_whose_guard_cannot_be_a_program_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_rig_whose_guard_cannot_be_a_program_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["guard", "--rig", "sim", "--out", str(tmp_path)])
     assert ended.value.code == 3
@@ -210,7 +240,8 @@ def test_a_second_guard_of_the_same_vehicle_is_refused(tmp_path: Path) -> None:
             from drivers.mavlink.guard.line import UdpBeatLine  # noqa: PLC0415
 
             async with UdpBeatLine(f"127.0.0.1:{port}", MonotonicClock()):
-                assert with_guard(rig, Role.SENDER, "start", tmp_path) is rig  # one is there: none is begun
+                # one is there: none is begun
+                assert with_guard(rig, Role.SENDER, "start", tmp_path) is rig
                 with pytest.raises(PartError, match="cannot listen"):
                     async with UdpBeatLine(f"127.0.0.1:{port}", MonotonicClock()):
                         pass
@@ -225,7 +256,9 @@ def test_a_guard_of_another_vehicle_is_refused(tmp_path: Path) -> None:
     text = (FOLDER / "sitl.toml").read_text()
     file = tmp_path / "rig.toml"
     file.write_text(text.replace("vehicle_sysid = 1", "vehicle_sysid = 7"))
-    with pytest.raises(PartError, match=r"sender\.guard\.vehicle_sysid: 7 is not the vehicle that is flown, 1"):
+    with pytest.raises(
+        PartError, match=r"sender\.guard\.vehicle_sysid: 7 is not the vehicle that is flown, 1"
+    ):
         rig_library.load(str(file))
     file.write_text(text.replace("127.0.0.1:14551", "127.0.0.1:14541"))
     with pytest.raises(PartError, match="already used"):

@@ -71,16 +71,23 @@ def test_the_cause_is_the_end_that_nothing_else_explains(
 
 
 @pytest.mark.parametrize(
-    ("sender", "receiver"), list(itertools.product((Outcome.PEER_LOST, Outcome.PEER_ABORTED), repeat=2))
+    ("sender", "receiver"),
+    list(itertools.product((Outcome.PEER_LOST, Outcome.PEER_ABORTED), repeat=2)),
 )
-def test_when_each_blames_the_other_one_of_them_is_named(sender: Outcome, receiver: Outcome) -> None:
+def test_when_each_blames_the_other_one_of_them_is_named(
+    sender: Outcome, receiver: Outcome
+) -> None:
     outcome, detail = judge(report(sender, receiver))
     assert outcome is sender
     assert detail == "sender: seen"
 
 
-@pytest.mark.parametrize(("sender_s", "receiver_s", "whose"), [(20.0, 19.5, "receiver"), (19.5, 20.0, "sender")])
-def test_of_two_causes_the_one_is_named_that_came_first(sender_s: float, receiver_s: float, whose: str) -> None:
+@pytest.mark.parametrize(
+    ("sender_s", "receiver_s", "whose"), [(20.0, 19.5, "receiver"), (19.5, 20.0, "sender")]
+)
+def test_of_two_causes_the_one_is_named_that_came_first(
+    sender_s: float, receiver_s: float, whose: str
+) -> None:
     ends = {
         Role.SENDER: replace(result(Role.SENDER, Outcome.NO_AGREEMENT), ended_s=sender_s),
         Role.RECEIVER: replace(result(Role.RECEIVER, Outcome.CLOCK_FAULT), ended_s=receiver_s),
@@ -92,25 +99,40 @@ def test_of_two_causes_the_one_is_named_that_came_first(sender_s: float, receive
 def test_a_run_is_committed_only_when_both_are() -> None:
     for sender, receiver in itertools.product([None, *Outcome], repeat=2):
         outcome, _ = judge(report(sender, receiver))
-        assert (outcome is Outcome.COMMITTED) == (sender is receiver is Outcome.COMMITTED), (sender, receiver)
+        assert (outcome is Outcome.COMMITTED) == (sender is receiver is Outcome.COMMITTED), (
+            sender,
+            receiver,
+        )
 
 
 @pytest.mark.parametrize("up", Role)
 def test_a_hand_over_that_leaves_a_vehicle_in_the_air_is_no_success(up: Role) -> None:
-    outcome, detail = judge(report(Outcome.COMMITTED, Outcome.COMMITTED, landed={**BOTH_DOWN, up: False}))
+    outcome, detail = judge(
+        report(Outcome.COMMITTED, Outcome.COMMITTED, landed={**BOTH_DOWN, up: False})
+    )
     assert outcome is Outcome.VEHICLE_REFUSED
     assert detail == "a vehicle did not land"
 
 
 def test_a_violated_monitor_beats_every_end() -> None:
     for ends in ((Outcome.COMMITTED, Outcome.COMMITTED), (None, Outcome.GUARD)):
-        judged = judge(report(*ends, violations={"S9": 1}, notes=("S9 at 3.00 s: near",), interrupted=True))
+        judged = judge(
+            report(*ends, violations={"S9": 1}, notes=("S9 at 3.00 s: near",), interrupted=True)
+        )
         assert judged == (Outcome.MONITOR_VIOLATED, "S9 at 3.00 s: near")
 
 
-@pytest.mark.parametrize("other", [Outcome.NOT_STARTED, Outcome.PEER_LOST, Outcome.TARGET_NOT_FOUND, None])
-def test_that_nobody_started_a_program_is_named_before_what_came_of_it(other: Outcome | None) -> None:
-    late = {"failure": "the run did not end within 360 s", "interrupted": True, "overload": "its pictures were late"}
+@pytest.mark.parametrize(
+    "other", [Outcome.NOT_STARTED, Outcome.PEER_LOST, Outcome.TARGET_NOT_FOUND, None]
+)
+def test_that_nobody_started_a_program_is_named_before_what_came_of_it(
+    other: Outcome | None,
+) -> None:
+    late = {
+        "failure": "the run did not end within 360 s",
+        "interrupted": True,
+        "overload": "its pictures were late",
+    }
     for changes in ({}, late):
         outcome, detail = judge(report(other, Outcome.NOT_STARTED, **changes))
         assert outcome is Outcome.NOT_STARTED
@@ -119,12 +141,20 @@ def test_that_nobody_started_a_program_is_named_before_what_came_of_it(other: Ou
 
 
 def test_a_violated_monitor_is_not_explained_by_a_program_that_nobody_started() -> None:
-    judged = judge(report(Outcome.GUARD, Outcome.NOT_STARTED, violations={"S9": 1}, notes=("S9 at 3.00 s: near",)))
+    judged = judge(
+        report(
+            Outcome.GUARD, Outcome.NOT_STARTED, violations={"S9": 1}, notes=("S9 at 3.00 s: near",)
+        )
+    )
     assert judged == (Outcome.MONITOR_VIOLATED, "S9 at 3.00 s: near")
 
 
 def test_another_object_has_an_end_of_its_own_and_beats_the_commit() -> None:
-    judged = judge(report(Outcome.COMMITTED, Outcome.COMMITTED, violations={"S12": 1}, notes=("S12 at 3.00 s: 1",)))
+    judged = judge(
+        report(
+            Outcome.COMMITTED, Outcome.COMMITTED, violations={"S12": 1}, notes=("S12 at 3.00 s: 1",)
+        )
+    )
     assert judged == (Outcome.WRONG_OBJECT, "S12 at 3.00 s: 1")
 
 
@@ -132,9 +162,14 @@ def test_a_computer_that_is_too_slow_is_named_instead_of_the_flight() -> None:
     late = "the sender's pictures: 300 of 400 were not rendered in time"
     lost = report(Outcome.TARGET_LOST, Outcome.PEER_ABORTED, overload=late)
     assert judge(lost) == (Outcome.OVERLOADED, f"{late} (and so target_lost: sender: seen)")
-    other = report(Outcome.COMMITTED, Outcome.COMMITTED, overload=late, violations={"S12": 1}, notes=("S12",))
+    other = report(
+        Outcome.COMMITTED, Outcome.COMMITTED, overload=late, violations={"S12": 1}, notes=("S12",)
+    )
     assert judge(other)[0] is Outcome.OVERLOADED
-    assert judge(report(None, None, overload=late, failure="the world did not end"))[0] is Outcome.OVERLOADED
+    assert (
+        judge(report(None, None, overload=late, failure="the world did not end"))[0]
+        is Outcome.OVERLOADED
+    )
 
 
 def test_a_slow_computer_excuses_neither_two_responsible_nor_a_pilot_and_spoils_no_commit() -> None:
@@ -142,19 +177,35 @@ def test_a_slow_computer_excuses_neither_two_responsible_nor_a_pilot_and_spoils_
     good = (Outcome.COMMITTED, Outcome.COMMITTED)
     assert judge(report(*good, overload=late)) == (Outcome.COMMITTED, "")
     explained: dict[str, Any] = {"overload": late, "explained": ("S8",)}
-    assert judge(report(*good, **explained, violations={"S1": 1, "S8": 4}))[0] is Outcome.MONITOR_VIOLATED
+    assert (
+        judge(report(*good, **explained, violations={"S1": 1, "S8": 4}))[0]
+        is Outcome.MONITOR_VIOLATED
+    )
     assert judge(report(*good, overload=late, violations={"S9": 1}))[0] is Outcome.MONITOR_VIOLATED
-    assert judge(report(Outcome.PILOT_OVERRIDE, Outcome.PEER_LOST, overload=late))[0] is Outcome.PILOT_OVERRIDE
+    assert (
+        judge(report(Outcome.PILOT_OVERRIDE, Outcome.PEER_LOST, overload=late))[0]
+        is Outcome.PILOT_OVERRIDE
+    )
     assert judge(report(None, Outcome.PEER_LOST, overload=late))[0] is Outcome.CRASHED
 
 
-def test_setpoints_that_stopped_are_excused_by_what_the_computer_did_just_then_and_by_nothing_else() -> None:
+def test_setpoints_that_stopped_are_excused_by_what_the_computer_did_just_then_and_by_nothing_else() -> (
+    None
+):
     late = "sender's program had no core for 0.19 s of the 0.24 s without a setpoint at 12.00 s"
     good = (Outcome.COMMITTED, Outcome.COMMITTED)
-    assert judge(report(*good, overload=late, explained=("S8",), violations={"S8": 1}))[0] is Outcome.OVERLOADED
+    assert (
+        judge(report(*good, overload=late, explained=("S8",), violations={"S8": 1}))[0]
+        is Outcome.OVERLOADED
+    )
     pictures = "the sender's pictures: 300 of 400 were not rendered in time"
-    assert judge(report(*good, overload=pictures, violations={"S8": 1}))[0] is Outcome.MONITOR_VIOLATED
-    assert judge(report(*good, overload=pictures, violations={"S8": 1, "S7": 1}))[0] is Outcome.MONITOR_VIOLATED
+    assert (
+        judge(report(*good, overload=pictures, violations={"S8": 1}))[0] is Outcome.MONITOR_VIOLATED
+    )
+    assert (
+        judge(report(*good, overload=pictures, violations={"S8": 1, "S7": 1}))[0]
+        is Outcome.MONITOR_VIOLATED
+    )
 
 
 def test_a_failed_harness_proves_nothing_about_the_mission() -> None:
@@ -167,7 +218,8 @@ def test_an_interrupted_run_is_called_so() -> None:
     assert outcome is Outcome.INTERRUPTED
 
 
-# --- the run folder ------------------------------------------------------------------------------------------------
+# --- the run folder
+# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -227,7 +279,9 @@ def test_a_folder_is_made_with_all_above_it(tmp_path: Path) -> None:
     assert new_folder(tmp_path / "a" / "b").is_dir()  # again
 
 
-def test_without_a_name_the_folder_is_the_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_name_the_folder_is_the_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     folder = new_folder(None)
     assert folder.parent == Path("runs")
@@ -242,7 +296,9 @@ def test_a_folder_that_cannot_be_made_names_the_remedy(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rig", ["sim", "sim-rendered"])
-def test_programs_that_are_no_processes_of_their_own_cannot_be_slowed_down(rig: str, tmp_path: Path) -> None:
+def test_programs_that_are_no_processes_of_their_own_cannot_be_slowed_down(
+    rig: str, tmp_path: Path
+) -> None:
     with pytest.raises(PartError, match=r"world\.slow"):
         missions.fly.handoff.command.run(HandoffOptions(rig, slow=0.2, out=tmp_path / "run"))
     assert not (tmp_path / "run").exists()

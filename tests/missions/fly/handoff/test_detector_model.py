@@ -1,4 +1,6 @@
-"""Rigs that look with YOLOX: the model is named when they are flown, and without one nothing moves."""
+"""Rigs that look with YOLOX: the model is named when they are flown, and without one nothing
+moves.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from missions import cli
 from missions.ground import rig_library
 from missions.ground.rigs import FOLDER
 
-LOOKING = sorted(file.stem for file in FOLDER.glob("*.toml") if "yolox:YoloxDetector" in file.read_text("utf-8"))
+LOOKING = sorted(
+    file.stem for file in FOLDER.glob("*.toml") if "yolox:YoloxDetector" in file.read_text("utf-8")
+)
 
 
 def test_people_are_looked_for_with_yolox_wherever_frames_are_drawn() -> None:

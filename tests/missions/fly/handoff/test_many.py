@@ -32,9 +32,13 @@ def waited_for(what: Callable[[], bool], within_s: float) -> bool:
 
 
 def test_flights_end_with_a_command_that_was_killed(tmp_path: Path) -> None:
-    """One that was killed cleans nothing up: its processes would wait for the next flight for ever."""
+    """One that was killed cleans nothing up: its processes would wait for the next flight for
+    ever.
+    """
     command = ["handoff", "--rig", "sim", "--seeds", "50", "--jobs", "1", "--out", str(tmp_path)]
-    with subprocess.Popen([sys.executable, "-m", "missions.cli", *command], stdout=subprocess.DEVNULL) as process:
+    with subprocess.Popen(
+        [sys.executable, "-m", "missions.cli", *command], stdout=subprocess.DEVNULL
+    ) as process:
         try:
             assert waited_for((tmp_path / "seed-0000" / "run.json").exists, BEGUN_S)
             started = children_of(process.pid)

@@ -1,4 +1,6 @@
-"""Another object than was designated has its own outcome and exit code in every command that knows the truth."""
+"""Another object than was designated has its own outcome and exit code in every command that knows
+the truth.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,10 @@ def test_the_right_object_is_no_violation(make_run: MakeRun) -> None:
 def test_the_wrong_object_is_one_and_says_which(make_run: MakeRun) -> None:
     seen = watch_object(REPORT, make_run(followed_id=1))
     assert seen.violations == {"S12": 1}
-    assert seen.notes == ("windy", "S12 at 27.05 s: object 1 was handed over, object 0 was designated")
+    assert seen.notes == (
+        "windy",
+        "S12 at 27.05 s: object 1 was handed over, object 0 was designated",
+    )
 
 
 def test_without_a_commit_nothing_was_handed_over(make_run: MakeRun) -> None:
@@ -57,12 +62,20 @@ def other_object(make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("other_object")
-def test_a_single_handoff_says_it_and_does_not_end_with_0(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code = missions.fly.handoff.command.run(HandoffOptions("sim", out=tmp_path / "flown", picture=False))
+def test_a_single_handoff_says_it_and_does_not_end_with_0(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = missions.fly.handoff.command.run(
+        HandoffOptions("sim", out=tmp_path / "flown", picture=False)
+    )
     facts = json.loads((tmp_path / "flown" / FACTS).read_bytes())
     summary = json.loads((tmp_path / "flown" / "summary.json").read_bytes())
     assert (code, facts["outcome"], facts["exit_code"]) == (42, "wrong_object", 42)
-    assert (summary["outcome"], summary["monitors"], summary["wrong_handover"]) == ("wrong_object", {"S12": 1}, True)
+    assert (summary["outcome"], summary["monitors"], summary["wrong_handover"]) == (
+        "wrong_object",
+        {"S12": 1},
+        True,
+    )
     assert "object 1 was handed over, object 0 was designated" in capsys.readouterr().out
     assert (tmp_path / "flown" / WORLD_LOG).exists()
 

@@ -1,4 +1,6 @@
-"""A world alone: the harness hears of programs that somebody else starts, and the crew what to type."""
+"""A world alone: the harness hears of programs that somebody else starts, and the crew what to
+type.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,14 @@ import pytest
 from drivers.interfaces import PartError
 from drivers.log.mcap_log import McapLog, new_part
 from drivers.rig.parts import Rig
-from flight.harness.flights import ABSENT, FlightReport, FlightRequest, Progress, RoleResult, decode_event
+from flight.harness.flights import (
+    ABSENT,
+    FlightReport,
+    FlightRequest,
+    Progress,
+    RoleResult,
+    decode_event,
+)
 from flight.outcome import Outcome
 from hil.camera import shared
 from missions.fly.handoff import command, elsewhere, flight, served
@@ -25,11 +34,23 @@ OUTCOME = {"outcome": "committed", "detail": "", "responsible": False, "landed":
 
 def stand_in(role: Role, folder: Path, wait_s: float = 600.0) -> list[str]:
     module = "missions.fly.handoff.elsewhere"
-    return [sys.executable, "-m", module, role.value, str(folder), f"{wait_s:g}", f"path-handoff {role.value}"]
+    return [
+        sys.executable,
+        "-m",
+        module,
+        role.value,
+        str(folder),
+        f"{wait_s:g}",
+        f"path-handoff {role.value}",
+    ]
 
 
-def test_a_log_that_begins_later_is_followed_to_its_outcome_also_after_a_kill(tmp_path: Path) -> None:
-    with subprocess.Popen(stand_in(Role.RECEIVER, tmp_path), stdout=subprocess.PIPE, text=True) as process:
+def test_a_log_that_begins_later_is_followed_to_its_outcome_also_after_a_kill(
+    tmp_path: Path,
+) -> None:
+    with subprocess.Popen(
+        stand_in(Role.RECEIVER, tmp_path), stdout=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None
         absent = decode_event(process.stdout.readline())
         killed = McapLog(new_part(tmp_path, "receiver"), "receiver")
@@ -48,7 +69,9 @@ def test_a_log_that_begins_later_is_followed_to_its_outcome_also_after_a_kill(tm
 
 
 def test_it_does_not_wait_for_a_program_that_never_came(tmp_path: Path) -> None:
-    with subprocess.Popen(stand_in(Role.RECEIVER, tmp_path), stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        stand_in(Role.RECEIVER, tmp_path), stdout=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None
         decode_event(process.stdout.readline())
         process.terminate()
@@ -60,19 +83,30 @@ def test_it_does_not_wait_for_a_program_that_never_came(tmp_path: Path) -> None:
 
 def test_what_to_type_is_said_again_and_after_the_wait_that_nobody_came() -> None:
     waiting = elsewhere.Waiting(Role.SENDER, 70.0, "path-handoff sender --rig sitl", 1000.0)
-    said = [(at_s, waiting.news(1000.0 + at_s)) for at_s in (0.0, 0.1, 29.9, 30.0, 60.1, 69.9, 70.0)]
+    said = [
+        (at_s, waiting.news(1000.0 + at_s)) for at_s in (0.0, 0.1, 29.9, 30.0, 60.1, 69.9, 70.0)
+    ]
     notes = {at_s: event.note for at_s, event in said if isinstance(event, Progress)}
     assert list(notes) == [0.0, 30.0, 60.1]
-    assert notes[30.0] == "start it now, within 40 s, in another shell: path-handoff sender --rig sitl"
+    assert (
+        notes[30.0] == "start it now, within 40 s, in another shell: path-handoff sender --rig sitl"
+    )
     end = said[-1][1]
     assert isinstance(end, RoleResult)
-    assert (end.outcome, end.detail) == (Outcome.NOT_STARTED, "nobody started its program within 70 s")
+    assert (end.outcome, end.detail) == (
+        Outcome.NOT_STARTED,
+        "nobody started its program within 70 s",
+    )
     assert end.landed and not end.responsible
 
 
 def test_a_program_that_nobody_starts_is_waited_for_so_long_and_no_longer(tmp_path: Path) -> None:
     ran = subprocess.run(
-        stand_in(Role.SENDER, tmp_path, 0.3), stdout=subprocess.PIPE, text=True, check=True, timeout=60.0
+        stand_in(Role.SENDER, tmp_path, 0.3),
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+        timeout=60.0,
     )
     end = decode_event(ran.stdout.splitlines()[-1])
     assert isinstance(end, RoleResult) and end.outcome is Outcome.NOT_STARTED
@@ -88,7 +122,10 @@ def test_the_crew_is_told_what_to_type_and_when(
     class Harness:
         def fly(self, request: FlightRequest) -> FlightReport:
             commands.extend(request.role_command(role) for role in Role)
-            ends = {role: RoleResult(role, Outcome.COMMITTED, "", responsible=False, landed=True) for role in Role}
+            ends = {
+                role: RoleResult(role, Outcome.COMMITTED, "", responsible=False, landed=True)
+                for role in Role
+            }
             return FlightReport(ends, dict.fromkeys(Role, True), {}, 1.0, 1.0)
 
     def harness_of(rig: Rig) -> Harness:
@@ -103,7 +140,12 @@ def test_the_crew_is_told_what_to_type_and_when(
     assert f"{shared.RUN_VARIABLE}=run-" in said
     assert f"within {served.WAIT_S:g} s" in said
     for role, each in zip(Role, commands, strict=True):
-        assert each[2:6] == ["missions.fly.handoff.elsewhere", role.value, str(tmp_path), f"{served.WAIT_S:g}"]
+        assert each[2:6] == [
+            "missions.fly.handoff.elsewhere",
+            role.value,
+            str(tmp_path),
+            f"{served.WAIT_S:g}",
+        ]
         assert each[6] in said
 
 

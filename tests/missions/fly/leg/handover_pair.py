@@ -23,7 +23,16 @@ from path.observations import MissReason
 
 CONFIG = MissionConfig(deadlines=Deadlines(verify_s=12.0, receiver_ready_s=20.0))
 STATE = VehicleState(
-    0, 0, (0.0, 0.0, -1.5), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), True, True, True, FlightMode.OFFBOARD, 0.9
+    0,
+    0,
+    (0.0, 0.0, -1.5),
+    (0.0, 0.0, 0.0),
+    (1.0, 0.0, 0.0, 0.0),
+    True,
+    True,
+    True,
+    FlightMode.OFFBOARD,
+    0.9,
 )
 NO_END = MissionEnd(Outcome.TARGET_LOST, "target not seen for 2.0 s")
 
@@ -98,12 +107,17 @@ class Recorder:
 
 
 class Pair:
-    """Two sessions, their hand-overs, and what flows between them: Targets one way, Candidates the other."""
+    """Two sessions, their hand-overs, and what flows between them: Targets one way, Candidates the
+    other.
+    """
 
     def __init__(self, rig: Any, able: bool = True) -> None:
         self.able = able
         self.log = {role: Recorder() for role in Role}
-        self.link = {Role.SENDER: FakeLink(OffsetClock(1.0)), Role.RECEIVER: FakeLink(OffsetClock(4.2))}
+        self.link = {
+            Role.SENDER: FakeLink(OffsetClock(1.0)),
+            Role.RECEIVER: FakeLink(OffsetClock(4.2)),
+        }
         self.link[Role.SENDER].other, self.link[Role.RECEIVER].other = (
             self.link[Role.RECEIVER],
             self.link[Role.SENDER],
@@ -111,7 +125,9 @@ class Pair:
         self.store = {role: MemoryStore() for role in Role}
         self.session = {role: self._session(rig, role) for role in Role}
         self.sender = SenderHandover(self.session[Role.SENDER], self.store[Role.SENDER])
-        self.receiver = ReceiverHandover(self.session[Role.RECEIVER], self.store[Role.RECEIVER], lambda: self.able)
+        self.receiver = ReceiverHandover(
+            self.session[Role.RECEIVER], self.store[Role.RECEIVER], lambda: self.able
+        )
         self.verified_again: list[int] = []
         sender, receiver = self.session[Role.SENDER], self.session[Role.RECEIVER]
         sender.on_message, sender.on_status = self.sender.on_message, self.sender.on_status
@@ -121,7 +137,9 @@ class Pair:
         link = self.link[role]
         parts = cast(Any, (link.clock, FakeVehicle(), None, link))
         entropy = random.Random(role.value)
-        return RoleSession(rig, role, CONFIG, self.log[role], lambda _: None, asyncio.Event(), parts, entropy)
+        return RoleSession(
+            rig, role, CONFIG, self.log[role], lambda _: None, asyncio.Event(), parts, entropy
+        )
 
     def on_receiver(self, received: Received) -> None:
         self.receiver.on_message(received)
@@ -188,7 +206,9 @@ class Pair:
     def verify_again(self) -> None:
         self.verified_again.append(self.sender.epoch)
 
-    def lose(self, role: Role, *kinds: type[Message], when: Callable[[], bool] = lambda: True) -> None:
+    def lose(
+        self, role: Role, *kinds: type[Message], when: Callable[[], bool] = lambda: True
+    ) -> None:
         """Loses what this role sends of these kinds, as long as ``when``."""
         self.link[role].lost = lambda message: isinstance(message, kinds) and when()
 
@@ -208,7 +228,11 @@ class Pair:
     def check_never_two(self) -> None:
         """S1, in true time, and every change of mind logged."""
         changes = [
-            (entry[0], role.value, in_world_time(entry[2], round(self.link[role].clock.offset_s * 1e9)))
+            (
+                entry[0],
+                role.value,
+                in_world_time(entry[2], round(self.link[role].clock.offset_s * 1e9)),
+            )
             for role, log in self.log.items()
             for entry in log.entries
             if entry[1] == "/responsibility"
@@ -219,7 +243,9 @@ class Pair:
             claims.note(role, record)
             assert len(claims.holders(at_s)) <= 1, f"two responsible at {at_s} s: {changes}"
         end_s = max(at_s for at_s, _, _ in changes) + 100.0
-        assert {role.value for role, flag in self.responsible().items() if flag} == set(claims.holders(end_s))
+        assert {role.value for role, flag in self.responsible().items() if flag} == set(
+            claims.holders(end_s)
+        )
 
 
 def fly(rig: Any, course: Callable[[Pair], Coroutine[Any, Any, None]], able: bool = True) -> Pair:
@@ -243,7 +269,8 @@ async def killed(pair: Pair, role: Role) -> None:
     session = pair.session[role]
     await session.cancel_spawned()
     session.claim = None
-    pair.log[role].write("/responsibility", 0, {"responsible": False, "until_ns": None})  # as a dead program is
+    # as a dead program is
+    pair.log[role].write("/responsibility", 0, {"responsible": False, "until_ns": None})
     while not pair.link[role].waiting.empty():
         pair.link[role].waiting.get_nowait()
 

@@ -20,7 +20,16 @@ from path.messages import Message, Role
 
 T = TypeVar("T")
 STATE = VehicleState(
-    0, 0, (1.0, 2.0, -1.5), (0.1, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), True, True, True, FlightMode.OFFBOARD, 0.9
+    0,
+    0,
+    (1.0, 2.0, -1.5),
+    (0.1, 0.0, 0.0),
+    (1.0, 0.0, 0.0, 0.0),
+    True,
+    True,
+    True,
+    FlightMode.OFFBOARD,
+    0.9,
 )
 
 
@@ -34,7 +43,9 @@ class Clock:
 class FakeLink:
     counters: LinkCounters = field(default_factory=LinkCounters)
     sent: list[tuple[float, Message]] = field(default_factory=list[tuple[float, Message]])
-    waiting: asyncio.Queue[Message | Exception] = field(default_factory=asyncio.Queue[Message | Exception])
+    waiting: asyncio.Queue[Message | Exception] = field(
+        default_factory=asyncio.Queue[Message | Exception]
+    )
 
     def send(self, message: Message) -> None:
         self.sent.append((asyncio.get_running_loop().time(), message))
@@ -57,7 +68,9 @@ class FakeVehicle:
 
 @dataclass
 class Recorder:
-    entries: list[tuple[str, int, dict[str, Any]]] = field(default_factory=list[tuple[str, int, dict[str, Any]]])
+    entries: list[tuple[str, int, dict[str, Any]]] = field(
+        default_factory=list[tuple[str, int, dict[str, Any]]]
+    )
     images: list[int] = field(default_factory=list[int])
 
     def write(self, topic: str, stamp_ns: int, record: Any) -> None:
@@ -74,7 +87,11 @@ class Bench:
     """A session on fakes, and what it was seen to do."""
 
     def __init__(
-        self, rig: Any, config: MissionConfig | None = None, role: Role = Role.SENDER, stages: Stages | None = None
+        self,
+        rig: Any,
+        config: MissionConfig | None = None,
+        role: Role = Role.SENDER,
+        stages: Stages | None = None,
     ) -> None:
         self.link, self.log, self.vehicle = FakeLink(), Recorder(), FakeVehicle()
         self.shown: list[Progress] = []
@@ -104,7 +121,9 @@ class Bench:
 
     async def fly(self, course: Callable[[], Awaitable[None]]) -> RoleResult:
         complaints: list[dict[str, Any]] = []
-        asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
+        asyncio.get_running_loop().set_exception_handler(
+            lambda _, context: complaints.append(context)
+        )
         result = await fly_course(self.session, course, self.recover)
         assert complaints == []
         assert len(asyncio.all_tasks()) == 1  # nothing goes on after the end

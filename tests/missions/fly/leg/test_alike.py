@@ -55,7 +55,9 @@ OTHERS: dict[str, Callable[[Rig], Rig]] = {
     "the dictionary": lambda rig: with_marker(rig, "DICT_4X4_100"),
     "position_v_m or rpy_deg": lambda rig: moved(rig, 0.01),
     "[method]": lambda rig: replace(rig, method=replace(rig.method, tau_min=0.3)),
-    "[origin]": lambda rig: replace(rig, origin=replace(rig.origin, latitude_deg=rig.origin.latitude_deg + 1e-4)),
+    "[origin]": lambda rig: replace(
+        rig, origin=replace(rig.origin, latitude_deg=rig.origin.latitude_deg + 1e-4)
+    ),
 }
 
 
@@ -72,9 +74,13 @@ def test_the_least_separation_must_be_alike(sim: Rig) -> None:
 
 SAME: dict[str, Callable[[Rig], Rig]] = {
     "the name": lambda rig: replace(rig, name="another"),
-    "the sender's camera": lambda rig: replace(rig, sender=replace(rig.sender, camera=rig.receiver.camera)),
+    "the sender's camera": lambda rig: replace(
+        rig, sender=replace(rig.sender, camera=rig.receiver.camera)
+    ),
     "how well a side is known": lambda rig: with_marker(rig, side_sigma_m=0.0002),
-    "the last digits of a side": lambda rig: with_marker(rig, side_m=rig.layout.markers[0].side_m * (1.0 + 1e-12)),
+    "the last digits of a side": lambda rig: with_marker(
+        rig, side_m=rig.layout.markers[0].side_m * (1.0 + 1e-12)
+    ),
     "the last digits of a place": lambda rig: moved(rig, 1e-12),
 }
 
@@ -84,7 +90,9 @@ def test_what_each_drone_has_of_its_own_may_differ(sim: Rig, what: str) -> None:
     assert of(SAME[what](sim)) == of(sim)
 
 
-def test_another_program_is_another_version(sim: Rig, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_another_program_is_another_version(
+    sim: Rig, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     own = of(sim)
     alike._code.cache_clear()
     (tmp_path / "gate.py").write_text("needed = 349\n")

@@ -48,7 +48,9 @@ class Course:
         step = self.steps.step
         monkeypatch.setattr("missions.fly.leg.receiver.preflight", step("preflight"))
         self.receiver._handover = SimpleNamespace(
-            resume=step("resume"), start=lambda: self.steps.done.append("start"), until_held=self._until_held
+            resume=step("resume"),
+            start=lambda: self.steps.done.append("start"),
+            until_held=self._until_held,
         )
         for name in ("_watch_peer", "_watch", "_rise"):
             setattr(self.receiver, name, step(name))
@@ -82,7 +84,17 @@ def test_a_receiver_goes_around_as_often_as_the_mission_says_and_then_takes_over
         await course.receiver.course()
         around = ["marker", "approach"] * CONFIG.rendezvous.go_arounds
         own = [step for step in course.steps.done if not step.startswith("_watch")]
-        assert own == ["resume", "preflight", "start", "plan", "_rise", "marker", "approach", *around, "held"]
+        assert own == [
+            "resume",
+            "preflight",
+            "start",
+            "plan",
+            "_rise",
+            "marker",
+            "approach",
+            *around,
+            "held",
+        ]
         beside = [step for step in course.steps.done if step.startswith("_watch")]
         assert beside == ["_watch_peer", "_watch"]
         assert course.near == [True] + [False] * CONFIG.rendezvous.go_arounds
@@ -91,7 +103,11 @@ def test_a_receiver_goes_around_as_often_as_the_mission_says_and_then_takes_over
         assert phases == ["waiting", "verify", "follow"]
         notes = [record["note"] for record in course.bench.log.of("/note")]
         assert notes == ["goes around: closing in at 1.1 m/s"] * CONFIG.rendezvous.go_arounds
-        assert 0 < course.receiver._taken_ns <= course.session.now_ns() - round(CONFIG.follow_after_s * 1e9)
+        assert (
+            0
+            < course.receiver._taken_ns
+            <= course.session.now_ns() - round(CONFIG.follow_after_s * 1e9)
+        )
         await course.session.cancel_spawned()
 
     virtual(main())
@@ -110,7 +126,9 @@ def test_a_receiver_that_may_not_go_around_any_more_ends_by_what_was_wrong(
     virtual(main())
 
 
-def test_a_target_that_is_out_of_view_at_the_end_is_lost(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_target_that_is_out_of_view_at_the_end_is_lost(
+    rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     async def main() -> None:
         course = Course(rig, monkeypatch, 0)
         course.receiver._in_view = lambda: False
@@ -171,13 +189,18 @@ class Approaching:
 
 
 @pytest.mark.parametrize("by", ["place", "marker"])
-def test_the_search_begins_at_the_stand_off_or_near_enough_and_within_the_bounds(rig: Any, by: str) -> None:
+def test_the_search_begins_at_the_stand_off_or_near_enough_and_within_the_bounds(
+    rig: Any, by: str
+) -> None:
     async def main() -> None:
         there = Approaching(rig)
         near = [False]
         finding = asyncio.create_task(there.receiver._find_marker(lambda: near[0]))
         await asyncio.sleep(1.0)
-        assert there.session.phase is Phase.STAND_OFF and there.session.pilot.guidance == there.way.to_stand_off
+        assert (
+            there.session.phase is Phase.STAND_OFF
+            and there.session.pilot.guidance == there.way.to_stand_off
+        )
         there.way.out = "too near"
         there.way.stood_off, near[0] = by == "place", by == "marker"
         await asyncio.sleep(1.0)
@@ -205,7 +228,9 @@ def test_a_stand_off_that_is_not_reached_and_a_marker_that_is_not_found_have_the
         there.way.stood_off = stood_off
         with pytest.raises(MissionEnd) as caught:
             await there.receiver._find_marker(lambda: False)
-        assert caught.value.outcome is (Outcome.MARKER_NOT_FOUND if stood_off else Outcome.APPROACH_FAILED)
+        assert caught.value.outcome is (
+            Outcome.MARKER_NOT_FOUND if stood_off else Outcome.APPROACH_FAILED
+        )
 
     virtual(main())
 
@@ -215,7 +240,10 @@ def test_a_receiver_has_arrived_once_it_was_at_its_viewpoint_for_0_6_seconds(rig
         there, loop = Approaching(rig), asyncio.get_running_loop()
         approaching = asyncio.create_task(there.receiver._approach())
         await asyncio.sleep(2.0)
-        assert there.session.phase is Phase.APPROACH and there.session.pilot.guidance == there.way.to_viewpoint
+        assert (
+            there.session.phase is Phase.APPROACH
+            and there.session.pilot.guidance == there.way.to_viewpoint
+        )
         there.way.arrived = True
         await asyncio.sleep(0.4)
         there.way.arrived = False  # it swings through
@@ -233,10 +261,17 @@ def test_a_receiver_has_arrived_once_it_was_at_its_viewpoint_for_0_6_seconds(rig
     [
         (5.1, "", Outcome.MARKER_LOST, "marker not seen for 5.1 s"),
         (5.0, "0.80 m from the marker", Outcome.APPROACH_FAILED, "0.80 m from the marker"),
-        (5.0, "", Outcome.APPROACH_FAILED, f"no viewpoint reached in {CONFIG.deadlines.approach_s:.0f} s"),
+        (
+            5.0,
+            "",
+            Outcome.APPROACH_FAILED,
+            f"no viewpoint reached in {CONFIG.deadlines.approach_s:.0f} s",
+        ),
     ],
 )
-def test_an_approach_that_fails_says_why(rig: Any, unseen_s: float, out: str, outcome: Outcome, said: str) -> None:
+def test_an_approach_that_fails_says_why(
+    rig: Any, unseen_s: float, out: str, outcome: Outcome, said: str
+) -> None:
     async def main() -> None:
         there = Approaching(rig)
         there.unseen_s, there.way.out = unseen_s, out
@@ -258,7 +293,9 @@ def test_a_sender_follows_offers_verifies_and_leaves_while_it_watches(rig: Any) 
 
         async def decided(timeout_s: float, anew: object) -> None:
             steps.done.append("decided")
-            seen.extend([session.phase, session.observing, timeout_s, anew == sender._begin_attempt])
+            seen.extend(
+                [session.phase, session.observing, timeout_s, anew == sender._begin_attempt]
+            )
 
         async def settled() -> None:
             steps.done.append("settled")
@@ -313,7 +350,9 @@ def test_a_sender_looks_for_its_target_until_it_has_one_and_asks_nothing_any_mor
             finally:
                 done.append("silent")
 
-        sender._designating = SimpleNamespace(listen=listen, stop=lambda: done.append("stop"), why=lambda: "nothing")
+        sender._designating = SimpleNamespace(
+            listen=listen, stop=lambda: done.append("stop"), why=lambda: "nothing"
+        )
         sender._watch = Steps().step("watch")
         acquiring = asyncio.create_task(sender.acquire())
         await asyncio.sleep(1.0)

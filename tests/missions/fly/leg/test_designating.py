@@ -1,4 +1,6 @@
-"""D1 hears what is said about its target, in its own frame, shows what it asks, and says where it looks."""
+"""D1 hears what is said about its target, in its own frame, shows what it asks, and says where it
+looks.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.operator.interfaces import BearingTold, Chosen, PlaceTold, Question, RegionTold, Shown, Told
+from drivers.operator.interfaces import (
+    BearingTold,
+    Chosen,
+    PlaceTold,
+    Question,
+    RegionTold,
+    Shown,
+    Told,
+)
 from flight.config import MissionConfig
 from flight.tracking.look_round import LookRound
 from missions.fly.leg.designating import Designating, shifted
@@ -25,7 +35,9 @@ from tests.missions.fly.leg.session_bench import Bench, virtual
 CONFIG = MissionConfig()
 OFF = (1.0, -2.0, 0.5)
 BOX = Box(100.0, 60.0, 50.0, 40.0)
-QUESTION = Question(3, 5, tuple(Shown(k, BOX, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.5) for k in (1, 2)))
+QUESTION = Question(
+    3, 5, tuple(Shown(k, BOX, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.5) for k in (1, 2))
+)
 
 
 @dataclass
@@ -82,7 +94,9 @@ class Bed:
         self.look_round = LookRound(CONFIG)
         camera = rig.sender.camera
         self.camera = camera
-        self.designating = Designating(self.bench.session, camera, self.look_round, lambda: self.points)
+        self.designating = Designating(
+            self.bench.session, camera, self.look_round, lambda: self.points
+        )
         cast(Any, self.designating)._acquisition = self.acquiring
 
 
@@ -139,7 +153,9 @@ def test_what_the_crew_says_is_told_and_what_it_chooses_is_chosen(rig: Any) -> N
     with_bed(rig, main)
 
 
-def test_a_question_is_shown_once_with_its_picture_and_taken_back_when_it_is_none_any_more(rig: Any) -> None:
+def test_a_question_is_shown_once_with_its_picture_and_taken_back_when_it_is_none_any_more(
+    rig: Any,
+) -> None:
     async def main(bed: Bed) -> None:
         bed.bench.session.operator = cast(Any, bed.crew)
         bed.designating.hear()
@@ -217,7 +233,9 @@ def test_it_looks_from_so_far_that_all_that_is_searched_fills_four_fifths_of_the
     rig: Any, share: float, wider: float
 ) -> None:
     async def main(bed: Bed) -> None:
-        range_m = math.hypot(CONFIG.follow.behind_m, CONFIG.follow.height_m - CONFIG.target.height_m)
+        range_m = math.hypot(
+            CONFIG.follow.behind_m, CONFIG.follow.height_m - CONFIG.target.height_m
+        )
         camera = bed.camera
         half_m = 0.4 * range_m * min(camera.width, camera.height) / camera.fx
         bed.acquiring.found = (1.0, 2.0, 3.0), share * half_m
@@ -240,6 +258,10 @@ def test_every_object_that_is_asked_about_is_framed_where_it_is() -> None:
         assert (drawn[row, column] == 255).all()
     assert (drawn[75:90, 105:145] == 90).all()  # not over the object itself
     rows, columns = np.nonzero((drawn[:58] == 255).all(axis=2))
-    assert len(rows) > 20 and columns.min() >= 100 and rows.max() <= 54  # the number stands above it
-    at_the_edge = numbered(image, Question(1, 1, (replace(QUESTION.shown[0], box=Box(10.0, 2.0, 50.0, 40.0)),)))
-    assert (at_the_edge[4:26, 10:40] == 255).all(axis=2).any()  # and is seen where there is no room for it
+    # the number stands above it
+    assert len(rows) > 20 and columns.min() >= 100 and rows.max() <= 54
+    at_the_edge = numbered(
+        image, Question(1, 1, (replace(QUESTION.shown[0], box=Box(10.0, 2.0, 50.0, 40.0)),))
+    )
+    # and is seen where there is no room for it
+    assert (at_the_edge[4:26, 10:40] == 255).all(axis=2).any()

@@ -1,4 +1,6 @@
-"""What a session tells of an estimator that steps, and whom: crew, log, gate, guard; and what the other drone hears."""
+"""What a session tells of an estimator that steps, and whom: crew, log, gate, guard; and what the
+other drone hears.
+"""
 
 from __future__ import annotations
 
@@ -54,14 +56,23 @@ class Stepped(Bench):
         session = self.session
         parts = cast(Any, (Clock(), Stepping(), None, self.link))
         self.session = RoleSession(
-            rig, Role.SENDER, session.config, self.log, self.shown.append, self.stop, parts, session.entropy
+            rig,
+            Role.SENDER,
+            session.config,
+            self.log,
+            self.shown.append,
+            self.stop,
+            parts,
+            session.entropy,
         )
         self.told: list[int] = []  # stamps
         self.session.on_step = self.told.append
 
 
 async def look(bench: Stepped) -> None:
-    """The course of a role whose background tasks look at the vehicle, until some time after the step."""
+    """The course of a role whose background tasks look at the vehicle, until some time after the
+    step.
+    """
     await asyncio.sleep(STEP_AT_S + 2.0)
 
 
@@ -78,7 +89,9 @@ def test_a_step_is_told_to_crew_log_and_role_once(rig: Any) -> None:
             "ALARM: the estimator stepped: its place by 1.12 m and its height by +0.30 m and its heading by "
             "+20 degrees; the flight goes on as if it had not"
         ]
-        assert bench.told == [stamp for topic, stamp, _ in bench.log.entries if topic == "/estimator_step"]
+        assert bench.told == [
+            stamp for topic, stamp, _ in bench.log.entries if topic == "/estimator_step"
+        ]
 
     virtual(main())
 
@@ -104,7 +117,9 @@ def test_the_guard_is_told_of_the_other_drone_where_the_autopilot_would_have_it(
             await look(bench)
             bench.session.peer, bench.session.peer_heard_ns = PEER, bench.session.now_ns()
             assert bench.session.here(PEER).position_n_m == PEER.position_n_m
-            assert bench.session.guarding.beat().peer_n_m == pytest.approx(add(PEER.position_n_m, SHIFT))
+            assert bench.session.guarding.beat().peer_n_m == pytest.approx(
+                add(PEER.position_n_m, SHIFT)
+            )
 
         assert (await bench.fly(heard)).detail == ""
 
@@ -116,7 +131,8 @@ def test_evidence_begins_anew_when_the_other_drone_says_that_it_stepped(rig: Any
         bench = Stepped(rig)
 
         async def course() -> None:
-            for steps in (2, 2, 3, 3, 63, 1, 0, 1):  # 63, 1: its count goes round; 1, 0: it was started again
+            # 63, 1: its count goes round; 1, 0: it was started again
+            for steps in (2, 2, 3, 3, 63, 1, 0, 1):
                 bench.link.waiting.put_nowait(replace(PEER, steps=steps))
                 await asyncio.sleep(0.1)
             bench.link.waiting.put_nowait(replace(PEER, steps=9, instance=5))  # another one
@@ -139,7 +155,14 @@ def test_a_session_that_begins_later_does_not_tell_of_earlier_steps(rig: Any) ->
         session, told = bench.session, len(bench.log.of("/estimator_step"))
         parts = cast(Any, (Clock(), session.vehicle, None, bench.link))
         later = RoleSession(
-            session.rig, Role.SENDER, session.config, bench.log, bench.shown.append, bench.stop, parts, session.entropy
+            session.rig,
+            Role.SENDER,
+            session.config,
+            bench.log,
+            bench.shown.append,
+            bench.stop,
+            parts,
+            session.entropy,
         )
         later.note_steps()
         assert len(bench.log.of("/estimator_step")) == told == 1

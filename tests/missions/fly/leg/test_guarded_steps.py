@@ -1,4 +1,6 @@
-"""The steps of a role under guard: what it waits for, what it asks, and when it leaves the vehicle to the guard."""
+"""The steps of a role under guard: what it waits for, what it asks, and when it leaves the vehicle
+to the guard.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,10 @@ from missions.fly.leg.steps import bring_down, preflight, take_off
 from tests.flight.guard.test_under_guard import FakeLine
 from tests.missions.fly.leg.test_steps import CONFIG, WAY_OUT, Bench, Clock
 
-WATCHED, TAKEN = GuardAnswer(True, Hand.SCRIPT), GuardAnswer(True, Hand.GUARD, "no setpoint for 0.5 s")
+WATCHED, TAKEN = (
+    GuardAnswer(True, Hand.SCRIPT),
+    GuardAnswer(True, Hand.GUARD, "no setpoint for 0.5 s"),
+)
 
 
 class Line(FakeLine):
@@ -39,7 +44,11 @@ class Guarded(Bench):
     def scripts(self) -> list[Script]:
         """The scripts that the guard was told, each change once."""
         told = [beat.script for beat in self.line.beats]
-        return [script for before, script in zip([None, *told], told, strict=False) if script is not before]
+        return [
+            script
+            for before, script in zip([None, *told], told, strict=False)
+            if script is not before
+        ]
 
     async def in_the_air(self) -> None:
         self.session.spawn(self.session.guarding.keep())
@@ -68,7 +77,9 @@ def test_nothing_begins_before_the_guard_answers(rig: Any) -> None:
 
 
 @pytest.mark.parametrize(("reply", "outcome"), [(None, Outcome.GUARD_LOST), (TAKEN, Outcome.GUARD)])
-def test_nothing_is_armed_without_the_guards_word(rig: Any, reply: GuardAnswer | None, outcome: Outcome) -> None:
+def test_nothing_is_armed_without_the_guards_word(
+    rig: Any, reply: GuardAnswer | None, outcome: Outcome
+) -> None:
     async def main() -> None:
         bench = Guarded(rig, reply)
         with pytest.raises(MissionEnd) as caught:
@@ -102,7 +113,13 @@ def test_the_guard_is_told_what_the_script_does(rig: Any) -> None:
         assert await bring_down(bench.session, None, WAY_OUT)
         await asyncio.sleep(0.2)
         await bench.session.cancel_spawned()
-        assert bench.scripts == [Script.IDLE, Script.CLIMB, Script.CONTROL, Script.LANDING, Script.IDLE]
+        assert bench.scripts == [
+            Script.IDLE,
+            Script.CLIMB,
+            Script.CONTROL,
+            Script.LANDING,
+            Script.IDLE,
+        ]
 
     virtual(main())
 
@@ -124,7 +141,8 @@ def test_what_the_guard_took_is_left_to_it_until_it_is_down(rig: Any) -> None:
         begun_s = loop.time()
         assert await bring_down(bench.session, end, WAY_OUT)
         assert loop.time() - begun_s == pytest.approx(5.0, abs=0.2)
-        assert (bench.vehicle.done, bench.vehicle.flown) == (done, flown)  # nothing was commanded any more
+        # nothing was commanded any more
+        assert (bench.vehicle.done, bench.vehicle.flown) == (done, flown)
         await bench.session.cancel_spawned()
 
     virtual(main())

@@ -15,13 +15,17 @@ from tests.missions.fly.leg.handover_pair import Pair, fly, kinds, until
 RECEIVER_AHEAD_NS = 3_200_000_000  # of the sender's clock
 
 
-# --- the good path -----------------------------------------------------------------------------------------------
+# --- the good path
+# -----------------------------------------------------------------------------------------------
 
 
 def test_commit_accept_confirm_hands_the_target_over(rig: Any) -> None:
     async def course(pair: Pair) -> None:
         assert pair.responsible() == {Role.SENDER: True, Role.RECEIVER: False}
-        assert await pair.decide() == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+        assert await pair.decide() == {
+            Role.SENDER: Outcome.COMMITTED,
+            Role.RECEIVER: Outcome.COMMITTED,
+        }
 
     pair = fly(rig, course)
     assert pair.responsible() == {Role.SENDER: False, Role.RECEIVER: True}
@@ -31,7 +35,10 @@ def test_commit_accept_confirm_hands_the_target_over(rig: Any) -> None:
     sender, receiver = pair.log[Role.SENDER], pair.log[Role.RECEIVER]
     assert [r["responsible"] for r in sender.of("/responsibility")] == [True, False]
     provisional, for_good = receiver.of("/responsibility")
-    assert provisional["responsible"] and provisional["until_ns"] < commit_of(pair).lease_end_ns + RECEIVER_AHEAD_NS
+    assert (
+        provisional["responsible"]
+        and provisional["until_ns"] < commit_of(pair).lease_end_ns + RECEIVER_AHEAD_NS
+    )
     assert for_good == {"responsible": True, "until_ns": None}
     assert [r["outcome"] for r in sender.of("/decision")] == ["handed_over"]
     assert [r["outcome"] for r in sender.of("/settled")] == ["handed_over"]
@@ -46,14 +53,21 @@ def test_the_release_is_written_before_the_commit_is_sent(rig: Any) -> None:
 
     pair = fly(rig, course)
     topics = [
-        topic for _, topic, _ in pair.log[Role.SENDER].entries if topic in ("/epoch", "/responsibility", "/commit")
+        topic
+        for _, topic, _ in pair.log[Role.SENDER].entries
+        if topic in ("/epoch", "/responsibility", "/commit")
     ]
     assert topics[-3:] == ["/epoch", "/responsibility", "/commit"]
     assert pair.log[Role.SENDER].of("/epoch")[-1] == {"epoch": 1, "duty": "released"}
     (commit,) = pair.log[Role.SENDER].of("/commit")
     (sent,) = kinds(pair.link[Role.SENDER].sent, Commit)
     assert isinstance(sent, Commit)
-    assert commit == {"target_id": 1, "epoch": 1, "nonce": sent.nonce, "lease_end_ns": sent.lease_end_ns}
+    assert commit == {
+        "target_id": 1,
+        "epoch": 1,
+        "nonce": sent.nonce,
+        "lease_end_ns": sent.lease_end_ns,
+    }
 
 
 def test_agreeing_frame_after_frame_is_one_commit(rig: Any) -> None:
@@ -61,7 +75,10 @@ def test_agreeing_frame_after_frame_is_one_commit(rig: Any) -> None:
         pair.lose(Role.SENDER, Commit, when=lambda: asyncio.get_running_loop().time() < 1.0)
         for _ in range(5):
             pair.sender.agreed(1)
-        assert await pair.decide() == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+        assert await pair.decide() == {
+            Role.SENDER: Outcome.COMMITTED,
+            Role.RECEIVER: Outcome.COMMITTED,
+        }
 
     commits = kinds(fly(rig, course).link[Role.SENDER].sent, Commit)
     assert len({commit.nonce for commit in commits if isinstance(commit, Commit)}) == 1
@@ -80,20 +97,30 @@ def test_an_attempt_taken_back_before_anybody_waited_is_verified_again(rig: Any)
     assert fly(rig, course).verified_again == [2]
 
 
-# --- what a link may lose ----------------------------------------------------------------------------------------
+# --- what a link may lose
+# ----------------------------------------------------------------------------------------
 
 
 def test_a_lost_accept_is_taken_back_and_verified_again(rig: Any) -> None:
     async def course(pair: Pair) -> None:
         pair.lose(Role.RECEIVER, Accept, when=lambda: pair.sender.epoch == 1)
         agree = asyncio.create_task(agree_again(pair))
-        assert await pair.decide() == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+        assert await pair.decide() == {
+            Role.SENDER: Outcome.COMMITTED,
+            Role.RECEIVER: Outcome.COMMITTED,
+        }
         agree.cancel()
 
     pair = fly(rig, course)
     assert pair.verified_again == [2]
-    assert [r["outcome"] for r in pair.log[Role.SENDER].of("/decision")] == ["taken_back", "handed_over"]
-    assert [r["outcome"] for r in pair.log[Role.RECEIVER].of("/decision")] == ["let_go", "handed_over"]
+    assert [r["outcome"] for r in pair.log[Role.SENDER].of("/decision")] == [
+        "taken_back",
+        "handed_over",
+    ]
+    assert [r["outcome"] for r in pair.log[Role.RECEIVER].of("/decision")] == [
+        "let_go",
+        "handed_over",
+    ]
     assert [r["epoch"] for r in pair.log[Role.SENDER].of("/commit")][-1] == 2
     nonces = {commit["epoch"]: commit["nonce"] for commit in pair.log[Role.SENDER].of("/commit")}
     assert nonces[1] != nonces[2]
@@ -115,8 +142,13 @@ async def agree_again(pair: Pair) -> None:
 def test_a_lost_confirm_is_asked_for_again(rig: Any) -> None:
     async def course(pair: Pair) -> None:
         start_s = asyncio.get_running_loop().time()
-        pair.lose(Role.SENDER, Confirm, when=lambda: asyncio.get_running_loop().time() < start_s + 0.4)
-        assert await pair.decide() == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+        pair.lose(
+            Role.SENDER, Confirm, when=lambda: asyncio.get_running_loop().time() < start_s + 0.4
+        )
+        assert await pair.decide() == {
+            Role.SENDER: Outcome.COMMITTED,
+            Role.RECEIVER: Outcome.COMMITTED,
+        }
 
     pair = fly(rig, course)
     assert len(kinds(pair.link[Role.RECEIVER].sent, Accept)) > 3
@@ -126,7 +158,10 @@ def test_a_lost_confirm_is_asked_for_again(rig: Any) -> None:
 def test_without_any_confirm_nobody_holds_and_both_say_so(rig: Any) -> None:
     async def course(pair: Pair) -> None:
         pair.lose(Role.SENDER, Confirm)
-        assert await pair.decide() == {Role.SENDER: Outcome.ORPHANED, Role.RECEIVER: Outcome.ORPHANED}
+        assert await pair.decide() == {
+            Role.SENDER: Outcome.ORPHANED,
+            Role.RECEIVER: Outcome.ORPHANED,
+        }
 
     pair = fly(rig, course)
     assert pair.responsible() == {Role.SENDER: False, Role.RECEIVER: False}
@@ -135,9 +170,14 @@ def test_without_any_confirm_nobody_holds_and_both_say_so(rig: Any) -> None:
 
 def test_a_link_that_dies_after_the_accept_orphans(rig: Any) -> None:
     async def course(pair: Pair) -> None:
-        pair.link[Role.SENDER].lost = lambda message: isinstance(message, Confirm) or pair.sender.handed_over
+        pair.link[Role.SENDER].lost = lambda message: (
+            isinstance(message, Confirm) or pair.sender.handed_over
+        )
         pair.link[Role.RECEIVER].lost = lambda _: pair.sender.handed_over
-        assert await pair.decide() == {Role.SENDER: Outcome.ORPHANED, Role.RECEIVER: Outcome.ORPHANED}
+        assert await pair.decide() == {
+            Role.SENDER: Outcome.ORPHANED,
+            Role.RECEIVER: Outcome.ORPHANED,
+        }
 
     pair = fly(rig, course)
     assert pair.log[Role.SENDER].of("/settled")[0]["outcome"] == "unconfirmed"

@@ -35,7 +35,11 @@ def test_a_commit_under_way_at_the_deadline_is_decided_by_its_lease(rig: Any) ->
     async def course(pair: Pair) -> None:
         async def agree_late() -> None:
             await asyncio.sleep(2.9)
-            pair.lose(Role.RECEIVER, Accept, when=lambda: asyncio.get_running_loop().time() < deadline_s + 0.5)
+            pair.lose(
+                Role.RECEIVER,
+                Accept,
+                when=lambda: asyncio.get_running_loop().time() < deadline_s + 0.5,
+            )
             pair.sender.agreed(1)
 
         deadline_s = asyncio.get_running_loop().time() + 3.0
@@ -54,14 +58,18 @@ def test_who_gives_up_before_the_commit_tells_the_other_why(rig: Any, quitter: R
     async def course(pair: Pair) -> None:
         (pair.sender if quitter is Role.SENDER else pair.receiver).end(NO_END)
         stays = (
-            pair.receiver.until_held(5.0) if quitter is Role.SENDER else pair.sender.until_decided(5.0, lambda: None)
+            pair.receiver.until_held(5.0)
+            if quitter is Role.SENDER
+            else pair.sender.until_decided(5.0, lambda: None)
         )
         with pytest.raises(MissionEnd) as caught:
             await stays
         assert caught.value.outcome is Outcome.PEER_ABORTED
 
     pair = fly(rig, course)
-    reasons = [abort.reason for abort in kinds(pair.link[quitter].sent, Abort) if isinstance(abort, Abort)]
+    reasons = [
+        abort.reason for abort in kinds(pair.link[quitter].sent, Abort) if isinstance(abort, Abort)
+    ]
     assert reasons[0] is AbortReason.TARGET_LOST
     assert pair.responsible() == {Role.SENDER: True, Role.RECEIVER: False}
 
@@ -83,13 +91,20 @@ def test_a_mission_that_ends_well_gives_nothing_up(rig: Any) -> None:
     async def course(pair: Pair) -> None:
         pair.sender.end(None)
         pair.receiver.end(None)
-        assert await pair.decide() == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+        assert await pair.decide() == {
+            Role.SENDER: Outcome.COMMITTED,
+            Role.RECEIVER: Outcome.COMMITTED,
+        }
 
     fly(rig, course)
 
 
-def test_a_receiver_that_gives_up_what_it_holds_provisionally_orphans_nothing_it_was_not_given(rig: Any) -> None:
-    """Its ACCEPTs are lost, it ends: the sender takes back at the lease's end, and knows that it was no time-out."""
+def test_a_receiver_that_gives_up_what_it_holds_provisionally_orphans_nothing_it_was_not_given(
+    rig: Any,
+) -> None:
+    """Its ACCEPTs are lost, it ends: the sender takes back at the lease's end, and knows that it
+    was no time-out.
+    """
 
     async def course(pair: Pair) -> None:
         pair.lose(Role.RECEIVER, Accept)

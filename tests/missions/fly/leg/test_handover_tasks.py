@@ -24,7 +24,10 @@ def test_a_slow_disk_is_told_of(rig: Any) -> None:
     async def course(pair: Pair) -> None:
         slow = SlowStore(pair.store[Role.SENDER], 0.7)
         pair.sender._store = slow
-        assert await pair.decide() == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+        assert await pair.decide() == {
+            Role.SENDER: Outcome.COMMITTED,
+            Role.RECEIVER: Outcome.COMMITTED,
+        }
 
     notes = [note["note"] for note in fly(rig, course).log[Role.SENDER].of("/note")]
     assert any("took 0.7 s to write a record" in note for note in notes)
@@ -74,13 +77,17 @@ def test_a_deadline_is_due_at_its_own_instant(rig: Any) -> None:
         assert pair.log[Role.SENDER].of("/decision") == []
         now.now_ns = lambda: due_ns  # type: ignore[method-assign]
         pair.sender.tick()
-        assert [record["outcome"] for record in pair.log[Role.SENDER].of("/decision")] == ["timeout"]
+        assert [record["outcome"] for record in pair.log[Role.SENDER].of("/decision")] == [
+            "timeout"
+        ]
         del now.now_ns
 
     fly(rig, course)
 
 
-def test_a_record_that_failed_after_the_mission_is_not_told_of_by_asyncio(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_record_that_failed_after_the_mission_is_not_told_of_by_asyncio(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     async def main() -> None:
         written = asyncio.get_running_loop().create_future()
         written.set_exception(OSError("full"))
@@ -115,14 +122,18 @@ class SlowStore:
         return saved
 
 
-# --- a new mission -----------------------------------------------------------------------------------------------
+# --- a new mission
+# -----------------------------------------------------------------------------------------------
 
 
 def test_a_new_mission_is_not_decided_by_the_one_before(rig: Any) -> None:
     """Nor is what became of it known already."""
 
     async def course(pair: Pair) -> None:
-        assert await pair.decide() == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+        assert await pair.decide() == {
+            Role.SENDER: Outcome.COMMITTED,
+            Role.RECEIVER: Outcome.COMMITTED,
+        }
         pair.receiver.begin_anew()
         pair.sender.begin_anew()
         await pair.sender.until_free()
@@ -158,7 +169,9 @@ def test_time_is_told_to_a_machine_by_one_task_however_often_it_is_started(rig: 
 
 
 def test_a_commit_is_stamped_before_anything_it_causes() -> None:
-    """A receiver that is quicker than the sender's own log must not seem to have taken over before the COMMIT."""
+    """A receiver that is quicker than the sender's own log must not seem to have taken over before
+    the COMMIT.
+    """
     now_ns = 1_000
     written: list[tuple[str, int]] = []
 
@@ -173,7 +186,9 @@ def test_a_commit_is_stamped_before_anything_it_causes() -> None:
 
     session = SimpleNamespace(link=SlowLink(), log=Log(), now_ns=lambda: now_ns)
     carrier = machine_run.Carrier(cast(Any, session))
-    commit = Commit(1, epoch=1, target_id=1, nonce=7, lease_end_ns=2_000_000_000, stamp_ns=1_000, instance=5)
+    commit = Commit(
+        1, epoch=1, target_id=1, nonce=7, lease_end_ns=2_000_000_000, stamp_ns=1_000, instance=5
+    )
     carrier.carry_out(Send(commit))
     assert written == [("/commit", 1_000)]
 
@@ -181,7 +196,9 @@ def test_a_commit_is_stamped_before_anything_it_causes() -> None:
 def test_what_is_said_while_the_disk_writes_is_done_in_the_order_in_which_it_was_said(
     rig: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An own decision does not overtake a message that waits: what was accepted before it was accepted."""
+    """An own decision does not overtake a message that waits: what was accepted before it was
+    accepted.
+    """
     done: list[object] = []
 
     async def course(pair: Pair) -> None:
@@ -207,10 +224,15 @@ def test_what_is_said_while_the_disk_writes_is_done_in_the_order_in_which_it_was
 def test_what_was_let_go_of_stays_so_when_the_disk_cannot_take_the_record_of_it(
     rig: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The release came before the record: the machine does not go back to holding what its session let go of."""
+    """The release came before the record: the machine does not go back to holding what its session
+    let go of.
+    """
 
     async def course(pair: Pair) -> None:
-        assert await pair.decide() == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+        assert await pair.decide() == {
+            Role.SENDER: Outcome.COMMITTED,
+            Role.RECEIVER: Outcome.COMMITTED,
+        }
 
         def full(_: object) -> Future[None]:
             failed = Future[None]()

@@ -28,7 +28,8 @@ def test_a_lease_taken_at_its_very_end_is_let_go_in_time(rig: Any) -> None:
     async def course(pair: Pair) -> None:
         pair.able = False
         for link in pair.link.values():
-            link.lost = lambda _: pair.receiver.holds  # then it hears no more, and has only the time
+            # then it hears no more, and has only the time
+            link.lost = lambda _: pair.receiver.holds
         pair.sender.agreed(1)
         await asyncio.sleep(protocol_config(pair.session[Role.SENDER]).lease_s - 0.1)
         pair.able = True
@@ -38,7 +39,9 @@ def test_a_lease_taken_at_its_very_end_is_let_go_in_time(rig: Any) -> None:
         await until(lambda: pair.responsible() == {Role.SENDER: True, Role.RECEIVER: False})
 
     pair = fly(rig, course)
-    let_go = [at_s for at_s, topic, _ in pair.log[Role.RECEIVER].entries if topic == "/responsibility"][-1]
+    let_go = [
+        at_s for at_s, topic, _ in pair.log[Role.RECEIVER].entries if topic == "/responsibility"
+    ][-1]
     assert -1e-6 <= let_go - ends_ns[0] * 1e-9 < 0.02
 
 
@@ -46,7 +49,9 @@ def test_a_lease_taken_at_its_very_end_is_let_go_in_time(rig: Any) -> None:
 def test_a_receiver_that_sleeps_through_the_end_of_its_lease_is_not_responsible_when_it_wakes(
     rig: Any, stall_s: float
 ) -> None:
-    """S1 by the clock and not by a timer: nothing of its program runs while the sender takes back."""
+    """S1 by the clock and not by a timer: nothing of its program runs while the sender takes
+    back.
+    """
 
     async def course(pair: Pair) -> None:
         receiver, session = pair.receiver, pair.session[Role.RECEIVER]
@@ -63,7 +68,9 @@ def test_a_receiver_that_sleeps_through_the_end_of_its_lease_is_not_responsible_
         session.link.send(session._status())
         said = kinds(pair.link[Role.RECEIVER].sent, Status)[-1]
         assert isinstance(said, Status) and not said.responsible
-        pair.session[Role.RECEIVER].log.write("/responsibility", 0, {"responsible": False, "until_ns": None})
+        pair.session[Role.RECEIVER].log.write(
+            "/responsibility", 0, {"responsible": False, "until_ns": None}
+        )
         await until(lambda: pair.session[Role.SENDER].responsible)
         del receiver.tick
 
@@ -95,11 +102,16 @@ def test_a_status_counts_only_while_the_clocks_are_aligned_and_by_the_earliest_i
         heard: list[PeerStatus] = []
         monkeypatch.setattr(pair.sender, "_on_status", heard.append)
         await session.cancel_spawned()
-        stamp_ns = session.now_ns() + alignment.offset_ns + 10**12  # long after the newest exchange: a wide bound
-        status = replace(cast(Status, kinds(pair.link[Role.RECEIVER].sent, Status)[-1]), stamp_ns=stamp_ns)
+        # long after the newest exchange: a wide bound
+        stamp_ns = session.now_ns() + alignment.offset_ns + 10**12
+        status = replace(
+            cast(Status, kinds(pair.link[Role.RECEIVER].sent, Status)[-1]), stamp_ns=stamp_ns
+        )
         pair.sender.on_status(status)
         own_ns = alignment.to_own_ns(stamp_ns)
-        assert heard == [PeerStatus(False, own_ns - alignment.uncertainty_at(own_ns), pair.receiver.instance)]
+        assert heard == [
+            PeerStatus(False, own_ns - alignment.uncertainty_at(own_ns), pair.receiver.instance)
+        ]
         assert alignment.uncertainty_at(own_ns) > alignment.uncertainty_ns + 100_000_000
         alignment.reset()
         pair.sender.on_status(status)
@@ -142,7 +154,10 @@ def test_no_commit_is_given_or_taken_while_the_clocks_are_not_aligned(rig: Any) 
             assert not pair.receiver.holds
             assert told.of("/refused")[-1]["why"] == "no_clock", role
             session.alignment = alignment
-        assert await pair.decide(agree=False) == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+        assert await pair.decide(agree=False) == {
+            Role.SENDER: Outcome.COMMITTED,
+            Role.RECEIVER: Outcome.COMMITTED,
+        }
 
     fly(rig, course)
 
@@ -156,7 +171,9 @@ class Deaf(ClockAlignment):
 
 
 def widening(session: RoleSession) -> Callable[[int], int]:
-    """A bound on the clocks that is as wide as may be for a second from now, and then a little wider."""
+    """A bound on the clocks that is as wide as may be for a second from now, and then a little
+    wider.
+    """
     limit_ns, begun_ns = round(protocol_config(session).max_uncertainty_s * 1e9), session.now_ns()
 
     def uncertainty_at(at_ns: int) -> int:

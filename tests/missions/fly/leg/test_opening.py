@@ -15,7 +15,12 @@ WORLD = cast(InProcess, object())
 
 @pytest.mark.parametrize(
     ("rig", "harness", "images"),
-    [("sim", WORLD, False), ("team-sim", WORLD, False), ("sim-rendered", WORLD, True), ("sitl", None, True)],
+    [
+        ("sim", WORLD, False),
+        ("team-sim", WORLD, False),
+        ("sim-rendered", WORLD, True),
+        ("sitl", None, True),
+    ],
 )
 def test_images_are_prepared_for_where_there_is_a_camera(
     monkeypatch: pytest.MonkeyPatch, rig: str, harness: InProcess | None, images: bool

@@ -1,4 +1,6 @@
-"""D2's decisions beside the flight of a whole leg: what it judges the marker by, what it keeps, and how it ends."""
+"""D2's decisions beside the flight of a whole leg: what it judges the marker by, what it keeps, and
+how it ends.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ from path.protocol.values import Handoff
 from tests.missions.fly.leg.session_bench import STATE, Bench, Clock, virtual
 
 CONFIG = MissionConfig()
-PEER = Status(Role.SENDER, 500_000_000, (3.0, 2.0, -1.5), (0.3, 0.1, 0.0), 0.7, 4, False, False, 0.8)
+PEER = Status(
+    Role.SENDER, 500_000_000, (3.0, 2.0, -1.5), (0.3, 0.1, 0.0), 0.7, 4, False, False, 0.8
+)
 TARGET = Target(1, 1, 1, 1, 400_000_000, (0.0, 0.0, 1.0), (0.0, -1.0, 0.0), 0.01)
 LOST_S = CONFIG.deadlines.marker_coast_s + CONFIG.deadlines.marker_regain_s
 
@@ -69,7 +73,9 @@ def ended(step: Callable[[], object]) -> MissionEnd:
     return caught.value
 
 
-def test_what_the_link_brings_reaches_the_hand_over_first_and_targets_the_cycle_too(rig: Any) -> None:
+def test_what_the_link_brings_reaches_the_hand_over_first_and_targets_the_cycle_too(
+    rig: Any,
+) -> None:
     async def main(bench: Bench, receiver: Any) -> None:
         heard: list[str] = []
 
@@ -149,7 +155,9 @@ def test_a_target_that_was_never_seen_after_it_was_taken_over_is_lost_after_it(r
     with_receiver(rig, main)
 
 
-def test_it_can_take_what_it_saw_within_half_a_second_and_has_in_view_what_may_be_coasted(rig: Any) -> None:
+def test_it_can_take_what_it_saw_within_half_a_second_and_has_in_view_what_may_be_coasted(
+    rig: Any,
+) -> None:
     async def main(bench: Bench, receiver: Any) -> None:
         await asyncio.sleep(10.0)
         assert not receiver._able() and not receiver._in_view()
@@ -173,7 +181,9 @@ def test_it_goes_back_before_it_lands_off_the_way_of_what_it_follows(rig: Any) -
         assert receiver._retreat_m(STATE, 0.4) == 1.8
         receiver._track = tracked(moves=(-0.4, 0.0, 0.0))
         back = from_heading((-1.0, 0.0, 0.0), 0.4)
-        expected = way_out_m(receiver._track, STATE.position_n_m, back, CONFIG, bench.session.now_ns(), 1.8)
+        expected = way_out_m(
+            receiver._track, STATE.position_n_m, back, CONFIG, bench.session.now_ns(), 1.8
+        )
         assert receiver._retreat_m(STATE, 0.4) == expected >= 1.8
 
     with_receiver(rig, main)
@@ -215,7 +225,9 @@ def test_it_is_near_enough_to_approach_once_it_has_measured_the_marker_nearer_th
     with_receiver(rig, main)
 
 
-def test_a_measured_distance_is_told_and_judged_and_shows_where_the_sender_is_while_it_is_flown_to(rig: Any) -> None:
+def test_a_measured_distance_is_told_and_judged_and_shows_where_the_sender_is_while_it_is_flown_to(
+    rig: Any,
+) -> None:
     async def main(bench: Bench, receiver: Any) -> None:
         told: list[object] = []
         seen: list[tuple[object, Vec3]] = []
@@ -230,7 +242,8 @@ def test_a_measured_distance_is_told_and_judged_and_shows_where_the_sender_is_wh
             bench.session.phase = phase
             receiver._judge_marker(5)
         assert told == [5.0] * len(Phase)
-        assert [way for _, way in seen] == [(0.0, 3.0, 4.0)] * 4  # stand-off, search, approach, verify
+        # stand-off, search, approach, verify
+        assert [way for _, way in seen] == [(0.0, 3.0, 4.0)] * 4
         receiver._marker = marker((0.0, 0.0, CONFIG.separation.minimum_m - 0.01))
         assert ended(lambda: receiver._judge_marker(5)).outcome is Outcome.TOO_CLOSE
 
@@ -238,7 +251,9 @@ def test_a_measured_distance_is_told_and_judged_and_shows_where_the_sender_is_wh
 
 
 @pytest.mark.parametrize("phase", list(Phase))
-def test_a_marker_that_stays_unseen_ends_a_verification_and_nothing_else(rig: Any, phase: Phase) -> None:
+def test_a_marker_that_stays_unseen_ends_a_verification_and_nothing_else(
+    rig: Any, phase: Phase
+) -> None:
     async def main(bench: Bench, receiver: Any) -> None:
         bench.session.phase = phase
         receiver._marker = marker(None, unseen_s=LOST_S)
@@ -248,7 +263,10 @@ def test_a_marker_that_stays_unseen_ends_a_verification_and_nothing_else(rig: An
             receiver._judge_marker(5)
             return
         end = ended(lambda: receiver._judge_marker(5))
-        assert (end.outcome, end.detail) == (Outcome.MARKER_LOST, f"marker not seen for {LOST_S + 0.1:.1f} s")
+        assert (end.outcome, end.detail) == (
+            Outcome.MARKER_LOST,
+            f"marker not seen for {LOST_S + 0.1:.1f} s",
+        )
 
     with_receiver(rig, main)
 
@@ -265,7 +283,10 @@ def test_what_is_wrong_with_the_marker_is_told_once_of_each_kind(rig: Any) -> No
             receiver._note_cause(missed)
         notes = [record["note"] for record in bench.log.of("/note")]
         assert notes == ["the sender's marker: another id", "the sender's marker: upside down"]
-        assert receiver._marker_not_seen() == "the sender's marker was not seen; another id; upside down"
+        assert (
+            receiver._marker_not_seen()
+            == "the sender's marker was not seen; another id; upside down"
+        )
 
     with_receiver(rig, main)
 
@@ -278,7 +299,9 @@ def test_the_sender_s_motion_is_of_the_instant_it_says_once_its_clock_is_known(r
         assert (before.own_stamp_ns, before.own_n_mps) == (STATE.stamp_ns, STATE.velocity_n_mps)
         assert (before.peer_n_mps, before.peer_yaw_rad) == (PEER.velocity_n_mps, PEER.yaw_rad)
         for nonce in range(1, 9):
-            session.alignment.on_pong(Pong(nonce, nonce * 1000, nonce * 1000, nonce * 1000), nonce * 1000 + 10)
+            session.alignment.on_pong(
+                Pong(nonce, nonce * 1000, nonce * 1000, nonce * 1000), nonce * 1000 + 10
+            )
         assert session.alignment.ready
         assert receiver._motion().peer_stamp_ns == session.alignment.to_own_ns(PEER.stamp_ns)
 
@@ -292,14 +315,18 @@ def test_it_keeps_the_place_beside_the_target_that_it_was_found_in(rig: Any) -> 
         error = subtract(add(target, (-2.0, 0.5, -1.4)), STATE.position_n_m)
         answer = CONFIG.follow.answer(CONFIG.max_accel_mps2)
         setpoint = receiver._follow_target(STATE)
-        assert setpoint.velocity_n_mps == approach(error, STATE.velocity_n_mps, (north, east, 0.0), answer)
+        assert setpoint.velocity_n_mps == approach(
+            error, STATE.velocity_n_mps, (north, east, 0.0), answer
+        )
         assert setpoint.yaw_rad == bearing(subtract(target, STATE.position_n_m))
 
     with_receiver(rig, main)
 
 
 @pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.VERIFY, Phase.DEPART, Phase.LAND])
-def test_a_sender_on_its_way_down_ends_the_receiver_s_flight_while_nothing_is_decided(rig: Any, phase: Phase) -> None:
+def test_a_sender_on_its_way_down_ends_the_receiver_s_flight_while_nothing_is_decided(
+    rig: Any, phase: Phase
+) -> None:
     async def main(bench: Bench, receiver: Any) -> None:
         state = SimpleNamespace(holds_for_good=False, within_lease=True)
         receiver._handover = state
@@ -312,7 +339,10 @@ def test_a_sender_on_its_way_down_ends_the_receiver_s_flight_while_nothing_is_de
         assert watching.done() is (phase >= Phase.DEPART)
         if watching.done():
             end = cast(MissionEnd, watching.exception())
-            assert (end.outcome, end.detail) == (Outcome.PEER_ABORTED, "the sender is on its way down")
+            assert (end.outcome, end.detail) == (
+                Outcome.PEER_ABORTED,
+                "the sender is on its way down",
+            )
             return
         state.holds_for_good = True
         await asyncio.sleep(0.5)
@@ -342,7 +372,9 @@ def test_a_target_is_taken_up_once_an_attempt_is_live_and_the_clocks_are_known(r
         receiver._on_target(TARGET)
         assert receiver._newest is None and receiver._side is None
         for nonce in range(1, 9):
-            session.alignment.on_pong(Pong(nonce, nonce * 1000, nonce * 1000, nonce * 1000), nonce * 1000 + 10)
+            session.alignment.on_pong(
+                Pong(nonce, nonce * 1000, nonce * 1000, nonce * 1000), nonce * 1000 + 10
+            )
         message = replace(TARGET, capture_ns=session.now_ns() - 5_000_000)
         receiver._on_target(message)
         assert receiver._newest == message and len(bench.log.of("/attempt")) == 1
@@ -353,7 +385,9 @@ def test_a_target_is_taken_up_once_an_attempt_is_live_and_the_clocks_are_known(r
         receiver._on_target(later)  # again: it says nothing new
         assert len(bench.log.of("/heard_target")) == 3
         receiver._handover.live = Handoff(1, 2, 1, 78)
-        receiver._on_target(replace(later, epoch=2, sequence=3, capture_ns=later.capture_ns + 20_000))
+        receiver._on_target(
+            replace(later, epoch=2, sequence=3, capture_ns=later.capture_ns + 20_000)
+        )
         assert receiver._side is not side and len(bench.log.of("/attempt")) == 2
 
     with_receiver(rig, main)
@@ -367,10 +401,14 @@ def test_what_was_handed_over_but_never_located_is_lost(rig: Any) -> None:
     with_receiver(rig, main)
 
 
-def test_the_computer_s_load_says_how_the_marker_is_searched_for_and_hears_what_it_took(rig: Any) -> None:
+def test_the_computer_s_load_says_how_the_marker_is_searched_for_and_hears_what_it_took(
+    rig: Any,
+) -> None:
     async def main(bench: Bench, receiver: Any) -> None:
         took: list[float] = []
-        cast(Any, bench.session.frames).shedding = SimpleNamespace(search_every=4, thorough=False, searched=took.append)
+        cast(Any, bench.session.frames).shedding = SimpleNamespace(
+            search_every=4, thorough=False, searched=took.append
+        )
         searches = [True]
         view: Any = SimpleNamespace(stamp_ns=7)
 

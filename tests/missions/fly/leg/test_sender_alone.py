@@ -1,4 +1,6 @@
-"""D1's decisions beside the flight of a whole leg: whom it makes room for, what it keeps to, what is an answer."""
+"""D1's decisions beside the flight of a whole leg: whom it makes room for, what it keeps to, what
+is an answer.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,17 @@ from tests.missions.fly.leg.session_bench import STATE, Bench, Clock, virtual
 CONFIG = MissionConfig()
 PEER = Status(Role.RECEIVER, 1, (1.0, 3.0, -1.5), (0.0, 0.0, 0.0), 0.0, 0, False, False, 0.8)
 CANDIDATE = Candidate(
-    1, 1, 1, 1, 1, 500_000_000, Box(1.0, 2.0, 3.0, 4.0), None, (-0.6, 0.0, -0.8), (1.0, 0.0, 0.0, 0.0), 0.01
+    1,
+    1,
+    1,
+    1,
+    1,
+    500_000_000,
+    Box(1.0, 2.0, 3.0, 4.0),
+    None,
+    (-0.6, 0.0, -0.8),
+    (1.0, 0.0, 0.0, 0.0),
+    0.01,
 )
 
 
@@ -87,7 +99,8 @@ def test_what_the_link_brings_reaches_the_hand_over_and_answers_the_cycle_too(ri
         (replace(PEER, position_n_m=(2.0, 2.0, -1.5)), math.pi / 2, 0.0, -1.0),
         (replace(PEER, velocity_n_mps=(0.0, -2.0, 0.0)), 0.0, 0.4, 1.0),
         (replace(PEER, velocity_n_mps=(0.0, -2.0, 0.0)), 0.0, 0.6, -1.0),
-        (replace(PEER, velocity_n_mps=(0.0, -1.0, 0.0)), 0.0, 9.0, 1.0),  # nobody flies on for so long
+        # nobody flies on for so long
+        (replace(PEER, velocity_n_mps=(0.0, -1.0, 0.0)), 0.0, 9.0, 1.0),
     ],
 )
 def test_the_receiver_s_side_is_where_it_was_heard_and_flew_to(
@@ -113,7 +126,14 @@ def test_it_leaves_to_the_side_where_the_receiver_is_not_and_to_the_same_place_h
         bench.vehicle.state = replace(STATE, q_n_b=quat_from_rpy(0.0, 0.0, 1.1))
         sender._track, sender._receiver_side, sender._heading_rad = tracked(), side, heading_rad
         aside = from_heading((0.0, -side, 0.0), heading_rad)
-        way_m = way_out_m(sender._track, STATE.position_n_m, aside, CONFIG, bench.session.now_ns(), CONFIG.depart_m)
+        way_m = way_out_m(
+            sender._track,
+            STATE.position_n_m,
+            aside,
+            CONFIG,
+            bench.session.now_ns(),
+            CONFIG.depart_m,
+        )
         left = sender._leave()
         assert left.position_n_m == pytest.approx(add(STATE.position_n_m, scale(aside, way_m)))
         assert left.yaw_rad == pytest.approx(1.1)
@@ -135,7 +155,8 @@ def test_how_near_the_receiver_is_goes_by_what_it_does(rig: Any) -> None:
         assert sender._may_regain() and not sender._comes_near()
         for phase in Phase:
             bench.session.peer = replace(PEER, phase=int(phase))
-            on_a_course = phase is not Phase.MISSION  # a mission of one's own does not say where it is
+            # a mission of one's own does not say where it is
+            on_a_course = phase is not Phase.MISSION
             assert sender._may_regain() is not (on_a_course and phase >= Phase.STAND_OFF)
             assert sender._comes_near() is (on_a_course and phase >= Phase.APPROACH)
         bench.session.peer = None
@@ -161,7 +182,9 @@ def test_it_backs_off_once_the_target_is_unseen_for_half_of_what_may_be_coasted(
 
 
 @pytest.mark.parametrize(("silent_s", "stands"), [(0.8, False), (0.81, True)])
-def test_it_stands_still_while_a_receiver_that_was_near_is_not_heard(rig: Any, silent_s: float, stands: bool) -> None:
+def test_it_stands_still_while_a_receiver_that_was_near_is_not_heard(
+    rig: Any, silent_s: float, stands: bool
+) -> None:
     async def main(bench: Bench, sender: Any) -> None:
         sender._track = tracked()
         bench.session.peer = replace(PEER, phase=int(Phase.APPROACH))
@@ -212,14 +235,19 @@ def test_an_answer_counts_once_there_is_an_attempt_and_the_clocks_are_known(rig:
         sender._on_candidate(CANDIDATE)
         ((candidate, capture_ns, now_ns),) = heard
         assert candidate is CANDIDATE and now_ns == bench.session.now_ns()
-        assert capture_ns == bench.session.alignment.to_own_ns(CANDIDATE.capture_ns) != CANDIDATE.capture_ns
+        assert (
+            capture_ns
+            == bench.session.alignment.to_own_ns(CANDIDATE.capture_ns)
+            != CANDIDATE.capture_ns
+        )
         assert sender._candidates == 1 and len(bench.log.of("/heard_candidate")) == 1
         assert sender._receiver_side == -1.0
         assert bench.session.shown.separation_m == pytest.approx(1.0)
         answer[0] = Missed(MissReason.STALE, ignored=True)
         right = replace(CANDIDATE, position_v_m=(0.6, 0.0, 0.0))
         sender._on_candidate(right)
-        assert (sender._candidates, sender._receiver_side) == (1, -1.0)  # what is refused tells nothing
+        # what is refused tells nothing
+        assert (sender._candidates, sender._receiver_side) == (1, -1.0)
         answer[0] = None
         sender._on_candidate(replace(right, box=None, reason=MissReason.NO_CANDIDATE))
         assert (sender._candidates, sender._receiver_side) == (2, -1.0)
@@ -240,7 +268,9 @@ def test_a_step_of_the_estimator_reaches_the_evidence_once_there_is_some(rig: An
     with_sender(rig, main)
 
 
-def test_a_target_that_is_not_found_in_time_ends_the_search_with_what_was_looked_for(rig: Any) -> None:
+def test_a_target_that_is_not_found_in_time_ends_the_search_with_what_was_looked_for(
+    rig: Any,
+) -> None:
     async def main(bench: Bench, sender: Any) -> None:
         with pytest.raises(MissionEnd) as caught:
             await sender._until_acquired(5.0)

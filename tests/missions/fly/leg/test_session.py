@@ -44,8 +44,12 @@ def test_every_error_of_a_part_is_a_named_end(error: Exception, outcome: Outcome
     assert str(error) in (end.detail, str(end))
 
 
-@pytest.mark.parametrize("error", [KeyError("x"), AssertionError(), ZeroDivisionError("division by zero")])
-def test_an_error_nobody_foresaw_is_a_crash_and_printed(error: Exception, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "error", [KeyError("x"), AssertionError(), ZeroDivisionError("division by zero")]
+)
+def test_an_error_nobody_foresaw_is_a_crash_and_printed(
+    error: Exception, capsys: pytest.CaptureFixture[str]
+) -> None:
     end = as_end(error)
     assert end.outcome is Outcome.CRASHED
     assert type(error).__name__ in end.detail
@@ -58,13 +62,17 @@ def test_a_course_that_comes_to_its_end_is_committed_and_recovered(rig: Any) -> 
         bench.session.set_claim(TakeResponsibility())
         assert await bench.fly(good) == RoleResult(Role.SENDER, Outcome.COMMITTED, "", True, True)
         assert bench.recovered == [None]
-        assert bench.log.of("/outcome") == [{"outcome": "committed", "detail": "", "responsible": True, "landed": True}]
+        assert bench.log.of("/outcome") == [
+            {"outcome": "committed", "detail": "", "responsible": True, "landed": True}
+        ]
         assert bench.session.phase is Phase.DONE
 
     virtual(main())
 
 
-@pytest.mark.parametrize("error", [MissionEnd(Outcome.MARKER_LOST, "not seen"), CameraError("no frame")])
+@pytest.mark.parametrize(
+    "error", [MissionEnd(Outcome.MARKER_LOST, "not seen"), CameraError("no frame")]
+)
 def test_a_course_that_fails_is_recovered_from_by_its_end(rig: Any, error: Exception) -> None:
     async def main() -> None:
         async def course() -> None:
@@ -145,7 +153,8 @@ def test_a_broken_link_ends_the_mission(rig: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "failure", [VehicleError("landing not confirmed"), MissionEnd(Outcome.GUARD, "fence"), PartError("gone")]
+    "failure",
+    [VehicleError("landing not confirmed"), MissionEnd(Outcome.GUARD, "fence"), PartError("gone")],
 )
 @pytest.mark.parametrize("course", [good, for_ever])
 def test_a_failure_in_the_recovery_is_told_not_raised(
@@ -158,7 +167,9 @@ def test_a_failure_in_the_recovery_is_told_not_raised(
         result = await bench.fly(course)
         assert result.outcome is (Outcome.COMMITTED if course is good else Outcome.INTERRUPTED)
         assert not result.landed
-        assert f"not landed by the script: {failure}" in [record["note"] for record in bench.log.of("/note")]
+        assert f"not landed by the script: {failure}" in [
+            record["note"] for record in bench.log.of("/note")
+        ]
         assert bench.log.of("/outcome")[0]["landed"] is False
 
     virtual(main())
@@ -174,12 +185,16 @@ def test_statuses_go_on_until_the_vehicle_is_down(rig: Any) -> None:
     virtual(main())
 
 
-def test_what_a_position_is_off_at_home_is_in_nothing_that_is_told_and_in_all_that_is_heard(rig: Any) -> None:
+def test_what_a_position_is_off_at_home_is_in_nothing_that_is_told_and_in_all_that_is_heard(
+    rig: Any,
+) -> None:
     """Two drones that stand 2 m apart, and take themselves to be elsewhere."""
 
     async def main() -> None:
         benches = [Bench(rig) for _ in range(2)]
-        for bench, at_m, home_m in zip(benches, ((0.4, -0.7), (3.0, 0.5)), ((0.0, 0.0), (2.0, 0.0)), strict=True):
+        for bench, at_m, home_m in zip(
+            benches, ((0.4, -0.7), (3.0, 0.5)), ((0.0, 0.0), (2.0, 0.0)), strict=True
+        ):
             bench.vehicle.state = replace(STATE, position_n_m=(*at_m, -1.5))
             bench.session.note_home(home_m)
             bench.session.spawn(bench.session.report())
@@ -187,7 +202,9 @@ def test_what_a_position_is_off_at_home_is_in_nothing_that_is_told_and_in_all_th
         one, other = (bench.link.of(Status)[-1] for bench in benches)
         assert one.position_n_m == pytest.approx((0.0, 0.0, -1.5), abs=2e-3)
         assert other.position_n_m == pytest.approx((2.0, 0.0, -1.5), abs=2e-3)
-        assert benches[1].session.here(one).position_n_m == pytest.approx((1.0, 0.5, -1.5), abs=2e-3)
+        assert benches[1].session.here(one).position_n_m == pytest.approx(
+            (1.0, 0.5, -1.5), abs=2e-3
+        )
         assert benches[0].log.of("/home") == [{"off_m": (0.4, -0.7)}]
         benches[0].session.note_home(())
         assert benches[0].session.here(other) == other

@@ -25,7 +25,8 @@ TARGET = Target(1, 1, 1, 1, 1, (0.0, 0.0, 1.0), (0.0, -1.0, 0.0), 0.01)
 STATUS = Status(Role.RECEIVER, 1, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0), 0.0, 3, False, True, 0.8)
 
 
-# --- waiting -----------------------------------------------------------------------------------------------------
+# --- waiting
+# -----------------------------------------------------------------------------------------------------
 
 
 def test_the_vehicles_state_is_logged_once_for_each_report(rig: Any) -> None:
@@ -41,7 +42,9 @@ def test_the_vehicles_state_is_logged_once_for_each_report(rig: Any) -> None:
 
         await bench.fly(course)
         logged = [
-            (stamp_ns, record["position_n_m"]) for topic, stamp_ns, record in bench.log.entries if topic == "/state"
+            (stamp_ns, record["position_n_m"])
+            for topic, stamp_ns, record in bench.log.entries
+            if topic == "/state"
         ]
         assert logged == [(7, (1.0, 2.0, -1.5)), (9, (1.5, 2.0, -1.5))]
 
@@ -60,7 +63,9 @@ def test_a_wait_ends_when_its_condition_comes_true(rig: Any) -> None:
 def test_a_wait_that_is_over_is_a_named_end(rig: Any) -> None:
     async def main() -> None:
         with pytest.raises(MissionEnd) as caught:
-            await Bench(rig).session.until(lambda: False, 5.0, Outcome.PEER_LOST, "the other drone was not heard")
+            await Bench(rig).session.until(
+                lambda: False, 5.0, Outcome.PEER_LOST, "the other drone was not heard"
+            )
         assert caught.value.outcome is Outcome.PEER_LOST
         assert caught.value.detail == "the other drone was not heard within 5 s"
         assert asyncio.get_running_loop().time() == pytest.approx(5.0, abs=0.1)
@@ -68,7 +73,8 @@ def test_a_wait_that_is_over_is_a_named_end(rig: Any) -> None:
     virtual(main())
 
 
-# --- the pump and the report -------------------------------------------------------------------------------------
+# --- the pump and the report
+# -------------------------------------------------------------------------------------
 
 
 def test_the_pump_answers_pings_keeps_the_status_and_passes_on_the_rest(rig: Any) -> None:
@@ -105,7 +111,17 @@ def test_the_status_says_what_the_vehicle_says(rig: Any) -> None:
         await asyncio.sleep(0.05)
         await bench.session.cancel_spawned()
         (status,) = bench.link.of(Status)
-        expected = Status(Role.SENDER, 1_000_000_000, STATE.position_n_m, STATE.velocity_n_mps, 0.0, 8, True, True, 0.9)
+        expected = Status(
+            Role.SENDER,
+            1_000_000_000,
+            STATE.position_n_m,
+            STATE.velocity_n_mps,
+            0.0,
+            8,
+            True,
+            True,
+            0.9,
+        )
         assert status == expected
 
     virtual(main())
@@ -148,7 +164,9 @@ def test_statuses_and_pings_are_paced(rig: Any) -> None:
         assert before == pytest.approx(30, abs=1)  # with every status until the clocks are known
         for nonce, ping in enumerate(bench.link.of(Ping)[:5], 1):
             at_ns = ping.sent_ns
-            bench.session.alignment.on_pong(Pong(nonce, at_ns, at_ns + 1000, at_ns + 1000), at_ns + 2000)
+            bench.session.alignment.on_pong(
+                Pong(nonce, at_ns, at_ns + 1000, at_ns + 1000), at_ns + 2000
+            )
         assert bench.session.alignment.ready
         await asyncio.sleep(5.0)
         await bench.session.cancel_spawned()
@@ -206,7 +224,11 @@ def test_the_crew_is_told_of_a_flood_while_it_lasts_and_the_mission_goes_on(rig:
                 bench.link.counters.dropped["flooded"] = 25_000 * (second - 1)
         await bench.session.cancel_spawned()
         told = [record["note"] for record in bench.log.of("/note")]
-        assert len(told) == 2 and "ALARM: 25," in told[0] and told[1] == "the flood on the link is over"
+        assert (
+            len(told) == 2
+            and "ALARM: 25," in told[0]
+            and told[1] == "the flood on the link is over"
+        )
 
     virtual(main())
 
@@ -227,7 +249,8 @@ def test_images_are_logged_at_their_rate_and_when_wanted(rig: Any) -> None:
             bench.session.frames.log_image(cast(Any, FakeView(k * 20_000_000, pixels)))
         assert bench.log.images == [0, 500_000_000, 1_000_000_000, 1_500_000_000, 2_000_000_000]
         bench.session.frames.log_image(cast(Any, FakeView(2_020_000_000, pixels)), wanted=True)
-        bench.session.frames.log_image(cast(Any, FakeView(2_020_000_000, pixels)), wanted=True)  # the same frame
+        # the same frame
+        bench.session.frames.log_image(cast(Any, FakeView(2_020_000_000, pixels)), wanted=True)
         bench.session.frames.log_image(cast(Any, FakeView(2_040_000_000, None)), wanted=True)
         assert bench.log.images[5:] == [2_020_000_000]
 
@@ -251,11 +274,14 @@ def test_without_a_rate_only_wanted_images_are_logged(rig: Any) -> None:
     virtual(main())
 
 
-# --- a computer that does not keep up ----------------------------------------------------------------------------
+# --- a computer that does not keep up
+# ----------------------------------------------------------------------------
 
 
 def test_pictures_go_first_but_not_the_wanted_ones(rig: Any) -> None:
-    view = cast(Any, SimpleNamespace(stamp_ns=5_000_000_000, image=lambda: np.zeros((2, 2, 3), np.uint8)))
+    view = cast(
+        Any, SimpleNamespace(stamp_ns=5_000_000_000, image=lambda: np.zeros((2, 2, 3), np.uint8))
+    )
 
     async def look() -> list[int]:
         bench = Bench(rig)
@@ -287,7 +313,9 @@ def test_a_program_that_is_always_at_work_says_what_it_gives_up(rig: Any) -> Non
     assert "gives up picture log" in bench.session.shown.note
 
 
-def test_a_program_whose_loop_stood_still_says_so_with_what_the_computer_took_of_that(rig: Any) -> None:
+def test_a_program_whose_loop_stood_still_says_so_with_what_the_computer_took_of_that(
+    rig: Any,
+) -> None:
     async def stand() -> Bench:
         bench = Bench(rig, stages=Stages())
         beside = asyncio.create_task(log_lateness(bench.session))

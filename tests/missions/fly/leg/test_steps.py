@@ -1,4 +1,6 @@
-"""Preflight, take-off and the way down: what must come true, in which order, and who keeps the vehicle."""
+"""Preflight, take-off and the way down: what must come true, in which order, and who keeps the
+vehicle.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,16 @@ from missions.fly.leg.steps import bring_down, check_capabilities, preflight, ta
 from path.messages import Pong, Role, Status
 
 HOME = VehicleState(
-    0, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), False, False, True, FlightMode.HOLD, 0.9
+    0,
+    0,
+    (0.0, 0.0, 0.0),
+    (0.0, 0.0, 0.0),
+    (1.0, 0.0, 0.0, 0.0),
+    False,
+    False,
+    True,
+    FlightMode.HOLD,
+    0.9,
 )
 STATUS = Status(Role.RECEIVER, 1, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0), 0.0, 0, False, False, 0.8)
 CONFIG = MissionConfig(deadlines=Deadlines(peer_s=10.0, depart_s=8.0))
@@ -46,7 +57,9 @@ class Clock:
 
 @dataclass
 class FakeVehicle:
-    """Does what it is told, or what ``refuses`` says instead; moves as it is flown unless it is ``stuck``."""
+    """Does what it is told, or what ``refuses`` says instead; moves as it is flown unless it is
+    ``stuck``.
+    """
 
     now: VehicleState = HOME
     done: list[str] = field(default_factory=list[str])
@@ -135,7 +148,9 @@ class Bench:
 
     def align(self) -> None:
         for nonce in range(1, 5):
-            self.session.alignment.on_pong(Pong(nonce, nonce * 1000, nonce * 1000, nonce * 1000), nonce * 1000 + 10)
+            self.session.alignment.on_pong(
+                Pong(nonce, nonce * 1000, nonce * 1000, nonce * 1000), nonce * 1000 + 10
+            )
 
     async def in_the_air(self) -> None:
         await take_off(self.session, 1.5)
@@ -157,7 +172,8 @@ async def ended(step: Coroutine[Any, Any, Any]) -> MissionEnd:
     return caught.value
 
 
-# --- preflight ---------------------------------------------------------------------------------------------------
+# --- preflight
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_preflight_waits_for_camera_vehicle_peer_and_clocks_and_moves_nothing(rig: Any) -> None:
@@ -173,7 +189,9 @@ def test_preflight_waits_for_camera_vehicle_peer_and_clocks_and_moves_nothing(ri
     virtual(main())
 
 
-@pytest.mark.parametrize(("heard", "outcome"), [(False, Outcome.PEER_LOST), (True, Outcome.CLOCK_FAULT)])
+@pytest.mark.parametrize(
+    ("heard", "outcome"), [(False, Outcome.PEER_LOST), (True, Outcome.CLOCK_FAULT)]
+)
 def test_preflight_names_what_did_not_come(rig: Any, heard: bool, outcome: Outcome) -> None:
     async def main() -> None:
         bench = Bench(rig)
@@ -186,7 +204,9 @@ def test_preflight_names_what_did_not_come(rig: Any, heard: bool, outcome: Outco
 
 
 @pytest.mark.parametrize("older", [False, True])
-def test_a_drone_whose_rig_differs_is_refused_after_it_was_told_what_this_one_has(rig: Any, older: bool) -> None:
+def test_a_drone_whose_rig_differs_is_refused_after_it_was_told_what_this_one_has(
+    rig: Any, older: bool
+) -> None:
     async def main() -> None:
         bench, loop = Bench(rig), asyncio.get_running_loop()
         own = bench.session.alike
@@ -206,7 +226,10 @@ def test_what_came_from_a_drone_that_cannot_be_understood_is_told(rig: Any) -> N
         bench = Bench(rig)
         bench.session.link.counters.dropped["bad_crc"] = 12
         detail = (await ended(preflight(bench.session))).detail
-        assert "not heard (packets came and were dropped, 12 as bad_crc: another version of PATH, or key?)" in detail
+        assert (
+            "not heard (packets came and were dropped, 12 as bad_crc: another version of PATH, or key?)"
+            in detail
+        )
 
     virtual(main())
 
@@ -241,7 +264,8 @@ def test_preflight_asks_for_a_frame_first(rig: Any) -> None:
     virtual(main())
 
 
-# --- take-off ----------------------------------------------------------------------------------------------------
+# --- take-off
+# ----------------------------------------------------------------------------------------------------
 
 
 def test_take_off_arms_climbs_and_takes_control(rig: Any) -> None:
@@ -271,11 +295,13 @@ def test_a_refusal_ends_the_take_off_and_nothing_is_tried_twice(rig: Any, refuse
     virtual(main())
 
 
-# --- the way down ------------------------------------------------------------------------------------------------
+# --- the way down
+# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    "outcome", [None, Outcome.NO_AGREEMENT, Outcome.TARGET_LOST, Outcome.TOO_CLOSE, Outcome.INTERRUPTED]
+    "outcome",
+    [None, Outcome.NO_AGREEMENT, Outcome.TARGET_LOST, Outcome.TOO_CLOSE, Outcome.INTERRUPTED],
 )
 def test_out_of_the_others_way_then_down(rig: Any, outcome: Outcome | None) -> None:
     async def main() -> None:
@@ -291,7 +317,9 @@ def test_out_of_the_others_way_then_down(rig: Any, outcome: Outcome | None) -> N
     virtual(main())
 
 
-@pytest.mark.parametrize("outcome", [Outcome.GUARD, Outcome.VEHICLE_LOST, Outcome.VEHICLE_REFUSED, Outcome.CRASHED])
+@pytest.mark.parametrize(
+    "outcome", [Outcome.GUARD, Outcome.VEHICLE_LOST, Outcome.VEHICLE_REFUSED, Outcome.CRASHED]
+)
 def test_what_cannot_be_flown_is_landed_where_it_is(rig: Any, outcome: Outcome) -> None:
     async def main() -> None:
         bench = Bench(rig)
@@ -356,7 +384,9 @@ def test_a_pilot_who_ends_the_landing_is_named_too(rig: Any) -> None:
     virtual(main())
 
 
-def test_a_pilot_who_takes_the_vehicle_after_the_mission_failed_is_named_with_what_it_failed_of(rig: Any) -> None:
+def test_a_pilot_who_takes_the_vehicle_after_the_mission_failed_is_named_with_what_it_failed_of(
+    rig: Any,
+) -> None:
     async def main() -> None:
         bench = Bench(rig)
 
@@ -380,7 +410,9 @@ def test_a_pilot_who_takes_the_vehicle_after_the_mission_failed_is_named_with_wh
     virtual(main())
 
 
-def test_what_is_disarmed_a_moment_after_it_changed_its_mode_on_the_ground_is_down(rig: Any) -> None:
+def test_what_is_disarmed_a_moment_after_it_changed_its_mode_on_the_ground_is_down(
+    rig: Any,
+) -> None:
     async def main() -> None:
         bench = Bench(rig)
         await bench.in_the_air()
@@ -422,7 +454,9 @@ def test_departing_takes_no_longer_than_its_deadline(rig: Any) -> None:
         bench.vehicle.stuck = True
         start_s = asyncio.get_running_loop().time()
         assert await bench.down(None)
-        assert asyncio.get_running_loop().time() - start_s == pytest.approx(CONFIG.deadlines.depart_s + 0.5, abs=0.2)
+        assert asyncio.get_running_loop().time() - start_s == pytest.approx(
+            CONFIG.deadlines.depart_s + 0.5, abs=0.2
+        )
 
     virtual(main())
 

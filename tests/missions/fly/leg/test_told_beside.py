@@ -1,4 +1,6 @@
-"""What runs beside a course: the guard's beat, the battery's news, the frames that are recorded, the traffic shown."""
+"""What runs beside a course: the guard's beat, the battery's news, the frames that are recorded,
+the traffic shown.
+"""
 
 from __future__ import annotations
 
@@ -44,14 +46,19 @@ def test_the_guard_is_told_who_flies(rig: Any) -> None:
         assert session.guarding.beat().script is Script.CLIMB
         pilot: Any = SimpleNamespace(override="", in_control=True, setpoints=7)
         session.pilot = pilot
-        assert (session.guarding.beat().script, session.guarding.beat().setpoints) == (Script.CONTROL, 7)
+        assert (session.guarding.beat().script, session.guarding.beat().setpoints) == (
+            Script.CONTROL,
+            7,
+        )
         pilot.override = "mode is other"
         assert session.guarding.beat().script is Script.LET_GO
 
     virtual(main())
 
 
-def test_what_the_guard_ignores_is_told_once_and_a_guard_that_has_the_vehicle_ends_the_course(rig: Any) -> None:
+def test_what_the_guard_ignores_is_told_once_and_a_guard_that_has_the_vehicle_ends_the_course(
+    rig: Any,
+) -> None:
     async def main() -> None:
         bench = Bench(rig)
         session = bench.session
@@ -71,7 +78,9 @@ def test_what_the_guard_ignores_is_told_once_and_a_guard_that_has_the_vehicle_en
         keeping = asyncio.create_task(session.guarding.keep())
         await asyncio.sleep(2.0)
         assert not session.ended.done()  # nothing flies
-        assert [record["note"] for record in bench.log.of("/note")] == ["ALARM: the guard ignores beats of another"]
+        assert [record["note"] for record in bench.log.of("/note")] == [
+            "ALARM: the guard ignores beats of another"
+        ]
         assert len(beats) == pytest.approx(40, abs=1)
         session.guarding.script = Script.CLIMB
         await asyncio.sleep(0.1)
@@ -96,7 +105,9 @@ def test_a_battery_that_is_not_told_any_more_is_told_once_and_again_when_it_is(r
 
         assert look(None) == look(3.0) == look(60.0, armed=False) == []
         (told,) = look(3.1)
-        assert told.startswith("ALARM: the battery's level is not told any more: 63 % is believed for 10 s")
+        assert told.startswith(
+            "ALARM: the battery's level is not told any more: 63 % is believed for 10 s"
+        )
         assert look(4.0) == []
         assert look(0.1) == ["the battery's level is told again"]
         (unknown,) = look(3.1, level=math.nan)
@@ -117,7 +128,8 @@ class Film(Recorder):
 
 
 @pytest.mark.parametrize(
-    ("record", "films", "recorded"), [("all", True, True), ("all", False, False), ("some", True, False)]
+    ("record", "films", "recorded"),
+    [("all", True, True), ("all", False, False), ("some", True, False)],
 )
 def test_frames_are_recorded_where_the_rig_says_so_and_the_log_can(
     rig: Any, record: str, films: bool, recorded: bool
@@ -147,7 +159,9 @@ def test_a_busy_computer_waits_before_it_takes_its_next_frame(rig: Any) -> None:
         async def give(_timeout_s: float) -> object:
             return SimpleNamespace(stamp_ns=5, frame_id=1)
 
-        frames = Frames(cast(Any, SimpleNamespace(view=give)), Clock(), MissionConfig(), cast(Any, Recorder()))
+        frames = Frames(
+            cast(Any, SimpleNamespace(view=give)), Clock(), MissionConfig(), cast(Any, Recorder())
+        )
 
         def until_next_s(_now_ns: int) -> float:
             return 0.3
@@ -179,7 +193,10 @@ def test_the_other_drone_may_be_silent_for_less_long_while_it_is_near(rig: Any) 
     async def main() -> None:
         session = Bench(rig).session
         guard = MissionConfig().guard
-        for phase, most_s in ((Phase.FOLLOW, guard.peer_silence_s), (Phase.VERIFY, guard.near_silence_s)):
+        for phase, most_s in (
+            (Phase.FOLLOW, guard.peer_silence_s),
+            (Phase.VERIFY, guard.near_silence_s),
+        ):
             session.phase = phase
             session.peer_heard_ns = session.now_ns() - round(most_s * S)
             session.require_peer()

@@ -1,4 +1,6 @@
-"""Two drones with the receiver's role and the pair's key on one broadcast channel: never do both hold the target."""
+"""Two drones with the receiver's role and the pair's key on one broadcast channel: never do both
+hold the target.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ class Ether:
 
 
 class Trio(Pair):
-    """A pair, and a second receiver on the same channel, whose clock agrees with the first one's."""
+    """A pair, and a second receiver on the same channel, whose clock agrees with the first
+    one's.
+    """
 
     def __init__(self, rig: Any) -> None:
         super().__init__(rig)
@@ -49,7 +53,14 @@ class Trio(Pair):
         parts = cast(Any, (self.second_link.clock, FakeVehicle(), None, self.second_link))
         self.second_log = Recorder()
         session = RoleSession(
-            rig, Role.RECEIVER, CONFIG, self.second_log, lambda _: None, asyncio.Event(), parts, random.Random("second")
+            rig,
+            Role.RECEIVER,
+            CONFIG,
+            self.second_log,
+            lambda _: None,
+            asyncio.Event(),
+            parts,
+            random.Random("second"),
         )
         self.second_session = session
         self.second = ReceiverHandover(session, MemoryStore(), lambda: True)
@@ -88,7 +99,8 @@ def test_instances_differ_and_are_said(rig: Any) -> None:
         trio.begin_second()
         await until(lambda: len(trio.sender.receivers) == 2)
         said = {
-            cast(Status, kinds(link.sent, Status)[-1]).instance for link in (trio.link[Role.RECEIVER], trio.second_link)
+            cast(Status, kinds(link.sent, Status)[-1]).instance
+            for link in (trio.link[Role.RECEIVER], trio.second_link)
         }
         assert said == set(trio.sender.receivers) == {trio.receiver.instance, trio.second.instance}
         assert 0 not in said and len(said) == 2
@@ -96,7 +108,9 @@ def test_instances_differ_and_are_said(rig: Any) -> None:
     fly_trio(rig, course)
 
 
-def test_with_two_receivers_on_the_channel_there_is_no_commit_and_the_crew_is_told_why(rig: Any) -> None:
+def test_with_two_receivers_on_the_channel_there_is_no_commit_and_the_crew_is_told_why(
+    rig: Any,
+) -> None:
     async def course(trio: Trio) -> None:
         trio.begin_second()
         await until(lambda: len(trio.sender.receivers) == 2)
@@ -108,13 +122,18 @@ def test_with_two_receivers_on_the_channel_there_is_no_commit_and_the_crew_is_to
         assert len([note for note in told.of("/note") if "2 receivers answer" in note["note"]]) == 1
         await trio.second_session.cancel_spawned()  # one is taken off the channel
         await until(lambda: len(trio.sender.receivers) == 1)
-        assert await trio.decide() == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+        assert await trio.decide() == {
+            Role.SENDER: Outcome.COMMITTED,
+            Role.RECEIVER: Outcome.COMMITTED,
+        }
 
     fly_trio(rig, course)
 
 
 def test_a_second_receiver_that_appears_at_the_commit_takes_nothing(rig: Any) -> None:
-    """It has seen Targets and hears COMMIT and CONFIRM, and would be able; the sender has not heard of it yet."""
+    """It has seen Targets and hears COMMIT and CONFIRM, and would be able; the sender has not heard
+    of it yet.
+    """
 
     async def course(trio: Trio) -> None:
         trio.second_link.lost = lambda message: isinstance(message, Status)
@@ -123,7 +142,10 @@ def test_a_second_receiver_that_appears_at_the_commit_takes_nothing(rig: Any) ->
         trio.sender.agreed(1)
         loop = asyncio.get_running_loop()
         watch = asyncio.create_task(trio.watch(loop.time() + 4.0))
-        assert await trio.decide(agree=False) == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+        assert await trio.decide(agree=False) == {
+            Role.SENDER: Outcome.COMMITTED,
+            Role.RECEIVER: Outcome.COMMITTED,
+        }
         await watch
         assert isinstance(trio.receiver.state, Holding) and isinstance(trio.second.state, Observing)
         assert not kinds(trio.second_link.sent, Accept)
@@ -133,11 +155,15 @@ def test_a_second_receiver_that_appears_at_the_commit_takes_nothing(rig: Any) ->
 
 
 def test_what_the_second_one_says_does_not_settle_the_first_ones_handover(rig: Any) -> None:
-    """The first accepted and was never heard again; the second says all the time that it holds something."""
+    """The first accepted and was never heard again; the second says all the time that it holds
+    something.
+    """
 
     async def course(trio: Trio) -> None:
         trio.lose(Role.RECEIVER, Status, when=lambda: trio.sender.handed_over)
-        trio.link[Role.SENDER].lost = lambda message: trio.sender.handed_over and not isinstance(message, Commit)
+        trio.link[Role.SENDER].lost = lambda message: (
+            trio.sender.handed_over and not isinstance(message, Commit)
+        )
         trio.sender.agreed(1)
         await until(lambda: trio.sender.handed_over)
         loop, session = asyncio.get_running_loop(), trio.session[Role.SENDER]
@@ -145,10 +171,14 @@ def test_what_the_second_one_says_does_not_settle_the_first_ones_handover(rig: A
         end_s = loop.time() + 5.0
         while loop.time() < end_s:
             stamp_ns = session.now_ns() + session.alignment.offset_ns
-            word = replace(template, stamp_ns=stamp_ns, responsible=True, instance=trio.second.instance)
+            word = replace(
+                template, stamp_ns=stamp_ns, responsible=True, instance=trio.second.instance
+            )
             session.on_status(word)
             await asyncio.sleep(0.2)
-        assert [record["outcome"] for record in trio.log[Role.SENDER].of("/settled")] != ["handed_over"]
+        assert [record["outcome"] for record in trio.log[Role.SENDER].of("/settled")] != [
+            "handed_over"
+        ]
 
     fly_trio(rig, course)
 
@@ -165,11 +195,15 @@ def test_a_new_mission_waits_until_none_of_those_it_heard_holds_anything(rig: An
     fly_trio(rig, course)
 
 
-def test_a_restarted_receiver_that_holds_keeps_its_instance_and_one_that_observes_draws_anew(rig: Any) -> None:
+def test_a_restarted_receiver_that_holds_keeps_its_instance_and_one_that_observes_draws_anew(
+    rig: Any,
+) -> None:
     async def course(trio: Trio) -> None:
         before = trio.receiver.instance
         session = trio.session[Role.RECEIVER]
-        observing = ReceiverHandover(session, MemoryStore(trio.store[Role.RECEIVER].load()), lambda: True)
+        observing = ReceiverHandover(
+            session, MemoryStore(trio.store[Role.RECEIVER].load()), lambda: True
+        )
         assert observing.instance not in (before, 0)
         await trio.decide()
         again = ReceiverHandover(session, trio.store[Role.RECEIVER], lambda: True)

@@ -1,4 +1,6 @@
-"""Two drones search a field for an object, half of it each. The first to see one tells the other; both fly home."""
+"""Two drones search a field for an object, half of it each. The first to see one tells the other;
+both fly home.
+"""
 
 from missions.own import Drone
 

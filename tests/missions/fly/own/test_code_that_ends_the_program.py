@@ -98,7 +98,9 @@ def test_a_factory_that_ends_the_program_flies_nothing_and_says_so(
 
 
 @pytest.mark.parametrize("where", ["at_import", "in_constructor"])
-def test_a_harness_that_ends_the_program_is_refused(here: Path, capsys: pytest.CaptureFixture[str], where: str) -> None:
+def test_a_harness_that_ends_the_program_is_refused(
+    here: Path, capsys: pytest.CaptureFixture[str], where: str
+) -> None:
     bodies = {name: "sys.exit(0)" if name == where else "pass" for name in WHERE}
     (here / f"leaving_harness_{where}.py").write_text(FACTORY.format(**bodies))
     (here / "rig.toml").write_text(f'like = "sim"\nharness = "leaving_harness_{where}:Part"\n')
@@ -106,7 +108,9 @@ def test_a_harness_that_ends_the_program_is_refused(here: Path, capsys: pytest.C
     assert (code, "sys.exit(0)" in said) == (REFUSED, True), said
 
 
-def test_a_module_that_raises_while_it_is_imported_is_named(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_module_that_raises_while_it_is_imported_is_named(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (here / "broken_part.py").write_text("1 / 0\n")
     (here / "rig.toml").write_text('like = "sim"\nharness = "broken_part:Part"\n')
     code, said = ended(capsys, "handoff", "--rig", "rig.toml", "--out", "run")
@@ -122,5 +126,7 @@ def test_a_harness_that_ends_the_program_while_it_flies_is_no_flight(
         "import sys\nclass Harness:\n    def fly(self, request): sys.exit(0)\n"
     )
     (here / "rig.toml").write_text(f'like = "sim"\nharness = "leaving_in_flight_{seeds}:Harness"\n')
-    code, said = ended(capsys, "handoff", "--rig", "rig.toml", "--out", "run", "--seeds", seeds, "--jobs", "1")
+    code, said = ended(
+        capsys, "handoff", "--rig", "rig.toml", "--out", "run", "--seeds", seeds, "--jobs", "1"
+    )
     assert (code, "sys.exit(0)" in said) == (CRASHED, True), said

@@ -1,4 +1,6 @@
-"""Missions of a person's own in virtual time: the example of the page, every way to end, and files that are refused."""
+"""Missions of a person's own in virtual time: the example of the page, every way to end, and files
+that are refused.
+"""
 
 from __future__ import annotations
 
@@ -41,11 +43,17 @@ async def receiver(drone):
 """
 
 
-def fly(mission: Path, out: Path, seed: int = 1, *faults: str, rig: str = "sim", exact: bool = False) -> RunFacts:
+def fly(
+    mission: Path, out: Path, seed: int = 1, *faults: str, rig: str = "sim", exact: bool = False
+) -> RunFacts:
     """``exact``: both positions are nearly right."""
     out.mkdir(exist_ok=True)
     loaded = rig_library.load(rig)
-    loaded = replace(loaded, world={**loaded.world, "estimator": {"position_m": 0.05}}) if exact else loaded
+    loaded = (
+        replace(loaded, world={**loaded.world, "estimator": {"position_m": 0.05}})
+        if exact
+        else loaded
+    )
     return fly_mission(mission, loaded, seed, faults, out, lambda _: None)
 
 
@@ -63,7 +71,9 @@ def landed(out: Path) -> dict[str, bool]:
 
 
 @pytest.mark.parametrize(("rig", "seed"), [("sim", 11), ("sim", 12), ("sim-rendered", 13)])
-def test_the_search_finds_what_is_there_and_both_come_home(rig: str, seed: int, tmp_path: Path) -> None:
+def test_the_search_finds_what_is_there_and_both_come_home(
+    rig: str, seed: int, tmp_path: Path
+) -> None:
     facts = fly(SEARCH, tmp_path, seed, rig=rig)
     assert (facts.outcome, facts.exit_code, facts.violations) == ("flown", 0, {}), facts.detail
     assert landed(tmp_path) == {"sender": True, "receiver": True}
@@ -84,7 +94,9 @@ def test_the_search_finds_what_is_there_and_both_come_home(rig: str, seed: int, 
         assert min(math.hypot(east - t[0], north - t[1]) for t in near) < 0.6
 
 
-def test_its_table_and_summary_say_how_it_went(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_its_table_and_summary_say_how_it_went(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     fly(SEARCH, tmp_path, 11)
     summary = make_report(tmp_path, True, sys.stdout)
     assert (tmp_path / "summary.json").is_file() and not (tmp_path / "run.png").exists()
@@ -92,7 +104,11 @@ def test_its_table_and_summary_say_how_it_went(tmp_path: Path, capsys: pytest.Ca
     assert "badge good" in page and f"path-handoff fly {SEARCH} --rig sim --seed 11" in page
     assert summary["outcome"] == "flown"
     assert summary["min_separation_m"] > summary["separation_limit_m"]
-    assert [phase["phase"] for phase in summary["phases"]["sender"]][-3:] == ["depart", "land", "done"]
+    assert [phase["phase"] for phase in summary["phases"]["sender"]][-3:] == [
+        "depart",
+        "land",
+        "done",
+    ]
     assert "flown" in capsys.readouterr().out
 
 
@@ -115,10 +131,22 @@ def test_one_seed_is_one_run(tmp_path: Path) -> None:
         ("drone.fail('nothing to do')", Outcome.MISSION_FAILED, "nothing to do"),
         ("1 / 0", Outcome.CRASHED, "ZeroDivisionError"),
         ("raise SystemExit", Outcome.CRASHED, "ends the program, by sys.exit"),
-        ("await drone.fly_to(20.0, 0.0, 2.0, within_s=3.0)", Outcome.MISSION_FAILED, "not at north 20.0 m"),
-        ("await drone.until(lambda: False, 2.0, 'nothing happened')", Outcome.MISSION_FAILED, "nothing happened"),
+        (
+            "await drone.fly_to(20.0, 0.0, 2.0, within_s=3.0)",
+            Outcome.MISSION_FAILED,
+            "not at north 20.0 m",
+        ),
+        (
+            "await drone.until(lambda: False, 2.0, 'nothing happened')",
+            Outcome.MISSION_FAILED,
+            "nothing happened",
+        ),
         ("await drone.take_off(2.0)", Outcome.MISSION_FAILED, "take_off in the air"),
-        ("await drone.fly_to(28.0, drone.position_n_m[1], 2.0, speed_mps=3.0)", Outcome.GUARD, "fence"),
+        (
+            "await drone.fly_to(28.0, drone.position_n_m[1], 2.0, speed_mps=3.0)",
+            Outcome.GUARD,
+            "fence",
+        ),
     ],
 )
 def test_whatever_a_mission_does_it_has_an_end_and_its_drones_land(
@@ -140,7 +168,9 @@ def test_an_error_beside_a_mission_ends_it(tmp_path: Path) -> None:
 
 def test_flown_before_it_took_off(tmp_path: Path) -> None:
     mission = tmp_path / "own.py"
-    mission.write_text("async def mission(drone):\n    await drone.fly_to(1.0, 0.0, 2.0)\n", "utf-8")
+    mission.write_text(
+        "async def mission(drone):\n    await drone.fly_to(1.0, 0.0, 2.0)\n", "utf-8"
+    )
     facts = fly(mission, tmp_path / "run")
     assert (facts.outcome, facts.violations) == ("mission_failed", {})
     assert "take off first" in facts.detail
@@ -179,7 +209,9 @@ def test_each_drone_may_have_a_coroutine_of_its_own(tmp_path: Path) -> None:
         ("import nothing_of_this_name", "ModuleNotFoundError"),
     ],
 )
-def test_a_file_that_is_no_mission_is_refused_and_told_how(text: str | None, said: str, tmp_path: Path) -> None:
+def test_a_file_that_is_no_mission_is_refused_and_told_how(
+    text: str | None, said: str, tmp_path: Path
+) -> None:
     mission = tmp_path / "own.py"
     if text is not None:
         mission.write_text(text, "utf-8")

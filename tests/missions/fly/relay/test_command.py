@@ -1,4 +1,6 @@
-"""Relays of minutes: who is responsible goes round without a break, and what happens when it cannot."""
+"""Relays of minutes: who is responsible goes round without a break, and what happens when it
+cannot.
+"""
 
 from __future__ import annotations
 
@@ -38,11 +40,20 @@ def rig() -> Rig:
 
 
 def fly(
-    rig: Rig, out: Path, *batteries: float, hours: float = 0.02, fault: tuple[str, ...] = (), **relay: Any
+    rig: Rig,
+    out: Path,
+    *batteries: float,
+    hours: float = 0.02,
+    fault: tuple[str, ...] = (),
+    **relay: Any,
 ) -> tuple[dict[str, Any], dict[str, Any], list[Event]]:
-    """A relay of drones with these batteries at first; summary, record and what the crew was told."""
+    """A relay of drones with these batteries at first; summary, record and what the crew was
+    told.
+    """
     config = relay_of(rig, len(batteries))
-    drones = tuple(replace(each, battery=b) for each, b in zip(config.drones, batteries, strict=True))
+    drones = tuple(
+        replace(each, battery=b) for each, b in zip(config.drones, batteries, strict=True)
+    )
     config: RelayConfig = replace(config, drones=drones, **relay)
     told: list[Event] = []
     options = RelayOptions(drones=len(drones), hours=hours, fault=fault)
@@ -50,7 +61,9 @@ def fly(
 
 
 def held(record: dict[str, Any]) -> list[tuple[str, str]]:
-    return [(leg["sender"], leg["receiver"]) for leg in record["legs"] if leg["outcome"] == "committed"]
+    return [
+        (leg["sender"], leg["receiver"]) for leg in record["legs"] if leg["outcome"] == "committed"
+    ]
 
 
 def test_a_target_goes_round_without_a_break(rig: Rig, tmp_path: Path) -> None:
@@ -70,13 +83,18 @@ def test_a_target_goes_round_without_a_break(rig: Rig, tmp_path: Path) -> None:
     assert spells in ([True, False], [False, True, False])  # one, across the change of role
 
 
-def test_where_no_relief_is_ready_it_says_so_early_and_lands_above_the_reserve(rig: Rig, tmp_path: Path) -> None:
+def test_where_no_relief_is_ready_it_says_so_early_and_lands_above_the_reserve(
+    rig: Rig, tmp_path: Path
+) -> None:
     summary, record, told = fly(rig, tmp_path, 0.62, 0.36, hours=1.0, swap_s=5000.0)
     assert (summary["outcome"], summary["violations"]) == ("no_relief", {})
     assert summary["exit_code"] == 33
     alarm, end = (next(event for event in told if event.what == what) for what in ("alarm", "end"))
     assert alarm.drone == "D2" and end.time_s - alarm.time_s > 30.0
-    assert min(flight["battery"] for flight in record["flights"] if flight["drone"] == "D2") >= record["reserve"]
+    assert (
+        min(flight["battery"] for flight in record["flights"] if flight["drone"] == "D2")
+        >= record["reserve"]
+    )
 
 
 def test_a_relief_that_dies_on_its_way_is_replaced_by_the_next(rig: Rig, tmp_path: Path) -> None:
@@ -99,12 +117,20 @@ def test_a_program_that_dies_between_holding_and_offering_finds_itself_responsib
     assert ends[-1]["responsible"] and ends[-1]["landed"] and "mine" in ends[-1]["detail"]
 
 
-def test_what_an_estimator_stepped_by_in_one_role_stays_taken_out_in_the_next(rig: Rig, tmp_path: Path) -> None:
-    fault = ("1:step_east_receiver=1@follow+4", "1:step_yaw_receiver=25@follow+4", "2:step_north_sender=-2@follow+3")
+def test_what_an_estimator_stepped_by_in_one_role_stays_taken_out_in_the_next(
+    rig: Rig, tmp_path: Path
+) -> None:
+    fault = (
+        "1:step_east_receiver=1@follow+4",
+        "1:step_yaw_receiver=25@follow+4",
+        "2:step_north_sender=-2@follow+3",
+    )
     summary, record, _ = fly(rig, tmp_path, 0.62, 0.62, 1.0, hours=0.025, fault=fault)
     assert (summary["outcome"], summary["violations"]) == ("committed", {})
     assert held(record) == [("D1", "D2"), ("D2", "D3")]
-    steps = [each.record for each in read_log(tmp_path / "D2.mcap") if each.topic == "/estimator_step"]
+    steps = [
+        each.record for each in read_log(tmp_path / "D2.mcap") if each.topic == "/estimator_step"
+    ]
     assert [round(step["shift_n_m"][0]) for step in steps] == [0, -2]
     assert [round(step["shift_n_m"][1]) for step in steps] == [1, 0]
 
@@ -115,7 +141,12 @@ def test_a_disk_that_fails_at_the_change_of_role_ends_the_relay_by_name(
     save = MemoryStore.save
 
     def full(store: MemoryStore, record: SenderRecord | ReceiverRecord) -> None:
-        if record.epoch and record.duty == "mine" and store.kept and store.kept.record.duty == "holding":
+        if (
+            record.epoch
+            and record.duty == "mine"
+            and store.kept
+            and store.kept.record.duty == "holding"
+        ):
             raise StateError("cannot write: No space left on device", "make room")
         save(store, record)
 
@@ -139,7 +170,8 @@ def test_a_record_changes_its_role_and_its_epoch_only_grows() -> None:
     holding = ReceiverRecord(7, "holding", LIVE, 5)
     assert as_holder(kept(holding)) == SenderRecord(7, "mine")
     assert as_relief(kept(SenderRecord(7, "handed_over", LIVE, 5))) == ReceiverRecord(8)
-    assert as_relief(kept(holding)) == ReceiverRecord(8)  # its program died with it: another drone has it by now
+    # its program died with it: another drone has it by now
+    assert as_relief(kept(holding)) == ReceiverRecord(8)
     assert as_relief(kept(ReceiverRecord(8, "let_go", LIVE, 5))) == ReceiverRecord(9)
     assert as_relief(kept(ReceiverRecord(7))) == ReceiverRecord(7)
     assert as_first(kept(ReceiverRecord(7))) == SenderRecord(7)
@@ -152,7 +184,8 @@ def test_a_record_changes_its_role_and_its_epoch_only_grows() -> None:
 
 def test_the_epochs_of_a_leg_are_above_those_of_the_leg_before_whoever_flew_in_it() -> None:
     held = Kept(ReceiverRecord(EPOCHS + 1, "holding", LIVE, 5), same_clock=True)
-    gave_away = Kept(SenderRecord(EPOCHS, "handed_over", LIVE, 5), same_clock=True)  # in the last attempt of leg 1
+    # in the last attempt of leg 1
+    gave_away = Kept(SenderRecord(EPOCHS, "handed_over", LIVE, 5), same_clock=True)
     found = Kept(SenderRecord(0, "mine"), same_clock=True)  # another target, just now
     assert for_leg(found, 1) == SenderRecord(0, "mine")
     assert for_leg(found, 2).epoch + 1 >= as_relief(gave_away).epoch
@@ -193,15 +226,21 @@ def test_what_cannot_be_flown_is_refused_by_name(rig: Rig) -> None:
     }
 
 
-def test_a_relay_on_a_computer_that_is_too_slow_is_blamed_on_nobody(rig: Rig, tmp_path: Path) -> None:
+def test_a_relay_on_a_computer_that_is_too_slow_is_blamed_on_nobody(
+    rig: Rig, tmp_path: Path
+) -> None:
     """In real time; but a monitor of what must hold on any computer is not excused."""
     config = relay_of(rig, 2)
     base = Base(config, lambda _: None, 0.1)
     base.outcome, base.detail = Outcome.TARGET_LOST, "nobody sees it"
-    report = RelayReport({}, (), {}, (), (), 1.0, 1.0, 1.0, overload="D1's program: 90 of 100 frames were late")
+    report = RelayReport(
+        {}, (), {}, (), (), 1.0, 1.0, 1.0, overload="D1's program: 90 of 100 frames were late"
+    )
     outcome, detail = judge(base, report)
     assert outcome is Outcome.OVERLOADED and outcome.exit_code == 43
     assert detail == "D1's program: 90 of 100 frames were late (and so target_lost: nobody sees it)"
     assert judge(base, replace(report, overload=""))[0] is Outcome.TARGET_LOST
-    assert judge(base, replace(report, failure="the world did not come up"))[0] is Outcome.OVERLOADED
+    assert (
+        judge(base, replace(report, failure="the world did not come up"))[0] is Outcome.OVERLOADED
+    )
     assert judge(base, replace(report, violations={"S1": 1}))[0] is Outcome.MONITOR_VIOLATED

@@ -28,7 +28,9 @@ class PlayedField:
         return self.flying[name]
 
     def down(self, name: str, outcome: Outcome = Outcome.COMMITTED) -> None:
-        self.flying.pop(name).set_result(RoleResult(Role.RECEIVER, outcome, "", responsible=False, landed=True))
+        self.flying.pop(name).set_result(
+            RoleResult(Role.RECEIVER, outcome, "", responsible=False, landed=True)
+        )
 
     def landed(self, name: str) -> bool:
         return name not in self.flying
@@ -46,7 +48,9 @@ class PlayedField:
 
 @pytest.mark.parametrize("handed_over", [True, False])
 def test_the_last_one_comes_home_when_the_other_one_of_its_leg_is_down(handed_over: bool) -> None:
-    """Both fly home at one height, and their ways may cross (relay --rig relay-sitl --hours 0.02 --seed 3: 0.34 m)."""
+    """Both fly home at one height, and their ways may cross (relay --rig relay-sitl --hours 0.02
+    --seed 3: 0.34 m).
+    """
 
     async def main() -> None:
         field, no_program = PlayedField(), cast("Any", None)

@@ -66,7 +66,11 @@ def test_a_program_knows_what_the_base_knows(line: Line) -> None:
     assert not line.far.told
     line.far.on_news(line.news())
     assert line.far.told
-    assert (line.far.order_of("D2"), line.far.leg_of("D2"), line.far.over) == (TakeOffOrder.RELIEVE, None, False)
+    assert (line.far.order_of("D2"), line.far.leg_of("D2"), line.far.over) == (
+        TakeOffOrder.RELIEVE,
+        None,
+        False,
+    )
     line.call(1, "D1", "D2")
     line.base.over = True
     line.far.on_news(line.news())
@@ -82,7 +86,11 @@ def test_a_leg_that_is_over_for_the_drone_stays_over_whatever_was_on_its_way(lin
     line.far.on_news(late)  # sent before the base had heard of it
     assert line.far.leg_of("D2") is None
     line.carry_words()
-    assert (line.base.holder, line.base.leg_of("D2"), line.base.legs[0].outcome) == ("D2", None, "committed")
+    assert (line.base.holder, line.base.leg_of("D2"), line.base.legs[0].outcome) == (
+        "D2",
+        None,
+        "committed",
+    )
     line.call(2, "D2", "D1")
     line.far.on_news(line.news())
     leg = line.far.leg_of("D2")

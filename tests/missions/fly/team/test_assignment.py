@@ -66,12 +66,25 @@ def test_a_new_target_is_looked_at_from_where_no_other_is_behind_it() -> None:
 @pytest.mark.parametrize(
     ("one", "other", "expected"),
     [
-        (way_out((0.0, 0.0), (0.0, 40.0), AREA_M), way_out((10.0, 0.0), (10.0, 40.0), AREA_M), True),  # areas
-        (way_out((0.0, 0.0), (0.0, 40.0), AREA_M), way_out((20.0, 0.0), (20.0, 40.0), AREA_M), False),
-        (way_out((0.0, 0.0), (40.0, 40.0), 0.0), way_out((40.0, 0.0), (0.0, 40.0), 0.0), True),  # they cross
-        (way_out((0.0, 0.0), (40.0, 40.0), 0.0), way_back((40.0, 0.0), (0.0, 40.0), 0.0), False),  # one above the other
-        (way_out((0.0, 0.0), (40.0, 0.0), 0.0), way_back((20.0, 1.0), (20.0, 40.0), 0.0), True),  # through a landing
-        (way_back((0.0, 0.0), (40.0, 0.0), 0.0), way_out((20.0, 1.0), (20.0, 40.0), 0.0), False),  # above a take-off
+        # areas
+        (
+            way_out((0.0, 0.0), (0.0, 40.0), AREA_M),
+            way_out((10.0, 0.0), (10.0, 40.0), AREA_M),
+            True,
+        ),
+        (
+            way_out((0.0, 0.0), (0.0, 40.0), AREA_M),
+            way_out((20.0, 0.0), (20.0, 40.0), AREA_M),
+            False,
+        ),
+        # they cross
+        (way_out((0.0, 0.0), (40.0, 40.0), 0.0), way_out((40.0, 0.0), (0.0, 40.0), 0.0), True),
+        # one above the other
+        (way_out((0.0, 0.0), (40.0, 40.0), 0.0), way_back((40.0, 0.0), (0.0, 40.0), 0.0), False),
+        # through a landing
+        (way_out((0.0, 0.0), (40.0, 0.0), 0.0), way_back((20.0, 1.0), (20.0, 40.0), 0.0), True),
+        # above a take-off
+        (way_back((0.0, 0.0), (40.0, 0.0), 0.0), way_out((20.0, 1.0), (20.0, 40.0), 0.0), False),
     ],
 )
 def test_two_ways_at_once(one: Airway, other: Airway, expected: bool) -> None:

@@ -29,7 +29,9 @@ class Place:
         return self.flights[name]
 
     def end(self, name: str, outcome: Outcome) -> None:
-        self.flights[name].set_result(RoleResult(Role.RECEIVER, outcome, "", responsible=False, landed=True))
+        self.flights[name].set_result(
+            RoleResult(Role.RECEIVER, outcome, "", responsible=False, landed=True)
+        )
 
     def landed(self, name: str) -> bool:
         return self.flights[name].done()
@@ -61,10 +63,16 @@ def flown(story: Callable[[TeamBase, Place], Awaitable[None]]) -> list[tuple[str
         stop.set()
         for flight in place.flights.values():
             if not flight.done():
-                flight.set_result(RoleResult(Role.SENDER, Outcome.INTERRUPTED, "", responsible=False, landed=True))
+                flight.set_result(
+                    RoleResult(Role.SENDER, Outcome.INTERRUPTED, "", responsible=False, landed=True)
+                )
         await running
 
-    base, place, stop = TeamBase(team_of(rig_library.load("team-sim"), 2, 1)), Place(), asyncio.Event()
+    base, place, stop = (
+        TeamBase(team_of(rig_library.load("team-sim"), 2, 1)),
+        Place(),
+        asyncio.Event(),
+    )
     run_virtual(main())
     return [(event.drone, event.what) for event in base.events]
 
@@ -79,12 +87,16 @@ async def acquired(base: TeamBase) -> str:
 async def relief_of(base: TeamBase, holder: str) -> str:
     base.ask(holder, 0.6, 300.0)
     await asyncio.sleep(2.0)
-    (relief,) = (name for name, drone in base.drones.items() if drone.where == "flying" and name != holder)
+    (relief,) = (
+        name for name, drone in base.drones.items() if drone.where == "flying" and name != holder
+    )
     return relief
 
 
 def test_a_relief_that_is_down_before_its_sender_knows_is_in_nobody_s_way() -> None:
-    """It stands ready again later, and is sent to find the target that its sender had to give up."""
+    """It stands ready again later, and is sent to find the target that its sender had to give
+    up.
+    """
 
     async def story(base: TeamBase, place: Place) -> None:
         holder = await acquired(base)
@@ -173,7 +185,9 @@ def test_who_waits_for_its_way_back_for_too_long_comes_home_and_another_one_is_s
 
 
 def test_the_sender_of_a_relief_that_died_with_the_target_is_sent_back_to_it() -> None:
-    """Only once the other one's program is over: until then it may hold the target without having said so."""
+    """Only once the other one's program is over: until then it may hold the target without having
+    said so.
+    """
 
     async def story(base: TeamBase, place: Place) -> None:
         holder = await acquired(base)
@@ -201,7 +215,9 @@ def test_a_relief_that_comes_home_early_by_no_fault_of_its_own_keeps_its_battery
             (Outcome.PEER_LOST, 0.80, base.config.swap_s, 1.0),
             (Outcome.CAMERA_LOST, 0.95, base.config.swap_s, 1.0),
         ):
-            holder = await acquired(base) if base.targets[0].holder is None else base.targets[0].holder
+            holder = (
+                await acquired(base) if base.targets[0].holder is None else base.targets[0].holder
+            )
             assert holder is not None
             relief = await relief_of(base, holder)
             place.left[relief] = left

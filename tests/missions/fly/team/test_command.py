@@ -1,4 +1,6 @@
-"""A team of minutes: targets go round among drones, two hand-overs at once, and who dies is replaced."""
+"""A team of minutes: targets go round among drones, two hand-overs at once, and who dies is
+replaced.
+"""
 
 from __future__ import annotations
 
@@ -47,8 +49,13 @@ def test_two_targets_are_handed_over_at_once_and_stay_observed(rig: Rig, tmp_pat
     assert (summary["outcome"], summary["monitors"], summary["wrong"]) == ("committed", {}, 0)
     assert summary["observed_percent"] == {"A": 100.0, "B": 100.0, "all": 100.0}
     legs = {leg["target"]: leg for leg in record["legs"]}
-    assert {target: leg["outcome"] for target, leg in legs.items()} == {"A": "committed", "B": "committed"}
-    assert legs["A"]["called_s"] < legs["B"]["held_s"] and legs["B"]["called_s"] < legs["A"]["held_s"]
+    assert {target: leg["outcome"] for target, leg in legs.items()} == {
+        "A": "committed",
+        "B": "committed",
+    }
+    assert (
+        legs["A"]["called_s"] < legs["B"]["held_s"] and legs["B"]["called_s"] < legs["A"]["held_s"]
+    )
     assert len({leg[role] for leg in record["legs"] for role in ("sender", "receiver")}) == 4
     assert all(summary["bytes_per_s"][name] > 0.0 for name in ("D1", "D2", "D3", "D4"))
     assert summary["cpu_s_per_drone_hour"] > 0.0
@@ -58,14 +65,30 @@ def test_two_targets_are_handed_over_at_once_and_stay_observed(rig: Rig, tmp_pat
 
 def test_a_drone_that_dies_with_its_target_is_replaced(rig: Rig, tmp_path: Path) -> None:
     summary, record, told = fly(
-        rig, tmp_path, 3, 1, 0.65, 0.65, 0.65, hours=0.045, fault=("1:kill_receiver@holding+12", "1:link_loss=0.1")
+        rig,
+        tmp_path,
+        3,
+        1,
+        0.65,
+        0.65,
+        0.65,
+        hours=0.045,
+        fault=("1:kill_receiver@holding+12", "1:link_loss=0.1"),
     )
     assert (summary["outcome"], summary["monitors"], summary["wrong"]) == ("committed", {}, 0)
-    assert [event.what for event in told if event.what in ("find", "call", "lost")] == ["find", "call", "lost", "find"]
+    assert [event.what for event in told if event.what in ("find", "call", "lost")] == [
+        "find",
+        "call",
+        "lost",
+        "find",
+    ]
     (spell,) = record["unobserved"]["A"]
     assert 1.0 < spell[1] - spell[0] < 60.0  # until another one has come and found it
     assert summary["observed_percent"]["A"] < 100.0
-    assert record["spells"][-1]["drone"] not in (record["legs"][0]["sender"], record["legs"][0]["receiver"])
+    assert record["spells"][-1]["drone"] not in (
+        record["legs"][0]["sender"],
+        record["legs"][0]["receiver"],
+    )
 
 
 @pytest.mark.parametrize(
@@ -77,17 +100,28 @@ def test_who_is_left_of_a_leg_turns_back_and_finds_the_target(
     rig: Rig, tmp_path: Path, fault: str, finder: str, seed: int
 ) -> None:
     """It is there, in the air: nobody else has to come."""
-    summary, record, told = fly(rig, tmp_path, 2, 1, 0.65, 0.65, hours=0.045, fault=(fault,), seed=seed)
+    summary, record, told = fly(
+        rig, tmp_path, 2, 1, 0.65, 0.65, hours=0.045, fault=(fault,), seed=seed
+    )
     assert (summary["outcome"], summary["monitors"], summary["wrong"]) == ("committed", {}, 0)
-    assert [event.what for event in told if event.what in ("find", "call", "lost")] == ["find", "call", "lost", "find"]
+    assert [event.what for event in told if event.what in ("find", "call", "lost")] == [
+        "find",
+        "call",
+        "lost",
+        "find",
+    ]
     (leg,) = record["legs"]
     assert record["spells"][-1]["drone"] == leg[finder] and leg["outcome"] != "committed"
     assert "ready" not in [event.what for event in told]  # nobody was swapped meanwhile
 
 
 @pytest.mark.parametrize("fault", ["depth_holes", "marker_hidden"])
-def test_what_goes_wrong_in_one_leg_fails_it_and_not_the_next(rig: Rig, tmp_path: Path, fault: str) -> None:
-    summary, record, told = fly(rig, tmp_path, 3, 1, 0.65, 0.65, 0.65, hours=0.07, fault=(f"1:{fault}@follow",))
+def test_what_goes_wrong_in_one_leg_fails_it_and_not_the_next(
+    rig: Rig, tmp_path: Path, fault: str
+) -> None:
+    summary, record, told = fly(
+        rig, tmp_path, 3, 1, 0.65, 0.65, 0.65, hours=0.07, fault=(f"1:{fault}@follow",)
+    )
     assert (summary["monitors"], summary["wrong"], summary["lost"]) == ({}, 0, 0)
     first, second, *_ = (leg["outcome"] for leg in record["legs"])
     assert first != "committed" and second == "committed"

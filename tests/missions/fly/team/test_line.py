@@ -1,4 +1,6 @@
-"""The line between the ground of a team and a drone's program in another process: what of targets goes over it."""
+"""The line between the ground of a team and a drone's program in another process: what of targets
+goes over it.
+"""
 
 from __future__ import annotations
 
@@ -109,7 +111,9 @@ def test_a_drone_on_its_way_home_asks_and_is_told_to_turn_back(base: TeamBase) -
     assert told(base).turned_back("D2") == "go"  # nothing is in its way
 
 
-def test_a_process_is_told_how_much_of_the_rig_takes_part(base: TeamBase, rig: Rig, tmp_path: Any) -> None:
+def test_a_process_is_told_how_much_of_the_rig_takes_part(
+    base: TeamBase, rig: Rig, tmp_path: Any
+) -> None:
     config = replace(team_of(rig, 2, 1), hours=1.0)
     processes = processes_of(rig, config, tmp_path, base, False)
     command = processes.command("D2")

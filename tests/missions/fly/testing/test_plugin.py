@@ -1,4 +1,6 @@
-"""The plugin in a test suite of somebody else's: runs, drones and monitors, and what is kept of a failed test."""
+"""The plugin in a test suite of somebody else's: runs, drones and monitors, and what is kept of a
+failed test.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,8 @@ import pytest
 
 pytest_plugins = ("pytester",)
 
-PLUGIN = "missions.fly.testing.plugin"  # the name of its entry point too, so that it is not loaded twice
+# the name of its entry point too, so that it is not loaded twice
+PLUGIN = "missions.fly.testing.plugin"
 MISSION = """
 async def sender(drone):
     await drone.take_off(1.5)
@@ -54,21 +57,31 @@ def test_no_such_fault(path_flights):
 def suite(pytester: pytest.Pytester) -> pytest.Pytester:
     pytester.makepyfile(hover=MISSION, clash=CLASH, test_field=TESTS)
     pytester.makeini("[pytest]\nfilterwarnings = error\n")
-    meet = 'name = "meet"\nlike = "sim"\n[world.estimator]\nposition_m = 0.05\n'  # two that fly to one place
+    # two that fly to one place
+    meet = 'name = "meet"\nlike = "sim"\n[world.estimator]\nposition_m = 0.05\n'
     (pytester.path / "meet.toml").write_text(meet, "utf-8")
     return pytester
 
 
-def test_a_monitor_fails_a_test_and_only_failed_runs_are_kept_and_named(suite: pytest.Pytester) -> None:
-    result = suite.runpytest_subprocess("-p", PLUGIN, "--path-rig", "meet.toml", "--path-runs", "kept")
+def test_a_monitor_fails_a_test_and_only_failed_runs_are_kept_and_named(
+    suite: pytest.Pytester,
+) -> None:
+    result = suite.runpytest_subprocess(
+        "-p", PLUGIN, "--path-rig", "meet.toml", "--path-runs", "kept"
+    )
     result.assert_outcomes(passed=2, failed=3)
     result.stdout.fnmatch_lines_random([
         "*a safety monitor was violated*", "*S9 at * separation *", "*kept/test_field.py_test_too_near/run-1*",
         "*kept/test_field.py_test_fails_after_a_flight/run-1*", "*no fault 'no_such'*", "*fix: one of: *",
     ])  # fmt: skip
     kept = {folder.parent.name for folder in (suite.path / "kept").glob("*/run-1")}
-    assert kept == {f"test_field.py_test_{name}" for name in ("fails_after_a_flight", "too_near", "no_such_fault")}
-    assert (suite.path / "kept" / "test_field.py_test_too_near" / "run-1" / "sender.mcap").stat().st_size > 0
+    assert kept == {
+        f"test_field.py_test_{name}"
+        for name in ("fails_after_a_flight", "too_near", "no_such_fault")
+    }
+    assert (
+        suite.path / "kept" / "test_field.py_test_too_near" / "run-1" / "sender.mcap"
+    ).stat().st_size > 0
 
 
 def test_a_rig_that_is_none_is_refused_with_the_fix(suite: pytest.Pytester) -> None:
@@ -82,5 +95,7 @@ def test_loading_it_imports_nothing_but_pytest() -> None:
     code = f"import sys, pytest; before = set(sys.modules); import {PLUGIN}; " + (
         f"print(sorted({heavy} & {{name.partition('.')[0] for name in set(sys.modules) - before}}))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=Path.cwd())
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=Path.cwd()
+    )
     assert done.stdout == "[]\n"

@@ -1,4 +1,6 @@
-"""Who may watch a flight: programs of this computer, viewers, who knows the token; no page of anybody else."""
+"""Who may watch a flight: programs of this computer, viewers, who knows the token; no page of
+anybody else.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ OTHERS = (
 
 def head(line: str, token: str = "") -> bytes:
     said = f"?token={token.replace(' ', '%20')}" if token else ""
-    return f"GET /{said} HTTP/1.1\r\nHost: x\r\n{line}\r\n\r\n".replace("\r\n\r\n\r\n", "\r\n\r\n").encode("latin-1")
+    return f"GET /{said} HTTP/1.1\r\nHost: x\r\n{line}\r\n\r\n".replace(
+        "\r\n\r\n\r\n", "\r\n\r\n"
+    ).encode("latin-1")
 
 
 @pytest.mark.parametrize("line", OWN)
@@ -99,7 +103,9 @@ def test_silent_connections_keep_nobody_out_who_knows_the_token(silent: int) -> 
     behind(TOKEN, body)
 
 
-def test_clients_that_are_there_at_the_end_leave_no_traceback(capsys: pytest.CaptureFixture[str]) -> None:
+def test_clients_that_are_there_at_the_end_leave_no_traceback(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     told: list[dict[str, Any]] = []
 
     def keep(loop: object, context: dict[str, Any]) -> None:

@@ -47,7 +47,8 @@ def ask(client: ClientConnection, *channels: int) -> None:
 def heard(client: ClientConnection, *topics: str) -> dict[str, tuple[int, bytes]]:
     """The first message of each topic: stamp and content.
 
-    A server on a busy computer advertises a channel before it takes subscriptions to it: it is asked again.
+    A server on a busy computer advertises a channel before it takes subscriptions to it: it is
+    asked again.
     """
     named: dict[int, str] = {}
     found: dict[str, tuple[int, bytes]] = {}
@@ -60,7 +61,9 @@ def heard(client: ClientConnection, *topics: str) -> dict[str, tuple[int, bytes]
             continue
         told: dict[str, Any] = json.loads(word)
         if told["op"] == "advertise":
-            wanted = {each["id"]: each["topic"] for each in told["channels"] if each["topic"] in topics}
+            wanted = {
+                each["id"]: each["topic"] for each in told["channels"] if each["topic"] in topics
+            }
             named |= wanted
             ask(client, *wanted)
         elif told["op"] == "status":
@@ -105,7 +108,8 @@ def test_a_stranger_sees_a_flight_as_it_goes(tmp_path: Path, flight: McapLog) ->
 
 def test_a_stranger_decodes_what_is_seen_during_a_flight_in_virtual_time(tmp_path: Path) -> None:
     port = free_port(socket.SOCK_STREAM)
-    with ExitStack() as stack:  # the client dials before anything flies and leaves before the stream ends
+    # the client dials before anything flies and leaves before the stream ends
+    with ExitStack() as stack:
         stack.enter_context(live(f"{LOOPBACK}:{port}", tmp_path))
         client = stack.enter_context(dial(f"ws://{LOOPBACK}:{port}"))
         watched = stack.enter_context(ThreadPoolExecutor(1)).submit(
@@ -116,7 +120,9 @@ def test_a_stranger_decodes_what_is_seen_during_a_flight_in_virtual_time(tmp_pat
     assert facts.outcome == "committed"
     assert json.loads(seen["/sender/state"][1])["armed"] in (True, False)
     scene = SceneUpdate.get_schema()
-    decode = DecoderFactory().decoder_for("protobuf", Schema(1, scene.data, scene.encoding, scene.name))
+    decode = DecoderFactory().decoder_for(
+        "protobuf", Schema(1, scene.data, scene.encoding, scene.name)
+    )
     assert decode is not None
     assert decode(seen["/receiver/3d"][1]).entities[0].id.startswith("receiver/")
 
@@ -164,7 +170,9 @@ def test_other_hosts_need_a_token(asked: str, monkeypatch: pytest.MonkeyPatch) -
     assert address_of("localhost:1") == (LOOPBACK, 1)
 
 
-@pytest.mark.parametrize("asked", ["8765", "localhost", ":8765", "host:port", "host:0", "host:70000"])
+@pytest.mark.parametrize(
+    "asked", ["8765", "localhost", ":8765", "host:port", "host:0", "host:70000"]
+)
 def test_what_is_no_address_is_refused(asked: str) -> None:
     with pytest.raises(PartError, match="no address"):
         address_of(asked)
@@ -191,7 +199,8 @@ def test_a_gate_without_a_token_does_not_open() -> None:
         asyncio.run(TokenGate("", 1).open("0.0.0.0", 0))
 
 
-# --- logs that grow ----------------------------------------------------------------------------------------------
+# --- logs that grow
+# ----------------------------------------------------------------------------------------------
 
 
 def drain(follower: FolderFollower) -> list[tuple[str, str, int]]:
@@ -199,7 +208,9 @@ def drain(follower: FolderFollower) -> list[tuple[str, str, int]]:
     return [(said.topic, said.schema.name, said.message.log_time) for said in follower.new()]
 
 
-def test_every_record_is_told_once_and_in_order_though_the_log_is_closed_meanwhile(tmp_path: Path) -> None:
+def test_every_record_is_told_once_and_in_order_though_the_log_is_closed_meanwhile(
+    tmp_path: Path,
+) -> None:
     follower = FolderFollower(tmp_path)
     told: list[tuple[str, str, int]] = []
     with McapLog(tmp_path / "receiver.guard.mcap", "receiver") as log:
@@ -246,7 +257,9 @@ def test_logs_of_an_earlier_run_are_not_told(tmp_path: Path) -> None:
 def test_what_is_no_log_ends_its_following_alone(tmp_path: Path) -> None:
     follower = FolderFollower(tmp_path)
     told: list[tuple[str, str, int]] = []
-    (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes([3]) + struct.pack("<Q", 4) + b"\xff\xff\xff\xff" * 3)
+    (tmp_path / "a.mcap").write_bytes(
+        b"\x89MCAP0\r\n" + bytes([3]) + struct.pack("<Q", 4) + b"\xff\xff\xff\xff" * 3
+    )
     with McapLog(tmp_path / "b.mcap", "b") as log:
         log.write("/note", 0, {"note": "here"})
         told += drain(follower)

@@ -1,4 +1,6 @@
-"""One log on one clock, trajectories and tables, from logs of computers that do not agree about the time."""
+"""One log on one clock, trajectories and tables, from logs of computers that do not agree about the
+time.
+"""
 
 from __future__ import annotations
 
@@ -27,19 +29,35 @@ EVENTS = 40
 
 
 def write_logs(folder: Path, *, measured: bool = True) -> None:
-    """The same instants on two computers, one of whose UTC is an hour off; each tells of both ends of the other's."""
-    for name, stamps_ns, utc_ns in (("sender", 0, 10 * HOUR_NS), ("receiver", OFFSET_NS, 11 * HOUR_NS - OFFSET_NS)):
+    """The same instants on two computers, one of whose UTC is an hour off; each tells of both ends
+    of the other's.
+    """
+    for name, stamps_ns, utc_ns in (
+        ("sender", 0, 10 * HOUR_NS),
+        ("receiver", OFFSET_NS, 11 * HOUR_NS - OFFSET_NS),
+    ):
         with McapLog(folder / f"{name}.mcap", name, utc_minus_stamp_ns=utc_ns) as log:
             sign = -1 if name == "receiver" else 1
             for k in range(EVENTS):
                 now_ns = k * 1_000_000_000 + stamps_ns
                 offset_ns = sign * OFFSET_NS + ERROR_NS if measured else None
-                link = {"packets_sent": k, "packets_received": k, "bytes_sent": 0, "bytes_received": 0, "dropped": {}}
-                clock = {"clock_offset_ns": offset_ns, "clock_uncertainty_ns": 2_000_000 if measured else None}
+                link = {
+                    "packets_sent": k,
+                    "packets_received": k,
+                    "bytes_sent": 0,
+                    "bytes_received": 0,
+                    "dropped": {},
+                }
+                clock = {
+                    "clock_offset_ns": offset_ns,
+                    "clock_uncertainty_ns": 2_000_000 if measured else None,
+                }
                 log.write("/link", now_ns, link | clock)
                 log.write("/note", now_ns, {"note": str(k)})
             assert log.failed is None
-    with McapLog(folder / "receiver.guard.mcap", "receiver", utc_minus_stamp_ns=11 * HOUR_NS - OFFSET_NS) as log:
+    with McapLog(
+        folder / "receiver.guard.mcap", "receiver", utc_minus_stamp_ns=11 * HOUR_NS - OFFSET_NS
+    ) as log:
         log.write("/guard_stalled", 5_000_000_000 + OFFSET_NS, {"stalled_s": 1.0})
 
 
@@ -51,7 +69,9 @@ def notes(path: Path) -> dict[str, list[int]]:
     return found
 
 
-def test_clocks_an_hour_apart_line_up_within_what_is_stated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_clocks_an_hour_apart_line_up_within_what_is_stated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write_logs(tmp_path)
     assert run_merge(MergeOptions((tmp_path,))) == 0
     merged = notes(tmp_path / "merged.mcap")
@@ -99,7 +119,9 @@ def test_trajectories_differ_from_the_truth_by_what_the_report_prints(
     with (tmp_path / "said.txt").open("w") as stream:
         summary = make_report(folder, False, stream)
     assert run_export(ExportOptions(folder, tum=True)) == 0
-    measured, true = (np.loadtxt(folder / "export" / f"{name}.tum") for name in ("marker", "truth-marker"))
+    measured, true = (
+        np.loadtxt(folder / "export" / f"{name}.tum") for name in ("marker", "truth-marker")
+    )
     assert (measured[:, 0] == true[:, 0]).all()
     errors = np.linalg.norm(measured[:, 1:4] - true[:, 1:4], axis=1)
     assert np.median(errors) == pytest.approx(summary["d2_error_m"], abs=2e-4)
@@ -114,14 +136,25 @@ def test_evo_says_what_the_report_prints(make_run: Callable[..., Path], tmp_path
     files = [str(folder / "export" / f"{name}.tum") for name in ("truth-marker", "marker")]
     evo = [str(Path(sys.executable).with_name("evo_ape")), "tum", *files]
     done = subprocess.run(
-        evo, capture_output=True, text=True, timeout=600.0, env={**os.environ, "HOME": str(tmp_path)}, check=False
+        evo,
+        capture_output=True,
+        text=True,
+        timeout=600.0,
+        env={**os.environ, "HOME": str(tmp_path)},
+        check=False,
     )
     assert done.returncode == 0, done.stderr
-    (median,) = (float(line.split()[1]) for line in done.stdout.splitlines() if line.split()[:1] == ["median"])
+    (median,) = (
+        float(line.split()[1])
+        for line in done.stdout.splitlines()
+        if line.split()[:1] == ["median"]
+    )
     assert median == pytest.approx(summary["d2_error_m"], abs=2e-4)
 
 
-def test_tables_have_a_column_for_every_number(make_run: Callable[..., Path], tmp_path: Path) -> None:
+def test_tables_have_a_column_for_every_number(
+    make_run: Callable[..., Path], tmp_path: Path
+) -> None:
     folder = make_run()
     assert run_export(ExportOptions(folder, csv=True, out=tmp_path)) == 0
     with (tmp_path / "sender.agreement.csv").open() as file:
@@ -137,7 +170,9 @@ def test_nothing_asked_for_is_refused(make_run: Callable[..., Path]) -> None:
 
 @pytest.fixture
 def scp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Two other computers, each a folder, an scp that copies from them, and an empty folder to be in."""
+    """Two other computers, each a folder, an scp that copies from them, and an empty folder to be
+    in.
+    """
     computers, laptop, programs = (tmp_path / name for name in ("computers", "laptop", "programs"))
     for folder in (computers, laptop, programs):
         folder.mkdir()
@@ -177,7 +212,9 @@ def test_logs_of_two_companions_are_fetched_and_merged_by_one_command(
 
 
 def test_a_computer_that_is_not_there_is_said_in_its_words(scp: Path) -> None:
-    with pytest.raises(PartError, match=r"d3:runs/7 was not fetched: ssh: Could not resolve hostname d3") as caught:
+    with pytest.raises(
+        PartError, match=r"d3:runs/7 was not fetched: ssh: Could not resolve hostname d3"
+    ) as caught:
         run_merge(MergeOptions((Path("d3:runs/7"),)))
     assert "scp -r d3:runs/7 d3-7" in caught.value.remedy
     with pytest.raises(PartError, match="is a log on another computer"):

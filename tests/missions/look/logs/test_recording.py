@@ -56,7 +56,9 @@ def test_every_frame_with_depth_is_written_once_with_its_stamp(
     numbers = [n for n in range(1, FRAMES + 1) if n != 7]
     loaded = [frame.load() for frame in frames]
     assert [int(each.color[0, 0, 0]) for each in loaded] == numbers
-    assert np.diff([frame.stamp_ns for frame in frames]) == pytest.approx(np.diff(numbers) * STEP_NS, abs=2_000_000)
+    assert np.diff([frame.stamp_ns for frame in frames]) == pytest.approx(
+        np.diff(numbers) * STEP_NS, abs=2_000_000
+    )
     for each in loaded:
         assert each.depth_mm is not None
         seen = each.depth_mm[each.depth_mm > 0]
@@ -96,7 +98,9 @@ def test_a_calibration_of_ones_own_is_taken_instead(film: Path, tmp_path: Path) 
     ],
     ids=["no file", "tum", "not empty", "calibration of a run", "no folder"],
 )
-def test_what_cannot_be_written_out_is_refused(film: Path, name: str, options: dict[str, Any], said: str) -> None:
+def test_what_cannot_be_written_out_is_refused(
+    film: Path, name: str, options: dict[str, Any], said: str
+) -> None:
     with pytest.raises(PartError, match=said) as caught:
         run(ExportOptions(film.parent / name, **options))
     assert caught.value.remedy
@@ -131,7 +135,11 @@ def test_what_was_refused_leaves_nothing_that_a_second_try_meets(tmp_path: Path)
 def test_a_calibration_of_ones_own_is_not_written_over(tmp_path: Path) -> None:
     file = OtherCamera(CameraKind()).record(tmp_path / "d1.db3")
     export(file, tmp_path / "first")
-    own = (tmp_path / "first.camera.toml").read_text().replace("the maker's calibration in d1.db3", "views")
+    own = (
+        (tmp_path / "first.camera.toml")
+        .read_text()
+        .replace("the maker's calibration in d1.db3", "views")
+    )
     (tmp_path / "d1.camera.toml").write_text(own)
     with pytest.raises(PartError, match=r"d1.camera.toml is there, and is not the maker's"):
         run(ExportOptions(file))
@@ -146,4 +154,6 @@ def test_a_lens_of_another_kind_is_told_of_with_how_far_off_it_is(
     file = OtherCamera(kind).record(tmp_path / "d1.db3")
     export(file, tmp_path / "d1")
     assert "its lens as Brown-Conrady, off by 0.000 px at most" in capsys.readouterr().out
-    assert read_camera(tmp_path / "d1.camera.toml").camera.distortion[0] == pytest.approx(0.056, abs=0.002)
+    assert read_camera(tmp_path / "d1.camera.toml").camera.distortion[0] == pytest.approx(
+        0.056, abs=0.002
+    )

@@ -1,4 +1,6 @@
-"""Bags of ROS: their images are written out by `export`, and everything else says that this is what to do."""
+"""Bags of ROS: their images are written out by `export`, and everything else says that this is what
+to do.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ from tests.drivers.recordings.ros_bags import (
 KINDS = {
     "rgb8 and 16UC1": BagKind(),
     "bgra8, metres": BagKind("bgra8", "32FC1"),
-    "jpeg, compressed depth": BagKind("png", "compressedDepth", color_topic="/camera/color/image_raw/compressed"),
+    "jpeg, compressed depth": BagKind(
+        "png", "compressedDepth", color_topic="/camera/color/image_raw/compressed"
+    ),
     "rows with an end, large bytes first": BagKind("rgba8", "mono16", padding=8, big_endian=True),
     "depth 5 ms later": BagKind(late_ns=5_000_000),
     "raw depth of the very same camera": BagKind(depth_topic=RAW),
@@ -88,17 +92,26 @@ def test_a_folder_of_ros_2_is_written_out_into_itself(tmp_path: Path) -> None:
 def test_a_bag_that_does_not_say_its_lens_gives_its_images_all_the_same(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(ExportOptions(written(tmp_path, "ros1", BagKind(model=None)), out=tmp_path / "out")) == 0
+    assert (
+        run(ExportOptions(written(tmp_path, "ros1", BagKind(model=None)), out=tmp_path / "out"))
+        == 0
+    )
     assert "it does not say what lens it has: calibrate the camera" in capsys.readouterr().out
     assert not (tmp_path / "out.camera.toml").exists()
     assert len(list((tmp_path / "out").glob("*.png"))) == FRAMES
 
 
 REFUSED: dict[str, tuple[BagKind, str]] = {
-    "depth of another camera": (BagKind(depth_topic=RAW, depth_focal_px=33.0), "does not say where that camera is"),
+    "depth of another camera": (
+        BagKind(depth_topic=RAW, depth_focal_px=33.0),
+        "does not say where that camera is",
+    ),
     "no depth": (BagKind(depth_topic=None), "has no depth to be read; it has: /camera/color"),
     "no colour": (BagKind(color_topic="/camera/infra1/image_raw"), "has no colour to be read"),
-    "depth of another size": (BagKind(depth_height=8), "depth of 24x8 px for colour of 24x16 px: it is not registered"),
+    "depth of another size": (
+        BagKind(depth_height=8),
+        "depth of 24x8 px for colour of 24x16 px: it is not registered",
+    ),
     "another encoding": (BagKind(color="8SC3"), "colour is encoded as 8SC3"),
     "depth in bytes": (BagKind(depth="8UC1"), "depth is encoded as 8UC1"),
     "another lens": (BagKind(model="ftheta"), "a lens of a kind that is not known: ftheta"),
@@ -107,7 +120,9 @@ REFUSED: dict[str, tuple[BagKind, str]] = {
 
 
 @pytest.mark.parametrize(("kind", "said"), REFUSED.values(), ids=REFUSED)
-def test_what_a_bag_has_not_is_refused_by_name_and_leaves_nothing(tmp_path: Path, kind: BagKind, said: str) -> None:
+def test_what_a_bag_has_not_is_refused_by_name_and_leaves_nothing(
+    tmp_path: Path, kind: BagKind, said: str
+) -> None:
     file = written(tmp_path, "db3", kind)
     with pytest.raises(PartError, match=said) as caught:
         run(ExportOptions(file, out=tmp_path / "out"))
@@ -116,12 +131,16 @@ def test_what_a_bag_has_not_is_refused_by_name_and_leaves_nothing(tmp_path: Path
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_whoever_plays_recordings_says_that_a_bag_of_ros_is_written_out_first(tmp_path: Path, form: Form) -> None:
+def test_whoever_plays_recordings_says_that_a_bag_of_ros_is_written_out_first(
+    tmp_path: Path, form: Form
+) -> None:
     file = written(tmp_path, form, BagKind())
     places: Sequence[Path] = (file,) if form == "ros1" else (file, file.parent)
     number = 1 if form == "ros1" else 2
     for place in places:
-        with pytest.raises(RecordingError, match=rf"is a ROS {number} bag.* with /camera/color/image_raw") as caught:
+        with pytest.raises(
+            RecordingError, match=rf"is a ROS {number} bag.* with /camera/color/image_raw"
+        ) as caught:
             open_recording(place)
         assert f"path-handoff export {place}" in caught.value.remedy
     if form != "mcap":
@@ -129,7 +148,9 @@ def test_whoever_plays_recordings_says_that_a_bag_of_ros_is_written_out_first(tm
             RecordingSource(file).open()
 
 
-def test_without_the_extra_a_bag_is_named_with_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_extra_a_bag_is_named_with_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = written(tmp_path, "ros1", BagKind())
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(PartError, match="is a ROS 1 bag with /camera/color/image_raw") as caught:

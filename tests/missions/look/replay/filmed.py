@@ -1,4 +1,6 @@
-"""Films of a recorded run as somebody without PATH would have them: a video, a folder of images, and a text file."""
+"""Films of a recorded run as somebody without PATH would have them: a video, a folder of images,
+and a text file.
+"""
 
 from __future__ import annotations
 
@@ -26,14 +28,22 @@ FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 
 def make_films(run: Path, folder: Path, seconds: tuple[float, float]) -> Path:
-    """Both drones' films of a part of a run, by seconds from when the views are compared, and the file that names them.
+    """Both drones' films of a part of a run, by seconds from when the views are compared, and the
+    file that names them.
 
-    D1's is a video with depth images and a table of stamps, D2's a folder of images with stamps of its own clock.
+    D1's is a video with depth images and a table of stamps, D2's a folder of images with stamps of
+    its own clock.
     """
     logs = drone_logs(run)
-    targets = [each for each in logs["sender"] if each.topic == "/target" and each.record["box"] is not None]
+    targets = [
+        each
+        for each in logs["sender"]
+        if each.topic == "/target" and each.record["box"] is not None
+    ]
     verify_ns = next(
-        each.stamp_ns for each in logs["sender"] if each.topic == "/phase" and each.record["phase"] == "verify"
+        each.stamp_ns
+        for each in logs["sender"]
+        if each.topic == "/phase" and each.record["phase"] == "verify"
     )
     begin_ns, end_ns = (verify_ns + round(each * 1e9) for each in seconds)
     ahead_ns = next(  # D2's clock is of D1's, as they have measured it
@@ -44,7 +54,9 @@ def make_films(run: Path, folder: Path, seconds: tuple[float, float]) -> Path:
     first = next(each for each in targets if each.stamp_ns >= begin_ns)
     sent = list(_part(run / "sender.frames.mcap", begin_ns, end_ns))
     write_video(folder / "d1.mkv", sent)
-    (folder / "d1.csv").write_text("stamp_ns\n" + "".join(f"{each.stamp_ns}\n" for each in sent), "utf-8")
+    (folder / "d1.csv").write_text(
+        "stamp_ns\n" + "".join(f"{each.stamp_ns}\n" for each in sent), "utf-8"
+    )
     (folder / "short.csv").write_text("stamp_ns\n1\n2\n3\n", "utf-8")
     (folder / "d1-depth").mkdir()
     for number, each in enumerate(sent):
@@ -52,7 +64,9 @@ def make_films(run: Path, folder: Path, seconds: tuple[float, float]) -> Path:
         cv2.imwrite(str(folder / "d1-depth" / f"{number}.png"), each.depth_mm, FAST)
     (folder / "d2").mkdir()
     lines = ["file,stamp_s\n"]
-    for number, each in enumerate(_part(run / "receiver.frames.mcap", begin_ns + ahead_ns, end_ns + ahead_ns)):
+    for number, each in enumerate(
+        _part(run / "receiver.frames.mcap", begin_ns + ahead_ns, end_ns + ahead_ns)
+    ):
         cv2.imwrite(str(folder / "d2" / f"{number}.png"), each.color, FAST)
         lines.append(f"{number}.png,{each.stamp_ns * 1e-9:.9f}\n")
     (folder / "d2" / "stamps.csv").write_text("".join(lines), "utf-8")
@@ -61,7 +75,9 @@ def make_films(run: Path, folder: Path, seconds: tuple[float, float]) -> Path:
         own = rig.role(role)
         write_calibration(folder / f"{role.value}.camera.toml", calibrated(own.camera))
         write_tum(folder / f"{role.value}.tum", logs[role.value], own.mount)
-    write_calibration(folder / "small.toml", calibrated(CameraModel(320, 240, 300.0, 300.0, 160.0, 120.0)))
+    write_calibration(
+        folder / "small.toml", calibrated(CameraModel(320, 240, 300.0, 300.0, 160.0, 120.0))
+    )
     x, y, w, h = first.record["box"]
     file = folder / "films.toml"
     file.write_text(
@@ -96,7 +112,9 @@ def write_video(file: Path, frames: Sequence[Frame]) -> None:
     """H.264 as a camera would store it."""
     av: Any = importlib.import_module("av")
     with av.open(str(file), "w") as container:
-        stream = container.add_stream("libx264", rate=20, options={"crf": "12", "preset": "ultrafast"})
+        stream = container.add_stream(
+            "libx264", rate=20, options={"crf": "12", "preset": "ultrafast"}
+        )
         stream.height, stream.width = frames[0].color.shape[:2]
         stream.pix_fmt = "yuv420p"
         for each in frames:
@@ -125,6 +143,15 @@ def write_tum(file: Path, records: Sequence[LogRecord], mount: Mount) -> None:
 
 def calibrated(camera: CameraModel) -> CameraCalibration:
     table = CameraTable(
-        camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion, camera.doubts
+        camera.width,
+        camera.height,
+        camera.fx,
+        camera.fy,
+        camera.cx,
+        camera.cy,
+        camera.distortion,
+        camera.doubts,
     )
-    return CameraCalibration("camera", 1, "2026-11-23", "", "", "", table, {}, Quality(0.1, 0.1, 30, 1000, 0.9))
+    return CameraCalibration(
+        "camera", 1, "2026-11-23", "", "", "", table, {}, Quality(0.1, 0.1, 30, 1000, 0.9)
+    )

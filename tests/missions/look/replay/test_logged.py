@@ -17,7 +17,10 @@ DOUBTS = tuple(tuple(0.1 * cause + 0.01 * k for k in range(9)) for cause in (1, 
 
 @pytest.mark.parametrize("more", [{}, {"doubts": DOUBTS}, {"thinning": Thinning(3, 5, (1, 2))}])
 def test_a_camera_comes_back_as_it_was_logged(more: dict[str, Any]) -> None:
-    numbers = {name: getattr(PLAIN, name) for name in ("width", "height", "fx", "fy", "cx", "cy", "distortion")}
+    numbers = {
+        name: getattr(PLAIN, name)
+        for name in ("width", "height", "fx", "fy", "cx", "cy", "distortion")
+    }
     camera = CameraModel(**numbers, **more)
     assert camera_of(as_logged(camera_record(camera))) == camera
 

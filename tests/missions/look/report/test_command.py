@@ -40,7 +40,12 @@ def test_clocks_that_are_mixed_up_would_show(make_run: MakeRun) -> None:
     assert truth is not None
     stamp_ns = run.receiver["/candidate"][100].record["capture_ns"]
     assert truth.to_world_ns(Role.RECEIVER, stamp_ns) == pytest.approx(22e9, abs=2)
-    assert np.linalg.norm(truth.T_w_c(Role.RECEIVER, stamp_ns).t - truth.T_w_c(Role.RECEIVER, stamp_ns + 10**9).t) > 0.2
+    assert (
+        np.linalg.norm(
+            truth.T_w_c(Role.RECEIVER, stamp_ns).t - truth.T_w_c(Role.RECEIVER, stamp_ns + 10**9).t
+        )
+        > 0.2
+    )
 
 
 def test_times_counts_and_rates(make_run: MakeRun) -> None:
@@ -79,7 +84,11 @@ def test_what_was_given_up_is_told_with_its_time() -> None:
     def shed(at_s: float, what: str, gone: bool) -> LogRecord:
         return LogRecord("/shed", round(at_s * 1e9), {"what": what, "gone": gone, "busy": 0.9})
 
-    changes = [shed(1.0, "picture log", True), shed(2.0, "redetection", True), shed(4.5, "redetection", False)]
+    changes = [
+        shed(1.0, "picture log", True),
+        shed(2.0, "redetection", True),
+        shed(4.5, "redetection", False),
+    ]
     changes += [shed(8.0, "redetection", True)]
     records = {"/shed": changes, "/phase": [LogRecord("/phase", round(10e9), {"phase": "done"})]}
     assert shed_s(records) == {"picture log": 9.0, "redetection": 4.5}
@@ -138,12 +147,17 @@ def test_a_ray_meets_the_near_face_of_the_nearest_box() -> None:
     np.testing.assert_allclose(hit, [-1.0, 0.2, 0.5])
 
 
-@pytest.mark.parametrize(("origin", "direction"), [((-10, 0.6, 0.5), (1, 0, 0)), ((-10, 0, 0.5), (-1, 0, 0))])
-def test_a_ray_that_misses_meets_nothing(origin: tuple[float, ...], direction: tuple[float, ...]) -> None:
+@pytest.mark.parametrize(
+    ("origin", "direction"), [((-10, 0.6, 0.5), (1, 0, 0)), ((-10, 0, 0.5), (-1, 0, 0))]
+)
+def test_a_ray_that_misses_meets_nothing(
+    origin: tuple[float, ...], direction: tuple[float, ...]
+) -> None:
     assert first_hit(np.array(origin, float), np.array(direction, float), BOX) is None
 
 
-# --- what is shown and written ---------------------------------------------------------------------------------
+# --- what is shown and written
+# ---------------------------------------------------------------------------------
 
 
 def test_a_report_is_made_again_from_the_logs(make_run: MakeRun) -> None:
@@ -185,7 +199,8 @@ def test_many_runs_are_summed_up(make_run: MakeRun) -> None:
     }
     series = summarize_many([good, bad], "path-handoff handoff --seed 7 --seeds 2")
     assert series["command"].endswith("--seeds 2")
-    assert series["commit_rate_interval"] == pytest.approx([0.0945, 0.9055], abs=1e-4)  # Wilson's, of 1 in 2
+    # Wilson's, of 1 in 2
+    assert series["commit_rate_interval"] == pytest.approx([0.0945, 0.9055], abs=1e-4)
     assert series["outcomes"] == {"committed": 1, "monitor_violated": 1}
     assert series["commit_rate"] == 0.5
     assert series["wrong_handovers"] == 1
@@ -200,9 +215,14 @@ def test_many_runs_are_summed_up(make_run: MakeRun) -> None:
 
 
 def test_a_run_that_ended_before_any_log_is_shown_with_its_own_outcome(tmp_path: Path) -> None:
-    """As on a computer that is too slow to begin; a folder of anything else is still none of a run."""
+    """As on a computer that is too slow to begin; a folder of anything else is still none of a
+    run.
+    """
     detail = "the start of the world: not ready within 180 s"
-    write_facts(tmp_path, RunFacts("sitl", "sitl", 0, "overloaded", 43, detail, simulated_s=0.0, wall_s=180.0))
+    write_facts(
+        tmp_path,
+        RunFacts("sitl", "sitl", 0, "overloaded", 43, detail, simulated_s=0.0, wall_s=180.0),
+    )
     stream = io.StringIO()
     assert make_report(tmp_path, True, stream)["outcome"] == "overloaded"
     assert "overloaded" in stream.getvalue() and "not ready within 180 s" in stream.getvalue()

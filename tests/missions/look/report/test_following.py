@@ -1,4 +1,6 @@
-"""D1 behind its target, in truth: how far past its place, how far off it, and how long without the target."""
+"""D1 behind its target, in truth: how far past its place, how far off it, and how long without the
+target.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,15 @@ from missions.look.report.truth import truth_of
 OFFSET_NS = 5_000_000_000  # of D1's clock from the world's
 BEHIND_M = 1.5
 _UNIT: dict[str, Any] = {"t": [0.0, 0.0, 0.0], "q": [1.0, 0.0, 0.0, 0.0]}
-_CAMERA = {"width": 320, "height": 240, "fx": 300.0, "fy": 300.0, "cx": 160.0, "cy": 120.0, "distortion": [0.0] * 5}
+_CAMERA = {
+    "width": 320,
+    "height": 240,
+    "fx": 300.0,
+    "fy": 300.0,
+    "cx": 160.0,
+    "cy": 120.0,
+    "distortion": [0.0] * 5,
+}
 
 
 def _record(topic: str, stamp_ns: int, record: dict[str, Any]) -> LogRecord:
@@ -24,7 +34,9 @@ def _record(topic: str, stamp_ns: int, record: dict[str, Any]) -> LogRecord:
 
 
 def _world(along_m: Callable[[float], float], heading_deg: float) -> Records:
-    """D1 flies along the heading, ``along_m(s)`` from the start; the target stands 4 m from there."""
+    """D1 flies along the heading, ``along_m(s)`` from the start; the target stands 4 m from
+    there.
+    """
     ahead = math.sin(math.radians(heading_deg)), math.cos(math.radians(heading_deg))
     scene = {
         "target_id": 3,
@@ -37,7 +49,11 @@ def _world(along_m: Callable[[float], float], heading_deg: float) -> Records:
     target = {"id": 3, "t": [4.0 * ahead[0], 4.0 * ahead[1], 0.0], "yaw": 0.0}
     truth = [
         {
-            "sender": {**_UNIT, "t": [ahead[0] * along_m(0.1 * k), ahead[1] * along_m(0.1 * k), 1.5], "in_air": True},
+            "sender": {
+                **_UNIT,
+                "t": [ahead[0] * along_m(0.1 * k), ahead[1] * along_m(0.1 * k), 1.5],
+                "in_air": True,
+            },
             "receiver": {**_UNIT, "in_air": False},
             "objects": [target],
         }
@@ -55,7 +71,10 @@ def _sender(heading_deg: float, missed_s: tuple[float, float] = (0.0, 0.0)) -> R
 
     phases = ((0.0, "acquire"), (5.0, "follow"), (12.0, "verify"), (15.0, "depart"))
     setup = {"mission": {"heading_deg": heading_deg, "follow": {"behind_m": BEHIND_M}}}
-    boxes = [(k * 0.1, None if missed_s[0] <= k * 0.1 <= missed_s[1] else [0, 0, 9, 9]) for k in range(50, 150)]
+    boxes = [
+        (k * 0.1, None if missed_s[0] <= k * 0.1 <= missed_s[1] else [0, 0, 9, 9])
+        for k in range(50, 150)
+    ]
     return {
         "/setup": [_record("/setup", own_ns(0.0), setup)],
         "/phase": [_record("/phase", own_ns(at_s), {"phase": name}) for at_s, name in phases],
@@ -65,7 +84,8 @@ def _sender(heading_deg: float, missed_s: tuple[float, float] = (0.0, 0.0)) -> R
 
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0, -30.0])
 def test_a_drone_past_its_place_has_overshot_in_any_heading(heading_deg: float) -> None:
-    def along_m(at_s: float) -> float:  # it is at 2.5 m, its place, after 5 s, and 0.2 m past it for a second
+    # it is at 2.5 m, its place, after 5 s, and 0.2 m past it for a second
+    def along_m(at_s: float) -> float:
         return 0.5 * at_s if at_s < 5.0 else (2.7 if 8.0 < at_s < 9.0 else 2.5)
 
     run = RunRecords(None, _sender(heading_deg), {}, _world(along_m, heading_deg))

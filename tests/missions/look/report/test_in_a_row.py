@@ -1,4 +1,6 @@
-"""The longest row of agreeing pairs, from records alone: what ends one, and when it would have been enough."""
+"""The longest row of agreeing pairs, from records alone: what ends one, and when it would have been
+enough.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +19,17 @@ METHOD = {"hold_frames": 10, "hold_s": 0.15, "max_gap_s": 0.1}
 def run_of(pairs: dict[int, Any], own_misses: tuple[int, ...] = ()) -> RunRecords:
     """Judged pairs by their capture in ms: "a" agreed, "m" missed, "i" ignored."""
     judged = [
-        LogRecord("/agreement", at * MS, {"capture_ns": at * MS, "agreed": kind == "a", "counted": kind != "i"})
+        LogRecord(
+            "/agreement",
+            at * MS,
+            {"capture_ns": at * MS, "agreed": kind == "a", "counted": kind != "i"},
+        )
         for at, kind in pairs.items()
     ]
-    frames = [LogRecord("/target", at * MS, {"capture_ns": at * MS, "reason": "no_target"}) for at in own_misses]
+    frames = [
+        LogRecord("/target", at * MS, {"capture_ns": at * MS, "reason": "no_target"})
+        for at in own_misses
+    ]
     setup = [LogRecord("/setup", 0, {"method": METHOD})]
     return RunRecords(None, {"/setup": setup, "/agreement": judged, "/target": frames}, {}, {})
 
@@ -48,7 +57,11 @@ def test_what_is_no_evidence_does_not() -> None:
 
 
 def test_a_gap_does() -> None:
-    assert row_of({**{20 * k: "a" for k in range(5)}, **{300 + 20 * k: "a" for k in range(6)}}) == (6, 0.10, False)
+    assert row_of({**{20 * k: "a" for k in range(5)}, **{300 + 20 * k: "a" for k in range(6)}}) == (
+        6,
+        0.10,
+        False,
+    )
 
 
 def test_pairs_without_the_time_are_not_enough() -> None:

@@ -1,4 +1,6 @@
-"""A target that is lost soon after it was taken over, or another one that is followed then, is told and counted."""
+"""A target that is lost soon after it was taken over, or another one that is followed then, is told
+and counted.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,17 @@ from missions.look.report.truth import truth_of
 
 TAKEN_S, LANDS_S = 20.0, 26.0
 UNIT: dict[str, Any] = {"t": [0.0, 0.0, 0.0], "q": [1.0, 0.0, 0.0, 0.0]}
-CAMERA = {"width": 320, "height": 240, "fx": 300.0, "fy": 300.0, "cx": 160.0, "cy": 120.0, "distortion": [0.0] * 5}
-TARGET_PX, OTHER_PX = (160.0, 120.0), (310.0, 120.0)  # 2 m below the camera, and a metre beside that
+CAMERA = {
+    "width": 320,
+    "height": 240,
+    "fx": 300.0,
+    "fy": 300.0,
+    "cx": 160.0,
+    "cy": 120.0,
+    "distortion": [0.0] * 5,
+}
+# 2 m below the camera, and a metre beside that
+TARGET_PX, OTHER_PX = (160.0, 120.0), (310.0, 120.0)
 
 
 def record(topic: str, seconds: float, what: dict[str, Any]) -> LogRecord:
@@ -51,7 +62,10 @@ def receiver(box_at: Callable[[float], tuple[float, float] | None]) -> Records:
         box = None if pixel is None else [pixel[0] - 10.0, pixel[1] - 10.0, 20.0, 20.0]
         seen.append(record("/track", k / 25.0, {"box": box, "reason": None}))
     phases = ((10.0, "verify"), (TAKEN_S, "follow"), (LANDS_S, "land"))
-    return {"/track": seen, "/phase": [record("/phase", at_s, {"phase": name}) for at_s, name in phases]}
+    return {
+        "/track": seen,
+        "/phase": [record("/phase", at_s, {"phase": name}) for at_s, name in phases],
+    }
 
 
 @pytest.mark.parametrize("knows_truth", [True, False])
@@ -92,7 +106,9 @@ def test_without_a_hand_over_there_is_nothing_to_keep() -> None:
 
 def test_lost_ones_are_counted_in_the_table_of_many_runs(make_run: Callable[..., Path]) -> None:
     good = summarize(load_run(make_run()))
-    series = summarize_many([{**good, "lost_after_taking_over": lost} for lost in (True, False, None)], "x")
+    series = summarize_many(
+        [{**good, "lost_after_taking_over": lost} for lost in (True, False, None)], "x"
+    )
     assert series["lost_after_taking_over"] == 1
     shown = io.StringIO()
     show(series_table(series), shown)

@@ -20,9 +20,16 @@ def page_of(folder: Path, *, picture: bool = False) -> str:
     return (folder / PAGE).read_text("utf-8")
 
 
-def test_a_page_says_how_it_ended_what_to_do_and_how_to_run_it_again(make_run: Callable[..., Path]) -> None:
+def test_a_page_says_how_it_ended_what_to_do_and_how_to_run_it_again(
+    make_run: Callable[..., Path],
+) -> None:
     page = page_of(make_run(images=True), picture=True)
-    for words in ("committed", "What to do next", "path-handoff handoff --rig sim --seed 7", "smallest separation"):
+    for words in (
+        "committed",
+        "What to do next",
+        "path-handoff handoff --rig sim --seed 7",
+        "smallest separation",
+    ):
         assert words in page
     assert page.count("<figure>") >= 4
     assert "data:image/png;base64," in page
@@ -36,7 +43,9 @@ def test_a_page_needs_nothing_else(make_run: Callable[..., Path]) -> None:
     assert "http" not in page
 
 
-def test_one_drones_flight_in_the_field_has_a_page_that_says_its_own_end(make_run: Callable[..., Path]) -> None:
+def test_one_drones_flight_in_the_field_has_a_page_that_says_its_own_end(
+    make_run: Callable[..., Path],
+) -> None:
     folder = make_run(world=False)
     (folder / FACTS).unlink()
     (folder / "receiver.mcap").unlink()

@@ -1,4 +1,6 @@
-"""The picture: it shows what the records hold, and can be drawn of any run, however little it holds."""
+"""The picture: it shows what the records hold, and can be drawn of any run, however little it
+holds.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ def pixels_of(image: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], color: str
 
 
 @pytest.mark.parametrize("images", [True, False])
-def test_a_run_is_drawn_with_phases_count_and_all_that_is_in_the_views(make_run: MakeRun, images: bool) -> None:
+def test_a_run_is_drawn_with_phases_count_and_all_that_is_in_the_views(
+    make_run: MakeRun, images: bool
+) -> None:
     image = drawn(make_run(images=images))
     for color in (PHASES["verify"], COUNT, MARKER, OWN_BOX, MAPPED_BOX, PRIOR):
         assert pixels_of(image, color) > 30, color

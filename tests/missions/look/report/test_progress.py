@@ -53,7 +53,9 @@ def lines(*shown: Progress) -> list[str]:
 
 
 def test_lines_come_on_news_and_every_few_seconds() -> None:
-    written = lines(START, at(0.2), at(0.4, phase="verify"), at(4.0, phase="verify"), at(5.5, phase="verify"))
+    written = lines(
+        START, at(0.2), at(0.4, phase="verify"), at(4.0, phase="verify"), at(5.5, phase="verify")
+    )
     assert [line.split()[0] for line in written] == ["0.0", "0.4", "5.5"]
 
 
@@ -83,7 +85,17 @@ def test_a_note_is_written_once() -> None:
 
 
 def test_a_line_has_the_figures_of_the_handshake() -> None:
-    (line,) = lines(at(0, phase="verify", count=17, iou=0.7, tau=0.3, separation_m=1.25, link_bytes_per_s=9100.0))
+    (line,) = lines(
+        at(
+            0,
+            phase="verify",
+            count=17,
+            iou=0.7,
+            tau=0.3,
+            separation_m=1.25,
+            link_bytes_per_s=9100.0,
+        )
+    )
     assert line.split(maxsplit=4)[4] == "17/350  IoU 0.70 of 0.30  1.25 m apart  link 9.1 kB/s"
 
 
@@ -101,7 +113,9 @@ def test_the_live_table_has_a_row_for_each_role_that_spoke() -> None:
     assert "receiver" not in text_of(table)
     table.show(replace(START, role=Role.RECEIVER, phase="search", note="looking for the marker"))
     text = text_of(table)
-    sender, receiver = (next(line for line in text.splitlines() if name in line) for name in ("sender", "receiver"))
+    sender, receiver = (
+        next(line for line in text.splitlines() if name in line) for name in ("sender", "receiver")
+    )
     assert max(len(line) for line in text.splitlines()) <= 80
     assert all(word in sender for word in ("12 s", "verify", "100/350", "0.66"))
     assert "take-off" not in text

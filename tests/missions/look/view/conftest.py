@@ -25,11 +25,21 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             write_drone(log, role)
             assert log.failed is None
     with McapLog(folder / "world.mcap", "world") as log:
-        log.write("/scene", 0, {"target_id": 0, "min_separation_m": 0.7, "boxes": [{"c": [0, 0, 0.1], "s": [1, 1, 1]}]})
+        log.write(
+            "/scene",
+            0,
+            {
+                "target_id": 0,
+                "min_separation_m": 0.7,
+                "boxes": [{"c": [0, 0, 0.1], "s": [1, 1, 1]}],
+            },
+        )
         for k in range(3):
             bodies = {role.value: {"t": [k, 0, 1], "q": LEVEL, "in_air": True} for role in Role}
             bodies["receiver"]["t"] = [0, 3, 1]
-            log.write("/truth", k * S_NS, {**bodies, "objects": [{"id": 0, "t": [1, 2, 0], "yaw": 0.5}]})
+            log.write(
+                "/truth", k * S_NS, {**bodies, "objects": [{"id": 0, "t": [1, 2, 0], "yaw": 0.5}]}
+            )
         assert log.failed is None
     return folder
 
@@ -41,7 +51,12 @@ def write_drone(log: McapLog, role: Role) -> None:
     log.write("/phase", 0, {"phase": "verify", "note": ""})
     for k in range(3):
         now_ns = k * S_NS
-        counters = {"packets_sent": k, "packets_received": k, "bytes_sent": 1000 * k, "bytes_received": 500 * k}
+        counters = {
+            "packets_sent": k,
+            "packets_received": k,
+            "bytes_sent": 1000 * k,
+            "bytes_received": 500 * k,
+        }
         log.write("/link", now_ns, {**counters, "dropped": {}})
         log.write("/cpu", now_ns, {"spent_ns": {"thread": k * S_NS // 4, "program": k * S_NS // 2}})
         log.write("/frame", now_ns, {"frame_id": k, "age_ns": 12_000_000})
@@ -57,8 +72,18 @@ def write_frame(log: McapLog, role: Role, now_ns: int, k: int) -> None:
     if role is Role.SENDER:
         log.write("/target", now_ns, {**box, "frame_id": k})
         pair = {"agreed": True, "counted": True, "iou": 0.8, "tau": 0.4, "count": k, "needed": 3}
-        log.write("/agreement", now_ns, {**pair, "own_box": box["box"], "mapped_box": [11, 11, 20, 20]})
+        log.write(
+            "/agreement", now_ns, {**pair, "own_box": box["box"], "mapped_box": [11, 11, 20, 20]}
+        )
         return
     seen = {"position_v_m": [0.1, 0.2, 1.4], "rotation_v_c2": LEVEL, "sigma_m": 0.01}
-    log.write("/marker", now_ns, {**seen, "capture_ns": now_ns, "side_px": 30, "corners_px": [1, 1, 9, 1, 9, 9, 1, 9]})
-    log.write("/candidate", now_ns, {**box, **seen, "prior_px": [20, 20], "region": [5, 5, 40, 40], "found": []})
+    log.write(
+        "/marker",
+        now_ns,
+        {**seen, "capture_ns": now_ns, "side_px": 30, "corners_px": [1, 1, 9, 1, 9, 9, 1, 9]},
+    )
+    log.write(
+        "/candidate",
+        now_ns,
+        {**box, **seen, "prior_px": [20, 20], "region": [5, 5, 40, 40], "found": []},
+    )

@@ -121,13 +121,17 @@ def test_rates_are_of_the_seconds_between() -> None:
 
 
 class Lines:
-    """Stands in for a recording: what is logged to each path and when, in ns of UTC; None where a line is ended."""
+    """Stands in for a recording: what is logged to each path and when, in ns of UTC; None where a
+    line is ended.
+    """
 
     def __init__(self) -> None:
         self.points: dict[str, list[tuple[int, float | None]]] = {}
         self._now_ns = 0
 
-    def set_time(self, timeline: str, *, timestamp: np.datetime64 | None = None, duration: object = None) -> None:
+    def set_time(
+        self, timeline: str, *, timestamp: np.datetime64 | None = None, duration: object = None
+    ) -> None:
         del timeline, duration
         if timestamp is not None:
             self._now_ns = int(timestamp.astype(np.int64))
@@ -168,9 +172,13 @@ def test_no_line_is_drawn_from_the_evidence_of_a_commit_to_the_gate_that_begins_
 
 
 def test_no_line_joins_two_attempts() -> None:
-    line = drawn((0, "agreement", pair(2.0)), (20, "agreement", pair(2.4)), (1500, "agreement", pair(0.0)))
+    line = drawn(
+        (0, "agreement", pair(2.0)), (20, "agreement", pair(2.4)), (1500, "agreement", pair(0.0))
+    )
     assert line == [(0, 2.0), (20, 2.4), (20, None), (1500, 0.0)]
 
 
 def test_evidence_that_falls_within_an_attempt_is_drawn_as_it_falls() -> None:
-    assert drawn(*((20 * k, "agreement", pair(3.0 - k)) for k in range(4))) == [(20 * k, 3.0 - k) for k in range(4)]
+    assert drawn(*((20 * k, "agreement", pair(3.0 - k)) for k in range(4))) == [
+        (20 * k, 3.0 - k) for k in range(4)
+    ]

@@ -18,7 +18,9 @@ def test_without_a_drone_there_is_no_eye() -> None:
 
 @pytest.mark.parametrize("east_m", [0.0, 500.0])
 def test_drones_and_what_is_beside_them_fill_the_view(east_m: float) -> None:
-    """Rerun's eye opens 55 degrees up and down and more to the sides, over less than ten metres here; from above."""
+    """Rerun's eye opens 55 degrees up and down and more to the sides, over less than ten metres
+    here; from above.
+    """
     first: list[Vec3] = [(east_m + 0.1 * k, 0.0, 1.5) for k in range(20)]
     second: list[Vec3] = [(east_m + 0.1 * k - 1.0, 0.6, 2.3) for k in range(20)]
     eye = eye_of([first, second])

@@ -47,13 +47,19 @@ def strings(value: Any) -> Iterator[str]:
 
 
 def test_every_topic_of_the_layout_is_in_a_log(layout: dict[str, Any], topics: set[str]) -> None:
-    named = {re.split(r"[.\[]", text)[0] for text in strings(layout["configById"]) if text.startswith("/")}
+    named = {
+        re.split(r"[.\[]", text)[0]
+        for text in strings(layout["configById"])
+        if text.startswith("/")
+    }
     assert named - topics == set()
     assert {"/sender/3d", "/receiver/3d", "/sender/annotations", "/sender/log"} <= named
 
 
 def test_every_plot_is_of_a_field_that_the_schemas_have(layout: dict[str, Any]) -> None:
-    paths = [path["value"] for panel in layout["configById"].values() for path in panel.get("paths", ())]
+    paths = [
+        path["value"] for panel in layout["configById"].values() for path in panel.get("paths", ())
+    ]
     assert len(paths) > 10
     for path in paths:
         topic, field = re.fullmatch(r"/\w+(/\w+)\.(\w+).*", path).groups()  # type: ignore[union-attr]

@@ -25,8 +25,19 @@ def is_up(port: int) -> bool:
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
 def test_nothing_is_left_of_the_page(run_folder: Path, sign: signal.Signals) -> None:
     port = free_port(socket.SOCK_STREAM)
-    command = [sys.executable, "-m", "missions.cli", "view", str(run_folder), "--web", "--port", str(port)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as view:
+    command = [
+        sys.executable,
+        "-m",
+        "missions.cli",
+        "view",
+        str(run_folder),
+        "--web",
+        "--port",
+        str(port),
+    ]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as view:
         try:
             assert view.stdout is not None
             assert f"http://127.0.0.1:{port}/?url=" in view.stdout.readline()

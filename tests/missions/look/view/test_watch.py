@@ -27,7 +27,9 @@ def fly(log: McapLog, ended: threading.Event) -> None:
 
 
 def test_two_companions_are_watched_together(tmp_path: Path) -> None:
-    addresses = {name: f"127.0.0.1:{free_port(socket.SOCK_STREAM)}" for name in ("sender", "receiver")}
+    addresses = {
+        name: f"127.0.0.1:{free_port(socket.SOCK_STREAM)}" for name in ("sender", "receiver")
+    }
     watcher = Watcher(*addresses.values())  # before either flies
     seen: set[str] = set()
     with ExitStack() as stack:
@@ -39,7 +41,8 @@ def test_two_companions_are_watched_together(tmp_path: Path) -> None:
             stack.callback(thread.join)
             thread.start()
         stack.callback(ended.set)
-        end_s = time.monotonic() + PATIENCE_S  # the first one may have told a lot before the second one is there
+        # the first one may have told a lot before the second one is there
+        end_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < end_s:
             heard = watcher.next(PATIENCE_S)
             assert heard is not None
@@ -57,14 +60,24 @@ def test_a_channel_that_is_not_taken_at_once_is_asked_for_again() -> None:
     asked: list[int] = []
 
     def late(client: ServerConnection) -> None:
-        channel = {"id": 7, "topic": "/phase", "encoding": "json", "schemaName": "x", "schema": "{}"}
+        channel = {
+            "id": 7,
+            "topic": "/phase",
+            "encoding": "json",
+            "schemaName": "x",
+            "schema": "{}",
+        }
         client.send(json.dumps({"op": "advertise", "channels": [channel]}))
         for word in client:
             asked.extend(each["channelId"] for each in json.loads(word)["subscriptions"])
             if len(asked) < 3:
-                client.send(json.dumps({"op": "status", "level": 2, "message": "Unknown channel ID: 7"}))
+                client.send(
+                    json.dumps({"op": "status", "level": 2, "message": "Unknown channel ID: 7"})
+                )
             else:
-                client.send(bytes([1]) + (7).to_bytes(4, "little") + (99).to_bytes(8, "little") + b"here")
+                client.send(
+                    bytes([1]) + (7).to_bytes(4, "little") + (99).to_bytes(8, "little") + b"here"
+                )
 
     with serve(late, "127.0.0.1", 0, subprotocols=[PROTOCOL]) as server:
         thread = threading.Thread(target=server.serve_forever)

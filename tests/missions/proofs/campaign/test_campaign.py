@@ -1,4 +1,6 @@
-"""The command: resumable JSON lines, gone on with, refused for another campaign, replayed by the line it prints."""
+"""The command: resumable JSON lines, gone on with, refused for another campaign, replayed by the
+line it prints.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ ASKED = {"program": "machines", "rig": "sim", "seed": 0, "levels": ["none"]}
 
 
 def options(out: Path, **changes: object) -> CampaignOptions:
-    return CampaignOptions(**{"runs": 8, "faults": ("none", "lossy"), "jobs": 1, "out": out, **changes})  # type: ignore[arg-type]
+    return CampaignOptions(
+        **{"runs": 8, "faults": ("none", "lossy"), "jobs": 1, "out": out, **changes}  # type: ignore[arg-type]
+    )
 
 
 def test_a_campaign_makes_its_table_and_goes_on_where_it_stopped(
@@ -33,7 +37,10 @@ def test_a_campaign_makes_its_table_and_goes_on_where_it_stopped(
     whole = (tmp_path / FILE).read_text()
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert (summary["runs"], summary["violations"]) == (8, 0)
-    assert {name: level["runs"] for name, level in summary["levels"].items()} == {"none": 4, "lossy": 4}
+    assert {name: level["runs"] for name, level in summary["levels"].items()} == {
+        "none": 4,
+        "lossy": 4,
+    }
     assert (tmp_path / "outcomes.png").stat().st_size > 1000
     assert "8 runs" in capsys.readouterr().out
 
@@ -71,7 +78,10 @@ def test_another_campaign_in_the_same_folder_is_refused(tmp_path: Path) -> None:
 
 def test_what_is_no_campaign_is_refused(tmp_path: Path) -> None:
     (tmp_path / FILE).write_text("something else\n")
-    with pytest.raises(PartError, match="no file of this version"), resumable_results(tmp_path, ASKED):
+    with (
+        pytest.raises(PartError, match="no file of this version"),
+        resumable_results(tmp_path, ASKED),
+    ):
         pass
 
 
@@ -84,12 +94,20 @@ def test_lines_come_back_as_they_were(tmp_path: Path) -> None:
 
 
 def test_a_violation_is_shown_with_the_line_that_replays_it() -> None:
-    lines = [RunLine(3, "harsh", "commit", ("S1 at 2.000 s: two responsible drones",)), RunLine(4, "harsh", "timeout")]
+    lines = [
+        RunLine(3, "harsh", "commit", ("S1 at 2.000 s: two responsible drones",)),
+        RunLine(4, "harsh", "timeout"),
+    ]
     told = CampaignOptions(seed=5)
     summary = summarize("machines", 5, lines, lambda line: replay_command(told, line))
     replay = "path-handoff campaign --program machines --faults harsh --seed 5 --only 3"
     assert summary["failures"] == [
-        {"number": 3, "level": "harsh", "violations": ["S1 at 2.000 s: two responsible drones"], "replay": replay}
+        {
+            "number": 3,
+            "level": "harsh",
+            "violations": ["S1 at 2.000 s: two responsible drones"],
+            "replay": replay,
+        }
     ]
     assert summary["violations_of"] == {"S1": 1}
     assert replay in table(summary)

@@ -1,4 +1,6 @@
-"""A campaign on a real Dask scheduler and workers; skipped where Dask, an extra, is not installed."""
+"""A campaign on a real Dask scheduler and workers; skipped where Dask, an extra, is not
+installed.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def test_a_cluster_does_what_the_cores_do(tmp_path: Path) -> None:
         n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
     ) as cluster:
         with open_cluster(cluster.scheduler_address, io.StringIO()) as work:
-            assert sorted(work.stream("squares", square, range(20))) == [number * number for number in range(20)]
+            assert sorted(work.stream("squares", square, range(20))) == [
+                number * number for number in range(20)
+            ]
         here, there = tmp_path / "here", tmp_path / "there"
         told = CampaignOptions(runs=4, faults=("none",), jobs=1)
         assert run(replace(told, out=here)) == 0

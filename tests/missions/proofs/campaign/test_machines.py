@@ -1,4 +1,6 @@
-"""Runs of the machines: the same again from their arguments, clean when the machines are right, and not when not."""
+"""Runs of the machines: the same again from their arguments, clean when the machines are right, and
+not when not.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ def test_a_good_link_commits_within_a_few_hundredths_of_a_second() -> None:
 
 def test_a_link_that_dies_with_the_commit_is_taken_back_after_the_lease() -> None:
     at_s = commit_s(CALM)
-    run = Machines(replace(CALM, outages=(Outage(at_s - 0.01, at_s + 1.6, None),)), faulty_channel).run()
+    run = Machines(
+        replace(CALM, outages=(Outage(at_s - 0.01, at_s + 1.6, None),)), faulty_channel
+    ).run()
     assert run.violations == ()
     assert 1.5 < run.figures["gap_s"] < 1.6
 
@@ -68,7 +72,9 @@ def test_a_program_may_die_between_any_two_effects_of_the_hand_over(role: Role, 
         assert Machines(replace(CALM, crashes=(crash,)), faulty_channel).run().violations == ()
 
 
-def test_what_was_handed_over_before_a_landing_is_not_taken_for_its_own_by_a_later_restart() -> None:
+def test_what_was_handed_over_before_a_landing_is_not_taken_for_its_own_by_a_later_restart() -> (
+    None
+):
     at_s = commit_s(CALM) + 1.0
     landed = Crash(Role.SENDER, at_s, 1, True, 0.5, reboot=False, flying=False)
     crashes = (landed, replace(landed, at_s=at_s + 1.0, flying=True))
@@ -80,11 +86,18 @@ def test_what_was_handed_over_before_a_landing_is_not_taken_for_its_own_by_a_lat
 def test_a_sender_may_die_before_its_first_epoch_is_on_the_disk(after: int) -> None:
     offered_s = next(at_s for at_s, _, what in story(CALM) if what.startswith("is responsible"))
     for before_s in (0.02, 0.04, 0.06):
-        crash = Crash(Role.SENDER, offered_s - before_s, after, False, 0.5, reboot=False, flying=False)
-        assert Machines(replace(CALM, crashes=(crash,), disk_s=0.04), faulty_channel).run().violations == ()
+        crash = Crash(
+            Role.SENDER, offered_s - before_s, after, False, 0.5, reboot=False, flying=False
+        )
+        assert (
+            Machines(replace(CALM, crashes=(crash,), disk_s=0.04), faulty_channel).run().violations
+            == ()
+        )
 
 
-@pytest.mark.parametrize(("level", "number"), [("harsh", number) for number in (2846, 9474, 14750, 30898, 56034)])
+@pytest.mark.parametrize(
+    ("level", "number"), [("harsh", number) for number in (2846, 9474, 14750, 30898, 56034)]
+)
 def test_a_run_that_went_wrong_once_stays_right(level: LevelName, number: int) -> None:
     assert Machines(draw(21, level, number), faulty_channel).run().violations == ()
 
@@ -111,13 +124,18 @@ def test_machines_that_skip_a_rule_are_caught(rule: str) -> None:
 
 @pytest.mark.parametrize("role", list(Role))
 @pytest.mark.parametrize("for_s", [0.1, 0.39, 2.0])
-def test_a_program_may_stand_still_between_any_two_effects_for_any_time(role: Role, for_s: float) -> None:
-    lost = Outage(commit_s(CALM) + 0.001, commit_s(CALM) + 3.0, Role.RECEIVER)  # no ACCEPT: the lease runs out
+def test_a_program_may_stand_still_between_any_two_effects_for_any_time(
+    role: Role, for_s: float
+) -> None:
+    # no ACCEPT: the lease runs out
+    lost = Outage(commit_s(CALM) + 0.001, commit_s(CALM) + 3.0, Role.RECEIVER)
     for after in range(1, 5):
         for begins_s in (-0.01, 1.3):
             stall = Stall(role, commit_s(CALM) + begins_s, after, for_s)
             for outages in ((), (lost,)):
-                run = Machines(replace(CALM, stalls=(stall,), outages=outages), faulty_channel).run()
+                run = Machines(
+                    replace(CALM, stalls=(stall,), outages=outages), faulty_channel
+                ).run()
                 assert run.violations == (), (stall, outages)
 
 
@@ -125,14 +143,33 @@ def test_a_disk_that_loses_a_record_breaks_what_the_promises_rest_on_and_is_coun
     apart: list[str] = []
     for after in range(1, 8):
         for role in Role:
-            crash = Crash(role, commit_s(CALM) - 0.001, after, True, 0.5, reboot=True, flying=True, forgets="newest")
+            crash = Crash(
+                role,
+                commit_s(CALM) - 0.001,
+                after,
+                True,
+                0.5,
+                reboot=True,
+                flying=True,
+                forgets="newest",
+            )
             run = Machines(replace(CALM, crashes=(crash,)), faulty_channel).run()
             assert (run.violations, run.broken) == ((), ("disk",))
             apart += run.beyond
-    assert any(what.startswith(("S1", "S2", "S4")) for what in apart), "the assumption is not needed?"
+    assert any(what.startswith(("S1", "S2", "S4")) for what in apart), (
+        "the assumption is not needed?"
+    )
 
 
 def test_what_a_disk_forgets_is_drawn_beside_all_else() -> None:
     plans = [draw(7301, "hostile", number) for number in range(200)]
-    assert {crash.forgets for plan in plans for crash in plan.crashes} == {"nothing", "newest", "all"}
-    assert all(crash.forgets == "nothing" for number in range(50) for crash in draw(7301, "harsh", number).crashes)
+    assert {crash.forgets for plan in plans for crash in plan.crashes} == {
+        "nothing",
+        "newest",
+        "all",
+    }
+    assert all(
+        crash.forgets == "nothing"
+        for number in range(50)
+        for crash in draw(7301, "harsh", number).crashes
+    )

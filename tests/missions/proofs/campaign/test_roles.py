@@ -1,4 +1,6 @@
-"""The faults in a run of the roles: drawn from its arguments alone, as orders that the harness understands."""
+"""The faults in a run of the roles: drawn from its arguments alone, as orders that the harness
+understands.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def test_every_fault_drawn_is_one_that_can_be_ordered(level: LevelName) -> None:
 
 def test_the_hostile_level_has_every_kind() -> None:
     names = {
-        fault.partition("=")[0].partition("@")[0] for number in range(200) for fault in draw(0, "hostile", number)[1]
+        fault.partition("=")[0].partition("@")[0]
+        for number in range(200)
+        for fault in draw(0, "hostile", number)[1]
     }
     assert names >= {*CONCERNS, "kill_sender", "kill_receiver", "link_out", "link_loss"}
 
@@ -40,7 +44,9 @@ def test_one_whole_run_of_both_programs() -> None:
 def test_programs_stand_still_at_the_levels_where_programs_die() -> None:
     for level in LEVELS:
         faults = [fault for number in range(100) for fault in draw(0, level, number)[1]]
-        assert any(fault.startswith("stall_") for fault in faults) is (level in ("harsh", "hostile"))
+        assert any(fault.startswith("stall_") for fault in faults) is (
+            level in ("harsh", "hostile")
+        )
 
 
 def test_some_disks_of_the_hostile_level_lose_records_of_programs_that_begin_again() -> None:
@@ -49,7 +55,10 @@ def test_some_disks_of_the_hostile_level_lose_records_of_programs_that_begin_aga
     assert 5 < len(forgetful) < 60
     for faults in forgetful:
         (loses,) = (fault for fault in faults if fault.startswith("disk_"))
-        assert any(fault.startswith(loses.partition("=")[0].replace("disk_", "kill_") + "=") for fault in faults)
+        assert any(
+            fault.startswith(loses.partition("=")[0].replace("disk_", "kill_") + "=")
+            for fault in faults
+        )
 
 
 @pytest.mark.parametrize(("lost", "end"), [(1, "restarted"), (100, "guard")])
@@ -65,7 +74,9 @@ def test_a_sender_whose_disk_forgot_its_commit_lands_and_it_is_told(
     assert line.outcome == end
 
 
-def test_a_receiver_that_sleeps_over_its_lease_in_flight_takes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_receiver_that_sleeps_over_its_lease_in_flight_takes_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Its record is on the disk, and it goes on half a second after the sender took back."""
 
     def asked(*_: object) -> tuple[int, tuple[str, ...]]:

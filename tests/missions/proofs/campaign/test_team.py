@@ -24,7 +24,10 @@ def test_every_drawn_fault_can_be_ordered_and_teams_differ(level: LevelName) -> 
     assert plans == [draw(CONFIG, 3, level, number, 2.0) for number in range(60)]
     kinds: set[str] = set()
     for plan in plans:
-        assert 2 * plan.targets <= plan.drones <= len(CONFIG.drones) and len(plan.moved_m) == plan.targets
+        assert (
+            2 * plan.targets <= plan.drones <= len(CONFIG.drones)
+            and len(plan.moved_m) == plan.targets
+        )
         kinds |= {parse_fault(fault.rpartition(":")[2]).name for fault in plan.faults}
     assert {plan.targets for plan in plans} == {1, 2, 3}
     links = {"link_loss", "link_jitter", "link_duplicate", "link_corrupt", "link_reorder"}
@@ -66,4 +69,6 @@ def test_the_table_says_how_much_of_the_time_each_target_was_observed() -> None:
     said = table(summarize("team", 1, lines, lambda _: ""))
     assert "none     2 of 2, mean 99.75 %, least 99.50 %" in said
     assert "hostile  1 of 2, mean 98.50 %, least 97.00 %" in said
-    assert "observed for" not in table(summarize("machines", 1, [RunLine(0, "none", "commit")], lambda _: ""))
+    assert "observed for" not in table(
+        summarize("machines", 1, [RunLine(0, "none", "commit")], lambda _: "")
+    )

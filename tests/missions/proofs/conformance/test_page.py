@@ -1,4 +1,6 @@
-"""The suite's use of its figures: whom a vehicle is like, records, the page, and the figures themselves."""
+"""The suite's use of its figures: whom a vehicle is like, records, the page, and the figures
+themselves.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def record(vehicle: str, **values: float | str | None) -> Record:
         (1.0, None, None, "**neither**"),
     ],
 )
-def test_whom_a_figure_is_like(own: float | None, px4: float | None, copter: float | None, expected: str) -> None:
+def test_whom_a_figure_is_like(
+    own: float | None, px4: float | None, copter: float | None, expected: str
+) -> None:
     real = {"PX4": {"rise_s": px4}, "ArduCopter": {"rise_s": copter}}
     assert likeness(RISE, {"rise_s": own}, real) == expected
 
@@ -61,11 +65,17 @@ def test_every_row_has_a_name_of_its_own() -> None:
     assert len(names) == len(set(names))
 
 
-def test_the_page_is_made_of_the_records_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_page_is_made_of_the_records_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write(tmp_path, record("embedded", heartbeat_s=1.0, early_arm_text="no | bar"))
-    write(tmp_path, replace(record("px4", heartbeat_s=1.5), failed={"course": "it fell"}, restarts=2))
+    write(
+        tmp_path, replace(record("px4", heartbeat_s=1.5), failed={"course": "it fell"}, restarts=2)
+    )
     with pytest.raises(SystemExit) as ended:
-        cli.main(["conformance", "--no-fly", "--out", str(tmp_path), "--page", str(tmp_path / "page.md")])
+        cli.main(
+            ["conformance", "--no-fly", "--out", str(tmp_path), "--page", str(tmp_path / "page.md")]
+        )
     assert ended.value.code == 0
     assert "first heartbeat after" in capsys.readouterr().out
     text = (tmp_path / "page.md").read_text("utf-8")
@@ -77,10 +87,18 @@ def test_the_page_is_made_of_the_records_alone(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_flights_flown_again_replace_only_their_own(tmp_path: Path) -> None:
-    before = replace(record("px4", a=1.0, b=2.0), failed={"course": "it fell", "cut": "too"}, flown=("course", "cut"))
+    before = replace(
+        record("px4", a=1.0, b=2.0),
+        failed={"course": "it fell", "cut": "too"},
+        flown=("course", "cut"),
+    )
     now = replace(record("px4", b=3.0), flown=("cut",))
     both = joined(before, now)
-    assert (both.values, both.failed, both.flown) == ({"a": 1.0, "b": 3.0}, {"course": "it fell"}, ("course", "cut"))
+    assert (both.values, both.failed, both.flown) == (
+        {"a": 1.0, "b": 3.0},
+        {"course": "it fell"},
+        ("course", "cut"),
+    )
     (tmp_path / "px4.json").write_text('{"vehicle": "px4"}')
     with pytest.raises(PartError, match="no record of this suite"):
         read_all(tmp_path)
@@ -104,7 +122,9 @@ def instant(time_s: float, north_m: float = 0.0, speed_mps: float = 0.0) -> Inst
 
 def test_when_and_where_it_stands() -> None:
     times = np.arange(0.0, 3.0, 0.1)
-    flown = [instant(t, t - 0.25 * t * t if t < 2.0 else 1.0, max(0.0, 1.0 - 0.5 * t)) for t in times]
+    flown = [
+        instant(t, t - 0.25 * t * t if t < 2.0 else 1.0, max(0.0, 1.0 - 0.5 * t)) for t in times
+    ]
     seconds, metres = track.standing(track.FlightTrack.of(flown, 0.0), 0.0)
     assert seconds == pytest.approx(1.7, abs=0.11)
     assert metres == pytest.approx(0.98, abs=0.05)
@@ -137,5 +157,7 @@ def test_landed_states_begin_with_the_one_before() -> None:
 
 def test_the_tilt_between_two_attitudes() -> None:
     half = math.radians(3.0) / 2.0
-    assert track._tilt((math.cos(half), math.sin(half), 0.0, 0.0)) == pytest.approx(math.radians(3.0))
+    assert track._tilt((math.cos(half), math.sin(half), 0.0, 0.0)) == pytest.approx(
+        math.radians(3.0)
+    )
     assert track._tilt((math.cos(half), 0.0, 0.0, math.sin(half))) == pytest.approx(0.0, abs=1e-6)

@@ -1,4 +1,6 @@
-"""The suite on the embedded vehicle, faster than real time; on the real ones where their simulators are named."""
+"""The suite on the embedded vehicle, faster than real time; on the real ones where their simulators
+are named.
+"""
 
 from __future__ import annotations
 
@@ -42,10 +44,14 @@ def test_the_embedded_vehicle_as_it_starts_and_when_setpoints_stop(tmp_path: Pat
 
 def named(vehicle: str) -> pytest.MarkDecorator:
     variable = BINARY[vehicle]
-    return pytest.mark.skipif(not os.environ.get(variable), reason=f"{variable} names no simulator of {vehicle}")
+    return pytest.mark.skipif(
+        not os.environ.get(variable), reason=f"{variable} names no simulator of {vehicle}"
+    )
 
 
-@pytest.mark.parametrize("vehicle", [pytest.param(vehicle, marks=named(vehicle)) for vehicle in BINARY])
+@pytest.mark.parametrize(
+    "vehicle", [pytest.param(vehicle, marks=named(vehicle)) for vehicle in BINARY]
+)
 def test_a_real_one_answers_on_the_ground(vehicle: str, tmp_path: Path) -> None:
     measured = flown(vehicle, tmp_path, ["ground"])
     assert measured.failed == {}

@@ -1,4 +1,6 @@
-"""A flood from a third process, on real sockets: true packets come through it, and nothing else does."""
+"""A flood from a third process, on real sockets: true packets come through it, and nothing else
+does.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ AIR = ("127.0.0.1", 9)
 
 
 def status(role: Role, stamp_ns: int) -> Status:
-    return Status(role, stamp_ns, (1.0, 2.0, -1.5), (0.0, 0.0, 0.0), 0.1, 3, role is Role.SENDER, True, 0.5)
+    return Status(
+        role, stamp_ns, (1.0, 2.0, -1.5), (0.0, 0.0, 0.0), 0.1, 3, role is Role.SENDER, True, 0.5
+    )
 
 
 async def talk(role: Role, link: UdpLink, heard: list[Message]) -> None:
@@ -56,13 +60,18 @@ async def talk(role: Role, link: UdpLink, heard: list[Message]) -> None:
         speaker.cancel()
 
 
-def test_two_drones_that_are_flooded_from_the_start_hear_each_other_and_nobody_else(tmp_path: Path) -> None:
+def test_two_drones_that_are_flooded_from_the_start_hear_each_other_and_nobody_else(
+    tmp_path: Path,
+) -> None:
     key = tmp_path / "pair.key"
     key.write_bytes(os.urandom(32))
     key.chmod(0o600)
     sender, receiver, to_receiver, to_sender = (f"127.0.0.1:{port}" for port in free_ports(4))
     ends = address_of(sender, "sender"), address_of(receiver, "receiver")
-    sides = ProxySide(address_of(to_receiver, ""), ends[0]), ProxySide(address_of(to_sender, ""), ends[1])
+    sides = (
+        ProxySide(address_of(to_receiver, ""), ends[0]),
+        ProxySide(address_of(to_sender, ""), ends[1]),
+    )
     places = {Role.SENDER: (sender, to_receiver), Role.RECEIVER: (receiver, to_sender)}
     links = {
         role: UdpLink(UdpLinkConfig(bind, peer, key), Context(role, WallClock()))
@@ -72,13 +81,26 @@ def test_two_drones_that_are_flooded_from_the_start_hear_each_other_and_nobody_e
 
     async def main() -> Attacker:
         loop = asyncio.get_running_loop()
-        async with asyncio.timeout(120.0), UdpFaultProxy(*sides, seed=1) as proxy, Air(proxy) as air:
+        async with (
+            asyncio.timeout(120.0),
+            UdpFaultProxy(*sides, seed=1) as proxy,
+            Air(proxy) as air,
+        ):
             attacker = Attacker(("127.0.0.1", air.port), ends, Random(1), [])
-            transport, _ = await loop.create_datagram_endpoint(lambda: attacker, local_addr=("127.0.0.1", 0))
+            transport, _ = await loop.create_datagram_endpoint(
+                lambda: attacker, local_addr=("127.0.0.1", 0)
+            )
             tasks = [asyncio.create_task(attacker.flood(RATE_HZ))]
             async with links[Role.SENDER], links[Role.RECEIVER]:
-                tasks += [asyncio.create_task(talk(role, link, heard[role])) for role, link in links.items()]
-                await until(lambda: min(len(each) for each in heard.values()) >= 40 and attacker.sent >= 1500)
+                tasks += [
+                    asyncio.create_task(talk(role, link, heard[role]))
+                    for role, link in links.items()
+                ]
+                await until(
+                    lambda: (
+                        min(len(each) for each in heard.values()) >= 40 and attacker.sent >= 1500
+                    )
+                )
                 for task in tasks:
                     task.cancel()
                 await asyncio.gather(*tasks, return_exceptions=True)
@@ -110,7 +132,10 @@ class Sockets:
 
 
 def test_a_flood_of_fifty_thousand_a_second_is_one_half_of_it_as_if_from_the_other_drone() -> None:
-    attacker, sockets = Attacker(AIR, (("127.0.0.1", 1), ("127.0.0.1", 2)), Random(3), []), Sockets()
+    attacker, sockets = (
+        Attacker(AIR, (("127.0.0.1", 1), ("127.0.0.1", 2)), Random(3), []),
+        Sockets(),
+    )
 
     async def main() -> None:
         attacker.connection_made(sockets)
@@ -129,11 +154,17 @@ def test_a_flood_of_fifty_thousand_a_second_is_one_half_of_it_as_if_from_the_oth
     for datagram in sockets.on_air[1:]:  # the first one says that it listens
         air.datagram_received(datagram, AIR)
     assert attacker.sent == pytest.approx(50_000, rel=0.05)
-    assert len(injected) == sockets.sent["127.0.0.1", 1] + sockets.sent["127.0.0.1", 2] == attacker.sent // 2
+    assert (
+        len(injected)
+        == sockets.sent["127.0.0.1", 1] + sockets.sent["127.0.0.1", 2]
+        == attacker.sent // 2
+    )
     assert 0.4 < injected.count(0) / len(injected) < 0.6
 
 
-def test_what_was_heard_is_there_for_the_next_attack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_heard_is_there_for_the_next_attack(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "run").mkdir()
     (tmp_path / f"earlier{RECORDING}").write_text("0 0102\n1 ff\n")
     assert earlier_flights(tmp_path / "run") == [(0, b"\x01\x02"), (1, b"\xff")]
@@ -142,7 +173,15 @@ def test_what_was_heard_is_there_for_the_next_attack(tmp_path: Path, monkeypatch
     with os.fdopen(reading) as stdin, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as air:
         monkeypatch.setattr("sys.stdin", stdin)
         air.bind(("127.0.0.1", 0))
-        asyncio.run(attack(100.0, air.getsockname()[1], (("127.0.0.1", 9), ("127.0.0.1", 9)), 1, tmp_path / "run"))
+        asyncio.run(
+            attack(
+                100.0,
+                air.getsockname()[1],
+                (("127.0.0.1", 9), ("127.0.0.1", 9)),
+                1,
+                tmp_path / "run",
+            )
+        )
     assert (tmp_path / f"run{RECORDING}").exists()
     assert "sent" in (tmp_path / "run" / "attack.txt").read_text()
 

@@ -1,4 +1,6 @@
-"""Every interleaving of small worlds: the machines keep every invariant in all of them, and no mutant does."""
+"""Every interleaving of small worlds: the machines keep every invariant in all of them, and no
+mutant does.
+"""
 
 from __future__ import annotations
 
@@ -35,9 +37,15 @@ def said_of(found: Exploration) -> str:
 
 @pytest.mark.parametrize(
     ("scope", "states"),
-    [(SMALL, 9000), (replace(SMALL, aborts=1), 30_000), (replace(SMALL, guard=0, uncertainty=2, lease=5), 15_000)],
+    [
+        (SMALL, 9000),
+        (replace(SMALL, aborts=1), 30_000),
+        (replace(SMALL, guard=0, uncertainty=2, lease=5), 15_000),
+    ],
 )
-def test_the_machines_keep_every_invariant_in_every_reachable_world(scope: Scope, states: int) -> None:
+def test_the_machines_keep_every_invariant_in_every_reachable_world(
+    scope: Scope, states: int
+) -> None:
     found = of_small() if scope == SMALL else explore(scope)
     assert found.complete and not found.broken, said_of(found)
     assert found.states > states
@@ -54,7 +62,8 @@ def test_whatever_sleeps_through_whatever_they_still_do() -> None:
     """All but what is to end in time (L1, L2): nothing does while everybody sleeps."""
     found = explore(replace(SMALL, stalls=True), seen=Covering())
     assert found.complete and not found.broken, said_of(found)
-    assert ("TakenBack", "Provisional") in found.pairs  # it has not been told, and is not responsible
+    # it has not been told, and is not responsible
+    assert ("TakenBack", "Provisional") in found.pairs
 
 
 def test_of_two_receivers_on_one_channel_they_still_do() -> None:
@@ -66,8 +75,10 @@ def test_of_two_receivers_on_one_channel_they_still_do() -> None:
 @pytest.mark.parametrize(
     ("scope", "breaks"),
     [
-        (replace(SHORT, beyond=2), {"S1", "S3"}),  # clocks that differ by more than both sides were told
-        (replace(SHORT, crashes=1, forgetful=True), {"S1", "S2"}),  # a disk that has an earlier record, or none
+        # clocks that differ by more than both sides were told
+        (replace(SHORT, beyond=2), {"S1", "S3"}),
+        # a disk that has an earlier record, or none
+        (replace(SHORT, crashes=1, forgetful=True), {"S1", "S2"}),
     ],
 )
 def test_what_the_page_calls_an_assumption_is_needed(scope: Scope, breaks: set[str]) -> None:
@@ -75,12 +86,18 @@ def test_what_the_page_calls_an_assumption_is_needed(scope: Scope, breaks: set[s
 
 
 def test_all_that_can_come_of_a_handover_is_reached() -> None:
-    """And nobody is responsible for good only when the sender handed over and the receiver let go: the orphan."""
+    """And nobody is responsible for good only when the sender handed over and the receiver let go:
+    the orphan.
+    """
     pairs = of_small().pairs
     assert ("HandedOver", "Holding") in pairs
     assert ("HandedOver", "LetGo") in pairs
     assert ("TakenBack", "LetGo") in pairs and ("TakenBack", "Observing") in pairs
-    assert {receiver for gives, receiver in pairs if gives == "HandedOver"} == {"Provisional", "Holding", "LetGo"}
+    assert {receiver for gives, receiver in pairs if gives == "HandedOver"} == {
+        "Provisional",
+        "Holding",
+        "LetGo",
+    }
 
 
 def test_every_world_is_covered_by_one_that_a_covering_exploration_enters() -> None:
@@ -147,7 +164,8 @@ def test_bits() -> None:
     assert bits(0) == [] and bits(0b1011) == [0, 1, 3] and bits(1 << 200) == [200]
 
 
-# --- mutants -----------------------------------------------------------------------------------------------------
+# --- mutants
+# -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.rule)

@@ -19,7 +19,9 @@ TINY = (
     run.Job("tiny", replace(SMALL, lease=3, offer=3, handoff=4)),
     run.Job("tiny, covered", replace(SMALL, lease=3, offer=3, handoff=4, aborts=1), exact=False),
 )
-COMMITS_FIRST = next(mutant for mutant in MUTANTS if mutant.rule == "the sender says COMMIT, and then releases")
+COMMITS_FIRST = next(
+    mutant for mutant in MUTANTS if mutant.rule == "the sender says COMMIT, and then releases"
+)
 
 
 def verified(
@@ -31,10 +33,14 @@ def verified(
     return code, json.loads((out / "summary.json").read_text())
 
 
-def test_all_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_holds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     code, summary = verified(tmp_path / "new", monkeypatch)
     assert code == 0 and summary["holds"]
-    assert summary["violations"] == 0 and summary["violations_of"] == dict.fromkeys(run.INVARIANTS, 0)
+    assert summary["violations"] == 0 and summary["violations_of"] == dict.fromkeys(
+        run.INVARIANTS, 0
+    )
     assert summary["mutants"] == summary["mutants_caught"] == 2
     tiny, covered = summary["scopes"]
     assert summary["states"] == tiny["states"] + covered["states"] > 1000
@@ -42,7 +48,11 @@ def test_all_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyte
     assert tiny["complete"] and tiny["depth"] > 10 and tiny["in_flight"] >= 4
     assert [one["rule"] for one in summary["caught"]] == [mutant.rule for mutant in MUTANTS[:2]]
     shown = capsys.readouterr().out
-    assert f"{tiny['states']:,}" in shown and "mutants caught: 2 of 2" in shown and "VIOLATED" not in shown
+    assert (
+        f"{tiny['states']:,}" in shown
+        and "mutants caught: 2 of 2" in shown
+        and "VIOLATED" not in shown
+    )
 
 
 def test_a_violation_is_shown_step_by_step_and_is_an_error(
@@ -51,7 +61,10 @@ def test_a_violation_is_shown_step_by_step_and_is_an_error(
     with wrong(COMMITS_FIRST):
         code, summary = verified(tmp_path, monkeypatch)
     assert code == run.EXIT_BROKEN and not summary["holds"]
-    assert summary["violations_of"]["S4"] > 0 and summary["violations"] >= summary["violations_of"]["S4"]
+    assert (
+        summary["violations_of"]["S4"] > 0
+        and summary["violations"] >= summary["violations_of"]["S4"]
+    )
     shown = capsys.readouterr().out
     assert "VIOLATED: tiny" in shown
     assert "1. the sender offers the target" in shown
@@ -74,7 +87,9 @@ def test_what_was_not_explored_to_its_end_does_not_hold() -> None:
     assert summary["violations"] == 0 and not summary["holds"]
 
 
-def test_the_results_do_not_depend_on_the_number_of_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_results_do_not_depend_on_the_number_of_processes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(run, "MUTANTS", MUTANTS[:2])
     with run.open_work(1) as one, run.open_work(2) as two:
         alone, shared = (run.verify(work, TINY) for work in (one, two))
@@ -87,7 +102,9 @@ def test_the_results_do_not_depend_on_the_number_of_processes(monkeypatch: pytes
 def test_the_full_set_has_what_is_asked_of_it() -> None:
     scopes: list[Scope] = [job.scope for job in run.FULL]
     assert max(scope.crashes for scope in scopes) >= 2
-    assert max(scope.attempts for scope in scopes) >= 2 and max(scope.aborts for scope in scopes) >= 2
+    assert (
+        max(scope.attempts for scope in scopes) >= 2 and max(scope.aborts for scope in scopes) >= 2
+    )
     assert all(scope.guard and scope.uncertainty for scope in scopes)
 
 

@@ -21,16 +21,26 @@ def test_nothing_forged_is_taken_and_nothing_genuine_lost() -> None:
     assert figures["packets"] >= 8_000
     assert figures["genuine"] > 200
     assert len(figures["by_way"]) == 15
-    assert {"bad_signature", "replayed", "unproven", "bad_crc", "unsigned", "wrong_system"} <= set(figures["by_reason"])
+    assert {"bad_signature", "replayed", "unproven", "bad_crc", "unsigned", "wrong_system"} <= set(
+        figures["by_reason"]
+    )
 
 
 def test_every_type_of_message_is_tried_about_as_often_as_any_other() -> None:
     figures = summary([play(Piece(3, number, 12_000, hardened)) for number in range(2)])
     every = {kind.__name__ for kind in TO_WIRE}
-    for name, of in (("genuine", every), ("early", every), ("nearly valid", every - {"Ping", "Pong", "Target"})):
-        counts = figures["by_message"][name]  # of a ping every number means something, of a target nearly every one
+    for name, of in (
+        ("genuine", every),
+        ("early", every),
+        ("nearly valid", every - {"Ping", "Pong", "Target"}),
+    ):
+        # of a ping every number means something, of a target nearly every one
+        counts = figures["by_message"][name]
         assert of <= set(counts) <= every
-        assert min(counts[kind] for kind in of) > 0.3 * sum(counts.values()) / len(every), (name, counts)
+        assert min(counts[kind] for kind in of) > 0.3 * sum(counts.values()) / len(every), (
+            name,
+            counts,
+        )
 
 
 def test_a_seed_is_a_run() -> None:
@@ -51,7 +61,9 @@ class StampFirst(Codec):
 
     def _forged_or_old(self, data: bytes) -> Drop | None:
         fault = super()._forged_or_old(data)
-        self._streams[data[-13]] = max(self._streams.get(data[-13], 0), int.from_bytes(data[-12:-6], "little"))
+        self._streams[data[-13]] = max(
+            self._streams.get(data[-13], 0), int.from_bytes(data[-12:-6], "little")
+        )
         return fault
 
 

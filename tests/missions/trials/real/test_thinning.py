@@ -1,4 +1,6 @@
-"""A camera that leaves out pixels: it is told by straight edges, and its twin leaves out the same."""
+"""A camera that leaves out pixels: it is told by straight edges, and its twin leaves out the
+same.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ def test_a_camera_that_leaves_out_pixels_is_told_and_drawn_again(tmp_path: Path)
     sensor = sensor_of(replace(CAMERA, thinning=THINNED))
     (tmp_path / "views").mkdir()
     where = list(poses(PRINTED, Held(), 2, 87))
-    for number, color in enumerate(photographs(CameraRenderer, sensor, PRINTED, where, 3, Imaging(blur_sigma_px=0.9))):
+    for number, color in enumerate(
+        photographs(CameraRenderer, sensor, PRINTED, where, 3, Imaging(blur_sigma_px=0.9))
+    ):
         cv2.imwrite(str(tmp_path / "views" / f"{number}.png"), grey(color)[np.ix_(rows, columns)])
     (tmp_path / "thin.toml").write_text(TEXT.format(more=""))
     own = read_set(tmp_path / "thin.toml")

@@ -1,4 +1,6 @@
-"""The trial of photographs: on rendered boards whose truth is known, on files that cannot be right, on real sets."""
+"""The trial of photographs: on rendered boards whose truth is known, on files that cannot be right,
+on real sets.
+"""
 
 from __future__ import annotations
 
@@ -88,13 +90,19 @@ def test_a_print_that_is_off_is_measured_and_taken_out(file: Path) -> None:
             shift = np.einsum("kij,kj->ki", board.slopes(own.markers[marker_id].corners_o), moved_m)
             corners[marker_id] = FoundMarker(corners[marker_id].corners_px + shift, np.eye(8))
     measured = measure_set(own, seen, found)
-    np.testing.assert_allclose(measured.print_m[marker_id], np.column_stack([moved_m, np.zeros(4)]), atol=4e-5)
+    np.testing.assert_allclose(
+        measured.print_m[marker_id], np.column_stack([moved_m, np.zeros(4)]), atol=4e-5
+    )
     shifted = [m for m in measured.seen if m.marker_id == marker_id]
-    assert max(np.abs(m.nominal_px).max() for m in shifted) > 2.0 * max(np.abs(m.error_px).max() for m in shifted)
+    assert max(np.abs(m.nominal_px).max() for m in shifted) > 2.0 * max(
+        np.abs(m.error_px).max() for m in shifted
+    )
 
 
 def test_paper_that_is_not_flat_is_told_from_errors_of_the_image(file: Path) -> None:
-    """Heights move corners in one direction of the image; what is left across is the noise, and little of the print."""
+    """Heights move corners in one direction of the image; what is left across is the noise, and
+    little of the print.
+    """
     own = read_set(file)
     seen = look_at_set(own, own.images)
     rng, sigma_px, height_m = np.random.default_rng(5), 0.05, 4e-4
@@ -109,10 +117,14 @@ def test_paper_that_is_not_flat_is_told_from_errors_of_the_image(file: Path) -> 
     ]  # fmt: skip
     many = type(seen)(seen.camera, None, seen.photographs * 4, boards, seen.starts * 4)
     markers = measure_set(own, many, found).seen
-    across, along = (np.stack([getattr(m, name) for m in markers]) for name in ("across_px", "along_px"))
+    across, along = (
+        np.stack([getattr(m, name) for m in markers]) for name in ("across_px", "along_px")
+    )
     rise = np.stack([np.linalg.norm(m.rises, axis=1) for m in markers])
     assert sigma_px < float(np.std(across)) < 2.0 * sigma_px
-    assert float(np.sqrt(np.mean(along**2 - across**2) / np.mean(rise**2))) == pytest.approx(height_m, rel=0.15)
+    assert float(np.sqrt(np.mean(along**2 - across**2) / np.mean(rise**2))) == pytest.approx(
+        height_m, rel=0.15
+    )
 
 
 def test_the_shape_of_paper_that_many_views_agree_on_is_no_error_of_corners(file: Path) -> None:
@@ -139,14 +151,21 @@ def test_the_shape_of_paper_that_many_views_agree_on_is_no_error_of_corners(file
 
 
 def test_a_marker_is_where_it_was_when_its_rows_were_read(file: Path) -> None:
-    """Rows that are read one after another of a board that moves: each part is where that part was seen."""
+    """Rows that are read one after another of a board that moves: each part is where that part was
+    seen.
+    """
     own = read_set(file)
     board = look_at_set(own, own.images).boards[0]
-    moved = replace(board, bend=board.bend + np.array([[0.4, -0.2], *[[0.0, 0.0]] * (len(board.bend) - 1)]))
+    moved = replace(
+        board, bend=board.bend + np.array([[0.4, -0.2], *[[0.0, 0.0]] * (len(board.bend) - 1)])
+    )
     T_o_m = Pose(np.eye(3), np.array([0.1, 0.08, 0.0]))
     before, after = board.pose_at(T_o_m), moved.pose_at(T_o_m)
-    np.testing.assert_allclose(board.camera.project(after.t[None]), moved.pixels(T_o_m.t[None]), atol=1e-6)
-    np.testing.assert_allclose(after.inverse().t, before.inverse().t, atol=1e-9)  # it turned, and the camera stays
+    np.testing.assert_allclose(
+        board.camera.project(after.t[None]), moved.pixels(T_o_m.t[None]), atol=1e-6
+    )
+    # it turned, and the camera stays
+    np.testing.assert_allclose(after.inverse().t, before.inverse().t, atol=1e-9)
 
 
 def test_a_board_that_moved_is_held_still(file: Path) -> None:
@@ -154,7 +173,10 @@ def test_a_board_that_moved_is_held_still(file: Path) -> None:
     own = read_set(file)
     seen = look_at_set(own, own.images)
     found = [
-        {i: FoundMarker(board.pixels(m.corners_o), 1e-4 * np.eye(8)) for i, m in own.markers.items()}
+        {
+            i: FoundMarker(board.pixels(m.corners_o), 1e-4 * np.eye(8))
+            for i, m in own.markers.items()
+        }
         for board in seen.boards
     ]
     shear = np.array([0.004, -0.003])
@@ -165,12 +187,22 @@ def test_a_board_that_moved_is_held_still(file: Path) -> None:
     shots = [replace(shot, corners_px=moved(shot.corners_px)) for shot in seen.photographs]
     boards = [see_board(seen.camera, shot, own.file.bend_order) for shot in shots]
     sheared = replace(seen, photographs=tuple(shots), boards=tuple(boards))
-    corners = [{i: replace(one, corners_px=moved(one.corners_px)) for i, one in some.items()} for some in found]
+    corners = [
+        {i: replace(one, corners_px=moved(one.corners_px)) for i, one in some.items()}
+        for some in found
+    ]
     still, measured, motion = held_still(own, sheared, measure_set(own, sheared, corners))
-    assert motion.motion_px == pytest.approx(float(np.sqrt(np.mean(shear**2))) * seen.camera.height, rel=0.1)
+    assert motion.motion_px == pytest.approx(
+        float(np.sqrt(np.mean(shear**2))) * seen.camera.height, rel=0.1
+    )
     assert motion.rows_px < 0.3 * motion.pose_px
     errors = [
-        np.mean([e.d2_m for e in estimate_all(own, some.camera, single_tasks(own, some, those), 0).errors])
+        np.mean(
+            [
+                e.d2_m
+                for e in estimate_all(own, some.camera, single_tasks(own, some, those), 0).errors
+            ]
+        )
         for some, those in ((sheared, measure_set(own, sheared, corners)), (still, measured))
     ]
     assert errors[1] < 0.5 * errors[0]
@@ -197,7 +229,10 @@ def test_poses_of_noisy_corners_are_honest_when_their_noise_is_stated(file: Path
     rng, sigma_px = np.random.default_rng(4), 0.1
     found = [
         {
-            i: FoundMarker(board.pixels(m.corners_o) + sigma_px * rng.standard_normal((4, 2)), sigma_px**2 * np.eye(8))
+            i: FoundMarker(
+                board.pixels(m.corners_o) + sigma_px * rng.standard_normal((4, 2)),
+                sigma_px**2 * np.eye(8),
+            )
             for i, m in own.markers.items()
         }
         for board in seen.boards
@@ -215,13 +250,18 @@ def test_poses_of_noisy_corners_are_honest_when_their_noise_is_stated(file: Path
 
 
 def test_corners_that_err_as_stated_leave_what_camera_and_gravity_do(file: Path) -> None:
-    """A board that is off where no view tells it has poses that corners as stated have not; gravity adds its own."""
+    """A board that is off where no view tells it has poses that corners as stated have not; gravity
+    adds its own.
+    """
     own = read_set(file)
     seen = look_at_set(own, own.images)
     rng, sigma_px = np.random.default_rng(4), 0.05
     found = [
         {
-            i: FoundMarker(board.pixels(m.corners_o) + 0.3 * rng.standard_normal((4, 2)), sigma_px**2 * np.eye(8))
+            i: FoundMarker(
+                board.pixels(m.corners_o) + 0.3 * rng.standard_normal((4, 2)),
+                sigma_px**2 * np.eye(8),
+            )
             for i, m in own.markers.items()
         }
         for board in seen.boards
@@ -239,7 +279,14 @@ def test_corners_that_err_as_stated_leave_what_camera_and_gravity_do(file: Path)
 
 def test_the_summary_has_every_figure_with_its_interval(score: SetScore) -> None:
     own = json.loads(json.dumps(score.summary(), allow_nan=False))
-    for name in ("d2_mean_m", "d2_median_m", "d2_p95_m", "rotation_median_deg", "chi2_pose", "chi2_corners"):
+    for name in (
+        "d2_mean_m",
+        "d2_median_m",
+        "d2_p95_m",
+        "rotation_median_deg",
+        "chi2_pose",
+        "chi2_corners",
+    ):
         assert own[f"{name}_interval"][0] <= own[name] <= own[f"{name}_interval"][1]
     assert own["flips"] == 0
     assert own["corners"]["photometric"]["robust_px"] < own["corners"]["subpix"]["robust_px"]
@@ -248,7 +295,9 @@ def test_the_summary_has_every_figure_with_its_interval(score: SetScore) -> None
 def test_what_was_measured_stands_when_no_twin_can_be_drawn(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A board whose squares and markers have no common cell, 30 and 22 mm, cannot be drawn again."""
+    """A board whose squares and markers have no common cell, 30 and 22 mm, cannot be drawn
+    again.
+    """
 
     def cannot(*_: object) -> None:
         raise ValueError("marker_m: 0.022 has no common cell with square_m = 0.03")

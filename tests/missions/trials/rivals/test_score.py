@@ -6,7 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from missions.trials.rivals.score import Ballot, FrameTally, Outcome, Rule, best_rule, outcome, tally
+from missions.trials.rivals.score import (
+    Ballot,
+    FrameTally,
+    Outcome,
+    Rule,
+    best_rule,
+    outcome,
+    tally,
+)
 from missions.trials.rivals.variants import ORB_VARIANTS, XFEAT_VARIANTS, same_look
 from path.baselines.features import FeatureSearch
 
@@ -15,14 +23,17 @@ from path.baselines.features import FeatureSearch
     ("present", "chosen", "right", "expected"),
     [
         (True, True, True, "tp"),
-        (True, True, False, "fp"),  # somebody else, although the target is there: false, and not also missed
+        # somebody else, although the target is there: false, and not also missed
+        (True, True, False, "fp"),
         (True, False, False, "fn"),
         (False, True, False, "fp"),
         (False, True, True, "fp"),  # a target that is not in view cannot be acquired
         (False, False, False, "tn"),
     ],
 )
-def test_outcomes_are_the_papers(present: bool, chosen: bool, right: bool, expected: Outcome) -> None:
+def test_outcomes_are_the_papers(
+    present: bool, chosen: bool, right: bool, expected: Outcome
+) -> None:
     assert outcome(present, chosen, right) == expected
 
 
@@ -60,7 +71,8 @@ def test_the_best_rule_is_found_over_variants_and_thresholds() -> None:
 
 
 def test_of_rules_as_good_the_one_with_fewer_false_positives_is_taken() -> None:
-    # 3 votes for the target, 3 for somebody else: right and wrong come together, so rather take neither
+    # 3 votes for the target, 3 for somebody else: right and wrong come together, so rather take
+    # neither
     ballots = [Ballot(True, (0,), ((3,),)), Ballot(False, (1,), ((3,),))]
     assert tally(ballots, best_rule(ballots, 1)) == FrameTally(tn=1, fn=1)
 
@@ -85,7 +97,8 @@ BALLOT = st.integers(0, 4).flatmap(
 
 
 @given(
-    st.lists(BALLOT, min_size=1, max_size=8), st.builds(Rule, st.integers(0, 1), st.integers(1, 20), st.integers(0, 12))
+    st.lists(BALLOT, min_size=1, max_size=8),
+    st.builds(Rule, st.integers(0, 1), st.integers(1, 20), st.integers(0, 12)),
 )
 def test_no_rule_is_better_than_the_best(ballots: list[Ballot], other: Rule) -> None:
     best, any_ = tally(ballots, best_rule(ballots, 2)), tally(ballots, other)

@@ -11,7 +11,15 @@ from missions.ground import rig_library
 from missions.ground.work import open_work
 from missions.trials.rivals import frame as ambiguity_frame
 from missions.trials.rivals import trial as ambiguity
-from missions.trials.rivals.frame import FrameTask, Owned, StagePair, ballot, path_on, renderer_for, shoot
+from missions.trials.rivals.frame import (
+    FrameTask,
+    Owned,
+    StagePair,
+    ballot,
+    path_on,
+    renderer_for,
+    shoot,
+)
 from missions.trials.rivals.path import Beliefs, PathAnswer, beliefs
 from missions.trials.rivals.report import of_path
 from missions.trials.rivals.stage import CAMERAS, MARKER_SIDE_M, Wanted, as_drawn
@@ -82,7 +90,9 @@ def test_a_frame_is_the_same_whoever_makes_it(pair: StagePair) -> None:
 def test_owners_are_who_is_at_the_boxes_by_exact_depth(pair: StagePair) -> None:
     scene = pair.scene
     perception = TrueView(
-        renderer_for(trial_part(RIG, "renderer"), Role.RECEIVER, scene.side, MARKER_SIDE_M), scene, Role.RECEIVER
+        renderer_for(trial_part(RIG, "renderer"), Role.RECEIVER, scene.side, MARKER_SIDE_M),
+        scene,
+        Role.RECEIVER,
     )
     for person in range(6):
         shown, hidden = perception.shirt(person)
@@ -93,7 +103,9 @@ def test_owners_are_who_is_at_the_boxes_by_exact_depth(pair: StagePair) -> None:
     assert perception.owner(Box(3.0, 700.0, 12.0, 12.0)) is None
 
 
-def test_paths_answer_is_judged_by_truth_alone(pair: StagePair, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_paths_answer_is_judged_by_truth_alone(
+    pair: StagePair, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The same candidate is right or wrong by who is in it, whatever PATH or D1 make of it."""
     asked = task("present", 1, 4)
     honest = path_on(asked, pair)
@@ -114,7 +126,12 @@ def test_paths_answer_is_judged_by_truth_alone(pair: StagePair, monkeypatch: pyt
     )
     assert of_path(judged, wrong) == "fp"
     assert of_path(judged, Owned(replace(honest.answer, agreed=False), 0)) == "tp"
-    assert of_path(replace(judged, wanted=replace(judged.wanted, case="hidden")), Owned(honest.answer, 0)) == "fp"
+    assert (
+        of_path(
+            replace(judged, wanted=replace(judged.wanted, case="hidden")), Owned(honest.answer, 0)
+        )
+        == "fp"
+    )
     assert of_path(judged, Owned(PathAnswer(None, None), None)) == "fn"
 
 

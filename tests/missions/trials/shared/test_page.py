@@ -44,19 +44,40 @@ def read(page: str) -> Texts:
 
 def chapter(name: str, folder: Path, result: TrialResult | None, error: str = "") -> Chapter:
     return Chapter(
-        name, f"Title of {name}", "Section", f"path-handoff trial {name} --seed 3", folder, 12.4, result, error
+        name,
+        f"Title of {name}",
+        "Section",
+        f"path-handoff trial {name} --seed 3",
+        folder,
+        12.4,
+        result,
+        error,
     )
 
 
 def test_one_trial_fills_its_page(tmp_path: Path) -> None:
     (tmp_path / "errors.png").write_bytes(b"\x89PNG not really")
     noise = TrialTable("Noise", ("what", "sigma"), (("blur", "0.6 px"),), "as <measured>")
-    result = TrialResult({}, FINDINGS, noise, (), (TrialPicture("errors.png", "Errors & more"),), ("A note.",))
+    result = TrialResult(
+        {}, FINDINGS, noise, (), (TrialPicture("errors.png", "Errors & more"),), ("A note.",)
+    )
     page = read(render_page([chapter("static", tmp_path, result)], 1))
     text = "\n".join(page.texts)
-    for expected in ("Title of static", "path-handoff trial static --seed 3", "pairs < 1 mm & more", "95 % to 98 %"):
+    for expected in (
+        "Title of static",
+        "path-handoff trial static --seed 3",
+        "pairs < 1 mm & more",
+        "95 % to 98 %",
+    ):
         assert expected in text
-    for expected in ("falls short", "because of <the lens>", "0.6 px", "as <measured>", "A note.", "Errors & more"):
+    for expected in (
+        "falls short",
+        "because of <the lens>",
+        "0.6 px",
+        "as <measured>",
+        "A note.",
+        "Errors & more",
+    ):
         assert expected in text
     assert page.images[0].startswith("data:image/png;base64,")
 

@@ -68,7 +68,15 @@ def test_samples_that_are_computed_at_once_are_those_that_are_drawn_one_by_one(
         ]  # fmt: skip
         rng = np.random.default_rng(4)
         drawn = [
-            float(np.median(values[np.concatenate([members[i] for i in rng.integers(0, len(members), len(members))])]))
+            float(
+                np.median(
+                    values[
+                        np.concatenate(
+                            [members[i] for i in rng.integers(0, len(members), len(members))]
+                        )
+                    ]
+                )
+            )
             for _ in range(statistics.RESAMPLES)
         ]
         low, high = np.percentile(drawn, (2.5, 97.5))

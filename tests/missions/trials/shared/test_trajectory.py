@@ -1,4 +1,6 @@
-"""Clock and frame between two records of one motion: found, with deviations that hold, and errors as defined."""
+"""Clock and frame between two records of one motion: found, with deviations that hold, and errors
+as defined.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,12 @@ from missions.trials.shared.trajectory import (
 from path.geometry.rotation import R_from_rpy, exp
 
 Array = NDArray[np.float64]
-R, SHIFT, OFFSET_S, NOISE_M = exp(np.array([0.0, 0.0, 2.1])), np.array([4.0, -7.0, 0.3]), -3541.237, 0.02
+R, SHIFT, OFFSET_S, NOISE_M = (
+    exp(np.array([0.0, 0.0, 2.1])),
+    np.array([4.0, -7.0, 0.3]),
+    -3541.237,
+    0.02,
+)
 
 
 def way(t: Array) -> Array:
@@ -33,17 +40,23 @@ def way(t: Array) -> Array:
     return np.column_stack([there + 0.5 * np.sin(0.5 * t), 0.8 * np.sin(0.31 * t), up])
 
 
-def records(seed: int, noise_m: float = NOISE_M, seconds: float = 60.0, R: Array = R) -> tuple[Trajectory, Trajectory]:
+def records(
+    seed: int, noise_m: float = NOISE_M, seconds: float = 60.0, R: Array = R
+) -> tuple[Trajectory, Trajectory]:
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 0.1)
     curve = Trajectory(t, way(t) + rng.normal(0.0, 0.002, (len(t), 3)))
-    instants = np.arange(1.0, seconds - 1.0, 0.125) + rng.normal(0.0, 0.005, len(np.arange(1.0, seconds - 1.0, 0.125)))
+    instants = np.arange(1.0, seconds - 1.0, 0.125) + rng.normal(
+        0.0, 0.005, len(np.arange(1.0, seconds - 1.0, 0.125))
+    )
     samples = way(instants) @ R.T + SHIFT + rng.normal(0.0, noise_m, (len(instants), 3))
     return curve, Trajectory(instants - OFFSET_S, samples)
 
 
 def found(curve: Trajectory, samples: Trajectory, seed: int = 0) -> Alignment:
-    return align([MotionPair(curve, samples)], coarse_offset(curve, samples), np.random.default_rng(seed))
+    return align(
+        [MotionPair(curve, samples)], coarse_offset(curve, samples), np.random.default_rng(seed)
+    )
 
 
 def test_clock_and_frame_are_found() -> None:
@@ -64,7 +77,9 @@ def test_a_clock_that_is_wrong_by_0_3_s_is_found_out(wrong_s: float) -> None:
     right, wrong = found(curve, samples), found(curve, replace(samples, t=samples.t + wrong_s))
     assert right.offset_s - wrong.offset_s == pytest.approx(wrong_s, abs=0.001)
     assert wrong.offset_s + wrong_s == pytest.approx(OFFSET_S, abs=0.01)
-    started_wrong = align([MotionPair(curve, samples)], OFFSET_S + wrong_s, np.random.default_rng(0))
+    started_wrong = align(
+        [MotionPair(curve, samples)], OFFSET_S + wrong_s, np.random.default_rng(0)
+    )
     assert started_wrong.offset_s == pytest.approx(OFFSET_S, abs=0.01)
 
 
@@ -96,9 +111,13 @@ def test_outliers_do_no_harm_and_are_told() -> None:
 
 
 def test_a_curve_that_drifts_may_wander() -> None:
-    """A position estimate walks away; a shift that may change takes that up, a constant one mistakes it for time."""
+    """A position estimate walks away; a shift that may change takes that up, a constant one
+    mistakes it for time.
+    """
     curve, samples = records(4)
-    walk = np.cumsum(np.random.default_rng(5).normal(0.0, 0.02 * math.sqrt(0.1), (len(curve.t), 3)), axis=0)
+    walk = np.cumsum(
+        np.random.default_rng(5).normal(0.0, 0.02 * math.sqrt(0.1), (len(curve.t), 3)), axis=0
+    )
     drifting = Trajectory(curve.t, curve.p + walk)
     wandering = align([MotionPair(drifting, samples, 8.0)], OFFSET_S, np.random.default_rng(0))
     fixed = align([MotionPair(drifting, samples)], OFFSET_S, np.random.default_rng(0))
@@ -108,24 +127,33 @@ def test_a_curve_that_drifts_may_wander() -> None:
 
 def test_two_motions_share_clock_and_frame() -> None:
     first, second = records(6), records(7)
-    alignment = align([MotionPair(*first), MotionPair(*second)], OFFSET_S + 0.1, np.random.default_rng(0))
+    alignment = align(
+        [MotionPair(*first), MotionPair(*second)], OFFSET_S + 0.1, np.random.default_rng(0)
+    )
     single = found(*first)
     assert alignment.offset_sigma_s < single.offset_sigma_s
     assert len(alignment.shifts) == len(alignment.residuals) == 2
 
 
 def test_no_pair_is_lost_because_the_frames_are_turned() -> None:
-    """Medians by axis of a motion that rests at a few places differ by the frame that they are taken in."""
+    """Medians by axis of a motion that rests at a few places differ by the frame that they are
+    taken in.
+    """
     t = np.arange(0.0, 60.0, 0.1, dtype=np.float64)
     corners = np.array([[0.0, 0.0, 0.0], [2.0, 0.2, 0.0], [0.2, 2.0, 0.0]])
-    rests = np.array([np.interp(t, [0, 16, 20, 38, 42, 60], corners[[0, 0, 1, 1, 2, 2], k]) for k in range(3)]).T
+    rests = np.array(
+        [np.interp(t, [0, 16, 20, 38, 42, 60], corners[[0, 0, 1, 1, 2, 2], k]) for k in range(3)]
+    ).T
     for turn in np.linspace(0.0, 2.0 * math.pi, 9):
         turned = exp(np.array([0.0, 0.0, turn]))
         rng = np.random.default_rng(1)
         pairs = [
             MotionPair(
                 Trajectory(t, places),
-                Trajectory(t[5:-5] + 0.03, (places @ turned.T + rng.normal(0.0, NOISE_M, places.shape))[5:-5]),
+                Trajectory(
+                    t[5:-5] + 0.03,
+                    (places @ turned.T + rng.normal(0.0, NOISE_M, places.shape))[5:-5],
+                ),
             )
             for places in (rests, rests[:, [0, 2, 1]])
         ]
@@ -167,8 +195,10 @@ def test_errors_are_as_defined() -> None:
     t = np.arange(0.0, 10.0, 0.1)
     drift = np.column_stack([0.01 * t, np.zeros_like(t), np.zeros_like(t)])
     assert ape(drift) == pytest.approx(0.01 * t)
-    assert rpe_after(t, drift, 1.0) == pytest.approx(0.01, abs=0.0021)  # the nearest there is within a fifth
-    assert len(rpe_after(t, drift, 1.0)) == pytest.approx(90, abs=2)  # the last ones have no partner
+    # the nearest there is within a fifth
+    assert rpe_after(t, drift, 1.0) == pytest.approx(0.01, abs=0.0021)
+    # the last ones have no partner
+    assert len(rpe_after(t, drift, 1.0)) == pytest.approx(90, abs=2)
     places = np.column_stack([0.5 * t, np.zeros_like(t), np.zeros_like(t)])  # 1 m in 2 s
     assert rpe_along(places, drift, 1.0) == pytest.approx(0.02, abs=0.0011)
     assert len(rpe_along(places, drift, 100.0)) == 0

@@ -37,7 +37,9 @@ class FailingStore(MemoryStore):
         super().save(record)
 
 
-def with_failing(rig: Any, role: Role, duty: str, course: Callable[[Pair], Coroutine[Any, Any, None]]) -> Pair:
+def with_failing(
+    rig: Any, role: Role, duty: str, course: Callable[[Pair], Coroutine[Any, Any, None]]
+) -> Pair:
     async def main() -> Pair:
         pair = Pair(rig)
         pair.store[role] = store = FailingStore(duty)
@@ -152,7 +154,9 @@ def test_real_files_carry_a_handover_over_a_kill_of_both(rig: Any, tmp_path: Pat
     fly(rig, course)
 
 
-def test_a_full_disk_is_a_named_end(rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_a_named_end(
+    rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 

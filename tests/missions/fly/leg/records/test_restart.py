@@ -20,7 +20,9 @@ NS = 1_000_000_000
 
 
 @pytest.mark.parametrize("down_s", [0.05, 0.4, 3.0])
-def test_a_sender_killed_after_its_commit_takes_back_what_nobody_accepted(rig: Any, down_s: float) -> None:
+def test_a_sender_killed_after_its_commit_takes_back_what_nobody_accepted(
+    rig: Any, down_s: float
+) -> None:
     async def course(pair: Pair) -> None:
         pair.lose(Role.RECEIVER, Accept)
         pair.sender.agreed(1)
@@ -84,14 +86,18 @@ def test_a_receiver_killed_while_it_holds_still_does_and_says_so(rig: Any) -> No
         await asyncio.sleep(5.0)
         started(pair, rig, Role.RECEIVER, flying=True)
         await asyncio.sleep(0.5)
-        (said,) = {cast(Status, m).responsible for m in kinds(pair.link[Role.RECEIVER].sent[-5:], Status)}
+        (said,) = {
+            cast(Status, m).responsible for m in kinds(pair.link[Role.RECEIVER].sent[-5:], Status)
+        }
         assert said and pair.receiver.holds_for_good
 
     fly(rig, course)
 
 
 def test_on_the_ground_a_new_mission_begins_with_the_next_epoch(rig: Any) -> None:
-    """Whichever program is started first: a sender waits for the receiver to have let go of the old target."""
+    """Whichever program is started first: a sender waits for the receiver to have let go of the old
+    target.
+    """
 
     async def course(pair: Pair) -> None:
         await pair.decide()
@@ -112,7 +118,10 @@ def test_on_the_ground_a_new_mission_begins_with_the_next_epoch(rig: Any) -> Non
         pair.session[Role.SENDER].spawn(pair.offer_targets())
         await asyncio.sleep(0.5)
         assert sender.epoch == 2
-        assert await pair.decide() == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+        assert await pair.decide() == {
+            Role.SENDER: Outcome.COMMITTED,
+            Role.RECEIVER: Outcome.COMMITTED,
+        }
 
     fly(rig, course)
 
@@ -131,8 +140,12 @@ def test_a_sender_does_not_begin_anew_while_the_receiver_holds(rig: Any) -> None
     fly(rig, course)
 
 
-def test_what_the_receiver_said_before_it_was_given_the_target_is_no_word_of_its_being_free(rig: Any) -> None:
-    """A sender killed after its COMMIT, started on the ground, hands over by its record and begins anew at once."""
+def test_what_the_receiver_said_before_it_was_given_the_target_is_no_word_of_its_being_free(
+    rig: Any,
+) -> None:
+    """A sender killed after its COMMIT, started on the ground, hands over by its record and begins
+    anew at once.
+    """
 
     async def course(pair: Pair) -> None:
         session = pair.session[Role.SENDER]
@@ -151,7 +164,9 @@ def test_what_the_receiver_said_before_it_was_given_the_target_is_no_word_of_its
     fly(rig, course)
 
 
-def test_after_a_reboot_a_lease_is_over_for_the_receiver_and_begins_anew_for_the_sender(rig: Any) -> None:
+def test_after_a_reboot_a_lease_is_over_for_the_receiver_and_begins_anew_for_the_sender(
+    rig: Any,
+) -> None:
     """The boot's change reaches the machines: instants of another clock are no instants."""
 
     async def course(pair: Pair) -> None:
@@ -160,7 +175,9 @@ def test_after_a_reboot_a_lease_is_over_for_the_receiver_and_begins_anew_for_the
         await until(lambda: pair.receiver.holds)
         kept = {role: cast(Kept, pair.store[role].load()).record for role in Role}
         session = pair.session[Role.RECEIVER]
-        again = ReceiverHandover(session, MemoryStore(Kept(kept[Role.RECEIVER], same_clock=False)), lambda: True)
+        again = ReceiverHandover(
+            session, MemoryStore(Kept(kept[Role.RECEIVER], same_clock=False)), lambda: True
+        )
         assert isinstance(again.state, LetGo) and not again.holds and not session.responsible
         sender = pair.session[Role.SENDER]
         whole = SenderHandover(sender, MemoryStore(Kept(kept[Role.SENDER], same_clock=False)))

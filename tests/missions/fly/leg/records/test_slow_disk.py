@@ -34,7 +34,9 @@ class SlowStore(MemoryStore):
 
         def on_the_disk() -> None:
             if self.fails:
-                saved.set_exception(StateError("cannot write: No space left on device", "make room"))
+                saved.set_exception(
+                    StateError("cannot write: No space left on device", "make room")
+                )
             else:
                 self.save(record)
                 saved.set_result(None)
@@ -59,14 +61,26 @@ def test_nothing_that_follows_is_done_before_the_disk_has_it_and_the_rest_goes_o
         pair.sender.agreed(1)  # the next frame agrees too: that is no second commit
         assert store.kept is None and session.responsible
         assert not kinds(link.sent, Commit)
-        assert len(kinds(link.sent, Status)) >= said + 4  # and whoever flies the drone is not held up either
+        # and whoever flies the drone is not held up either
+        assert len(kinds(link.sent, Status)) >= said + 4
         assert session.peer_silence_s() < 0.3
         await until(lambda: not session.responsible)
         assert store.kept is not None and store.kept.record.duty == "released"
-        assert await pair.decide(agree=False) == {Role.SENDER: Outcome.COMMITTED, Role.RECEIVER: Outcome.COMMITTED}
+        assert await pair.decide(agree=False) == {
+            Role.SENDER: Outcome.COMMITTED,
+            Role.RECEIVER: Outcome.COMMITTED,
+        }
 
     pair = fly(rig, course)
-    assert len({commit.nonce for commit in cast(list[Commit], kinds(pair.link[Role.SENDER].sent, Commit))}) == 1
+    assert (
+        len(
+            {
+                commit.nonce
+                for commit in cast(list[Commit], kinds(pair.link[Role.SENDER].sent, Commit))
+            }
+        )
+        == 1
+    )
 
 
 def test_what_is_said_while_the_disk_is_written_to_is_heard_after(rig: Any) -> None:
@@ -75,7 +89,8 @@ def test_what_is_said_while_the_disk_is_written_to_is_heard_after(rig: Any) -> N
         pair.sender.agreed(1)
         await until(lambda: pair.receiver.holds)
         heard = len(kinds(pair.link[Role.RECEIVER].sent, Accept))
-        pair.sender.end(NO_END)  # comes before the ACCEPT is written down: too late to abort, it waits its turn
+        # comes before the ACCEPT is written down: too late to abort, it waits its turn
+        pair.sender.end(NO_END)
         await until(lambda: pair.receiver.holds_for_good)
         assert store.duties == ["released", "handed_over"]
         assert len(kinds(pair.link[Role.RECEIVER].sent, Accept)) > heard
@@ -127,7 +142,9 @@ def test_a_receiver_answers_in_a_new_attempt_once_it_is_written_down(rig: Any) -
     fly(rig, course)
 
 
-def test_a_disk_that_turns_out_to_be_full_ends_the_mission_and_leaves_all_as_it_was(rig: Any) -> None:
+def test_a_disk_that_turns_out_to_be_full_ends_the_mission_and_leaves_all_as_it_was(
+    rig: Any,
+) -> None:
     async def course(pair: Pair) -> None:
         slow(pair, Role.SENDER, 0.5, fails=True)
         pair.sender.agreed(1)

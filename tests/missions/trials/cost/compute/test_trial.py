@@ -22,7 +22,9 @@ from path.messages import Role
 @pytest.fixture(scope="module")
 def request_(tmp_path_factory: pytest.TempPathFactory) -> TrialRequest:
     with open_work(1) as work:
-        return TrialRequest(rig_library.load("sim-rendered"), tmp_path_factory.mktemp("trial"), 5, True, work)
+        return TrialRequest(
+            rig_library.load("sim-rendered"), tmp_path_factory.mktemp("trial"), 5, True, work
+        )
 
 
 @pytest.fixture(scope="module")
@@ -37,14 +39,18 @@ def result(request_: TrialRequest) -> TrialResult:
 
 def test_the_summary_has_every_stage_and_its_ratios(result: TrialResult) -> None:
     stages = result.summary["stages"]["640x480"]
-    assert {*GEOMETRY, *SUMS, "d2_marker_detect", "d2_marker_fit", "orb_boxes", "orb_whole"} <= set(stages)
+    assert {*GEOMETRY, *SUMS, "d2_marker_detect", "d2_marker_fit", "orb_boxes", "orb_whole"} <= set(
+        stages
+    )
     assert all(stage["median_ms"] <= stage["p99_ms"] for stage in stages.values())
     ratios = result.summary["ratios"]["640x480"]
     assert {"geometry_alone_vs_orb_whole", "path_vs_orb_boxes"} <= set(ratios)
     for name, ratio in ratios.items():
         counted, method = name.split("_vs_")
         assert ratio["low"] <= ratio["ratio"] <= ratio["high"]
-        assert (ratio["ratio"] > 1.0) == (stages[method]["median_ms"] > stages[counted]["median_ms"])
+        assert (ratio["ratio"] > 1.0) == (
+            stages[method]["median_ms"] > stages[counted]["median_ms"]
+        )
 
 
 def test_without_weights_xfeat_is_left_out_and_that_is_told(result: TrialResult) -> None:
@@ -65,9 +71,18 @@ def test_the_timed_cycles_are_cycles_that_agree(request_: TrialRequest, film: Fi
             raise AssertionError(topic)
 
     log = Noted()
-    path = PathPair(request_.rig, rig_library.mission_of(request_.rig), film, 1, dict.fromkeys(Role, log))
+    path = PathPair(
+        request_.rig, rig_library.mission_of(request_.rig), film, 1, dict.fromkeys(Role, log)
+    )
     us = [path.cycle() for _ in range(8)][-1]
-    assert set(written) >= {"/frame", "/target", "/agreement", "/heard_candidate", "/heard_target", "/marker"}
+    assert set(written) >= {
+        "/frame",
+        "/target",
+        "/agreement",
+        "/heard_candidate",
+        "/heard_target",
+        "/marker",
+    }
     assert {*written} >= {"/motion", "/candidate"} and written.count("/motion") == 8
     for side in ("d1", "d2"):
         assert us[f"{side}_cycle"] > us[f"{side}_log"] > 0.0
@@ -92,7 +107,10 @@ def test_a_film_repeats_without_a_jump(film: Film) -> None:
 
 def test_a_larger_camera_sees_as_high_and_farther_to_the_sides(request_: TrialRequest) -> None:
     for role in Role:
-        small, large = camera_of(request_.rig, role, "640x480"), camera_of(request_.rig, role, "1280x720")
+        small, large = (
+            camera_of(request_.rig, role, "640x480"),
+            camera_of(request_.rig, role, "1280x720"),
+        )
         assert small == request_.rig.role(role).camera
         assert large.fy / large.height == pytest.approx(small.fy / small.height)
         _, top = small.ray(small.cx, -0.5)
@@ -109,7 +127,9 @@ def test_the_stopwatch_times_work_and_takes_off_its_own_time() -> None:
 
 def test_ratios_compare_medians_of_blocks() -> None:
     ours, theirs = np.full((6, 5), 2.0), np.full((6, 3), 50.0)
-    timing = Timings({"path": ours, "geometry": ours / 2.0, "geometry_alone": ours / 4.0, "orb_whole": theirs})
+    timing = Timings(
+        {"path": ours, "geometry": ours / 2.0, "geometry_alone": ours / 4.0, "orb_whole": theirs}
+    )
     ratios = compute._ratios(timing, np.random.default_rng(1))
     assert {name: ratio["ratio"] for name, ratio in ratios.items()} == {
         "geometry_alone_vs_orb_whole": 100.0, "geometry_vs_orb_whole": 50.0, "path_vs_orb_whole": 25.0,

@@ -21,7 +21,9 @@ HEADER = 10
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> TrialResult:
     with open_work(1) as work:
-        return link.run(TrialRequest(rig_library.load("sim"), tmp_path_factory.mktemp("trial"), 5, True, work))
+        return link.run(
+            TrialRequest(rig_library.load("sim"), tmp_path_factory.mktemp("trial"), 5, True, work)
+        )
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +49,8 @@ def test_sizes_add_up(result: TrialResult) -> None:
 def test_a_tap_sees_what_the_ends_sent_and_nothing_is_lost_or_dropped(traffic: LinkTraffic) -> None:
     assert traffic.sent == traffic.received == len(traffic.packets) + len(traffic.extremes)
     assert not set(traffic.dropped) - {"superseded", "unproven"}
-    assert traffic.dropped.get("unproven", 0) <= 8  # what was said before the first ping was answered
+    # what was said before the first ping was answered
+    assert traffic.dropped.get("unproven", 0) <= 8
 
 
 def test_every_frame_has_its_messages_and_the_mission_its_own_rates(traffic: LinkTraffic) -> None:
@@ -59,8 +62,12 @@ def test_every_frame_has_its_messages_and_the_mission_its_own_rates(traffic: Lin
     assert {kind: kinds.count(kind) for kind in ("commit", "accept", "confirm", "abort")} == {
         "commit": 1, "accept": 1, "confirm": 1, "abort": 0,
     }  # fmt: skip
-    assert {packet.direction for packet in traffic.packets if packet.kind == "target"} == {Role.SENDER}
-    assert {packet.direction for packet in traffic.packets if packet.kind == "candidate"} == {Role.RECEIVER}
+    assert {packet.direction for packet in traffic.packets if packet.kind == "target"} == {
+        Role.SENDER
+    }
+    assert {packet.direction for packet in traffic.packets if packet.kind == "candidate"} == {
+        Role.RECEIVER
+    }
 
 
 @pytest.mark.parametrize("role", Role)
@@ -71,11 +78,16 @@ def test_extremes_are_as_long_as_their_message_can_be(role: Role) -> None:
         data = codec.encode(message)
         payload = data[HEADER : HEADER + data[1]]
         assert payload[-1] != 0
-        assert len(payload) == dialect.mavlink_map[int.from_bytes(data[7:HEADER], "little")].unpacker.size
+        assert (
+            len(payload)
+            == dialect.mavlink_map[int.from_bytes(data[7:HEADER], "little")].unpacker.size
+        )
 
 
 @pytest.mark.parametrize("role", Role)
-def test_a_status_while_both_verify_is_as_long_as_one_without_digests_and_end_can_be(role: Role) -> None:
+def test_a_status_while_both_verify_is_as_long_as_one_without_digests_and_end_can_be(
+    role: Role,
+) -> None:
     codec = Codec(role, bytes(32))
     longest = next(message for message in extremes(role) if isinstance(message, Status))
     sizes = {"target": {"wire_b": 81}, "status": {"wire_b": len(codec.encode(longest))}}
@@ -89,12 +101,19 @@ def test_rates_count_the_headers_that_the_kernel_adds() -> None:
     traffic = LinkTraffic(60, 2, [packet, replace(packet, at_s=1.5, direction=Role.RECEIVER)])
     rates = link._rates(traffic, {"target": {"wire_b": 100}})
     assert rates["bytes_per_s"] == 53 + UDP_IP_OVERHEAD
-    assert rates["sender_bytes_per_s"] == rates["receiver_bytes_per_s"] == (53 + UDP_IP_OVERHEAD) / 2
+    assert (
+        rates["sender_bytes_per_s"] == rates["receiver_bytes_per_s"] == (53 + UDP_IP_OVERHEAD) / 2
+    )
     assert rates["least_second_b"] == rates["most_second_b"] == 81
     assert rates["untrimmed_bytes_per_s"] == 100
 
 
 def test_a_hand_over_is_no_part_of_a_rate() -> None:
-    target, commit = TappedPacket("target", Role.SENDER, 28, 53, 0.0), TappedPacket("commit", Role.SENDER, 25, 50, 0.5)
+    target, commit = (
+        TappedPacket("target", Role.SENDER, 28, 53, 0.0),
+        TappedPacket("commit", Role.SENDER, 25, 50, 0.5),
+    )
     sizes = {"target": {"wire_b": 81}, "commit": {"wire_b": 78}}
-    assert link._rates(LinkTraffic(60, 1, [target, commit]), sizes) == link._rates(LinkTraffic(60, 1, [target]), sizes)
+    assert link._rates(LinkTraffic(60, 1, [target, commit]), sizes) == link._rates(
+        LinkTraffic(60, 1, [target]), sizes
+    )

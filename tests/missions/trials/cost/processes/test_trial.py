@@ -17,13 +17,21 @@ S = 1_000_000_000
 
 
 def told(
-    at_s: float, role: Role, responsible: bool | None = None, *, alive: bool = True, duty: str | None = None
+    at_s: float,
+    role: Role,
+    responsible: bool | None = None,
+    *,
+    alive: bool = True,
+    duty: str | None = None,
 ) -> RoleEvent:
     return RoleEvent(round(at_s * S), role, alive, responsible, duty)
 
 
 def test_a_hand_over_has_a_gap_of_a_message_and_a_holder_in_the_end() -> None:
-    found = judge([told(1, D1, True), told(9, D1, False), told(9.02, D2, True), told(12, D1), told(20, D2)], 9 * S)
+    found = judge(
+        [told(1, D1, True), told(9, D1, False), told(9.02, D2, True), told(12, D1), told(20, D2)],
+        9 * S,
+    )
     assert (found.both_s, round(found.gap_s, 6), found.dead_s) == (0.0, 0.02, 0.0)
     assert found.holder is D2 and not found.orphaned
     assert found.commit_s == pytest.approx(8.0)
@@ -35,7 +43,9 @@ def test_two_at_a_time_are_seen() -> None:
 
 
 def test_only_the_time_is_excused_in_which_the_program_is_dead_whose_turn_it_is() -> None:
-    """A sender that released and died is waited for; when it is back its own waiting counts again, with what was."""
+    """A sender that released and died is waited for; when it is back its own waiting counts again,
+    with what was.
+    """
     found = judge([
         told(1, D1, True), told(5, D1, duty="released"), told(5, D1, False), told(5.1, D1, alive=False),
         told(6.1, D1, False), told(7.4, D1, True), told(9, D1),
@@ -45,16 +55,29 @@ def test_only_the_time_is_excused_in_which_the_program_is_dead_whose_turn_it_is(
 
 
 def test_a_dead_receiver_excuses_nothing_before_the_target_is_handed_over() -> None:
-    before = [told(1, D1, True), told(5, D1, duty="released"), told(5, D1, False), told(5.1, D2, True)]
+    before = [
+        told(1, D1, True),
+        told(5, D1, duty="released"),
+        told(5, D1, False),
+        told(5.1, D2, True),
+    ]
     found = judge([*before, told(5.2, D2, alive=False), told(6.6, D1, True), told(9, D1)])
     assert round(found.gap_s, 6) == 1.4
-    given = judge([*before, told(5.2, D1, duty="handed_over"), told(5.3, D2, alive=False), told(9, D1)])
+    given = judge(
+        [*before, told(5.2, D1, duty="handed_over"), told(5.3, D2, alive=False), told(9, D1)]
+    )
     assert (round(given.dead_s, 6), round(given.gap_s, 6)) == (3.7, 0.1)
     assert given.holder is None
 
 
 def test_an_orphan_is_one_when_somebody_said_so_and_nobody_holds() -> None:
-    orphan = [told(1, D1, True), told(5, D1, False), told(5, D2, True), told(6, D2, False), told(9, D1)]
+    orphan = [
+        told(1, D1, True),
+        told(5, D1, False),
+        told(5, D2, True),
+        told(6, D2, False),
+        told(9, D1),
+    ]
     assert judge(orphan, alarm=True).orphaned
     assert not judge(orphan).orphaned
     assert not judge([*orphan, told(10, D1, True)], alarm=True).orphaned
@@ -64,7 +87,11 @@ def test_a_run_s_folder_is_read_with_all_its_programs(tmp_path: Path) -> None:
     for number, responsible in enumerate((True, False)):
         with McapLog(new_part(tmp_path, "sender")) as log:
             log.write("/phase", (1 + 10 * number) * S, {"phase": "verify"})
-            log.write("/responsibility", (2 + 10 * number) * S, {"responsible": responsible, "until_ns": None})
+            log.write(
+                "/responsibility",
+                (2 + 10 * number) * S,
+                {"responsible": responsible, "until_ns": None},
+            )
             log.write("/state", (5 + 10 * number) * S, {})
             if number:
                 log.write("/outcome", 16 * S, {"outcome": "restarted"})
@@ -75,7 +102,12 @@ def test_a_run_s_folder_is_read_with_all_its_programs(tmp_path: Path) -> None:
 def test_every_phase_and_every_record_of_both_is_killed_at(tmp_path: Path) -> None:
     asked = runs.kills("sim", [1], (0.0, 2.0), (None, 0.5), tmp_path)
     assert len({(one.faults, one.seed) for one in asked}) == len(asked) == (17 * 2 + 5) * 2
-    assert {one.where for one in asked if one.killed is D1} >= {"preflight", "land+2", "released", "handed_over"}
+    assert {one.where for one in asked if one.killed is D1} >= {
+        "preflight",
+        "land+2",
+        "released",
+        "handed_over",
+    }
     assert len({one.folder for one in asked}) == len(asked)
 
 

@@ -34,7 +34,9 @@ def test_programs_have_names_that_a_reader_knows() -> None:
         subprocess.Popen(
             [sys.executable, "-c", "input()", "guard", "--role", "receiver"], stdin=subprocess.PIPE
         ) as one,
-        subprocess.Popen([sys.executable, "-c", "input()", "missions.cli", "sender"], stdin=subprocess.PIPE) as other,
+        subprocess.Popen(
+            [sys.executable, "-c", "input()", "missions.cli", "sender"], stdin=subprocess.PIPE
+        ) as other,
     ):
         found = dict(programs(os.getpid()))
         assert found[one.pid] == "guard of the receiver"
@@ -46,7 +48,9 @@ def test_programs_have_names_that_a_reader_knows() -> None:
 def test_memory_that_grows_is_noticed_in_the_program_that_holds_it() -> None:
     line = [sys.executable, "-c", GROWS, "receiver"]
     watch = Watch(60.0, lambda: 0.0, lambda: True, lambda: None)
-    with subprocess.Popen(line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdin is not None and process.stdout is not None
         process.stdout.readline()
         for _ in range(4):
@@ -63,7 +67,10 @@ def test_memory_that_grows_is_noticed_in_the_program_that_holds_it() -> None:
 
 
 def test_the_processor_s_share_is_of_the_time_between_the_samples() -> None:
-    taken = [ProgramSample(10.0, 1.0, {"main": 2.0}), ProgramSample(14.0, 1.0, {"main": 3.0, "camera": 1.0})]
+    taken = [
+        ProgramSample(10.0, 1.0, {"main": 2.0}),
+        ProgramSample(14.0, 1.0, {"main": 3.0, "camera": 1.0}),
+    ]
     assert soak.cpu_share(taken) == {"main": 0.25, "camera": 0.25}
 
 
@@ -72,13 +79,32 @@ def records(topic: str, bodies: Sequence[tuple[int, Mapping[str, object]]]) -> l
 
 
 def logged(ages_ms: Sequence[float]) -> dict[str, list[LogRecord]]:
-    """A role that verifies from 100 ms to its end, one frame a 20 ms, whose log tells the processor's time twice."""
+    """A role that verifies from 100 ms to its end, one frame a 20 ms, whose log tells the
+    processor's time twice.
+    """
     cpu = [
         (100 * MS, {"spent_ns": {"marker": 5 * MS, "thread": 10 * MS, "program": 12 * MS}}),
-        (300 * MS, {"spent_ns": {"marker": 25 * MS, "link": 10 * MS, "thread": 60 * MS, "program": 92 * MS}}),
+        (
+            300 * MS,
+            {
+                "spent_ns": {
+                    "marker": 25 * MS,
+                    "link": 10 * MS,
+                    "thread": 60 * MS,
+                    "program": 92 * MS,
+                }
+            },
+        ),
     ]
-    frames = [(100 * MS + 20 * MS * k, {"frame_id": k, "age_ns": age * MS}) for k, age in enumerate(ages_ms)]
-    phases = [(0, {"phase": "approach"}), (100 * MS, {"phase": "verify"}), (10**12, {"phase": "land"})]
+    frames = [
+        (100 * MS + 20 * MS * k, {"frame_id": k, "age_ns": age * MS})
+        for k, age in enumerate(ages_ms)
+    ]
+    phases = [
+        (0, {"phase": "approach"}),
+        (100 * MS, {"phase": "verify"}),
+        (10**12, {"phase": "land"}),
+    ]
     return {
         "/phase": records("/phase", phases),
         "/cpu": records("/cpu", cpu),

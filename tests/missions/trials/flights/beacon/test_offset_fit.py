@@ -1,4 +1,6 @@
-"""The offset between two clocks where errors go together: found better than by a free wander, as sure as it says."""
+"""The offset between two clocks where errors go together: found better than by a free wander, as
+sure as it says.
+"""
 
 from __future__ import annotations
 
@@ -25,12 +27,18 @@ def way(t: Array, first: float) -> Array:
     up = 1.5 / (1.0 + np.exp(-1.5 * (t - 6.0))) - 1.5 / (1.0 + np.exp(-1.5 * (t - 56.0)))
     moving = 1.0 / (1.0 + np.exp(-2.0 * (t - 10.0)))
     return np.column_stack(
-        [first + 1.3 * moving * np.sin(0.45 * t), moving * (0.4 * np.cos(0.45 * t) + 0.1 * np.sin(0.9 * t + first)), up]
+        [
+            first + 1.3 * moving * np.sin(0.45 * t),
+            moving * (0.4 * np.cos(0.45 * t) + 0.1 * np.sin(0.9 * t + first)),
+            up,
+        ]
     )
 
 
 def session(seed: int, moves: bool = True) -> list[MotionPair]:
-    """Two vehicles whose own positions jitter and walk away, and beacons with noise in a frame that is warped."""
+    """Two vehicles whose own positions jitter and walk away, and beacons with noise in a frame that
+    is warped.
+    """
     rng = np.random.default_rng([seed, 42])
     waves, phases = rng.standard_normal((6, 3)), rng.uniform(0.0, 2.0 * math.pi, (6, 3))
     waves *= (math.pi / 3.0) / np.linalg.norm(waves, axis=1, keepdims=True)
@@ -44,8 +52,16 @@ def session(seed: int, moves: bool = True) -> list[MotionPair]:
         instants = np.arange(1.0, 61.0, 0.125)
         places = way(instants if moves else np.zeros_like(instants), first)
         warp = WARP_M / math.sqrt(3.0) * np.sin((places @ waves.T)[:, :, None] + phases).sum(axis=1)
-        seen = (places + warp + rng.normal(0.0, NOISE_M, places.shape)) @ R.T + np.array([4.0, -7.0, 0.3])
-        pairs.append(MotionPair(Trajectory(t, steadied(t, own, velocity)), Trajectory(instants - OFFSET_S, seen), 4.0))
+        seen = (places + warp + rng.normal(0.0, NOISE_M, places.shape)) @ R.T + np.array(
+            [4.0, -7.0, 0.3]
+        )
+        pairs.append(
+            MotionPair(
+                Trajectory(t, steadied(t, own, velocity)),
+                Trajectory(instants - OFFSET_S, seen),
+                4.0,
+            )
+        )
     return pairs
 
 
@@ -57,7 +73,10 @@ def fitted(seed: int) -> tuple[OffsetFit, Alignment]:
 
 
 def test_the_offset_is_found_to_10_ms_where_a_free_wander_does_not() -> None:
-    found = np.array([[fit.offset_s, robust.offset_s] for fit, robust in map(fitted, range(SESSIONS))]) - OFFSET_S
+    found = (
+        np.array([[fit.offset_s, robust.offset_s] for fit, robust in map(fitted, range(SESSIONS))])
+        - OFFSET_S
+    )
     errors_s = np.sqrt(np.mean(found**2, axis=0))
     assert 1.96 * errors_s[0] < 0.010 < 1.96 * errors_s[1], errors_s
 
@@ -87,7 +106,12 @@ def test_a_start_that_is_wrong_by_0_3_s_changes_nothing(wrong_s: float) -> None:
 def test_outliers_do_no_harm() -> None:
     pairs, rng = session(2), np.random.default_rng(3)
     struck = [
-        replace(pair, samples=replace(pair.samples, p=pair.samples.p + 0.5 * rng.standard_normal((480, 3)) * hit))
+        replace(
+            pair,
+            samples=replace(
+                pair.samples, p=pair.samples.p + 0.5 * rng.standard_normal((480, 3)) * hit
+            ),
+        )
         for pair, hit in ((pair, rng.random((480, 1)) < 0.03) for pair in pairs)
     ]
     fit = fit_offset(struck, align(struck, OFFSET_S, np.random.default_rng(0)), STEADY_S)
@@ -98,7 +122,9 @@ def test_outliers_do_no_harm() -> None:
 def test_what_never_moved_has_no_offset() -> None:
     pairs = session(4, moves=False)
     robust = align(pairs, OFFSET_S, np.random.default_rng(0), fit_offset=False)
-    still = [replace(pair, curve=Trajectory(pair.curve.t, np.zeros_like(pair.curve.p))) for pair in pairs]
+    still = [
+        replace(pair, curve=Trajectory(pair.curve.t, np.zeros_like(pair.curve.p))) for pair in pairs
+    ]
     with pytest.raises(ValueError, match="nothing moved"):
         fit_offset(still, robust, STEADY_S)
     refused = replace(robust, used=(robust.used[0], np.zeros_like(robust.used[1])))

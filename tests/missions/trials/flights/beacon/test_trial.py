@@ -1,4 +1,6 @@
-"""A session with beacons: the same table live and from its record, and a clock that was set wrong is found out."""
+"""A session with beacons: the same table live and from its record, and a clock that was set wrong
+is found out.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def judged(out: Path, logs: Path | None) -> TrialResult:
 
 @dataclass(frozen=True, slots=True)
 class FlownSession:
-    """A session that the command flew: the folder of the trial, that of the session, and the trial's summary."""
+    """A session that the command flew: the folder of the trial, that of the session, and the
+    trial's summary.
+    """
 
     out: Path
     folder: Path
@@ -59,7 +63,14 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> FlownSession:
 def session(folder: Path, flown: Path, beacons: str = "beacons.mcap") -> Path:
     """The folder of a session with the logs of another, for other beacons."""
     folder.mkdir()
-    for name in ("sender.mcap", "receiver.mcap", "run.json", "world.mcap", "beacons.truth.json", beacons):
+    for name in (
+        "sender.mcap",
+        "receiver.mcap",
+        "run.json",
+        "world.mcap",
+        "beacons.truth.json",
+        beacons,
+    ):
         if (flown / name).exists():
             (folder / name).symlink_to(flown / name)
     return folder
@@ -68,7 +79,9 @@ def session(folder: Path, flown: Path, beacons: str = "beacons.mcap") -> Path:
 def test_a_record_gives_the_same_table_as_live(live: FlownSession, tmp_path: Path) -> None:
     """Byte for byte, though the bytes of the ports had cut, damaged and late frames in them."""
     again = judged(tmp_path / "again", live.folder)
-    assert (tmp_path / "again" / "errors.csv").read_bytes() == (live.out / "errors.csv").read_bytes()
+    assert (tmp_path / "again" / "errors.csv").read_bytes() == (
+        live.out / "errors.csv"
+    ).read_bytes()
     assert {name: live.summary[name] for name in again.summary} == plain(again.summary)
 
 
@@ -78,12 +91,17 @@ def test_the_table_has_both_trajectories_by_phase_with_intervals(live: FlownSess
     assert {"all", "verify"} <= {row["segment"] for row in rows}
     for row in rows:
         low, high = row["rmse_interval_m"]
-        assert low * (1.0 - 1e-12) <= row["rmse_m"] <= high * (1.0 + 1e-12)  # one block: all three are one number
+        # one block: all three are one number
+        assert low * (1.0 - 1e-12) <= row["rmse_m"] <= high * (1.0 + 1e-12)
         assert 0.02 < row["rmse_m"] < 0.1  # two beacons of 2 cm each
-    assert all((live.out / picture).stat().st_size > 10_000 for picture in ("map.png", "errors.png"))
+    assert all(
+        (live.out / picture).stat().st_size > 10_000 for picture in ("map.png", "errors.png")
+    )
 
 
-def test_a_listener_whose_clock_is_wrong_by_0_3_s_is_found_out(live: FlownSession, tmp_path: Path) -> None:
+def test_a_listener_whose_clock_is_wrong_by_0_3_s_is_found_out(
+    live: FlownSession, tmp_path: Path
+) -> None:
     """To 10 ms: the very bytes, with other stamps of arrival."""
     flown, summary = live.folder, live.summary
     folder = session(tmp_path / "late", flown, beacons="none")
@@ -92,8 +110,12 @@ def test_a_listener_whose_clock_is_wrong_by_0_3_s_is_found_out(live: FlownSessio
             log.write(record.topic, record.stamp_ns + SHIFT_NS, record.record)
     late = judged(tmp_path / "out", folder)
     assert summary["time_offset_s"] - late.summary["time_offset_s"] == pytest.approx(0.3, abs=0.01)
-    assert abs(late.summary["time_offset_error_s"] + 0.3) < 0.02  # this flight, against the harness's own clock
-    rms = [{row["subject"]: row["rmse_m"] for row in each["errors"]} for each in (summary, late.summary)]
+    # this flight, against the harness's own clock
+    assert abs(late.summary["time_offset_error_s"] + 0.3) < 0.02
+    rms = [
+        {row["subject"]: row["rmse_m"] for row in each["errors"]}
+        for each in (summary, late.summary)
+    ]
     assert rms[1] == pytest.approx(rms[0], rel=0.02)
 
 
@@ -104,7 +126,10 @@ def test_a_list_of_positions_is_judged_without_truth(live: FlownSession, tmp_pat
     for name in ("sender.mcap", "receiver.mcap"):
         (folder / name).symlink_to(live.folder / name)
     fixes = read_any(live.folder / "beacons.mcap")
-    write_beacons(folder / "beacons.csv", [replace(fix, stamp_ns=fix.host_ns or 0, host_ns=None) for fix in fixes])
+    write_beacons(
+        folder / "beacons.csv",
+        [replace(fix, stamp_ns=fix.host_ns or 0, host_ns=None) for fix in fixes],
+    )
     found = judged(tmp_path / "out", folder)
     assert found.summary["time_offset_error_s"] is None
     assert found.summary["time_offset_s"] == pytest.approx(live.summary["time_offset_s"], abs=1e-3)
@@ -122,16 +147,23 @@ def test_a_session_may_have_the_dashboards_own_log(live: FlownSession, tmp_path:
     )
     (folder / "beacons.csv").write_text(f"T2025_11_23__114505_120,1\n{''.join(rows)}", "utf-8")
     for read, was in zip(load_session(folder).fixes, heard, strict=True):
-        assert (read.address, read.position_m) == (was.address, pytest.approx(was.position_m, abs=1e-9))
+        assert (read.address, read.position_m) == (
+            was.address,
+            pytest.approx(was.position_m, abs=1e-9),
+        )
         assert read.stamp_ns - UNIX_MS * 1_000_000 == pytest.approx(was.host_ns, abs=1_000_000)
 
 
 def test_a_folder_that_is_no_session_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(PartError, match=r"sender.mcap, receiver.mcap, beacons.mcap or beacons.csv missing"):
+    with pytest.raises(
+        PartError, match=r"sender.mcap, receiver.mcap, beacons.mcap or beacons.csv missing"
+    ):
         load_session(tmp_path)
 
 
-def test_records_that_have_nothing_in_common_are_refused(live: FlownSession, tmp_path: Path) -> None:
+def test_records_that_have_nothing_in_common_are_refused(
+    live: FlownSession, tmp_path: Path
+) -> None:
     folder = session(tmp_path / "other", live.folder, beacons="none")
     write_beacons(folder / "beacons.csv", [])
     with pytest.raises(PartError, match="cannot be laid together"):
@@ -148,12 +180,17 @@ def test_the_command_says_how_much_was_heard(live: FlownSession) -> None:
 
 
 def test_a_listener_on_a_real_port_keeps_what_it_hears(tmp_path: Path) -> None:
-    """Through pyserial, in real time, while something else clears the folder of logs as a flight does at its start."""
+    """Through pyserial, in real time, while something else clears the folder of logs as a flight
+    does at its start.
+    """
     cable = SerialCable(tmp_path / "hedge")
     cable.plug()
     rig = rig_library.load("dynamic")
     spec = PartSpec("drivers.beacons.marvelmind:Marvelmind", {"ports": [str(cable.link)]}, "test")
-    system, seconds = BeaconSystem(BeaconConfig(), 1, {"sender": 5, "receiver": 6, "target": 7}), time.monotonic
+    system, seconds = (
+        BeaconSystem(BeaconConfig(), 1, {"sender": 5, "receiver": 6, "target": 7}),
+        time.monotonic,
+    )
     thread = BeaconThread(system, lambda _: cable, seconds, lambda _: (seconds(), np.zeros(3)))
     with Listener(rig, spec, tmp_path / "beacons.mcap") as listener:
         for left in tmp_path.glob("*.mcap"):
@@ -172,6 +209,11 @@ def test_a_listener_on_a_real_port_keeps_what_it_hears(tmp_path: Path) -> None:
 
 def test_beacons_that_stay_silent_are_named(tmp_path: Path) -> None:
     rig = rig_library.load("dynamic")
-    spec = PartSpec("drivers.beacons.marvelmind:Marvelmind", {"ports": [str(tmp_path / "none")]}, "test")
-    with pytest.raises(BeaconError, match=r"serial port .*none"), Listener(rig, spec, tmp_path / "beacons.mcap"):
+    spec = PartSpec(
+        "drivers.beacons.marvelmind:Marvelmind", {"ports": [str(tmp_path / "none")]}, "test"
+    )
+    with (
+        pytest.raises(BeaconError, match=r"serial port .*none"),
+        Listener(rig, spec, tmp_path / "beacons.mcap"),
+    ):
         pass

@@ -41,7 +41,9 @@ def test_nearness_is_the_truths_while_both_fly() -> None:
     places = list(rendezvous_flights._places(world))
     assert len(places) == 4
     assert min(math.hypot(*place.offset_w_m) for place in places) == pytest.approx(1.2)
-    assert min(rendezvous_flights._in_ellipsoids(place, SeparationConfig()) for place in places) == pytest.approx(2.0)
+    assert min(
+        rendezvous_flights._in_ellipsoids(place, SeparationConfig()) for place in places
+    ) == pytest.approx(2.0)
     # half a metre aside, one and a half below
     assert rendezvous_flights._in_cone_s(places, SeparationConfig()) == pytest.approx(0.2)
     assert rendezvous_flights._from_heading(places[0]) == pytest.approx((-1.2, 0.0, 0.0), abs=1e-9)

@@ -10,7 +10,13 @@ import pytest
 from flight.harness.montecarlo import Attempt
 from missions.ground import rig_library
 from missions.ground.work import open_work
-from missions.trials.handovers.evidence.blocks import LAGS, Blocks, EvidenceAttempt, correlation, judge
+from missions.trials.handovers.evidence.blocks import (
+    LAGS,
+    Blocks,
+    EvidenceAttempt,
+    correlation,
+    judge,
+)
 from missions.trials.handovers.evidence.trial import FORCED_WAYS, QUICK, SIDE_M, rate, reach_m, run
 from missions.trials.handovers.judging import Batch, Verdict
 from missions.trials.shared.trial import TrialRequest, TrialResult
@@ -56,7 +62,9 @@ def told(first: tuple[int, int], later: tuple[int, int]) -> EvidenceAttempt:
 
 
 def test_a_rate_counts_blocks_and_resamples_attempts() -> None:
-    agreeing, judged, (low, high) = rate([told((100, 0), (0, 0))] * 9 + [told((100, 50), (60, 40))], False, 1)
+    agreeing, judged, (low, high) = rate(
+        [told((100, 0), (0, 0))] * 9 + [told((100, 50), (60, 40))], False, 1
+    )
     assert (agreeing, judged) == (50, 1000)
     assert low == 0.0  # one attempt has all of them
     assert high > 0.1
@@ -71,7 +79,9 @@ def test_the_reach_is_where_equal_boxes_overlap_that_little() -> None:
 
 
 def pair_of(index: int) -> FramePair:
-    return FramePair(index, index * PERIOD_NS, ((index, index * PERIOD_NS), (index + 1, (index + 1) * PERIOD_NS)))
+    return FramePair(
+        index, index * PERIOD_NS, ((index, index * PERIOD_NS), (index + 1, (index + 1) * PERIOD_NS))
+    )
 
 
 @pytest.mark.parametrize(
@@ -80,7 +90,8 @@ def pair_of(index: int) -> FramePair:
         ("+" * 61, Blocks((1, 1), (2, 2))),
         ("+" * 21 + "-" * 20, Blocks((1, 1), (1, 0))),  # a weak block
         ("-" * 21 + "+" * 21, Blocks((2, 1), (0, 0))),
-        ("+" * 30 + "x" * 5 + "m" * 5 + "+", Blocks((1, 1), (1, 1))),  # misses of both drones within the second
+        # misses of both drones within the second
+        ("+" * 30 + "x" * 5 + "m" * 5 + "+", Blocks((1, 1), (1, 1))),
         ("+" * 10 + "x" * 5 + "+" * 6, Blocks((1, 1), (0, 0))),
         ("+" * 10 + "." * 60 + "+" * 21, Blocks((1, 1), (0, 0))),  # a gap
         ("xxmm", Blocks((0, 0), (0, 0))),
@@ -112,5 +123,9 @@ def test_correlation_of_a_slow_wave_and_of_too_little() -> None:
 def test_the_same_attempt_runs_the_same() -> None:
     batch = Batch(rig_library.load("sim-rendered"), judge, [Attempt(5, 1, limit_s=2.5)])
     (first,), (again,) = batch.run(), batch.run()
-    assert (first.strength, first.blocks, first.count) == (again.strength, again.blocks, again.count)
+    assert (first.strength, first.blocks, first.count) == (
+        again.strength,
+        again.blocks,
+        again.count,
+    )
     assert np.isfinite(first.strength)

@@ -1,4 +1,6 @@
-"""The handshake trial in its quick form, and that its attempts are judged and compared as they are."""
+"""The handshake trial in its quick form, and that its attempts are judged and compared as they
+are.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,14 @@ import numpy as np
 import pytest
 
 from drivers.rig.parts import Rig
-from flight.harness.montecarlo import Attempt, HandoverRunner, MonteCarloHandover, WrongAssociation, agreeing, tell
+from flight.harness.montecarlo import (
+    Attempt,
+    HandoverRunner,
+    MonteCarloHandover,
+    WrongAssociation,
+    agreeing,
+    tell,
+)
 from missions.ground import rig_library
 from missions.ground.work import open_work
 from missions.look.report.records import load_run
@@ -38,7 +47,9 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> TrialResult:
     out = tmp_path_factory.mktemp("trial")
     with open_work(1) as work:
         result = handshake.run(TrialRequest(RIG, out, 5, True, work))
-    assert [(out / picture.file).read_bytes()[:4] for picture in result.pictures] == [b"\x89PNG"] * 2
+    assert [(out / picture.file).read_bytes()[:4] for picture in result.pictures] == [
+        b"\x89PNG"
+    ] * 2
     return result
 
 
@@ -49,7 +60,11 @@ def runner() -> HandoverRunner:
 
 def test_a_mission_commits_and_nothing_is_handed_over_wrongly(result: TrialResult) -> None:
     summary = result.summary
-    assert (summary["sim"]["commits"], summary["sim"]["wrong"], summary["sim"]["violations"]) == (1, 0, 0)
+    assert (summary["sim"]["commits"], summary["sim"]["wrong"], summary["sim"]["violations"]) == (
+        1,
+        0,
+        0,
+    )
     assert 7.0 <= summary["sim"]["median_s"] < 12.0
     assert summary["hand_overs"]["attempts"] == len(FAULT_NAMES)
     for gate in GATES:
@@ -67,7 +82,9 @@ def test_every_fault_has_its_row_and_every_finding_its_interval(result: TrialRes
 
 
 def test_look_alikes_that_came_near_are_counted(result: TrialResult) -> None:
-    near = [name for name in FAULT_NAMES if name.startswith("look_alike") or name == "detector_swap"]
+    near = [
+        name for name in FAULT_NAMES if name.startswith("look_alike") or name == "detector_swap"
+    ]
     within = result.summary["hand_overs"]["look_alike_within_1_m"]
     assert len(near) <= within <= len(near) + 2  # a mixed one, one parked at the limit
     assert result.summary["hand_overs"]["look_alike_within_0_5_m"] <= within
@@ -94,7 +111,9 @@ def test_what_an_attempt_came_to_is_what_both_gates_say_of_all_of_it() -> None:
             assert judged.committed == (done is not None)
             if done is not None:
                 first_ns = series.capture_ns[np.argmax(agreeing(series, method))]
-                assert judged.after_s == pytest.approx((series.now_ns[done] - first_ns) * 1e-9, abs=1e-6)
+                assert judged.after_s == pytest.approx(
+                    (series.now_ns[done] - first_ns) * 1e-9, abs=1e-6
+                )
                 assert judged.right == series.right[done]
         assert tried.count is not None
         assert (tried.reason == "") == tried.count.committed
@@ -102,9 +121,13 @@ def test_what_an_attempt_came_to_is_what_both_gates_say_of_all_of_it() -> None:
 
 @cache
 def misled() -> MonteCarloHandover:
-    """D2's pose is off so that its prior falls on a look-alike: the count takes it, and the evidence does not."""
+    """D2's pose is off so that its prior falls on a look-alike: the count takes it, and the
+    evidence does not.
+    """
     for index in range(20):
-        found = runner().run(Attempt(0, index, wrong=WrongAssociation("shift", 0.8, 0.0), limit_s=9.0, whole=True))
+        found = runner().run(
+            Attempt(0, index, wrong=WrongAssociation("shift", 0.8, 0.0), limit_s=9.0, whole=True)
+        )
         if found.right is False and not verdict_of(found.series, METHOD, "evidence").committed:
             return found  # its boxes lie off by what an object beside it would
     raise AssertionError
@@ -123,7 +146,11 @@ def test_a_wrong_hand_over_is_seen_and_counted() -> None:
 
 def test_missions_are_all_different_and_two_gates_fly_the_same_ones() -> None:
     paper, evidence = (orders(25, 3, gate, Path("out")) for gate in GATES)
-    assert len({each.seed for each in paper}) == len({each.folder for each in paper + evidence}) / 2 == 25
+    assert (
+        len({each.seed for each in paper})
+        == len({each.folder for each in paper + evidence}) / 2
+        == 25
+    )
     assert [each.seed for each in paper] == [each.seed for each in evidence]
     assert {each.faults for each in paper} == set(FAULTS)
 
@@ -138,7 +165,9 @@ def test_without_a_commit_there_is_no_time(make_run: object) -> None:
     assert agreement_s(load_run(make_run(committed=False))) is None  # type: ignore[operator]
 
 
-def test_the_errors_that_are_asked_for_reach_the_missions_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_errors_that_are_asked_for_reach_the_missions_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     levels: list[object] = []
 
     def noted(rig: Rig, *_: object) -> tuple[object, object]:

@@ -60,7 +60,9 @@ def series_of(count: int) -> Series:
 
 
 def seen_by(series: Series, detector: DetectorFaults) -> Series:
-    return with_detector(series, faulty_frames(detector, len(series) + 2, np.random.default_rng(1)), METHOD)
+    return with_detector(
+        series, faulty_frames(detector, len(series) + 2, np.random.default_rng(1)), METHOD
+    )
 
 
 def test_the_longest_clear_stretch_is_of_both_drones_and_of_inventions_too() -> None:
@@ -97,7 +99,8 @@ def test_a_gate_is_given_up_when_no_run_can_be_long_enough() -> None:
     assert told(series_of(20), missed(at_400)) == (True, True)
     assert told(series_of(100), missed(at_400)) == (True, True)
     assert told(series_of(500), missed(none))[0]
-    assert told(series_of(20), missed(at_200 | at_400)) == (False, True)  # no stretch of frames is long enough
+    # no stretch of frames is long enough
+    assert told(series_of(20), missed(at_200 | at_400)) == (False, True)
     assert not told(series_of(490), missed(at_400))[0]
 
 
@@ -129,7 +132,9 @@ def test_misses_of_both_drones_take_pairs_and_say_why() -> None:
     names = [REASONS[reason] for reason in seen.reason[seen.kind == MISS].tolist()]
     shares = {name: names.count(name) / len(seen) for name in set(names)}
     assert shares[MissReason.NO_CANDIDATE] == pytest.approx(0.1, rel=0.15)
-    assert shares[MissReason.NO_TRACK] == pytest.approx(0.9 * (0.1 + 0.9 * 0.1 / 0.9 / 5.0), rel=0.2)
+    assert shares[MissReason.NO_TRACK] == pytest.approx(
+        0.9 * (0.1 + 0.9 * 0.1 / 0.9 / 5.0), rel=0.2
+    )
     assert shares.get(MissReason.LINK_SILENT, 0.0) < 0.01
 
 
@@ -160,26 +165,42 @@ def test_a_growing_series_is_told_as_the_whole_one() -> None:
 def test_an_entry_that_says_nothing_does_not_decide_because_it_is_judged_with_the_pair_that_does(
     kind: GateKind,
 ) -> None:
-    """One frame of D1 lets it judge both. A miss costs no evidence, and the count ignores a frame that comes again."""
+    """One frame of D1 lets it judge both. A miss costs no evidence, and the count ignores a frame
+    that comes again.
+    """
     own = replace(METHOD, gate=kind, hold_frames=40, hold_s=0.5)
-    series = replace(series_of(200), right=np.ones(200, bool), offsets={k: Offsets((0.01, 0.0)) for k in range(200)})
+    series = replace(
+        series_of(200),
+        right=np.ones(200, bool),
+        offsets={k: Offsets((0.01, 0.0)) for k in range(200)},
+    )
     done = tell(series, make_gate(own), own)
     assert done is not None
-    series.kind[done + 1], series.right[done + 1], series.now_ns[done] = MISS, False, series.now_ns[done + 1]
+    series.kind[done + 1], series.right[done + 1], series.now_ns[done] = (
+        MISS,
+        False,
+        series.now_ns[done + 1],
+    )
     if kind == "count":
         series.sequence[done + 1] = series.sequence[done]
     assert tell(series, make_gate(own), own) == done
 
 
 def first(series: Series, count: int) -> Series:
-    arrays = {name: getattr(series, name)[:count] for name in series.__dataclass_fields__ if name not in BY_ENTRY}
+    arrays = {
+        name: getattr(series, name)[:count]
+        for name in series.__dataclass_fields__
+        if name not in BY_ENTRY
+    }
     return replace(series, **arrays)
 
 
 def test_an_object_far_from_the_target_is_given_up_and_one_near_it_is_not() -> None:
     def far(offset_m: float, seconds: float) -> bool:
         series = series_of(round(50 * seconds))
-        return stays_far(replace(series, offsets={7: Offsets((0.3, 0.0)), 9: Offsets((0.0, offset_m))}))
+        return stays_far(
+            replace(series, offsets={7: Offsets((0.3, 0.0)), 9: Offsets((0.0, offset_m))})
+        )
 
     assert far(0.2, 1.2)
     assert not far(0.2, 0.6)  # too soon to say
@@ -197,12 +218,20 @@ def test_every_cell_has_every_kind_of_attempt_and_no_hand_over_comes_twice() -> 
     for cell in range(5):
         own = [order for order in made if order.cell == cell]
         groups = [order.group for order in own]
-        assert (groups.count("true"), groups.count("look-alike"), groups.count("wrong object")) == (16, 8, 8)
-        assert {o.attempt.wrong.distance_m for o in own if o.attempt.wrong is not None} == set(LOCKED_M)
+        assert (groups.count("true"), groups.count("look-alike"), groups.count("wrong object")) == (
+            16,
+            8,
+            8,
+        )
+        assert {o.attempt.wrong.distance_m for o in own if o.attempt.wrong is not None} == set(
+            LOCKED_M
+        )
         assert all(order.attempt.whole for order in own)
 
 
-def judged(cell: int, group: str, count: Verdict, evidence: Verdict, likelihood: Verdict | None = None) -> trial.Pair:
+def judged(
+    cell: int, group: str, count: Verdict, evidence: Verdict, likelihood: Verdict | None = None
+) -> trial.Pair:
     template = next(o for o in orders(0, [DetectorFaults()], 4) if o.group == group)
     return replace(template, cell=cell), RecallAttempt(0, count, evidence, likelihood or Verdict())
 
@@ -211,11 +240,17 @@ def judged(cell: int, group: str, count: Verdict, evidence: Verdict, likelihood:
 def test_one_box_around_two_objects_is_handed_over_only_where_no_size_is_stated(
     stated: bool,
 ) -> None:
-    """A look-alike 0.32 m beside the target: both detectors take the two for one object, from the first frame on."""
-    order = next(each for each in orders(9107, trial.DETECTORS, trial.OF_EACH) if each.attempt.index == 1188)
+    """A look-alike 0.32 m beside the target: both detectors take the two for one object, from the
+    first frame on.
+    """
+    order = next(
+        each for each in orders(9107, trial.DETECTORS, trial.OF_EACH) if each.attempt.index == 1188
+    )
     rig = rig_library.load("sim-rendered")
     if not stated:
-        rig = replace(rig, method=replace(rig.method, evidence=replace(rig.method.evidence, span_m=0.0)))
+        rig = replace(
+            rig, method=replace(rig.method, evidence=replace(rig.method.evidence, span_m=0.0))
+        )
     (told,) = Batch(rig, judge, [order]).run()
     assert told.count is not None and not told.count.committed
     assert told.evidence.wrong == (not stated)
@@ -243,7 +278,11 @@ def test_a_cell_counts_true_commits_and_all_wrong_ones() -> None:
 
 
 def test_what_d1_stated_is_held_against_what_it_followed() -> None:
-    stated = [StatedIdentity(0.9995, True)] * 90 + [StatedIdentity(0.97, True)] * 6 + [StatedIdentity(0.97, False)] * 4
+    stated = (
+        [StatedIdentity(0.9995, True)] * 90
+        + [StatedIdentity(0.97, True)] * 6
+        + [StatedIdentity(0.97, False)] * 4
+    )
     rows = {row[0]: row[1:] for row in reliability([counted(stated), counted(stated[:90])]).rows}
     assert rows["0 to 0.001"][:4] == ("180", "0", "2", "0")
     assert rows["0.02 to 0.05"][:4] == ("10", "0.4", "1", "1")
@@ -253,7 +292,9 @@ def test_what_d1_stated_is_held_against_what_it_followed() -> None:
 @pytest.mark.parametrize("short", [True, False])
 def test_a_result_says_whether_it_is_short(short: bool) -> None:
     good = Verdict(2.0, 2.0, True, True)
-    told = [judged(cell, "true", good, good) for cell in range(len(trial.DETECTORS)) for _ in range(4)]
+    told = [
+        judged(cell, "true", good, good) for cell in range(len(trial.DETECTORS)) for _ in range(4)
+    ]
     found = trial.result(told, short)
     assert [finding.verdict for finding in found.findings[:3]] == ["met"] * 3
     assert found.findings[3].verdict == "short"  # so few attempts bound nothing
@@ -270,7 +311,8 @@ def test_its_short_form(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         kept = tmp_path / trial.KEPT
         whole = kept.read_text()
         kept.write_text("".join(whole.splitlines(keepends=True)[:-2]))
-        assert trial.run(request).summary == found.summary  # what an interrupt left out is run again, and nothing else
+        # what an interrupt left out is run again, and nothing else
+        assert trial.run(request).summary == found.summary
         assert kept.read_text() == whole
     assert found.summary["attempts"] == 8
     assert [cell["gate"] for cell in found.summary["cells"]] == [*ALL_GATES, *ALL_GATES]
@@ -278,9 +320,15 @@ def test_its_short_form(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert found.summary["cells"][0]["commit_rate"] == 0.0
 
 
-@pytest.mark.parametrize(("seed", "index"), [(70001, 50), (70002, 5840), (370011, 2237), (370014, 1505)])
-def test_a_sender_that_may_have_gone_over_to_another_object_hands_nothing_over(seed: int, index: int) -> None:
-    """Its boxes began around both; later both drones' boxes were of the other one, which no gate can see."""
+@pytest.mark.parametrize(
+    ("seed", "index"), [(70001, 50), (70002, 5840), (370011, 2237), (370014, 1505)]
+)
+def test_a_sender_that_may_have_gone_over_to_another_object_hands_nothing_over(
+    seed: int, index: int
+) -> None:
+    """Its boxes began around both; later both drones' boxes were of the other one, which no gate
+    can see.
+    """
     rig = rig_library.load("sim-rendered")
     order = orders(seed, trial.DETECTORS, index // len(trial.DETECTORS) + 1)[index]
     for gate in ("evidence", "likelihood"):

@@ -1,4 +1,6 @@
-"""Sets of views as people bring them: a calibration that states its errors, or a refusal that says what is wrong."""
+"""Sets of views as people bring them: a calibration that states its errors, or a refusal that says
+what is wrong.
+"""
 
 from __future__ import annotations
 
@@ -44,10 +46,15 @@ def test_a_curled_print_is_whole(board: Board) -> None:
 
 def test_what_ends_otherwise_or_beyond_its_errors_falls_short() -> None:
     good = KindResult("a", "good", (), (0.1, -1.9, 0.3, 0.0), (1e-4, 1e-3), True)
-    refused = KindResult("b", None, (BadSet.NO_BOARD.value,), (), (float("nan"), float("nan")), True)
+    refused = KindResult(
+        "b", None, (BadSet.NO_BOARD.value,), (), (float("nan"), float("nan")), True
+    )
     assert [f.verdict for f in kind_findings([good, refused])] == ["met", "met"]
     off = replace(good, off=(0.1, -2.1, 0.3, 0.0))
     assert [f.ours for f in kind_findings([good, off, refused])] == ["3 of 3", "1 of 2"]
     assert [f.verdict for f in kind_findings([good, off, refused])] == ["met", "short"]
-    assert [f.verdict for f in kind_findings([replace(refused, expected=False)])] == ["short", "met"]
+    assert [f.verdict for f in kind_findings([replace(refused, expected=False)])] == [
+        "short",
+        "met",
+    ]
     assert kind_table([refused]).rows[0][1:3] == ("refused", "no_board")

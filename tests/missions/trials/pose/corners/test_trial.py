@@ -1,4 +1,6 @@
-"""The trial of the corners: its views, its methods' honesty about where pixels are, its scores, its whole."""
+"""The trial of the corners: its views, its methods' honesty about where pixels are, its scores, its
+whole.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,9 @@ def test_every_condition_and_method_is_in_the_summary(result: TrialResult) -> No
 def test_the_photometric_fit_is_best_by_far_on_ideal_images(result: TrialResult) -> None:
     ideal = result.summary["conditions"]["ideal"]
     assert ideal["photometric"]["rms_px"] < 0.04
-    assert all(ideal[m]["rms_px"] > 1.3 * ideal["photometric"]["rms_px"] for m in METHODS if m in OPENCV)
+    assert all(
+        ideal[m]["rms_px"] > 1.3 * ideal["photometric"]["rms_px"] for m in METHODS if m in OPENCV
+    )
     assert ideal["subpix"]["radial_px"] < -0.1
     assert "calibration" in ideal["photometric"] and "calibration" not in ideal["contour"]
 
@@ -58,9 +62,15 @@ def test_findings_noise_tables_and_pictures_are_there(result: TrialResult, folde
         assert (folder / picture.file).read_bytes()[:4] == b"\x89PNG"
     assert result.noise is not None
     named = " ".join(" ".join(row) for row in result.noise.rows)
-    assert all(word in named for word in ("ink_spread_m 0.0001", "h264_crf 23", "sharpen 1.0", "0.7–1.5 m"))
+    assert all(
+        word in named for word in ("ink_spread_m 0.0001", "h264_crf 23", "sharpen 1.0", "0.7–1.5 m")
+    )
     assert any(finding.goal and finding.verdict == "met" for finding in result.findings)
-    assert all(len(row) == len(table.columns) for table in (result.noise, *result.tables) for row in table.rows)
+    assert all(
+        len(row) == len(table.columns)
+        for table in (result.noise, *result.tables)
+        for row in table.rows
+    )
 
 
 def test_views_are_within_what_they_say_and_the_same_for_every_camera() -> None:
@@ -71,7 +81,9 @@ def test_views_are_within_what_they_say_and_the_same_for_every_camera() -> None:
             T_c_v = seen.T_w_c.inverse() @ seen.T_w_b1 @ T_B_V
             assert np.abs(T_c_v.R @ T_c_v.R.T - np.eye(3)).max() < 1e-12
             corners = seen.corners_px(camera, T_B_V)
-            assert np.all((corners > 20.0) & (corners < np.array([camera.width, camera.height]) - 20.0))
+            assert np.all(
+                (corners > 20.0) & (corners < np.array([camera.width, camera.height]) - 20.0)
+            )
             if name == QUICK_MAIN:
                 toward = -T_c_v.t / np.linalg.norm(T_c_v.t)
                 incidences.append(math.degrees(math.acos(float(T_c_v.R[:, 2] @ toward))))
@@ -82,11 +94,17 @@ def test_views_are_within_what_they_say_and_the_same_for_every_camera() -> None:
 
 
 def test_no_method_is_off_by_a_convention() -> None:
-    """Mean error over corners that point everywhere: half a pixel of an enlarged image would be 0.125 px."""
+    """Mean error over corners that point everywhere: half a pixel of an enlarged image would be
+    0.125 px.
+    """
     camera = QUICK_MAIN
-    samples = shoot(CornerSeries(CameraRenderer, T_B_V, camera, "ideal", 1, tuple(range(6)), shown=-1))
+    samples = shoot(
+        CornerSeries(CameraRenderer, T_B_V, camera, "ideal", 1, tuple(range(6)), shown=-1)
+    )
     for method in METHODS:
-        errors = [found.corners_px - s.true_px for s in samples if (found := s.found[method]) is not None]
+        errors = [
+            found.corners_px - s.true_px for s in samples if (found := s.found[method]) is not None
+        ]
         assert len(errors) == 6
         if method != "subpix":  # it is off by more than that at single corners
             assert np.abs(np.mean(errors, axis=(0, 1))).max() < 0.06, method

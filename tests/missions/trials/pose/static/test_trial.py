@@ -30,7 +30,13 @@ from missions.trials.pose.static.methods import (
     session_seed,
 )
 from missions.trials.pose.static.report import SEVEN, figures_of, mean, median, p95, percentile
-from missions.trials.pose.static.shots import LAYOUT, SenderObservation, StaticMeasurement, StaticSeries, shoot
+from missions.trials.pose.static.shots import (
+    LAYOUT,
+    SenderObservation,
+    StaticMeasurement,
+    StaticSeries,
+    shoot,
+)
 from missions.trials.pose.static.stage import (
     CAMERA,
     CONFIGURATIONS,
@@ -60,7 +66,9 @@ WORLD: TrialErrors = trial_part(RIG, "errors")(with_camera(RIG, LAYOUT))
 
 
 def drawn(session: int, configuration: int = 0, on: tuple[Error, ...] = ALL) -> MethodErrors:
-    return errors_of(WORLD.session(session_seed(1, session)), MOUNTS, (1, configuration, session), on)
+    return errors_of(
+        WORLD.session(session_seed(1, session)), MOUNTS, (1, configuration, session), on
+    )
 
 
 def focused(error: float) -> CameraModel:
@@ -68,7 +76,9 @@ def focused(error: float) -> CameraModel:
 
 
 def mounted(turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0), move_m: float = 0.0) -> Mounts:
-    """The mounts with D1's camera turned, or moved along the marker's y axis, in the marker's frame."""
+    """The mounts with D1's camera turned, or moved along the marker's y axis, in the marker's
+    frame.
+    """
     true = MOUNTS.T_v_c1
     T_v_c1 = Pose(exp(np.array(turn_rad)) @ true.R, true.t + np.array([0.0, move_m, 0.0]))
     return replace(MOUNTS, T_b_c1=MOUNTS.T_b_v @ T_v_c1)
@@ -97,9 +107,13 @@ def exact(configuration: int = 4, session: int = 0) -> StaticMeasurement:
     corners = CAMERA.project(T_c2_v.apply(LAYOUT.markers[0].corners_v))
     marker = MarkerDetection(0, corners, 1e-4 * np.eye(8))
     x, y = CAMERA.ray(600.0, 400.0)
-    seen = SenderObservation(Box(580.0, 390.0, 40.0, 20.0), Depth(1.0, 0.005), Depth(1.1, 0.005), np.array([x, y, 1.0]))
+    seen = SenderObservation(
+        Box(580.0, 390.0, 40.0, 20.0), Depth(1.0, 0.005), Depth(1.1, 0.005), np.array([x, y, 1.0])
+    )
     markers: dict[str, MarkerDetection | None] = {"subpix": marker, "photometric": marker}
-    return StaticMeasurement(configuration, session, T_c2_v, -T_w_b1.R[2], -T_w_b2.R[2], markers, seen)
+    return StaticMeasurement(
+        configuration, session, T_c2_v, -T_w_b1.R[2], -T_w_b2.R[2], markers, seen
+    )
 
 
 def test_the_summary_has_every_figure_of_every_method_and_camera(result: TrialResult):
@@ -121,7 +135,8 @@ def test_the_default_is_better_than_the_raw_solution(result: TrialResult):
     methods = result.summary["methods"]
     default = methods["gravity_photometric"]
     assert default["d2_mean_m"] < 0.008 and default["flip_rate"] == 0.0
-    assert default["target_mean_m"] < 0.035  # mounts of 0.3 degrees and a depth of 1 % at more than a metre
+    # mounts of 0.3 degrees and a depth of 1 % at more than a metre
+    assert default["target_mean_m"] < 0.035
     assert default["rotation_mean_deg"] < 0.4
     assert default["d2_mean_m"] < 0.6 * methods["gravity_subpix"]["d2_mean_m"]
     assert default["d2_mean_m"] < 0.6 * methods["ippe"]["d2_mean_m"]
@@ -131,16 +146,30 @@ def test_the_papers_numbers_stand_beside_ours_and_the_noise_is_told(result: Tria
     assert {"47", "38", "54", "30"} <= {finding.paper for finding in result.findings}
     assert all(f.verdict == "measured" for f in result.findings if not f.goal)
     (target,) = (f for f in result.findings if f.quantity.startswith("target's position, mean"))
-    assert re.match(r"mean error with mounts alone \d+\.\d, .* none but image and depth noise \d+\.\d", target.note)
+    assert re.match(
+        r"mean error with mounts alone \d+\.\d, .* none but image and depth noise \d+\.\d",
+        target.note,
+    )
     assert result.noise is not None
     stated = " ".join(" ".join(row) for row in result.noise.rows)
-    for part in ("0.25 %", "0.2 %", "0.3° per axis", "0.5° in roll", "scale 1 %, bias 3 mm", "5 mm at 1 m"):
+    for part in (
+        "0.25 %",
+        "0.2 %",
+        "0.3° per axis",
+        "0.5° in roll",
+        "scale 1 %, bias 3 mm",
+        "5 mm at 1 m",
+    ):
         assert part in stated
     assert len(result.tables) == 6
 
 
 def test_there_are_pictures(result: TrialResult, out: Path):
-    assert [picture.file for picture in result.pictures] == ["configurations.png", "errors.png", "view.png"]
+    assert [picture.file for picture in result.pictures] == [
+        "configurations.png",
+        "errors.png",
+        "view.png",
+    ]
     for picture in result.pictures:
         assert (out / picture.file).stat().st_size > 20_000
 
@@ -152,7 +181,10 @@ def test_every_configuration_can_be_seen(number: int):
     T_c2_w, T_c1_w = (D2 @ MOUNTS.T_b_c2).inverse(), (D1 @ MOUNTS.T_b_c1).inverse()
     marker_w = (D1 @ MOUNTS.T_b_v).t
     assert np.linalg.norm(T_c2_w.apply(marker_w)) == pytest.approx(configuration.range_m)
-    for T_c_w, points in ((T_c2_w, (marker_w, target_w(configuration))), (T_c1_w, (target_w(configuration),))):
+    for T_c_w, points in (
+        (T_c2_w, (marker_w, target_w(configuration))),
+        (T_c1_w, (target_w(configuration),)),
+    ):
         for point in points:
             x, y, z = T_c_w.apply(point).tolist()
             assert CAMERA.sees((x, y, z), margin_px=60.0)
@@ -178,10 +210,15 @@ def test_who_is_told_the_truth_and_sees_without_noise_is_right(method: Method):
 def test_a_wrong_print_scales_the_distance_and_a_wrong_focal_length_the_depth(method: Method):
     sighting = exact()
     range_m = float(np.linalg.norm(sighting.T_c2_v.t))
-    large = judge(sighting, MOUNTS, method, replace(RIGHT, layout=single_marker(1.005 * 0.04, 0.0001)))
+    large = judge(
+        sighting, MOUNTS, method, replace(RIGHT, layout=single_marker(1.005 * 0.04, 0.0001))
+    )
     assert large.d2_m == pytest.approx(0.005 * range_m, rel=0.01)
     longer = judge(
-        sighting, MOUNTS, method, replace(RIGHT, cameras={Role.SENDER: CAMERA, Role.RECEIVER: focused(0.002)})
+        sighting,
+        MOUNTS,
+        method,
+        replace(RIGHT, cameras={Role.SENDER: CAMERA, Role.RECEIVER: focused(0.002)}),
     )
     assert longer.d2_m == pytest.approx(0.002 * sighting.T_c2_v.t[2], rel=0.2)
     assert longer.sent_m < 1e-9
@@ -198,13 +235,19 @@ def test_what_is_wrong_on_d1_moves_the_target_and_not_d2():
         assert outcome.d2_m < 1e-5
         assert outcome.sent_m == pytest.approx(sent_m, rel=0.02)
         assert outcome.target_m == pytest.approx(sent_m, rel=0.02)
-    turned = judge(sighting, MOUNTS, "ippe", replace(RIGHT, mounts=mounted((0.0, math.radians(0.2), 0.0))))
+    turned = judge(
+        sighting, MOUNTS, "ippe", replace(RIGHT, mounts=mounted((0.0, math.radians(0.2), 0.0)))
+    )
     assert 0.001 < turned.sent_m < 0.0055
 
 
 def test_a_wrong_attitude_matters_to_who_uses_gravity_only():
-    poor = replace(exact(), markers=dict.fromkeys(("subpix", "photometric"), replace_covariance(exact(), 1.0)))
-    tilted = replace(RIGHT, attitude_rad=np.full((2, 2), math.radians(0.5)) * np.array([[1.0, 1.0], [-1.0, 1.0]]))
+    poor = replace(
+        exact(), markers=dict.fromkeys(("subpix", "photometric"), replace_covariance(exact(), 1.0))
+    )
+    tilted = replace(
+        RIGHT, attitude_rad=np.full((2, 2), math.radians(0.5)) * np.array([[1.0, 1.0], [-1.0, 1.0]])
+    )
     for method in METHODS:
         before, after = (judge(poor, MOUNTS, method, errors) for errors in (RIGHT, tilted))
         assert (after.d2_m - before.d2_m > 0.001) == (method in WITH_GRAVITY)
@@ -218,7 +261,9 @@ def replace_covariance(sighting: StaticMeasurement, sigma_px: float) -> MarkerDe
 
 def test_systematic_errors_belong_to_the_session_and_noise_to_the_frame():
     here, there, other = drawn(5, 0), drawn(5, 3), drawn(6)
-    assert here.cameras == there.cameras and here.mounts == there.mounts and here.depth == there.depth
+    assert (
+        here.cameras == there.cameras and here.mounts == there.mounts and here.depth == there.depth
+    )
     assert here.layout.markers[0].side_m == there.layout.markers[0].side_m
     assert 0.0 < np.abs(here.attitude_rad - there.attitude_rad).max() < math.radians(1.5)
     assert here.cameras != other.cameras
@@ -228,32 +273,51 @@ def test_systematic_errors_belong_to_the_session_and_noise_to_the_frame():
 
 def test_errors_are_those_of_the_worlds_table_and_can_be_switched_off():
     none = drawn(0, on=())
-    assert (none.cameras, none.mounts, none.depth, none.narrow) == (RIGHT.cameras, MOUNTS, DepthError(), False)
+    assert (none.cameras, none.mounts, none.depth, none.narrow) == (
+        RIGHT.cameras,
+        MOUNTS,
+        DepthError(),
+        False,
+    )
     assert none.layout is LAYOUT and not none.attitude_rad.any()
     errors, sizes = [drawn(session) for session in range(400)], sizes_of("careful")
 
     def rms(values: object) -> float:
         return float(np.sqrt(np.mean(np.square(values))))  # type: ignore[arg-type]
 
-    assert rms([e.layout.markers[0].side_m / 0.04 - 1.0 for e in errors]) == pytest.approx(sizes.side, rel=0.1)
-    assert rms([e.cameras[Role.SENDER].fx / CAMERA.fx - 1.0 for e in errors]) == pytest.approx(sizes.focal, rel=0.1)
-    assert rms([e.cameras[Role.RECEIVER].cx - CAMERA.cx for e in errors]) == pytest.approx(sizes.centre_px, rel=0.1)
-    assert rms([e.mounts.T_b_v.t - MOUNTS.T_b_v.t for e in errors]) == pytest.approx(sizes.mount_m, rel=0.1)
+    assert rms([e.layout.markers[0].side_m / 0.04 - 1.0 for e in errors]) == pytest.approx(
+        sizes.side, rel=0.1
+    )
+    assert rms([e.cameras[Role.SENDER].fx / CAMERA.fx - 1.0 for e in errors]) == pytest.approx(
+        sizes.focal, rel=0.1
+    )
+    assert rms([e.cameras[Role.RECEIVER].cx - CAMERA.cx for e in errors]) == pytest.approx(
+        sizes.centre_px, rel=0.1
+    )
+    assert rms([e.mounts.T_b_v.t - MOUNTS.T_b_v.t for e in errors]) == pytest.approx(
+        sizes.mount_m, rel=0.1
+    )
     turned = [log(e.mounts.T_b_c2.R.T @ MOUNTS.T_b_c2.R) for e in errors]
     assert rms(turned) == pytest.approx(math.radians(sizes.mount_deg), rel=0.1)
-    assert rms([e.attitude_rad for e in errors]) == pytest.approx(math.radians(math.hypot(0.5, 0.2)), rel=0.1)
+    assert rms([e.attitude_rad for e in errors]) == pytest.approx(
+        math.radians(math.hypot(0.5, 0.2)), rel=0.1
+    )
     assert rms([e.depth.factor - 1.0 for e in errors]) == pytest.approx(sizes.depth, rel=0.1)
     assert rms([e.depth.bias_m for e in errors]) == pytest.approx(sizes.depth_bias_m, rel=0.1)
 
 
 def test_a_careless_crew_has_three_times_the_errors_and_an_exact_one_none():
     def noise(level: str) -> str:
-        return " ".join(" ".join(row) for row in trial_part(RIG, "errors")(with_level(level)).rows())
+        return " ".join(
+            " ".join(row) for row in trial_part(RIG, "errors")(with_level(level)).rows()
+        )
 
     def with_level(level: str) -> Rig:
         return replace(with_camera(RIG, LAYOUT), world={**RIG.world, "errors": {"level": level}})
 
-    assert "6 mm and 0.9° per axis" in noise("careless") and "0 mm and 0° per axis" in noise("exact")
+    assert "6 mm and 0.9° per axis" in noise("careless") and "0 mm and 0° per axis" in noise(
+        "exact"
+    )
     exact_one = trial_part(RIG, "errors")(with_level("exact")).session(7)
     assert exact_one.cameras[Role.SENDER].fx == CAMERA.fx and exact_one.tilt_noise_rad == 0.0
     assert exact_one.depth[Role.SENDER] == DepthError()
@@ -289,7 +353,9 @@ def test_statistics_leave_out_what_is_not_there():
     values[0, :7], values[4, 1:] = np.nan, np.nan
     assert mean(values) == pytest.approx(np.nanmean(values, axis=1))
     for percent in (0.0, 12.3, 95.0, 100.0):
-        assert percentile(values, percent) == pytest.approx(np.nanpercentile(values, percent, axis=1))
+        assert percentile(values, percent) == pytest.approx(
+            np.nanpercentile(values, percent, axis=1)
+        )
     assert float(median(values[0])) == pytest.approx(float(np.nanmedian(values[0])))
     assert np.isnan(p95(np.full(3, np.nan))) and np.isnan(mean(np.full(3, np.nan)))
 
@@ -312,4 +378,8 @@ def test_a_sighting_depends_on_nothing_but_seed_configuration_and_session():
     one, two = (sighting.markers["photometric"] for sighting in (after, alone))
     assert one is not None and two is not None and (one.corners_px == two.corners_px).all()
     assert (after.T_c2_v.t == alone.T_c2_v.t).all()
-    assert after.target is not None and alone.target is not None and after.target.depth == alone.target.depth
+    assert (
+        after.target is not None
+        and alone.target is not None
+        and after.target.depth == alone.target.depth
+    )
