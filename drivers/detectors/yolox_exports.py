@@ -95,7 +95,6 @@ def test_picture(height: int, width: int) -> Floats:
 
 
 # --- by shape
-# ----------------------------------------------------------------------------------------------------
 
 
 def _by_shape(model: OnnxModel, file: Path) -> tuple[int, int, int]:
@@ -211,7 +210,6 @@ def _told(tensors: Sequence[Tensor]) -> str:
 
 
 # --- by values
-# ---------------------------------------------------------------------------------------------------
 
 
 def _is_decoded(raw: Floats, height: int, width: int, file: Path) -> bool:

@@ -138,7 +138,6 @@ class Standards:
         )
 
     # --- what does not change
-    # ------------------------------------------------------------------------------------
 
     def _on_setup(self, stamp_ns: int, record: Record) -> Iterator[Standard]:
         self._setup = record
@@ -212,7 +211,6 @@ class Standards:
         )
 
     # --- what a drone knows
-    # --------------------------------------------------------------------------------------
 
     def _on_state(self, stamp_ns: int, record: Record) -> Iterator[Standard]:
         position = record["position_n_m"]
@@ -283,7 +281,6 @@ class Standards:
         return self._entity(stamp_ns, self.camera, "separation", lines=[line], texts=[text])
 
     # --- over the images
-    # -----------------------------------------------------------------------------------------
 
     def _draw(self, stamp_ns: int) -> Iterator[Standard]:
         if self._due("/annotations", stamp_ns):
@@ -336,7 +333,6 @@ class Standards:
         )
 
     # --- the world
-    # -----------------------------------------------------------------------------------------------
 
     def _on_scene(self, stamp_ns: int, record: Record) -> Iterable[Standard]:
         del stamp_ns

@@ -220,7 +220,6 @@ def _s(duration_ns: int) -> float:
 
 
 # --- while the script flies
-# ------------------------------------------------------------------------------------------
 
 
 def _watch(
@@ -337,7 +336,6 @@ def _let_go(state: GuardState, view: GuardView) -> tuple[GuardState, Act]:
 
 
 # --- once it is taken
-# ------------------------------------------------------------------------------------------------
 
 
 def _take(view: GuardView, now_ns: int, reason: str) -> tuple[GuardState, Act]:

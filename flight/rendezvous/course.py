@@ -128,7 +128,6 @@ class Rendezvous:
         return plan
 
     # --- stand-off and search: by the positions both drones report
-    # -------------------------------------------------
 
     def to_stand_off(self, state: VehicleState) -> VelocitySetpoint:
         """Leads to where the marker faces D2, in the middle of the image, if both positions are
@@ -247,7 +246,6 @@ class Rendezvous:
         )
 
     # --- approach: by the marker alone
-    # -----------------------------------------------------------------------------
 
     def to_viewpoint(self, state: VehicleState) -> VelocitySetpoint:
         """Close in on the planned place; when the marker was not seen for too long, back off to see

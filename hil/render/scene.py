@@ -242,7 +242,6 @@ def model_of(faces: Sequence[Face], cells: Sequence[NDArray[np.uint8]] = ()) -> 
 
 
 # --- in the world
-# ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -142,7 +142,6 @@ def is_abort_of(live: Handoff, message: Message) -> bool:
 
 
 # --- events
-# ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +248,6 @@ ReceiverEvent = Tick | Heard | AbortRequested | PeerStatus | CommitHeard | NewMi
 
 
 # --- actions: to be carried out in their order
-# -----------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

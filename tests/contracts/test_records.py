@@ -27,7 +27,6 @@ SECOND = SenderRecord(
 )
 
 # --- records that outlive the program
-# ----------------------------------------------------------------------------
 
 
 def memory(folder: Path) -> RecordStore:
@@ -67,7 +66,6 @@ def test_a_save_that_nobody_waits_for_is_done_when_it_says_so(
 
 
 # --- logs
-# --------------------------------------------------------------------------------------------------------
 
 
 def at_once(folder: Path) -> McapLog:
@@ -125,7 +123,6 @@ def test_a_log_never_raises(log_of: Callable[[Path], McapLog], tmp_path: Path) -
 
 
 # --- clocks
-# ------------------------------------------------------------------------------------------------------
 
 
 def system() -> Clock:

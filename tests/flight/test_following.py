@@ -74,7 +74,6 @@ def _way(time_s: float, speed_mps: float, accel_mps2: float = 0.6) -> float:
 
 
 # --- a step: the target stands, the drone comes fast
-# --------------------------------------------------------------
 
 
 # north, east, height, speed at acquisition
@@ -103,7 +102,6 @@ def test_a_command_in_proportion_to_the_way_overshoots() -> None:
 
 
 # --- ramps and turns
-# -----------------------------------------------------------------------------------------------
 
 
 def worst(course: Course) -> tuple[float, float]:
@@ -138,7 +136,6 @@ def test_a_tight_turn_at_twice_the_speed_stays_in_view() -> None:
 
 
 # --- the law
-# -------------------------------------------------------------------------------------------------------
 
 
 def test_nothing_is_faster_than_it_can_stop() -> None:

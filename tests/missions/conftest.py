@@ -82,7 +82,6 @@ class Synthetic:
         )
 
     # --- truth: D1 flies east at 0.3 m/s beside the target, D2 behind D1
-    # -------------------------------------------
 
     def T_w_o(self, time_s: float, object_id: int = 0) -> Pose:
         return Pose(np.eye(3), np.array([0.3 * time_s, 4.0 + 1.3 * object_id, 0.0]))
@@ -121,7 +120,6 @@ class Synthetic:
         return self.T_w_o(time_s).apply(_hit_o(tuple(eye_o.tolist())))
 
     # --- logs
-    # ------------------------------------------------------------------------------------------------------
 
     def _stamp(self, role: Role, time_s: float) -> int:
         offset_s = self.clock_offset_s * (1.0 if role is Role.SENDER else 2.5)

@@ -22,6 +22,7 @@ from drivers.interfaces import PartError, StateError
 from drivers.link.wire import KEY_LENGTH, Codec, Drop
 from drivers.log.state_file import StateFile
 from flight.harness.flights import decode_event
+from flight.outcome import Outcome
 from missions import cli
 from path.messages import Ping, Role
 from tests.missions.bad_rigs import RIGS
@@ -87,7 +88,6 @@ def test_a_bad_rig_is_refused_by_name_before_anything_moves(
 
 
 # --- the command line
-# ----------------------------------------------------------------------------------------------
 
 LINES: tuple[tuple[str, int, str], ...] = (
     ("handoff --rig sim --seed -1", 3, "--seed: -1 is not within 0..4294967295"),
@@ -179,7 +179,6 @@ def test_a_bad_command_line_is_refused_with_its_fix(
 
 
 # --- folders and files
-# ---------------------------------------------------------------------------------------------
 
 OUTS = (
     "sender.mcap",
@@ -260,7 +259,6 @@ def test_a_record_that_cannot_be_read_is_an_error_with_a_name(
 
 
 # --- the environment
-# -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("folder", ["/proc/kernels", "/dev/null/kernels"])
@@ -287,7 +285,6 @@ def test_a_simulator_that_is_not_there(
 
 
 # --- signals, to real processes
-# ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -305,9 +302,20 @@ def test_a_signal_lands_a_flight_and_ends_it_by_name(
         "--out",
         "run",
     ]
+    code, errors = signalled_at_take_off(command, tmp_path, number)
+    tries = 1
+    while code == Outcome.OVERLOADED.exit_code and tries < 3:  # it ended before it was signalled
+        code, errors = signalled_at_take_off(command, tmp_path, number)
+        tries += 1
+    assert (code, "Traceback" in errors) == (30, False)
+
+
+def signalled_at_take_off(
+    command: list[str], folder: Path, number: signal.Signals
+) -> tuple[int | None, str]:
     with subprocess.Popen(
         command,
-        cwd=tmp_path,
+        cwd=folder,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -315,17 +323,16 @@ def test_a_signal_lands_a_flight_and_ends_it_by_name(
     ) as process:
         assert process.stdout is not None and process.stderr is not None
         try:
-            assert any("take-off" in line for line in process.stdout)
-            process.send_signal(number)
+            if any("take-off" in line for line in process.stdout):
+                process.send_signal(number)
             _, errors = process.communicate(timeout=300.0)
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
-    assert (process.returncode, "Traceback" in errors) == (30, False)
+    return process.returncode, errors
 
 
 # --- packets, and lines of programs
-# --------------------------------------------------------------------------------
 
 
 def packets() -> dict[str, bytes]:

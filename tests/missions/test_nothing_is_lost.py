@@ -92,7 +92,6 @@ def test_an_earlier_result_is_written_again(
 
 
 # --- the account and its folders
-# -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("variable", ["TMPDIR", "TEMP", "TMP"])

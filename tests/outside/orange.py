@@ -1,6 +1,4 @@
-"""A detector of one's own: what is orange, by OpenCV alone. A rig beside it names it
-``orange.py:Orange``.
-"""
+"""A detector of one's own: what is orange. A rig beside it names it ``orange.py:Orange``."""
 
 from dataclasses import dataclass
 

@@ -1,6 +1,4 @@
-"""D1 searches a field for the car that was reported, follows the one it finds, and hands it over to
-D2.
-"""
+"""D1 searches a field for the car that was reported, follows it, and hands it over to D2."""
 
 import math
 

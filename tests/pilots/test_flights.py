@@ -82,7 +82,6 @@ def test_each_thing_that_a_person_does_has_its_end(act: Act, outcome: str) -> No
 
 
 # --- that it can fail
-# ------------------------------------------------------------------------------------------------
 
 
 def test_a_script_that_flies_on_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from missions.look.report.summary import summarize
 
 @pytest.mark.parametrize("kind", ["drone", "person"])
 def test_it_is_handed_over(kind: str, tmp_path: Path) -> None:
-    facts = fly_once(rig_library.load(f"sim-{kind}"), 1, (), tmp_path, lambda _: None)
+    facts = fly_once(rig_library.load(f"sim-{kind}"), 2, (), tmp_path, lambda _: None)
     assert facts.outcome == "committed", facts.detail
     assert not facts.violations
     run = load_run(tmp_path)

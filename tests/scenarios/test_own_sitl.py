@@ -10,7 +10,7 @@ from typing import Any
 
 from tests.overloaded import Flown, Repeating
 
-SEARCH = Path(__file__).parents[1] / "missions" / "own" / "search.py"
+SEARCH = Path(__file__).parents[1] / "missions" / "fly" / "own" / "search.py"
 LIMIT_S = 300.0  # kernels may have to be compiled
 
 

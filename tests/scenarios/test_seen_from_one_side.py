@@ -40,7 +40,7 @@ def test_it_is_found_and_handed_over(
     rig = rig_library.load("sim-person")
     # for long enough to go round to the second side
     stands = {**rig.mission["target"], "holds_s": 70.0}
-    deadlines = {**rig.mission["deadlines"], "acquire_s": 55.0}
+    deadlines = {**rig.mission.get("deadlines", {}), "acquire_s": 55.0}
     rig = replace(rig, mission={**rig.mission, "target": stands, "deadlines": deadlines})
     rig = replace(rig, world={**rig.world, "target": {**rig.world["target"], "start_time_s": 70.0}})
     facts = fly_once(rig, 3, (), tmp_path, lambda _: None)

@@ -182,7 +182,7 @@ def test_a_fault_ends_in_its_outcome_and_the_sender_keeps_the_target(
         assert not last["receiver"]["in_air"]
 
 
-@pytest.mark.parametrize("seed", [3, 8])  # in which D2 has the marker in view while it falls
+@pytest.mark.parametrize("seed", [2, 5])  # in which D2 has the marker in view while it falls
 def test_going_around_takes_until_the_drone_is_within_its_bounds_again(
     tmp_path: Path, seed: int
 ) -> None:
@@ -246,7 +246,7 @@ def test_a_program_that_is_killed_and_started_again_goes_by_what_it_wrote_down(
 
 
 # the receiver is right, right, left, left of it by then
-@pytest.mark.parametrize("seed", [0, 2, 5, 10])
+@pytest.mark.parametrize("seed", [0, 2, 3, 8])
 def test_a_sender_leaves_away_from_a_receiver_that_died_on_its_way_to_it(
     tmp_path: Path, seed: int
 ) -> None:

@@ -114,7 +114,6 @@ class Receiver:
         session.on_status = self._handover.on_status
 
     # --- course
-    # --------------------------------------------------------------------------------------------------
 
     async def course(self) -> None:
         await self._handover.resume()
@@ -294,7 +293,6 @@ class Receiver:
         self._session.say(note)
 
     # --- guidance
-    # ------------------------------------------------------------------------------------------------
 
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
         """Keep the place relative to the target that the hand-over found this drone in."""
@@ -311,7 +309,6 @@ class Receiver:
         return VelocitySetpoint(velocity, bearing(subtract(target, state.position_n_m)))
 
     # --- what runs beside the course
-    # -----------------------------------------------------------------------------
 
     async def _watch(self) -> None:
         """Look at every frame, at some once the target is held. Raises CameraError when the camera
@@ -524,7 +521,6 @@ class Receiver:
         return MissionEnd(Outcome.LOST_AFTER if soon else Outcome.TARGET_LOST, detail)
 
     # --- messages
-    # ------------------------------------------------------------------------------------------------
 
     def _on_message(self, received: Received) -> None:
         held = self._handover.holds

@@ -95,7 +95,6 @@ class Sender:
         session.on_step = self._on_step
 
     # --- course
-    # --------------------------------------------------------------------------------------------------
 
     async def course(self) -> None:
         await self._handover.resume()
@@ -313,7 +312,6 @@ class Sender:
         )
 
     # --- what runs beside the course
-    # -----------------------------------------------------------------------------
 
     async def _watch(self) -> None:
         """Look at every frame while the receiver is near, else at some. Raises CameraError when the
@@ -409,7 +407,6 @@ class Sender:
             self._handover.agreed(self._config.target_id)
 
     # --- messages and records
-    # ------------------------------------------------------------------------------------
 
     def _on_message(self, received: Received) -> None:
         message = received.message

@@ -143,7 +143,6 @@ class RoleSession:
         self._traffic: list[tuple[float, int]] = []
 
     # --- time and waiting
-    # ---------------------------------------------------------------------------------------
 
     def now_ns(self) -> int:
         return self.clock.now_ns()
@@ -282,7 +281,6 @@ class RoleSession:
         self.guarding.note_separation(distance_m)
 
     # --- processor time
-    # ------------------------------------------------------------------------------------------
 
     def stage(self, name: str) -> AbstractContextManager[None]:
         """Returns a context whose body is a stage of a frame's cycle; stages do not contain one
@@ -291,7 +289,6 @@ class RoleSession:
         return _NO_STAGE if self.stages is None else self.stages(name)
 
     # --- what the others see
-    # -------------------------------------------------------------------------------------
 
     def enter(self, phase: Phase, note: str = "") -> None:
         self.phase = phase
@@ -354,7 +351,6 @@ class RoleSession:
         return (total - first) / (now_s - first_s) if now_s > first_s else 0.0
 
     # --- background tasks
-    # ----------------------------------------------------------------------------------------
 
     async def pump(self) -> None:
         """Take messages from the link for ever: clocks and status here, the rest to the role."""

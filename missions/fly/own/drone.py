@@ -53,7 +53,6 @@ class Drone:
         self.camera: CameraModel = session.own.camera
 
     # --- where it is, and flying
-    # --------------------------------------------------------------------------------
 
     @property
     def state(self) -> VehicleState:
@@ -124,7 +123,6 @@ class Drone:
         self._session.pilot.hold_here()
 
     # --- seeing
-    # -------------------------------------------------------------------------------------------------
 
     async def look(self, within_s: float | None = None) -> View:
         """The newest camera frame not yet looked at, logged. Ends the mission as ``camera_lost``
@@ -160,7 +158,6 @@ class Drone:
         return [position for position in found if position is not None]
 
     # --- the other drone
-    # ----------------------------------------------------------------------------------------
 
     @property
     def other(self) -> Status | None:
@@ -193,7 +190,6 @@ class Drone:
         self._session.on_message = heard
 
     # --- handing over
-    # -------------------------------------------------------------------------------------------
 
     async def hand_over(
         self, place_n_m: Vec3 | None = None, *, error_m: float = 0.5, to: str = "receiver"
@@ -251,7 +247,6 @@ class Drone:
         )
 
     # --- the course
-    # ---------------------------------------------------------------------------------------------
 
     async def until(self, condition: Callable[[], bool], within_s: float, what: str) -> None:
         """Wait for a condition; the mission fails, saying ``what``, when it does not come true

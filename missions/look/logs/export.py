@@ -132,7 +132,6 @@ def _write_tum(path: Path, rows: Sequence[Row]) -> Path:
 
 
 # --- tables
-# ------------------------------------------------------------------------------------------------------
 
 
 def _logs(folder: Path) -> Iterator[tuple[str, tuple[Sequence[LogRecord], int]]]:

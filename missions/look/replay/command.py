@@ -294,7 +294,6 @@ def _setting(text: str) -> tuple[list[str], Any]:
 
 
 # --- what a person sees
-# ------------------------------------------------------------------------------------------
 
 
 def _same_table(replayed: Sequence[Replayed]) -> RenderableType:

@@ -298,7 +298,6 @@ def figure(value: float | None, unit: str, digits: int) -> str:
 
 
 # --- many runs
-# -------------------------------------------------------------------------------------------------
 
 
 def summarize_many(summaries: Sequence[Mapping[str, Any]], command: str) -> dict[str, Any]:

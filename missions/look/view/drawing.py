@@ -146,7 +146,6 @@ class Drawing:
         self._recording.log(path, *parts, static=static)
 
     # --- where things are
-    # ----------------------------------------------------------------------------------------
 
     def _transforms(self, name: str, message: Any) -> None:
         for each in message.transforms:
@@ -191,7 +190,6 @@ class Drawing:
         self._log(f"{name}/position", rr.GeoPoints(lat_lon=[(message.latitude, message.longitude)]))
 
     # --- images
-    # --------------------------------------------------------------------------------------------------
 
     def _image(self, name: str, message: Any) -> None:
         image = rr.EncodedImage(contents=message.data, media_type=f"image/{message.format}")
@@ -239,7 +237,6 @@ class Drawing:
         self._log(f"{name}/verdict", labels, frame=frame)
 
     # --- words
-    # ---------------------------------------------------------------------------------------------------
 
     def _words(self, name: str, message: Any) -> None:
         self._log(

@@ -80,7 +80,6 @@ class Judge:
         self._orphaned = self._committed = False
 
     # --- told by the programs
-    # ----------------------------------------------------------------------------------
 
     def clock_set(self) -> None:
         self._break("clock")
@@ -218,7 +217,6 @@ class Judge:
                 self._violated("S4", "an ACCEPT in time that did not hand over")
 
     # --- after every event
-    # -------------------------------------------------------------------------------------
 
     def after(self, program: Program) -> None:
         if not program.alive or not program.booted:
@@ -324,7 +322,6 @@ class Judge:
         self._close_gap()
 
     # --- outcome
-    # -----------------------------------------------------------------------------------------------
 
     def outcome(self) -> str:
         """Returns the end of the run, by what both sides decided."""

@@ -193,7 +193,6 @@ class Machines:
             self.tell(role, f"hears {_named(message)}")
 
     # --- the link
-    # ----------------------------------------------------------------------------------------------
 
     def transmit(self, role: Role, message: Message, data: bytes) -> None:
         """Sends a program's packet on; each that arrives knows whether it is the genuine one
@@ -245,7 +244,6 @@ class Machines:
         self.at(self.now_s + rng.expovariate(self.plan.forged_hz), self._forge)
 
     # --- what goes wrong
-    # ---------------------------------------------------------------------------------------
 
     def _start(self, role: Role) -> None:
         drone = self._drones[role]
@@ -305,7 +303,6 @@ class Machines:
             program.run(lambda: program.end_mission(Outcome.PILOT_OVERRIDE))
 
     # --- the end
-    # -----------------------------------------------------------------------------------------------
 
     def _over(self) -> bool:
         """Returns whether nothing more is to come.

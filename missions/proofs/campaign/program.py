@@ -90,7 +90,6 @@ class Program:
         return hasattr(self, "handover")
 
     # --- what the hand-over asks of its session, its link, its log and its disk
-    # ---------------------------------
 
     def now_ns(self) -> int:
         return self.clock.read_ns(self.world.now_s)
@@ -194,7 +193,6 @@ class Program:
             self._later.clear()
 
     # --- what happens to it
-    # ------------------------------------------------------------------------------------
 
     def begin(self) -> None:
         self.run(self._boot)
@@ -266,7 +264,6 @@ class Program:
             self.handover.end(self.end)
 
     # --- inside
-    # ------------------------------------------------------------------------------------------------
 
     def _every(self, do: Callable[[], float]) -> None:
         """Do something again and again, as long after each time as it says."""

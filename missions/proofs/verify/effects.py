@@ -131,7 +131,6 @@ class Effects:
         self._aged_masks: dict[int, int] = {}
 
     # --- events
-    # -----------------------------------------------------------------------------------------------
 
     def sender_told(self, state: int, event: SenderEvent, what: str) -> Effect:
         key = (state, event)
@@ -179,7 +178,6 @@ class Effects:
         )
 
     # --- packets
-    # ----------------------------------------------------------------------------------------------
 
     def heard_by_sender(self, state: int, packets: int) -> list[Effect]:
         """Returns what may come of the packets on the link; those of which nothing comes are left
@@ -292,7 +290,6 @@ class Effects:
         return found
 
     # --- time
-    # -------------------------------------------------------------------------------------------------
 
     def aged(self, kind: str, interned: Interned[Any], number: int) -> int:
         """The number of a value a tick later."""
@@ -325,7 +322,6 @@ class Effects:
         return aged
 
     # --- restarts
-    # ---------------------------------------------------------------------------------------------
 
     def sender_restored(self, kept: int, same_clock: bool) -> tuple[int, int]:
         """State, and what it writes down at once."""

@@ -128,7 +128,6 @@ class Moves:
         yield from self._crashes(world)
 
     # --- time
-    # -------------------------------------------------------------------------------------------------
 
     def _time(self, world: ModelWorld) -> Iterator[ModelStep]:
         """Either program notices what is due, at once or late by up to the guard; or a tick
@@ -259,7 +258,6 @@ class Moves:
         return "L2" if state.settled is HandoffOutcome.HANDED_OVER and no_pilot else ""
 
     # --- the sender's program
-    # ---------------------------------------------------------------------------------
 
     def _sender_program(self, world: ModelWorld) -> Iterator[ModelStep]:
         state = self.sender_of(world)
@@ -328,7 +326,6 @@ class Moves:
         return self._sender_does(world, self.effects.sender_told(world.sender, event, what))
 
     # --- crashes
-    # ----------------------------------------------------------------------------------------------
 
     def _crashes(self, world: ModelWorld) -> Iterator[ModelStep]:
         """Killed at any moment, with whatever is on disk; started again at any later one."""
@@ -388,7 +385,6 @@ class Moves:
         return world._replace(receiver=dead, receiver_kept=kept, crashes=world.crashes - 1)
 
     # --- a machine's step, with all that may interrupt it
-    # -----------------------------------------------------
 
     def _sender_does(self, world: ModelWorld, effect: Effect) -> Iterator[ModelStep]:
         broken = effect.broken

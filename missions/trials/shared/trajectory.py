@@ -399,7 +399,6 @@ def huber(residuals: Array, scale: float) -> Array:
 
 
 # --- how far apart
-# ---------------------------------------------------------------------------------------------------
 
 
 def ape(residuals: Array) -> Array:

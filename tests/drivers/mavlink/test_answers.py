@@ -136,7 +136,6 @@ def test_motors_are_not_stopped_in_the_air_by_force() -> None:
 
 
 # --- the guard's link
-# -------------------------------------------------------------------------------------------------
 
 
 class Port:

@@ -97,7 +97,6 @@ def test_why_no_level_is_known_is_said_by_name(wanted: int, told: list[Told], wo
 
 
 # --- on the wire
-# -----------------------------------------------------------------------------------------------------
 
 
 @dataclass

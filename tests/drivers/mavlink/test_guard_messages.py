@@ -189,7 +189,6 @@ def test_a_battery_that_only_sys_status_tells_of_is_told_of() -> None:
 
 
 # --- what it sends
-# ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

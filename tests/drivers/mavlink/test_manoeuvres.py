@@ -113,7 +113,6 @@ async def refused(step: Coroutine[Any, Any, None], kind: type[VehicleError] = Ve
 
 
 # --- one command
-# ----------------------------------------------------------------------------------------------------
 
 
 def test_a_command_that_is_accepted_is_sent_once_as_it_is() -> None:
@@ -163,7 +162,6 @@ def test_an_answer_that_mavlink_has_no_word_for_is_told_by_its_number() -> None:
 
 
 # --- modes
-# ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("kind", "params"), [(PX4, (1, 4.0, 3.0)), (ARDUPILOT, (1, 17.0, 0.0))])
@@ -206,7 +204,6 @@ def test_a_mode_of_somebody_else_s_is_theirs_once_more_than_one_message_says_so(
 
 
 # --- take-off
-# -------------------------------------------------------------------------------------------------------
 
 
 def test_a_px4_is_told_an_altitude_above_the_sea_and_an_ardupilot_a_height() -> None:
@@ -314,7 +311,6 @@ def test_motors_that_stop_on_the_way_up_end_it_at_once_and_say_whose_doing_it_wa
 
 
 # --- landing
-# --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("kind", "unset"), [(PX4, None), (ARDUPILOT, 0.0)])

@@ -324,6 +324,7 @@ def test_every_stream_is_asked_for_at_its_rate_and_a_vehicle_that_answers_nothin
                 245: 5.0,
                 1: 2.0,
                 24: 2.0,
+                132: 10.0,
                 147: 1.0,
                 242: 1.0,
             }
@@ -342,7 +343,7 @@ def test_a_heartbeat_s_rate_can_be_left_alone() -> None:
         await bench.vehicle._set_rates()
         assert (
             0 not in [params[0] for _, params, _ in bench.session.sent]
-            and len(bench.session.sent) == 9
+            and len(bench.session.sent) == 10
         )
 
     with_vehicle(main, heartbeat_hz=0.0)

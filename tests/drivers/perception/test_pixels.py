@@ -374,7 +374,6 @@ def camera_frame_depth(view: PixelView) -> NDArray[np.uint16]:
 
 
 # --- a camera without depth
-# --------------------------------------------------------------------------------------
 
 
 SIZE = TargetSize(apparent_m=0.3, sigma=0.1)

@@ -98,7 +98,6 @@ async def refused(driver: RealSense, timeout_s: float, pattern: str) -> None:
 
 
 # --- frames
-# ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("domain", Domain)
@@ -245,7 +244,6 @@ def test_the_emitter_is_switched() -> None:
 
 
 # --- what goes wrong
-# ---------------------------------------------------------------------------------------------
 
 
 def test_an_unplugged_camera_is_named_and_comes_back() -> None:
@@ -419,7 +417,6 @@ def test_options_that_cannot_be_are_refused(options: dict[str, Any], problem: st
 
 
 # --- recording and playing back
-# ----------------------------------------------------------------------------------
 
 
 def test_what_was_recorded_comes_back_through_the_same_driver(tmp_path: Path) -> None:

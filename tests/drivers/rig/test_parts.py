@@ -24,7 +24,6 @@ from drivers.rig.tables import RigError, decode_table, suggestion
 from path.messages import Role
 
 # --- tables
-# ----------------------------------------------------------------------------------------------------
 
 
 class Colour(Enum):
@@ -152,7 +151,6 @@ def test_all_problems_are_shown_at_once() -> None:
 
 
 # --- rigs
-# ------------------------------------------------------------------------------------------------------
 
 
 class Fake:

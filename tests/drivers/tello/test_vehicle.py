@@ -81,7 +81,6 @@ def test_a_second_drone_is_told_from_the_first() -> None:
 
 
 # --- refusals
-# ----------------------------------------------------------------------------------------------------
 
 
 def test_a_refused_take_off_is_told_in_the_drone_s_words_and_not_said_again(
@@ -166,7 +165,6 @@ def test_setpoints_that_are_no_numbers_are_not_sent() -> None:
 
 
 # --- unplugged
-# ---------------------------------------------------------------------------------------------------
 
 
 def test_when_state_packets_stop_every_wait_ends_and_the_age_is_told() -> None:
@@ -246,7 +244,6 @@ def test_it_is_kept_awake_while_it_holds_and_not_while_a_script_flies_it(
 
 
 # --- before anything is sent
-# -------------------------------------------------------------------------------------
 
 
 def refusal(stand: Stand | None = None, **options: Any) -> VehicleError:

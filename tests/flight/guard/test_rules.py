@@ -32,7 +32,6 @@ FLIES = tuple(script for script in Script if script.flies)
 
 
 # --- the table: whose program is silent, in which mode
-# ---------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -173,7 +172,6 @@ def test_rules_without_time_are_refused(name: str) -> None:
 
 
 # --- whatever it sees
-# ------------------------------------------------------------------------------------------------
 
 AGES_S = st.floats(0.0, 4.0)
 VIEWS = st.builds(

@@ -46,7 +46,6 @@ def at_viewpoint(
 
 
 # --- by positions
-# -------------------------------------------------------------------------------------------------
 
 
 def test_the_way_to_the_stand_off_is_flown_at_a_metre_a_second_beside_a_sender_that_moves() -> None:
@@ -175,7 +174,6 @@ def test_a_fence_with_corners_is_kept_by_its_own_shape() -> None:
 
 
 # --- by the marker
-# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("sigmas", "share"), [(0.5, 1.0), (1.0, 1.0), (1.01, 0.3)])
@@ -291,7 +289,6 @@ def test_the_farthest_place_of_a_marker_grows_with_the_drones() -> None:
 
 
 # --- the plan
-# -----------------------------------------------------------------------------------------------------
 
 
 def test_the_viewpoint_is_planned_for_the_sender_as_it_leans_and_the_receiver_as_it_leans(

@@ -81,7 +81,6 @@ def beside(place: Vec3, east_m: float) -> Vec3:
 
 
 # --- geometry
-# --------------------------------------------------------------------------------------------------
 
 
 @given(st.floats(1.0, 3.5), st.floats(-0.8, 0.8), st.floats(-0.5, 0.0))
@@ -96,11 +95,9 @@ def test_a_box_and_its_depth_give_back_the_place(north: float, east: float, down
 
 
 # --- the designated object
-# ---------------------------------------------------------------------------------------
 
 
 # --- following
-# ---------------------------------------------------------------------------------------------------
 
 
 def test_a_moving_object_is_followed_and_its_velocity_learnt() -> None:
@@ -353,7 +350,6 @@ def test_a_target_outside_the_image_is_not_looked_for(place: Vec3) -> None:
 
 
 # --- the filter
-# --------------------------------------------------------------------------------------------------
 
 
 def test_a_coast_grows_less_sure_and_leaves_the_filter_as_it_is() -> None:
@@ -419,7 +415,6 @@ def test_the_filter_is_as_sure_as_it_may_be(seed: int) -> None:
 
 
 # --- ranges that are only estimated
-# ------------------------------------------------------------------------------
 
 
 def test_an_estimated_range_gives_way_to_the_height_that_is_known() -> None:

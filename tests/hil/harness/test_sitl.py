@@ -195,7 +195,6 @@ def test_what_a_program_writes_to_stderr_is_kept(stage: Stage) -> None:
 
 
 # --- wiring
-# ------------------------------------------------------------------------------------------------------
 
 
 def test_the_proxy_is_where_each_link_believes_the_other_drone_to_be(rig: Any) -> None:

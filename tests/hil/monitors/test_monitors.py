@@ -93,7 +93,6 @@ def test_a_good_run_violates_nothing(monitors: Monitors) -> None:
 
 
 # --- S1
-# ------------------------------------------------------------------------------------------------------------
 
 
 def test_s1_two_responsible_drones(monitors: Monitors) -> None:
@@ -112,7 +111,6 @@ def test_s1_nobody_is_no_violation(monitors: Monitors) -> None:
 
 
 # --- S5
-# ------------------------------------------------------------------------------------------------------------
 
 
 def test_s5_a_commit_without_enough_pairs(monitors: Monitors) -> None:
@@ -163,7 +161,6 @@ def test_s5_what_is_no_evidence_does_not_restart_it(monitors: Monitors) -> None:
 
 
 # --- S6
-# ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -215,7 +212,6 @@ def test_a_count_that_begins_again_after_a_gap_is_right(monitors: Monitors) -> N
 
 
 # --- the gate "evidence"
-# ----------------------------------------------------------------------------------------------
 
 EVIDENCE = MethodConfig(gate="evidence")
 PATIENT = MethodConfig(
@@ -440,7 +436,6 @@ def test_gate_and_monitors_never_differ(
 
 
 # --- S8
-# ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -483,7 +478,6 @@ def test_s8_is_told_with_the_gaps_own_time_and_each_gap_counts(monitors: Monitor
 
 
 # --- S9
-# ------------------------------------------------------------------------------------------------------------
 
 
 def test_s9_each_excursion_counts_once(monitors: Monitors) -> None:
@@ -508,7 +502,6 @@ def test_s9_is_about_flight(monitors: Monitors) -> None:
 
 
 # --- the watched log
-# -----------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -560,7 +553,6 @@ def test_what_was_promised_of_records_is_not_after_a_disk_has_lost_one(monitors:
 
 
 # --- the gate "likelihood"
-# --------------------------------------------------------------------------------------------
 
 LIKELIHOOD = MethodConfig(gate="likelihood")
 

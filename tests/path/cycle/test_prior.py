@@ -189,7 +189,6 @@ def test_the_region_reaches_as_far_away_as_the_target_can_be() -> None:
 
 
 # --- a range that is worse than the bearing
-# ----------------------------------------------------------------------
 
 
 def test_a_range_error_moves_the_prior_along_the_line_of_sight_only() -> None:
@@ -242,7 +241,6 @@ def test_across_it_the_target_is_never_less_certain_than_along_it() -> None:
 
 
 # --- what D2's camera sees, to the edge
-# ---------------------------------------------------------------------------
 
 SQUARE = CameraModel(640, 480, 128.0, 128.0, 0.0, 0.0)
 STRAIGHT = rigid(Pose(np.eye(3), np.zeros(3)))

@@ -316,7 +316,6 @@ def test_a_range_by_size_widens_the_search_along_the_sender_s_line_of_sight_only
 
 
 # --- to the bound
-# -------------------------------------------------------------------------------------------------
 
 LATE_NS = 10**15
 

@@ -622,7 +622,6 @@ def test_no_disorder_on_the_link_completes_the_window_early(
 
 
 # --- what else D1 sees, and every bound
-# ---------------------------------------------------------------------------
 
 
 def test_a_pair_is_measured_from_what_stands_beside_the_target_once_it_was_seen_often_enough() -> (

@@ -66,7 +66,6 @@ def test_the_persistent_part_is_a_tail_beyond_the_reach_and_heavier_the_less_was
 
 
 # --- whatever is fed
-# -------------------------------------------------------------------------------------------------
 
 SMALL = MethodConfig(
     gate="evidence",
@@ -165,7 +164,6 @@ def test_more_overlap_in_every_pair_never_takes_longer(
 
 
 # --- the bound, where frames are correlated
-# ---------------------------------------------------------------------------
 
 FRAMES, ATTEMPTS, RATE_HZ = 200, 700, 25.0
 

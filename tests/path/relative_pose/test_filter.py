@@ -49,7 +49,6 @@ def see(
 
 
 # --- what it does
-# ----------------------------------------------------------------------------------------------------
 
 
 def test_a_steady_error_of_the_reported_velocity_is_learnt():
@@ -182,7 +181,6 @@ def test_travel_is_the_integral_of_the_reports():
 
 
 # --- what it refuses
-# -------------------------------------------------------------------------------------------------
 
 
 def flipped(T_c_v: Pose) -> Pose:
@@ -266,7 +264,6 @@ def test_an_old_or_repeated_measurement_changes_nothing():
 
 
 # --- whether its covariance holds
-# ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -139,7 +139,6 @@ def _fly(rig: Rig, request: TrialRequest, seconds: float) -> tuple[Samples, RunR
 
 
 # --- what was measured
-# --------------------------------------------------------------------------------------------
 
 
 def growth_mib(taken: Sequence[ProgramSample]) -> float:
@@ -214,7 +213,6 @@ def _verifying(records: Records, topic: str) -> list[LogRecord]:
 
 
 # --- how it is shown
-# ----------------------------------------------------------------------------------------------
 
 
 def _findings(samples: Samples, run: RunRecords, seconds: float) -> tuple[TrialFinding, ...]:

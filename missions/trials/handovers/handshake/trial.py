@@ -121,7 +121,6 @@ def run(request: TrialRequest) -> TrialResult:
 
 
 # --- figures
-# ------------------------------------------------------------------------------------------------------
 
 
 def _summary(flown: Flown, tried: Tried) -> dict[str, Any]:
@@ -222,7 +221,6 @@ def _timed(values: Sequence[float], statistic: Statistic, rng: np.random.Generat
 
 
 # --- findings
-# -----------------------------------------------------------------------------------------------------
 
 
 def _mission_findings(flown: Flown, rng: np.random.Generator) -> list[TrialFinding]:
@@ -345,7 +343,6 @@ def _wrong_findings(tried: Tried, gate: GateKind, figures: dict[str, Any]) -> li
 
 
 # --- tables
-# -------------------------------------------------------------------------------------------------------
 
 
 def _mission_table(flown: Flown) -> TrialTable:

@@ -16,7 +16,7 @@ from drivers.rig.check import check_rig
 from drivers.rig.tables import RigError
 from missions.ground import rig_library
 
-DOCS = Path(rig_library.__file__).parents[1] / "docs"
+DOCS = Path(rig_library.__file__).parents[2] / "docs"
 PAGES = ("autopilots.md", "field.md")
 OURS = 245
 

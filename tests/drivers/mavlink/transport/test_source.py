@@ -139,7 +139,6 @@ def test_checksums_are_mavlinks() -> None:
 
 
 # --- signatures
-# ------------------------------------------------------------------------------------------------------
 
 
 def signing(key: bytes, stamp: int) -> Any:

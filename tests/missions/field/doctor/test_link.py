@@ -26,7 +26,7 @@ AHEAD_NS = 5_000_000_000
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, seconds in (("MEASURE_S", 0.4), ("LAST_S", 0.2)):
+    for name, seconds in (("MEASURE_S", 1.5), ("LAST_S", 0.5)):
         monkeypatch.setattr(doctor_link, name, seconds)
 
 

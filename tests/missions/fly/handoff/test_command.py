@@ -219,7 +219,6 @@ def test_an_interrupted_run_is_called_so() -> None:
 
 
 # --- the run folder
-# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,6 @@ RECEIVER_AHEAD_NS = 3_200_000_000  # of the sender's clock
 
 
 # --- the good path
-# -----------------------------------------------------------------------------------------------
 
 
 def test_commit_accept_confirm_hands_the_target_over(rig: Any) -> None:
@@ -98,7 +97,6 @@ def test_an_attempt_taken_back_before_anybody_waited_is_verified_again(rig: Any)
 
 
 # --- what a link may lose
-# ----------------------------------------------------------------------------------------
 
 
 def test_a_lost_accept_is_taken_back_and_verified_again(rig: Any) -> None:

@@ -123,7 +123,6 @@ class SlowStore:
 
 
 # --- a new mission
-# -----------------------------------------------------------------------------------------------
 
 
 def test_a_new_mission_is_not_decided_by_the_one_before(rig: Any) -> None:

@@ -26,7 +26,6 @@ STATUS = Status(Role.RECEIVER, 1, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0), 0.0, 3, Fal
 
 
 # --- waiting
-# -----------------------------------------------------------------------------------------------------
 
 
 def test_the_vehicles_state_is_logged_once_for_each_report(rig: Any) -> None:
@@ -74,7 +73,6 @@ def test_a_wait_that_is_over_is_a_named_end(rig: Any) -> None:
 
 
 # --- the pump and the report
-# -------------------------------------------------------------------------------------
 
 
 def test_the_pump_answers_pings_keeps_the_status_and_passes_on_the_rest(rig: Any) -> None:
@@ -275,7 +273,6 @@ def test_without_a_rate_only_wanted_images_are_logged(rig: Any) -> None:
 
 
 # --- a computer that does not keep up
-# ----------------------------------------------------------------------------
 
 
 def test_pictures_go_first_but_not_the_wanted_ones(rig: Any) -> None:

@@ -173,7 +173,6 @@ async def ended(step: Coroutine[Any, Any, Any]) -> MissionEnd:
 
 
 # --- preflight
-# ---------------------------------------------------------------------------------------------------
 
 
 def test_preflight_waits_for_camera_vehicle_peer_and_clocks_and_moves_nothing(rig: Any) -> None:
@@ -265,7 +264,6 @@ def test_preflight_asks_for_a_frame_first(rig: Any) -> None:
 
 
 # --- take-off
-# ----------------------------------------------------------------------------------------------------
 
 
 def test_take_off_arms_climbs_and_takes_control(rig: Any) -> None:
@@ -296,7 +294,6 @@ def test_a_refusal_ends_the_take_off_and_nothing_is_tried_twice(rig: Any, refuse
 
 
 # --- the way down
-# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,4 @@
-"""Two drones search a field for an object, half of it each. The first to see one tells the other;
-both fly home.
-"""
+"""Two drones search a field, half of it each. The first to see an object tells the other."""
 
 from missions.own import Drone
 

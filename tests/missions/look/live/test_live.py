@@ -200,7 +200,6 @@ def test_a_gate_without_a_token_does_not_open() -> None:
 
 
 # --- logs that grow
-# ----------------------------------------------------------------------------------------------
 
 
 def drain(follower: FolderFollower) -> list[tuple[str, str, int]]:

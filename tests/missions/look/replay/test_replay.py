@@ -235,7 +235,6 @@ def test_a_folder_without_logs_is_refused(tmp_path: Path) -> None:
 
 
 # --- films that were made without PATH
-# ---------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -157,7 +157,6 @@ def test_a_ray_that_misses_meets_nothing(
 
 
 # --- what is shown and written
-# ---------------------------------------------------------------------------------
 
 
 def test_a_report_is_made_again_from_the_logs(make_run: MakeRun) -> None:

@@ -165,7 +165,6 @@ def test_bits() -> None:
 
 
 # --- mutants
-# -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.rule)
