@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import replace
 
-import cv2
+import numpy as np
 
 from drivers.interfaces import View
 from drivers.operator.interfaces import BearingTold, Chosen, PlaceTold, Question, Told
@@ -14,7 +14,7 @@ from flight.guidance import Vec3, add
 from flight.tracking.acquisition import Acquisition, Taken
 from flight.tracking.look_round import LookRound
 from flight.tracking.ranging import Ranging
-from missions.fly.leg.numbered import numbered
+from missions.fly.leg.numbered import NOTHING, pictured
 from missions.fly.leg.session import RoleSession
 from missions.ground.journal import question_record, taken_record, told_record
 from path.camera.model import CameraModel
@@ -52,6 +52,8 @@ class Designating:
         self._told_first = False
         self._asked: Question | None = None
         self._view: View | None = None
+        if session.operator is not None:
+            pictured(np.zeros((48, 64, 3), np.uint8), NOTHING)  # the first one takes long
 
     # --- what is said and asked ---
 
@@ -110,8 +112,7 @@ class Designating:
             session.say(f"which of {len(question.shown)} is the target? {self._acquisition.why()}")
             image = None if self._view is None else self._view.image()
             if image is not None:
-                _, encoded = cv2.imencode(".jpg", numbered(image, question))
-                picture = encoded.tobytes()
+                picture = pictured(image, question)
         operator.ask(question, picture)
 
     # --- looking ---

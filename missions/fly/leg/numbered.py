@@ -8,8 +8,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.operator.interfaces import Question
+from drivers.operator.interfaces import Question, Shown
+from path.observations import Box
 
+NOTHING = Question(
+    0, 0, (Shown(0, Box(8.0, 8.0, 8.0, 8.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0),)
+)
+"""A question about nothing, for a first picture before setpoints wait for it: the library's drawing
+and its letters may have to come from the disk, for 0.4 s."""
 _INK = (0, 0, 0)
 _PAPER = (255, 255, 255)
 
@@ -29,3 +35,9 @@ def numbered(image: NDArray[np.uint8], question: Question) -> NDArray[np.uint8]:
                 drawn, str(each.number), above, cv2.FONT_HERSHEY_SIMPLEX, 1.0, ink, 2 * width
             )
     return drawn
+
+
+def pictured(image: NDArray[np.uint8], question: Question) -> bytes:
+    """Return the numbered image as JPEG."""
+    _, encoded = cv2.imencode(".jpg", numbered(image, question))
+    return encoded.tobytes()
