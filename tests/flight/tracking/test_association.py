@@ -403,7 +403,7 @@ def test_the_filter_is_as_sure_as_it_may_be(seed: int) -> None:
     """
     rng = np.random.default_rng(seed)
     velocity = rng.uniform(-0.4, 0.4, 3)
-    track = TargetTrack((0.0, 0.0, 0.0), 0)
+    track = TargetTrack((0.0, 0.0, 0.0), 0, flies=True)  # its course climbs
     for k in range(1, 101):
         place = velocity * k / 50
         north, east, down = (place + rng.normal(0.0, 0.05, 3)).tolist()
