@@ -21,13 +21,12 @@ from flight.tracking.objects import (
     is_larger,
 )
 from flight.tracking.places import at_height, place, point_in_camera, to_local
-from flight.tracking.ranging import MIN_DESCENT
 from flight.tracking.standing_out import ABOVE, standing_out
 from flight.tracking.target_track import TargetTrack
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.observations import Box, Depth, Detection, MissReason, Region, common_area
-from path.target.range import Ranged
+from path.target.range import LEAST_DESCENT, Ranged
 from path.target.rivals import MOST, Rival
 from path.values import value
 
@@ -271,7 +270,7 @@ def _unfound(
         # a view from above
         along = _level(T_n_c, (x, y, 1.0))
         along_row = _level(T_n_c, (x_row, y_row, 1.0))
-        if along_row > MIN_DESCENT:
+        if along_row > LEAST_DESCENT:
             body = standing_out(
                 view, (pixel[0], row), z_m * along / along_row, side_px[0], reach_px
             )

@@ -14,12 +14,12 @@ from flight.config import MissionConfig
 from flight.guidance import Vec3
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.objects import CUT_SCORE, MIN_SCORE
-from flight.tracking.ranging import MIN_DESCENT
 from path.belief.motion import Array, Motion
 from path.belief.objects import Belief, Measured
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.observations import Box, Detection, Region, common_area
+from path.target.range import LEAST_DESCENT
 
 BOX_SIGMA_PX = 1.5
 """Noise of a box's middle; twice that of its sides."""
@@ -200,7 +200,7 @@ class Identity:
         else:
             sinking = float(T_n_c.R[2] @ (x, y, 1.0))
             fall_m = down_m - float(T_n_c.t[2])
-            if sinking > MIN_DESCENT and fall_m > 0.0:
+            if sinking > LEAST_DESCENT and fall_m > 0.0:
                 z_m = fall_m / sinking
                 along_m = _BY_HEIGHT * z_m
             else:

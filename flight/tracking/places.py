@@ -8,10 +8,11 @@ import numpy as np
 
 from flight.guidance import Vec3
 from flight.tracking.objects import Pixel
-from flight.tracking.ranging import COARSE, MIN_DESCENT
+from flight.tracking.ranging import COARSE
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.observations import Box, Depth
+from path.target.range import LEAST_DESCENT
 
 
 def point_in_camera(box: Box, z_m: float, camera: CameraModel) -> Vec3:
@@ -47,7 +48,7 @@ def at_height(pixel: Pixel, camera: CameraModel, T_n_c: Pose, down_m: float) -> 
     """
     x, y = camera.ray(*pixel)
     ray = T_n_c.R @ (x, y, 1.0)
-    if ray[2] < MIN_DESCENT:
+    if ray[2] < LEAST_DESCENT:
         return None
     north, east, down = (T_n_c.t + (down_m - T_n_c.t[2]) / ray[2] * ray).tolist()
     return north, east, down

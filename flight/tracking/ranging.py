@@ -19,7 +19,6 @@ from path.config import MethodConfig
 from path.geometry.transforms import Pose
 from path.observations import Box, Depth, RangeSource
 from path.target.range import (
-    LEAST_DESCENT,
     UNKNOWN,
     Body,
     Ranged,
@@ -30,7 +29,6 @@ from path.target.range import (
 )
 from path.values import value
 
-MIN_DESCENT = LEAST_DESCENT
 COARSE = 0.058  # of a range: one that is known no better is estimated, not measured
 
 

@@ -59,15 +59,20 @@ def monocular_range(box: Box, camera: CameraModel, size: TargetSize) -> Depth | 
     Returns:
         None for a box that the image cuts or that is too small to have a size.
     """
-    if not (box.w >= _LEAST_PX and box.h >= _LEAST_PX):
-        return None
-    if (
-        box.x <= 0.0
-        or box.y <= 0.0
-        or box.x + box.w >= camera.width - 1
-        or box.y + box.h >= camera.height - 1
-    ):
+    if not tells_size(box, camera):
         return None
     z_m = math.sqrt(camera.fx * camera.fy / (box.w * box.h)) * size.apparent_m
     of_pixels = 0.5 * math.hypot(size.pixel_sigma_px / box.w, size.pixel_sigma_px / box.h)
     return Depth(z_m, z_m * math.hypot(size.sigma, of_pixels), RangeSource.SIZE)
+
+
+def tells_size(box: Box, camera: CameraModel) -> bool:
+    """Return whether a box is large enough to have a size, and the image does not cut it."""
+    is_large = box.w >= _LEAST_PX and box.h >= _LEAST_PX
+    is_cut = (
+        box.x <= 0.0
+        or box.y <= 0.0
+        or box.x + box.w >= camera.width - 1
+        or box.y + box.h >= camera.height - 1
+    )
+    return is_large and not is_cut

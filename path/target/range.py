@@ -38,6 +38,7 @@ from path.camera.model import CameraModel
 from path.messages import Vec3
 from path.observations import Box, Depth, RangeSource
 from path.target.cylinder import AT_THE_CAMERA, behind_m, off_middle, reach_m
+from path.target.monocular import tells_size
 from path.values import value
 
 DEPTH_SHARE = 0.01  # the scale of a depth camera (docs/errors.md)
@@ -45,7 +46,6 @@ USUAL_SPAN = 0.88  # of its diagonal, what a body up to twice as long as wide sh
 SPAN_SIGMA = 0.18
 HEIGHT_SIGMA = 0.05  # of a body's height in its box: it steps, bends, carries something
 LEAST_DESCENT = 0.2  # of a line of sight, per metre along the optical axis
-LEAST_PX = 4.0
 CHI2 = (0.0, 10.83, 13.82, 16.27, 18.47)  # one in a thousand, by degrees of freedom
 
 
@@ -112,14 +112,7 @@ def by_size(
     """Return the range of a body of known size; None for a box that the image cuts or that is too
     small.
     """
-    if not (body.known and box.w >= LEAST_PX and box.h >= LEAST_PX):
-        return None
-    if (
-        box.x <= 0.0
-        or box.y <= 0.0
-        or box.x + box.w >= camera.width - 1
-        or box.y + box.h >= camera.height - 1
-    ):
+    if not (body.known and tells_size(box, camera)):
         return None
     flat_wide, flat_high = reach_m(AT_THE_CAMERA, sight.ray_c, sight.gravity_c, body.span_m, 0.0)
     tall_wide, tall_high = reach_m(AT_THE_CAMERA, sight.ray_c, sight.gravity_c, 0.0, body.height_m)

@@ -119,8 +119,7 @@ class Receiver:
         await self._handover.resume()
         await preflight(self._session)
         await self.take_over()
-        await asyncio.sleep(self._config.follow_after_s)
-        await self.still_in_view()
+        await self.keep(self._config.follow_after_s)
 
     async def take_over(self) -> None:
         """Wait for the sender's offer, fly to a viewpoint, and return once this drone holds the
@@ -159,10 +158,11 @@ class Receiver:
         session.enter(Phase.FOLLOW, "responsible for the target")
         self._taken_ns = session.now_ns()
 
-    async def still_in_view(self) -> None:
-        """Wait until the target that was taken over is in view. Raises MissionEnd when it is
-        lost.
+    async def keep(self, for_s: float) -> None:
+        """Follow the target that was taken over for so long, and until it is in view. Raises
+        MissionEnd when it is lost.
         """
+        await asyncio.sleep(for_s)
         wait_s = self._config.deadlines.target_regain_s
         lost = Outcome.TARGET_LOST
         try:

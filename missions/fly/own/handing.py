@@ -4,8 +4,6 @@ the drones are.
 
 from __future__ import annotations
 
-import asyncio
-
 from drivers.interfaces import RecordStore
 from drivers.operator.interfaces import PlaceTold
 from flight.guidance import Vec3, subtract
@@ -50,13 +48,6 @@ class Taking(Receiver):
         """
         await self._handover.resume()
         await self.take_over()
-
-    async def keep(self, for_s: float) -> None:
-        """Follow the target for so long. Raises MissionEnd(LOST_AFTER) when it was not in view to
-        the end.
-        """
-        await asyncio.sleep(for_s)
-        await self.still_in_view()
 
     def let_go(self) -> None:
         """Look at no more frames: the mission does."""

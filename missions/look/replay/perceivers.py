@@ -15,6 +15,7 @@ from typing import Any
 from drivers.interfaces import Frame, View
 from drivers.operator.interfaces import Chosen
 from drivers.rig.parts import RoleRig
+from flight.camera_pose import gravity_in
 from flight.config import MissionConfig
 from flight.guidance import Vec3
 from flight.rendezvous.marker_view import MarkerFix, MarkerView, VehicleMotions
@@ -96,8 +97,7 @@ class SenderPerceiver:
             return
         T_n_c = pose_of(frame["T_n_c"])
         R_n_b = T_n_c.R @ self._mount.T_b_c.R.T
-        x, y, z = (R_n_b @ self._mount.T_b_v.R)[2].tolist()
-        self._gravity_v = (x, y, z)
+        self._gravity_v = gravity_in(R_n_b @ self._mount.T_b_v.R)
         self._ranging.ground = ground_of(frame) or self._ranging.ground
         if self._track is not None:
             self._seen = follow(view, T_n_c, self._camera, self._track)
@@ -150,8 +150,7 @@ class ReceiverPerceiver:
         self._marker.note_motion(
             VehicleMotions(motion["own_stamp_ns"], own, motion["peer_stamp_ns"], peer, yaw_rad)
         )
-        x, y, z = R_n_c[2].tolist()
-        self.fix = self._marker.look(self._view, R_n_c, gravity_v, (x, y, z))
+        self.fix = self._marker.look(self._view, R_n_c, gravity_v, gravity_in(R_n_c))
 
     def find(self, prior: Prior | Missed) -> Sequence[Detection] | None:
         """The detections of the newest frame that the prior asks for; None: as the log says."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from drivers.interfaces import Log, PartError, View
 from drivers.rig.parts import Mount
+from flight.camera_pose import gravity_in
 from flight.config import MissionConfig
 from flight.frame.receiver import ReceiverSide
 from flight.frame.records import (
@@ -24,7 +25,6 @@ from flight.frame.records import (
     target_record,
 )
 from flight.frame.sender import PairCameras, SenderSide
-from flight.guidance import Vec3
 from flight.rendezvous.marker_view import MarkerView, VehicleMotions
 from flight.tracking.association import follow
 from flight.tracking.objects import MIN_SCORE, is_cut
@@ -90,8 +90,8 @@ class FilmedSender:
                 self._track = self._pick(view, T_n_c)
             return None
         seen = follow(view, T_n_c, camera, self._track)
-        x, y, z = (R_n_b @ self._rig.sender.mount.T_b_v.R)[2].tolist()
-        frame = self._side.observe(view.frame_id, stamp_ns, seen, (x, y, z))
+        gravity_v = gravity_in(R_n_b @ self._rig.sender.mount.T_b_v.R)
+        frame = self._side.observe(view.frame_id, stamp_ns, seen, gravity_v)
         self._log.write("/frame", stamp_ns, frame_record(view, stamp_ns, T_n_c))
         self._log.write("/target", stamp_ns, target_record(frame, stamp_ns))
         for pair in self._side.judge(stamp_ns):
@@ -177,7 +177,7 @@ class FilmedReceiver:
         motion = self._motion(stamp_ns)
         if self._together:
             self._marker.note_motion(motion)
-        fix = self._marker.look(view, T_n_c.R, side.gravity_v(stamp_ns), _down(T_n_c))
+        fix = self._marker.look(view, T_n_c.R, side.gravity_v(stamp_ns), gravity_in(T_n_c.R))
         log.write("/frame", stamp_ns, frame_record(view, stamp_ns))
         log.write("/marker", stamp_ns, marker_record(stamp_ns, fix))
         moved = motion_record(motion, T_n_c.R, self._marker.R_n_v, fix)
@@ -200,12 +200,6 @@ def begin(log: Log, films: Films, config: MissionConfig, role: Role) -> None:
     """Writes the records that a program's log begins with."""
     log.write("/setup", films.begin_ns, setup_record(films.rig, role, config))
     log.write("/attempt", films.begin_ns, attempt_record(_attempt(config)))
-
-
-def _down(T_n_c: Pose) -> Vec3:
-    """Unit gravity in the camera."""
-    x, y, z = T_n_c.R[2].tolist()
-    return x, y, z
 
 
 def _attempt(config: MissionConfig) -> AttemptId:
