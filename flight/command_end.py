@@ -28,7 +28,8 @@ class CommandEnd(Enum):
     FAILED = (
         "failed",
         7,
-        "`verify`, `trial`, `conformance`: a promise does not hold, or a part of the work failed",
+        "`verify`, `trial`, `conformance`: a promise does not hold, or a part of the work failed; "
+        "`pose`: no frame has the marker",
     )
     STOPPED = ("stopped", 130, "Ctrl-C, in a command that does not fly")
     READER_GONE = ("reader_gone", 141, "whoever read the output has closed it, as `head` does")

@@ -45,6 +45,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "conformance": ("proofs:ConformanceOptions", "proofs.conformance.run"),
     "calibrate": ("calibrate:CalibrateOptions", "field.calibrate.run"),
     "detect": ("field:DetectOptions", "field.detect"),
+    "pose": ("field:PoseOptions", "field.pose"),
 }
 """Each command's options, in ``missions.ground.options``, and the module that has its
 ``run(options) -> exit code``.
@@ -87,6 +88,7 @@ examples:
   path-handoff designate --rig my-rig.toml    which object is meant: say it, or answer what D1 asks
   path-handoff calibrate camera --images views --out d1.camera.toml
   path-handoff detect film.mp4 --model yolox.onnx --classes car
+  path-handoff pose film.mp4 --camera d1.camera.toml --side-mm 40
   path-handoff guard --rig my-rig.toml        beside it: holds and lands when the script does not
   path-handoff trial pose --only sensitivity              an experiment of the paper, run again
   path-handoff verify                         whatever the link does: never two responsible

@@ -40,7 +40,7 @@ def seen_instead(grey: NDArray[np.uint8], layout: MarkerLayout) -> str | None:
         grey: uint8, (height, width), C-contiguous.
     """
     wanted = tuple(marker.id for marker in layout.markers)
-    rig = f"the rig has {_named(wanted)} of {layout.dictionary}"
+    rig = f"asked for is {_named(wanted)} of {layout.dictionary}"
     own = _ids(grey, layout.dictionary)
     if own & set(wanted):
         return None

@@ -413,6 +413,6 @@ def test_a_marker_of_another_id_is_said_by_its_id(
     (tmp_path / "rig.toml").write_text(impatient, "utf-8")
     flown = fly(str(tmp_path / "rig.toml"), tmp_path / "out")
     assert flown.facts.outcome == "marker_not_found"
-    told = "marker 7 of DICT_4X4_50 is there: the rig has marker 0 of DICT_4X4_50"
+    told = "marker 7 of DICT_4X4_50 is there: asked for is marker 0 of DICT_4X4_50"
     assert any(told in note for note in flown.summary["notes"])
     assert any(told in r.record["note"] for r in flown.run.receiver["/note"])

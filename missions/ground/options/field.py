@@ -228,3 +228,38 @@ class DetectOptions:
     """Folder for boxes.csv and for the frames with their boxes drawn; nothing is written by
     default.
     """
+
+
+@dataclass(frozen=True, slots=True)
+class PoseOptions:
+    """Find a printed marker in every frame of a recording: where it is, and how sure that is."""
+
+    frames: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|DIR")]
+    """Video file, folder of images, or .mcap log."""
+
+    camera: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """The camera's calibration, as made by `path-handoff calibrate camera`."""
+
+    side_mm: Annotated[float, Bounds(5.0, 2000.0, "mm")]
+    """Side of the black frame, as measured on the print."""
+
+    side_sigma_mm: Annotated[float, Bounds(0.0, 50.0, "mm")] = 0.2
+    """How well the side is known."""
+
+    marker: Annotated[int, Bounds(0, 2319, "(an id)")] = 0
+    """The marker's id."""
+
+    dictionary: str = "DICT_4X4_50"
+    """OpenCV's dictionary of the marker; DICT_APRILTAG_36h11 for AprilTags, which are turned by
+    180 degrees there.
+    """
+
+    rate_hz: Annotated[float | None, Bounds(0.1, 1000.0, "Hz")] = None
+    """Pictures a second of a bare video stream (.h264), which does not say; of images without
+    stamps, 30 by default.
+    """
+
+    out: OutFolder = None
+    """Folder for pose.csv, camera.tum and the frames with the marker's axes drawn; nothing is
+    written by default.
+    """

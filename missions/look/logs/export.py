@@ -23,6 +23,7 @@ from drivers.recordings.recording import REALSENSE_SUFFIXES
 from drivers.recordings.ros_bag import ros_bag_at
 from missions.ground.options.runs import ExportOptions
 from missions.ground.run_folder import unless_refused
+from missions.ground.trajectory import Row, write_tum
 from missions.look.logs.merge import utc_minus_stamp
 from missions.look.logs.recording import export_recording
 from missions.look.report.records import WORLD_LOG, RunRecords, drone_logs, load_run, read_parts
@@ -30,7 +31,6 @@ from missions.look.report.truth import Truth, truth_of
 from path.geometry.rotation import quat_from_R
 from path.messages import Role
 
-Row = tuple[int, Sequence[float], Sequence[float]]
 """UTC in ns, position, quaternion wxyz."""
 
 
@@ -63,7 +63,7 @@ def _write_all(options: ExportOptions, out: Path) -> list[Path]:
     written: list[Path] = []
     if options.tum:
         written += [
-            _write_tum(out / f"{name}.tum", rows)
+            write_tum(out / f"{name}.tum", rows)
             for name, rows in trajectories(options.folder).items()
             if rows
         ]
@@ -119,16 +119,6 @@ def _true_marker(run: RunRecords, truth: Truth, folder: Path) -> Iterator[Row]:
         if r.record["region"] is not None:
             pose = truth.T_v_c2(r.stamp_ns)
             yield r.stamp_ns + offset_ns, pose.t.tolist(), quat_from_R(pose.R)
-
-
-def _write_tum(path: Path, rows: Sequence[Row]) -> Path:
-    with path.open("w", encoding="utf-8") as file:
-        for utc_ns, (x, y, z), (qw, qx, qy, qz) in rows:
-            whole, nanos = divmod(utc_ns, 1_000_000_000)
-            file.write(
-                f"{whole}.{nanos:09d} {x:.9f} {y:.9f} {z:.9f} {qx:.9f} {qy:.9f} {qz:.9f} {qw:.9f}\n"
-            )
-    return path
 
 
 # --- tables

@@ -64,7 +64,7 @@ def test_a_print_that_went_wrong_is_known(dictionary: str, wrong: dict[str, bool
 )  # fmt: skip
 def test_another_marker_is_named(dictionary: str, marker_id: int):
     said = seen_instead(printed(dictionary, marker_id), single_marker())
-    assert said == f"marker {marker_id} of {dictionary} is there: the rig has marker 0 of {WANTED}"
+    assert said == f"marker {marker_id} of {dictionary} is there: asked for is marker 0 of {WANTED}"
 
 
 def test_of_ground_and_of_the_right_marker_nothing_is_told():
