@@ -19,6 +19,7 @@ from path.messages import Role
 RENDERED = ("renderer", "depth", "relative", "cycles", "physics"), ("marker", "pose")
 FROM_GEOMETRY = ("geometry", "cycles", "physics"), ("pose", "relative")
 """Parts that this process compiles, and that another one does meanwhile: about as much."""
+_prepared: set[str] = set()  # parts of this process
 HELP_WITHIN_S = 600.0  # then what the other process has not compiled is compiled here
 
 
@@ -28,12 +29,16 @@ def starting(role: Role, what: str) -> Progress:
 
 
 def prepare(rig: Rig, say: Callable[[str], None]) -> None:
-    """The physics, the marker finder, and what the perception of this rig computes."""
+    """The physics, the marker finder, and what the perception of this rig computes.
+
+    Once in a process: a program that flies many times compiled at its first flight at the latest.
+    """
     from path.marker.warm_up import is_compiled  # noqa: PLC0415 (numba: not for who only starts programs)
 
     rendered = any("camera" in rig.role(role).perception.options for role in Role)
-    own, others = RENDERED if rendered else FROM_GEOMETRY
-    first = not is_compiled()
+    parts = RENDERED if rendered else FROM_GEOMETRY
+    own, others = ([name for name in names if name not in _prepared] for names in parts)
+    first = not _prepared and not is_compiled()
     with helped(others if first and (os.cpu_count() or 1) > 1 else ()):
         _carry_out(own, first, len(own) + len(others), 0, say)
     _carry_out(others, first, len(own) + len(others), len(own), say)
@@ -47,6 +52,7 @@ def _carry_out(
             f"preparing: {'compiling' if first else 'loading'} kernels, {of - number} of {of} parts left ({name})"
         )
         compile_part(name)
+        _prepared.add(name)
 
 
 @contextmanager
