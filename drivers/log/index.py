@@ -1,7 +1,7 @@
 """Puts a closed log into chunks with an index, as the viewers want it: they seek, and read only
 what they show.
 
-A log is written message by message, so that whoever is killed loses nothing. Here its bytes are
+A log is written message by message, so that whoever is killed loses hardly any. Here its bytes are
 copied, a megabyte at a time, into compressed chunks; no message is decoded. The file is replaced
 when the copy is whole: whatever happens meanwhile, one of the two is there. A log in virtual time
 goes straight into chunks.
@@ -95,6 +95,8 @@ class ChunkedFile:
     """A log in chunks; of one that was not closed the newest megabyte is missing. Raises
     OSError.
     """
+
+    lost = 0  # it waits for the disk, whatever that takes
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("wb")

@@ -5,9 +5,11 @@ viewers draw, are Foxglove's messages (``drivers.log.foxglove``). Stamps in the 
 program's own clock, which is what records are written and read with, differs by a constant that the
 file's metadata tell.
 
-Records are written unbuffered, each with one system call, so that a killed program loses nothing it
-has logged; only a run in virtual time, which cannot lose a drone, buffers them. A file that is
-closed is then put into chunks with an index (``drivers.log.index``). Nothing in the log of a run in
+Records are written unbuffered, each with one system call, by a thread that does nothing else: a
+killed program loses what that thread had not come to, milliseconds as a rule, and a disk that
+stands still holds up no loop (``drivers.written_behind``). Only a run in virtual time, which cannot
+lose a drone, buffers them. A file that is closed is then put into chunks with an index
+(``drivers.log.index``). Nothing in the log of a run in
 virtual time depends on the wall clock or the machine.
 """
 
@@ -18,7 +20,6 @@ import errno
 import time
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
-from io import FileIO
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -26,11 +27,12 @@ from typing import TYPE_CHECKING, Any, Self
 import msgspec
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Channel, DataEnd, Footer, Header, Metadata, Schema
+from mcap.records import Channel, Header, Metadata, Schema
 from numpy.typing import NDArray
 
 from drivers.clock import wall_offset_ns
-from drivers.log.index import ABOUT, MAGIC, OFFSET, ChunkedFile, built, index_log, message_record
+from drivers.log.index import ABOUT, MAGIC, OFFSET, ChunkedFile, built, message_record
+from drivers.log.loose_file import LooseFile
 from drivers.log.protobuf import fields
 from drivers.log.scan import messages
 from drivers.log.topics import schema_of
@@ -103,6 +105,8 @@ class McapLog:
     @property
     def failed(self) -> str | None:
         """The first thing that went wrong, of the log or of the frames beside it."""
+        if self._file is not None:
+            self._note_lost(self._file)
         return self._failed or (None if self._recorder is None else self._recorder.failed)
 
     def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
@@ -177,6 +181,7 @@ class McapLog:
             file.close()
         except OSError as error:
             self._fail(error)
+        self._note_lost(file)
         if not there:
             self._fail(
                 FileNotFoundError(
@@ -185,6 +190,12 @@ class McapLog:
             )
         if self._recorder is not None:
             self._recorder.close()
+
+    def _note_lost(self, file: LooseFile | ChunkedFile) -> None:
+        if file.lost and self._failed is None:
+            self._failed = (
+                f"log not whole: the disk stood still, and {file.lost} records found no room"
+            )
 
     def _tell_recording(self, stamp_ns: int) -> None:
         assert self._recorder is not None
@@ -233,40 +244,6 @@ class McapLog:
 def virtual_log(path: Path, name: str, clock_offset_ns: int = 0) -> McapLog:
     """The log of a program in virtual time; ``clock_offset_ns``: its clock minus the run's time."""
     return McapLog(path, name, utc_minus_stamp_ns=VIRTUAL_EPOCH_NS - clock_offset_ns, buffered=True)
-
-
-class LooseFile:
-    """A log message by message: each is on its way to the disk when ``message`` returns. Raises
-    OSError.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._raw = FileIO(path, "wb")
-        try:
-            self._write(MAGIC)
-        except OSError:
-            self._raw.close()
-            raise
-
-    def say(self, opcode: int, record: bytes) -> None:
-        del opcode
-        self._write(record)
-
-    def message(self, channel: int, utc_ns: int, record: bytes) -> None:
-        del channel, utc_ns
-        self._write(record)
-
-    def _write(self, data: bytes) -> None:
-        written = self._raw.write(data)
-        while written < len(data):  # a full disk takes a part of it before it takes nothing
-            written += self._raw.write(memoryview(data)[written:])
-
-    def close(self) -> None:
-        """Put what was written into chunks."""
-        with self._raw:
-            self._write(built(DataEnd(0)) + built(Footer(0, 0, 0)) + MAGIC)
-        index_log(self._path)
 
 
 def _jpeg(image: NDArray[np.uint8]) -> bytes | None:

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
+import threading
+import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
@@ -12,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.log.loose_file import LooseFile
 from drivers.log.mcap_log import (
     VIRTUAL_EPOCH_NS,
     LogRecord,
@@ -39,6 +44,14 @@ def written(path: Path, count: int) -> list[LogRecord]:
             log.write("/odd" if k % 2 else "/even", 1_000 * k, {"k": k})
         assert log.failed is None
     return list(read_log(path))
+
+
+def wait_for(condition: Callable[[], bool], limit_s: float = 60.0) -> None:
+    """What was logged is in the file a little later."""
+    end_s = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < end_s
+        time.sleep(0.002)
 
 
 def test_records_come_back_in_order(tmp_path: Path) -> None:
@@ -79,8 +92,8 @@ def test_a_log_is_readable_while_it_is_written_and_however_it_is_cut(tmp_path: P
     with McapLog(path) as log:
         for k in range(20):
             log.write("/state", k, {"k": k, "text": "x" * 50})
+        wait_for(lambda: len(list(read_log(path))) == 20)  # as after a kill -9
         open_bytes = path.read_bytes()
-        assert len(list(read_log(path))) == 20  # as after a kill -9
     counts: list[int] = []
     for length in range(8, len(open_bytes), 7):
         (tmp_path / "cut.mcap").write_bytes(open_bytes[:length])
@@ -129,6 +142,7 @@ def test_a_log_with_a_bit_turned_over_is_read_up_to_there_or_refused(
         log.write("/odd" if k % 2 else "/even", k, {"k": k})
     if closed:
         log.close()
+    wait_for(lambda: len(list(read_log(tmp_path / "a.mcap"))) == 12)
     whole = (tmp_path / "a.mcap").read_bytes()
     log.close()
     for place in range(0, len(whole), 41):
@@ -144,8 +158,51 @@ def test_a_full_disk_is_remembered_and_stops_nothing() -> None:
         for k in range(3):
             log.write("/state", k, {})
             log.image("/image", k, np.zeros((4, 4, 3), np.uint8))
-        assert log.failed is not None
-        assert "No space left" in log.failed
+    assert log.failed is not None
+    assert "No space left" in log.failed
+
+
+def standing_disk(folder: Path) -> tuple[Path, int]:
+    """A file that takes 64 kB and then stands still, until it is read from."""
+    path = folder / "a.mcap"
+    os.mkfifo(path)
+    return path, os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs a pipe in the file system")
+def test_a_disk_that_stands_still_holds_up_no_flight_and_all_is_written_once_it_goes_on(
+    tmp_path: Path,
+) -> None:
+    path, reader = standing_disk(tmp_path)
+    with McapLog(path) as log:
+        for k in range(400):
+            log.write("/some", k, {"k": k, "text": "x" * 1000})
+        assert log.failed is None
+        os.set_blocking(reader, True)
+        with os.fdopen(reader, "rb") as disk:
+            drained = threading.Thread(
+                target=lambda: (tmp_path / "copy.mcap").write_bytes(disk.read())
+            )
+            drained.start()
+            log.close()
+            drained.join(60.0)
+    records = read_log(tmp_path / "copy.mcap")
+    assert [record.record["k"] for record in records] == list(range(400))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs a pipe in the file system")
+def test_records_that_found_no_room_while_a_disk_stood_still_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(LooseFile.__init__, "__defaults__", (200_000,))
+    path, reader = standing_disk(tmp_path)
+    log = McapLog(path)
+    for k in range(400):
+        log.write(f"/topic{k % 7}", k, {"text": "x" * 1000})
+    told = log.failed
+    os.close(reader)
+    log.close()
+    assert told is not None and "the disk stood still" in told
 
 
 def test_an_unwritable_folder_is_remembered(tmp_path: Path) -> None:
