@@ -9,8 +9,8 @@ from contextlib import nullcontext
 
 import pytest
 
-import hil.harness.preparation as preparation
 import path.marker.warm_up
+from hil.harness import preparation
 from missions.ground import rig_library
 
 
