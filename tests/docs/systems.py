@@ -170,9 +170,7 @@ def _row(name: str, found: Kept | None) -> str:
     link = f"[{name}](systems/{name}.toml)"
     refused = refusals(name)
     if refused:
-        return (
-            f"| {link} | {rig.description} | refused by `plan` | | {'; '.join(refused)} | | | |\n"
-        )
+        return f"| {link} | {rig.description} | refused by `plan` | | {refused[0]} | | | |\n"
     if found is None:
         return f"| {link} | {rig.description} | not flown yet | | | | | |\n"
     expected = predicted(name)

@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
+import subprocess
 from pathlib import Path
 
 import pytest
 
 from missions import cli
-from tests.docs.figures import BLOCK, OF_ALL, ROOT, FigureError, FigureFolder, as_text, value_at
+from tests.docs import figures
+from tests.docs.figures import (
+    BLOCK,
+    OF_ALL,
+    ROOT,
+    FigureError,
+    FigureFolder,
+    as_text,
+    code_digest,
+    code_of,
+    rests_on,
+    value_at,
+)
 
 HERE = FigureFolder(ROOT / "docs")
 FLOWN = "path-handoff handoff --rig sim --seed 5 --seeds 50"
@@ -97,6 +111,69 @@ def test_a_page_names_what_there_is(folder: FigureFolder) -> None:
         folder.render("flights")
 
 
+def test_a_figure_whose_code_has_changed_is_marked(folder: FigureFolder) -> None:
+    (folder.docs / "figures" / "tables" / "flights.md").write_text("{sim: commit}\n")
+    page = (folder.docs / "page.md").read_text()
+    folder.keep("sim", SERIES, "1234abcd", code_digest(rests_on(FLOWN)))
+    assert "1234abcd\n" in folder.written(page)
+    folder.keep("sim", SERIES, "1234abcd", "of yesterday")
+    assert "1234abcd, older code\n" in folder.written(page)
+
+
+def test_comments_docstrings_and_layout_are_no_code() -> None:
+    one = 'def half(x: float) -> float:\n    """Return it."""\n    # of all\n    return x / 2\n'
+    other = "def half(\n    x: float\n) -> float:\n    return x / 2\n"
+    assert code_of(one) == code_of(other)
+    assert code_of(one) != code_of(other.replace("2", "3"))
+
+
+def test_of_single_frames_no_flight_is_asked() -> None:
+    assert "flight" in rests_on(FLOWN)
+    assert "flight" not in rests_on("path-handoff trial pose --only static --seed 0")
+    for command in (FLOWN, "path-handoff trial static"):
+        assert all((ROOT / room).is_dir() for room in rests_on(command))
+
+
+def test_figures_are_run_again_the_quick_ones_first_and_within_the_time_that_there_is(
+    folder: FigureFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, command, took_s in (("slow", "relay", 7200.0), ("broken", "team", 2.0)):
+        kept = {"command": f"path-handoff {command}", "commit": "1234abcd", "took_s": took_s}
+        (folder.docs / "figures" / "kept" / f"{name}.json").write_text(json.dumps(kept))
+
+    def run(words: list[str], **_: object) -> subprocess.CompletedProcess[str]:
+        if "team" in words:
+            return subprocess.CompletedProcess(words, 3, "", "error: no such rig\n  fix: another\n")
+        out = Path(words[words.index("--out") + 1])
+        (out / "summary.json").write_text(json.dumps(SERIES))
+        return subprocess.CompletedProcess(words, 0, "", "")
+
+    monkeypatch.setattr(figures.subprocess, "run", run)
+    left_out = folder.refresh(folder.names(), 60.0, "5678abcd")
+    assert capsys.readouterr().out == "sim: 0 s\n"
+    assert folder.kept("sim").commit == "5678abcd" and not folder.kept("sim").is_old
+    assert left_out[0] == "broken: error: no such rig"
+    assert left_out[1].startswith("slow: took 7200 s, and 3")
+
+
+def test_a_row_of_flights_is_written_once(folder: FigureFolder) -> None:
+    figures_of = {f"{key}_m": {"median": 0.02} for key in ("d2_error", "target_error")}
+    summary = {
+        **SERIES,
+        **figures_of,
+        "commit_rate": 0.96,
+        "agreement_s": {"median": 1.6, "p95": 5.0},
+        "monitors": {},
+        "wrong_handovers": 0,
+    }
+    (folder.docs / "figures" / "tables" / "flights.md").write_text("flights:\nflights: sim\n")
+    folder.keep("sim", summary, "1234abcd")
+    shown = folder.render("flights").splitlines()
+    assert shown[0].startswith("| command |") and shown[1].startswith("|---|")
+    row = "96 % of 50 (86.5 to 98.9) | 1.6 and 5.0 s | 20.0 | 20 | 0; none | 2 `no_agreement`"
+    assert f"| `{FLOWN}` | {row} | " in shown[2]
+
+
 def test_values_are_found_by_their_path_and_told_by_their_form() -> None:
     cells = {"cells": [{"recall": 0.9, "gate": gate, "t": 1.5} for gate in ("count", "evidence")]}
     assert value_at(cells, "cells[recall=0.9 gate=evidence].t") == 1.5
@@ -111,6 +188,8 @@ def test_values_are_found_by_their_path_and_told_by_their_form() -> None:
         "verdict": "met",
     }
     assert as_text([finding], "findings") == "| D2 | 4 | 3 to 5 | 47 | ≤ 8 | met |"
+    assert as_text([finding], "findings D1; D2") == as_text([finding], "findings")
+    assert as_text([finding], "findings target") == ""
     assert (as_text(15120, ""), as_text({"S9": 1}, "counts"), as_text({}, "counts")) == (
         "15,120",
         "1 `S9`",

@@ -26,14 +26,15 @@ path-handoff conformance --px4 PATH --ardupilot PATH --out conformance --page do
 path-handoff conformance --no-fly --out conformance --page docs/conformance.md   # the page alone, from what was flown
 ```
 
-The vehicles of the rigs `sitl`, `sitl-px4` and `sitl-ardupilot` are flown {flights} times, with
-their rigs' parameters. Heights and speeds are the simulations' truth, modes are what heartbeats
-show (a PX4 beats once a second). One flight each: take a figure as an example, not as a mean. The
-embedded world has wind (1.5 m/s, gusts 0.4 m/s), the two simulators have none.
+The vehicles of the rigs `sitl`, `sitl-px4` and `sitl-ardupilot` are flown {flights} times. Heights
+and speeds are the simulations' truth, modes are what heartbeats show (a PX4 beats once a second).
+One flight each: an example, not a mean. The embedded world has wind (1.5 m/s, gusts 0.4 m/s), the
+two simulators have none.
 
-The last column says whom the embedded vehicle is like as far as a mission would notice. “Never”:
-not within the time that was waited.
+The last column says whom the embedded vehicle is like as far as a mission would notice. What is
+like both is left out here and shown by the command. “Never”: not within the time that was waited.
 """
+BOTH = "both"
 
 
 def cells(records: Mapping[str, Record]) -> Iterator[tuple[str, list[tuple[Row, list[str]]]]]:
@@ -72,8 +73,10 @@ def page(records: Mapping[str, Record], flights: int) -> str:
     lines = [HEAD.format(flights=flights), *_conditions(records), ""]
     lines += [_line(titles), _line(["---"] * len(titles))]
     for section, rows in cells(records):
-        lines.append(_line([f"**{section}**", *([""] * (len(titles) - 1))]))
-        lines += [_line([row.title, *texts]) for row, texts in rows]
+        told = list(_differing(rows))
+        if told:
+            lines.append(_line([f"**{section}**", *([""] * (len(titles) - 1))]))
+            lines += [_line(texts) for texts in told]
     failures = [
         f"- {NAMES[name]}, {flight}: {why}"
         for name, own in records.items()
@@ -82,6 +85,17 @@ def page(records: Mapping[str, Record], flights: int) -> str:
     if failures:
         lines += ["", "Flights that did not come to their end, and why:", "", *failures]
     return "\n".join(lines) + "\n"
+
+
+def _differing(rows: list[tuple[Row, list[str]]]) -> Iterator[list[str]]:
+    """Yield the rows that are not like both, and those that such a one goes on from ("...")."""
+    goes_on = False
+    kept: list[list[str]] = []
+    for row, texts in reversed(rows):
+        if goes_on or texts[-1] != BOTH:
+            kept.append([row.title, *texts])
+            goes_on = row.title.startswith("...")
+    yield from reversed(kept)
 
 
 def _conditions(records: Mapping[str, Record]) -> Iterator[str]:
