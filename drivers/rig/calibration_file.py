@@ -242,7 +242,7 @@ def _read(file: Path, kind: type[T], remedy: str) -> T:
 
 def _of_another_program(file: Path) -> tuple[str, str] | None:
     """Return what a file is that is no TOML, and how to go on, where that is known."""
-    return foreign_calibration(read_file(file).decode("utf-8", errors="replace"))
+    return foreign_calibration(read_file(file).decode("utf-8", errors="replace"), file.name)
 
 
 def _plain(value: Any) -> Any:

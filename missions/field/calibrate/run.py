@@ -7,10 +7,12 @@ from typing import TextIO
 
 from missions.field.calibrate.board import draw_print
 from missions.field.calibrate.camera import calibrate_camera
+from missions.field.calibrate.foreign import import_camera
 from missions.field.calibrate.marker_print import draw_marker
 from missions.field.calibrate.mount import calibrate_mount
 from missions.ground.options.calibrate import (
     CalibrateCameraOptions,
+    CalibrateImportOptions,
     CalibrateMarkerOptions,
     CalibrateMountOptions,
     CalibrateOptions,
@@ -27,6 +29,8 @@ def run(options: CalibrateOptions, out: TextIO | None = None) -> int:
         return calibrate_camera(what, stream)
     if isinstance(what, CalibrateMountOptions):
         return calibrate_mount(what, stream)
+    if isinstance(what, CalibrateImportOptions):
+        return import_camera(what, stream)
     if isinstance(what, CalibrateMarkerOptions):
         return draw_marker(what, stream)
     return draw_print(what, stream)

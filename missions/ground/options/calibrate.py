@@ -144,14 +144,37 @@ class CalibrateMarkerOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class CalibrateImportOptions:
+    """Read a camera's calibration that another program made: ROS, Kalibr, OpenCV, COLMAP,
+    RealSense, DepthAI.
+    """
+
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """The calibration of the other program."""
+
+    camera: str = ""
+    """Which camera of the file, where there are several."""
+
+    size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = ""
+    """Size of its images in px, of a file that does not say."""
+
+    serial: str = ""
+    """Serial number of the camera, to tie the calibration to."""
+
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("camera.toml")
+    """The calibration."""
+
+
+@dataclass(frozen=True, slots=True)
 class CalibrateOptions:
-    """Calibrate a camera, or where it sits relative to the marker; or draw a board, or the marker,
-    to print.
+    """Calibrate a camera, or where it sits relative to the marker; read another program's
+    calibration; or draw a board, or the marker, to print.
     """
 
     what: (
         Annotated[CalibrateCameraOptions, tyro.conf.subcommand("camera")]
         | Annotated[CalibrateMountOptions, tyro.conf.subcommand("mount")]
+        | Annotated[CalibrateImportOptions, tyro.conf.subcommand("import")]
         | Annotated[CalibrateBoardOptions, tyro.conf.subcommand("board")]
         | Annotated[CalibrateMarkerOptions, tyro.conf.subcommand("marker")]
     )

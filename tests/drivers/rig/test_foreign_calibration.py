@@ -38,64 +38,27 @@ XML = """<?xml version="1.0"?>
 <opencv_storage><camera_matrix type_id="opencv-matrix"><rows>3</rows><cols>3</cols></camera_matrix></opencv_storage>
 """
 YAML = "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [600., 0., 320.]\n"
-FILES: dict[str, tuple[str, str, str]] = {
-    "plumb.yaml": (
-        ros("plumb_bob", 5),
-        "a camera_info of ROS",
-        "write its numbers into [sender.camera]",
-    ),
-    "rational.yaml": (ros("rational_polynomial", 8), "of a rational lens", "calibrate camera"),
-    "fisheye.yaml": (ros("equidistant", 4), "of an equidistant lens", "calibrate camera"),
-    "prism.yaml": (ros("thin_prism_fisheye", 4), "of a fisheye lens", "calibrate camera"),
-    "radtan.yaml": (
-        KALIBR.replace("MODEL", "radtan"),
-        "a camera chain of Kalibr",
-        "write its numbers",
-    ),
-    "kalibr.yaml": (
-        KALIBR.replace("MODEL", "equidistant"),
-        "of an equidistant lens",
-        "calibrate camera",
-    ),
-    "omni.yaml": (
-        KALIBR.replace("pinhole", "omni"),
-        "of an omnidirectional lens",
-        "calibrate camera",
-    ),
-    "opencv.xml": (XML, "OpenCV's FileStorage", "write its numbers"),
-    "opencv.yml": (YAML, "OpenCV's FileStorage", "write its numbers"),
-    "fisheye.yml": (YAML + "fisheye_model: 1\n", "of a fisheye lens", "calibrate camera"),
-    "opencv.json": (
-        '{"K": {"type_id": "opencv-matrix", "rows": 3}}',
-        "OpenCV's FileStorage",
-        "write its numbers",
-    ),
-    "d435.json": (
-        '{"fx": 600, "ppx": 320, "ppy": 240, "model": "plumb"}',
-        "librealsense",
-        "write its numbers",
-    ),
-    "d455.json": (
-        '{"fx": 600, "ppx": 320, "ppy": 240, "model": "inverse_brown_conrady"}',
-        "an inverse",
-        "calibrate",
-    ),
+FILES = {
+    "plumb.yaml": (ros("plumb_bob", 5), "a camera_info of ROS"),
+    "fisheye.yaml": (ros("equidistant", 4), "a camera_info of ROS"),
+    "radtan.yaml": (KALIBR.replace("MODEL", "radtan"), "a camera chain of Kalibr"),
+    "opencv.xml": (XML, "OpenCV's FileStorage"),
+    "opencv.yml": (YAML, "OpenCV's FileStorage"),
+    "opencv.json": ('{"K": {"type_id": "opencv-matrix", "rows": 3}}', "OpenCV's FileStorage"),
+    "d435.json": ('{"fx": 600, "ppx": 320, "ppy": 240, "model": "plumb"}', "librealsense"),
+    "oak.json": ('{"cameraData": [[0, {"intrinsicMatrix": []}]]}', "DepthAI"),
     "cameras.txt": (
-        "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 OPENCV_FISHEYE 640 480 6\n",
+        "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 PINHOLE 640 480 6 6 3 3\n",
         "COLMAP",
-        "calibrate",
-    ),
-    "matlab.json": (
-        '{"FocalLength": [600, 600], "RadialDistortion": [0.1, 0.2]}',
-        "MATLAB",
-        "write its numbers",
     ),
 }
+MATLAB = '{"FocalLength": [600, 600], "RadialDistortion": [0.1, 0.2]}'
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_calibration_of_another_program_is_told_as_what_it_is(tmp_path: Path, name: str) -> None:
-    content, what, fix = FILES[name]
+    content, what = FILES[name]
+    fix = f"path-handoff calibrate import {name}"
     file = tmp_path / name
     file.write_text(content, "utf-8")
     for read in (read_camera, read_mount):
@@ -110,6 +73,13 @@ def test_a_calibration_of_another_program_is_told_as_what_it_is(tmp_path: Path, 
         rig_library.load(str(tmp_path / "rig.toml"))
     assert "sender.camera.calibration" in str(error.value) and what in str(error.value)
     assert fix in str(error.value)
+
+
+def test_what_cannot_be_read_is_to_be_written_into_the_rig(tmp_path: Path) -> None:
+    (tmp_path / "matlab.json").write_text(MATLAB, "utf-8")
+    with pytest.raises(CalibrationError, match="MATLAB") as refused:
+        read_camera(tmp_path / "matlab.json")
+    assert "write its numbers into [sender.camera]" in refused.value.remedy
 
 
 NO_CALIBRATIONS = {
