@@ -4,7 +4,8 @@ time.
 The kernel counts for how long each thread was ready to run and had no core
 (``/proc/self/task/*/schedstat``), and what a virtual machine's host took from a core
 (``/proc/stat``). Neither grows while a thread computes, sleeps, or waits for anything else, so that
-a program cannot excuse itself. Where a system does not count, nothing was taken.
+a program cannot excuse itself; how long it stood for a disk is found apart (``disk_waits``). Where a
+system does not count, nothing was taken.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import threading
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
+
+from drivers.disk_waits import DiskWaits
 
 LOOK_S = 0.04
 LEAST_S = 0.01  # what is told: below it a setpoint is not late
@@ -120,10 +123,12 @@ async def watch_lateness(
     """Tell how late this loop and its process were, whenever they were, until cancelled.
 
     A record has ``since_ns``, the time that it is of, ``loop_ns``, by how much the loop woke later
-    than it had asked for, whatever the reason, and what ``CoreWaits.look`` gives.
+    than it had asked for, whatever the reason, what ``CoreWaits.look`` gives, and ``disk_ns``: it
+    stood for a disk for so long.
     """
     loop = asyncio.get_running_loop()
     waits = CoreWaits()
+    disk = DiskWaits()
     try:
         looked_s = loop.time()
         while True:
@@ -131,8 +136,11 @@ async def watch_lateness(
             since_s = loop.time() - looked_s
             looked_s = loop.time()
             late = waits.look()
-            late_s = since_s - LOOK_S
-            if max(late_s, sum(late.values()) * 1e-9) > LEAST_S:
-                tell({"since_ns": round(since_s * 1e9), "loop_ns": round(late_s * 1e9), **late})
+            late_ns = round((since_s - LOOK_S) * 1e9)
+            disk_ns = disk.look(late_ns - late["waited_ns"])
+            if max(late_ns, sum(late.values())) > LEAST_S * 1e9:
+                since_ns = round(since_s * 1e9)
+                tell({"since_ns": since_ns, "loop_ns": late_ns, **late, "disk_ns": disk_ns})
     finally:
         waits.close()
+        disk.close()

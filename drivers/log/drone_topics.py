@@ -76,7 +76,7 @@ DRONE: dict[str, Topic] = {
         },
     ),
     "/late": Topic(
-        "the program was late, or was given no core; in real time only",
+        "the program was late, was given no core, or stood for a disk; in real time only",
         {
             "since_ns": whole("until the record's stamp, ns: the time that it is of"),
             "loop_ns": whole(
@@ -85,6 +85,7 @@ DRONE: dict[str, Topic] = {
             "waited_ns": whole("its main thread was ready to run and had no core, ns"),
             "beside_ns": whole("the longest that any other of its threads had none, ns"),
             "stolen_ns": whole("the most that a virtual machine's host took from one core, ns"),
+            "disk_ns": whole("its main thread stood for a disk, ns"),
         },
     ),
     "/shed": Topic(

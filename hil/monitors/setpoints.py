@@ -1,9 +1,9 @@
 """S8 in real time: the gaps between a drone's setpoints, and what of each the computer has to
 answer for.
 
-A gap is the script's, unless the drone's own program says that it was given no core just then, for
-so long that the rest of the gap is within the bound. A program that kept its loop busy, or slept,
-was late by its own doing.
+A gap is the script's, unless the drone's own program says that it was given no core just then, or
+stood for a disk, for so long that the rest of the gap is within the bound. A program that kept its
+loop busy, or slept, was late by its own doing.
 """
 
 from __future__ import annotations
@@ -40,19 +40,25 @@ class Late:
     Attributes:
         loop_s: its event loop woke so much later than it had asked for, whatever the reason.
         unserved_s: it was ready to run and had no core.
+        disk_s: it stood in the kernel for a disk.
     """
 
     from_s: float
     to_s: float
     loop_s: float
     unserved_s: float
+    disk_s: float = 0.0
 
 
 def late_of(record: Mapping[str, Any], to_s: float) -> Late:
     """What a record of ``LATE`` says, which was written at ``to_s`` of the world's clock."""
     unserved_ns = record["waited_ns"] + record["beside_ns"] + record["stolen_ns"]
     return Late(
-        to_s - record["since_ns"] * 1e-9, to_s, record["loop_ns"] * 1e-9, unserved_ns * 1e-9
+        to_s - record["since_ns"] * 1e-9,
+        to_s,
+        record["loop_ns"] * 1e-9,
+        unserved_ns * 1e-9,
+        record["disk_ns"] * 1e-9,
     )
 
 
@@ -63,18 +69,25 @@ class JudgedGap:
     gap: SetpointGap
     loop_s: float
     unserved_s: float
+    disk_s: float = 0.0
     # the world, which takes setpoints by their arrival and so explains nothing
     stood_s: float = 0.0
 
     @property
     def explained(self) -> bool:
         """Whether without the computer's lateness the gap would have been within the bound."""
-        return self.gap.long_s - self.unserved_s <= MAX_SETPOINT_GAP_S
+        return self.gap.long_s - self.unserved_s - self.disk_s <= MAX_SETPOINT_GAP_S
+
+    @property
+    def taken(self) -> str:
+        """What the computer took from the program then."""
+        disk = f" and stood for a disk for {self.disk_s:.2f} s" if self.disk_s > 0.0 else ""
+        return f"had no core for {self.unserved_s:.2f} s{disk}"
 
     @property
     def lateness(self) -> str:
         """What is said of the lateness at that time."""
-        late = f"then its program's loop was {self.loop_s:.2f} s late and had no core for {self.unserved_s:.2f} s"
+        late = f"then its program's loop was {self.loop_s:.2f} s late and {self.taken}"
         if max(self.loop_s, self.unserved_s) == 0.0:
             late = "its program was not late then"
         return (
@@ -98,6 +111,7 @@ def judged(
         gap,
         loop_s=max((each.loop_s for each in then), default=0.0),
         unserved_s=min(gap.long_s, sum(each.unserved_s for each in then)),
+        disk_s=min(gap.long_s, sum(each.disk_s for each in then)),
         stood_s=max(stood_s, default=0.0),
     )
 
@@ -134,6 +148,6 @@ def excuse_of(gaps: Sequence[JudgedGap]) -> str:
         return ""
     worst = max(gaps, key=lambda each: each.gap.long_s)
     return (
-        f"{worst.gap.who}'s program had no core for {worst.unserved_s:.2f} s of the {worst.gap.long_s:.2f} s "
+        f"{worst.gap.who}'s program {worst.taken} of the {worst.gap.long_s:.2f} s "
         f"without a setpoint at {worst.gap.from_s:.2f} s"
     )

@@ -7,9 +7,14 @@ from __future__ import annotations
 import errno
 import os
 import sys
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
+from io import FileIO
 from pathlib import Path
 from typing import Self, TextIO
+
+from drivers.written_behind import WrittenBehind
 
 
 class FolderGone(OSError):
@@ -18,6 +23,50 @@ class FolderGone(OSError):
     @classmethod
     def of(cls, folder: Path) -> Self:
         return cls(errno.ENOENT, "it was taken away while it was written to", str(folder))
+
+
+class Said:
+    """What a program says on a stream while it flies, line by line: a terminal that is held
+    (Ctrl-S), or a reader that stands still, holds up no loop. Never raises. Close it.
+    """
+
+    MOST_BYTES = 1 << 22
+    CLOSE_S = 3.0
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._behind: WrittenBehind | None = None
+        # A stream that is no file is a person's own: it is written to here.
+        with suppress(OSError, ValueError):
+            stream.flush()
+            write = FileIO(stream.fileno(), "wb", closefd=False).write
+            self._behind = WrittenBehind(partial(_write_whole, write), self.MOST_BYTES, "said")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._behind is not None:
+            self._behind.close(self.CLOSE_S)
+
+    def __call__(self, line: str) -> None:
+        if self._behind is not None:
+            self._behind.put(f"{line}\n".encode())
+            return
+        with suppress(OSError, ValueError):
+            self._stream.write(line + "\n")
+            self._stream.flush()
+
+    @property
+    def lost(self) -> int:
+        """How many lines found no room, as nobody took them."""
+        return 0 if self._behind is None else self._behind.lost
+
+
+def _write_whole(write: Callable[[memoryview], int], data: bytes) -> None:
+    left = memoryview(data)
+    while left:
+        left = left[write(left) :]
 
 
 def tell_line(line: str) -> None:

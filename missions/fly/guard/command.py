@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AsyncExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +27,7 @@ from flight.guard.watch import GuardWatch, watch
 from missions.ground import rig_library
 from missions.ground.options.field import GuardOptions
 from missions.ground.run_folder import unless_refused
+from missions.ground.shown import Said
 from missions.look.live.start import live
 from path.messages import Role
 
@@ -41,22 +42,15 @@ class Teller:
     """The guard's decisions on the screen."""
 
     role: Role
+    say: Callable[[str], None]
 
     def __call__(self, state: GuardState, act: Act) -> None:
         sent = "" if act is Act.NOTHING else f", told it to {act.value}"
         reason = f": {state.reason}" if state.reason else ""
-        _say(f"guard of the {self.role.value}: {state.stage.value}{sent}{reason}")
+        self.say(f"guard of the {self.role.value}: {state.stage.value}{sent}{reason}")
 
     def warn(self, what: str) -> None:
-        _say(f"guard of the {self.role.value}: ALARM: ignored {what}")
-
-
-def _say(line: str) -> None:
-    try:
-        sys.stdout.write(line + "\n")
-        sys.stdout.flush()
-    except (OSError, ValueError):
-        pass  # whoever read this is gone; the guard goes on
+        self.say(f"guard of the {self.role.value}: ALARM: ignored {what}")
 
 
 def run(options: GuardOptions) -> int:
@@ -106,6 +100,7 @@ async def watch_vehicles(
     stop = asyncio.Event()
     stop_on_signals(stop.set)
     async with AsyncExitStack() as stack:
+        say = stack.enter_context(Said(sys.stdout))
         guards: list[GuardWatch] = []
         vehicles: list[Watched] = []
         for role, spec in specs.items():
@@ -118,10 +113,10 @@ async def watch_vehicles(
             )
             part = new_part(logs[role].parent, logs[role].stem)  # an earlier guard's log stays
             log: Log = stack.enter_context(McapLog(part, role.value))
-            tell = Teller(role)
+            tell = Teller(role, say)
             guards.append(GuardWatch(vehicle, line, context.clock, config, log, tell, tell.warn))
             vehicles.append(vehicle)
-            _say(f"guard of the {role.value}: watching {vehicle.name}")
+            say(f"guard of the {role.value}: watching {vehicle.name}")
         if len(guards) == 2:
             guards[0].peer = vehicles[1]
             guards[1].peer = vehicles[0]

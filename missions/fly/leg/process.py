@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 from pathlib import Path
 
 from drivers.log.mcap_log import McapLog, new_part
@@ -21,6 +22,7 @@ from flight.harness.flights import (
     with_log,
 )
 from missions.ground.held import held_file
+from missions.ground.shown import Said
 from path.messages import Role
 
 
@@ -58,19 +60,23 @@ def run_role(
         main: the role's program.
     """
     load_program()
-    with held_file(state), McapLog(new_part(out, role.value), role.value) as log:
+    with (
+        held_file(state),
+        McapLog(new_part(out, role.value), role.value) as log,
+        Said(sys.stdout) as say,
+    ):
+
+        def to_parent(event: Progress | RoleResult) -> None:
+            say(encode_event(event))
+
         given = ProgramContext(
-            log, _to_parent if parent else emit, asyncio.Event(), None, StateFile(state, role)
+            log, to_parent if parent else emit, asyncio.Event(), None, StateFile(state, role)
         )
         result = asyncio.run(_run(rig, role, given, parent, main))
         result = with_log(result, log.failed)
         if parent:
-            print(encode_event(result), flush=True)
+            to_parent(result)
         return result
-
-
-def _to_parent(progress: Progress) -> None:
-    print(encode_event(progress), flush=True)
 
 
 async def _run(

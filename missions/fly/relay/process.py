@@ -38,6 +38,7 @@ from missions.fly.relay.drone.life import DroneFlight
 from missions.fly.relay.legs import Base
 from missions.fly.relay.line import FarBase, hear, news_of
 from missions.ground import rig_library
+from missions.ground.shown import Said, tell_line
 from path.messages import Role
 
 
@@ -71,8 +72,11 @@ class RelayedLog:
     by.
     """
 
-    def __init__(self, log: Log, name: str, whole: bool) -> None:
+    def __init__(
+        self, log: Log, name: str, whole: bool, say: Callable[[str], None] = tell_line
+    ) -> None:
         self._log = log
+        self._say = say
         self._name = name
         self._whole = whole
         self._encoder = msgspec.json.Encoder(enc_hook=encode_other)
@@ -86,7 +90,7 @@ class RelayedLog:
             shown = self._encoder.encode(
                 {"event": "record", "record": [self._name, topic, stamp_ns, record]}
             )
-            print(shown.decode(), flush=True)
+            self._say(shown.decode())
 
     def image(self, topic: str, stamp_ns: int, image: Any) -> None:
         if self._whole:
@@ -97,20 +101,14 @@ class RelayedLog:
             self._log.frame(frame)
 
 
-def _say(word: Mapping[str, Any]) -> None:
-    print(json.dumps(word), flush=True)
-
-
-def _show(progress: Progress) -> None:
-    print(encode_event(progress), flush=True)
-
-
 FarFlight = Callable[[FarBase, str, ProgramContext], DroneFlight]
 
 
-async def _fly(flight: FarFlight, name: str, log: Log, store: StateFile) -> RoleResult:
+async def _fly(
+    flight: FarFlight, name: str, log: Log, store: StateFile, say: Callable[[str], None]
+) -> RoleResult:
     """Listen until there is an order, then fly it to its end."""
-    base = FarBase(name, _say)
+    base = FarBase(name, lambda word: say(json.dumps(word)))
     stop = asyncio.Event()
     ordered = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -134,7 +132,11 @@ async def _fly(flight: FarFlight, name: str, log: Log, store: StateFile) -> Role
         raise SystemExit(f"{name} was never told what for")
     cv2.setNumThreads(1)  # as any role in real time
     gc.freeze()
-    return await flight(base, name, ProgramContext(log, _show, stop, None, store)).run()
+
+    def show(progress: Progress) -> None:
+        say(encode_event(progress))
+
+    return await flight(base, name, ProgramContext(log, show, stop, None, store)).run()
 
 
 def _drone(config: RelayConfig, name: str) -> NamedDrone:
@@ -142,10 +144,12 @@ def _drone(config: RelayConfig, name: str) -> NamedDrone:
 
 
 def fly(flight: FarFlight, name: str, out: Path, whole: bool) -> None:
-    with McapLog(new_part(out, name), name) as log:
+    with McapLog(new_part(out, name), name) as log, Said(sys.stdout) as say:
         store = StateFile(out / f"{name}.state.json", None)
-        result = asyncio.run(_fly(flight, name, RelayedLog(log, name, whole), store))
-        print(encode_event(with_log(result, log.failed)), flush=True)
+        relayed = RelayedLog(log, name, whole, say)
+        result = asyncio.run(_fly(flight, name, relayed, store, say))
+        lost = f"{say.lost} lines of it found no room on the way to the monitors"
+        say(encode_event(with_log(result, log.failed or (lost if say.lost else None))))
 
 
 def guard(rig: Rig, config: RelayConfig, name: str, out: Path) -> int:

@@ -16,6 +16,7 @@ from rich.text import Text
 
 from drivers.clock import stopwatch_ns
 from flight.harness.flights import Progress
+from missions.ground.shown import Said
 from missions.look.report.tables import counts_text
 from path.messages import Role
 
@@ -36,7 +37,8 @@ class Console(Protocol):
 def open_console(stream: TextIO) -> Generator[Console, None, None]:
     """A console on a stream: live when it is a terminal, lines when it is not."""
     if not stream.isatty():
-        yield LineConsole(stream)
+        with Said(stream) as say:
+            yield LineConsole(say)
         return
     table = LiveTable()
     with Live(
@@ -68,8 +70,8 @@ class Elapsed:
 class LineConsole:
     """One line whenever a role's phase or note changes, and every few seconds of its clock."""
 
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
         self._elapsed = Elapsed()
         self._last: dict[Role, Progress] = {}
         self._shown_s: dict[Role, float] = {}
@@ -91,11 +93,7 @@ class LineConsole:
         ]
         if progress.note and (news or not progress.stamp_ns):
             parts.append(progress.note)
-        try:
-            self._stream.write("  ".join(parts).rstrip() + "\n")
-            self._stream.flush()
-        except (OSError, ValueError):
-            pass  # whoever read this is gone; the flight goes on
+        self._say("  ".join(parts).rstrip())
 
 
 def _figures(progress: Progress) -> list[str]:

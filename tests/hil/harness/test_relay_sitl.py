@@ -109,6 +109,7 @@ def test_a_gap_is_explained_by_what_its_own_drones_program_was_watched_to_say(
         "waited_ns": 180_000_000,
         "beside_ns": 0,
         "stolen_ns": 0,
+        "disk_ns": 0,
     }
     world.record(name, "/late", 12_240_000_000, late)
     found = world.findings()

@@ -115,7 +115,7 @@ def log_lateness(stage: Stage, role: Role, until_s: float, waited_s: float) -> N
     with McapLog(new_part(stage.out, role.value)) as log:
         stamp_ns = START_NS + round(until_s * 1e9)
         own = {"since_ns": 230_000_000, "loop_ns": 190_000_000, "waited_ns": round(waited_s * 1e9)}
-        log.write("/late", stamp_ns, {**own, "beside_ns": 0, "stolen_ns": 0})
+        log.write("/late", stamp_ns, {**own, "beside_ns": 0, "stolen_ns": 0, "disk_ns": 0})
         log.write("/outcome", stamp_ns + 1, {"outcome": "committed"})
 
 

@@ -53,6 +53,18 @@ def test_a_loop_that_was_late_by_its_own_doing_explains_nothing() -> None:
     )
 
 
+def test_a_gap_in_which_the_program_stood_for_a_disk_is_explained_and_says_so() -> None:
+    """No core was taken from it, and it did nothing by itself."""
+    gap = SetpointGap("receiver", 41.0, 42.63)
+    judgement = judged(gap, [Late(41.0, 42.65, 1.61, 0.0, 1.58)])
+    assert judgement.explained
+    assert excuse_of([judgement]) == (
+        "receiver's program had no core for 0.00 s and stood for a disk for 1.58 s of the 1.63 s "
+        "without a setpoint at 41.00 s"
+    )
+    assert not judged(gap, [Late(41.0, 42.65, 1.61, 0.0, 0.7)]).explained
+
+
 @pytest.mark.parametrize(
     "late", [replace(LATE, from_s=11.7, to_s=11.99), replace(LATE, from_s=12.4, to_s=12.6)]
 )
@@ -93,9 +105,9 @@ def test_a_record_says_how_long_all_that_sends_had_no_core() -> None:
         "waited_ns": 120_000_000,
         "beside_ns": 30_000_000,
     }
-    late = late_of({**record, "stolen_ns": 10_000_000}, 12.25)
+    late = late_of({**record, "stolen_ns": 10_000_000, "disk_ns": 20_000_000}, 12.25)
     assert (late.from_s, late.to_s, late.loop_s) == pytest.approx((12.0, 12.25, 0.21))
-    assert late.unserved_s == pytest.approx(0.16)
+    assert (late.unserved_s, late.disk_s) == pytest.approx((0.16, 0.02))
 
 
 def test_the_report_has_the_lateness_beside_the_gap_and_leaves_the_rest_as_it_is() -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from rich.console import Console as Terminal
 
 from flight.harness.flights import Progress
+from missions.ground.shown import Said
 from missions.look.report.progress import (
     Elapsed,
     LineConsole,
@@ -46,7 +47,7 @@ def text_of(table: LiveTable | LiveTally) -> str:
 
 def lines(*shown: Progress) -> list[str]:
     stream = io.StringIO()
-    console = LineConsole(stream)
+    console = LineConsole(Said(stream))
     for progress in shown:
         console.show(progress)
     return stream.getvalue().splitlines()
@@ -101,7 +102,7 @@ def test_a_line_has_the_figures_of_the_handshake() -> None:
 
 def test_a_reader_that_went_away_stops_nothing() -> None:
     stream = io.StringIO()
-    console = LineConsole(stream)
+    console = LineConsole(Said(stream))
     stream.close()
     console.show(START)
 
