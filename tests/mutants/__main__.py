@@ -39,7 +39,7 @@ def main(arguments: Sequence[str], root: Path, stream: TextIO) -> int:
         for name in asked.room:
             every += sample(of_room(table, table.room(name), root), asked.sample, asked.seed)
         rooms = {tested.file: tested.room for tested, _ in every}
-        tried = score(table, every, asked.jobs, root, stream)
+        tried = score(table, every, asked.jobs, root, stream, asked.quick)
     except TableError as error:
         stream.write(f"{error}\n")
         return 2
@@ -66,6 +66,9 @@ def _asked(arguments: Sequence[str]) -> argparse.Namespace:
     )
     parser.add_argument("--seed", type=int, default=0, help="which ones: %(default)s")
     parser.add_argument("--jobs", type=int, default=1, help="side by side: %(default)s")
+    parser.add_argument(
+        "--quick", action="store_true", help="ask neither slow tests nor a second time: minutes"
+    )
     parser.add_argument("--out", type=Path, metavar="FILE", help="what came of it, as JSON")
     asked = parser.parse_args(arguments)
     if asked.diff is None and not asked.room:

@@ -1,8 +1,8 @@
 """Runs a module's tests on its code and on wrong versions of it: ``python -m``, this module.
 
 Everything that takes long to import and is not PATH's is imported once; each trial is a fork of
-that. A line of JSON comes in for each: {"module", "source" (null: as it is), "tests", "bound_s"};
-one goes out: {"passed", "what", "took_s", "broken"}, the last when the tests were not run at all.
+that. A line of JSON comes in for each: {"sources" (by module), "tests", "bound_s"}; one goes out:
+{"passed", "what", "hung", "took_s", "broken"}, the last when the tests were not run at all.
 """
 
 from __future__ import annotations
@@ -57,14 +57,12 @@ def run_tests(order: dict[str, Any]) -> int:
     """
     import pytest  # noqa: PLC0415
 
-    if order["source"] is not None:
-        sys.meta_path.insert(
-            0, Wrong(order["module"], order["source"], Path(order["folder"]) / "wrong.py")
-        )
+    for module, source in order["sources"].items():
+        sys.meta_path.insert(0, Wrong(module, source, Path(order["folder"]) / "wrong.py"))
         # now: pytest loads the modules of its plugins' packages by itself, and would take this one
         # from its file
         try:
-            importlib.import_module(order["module"])
+            importlib.import_module(module)
         except Exception:
             traceback.print_exc()
             return _NOT_IMPORTED
@@ -94,9 +92,10 @@ def trial(order: dict[str, Any]) -> dict[str, Any]:
         text = said.read().decode(errors="replace")[-_SHOWN:]
     took_s = time.monotonic() - begun_s
     if code in _MISUSED:
-        return {"passed": False, "what": text, "took_s": took_s, "broken": True}
-    what = "too slow" if code is None else _first(text)
-    return {"passed": code == 0, "what": what, "took_s": took_s, "broken": False}
+        return {"passed": False, "what": text, "hung": False, "took_s": took_s, "broken": True}
+    what = _first(text)
+    hung = code is None
+    return {"passed": code == 0, "what": what, "hung": hung, "took_s": took_s, "broken": False}
 
 
 def _become(said: IO[bytes]) -> None:
@@ -123,7 +122,7 @@ def _first(text: str) -> str:
     """The test that failed first."""
     return next(
         (
-            line.partition(" - ")[0]
+            line.partition(" - ")[0].partition(" ")[2]
             for line in text.splitlines()
             if line.startswith(("FAILED", "ERROR"))
         ),

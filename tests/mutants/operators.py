@@ -92,6 +92,11 @@ def mutated(source: str, mutation: Mutation) -> str:
     return ast.unparse(ast.fix_missing_locations(tree))
 
 
+def rewritten(source: str) -> str:
+    """Return the module's source as a wrong version has it, but right."""
+    return ast.unparse(ast.parse(source))
+
+
 def _told(node: ast.AST, variant: int) -> str:
     """The first line that differs: before -> after."""
     changed = deepcopy(node)

@@ -9,7 +9,9 @@ import importlib
 import io
 import json
 import subprocess
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -27,7 +29,7 @@ from tests.mutants.rooms import (
     sample,
     suite_for,
 )
-from tests.mutants.trials import Trials, score
+from tests.mutants.trials import Server, Trials, believed, score
 from tests.mutants.warm import NotHereError, put_into
 
 ROOT = Path(__file__).parents[2]
@@ -155,7 +157,7 @@ def test_the_score_counts_what_the_tests_notice_and_names_what_they_do_not(proje
         "sums.py unseen: compare: a < b -> a <= b"
     ]
     assert [(one.mutation.what, one.by) for one in tried if one.caught] == [
-        ("a > b -> a >= b", "FAILED test_sums.py::test_seen")
+        ("a > b -> a >= b", "test_sums.py::test_seen")
     ]
     assert told["equivalent"] == [{"name": nobody, "why": "nobody calls it"}]
     assert (told["mutants"], told["caught"], told["holds"]) == (2, 1, False)
@@ -226,15 +228,66 @@ def test_what_the_quick_tests_do_not_notice_the_slow_ones_are_asked(project: Pat
     table = Table((room,))
     tried = score(table, of_room(table, room, project), 1, project, io.StringIO())
     assert [one.by.rpartition("::")[2] for one in tried] == ["test_slow", "test_seen", ""]
+    tried = score(table, of_room(table, room, project), 1, project, io.StringIO(), quick=True)
+    assert [one.caught for one in tried] == [False, True, False]
 
 
 def test_a_wrong_version_that_hangs_is_ended_and_noticed(project: Path) -> None:
     suite = FileTests("sums.py", ("test_sums.py",))
     endless = "def seen(a, b):\n    while True:\n        pass\n"
     with Trials(project, 1, suite.tests) as trials:
-        assert trials.trial(suite, None, 60.0)["passed"]
         came = trials.trial(suite, endless, 1.0)
-    assert not came["passed"] and came["what"] == "too slow"
+    assert came["hung"] and not came["passed"] and came["what"] == "test_sums.py::test_seen"
+
+
+@pytest.mark.parametrize(
+    ("again", "right", "noticed"),
+    [(False, True, True), (True, True, False), (False, False, False), (True, False, False)],
+)
+def test_a_test_has_noticed_when_it_fails_again_alone_and_passes_without_the_change(
+    again: bool, right: bool, noticed: bool
+) -> None:
+    class Asked(Server):
+        def __init__(self) -> None:
+            pass
+
+        def trial(
+            self, sources: Mapping[str, str], tests: Sequence[str], bound_s: float
+        ) -> dict[str, Any]:
+            assert tests == ["test_a.py::test_it"] and bound_s == 9.0
+            return {"passed": again if sources else right, "took_s": 1.0}
+
+    first = {"passed": False, "broken": False, "what": "test_a.py::test_it", "took_s": 2.0}
+    came = believed(first, Asked(), {"a": "wrong"}, 9.0)
+    assert came["passed"] is not noticed and came["took_s"] == 4.0
+    assert came["what"] == f"{'' if noticed else 'not because of it: '}test_a.py::test_it"
+
+
+def test_a_test_that_reads_the_code_as_text_is_told_before_anything_is_tried(
+    project: Path,
+) -> None:
+    """Every wrong version is written anew without its comments: it would notice each of them."""
+    (project / "sums.py").write_text("def seen(a, b):\n    # why\n    return a > b\n")
+    (project / "test_sums.py").write_text(
+        "import sums\n\n\ndef test_seen():\n    assert sums.seen.__code__.co_firstlineno == 1\n"
+        "    assert next(sums.seen.__code__.co_lines())[2] == 1\n"
+        "    assert 3 in [line for *_, line in sums.seen.__code__.co_lines()]\n"
+    )
+    room = Room("sums", ("sums.py",), ("test_sums.py",))
+    with pytest.raises(TableError, match="fail as it is"):
+        score(Table((room,)), of_room(Table((room,)), room, project), 1, project, io.StringIO())
+
+
+def test_the_tests_of_a_files_own_name_come_first_and_then_the_cheapest(project: Path) -> None:
+    (project / "test_other.py").write_text(
+        "import time\n\n\ndef test_long():\n    time.sleep(0.1)\n"
+    )
+    (project / "test_short.py").write_text("def test_short():\n    pass\n")
+    tests = ("test_other.py", "test_short.py", "test_sums.py")
+    suite = FileTests("sums.py", tests)
+    with Trials(project, 1, tests) as trials:
+        trials.bounds_s([suite])
+        assert trials._cheapest_first(suite) == ["test_sums.py", "test_short.py", "test_other.py"]
 
 
 def test_what_is_noticed_only_at_import_is_tried_from_the_first_import_on(project: Path) -> None:

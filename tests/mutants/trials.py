@@ -6,14 +6,14 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, TextIO
 
-from tests.mutants.operators import Mutation, mutated
+from tests.mutants.operators import Mutation, mutated, rewritten
 from tests.mutants.rooms import FileTests, Table, TableError
 
 HERE = Path(__file__).parents[2]
@@ -29,8 +29,12 @@ _LONGEST_S = 900.0
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """The result of a wrong version. ``by``: the test that noticed; ``why``: it is the same in all
-    that counts.
+    """The result of a wrong version.
+
+    Attributes:
+        caught: a test failed or hung on it, did so again alone, and passes on the right code.
+        by: that test, or the one that could not be believed.
+        why: it is the same in all that counts.
     """
 
     mutation: Mutation
@@ -57,8 +61,10 @@ class Server:
             text=True,
         )
 
-    def trial(self, suite: FileTests, source: str | None, bound_s: float) -> dict[str, Any]:
-        order = {"module": suite.module, "source": source, "tests": suite.tests, "bound_s": bound_s}
+    def trial(
+        self, sources: Mapping[str, str], tests: Sequence[str], bound_s: float
+    ) -> dict[str, Any]:
+        order = {"sources": sources, "tests": tests, "bound_s": bound_s}
         assert self._process.stdin is not None and self._process.stdout is not None
         self._process.stdin.write(json.dumps(order) + "\n")
         self._process.stdin.flush()
@@ -81,14 +87,18 @@ class Trials:
 
     A wrong version is put into what is imported already, which takes a moment. Only one that is not
     noticed there, or cannot be put there, is tried again from the first import on, by a server that
-    is started then.
+    is started then; with ``quick`` it is a survivor at once, and slow tests are not asked.
     """
 
-    def __init__(self, root: Path, jobs: int, tests: Sequence[str]) -> None:
-        self._root, self._jobs, self._tests = root, jobs, tests
+    def __init__(self, root: Path, jobs: int, tests: Sequence[str], quick: bool = False) -> None:
+        self._root = root
+        self._jobs = jobs
+        self._tests = tests
+        self._quick = quick
         self._warm: SimpleQueue[Server] = SimpleQueue()
         self._cold: SimpleQueue[Server | None] = SimpleQueue()
         self._servers: list[Server] = []
+        self._costs_s: dict[str, float] = {}
 
     def __enter__(self) -> Trials:
         for _ in range(self._jobs):
@@ -101,44 +111,68 @@ class Trials:
         for server in self._servers:
             server.close()
 
-    def trial(self, suite: FileTests, source: str | None, bound_s: float) -> dict[str, Any]:
-        """Runs a trial on the next server that is free."""
+    def trial(self, suite: FileTests, source: str, bound_s: float) -> dict[str, Any]:
+        """Run a trial on the next server that is free."""
+        wrong = {suite.module: source}
+        tests = self._cheapest_first(suite)
         server = self._warm.get()
         try:
-            came = server.trial(suite, source, bound_s)
+            came = server.trial(wrong, tests, bound_s)
+            if not (came["passed"] or came["broken"]):
+                return believed(came, server, wrong, bound_s)
         finally:
             self._warm.put(server)
-        return (
-            came
-            if source is None or not (came["passed"] or came["broken"])
-            else self._from_the_first(
-                suite, source, _COLDER * bound_s + (_SLOW_S if suite.slow else 0.0)
-            )
-        )
+        if self._quick and not came["broken"]:
+            return came
+        longer_s = _COLDER * bound_s + (_SLOW_S if suite.slow else 0.0)
+        return self._from_the_first(wrong, (*tests, *suite.slow), longer_s)
 
-    def _from_the_first(self, suite: FileTests, source: str, bound_s: float) -> dict[str, Any]:
+    def _cheapest_first(self, suite: FileTests) -> list[str]:
+        """Order the tests: those of the file's own name, then those that take least."""
+        own = Path(suite.file).stem
+
+        def rank(test: str) -> tuple[bool, float]:
+            return own not in Path(test).stem, self._costs_s.get(test, 0.0)
+
+        return sorted(suite.tests, key=rank)
+
+    def _from_the_first(
+        self, wrong: Mapping[str, str], tests: Sequence[str], bound_s: float
+    ) -> dict[str, Any]:
         server = self._cold.get()
         try:
             if server is None:
                 server = Server(self._root)
                 self._servers.append(server)
-            return server.trial(replace(suite, tests=(*suite.tests, *suite.slow)), source, bound_s)
+            came = server.trial(wrong, tests, bound_s)
+            return believed(came, server, wrong, bound_s)
         finally:
             self._cold.put(server)
 
     def bounds_s(self, suites: Sequence[FileTests]) -> dict[str, float]:
-        """Returns how long each suite may take, from how long it takes on the right code. Raises
+        """Return how long each suite may take, from how long it takes on the right code.
+
+        The right code is put there as the wrong versions are: written anew from its syntax tree,
+        without comments and with other line numbers, which a test must not notice. Raises
         TableError.
         """
+        kinds: dict[frozenset[str], list[FileTests]] = {}
+        for suite in suites:
+            kinds.setdefault(frozenset(suite.tests), []).append(suite)
 
-        def right(suite: FileTests) -> float:
-            came = self.trial(suite, None, _LONGEST_S)
+        def right(alike: list[FileTests]) -> float:
+            anew = {one.module: rewritten((self._root / one.file).read_text()) for one in alike}
+            server = self._warm.get()
+            try:
+                came = server.trial(anew, alike[0].tests, _LONGEST_S)
+            finally:
+                self._warm.put(server)
             if not came["passed"]:
-                raise TableError(f"the tests of {suite.file} fail as it is: {came['what']}")
+                files = ", ".join(one.file for one in alike)
+                raise TableError(f"the tests of {files} fail as it is: {came['what']}")
+            self._costs_s.update(came["costs_s"])
             return _SLOWER * came["took_s"] + _MORE_S
 
-        # files of one room have the same tests
-        kinds = {frozenset(suite.tests): suite for suite in suites}
         with ThreadPoolExecutor(self._jobs) as threads:
             found = dict(zip(kinds, threads.map(right, kinds.values()), strict=True))
         return {suite.file: found[frozenset(suite.tests)] for suite in suites}
@@ -158,12 +192,30 @@ class Trials:
             yield from threads.map(tried, chosen)
 
 
+def believed(
+    came: dict[str, Any], server: Server, wrong: Mapping[str, str], bound_s: float
+) -> dict[str, Any]:
+    """Return a trial as it came, or as passed when its test fails for another reason: it passes
+    alone, or fails on the right code too.
+    """
+    test = came["what"]
+    if came["passed"] or came["broken"] or "::" not in test:
+        return came  # no test failed, or none could be imported
+    again = server.trial(wrong, [test], bound_s)
+    right = server.trial({}, [test], bound_s)
+    came["took_s"] += again["took_s"] + right["took_s"]
+    if right["passed"] and not again["passed"]:
+        return came
+    return {**came, "passed": True, "what": f"not because of it: {test}"}
+
+
 def score(
     table: Table,
     chosen: Sequence[tuple[FileTests, Mutation]],
     jobs: int,
     root: Path,
     stream: TextIO,
+    quick: bool = False,
 ) -> list[Tried]:
     """Run the tests on wrong versions; those known to be equivalent are not run. Raises
     TableError.
@@ -179,12 +231,13 @@ def score(
     tests = sorted({place for tested in files for place in tested.tests})
     if not rest:
         return known
-    with Trials(root, jobs, tests) as trials:
+    with Trials(root, jobs, tests, quick) as trials:
         bounds_s = trials.bounds_s(files)
         for came in trials.wrong(rest, bounds_s):
             known.append(came)
             stream.write(
-                f"{'caught  ' if came.caught else 'SURVIVED'} {came.took_s:6.1f} s  {came.mutation.name}\n"
+                f"{'caught  ' if came.caught else 'SURVIVED'} {came.took_s:6.1f} s "
+                f" {came.mutation.name}  [{came.by.rpartition('::')[2]}]\n"
             )
             stream.flush()
     return known

@@ -7,9 +7,10 @@ in it, until the first one fails. What was made of them before, at import or whe
 collected, stays as it was, so that a wrong version which gets through here is worth a trial by
 ``cold``, from the first import on.
 
-A line of JSON comes in for each trial: {"module", "source" (null: as it is), "tests", "bound_s"};
-one goes out: {"passed", "what", "took_s", "broken"}, the last when the tests could not be run like
-this.
+A line of JSON comes in for each trial: {"sources" (by module), "tests" (files, folders, or single
+ones), "bound_s"}; one goes out: {"passed", "what" (the test that failed first, or hung), "hung",
+"took_s", "broken", "costs_s"}: broken when the tests could not be run like this, and what each file
+of tests took when all passed.
 """
 
 from __future__ import annotations
@@ -107,6 +108,7 @@ class Serving:
     def __init__(self, orders: IO[str], answers: IO[str]) -> None:
         self._orders, self._answers = orders, answers
         self._said: int | None = None  # a child's, for what it has to say
+        self._costs_s: dict[str, float] = {}
 
     def pytest_runtestloop(self, session: Any) -> bool | None:
         """None, in a child, has pytest run what is left in its list."""
@@ -124,12 +126,14 @@ class Serving:
                 with suppress(ProcessLookupError):
                     os.killpg(child, signal.SIGKILL)  # whatever a test that failed had started
                 said.seek(0)
-                what = "too slow" if code is None else said.read().decode(errors="replace")
+                what = said.read().decode(errors="replace")
             answer = {
                 "passed": code == 0,
-                "what": what,
+                "what": "" if code == 0 else what,
+                "hung": code is None,
                 "took_s": time.monotonic() - begun_s,
                 "broken": code == _BROKEN,
+                "costs_s": json.loads(what) if code == 0 else {},
             }
             self._answers.write(json.dumps(answer) + "\n")
             self._answers.flush()
@@ -142,8 +146,8 @@ class Serving:
         os.setsid()
         self._said = said
         try:
-            if order["source"] is not None:
-                put_into(importlib.import_module(order["module"]), order["source"])
+            for module, source in order["sources"].items():
+                put_into(importlib.import_module(module), source)
         except NotHereError as error:
             self._end(_BROKEN, str(error))
         session.items = [
@@ -152,9 +156,16 @@ class Serving:
         if not session.items:
             self._end(_BROKEN, f"no tests in {order['tests']}")
 
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        """Leave word of the test that runs: it may be the one that never ends."""
+        if self._said is not None:
+            self._say(nodeid)
+
     def pytest_runtest_logreport(self, report: Any) -> None:
         if report.failed and self._said is not None:
-            self._end(1, f"FAILED {report.nodeid}")
+            self._end(1, report.nodeid)
+        file = report.nodeid.partition("::")[0]
+        self._costs_s[file] = self._costs_s.get(file, 0.0) + report.duration
 
     def pytest_internalerror(self, excrepr: Any) -> None:
         if self._said is not None:
@@ -162,21 +173,24 @@ class Serving:
 
     def pytest_sessionfinish(self, session: Any, exitstatus: int) -> None:
         if self._said is not None:
-            self._end(
-                0 if session.testscollected and exitstatus == 0 else _BROKEN,
-                f"pytest ended with {exitstatus}",
-            )
+            passed = session.testscollected and exitstatus == 0
+            if passed:
+                self._end(0, json.dumps(self._costs_s))
+            self._end(_BROKEN, f"pytest ended with {exitstatus}")
+
+    def _say(self, what: str) -> None:
+        assert self._said is not None
+        os.ftruncate(self._said, 0)
+        os.pwrite(self._said, what.encode(), 0)
 
     def _end(self, code: int, what: str) -> None:
         """At once: what tests left open goes with the process group."""
-        assert self._said is not None
-        if code:
-            os.write(self._said, what.encode())
+        self._say(what)
         os._exit(code)
 
 
 def _is_of(nodeid: str, place: str) -> bool:
-    return nodeid.startswith((f"{place}::", f"{place.rstrip('/')}/"))
+    return nodeid == place or nodeid.startswith((f"{place}::", f"{place.rstrip('/')}/"))
 
 
 def main(tests: Sequence[str]) -> int:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from path.belief.motion import MANOEUVRE_S, Motion, density, renewal
+from path.belief.motion import MANOEUVRE_S, Array, Motion, density, mahalanobis2, normal, renewal
 
 EYE = np.eye(3)
 
@@ -63,3 +63,94 @@ def test_a_box_makes_new_what_was_not_known_and_nothing_else() -> None:
     lengthways = np.diag([1.0, 1e-8, 1e-8])
     assert renewal(lengthways, noise, along) > 0.999
     assert renewal(lengthways, noise, np.array([0.0, 1.0, 0.0])) < 1e-3
+
+
+def known_well_and_badly() -> Motion:
+    """A motion whose places and velocities are known together, each axis differently."""
+    rng = np.random.default_rng(8)
+    parts = rng.normal(0.0, 0.05, (6, 6))
+    return Motion(rng.normal(0.0, 1.0, 6), parts @ parts.T, 3_000_000_000)
+
+
+def test_a_prediction_carries_all_that_is_known_on_and_adds_what_an_acceleration_may_have_done() -> (
+    None
+):
+    motion = known_well_and_badly()
+    mean, P = motion.mean.copy(), motion.covariance.copy()
+    t, accel = 0.7, 0.9
+    F = np.eye(6)
+    F[:3, 3:] = t * EYE
+    density_ = accel**2 * 0.5
+    Q = density_ * np.block([[t**3 / 3.0 * EYE, t**2 / 2.0 * EYE], [t**2 / 2.0 * EYE, t * EYE]])
+    motion.advance(3_700_000_000, accel)
+    np.testing.assert_allclose(motion.mean, F @ mean, rtol=1e-9)
+    np.testing.assert_allclose(motion.covariance, F @ P @ F.T + Q, rtol=1e-9)
+    assert motion.stamp_ns == 3_700_000_000
+
+
+@pytest.mark.parametrize("stamp_ns", [2_999_999_999, 3_000_000_000])
+def test_nothing_is_predicted_into_the_past(stamp_ns: int) -> None:
+    motion, before = known_well_and_badly(), known_well_and_badly()
+    motion.advance(stamp_ns, 0.9)
+    assert motion.stamp_ns == 3_000_000_000
+    np.testing.assert_array_equal(motion.mean, before.mean)
+    np.testing.assert_array_equal(motion.covariance, before.covariance)
+
+
+def gaussian(off: Array, covariance: Array) -> float:
+    d2 = float(off @ np.linalg.inv(covariance) @ off)
+    return math.exp(-0.5 * d2) / math.sqrt((2.0 * math.pi) ** 3 * np.linalg.det(covariance))
+
+
+@pytest.mark.parametrize("off_m", [0.01, 0.15, 0.4])
+def test_a_measured_place_is_fused_as_odd_as_it_is_likely_to_be(off_m: float) -> None:
+    """One box in twenty errs five times as much."""
+    motion = known_well_and_badly()
+    mean, P = motion.mean.copy(), motion.covariance.copy()
+    noise = np.diag([0.02, 0.03, 0.04]) ** 2
+    off = np.array([off_m, -0.5 * off_m, 0.3 * off_m])
+    usual = 0.95 * gaussian(off, P[:3, :3] + noise)
+    odd = 0.05 * gaussian(off, P[:3, :3] + 25.0 * noise)
+    share = odd / (usual + odd)
+    assumed = noise / (1.0 - share + share / 25.0)
+    gain = P[:, :3] @ np.linalg.inv(P[:3, :3] + assumed)
+    motion.update(mean[:3] + off, noise)
+    np.testing.assert_allclose(motion.mean, mean + gain @ off, rtol=1e-7)
+    np.testing.assert_allclose(motion.covariance, P - gain @ P[:3, :], rtol=1e-6, atol=1e-12)
+    np.testing.assert_array_equal(motion.covariance, motion.covariance.T)
+
+
+def test_a_place_that_is_beyond_all_likelihood_is_an_odd_one() -> None:
+    motion = Motion.at(np.zeros(3), 0.02**2 * EYE, 0.6, 0)
+    motion.update(np.array([1000.0, 0.0, 0.0]), 0.02**2 * EYE)
+    assert motion.place_m[0] == pytest.approx(1000.0 / 26.0)
+
+
+def test_an_object_may_be_as_fast_at_first_as_it_gets_within_a_second() -> None:
+    motion = Motion.at(np.array([1.0, 2.0, 3.0]), np.diag([0.1, 0.2, 0.3]), 0.6, 7)
+    np.testing.assert_array_equal(motion.mean, (1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
+    np.testing.assert_allclose(np.diag(motion.covariance), (0.1, 0.2, 0.3, 0.36, 0.36, 0.36))
+    np.testing.assert_array_equal(motion.place_covariance_m2, np.diag([0.1, 0.2, 0.3]))
+    assert motion.stamp_ns == 7
+
+
+def test_densities_are_those_of_a_normal_distribution_and_of_one_with_tails() -> None:
+    off, known, noise = (
+        np.array([0.1, -0.2, 0.3]),
+        np.diag([0.1, 0.2, 0.3]),
+        np.diag([0.3, 0.1, 0.2]),
+    )
+    assert mahalanobis2(off, known) == pytest.approx(0.1 + 0.2 + 0.3)
+    assert normal(off, known) == pytest.approx(gaussian(off, known))
+    expected = 0.95 * gaussian(off, known + noise) + 0.05 * gaussian(off, known + 25.0 * noise)
+    assert density(off, known, noise) == pytest.approx(expected)
+
+
+def test_a_direction_of_no_length_is_none_and_the_length_of_others_is_nothing() -> None:
+    known, noise = np.diag([0.4, 0.1, 0.2]), np.diag([0.1, 0.3, 0.2])
+    assert renewal(known, noise, np.zeros(3)) == 0.0
+    along = np.array([1.0, -2.0, 0.5])
+    gain = known @ np.linalg.inv(known + noise)
+    expected = along @ gain @ along / (along @ along)
+    assert renewal(known, noise, along) == pytest.approx(expected)
+    assert renewal(known, noise, 0.1 * along) == pytest.approx(expected)
