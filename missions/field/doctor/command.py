@@ -61,13 +61,15 @@ def verdict(found: Sequence[Finding], *, tested: bool) -> str:
     Args:
         tested: whether a role's parts were to be tested.
     """
-    faults, notes = (
-        sum(finding.state == state for finding in found) for state in ("fault", "note")
-    )
+    faults = [finding.name for finding in found if finding.state == "fault"]
+    notes = sum(finding.state == "note" for finding in found)
     untested = ", ".join(finding.name for finding in found if finding.untested)
     but = f"; not tested: {untested}" if untested else ""
     if faults:
-        return f"{faults} fault{'s' if faults > 1 else ''}: not ready to fly{but}"
+        named = ", ".join(dict.fromkeys(faults))
+        return (
+            f"{len(faults)} fault{'s' if len(faults) > 1 else ''} ({named}): not ready to fly{but}"
+        )
     if untested:
         return f"no fault, but not known to be ready to fly{but}"
     besides = f", {notes} note{'s' if notes > 1 else ''}" if notes else ""

@@ -15,6 +15,7 @@ from rich.text import Text
 from drivers.rig.part_check import Finding, State
 
 STYLE: dict[State, str] = {"ok": "green", "note": "yellow", "fault": "bold red"}
+URGENCY: tuple[State, ...] = ("fault", "note", "ok")
 WIDTH = 120  # where it is not a terminal
 
 
@@ -77,12 +78,12 @@ def open_findings(stream: TextIO) -> Generator[FindingsTable, None, None]:
 
 
 def table(found: list[Finding]) -> Table:
-    """One row for each finding, its fix below what was found."""
+    """One row for each finding, its fix below what was found: faults first, then notes."""
     made = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
     made.add_column("", no_wrap=True)
     made.add_column("what", no_wrap=True)
     made.add_column("found", overflow="fold")
-    for finding in found:
+    for finding in sorted(found, key=lambda each: URGENCY.index(each.state)):
         said = Text(finding.detail)
         if finding.fix:
             said.append(f"\nfix: {finding.fix}", "cyan" if finding.state != "ok" else "dim")

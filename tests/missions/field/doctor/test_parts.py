@@ -17,11 +17,11 @@ from pathlib import Path
 import pytest
 
 from drivers.interfaces import CameraError
-from drivers.rig.part_check import Finding
+from drivers.rig.part_check import Finding, State
 from missions.field.doctor import command as doctor
 from missions.field.doctor import parts as doctor_parts
 from missions.field.doctor.parts import PartTest, part_tests, run_test
-from missions.field.doctor.table import open_findings
+from missions.field.doctor.table import open_findings, table
 from missions.ground import rig_library
 from missions.ground.options.field import DoctorOptions
 from path.messages import Role
@@ -184,7 +184,7 @@ def test_doctor_tests_the_parts_of_the_role_and_a_fault_among_them_is_its_exit_c
     assert doctor.run(DoctorOptions("sitl", role="receiver"), out) == doctor.EXIT_UNFIT
     assert "receiver perception: frames ..." in out.getvalue()
     assert "it fell silent" in out.getvalue()
-    assert out.getvalue().endswith("1 fault: not ready to fly\n")
+    assert out.getvalue().endswith("1 fault (receiver perception): not ready to fly\n")
     out = io.StringIO()
     assert doctor.run(DoctorOptions("sitl"), out) == 0
     assert "--role sender" in out.getvalue()
@@ -216,9 +216,16 @@ def test_the_last_line_tells_what_was_not_tested_beside_faults_and_notes_and_els
     note = Finding("note", "Python", "one core")
     not_known = "no fault, but not known to be ready to fly; not tested: sender link other end"
     assert doctor.verdict([note, alone], tested=True) == not_known
-    told = "1 fault: not ready to fly; not tested: sender link other end"
+    told = "1 fault (sender vehicle): not ready to fly; not tested: sender link other end"
     assert doctor.verdict([fault, alone], tested=True) == told
     assert doctor.verdict([note], tested=True) == "ready to fly, 1 note"
+
+
+def test_what_is_wrong_comes_before_all_that_is_right() -> None:
+    states: tuple[State, ...] = ("ok", "note", "ok", "fault", "note")
+    found = [Finding(state, f"row {at}", "") for at, state in enumerate(states)]
+    names = list(table(found).columns[1].cells)
+    assert names == ["row 3", "row 1", "row 4", "row 0", "row 2"]
 
 
 def test_a_terminal_sees_the_same_table_grow() -> None:
