@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "relay": ("flights:RelayOptions", "fly.relay.command"),
     "team": ("flights:TeamOptions", "fly.team.command"),
     "fly": ("flights:FlyOptions", "fly.own.command"),
+    "stand-in": ("flights:StandInOptions", "fly.stand_in"),
     "sender": ("field:SenderOptions", "fly.leg.command"),
     "receiver": ("field:ReceiverOptions", "fly.leg.command"),
     "guard": ("field:GuardOptions", "fly.guard.command"),
@@ -80,6 +81,7 @@ examples:
   path-handoff replay runs/20261104-101500    what was decided, decided again from the logs
   path-handoff view runs/20261104-101500      the scene, both images, plots, words, in Rerun
   path-handoff fly mission.py --rig sim       a mission of your own (docs/own-missions.md)
+  path-handoff stand-in --port 14540          a vehicle alone, for programs of your own
   path-handoff rehearse my-rig.toml           fly a field rig in the harness, as it is
   path-handoff plan my-rig.toml               can these drones do it, and how?
   path-handoff doctor --rig my-rig.toml       is everything there, before anything moves?

@@ -39,6 +39,7 @@ REAL_TIME = (
     "missions/test_cli",
     "missions/field/doctor/",
     "missions/fly/guard/test_command",
+    "missions/fly/test_stand_in",
     "missions/fly/leg/records/test_failing_disk",
     "missions/fly/leg/records/test_restart",
     "missions/fly/leg/test_session",

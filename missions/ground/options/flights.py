@@ -221,3 +221,21 @@ class FlyOptions:
     ardupilot: ArduPilotBinary = None
 
     model: DetectorModel = None
+
+
+@dataclass(frozen=True, slots=True)
+class StandInOptions:
+    """Switch on an embedded vehicle alone, for programs of others to be tried against, until
+    Ctrl-C.
+    """
+
+    rig: RigName = "sim"
+    """The rig whose simulated sender it is: its drone, world and wind."""
+
+    port: Annotated[int, Bounds(1024, 65535, "(a port)")] = 14540
+    """UDP port of this computer that the vehicle sends to, where your program listens."""
+
+    two: bool = False
+    """A second vehicle as well, the rig's receiver, on the next port."""
+
+    seed: RunSeed = 0

@@ -1,0 +1,117 @@
+"""A vehicle alone, as strangers' programs find it."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Generator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import common as mavlink
+
+from drivers.interfaces import PartError
+from missions.fly.stand_in import run
+from missions.ground.options.flights import StandInOptions
+from tests.free_ports import free_port
+
+LIMIT_S = 60.0
+
+
+@contextmanager
+def stand_in(*words: str) -> Generator[subprocess.Popen[str]]:
+    """The command as a person starts it, ended as a person ends it."""
+    command = [sys.executable, "-m", "missions.cli", "stand-in", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+        try:
+            yield program
+        finally:
+            program.send_signal(signal.SIGINT)
+            program.wait(LIMIT_S)
+
+
+def told(vehicle: Any, command: int, *params: float) -> int:
+    """The answer to a command."""
+    filled = (*params, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)[:7]
+    vehicle.mav.command_long_send(vehicle.target_system, 1, command, 0, *filled)
+    answer = vehicle.recv_match(type="COMMAND_ACK", blocking=True, timeout=LIMIT_S)
+    assert answer is not None and answer.command == command
+    return answer.result
+
+
+def armed(vehicle: Any) -> None:
+    """Asks until its estimator has settled, as a person would."""
+    end_s = time.monotonic() + LIMIT_S
+    while told(vehicle, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) != 0:
+        assert time.monotonic() < end_s, "it was never ready to arm"
+        time.sleep(0.2)
+
+
+def height_m(vehicle: Any) -> float:
+    message = vehicle.recv_match(type="GLOBAL_POSITION_INT", blocking=True, timeout=LIMIT_S)
+    assert message is not None
+    return message.relative_alt / 1000.0
+
+
+def test_a_stranger_takes_a_vehicle_off_and_lands_it_and_there_is_another_one() -> None:
+    port = free_port()
+    first = mavutil.mavlink_connection(f"udpin:127.0.0.1:{port}")
+    second = mavutil.mavlink_connection(f"udpin:127.0.0.1:{port + 1}")
+    with stand_in("--port", str(port), "--two") as program:
+        for number, vehicle in enumerate((first, second)):
+            assert vehicle.wait_heartbeat(timeout=LIMIT_S) is not None
+            assert vehicle.target_system == number + 1
+        armed(first)
+        takeoff = mavlink.MAV_CMD_NAV_TAKEOFF
+        nan = float("nan")
+        assert told(first, takeoff, nan, 0.0, 0.0, nan, nan, nan, nan) == 0
+        while height_m(first) < 1.0:
+            pass
+        assert told(first, mavlink.MAV_CMD_NAV_LAND) == 0
+        while height_m(first) > 0.3:
+            pass
+        assert height_m(second) < 0.3
+        assert program.stdout is not None
+        assert (
+            program.stdout.readline()
+            == f"vehicle 1: MAVLink 2 to UDP port {port} of this computer\n"
+        )
+    first.close()
+    second.close()
+    assert program.returncode == 0
+
+
+def test_a_program_that_is_there_already_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[list[str]] = []
+
+    def start(_: str, words: list[str]) -> None:
+        started.append(words)
+
+    monkeypatch.setattr(os, "execv", start)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        port = listener.getsockname()[1]
+        out = io.StringIO()
+        run(StandInOptions(port=port), out)
+    assert "a program listens there already" in out.getvalue()
+    assert started[0][-1] == str(port)
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        (StandInOptions(port=65535, two=True), "no port 65536"),
+        (StandInOptions("sim-rendered"), "level sim-rendered"),
+        (StandInOptions("nowhere"), "nowhere"),
+    ],
+)
+def test_what_cannot_be_stood_in_for_is_refused(options: StandInOptions, what: str) -> None:
+    with pytest.raises(PartError, match=what):
+        run(options, io.StringIO())
