@@ -36,8 +36,11 @@ class Picture:
         is_reference: others lean on it, so that the next one's number is higher.
         is_cut: its first slice is missing.
         modulo: numbers begin again there.
-        index: its place in time, in pictures from the stream's first one. ``gap``: so many were
-            lost before it.
+        order: where it is shown (``pic_order_cnt_lsb``) and where that begins again; None when
+            pictures are shown as they are coded.
+        index: its place among what is coded, in pictures from the stream's first one. ``gap``: so
+            many were lost before it.
+        place: its place in time: another one where a picture leans on one that is shown after it.
     """
 
     data: bytes
@@ -47,8 +50,10 @@ class Picture:
     is_reference: bool
     is_cut: bool
     modulo: int
+    order: tuple[int, int] | None = None
     index: int = 0
     gap: int = 0
+    place: int = 0
 
 
 @dataclass(slots=True)
@@ -58,6 +63,8 @@ class _Sets:
     modulo: dict[int, int] = field(default_factory=dict[int, int])
     sequence: dict[int, int] = field(default_factory=dict[int, int])
     separate: dict[int, bool] = field(default_factory=dict[int, bool])
+    order: dict[int, int] = field(default_factory=dict[int, int])  # pictures' orders begin again
+    fields: dict[int, bool] = field(default_factory=dict[int, bool])
 
 
 @dataclass(slots=True)
@@ -68,6 +75,7 @@ class _Slice:
     is_start: bool
     is_reference: bool
     modulo: int
+    order: tuple[int, int] | None = None
 
 
 def pictures(stream: bytes) -> list[Picture]:
@@ -86,7 +94,41 @@ def pictures(stream: bytes) -> list[Picture]:
         if not picture.is_start and usual is not None and since > usual:
             since = (picture.number or 0) + 1
         before = picture
+    _put_in_order(found)
     return found
+
+
+def _put_in_order(found: list[Picture]) -> None:
+    """Give each picture its place in time by what it says of its order (8.2.1.1)."""
+    counted: list[tuple[Picture, int]] = []
+    high = 0
+    low = 0
+    for picture in found:
+        picture.place = picture.index
+        if picture.order is None:
+            continue
+        value, modulo = picture.order
+        if picture.is_start:
+            high = 0
+            low = 0
+        if value < low and low - value >= modulo // 2:
+            high += modulo
+        elif value > low and value - low > modulo // 2:
+            high -= modulo
+        counted.append((picture, high + value))
+        if picture.is_reference:
+            low = value
+    steps = [after[1] - before[1] for before, after in pairwise(counted) if not after[0].is_start]
+    if all(step > 0 for step in steps):
+        return
+    near = sorted({order for _, order in counted})
+    apart = [after - before for before, after in pairwise(near)]
+    step = max(apart, key=apart.count)  # 1 or 2; what is torn may say anything
+    base: int | None = None
+    for picture, order in counted:
+        if base is None or picture.is_start:
+            base = picture.index - order // step
+        picture.place = base + order // step
 
 
 def _usual_length(found: list[Picture]) -> int | None:
@@ -149,7 +191,14 @@ def _taken_apart(stream: bytes) -> Iterator[Picture]:
                 yield current
             is_cut = one.first_block != 0
             current = Picture(
-                b"", one.fresh, one.number, one.is_start, one.is_reference, is_cut, one.modulo
+                b"",
+                one.fresh,
+                one.number,
+                one.is_start,
+                one.is_reference,
+                is_cut,
+                one.modulo,
+                one.order,
             )
             parts = before
             before = []
@@ -183,9 +232,16 @@ def _slice(unit: bytes, sets: _Sets) -> _Slice:
         if sets.separate.get(sequence, False):
             bits.take(2)
         number = bits.take(modulo.bit_length() - 1)
+        if sets.fields[sequence] and bits.take(1):
+            bits.take(1)
+        if is_start:
+            bits.golomb()
+        order = sets.order.get(sequence)
+        shown = None if order is None else (bits.take(order.bit_length() - 1), order)
     except IndexError:
         return _Slice(0, False, None, is_start, is_reference, 1)
-    return _Slice(first, is_start or kind in INTRA, number, is_start, is_reference, modulo)
+    fresh = is_start or kind in INTRA
+    return _Slice(first, fresh, number, is_start, is_reference, modulo, shown)
 
 
 def _read_set(unit: bytes, kind: int, sets: _Sets) -> None:
@@ -216,9 +272,33 @@ def _read_sequence(unit: bytes, sets: _Sets) -> None:
         if bits.take(1):
             return  # scaling lists: no camera's stream has them
     length = bits.golomb() + 4
-    if length <= 16:
+    order = _order_length(bits)
+    bits.golomb()
+    bits.take(1)
+    bits.golomb()
+    bits.golomb()
+    fields = not bits.take(1)
+    if length <= 16 and order <= 16:
         sets.modulo[which] = 1 << length
         sets.separate[which] = separate
+        sets.fields[which] = fields
+        sets.order.pop(which, None)
+        if order:
+            sets.order[which] = 1 << order
+
+
+def _order_length(bits: _Bits) -> int:
+    """Return how many bits tell a picture's order; 0 where a picture does not tell it itself."""
+    kind = bits.golomb()
+    if kind == 0:
+        return bits.golomb() + 4
+    if kind == 1:
+        bits.take(1)
+        bits.golomb()
+        bits.golomb()
+        for _ in range(min(bits.golomb(), 255)):
+            bits.golomb()
+    return 0
 
 
 class _Bits:

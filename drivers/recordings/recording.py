@@ -163,6 +163,15 @@ class Video:
         number = 0
         stamps = self._stamps
         depth = self._depth
+        size: tuple[int, ...] | None = None
+
+        def load(name: str, pixels: Callable[[], Image], behind: Path | None) -> Loaded:
+            nonlocal size
+            loaded = _with_depth(pixels, behind)
+            size = size or loaded.color.shape
+            _check_one_size(f"{self._file}, {name}", loaded.color, size)
+            return loaded
+
         try:
             # Whoever has a table of stamps needs no rate: its stamps are not looked at.
             rate_hz = self._options.rate_hz or (1.0 if stamps is not None else None)
@@ -172,9 +181,8 @@ class Video:
                     self._check_counts(number + 1 + sum(1 for _ in shown))
                 stamp_ns = shown_ns if stamps is None else stamps[number]
                 behind = None if depth is None else depth[number]
-                yield RecordedFrame(
-                    f"frame {number}", stamp_ns, partial(_with_depth, pixels, behind)
-                )
+                name = f"frame {number}"
+                yield RecordedFrame(name, stamp_ns, partial(load, name, pixels, behind))
                 number += 1
         except RateMissing as error:
             raise RecordingError(
@@ -184,7 +192,8 @@ class Video:
         except VideoError as error:
             raise RecordingError(
                 f"{self._file}: {error}" + (f" after {number} frames" if number else ""),
-                "is the file whole? `ffmpeg -i FILE -c copy OUT.mkv` often mends one",
+                "is the file whole? `ffmpeg -i FILE -c copy OUT.mkv` often mends one; a bare stream "
+                "needs a key frame with its headers in it",
             ) from error
         self._check_counts(number)
 
@@ -230,11 +239,7 @@ class Folder:
             nonlocal size
             color = read_image(file)
             size = size or color.shape
-            if color.shape != size:
-                raise RecordingError(
-                    f"{file}: {color.shape[1]}x{color.shape[0]} px, the images before it have {size[1]}x{size[0]} px",
-                    "put images of one camera at one size into a folder of their own",
-                )
+            _check_one_size(str(file), color, size)
             return Loaded(
                 color,
                 None
@@ -319,6 +324,16 @@ def read_image(file: Path) -> Image:
             f"{file}: this is no image that can be read", "remove it, or record it again"
         )
     return np.asarray(pixels, np.uint8)
+
+
+def _check_one_size(name: str, color: Image, size: tuple[int, ...]) -> None:
+    """Raise RecordingError where an image is not as large as those before it."""
+    if color.shape != size:
+        raise RecordingError(
+            f"{name}: {color.shape[1]}x{color.shape[0]} px, the images before it have "
+            f"{size[1]}x{size[0]} px",
+            "put images of one camera at one size into a recording of their own",
+        )
 
 
 def _with_depth(pixels: Callable[[], Image], depth: Path | None) -> Loaded:

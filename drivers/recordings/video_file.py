@@ -122,6 +122,7 @@ def _bare_h264(av: Any, file: Path, rate_hz: float, damage: Damage) -> Iterator[
     codec.options = {"err_detect": STRICT}  # else it conceals, and does not always say so
     believed: dict[int, bool] = {}
     whole, first = False, None
+    begun = 0  # the place from which on pictures are whole; what is shown before leans on lost ones
     given = 0
 
     def whole_ones(packet: Any) -> Iterator[tuple[int, Any]]:
@@ -132,28 +133,32 @@ def _bare_h264(av: Any, file: Path, rate_hz: float, damage: Damage) -> Iterator[
             whole = False
             return
         for frame in frames:
-            if frame.is_corrupt:
+            leans_back = frame.pts < begun
+            if frame.is_corrupt and not leans_back:
                 whole = False
-            if frame.is_corrupt or not believed.get(frame.pts, False):
+            if frame.is_corrupt or leans_back or not believed.get(frame.pts, False):
                 continue
             given += 1
             yield frame.pts, frame
 
     seen = pictures(file.read_bytes())
-    for picture in seen:
+    for taken, picture in enumerate(seen, 1):
         damage.lost += picture.gap
+        before = whole
         whole = not picture.is_cut and (picture.fresh or (whole and not picture.gap))
-        believed[picture.index] = whole
+        if whole and not before:
+            begun = picture.place
+        believed[picture.place] = whole
         packet = av.Packet(picture.data)
-        packet.pts = picture.index
-        for index, frame in whole_ones(packet):
-            first = index if first is None else first
-            damage.torn = len(believed) - given
-            yield round(NS * (index - first) / rate_hz), _pixels_of(frame)
-    for index, frame in whole_ones(None):
-        first = index if first is None else first
-        yield round(NS * (index - first) / rate_hz), _pixels_of(frame)
-    damage.torn = len(believed) - given
+        packet.pts = picture.place
+        for place, frame in whole_ones(packet):
+            first = place if first is None else first
+            damage.torn = taken - given
+            yield round(NS * (place - first) / rate_hz), _pixels_of(frame)
+    for place, frame in whole_ones(None):
+        first = place if first is None else first
+        yield round(NS * (place - first) / rate_hz), _pixels_of(frame)
+    damage.torn = len(seen) - given
 
 
 def _pixels_of(frame: Any) -> Pixels:

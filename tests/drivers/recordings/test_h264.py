@@ -24,7 +24,9 @@ RATE_HZ = 30.0
 AT_RATE = RecordingOptions(rate_hz=RATE_HZ)
 
 
-def coded(slices: int = 1, group: int = GROUP, count: int = PICTURES) -> list[bytes]:
+def coded(
+    slices: int = 1, group: int = GROUP, count: int = PICTURES, both_ways: str = ""
+) -> list[bytes]:
     """Packets of a stream whose picture n is a bar at column 2 n, on noise that no codec takes for
     nothing.
     """
@@ -33,6 +35,9 @@ def coded(slices: int = 1, group: int = GROUP, count: int = PICTURES) -> list[by
     codec.time_base, codec.framerate, codec.gop_size = Fraction(1, 30), 30, group
     parameters = f"keyint={group}:scenecut=0:slices={slices}"
     codec.options = {"preset": "ultrafast", "tune": "zerolatency", "x264-params": parameters}
+    if both_ways:
+        codec.max_b_frames = 3
+        codec.options = {"preset": "medium", "x264-params": f"{parameters}:{both_ways}"}
     packets: list[bytes] = []
     for number in range(count):
         noise = np.random.default_rng(number).integers(30, 50, (HEIGHT, WIDTH, 1))
@@ -72,6 +77,31 @@ def test_a_whole_stream_has_all_its_pictures_at_the_rate_that_is_given(
     recording = open_recording(file, AT_RATE)
     list(recording.frames())
     assert recording.damage == ""
+
+
+@pytest.mark.parametrize(
+    "kind", ["bframes=2", "bframes=3:b-pyramid=normal", "bframes=2:open-gop=1"]
+)
+@pytest.mark.parametrize("cut", [0, 5])
+def test_pictures_that_are_coded_in_another_order_have_the_stamps_of_their_own(
+    tmp_path: Path, kind: str, cut: int
+) -> None:
+    frames = shown(written(tmp_path, coded(both_ways=kind)[cut:]))
+    begin = 0 if cut == 0 else GROUP
+    assert [bar for _, bar in frames][::PICTURES] == [begin]
+    assert all(stamp + begin == bar for stamp, bar in frames)
+    # Of open groups FFmpeg believes less than there is until the second key frame.
+    assert len(frames) == PICTURES - begin or (cut and "open" in kind)
+
+
+def test_a_stream_whose_pictures_change_their_size_is_refused_with_both(tmp_path: Path) -> None:
+    codec: Any = av.CodecContext.create("libx264", "w")
+    codec.width, codec.height, codec.pix_fmt, codec.time_base = 64, 48, "yuv420p", Fraction(1, 30)
+    small: Any = av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8), format="bgr24")
+    others = [bytes(packet) for packet in (*codec.encode(small), *codec.encode(None))]
+    file = written(tmp_path, [*coded(count=5), *others])
+    with pytest.raises(RecordingError, match=r"frame 5: 64x48 px, .* before it have 160x96 px"):
+        shown(file)
 
 
 @pytest.mark.parametrize("suffix", [".h264", ".264", ".mjpeg"])
