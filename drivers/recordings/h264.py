@@ -119,9 +119,9 @@ def _put_in_order(found: list[Picture]) -> None:
         if picture.is_reference:
             low = value
     steps = [after[1] - before[1] for before, after in pairwise(counted) if not after[0].is_start]
-    if all(step > 0 for step in steps):
-        return
     near = sorted({order for _, order in counted})
+    if all(step > 0 for step in steps) or len(near) < 2:
+        return
     apart = [after - before for before, after in pairwise(near)]
     step = max(apart, key=apart.count)  # 1 or 2; what is torn may say anything
     base: int | None = None

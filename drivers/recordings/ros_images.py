@@ -9,6 +9,7 @@ another camera would have to be registered, and no bag says reliably where that 
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -52,8 +53,11 @@ COLORS: dict[str, tuple[int, int | None]] = {
     "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2BGR),
     "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2BGR),
 }
+NOT_COLOR = {"depth", "infra", "ir", "disparity", "mask", "label", "labels", "confidence"}
+NOT_IMAGES = ("/theora", "/ffmpeg", "/h264", "/compressedDepth")  # as single images
 DEPTHS = ("16UC1", "mono16", "32FC1")
 REMEDY = "record colour (`.../color/image_raw`) and depth registered to it (RealSense: align_depth.enable:=true)"
+FARTHEST_M = 65.0  # what 16 bits hold in millimetres
 NS = 1_000_000_000
 
 
@@ -65,16 +69,23 @@ class RosFrame:
 
     stamp_ns: int
     color: NDArray[np.uint8]
-    depth_mm: NDArray[np.uint16]
+    depth_mm: NDArray[np.uint16] | None
+
+
+class TornImage(RecordingError):
+    """A compressed image that is not whole: it is no frame."""
 
 
 class RosImages:
     """The images of a bag.
 
     Attributes:
-        color_topic, depth_topic: which were taken.
+        color_topic, depth_topic: which were taken; no depth: None.
         color_size: (width, height) in px.
+        torn: so many frames of ``frames`` were not whole, and are none.
     """
+
+    torn: int = 0
 
     def __init__(self, path: Path) -> None:
         """Raises RecordingError for a bag that cannot be read, or without colour and its depth."""
@@ -82,11 +93,13 @@ class RosImages:
         self._reader = _opened(path)
         try:
             images = [c for c in self._reader.connections if c.msgtype in (IMAGE, COMPRESSED)]
-            self.color_topic = self._only([c.topic for c in images if _is_color(c.topic)], "colour")
-            depths = [c.topic for c in images if "depth" in c.topic]
+            topics = [c.topic for c in images]
+            named = [topic for topic in topics if _is_color(topic)]
+            self.color_topic = self._only(named or list(filter(_may_be_color, topics)), "colour")
+            depths = [topic for topic in topics if "depth" in topic]
             self._color_info = self._info(self.color_topic)
-            self.depth_topic = self._registered(depths)
-            first = _bgr(self._first(self.color_topic))
+            self.depth_topic = self._registered(depths) if depths else None
+            first = self._first_whole(self.color_topic)
         except (ValueError, KeyError, RuntimeError, OSError) as error:
             raise self._damaged(error) from error
         self.color_size: tuple[int, int] = first.shape[1], first.shape[0]
@@ -100,7 +113,14 @@ class RosImages:
         if info is None:
             return None
         model = str(info.distortion_model)
-        where = f"{self._path}: {self.color_topic}"
+        where = self.color_topic
+        said = (int(info.width), int(info.height))
+        if said != self.color_size:
+            raise RecordingError(
+                f"{where}: images of {self.color_size[0]}x{self.color_size[1]} px with a camera_info of "
+                f"{said[0]}x{said[1]} px",
+                "name a calibration",
+            )
         if model not in LENSES:
             raise RecordingError(
                 f"{where}: a lens of a kind that is not known: {model}", "name a calibration"
@@ -134,23 +154,51 @@ class RosImages:
         damaged.
         """
         try:
-            stamps = {
-                topic: sorted(self._stamps(topic)) for topic in (self.color_topic, self.depth_topic)
-            }
-            partner = _partners(stamps[self.color_topic], stamps[self.depth_topic])
-            yield from self._paired(partner)
+            colors = list(self._stamps(self.color_topic))
+            back = sum(after <= before for before, after in pairwise(colors))
+            if back:
+                raise RecordingError(
+                    f"{self._path}: of {len(colors)} images of {self.color_topic} {back} are stamped no "
+                    "later than the one before (their header's stamp)",
+                    "record again with the camera's stamps in the headers, from one start of it",
+                )
+            if self.depth_topic is None:
+                yield from self._alone()
+            else:
+                partner = _partners(colors, sorted(self._stamps(self.depth_topic)))
+                yield from self._paired(partner, self.depth_topic)
         except (ValueError, KeyError, RuntimeError, OSError) as error:
             raise self._damaged(error) from error
         finally:
             self._reader.close()
 
-    def _paired(self, partner: Mapping[int, int]) -> Iterator[RosFrame]:
+    def _alone(self) -> Iterator[RosFrame]:
+        """Yield colour of a bag that has no depth."""
+        for _, message in self._messages(self.color_topic):
+            try:
+                pixels = _bgr(message)
+            except TornImage:
+                self.torn += 1
+                continue
+            self._check_size(pixels)
+            yield RosFrame(_stamp_of(message), pixels, None)
+
+    def _check_size(self, pixels: NDArray[np.uint8]) -> None:
+        size = (pixels.shape[1], pixels.shape[0])
+        if size != self.color_size:
+            raise RecordingError(
+                f"{self._path}: {self.color_topic} has images of {size[0]}x{size[1]} px after such of "
+                f"{self.color_size[0]}x{self.color_size[1]} px",
+                "copy the images of one size into a bag of their own",
+            )
+
+    def _paired(self, partner: Mapping[int, int], depth_topic: str) -> Iterator[RosFrame]:
         """Yield pairs, by colour's stamp and its depth's. Depth often comes some messages after its
         colour.
         """
         wanted = {depth_ns: color_ns for color_ns, depth_ns in partner.items()}
         waiting: dict[int, dict[str, Any]] = {}
-        topics = (self.color_topic, self.depth_topic)
+        topics = (self.color_topic, depth_topic)
         for topic, message in self._messages(*topics):
             stamp_ns = _stamp_of(message)
             color_ns = stamp_ns if topic == self.color_topic else wanted.get(stamp_ns)
@@ -162,8 +210,13 @@ class RosImages:
                 continue
             del waiting[color_ns]
             color, depth = (both[each] for each in topics)
-            pixels = _bgr(color)
-            depth_mm = _millimetres(depth)
+            try:
+                pixels = _bgr(color)
+                depth_mm = _millimetres(depth)
+            except TornImage:
+                self.torn += 1
+                continue
+            self._check_size(pixels)
             if pixels.shape[:2] != depth_mm.shape:
                 raise RecordingError(
                     f"{self._path}: depth of {depth_mm.shape[1]}x{depth_mm.shape[0]} px for colour of "
@@ -181,10 +234,15 @@ class RosImages:
         for _, message in self._messages(topic):
             yield _stamp_of(message)
 
-    def _first(self, topic: str) -> Any:
+    def _first_whole(self, topic: str) -> NDArray[np.uint8]:
+        """Return the first image that is whole. Raises RecordingError."""
+        torn: TornImage | None = None
         for _, message in self._messages(topic):
-            return message
-        raise RecordingError(f"{self._path}: nothing was recorded of {topic}", REMEDY)
+            try:
+                return _bgr(message)
+            except TornImage as error:
+                torn = error
+        raise torn or RecordingError(f"{self._path}: nothing was recorded of {topic}", REMEDY)
 
     def _info(self, topic: str) -> Any | None:
         """The first camera_info beside a topic."""
@@ -268,7 +326,9 @@ def _opened(path: Path) -> Any:
         reader.open()
     except Exception as error:  # of storage plug-ins, which share no base
         raise RecordingError(
-            f"{path}: the bag cannot be read: {error}", "is it whole, and was it closed?"
+            f"{path}: the bag cannot be read: {error}",
+            "is it whole, and was it closed? `rosbag reindex` mends a .bag, `ros2 bag reindex` a "
+            "folder, `mcap recover` a .mcap",
         ) from error
     return reader
 
@@ -284,7 +344,13 @@ def _matrix(info: Any, name: str, columns: int) -> NDArray[np.float64]:
 
 def _is_color(topic: str) -> bool:
     named = "color" in topic or "rgb" in topic
-    return named and "depth" not in topic and not topic.endswith(("/theora", "/ffmpeg", "/h264"))
+    return named and "depth" not in topic and not topic.endswith(NOT_IMAGES)
+
+
+def _may_be_color(topic: str) -> bool:
+    """Return whether a topic that does not say so may be colour: of a camera alone, or a webcam."""
+    words = set(re.split(r"[/_]|(?<=[a-z])(?=\d)", topic.lower()))
+    return not words & NOT_COLOR and not topic.endswith(NOT_IMAGES)
 
 
 def _stem(topic: str) -> str:
@@ -334,9 +400,10 @@ def _bgr(message: Any) -> NDArray[np.uint8]:
 def _millimetres(message: Any) -> NDArray[np.uint16]:
     """Return depth in mm: of REP 118, metres as float32 or millimetres as uint16."""
     if not hasattr(message, "encoding"):
-        if not str(message.format).startswith("16UC1"):
+        form = str(message.format)
+        if not form.startswith("16UC1") or "rvl" in form:
             raise RecordingError(
-                f"depth is compressed as {message.format}", "16UC1 in millimetres is read"
+                f"depth is compressed as {form}", "16UC1 in millimetres, as PNG, is read"
             )
         return _decompressed(message, cv2.IMREAD_UNCHANGED, np.uint16)
     encoding = str(message.encoding)
@@ -347,7 +414,13 @@ def _millimetres(message: Any) -> NDArray[np.uint16]:
     if encoding == "32FC1":
         metres = _rows(message, np.dtype(np.float32), 1)
         with np.errstate(invalid="ignore"):
-            believed = np.isfinite(metres) & (metres > 0.0) & (metres < 65.0)
+            given = np.isfinite(metres) & (metres > 0.0)
+            believed = given & (metres < FARTHEST_M)
+        if np.count_nonzero(believed) * 2 < np.count_nonzero(given):
+            raise RecordingError(
+                f"depth in 32FC1 is {np.median(metres[given]):.0f} at half of its pixels: these are no metres",
+                "ROS has metres in 32FC1 and millimetres in 16UC1 (REP 118): convert it",
+            )
         return np.where(believed, np.round(np.where(believed, metres, 0.0) * 1000.0), 0.0).astype(
             np.uint16
         )
@@ -379,7 +452,7 @@ def _decompressed(message: Any, flags: int, kind: type[Any]) -> NDArray[Any]:
     begins = bytes(data[:64]).find(b"\x89PNG")  # compressed depth has a header of its own before it
     pixels = cv2.imdecode(data[max(begins, 0) :], flags) if data.size else None
     if pixels is None or pixels.dtype != kind:
-        raise RecordingError(
+        raise TornImage(
             f"an image compressed as {message.format} cannot be read", "is the bag whole?"
         )
     return pixels

@@ -20,7 +20,7 @@ from typing import Any
 from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord, parts
 from drivers.recordings.recording import REALSENSE_SUFFIXES
-from drivers.recordings.ros_bag import ros_bag_at
+from drivers.recordings.ros_bag import METADATA, ros_bag_at
 from missions.ground.options.runs import ExportOptions
 from missions.ground.run_folder import unless_refused
 from missions.ground.trajectory import Row, write_tum
@@ -45,13 +45,18 @@ def run(options: ExportOptions) -> int:
             "--calibration is of a RealSense recording",
             f"leave it out for the run {options.folder}",
         )
-    if not (options.tum or options.csv):
-        raise PartError("nothing is asked for", "say --tum, --csv, or both")
     if not options.folder.is_dir():
         raise PartError(
             f"{options.folder} is no folder",
-            "name the folder of a run, or a RealSense recording (.db3)",
+            "name the folder of a run, a RealSense recording (.db3), or a bag of ROS that is whole",
         )
+    if any(options.folder.glob("*.db3")) or (options.folder / METADATA).is_file():
+        raise PartError(
+            f"{options.folder} is a bag of ROS 2 that is not whole: {METADATA} or its .db3 or .mcap is missing",
+            f"name the file itself, or have {METADATA} written by `ros2 bag reindex`",
+        )
+    if not (options.tum or options.csv):
+        raise PartError("nothing is asked for", "say --tum, --csv, or both")
     out = options.out or options.folder / "export"
     with unless_refused(out):
         for path in _write_all(options, out):

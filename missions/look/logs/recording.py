@@ -2,7 +2,8 @@
 reads.
 
 NAME/000001.png ...      colour
-NAME/depth/000001.png    depth in mm as the colour camera sees it, 16 bits, 0 where there is none
+NAME/depth/000001.png    depth in mm as the colour camera sees it, 16 bits, 0 where there is none;
+                         no such folder for a bag of colour alone
 NAME/stamps.csv          when each was taken
 NAME.camera.toml         the colour camera by its maker's calibration, unless another is given
 """
@@ -50,21 +51,27 @@ FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 @dataclass(frozen=True, slots=True)
 class FilmFrame:
-    """Colour (h, w, 3) BGR and depth (h, w) in mm as the colour camera sees it."""
+    """Colour (h, w, 3) BGR and depth (h, w) in mm as the colour camera sees it, if there is any."""
 
     stamp_ns: int
     color: NDArray[np.uint8]
-    depth_mm: NDArray[np.uint16]
+    depth_mm: NDArray[np.uint16] | None
 
 
 class Film(Protocol):
     """What is written out. ``serial``: of its camera, "" when it is not known; ``clock``: whose its
-    stamps are.
+    stamps are; ``torn``: so many frames were not whole, and were left out.
     """
 
     serial: str
     color_size: tuple[int, int]
     clock: str
+
+    @property
+    def has_depth(self) -> bool: ...
+
+    @property
+    def torn(self) -> int: ...
 
     def factory_color(self) -> StandIn | None:
         """The colour camera by the film itself; None where it does not say. Raises CameraError."""
@@ -79,6 +86,9 @@ class Film(Protocol):
 
 class RealSenseFilm:
     """A recording of librealsense."""
+
+    has_depth = True
+    torn = 0
 
     def __init__(self, file: Path) -> None:
         self._file, self._recording = file, RealSenseRecording(file)
@@ -117,6 +127,14 @@ class RosFilm:
         self.serial = ""
         self.color_size = self._images.color_size
         self.clock = "the clock of who recorded it"
+
+    @property
+    def has_depth(self) -> bool:
+        return self._images.depth_topic is not None
+
+    @property
+    def torn(self) -> int:
+        return self._images.torn
 
     def factory_color(self) -> StandIn | None:
         return self._images.factory_color()
@@ -158,8 +176,10 @@ def export_recording(options: ExportOptions) -> int:
                 f"{file}: colour and depth were never taken together", "is the file whole?"
             )
     named = "" if camera.file is None else str(camera.file)
+    depth = "with depth" if film.has_depth else "without depth (there is none in it)"
+    torn = f", {film.torn} that were torn left out" if film.torn else ""
     sys.stdout.write(
-        f"{out}: {frames} frames with depth, stamped by {film.clock}; {named}{camera.note}\n"
+        f"{out}: {frames} frames {depth}{torn}, stamped by {film.clock}; {named}{camera.note}\n"
     )
     return 0
 
@@ -183,7 +203,7 @@ def _write_all(film: Film, camera: _Camera, out: Path) -> int:
         stamps: Any = None
         for frames, frame in enumerate(film.frames(camera.model), 1):
             if stamps is None:
-                (out / "depth").mkdir(parents=True, exist_ok=True)
+                (out / "depth" if film.has_depth else out).mkdir(parents=True, exist_ok=True)
                 if camera.file is not None and camera.unwritten is not None:
                     write_calibration(camera.file, camera.unwritten)
                 lines = stack.enter_context((out / STAMPS).open("w", newline="", encoding="utf-8"))
@@ -191,7 +211,8 @@ def _write_all(film: Film, camera: _Camera, out: Path) -> int:
                 stamps.writerow(("file", "stamp_ns"))
             name = f"{frames:06d}.png"
             _write(out / name, frame.color)
-            _write(out / "depth" / name, frame.depth_mm)
+            if frame.depth_mm is not None:
+                _write(out / "depth" / name, frame.depth_mm)
             stamps.writerow((name, frame.stamp_ns))
     return frames
 

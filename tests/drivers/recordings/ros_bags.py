@@ -28,7 +28,8 @@ ORDERS = {"bgr8": (0, 1, 2), "rgb8": (2, 1, 0), "bgra8": (0, 1, 2, 3), "rgba8": 
 @dataclass(frozen=True, slots=True)
 class BagKind:
     """What is in a bag. ``model``: of the lens; None: no camera_info. ``late_ns``: depth's stamps
-    after colour's.
+    after colour's; ``step_ns``: between colour's. ``unit_m``: of depth in 32FC1. ``torn``: images
+    that are not whole.
     """
 
     color: str = "rgb8"
@@ -42,6 +43,10 @@ class BagKind:
     big_endian: bool = False
     depth_height: int = HEIGHT
     depth_focal_px: float = 30.0
+    step_ns: int = STEP_NS
+    unit_m: float = 0.001
+    info_width: int = WIDTH
+    torn: tuple[int, ...] = ()
 
 
 def written(folder: Path, form: Form, kind: BagKind) -> Path:
@@ -65,7 +70,11 @@ def written(folder: Path, form: Form, kind: BagKind) -> Path:
 def _messages(store: Any, form: Form, kind: BagKind) -> Iterator[tuple[str, int, Any]]:
     for number in range(FRAMES):
         stamp_ns = BEGIN_NS + number * STEP_NS
-        yield kind.color_topic, stamp_ns, _color(store, _header(store, form, number, 0), kind)
+        late_ns = number * (kind.step_ns - STEP_NS)
+        color = _color(store, _header(store, form, number, late_ns), kind)
+        if number in kind.torn:
+            color.data = color.data[: len(color.data) // 3]
+        yield kind.color_topic, stamp_ns, color
         if kind.model is not None:
             info = _info(store, _header(store, form, number, 0), form, kind, 30.0)
             beside = kind.color_topic.removesuffix("/compressed").rpartition("/")[0]
@@ -100,7 +109,7 @@ def _info(store: Any, header: Any, form: Form, kind: BagKind, focal_px: float) -
     names = ("D", "K", "R", "P") if form == "ros1" else ("d", "k", "r", "p")
     numbers = dict(zip(names, (np.array(kind.coefficients), K, np.eye(3).ravel(), P), strict=True))
     return store.types["sensor_msgs/msg/CameraInfo"](
-        header=header, height=HEIGHT, width=WIDTH, distortion_model=kind.model or "plumb_bob",
+        header=header, height=HEIGHT, width=kind.info_width, distortion_model=kind.model or "plumb_bob",
         binning_x=0, binning_y=0, roi=region, **numbers,
     )  # fmt: skip
 
@@ -127,7 +136,7 @@ def _depth(store: Any, header: Any, kind: BagKind) -> Any:
             header=header, format="16UC1; compressedDepth png", data=data
         )
     if kind.depth == "32FC1":
-        metres = depth.astype(np.float32) / 1000.0
+        metres = depth.astype(np.float32) * np.float32(kind.unit_m)
         metres[0], metres[1] = np.nan, np.inf
         return _image(store, header, "32FC1", metres, kind)
     return _image(store, header, kind.depth, depth, kind)

@@ -106,7 +106,20 @@ REFUSED: dict[str, tuple[BagKind, str]] = {
         BagKind(depth_topic=RAW, depth_focal_px=33.0),
         "does not say where that camera is",
     ),
-    "no depth": (BagKind(depth_topic=None), "has no depth to be read; it has: /camera/color"),
+    "millimetres as metres": (BagKind(depth="32FC1", unit_m=1.0), "1500 .*: these are no metres"),
+    "stamps that stand still": (
+        BagKind(step_ns=0),
+        "of 6 images of /camera/color/image_raw 5 are stamped no later than the one before",
+    ),
+    "stamps that go back": (BagKind(step_ns=-STEP_NS), "5 are stamped no later"),
+    "a camera_info of other images": (
+        BagKind(info_width=640),
+        "images of 24x16 px with a camera_info of 640x16 px",
+    ),
+    "no image that is whole": (
+        BagKind("png", color_topic="/camera/color/image_raw/compressed", torn=tuple(range(FRAMES))),
+        "compressed as rgb8; png cannot be read",
+    ),
     "no colour": (BagKind(color_topic="/camera/infra1/image_raw"), "has no colour to be read"),
     "depth of another size": (
         BagKind(depth_height=8),
@@ -128,6 +141,39 @@ def test_what_a_bag_has_not_is_refused_by_name_and_leaves_nothing(
         run(ExportOptions(file, out=tmp_path / "out"))
     assert caught.value.remedy
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("topic", ["/image_raw", "/cam0/image_raw", "/camera/color/image_raw"])
+@pytest.mark.parametrize("form", FORMS)
+def test_a_bag_of_colour_alone_is_read_and_says_so(
+    tmp_path: Path, form: Form, topic: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = written(tmp_path, form, BagKind(depth_topic=None, color_topic=topic))
+    assert run(ExportOptions(file, out=tmp_path / "out")) == 0
+    assert f"{FRAMES} frames without depth" in capsys.readouterr().out
+    assert not (tmp_path / "out" / "depth").exists()
+    assert len(list(open_recording(tmp_path / "out").frames())) == FRAMES
+
+
+def test_torn_images_of_a_bag_are_left_out_and_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kind = BagKind("png", color_topic="/camera/color/image_raw/compressed", torn=(0, 3))
+    assert run(ExportOptions(written(tmp_path, "mcap", kind), out=tmp_path / "out")) == 0
+    assert "4 frames with depth, 2 that were torn left out" in capsys.readouterr().out
+    stamps = [frame.stamp_ns for frame in open_recording(tmp_path / "out").frames()]
+    assert stamps == [BEGIN_NS + k * STEP_NS for k in (1, 2, 4, 5)]
+
+
+@pytest.mark.parametrize("gone", ["metadata.yaml", "bag.db3"])
+def test_a_folder_of_ros_2_that_is_not_whole_says_what_is_missing(
+    tmp_path: Path, gone: str
+) -> None:
+    folder = written(tmp_path, "db3", BagKind()).parent
+    (folder / gone).unlink()
+    with pytest.raises(PartError, match="a bag of ROS 2 that is not whole") as caught:
+        run(ExportOptions(folder))
+    assert "ros2 bag reindex" in caught.value.remedy
 
 
 @pytest.mark.parametrize("form", FORMS)
