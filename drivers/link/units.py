@@ -11,7 +11,7 @@ rotation       3 x 16 bit rotation vector, pi/32767 rad   0.0048 degrees (0.0024
 direction      2 x 16 bit octahedral                      0.0037 degrees
 instant        48 bit, 10 us, rounded down                10 us, never later
 sigma          16 bit, 0.1 mm                             0.05 mm
-box edge       16 bit, 1/16 px                            0.031 px
+box edge       16 bit, 1/4 px, ± 8191 px                  0.125 px
 =============  =========================================  ===========================
 """
 
@@ -41,7 +41,7 @@ _MOST = _PARTS * (I16 + 1) - 1
 _UNIT = float(I16)
 _TURN = I16 / math.pi
 _LONGEST_TURN = I16 + 1.0  # rounding may lengthen a half turn a little
-_PIXEL = 16.0
+_PIXEL = 4.0  # an edge of an 8K image, 7680 px, has to fit 16 bit
 _SIGMA = 10000.0
 _DIRECTION_TOLERANCE = 1e-2
 _ROTATION_TOLERANCE = 1e-3

@@ -46,8 +46,9 @@ class CameraTable:
     figure is used. ``thinning``: how the camera leaves out pixels; None where it does not.
     """
 
-    width: Annotated[int, Bounds(16, 16384, "px")]
-    height: Annotated[int, Bounds(16, 16384, "px")]
+    # wider ones could not say on the link where their boxes are (drivers.link.units)
+    width: Annotated[int, Bounds(16, 8191, "px")]
+    height: Annotated[int, Bounds(16, 8191, "px")]
     fx: Annotated[float, Bounds(10.0, 100000.0, "px")]
     fy: Annotated[float, Bounds(10.0, 100000.0, "px")]
     cx: Annotated[float, Bounds(0.0, 16384.0, "px")]

@@ -70,7 +70,7 @@ from path.messages import Role
 
 LIMITS = SetLimits()
 LEAST_PX = 16
-MOST_PX = 16384
+MOST_PX = 8191
 
 
 class BadViews(CalibrationError):

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from drivers.link.units import (
     OutOfRange,
+    box_from,
     box_to,
     direction_from,
     direction_to,
@@ -117,8 +118,14 @@ def test_no_box_is_four_zeros() -> None:
     assert box_to(None) == (0, 0, 0, 0)
 
 
+@pytest.mark.parametrize(("width", "height"), [(3840, 2160), (7680, 4320)])
+def test_a_box_anywhere_in_the_largest_image_can_be_said(width: int, height: int) -> None:
+    for x, y in ((-0.5, -0.5), (width - 10.0, height - 10.0)):
+        assert box_from(*box_to(Box(x, y, 10.0, 10.0))) == Box(x, y, 10.0, 10.0)
+
+
 def test_the_narrowest_box_is_one_step_wide_and_one_high_and_anything_less_is_none() -> None:
-    step = 1.0 / 16.0
+    step = 1.0 / 4.0
     assert box_to(Box(0.0, 0.0, step, step)) == (0, 0, 1, 1)
     assert box_to(Box(0.0, 0.0, 65535 * step, 65535 * step)) == (0, 0, 65535, 65535)
     for box in (Box(0.0, 0.0, 0.4 * step, 1.0), Box(0.0, 0.0, 1.0, 0.4 * step)):

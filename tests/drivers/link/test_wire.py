@@ -163,9 +163,9 @@ NAN, INF = float("nan"), float("inf")
         replace(TARGET, capture_ns=-1),
         replace(TARGET, capture_ns=2**48 * 10_000),
         replace(STATUS, stamp_ns=2**48 * 10_000),
-        replace(CANDIDATE, box=replace(BOX, x=2048.0)),
-        replace(CANDIDATE, box=replace(BOX, y=-2048.0)),
-        replace(CANDIDATE, box=replace(BOX, w=4096.0)),
+        replace(CANDIDATE, box=replace(BOX, x=8192.0)),
+        replace(CANDIDATE, box=replace(BOX, y=-8192.0)),
+        replace(CANDIDATE, box=replace(BOX, w=16384.0)),
         replace(CANDIDATE, box=replace(BOX, h=0.0)),
         replace(CANDIDATE, box=replace(BOX, h=NAN)),
         replace(CANDIDATE, box=None),
@@ -288,7 +288,7 @@ def test_a_box_comes_back_within_half_a_step(
         receiver.encode(replace(CANDIDATE, box=Box(x, y, w, w), sigma_m=sigma, position_v_m=p))
     )
     assert isinstance(back, Candidate) and back.box is not None
-    half = 1 / 32 + 1e-9
+    half = 1 / 8 + 1e-9
     assert (
         abs(back.box.x - x) <= half and abs(back.box.y - y) <= half and abs(back.box.w - w) <= half
     )

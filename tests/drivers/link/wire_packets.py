@@ -27,7 +27,7 @@ STAMP = 2**63 + 12345
 INSTANT = (2**47 + 12345) * 10_000  # what a 48 bit stamp in 10 us can say exactly
 
 TARGET = Target(0xFFFF, 0xFFFE, 255, 0xFFFD, INSTANT, (1.25, -2.5, 0.125), (0.6, 0.0, 0.8), 0.0123)
-BOX = Box(-100.5, 200.0625, 50.25, 4095.9375)
+BOX = Box(-100.5, 200.25, 50.25, 8191.75)
 CANDIDATE = Candidate(
     0xFFFF,
     0xFFFE,

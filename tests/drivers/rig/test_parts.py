@@ -331,7 +331,7 @@ def test_a_part_is_made_with_its_options_and_context(write: Write) -> None:
             "[sender.camera]\nwidth = 320",
             "principal point (320.5, 240.5) is outside 320x480",
         ),
-        ("height = 480", "height = 0", "sender.camera.height: 0 px is not within 16..16384 px"),
+        ("height = 480", "height = 0", "sender.camera.height: 0 px is not within 16..8191 px"),
         ('level = "hitl"', 'level = "hil"', 'level: expected one of "sim", "sim-rendered"'),
         ("side_m = 0.04", "side_m = 0", "side_m"),
         (
