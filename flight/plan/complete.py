@@ -13,8 +13,9 @@ from drivers.rig.facts import DroneFacts, TargetFacts
 from drivers.rig.parts import PartSpec, Rig, RoleRig
 from drivers.rig.tables import decode_table
 from flight.config import MissionConfig
-from flight.plan.derive import Derived, derive, derive_rates
+from flight.plan.derive import Derived, derive, derive_rest
 from flight.plan.facts import facts_of
+from flight.plan.geometry import flown_layout
 from path.config import MethodConfig
 
 DEPTH_KEYS = (
@@ -38,7 +39,8 @@ SPANS_APART = 1.8
 def complete(rig: Rig) -> Rig:
     """Return the rig with what its facts give filled in. Raises RigError.
 
-    Without ``[target]`` that is what follows from the rates of its cameras.
+    Without ``[target]`` that is what follows from the rates of its cameras, and from how much the
+    boxes of both drones overlap.
     """
     rig = replace(rig, method=_measured(rig))
     mission = {**rig.mission}
@@ -145,7 +147,9 @@ def derived_of(rig: Rig) -> tuple[Derived, ...]:
     """Return what a rig's facts give, without what it names itself. Raises RigError."""
     mission = decode_table(rig.mission, MissionConfig, rig.where("mission"))
     facts = facts_of(rig, mission)
-    return derive_rates(facts, rig.named) if rig.target is None else derive(facts, rig.named)
+    if rig.target is not None:
+        return derive(facts, rig.named)
+    return derive_rest(facts, rig.named, flown_layout(facts, mission))
 
 
 def _with(table: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]:

@@ -82,8 +82,12 @@ class Predicted:
     @property
     def offset_sigma_m(self) -> float:
         """Return the standard deviation per axis of D2's box from D1's, at the target's depth."""
-        total = np.sum([source.adds for source in self.sources], axis=0)
-        return math.sqrt(0.5 * float(np.trace(total)))
+        return math.sqrt(0.5 * float(np.trace(self.offset_cov_m2)))
+
+    @property
+    def offset_cov_m2(self) -> Floats:
+        """Return its covariance, B, shape (2, 2)."""
+        return np.sum([source.adds for source in self.sources], axis=0)
 
 
 def predict(facts: Facts, placed: Layout) -> Predicted:

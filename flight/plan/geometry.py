@@ -15,12 +15,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.rig.facts import TargetFacts
 from flight.config import MissionConfig, RendezvousConfig, SeparationConfig
 from flight.plan.facts import Facts
 from flight.rendezvous.viewpoint import NoViewpoint, Viewpoint, ViewpointScene, plan_viewpoint
 from path.geometry.transforms import Pose
 
 Floats = NDArray[np.float64]
+
+# Of what flies on rotors: the share of its length, width and height that detectors draw a box
+# around. They see the body, not thin arms and turning rotors: 62 x 54 px of 0.31 m from 1.9 m.
+BOXED_OF_ROTORS = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +94,17 @@ def apparent(facts: Facts, range_m: float) -> Apparent:
     target = facts.target
     camera = facts.sender.camera
     angle = depression_rad(facts)
-    width_m = target.span_m
-    height_m = target.height_m * math.cos(angle) + target.span_m * math.sin(angle)
+    share = boxed_share(target)
+    width_m = share * target.span_m
+    height_m = share * (target.height_m * math.cos(angle) + target.span_m * math.sin(angle))
     return Apparent(
         width_m, height_m, camera.fx * width_m / range_m, camera.fy * height_m / range_m
     )
+
+
+def boxed_share(target: TargetFacts) -> float:
+    """Return the share of a target's sides that its box has."""
+    return BOXED_OF_ROTORS if target.flies else 1.0
 
 
 def place_of_target(facts: Facts, range_m: float) -> Floats:
@@ -149,12 +160,23 @@ def layout(
     return Layout(range_m, target_h, found, _pose_of(facts, found))
 
 
+def flown_layout(facts: Facts, mission: MissionConfig) -> Layout:
+    """Plan D2's viewpoint where a mission's own settings have D1 follow the target."""
+    return layout(
+        facts,
+        followed_at(mission),
+        mission.target.half_size_m,
+        mission.separation,
+        mission.rendezvous,
+    )
+
+
 def target_radius_m(facts: Facts) -> float:
     """Return the radius about the target's middle that must be in view, between half its width and
     half its height.
     """
     seen = apparent(facts, 1.0)
-    return 0.25 * (seen.width_m + seen.height_m)
+    return 0.25 * (seen.width_m + seen.height_m) / boxed_share(facts.target)
 
 
 def _pose_of(facts: Facts, found: Viewpoint) -> Pose:

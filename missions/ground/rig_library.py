@@ -17,6 +17,7 @@ from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
 from flight.plan.checks import check_plan
 from flight.plan.complete import complete
+from flight.plan.settings import check_settings
 from flight.plausible import check_plausible
 from missions.ground.rigs import FOLDER
 from missions.ground.team_config import checked_team
@@ -31,7 +32,7 @@ def load(name_or_path: str, *, world: bool = True) -> Rig:
     """
     rig = complete(load_rig(name_or_path, [FOLDER]))
     problems = Problems()
-    for check in (partial(check_rig, harness=world), mission_of):
+    for check in (check_settings, partial(check_rig, harness=world), mission_of):
         try:
             with collector_off():  # the parts that the rig names are imported here
                 check(rig)
@@ -53,10 +54,12 @@ def name_of(rig: Rig) -> str:
 
 
 def load_unchecked(name_or_path: str) -> Rig:
-    """The same, read but not checked: nothing of what the rig names is imported. Raises
-    RigError.
+    """The same, with nothing checked but which settings it names: nothing of what the rig names is
+    imported. Raises RigError.
     """
-    return complete(load_rig(name_or_path, [FOLDER]))
+    rig = load_rig(name_or_path, [FOLDER])
+    check_settings(rig)
+    return complete(rig)
 
 
 def mission_of(rig: Rig) -> MissionConfig:

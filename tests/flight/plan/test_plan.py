@@ -181,7 +181,7 @@ def test_more_pixels_change_no_distance(rig_of: RigOf) -> None:
 
 def test_ten_metres_above_a_small_car_are_refused_with_a_range_that_would_do(rig_of: RigOf) -> None:
     rig = rig_of(
-        "[method]\nmax_depth_m = 20.0\n[mission]\ntake_off_height_m = 10.0\nreceiver_take_off_height_m = 11.0\n"
+        "[depth]\nmax_m = 20.0\n[mission]\ntake_off_height_m = 10.0\nreceiver_take_off_height_m = 11.0\n"
         "[mission.guard]\nfence_height_m = 15.0\nfence_radius_m = 40.0\n[mission.follow]\nbehind_m = 9.9\n"
         "height_m = 10.0\n[mission.rendezvous]\nmax_range_m = 16.0\n"
     )
@@ -246,9 +246,7 @@ def test_frames_that_come_slowly_are_given_longer_gaps(rig_of: RigOf) -> None:
 
 
 def test_depth_over_a_large_target_may_spread_and_its_perception_knows(rig_of: RigOf) -> None:
-    rig = rig_of(
-        "[target]\nlength_m = 4.5\nwidth_m = 1.8\nheight_m = 1.5\n[method]\nmax_depth_m = 30.0\n"
-    )
+    rig = rig_of("[target]\nlength_m = 4.5\nwidth_m = 1.8\nheight_m = 1.5\n[depth]\nmax_m = 30.0\n")
     assert rig.method.max_depth_spread_m > 3.0
     for role in (rig.sender, rig.receiver):
         assert role.perception.options["method"]["max_depth_m"] == 30.0

@@ -112,7 +112,7 @@ def test_the_row_about_room_says_what_a_rig_records(
     ("change", "said"),
     [
         (("side_m = 0.040", "side_m = 0.064"), "side_m (40.0 mm here, 64.0 mm there)"),
-        (("[method]", "[method]\ntau_min = 0.26"), "[method]"),
+        (("[method]", "[method]\nmount_sigma_m = 0.003"), "[method]"),
         (("[mission]", "[mission]"), ""),
     ],
 )

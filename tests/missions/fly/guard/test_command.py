@@ -70,15 +70,30 @@ class FakeRole:
         return self.answers[-1].hand if self.answers and self.answers[-1].sees else None
 
 
-def rig_file(folder: Path, own: Bench, beat_port: int, hold_s: float = 2.0) -> Path:
-    """The rig ``sitl`` with the sender's guard on free ports, patient enough for a busy machine."""
+# A guard's program whose rules are patient enough for a busy machine.
+PATIENT = """
+import sys
+from dataclasses import replace
+from flight.guard.rules import GuardRules
+from missions import cli
+from missions.ground import rig_library
+
+usual = rig_library.mission_of
+rules = GuardRules(
+    hold_s=float(sys.argv.pop(1)), beat_age_s=2.5, setpoint_gap_s=2.5,
+    ack_s=10.0, confirm_s=10.0, blind_s=10.0,
+)
+rig_library.mission_of = lambda rig: replace(usual(rig), guard_process=rules)
+cli.main()
+"""
+
+
+def rig_file(folder: Path, own: Bench, beat_port: int) -> Path:
+    """The rig ``sitl`` with the sender's guard on free ports."""
     text = (FOLDER / "sitl.toml").read_text()
     text = text.replace("127.0.0.1:14551", f"127.0.0.1:{own.port}").replace(
         "127.0.0.1:14561", f"127.0.0.1:{beat_port}"
     )
-    rules = f"[mission.guard_process]\nhold_s = {hold_s}\nbeat_age_s = 2.5\nsetpoint_gap_s = 2.5\n"
-    rules += "ack_s = 10.0\nconfirm_s = 10.0\nblind_s = 10.0\n"
-    text = text.replace("[mission.target]", rules + "[mission.target]")
     file = folder / "rig.toml"
     file.write_text(text)
     return file
@@ -95,11 +110,12 @@ def guarded(
     with bench(speed=3.0) as own:
         command = [
             sys.executable,
-            "-m",
-            "missions.cli",
+            "-c",
+            PATIENT,
+            str(hold_s),
             "guard",
             "--rig",
-            str(rig_file(folder, own, port, hold_s)),
+            str(rig_file(folder, own, port)),
         ]
         command += ["--role", "sender", "--out", str(folder), *more]
         with subprocess.Popen(
