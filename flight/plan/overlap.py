@@ -51,7 +51,8 @@ def strengths(facts: Facts, placed: Layout) -> Floats:
         heading_rad = 2.0 * math.pi * (k + 0.5) / HEADINGS
         sides_m = [_sides(facts, heading_rad, sight) for sight in to_target]
         found.append(_overlap(sides_m[0], sides_m[1], offsets_m))
-    return (np.concatenate(found) - tau) / (1.0 - tau)
+    overlaps: Floats = np.concatenate(found)
+    return (overlaps - tau) / (1.0 - tau)
 
 
 def _offsets(covariance: Floats) -> Floats:
