@@ -45,28 +45,28 @@ def strengths(facts: Facts, placed: Layout) -> Floats:
         raise ValueError("a layout without a viewpoint has no pairs")
     tau = threshold(placed.range_m, facts.method)
     offsets_m = _offsets(predict(facts, placed).offset_cov_m2)
-    to_target = placed.target_h - facts.sender.mount.T_b_c.t, placed.target_h - placed.T_h_c2.t
+    eyes = (facts.sender.mount.T_b_c.t, placed.T_h_c2.t)
     found: list[Floats] = []
     for k in range(HEADINGS):
         heading_rad = 2.0 * math.pi * (k + 0.5) / HEADINGS
-        sides_m = [_sides(facts, heading_rad, sight) for sight in to_target]
+        sides_m = [_sides(facts, heading_rad, placed.target_h - eye) for eye in eyes]
         found.append(_overlap(sides_m[0], sides_m[1], offsets_m))
-    overlaps: Floats = np.concatenate(found)
-    return (overlaps - tau) / (1.0 - tau)
+    return (np.concatenate(found) - tau) / (1.0 - tau)
 
 
 def _offsets(covariance: Floats) -> Floats:
     """Return evenly likely draws from a normal distribution about 0, shape (DRAWS ** 2, 2)."""
     quantiles = [NormalDist().inv_cdf((k + 0.5) / DRAWS) for k in range(DRAWS)]
     grid = np.stack(np.meshgrid(quantiles, quantiles), axis=-1).reshape(-1, 2)
-    return grid @ np.linalg.cholesky(covariance).T
+    return np.asarray(grid @ np.linalg.cholesky(covariance).T, np.float64)
 
 
 def _sides(facts: Facts, heading_rad: float, to_target: Floats) -> tuple[float, float]:
     """Return width and height in m of the target's box, at its own depth."""
     target = facts.target
-    right, down = float(to_target[1]), float(to_target[2])
     ahead = float(to_target[0])
+    right = float(to_target[1])
+    down = float(to_target[2])
     turned = heading_rad - math.atan2(right, ahead)
     sinking = math.atan2(down, math.hypot(ahead, right))
     along = abs(math.cos(turned))
