@@ -60,7 +60,8 @@ class Room:
 class Table:
     """``rooms.toml``: rooms in their order, and the changes that change nothing, with the reason.
 
-    ``equivalent``: by name. ``arbitrary``: by file, whose numbers may be any.
+    ``equivalent``: by name. ``arbitrary``: by file, or file and function or constant, whose numbers
+    may be any.
     """
 
     rooms: tuple[Room, ...]
@@ -78,8 +79,10 @@ class Table:
 
     def why_the_same(self, mutation: Mutation) -> str:
         """Return why a change changes nothing; empty when it does."""
-        if mutation.operator == "number" and mutation.file in self.arbitrary:
-            return self.arbitrary[mutation.file]
+        if mutation.operator == "number":
+            for place in (mutation.file, f"{mutation.file} {mutation.where}"):
+                if place in self.arbitrary:
+                    return self.arbitrary[place]
         return self.equivalent.get(mutation.name, "")
 
 
@@ -90,7 +93,7 @@ def load_table(path: Path = TABLE) -> Table:
         for one in told["room"]
     )
     equivalent = {one["name"]: one["why"] for one in told.get("equivalent", ())}
-    return Table(rooms, equivalent, {one["file"]: one["why"] for one in told.get("arbitrary", ())})
+    return Table(rooms, equivalent, {one["place"]: one["why"] for one in told.get("arbitrary", ())})
 
 
 def suite_for(table: Table, file: str, root: Path) -> FileTests | None:
@@ -114,9 +117,14 @@ def suite_for(table: Table, file: str, root: Path) -> FileTests | None:
 
 
 def _nearest_first(places: Sequence[str], file: str, root: Path) -> tuple[str, ...]:
-    """Every test file of some places, those that are called like the file before the others."""
+    """Every test file of some places, those that are called like the file before the others. A
+    place may be one test.
+    """
     found: list[str] = []
     for place in places:
+        if "::" in place:
+            found.append(place)
+            continue
         inside = (
             sorted((root / place).rglob("test_*.py")) if (root / place).is_dir() else [root / place]
         )

@@ -93,7 +93,11 @@ def test_what_is_called_equivalent_is_a_change_that_can_be_made() -> None:
     names = {one.name for room in table.rooms for _, one in of_room(table, room, ROOT)}
     assert set(table.equivalent) - names == set()
     assert all(len(why) > 20 for why in (*table.equivalent.values(), *table.arbitrary.values()))
-    assert all((ROOT / file).exists() for file in table.arbitrary)
+    places = {one.file for room in table.rooms for _, one in of_room(table, room, ROOT)}
+    places |= {
+        f"{one.file} {one.where}" for room in table.rooms for _, one in of_room(table, room, ROOT)
+    }
+    assert set(table.arbitrary) - places == set()
 
 
 def test_the_numbers_of_a_file_may_be_any_and_nothing_else_of_it() -> None:
@@ -109,6 +113,9 @@ def test_the_numbers_of_a_file_may_be_any_and_nothing_else_of_it() -> None:
         for file in ("a.py", "b.py", "c.py")
     }
     assert same == {"a.py": ["sign"], "b.py": ["number"], "c.py": []}
+    own = Table((), {}, {"b.py f": "its numbers stand for any"})
+    first, second = mutations("b.py", "def f():\n    return 1\n\n\ndef g():\n    return 1")
+    assert own.why_the_same(first) and not own.why_the_same(second)
 
 
 def test_a_seed_is_a_choice() -> None:

@@ -132,7 +132,7 @@ class Trials:
         own = Path(suite.file).stem
 
         def rank(test: str) -> tuple[bool, float]:
-            return own not in Path(test).stem, self._costs_s.get(test, 0.0)
+            return own not in Path(test).stem, self._costs_s.get(test.partition("::")[0], 0.0)
 
         return sorted(suite.tests, key=rank)
 
@@ -223,7 +223,7 @@ def score(
     for place in sorted(
         {place for tested, _ in chosen for place in (tested.file, *tested.tests, *tested.slow)}
     ):
-        if not (root / place).exists():
+        if not (root / place.partition("::")[0]).exists():
             raise TableError(f"there is no {place} here: run it in a checkout, and see rooms.toml")
     known = [Tried(one, False, why=why) for _, one in chosen if (why := table.why_the_same(one))]
     rest = [(tested, one) for tested, one in chosen if not table.why_the_same(one)]

@@ -97,7 +97,6 @@ class Receiver:
         )
         self._newest: Target | None = None
         self._live: Handoff | None = None
-        self._following = False
         # when it took the target over; a relief of a relay goes on as something else then
         self._taken_ns = 0
         self._watching = True
@@ -106,7 +105,7 @@ class Receiver:
         self._by_both = FromBothViews(
             rig.method, rig.sender.camera, rig.sender.mount.T_v_c, rig.receiver.camera
         )
-        self._keep_n_m: Vec3 = (0.0, 0.0, 0.0)
+        self._keep_n_m: Vec3 | None = None  # from the target to this drone, once it follows
         self._searched: View | None = None  # the newest view that was searched for the marker
         # of looks at the marker that gave no pose, each told once
         self._causes: dict[MissReason, str] = {}
@@ -297,6 +296,7 @@ class Receiver:
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
         """Keep the place relative to the target that the hand-over found this drone in."""
         assert self._track is not None
+        assert self._keep_n_m is not None
         target, (north, east, down) = self._track.believed(self._session.now_ns())
         moves = north, east, down if self._config.target.flies else 0.0
         highest_m = self._config.guard.fence_height_m - BELOW_FENCE_M
@@ -497,10 +497,10 @@ class Receiver:
         track = self._track
         if track is None:
             raise MissionEnd(Outcome.TARGET_LOST, "the target was handed over but never located")
-        if session.pilot.in_control and session.phase is Phase.FOLLOW and not self._following:
+        begins = session.phase is Phase.FOLLOW and self._keep_n_m is None
+        if begins and session.pilot.in_control:
             self._keep_n_m = subtract(session.vehicle.state.position_n_m, track.position_n_m)
             session.pilot.guidance = self._follow_target
-            self._following = True
         seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
         unseen_s = (view.stamp_ns - track.stamp_ns) * 1e-9
         deadlines = self._config.deadlines

@@ -134,5 +134,23 @@ def virtual(main: Coroutine[Any, Any, None]) -> None:
     run_virtual(main)
 
 
+def noting(into: list[Any]) -> Any:
+    """Return a function that keeps what it is called with."""
+
+    def note(*args: Any) -> None:
+        into.append(args)
+
+    return note
+
+
+def giving(value: Any) -> Any:
+    """Return a function that gives the same whatever it is asked."""
+
+    def give(*_: Any) -> Any:
+        return value
+
+    return give
+
+
 async def for_ever() -> None:
     await asyncio.sleep(1e6)

@@ -26,7 +26,6 @@ from drivers.operator.interfaces import (
     Told,
 )
 from flight.config import MissionConfig
-from flight.tracking.look_round import LookRound
 from missions.fly.leg.designating import Designating, shifted
 from missions.fly.leg.numbered import numbered
 from path.observations import Box
@@ -91,7 +90,8 @@ class Bed:
         self.bench.session.off_n_m = OFF
         self.crew, self.acquiring = Crew(), Acquiring()
         self.points: PlaceTold | None = None
-        self.look_round = LookRound(CONFIG)
+        self.held: list[bool] = []
+        self.look_round: Any = SimpleNamespace(hold=lambda: self.held.append(True))
         camera = rig.sender.camera
         self.camera = camera
         self.designating = Designating(
@@ -208,12 +208,10 @@ def test_it_listens_ten_times_a_second(rig: Any) -> None:
 @pytest.mark.parametrize("ambiguous", [True, False])
 def test_while_it_must_be_asked_it_does_not_go_round(rig: Any, ambiguous: bool) -> None:
     async def main(bed: Bed) -> None:
-        held: list[bool] = []
-        cast(Any, bed.designating)._look_round = SimpleNamespace(hold=lambda: held.append(True))
         bed.acquiring.ambiguous = ambiguous
         view: Any = SimpleNamespace(stamp_ns=5)
         assert bed.designating.look(view, cast(Any, None)) is None
-        assert held == [True] * ambiguous and bed.bench.log.of("/taken") == []
+        assert bed.held == [True] * ambiguous and bed.bench.log.of("/taken") == []
 
     with_bed(rig, main)
 

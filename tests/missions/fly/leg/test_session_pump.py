@@ -176,6 +176,38 @@ def test_statuses_and_pings_are_paced(rig: Any) -> None:
     virtual(main())
 
 
+@pytest.mark.parametrize(
+    ("role", "hz", "times"),
+    [
+        (Role.SENDER, 10.0, [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]),
+        (Role.SENDER, 4.0, [0.0, 0.25, 0.5, 0.75, 1.0]),
+        (Role.RECEIVER, 10.0, [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]),
+    ],
+)
+def test_the_console_is_told_at_once_and_five_times_a_second_as_far_as_statuses_go(
+    rig: Any, role: Role, hz: float, times: list[float]
+) -> None:
+    async def main() -> None:
+        config = MissionConfig(status_hz=hz, receiver_status_hz=hz, ping_hz=1.0)
+        bench = Bench(rig, config, role=role)
+        begun_ns = bench.session.now_ns()
+        bench.session.spawn(bench.session.report())
+        await asyncio.sleep(1.05)
+        await bench.session.cancel_spawned()
+        shown_s = [(each.stamp_ns - begun_ns) * 1e-9 for each in bench.shown]
+        assert shown_s == pytest.approx(times, abs=0.01)
+        logged_s = [
+            (stamp_ns - begun_ns) * 1e-9
+            for topic, stamp_ns, _ in bench.log.entries
+            if topic == "/link"
+        ]
+        assert logged_s == pytest.approx([0.0, 1.0], abs=0.01)  # of the link once a second
+        nonces = [ping.nonce for ping in bench.link.of(Ping)]
+        assert nonces == list(range(1, len(nonces) + 1))
+
+    virtual(main())
+
+
 def test_a_stepped_clock_ends_the_mission(rig: Any) -> None:
     async def main() -> None:
         bench = Bench(rig)
