@@ -31,10 +31,11 @@ and speeds are the simulations' truth, modes are what heartbeats show (a PX4 bea
 One flight each: an example, not a mean. The embedded world has wind (1.5 m/s, gusts 0.4 m/s), the
 two simulators have none.
 
-The last column says whom the embedded vehicle is like as far as a mission would notice. What is
-like both is left out here and shown by the command. “Never”: not within the time that was waited.
+The last column says whom the embedded vehicle is like as far as a mission would notice. On the wire
+it is a PX4: what is like a PX4's is left out here and shown by the command. “Never”: not within the
+time that was waited.
 """
-BOTH = "both"
+AS_MEANT = ("both", NAMES["px4"])
 
 
 def cells(records: Mapping[str, Record]) -> Iterator[tuple[str, list[tuple[Row, list[str]]]]]:
@@ -88,11 +89,11 @@ def page(records: Mapping[str, Record], flights: int) -> str:
 
 
 def _differing(rows: list[tuple[Row, list[str]]]) -> Iterator[list[str]]:
-    """Yield the rows that are not like both, and those that such a one goes on from ("...")."""
+    """Yield the rows that are not like a PX4's, and those that such a one goes on from ("...")."""
     goes_on = False
     kept: list[list[str]] = []
     for row, texts in reversed(rows):
-        if goes_on or texts[-1] != BOTH:
+        if goes_on or texts[-1] not in AS_MEANT:
             kept.append([row.title, *texts])
             goes_on = row.title.startswith("...")
     yield from reversed(kept)

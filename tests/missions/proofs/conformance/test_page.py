@@ -68,10 +68,9 @@ def test_every_row_has_a_name_of_its_own() -> None:
 def test_the_page_is_made_of_the_records_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write(tmp_path, record("embedded", heartbeat_s=1.0, early_arm_text="no | bar"))
-    write(
-        tmp_path, replace(record("px4", heartbeat_s=1.5), failed={"course": "it fell"}, restarts=2)
-    )
+    write(tmp_path, record("embedded", heartbeat_s=1.0, early_arm_text="no | bar", arm_s=1.0))
+    px4 = record("px4", heartbeat_s=9.5, arm_s=1.0)
+    write(tmp_path, replace(px4, failed={"course": "it fell"}, restarts=2))
     with pytest.raises(SystemExit) as ended:
         cli.main(
             ["conformance", "--no-fly", "--out", str(tmp_path), "--page", str(tmp_path / "page.md")]
@@ -80,7 +79,8 @@ def test_the_page_is_made_of_the_records_alone(
     assert "first heartbeat after" in capsys.readouterr().out
     text = (tmp_path / "page.md").read_text("utf-8")
     assert text == page(read_all(tmp_path), 7)
-    assert "| first heartbeat after | 1.0 s | 1.5 s | PX4 |" in text
+    assert "| first heartbeat after | 1.0 s | 9.5 s | **neither** |" in text
+    assert "`arm()` takes" not in text  # as a PX4
     assert "| ... and says | no · bar | not measured |  |" in text
     assert "- PX4, course: it fell" in text
     assert "switched off and on 2 times" in text
