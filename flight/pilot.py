@@ -16,7 +16,8 @@ from flight.guidance import Anchor, slew
 from flight.outcome import MissionEnd, Outcome
 from path.geometry.rotation import yaw_of
 
-DOUBT_S = 0.3  # below every failsafe for setpoints
+# With a tick before it and one after it setpoints are not 0.2 s apart (S8): two messages at 10 Hz.
+DOUBT_S = 0.1
 Guidance = Callable[[VehicleState], VelocitySetpoint]
 
 

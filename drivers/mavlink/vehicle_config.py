@@ -45,7 +45,8 @@ class MavsdkVehicleConfig:
         autopilot: refused when the vehicle is another.
         own_sysid: ours. ArduPilot's ground-station failsafe (MAV_GCS_SYSID) watches it.
         telemetry_hz: position, velocity and attitude; three streams of 50 Hz need 9 kB/s.
-        heartbeat_hz: asked for, so that mode and arming are not a second late; 0 leaves it alone.
+        heartbeat_hz: asked for, so that mode and arming are not a second late, and a second one
+            comes before the pilot's control ends by the word of one; 0 leaves it alone.
         connect_timeout_s: for the first heartbeat, and for the first attitude after it.
         command_timeout_s: for one acknowledgement.
         mode_timeout_s: from an accepted command until telemetry shows it.
@@ -75,7 +76,7 @@ class MavsdkVehicleConfig:
     # MAV_COMP_ID_MISSIONPLANNER: a ground station, as the failsafes expect
     own_compid: Annotated[int, Bounds(1, 255, "(an id)")] = 190
     telemetry_hz: Annotated[float, Bounds(1.0, 400.0)] = 50.0
-    heartbeat_hz: Annotated[float, Bounds(0.0, 50.0)] = 5.0
+    heartbeat_hz: Annotated[float, Bounds(0.0, 50.0)] = 10.0
     connect_timeout_s: Annotated[float, Bounds(0.1, 300.0)] = 10.0
     command_timeout_s: Annotated[float, Bounds(0.05, 30.0)] = 1.0
     mode_timeout_s: Annotated[float, Bounds(0.05, 60.0)] = 3.0

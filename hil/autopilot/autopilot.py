@@ -158,8 +158,7 @@ class Autopilot:
         """
         self.killed = True
         self.armed = False
-        if self.mode is FlightMode.OFFBOARD:
-            self.offboard_sessions[-1].end_s = now_s
+        self._end_session(now_s)
         self._say(now_s, Severity.CRITICAL, "Kill switch engaged")
 
     def request_arm(self, now_s: float, arm: bool, force: bool = False) -> Ack:
@@ -286,10 +285,7 @@ class Autopilot:
         self._say(now_s, Severity.INFO, f"Disarmed {why}")
 
     def _enter(self, now_s: float, mode: FlightMode) -> None:
-        if self.mode is FlightMode.OFFBOARD:
-            self._note_gap(now_s)
-            self.offboard_sessions[-1].end_s = now_s
-            self.offboard_sessions[-1].ended_by = mode
+        self._end_session(now_s, mode)
         self.mode = mode
         self._offboard_lost_s = None
         self._radio_lost_s = None
@@ -297,9 +293,23 @@ class Autopilot:
         if mode is FlightMode.OFFBOARD:
             self.offboard_sessions.append(OffboardSession(now_s))
 
+    @property
+    def _open_session(self) -> OffboardSession | None:
+        last = self.offboard_sessions[-1] if self.offboard_sessions else None
+        return last if last is not None and last.end_s is None else None
+
+    def _end_session(self, now_s: float, mode: FlightMode | None = None) -> None:
+        """``mode``: that ended it; None: its motors were stopped, and nobody owes it a setpoint."""
+        session = self._open_session
+        if session is not None:
+            self._note_gap(now_s)
+            session.end_s = now_s
+            session.ended_by = mode
+
     def _note_gap(self, now_s: float) -> None:
-        if self.mode is FlightMode.OFFBOARD and self.armed:
-            self.offboard_sessions[-1].note_gap(self._setpoint_s, now_s)
+        session = self._open_session
+        if session is not None and self.armed:
+            session.note_gap(max(self._setpoint_s, session.start_s), now_s)
 
     # --- the pilot's radio ---
 
@@ -308,6 +318,8 @@ class Autopilot:
         if pilot.kill is not None:
             self.killed = pilot.kill
             self._killed_s = now_s
+            if self.killed:
+                self._end_session(now_s)
             self._say(
                 now_s, Severity.CRITICAL, f"Kill switch {'engaged' if pilot.kill else 'disengaged'}"
             )

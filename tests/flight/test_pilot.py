@@ -15,6 +15,7 @@ from flight.config import MissionConfig
 from flight.guidance import norm, subtract
 from flight.outcome import MissionEnd, Outcome
 from flight.pilot import DOUBT_S, Pilot
+from hil.autopilot.values import MAX_SETPOINT_GAP_S
 from hil.harness.virtual_time import run_virtual
 
 YAW_HALF = (0.9238795325112867, 0.0, 0.0, 0.3826834323650898)  # 45 degrees to the right
@@ -306,7 +307,7 @@ def test_one_message_that_somebody_took_it_stops_setpoints_until_it_is_taken_bac
         ours, vehicle = flight.vehicle.state_now, flight.vehicle
         before = len(vehicle.flown)
         vehicle.state_now = replace(ours, **said)
-        await asyncio.sleep(0.2)
+        await asyncio.sleep(0.8 * DOUBT_S)
         assert len(vehicle.flown) == before and not task.done()
         vehicle.state_now = ours
         await asyncio.sleep(0.5)
@@ -334,12 +335,35 @@ def test_a_second_message_confirms_it_and_no_setpoint_is_sent_meanwhile(
         vehicle = flight.vehicle
         before = len(vehicle.flown)
         vehicle.state_now = replace(vehicle.state_now, **said)
-        await asyncio.sleep(0.1)
+        await asyncio.sleep(0.5 * DOUBT_S)
         vehicle.state_now = replace(vehicle.state_now, **confirmed)
         await asyncio.sleep(0.05)
         assert task.done() and len(vehicle.flown) == before
         assert (await ended(task)).outcome is Outcome.PILOT_OVERRIDE
         assert flight.pilot.override and not flight.pilot.taken_back
+
+    fly(main())
+
+
+@pytest.mark.parametrize("said", GONE)
+@pytest.mark.parametrize("control_hz", [10.0, 20.0, 25.0, 50.0])
+def test_a_word_that_is_taken_back_leaves_no_gap_that_S8_would_count(
+    said: dict[str, Any], control_hz: float
+) -> None:
+    async def main() -> None:
+        flight = Flight(MissionConfig(control_hz=control_hz))
+        task = await flight.for_a_while(1.0)
+        vehicle = flight.vehicle
+        ours = vehicle.state_now
+        for early_s in (0.0, 0.011, 0.023, 0.037):
+            await asyncio.sleep(0.5 + early_s)
+            vehicle.state_now = replace(ours, **said)
+            await asyncio.sleep(0.99 * DOUBT_S)  # as late as it may be
+            vehicle.state_now = ours
+        await asyncio.sleep(0.5)
+        assert max(vehicle.gaps_s()) <= MAX_SETPOINT_GAP_S + 1e-6
+        assert flight.pilot.taken_back and not task.done()
+        task.cancel()
 
     fly(main())
 

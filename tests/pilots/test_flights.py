@@ -15,7 +15,8 @@ from flight.outcome import Outcome
 from hil.autopilot.autopilot import Autopilot
 from tests.pilots import flight
 from tests.pilots.acts import Act, drawn, simpler
-from tests.pilots.flight import MOVING, Watched, fly
+from tests.pilots.flight import fly
+from tests.pilots.watched import MOVING, Watched
 
 DRAWN = 40
 

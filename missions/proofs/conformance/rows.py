@@ -80,7 +80,7 @@ SECTIONS: dict[str, tuple[Row, ...]] = {
         Row("yaw_bias_deg", "estimate: heading, mean error", "°", (2.0, 0.0)),
         Row("yaw_std_deg", "... its standard deviation", "°", (0.2, 0.5)),
     ),
-    "Telemetry (50 Hz asked for; heartbeat and landed state 5 Hz)": (
+    "Telemetry (50 Hz asked for; heartbeat 10 Hz, landed state 5 Hz)": (
         Row("heartbeat_hz", "heartbeat", "Hz", (0.0, 0.2), 1),
         Row("attitude_hz", "attitude", "Hz", (0.0, 0.1), 1),
         Row("attitude_gap_s", "... longest gap", "s", (0.05, 0.0), 3),

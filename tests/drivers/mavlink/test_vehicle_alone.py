@@ -316,7 +316,7 @@ def test_every_stream_is_asked_for_at_its_rate_and_a_vehicle_that_answers_nothin
         }
         assert rates == pytest.approx(
             {
-                0: 5.0,
+                0: 10.0,
                 436: 20.0,
                 31: 40.0,
                 32: 40.0,

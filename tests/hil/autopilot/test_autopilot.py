@@ -255,6 +255,17 @@ def test_a_gap_that_is_still_open_counts() -> None:
     assert bench.autopilot.setpoint_gap_s == pytest.approx(0.4, abs=0.05)
 
 
+def test_what_was_not_sent_while_another_mode_flew_is_no_gap() -> None:
+    bench = Bench().fly()
+    bench.offboard().run(0.5, STILL)
+    bench.request(FlightMode.HOLD)
+    bench.run(0.4)
+    assert bench.request(FlightMode.OFFBOARD).accepted
+    bench.run(0.1)
+    bench.run(0.5, STILL)
+    assert bench.autopilot.setpoint_gap_s == pytest.approx(0.1, abs=0.05)
+
+
 def test_lands_detects_the_ground_and_disarms() -> None:
     bench = Bench().fly()
     assert bench.request(FlightMode.LAND).accepted

@@ -40,9 +40,10 @@ class Flown:
         assert self.autopilot.request_mode(self.now_s, FlightMode.OFFBOARD).accepted
         self.run(0.1)
 
-    def run(self, seconds: float) -> None:
+    def run(self, seconds: float, flown: bool = True) -> None:
         for _ in range(round(seconds / TICK_S)):
-            self.autopilot.setpoint(self.now_s, STILL)
+            if flown:
+                self.autopilot.setpoint(self.now_s, STILL)
             estimate = Estimate(
                 self.now_s, (0.0, 0.0, -self.height_m), self.velocity, (1.0, 0.0, 0.0, 0.0)
             )
@@ -89,6 +90,19 @@ def test_a_kill_switch_thrown_back_in_time_lets_the_motors_turn_again() -> None:
     flown.held.kill = False
     flown.run(TICK_S)
     assert flown.thrust and flown.autopilot.powered
+
+
+def test_to_a_vehicle_whose_motors_its_pilot_stopped_nobody_owes_a_setpoint() -> None:
+    flown = Flown()
+    flown.held.kill = True
+    flown.run(0.2, flown=False)
+    flown.held.kill = False
+    flown.run(0.25, flown=False)
+    (session,) = flown.autopilot.offboard_sessions
+    assert session.long_gaps == [] and session.end_s is not None
+    assert flown.autopilot.mode is FlightMode.OFFBOARD
+    flown.run(0.3, flown=False)
+    assert flown.autopilot.mode is FlightMode.HOLD  # by its own failsafe
 
 
 @pytest.mark.parametrize(
