@@ -159,6 +159,7 @@ class ScriptMonitor:
             mode = self._mode.setdefault(role, vehicle.mode)
             if (
                 vehicle.mode not in (mode, vehicle.pilots_mode)
+                and not vehicle.failsafe
                 and vehicle.battery > vehicle.low_battery
             ):
                 self._once(

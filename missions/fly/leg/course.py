@@ -33,10 +33,20 @@ async def fly_course(
     try:
         end = await run_course(session, course)
         landed = await run_recovery(session, recover, end)
+        end = session.end = overridden(session, end)
         await session.say_goodbye()
     finally:
         await close_session(session)
     return conclude(session, end, landed, good)
+
+
+def overridden(session: RoleSession, end: MissionEnd | None) -> MissionEnd | None:
+    """Return the end of a course; that of a pilot, whose vehicle was taken on its way home."""
+    override = session.pilot.override
+    if not override or (end is not None and end.outcome in _STAYS):
+        return end
+    before = "" if end is None else f"; the mission had ended: {end}"
+    return MissionEnd(Outcome.PILOT_OVERRIDE, f"{override}{before}")
 
 
 async def run_course(session: RoleSession, course: Course) -> MissionEnd | None:
@@ -101,13 +111,8 @@ async def close_session(session: RoleSession) -> None:
 def conclude(
     session: RoleSession, end: MissionEnd | None, landed: bool, good: Outcome = Outcome.COMMITTED
 ) -> RoleResult:
-    """The program's last records. However a course ended, its vehicle may still be taken on its way
-    home.
-    """
-    override = session.pilot.override
-    if override and (end is None or end.outcome not in _STAYS):
-        before = "" if end is None else f"; the mission had ended: {end}"
-        end = MissionEnd(Outcome.PILOT_OVERRIDE, f"{override}{before}")
+    """The program's last records."""
+    end = overridden(session, end)
     outcome, detail = (end.outcome, end.detail) if end else (good, "")
     session.log.write(
         "/outcome",

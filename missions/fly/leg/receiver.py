@@ -238,6 +238,7 @@ class Receiver:
     async def recover(self, end: MissionEnd | None) -> bool:
         self._watching = False
         self._handover.end(end)
+        self._session.say_if_unfollowed(end)
         state = self._session.vehicle.state
         yaw_rad = yaw_of(state.q_n_b)
         back = from_heading((-self._retreat_m(state, yaw_rad), 0.0, 0.0), yaw_rad)

@@ -166,6 +166,7 @@ class Sender:
     async def recover(self, end: MissionEnd | None) -> bool:
         self._watching = False
         self._handover.end(end)
+        self._session.say_if_unfollowed(end)
         landed = await self._come_down(end, self._leave())
         await self._handover.finish()
         return landed

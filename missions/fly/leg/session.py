@@ -121,7 +121,7 @@ class RoleSession:
         self.instance: Callable[[], int] = int  # what a Status of this drone names
         self.alike = alike_of(rig, config.separation)
         self.peer_alike: Alike | None = None  # the newest that was said
-        self._peer_end_told = False
+        self._peer_end_told = ""
         self.observing = False
         self.operator: Operator | None = None  # who says which object is meant; a receiver has none
         # of this drone's own position, as at home; its height as it is now
@@ -198,12 +198,18 @@ class RoleSession:
             self.on_step(now_ns)
 
     def _note_peer_end(self) -> None:
-        """Tell the crew what the other drone's flight has ended in, once: on this console too they
-        read the cause.
+        """Tell the crew what the other drone's flight has ended in, each end once: on this console
+        too they read the cause.
         """
-        if self.peer_left and not self._peer_end_told:
-            self._peer_end_told = True
-            self.say(f"the other drone: {self.peer_left}")
+        if self.peer is not None and self.peer_left not in ("", self._peer_end_told):
+            self._peer_end_told = self.peer_left
+            had = "; it has the target, and follows it no more" if self.peer.responsible else ""
+            self.say(f"the other drone: {self.peer_left}{had}")
+
+    def say_if_unfollowed(self, end: MissionEnd | None) -> None:
+        """Tell the crew that the target is this drone's, and that it follows it no more."""
+        if end is not None and self.responsible:
+            self.say("this drone has the target, and follows it no more: nobody does")
 
     def here(self, peer: Status) -> Status:
         """The other drone's Status, its position in this drone's own frame: each tells it without

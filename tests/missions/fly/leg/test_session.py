@@ -260,3 +260,36 @@ def test_a_silence_is_named_with_what_was_heard_before_it(rig: Any) -> None:
         assert result.detail.endswith("its flight has ended: guard")
 
     virtual(main())
+
+
+@pytest.mark.parametrize("had", [False, True])
+def test_both_consoles_say_that_nobody_follows_the_target_that_a_drone_had(
+    rig: Any, had: bool
+) -> None:
+    async def main() -> None:
+        bench = Bench(rig)
+        session = bench.session
+        session.set_claim(TakeResponsibility() if had else None)
+        session.say_if_unfollowed(None)
+        notes = bench.log.of("/note")
+        assert notes == []
+        session.say_if_unfollowed(MissionEnd(Outcome.PILOT_OVERRIDE, "sticks"))
+        assert any("nobody does" in note["note"] for note in bench.log.of("/note")) is had
+
+        async def course() -> None:
+            for outcome in (Outcome.NO_AGREEMENT, Outcome.PILOT_OVERRIDE, Outcome.PILOT_OVERRIDE):
+                status = replace(STATUS, ended=outcome.exit_code, responsible=had)
+                await bench.link.waiting.put(status)
+            await asyncio.sleep(1.0)
+
+        await bench.fly(course)
+        left = [
+            note["note"]
+            for note in bench.log.of("/note")
+            if note["note"].startswith("the other drone: its flight has ended")
+        ]
+        assert ["no_agreement" in left[0], "pilot_override" in left[1]] == [True, True]
+        assert len(left) == 2  # each end once
+        assert all(("follows it no more" in note) is had for note in left)
+
+    virtual(main())

@@ -117,8 +117,10 @@ class FakePerception:
 @dataclass
 class FakeLink:
     counters: LinkCounters = field(default_factory=LinkCounters)
+    sent: list[object] = field(default_factory=list[object])
 
-    def send(self, message: object) -> None: ...
+    def send(self, message: object) -> None:
+        self.sent.append(message)
 
     async def receive(self) -> Received:
         return await asyncio.get_running_loop().create_future()  # never
@@ -136,7 +138,8 @@ class Recorder:
 class Bench:
     def __init__(self, rig: Any) -> None:
         self.vehicle, self.perception, self.log = FakeVehicle(), FakePerception(), Recorder()
-        parts = cast(Any, (Clock(), self.vehicle, self.perception, FakeLink()))
+        self.link = FakeLink()
+        parts = cast(Any, (Clock(), self.vehicle, self.perception, self.link))
         log = cast(Any, self.log)
         self.session = RoleSession(
             rig, Role.SENDER, CONFIG, log, lambda _: None, asyncio.Event(), parts, random.Random(1)
@@ -366,6 +369,8 @@ def test_a_pilot_who_takes_the_vehicle_on_its_way_home_is_named(rig: Any) -> Non
         assert (result.outcome, result.landed) == (Outcome.PILOT_OVERRIDE, False)
         assert "mode is other" in result.detail
         assert bench.vehicle.done[-1] == "start_offboard"
+        told = [each.ended for each in bench.link.sent if isinstance(each, Status)]
+        assert told[-5:] == [Outcome.PILOT_OVERRIDE.exit_code] * 5  # the other drone flies near it
 
     virtual(main())
 
