@@ -28,7 +28,7 @@ from missions.fly.handoff.right_object import watch_object
 from missions.fly.leg.process import fly_role, load_program
 from missions.ground import rig_library
 from path.messages import Role
-from tests.pilots.acts import Act, drawn
+from tests.pilots.acts import Act, drawn, simpler
 from tests.pilots.flight import Flown
 from tests.pilots.watched import Watched, act_on, ends_badly, keep_looking
 
@@ -37,9 +37,6 @@ NEAR = 0.6  # of the first acts are drawn near a moment of the calm flight
 BEFORE_S = 0.3
 RATE_HZ = 25.0
 AFTER_S = 1.2
-# of a drone that a person flies, or whose motors a person stopped
-PERSONS = frozenset({"S9", "S11"})
-GOOD = (Outcome.COMMITTED, Outcome.PEER_ABORTED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +83,6 @@ class _Flight(sim._Flight):  # pyright: ignore[reportPrivateUsage]
         self.noted = {role: Watched() for role in Role}
         self.wrong: list[str] = []
         self.ends: Mapping[Role, RoleResult | None] = {}
-        self.holders: tuple[Role, ...] = ()
 
     async def _fly_roles(self) -> dict[Role, RoleResult | None]:
         for role, drone in self._drones.items():
@@ -102,8 +98,6 @@ class _Flight(sim._Flight):  # pyright: ignore[reportPrivateUsage]
         for person in self._persons:
             person.cancel()
         self.ends = results
-        claims = self._monitors.leases._claims  # pyright: ignore[reportPrivateUsage]
-        self.holders = claims.holders(self._world.time_s)
         for role in Role:
             autopilot = self._world.drone(role).autopilot
             bad = ends_badly(results[role], autopilot, self.noted[role])
@@ -122,7 +116,12 @@ class _Flight(sim._Flight):  # pyright: ignore[reportPrivateUsage]
                     session.long_gaps.clear()
 
 
-def fly(acts: Acts) -> tuple[Flown, dict[Role, Console]]:
+def fly(acts: Acts) -> Flown:
+    """Fly one hand-over under persons' hands."""
+    return shown(acts)[0]
+
+
+def shown(acts: Acts) -> tuple[Flown, dict[Role, Console]]:
     """Fly one hand-over under persons' hands; how it ended, and what both consoles have shown."""
     load_program()
     consoles = {role: Console() for role in Role}
@@ -138,26 +137,28 @@ def fly(acts: Acts) -> tuple[Flown, dict[Role, Console]]:
         report = sim.FlightReport(**run_virtual(flight.run()), wall_s=0.0)
         report = watch_object(report, Path(folder))
     outcome, detail = judge(report)
-    touched = any(noted.has_a_person or noted.touched for noted in flight.noted.values())
-    excused = PERSONS if touched else frozenset[str]()
-    violated = [note for note in report.notes if note.partition(" ")[0] not in excused]
+    violated = [note for note in report.notes if note.partition(" ")[0] in report.violations]
     unsafe = [
         f"{role.value}: not on the ground, and no person has it"
         for role, down in report.landed.items()
         if not down and not flight.noted[role].has_a_person
     ]
-    wrong = (*flight.wrong, *violated, *unsafe, *_unsaid(flight, consoles))
+    ends = {role: end for role, end in flight.ends.items() if end is not None}
+    wrong = (*flight.wrong, *violated, *unsafe, *unsaid(ends, consoles))
     crossed = sum(noted.crossed for noted in flight.noted.values())
     return Flown(outcome.label, detail, wrong, report.simulated_s, crossed), consoles
 
 
-def _unsaid(flight: _Flight, consoles: Mapping[Role, Console]) -> list[str]:
+def unsaid(ends: Mapping[Role, RoleResult], consoles: Mapping[Role, Console]) -> list[str]:
     """What the crew were not told: why a drone that nobody touched came down, and that nobody has
     the target.
     """
     wrong: list[str] = []
-    ends = {role: end for role, end in flight.ends.items() if end is not None}
     for role, end in ends.items():
+        # a pilot may also take it on its way home, after all that it had to do was done
+        cut_short = end.responsible and consoles[role].says(f"{end.outcome.label}: ")
+        if cut_short and not consoles[role].says("nobody does"):
+            wrong.append(f"{role.value}: its console does not say that nobody has the target")
         if end.outcome is not Outcome.PILOT_OVERRIDE:
             continue
         if not consoles[role].says(end.outcome.label):
@@ -193,7 +194,7 @@ def _rig() -> Rig:
 @cache
 def calm(seed: int) -> tuple[tuple[float, ...], float]:
     """The moments of a flight that nobody touches, and its end, s."""
-    flown, consoles = fly(Acts(seed))
+    flown, consoles = shown(Acts(seed))
     assert flown.outcome == Outcome.COMMITTED.label, flown
     moments = sorted({at for each in consoles.values() for at in each.moments.values()})
     return tuple(moments), flown.seconds
@@ -215,3 +216,11 @@ def drawn_acts(rng: Random) -> Acts:
     who = rng.choice(("sender", "receiver", "sender", "receiver", "sender", "receiver", "both"))
     at = {role: some() for role in ("sender", "receiver") if who in (role, "both")}
     return Acts(seed, **at)
+
+
+def simpler_acts(acts: Acts) -> list[Acts]:
+    """Return what to try in place of acts that fail: those of one person, or simpler ones."""
+    both = bool(acts.sender and acts.receiver)
+    alone = [replace(acts, sender=()), replace(acts, receiver=())] if both else []
+    senders = [replace(acts, sender=each) for each in simpler(acts.sender)]
+    return alone + senders + [replace(acts, receiver=each) for each in simpler(acts.receiver)]

@@ -121,7 +121,7 @@ def test_s10_the_mode_changed_under_a_pilot(monitors: Monitors, scripts: ScriptM
 def test_s10_a_pilots_vehicle_that_its_autopilot_holds_for_want_of_a_radio_was_not_taken(
     monitors: Monitors, scripts: ScriptMonitor
 ) -> None:
-    theirs = {"pilot": True, "setpoint_s": 0.0}
+    theirs: dict[str, Any] = {"pilot": True, "setpoint_s": 0.0}
     fly(scripts, 0.0, 3.0, mode=FlightMode.OTHER, **theirs)
     fly(scripts, 3.0, 8.0, mode=FlightMode.HOLD, failsafe="radio lost", **theirs)
     fly(scripts, 8.0, 9.0, mode=FlightMode.LAND, failsafe="radio lost", **theirs)
