@@ -48,14 +48,14 @@ def wall_offset_ns(now_ns: Callable[[], int]) -> int:
 
 
 def stopwatch_ns() -> int:
-    """Returns the time of the finest clock there is, from an arbitrary zero, for measuring how long
+    """Return the time of the finest clock there is, from an arbitrary zero, for measuring how long
     something takes.
     """
     return time.perf_counter_ns()
 
 
 def busy_ns() -> int:
-    """Returns how long this thread has run on a core, from an arbitrary zero: other programs' turns
+    """Return how long this thread has run on a core, from an arbitrary zero: other programs' turns
     are not in it.
     """
     return time.thread_time_ns()

@@ -38,7 +38,7 @@ class Hierarchy:
 
 
 def hierarchies(proc: Path = Path("/proc/self")) -> Iterator[Hierarchy]:
-    """Yields those that this process is in: first version 1, which then has the controller, and
+    """Yield those that this process is in: first version 1, which then has the controller, and
     then version 2.
     """
     own = [line.split(":", 2) for line in (proc / "cgroup").read_text("utf-8").splitlines()]
@@ -95,7 +95,7 @@ class CpuShare:
         self.folder: Path | None = None
 
     def __enter__(self) -> Self:
-        """Makes the group. Raises PartError, with the reasons, where this process may not."""
+        """Make the group. Raises PartError, with the reasons, where this process may not."""
         reasons: list[str] = []
         for hierarchy in hierarchies() if self._found is None else self._found:
             for parent in hierarchy.folders:
@@ -113,7 +113,7 @@ class CpuShare:
         )
 
     def __exit__(self, *_: object) -> None:
-        """Removes the group; its processes have ended by then, or are let out."""
+        """Remove the group; its processes have ended by then, or are let out."""
         if self.folder is not None:
             _remove(self.folder)
             self.folder = None
@@ -135,7 +135,7 @@ class CpuShare:
         self._version = version
 
     def add(self, pid: int) -> None:
-        """Puts a process with all its threads into the group; one that has ended already is left
+        """Put a process with all its threads into the group; one that has ended already is left
         alone.
         """
         assert self.folder is not None
@@ -143,7 +143,7 @@ class CpuShare:
             (self.folder / "cgroup.procs").write_text(str(pid))
 
     def stopped_s(self) -> float:
-        """Returns how long the group had work to do and was stopped because its share was used
+        """Return how long the group had work to do and was stopped because its share was used
         up.
         """
         assert self.folder is not None
@@ -156,7 +156,7 @@ class CpuShare:
 
 
 def _let_limit(parent: Path, version: int) -> None:
-    """Makes sure that groups below this one can be limited. Raises OSError with the reason."""
+    """Make sure that groups below this one can be limited. Raises OSError with the reason."""
     if version == 1:
         return
     if "cpu" not in (parent / "cgroup.controllers").read_text("utf-8").split():
@@ -167,7 +167,7 @@ def _let_limit(parent: Path, version: int) -> None:
 
 
 def remove_leftovers(parent: Path) -> None:
-    """Removes the groups of ours whose makers are gone. What still runs in one is let out of it: it
+    """Remove the groups of ours whose makers are gone. What still runs in one is let out of it: it
     has to end.
     """
     for folder in parent.glob(f"{PREFIX}-*"):
@@ -177,7 +177,7 @@ def remove_leftovers(parent: Path) -> None:
 
 
 def _remove(folder: Path) -> None:
-    """Removes a group. Its processes, if there still are any, go on in the one above."""
+    """Remove a group. Its processes, if there still are any, go on in the one above."""
     try:
         left = (folder / "cgroup.procs").read_text("utf-8").split()
     except OSError:

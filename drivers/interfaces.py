@@ -97,7 +97,7 @@ class Capability(Enum):
 
 
 def lacking(part: object) -> frozenset[Capability]:
-    """Returns the abilities that a part says it does not have."""
+    """Return the abilities that a part says it does not have."""
     return getattr(part, "lacks", frozenset[Capability]())
 
 
@@ -124,11 +124,11 @@ class RecordStore(Protocol):
     """One record that outlives the role's program."""
 
     def load(self) -> Kept | None:
-        """Returns the record that was saved last; None when nothing ever was. Raises StateError."""
+        """Return the record that was saved last; None when nothing ever was. Raises StateError."""
         ...
 
     def save(self, record: SenderRecord | ReceiverRecord) -> None:
-        """Saves the record: on return it is safe from a crash of the program and of the computer.
+        """Save the record: on return it is safe from a crash of the program and of the computer.
 
         Raises StateError: then it may be either the old record or this one that is found later.
         """
@@ -242,7 +242,7 @@ class Vehicle(Part, Protocol):
     async def arm(self) -> None: ...
 
     async def take_off(self, height_m: float, timeout_s: float) -> None:
-        """Climb to ``height_m`` above home; returns once there and holding."""
+        """Climb to ``height_m`` above home; return once there and holding."""
         ...
 
     async def start_offboard(self, first: VelocitySetpoint) -> None:
@@ -314,7 +314,7 @@ class Camera(Part, Protocol):
     def model(self) -> CameraModel: ...
 
     async def read(self, timeout_s: float) -> Frame:
-        """Raises CameraError when no new frame came in time."""
+        """Raise CameraError when no new frame came in time."""
         ...
 
 

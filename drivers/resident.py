@@ -27,7 +27,7 @@ class Mapping(NamedTuple):
 
 
 def give_back(files: str = "/") -> int:
-    """Gives back what is resident of the code and constants of libraries, and returns how many kB
+    """Give back what is resident of the code and constants of libraries, and returns how many kB
     that was.
 
     Whoever calls them again has their pages again, out of their files: what was written to stays.

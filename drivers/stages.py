@@ -33,7 +33,7 @@ class Stages:
         self._stages: dict[str, _Stage] = {}
 
     def __call__(self, stage: str) -> _Stage:
-        """Returns the context whose body is the stage: the same one every time."""
+        """Return the context whose body is the stage: the same one every time."""
         found = self._stages.get(stage)
         if found is None:
             found = self._stages[stage] = _Stage()

@@ -104,7 +104,7 @@ class ClockAlignment:
 
     @property
     def ready(self) -> bool:
-        """Returns whether stamps may be converted now."""
+        """Return whether stamps may be converted now."""
         return (
             not self._fault
             and self._inconsistent == 0

@@ -81,7 +81,7 @@ class _Residuals:
     def is_step(
         self, stamp_ns: int, residual: Sequence[float], explained: float, share: float
     ) -> bool:
-        """Returns whether a residual is a step: more than what explains it, and than noise.
+        """Return whether a residual is a step: more than what explains it, and than noise.
 
         ``share``: of that which is enough.
         """
@@ -105,7 +105,7 @@ class _Residuals:
         self._square += weight * (size * size - self._square)
 
     def _stays(self, residual: Sequence[float], size: float) -> bool:
-        """Returns whether it does not just make up for what was missing before.
+        """Return whether it does not just make up for what was missing before.
 
         Telemetry that comes late and then at once stands still first and leaps then.
         """
@@ -140,7 +140,7 @@ class StepWatch:
 
     @property
     def counts_height(self) -> bool:
-        """Returns whether the newest state's height is one over a ground that stays."""
+        """Return whether the newest state's height is one over a ground that stays."""
         newest = self._before
         if newest is None or self._armed_ns is None:
             return False
@@ -179,7 +179,7 @@ class StepWatch:
             self._counted_ns = state.stamp_ns
 
     def _counted(self, state: VehicleState) -> bool:
-        """Returns whether the autopilot said lately that it reset its estimate."""
+        """Return whether the autopilot said lately that it reset its estimate."""
         return self._counted_ns is not None and state.stamp_ns - self._counted_ns <= COUNTED_NS
 
     def _shift(self, before: VehicleState, state: VehicleState) -> Vec3:

@@ -65,7 +65,7 @@ def within_fence(place_n_m: Vec3, radius_m: float, height_m: float) -> Vec3:
 
 
 def way_until_away(offset_n_m: Vec3, along_n: Vec3, distance_m: float) -> float:
-    """Returns the way along a level unit vector until the level distance from something is so
+    """Return the way along a level unit vector until the level distance from something is so
     large; 0: it is already.
 
     Args:

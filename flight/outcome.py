@@ -163,7 +163,7 @@ _ABORT_REASONS = {
 
 
 def abort_reason(outcome: Outcome) -> AbortReason:
-    """Returns the reason that the other drone is told when a mission ends this way."""
+    """Return the reason that the other drone is told when a mission ends this way."""
     return _ABORT_REASONS.get(outcome, AbortReason.SHUTDOWN)
 
 
@@ -177,12 +177,12 @@ OBJECT_MONITOR = "S12"
 
 
 def violated_outcome(monitors: Collection[str]) -> Outcome:
-    """Returns the end of a run in which these monitors were violated; there is at least one."""
+    """Return the end of a run in which these monitors were violated; there is at least one."""
     return Outcome.WRONG_OBJECT if OBJECT_MONITOR in monitors else Outcome.MONITOR_VIOLATED
 
 
 def exit_code_of_runs(monitors: Collection[str]) -> int:
-    """Returns the exit code of many runs in which these monitors were violated: 0 for none."""
+    """Return the exit code of many runs in which these monitors were violated: 0 for none."""
     return violated_outcome(monitors).exit_code if monitors else Outcome.COMMITTED.exit_code
 
 

@@ -56,13 +56,13 @@ class Shedding:
         self._quick_due: float = 0  # looks at the whole image, before three of them are one search
 
     def begin(self) -> None:
-        """Takes that the program runs in real time, and what a search takes is not known: it begins
+        """Take that the program runs in real time, and what a search takes is not known: it begins
         with one look.
         """
         self._quick_due = QUICK_LOOKS
 
     def beat(self, late_s: float) -> Shed | None:
-        """Takes one beat, ``BEAT_S`` after the last one and so late; returns what changes with
+        """Take one beat, ``BEAT_S`` after the last one and so late; returns what changes with
         it.
         """
         self._late.append(late_s > LATE_S)
@@ -86,23 +86,23 @@ class Shedding:
 
     @property
     def pictures(self) -> bool:
-        """Returns whether pictures are logged as the mission wants them."""
+        """Return whether pictures are logged as the mission wants them."""
         return self.gone < 1
 
     @property
     def search_every(self) -> int:
-        """Returns how many times as rarely the whole image is searched for what was lost."""
+        """Return how many times as rarely the whole image is searched for what was lost."""
         return 1 if self.gone < 2 else _SEARCHES
 
     @property
     def thorough(self) -> bool:
-        """Returns whether a search of the whole image takes three looks, for which setpoints wait,
+        """Return whether a search of the whole image takes three looks, for which setpoints wait,
         and not one.
         """
         return self.gone < 2 and self._quick_due <= 0
 
     def searched(self, took_s: float) -> None:
-        """Takes how long a search took that was as ``thorough`` says. Three looks that took too
+        """Take how long a search took that was as ``thorough`` says. Three looks that took too
         long are the last.
         """
         if self.thorough:
@@ -113,11 +113,11 @@ class Shedding:
 
     @property
     def frames_every(self) -> int:
-        """Returns of how many frames one is looked at."""
+        """Return of how many frames one is looked at."""
         return max(1, self.gone - 1)
 
     def took(self, frame_id: int, stamp_ns: int, now_ns: int) -> None:
-        """Takes a frame that was taken up now. The camera's interval and latency are learned from
+        """Take a frame that was taken up now. The camera's interval and latency are learned from
         ids and stamps.
         """
         if self._newest is not None and frame_id > self._newest[0]:
@@ -127,7 +127,7 @@ class Shedding:
         self._latency_ns = min(self._latency_ns, max(0, now_ns - stamp_ns))
 
     def until_next_s(self, now_ns: int) -> float:
-        """Returns how long to wait before the next frame is taken up, so that those between are
+        """Return how long to wait before the next frame is taken up, so that those between are
         left out.
         """
         if self.frames_every == 1 or self._newest is None:

@@ -24,7 +24,7 @@ class Tilt:
         self.down_n = add(scale(self.down_n, 1.0 - _SHARE), scale((north, east, down), _SHARE))
 
     def aim(self, axis_b: Vec3, heading_rad: float, below_m: float) -> Vec3:
-        """Returns how much farther to one side a drone has to be for its camera to look where a
+        """Return how much farther to one side a drone has to be for its camera to look where a
         level one would.
 
         Args:

@@ -54,7 +54,7 @@ class Bounds:
     above: bool = False
 
     def holds(self, value: float) -> bool:
-        """Returns whether a value is within the bounds; False for NaN."""
+        """Return whether a value is within the bounds; False for NaN."""
         return self.low <= value <= self.high and not (self.above and value == self.low)
 
 
@@ -63,7 +63,7 @@ AutopilotValues = Annotated[dict[str, float], Bounds(-3.4e38, 3.4e38, "as the au
 
 
 def check_bounds(config: object) -> None:
-    """Raises ValueError naming the first field of a dataclass that is out of its bounds, and what
+    """Raise ValueError naming the first field of a dataclass that is out of its bounds, and what
     is allowed.
     """
     for name, (kind, bounds) in bounded_fields(type(config)).items():
@@ -98,9 +98,7 @@ def out_of_bounds(config: object) -> list[tuple[str, str]]:
 
 
 def refusal(name: str, value: float, bounds: Bounds) -> str:
-    """Returns why a field's value is refused: the value, what is allowed, and the likely
-    mistake.
-    """
+    """Return why a field's value is refused: the value, what is allowed, and the likely mistake."""
     unit = unit_of(name, bounds)
     shown = f" {unit}" if unit and not unit.startswith("(") else ""
     low, high = (
@@ -146,7 +144,7 @@ def _bounds_by_field(kind: type[Any]) -> dict[str, Bounds | None]:
 
 
 def bounds_of(hint: Any) -> Bounds | None:
-    """Returns the bounds in an annotation; None without."""
+    """Return the bounds in an annotation; None without."""
     if get_origin(hint) is not Annotated:
         return None
     return next((each for each in hint.__metadata__ if isinstance(each, Bounds)), None)

@@ -89,7 +89,7 @@ class EvidenceConfig:
     growth_sigma: Annotated[float, Bounds(0.001, 1.0, "of 1")] = 0.08
 
     def __post_init__(self) -> None:
-        """Raises ValueError naming the first field that cannot be right, and what is allowed."""
+        """Raise ValueError naming the first field that cannot be right, and what is allowed."""
         check_bounds(self)
         if self.first_rate > self.next_rate:
             raise ValueError(
@@ -224,7 +224,7 @@ class MethodConfig:
     evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
 
     def __post_init__(self) -> None:
-        """Raises ValueError naming the first field that cannot be right, and what is allowed."""
+        """Raise ValueError naming the first field that cannot be right, and what is allowed."""
         if self.box_mapping not in ("center", "corner"):
             raise ValueError(f'box_mapping: {self.box_mapping!r} is neither "center" nor "corner"')
         if self.target_error not in ("point", "ray"):

@@ -47,7 +47,7 @@ class Track:
         return self._samples[-1] if self._samples else None
 
     def add(self, sample: Sample) -> None:
-        """Raises ValueError unless stamp and frame number are both later than the newest ones."""
+        """Raise ValueError unless stamp and frame number are both later than the newest ones."""
         newest = self.newest
         if newest is not None and (
             sample.stamp_ns <= newest.stamp_ns or sample.frame <= newest.frame

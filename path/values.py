@@ -15,5 +15,5 @@ Value = TypeVar("Value")
 
 @dataclass_transform(frozen_default=True, field_specifiers=(field,))
 def value(cls: type[Value]) -> type[Value]:
-    """Makes a class a dataclass that nobody may change, equal and hashed by its fields."""
+    """Make a class a dataclass that nobody may change, equal and hashed by its fields."""
     return dataclass(slots=True, unsafe_hash=True)(cls)

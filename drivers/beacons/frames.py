@@ -186,7 +186,7 @@ class BeaconFramer:
         return packets
 
     def cut(self) -> None:
-        """Drops what waits: the bytes that follow do not continue it."""
+        """Drop what waits: the bytes that follow do not continue it."""
         self.counters.skipped += len(self._waiting)
         self._waiting.clear()
 

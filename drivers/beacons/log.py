@@ -55,7 +55,7 @@ class BeaconTruth:
 
 
 def write_truth(file: Path, truth: BeaconTruth) -> None:
-    """Raises OSError."""
+    """Raise OSError."""
     file.write_bytes(msgspec.json.format(msgspec.json.encode(truth)))
 
 

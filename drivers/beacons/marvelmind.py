@@ -86,7 +86,7 @@ class Marvelmind:
         self.given_up = 0
 
     async def __aenter__(self) -> Self:
-        """Raises BeaconError for a port that cannot be opened."""
+        """Raise BeaconError for a port that cannot be opened."""
         try:
             for port in self._ports:
                 self._open_port(port)
@@ -119,7 +119,7 @@ class Marvelmind:
         return self._waiting.popleft()
 
     async def examine(self) -> Sequence[Finding]:
-        """Returns what each port sent besides positions: damage, and the battery of what is
+        """Return what each port sent besides positions: damage, and the battery of what is
         connected.
         """
         return [_port_finding(name, state) for name, state in self.stream.ports.items()]
@@ -197,7 +197,7 @@ class Marvelmind:
                 )
 
     def _silence(self, timeout_s: float) -> BeaconError:
-        """Returns the error of no position: what is wrong with each port, by what it said."""
+        """Return the error of no position: what is wrong with each port, by what it said."""
         said = [f"{port.name} {self._ailment(port)}" for port in self._ports]
         return BeaconError(
             f"no position from the beacons in {timeout_s:g} s: {'; '.join(said)}",
@@ -244,7 +244,7 @@ def _port_finding(name: str, state: PortState) -> Finding:
 
 
 def ailment_of(state: PortState | None) -> str:
-    """Returns why a port that is open gave no position, by all that came from it."""
+    """Return why a port that is open gave no position, by all that came from it."""
     if state is None or not state.bytes_read:
         return "is silent"
     counters = state.counters

@@ -35,7 +35,7 @@ class BeaconRecorder:
         self._log.write("/serial", arrival_ns, {"port": port, "bytes": data.hex()})
 
     def close(self) -> None:
-        """Raises BeaconError when the record is not whole."""
+        """Raise BeaconError when the record is not whole."""
         self._log.close()
         if self._log.failed is not None:
             raise BeaconError(
@@ -104,7 +104,7 @@ class RecordedBeacons:
         self._fixes: Iterable[BeaconFix] | None = None
 
     async def __aenter__(self) -> Self:
-        """Raises BeaconError for a file that cannot be read."""
+        """Raise BeaconError for a file that cannot be read."""
         try:
             self._fixes = iter(read_any(self._file))
         except OSError as error:

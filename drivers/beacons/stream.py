@@ -67,7 +67,7 @@ class _Hedge:
     stamp_ns: int = -1
 
     def stamp(self, packet: MobilePosition) -> int:
-        """Returns the packet's stamp in ns, carried on over the wrap of the counter (after 49
+        """Return the packet's stamp in ns, carried on over the wrap of the counter (after 49
         days).
         """
         if packet.bits < 64 and packet.stamp_ms < self.newest_ms - (1 << (packet.bits - 1)):

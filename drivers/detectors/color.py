@@ -299,7 +299,7 @@ def _window(
 
 
 def _may_reach(patch: Patch, region: Region, left: int, top: int, step: int) -> bool:
-    """Returns whether a part of the patch can have its centre in the region: it may be two vehicles
+    """Return whether a part of the patch can have its centre in the region: it may be two vehicles
     that touch.
     """
     x0 = left + (patch.x - 0.5) * step
@@ -310,7 +310,7 @@ def _may_reach(patch: Patch, region: Region, left: int, top: int, step: int) -> 
 
 
 def _may_be_inside(patch: Patch, region: Region, left: int, top: int, step: int) -> bool:
-    """Returns whether the centre of the patch, known to about a coarse pixel, can lie in the
+    """Return whether the centre of the patch, known to about a coarse pixel, can lie in the
     region.
     """
     u = left + (patch.x + patch.w / 2) * step
@@ -320,7 +320,7 @@ def _may_be_inside(patch: Patch, region: Region, left: int, top: int, step: int)
 
 
 def _edges(profile: Image) -> tuple[float, float] | None:
-    """Returns where a profile (0..255) first rises and last falls through half, interpolated
+    """Return where a profile (0..255) first rises and last falls through half, interpolated
     between pixel centres.
     """
     above = np.flatnonzero(profile >= 128)

@@ -253,7 +253,7 @@ def _longest_outline(mask: Image) -> Image:
 
 
 def _dents(outline: Image, least: float) -> list[int]:
-    """Returns where an outline's dents are deepest, those at least so deep, the deepest first."""
+    """Return where an outline's dents are deepest, those at least so deep, the deepest first."""
     # OpenCV may start in the middle
     hull = np.sort(cv2.convexHull(outline, returnPoints=False), axis=0)[::-1]
     defects = cv2.convexityDefects(outline, hull) if len(hull) > 3 else None

@@ -76,7 +76,7 @@ class OnnxModel:
     """A network with one input. What it computes with is float32 or float16; here it is float32."""
 
     def __init__(self, file: Path, threads: int, remedy: str) -> None:
-        """Raises ModelError when the file is no network."""
+        """Raise ModelError when the file is no network."""
         self._session = open_session(file, threads, remedy)
         self.inputs = tuple(_tensor(node) for node in self._session.get_inputs())
         self.outputs = tuple(_tensor(node) for node in self._session.get_outputs())
@@ -95,5 +95,5 @@ def _tensor(node: Any) -> Tensor:
 
 
 def shown(shape: Shape) -> str:
-    """Returns a shape as messages have it: 1x3x416x416."""
+    """Return a shape as messages have it: 1x3x416x416."""
     return "x".join(str(side) for side in shape)

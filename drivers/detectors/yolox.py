@@ -70,11 +70,11 @@ class YoloxDetectorConfig:
             )
 
     def check_ready(self) -> None:
-        """Raises ModelError when no model is named, or there is no such file."""
+        """Raise ModelError when no model is named, or there is no such file."""
         self.weights()
 
     def weights(self) -> Path:
-        """Returns the ONNX file. Raises ModelError when none is named, or there is no such file."""
+        """Return the ONNX file. Raises ModelError when none is named, or there is no such file."""
         named = os.environ.get(MODEL_VARIABLE, "")
         if self.model is None and not named:
             raise ModelError(
@@ -93,7 +93,7 @@ class YoloxDetector:
     whole_image = True  # what depth would cut off belongs to how a thing looks
 
     def __init__(self, config: YoloxDetectorConfig, context: object | None = None) -> None:
-        """Raises ModelError (a missing file, or expected and found), PartError (a class that the
+        """Raise ModelError (a missing file, or expected and found), PartError (a class that the
         model has not).
         """
         del context  # made like every part of a rig, but needs nothing of the role
@@ -154,7 +154,7 @@ class YoloxDetector:
 
 
 def _scored(config: YoloxDetectorConfig, file: Path, count: int) -> NDArray[np.bool_]:
-    """Returns which of the model's classes are looked for. Raises PartError."""
+    """Return which of the model's classes are looked for. Raises PartError."""
     names = COCO if config.names is None else _read_names(config.names)
     if not config.classes:
         return np.ones(count, np.bool_)

@@ -22,7 +22,7 @@ class LinkAlarm:
         self._quiet = 0  # looks since
 
     def look(self, counters: LinkCounters, now_ns: int) -> str:
-        """Returns what the crew has to know since the last look; "" when there is nothing new."""
+        """Return what the crew has to know since the last look; "" when there is nothing new."""
         foreign = foreign_packets(counters.dropped)
         before = self._before
         self._before = foreign, now_ns
@@ -40,5 +40,5 @@ class LinkAlarm:
 
 
 def foreign_packets(dropped: dict[str, int]) -> int:
-    """Returns how many of the packets that came in were not taken for the peer's."""
+    """Return how many of the packets that came in were not taken for the peer's."""
     return sum(count for reason, count in dropped.items() if reason in NOT_THE_PEERS)

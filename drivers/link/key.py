@@ -59,7 +59,7 @@ def read_key(path: Path) -> bytes:
 
 
 def key_finding(path: Path | None) -> Finding:
-    """Returns the finding on the key of a link that is open.
+    """Return the finding on the key of a link that is open.
 
     A key that cannot be used was refused when it was opened.
     """

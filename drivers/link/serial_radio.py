@@ -83,7 +83,7 @@ class SerialLink:
         return self._end.counters
 
     async def __aenter__(self) -> Self:
-        """Raises LinkError for a key that cannot be used and for a port that cannot be opened."""
+        """Raise LinkError for a key that cannot be used and for a port that cannot be opened."""
         key = signing_key(self._config.key_file)
         self._open_port()
         self._end, self._waiting = self._new_end(key)
@@ -196,7 +196,7 @@ class SerialLink:
         return self._end.pack(self._waiting.pop()) or b""
 
     def _lost(self) -> None:
-        """Closes the port and drops what waits: it would be old when the port is back."""
+        """Close the port and drop what waits: it would be old when the port is back."""
         self._waiting.clear()
         self._close_port()
         self._timer = asyncio.get_running_loop().call_later(REOPEN_S, self._reopen)

@@ -94,7 +94,7 @@ class UdpLink:
         return self._end.counters
 
     async def __aenter__(self) -> Self:
-        """Raises LinkError for a key that cannot be used and for a port that cannot be had."""
+        """Raise LinkError for a key that cannot be used and for a port that cannot be had."""
         end = self._new_end(signing_key(self._key_file))
         family = socket.AF_INET6 if ":" in self._bind[0] else socket.AF_INET
         opened = socket.socket(family, socket.SOCK_DGRAM)
@@ -157,7 +157,7 @@ class UdpLink:
 
 
 def open_error(bind: Address, error: OSError) -> LinkError:
-    """Returns the error for a person when a UDP port cannot be had."""
+    """Return the error for a person when a UDP port cannot be had."""
     host, port = bind
     if error.errno == errno.EADDRINUSE:
         return LinkError(

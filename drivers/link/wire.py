@@ -133,7 +133,7 @@ class Codec:
         return data + self._hash(data)
 
     def authentic(self, data: bytes) -> bool:
-        """Returns whether a datagram is signed by the peer and not heard before, or nothing is
+        """Return whether a datagram is signed by the peer and not heard before, or nothing is
         signed here.
 
         In a few us.
@@ -189,14 +189,14 @@ class Codec:
         return None
 
     def _introduced(self, data: bytes, message: Message) -> Message | Drop:
-        """Returns what is taken of a stream that is not proven; its answer proves it."""
+        """Return what is taken of a stream that is not proven; its answer proves it."""
         if isinstance(message, Pong) and (message.nonce, message.ping_sent_ns) in self._asked:
             self._proven.add(data[-_SIGNATURE])
             return message
         return message if isinstance(message, Ping) else Drop.UNPROVEN
 
     def _origin(self, data: bytes) -> Drop | None:
-        """Returns why a well-formed packet is none of ours, of the other role, rightly signed or
+        """Return why a well-formed packet is none of ours, of the other role, rightly signed or
         unsigned.
 
         None when it is.
@@ -229,7 +229,7 @@ def expected_length(header: bytes) -> int | None:
 
 
 def checksum_holds(packet: bytes) -> bool:
-    """Returns whether a packet of its ``expected_length`` is undamaged, as far as its checksum
+    """Return whether a packet of its ``expected_length`` is undamaged, as far as its checksum
     tells.
     """
     kind = dialect.mavlink_map[int.from_bytes(packet[7:HEADER_LENGTH], "little")]
@@ -252,7 +252,7 @@ def _stamp_of(data: bytes) -> int:
 
 
 def _crc(data: bytes, extra: int) -> int:
-    """Returns the checksum of everything after the marker, and a byte that stands for the message's
+    """Return the checksum of everything after the marker, and a byte that stands for the message's
     layout.
     """
     return dialect.x25crc(data + bytes((extra,))).crc
@@ -263,7 +263,7 @@ def _whole_length(header: bytes) -> int:
 
 
 def _shape(data: bytes) -> Drop | None:
-    """Returns why a datagram is not exactly one MAVLink 2 packet, as far as its header tells; None
+    """Return why a datagram is not exactly one MAVLink 2 packet, as far as its header tells; None
     when it is.
     """
     size = len(data)

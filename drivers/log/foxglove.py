@@ -99,7 +99,7 @@ class Standards:
         }
 
     def of(self, topic: str, stamp_ns: int, record: Record) -> Iterable[Standard]:
-        """Returns a viewer's messages for a record."""
+        """Return a viewer's messages for a record."""
         told_in = OF_A_FRAME.get(topic)
         if told_in is not None:
             self._newest[topic] = stamp_ns, record
@@ -114,7 +114,7 @@ class Standards:
         return () if make is None else make(stamp_ns, {**blank(topic), **record})
 
     def of_image(self, stamp_ns: int) -> Iterable[Standard]:
-        """Returns what is drawn over an image; nothing when it was just told."""
+        """Return what is drawn over an image; nothing when it was just told."""
         return (
             () if self._said_ns.get("/annotations") == stamp_ns else (self._annotations(stamp_ns),)
         )

@@ -125,7 +125,7 @@ def transform(stamp_ns: int, parent: str, child: str, rows: Sequence[float]) -> 
 
 
 def fix(stamp_ns: int, origin: Sequence[float], position_n_m: Sequence[float]) -> Message:
-    """Returns the position on a sphere of the earth's size: for a map, over a field."""
+    """Return the position on a sphere of the earth's size: for a map, over a field."""
     latitude_deg, longitude_deg, altitude_m = origin
     north, east, down = position_n_m
     return LocationFix(

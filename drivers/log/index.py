@@ -132,7 +132,7 @@ class ChunkedFile:
             self._write_chunk()
 
     def end_chunk(self) -> int:
-        """Writes what waits, and returns how many bytes of the file that was."""
+        """Write what waits, and return how many bytes of the file that was."""
         at = self._file.tell()
         self._write_chunk()
         return self._file.tell() - at

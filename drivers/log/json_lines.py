@@ -19,7 +19,7 @@ class JsonLines:
         self._begun = b""
 
     def read(self) -> list[dict[str, Any]] | None:
-        """Returns what has come in since, when there is something to read; None at the end."""
+        """Return what has come in since, when there is something to read; None at the end."""
         data = os.read(self._file, 65536)
         if not data:
             return None

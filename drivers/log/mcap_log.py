@@ -230,7 +230,7 @@ class McapLog:
         self._channels[topic] = number
 
     def _fail(self, error: OSError) -> None:
-        """Ends the log: from here on nothing is written, and what is in the file stays readable."""
+        """End the log: from here on nothing is written, and what is in the file stays readable."""
         self._failed = f"log not written: {error.strerror or error}" + (
             f": {error.filename}" if error.filename else ""
         )
@@ -262,7 +262,7 @@ def _jpeg(image: NDArray[np.uint8]) -> bytes | None:
 
 
 def encode_other(value: Any) -> Any:
-    """Returns a value as JSON can hold it; an ``enc_hook`` of msgspec."""
+    """Return a value as JSON can hold it; an ``enc_hook`` of msgspec."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

@@ -50,7 +50,7 @@ class LoggedMessage(NamedTuple):
 
 
 def messages(file: IO[bytes]) -> Iterator[LoggedMessage | Metadata]:
-    """Yields the messages and metadata of a log, after its magic. A record that is cut off or
+    """Yield the messages and metadata of a log, after its magic. A record that is cut off or
     damaged ends it.
     """
     schemas: dict[int, Schema] = {}

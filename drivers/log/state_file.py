@@ -114,7 +114,7 @@ class StateFile:
             ) from error
 
     def begin_save(self, record: SenderRecord | ReceiverRecord) -> Future[None]:
-        """Saves in a thread of its own, which ends with it: there are half a dozen in a mission."""
+        """Save in a thread of its own, which ends with it: there are half a dozen in a mission."""
         saved = Future[None]()
         saved.set_running_or_notify_cancel()  # from here on nobody can take it back
         threading.Thread(
@@ -142,7 +142,7 @@ class StateFile:
 
 
 def boot_id() -> str:
-    """Returns an id that differs from one start of this computer to the next; "" where it does not
+    """Return an id that differs from one start of this computer to the next; "" where it does not
     say.
     """
     try:

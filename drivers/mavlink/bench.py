@@ -99,7 +99,7 @@ class VehicleBench(Protocol):
 
     @property
     def cut(self) -> bool:
-        """Returns whether the companion's cable is cut, both ways; the bench goes on hearing the
+        """Return whether the companion's cable is cut, both ways; the bench goes on hearing the
         vehicle.
         """
         ...
@@ -121,7 +121,7 @@ class VehicleBench(Protocol):
     def now_s(self) -> float: ...
 
     def check(self) -> None:
-        """Raises PartError when the bench itself has failed: the vehicle is not to blame."""
+        """Raise PartError when the bench itself has failed: the vehicle is not to blame."""
         ...
 
     def watch(self, vehicle: Vehicle | None) -> None:

@@ -269,7 +269,7 @@ class GuardMavlink:
                 pass
 
     def _place(self, message: Any) -> tuple[float, float, float]:
-        """Returns the place in NED, with the height that the script has.
+        """Return the place in NED, with the height that the script has.
 
         Of a PX4 the local one (``Telemetry`` says why).
         """

@@ -71,7 +71,7 @@ class Manoeuvres:
         await self._until_mode(mode, before, sent_ns, what)
 
     async def take_off(self, height_m: float, timeout_s: float) -> None:
-        """Climbs to a height above where it stands, and waits until it is there."""
+        """Climb to a height above where it stands, and wait until it is there."""
         if self.kind is PX4:
             # An older one climbs no less than this. It is not what is flown: PX4 looks at its
             # parameters once a second, and has acknowledged a height and climbed to the one it had
@@ -85,7 +85,7 @@ class Manoeuvres:
         await self._climb(height_m, there, timeout_s)
 
     async def land(self, timeout_s: float) -> None:
-        """Lands and waits until it is disarmed."""
+        """Land and wait until it is disarmed."""
         telemetry = self._telemetry
         climbs = telemetry.mode is FlightMode.TAKEOFF
 
@@ -108,7 +108,7 @@ class Manoeuvres:
         what: str,
         or_else: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Waits until a report younger than the command shows the mode.
+        """Wait until a report younger than the command shows the mode.
 
         An older one may still show the last but one. A mode that is neither this one nor that of
         before the command is somebody's who took it meanwhile.
@@ -147,7 +147,7 @@ class Manoeuvres:
         return position.altitude_m
 
     async def _climb(self, height_m: float, there: FlightMode, timeout_s: float) -> None:
-        """Waits until at the height and steady.
+        """Wait until at the height and steady.
 
         A pilot's mode, a hold, a landing or disarming on the way ends it with an error.
         """
@@ -208,7 +208,7 @@ class Manoeuvres:
         )
 
     async def _until_down(self, end_ns: int, timeout_s: float) -> None:
-        """Waits until it is disarmed.
+        """Wait until it is disarmed.
 
         Having landed, PX4 goes back to the mode before it, and tells so up to a heartbeat before it
         tells that it is disarmed. So a mode of a script's is another's only when it stays armed.

@@ -21,14 +21,14 @@ STOPPED = "HIGH"
 
 
 def powered(base_mode: int, system_status: int) -> bool:
-    """Returns whether a heartbeat says that the motors may turn: armed, and not stopped by a kill
+    """Return whether a heartbeat says that the motors may turn: armed, and not stopped by a kill
     switch.
     """
     return bool(base_mode & SAFETY_ARMED) and system_status != FLIGHT_TERMINATION
 
 
 def stopped_by(text: str, before: bool) -> bool:
-    """Returns whether a pilot's switch has stopped the motors, after a text; ``before``: whether it
+    """Return whether a pilot's switch has stopped the motors, after a text; ``before``: whether it
     had before it.
 
     ArduCopter calls itself armed, and in GUIDED, for 5 s more. It tells of its Motor Emergency Stop
@@ -59,7 +59,7 @@ class AutopilotKind:
         return self.modes.get(custom_mode, FlightMode.OTHER)
 
     def news(self, custom_mode: int, before: FlightMode, told: int) -> bool:
-        """Returns whether a CURRENT_MODE is believed before a heartbeat says the same.
+        """Return whether a CURRENT_MODE is believed before a heartbeat says the same.
 
         OFFBOARD is only against a pilot's mode that one message alone has told: having landed, PX4
         goes back to it before it says that it is disarmed.

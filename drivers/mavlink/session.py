@@ -158,7 +158,7 @@ class MavsdkSession:
         return True
 
     async def check_alive(self) -> None:
-        """Raises when closed, when telemetry could not be understood or the newest heartbeat is too
+        """Raise when closed, when telemetry could not be understood or the newest heartbeat is too
         old.
 
         A program that stood still finds old heartbeats first: those that wait for it are read
@@ -317,9 +317,7 @@ class MavsdkSession:
 
 
 async def _polled() -> float:
-    """Waits for POLL_S; returns how long that was, s, as far as this program did not stand
-    still.
-    """
+    """Wait for POLL_S; return how long that was, s, as far as this program did not stand still."""
     begun_s = time.monotonic()
     await asyncio.sleep(POLL_S)
     return min(time.monotonic() - begun_s, LONGEST_POLL_S)

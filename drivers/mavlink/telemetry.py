@@ -244,7 +244,7 @@ class TelemetrySlots:
         return self._history.attitude_at(stamp_ns)
 
     def missing(self) -> list[str]:
-        """Returns what is not ready for flight. ``is_armable`` alone comes seconds before there is
+        """Return what is not ready for flight. ``is_armable`` alone comes seconds before there is
         a position.
 
         ArduPilot tells a global position, and MAVSDK finds it well, 15 s before it has one that it
@@ -387,7 +387,7 @@ class TelemetrySlots:
         self.position = Position(now_ns, n_m, above_home_m, float(position.absolute_altitude_m))
 
     def _above_home_m(self, position: Any) -> float:
-        """Returns the height above home, m: of a PX4 from the local frame, else as it is told.
+        """Return the height above home, m: of a PX4 from the local frame, else as it is told.
 
         PX4 flies on one of several estimators. When it goes over to another one its altitude steps,
         by a metre in simulation, and its home's place in the local frame with it; its own place in

@@ -133,7 +133,7 @@ class MavsdkVehicle:
         return self._telemetry.attitude_at(stamp_ns)
 
     async def examine(self) -> Sequence[Finding]:
-        """Returns which autopilot it is, how often it tells what was asked of it, and what arming
+        """Return which autopilot it is, how often it tells what was asked of it, and what arming
         waits for.
         """
         telemetry = self._telemetry
@@ -182,7 +182,7 @@ class MavsdkVehicle:
         return "", f"{below.distance_m:.2f} m above the ground"
 
     async def parameter_differences(self) -> tuple[Difference, ...]:
-        """Returns the parameters that are not as the rig's ``parameters`` want them. Raises
+        """Return the parameters that are not as the rig's ``parameters`` want them. Raises
         VehicleError.
         """
         wanted = self._config.parameters
@@ -197,17 +197,17 @@ class MavsdkVehicle:
         await self._access.write(difference)
 
     async def pilot_findings(self) -> Sequence[Finding]:
-        """Checks that a pilot's radio can take the vehicle; nothing is set. Raises VehicleError."""
+        """Check that a pilot's radio can take the vehicle; nothing is set. Raises VehicleError."""
         return await self._before.pilot_findings()
 
     async def plan_geofence(self, fence: Geofence) -> FencePlan:
-        """Returns what has to be done about the autopilot's own fence; nothing is set. Raises
+        """Return what has to be done about the autopilot's own fence; nothing is set. Raises
         VehicleError.
         """
         return await self._before.plan_geofence(fence)
 
     async def keep_geofence(self, fence: Geofence) -> Mapping[str, float]:
-        """Gives the autopilot a fence of its own, one step wider than the script's, and reads it
+        """Give the autopilot a fence of its own, one step wider than the script's, and read it
         back.
 
         What was set, by name. Raises VehicleError where that is not possible: then nothing is to be

@@ -64,7 +64,7 @@ class VisionFeed:
         self._rests_since_ns: int | None = None
 
     async def run(self) -> None:
-        """Raises BeaconError for beacons that cannot be opened, VehicleError when nothing can be
+        """Raise BeaconError for beacons that cannot be opened, VehicleError when nothing can be
         sent any more.
         """
         async with self._beacons as beacons:
@@ -133,7 +133,7 @@ class VisionFeed:
 
 
 def origin_fields(origin: Origin, kind: AutopilotKind | None) -> dict[str, object]:
-    """Returns the fields of SET_GPS_GLOBAL_ORIGIN, at sea level for a PX4.
+    """Return the fields of SET_GPS_GLOBAL_ORIGIN, at sea level for a PX4.
 
     Whenever that begins with vision anew, after a second without, it takes its height for an
     altitude, and its local frame would jump by the origin's.

@@ -31,7 +31,7 @@ Image = NDArray[Any]  # OpenCV's own annotation is wider
 
 
 def step_limit_m(depth_m: Number, sigma_at_1m_m: float) -> Number:
-    """Returns by how much (m) depth changes from one thing to another behind it, at least."""
+    """Return by how much (m) depth changes from one thing to another behind it, at least."""
     return STEP_M + STEP_SIGMAS * sigma_at_1m_m * depth_m * depth_m
 
 

@@ -68,9 +68,7 @@ class DepthSlice:
         return found
 
     def is_thing(self, piece: Detection) -> bool:
-        """Returns whether a piece of odd shape is more than a rim, and itself between the
-        limits.
-        """
+        """Return whether a piece of odd shape is more than a rim, and itself between the limits."""
         narrow, wide = sorted((piece.box.w, piece.box.h))
         return (
             narrow >= THINNEST * wide

@@ -106,7 +106,7 @@ class PixelPerception:
         return rate_of(self._camera)
 
     async def examine(self) -> Sequence[Finding]:
-        """Returns the camera's own findings, and whether it is the calibrated one."""
+        """Return the camera's own findings, and whether it is the calibrated one."""
         return [*await examined(self._camera), self._serial()]
 
     def _serial(self) -> Finding:
@@ -128,7 +128,7 @@ class PixelPerception:
         return Finding("note", "calibration", f"{of}; {silent}", fix)
 
     async def __aenter__(self) -> Self:
-        """Opens the camera. Raises CameraError, also when it is not the one that the calibration is
+        """Open the camera. Raises CameraError, also when it is not the one that the calibration is
         of.
         """
         camera = await self._camera.__aenter__()
@@ -280,7 +280,7 @@ class PixelView:
         return [each for each in found if self._may_be_within(region, each.box)]
 
     def _may_be_within(self, region: Region, box: Box) -> bool:
-        """Returns whether a target in this box can be as far away as the region says; yes where
+        """Return whether a target in this box can be as far away as the region says; yes where
         that is not known.
         """
         if max(box.w, box.h) > region.extent.longest_px:

@@ -112,7 +112,7 @@ class RealSense:
         return self._config.fps
 
     async def examine(self) -> Sequence[Finding]:
-        """Returns which device it is, whose clock stamps its frames, and how many images were of no
+        """Return which device it is, whose clock stamps its frames, and how many images were of no
         use.
         """
         stream = self._stream
@@ -124,7 +124,7 @@ class RealSense:
         return (*_device(stream.identity), _stamped(counters.domain), _paired(counters))
 
     async def __aenter__(self) -> Self:
-        """Returns with the first frame there. Raises CameraError."""
+        """Return with the first frame there. Raises CameraError."""
         loop = asyncio.get_running_loop()
         self._news = asyncio.Event()
         config = self._config

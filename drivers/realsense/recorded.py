@@ -69,7 +69,7 @@ class RealSenseRecording:
     """
 
     def __init__(self, file: Path) -> None:
-        """Raises CameraError for a file that cannot be played, or has not both streams."""
+        """Raise CameraError for a file that cannot be played, or has not both streams."""
         self._file, rs = file, import_realsense()
         self._device = load_recording(file)
         self._playback = self._device.as_playback()
@@ -114,7 +114,7 @@ class RealSenseRecording:
         return intrinsics_of(import_realsense(), self._color, "color")
 
     def pairs(self) -> Iterator[RecordedPair]:
-        """Yields all pairs from where it is to the end; images without their other half are left
+        """Yield all pairs from where it is to the end; images without their other half are left
         out.
 
         Raises CameraError when nothing comes and it has not ended.

@@ -136,7 +136,7 @@ def _half_px(
 
 @inner
 def _place(measured, linear, columns, r, t_mm, unit_mm, near, far, lens, max_r2, half, size, cells):
-    """Computes where a row of depth pixels lies in the colour image.
+    """Compute where a row of depth pixels lies in the colour image.
 
     A loop without branches, so that it vectorises. ``cells``, int32 (4, w): number of the first
     pixel, whether there is a second one to its right, and one below, z in mm. z is NOTHING where

@@ -35,13 +35,13 @@ class DeviceSource(Protocol):
         ...
 
     def missing(self) -> CameraError | None:
-        """Returns why it gives no frames and what to do, as far as that is known; None when it is
+        """Return why it gives no frames and what to do, as far as that is known; None when it is
         there.
         """
         ...
 
     def close(self) -> None:
-        """Closes the source, after the streams were stopped."""
+        """Close the source, after the streams were stopped."""
         ...
 
 

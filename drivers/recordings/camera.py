@@ -105,7 +105,7 @@ class RecordedCamera:
         return self._given
 
     async def __aenter__(self) -> Self:
-        """Raises CameraError when the recording cannot be played, or is not of the calibration's
+        """Raise CameraError when the recording cannot be played, or is not of the calibration's
         size.
         """
         recording = open_recording(self._config.file, self._config.options())
@@ -173,7 +173,7 @@ class RecordedCamera:
         return newer or ready
 
     def _fetch(self, until_ns: int | None = None) -> _Ready | None:
-        """Returns the next frame; or with ``until_ns`` the last one up to then, None when there is
+        """Return the next frame; or with ``until_ns`` the last one up to then, None when there is
         none.
 
         Runs in the thread.

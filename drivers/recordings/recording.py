@@ -75,7 +75,7 @@ class Recording(Protocol):
         ...
 
     def frames(self) -> Iterator[RecordedFrame]:
-        """Yields the frames from the beginning. Raises RecordingError where it is damaged."""
+        """Yield the frames from the beginning. Raises RecordingError where it is damaged."""
         ...
 
 
@@ -198,7 +198,7 @@ class Video:
         self._check_counts(number)
 
     def _check_counts(self, frames: int) -> None:
-        """Raises RecordingError when there are not as many stamps or depth images as frames."""
+        """Raise RecordingError when there are not as many stamps or depth images as frames."""
         for given, where, what in (
             (self._stamps, self._options.stamps, "stamps"),
             (self._depth, self._options.depth, "depth images"),

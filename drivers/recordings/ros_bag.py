@@ -43,7 +43,7 @@ class RosBag:
 
 
 def refuse_ros(path: Path) -> None:
-    """Raises RecordingError when a file or folder is a bag of ROS, or a database that holds no
+    """Raise RecordingError when a file or folder is a bag of ROS, or a database that holds no
     recording at all.
     """
     if (bag := ros_bag_at(path)) is not None:

@@ -88,7 +88,7 @@ class RosImages:
     torn: int = 0
 
     def __init__(self, path: Path) -> None:
-        """Raises RecordingError for a bag that cannot be read, or without colour and its depth."""
+        """Raise RecordingError for a bag that cannot be read, or without colour and its depth."""
         self._path = path
         self._reader = _opened(path)
         try:

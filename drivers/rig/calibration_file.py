@@ -65,7 +65,7 @@ class CameraTable:
             )
 
     def model(self) -> CameraModel:
-        """Raises ValueError for a distortion that cannot be inverted."""
+        """Raise ValueError for a distortion that cannot be inverted."""
         return CameraModel(
             self.width,
             self.height,
@@ -176,12 +176,12 @@ def _check_version(version: int) -> None:
 
 
 def read_camera(file: Path) -> CameraCalibration:
-    """Raises CalibrationError naming the file, and the key where there is one."""
+    """Raise CalibrationError naming the file, and the key where there is one."""
     return _read(file, CameraCalibration, CAMERA_REMEDY)
 
 
 def read_mount(file: Path) -> MountCalibration:
-    """Raises CalibrationError naming the file, and the key where there is one."""
+    """Raise CalibrationError naming the file, and the key where there is one."""
     return _read(file, MountCalibration, MOUNT_REMEDY)
 
 
@@ -189,7 +189,7 @@ MADE_BY = "Made by `path-handoff calibrate"  # the sign of every file and pictur
 
 
 def write_calibration(file: Path, calibration: CameraCalibration | MountCalibration) -> None:
-    """Raises CalibrationError when it cannot be written."""
+    """Raise CalibrationError when it cannot be written."""
     key = (
         "[sender.camera]" if isinstance(calibration, CameraCalibration) else "[sender.mount.marker]"
     )
@@ -209,7 +209,7 @@ def quaternion(pose: Pose) -> tuple[float, float, float, float]:
 
 
 def check_serial(calibrated: str, camera: str, what: str) -> None:
-    """Raises CalibrationError when both serial numbers are known and differ."""
+    """Raise CalibrationError when both serial numbers are known and differ."""
     if calibrated and camera and calibrated != camera:
         raise CalibrationError(
             f"{what}: the calibration is of the camera with serial number {calibrated}, this one is {camera}",
@@ -218,7 +218,7 @@ def check_serial(calibrated: str, camera: str, what: str) -> None:
 
 
 def check_size(calibrated: tuple[int, int], stream: tuple[int, int], what: str) -> None:
-    """Raises CalibrationError when the sizes (width, height) differ."""
+    """Raise CalibrationError when the sizes (width, height) differ."""
     if calibrated != stream:
         raise CalibrationError(
             f"{what}: the calibration is for {calibrated[0]}x{calibrated[1]} px but the frames are "

@@ -137,7 +137,7 @@ def _check_serials(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> 
 
 
 def _resource(name: str, value: Any) -> tuple[str, str]:
-    """Returns what an option occupies. Two listeners on one UDP port collide whatever their
+    """Return what an option occupies. Two listeners on one UDP port collide whatever their
     addresses say.
     """
     text = str(value)

@@ -61,12 +61,12 @@ class Examined(Protocol):
 
 
 async def examined(part: object) -> Sequence[Finding]:
-    """Returns a part's findings on itself; none when it has nothing to say."""
+    """Return a part's findings on itself; none when it has nothing to say."""
     return await part.examine() if isinstance(part, Examined) else ()
 
 
 def rate_of(part: object) -> float | None:
-    """Returns how often a part is set to give something, Hz: its attribute ``rate_hz``; None when
+    """Return how often a part is set to give something, Hz: its attribute ``rate_hz``; None when
     it has none.
     """
     return getattr(part, "rate_hz", None)

@@ -224,7 +224,7 @@ class Rig:
         return self.sender if role is Role.SENDER else self.receiver
 
     def where(self, table: str) -> str:
-        """Returns the name of a table of this rig, for messages."""
+        """Return the name of a table of this rig, for messages."""
         return f"{self.file.name}: {table}"
 
 

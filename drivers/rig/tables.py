@@ -300,7 +300,7 @@ def _refuse(value: Any, kind: Any, where: str, problems: Problems) -> Any:
 
 
 def _expected(kind: Any) -> str:  # noqa: PLR0911
-    """Returns what a person may write for a value of this kind."""
+    """Return what a person may write for a value of this kind."""
     origin = get_origin(kind)
     args = get_args(kind)
     if origin is Annotated:

@@ -221,7 +221,7 @@ class TelloCamera:
         return f"{reader.damaged} damaged ones"
 
     def _on_frame(self, image: NDArray[np.uint8]) -> None:
-        """Takes a frame on the reader's thread."""
+        """Take a frame on the reader's thread."""
         link = self._link
         loop = self._loop
         if link is None or loop is None:
@@ -234,7 +234,7 @@ class TelloCamera:
         wake(loop, self._wake)
 
     async def _until_caught_up(self) -> None:
-        """Waits until frames come at the stream's own pace: then they are as old as the latency
+        """Wait until frames come at the stream's own pace: then they are as old as the latency
         says.
         """
         end_s = time.monotonic() + CATCH_UP_S

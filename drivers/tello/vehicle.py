@@ -156,7 +156,7 @@ class TelloVehicle:
         return self._history.attitude_at(stamp_ns)
 
     def _on_report(self, report: TelloReport) -> None:
-        """Takes a report on djitellopy's thread: one immutable value replaces the last."""
+        """Take a report on djitellopy's thread: one immutable value replaces the last."""
         reckoning = self._reckoning
         reckoning.add(report)
         q_n_b = quaternion(report.roll_rad, report.pitch_rad, reckoning.heading_rad)
@@ -194,7 +194,7 @@ class TelloVehicle:
         return self._link
 
     async def _check_alive(self) -> None:
-        """Raises when the newest state packet is too old.
+        """Raise when the newest state packet is too old.
 
         A program that stood still finds an old one first: those that wait for it are read before it
         judges.
@@ -355,7 +355,7 @@ class TelloVehicle:
         self._sticks((north, east, down), max(-limit, min(limit, turn_dps)))
 
     async def hold(self) -> None:
-        """Holds by centred sticks. It does not answer to that; that it is still there must be
+        """Hold by centred sticks. It does not answer to that; that it is still there must be
         news.
         """
         self._wanted_up = True
@@ -455,7 +455,7 @@ class TelloVehicle:
         )
 
     async def _climb(self, height_m: float, end_s: float) -> None:
-        """Climbs by the sticks from where the automatic take-off ends to the height, until it is
+        """Climb by the sticks from where the automatic take-off ends to the height, until it is
         steady there.
         """
         tolerance = self._config.take_off_tolerance_m
@@ -480,7 +480,7 @@ class TelloVehicle:
             await asyncio.sleep(RC_PERIOD_S)
 
     def _landed(self) -> bool:
-        """Returns whether it landed, by news: the motors' clock stands, low above the ground."""
+        """Return whether it landed, by news: the motors' clock stands, low above the ground."""
         report = self._open_link().report
         if report is None or not self._heard() or self._motors_run():
             return False

@@ -110,7 +110,7 @@ def beside_record(beside: Sequence[Rival]) -> list[float]:
 
 
 def beside_of(numbers: Sequence[float] | None) -> tuple[Rival, ...]:
-    """Reads what ``beside_record`` has written."""
+    """Read what ``beside_record`` has written."""
     rows = np.asarray(numbers or (), float).reshape(-1, RIVAL_NUMBERS).tolist()
     return tuple(
         Rival(Box(x, y, w, h), Depth(z, sigma) if z > 0.0 else None)

@@ -47,7 +47,7 @@ def check_vehicle(
 
 
 def in_doubt(state: VehicleState, commanded: FlightMode) -> bool:
-    """Returns whether one message alone says that the vehicle is not the script's any more.
+    """Return whether one message alone says that the vehicle is not the script's any more.
 
     Nothing is sent until the next one says so, too, or takes it back: a pilot does not wait for it,
     and one forged packet does not leave the vehicle to nobody.

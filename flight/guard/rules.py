@@ -154,7 +154,7 @@ class GuardState:
     odd_ns: int | None = None
 
     def hand(self, script: Script, armed: bool) -> Hand:
-        """Returns whose the vehicle is."""
+        """Return whose the vehicle is."""
         if self.stage is GuardStage.WATCHING:
             return Hand.SCRIPT if armed and script.flies else Hand.FREE
         return _HANDS[self.stage]
@@ -208,7 +208,7 @@ def _armed(
 
 
 def was_let_go(state: GuardState, heard: ProgramBeat | None) -> bool:
-    """Returns whether the vehicle was let go of, by the guard or by the script."""
+    """Return whether the vehicle was let go of, by the guard or by the script."""
     by_script = (
         state.stage is GuardStage.WATCHING and heard is not None and heard.script is Script.LET_GO
     )
@@ -260,7 +260,7 @@ def _watch(
 def _somebody_else(
     state: GuardState, view: GuardView, heard: ProgramBeat, now_ns: int, rules: GuardRules
 ) -> bool:
-    """Returns whether the mode is somebody else's doing than the script's.
+    """Return whether the mode is somebody else's doing than the script's.
 
     A dead program's vehicle may be held by the autopilot's own failsafe: there is nobody to leave
     it to. One that comes down without a script comes down by somebody's will.
@@ -297,7 +297,7 @@ def broken_limit(
 
 
 def flown_by_scripts_alone(view: GuardView) -> bool:
-    """Returns whether more than one message says that the vehicle is in a mode that no person
+    """Return whether more than one message says that the vehicle is in a mode that no person
     flies.
     """
     return view.mode in _MOVING and view.mode_told >= SURE
@@ -306,7 +306,7 @@ def flown_by_scripts_alone(view: GuardView) -> bool:
 def _let_go_of(
     state: GuardState, view: GuardView, heard: ProgramBeat | None, now_ns: int, rules: GuardRules
 ) -> tuple[GuardState, Act]:
-    """Decides on a vehicle that somebody else has, or seemed to have.
+    """Decide on a vehicle that somebody else has, or seemed to have.
 
     What is in a script's mode again is flown by the living script, or by nobody, and then it is
     taken.

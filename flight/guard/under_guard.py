@@ -45,7 +45,7 @@ class UnderGuard:
         return answer
 
     def behind(self, end: MissionEnd) -> MissionEnd:
-        """Returns the cause behind a mission's end.
+        """Return the cause behind a mission's end.
 
         A vehicle that the guard took refuses, or is not heard by who stood still.
         """
@@ -70,7 +70,7 @@ class UnderGuard:
             raise MissionEnd(Outcome.GUARD_LOST, missing)
 
     async def confirm(self, beat: Beat) -> None:
-        """Asks the guard before anything moves, and waits for an answer that is younger than the
+        """Ask the guard before anything moves, and wait for an answer that is younger than the
         question.
 
         A program that slept does not go on where it was: what happened meanwhile is in that answer.

@@ -80,7 +80,7 @@ class GuardWatch:
 
     @property
     def flown(self) -> bool:
-        """Returns whether the vehicle is armed, by whomever, and can be seen."""
+        """Return whether the vehicle is armed, by whomever, and can be seen."""
         view = self._vehicle.view()
         return view is not None and view.armed and self.sees(self._clock.now_ns())
 
@@ -94,7 +94,7 @@ class GuardWatch:
         )
 
     def sees(self, now_ns: int) -> bool:
-        """Returns whether the own link brings telemetry."""
+        """Return whether the own link brings telemetry."""
         return self._sees(self._vehicle.view(), now_ns)
 
     def _sees(self, view: GuardView | None, now_ns: int) -> bool:

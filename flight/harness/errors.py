@@ -71,11 +71,9 @@ class TrialErrors(Protocol):
     def __init__(self, rig: Rig) -> None: ...
 
     def session(self, seed: int) -> DrawnErrors:
-        """Returns the draws of one session."""
+        """Return the draws of one session."""
         ...
 
     def rows(self) -> tuple[tuple[str, str, str], ...]:
-        """Returns what is drawn, how large it is, and for how long it lasts, as rows of a
-        report.
-        """
+        """Return what is drawn, how large it is, and for how long it lasts, as rows of a report."""
         ...

@@ -140,12 +140,12 @@ class TeamConfig(RelayConfig):
 
 
 def relay_of_rig(rig: Rig) -> RelayConfig:
-    """Raises RigError."""
+    """Raise RigError."""
     return decode_table(rig.relay, RelayConfig, rig.where("[relay]"), rig.file.parent)
 
 
 def team_of_rig(rig: Rig) -> TeamConfig:
-    """Raises RigError."""
+    """Raise RigError."""
     tables = {**rig.team, "drones": list(rig.drones), "targets": list(rig.targets)}
     return decode_table(tables, TeamConfig, rig.where("team"), rig.file.parent)
 

@@ -235,7 +235,7 @@ class Telling:
         self.done: int | None = None
 
     def on(self, series: Series) -> int | None:
-        """Goes on with the entries that are new, which end with all that D1 judged by a frame.
+        """Go on with the entries that are new, which end with all that D1 judged by a frame.
         Returns ``done``.
         """
         first = self._told

@@ -59,11 +59,11 @@ class RelayField(Protocol):
         ...
 
     def landed(self, name: str) -> bool:
-        """Returns whether it is seen to stand on the ground, its motors off."""
+        """Return whether it is seen to stand on the ground, its motors off."""
         ...
 
     def battery(self, name: str) -> float:
-        """Returns the charge of a drone that has landed, 0..1."""
+        """Return the charge of a drone that has landed, 0..1."""
         ...
 
     def swap(self, name: str, battery: float) -> None:
@@ -85,7 +85,7 @@ class TeamField(RelayField, Protocol):
         ...
 
     def point_at(self, target: int) -> Pointed:
-        """Returns the place at which a person on the ground sees a target now."""
+        """Return the place at which a person on the ground sees a target now."""
         ...
 
 
@@ -120,7 +120,7 @@ class Pointed:
     time_s: float
 
     def at(self, time_s: float) -> tuple[float, float, float]:
-        """Returns its place by then."""
+        """Return its place by then."""
         since_s = time_s - self.time_s
         n, e, d = (
             p + since_s * v for p, v in zip(self.place_n_m, self.velocity_n_mps, strict=True)

@@ -207,7 +207,7 @@ class FrameRenderer(Protocol):
     def __init__(self, setup: RendererSetup, seed: int) -> None: ...
 
     def shoot(self, stage: RenderedInstant, role: Role, shot_seed: int) -> Shot:
-        """Returns the image that the role's camera delivers."""
+        """Return the image that the role's camera delivers."""
         ...
 
     def true_depth_m(self, stage: RenderedInstant, role: Role, u: float, v: float) -> float | None:

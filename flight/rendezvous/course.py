@@ -55,7 +55,7 @@ _FINDABLE_PX = 14.0  # of a marker's side: found in nearly every image, at a sla
 
 
 def stand_off_m(config: MissionConfig) -> float:
-    """Returns the distance that reported positions may lead to.
+    """Return the distance that reported positions may lead to.
 
     It is clear of the other drone even if they are wrong by all that they may be.
     """
@@ -130,7 +130,7 @@ class Rendezvous:
     # --- stand-off and search: by the positions both drones report
 
     def to_stand_off(self, state: VehicleState) -> VelocitySetpoint:
-        """Leads to where the marker faces D2, in the middle of the image, if both positions are
+        """Lead to where the marker faces D2, in the middle of the image, if both positions are
         right.
 
         That is not on the viewpoint's side: with positions off by a metre the marker would be seen
@@ -200,7 +200,7 @@ class Rendezvous:
         )
 
     def _search_from_m(self) -> float:
-        """Returns how far from the marker the search is.
+        """Return how far from the marker the search is.
 
         Its side has enough pixels there, and no nearer than need be.
         """
@@ -283,7 +283,7 @@ class Rendezvous:
         return from_heading((-_BACK_OFF_MPS, 0.0, -climb_mps), heading), heading
 
     def at_viewpoint(self) -> bool:
-        """Returns whether the camera is at the viewpoint, and slow."""
+        """Return whether the camera is at the viewpoint, and slow."""
         relative = self._marker.predict(self._now_ns())
         rendezvous = self._config.rendezvous
         return (
@@ -293,7 +293,7 @@ class Rendezvous:
         )
 
     def out_of_bounds(self) -> str:
-        """Returns why this approach must not go on; "" while all is within its bounds."""
+        """Return why this approach must not go on; "" while all is within its bounds."""
         relative = self._marker.predict(self._now_ns())
         rendezvous = self._config.rendezvous
         if relative is None:
@@ -315,11 +315,11 @@ class Rendezvous:
         return ""
 
     def _off_viewpoint(self, marker_n_m: Vec3) -> Vec3:
-        """Returns what is missing to the viewpoint, given the way from the camera to the marker."""
+        """Return what is missing to the viewpoint, given the way from the camera to the marker."""
         return add(from_heading(self.viewpoint.camera_h_m, self._peer().yaw_rad), marker_n_m)
 
     def _yaw_between(self, marker_n_m: Vec3) -> float:
-        """Returns the yaw with which marker and target share the image."""
+        """Return the yaw with which marker and target share the image."""
         to_marker = bearing(marker_n_m)
         if self._marker.target_n_m is None:
             return self._peer().yaw_rad + self.viewpoint.yaw_h_rad
@@ -327,7 +327,7 @@ class Rendezvous:
 
 
 def _swing(widest: float, phase_rad: float) -> float:
-    """Returns a way from 0 to the widest and back."""
+    """Return a way from 0 to the widest and back."""
     return 0.5 * widest * (1.0 - math.cos(phase_rad))
 
 

@@ -105,7 +105,7 @@ class MarkerView:
         return len(self._fixes)
 
     def note_motion(self, motion: VehicleMotions) -> None:
-        """Takes both vehicles' reported motion.
+        """Take both vehicles' reported motion.
 
         It says how the marker moves between two looks, and while it is not seen.
         """
@@ -121,7 +121,7 @@ class MarkerView:
         return self._filter.unseen_s(stamp_ns)
 
     def searched(self, stamp_ns: int) -> bool:
-        """Returns whether the look at this instant was one at the whole image."""
+        """Return whether the look at this instant was one at the whole image."""
         return self._searched_ns == stamp_ns
 
     def look(
@@ -156,7 +156,7 @@ class MarkerView:
         return MarkerFix(pose.T_c_v, pose.covariance, pose.side_px, detections)
 
     def note_target(self, prior: Prior, R_n_c: Matrix) -> None:
-        """Takes the target's place from the camera, in ``n``, for the heading that keeps both in
+        """Take the target's place from the camera, in ``n``, for the heading that keeps both in
         view.
         """
         x, y = self._camera.ray(*prior.pixel)

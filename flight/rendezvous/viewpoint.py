@@ -167,7 +167,7 @@ def _candidates(separation: SeparationConfig) -> Floats:
 
 
 def _clear_of_body(to_body: Floats, to_target: Floats, scene: ViewpointScene) -> NDArray[np.bool_]:
-    """Returns whether D1's body leaves the line of sight to the whole target free."""
+    """Return whether D1's body leaves the line of sight to the whole target free."""
     body_range = np.linalg.norm(to_body, axis=1)
     target_range = np.linalg.norm(to_target, axis=1)
     cosine = np.sum(to_body * to_target, axis=1) / (body_range * target_range)

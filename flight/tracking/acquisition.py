@@ -300,7 +300,7 @@ class Acquisition:
         return steady and self._well_inside(seen.box) and self._alone(seen, depth, view, T_n_c)
 
     def _depth_of(self, seen: Observed, T_n_c: Pose) -> Depth | None:
-        """Returns its depth; beyond the reach of the depth camera what else tells how far away it
+        """Return its depth; beyond the reach of the depth camera what else tells how far away it
         is.
         """
         if seen.depth is not None:
@@ -310,7 +310,7 @@ class Acquisition:
         return None if ranged is None else ranged.depth
 
     def _well_inside(self, box: Box) -> bool:
-        """Returns whether the box is so far inside the image that a gust would not take it out at
+        """Return whether the box is so far inside the image that a gust would not take it out at
         once.
         """
         u, v = box.center
@@ -322,7 +322,7 @@ class Acquisition:
         )
 
     def _alone(self, seen: Observed, depth: Depth | None, view: View, T_n_c: Pose) -> bool:
-        """Returns whether the box is no larger than the target can be, and nothing nearer or
+        """Return whether the box is no larger than the target can be, and nothing nearer or
         farther off is in it.
 
         Two, one behind the other, are one box; at times the detector gives one of them besides.

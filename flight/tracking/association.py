@@ -243,7 +243,7 @@ def _unfound(
     expected: tuple[Pixel, float, float],
     reach_px: float,
 ) -> MissReason:
-    """Keeps the track, where there is no box of the object's own, by a box around it, or by what
+    """Keep the track, where there is no box of the object's own, by a box around it, or by what
     stands out there.
 
     A track that nothing kept for a while is not taken up again by depth.
@@ -293,7 +293,7 @@ def _unfound(
 
 
 def _unseen(track: TargetTrack, stamp_ns: int) -> bool:
-    """Returns whether nothing has kept a track for so long that what stands there by now may be
+    """Return whether nothing has kept a track for so long that what stands there by now may be
     anything.
     """
     return stamp_ns - track.stamp_ns > UNSEEN_S * 1e9
@@ -314,7 +314,7 @@ def _least_m(depth: Depth | None) -> float:
 
 
 def _has_more(box: Box, z_m: float, sigma_m: float, T_n_c: Pose, track: TargetTrack) -> bool:
-    """Returns whether a box, if it is where the object is, has something else in it, however long
+    """Return whether a box, if it is where the object is, has something else in it, however long
     it has been so.
     """
     return track.largest is not None and not track.largest.holds(box, z_m, sigma_m, T_n_c)
@@ -333,7 +333,7 @@ def _is_in(pixel: Pixel, box: Box) -> bool:
 def _bound(
     track: TargetTrack, pixel: Pixel, camera: CameraModel, T_n_c: Pose, stamp_ns: int
 ) -> None:
-    """Keeps the track by where the object about is, as high as it was; the velocity learns
+    """Keep the track by where the object about is, as high as it was; the velocity learns
     nothing.
     """
     bounded = at_height(pixel, camera, T_n_c, track.position_n_m[2])
@@ -357,7 +357,7 @@ def _holder(
 
 
 def _is_part(box: Box, side_px: tuple[float, float] | None) -> bool:
-    """Returns whether a box is so much smaller than the object's own was, both ways, that the other
+    """Return whether a box is so much smaller than the object's own was, both ways, that the other
     may be of two.
     """
     return side_px is not None and LARGER * box.w < side_px[0] and LARGER * box.h < side_px[1]

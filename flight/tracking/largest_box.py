@@ -35,7 +35,7 @@ class LargestBox:
         return cls(camera, method) if method.evidence.span_m > 0.0 else None
 
     def holds(self, box: Box, z_m: float, sigma_m: float, T_n_c: Pose) -> bool:
-        """Returns whether a box is no larger than the target alone can be at a depth, known to a
+        """Return whether a box is no larger than the target alone can be at a depth, known to a
         standard deviation.
         """
         own = self._method.evidence
@@ -62,7 +62,7 @@ class LargestBox:
         return spread * wide_m, spread * high_m
 
     def apart(self, one: Depth, other: Depth) -> bool:
-        """Returns whether two depths are farther apart than the middle of such a body is from any
+        """Return whether two depths are farther apart than the middle of such a body is from any
         place on it.
         """
         own = self._method.evidence

@@ -53,7 +53,7 @@ class LookRound:
 
     @property
     def going(self) -> bool:
-        """Returns whether it has left its first heading."""
+        """Return whether it has left its first heading."""
         return self._round_rad != 0.0
 
     def hold(self) -> None:

@@ -109,7 +109,7 @@ def is_cut(box: Box, camera: CameraModel) -> bool:
 
 
 def cut_sides(low: float, side: float, size: int) -> tuple[bool, bool]:
-    """Returns whether the border cuts a box's side where it begins, and where it ends, in an image
+    """Return whether the border cuts a box's side where it begins, and where it ends, in an image
     of that size.
     """
     return low < _BORDER_PX - 0.5, low + side > size - 0.5 - _BORDER_PX

@@ -28,7 +28,7 @@ def to_local(point_c: Vec3, T_n_c: Pose) -> Vec3:
 
 
 def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3:
-    """Returns the place of a box's object in ``n``: by its depth, or where its ray meets a height
+    """Return the place of a box's object in ``n``: by its depth, or where its ray meets a height
     if that is better.
 
     Args:
@@ -43,7 +43,7 @@ def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: floa
 
 
 def at_height(pixel: Pixel, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3 | None:
-    """Returns the point at which a pixel's ray comes down to a height; None for a ray that hardly
+    """Return the point at which a pixel's ray comes down to a height; None for a ray that hardly
     does.
     """
     x, y = camera.ray(*pixel)

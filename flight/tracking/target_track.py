@@ -187,7 +187,7 @@ class TargetTrack:
         self._company_ns = stamp_ns
 
     def accompanied(self, stamp_ns: int) -> bool:
-        """Returns whether that is so, or lately was."""
+        """Return whether that is so, or lately was."""
         return self._company_ns is not None and stamp_ns - self._company_ns <= RIVAL_S * 1e9
 
     def note_size(self, sides_m: tuple[float, float], stamp_ns: int) -> None:
@@ -203,7 +203,7 @@ class TargetTrack:
         return self._sizes.sides_m
 
     def outgrown(self, sides_m: tuple[float, float], noise: float, stamp_ns: int) -> bool:
-        """Returns whether a box is so much larger than the object's was a moment ago that there is
+        """Return whether a box is so much larger than the object's was a moment ago that there is
         more in it.
 
         One that is not is remembered. ``noise``: standard deviation of a side, relative.
@@ -216,7 +216,7 @@ class TargetTrack:
         return stamp_ns - self.rival_ns <= RIVAL_S * 1e9
 
     def carriable(self, stamp_ns: int) -> bool:
-        """Returns whether depth alone may carry the track at a stamp: its box's size is known, and
+        """Return whether depth alone may carry the track at a stamp: its box's size is known, and
         was seen lately.
 
         One that flies is not carried: depth along one row of the image does not say how high it is.

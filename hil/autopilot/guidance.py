@@ -67,11 +67,11 @@ class Guidance:
         self.yaw_rad = yaw_of(estimate.q_n_b)
 
     def height_reached(self, estimate: Estimate, home: Vec3) -> bool:
-        """Returns whether a take-off is where it should end."""
+        """Return whether a take-off is where it should end."""
         return home[2] - estimate.position_n_m[2] > self.climb_to_m - AT_HEIGHT_M
 
     def hold_height(self, home: Vec3) -> None:
-        """Holds the height asked for after a take-off, not the one passed through."""
+        """Hold the height asked for after a take-off, not the one passed through."""
         north, east, _ = self._hold
         self._hold = (north, east, home[2] - self.climb_to_m)
 

@@ -85,7 +85,7 @@ class RadioConfig:
 
     @property
     def hears(self) -> bool:
-        """Returns whether any transmitter can take the vehicle."""
+        """Return whether any transmitter can take the vehicle."""
         return self.in_mode not in (1, 4)
 
 
@@ -204,7 +204,7 @@ class Radio:
 
 
 def channels_of(own: Transmitter, config: RadioConfig) -> tuple[int, ...]:
-    """Returns the pulse widths in µs that a transmitter sends."""
+    """Return the pulse widths in µs that a transmitter sends."""
     channels = [round(MIDDLE_US + 500.0 * min(1.0, max(-1.0, stick))) for stick in own.sticks]
     channels += [LOW_US] * (CHANNELS - len(channels))
     if config.mode_channel:

@@ -52,7 +52,7 @@ class SimulatorConfig:
 
     @property
     def on_board(self) -> bool:
-        """Returns whether it is a flight controller on the bench."""
+        """Return whether it is a flight controller on the bench."""
         return self.truth_url.startswith("serial://")
 
     @property

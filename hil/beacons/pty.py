@@ -50,7 +50,7 @@ class SerialCable:
         self._ends: tuple[int, int] | None = None
 
     def plug(self) -> None:
-        """Raises OSError when there are no pseudo terminals left."""
+        """Raise OSError when there are no pseudo terminals left."""
         far, port = os.openpty()
         tty.setraw(port)
         os.set_blocking(far, False)
@@ -59,20 +59,20 @@ class SerialCable:
         self.link.symlink_to(os.ttyname(port))
 
     def send(self, data: bytes) -> None:
-        """Sends bytes from the port. As on a wire, what nobody reads in time is lost."""
+        """Send bytes from the port. As on a wire, what nobody reads in time is lost."""
         if self._ends is not None:
             with suppress(BlockingIOError):
                 os.write(self._ends[0], data)
 
     def received(self) -> bytes:
-        """Returns what was written to the port."""
+        """Return what was written to the port."""
         with suppress(BlockingIOError):
             if self._ends is not None:
                 return os.read(self._ends[0], 65536)
         return b""
 
     def unplug(self) -> None:
-        """Closes the port; a program that has it open reads its end."""
+        """Close the port; a program that has it open reads its end."""
         if self._ends is not None:
             self.link.unlink(missing_ok=True)
             for end in self._ends:
@@ -216,7 +216,7 @@ def open_hedges(
 
 
 def _vision(rig: Rig, role: Role) -> VisionConfig | None:
-    """Returns how the drone's autopilot is fed, when this run makes it up; else None."""
+    """Return how the drone's autopilot is fed, when this run makes it up; else None."""
     table = rig.role(role).vehicle.options.get("vision")
     if table is None:
         return None
@@ -259,7 +259,7 @@ class PtyBeacons(Marvelmind):
         return link_of(run)
 
     async def __aenter__(self) -> Self:
-        """Raises BeaconError when the world opens no port."""
+        """Raise BeaconError when the world opens no port."""
         try:
             async with asyncio.timeout(APPEARS_S):
                 while not self._link.exists():  # noqa: ASYNC110 (another process makes it)

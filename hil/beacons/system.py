@@ -214,7 +214,7 @@ def listen(
 
 
 def truth_of(system: BeaconSystem, config: BeaconConfig) -> BeaconTruth:
-    """Returns the truth that a trial may be judged by."""
+    """Return the truth that a trial may be judged by."""
     x, y, z = system.origin_m.tolist()
     return BeaconTruth(-float(system.listener_offset_s), system.yaw_rad, (x, y, z), config.table)
 

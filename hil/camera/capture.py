@@ -82,7 +82,7 @@ class TrueCamera:
 
 
 def true_camera(context: PartContext, built: Built | None) -> TrueCamera:
-    """Returns the camera that ``context`` describes, or what was built of it."""
+    """Return the camera that ``context`` describes, or what was built of it."""
     if built is None:
         mount = context.mount
         return TrueCamera(context.camera, mount.T_b_c, mount.T_b_v, context.layout, SensorErrors())
@@ -176,7 +176,7 @@ class CaptureTicker(Generic[T]):
 
     @property
     def awaited(self) -> bool:
-        """Returns whether somebody waits for a picture now."""
+        """Return whether somebody waits for a picture now."""
         return self._waiting is not None
 
     async def next(self, timeout_s: float) -> Capture[T]:

@@ -34,7 +34,7 @@ class PendingPicture:
         self.looked = False
 
     def images(self) -> Images:
-        """Returns what it shows. Raises what drawing it raises."""
+        """Return what it shows. Raises what drawing it raises."""
         self.looked = True
         return self._drawn()
 

@@ -72,7 +72,7 @@ class CameraRenderer:
         self._marked: dict[int, Model] = {}
 
     def shoot(self, stage: RenderedInstant, role: Role, shot_seed: int) -> Shot:
-        """Returns the image that the role's camera delivers. The drone of the role must be on the
+        """Return the image that the role's camera delivers. The drone of the role must be on the
         stage.
         """
         key = self._renderer.key(role, shot_seed)

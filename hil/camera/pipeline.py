@@ -29,7 +29,7 @@ STREAM_RATE = 30
 
 
 def is_plain(imaging: Imaging) -> bool:
-    """Returns whether an image is no more than blurred light with noise."""
+    """Return whether an image is no more than blurred light with noise."""
     plain = Imaging(imaging.blur_sigma_px, imaging.read_sigma, imaging.shot_gain)
     return imaging == plain
 

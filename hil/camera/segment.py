@@ -27,7 +27,7 @@ SLOT_HEADER_BYTES = 64
 
 
 def folder() -> Path:
-    """Returns the folder of segments: in memory where the system has a file system for it."""
+    """Return the folder of segments: in memory where the system has a file system for it."""
     memory = Path("/dev/shm")
     return memory if memory.is_dir() and os.access(memory, os.W_OK) else Path(tempfile.gettempdir())
 

@@ -155,7 +155,7 @@ class SharedCameraReader:
         self.skipped = 0
 
     def __enter__(self) -> Self:
-        """Raises CameraError when no world publishes in time, or another process reads already."""
+        """Raise CameraError when no world publishes in time, or another process reads already."""
         self._segment = self._attach()
         try:
             self._socket = bind(socket_path(self._path))
@@ -232,7 +232,7 @@ class SharedCameraReader:
         )
 
     def _wait(self, timeout_s: float) -> None:
-        """Waits until the writer says that there is something new; what else it said before is of
+        """Wait until the writer says that there is something new; what else it said before is of
         the same.
         """
         assert self._socket is not None

@@ -116,7 +116,7 @@ class BenchDevice:
 
 
 def resident_mib() -> float:
-    """Returns the memory that this process holds now, MiB."""
+    """Return the memory that this process holds now, MiB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 

@@ -309,7 +309,7 @@ def fold_both(key, value, other):
 
 @kernel
 def uniform(state):
-    """Returns a number in (0, 1) from a mixed state."""
+    """Return a number in (0, 1) from a mixed state."""
     return (float(state >> np.uint64(11)) + 0.5) / 9007199254740992.0
 
 

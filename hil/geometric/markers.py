@@ -109,7 +109,7 @@ def _project(frame, lens, R, t, corners, at, pixels):
 
 @inner
 def _inside(pixels, region, lens, margin):
-    """Returns whether all corners, and ``margin`` px of white around them, are in the region and in
+    """Return whether all corners, and ``margin`` px of white around them, are in the region and in
     the image.
     """
     low_u = max(region[0], -0.5) + margin
@@ -145,7 +145,7 @@ def _facing(at):
 
 @inner
 def _covered(boxes, extents, per_car, lens, at):
-    """Returns whether a part of the sender is in front of the marker's middle or of a point near a
+    """Return whether a part of the sender is in front of the marker's middle or of a point near a
     corner.
     """
     for k in range(5):

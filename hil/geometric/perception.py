@@ -275,7 +275,7 @@ class GeometricView:
         return detected
 
     def depth(self, box: Box) -> Depth | None:
-        """Returns the depth that ``path.target.place.registered_depth`` would make of the depth
+        """Return the depth that ``path.target.place.registered_depth`` would make of the depth
         image.
         """
         sensor = self._sensor
@@ -299,7 +299,7 @@ class GeometricView:
         return Depth(errors.depth * z_m + errors.depth_bias_m, sigma_m) if z_m > 0.0 else None
 
     def image(self) -> None:
-        """Returns None: there are no pixels."""
+        """Return None: there are no pixels."""
         return None
 
 
@@ -329,7 +329,7 @@ def _row(region: Region | None) -> Array:
 
 
 def _search_scale(region: Region | None, camera: CameraModel) -> float:
-    """Returns by how much ``path.marker.detect`` enlarges what it searches."""
+    """Return by how much ``path.marker.detect`` enlarges what it searches."""
     area = (region or EVERYWHERE).clipped(camera.width, camera.height)
     pixels = 1.0 if area is None else (area.x1 - area.x0) * (area.y1 - area.y0)
     return max(

@@ -154,7 +154,7 @@ def _posture(number: int, speed: int, stretch: Vec3) -> Array:
 
 
 def outlines(setup: CameraSetup, placed: Placed) -> Array:
-    """Returns the visible outline of each object, (n, SEEN_COLUMNS), without noise."""
+    """Return the visible outline of each object, (n, SEEN_COLUMNS), without noise."""
     seen = np.empty((len(placed.extents) - 1, targets.SEEN_COLUMNS))
     targets.outlines(placed.boxes, placed.extents, placed.per_object, setup.lens, seen)
     return seen

@@ -59,7 +59,7 @@ class TargetNoise(NamedTuple):
     max_side_px: float
 
     def shifted(self, edges_px: tuple[float, float, float, float]) -> TargetNoise:
-        """Returns the noise with a bias more on the left, top, right and bottom edge."""
+        """Return the noise with a bias more on the left, top, right and bottom edge."""
         left, top, right, bottom = edges_px
         return self._replace(
             bias_left_px=self.bias_left_px + left,
@@ -93,7 +93,7 @@ NEIGHBOUR_PX = 4.0
 
 @kernel
 def outlines(boxes, extents, per_car, lens, seen):
-    """Finds the visible part of each car, others and the other drone in front of it taken into
+    """Find the visible part of each car, others and the other drone in front of it taken into
     account.
 
     ``seen`` (cars, SEEN_COLUMNS) is filled; share 0: nothing is visible.
@@ -325,7 +325,7 @@ DEPTH_CELLS = 10  # rays across the asked part of a box
 
 @kernel
 def depth_over(boxes, extents, per_car, frame, lens, hidden, box, settings, noise, key):
-    """Returns a registered depth camera's value over the middle of a box, as ``path.target.place``
+    """Return a registered depth camera's value over the middle of a box, as ``path.target.place``
     has it, on rays.
 
     Args:

@@ -138,7 +138,7 @@ def present_s() -> float:
 
 
 async def until(condition: Callable[[], bool], limit_s: float) -> None:
-    """Waits until something is true of the world, or for so long."""
+    """Wait until something is true of the world, or for so long."""
     end_s = present_s() + limit_s
     while present_s() < end_s and not condition():  # noqa: ASYNC110 (polls truth)
         await asyncio.sleep(0.1)

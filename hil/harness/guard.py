@@ -174,7 +174,7 @@ class MemoryBeatLine:
             self._from.answered = self.clock.now_ns(), answer
 
     def role_end(self) -> MemoryGuardLine:
-        """Returns the role's end of the line for a program that begins."""
+        """Return the role's end of the line for a program that begins."""
         self.cut()
         self._newest = MemoryGuardLine(self.clock, self._box)
         return self._newest

@@ -40,7 +40,7 @@ _OF_DETECTOR = {
 
 
 def need_own_estimators(rig: Rig, faults: Sequence[Fault]) -> None:
-    """Raises FaultError when the estimator of another program is to step."""
+    """Raise FaultError when the estimator of another program is to step."""
     for fault in faults:
         if fault.name.startswith(STEP) and "sender_simulator" in rig.world:
             raise FaultError(
@@ -50,7 +50,7 @@ def need_own_estimators(rig: Rig, faults: Sequence[Fault]) -> None:
 
 
 def need_radios(rig: Rig, faults: Sequence[Fault]) -> None:
-    """Raises FaultError when a pilot without a transmitter is to use one."""
+    """Raise FaultError when a pilot without a transmitter is to use one."""
     for fault in faults:
         role = fault.kind.role
         if role is None or not (fault.name.startswith(RC) or fault.name == "motor_kill"):

@@ -38,7 +38,7 @@ class LegFaults:
         return self._ends[leg][role]
 
     def on_progress(self, name: str, progress: Progress) -> None:
-        """Takes the progress of a drone in either role.
+        """Take the progress of a drone in either role.
 
         Of a role that it does not have in its newest leg nothing begins.
         """
@@ -48,17 +48,17 @@ class LegFaults:
                 self._begin(number, trigger.on_progress(progress))
 
     def on_duty(self, name: str, duty: str) -> None:
-        """Takes the duty that a drone has written down."""
+        """Take the duty that a drone has written down."""
         if name in self._newest:
             number, role, trigger = self._newest[name]
             self._begin(number, trigger.on_duty(role, duty))
 
     def waits_for_duty(self, name: str) -> bool:
-        """Returns whether ``on_duty`` can still bring something about."""
+        """Return whether ``on_duty`` can still bring something about."""
         return name in self._newest and self._newest[name][2].waits_for_duty(self._newest[name][1])
 
     def close(self) -> None:
-        """Ends the faults: nothing begins any more."""
+        """End the faults: nothing begins any more."""
         for task in self._coming:
             task.cancel()
 

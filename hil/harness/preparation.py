@@ -24,7 +24,7 @@ HELP_WITHIN_S = 600.0  # then what the other process has not compiled is compile
 
 
 def starting(role: Role, what: str) -> Progress:
-    """Returns what the console shows while there is no role yet."""
+    """Return what the console shows while there is no role yet."""
     return Progress(role, 0, "starting", 0, 0, None, None, None, 0.0, False, what)
 
 
@@ -79,7 +79,7 @@ def helped(names: Sequence[str]) -> Generator[None]:
 
 
 def physics() -> None:
-    """Compiles what steps a world."""
+    """Compile what steps a world."""
     from hil.world.config import WorldConfig  # noqa: PLC0415 (each process imports what it compiles)
     from hil.world.world import World  # noqa: PLC0415
 
@@ -104,7 +104,7 @@ more.
 
 
 def compile_part(name: str) -> None:
-    """Compiles one part, or loads it compiled."""
+    """Compile one part, or load it compiled."""
     for function in PARTS[name]:
         import_factory(function, f"part {name}")()
 

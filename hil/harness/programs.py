@@ -116,11 +116,11 @@ class Programs:
         return self._slots[name].disk
 
     def killed(self, name: str) -> bool:
-        """Returns whether its program is dead, and not started again yet."""
+        """Return whether its program is dead, and not started again yet."""
         return self._slots[name].killed
 
     def began_again(self, name: str) -> bool:
-        """Returns whether its program is not the first one."""
+        """Return whether its program is not the first one."""
         return self._slots[name].again
 
     def interrupt(self) -> None:
@@ -129,7 +129,7 @@ class Programs:
         self.stop.set()
 
     def close(self) -> None:
-        """Ends the restarts: nothing is started again any more."""
+        """End the restarts: nothing is started again any more."""
         for slot in self._slots.values():
             if slot.restart is not None:
                 slot.restart.cancel()
@@ -148,9 +148,7 @@ class Programs:
     async def _start_again(
         self, slot: _Slot, dead: asyncio.Future[RoleResult], after_s: float
     ) -> None:
-        """Starts a program again with the old one's disk; its vehicle and the world have gone
-        on.
-        """
+        """Start a program again with the old one's disk; its vehicle and the world have gone on."""
         await asyncio.sleep(after_s)
         await asyncio.wait([dead])
         slot.harness.hub.mend(slot.harness.role)

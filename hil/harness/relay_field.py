@@ -92,7 +92,7 @@ class VirtualField:
         self.monitors.close()
 
     def _new(self, name: str, own: RoleRig, built: Built) -> VirtualDrone:
-        """Makes a drone.
+        """Make a drone.
 
         To its own parts it is always the receiver, with a link to nobody until it is called to a
         leg.
@@ -205,7 +205,7 @@ class VirtualField:
         return emit
 
     def _inject(self, leg: int, fault: Fault) -> None:
-        """Injects a fault at the drone that has, or had, its role in the leg."""
+        """Inject a fault at the drone that has, or had, its role in the leg."""
         role = fault.kind.role
         name = None if role is None else self.legs.end_of(leg, role)
         inject_on_link(fault.name, fault.value or 0.0, self._hubs[leg])
@@ -218,7 +218,7 @@ class VirtualField:
             inject_at_drone(fault, name, self.drones[name].harness, self.programs)
 
     def _close_flight(self, drone: VirtualDrone) -> None:
-        """Closes one flight: its autopilot's record goes to the monitors before it is started
+        """Close one flight: its autopilot's record goes to the monitors before it is started
         anew.
         """
         self.monitors.on_offboard(drone.name, drone.harness.cut_off_s)

@@ -47,7 +47,7 @@ class RelaySitl:
     """Flies a relay or a team of level ``sitl``."""
 
     def fly(self, request: RelayRequest) -> RelayReport:
-        """Raises PartError for a rig whose drones are not told apart, and for faults that there are
+        """Raise PartError for a rig whose drones are not told apart, and for faults that there are
         not.
         """
         check_drones(request.rig, request.config)
@@ -60,7 +60,7 @@ class RelaySitl:
 
 
 def check_drones(rig: Rig, config: RelayConfig) -> None:
-    """Raises RigError when two drones are the same on the wire."""
+    """Raise RigError when two drones are the same on the wire."""
     table = "drones" if rig.team else "[relay] drones"
     for drone in config.drones:
         if (

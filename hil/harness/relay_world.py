@@ -107,13 +107,13 @@ class RelayWorld(Fleet[str]):
         self._changed()
 
     def switch_on(self, name: str) -> None:
-        """Switches a drone on, with a position solution of its own that has not wandered yet."""
+        """Switch a drone on, with a position solution of its own that has not wandered yet."""
         self._sensors.begin_anew(self.names.index(name), self.config.estimator)
         self._drones[name].telemetry.clear()
         self.on.add(name)
 
     def swap(self, name: str, battery: float = 1.0) -> None:
-        """Puts a drone at its home, with a battery of that charge, off; its autopilot will start
+        """Put a drone at its home, with a battery of that charge, off; its autopilot will start
         anew.
         """
         row = self.names.index(name)

@@ -272,7 +272,7 @@ async def _with_log(program: Awaitable[RoleResult], log: McapLog) -> RoleResult:
 
 
 def mission_config(rig: Rig) -> MissionConfig:
-    """Returns the mission, with the limits that the monitors hold it to."""
+    """Return the mission, with the limits that the monitors hold it to."""
     return decode_table(rig.mission, MissionConfig, rig.where("[mission]"))
 
 

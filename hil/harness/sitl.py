@@ -53,7 +53,7 @@ class SitlHarness:
     prepare = staticmethod(prepare)
 
     def fly(self, request: FlightRequest) -> FlightReport:
-        """Raises PartError when the rig needs an autopilot that was not named, or a share of a core
+        """Raise PartError when the rig needs an autopilot that was not named, or a share of a core
         it cannot have.
         """
         config = decode_table(request.rig.world, WorldConfig, request.rig.where("[world]"))
@@ -88,7 +88,7 @@ class SitlHarness:
 
 
 def _need_keys(rig: Rig) -> None:
-    """Raises FaultError when the drones would believe anybody."""
+    """Raise FaultError when the drones would believe anybody."""
     for role in Role:
         if "key_file" not in rig.role(role).link.options:
             raise FaultError(
@@ -158,7 +158,7 @@ def orders_of(request: FlightRequest, shares: Mapping[str, CpuShare]) -> Orders:
 
 
 def _records(out: Path) -> Iterator[tuple[int, Role, LogRecord | None]]:
-    """Yields both roles' log records, of all their programs.
+    """Yield both roles' log records, of all their programs.
 
     None where the log of one ends without an outcome: it died.
     """

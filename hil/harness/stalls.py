@@ -60,7 +60,7 @@ class StallingLoop(VirtualTimeLoop):
         self._until_s: dict[str, float] = {}
 
     def stand_still(self, program: str, for_s: float) -> float:
-        """Stops a program; returns when it goes on, which is later when it stands still already."""
+        """Stop a program; return when it goes on, which is later when it stands still already."""
         until_s = max(self.time() + for_s, self._until_s.get(program, 0.0))
         self._until_s[program] = until_s
         self._kept.setdefault(program, [])
@@ -68,13 +68,13 @@ class StallingLoop(VirtualTimeLoop):
         return until_s
 
     def wake(self, program: str) -> None:
-        """Lets a program go on at once: it is killed, which needs no turn of its own."""
+        """Let a program go on at once: it is killed, which needs no turn of its own."""
         self._until_s.pop(program, None)
         for held in self._kept.pop(program, []):
             super().call_soon(held, context=held.context)
 
     def keeps(self, program: str, held: _Held) -> bool:
-        """Returns whether a program stands still, and then keeps what was due."""
+        """Return whether a program stands still, and then keeps what was due."""
         if program not in self._kept:
             return False
         self._kept[program].append(held)

@@ -71,7 +71,7 @@ class FaultyChannel:
         self._out_until_s = max(self._out_until_s, until_s)
 
     def arrivals(self, data: bytes, now_s: float) -> list[tuple[float, bytes]]:
-        """Returns when, on the clock of ``now_s``, and as what a packet arrives: never, once or
+        """Return when, on the clock of ``now_s``, and as what a packet arrives: never, once or
         twice.
         """
         faults = self.faults
@@ -105,7 +105,7 @@ class FaultyChannel:
 
 
 def faulty_channel(seed: str, faults: Mapping[str, float]) -> FaultyChannel:
-    """Returns the channel for faults by name. Raises ValueError, and TypeError for a name that
+    """Return the channel for faults by name. Raises ValueError, and TypeError for a name that
     there is not.
     """
     return FaultyChannel(seed, LinkFaults(**faults))
@@ -145,7 +145,7 @@ class MemoryHub(FaultyLink[Role]):
         self._cut: set[Role] = set()
 
     def join(self, role: Role, end: MemoryLink) -> None:
-        """Raises LinkError when the role is there already."""
+        """Raise LinkError when the role is there already."""
         if role in self._ends:
             raise LinkError(
                 f"the {role.value}'s end of the link is in use", "open one link for each role"
@@ -156,7 +156,7 @@ class MemoryHub(FaultyLink[Role]):
         self._ends.pop(role, None)
 
     def cut(self, role: Role) -> None:
-        """Cuts a role off: from now on nothing comes from or gets to it, its program is dead."""
+        """Cut a role off: from now on nothing comes from or gets to it, its program is dead."""
         self._cut.add(role)
 
     def mend(self, role: Role) -> None:
@@ -283,7 +283,7 @@ class UdpFaultProxy(FaultyLink[int]):
         self.overheard: Callable[[bytes, int], None] | None = None
 
     async def __aenter__(self) -> Self:
-        """Raises LinkError naming the port that is in use."""
+        """Raise LinkError naming the port that is in use."""
         loop = asyncio.get_running_loop()
         for number, side in enumerate(self._sides):
             forward = _Forward(self, number)

@@ -34,7 +34,7 @@ class PairsAtPaces:
 
     @property
     def full(self) -> bool:
-        """Returns whether one of them is enough for a commit."""
+        """Return whether one of them is enough for a commit."""
         return any(pace.full for pace in self._paces)
 
     def __str__(self) -> str:
@@ -133,7 +133,7 @@ class AgreedPairs:
 
     @property
     def full(self) -> bool:
-        """Returns whether the run is enough for a commit, by the gate of the rig."""
+        """Return whether the run is enough for a commit, by the gate of the rig."""
         if self.method.gate != "count":
             own = self.method.evidence
             enough = self.agrees and self.reached >= self._needed - ROUNDING

@@ -44,5 +44,5 @@ class Claims(Generic[Who]):
         return now_s < self._until_s.get(who, -math.inf)
 
     def holders(self, now_s: float) -> tuple[Who, ...]:
-        """Returns those whose claim holds at an instant."""
+        """Return those whose claim holds at an instant."""
         return tuple(who for who, until_s in self._until_s.items() if now_s < until_s)

@@ -53,7 +53,7 @@ class LeaseMonitor:
 
     @property
     def figures(self) -> dict[str, float]:
-        """Returns what was timed, in s by name."""
+        """Return what was timed, in s by name."""
         timed = {"commit_s": self.decision_s, "gap_s": self.gap_s}
         return {name: value for name, value in timed.items() if value is not None}
 
@@ -151,7 +151,7 @@ class LeaseMonitor:
             )
 
     def _on_gap(self, role: Role, before: bool, now_s: float) -> None:
-        """Checks the gap from the sender's release until somebody is responsible again."""
+        """Check the gap from the sender's release until somebody is responsible again."""
         if self._claims.holders(now_s):
             if self._alone_s is not None:
                 alone_s = now_s - self._alone_s

@@ -124,7 +124,7 @@ class RelayMonitors:
         self._on[receiver] = self.on_target(sender)
 
     def on_target(self, name: str) -> int:
-        """Returns the target that a drone is on."""
+        """Return the target that a drone is on."""
         return self._on.get(name, 0)
 
     def on_assigned(self, name: str, target: int) -> None:
@@ -145,7 +145,7 @@ class RelayMonitors:
         self._flights[name] = _WatchedFlight(now_s)
 
     def on_swap(self, name: str, now_s: float) -> None:
-        """Ends a drone's flight, before its autopilot is started anew."""
+        """End a drone's flight, before its autopilot is started anew."""
         flight = self._flights.pop(name, None)
         autopilot = self.world.drone(name).autopilot
         if flight is not None:
@@ -250,7 +250,7 @@ class RelayMonitors:
         )
 
     def findings(self) -> dict[str, Any]:
-        """Returns what was seen, after ``close``, as fields of a
+        """Return what was seen, after ``close``, as fields of a
         ``flight.harness.relay.RelayReport``.
         """
         return {

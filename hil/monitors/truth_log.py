@@ -34,7 +34,7 @@ class TruthLog:
         clock_offset_ns: Mapping[Role, int],
         target: TargetConfig | None = None,
     ) -> None:
-        """Writes what does not change: once, first."""
+        """Write what does not change: once, first."""
         own = target or TargetConfig()
         parts = parts_of(own.kind, own.stretch)
         record = {
@@ -51,7 +51,7 @@ class TruthLog:
         self._log.write("/scene", self._epoch_ns, record)
 
     def truth(self, world: World) -> None:
-        """Writes the poses of both bodies and of every object, now."""
+        """Write the poses of both bodies and of every object, now."""
         snapshot = world.snapshot()
         record: dict[str, Any] = {
             role.value: {**_pose(drone.T_w_b), "in_air": not world.drone(role).on_ground}
@@ -63,7 +63,7 @@ class TruthLog:
         self._log.write("/truth", self._epoch_ns + round(world.time_s * 1e9), record)
 
     def modes(self, world: World) -> None:
-        """Writes the modes of both autopilots, whenever they change."""
+        """Write the modes of both autopilots, whenever they change."""
         for role in Role:
             autopilot = world.drone(role).autopilot
             shown = autopilot.mode.value, autopilot.armed

@@ -131,7 +131,7 @@ class _Cycles:
         self.done: int | None = None
 
     def run(self, events: Sequence[tuple[int, int, int]], to_done: bool) -> int:
-        """Runs these events in order, ``to_done`` up to the one that completes the window. Returns
+        """Run these events in order, ``to_done`` up to the one that completes the window. Returns
         how many it ran.
         """
         setup = self._setup
@@ -154,7 +154,7 @@ class _Cycles:
         return len(events)
 
     def hopeless(self, now_ns: int, limit_ns: int) -> bool:
-        """Returns whether no run can be long enough before the limit: not even one that goes on, or
+        """Return whether no run can be long enough before the limit: not even one that goes on, or
         begins now.
         """
         begin_ns = self._begin_ns if self._window.count else now_ns
@@ -201,7 +201,7 @@ class _Cycles:
             self.record.whose[candidate.sequence] = view.whose(candidate.box)
 
     def _motion(self, k: int, stamp_ns: int) -> VehicleMotions:
-        """Returns D2's knowledge of both vehicles' motion by its frame."""
+        """Return D2's knowledge of both vehicles' motion by its frame."""
         seen = self._setup.seen
         last = int(seen.heard[k]) - 1
         peer = (

@@ -108,5 +108,5 @@ def _with_fault(faults: HandoverFaults, name: FaultName, rng: Generator) -> Hand
 
 
 def _of_one(spells: Array, rng: Generator) -> tuple[Array, Array]:
-    """Returns spells of one drone or the other."""
+    """Return spells of one drone or the other."""
     return (spells, NEVER) if rng.random() < 0.5 else (NEVER, spells)

@@ -109,7 +109,7 @@ class HandoverMotion:
         self._waves = _drawn(rng)
 
     def poses(self, times_s: Array, target: Array) -> HandoverPoses:
-        """Returns the poses at instants; ``target``: (n, 2) north and east of it then."""
+        """Return the poses at instants; ``target``: (n, 2) north and east of it then."""
         drawn = self._drawn
         errors = self._drawn.errors
         values = self._at(times_s)
@@ -166,7 +166,7 @@ def _attitude(angles: Array, yaw_rad: float) -> Array:
 
 
 def within(times_s: Array, spells: Array) -> NDArray[np.bool_]:
-    """Returns whether each time is in one of the spells, rows (from, to)."""
+    """Return whether each time is in one of the spells, rows (from, to)."""
     inside = (times_s[:, None] >= spells[:, 0]) & (times_s[:, None] < spells[:, 1])
     return np.any(inside, axis=1)
 

@@ -46,7 +46,7 @@ class CameraPath(NamedTuple):
 def place_frames(
     first, last, R_b_c, t_b_c, lens, target, drone, flown, boxes, extents, frames, seen, ids, counts
 ):
-    """Puts everything before the camera in frames ``first`` to ``last``; arguments from ``boxes``
+    """Put everything before the camera in frames ``first`` to ``last``; arguments from ``boxes``
     on are filled.
 
     Args:
@@ -75,7 +75,7 @@ def place_frames(
 
 @kernel
 def nearest_outline(seen, ids, u, v):
-    """Returns whose outline has its middle the nearest to a pixel, of those that are visible;
+    """Return whose outline has its middle the nearest to a pixel, of those that are visible;
     NOBODY for none.
     """
     best = np.inf

@@ -63,7 +63,7 @@ class MonteCarloHandovers:
 def _result(
     attempt: Attempt, setup: HandoverSetup, ran: CyclesRun, method: MethodConfig
 ) -> MonteCarloHandover:
-    """Returns the result of an attempt by the paper's gate."""
+    """Return the result of an attempt by the paper's gate."""
     series = ran.series
     done = ran.done
     agrees = agreeing(series, method)[: ran.decided]

@@ -324,7 +324,7 @@ def _bias(
     things: Things,
     rng: Generator,
 ) -> tuple[Array, Array]:
-    """Returns the errors of D2's pose, m and rad in its camera, that put the prior on the
+    """Return the errors of D2's pose, m and rad in its camera, that put the prior on the
     look-alike.
     """
     wrong = attempt.wrong

@@ -101,7 +101,7 @@ class Timed:
     stamped_s: Array
 
     def until(self, time_s: float) -> Timed:
-        """Returns the frames taken before an instant."""
+        """Return the frames taken before an instant."""
         count = int(np.searchsorted(self.taken_s, time_s))
         columns = self.number, self.taken_s, self.done_s, self.heard_s, self.stamped_s
         return Timed(*(column[:count] for column in columns))  # type: ignore[arg-type]
@@ -211,7 +211,7 @@ class HandoverSetup:
         )  # fmt: skip
 
     def _reports(self, receiver: Timed) -> tuple[Array, Whole, Array, Array, Whole]:
-        """Returns both vehicles' reports of their motion, D1's yaw in it, and how many D2 has by
+        """Return both vehicles' reports of their motion, D1's yaw in it, and how many D2 has by
         each of its frames.
         """
         faults = self.drawn.faults
@@ -237,7 +237,7 @@ class HandoverSetup:
         return gravity_c
 
     def reach(self, until_s: float) -> None:
-        """Makes what is known ready of frames taken before ``until_s``."""
+        """Make what is known ready of frames taken before ``until_s``."""
         if until_s > self._horizon_s:
             self._prepare(self._limit_s)
 
@@ -258,7 +258,7 @@ class HandoverSetup:
 
     @property
     def events(self) -> tuple[Whole, Whole, Whole]:
-        """Returns the kinds of events, their frames, and their instants (ns), in the order of
+        """Return the kinds of events, their frames, and their instants (ns), in the order of
         time.
         """
         sender, receiver = self.frames
@@ -336,7 +336,7 @@ def _things(frames: Timed, drawn: Drawn, up_m: float) -> tuple[Array, Array]:
 
 
 def _flown(frames: Timed, poses: HandoverPoses, own: int, things: Array) -> CameraPath:
-    """Returns both bodies in the world, ENU."""
+    """Return both bodies in the world, ENU."""
     R = [P_W_N @ each for each in poses.R_n_b]
     t = [each @ P_W_N.T for each in poses.t_n]
     return CameraPath(frames.number, R[own], t[own], R[1 - own], t[1 - own], things)

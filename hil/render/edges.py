@@ -126,7 +126,7 @@ def _nearest(local, number, ground_w, ray, du, dv, best, nearest):
 
 @inner
 def _over(primitives, p, x, y):
-    """Returns the place on a face where a ray meets it: (u, v)."""
+    """Return the place on a face where a ray meets it: (u, v)."""
     z = 1.0 / (
         primitives[p, INVERSE_Z] * x
         + primitives[p, INVERSE_Z + 1] * y

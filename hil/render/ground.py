@@ -54,7 +54,7 @@ def ground_plane(T_w_c: Pose) -> NDArray[np.float64]:
 
 @inner
 def _meet(plane, rx, ry, z_row, u_row, v_row, inverse_z):
-    """Computes where the rays of a row meet the ground, in tiles; 1/z is 0 above the horizon."""
+    """Compute where the rays of a row meet the ground, in tiles; 1/z is 0 above the horizon."""
     u0 = F(plane[0, 0])
     u1 = F(plane[0, 1])
     u2 = F(plane[0, 2])

@@ -116,7 +116,7 @@ def draw_faces(primitives, tags, count, ray_x, ray_y, inverse_z, owner, edges):
 
 @inner
 def marker_is_white(table, side, u, v):
-    """Returns whether the plate is white at (u, v), both 0..1 over the plate."""
+    """Return whether the plate is white at (u, v), both 0..1 over the plate."""
     column = int(np.floor((u - 0.5) * (PLATE_SCALE * side) + 0.5 * side))
     row = int(np.floor((v - 0.5) * (PLATE_SCALE * side) + 0.5 * side))
     if column < 0 or row < 0 or column >= side or row >= side:
@@ -253,7 +253,7 @@ def shade_faces(primitives, tags, count, looks, ray_x, ray_y, pixel, owner, edge
 
 @inner
 def rotor_terms(primitives, p):
-    """Returns a rotor's terms for ``rotor_opacity``: u/z, v/z, 1/z (3 x 3), blades' direction,
+    """Return a rotor's terms for ``rotor_opacity``: u/z, v/z, 1/z (3 x 3), blades' direction,
     turning, sharpness.
     """
     return (

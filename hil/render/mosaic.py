@@ -32,7 +32,7 @@ SCRATCH_PLANES = 7  # blue, green, red, brightness, that blurred, and YUYV in tw
 
 
 def is_quick(imaging: Imaging) -> bool:
-    """Returns whether ``MosaicSensor`` does all that an imaging asks for."""
+    """Return whether ``MosaicSensor`` does all that an imaging asks for."""
     same = Imaging(
         imaging.blur_sigma_px, imaging.read_sigma, imaging.shot_gain, mosaic=True, sharpen=imaging.sharpen,
         sharpen_sigma_px=imaging.sharpen_sigma_px, yuyv=True,

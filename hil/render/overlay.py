@@ -50,7 +50,7 @@ class GroundPatches:
 
 
 def patches(look: Look, seed: int) -> GroundPatches:
-    """Returns what lies about in a scene; where, is drawn from the seed."""
+    """Return what lies about in a scene; where, is drawn from the seed."""
     if look.litter == "lines":
         return _lines()
     rng = np.random.default_rng([seed, 0x6C6974])

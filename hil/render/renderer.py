@@ -183,7 +183,7 @@ class Renderer:
         return self.expose(self._image, key)
 
     def T_w_c(self, snapshot: Snapshot, role: Role) -> Pose:
-        """Returns the pose of the camera of ``role``."""
+        """Return the pose of the camera of ``role``."""
         return snapshot.drones[role].T_w_b @ self._T_b_c
 
     def _motion(self, snapshot: Snapshot, role: Role) -> CameraMotion:
@@ -201,7 +201,7 @@ class Renderer:
         self.expose(self._image, key)
 
     def key(self, role: Role, frame_seed: int) -> int:
-        """Returns the key that selects the noise of one image."""
+        """Return the key that selects the noise of one image."""
         return sensor.mixed(self.seed, list(Role).index(role), frame_seed)
 
     def draw(
@@ -393,7 +393,7 @@ def sense_depth(
 
 
 def pool_offset(key: int, number: int) -> int:
-    """Returns the place in its pool at which the noise of an image begins."""
+    """Return the place in its pool at which the noise of an image begins."""
     return (key >> (8 * number)) % sensor.POOL_MARGIN
 
 

@@ -28,7 +28,7 @@ GLEAM_RAD = math.radians(15.0)
 def lost_shares(
     faces: Array, tags: NDArray[np.int64], count: int, sun_c: Array, noise: SensorNoise
 ) -> NDArray[np.float32] | None:
-    """Returns the share of each face (count,) that has no depth; None where none loses any.
+    """Return the share of each face (count,) that has no depth; None where none loses any.
 
     Args:
         faces, tags, count: as of ``primitives.add_body``. sun_c: (3,) towards the sun, in the

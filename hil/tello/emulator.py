@@ -219,7 +219,7 @@ class TelloEmulator:
         return self.queries().get(word) or f"unknown command: {word}"
 
     def queries(self) -> dict[str, str]:
-        """Returns what it answers to each query that it knows."""
+        """Return what it answers to each query that it knows."""
         return {
             "speed?": f"{self.flight.speed_cm:.1f}",
             "sdk?": "30" if self.config.sdk3 else "20",
@@ -230,7 +230,7 @@ class TelloEmulator:
 
     @property
     def words(self) -> set[str]:
-        """Returns the first words of all commands that it knows, queries left out."""
+        """Return the first words of all commands that it knows, queries left out."""
         return {"rc", *self._commands, *self._settings, *MOVES}
 
     def _take_sticks(self, arguments: list[str], at_s: float) -> None:

@@ -52,7 +52,7 @@ class TelloMove:
         return wrapped(self.yaw_rad - yaw_rad)
 
     def after(self, position_n_m: Vec3, dt: float) -> TelloMove:
-        """Returns what is left of it."""
+        """Return what is left of it."""
         passed = bool(self.via) and math.dist(position_n_m, self.via[0]) < PASSED_M
         return replace(
             self, via=self.via[1:] if passed else self.via, wait_s=max(0.0, self.wait_s - dt)
@@ -70,7 +70,7 @@ class TelloMove:
 def move_of(
     word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float
 ) -> TelloMove | str | None:
-    """Returns the move that a command asks for, from where the drone is; the drone's refusal.
+    """Return the move that a command asks for, from where the drone is; the drone's refusal.
 
     None when it is no move.
     """

@@ -43,7 +43,7 @@ class TelloSensors:
         )
 
     def answers(self) -> dict[str, str]:
-        """Returns the answers to the queries about the drone itself."""
+        """Return the answers to the queries about the drone itself."""
         roll, pitch, yaw = self.attitude_deg()
         return {
             "battery?": f"{self._battery()}",

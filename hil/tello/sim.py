@@ -120,7 +120,7 @@ class SimTelloCamera(RenderedCamera):
         self._encoded = 0
 
     async def read(self, timeout_s: float) -> Frame:
-        """Returns the next frame as ``RenderedCamera.read``, through the drone's video codec."""
+        """Return the next frame as ``RenderedCamera.read``, through the drone's video codec."""
         frame = await super().read(timeout_s)
         image = cast(Any, av.VideoFrame.from_ndarray(frame.color, format="bgr24")).reformat(
             format="yuv420p"

@@ -16,7 +16,7 @@ from path.messages import Role
 
 
 def is_tello(spec: PartSpec) -> bool:
-    """Returns whether a vehicle's spec names the Tello's driver."""
+    """Return whether a vehicle's spec names the Tello's driver."""
     return spec.factory == "drivers.tello.vehicle:TelloVehicle"
 
 

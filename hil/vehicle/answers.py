@@ -25,7 +25,7 @@ NOT_FOLLOWED = ("SET_POSITION_TARGET_GLOBAL_INT", "SET_ATTITUDE_TARGET")
 
 
 def is_meant(message: Any, sysid: int) -> bool:
-    """Returns whether a message is for this vehicle's autopilot, as PX4 sees it.
+    """Return whether a message is for this vehicle's autopilot, as PX4 sees it.
 
     Commands name their system, but for the one that asks for a message: that is answered whoever is
     asked.

@@ -114,7 +114,7 @@ class BoardPty:
             self._ends[1].cable.send(self._truth(now_s))
 
     def _truth(self, now_s: float) -> bytes:
-        """Returns the truth as PX4's SIH tells it.
+        """Return the truth as PX4's SIH tells it.
 
         Whole numbers, cut off towards zero; the body's origin where it touches the ground.
         """
@@ -133,7 +133,7 @@ class BoardPty:
 
 
 def boards_of(rig: Rig, world: World, stack: ExitStack) -> list[BoardPty]:
-    """Returns both boards of a rig, behind the devices it names.
+    """Return both boards of a rig, behind the devices it names.
 
     Raises ValueError when it names none, OSError for a real one.
     """

@@ -73,7 +73,7 @@ class UdpChannel:
         return -1 if interval_s is None else round(interval_s * 1e6)
 
     def set_interval(self, message: int, interval_us: int, at_s: float) -> bool:
-        """Sets a stream's interval as MAV_CMD_SET_MESSAGE_INTERVAL asks: 0 is the default rate, -1
+        """Set a stream's interval as MAV_CMD_SET_MESSAGE_INTERVAL asks: 0 is the default rate, -1
         ends it.
 
         False when refused.

@@ -358,7 +358,7 @@ class MavlinkVehicle:
         return goal
 
     def _refuse_setpoint(self, flight: FlightInstant, what: str) -> None:
-        """Says once a second that such setpoints are not followed: they have no answer of their
+        """Say once a second that such setpoints are not followed: they have no answer of their
         own.
         """
         if flight.now_s - self._refused_s < 1.0:
@@ -428,7 +428,7 @@ class MavlinkVehicle:
         )
 
     def _take_off(self, flight: FlightInstant, message: Any) -> int:
-        """Takes off. Without an altitude the height is MIS_TAKEOFF_ALT over home."""
+        """Take off. Without an altitude the height is MIS_TAKEOFF_ALT over home."""
         home = flight.autopilot.home_n_m
         altitude_m = height_above_sea_m(message)
         if altitude_m is None:
@@ -500,5 +500,5 @@ def _result(ack: Ack) -> int:
 
 
 def _not_now(ack: Ack) -> int:
-    """Returns PX4's answer to what it would do another time: arming, disarming, a mode."""
+    """Return PX4's answer to what it would do another time: arming, disarming, a mode."""
     return ACCEPTED if ack.accepted else NOT_NOW

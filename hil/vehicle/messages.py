@@ -188,7 +188,7 @@ def odometry(flight: FlightInstant) -> Any:
 
 
 def global_position_int(flight: FlightInstant) -> Any | None:
-    """Returns the global position, only once there is one, like the real vehicle."""
+    """Return the global position, only once there is one, like the real vehicle."""
     home = flight.autopilot.home_n_m
     if home is None:
         return None
@@ -210,7 +210,7 @@ def global_position_int(flight: FlightInstant) -> Any | None:
 
 
 def distance_sensor(flight: FlightInstant) -> Any | None:
-    """Returns what its rangefinder says, of one that has it; out of reach that is its limit, as
+    """Return what its rangefinder says, of one that has it; out of reach that is its limit, as
     many a sensor says.
     """
     own = flight.rangefinder

@@ -116,7 +116,7 @@ class SimVehicle:
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        """Closes the vehicle. Without setpoints the autopilot holds, then lands."""
+        """Close the vehicle. Without setpoints the autopilot holds, then lands."""
         self._open = False
 
     # --- telemetry ---
@@ -413,7 +413,7 @@ class SimVehicle:
             await asyncio.sleep(SETPOINT_PERIOD_S)
 
     async def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Returns whether the condition came true in time. Raises VehicleError when the vehicle
+        """Return whether the condition came true in time. Raises VehicleError when the vehicle
         falls silent.
         """
 

@@ -16,9 +16,7 @@ CONFINES = "hil.harness.sitl:SitlHarness"
 
 
 def check_world(rig: Rig) -> None:
-    """Raises RigError for a ``[world]`` that cannot be, or that does not fit the mission's
-    fence.
-    """
+    """Raise RigError for a ``[world]`` that cannot be, or that does not fit the mission's fence."""
     config = decode_table(rig.world, WorldConfig, rig.where("world"))
     fence_m = decode_table(rig.mission, MissionConfig, rig.where("mission")).guard.fence_radius_m
     problems = Problems()
@@ -47,7 +45,7 @@ def check_world(rig: Rig) -> None:
 
 
 def refuse_slow(rig: Rig) -> None:
-    """Raises RigError for a share of a core in a rig that is flown by a harness which confines
+    """Raise RigError for a share of a core in a rig that is flown by a harness which confines
     nobody.
     """
     if rig.world.get("slow") is not None:

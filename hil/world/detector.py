@@ -50,7 +50,7 @@ MEASURED: Mapping[tuple[str, str], DetectorConfig] = {
 
 
 def measured_on(kind: str, scene: str) -> DetectorConfig:
-    """Returns the errors of a detector on such targets in such a scene; the plain one's where none
+    """Return the errors of a detector on such targets in such a scene; the plain one's where none
     was measured.
     """
     return MEASURED.get((kind, scene), MEASURED[kind, "plain"])

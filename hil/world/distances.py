@@ -28,7 +28,7 @@ LEAST_M = 0.4  # between the bodies
 
 
 def clearance(world: World) -> float:
-    """Returns the least distance between the target's body and that of a drone in the air, m;
+    """Return the least distance between the target's body and that of a drone in the air, m;
     infinite without any.
 
     Look-alikes are not looked at: nobody tells the drones to keep away from them.

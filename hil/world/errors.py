@@ -120,7 +120,7 @@ def sizes_of(level: ErrorLevel) -> ErrorSizes:
 
 
 def level_of(rig: Rig) -> ErrorLevel:
-    """Returns the level of errors that the world of a rig is drawn with."""
+    """Return the level of errors that the world of a rig is drawn with."""
     return rig.world.get("errors", {}).get("level", ErrorsConfig().level)
 
 
@@ -181,7 +181,7 @@ class StampErrors:
         self._random = np.random.default_rng(sensor.seed)
 
     def next_ns(self) -> int:
-        """Returns the next frame's stamp less the instant at which it was taken."""
+        """Return the next frame's stamp less the instant at which it was taken."""
         sensor = self._sensor
         jitter_s = (
             sensor.stamp_jitter_s * self._random.standard_normal() if sensor.stamp_jitter_s else 0.0
@@ -190,7 +190,7 @@ class StampErrors:
 
 
 def as_built(rig: Rig, seed: int, drones: Mapping[Role, int] | None = None) -> Built:
-    """Returns a rig as a flight's errors make it, by its level and seed.
+    """Return a rig as a flight's errors make it, by its level and seed.
 
     Args:
         drones: number of the drone in each role, where there are more than two: each has errors of
@@ -219,7 +219,7 @@ def _own(own: RoleRig, T_b_v: Pose, sizes: ErrorSizes, streams: list[Generator])
 def put_down(
     said_m: tuple[float, float], sizes: ErrorSizes, seed: int, drone: int
 ) -> tuple[float, float]:
-    """Returns where a drone truly stands, east and north, that the crew put down at a place.
+    """Return where a drone truly stands, east and north, that the crew put down at a place.
     ``drone``: its number.
     """
     east, north = (
@@ -246,7 +246,7 @@ def other_lens(camera: CameraModel, sizes: ErrorSizes, rng: Generator) -> Camera
 
 
 def doubted(camera: CameraModel, sizes: ErrorSizes) -> CameraModel:
-    """Returns a camera whose calibration states these sizes, as ``calibrate camera`` does; it is as
+    """Return a camera whose calibration states these sizes, as ``calibrate camera`` does; it is as
     it was.
     """
     bends = _bends(camera, sizes)
@@ -271,7 +271,7 @@ def _bends(camera: CameraModel, sizes: ErrorSizes) -> tuple[float, float, float,
 
 
 def other_mount(T: Pose, sizes: ErrorSizes, rng: Generator) -> Pose:
-    """Returns the true pose of a part on its drone."""
+    """Return the true pose of a part on its drone."""
     turn = exp(math.radians(sizes.mount_deg) * rng.standard_normal(3))
     return Pose(T.R @ turn, T.t + sizes.mount_m * rng.standard_normal(3))
 
@@ -287,7 +287,7 @@ def other_print(layout: MarkerLayout, sizes: ErrorSizes, rng: Generator) -> Mark
 
 
 def draw_sensor(sizes: ErrorSizes, rng: Generator) -> SensorErrors:
-    """Returns the errors of one camera, its depth and its detector for a whole flight."""
+    """Return the errors of one camera, its depth and its detector for a whole flight."""
     depth, bias, depth_late, stamp_late, *edges = rng.standard_normal(8).tolist()
     left, top, right, bottom = (sizes.edge_px * edge for edge in edges)
     seed = int(rng.integers(1 << 62))

@@ -68,7 +68,7 @@ class EstimatorConfig:
     attitude_noise_time_s: Annotated[float, Bounds(0.0, 600.0)] = 0.5
 
     def times(self, sizes: ErrorSizes) -> EstimatorConfig:
-        """Returns the estimator with its attitude as much worse or better as the table of errors
+        """Return the estimator with its attitude as much worse or better as the table of errors
         says.
         """
         return replace(

@@ -252,7 +252,7 @@ class FaultTrigger:
         return self._take(lambda fault: fault.kind.followed is role and fault.moment == duty)
 
     def waits_for_duty(self, role: Role) -> bool:
-        """Returns whether ``on_duty`` can still bring something about."""
+        """Return whether ``on_duty`` can still bring something about."""
         return any(
             fault.kind.followed is role and fault.moment in DUTIES[role] for fault in self._waiting
         )

@@ -40,7 +40,7 @@ class TargetField:
         keep_clear: Sequence[Point],
         seeds: Sequence[np.random.SeedSequence],
     ) -> None:
-        """Raises ValueError when there is no room."""
+        """Raise ValueError when there is no room."""
         reach_m = target.radius_m + look_alikes.max_distance_m
         self._reach_m = reach_m + SIGHT_M + CELL_M
         near_m = math.inf if len(starts) == 1 else reach_m + CELL_M

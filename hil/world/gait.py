@@ -18,24 +18,24 @@ OWN_PHASE = 0.381966  # of a stride, from one person to the next: nobody walks i
 
 
 def step_m(speed_mps: float) -> float:
-    """Returns the length of a step, from one foot to the other, at a walking speed of either
+    """Return the length of a step, from one foot to the other, at a walking speed of either
     sign.
     """
     return min(LONGEST_STEP_M, STEP_AT_1_MPS_M * math.sqrt(abs(speed_mps)))
 
 
 def strides_of(way_m: float, speed_mps: float) -> float:
-    """Returns how many strides of two steps a way takes; none without speed."""
+    """Return how many strides of two steps a way takes; none without speed."""
     return way_m / (2.0 * step_m(speed_mps)) if speed_mps != 0.0 else 0.0
 
 
 def reach_m(speed_mps: float) -> float:
-    """Returns how far a foot reaches ahead of the hip, and behind it."""
+    """Return how far a foot reaches ahead of the hip, and behind it."""
     return STANCE * step_m(speed_mps)
 
 
 def foot_at(strides: float, speed_mps: float) -> tuple[float, float]:
-    """Returns how far a foot is ahead of the hip and above the ground; it lands, farthest ahead, at
+    """Return how far a foot is ahead of the hip and above the ground; it lands, farthest ahead, at
     whole strides.
 
     On the ground it stays where it is while the body goes on.

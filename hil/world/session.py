@@ -29,7 +29,7 @@ class WorldErrors:
         self._estimator = config.times(self._sizes)
 
     def session(self, seed: int) -> DrawnErrors:
-        """Returns what the drones believe: as far from the rig, and by the same draws, as a
+        """Return what the drones believe: as far from the rig, and by the same draws, as a
         flight's world is.
 
         Their cameras state how well they are known, as a calibration does.

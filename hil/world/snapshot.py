@@ -55,7 +55,7 @@ class DroneTruth:
     rates_b_radps: Vec3 = (0.0, 0.0, 0.0)
 
     def T_w_b_after(self, by_s: float) -> Pose:
-        """Returns the pose some time later or earlier: it moves on with its velocity."""
+        """Return the pose some time later or earlier: it moves on with its velocity."""
         return Pose(self.T_w_b.R, self.T_w_b.t + by_s * np.array(self.velocity_w_mps))
 
 
@@ -75,7 +75,7 @@ class ObjectTruth:
     strides: float = 0.0
 
     def position_after(self, by_s: float) -> Vec3:
-        """Returns the position in ``w`` some time later or earlier: it moves on with its
+        """Return the position in ``w`` some time later or earlier: it moves on with its
         velocity.
         """
         (x, y, z), (east, north, up) = self.position_w_m, self.velocity_w_mps
@@ -90,11 +90,11 @@ class ObjectTruth:
         )
 
     def strides_after(self, by_s: float) -> float:
-        """Returns the strides that a person has made some time later or earlier."""
+        """Return the strides that a person has made some time later or earlier."""
         return self.strides + strides_of(by_s * self.speed_mps, self.speed_mps)
 
     def carried_on(self, by_s: float, kind: TargetKind) -> ObjectTruth:
-        """Returns the same thing some time later or earlier: it moves on with its velocity."""
+        """Return the same thing some time later or earlier: it moves on with its velocity."""
         strides = self.strides_after(by_s) if kind == "person" else self.strides
         return replace(self, position_w_m=self.position_after(by_s), strides=strides)
 
@@ -117,7 +117,7 @@ class Snapshot:
     stretch: Vec3 = AS_IT_IS
 
     def carried_on(self, by_s: float) -> Snapshot:
-        """Returns the snapshot some milliseconds later or earlier: everything moves on with its
+        """Return the snapshot some milliseconds later or earlier: everything moves on with its
         velocity.
         """
         drones = {

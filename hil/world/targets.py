@@ -284,7 +284,7 @@ class GroundVehicles:
         )
 
     def _driven(self, time_s: float) -> tuple[float, float]:
-        """Returns how far along the loop everything has driven, and how fast.
+        """Return how far along the loop everything has driven, and how fast.
 
         A smooth start, then steadily, or to and fro.
         """
@@ -299,7 +299,7 @@ class GroundVehicles:
         return self._pace.at(since_s)
 
     def _risen(self, time_s: float) -> tuple[float, float]:
-        """Returns the height of the target and of those on its loop, and how fast they climb."""
+        """Return the height of the target and of those on its loop, and how fast they climb."""
         own = self._config
         if own.kind != "drone":
             return 0.0, 0.0
@@ -375,7 +375,7 @@ class GroundVehicles:
 
 
 def _driving(loop: Loop, config: LookAlikeConfig) -> list[float]:
-    """Returns how far along the loop from the target each driving look-alike keeps.
+    """Return how far along the loop from the target each driving look-alike keeps.
 
     Behind, ahead, further behind, ...
     """

@@ -205,7 +205,7 @@ class Fleet(Generic[Name]):
         self._sense()
 
     def _place_traffic(self, keep_clear: Sequence[Point], seed: np.random.SeedSequence) -> None:
-        """Raises ValueError when the objects do not fit."""
+        """Raise ValueError when the objects do not fit."""
         self._traffic = GroundVehicles(
             self.config.target, self.config.look_alikes, keep_clear, seed
         )
@@ -218,7 +218,7 @@ class Fleet(Generic[Name]):
         return self._drones[name]
 
     def landed(self, name: Name) -> bool:
-        """Returns whether a drone stands on the ground, disarmed."""
+        """Return whether a drone stands on the ground, disarmed."""
         drone = self._drones[name]
         return drone.on_ground and not drone.autopilot.armed
 
@@ -266,7 +266,7 @@ class Fleet(Generic[Name]):
             self._commands[i] = drone.command(self._step / STEP_HZ)
 
     def _changed(self) -> None:
-        """Drops what was worked out of the truth before it changed."""
+        """Drop what was worked out of the truth before it changed."""
 
     def truths(self) -> dict[Name, DroneTruth]:
         """Of every drone at ``time_s``; between two physics steps they are carried on by their
@@ -290,7 +290,7 @@ class Fleet(Generic[Name]):
         ]  # fmt: skip
 
     def _late_s(self) -> float:
-        """Returns the time from the state rows to ``time_s``, s."""
+        """Return the time from the state rows to ``time_s``, s."""
         return self.time_s - self._step / STEP_HZ
 
     # --- faults ---
@@ -311,7 +311,7 @@ class Fleet(Generic[Name]):
         self._changed()
 
     def begin_traffic(self) -> None:
-        """Lets the time of what is on the ground run from now on, if it was held."""
+        """Let the time of what is on the ground run from now on, if it was held."""
         self._traffic_began_s = min(self._traffic_began_s, self.time_s)
         self._changed()
 
@@ -352,7 +352,7 @@ class World(Fleet[Role]):
     """Everything that is true of a pair."""
 
     def __init__(self, config: WorldConfig, seed: int) -> None:
-        """Raises ValueError when the objects do not fit."""
+        """Raise ValueError when the objects do not fit."""
         self._snapshot: Snapshot | None = None
         self.min_separation_m = math.inf  # of the two bodies, while both were in the air
         off = {Role.RECEIVER: receiver_off(config.position_offset, seed)}

@@ -52,7 +52,7 @@ def _say(what: str) -> None:
 
 
 def kept_in() -> str:
-    """Returns the folder that numba keeps compiled kernels in."""
+    """Return the folder that numba keeps compiled kernels in."""
     named = os.environ.get(VARIABLE)
     if named:
         return named

@@ -40,7 +40,7 @@ _NAMES = {
 
 
 def pace_of(rig: Rig, role: Role, *, own_only: bool = False) -> list[Pace]:
-    """Measures in a process of its own, the rig's own size first. Raises PartError when that
+    """Measure in a process of its own, the rig's own size first. Raises PartError when that
     fails.
     """
     command = [
@@ -65,7 +65,7 @@ def pace_of(rig: Rig, role: Role, *, own_only: bool = False) -> list[Pace]:
 
 
 def computer_findings(rig: Rig, role: Role, share: float = 1.0) -> Iterator[Finding]:
-    """Yields each stage's time at the rig's size, and which sizes and rates this computer holds.
+    """Yield each stage's time at the rig's size, and which sizes and rates this computer holds.
 
     ``share``: of one core, if it were so much slower. Raises PartError.
     """
@@ -94,7 +94,7 @@ def computer_findings(rig: Rig, role: Role, share: float = 1.0) -> Iterator[Find
 
 
 def holds_hz(pace: Pace, share: float = 1.0, margin: float = MARGIN) -> float:
-    """Returns how many frames of this size a second leave the margin free; 0 when the rest alone
+    """Return how many frames of this size a second leave the margin free; 0 when the rest alone
     does not.
     """
     rest = REST * pace.stages["link"].mean_ms * 1e-3
@@ -102,7 +102,7 @@ def holds_hz(pace: Pace, share: float = 1.0, margin: float = MARGIN) -> float:
 
 
 def fits(pace: Pace, rate_hz: float | None, share: float = 1.0) -> Finding:
-    """Finds whether the rig's own size and rate are held; what is missing is given up in flight, or
+    """Find whether the rig's own size and rate are held; what is missing is given up in flight, or
     is too much.
     """
     name = "rate"
@@ -128,7 +128,7 @@ def fits(pace: Pace, rate_hz: float | None, share: float = 1.0) -> Finding:
 
 
 def waits(pace: Pace, share: float = 1.0) -> Finding:
-    """Finds whether setpoints can wait for a look at the whole image, which nothing interrupts."""
+    """Find whether setpoints can wait for a look at the whole image, which nothing interrupts."""
     wait_s = SETPOINT_S + FLOWN * pace.search.p99_ms * 1e-3 / share
     detail = f"up to {wait_s:.2f} s between two, while the whole image is searched; {SETPOINT_GAP_S:g} s are allowed"
     if wait_s > SETPOINT_GAP_S:
@@ -139,7 +139,7 @@ def waits(pace: Pace, share: float = 1.0) -> Finding:
 
 
 def refuse_share(rig: Rig, share: float) -> None:
-    """Raises PartError, with what was measured, where a share of this core is too little for one of
+    """Raise PartError, with what was measured, where a share of this core is too little for one of
     the roles.
 
     Neighbours only make a core slower: a role is refused when it was too slow each of several
@@ -158,7 +158,7 @@ def refuse_share(rig: Rig, share: float) -> None:
 
 
 def _fault(rig: Rig, role: Role, share: float) -> Finding | None:
-    """Returns a reason for which a share does not fly this role, measured once at the rig's own
+    """Return a reason for which a share does not fly this role, measured once at the rig's own
     size.
     """
     (own,) = pace_of(rig, role, own_only=True)
@@ -166,7 +166,7 @@ def _fault(rig: Rig, role: Role, share: float) -> Finding | None:
 
 
 def _judged(rig: Rig, role: Role, own: Pace, share: float) -> tuple[Finding, Finding]:
-    """Finds whether the rig's own size and rate are held, and setpoints kept."""
+    """Find whether the rig's own size and rate are held, and setpoints kept."""
     found = detector_of(rig.role(role).perception)
     return fits(own, None if found is None else found[1], share), waits(own, share)
 

@@ -99,7 +99,7 @@ def _open_lock(path: Path) -> int:
 
 
 def _lock(file: int, kind: int) -> bool:
-    """Returns False when another program's lock forbids it; where there are no locks nothing
+    """Return False when another program's lock forbids it; where there are no locks nothing
     does.
     """
     try:

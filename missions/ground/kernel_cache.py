@@ -20,7 +20,7 @@ INSTALLED = Path(__file__).resolve().parents[2]
 
 
 def usual_folders() -> tuple[Path, ...]:
-    """Returns the folders in which numba looks by itself."""
+    """Return the folders in which numba looks by itself."""
     cache = users_cache()
     return (INSTALLED / "path",) if cache is None else (INSTALLED / "path", cache)
 
@@ -91,7 +91,7 @@ def have_temporary_folder() -> None:
 
 
 def can_write(folder: Path) -> bool:
-    """Returns whether a file can be made in a folder, or the folder itself."""
+    """Return whether a file can be made in a folder, or the folder itself."""
     existing = next((path for path in (folder, *folder.parents) if path.exists()), None)
     if existing is None or not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
         return False

@@ -101,7 +101,7 @@ class Pace:
 
 
 def measure(rig: Rig, role: Role, *, own_only: bool = False) -> Iterator[Pace]:
-    """Yields the rig's own size first, then the usual ones."""
+    """Yield the rig's own size first, then the usual ones."""
     cv2.setNumThreads(1)  # as in flight
     own = rig.role(role).camera
     sizes = [(own.width, own.height)]

@@ -36,7 +36,7 @@ class RunKind:
     actors: tuple[str, ...]
 
     def files(self, folder: Path) -> Iterator[Path]:
-        """Yields the files in a folder that have the names of a run's."""
+        """Yield the files in a folder that have the names of a run's."""
         actors = "|".join(map(re.escape, self.actors))
         logs = re.compile(
             rf"({actors})(\.guard)?(\.\d+)?(\.frames)?\.(mcap|stderr\.txt|state\.json)"
@@ -127,7 +127,7 @@ def _there(path: Path) -> bool:
 
 
 def refuse_foreign(folder: Path, kind: RunKind) -> None:
-    """Raises PartError when a folder has files with the names of a run's, and no marker that says
+    """Raise PartError when a folder has files with the names of a run's, and no marker that says
     whose they are.
     """
     there = list(kind.files(folder)) if folder.is_dir() else []

@@ -89,7 +89,7 @@ def say_unwritten(error: OSError) -> None:
 
 
 def flush_or_drop(stream: TextIO) -> bool:
-    """Returns whether what was written to a stream came out. What did not is dropped, so that
+    """Return whether what was written to a stream came out. What did not is dropped, so that
     nothing fails at exit.
     """
     try:
@@ -101,7 +101,7 @@ def flush_or_drop(stream: TextIO) -> bool:
 
 
 def drop(stream: TextIO) -> None:
-    """Sends nowhere whatever is still in a stream, or comes."""
+    """Send nowhere whatever is still in a stream, or comes."""
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())

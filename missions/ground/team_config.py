@@ -51,7 +51,7 @@ def team_of(rig: Rig, drones: int | None = None, targets: int | None = None) -> 
 
 
 def checked_team(rig: Rig) -> TeamConfig:
-    """Raises RigError with everything that is wrong, PartError when the rig has no team."""
+    """Raise RigError with everything that is wrong, PartError when the rig has no team."""
     if not rig.team:
         raise PartError(
             f"rig {rig.name} has no [team]", "use --rig team-sim, or a rig like it (docs/team.md)"

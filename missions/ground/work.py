@@ -106,7 +106,7 @@ class Work:
                 future.cancel()
 
     def close(self) -> None:
-        """Ends the processes; those that still work finish their piece."""
+        """End the processes; those that still work finish their piece."""
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._pool = None

@@ -216,7 +216,7 @@ SHORT = "Short form, on few samples: it says whether the trial runs, and nothing
 
 
 def short_form(result: TrialResult) -> TrialResult:
-    """Returns a result as ``--quick`` shows it: no goal is met or missed on a few samples."""
+    """Return a result as ``--quick`` shows it: no goal is met or missed on a few samples."""
     measured = tuple(replace(finding, verdict="measured") for finding in result.findings)
     return replace(result, findings=measured, notes=(SHORT, *result.notes))
 
@@ -273,7 +273,7 @@ def sets_of(options: TrialOptions) -> tuple[Path, ...]:
 
 
 def findings_table(findings: Sequence[TrialFinding]) -> Table:
-    """Returns the findings beside the paper's figures and the goals."""
+    """Return the findings beside the paper's figures and the goals."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
     for title in ("", "ours", "95 % interval", "paper", "goal", ""):
         table.add_column(title, overflow="fold")

@@ -39,7 +39,7 @@ class Keypoints:
         return len(self.points_px)
 
     def pick(self, which: NDArray[Any]) -> Keypoints:
-        """Returns the keypoints of a mask or of indices."""
+        """Return the keypoints of a mask or of indices."""
         return Keypoints(self.points_px[which], self.descriptors[which], self.scores[which])
 
 
@@ -126,7 +126,7 @@ def _of_area(
 
 
 def inside(keypoints: Keypoints, area: Region) -> Keypoints:
-    """Returns the keypoints within an area."""
+    """Return the keypoints within an area."""
     u = keypoints.points_px[:, 0]
     v = keypoints.points_px[:, 1]
     return keypoints.pick((u >= area.x0) & (u < area.x1) & (v >= area.y0) & (v < area.y1))

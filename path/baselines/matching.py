@@ -103,7 +103,7 @@ def hamming(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.uint16]:
 def verify(
     a: Keypoints, b: Keypoints, pairs: Pairs, config: MatchConfig, seed: int = 0
 ) -> NDArray[np.bool_]:
-    """Returns which pairs (m,) are inliers of the model that most of them agree with; none when
+    """Return which pairs (m,) are inliers of the model that most of them agree with; none when
     there are too few.
     """
     nothing = np.zeros(len(pairs), np.bool_)

@@ -104,7 +104,7 @@ class Board:
 
     @property
     def text(self) -> str:
-        """Returns the board's name in messages."""
+        """Return the board's name in messages."""
         size = f"{self.columns}x{self.rows} squares of {1000.0 * self.square_m:g} mm"
         if self.pattern == "chessboard":
             return f"chessboard, {size}"
@@ -203,7 +203,7 @@ def find_corners(grey: Image, board: Board) -> FoundCorners | None:
 
 
 def other_size(grey: Image) -> tuple[int, int] | None:
-    """Returns about how many columns and rows of squares a chessboard in an image has; None when
+    """Return about how many columns and rows of squares a chessboard in an image has; None when
     there is none.
 
     OpenCV grows the grid beyond the print, where a dark square's outer corner lies where an inner

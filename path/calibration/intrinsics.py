@@ -193,7 +193,7 @@ def _nine(row: Array) -> Nine:
 
 
 def left_by(camera: CameraModel, views: Sequence[BoardView], board: Board) -> float:
-    """Returns the residual of a given camera when only the views' poses are fitted, rms in px.
+    """Return the residual of a given camera when only the views' poses are fitted, rms in px.
 
     With the true one: the noise.
     """
@@ -337,7 +337,7 @@ def _fixed(radial: int) -> int:
 def _near(
     matrix: Array, lens: Array, points_o: Array, corners_px: Array, limit_px: float
 ) -> NDArray[np.bool_]:
-    """Returns which corners of a view fit it. The worst is left out, one at a time, as it pulls the
+    """Return which corners of a view fit it. The worst is left out, one at a time, as it pulls the
     others off.
     """
     kept = np.ones(len(corners_px), np.bool_)

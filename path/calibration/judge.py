@@ -111,7 +111,7 @@ def coverage(views: Sequence[BoardView], size: tuple[int, int]) -> NDArray[np.in
 def judge_views(
     views: Sequence[BoardView], size: tuple[int, int], limits: SetLimits
 ) -> list[SetFault]:
-    """Returns the faults known before a camera is solved: the number of views, and their places in
+    """Return the faults known before a camera is solved: the number of views, and their places in
     the image.
     """
     faults: list[SetFault] = []
@@ -139,7 +139,7 @@ def judge_views(
 
 
 def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[SetFault]:
-    """Returns the faults that the solution shows in its views."""
+    """Return the faults that the solution shows in its views."""
     faults: list[SetFault] = []
     if solution.rms_px > limits.max_rms_px:
         faults.append(
@@ -192,7 +192,7 @@ def judge_solution(solution: Intrinsics, limits: SetLimits) -> list[SetFault]:
 
 
 def uneven_pixels(solution: Intrinsics) -> tuple[int, float]:
-    """Returns the period, in pixels, and the amplitude in px by which corners are off most in step
+    """Return the period, in pixels, and the amplitude in px by which corners are off most in step
     with their place.
 
     0 px where it may be chance: noise has a power of ``NO_CHANCE`` times its mean in one of 10^8
@@ -217,7 +217,7 @@ def focal_sigma(solution: Intrinsics) -> float:
 
 
 def useless(solution: Intrinsics, limits: SetLimits) -> bool:
-    """Returns whether a solution is useless: no camera, another board than named, or nothing known
+    """Return whether a solution is useless: no camera, another board than named, or nothing known
     of it.
     """
     known = focal_sigma(solution) <= limits.most_focal_sigma
@@ -225,7 +225,7 @@ def useless(solution: Intrinsics, limits: SetLimits) -> bool:
 
 
 def grade_of(solution: Intrinsics, faults: Sequence[SetFault], limits: SetLimits) -> Grade:
-    """Returns the grade of a calibration: good without any fault, fair or weak by what is known of
+    """Return the grade of a calibration: good without any fault, fair or weak by what is known of
     fx and fy.
     """
     if not faults:
@@ -284,7 +284,7 @@ def _histogram(
 
 
 def empty_places(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
-    """Returns the names of those ninths of the image in which no view has a corner."""
+    """Return the names of those ninths of the image in which no view has a corner."""
     cells = _histogram(views, size, (3, 3))
     return [
         PLACES[row][column] for row in range(3) for column in range(3) if cells[row, column] == 0

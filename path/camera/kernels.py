@@ -95,7 +95,7 @@ def project(lens: Array, x: float, y: float, z: float) -> tuple[float, float]:
 def extent(
     lens: Array, points_c: Array, nearest_m: float
 ) -> tuple[float, float, float, float, float]:
-    """Returns the extent in the image of points (n, 3) beyond a distance: ``u0, v0, u1, v1`` and
+    """Return the extent in the image of points (n, 3) beyond a distance: ``u0, v0, u1, v1`` and
     the least depth.
 
     The depth is infinite when the image shows none.

@@ -171,14 +171,14 @@ class CameraModel:
         return points if self.thinning is None else self.thinning.even(points)
 
     def contains(self, u: float, v: float, margin_px: float = 0.0) -> bool:
-        """Returns whether a pixel lies at least ``margin_px`` inside the image (False for NaN)."""
+        """Return whether a pixel lies at least ``margin_px`` inside the image (False for NaN)."""
         return (
             margin_px - 0.5 <= u < self.width - 0.5 - margin_px
             and margin_px - 0.5 <= v < self.height - 0.5 - margin_px
         )
 
     def sees(self, point_c: Point3, margin_px: float = 0.0) -> bool:
-        """Returns whether a point in the camera frame, in metres, projects into the image.
+        """Return whether a point in the camera frame, in metres, projects into the image.
 
         It does not when it is not in front, or folded back by the distortion.
         """

@@ -105,7 +105,7 @@ class ReceiverCycle:
         return x / norm, y / norm, z / norm
 
     def prior(self, T_c2_v: Pose, covariance: Matrix, stamp_ns: int) -> Prior | Missed:
-        """Returns the expected place of the target in D2's frame of this stamp (D2's clock).
+        """Return the expected place of the target in D2's frame of this stamp (D2's clock).
 
         The target's point is interpolated to that instant, or carried on from its newest samples
         for at most ``max_extrapolation_s``; clock error and unknown acceleration widen the prior.

@@ -216,7 +216,7 @@ class SenderCycle:
         return point
 
     def _trusted(self, depth: Depth) -> bool:
-        """Returns whether a range can be used: the limits of the depth camera are of what it
+        """Return whether a range can be used: the limits of the depth camera are of what it
         measured.
         """
         if not (depth.z_m > 0.0 and depth.sigma_m >= 0.0):
@@ -304,7 +304,7 @@ class SenderCycle:
         return self._rivals.offsets(target_m, T_v_c2, box2, own_box, own)
 
     def _incomparable(self, candidate: Candidate, capture_ns: int) -> MissReason | None:
-        """Returns why a fresh candidate cannot even be compared, whatever D1 saw at that instant;
+        """Return why a fresh candidate cannot even be compared, whatever D1 saw at that instant;
         None when it can.
         """
         if candidate.reason is not None:
@@ -352,7 +352,7 @@ class SenderCycle:
 
 
 def _is_sound(candidate: Candidate) -> bool:
-    """Returns whether a candidate is finite, its rotation is one, and a box is there exactly when
+    """Return whether a candidate is finite, its rotation is one, and a box is there exactly when
     no reason is.
     """
     total = sum(candidate.position_v_m) + sum(candidate.rotation_v_c2) + candidate.sigma_m

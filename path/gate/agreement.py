@@ -139,7 +139,7 @@ class Comparer:
         self._corner = 0.0 if config.box_mapping == "center" else 1.0
 
     def compare(self, own: Values, candidate: Candidate, box2: Box) -> Comparison:
-        """Returns the outcome of ``box2``, the candidate's; ``own``: D1's sample at D2's capture
+        """Return the outcome of ``box2``, the candidate's; ``own``: D1's sample at D2's capture
         instant.
         """
         box = box2.x, box2.y, box2.w, box2.h

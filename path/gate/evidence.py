@@ -72,14 +72,14 @@ def make_gate(config: MethodConfig) -> Gate:
 
 
 def strength(iou: float, tau: float) -> float:
-    """Returns by how much a pair agrees: 0 at the threshold, 1 for equal boxes; below 0 it does not
+    """Return by how much a pair agrees: 0 at the threshold, 1 for equal boxes; below 0 it does not
     agree.
     """
     return (iou - tau) / (1.0 - tau) if tau < 1.0 else iou - tau
 
 
 def gain(config: EvidenceConfig) -> float:
-    """Returns the factor on a run's evidence of an agreeing block after the first: all that the
+    """Return the factor on a run's evidence of an agreeing block after the first: all that the
     setbacks allow.
     """
     return (1.0 - (1.0 - config.next_rate) * config.setback) / config.next_rate
@@ -94,7 +94,7 @@ def evidence_of(blocks: int, config: EvidenceConfig, setbacks: int = 0) -> float
 
 
 def evidence_needed(run: int, config: EvidenceConfig) -> float:
-    """Returns the evidence that the ``run``-th run of an attempt needs (1, 2, ...).
+    """Return the evidence that the ``run``-th run of an attempt needs (1, 2, ...).
 
     Each later one may spend less of what accidents may.
     """

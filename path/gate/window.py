@@ -29,7 +29,7 @@ SERIAL = 1 << 16
 
 
 def serial_difference(a: int, b: int) -> int:
-    """Returns how far u16 sequence ``a`` is ahead of ``b``, in -32768..32767 (serial number
+    """Return how far u16 sequence ``a`` is ahead of ``b``, in -32768..32767 (serial number
     arithmetic).
     """
     return ((a - b + SERIAL // 2) % SERIAL) - SERIAL // 2
@@ -99,7 +99,7 @@ class Gate(Protocol):
 
     @property
     def complete(self) -> bool:
-        """Returns whether the target may be handed over now. It does not stay so when a pair
+        """Return whether the target may be handed over now. It does not stay so when a pair
         disagrees.
         """
         ...
@@ -186,7 +186,7 @@ class AgreementWindow:
 
     @property
     def complete(self) -> bool:
-        """Returns whether the run is long enough in pairs and in time (V_k of the paper)."""
+        """Return whether the run is long enough in pairs and in time (V_k of the paper)."""
         return self._count >= self._hold_frames and self._span_ns >= self._hold_ns
 
     @property

@@ -172,7 +172,7 @@ def rpy_from_quat(q: Quat) -> tuple[float, float, float]:
 
 
 def stepped(pose: Pose, step: Vector) -> Pose:
-    """Returns a pose moved by ``step[:3]`` in m, and turned by ``step[3:]``, a rotation vector in
+    """Return a pose moved by ``step[:3]`` in m, and turned by ``step[3:]``, a rotation vector in
     rad.
     """
     return Pose(exp(step[3:]) @ pose.R, pose.t + step[:3])

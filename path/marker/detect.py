@@ -283,7 +283,7 @@ def _on_print(grey: NDArray[np.uint8], quad: Array, pattern: Array) -> tuple[Arr
 
 
 def _is_code(seen: Look, pattern: Array) -> bool:
-    """Returns whether it is this code that is seen; without a border around it every cell has to
+    """Return whether it is this code that is seen; without a border around it every cell has to
     agree.
     """
     if seen.border < MIN_BARE_BORDER and seen.wrong > 0.0:

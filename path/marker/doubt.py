@@ -18,7 +18,7 @@ def widen(
     R: Array, t: Array, points: Array, pixels: Array, whitening: Array, lens: Array, down: Array, weight: float,
     doubts: Array, out: Array,
 ) -> float:  # fmt: skip
-    """Adds to the covariance ``out`` (6, 6) of a pose what the camera's calibration does not know.
+    """Add to the covariance ``out`` (6, 6) of a pose what the camera's calibration does not know.
 
     Args:
         R, t: the pose at which the fit ended; the others as in ``pose_kernels.linearize``.

@@ -108,7 +108,7 @@ def cholesky_solve(factor: Array, b: Array) -> None:
 
 @kernel
 def finite(a: Array) -> bool:
-    """Returns whether every number of a matrix is finite."""
+    """Return whether every number of a matrix is finite."""
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
             if not math.isfinite(a[i, j]):

@@ -129,7 +129,7 @@ def locate_marker(
 def _areas(
     region: Region | None, previous: Pose | None, layout: MarkerLayout, camera: CameraModel
 ) -> tuple[Region | None, ...]:
-    """Returns the regions to search for markers, in this order."""
+    """Return the regions to search for markers, in this order."""
     if region is not None or previous is None:
         return (region,)
     near = _around(previous, layout, camera)
@@ -137,7 +137,7 @@ def _areas(
 
 
 def _around(T_c_v: Pose, layout: MarkerLayout, camera: CameraModel) -> Region | None:
-    """Returns the region of the markers in the image, with room for motion; None when they would
+    """Return the region of the markers in the image, with room for motion; None when they would
     not be in it.
     """
     points_c = T_c_v.apply(np.concatenate([marker.corners_v for marker in layout.markers]))

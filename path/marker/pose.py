@@ -257,7 +257,7 @@ def _seen(
 
 @lru_cache(maxsize=8)
 def _doubts(camera: CameraModel) -> Array:
-    """Returns ``CameraModel.doubts`` as the kernel takes them, (k, 9). Shared: do not change it."""
+    """Return ``CameraModel.doubts`` as the kernel takes them, (k, 9). Shared: do not change it."""
     return np.array(camera.doubts, np.float64).reshape(-1, 9)
 
 
@@ -303,7 +303,7 @@ def _side_px(found: MarkerDetection) -> float:
 
 
 def _ippe(found: MarkerDetection, marker: Marker, lens: Array) -> tuple[Array, Array]:
-    """Returns both planar solutions as poses of ``v`` in the camera, (n, 3, 3) and (n, 3)."""
+    """Return both planar solutions as poses of ``v`` in the camera, (n, 3, 3) and (n, 3)."""
     seen = rays(np.ascontiguousarray(found.corners_px), lens)
     square = _square(marker.side_m)
     try:

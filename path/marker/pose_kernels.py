@@ -79,7 +79,7 @@ def facing(R: Array, t: Array, R_v_m: Array, t_v_m: Array) -> tuple[float, Array
 
 @inner
 def angle(R_a: Array, R_b: Array) -> float:
-    """Returns the angle of the rotation from one to the other, rad."""
+    """Return the angle of the rotation from one to the other, rad."""
     total = 0.0
     for i in range(3):
         for j in range(3):
@@ -234,7 +234,7 @@ def pulled(
     R: Array, t: Array, points: Array, pixels: Array, middles: Array, sizes: Array, focal: float, shape: float,
     whitening: Array, lens: Array, jacobian: Array, pulls: Array,
 ) -> None:  # fmt: skip
-    """Computes how corners pull the pose, ``J^T W du``, when all of them are wrong together; into
+    """Compute how corners pull the pose, ``J^T W du``, when all of them are wrong together; into
     ``pulls`` (4, 6).
 
     By one standard deviation each: the print's size, the focal length, the image's width against

@@ -105,7 +105,7 @@ def read(
     least: float,
     quad: Array,
 ) -> float:
-    """Returns the light around a print that is in a patch, cell by cell as it should be; NaN when
+    """Return the light around a print that is in a patch, cell by cell as it should be; NaN when
     it is not.
 
     Its corners (4, 2) in px go into ``quad``. The light is 0 as of its black, 1 as of its white
@@ -145,14 +145,14 @@ def read(
 
 @inner
 def _peak(before: float, at: float, after: float) -> float:
-    """Returns where a parabola through three neighbours is highest, from the middle one."""
+    """Return where a parabola through three neighbours is highest, from the middle one."""
     bend = 2.0 * at - before - after
     return 0.5 * (after - before) / bend if bend > 0.0 else 0.0
 
 
 @inner
 def _shade(patch: NDArray[np.uint8], x: int, y: int, column: int, row: int) -> float:
-    """Returns the light on the middle of a cell of a print that begins at a sample: its edges are
+    """Return the light on the middle of a cell of a print that begins at a sample: its edges are
     blurred.
     """
     total = 0.0
@@ -164,7 +164,7 @@ def _shade(patch: NDArray[np.uint8], x: int, y: int, column: int, row: int) -> f
 
 @inner
 def _border_of_print(patch: NDArray[np.uint8], x: int, y: int, pattern: Array) -> float:
-    """Returns the light around a print that begins at a sample; NaN when a cell is not on its side
+    """Return the light around a print that begins at a sample; NaN when a cell is not on its side
     of the middle.
     """
     n = pattern.shape[0]

@@ -47,7 +47,7 @@ def warm_up(images: bool = True) -> None:
 
 
 def warm_up_image() -> None:
-    """Compiles what finds a marker in an image. Raises RuntimeError when a drawn one gives no
+    """Compile what finds a marker in an image. Raises RuntimeError when a drawn one gives no
     pose.
     """
     layout = single_marker()
@@ -78,9 +78,7 @@ def warm_up_image() -> None:
 
 
 def warm_up_pose() -> None:
-    """Compiles what turns a marker's corners into a pose. Raises RuntimeError when there is
-    none.
-    """
+    """Compile what turns a marker's corners into a pose. Raises RuntimeError when there is none."""
     layout = single_marker()
     camera = CAMERA
     T_c_v = POSE
@@ -99,7 +97,7 @@ def warm_up_pose() -> None:
 
 
 def warm_up_relative() -> None:
-    """Compiles what keeps a marker's pose from one frame to the next."""
+    """Compile what keeps a marker's pose from one frame to the next."""
     relative = RelativeFilter()
     for stamp_ns in (0, 20_000_000):
         relative.update(stamp_ns, POSE, 1e-4 * EYE_6, EYE, EYE)

@@ -85,7 +85,7 @@ Step = tuple[ReceiverState, Actions]
 
 
 def claim(state: ReceiverState) -> TakeResponsibility | None:
-    """Returns the claim by which a state is responsible; None when it is not."""
+    """Return the claim by which a state is responsible; None when it is not."""
     match state:
         case Provisional():
             return TakeResponsibility(state.lease_end_ns)
@@ -96,7 +96,7 @@ def claim(state: ReceiverState) -> TakeResponsibility | None:
 
 
 def is_responsible(state: ReceiverState, now_ns: int) -> bool:
-    """Returns whether it is responsible at this instant, even if nobody has told the machine of the
+    """Return whether it is responsible at this instant, even if nobody has told the machine of the
     instant yet.
     """
     held = claim(state)
@@ -115,7 +115,7 @@ def floor(state: ReceiverState) -> int:
 
 
 def record(state: ReceiverState) -> ReceiverRecord:
-    """Returns what is to be written down of a state."""
+    """Return what is to be written down of a state."""
     match state:
         case Observing():
             return ReceiverRecord(state.floor)
@@ -159,7 +159,7 @@ def restored(
 
 
 def wake_ns(state: ReceiverState) -> int | None:
-    """Returns when the next Tick is due, own clock; None when time changes nothing."""
+    """Return when the next Tick is due, own clock; None when time changes nothing."""
     match state:
         case Observing():
             return None if state.live is None else state.end_ns
@@ -390,7 +390,7 @@ def _begin_anew(state: ReceiverState) -> Step:
 
 
 def _spend(live: Handoff) -> tuple[Observing, Actions]:
-    """Ends an epoch: nothing more is taken in it, not even after a restart."""
+    """End an epoch: nothing more is taken in it, not even after a restart."""
     after = Observing(live.epoch + 1)
     return after, (Persist(record(after)),)
 

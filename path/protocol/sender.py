@@ -117,7 +117,7 @@ def epoch(state: SenderState) -> int:
 
 
 def record(state: SenderState) -> SenderRecord:
-    """Returns what is to be written down of a state."""
+    """Return what is to be written down of a state."""
     match state:
         case Idle():
             return SenderRecord(state.epoch)
@@ -167,7 +167,7 @@ def restored(
 
 
 def wake_ns(state: SenderState) -> int | None:
-    """Returns when the next Tick is due, own clock; None when time changes nothing."""
+    """Return when the next Tick is due, own clock; None when time changes nothing."""
     match state:
         case Offering() | Verifying():
             return _deadline_ns(state)
@@ -306,7 +306,7 @@ def _commit(
 
 
 def _give_up(state: Offering | Verifying, reason: AbortReason, now_ns: int) -> Step:
-    """Ends an attempt before its commit: over at once, and still responsible."""
+    """End an attempt before its commit: over at once, and still responsible."""
     return Keeping(state.live.epoch), (
         Send(_abort(state.live, reason, now_ns)),
         Ended(HandoffOutcome.ABORTED, reason),
@@ -361,7 +361,7 @@ def _hear_abort(state: Offering | Verifying | AwaitingAccept | HandedOver, abort
 
 
 def _tells(state: HandedOver, status: PeerStatus) -> bool:
-    """Returns whether a Status tells what became of the hand-over.
+    """Return whether a Status tells what became of the hand-over.
 
     Of the receiver that accepted, once its lease is over.
     """

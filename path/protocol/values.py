@@ -109,7 +109,7 @@ class Handoff:
     instance: int = 0
 
     def follows(self, other: Handoff | None) -> bool:
-        """Returns whether it is another attempt than ``other``."""
+        """Return whether it is another attempt than ``other``."""
         return other is None or self._attempt != other._attempt
 
     @property
@@ -121,7 +121,7 @@ Bound = Target | Candidate | Commit | Accept | Confirm
 
 
 def mismatch(live: Handoff, message: Bound) -> Refusal | None:
-    """Returns why a message does not belong to the live attempt; None when it does."""
+    """Return why a message does not belong to the live attempt; None when it does."""
     if message.epoch != live.epoch:
         return Refusal.LOWER_EPOCH if message.epoch < live.epoch else Refusal.UNKNOWN_EPOCH
     if message.handoff_id != live.handoff_id:
@@ -318,7 +318,7 @@ class TakeResponsibility:
         return self.until_ns is not None
 
     def at(self, now_ns: int) -> bool:
-        """Returns whether the claim still holds at an instant of the own clock."""
+        """Return whether the claim still holds at an instant of the own clock."""
         return self.until_ns is None or now_ns < self.until_ns
 
 

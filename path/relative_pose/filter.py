@@ -146,7 +146,7 @@ class RelativeFilter:
         self._report(self._own, self._peer, stamp_ns, velocity_n_mps)
 
     def set_peer_velocity(self, stamp_ns: int, velocity_n_mps: Vec3) -> None:
-        """Takes a reported velocity of the marker's drone."""
+        """Take a reported velocity of the marker's drone."""
         self._report(self._peer, self._own, stamp_ns, velocity_n_mps)
 
     def unseen_s(self, stamp_ns: int) -> float:

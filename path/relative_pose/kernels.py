@@ -107,7 +107,7 @@ def reported(reports: Reports, stamp_ns: int) -> tuple[float, float, float, floa
 
 @kernel
 def velocity(own: Reports, peer: Reports, stamp_ns: int) -> Vec3:
-    """Returns the velocity of the marker's drone minus the own one; zero while one of them reports
+    """Return the velocity of the marker's drone minus the own one; zero while one of them reports
     none.
     """
     if own.many == 0 or peer.many == 0:
@@ -119,7 +119,7 @@ def velocity(own: Reports, peer: Reports, stamp_ns: int) -> Vec3:
 
 @inner
 def _way(own: Reports, peer: Reports, from_ns: int, to_ns: int) -> Vec3:
-    """Returns the way of the marker's drone minus the own one's, by their reports, m."""
+    """Return the way of the marker's drone minus the own one's, by their reports, m."""
     if to_ns <= from_ns or own.many == 0 or peer.many == 0:
         return 0.0, 0.0, 0.0
     _, _, _, a, b, c = reported(own, from_ns)
@@ -352,7 +352,7 @@ def known_by(
 
 @inner
 def _surprise(p: Array, R: Array, seen_p: Array, seen_R: Array) -> Array:
-    """Returns a measured pose's difference to the state's, (6,): ``seen_p - p``, the rotation
+    """Return a measured pose's difference to the state's, (6,): ``seen_p - p``, the rotation
     vector to ``seen_R``.
     """
     out = np.empty(6)

@@ -20,5 +20,5 @@ def whole_of(first: Box, other: Box, side_px: tuple[float, float]) -> Box | None
 
 
 def _odds(box: Box, side_px: tuple[float, float]) -> float:
-    """Returns by what share a box's sides differ from what is expected; the worse of the two."""
+    """Return by what share a box's sides differ from what is expected; the worse of the two."""
     return max(abs(box.w / side_px[0] - 1.0), abs(box.h / side_px[1] - 1.0))

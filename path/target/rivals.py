@@ -108,7 +108,7 @@ class Rivals:
 
     @property
     def known(self) -> bool:
-        """Returns whether there is anything beside the target."""
+        """Return whether there is anything beside the target."""
         return bool(self._beside)
 
     def offsets(

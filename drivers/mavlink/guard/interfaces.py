@@ -125,7 +125,7 @@ class BeatLine(Part, Protocol):
         ...
 
     def answer(self, answer: GuardAnswer) -> None:
-        """Sends an answer to whoever beat last."""
+        """Send an answer to whoever beat last."""
         ...
 
     @property

@@ -79,7 +79,7 @@ def decode_answer(packet: bytes) -> GuardAnswer | None:
 
 
 def is_taken(bind: str) -> bool:
-    """Returns whether somebody listens there: a guard, one hopes; the role asks it before it
+    """Return whether somebody listens there: a guard, one hopes; the role asks it before it
     flies.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

@@ -25,7 +25,7 @@ SEAL_BYTES = _STAMP_BYTES + _TAG_BYTES
 
 
 def key_path(bind: str) -> Path:
-    """Returns the place of the key of the guard that listens on ``bind``."""
+    """Return the place of the key of the guard that listens on ``bind``."""
     name = re.sub(r"[^A-Za-z0-9.]+", "-", bind)
     return Path(tempfile.gettempdir()) / f"path-handoff-{os.getuid()}-guard-{name}.key"
 
@@ -123,7 +123,7 @@ class Opener:
         self._newest = -1
 
     def open(self, key: bytes, packet: bytes) -> bytes | None:
-        """Returns the words in a packet.
+        """Return the words in a packet.
 
         None when it is not sealed with the key, or no newer than what was opened before.
         """

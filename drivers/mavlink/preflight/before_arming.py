@@ -39,7 +39,7 @@ class BeforeArming:
         return access_of(self._session, self._config.url)
 
     async def pilot_findings(self) -> Sequence[Finding]:
-        """Checks that a pilot's radio can take the vehicle; nothing is set. Raises VehicleError."""
+        """Check that a pilot's radio can take the vehicle; nothing is set. Raises VehicleError."""
         if self._config.rc == "none":
             said = 'NO REMOTE CONTROL (rc = "none"): no pilot can take this vehicle, nor stop its motors'
             return [
@@ -68,7 +68,7 @@ class BeforeArming:
         )
 
     async def plan_geofence(self, fence: Geofence) -> FencePlan:
-        """Returns what has to be done about the autopilot's own fence; nothing is set. Raises
+        """Return what has to be done about the autopilot's own fence; nothing is set. Raises
         VehicleError.
         """
         telemetry = self._telemetry
@@ -85,7 +85,7 @@ class BeforeArming:
         return plan_fence(self._telemetry.known_kind, found, fence, position.n_m)
 
     async def keep_geofence(self, fence: Geofence) -> Mapping[str, float]:
-        """Gives the autopilot a fence of its own, one step wider than the script's, and reads it
+        """Give the autopilot a fence of its own, one step wider than the script's, and read it
         back.
 
         What was set, by name. Raises VehicleError where that is not possible: then nothing is to be

@@ -54,7 +54,7 @@ def plan_fence(
     fence: Geofence,
     home_n_m: tuple[float, float, float],
 ) -> FencePlan:
-    """Holds what a vehicle has against what it should have.
+    """Hold what a vehicle has against what it should have.
 
     A wider fence, or none, is drawn in. One that is narrower than the script's is a crew's own and
     stays: the script would fly into it.

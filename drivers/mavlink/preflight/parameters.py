@@ -45,7 +45,7 @@ class Difference:
 def differences(
     wanted: Mapping[str, float], found: Mapping[str, float | None]
 ) -> tuple[Difference, ...]:
-    """Returns the parameters that are not as wanted, in the order of the rig. Both by the rig's
+    """Return the parameters that are not as wanted, in the order of the rig. Both by the rig's
     names.
     """
     pairs = ((name, value, found.get(name)) for name, value in wanted.items())

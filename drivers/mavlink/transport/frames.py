@@ -31,7 +31,7 @@ class Head:
 
 
 def head_of(frame: bytes) -> Head:
-    """Returns the head of a whole frame, as ``take_frames`` cuts it out."""
+    """Return the head of a whole frame, as ``take_frames`` cuts it out."""
     if frame[0] == V2:
         return Head(frame[5], frame[6], int.from_bytes(frame[7:_V2_HEADER], "little"), _V2_HEADER)
     return Head(frame[3], frame[4], frame[5], _V1_HEADER)
@@ -63,7 +63,7 @@ def take_frames(waiting: bytearray) -> Iterator[bytes]:
 
 
 def whole(frame: bytes) -> bool:
-    """Returns whether the checksum of one of the two known messages holds; of others nothing is
+    """Return whether the checksum of one of the two known messages holds; of others nothing is
     known here.
     """
     head = head_of(frame)

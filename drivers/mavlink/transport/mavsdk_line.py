@@ -28,7 +28,7 @@ _END_S = 2.0
 
 
 def needs_line(url: str, key: bytes | None) -> bool:
-    """Returns whether MAVSDK is not to open a url by itself: others can send there, or what is said
+    """Return whether MAVSDK is not to open a url by itself: others can send there, or what is said
     is to be signed.
     """
     return url.startswith("udpin://") or key is not None

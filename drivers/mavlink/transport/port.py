@@ -39,7 +39,7 @@ class Transport(Protocol):
     def fileno(self) -> int: ...
 
     def read(self) -> tuple[bytes, Address | None]:
-        """Returns what came in, and from where; empty when nothing waits."""
+        """Return what came in, and from where; empty when nothing waits."""
         ...
 
     def write(self, packet: bytes, to: Address | None) -> None:

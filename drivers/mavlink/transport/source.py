@@ -54,7 +54,7 @@ class VehicleSource:
     _asked: dict[Address, int] = field(default_factory=dict[Address, int])
 
     def believes(self, frame: bytes, source: Address, now_ns: int) -> bool:
-        """Returns whether a frame comes from the vehicle's own address; takes the answers that
+        """Return whether a frame comes from the vehicle's own address; takes the answers that
         prove one.
         """
         head = head_of(frame)
@@ -69,7 +69,7 @@ class VehicleSource:
         return False
 
     def question(self, frame: bytes, source: Address, now_ns: int) -> bytes | None:
-        """Returns what to ask where a heartbeat came from that is not believed; None when nothing
+        """Return what to ask where a heartbeat came from that is not believed; None when nothing
         is to be asked.
         """
         head = head_of(frame)

@@ -32,7 +32,7 @@ class WorldTooSlow(HarnessFailure):
 
 
 def run_name() -> str:
-    """Returns the name of this process's run, for what its children share."""
+    """Return the name of this process's run, for what its children share."""
     return f"run-{os.getpid()}"
 
 
@@ -151,7 +151,7 @@ async def end(processes: Sequence[Child]) -> None:
 
 
 async def go_on(process: Child, after_s: float | None) -> None:
-    """Lets a stopped program go on. One that is not to is ended when its vehicle is long down: the
+    """Let a stopped program go on. One that is not to is ended when its vehicle is long down: the
     run must go on.
     """
     await asyncio.sleep(STOPPED_S if after_s is None else after_s)
@@ -175,14 +175,14 @@ async def end_gently(process: Child) -> None:
 
 
 async def drain(process: Child) -> None:
-    """Reads a program's output to its end: what nobody reads must not fill its pipe."""
+    """Read a program's output to its end: what nobody reads must not fill its pipe."""
     assert process.stdout is not None
     async for _ in process.stdout:
         pass
 
 
 def duty_of(state_file: Path) -> str:
-    """Returns the duty in a program's record; "" when there is none."""
+    """Return the duty in a program's record; "" when there is none."""
     try:
         return str(json.loads(state_file.read_bytes())["record"]["duty"])
     except (OSError, ValueError, KeyError, TypeError):
@@ -190,7 +190,7 @@ def duty_of(state_file: Path) -> str:
 
 
 def last_words(errors: Path) -> str:
-    """Returns the last words of a program that died."""
+    """Return the last words of a program that died."""
     if not errors.exists():
         return "It was never started."
     written = errors.read_text("utf-8", "replace").split("\n")

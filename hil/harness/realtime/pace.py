@@ -33,7 +33,7 @@ def overload_of(
     share: float | None = None,
     gaps: Sequence[JudgedGap] = (),
 ) -> str:
-    """Returns what was late, and how late; empty when all kept up.
+    """Return what was late, and how late; empty when all kept up.
 
     Args:
         ages_s: of each drone's frames, from their capture until its program took them up.
@@ -106,12 +106,12 @@ class StolenTime:
 
 
 def frame_age_s(topic: str, record: Mapping[str, Any]) -> list[float]:
-    """Returns how old a frame was when it was taken up; nothing for a record that is of none."""
+    """Return how old a frame was when it was taken up; nothing for a record that is of none."""
     return [float(record["age_ns"]) * 1e-9] if topic == "/frame" else []
 
 
 def late_program(name: str, ages_s: Sequence[float]) -> list[str]:
-    """Returns what is said of a program whose frames were old when it took them up; nothing of one
+    """Return what is said of a program whose frames were old when it took them up; nothing of one
     that kept up.
     """
     ages = sorted(ages_s)

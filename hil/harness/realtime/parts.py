@@ -145,7 +145,7 @@ def running(camera: CameraThread) -> Generator[None, None, None]:
 
 
 def camera_config(rig: Rig, role: Role) -> RealSenseConfig:
-    """Returns the settings of a role's camera driver. Raises RigError when it is another driver."""
+    """Return the settings of a role's camera driver. Raises RigError when it is another driver."""
     perception = rig.role(role).perception
     camera = PartSpec.from_table(
         perception.options.get("camera"), f"{perception.where}.camera", perception.base
@@ -167,7 +167,7 @@ def depth_size(rig: Rig, role: Role) -> tuple[int, int]:
 
 
 def shared_camera(run: str, rig: Rig, role: Role) -> SharedCameraWriter:
-    """Returns the writer of frames to where a role's driver looks for them."""
+    """Return the writer of frames to where a role's driver looks for them."""
     color = rig.role(role).camera
     size = (color.width, color.height)
     fps = camera_config(rig, role).fps
@@ -199,7 +199,7 @@ def embedded_vehicle(
 
 
 def _listener(url: str) -> tuple[str, int]:
-    """Returns the host and port at which a MAVLink URL listens."""
+    """Return the host and port at which a MAVLink URL listens."""
     parts = urlsplit(url)
     return parts.hostname or "127.0.0.1", parts.port or 0
 

@@ -123,7 +123,7 @@ class LivePrograms:
                 return None
 
     async def _begin(self, drone: LiveDrone) -> None:
-        """Starts its program; what was to happen to it meanwhile happens now."""
+        """Start its program; what was to happen to it meanwhile happens now."""
         name = drone.name
         drone.begins = True
         try:
@@ -173,7 +173,7 @@ class LivePrograms:
         self._later(kill_after(program, PROGRAM_END_S))
 
     def died(self, name: str) -> str:
-        """Returns the last words of a drone's program that died."""
+        """Return the last words of a drone's program that died."""
         return last_words(self._orders.out / f"{name}.stderr.txt")
 
     async def close(self) -> None:
@@ -191,7 +191,7 @@ class LivePrograms:
     # --- what is heard and told ---
 
     async def spawn(self, command: Command, name: str, shares: str = "") -> Child:
-        """Starts a process; the run is not over before whoever is at it."""
+        """Start a process; the run is not over before whoever is at it."""
         task = asyncio.current_task()
         assert task is not None
         self._beginning.add(task)
@@ -249,7 +249,7 @@ class LivePrograms:
             await asyncio.sleep(NEWS_S)
 
     async def _watch_records(self) -> None:
-        """Watches what a drone's program writes down for a restart, as soon as it is there, while a
+        """Watch what a drone's program writes down for a restart, as soon as it is there, while a
         fault waits for it.
 
         Nothing is looked at before that program can be told from outside: a fault then would miss

@@ -55,7 +55,7 @@ TARGETS_STEPS = 40
 
 
 def run_of(run: str, name: str) -> str:
-    """Returns the name of a drone's camera frames, for its program and the world."""
+    """Return the name of a drone's camera frames, for its program and the world."""
     return f"{run}-{name}"
 
 
@@ -200,7 +200,7 @@ class RelaySitlWorld(RealTimeWorld):
         self._others.pop(name, None)
 
     def _close_flight(self, name: str, now_s: float) -> None:
-        """Closes one flight: its autopilot's record goes to the monitors before it is started
+        """Close one flight: its autopilot's record goes to the monitors before it is started
         anew.
         """
         drone = self.drones[name]

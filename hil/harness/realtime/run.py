@@ -120,6 +120,6 @@ class RealTimeRun(LivePrograms):
 
 
 def _children_s() -> float:
-    """Returns the processor time of the processes that have ended."""
+    """Return the processor time of the processes that have ended."""
     spent = resource.getrusage(resource.RUSAGE_CHILDREN)
     return spent.ru_utime + spent.ru_stime

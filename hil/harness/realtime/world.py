@@ -121,7 +121,7 @@ class RealTimeWorld:
 
     @abstractmethod
     async def open(self, stack: AsyncExitStack) -> Mapping[str, Any]:
-        """Opens what is there from the start, and starts the clock. Returns what the parent has to
+        """Open what is there from the start, and start the clock. Returns what the parent has to
         know of it.
         """
 
@@ -291,7 +291,7 @@ class _Scene:
 
 
 def world_command(module: str, rig: Rig, seed: int, *more: str) -> Sequence[str]:
-    """Returns the command of a world's process."""
+    """Return the command of a world's process."""
     own = [str(rig.file), str(seed), level_of(rig), *more, BETWEEN, *map(str, rig.folders)]
     return [sys.executable, "-m", module, *own]
 

@@ -93,7 +93,7 @@ def person(variant: int) -> Model:
 
 
 def build(variant: int) -> NDArray[np.float64]:
-    """Returns how much deeper (x), wider (y) and taller (z) a person is than ``PARTS``."""
+    """Return how much deeper (x), wider (y) and taller (z) a person is than ``PARTS``."""
     return _build(_own(variant))
 
 

@@ -178,7 +178,7 @@ def boxes_of_a_walker(strides: float, speed_mps: float) -> Array:
 
 
 def _now(scale: Array, strides: float, speed_mps: float) -> tuple[Array, Array]:
-    """Returns how each limb is turned and moved, as ``_posture``."""
+    """Return how each limb is turned and moved, as ``_posture``."""
     feet = foot_at(strides, speed_mps), foot_at(strides + 0.5, speed_mps)
     return _posture(scale, feet, reach_m(speed_mps), math.cos(2.0 * math.pi * strides))
 
@@ -201,7 +201,7 @@ def _boxes() -> Iterator[tuple[int, Array, Array, Color]]:
 
 
 def _limb_of(number: int) -> int:
-    """Returns the limb that one of ``PARTS`` belongs to; of a leg, its thigh."""
+    """Return the limb that one of ``PARTS`` belongs to; of a leg, its thigh."""
     for parts, first in ((SHOE_PARTS, SHOE), (LEG_PARTS, THIGH), (ARM_PARTS, ARM)):
         if number in parts:
             return first + parts.index(number) % 2
@@ -219,7 +219,7 @@ def _posture(
     reach: float,
     left_ahead: float,
 ) -> tuple[Array, Array]:
-    """Returns how each limb is turned and moved, (LIMBS, 3, 3) and (LIMBS, 3).
+    """Return how each limb is turned and moved, (LIMBS, 3, 3) and (LIMBS, 3).
 
     Args:
         feet: left and right, how far ahead and above the ground.

@@ -58,7 +58,7 @@ class SimulatedVehicle:
         folder: Path,
         seed: int = 0,
     ) -> None:
-        """Raises PartError when a port is taken or the simulator was not named.
+        """Raise PartError when a port is taken or the simulator was not named.
 
         ``seed``: of what the receiver's position is wrong by, and of where the drone was put down.
         """
@@ -154,7 +154,7 @@ class SimulatedVehicle:
             self._process.stop()
 
     def pump(self, world_s: float) -> None:
-        """Takes what came in, and sends what the pilot's radio says. ``world_s``: the world's
+        """Take what came in, and send what the pilot's radio says. ``world_s``: the world's
         clock.
 
         Raises SimulatorBroken when it has died or says nothing any more.
@@ -175,7 +175,7 @@ class SimulatedVehicle:
             )
 
     def waits_for(self) -> list[str]:
-        """Returns what it lacks until a mission may start."""
+        """Return what it lacks until a mission may start."""
         self.pump(0.0)
         missing = self.link.missing
         if not missing and self.config.on_board:
@@ -209,7 +209,7 @@ class SimulatedVehicle:
         )
 
     def not_ready(self, missing: list[str], after_s: float) -> SimulatorBroken:
-        """Returns the error of a simulator that does not become ready."""
+        """Return the error of a simulator that does not become ready."""
         said = " | ".join(self.link.texts[-3:]) or (
             self._process.last_words() if self._process else "nothing"
         )

@@ -61,7 +61,7 @@ class SimulatorLink:
         follower: TruthFollower,
         placed_later: bool = False,
     ) -> None:
-        """Raises OSError, PartError when the port is taken.
+        """Raise OSError, PartError when the port is taken.
 
         ``port``: where it listens, or the URL of a serial port. ``placed_later``: only the
         mission's own parts tell it where it is, so that it cannot be ready before.
@@ -96,7 +96,7 @@ class SimulatorLink:
 
     @property
     def missing(self) -> list[str]:
-        """Returns what it still lacks before a mission may start; empty when it is ready."""
+        """Return what it still lacks before a mission may start; empty when it is ready."""
         wanted = {
             "heartbeat": mavlink.MAVLINK_MSG_ID_HEARTBEAT,
             "local position": mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
@@ -147,7 +147,7 @@ class SimulatorLink:
             self._command(mavlink.MAV_CMD_BATTERY_RESET, 1.0, 100.0 * fraction)
 
     def pilot_takes_over(self) -> None:
-        """Changes the mode as a second ground station."""
+        """Change the mode as a second ground station."""
         self._command(DO_SET_MODE, float(CUSTOM_MODE_ENABLED), *PILOT_MODE[self._kind])
 
     def set_parameter(self, name: str, value: float) -> None:
@@ -159,7 +159,7 @@ class SimulatorLink:
         )
 
     def send_channels(self, channels: tuple[int, ...]) -> None:
-        """Sends pulse widths in µs of channels 1 to 8, as of a receiver on board. Another thread
+        """Send pulse widths in µs of channels 1 to 8, as of a receiver on board. Another thread
         may do so.
         """
         message: Any = mavlink.MAVLink_rc_channels_override_message(

@@ -142,7 +142,7 @@ class AutopilotProcess:
         return self.folder / "output.txt"
 
     def start(self) -> None:
-        """Raises NoBinary, or SimulatorBroken when the program cannot be run."""
+        """Raise NoBinary, or SimulatorBroken when the program cannot be run."""
         binary = binary_of(self.kind)
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir(parents=True)
@@ -163,7 +163,7 @@ class AutopilotProcess:
                 raise SimulatorBroken(f"{binary} cannot be run: {error.strerror}") from error
 
     def check(self) -> None:
-        """Raises SimulatorBroken with its last words when it has ended."""
+        """Raise SimulatorBroken with its last words when it has ended."""
         code = None if self._child is None else self._child.poll()
         if code is not None:
             how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"

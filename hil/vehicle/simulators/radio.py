@@ -110,14 +110,14 @@ class SimulatedRadio:
         self._socket.close()
 
     def pump(self, world_s: float) -> None:
-        """Takes over what the harness wants of its reach. ``world_s``: the world's clock."""
+        """Take over what the harness wants of its reach. ``world_s``: the world's clock."""
         own = self.transmitter
         self.lost = not own.on or world_s < own.away_until_s
         if self._kind == "ardupilot":
             self._fail(self.lost)
 
     def send(self) -> None:
-        """Sends the channels once, if it is heard at all."""
+        """Send the channels once, if it is heard at all."""
         if self.lost:
             return
         channels = channels_of(self.transmitter, self._config)

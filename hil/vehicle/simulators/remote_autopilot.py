@@ -48,7 +48,7 @@ class RemoteAutopilot:
 
     @property
     def killed(self) -> bool:
-        """Returns whether its pilot's kill switch is thrown: the motors stand still."""
+        """Return whether its pilot's kill switch is thrown: the motors stand still."""
         return self._radio is not None and self._radio.transmitter.kill
 
     @property
@@ -68,7 +68,7 @@ class RemoteAutopilot:
 
     @property
     def pilot_in_control(self) -> bool:
-        """Returns whether somebody else selects its mode.
+        """Return whether somebody else selects its mode.
 
         The harness does, as a second ground station, or it flies in a mode that no script selects.
         """
@@ -96,7 +96,7 @@ class RemoteAutopilot:
         return self._cable.watch.setpoint_gap_s
 
     def request_mode(self, now_s: float, mode: FlightMode, by_pilot: bool = False) -> None:
-        """Changes the mode as a pilot; nobody else's change can be asked for."""
+        """Change the mode as a pilot; nobody else's change can be asked for."""
         del now_s, mode
         assert by_pilot
         self._taken = True

@@ -109,7 +109,7 @@ class TruthFollower:
             self._ground_m = self._position[2]
 
     def row(self, time_s: float) -> Array:
-        """Returns a state row of ``hil.world.dynamics`` at ``time_s``, carried on from the newest
+        """Return a state row of ``hil.world.dynamics`` at ``time_s``, carried on from the newest
         motion.
 
         Only when ``ready``.

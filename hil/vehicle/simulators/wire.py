@@ -37,7 +37,7 @@ class Wire(Protocol):
 
     @property
     def met(self) -> bool:
-        """Returns whether there is somebody to write to."""
+        """Return whether there is somebody to write to."""
         ...
 
 
@@ -45,7 +45,7 @@ class UdpWire:
     """Bound to a port the simulator sends to; it is answered where it was heard from last."""
 
     def __init__(self, port: Address) -> None:
-        """Raises OSError when the port is taken."""
+        """Raise OSError when the port is taken."""
         self._socket = bound(port)
         self._peer: Address | None = None
 
@@ -116,5 +116,5 @@ class SerialWire:
 
 
 def open_wire(port: Address | str) -> Wire:
-    """Raises OSError or PartError when it is not to be had."""
+    """Raise OSError or PartError when it is not to be had."""
     return SerialWire(port) if isinstance(port, str) else UdpWire(port)

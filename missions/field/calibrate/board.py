@@ -20,7 +20,7 @@ INCH_M = 0.0254
 
 
 def board_of(options: BoardOptions) -> Board:
-    """Raises PartError naming the option that cannot be right."""
+    """Raise PartError naming the option that cannot be right."""
     match = re.fullmatch(r"(\d+)x(\d+)", options.squares)
     if match is None:
         raise PartError(
@@ -43,7 +43,7 @@ def board_of(options: BoardOptions) -> Board:
 
 
 def otherwise(board: Board) -> Board:
-    """Returns the board that one not found as named often is.
+    """Return the board that one not found as named often is.
 
     Of the other ChArUco pattern, or counted by its inner corners.
     """

@@ -26,7 +26,7 @@ LIGHT = "is the whole board in the image, lit evenly, sharp, with a white border
 
 
 def what_else(greys: Sequence[NDArray[np.uint8]], board: Board) -> tuple[str, str]:
-    """Returns what was found in place of the board in some images, and what to do. Markers: of the
+    """Return what was found in place of the board in some images, and what to do. Markers: of the
     first image.
     """
     nothing = f"no image shows the board ({board.text})"

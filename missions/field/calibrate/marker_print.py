@@ -20,7 +20,7 @@ BELOW_MM = 12.0
 
 
 def draw_marker(options: CalibrateMarkerOptions, out: TextIO) -> int:
-    """Writes the drawing, and says what belongs into the rig. Raises PartError."""
+    """Write the drawing, and say what belongs into the rig. Raises PartError."""
     bits, count = DICTIONARIES.get(options.dictionary, (0, 0))
     if not bits:
         raise PartError(

@@ -45,7 +45,7 @@ REALSENSE = "drivers.realsense.camera:RealSense"
 
 
 def run(options: DoctorOptions, out: TextIO | None = None) -> int:
-    """Show every finding as it is found; returns 0, or EXIT_UNFIT when a fault is among them."""
+    """Show every finding as it is found; return 0, or EXIT_UNFIT when a fault is among them."""
     stream = out or sys.stdout
     with open_findings(stream) as shown:
         for finding in asked(options, shown.doing):
@@ -204,7 +204,7 @@ def check_opencv() -> Finding:
 
 
 def uses(rig: str, factory: str) -> bool:
-    """Returns whether a camera of the rig is of this kind; not when the rig cannot be read, which
+    """Return whether a camera of the rig is of this kind; not when the rig cannot be read, which
     is said elsewhere.
     """
     try:
@@ -224,7 +224,7 @@ def check_realsense(*, needed: bool) -> Finding:
 
 
 def check_kernel_cache() -> Finding:
-    """Finds where numba keeps what it compiled: without such a place no command starts."""
+    """Find where numba keeps what it compiled: without such a place no command starts."""
     wanted = os.environ.get(VARIABLE)
     folders = (Path(wanted),) if wanted else usual_folders()
     for folder in folders:

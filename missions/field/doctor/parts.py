@@ -37,7 +37,7 @@ class PartTest:
 
 
 def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
-    """Yields the tests in the order in which a flight opens the parts. Raises RigError."""
+    """Yield the tests in the order in which a flight opens the parts. Raises RigError."""
     own = rig.role(role)
     context = part_context(rig, role)
     mission = mission_of(rig)

@@ -165,7 +165,7 @@ def missed(sample: FrameSample) -> Finding:
 
 
 def age(sample: FrameSample) -> Finding:
-    """Finds how old frames are when they come: below zero or very old means that another clock
+    """Find how old frames are when they come: below zero or very old means that another clock
     stamped them.
     """
     median_ms = float(np.median(sample.ages_ns)) * 1e-6
@@ -196,7 +196,7 @@ def _pictures(perception: Perception, sample: FrameSample) -> Iterator[Finding]:
 
 
 def brightness(image: NDArray[np.uint8]) -> Finding:
-    """Finds whether there is a picture at all, and light enough to see by. ``image``: (h, w, 3)
+    """Find whether there is a picture at all, and light enough to see by. ``image``: (h, w, 3)
     BGR.
     """
     grey = float(image.mean())
@@ -330,7 +330,7 @@ def check_detector(
 
 
 def _targets(sample: FrameSample, rate_hz: float | None, clock: Clock) -> Finding:
-    """Counts what the detector finds in the last frames, whole, and times it."""
+    """Count what the detector finds in the last frames, whole, and times it."""
     took_ms: list[float] = []
     counts: list[int] = []
     for view in sample.last:

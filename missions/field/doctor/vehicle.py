@@ -105,7 +105,7 @@ async def _ready(vehicle: Vehicle) -> VehicleState:
 
 
 def streams(heard: VehicleReport) -> Iterator[Finding]:
-    """Finds whether it tells where it is, and that it lives."""
+    """Find whether it tells where it is, and that it lives."""
     fix = "check cable or radio"
     if heard.oldest_s is None:
         yield Finding(
@@ -130,7 +130,7 @@ def streams(heard: VehicleReport) -> Iterator[Finding]:
 
 
 def condition(state: VehicleState, min_battery: float) -> Iterator[Finding]:
-    """Finds whether a mission could begin with it as it is."""
+    """Find whether a mission could begin with it as it is."""
     if state.armed or state.in_air:
         yield Finding("fault", "armed", "it is armed", "land it, disarm it, and look again")
     else:

@@ -133,7 +133,7 @@ async def watch_vehicles(
 
 
 async def _stop_when_alone(stop: asyncio.Event, guards: list[GuardWatch]) -> None:
-    """Stops once the role's program is gone and the vehicle is down, whoever flew it.
+    """Stop once the role's program is gone and the vehicle is down, whoever flew it.
 
     Or when the program never came.
     """

@@ -54,7 +54,7 @@ WAITS_S = 5.0
 
 
 def measure(options: GuardOptions) -> int:
-    """Flies every case and prints the table; returns 1 when a guard or a script failed.
+    """Fly every case and print the table; returns 1 when a guard or a script failed.
 
     A vehicle was not held within a second or did not land, or a script did not let go at once.
     """
@@ -103,7 +103,7 @@ def with_patient_failsafe(rig: Rig, folder: Path) -> Rig:
 
 
 def kinds_of(rig: Rig) -> tuple[str, ...]:
-    """Returns what can be tried on a rig: programs of their own can hang; pilots have radios unless
+    """Return what can be tried on a rig: programs of their own can hang; pilots have radios unless
     it says not.
     """
     own = OF_PROGRAM if rig.level not in ("sim", "sim-rendered") else ()

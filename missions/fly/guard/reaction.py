@@ -56,7 +56,7 @@ class Reaction:
 
     @property
     def reached(self) -> bool:
-        """Returns whether the vehicle was in the air under a script when it happened."""
+        """Return whether the vehicle was in the air under a script when it happened."""
         return self.mode in ("offboard", "takeoff", "hold")
 
 
@@ -67,7 +67,7 @@ def named(fault: str, role: Role) -> str:
 def read_reaction(
     out: Path, fault: str, role: Role, moment: str, outcome: str, violations: dict[str, int]
 ) -> Reaction:
-    """Reads what became of the vehicle, by the world's own log; why, by the guard's."""
+    """Read what became of the vehicle, by the world's own log; why, by the guard's."""
     at_ns: int | None = None
     last_ns: int | None = None
     apart_m: list[tuple[int, float]] = []
@@ -174,7 +174,7 @@ def is_met(reaction: Reaction) -> bool:
 
 
 def _left_alone(reaction: Reaction) -> bool:
-    """Returns whether only the pilot, or the autopilot without its radio, changed the mode
+    """Return whether only the pilot, or the autopilot without its radio, changed the mode
     afterwards.
     """
     match reaction.fault:

@@ -57,7 +57,7 @@ def run(options: HandoffOptions) -> int:
 
 
 def refuse_too_slow(rig: Rig) -> None:
-    """Raises PartError where the rig's share of this core flies nothing; one without a share is not
+    """Raise PartError where the rig's share of this core flies nothing; one without a share is not
     measured.
     """
     if rig.world.get("slow") is not None:

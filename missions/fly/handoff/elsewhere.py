@@ -31,7 +31,7 @@ SAYS_EVERY_S = 30.0
 
 
 def events(role: Role, folder: Path) -> Iterator[Progress | RoleResult | None]:
-    """Yields what a role's log says, as soon as it says it; None when there is nothing new."""
+    """Yield what a role's log says, as soon as it says it; None when there is nothing new."""
     logs: dict[Path, LogFollower] = {}
     while True:
         for path in parts(folder, role.value):

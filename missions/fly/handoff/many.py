@@ -29,7 +29,7 @@ from missions.look.report.summary import summarize
 
 
 def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
-    """Runs with seeds from ``options.seed`` on, each in a folder of its own; 0 when nothing unsafe
+    """Run with seeds from ``options.seed`` on, each in a folder of its own; 0 when nothing unsafe
     happened in any.
 
     A run that ended in a named failure is counted, not an error; a wrong hand-over or a violated

@@ -27,7 +27,7 @@ open.
 
 
 def check_served(rig: Rig, options: HandoffOptions) -> None:
-    """Raises PartError for what cannot be served to programs in other shells."""
+    """Raise PartError for what cannot be served to programs in other shells."""
     if rig.level != "sitl":
         raise PartError(
             f"--serve-world: rig {rig.name} has no world in real time", "take --rig sitl"
@@ -42,7 +42,7 @@ def check_served(rig: Rig, options: HandoffOptions) -> None:
 
 
 def tell_commands(rig: Rig, folder: Path) -> None:
-    """Says what to type in other shells; when, is said once the world is ready."""
+    """Say what to type in other shells; when, is said once the world is ready."""
     sys.stdout.write(
         f"once the world is ready, within {WAIT_S:g} s, in two other shells, from this folder:\n"
     )

@@ -31,7 +31,7 @@ class Frames:
 
     @property
     def recorded(self) -> bool:
-        """Returns whether every frame is recorded, so that perception can be run again."""
+        """Return whether every frame is recorded, so that perception can be run again."""
         return self._recording is not None
 
     async def view(self, timeout_s: float) -> View:

@@ -38,7 +38,7 @@ class Guarding:
         self._measured_m = distance_m
 
     def set_script(self, script: Script) -> None:
-        """Sets what the script is about to do with the vehicle; the guard knows it before the
+        """Set what the script is about to do with the vehicle; the guard knows it before the
         vehicle does.
         """
         self.script = script
@@ -46,7 +46,7 @@ class Guarding:
             self.guard.beat(self.beat())
 
     def beat(self) -> Beat:
-        """Returns what the guard is told; a measured distance once."""
+        """Return what the guard is told; a measured distance once."""
         session = self._session
         script = self.script
         if session.pilot.override:
@@ -64,7 +64,7 @@ class Guarding:
         return Beat(script, session.pilot.setpoints, measured_m, place)
 
     async def confirm(self) -> None:
-        """Asks the guard before a command that moves the vehicle.
+        """Ask the guard before a command that moves the vehicle.
 
         Raises MissionEnd when the guard has it, or there is none.
         """

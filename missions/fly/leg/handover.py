@@ -136,7 +136,7 @@ class SenderHandover(MachineRun[SenderMachine]):
         )
 
     async def until_free(self) -> None:
-        """Waits until the other drone is heard not to hold a target.
+        """Wait until the other drone is heard not to hold a target.
 
         Raises MissionEnd(PEER_ABORTED) when it goes on to.
         """
@@ -189,12 +189,12 @@ class SenderHandover(MachineRun[SenderMachine]):
         self._hear(lambda: Heard(received.message))
 
     def verify_again(self) -> None:
-        """Verifies once more after taking back, in the new epoch."""
+        """Verify once more after taking back, in the new epoch."""
         self._carrier.ended = None
         self._step(VerifyAgain())
 
     async def until_decided(self, timeout_s: float, verify_again: Callable[[], None]) -> None:
-        """Waits until the receiver has accepted the target.
+        """Wait until the receiver has accepted the target.
 
         An attempt that was committed and not accepted is taken back and verified again, as long as
         there is time. Raises MissionEnd otherwise.
@@ -216,7 +216,7 @@ class SenderHandover(MachineRun[SenderMachine]):
             verify_again()
 
     async def until_settled(self) -> None:
-        """Waits after ``until_decided`` until the receiver is known to hold the target, or nobody
+        """Wait after ``until_decided`` until the receiver is known to hold the target, or nobody
         can say.
         """
         carrier = self._carrier
@@ -267,7 +267,7 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
 
     @property
     def within_lease(self) -> bool:
-        """Returns whether it took provisionally, and nothing is decided yet: the lease decides, be
+        """Return whether it took provisionally, and nothing is decided yet: the lease decides, be
         it over.
         """
         return isinstance(self._machine.state, Provisional)
@@ -291,7 +291,7 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
         return CommitHeard(message, lease_end_ns, uncertainty, self.instance, self._able())
 
     async def until_held(self, timeout_s: float) -> None:
-        """Waits until this drone holds the target for good. Raises MissionEnd otherwise.
+        """Wait until this drone holds the target for good. Raises MissionEnd otherwise.
 
         An attempt that the sender took back may be followed by another one, as long as there is
         time.

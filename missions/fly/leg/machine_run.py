@@ -139,7 +139,7 @@ class MachineRun(Generic[Machine]):
             self._carrier.carry_out(Persist(made))
 
     async def resume(self) -> None:
-        """Decides what a restart left undecided, and answers the other drone, before anything else
+        """Decide what a restart left undecided, and answer the other drone, before anything else
         is begun.
 
         On the ground a new mission begins then: what an earlier one gave away or held is over. In
@@ -159,7 +159,7 @@ class MachineRun(Generic[Machine]):
         await self._written()
 
     def begin_anew(self) -> None:
-        """Begins anew on the ground, with nothing undecided: what an earlier mission gave away or
+        """Begin anew on the ground, with nothing undecided: what an earlier mission gave away or
         held is over.
         """
         self._carrier.ended = self._carrier.settled = None
@@ -195,7 +195,7 @@ class MachineRun(Generic[Machine]):
         return self._machine.wake_ns
 
     def on_status(self, status: Status) -> None:
-        """Takes a Status. It counts only by its stamp, and that only while the clocks are
+        """Take a Status. It counts only by its stamp, and that only while the clocks are
         aligned.
         """
         alignment = self._session.alignment
@@ -218,7 +218,7 @@ class MachineRun(Generic[Machine]):
             self._session.say(str(error) or "the disk still writes what must survive a restart")
 
     async def _written(self) -> None:
-        """Waits until nothing waits for the disk any more. Raises StateError."""
+        """Wait until nothing waits for the disk any more. Raises StateError."""
         while self._writing is not None:
             await asyncio.shield(self._writing)
 
@@ -325,7 +325,7 @@ class MachineRun(Generic[Machine]):
         self._go_through_waiting()
 
     def _check(self, saved: Future[None], number: int, before: Any) -> None:
-        """Raises StateError."""
+        """Raise StateError."""
         error = saved.exception()
         if error is not None:
             if number == 0:

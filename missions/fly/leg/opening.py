@@ -80,14 +80,14 @@ async def _opened(stack: AsyncExitStack, spec: PartSpec, context: PartContext) -
 
 
 def warm_up_for(own: RoleRig, harness: InProcess | None) -> None:
-    """Compiles what a drone will need, or loads it: of images nothing where its perception has no
+    """Compile what a drone will need, or load it: of images nothing where its perception has no
     camera.
     """
     warm_up(images=harness is None or "camera" in own.perception.options)
 
 
 def leave_opening(harness: InProcess | None) -> None:
-    """Gives back what only the opening needed: most of it is the library that loads kernels, which
+    """Give back what only the opening needed: most of it is the library that loads kernels, which
     is LLVM.
 
     In the world's own process others are still at it.
@@ -97,7 +97,7 @@ def leave_opening(harness: InProcess | None) -> None:
 
 
 def entropy_of(name: str, clock: Clock, harness: InProcess | None) -> random.Random:
-    """Returns a program's source of chance; in virtual time from the seed, and after a restart not
+    """Return a program's source of chance; in virtual time from the seed, and after a restart not
     the same again.
     """
     return (
@@ -119,7 +119,7 @@ def guard_line_of(
 
 
 async def fly(rig: Rig, role: Role, given: ProgramContext) -> RoleResult:
-    """Flies a role from the opening of its parts to the vehicle on the ground. Raises PartError."""
+    """Fly a role from the opening of its parts to the vehicle on the ground. Raises PartError."""
     async with AsyncExitStack() as stack:
         session = await open_session(stack, rig, role, mission_of(rig), given)
         flown = (

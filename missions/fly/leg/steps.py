@@ -65,7 +65,7 @@ async def check_own(session: RoleSession) -> None:
 
 
 async def keep_geofence(session: RoleSession) -> None:
-    """Gives the autopilot a fence of its own, one step wider than the script's, where it can have
+    """Give the autopilot a fence of its own, one step wider than the script's, where it can have
     one. Raises VehicleError when it cannot be read back."""
     keep = getattr(session.vehicle, "keep_geofence", None)
     if keep is None or Capability.GEOFENCE in lacking(session.vehicle):
@@ -227,7 +227,7 @@ def _may_be_a_pilots(state: VehicleState) -> bool:
 
 
 def may_manoeuvre(session: RoleSession, end: MissionEnd | None) -> bool:
-    """Returns whether the vehicle is still the script's to fly somewhere, after the course ended
+    """Return whether the vehicle is still the script's to fly somewhere, after the course ended
     this way.
     """
     barred = _NO_MANOEUVRE | _SCRIPT_LET_GO

@@ -57,7 +57,7 @@ def fly_mission(
 
 
 def programs_of(mission: Path) -> FlightPrograms:
-    """Returns how both drones fly a mission, in a harness's process or in processes of their own.
+    """Return how both drones fly a mission, in a harness's process or in processes of their own.
     Raises PartError.
     """
     own = OwnMission(load_mission(mission))

@@ -111,7 +111,7 @@ class Drone:
         )
 
     def guide(self, guidance: Guidance) -> None:
-        """Flies from now on what this gives for the vehicle's state, control_hz times a second; it
+        """Fly from now on what this gives for the vehicle's state, control_hz times a second; it
         must not block.
         """
         if not self._session.pilot.in_control:
@@ -141,7 +141,7 @@ class Drone:
         return self._camera_pose.T_n_c(view.stamp_ns, self._camera_pose.R_n_b(view.stamp_ns))
 
     def where(self, view: View, box: Box) -> Vec3 | None:
-        """Returns the place of the object in a box of the frame.
+        """Return the place of the object in a box of the frame.
 
         None when the camera does not tell how far away it is.
         """
@@ -151,7 +151,7 @@ class Drone:
         )
 
     def objects(self, view: View) -> list[Vec3]:
-        """Returns the places of all objects that the detector finds in the frame, and whose
+        """Return the places of all objects that the detector finds in the frame, and whose
         distance is known.
         """
         found = (self.where(view, one.box) for one in view.targets(None) if one.score >= MIN_SCORE)

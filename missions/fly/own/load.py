@@ -20,7 +20,7 @@ _REMEDY = (
 
 
 def load_mission(file: Path) -> Mapping[Role, Mission]:
-    """Returns each drone's mission: ``mission`` for both, or ``sender`` and ``receiver`` one each.
+    """Return each drone's mission: ``mission`` for both, or ``sender`` and ``receiver`` one each.
     Raises PartError.
     """
     module = module_of(file, "mission")

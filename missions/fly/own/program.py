@@ -29,7 +29,7 @@ class OwnMission:
     missions: Mapping[Role, Mission]
 
     async def __call__(self, rig: Rig, role: Role, given: ProgramContext) -> RoleResult:
-        """Flies the mission.
+        """Fly the mission.
 
         Nothing is kept in the store: a program that is started again in the air lands. Raises
         PartError.

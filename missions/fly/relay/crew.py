@@ -99,11 +99,11 @@ class Crew(ABC, Generic[Config, Called, Field]):
     # --- what a relay and a team do in their own ways ---
 
     def _begin(self) -> None:
-        """Calls whoever is to be in the air before the first step."""
+        """Call whoever is to be in the air before the first step."""
 
     @abstractmethod
     def _step(self, time_is_over: bool) -> None:
-        """Calls whom there is to call, and looks after the others."""
+        """Call whom there is to call, and look after the others."""
 
     @abstractmethod
     def _finished(self) -> bool: ...
@@ -140,7 +140,7 @@ class Crew(ABC, Generic[Config, Called, Field]):
                 )
 
     def _until_ready_s(self, drone: Called) -> float:
-        """Returns how long a drone that has landed is seen to, and decides whether it keeps its
+        """Return how long a drone that has landed is seen to, and decide whether it keeps its
         battery.
         """
         left = self._field.battery(drone.name)
@@ -196,7 +196,7 @@ class Crew(ABC, Generic[Config, Called, Field]):
 
 
 def end_of(result: RoleResult | None) -> str:
-    """Returns how a drone's flight ended, for a line to the crew."""
+    """Return how a drone's flight ended, for a line to the crew."""
     if result is None:
         return "landed"
     return result.outcome.label + (f": {result.detail}" if result.detail else "")

@@ -80,7 +80,7 @@ class Showing:
 def leave(
     summary: Values, record: Values, folder: Path, showing: Showing, picture_too: bool
 ) -> int:
-    """Writes what came of a run and shows it; returns the exit code, that of a full disk where it
+    """Write what came of a run and show it; return the exit code, that of a full disk where it
     cannot be written.
     """
     exit_code = int(summary["exit_code"])

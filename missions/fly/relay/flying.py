@@ -33,7 +33,7 @@ from missions.look.live.start import live
 
 
 def hours_of(config: RelayConfig, options: HoursOptions) -> float:
-    """Returns how long it is to last. Raises PartError."""
+    """Return how long it is to last. Raises PartError."""
     hours = config.hours if options.hours is None else options.hours
     if not hours > 0.0:
         raise PartError(
@@ -79,7 +79,7 @@ def fly_on_field(
     name: str, rig: Rig, base: Crew[Any, Any, Any], options: HoursOptions, out: Path,
     program: DroneProgram, processes: DroneProcesses, targets: Sequence[NamedTarget] = (),
 ) -> RelayReport:  # fmt: skip
-    """Flies a relay or a team, by ``name``, to its end on the rig's harness."""
+    """Fly a relay or a team, by ``name``, to its end on the rig's harness."""
     harness: RelayHarness = import_factory(base.config.harness, rig.where(f"[{name}] harness"))()
     logs = ("world", *(drone.name for drone in base.config.drones))
 

@@ -58,7 +58,7 @@ class Ground(Protocol):
 
     @property
     def over(self) -> bool:
-        """Returns whether the time is over: nobody is called any more."""
+        """Return whether the time is over: nobody is called any more."""
         ...
 
     def order_of(self, name: str) -> TakeOffOrder: ...
@@ -68,7 +68,7 @@ class Ground(Protocol):
         ...
 
     def ask(self, name: str, battery: float, wait_s: float) -> None:
-        """Asks to be relieved. ``wait_s``: how long it can still wait before it has to go home."""
+        """Ask to be relieved. ``wait_s``: how long it can still wait before it has to go home."""
         ...
 
     def holds(self, name: str) -> None:
@@ -76,7 +76,7 @@ class Ground(Protocol):
         ...
 
     def leg_failed(self, name: str, end: MissionEnd) -> None:
-        """Tells the end of a leg for the drone that goes on with the target."""
+        """Tell the end of a leg for the drone that goes on with the target."""
         ...
 
 
@@ -103,11 +103,11 @@ class TeamGround(Ground, Protocol):
     def sent_to(self, name: str) -> SentTo: ...
 
     def pointed_at(self, name: str) -> Pointed:
-        """Returns the place at which a person points, whose target this drone is sent to find."""
+        """Return the place at which a person points, whose target this drone is sent to find."""
         ...
 
     def follows(self, name: str, place_n_m: Vec3) -> None:
-        """Takes the target's place, as a drone that has it says now and then."""
+        """Take the target's place, as a drone that has it says now and then."""
         ...
 
     def gave_up(self, name: str, why: str) -> None:
@@ -115,7 +115,7 @@ class TeamGround(Ground, Protocol):
         ...
 
     def may_find(self, name: str, wait_s: float) -> None:
-        """Tells that a drone on its way home is not responsible, and could find its target again.
+        """Tell that a drone on its way home is not responsible, and could find its target again.
 
         Args:
             wait_s: how long its battery lets it stay.
@@ -123,5 +123,5 @@ class TeamGround(Ground, Protocol):
         ...
 
     def turned_back(self, name: str) -> TurnedBack:
-        """Returns whether this drone is wanted at its target again, which nobody has."""
+        """Return whether this drone is wanted at its target again, which nobody has."""
         ...

@@ -78,7 +78,7 @@ class Base(Crew[RelayConfig, CalledDrone, RelayField]):
             self._relieve()
 
     def _finished(self) -> bool:
-        """Returns whether nobody has the target, and nobody is about to take it."""
+        """Return whether nobody has the target, and nobody is about to take it."""
         last = [self.holder or self.config.drones[0].name]
         if self._leg is not None:
             last.append(self._leg.receiver)
@@ -120,7 +120,7 @@ class Base(Crew[RelayConfig, CalledDrone, RelayField]):
         self._call(self.drones[relief], TakeOffOrder.RELIEVE)
 
     def _is_alone_up(self, name: str) -> bool:
-        """Returns whether nobody else is in the air: ways home are flown at one height."""
+        """Return whether nobody else is in the air: ways home are flown at one height."""
         return all(self._field.landed(other) for other in self.drones if other != name)
 
     def _alarm(self, name: str, wait_s: float) -> None:

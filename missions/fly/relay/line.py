@@ -22,13 +22,13 @@ Say = Callable[[Mapping[str, Any]], None]
 
 
 def news_of(base: Ground, name: str) -> dict[str, Any]:
-    """Returns what a drone's program has to know at present."""
+    """Return what a drone's program has to know at present."""
     leg = base.leg_of(name)
     return {"order": base.order_of(name).value, "leg": leg and asdict(leg), "over": base.over}
 
 
 def team_news_of(ground: TeamGround, name: str) -> dict[str, Any]:
-    """Returns what a drone's program of a team has to know besides: its target, and where a person
+    """Return what a drone's program of a team has to know besides: its target, and where a person
     points at it.
     """
     pointed = ground.pointed_at(name) if ground.order_of(name) is TakeOffOrder.FIND else None
@@ -86,7 +86,7 @@ class FarBase:
 
     @property
     def told(self) -> bool:
-        """Returns whether there was any news yet."""
+        """Return whether there was any news yet."""
         return self._order is not None
 
     def on_news(self, news: Mapping[str, Any]) -> None:

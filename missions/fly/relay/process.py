@@ -45,7 +45,7 @@ from path.messages import Role
 def processes_of(
     rig: Rig, config: RelayConfig, out: Path, base: Base, whole_log: bool
 ) -> DroneProcesses:
-    """Returns how the harness starts the processes of this relay's drones."""
+    """Return how the harness starts the processes of this relay's drones."""
     return DroneProcesses(
         *commands("missions.fly.relay.process", rig, str(len(config.drones)), out, whole_log),
         news=lambda name: news_of(base, name),
@@ -56,7 +56,7 @@ def processes_of(
 def commands(
     module: str, rig: Rig, size: str, out: Path, whole_log: bool
 ) -> tuple[Callable[[str], Sequence[str]], Callable[[str], Sequence[str]]]:
-    """Returns the commands of any drone's program, and of its guard. ``size``: how much of the rig
+    """Return the commands of any drone's program, and of its guard. ``size``: how much of the rig
     takes part.
     """
 

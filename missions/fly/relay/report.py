@@ -130,7 +130,7 @@ def heading(summary: Mapping[str, Any], size: str) -> list[RenderableType]:
 
 
 def relay_table(summary: Mapping[str, Any]) -> RenderableType:
-    """Returns the table of one relay for a person."""
+    """Return the table of one relay for a person."""
     parts = heading(summary, f"{summary['drones']} drones")
     landings = plain_table("", "flights", "battery at landing: min", "median", "max")
     for name, each in summary["landings"].items():

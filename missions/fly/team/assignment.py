@@ -124,7 +124,7 @@ def _nearest(need: Need, homes: NDArray[np.float64], may: Sequence[bool]) -> lis
 
 
 def worth_s(need: Need) -> float:
-    """Returns what it is worth to serve a need now, in seconds; the same for every drone."""
+    """Return what it is worth to serve a need now, in seconds; the same for every drone."""
     return max(0.0, SOON_S - need.urgent_s) if need.urgent_s > 0.0 else LOST_S
 
 

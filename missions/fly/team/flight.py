@@ -67,7 +67,7 @@ class TeamFlight(DroneFlight):
             self._ground.follows(self._name, subtract(holder.track.position_n_m, self.off_n_m))
 
     async def _give_up(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd) -> None:
-        """Gives up what this drone was responsible for, by its record too: the target will be found
+        """Give up what this drone was responsible for, by its record too: the target will be found
         anew.
         """
         if flown.has_given_away or not session.responsible:
@@ -150,7 +150,7 @@ class TeamFlight(DroneFlight):
         return await bring_down(session, end, home)
 
     def _is_wanted(self, session: RoleSession) -> bool:
-        """Returns whether it is to find its target again, on its way home; once in a flight."""
+        """Return whether it is to find its target again, on its way home; once in a flight."""
         if self._has_turned or session.responsible:
             return False
         now_s = asyncio.get_running_loop().time()

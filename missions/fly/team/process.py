@@ -25,7 +25,7 @@ from missions.ground.team_config import team_of
 def processes_of(
     rig: Rig, config: TeamConfig, out: Path, base: TeamBase, whole_log: bool
 ) -> DroneProcesses:
-    """Returns how the harness starts the processes of this team's drones."""
+    """Return how the harness starts the processes of this team's drones."""
     size = f"{len(config.drones)}/{len(config.targets)}"
     return DroneProcesses(
         *commands("missions.fly.team.process", rig, size, out, whole_log),

@@ -41,7 +41,7 @@ class FlownDrone:
 
     @property
     def landed(self) -> bool:
-        """Returns whether its own program brought it down."""
+        """Return whether its own program brought it down."""
         end = last(self.records, "/outcome")
         return end is not None and bool(end.record["landed"])
 

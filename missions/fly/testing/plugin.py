@@ -47,9 +47,7 @@ def path_rig(request: pytest.FixtureRequest) -> Rig:
 
 @pytest.fixture
 def path_flights(request: pytest.FixtureRequest, path_rig: Rig) -> PytestFlights:
-    """Flies missions and handoffs on the rig of ``--path-rig``; a violated monitor fails the
-    test.
-    """
+    """Fly missions and handoffs on the rig of ``--path-rig``; a violated monitor fails the test."""
     from missions.fly.testing.flights import PytestFlights  # noqa: PLC0415 (numpy and numba behind it)
 
     runs = request.config.rootpath / str(request.config.getoption("--path-runs"))

@@ -49,7 +49,7 @@ class FolderFollower:
         self._logs: dict[Path, LogFollower] = {}
 
     def new(self) -> Iterator[Said]:
-        """Returns what is new, at most a megabyte of each log."""
+        """Return what is new, at most a megabyte of each log."""
         for path in sorted(self._folder.glob("*.mcap")):
             if (
                 path not in self._logs

@@ -41,7 +41,7 @@ class Stream:
         self._channels: dict[str, foxglove.Channel] = {}
 
     def begin(self, said: Said) -> bool:
-        """Make the channel of a message; returns whether it is new, so that clients can ask for it
+        """Make the channel of a message; return whether it is new, so that clients can ask for it
         first.
         """
         if said.topic in self._channels:
@@ -114,7 +114,7 @@ async def _serve(
 
 
 async def _pass_on(follower: FolderFollower, stream: Stream, last_s: float) -> int:
-    """Sends what is new, no faster than clients take it; returns the number of messages."""
+    """Send what is new, no faster than clients take it; return the number of messages."""
     count = 0
     for count, said in enumerate(follower.new(), 1):
         if stream.begin(said):

@@ -17,7 +17,7 @@ ANSWER_S = 10  # until a computer answers that it is there
 
 
 def fetched(named: Path) -> Path:
-    """Returns what was named, fetched from its computer if it is on another. Raises PartError.
+    """Return what was named, fetched from its computer if it is on another. Raises PartError.
 
     ``d1:runs/X`` becomes the folder ``d1-X`` in this one. What is there already is not fetched
     again over it.

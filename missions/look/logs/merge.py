@@ -142,7 +142,7 @@ def _aligned(
     records: Mapping[str, Sequence[LogRecord]],
     logs: Mapping[str, Sequence[Path]],
 ) -> Aligned:
-    """Returns a log's alignment, by what this drone measured of the first one's clock.
+    """Return a log's alignment, by what this drone measured of the first one's clock.
 
     Two drones only have each other to measure.
     """
@@ -173,7 +173,7 @@ def _link_records(files: Sequence[Path]) -> Iterator[LogRecord]:
 
 
 def utc_minus_stamp(files: Sequence[Path]) -> int:
-    """Returns UTC minus a log's stamps, ns, by its first part: those after a restart are of the
+    """Return UTC minus a log's stamps, ns, by its first part: those after a restart are of the
     same computer.
     """
     with files[0].open("rb") as file:

@@ -78,7 +78,7 @@ class Film(Protocol):
         ...
 
     def frames(self, color: CameraModel | None) -> Iterator[FilmFrame]:
-        """Yields what was taken together. Raises PartError at once for depth that does not belong
+        """Yield what was taken together. Raises PartError at once for depth that does not belong
         to that camera.
         """
         ...
@@ -146,7 +146,7 @@ class RosFilm:
 
 
 def export_recording(options: ExportOptions) -> int:
-    """Writes the images, and says how many there are. Raises PartError; what was written until then
+    """Write the images, and say how many there are. Raises PartError; what was written until then
     stays.
 
     Nothing is written before the first frame: what is refused leaves nothing that a second try

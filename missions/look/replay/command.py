@@ -52,7 +52,7 @@ class Replayed:
 
     @property
     def verdicts(self) -> list[Mapping[str, Any]]:
-        """Returns the verdicts on D2's answers, in order."""
+        """Return the verdicts on D2's answers, in order."""
         return [
             each.again for each in self.decided if each.topic == _VERDICT and each.again is not None
         ]
@@ -100,7 +100,7 @@ def run(options: ReplayOptions) -> int:
 
 
 def asked_of(options: ReplayOptions) -> tuple[Change | None, PerceptionChange]:
-    """Returns the settings to decide with, None: the run's own; and the perception to look with.
+    """Return the settings to decide with, None: the run's own; and the perception to look with.
     Raises PartError.
     """
     method = [text for text in options.set if not text.startswith("detector.")]
@@ -110,7 +110,7 @@ def asked_of(options: ReplayOptions) -> tuple[Change | None, PerceptionChange]:
 
 
 def show_columns(columns: Mapping[str, Sequence[Replayed]], picture: bool, folder: Path) -> None:
-    """Shows results by title, side by side: a table, and replay.png in a folder."""
+    """Show results by title, side by side: a table, and replay.png in a folder."""
     show(_figures_table(columns), sys.stdout)
     if picture:
         from missions.look.replay.picture import draw_replay  # noqa: PLC0415 (matplotlib takes a second to import)
@@ -130,7 +130,7 @@ def logs_of(folder: Path) -> dict[str, Sequence[LogRecord]]:
 
 
 def run_many(options: ReplayOptions) -> int:
-    """Decides many runs again; 1 when anything differs. Raises PartError for settings, or no
+    """Decide many runs again; 1 when anything differs. Raises PartError for settings, or no
     folder.
     """
     if not options.folders or options != ReplayOptions(options.folders, picture=options.picture):
@@ -160,7 +160,7 @@ def run_many(options: ReplayOptions) -> int:
 
 
 def kind_of(folder: Path) -> str:
-    """Returns the kind of a run, in a few words."""
+    """Return the kind of a run, in a few words."""
     facts = load_facts(folder)
     return "cut off" if facts is None else " ".join((facts.rig, *facts.faults, facts.outcome))
 
@@ -173,7 +173,7 @@ def _title(options: ReplayOptions) -> str:
 
 
 def change_of(settings: Sequence[str], gate: str | None) -> Change | None:
-    """Returns the change that ``--set`` and ``--gate`` ask for; None: nothing. Raises PartError."""
+    """Return the change that ``--set`` and ``--gate`` ask for; None: nothing. Raises PartError."""
     named = [_setting(text) for text in settings] + ([(["gate"], gate)] if gate else [])
     if not named:
         return None
@@ -276,7 +276,7 @@ def _of_a_leg(name: str, records: Sequence[LogRecord]) -> Sequence[LogRecord]:
 
 
 def _is(role: Role, records: Sequence[LogRecord]) -> bool:
-    """Returns whether a drone was nothing else than this role."""
+    """Return whether a drone was nothing else than this role."""
     return {record.record["role"] for record in records if record.topic == "/setup"} == {role.value}
 
 

@@ -22,7 +22,7 @@ NAN3 = (math.nan, math.nan, math.nan)
 
 
 def as_logged(record: Record) -> dict[str, Any]:
-    """Returns a record as it comes back from a log."""
+    """Return a record as it comes back from a log."""
     return msgspec.json.decode(msgspec.json.encode(record, enc_hook=encode_other))
 
 
@@ -48,7 +48,7 @@ def box_of(box: Any) -> Box | None:
 
 
 def _numbers(values: Any) -> Any:
-    """Returns numbers as they were before the log: what was not finite is null in it."""
+    """Return numbers as they were before the log: what was not finite is null in it."""
     return tuple(math.nan if value is None else value for value in values)
 
 

@@ -61,7 +61,7 @@ def detector_settings(texts: Sequence[str]) -> dict[str, Any]:
 
 
 def perceiver_of(folder: Path, drone: str, change: PerceptionChange) -> Open:
-    """Opens the perception of one drone's log in a run's folder. Raises PartError when it recorded
+    """Open the perception of one drone's log in a run's folder. Raises PartError when it recorded
     no frames.
     """
     files = [frames_of(log) for log in parts(folder, drone) if frames_of(log).exists()]

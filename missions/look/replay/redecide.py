@@ -56,7 +56,7 @@ class DecisionPair:
 
     @property
     def same(self) -> bool:
-        """Returns whether all that the log says of it comes out again."""
+        """Return whether all that the log says of it comes out again."""
         if self.logged is None or self.again is None:
             return False
         return {
@@ -106,7 +106,7 @@ def redecide(
 
 
 def other_answers(decided: Iterable[DecisionPair | Complete]) -> dict[tuple[int, int], Record]:
-    """Returns what D2 answers otherwise than it did, for ``redecide`` of D1's log."""
+    """Return what D2 answers otherwise than it did, for ``redecide`` of D1's log."""
     changed: dict[tuple[int, int], Record] = {}
     for each in decided:
         if (
@@ -259,7 +259,7 @@ class _ReceiverReplay:
             )
 
     def rest(self) -> Iterator[DecisionPair]:
-        """Returns nothing: nothing is decided here before it is logged."""
+        """Return nothing: nothing is decided here before it is logged."""
         return iter(())
 
     def _begin(self, attempt: Record) -> None:

@@ -49,7 +49,7 @@ _ADVICE: dict[Outcome, str] = {
 
 
 def advice(label: str) -> str:
-    """Returns the advice for the outcome that a log or a summary names."""
+    """Return the advice for the outcome that a log or a summary names."""
     try:
         return _ADVICE[Outcome.from_label(label)]
     except KeyError:

@@ -71,7 +71,7 @@ def draw_view(axes: Axes, run: RunRecords, role: Role, truth: Truth | None) -> N
 
 
 def _instant(run: RunRecords, role: Role) -> int | None:
-    """Returns an instant of the role's clock: the commit for the sender, its last agreed candidate
+    """Return an instant of the role's clock: the commit for the sender, its last agreed candidate
     for the receiver.
     """
     agreed = [r for r in judged_pairs(run) if r.record["agreed"]]

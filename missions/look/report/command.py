@@ -114,7 +114,7 @@ def _page_of(recorded: RunRecords, summary: Mapping[str, Any], folder: Path) -> 
 
 
 def _ending(recorded: RunRecords, summary: Mapping[str, Any]) -> str:
-    """Returns how a run ended, in a sentence; of one drone's flight in the field as well, which has
+    """Return how a run ended, in a sentence; of one drone's flight in the field as well, which has
     no facts.
     """
     if summary["outcome"] == Outcome.FLOWN.label:
@@ -146,14 +146,14 @@ def show(content: RenderableType, stream: TextIO) -> None:
 
 
 def summary_table(summary: Mapping[str, Any]) -> RenderableType:
-    """Returns the table of one run for a person."""
+    """Return the table of one run for a person."""
     shown: list[RenderableType] = [Text(), *outcome_line(summary)]
     shown += [Text(), phase_table(summary["phases"]), Text(), figures_grid(_figure_rows(summary))]
     return Group(*shown)
 
 
 def outcome_line(summary: Mapping[str, Any]) -> list[Text]:
-    """Returns how the run ended and what was flown; below it why, and what the harness noticed."""
+    """Return how the run ended and what was flown; below it why, and what the harness noticed."""
     good = summary["exit_code"] == 0
     head = Text.assemble(
         (f" {summary['outcome']} ", "bold black on green" if good else "bold white on red")
@@ -288,7 +288,7 @@ def _following(summary: Mapping[str, Any]) -> str:
 
 
 def violations(monitors: Mapping[str, int]) -> str:
-    """Returns the monitors' violations in words."""
+    """Return the monitors' violations in words."""
     return counts_text(monitors, "no violation")
 
 
@@ -347,7 +347,7 @@ def summarize_many(summaries: Sequence[Mapping[str, Any]], command: str) -> dict
 
 
 def series_table(series: Mapping[str, Any]) -> RenderableType:
-    """Returns the table of several runs for a person."""
+    """Return the table of several runs for a person."""
     low, high = (100 * end for end in series["commit_rate_interval"])
     between = f"{low:.1f} to {high:.1f} with 95 % confidence"
     rows = [

@@ -37,7 +37,7 @@ class Following:
 
     @property
     def overshoot_m(self) -> float:
-        """Returns how far it was past its place at most: towards the target, and the target out of
+        """Return how far it was past its place at most: towards the target, and the target out of
         the image below.
         """
         return max(0.0, float(self.off_m[:, 0].max()))

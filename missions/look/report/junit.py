@@ -58,5 +58,5 @@ def _add(suite: ET.Element, classname: str, case: JUnitCase) -> None:
 
 
 def _clean(text: str) -> str:
-    """Returns a text without the characters that XML cannot hold."""
+    """Return a text without the characters that XML cannot hold."""
     return _NOT_XML.sub("?", text)

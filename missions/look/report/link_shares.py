@@ -29,7 +29,7 @@ def link_shares(records: Mapping[Role, Sequence[LogRecord]]) -> dict[str, Any]:
 
 
 def _taken(own: Sequence[LogRecord], peer: Sequence[LogRecord]) -> float | None:
-    """Returns the share; the peer's counter is read between its records, at the instants of this
+    """Return the share; the peer's counter is read between its records, at the instants of this
     end's.
     """
     if len(peer) < 2 or _began_anew(own) or _began_anew(peer):

@@ -110,7 +110,7 @@ def _figures(progress: Progress) -> list[str]:
 
 
 def _advance(progress: Progress) -> str:
-    """Returns how far the agreement is: pairs, or evidence where it counts."""
+    """Return how far the agreement is: pairs, or evidence where it counts."""
     if progress.evidence is None:
         return f"{min(progress.count, progress.needed)}/{progress.needed}"
     reached, needed = progress.evidence

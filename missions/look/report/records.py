@@ -93,7 +93,7 @@ class RunRecords:
 
 
 def write_facts(folder: Path, facts: RunFacts) -> None:
-    """Raises OSError."""
+    """Raise OSError."""
     (folder / FACTS).write_bytes(msgspec.json.format(msgspec.json.encode(facts), indent=2) + b"\n")
 
 
@@ -147,7 +147,7 @@ def read_parts(*paths: Path) -> list[LogRecord]:
 
 
 def load_facts(folder: Path) -> RunFacts | None:
-    """Returns the facts of a run; None when it was cut off before its end."""
+    """Return the facts of a run; None when it was cut off before its end."""
     try:
         return msgspec.json.decode((folder / FACTS).read_bytes(), type=RunFacts)
     except (OSError, msgspec.DecodeError):  # the marker of an unfinished run is not all of it
@@ -155,7 +155,7 @@ def load_facts(folder: Path) -> RunFacts | None:
 
 
 def by_topic(*paths: Path, topics: Collection[str] | None = None) -> dict[str, list[LogRecord]]:
-    """Returns the records of a log's parts by topic, of all topics or of some; empty when there is
+    """Return the records of a log's parts by topic, of all topics or of some; empty when there is
     no such file.
 
     Raises RunFolderError for what is no log.

@@ -270,7 +270,7 @@ def _errors(run: RunRecords, span: Verification | None, truth: Truth | None) -> 
 
 
 def d2_error_m(truth: Truth, answer: Mapping[str, Any]) -> float:
-    """Returns the error of a candidate's position of D2's camera, m, in the marker's frame."""
+    """Return the error of a candidate's position of D2's camera, m, in the marker's frame."""
     return float(
         np.linalg.norm(np.array(answer["position_v_m"]) - truth.T_v_c2(answer["capture_ns"]).t)
     )
@@ -279,7 +279,7 @@ def d2_error_m(truth: Truth, answer: Mapping[str, Any]) -> float:
 def target_error_m(
     truth: Truth, answer: Mapping[str, Any], sent: Mapping[str, Any]
 ) -> float | None:
-    """Returns the error of the target's point in D2's camera frame, m.
+    """Return the error of the target's point in D2's camera frame, m.
 
     None when D1's box was not centred on the target.
 
@@ -321,7 +321,7 @@ def _link(run: RunRecords, span: Verification | None) -> dict[str, Any]:
 
 
 def _dropped(records: Sequence[LogRecord]) -> dict[str, int]:
-    """Returns packets dropped by reason, of all programs of a role: each counts from nothing."""
+    """Return packets dropped by reason, of all programs of a role: each counts from nothing."""
     ends = [*records[-1:], *(r for r, after in pairwise(records) if _anew(r, after))]
     return dict(sum_of(r.record["dropped"] for r in ends))
 
@@ -360,7 +360,7 @@ def _frames(records: Records, span: Verification | None) -> dict[str, Any]:
 
 
 def shed_s(records: Records) -> dict[str, float]:
-    """Returns for how long each thing was given up because the computer did not keep up, s, in the
+    """Return for how long each thing was given up because the computer did not keep up, s, in the
     order it went.
     """
     gone_ns: dict[str, int] = {}

@@ -66,7 +66,7 @@ class Truth:
         return np.where(self._in_air[Role.SENDER] & self._in_air[Role.RECEIVER], apart, np.nan)
 
     def way_to(self, role: Role, object_id: int) -> tuple[NDArray[np.int64], Array]:
-        """Returns the stamps of the world's clock, and from a role's body to an object at each:
+        """Return the stamps of the world's clock, and from a role's body to an object at each:
         east, north, up.
         """
         return self.stamps_ns, self._objects[object_id][:, :3] - self._t[role]
@@ -91,7 +91,7 @@ class Truth:
     def hit_o(
         self, role: Role, stamp_ns: int, pixel: Sequence[float], object_id: int
     ) -> Vector | None:
-        """Returns where the ray of a pixel meets an object, in the object's frame; None when it
+        """Return where the ray of a pixel meets an object, in the object's frame; None when it
         misses.
         """
         x, y = self.scene.cameras[role].ray(pixel[0], pixel[1])
@@ -175,7 +175,7 @@ def box_center(box: Sequence[float]) -> tuple[float, float]:
 
 
 def first_hit(origin: Vector, direction: Vector, boxes: Array) -> Vector | None:
-    """Returns where a ray first enters one of the boxes (n, 6: centre, size; axes-aligned); None
+    """Return where a ray first enters one of the boxes (n, 6: centre, size; axes-aligned); None
     when it misses all.
     """
     direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)

@@ -72,7 +72,7 @@ def layout() -> bytes:
 
 
 def have_rerun() -> None:
-    """Raises PartError when Rerun, or what reads the log for it, is not installed."""
+    """Raise PartError when Rerun, or what reads the log for it, is not installed."""
     missing = [name for name in ("rerun", "mcap_protobuf", "websockets") if find_spec(name) is None]
     if missing:
         raise PartError(

@@ -67,7 +67,7 @@ class Watcher:
             time.sleep(AGAIN_S)
 
     def _listen(self, stream: ClientConnection) -> None:
-        """Takes all that is said, until the stream ends."""
+        """Take all that is said, until the stream ends."""
         topics: dict[int, tuple[str, Schema]] = {}
         refused: Counter[int] = Counter()
         for word in stream:

@@ -46,7 +46,7 @@ class ClusterWork:
 
 @contextmanager
 def open_cluster(address: str, stream: TextIO | None = None) -> Generator[ClusterWork, None, None]:
-    """Raises PartError when Dask is not installed, or nobody answers at the address."""
+    """Raise PartError when Dask is not installed, or nobody answers at the address."""
     try:
         from distributed import Client, as_completed  # type: ignore[import-not-found]  # noqa: PLC0415
     except ImportError as error:

@@ -274,7 +274,7 @@ class Judge:
             self._violated("L1", f"{type(state).__name__} is {late_s:.2f} s overdue")
 
     def _gap(self) -> None:
-        """Checks L2: nobody is responsible, though whoever would have to be runs.
+        """Check L2: nobody is responsible, though whoever would have to be runs.
 
         As ``missions.proofs.verify.moves`` has it.
         """
@@ -324,7 +324,7 @@ class Judge:
     # --- outcome
 
     def outcome(self) -> str:
-        """Returns the end of the run, by what both sides decided."""
+        """Return the end of the run, by what both sides decided."""
         gave = [end for end in self._ends[Role.SENDER] if end[0] is HandoffOutcome.HANDED_OVER]
         held = any(
             outcome is HandoffOutcome.HANDED_OVER for outcome, _ in self._ends[Role.RECEIVER]
@@ -363,7 +363,7 @@ def _orphan(gives: Any, takes: Any) -> bool:
 
 
 def _is_what_it_says(program: Program, state: Any) -> bool:
-    """Returns whether a program's responsibility is its machine's.
+    """Return whether a program's responsibility is its machine's.
 
     A sender that starts again on the ground tracks nothing.
     """

@@ -48,7 +48,7 @@ def _line(level: str, number: int, run: ProgramRun) -> RunLine:
 
 
 def _story_of(plan: RunPlan) -> str:
-    """Returns the drawn plan, a line for each field."""
+    """Return the drawn plan, a line for each field."""
     return "".join(
         f"{field.name}: {getattr(plan, field.name)}\n" for field in dataclasses.fields(plan)
     )

@@ -87,7 +87,7 @@ class _Disk(MemoryStore):
         super().save(record)
 
     def after(self, forgets: Forgotten, reboot: bool) -> _Disk:
-        """Returns the disk as the next program finds it."""
+        """Return the disk as the next program finds it."""
         kept = self.kept if forgets == "nothing" else self._older if forgets == "newest" else None
         if reboot:
             kept = _of_another_clock(kept)
@@ -178,7 +178,7 @@ class Machines:
         return self._drones[role].program
 
     def state(self, role: Role) -> Any:
-        """Returns the machine's state; None while its program does not run."""
+        """Return the machine's state; None while its program does not run."""
         program = self._drones[role].program
         return program.handover.carried_out if program is not None and program.booted else None
 
@@ -195,7 +195,7 @@ class Machines:
     # --- the link
 
     def transmit(self, role: Role, message: Message, data: bytes) -> None:
-        """Sends a program's packet on; each that arrives knows whether it is the genuine one
+        """Send a program's packet on; each that arrives knows whether it is the genuine one
         (S6).
         """
         now_s = self.now_s
@@ -305,7 +305,7 @@ class Machines:
     # --- the end
 
     def _over(self) -> bool:
-        """Returns whether nothing more is to come.
+        """Return whether nothing more is to come.
 
         Both missions have ended, or the receiver holds, and nobody waits for anything.
         """
@@ -338,7 +338,7 @@ class Machines:
 
 
 def _last_s(plan: RunPlan) -> float:
-    """Returns the instant by which the last of what was planned has happened."""
+    """Return the instant by which the last of what was planned has happened."""
     at = [plan.start_s[Role.SENDER] + plan.offer_s, *(step.at_s for step in plan.steps)]
     return max((*at, *(out.end_s for out in plan.outages), *(at_s for _, at_s in plan.pilots)))
 

@@ -128,7 +128,7 @@ class Program:
         self._effect(write)
 
     def begin_save(self, record: SenderRecord | ReceiverRecord) -> Future[None]:
-        """Begins to save: on the disk after a while; when the program is killed meanwhile,
+        """Begin to save: on the disk after a while; when the program is killed meanwhile,
         perhaps.
         """
         self.writing = record
@@ -329,7 +329,7 @@ class Program:
         raise NotImplementedError
 
     def _settle(self) -> bool:
-        """Returns whether the course may go on after a start with a record. In the air it ends once
+        """Return whether the course may go on after a start with a record. In the air it ends once
         all is decided.
         """
         if self._settling and not self.handover.undecided(self.world.flying):

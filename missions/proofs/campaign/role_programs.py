@@ -79,7 +79,7 @@ class SenderProgram(Program):
         begin()
 
     def _frame(self) -> float:
-        """Says where the target is, and has the views agree when the script wants them to."""
+        """Say where the target is, and has the views agree when the script wants them to."""
         epoch = self.handover.epoch
         script = self.world.plan
         if not epoch or self.end is not None:

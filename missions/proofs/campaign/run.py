@@ -75,7 +75,7 @@ KINDS: dict[str, Kind] = {
 
 
 def run(options: CampaignOptions) -> int:
-    """Returns 0 when no invariant was violated in any run. Raises PartError for what was asked
+    """Return 0 when no invariant was violated in any run. Raises PartError for what was asked
     wrongly.
     """
     levels = options.faults or LEVELS
@@ -142,7 +142,7 @@ def _fly(options: CampaignOptions, levels: Sequence[LevelName], folder: Path) ->
 
 
 def report(options: CampaignOptions, folder: Path, lines: Sequence[RunLine]) -> int:
-    """Write and show what came of the runs; returns the exit code."""
+    """Write and show what came of the runs; return the exit code."""
     command = partial(replay_command, options)
     summary = summarize(options.program, options.seed, lines, command)
     (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")

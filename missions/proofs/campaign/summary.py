@@ -107,7 +107,7 @@ _MEANING = {
 
 
 def table(summary: dict[str, Any]) -> str:
-    """Returns a campaign's table for a person."""
+    """Return a campaign's table for a person."""
     levels: dict[str, Any] = summary["levels"]
     outcomes = Counter[str]()
     for level in levels.values():

@@ -196,14 +196,14 @@ def _fly(
 
 
 def targets_of(summary: Mapping[str, Any]) -> dict[str, float | None]:
-    """Returns the percent of the time for which each target was observed; None for one that was
+    """Return the percent of the time for which each target was observed; None for one that was
     never acquired.
     """
     return {name: share for name, share in summary["observed_percent"].items() if name != "all"}
 
 
 def named(summary: Mapping[str, Any]) -> str:
-    """Returns a run's outcome, in which every target counts that was ever acquired."""
+    """Return a run's outcome, in which every target counts that was ever acquired."""
     if summary["outcome"] in (Outcome.MONITOR_VIOLATED.label, Outcome.WRONG_OBJECT.label):
         return "violated"
     least = min((share for share in targets_of(summary).values() if share is not None), default=0.0)

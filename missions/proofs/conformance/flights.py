@@ -43,7 +43,7 @@ STREAMS = {
 
 
 async def on_the_ground(stage: FlightStage) -> Values:
-    """Answers to what makes no sense, and how long it waits armed."""
+    """Answer to what makes no sense, and how long it waits armed."""
     await stage.ready()
     found: Values = {
         "unknown_command": await stage.order(31999),
@@ -228,7 +228,7 @@ async def setpoints_stop(stage: FlightStage) -> Values:
 
 
 async def cable_cut(stage: FlightStage) -> Values:
-    """Cuts the cable while it flies by setpoints: nothing of the companion comes any more."""
+    """Cut the cable while it flies by setpoints: nothing of the companion comes any more."""
     await stage.up(HEIGHT_M)
     await _offboard(stage, stage.yaw_rad)
     await stage.fly((0.5, 0.0, 0.0), stage.yaw_rad, 3.0)
@@ -244,7 +244,7 @@ async def cable_cut_in_hold(stage: FlightStage) -> Values:
 
 
 async def _left_alone(stage: FlightStage, name: str) -> Values:
-    """Returns what it does by itself within 20 s, by its heartbeats and by the truth."""
+    """Return what it does by itself within 20 s, by its heartbeats and by the truth."""
     from_s = stage.now_s
     await stage.until(lambda: not stage.armed, 20.0)
     changes = modes_since(stage.heard.shown, from_s)
@@ -288,9 +288,7 @@ async def pilot(stage: FlightStage) -> Values:
 
 
 async def battery_and_kill(stage: FlightStage) -> Values:
-    """Flies until nothing is left in the battery; and stops the motors by force before the
-    ground.
-    """
+    """Fly until nothing is left in the battery; and stop the motors by force before the ground."""
     await stage.up(HEIGHT_M)
     from_s = stage.now_s
     stage.bench.sag_battery(0.0)

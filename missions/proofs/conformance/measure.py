@@ -52,7 +52,7 @@ class FlightSuite:
         self.measured = VehicleMeasures()
 
     async def run(self, flights: Sequence[SuiteFlight]) -> VehicleMeasures:
-        """Raises PartError when the vehicle never becomes ready to fly."""
+        """Raise PartError when the vehicle never becomes ready to fly."""
         measured = self.measured
         try:
             for number, flight in enumerate(flights, 1):

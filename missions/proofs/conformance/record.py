@@ -38,7 +38,7 @@ def write(folder: Path, record: Record) -> None:
 
 
 def joined(before: Record | None, now: Record) -> Record:
-    """Returns a record with some flights flown again: what they gave replaces what there was, the
+    """Return a record with some flights flown again: what they gave replaces what there was, the
     rest is kept.
     """
     if before is None:

@@ -70,7 +70,7 @@ def _run(options: ConformanceOptions, flights: Sequence[SuiteFlight], folder: Pa
 
 
 def _wanted(options: ConformanceOptions) -> list[str]:
-    """Returns the vehicles to fly: those asked for whose simulator is named."""
+    """Return the vehicles to fly: those asked for whose simulator is named."""
     wanted: list[str] = []
     for vehicle in options.vehicle or VEHICLES if options.fly else ():
         variable = BINARY.get(vehicle)

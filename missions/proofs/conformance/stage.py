@@ -64,7 +64,7 @@ class FlightStage:
 
     @property
     def armed(self) -> bool:
-        """Returns whether it is armed, by the newest heartbeat, whether or not the driver hears
+        """Return whether it is armed, by the newest heartbeat, whether or not the driver hears
         it.
         """
         return bool(self.heard.shown) and self.heard.shown[-1].armed
@@ -126,7 +126,7 @@ class FlightStage:
         return next((each for each in own if to is None or each.to in to), None)
 
     def texts(self, since_s: float) -> str:
-        """Returns the vehicle's important texts since then, each once."""
+        """Return the vehicle's important texts since then, each once."""
         said = [
             text
             for time_s, severity, text in self.heard.texts
@@ -135,17 +135,17 @@ class FlightStage:
         return " | ".join(dict.fromkeys(said)) or "nothing"
 
     async def ready(self) -> None:
-        """Waits until it is on the ground, disarmed, and ready to be armed. Raises VehicleError."""
+        """Wait until it is on the ground, disarmed, and ready to be armed. Raises VehicleError."""
         await self.vehicle.wait_armable(READY_S)
 
     async def up(self, height_m: float) -> None:
-        """Flies to a height and holds."""
+        """Fly to a height and hold."""
         await self.ready()
         await self.vehicle.arm()
         await self.vehicle.take_off(height_m, TAKE_OFF_S)
 
     async def down(self) -> None:
-        """Brings it to the ground, disarmed, whatever came before. Raises PartError when it cannot
+        """Bring it to the ground, disarmed, whatever came before. Raises PartError when it cannot
         be.
         """
         self.bench.cut = False

@@ -158,7 +158,7 @@ def in_words(changes: Sequence[tuple[float, str]]) -> str:
 
 
 def when(changes: Sequence[tuple[float, str]], name: str) -> float | None:
-    """Returns when it first showed ``name``; None when it never did."""
+    """Return when it first showed ``name``; None when it never did."""
     return next((time_s for time_s, shown in changes if shown == name), None)
 
 

@@ -68,7 +68,7 @@ class Attacker(asyncio.DatagramProtocol):
         """A drone does not listen now: it may later."""
 
     async def flood(self, rate_hz: float) -> None:
-        """Sends for ever; what cannot be sent in time is left out."""
+        """Send for ever; what cannot be sent in time is left out."""
         loop = asyncio.get_running_loop()
         begun_s = loop.time()
         due = 0
@@ -84,7 +84,7 @@ class Attacker(asyncio.DatagramProtocol):
             due = now
 
     def _pour(self, number: int) -> None:
-        """Sends so many packets, few of them new ones. What is not of this address goes onto the
+        """Send so many packets, few of them new ones. What is not of this address goes onto the
         air by the handful.
         """
         for _ in range(min(number, round(FORGED_HZ * TICK_S / 2))):
@@ -110,7 +110,7 @@ class Attacker(asyncio.DatagramProtocol):
             self.sent += 2 * BATCH
 
     def _made(self) -> tuple[int, bytes]:
-        """Returns a packet, and the side that it is for."""
+        """Return a packet, and the side that it is for."""
         side = self._rng.randrange(2)
         forger = self._forgers[side]
         if self._earlier and self._rng.random() < OLD_SHARE:
@@ -131,7 +131,7 @@ class Attacker(asyncio.DatagramProtocol):
 
 
 def earlier_flights(out: Path) -> list[tuple[int, bytes]]:
-    """Returns the packets recorded beside a run's folder before; a line is the side and the
+    """Return the packets recorded beside a run's folder before; a line is the side and the
     packet.
     """
     recorded: list[tuple[int, bytes]] = []

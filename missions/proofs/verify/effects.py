@@ -180,7 +180,7 @@ class Effects:
     # --- packets
 
     def heard_by_sender(self, state: int, packets: int) -> list[Effect]:
-        """Returns what may come of the packets on the link; those of which nothing comes are left
+        """Return what may come of the packets on the link; those of which nothing comes are left
         out.
         """
         return self._heard_of("sender", state, 0, packets)
@@ -211,7 +211,7 @@ class Effects:
     def _hear(
         self, side: Side, state: int, skew: int, packet: ModelPacket, instance: int
     ) -> tuple[Effect, ...]:
-        """Returns the effects of the packet and, of the same word about something else, any at all.
+        """Return the effects of the packet and, of the same word about something else, any at all.
 
         There may be none (S6).
         """
@@ -258,7 +258,7 @@ class Effects:
         return self.receiver_told(state, skew, Tick(), "the receiver notices the time")
 
     def said(self, state: int, held: int, skew: int, second: int = NOBODY) -> int:
-        """Returns the packets that the drones send in these states all the time."""
+        """Return the packets that the drones send in these states all the time."""
         found = self._words.get((state, held, skew, second))
         if found is None:
             packets: list[ModelPacket] = []

@@ -57,11 +57,11 @@ class SeenWorlds(Protocol):
     """The worlds that were seen."""
 
     def add(self, world: ModelWorld) -> bool:
-        """Returns whether the world is to be entered: it is new."""
+        """Return whether the world is to be entered: it is new."""
         ...
 
     def still(self, world: ModelWorld) -> bool:
-        """Returns whether the world is worth going on from: nothing better was seen since."""
+        """Return whether the world is worth going on from: nothing better was seen since."""
         ...
 
 
@@ -82,7 +82,7 @@ class Exact:
 
 
 def weight(world: ModelWorld) -> int:
-    """Returns as bits all that may still happen in a world.
+    """Return as bits all that may still happen in a world.
 
     A world covers another when it has all of the other's bits.
 
@@ -100,7 +100,7 @@ def weight(world: ModelWorld) -> int:
 
 
 def _place(world: ModelWorld) -> tuple[int, ...]:
-    """Returns the key that worlds share which may cover one another."""
+    """Return the key that worlds share which may cover one another."""
     return world.sender, world.receiver, world.second, world.skew, world.agreed
 
 

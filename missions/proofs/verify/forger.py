@@ -162,7 +162,7 @@ def sign(key: bytes, data: bytes) -> bytes:
 
 
 def framed(header: bytes, payload: bytes) -> bytes:
-    """Returns a packet with a CRC that holds, as far as the id is known."""
+    """Return a packet with a CRC that holds, as far as the id is known."""
     body = header[:1] + bytes((len(payload),)) + header[2:] + payload
     crc = dialect.x25crc(body[1:])
     crc.accumulate(bytes((EXTRAS.get(int.from_bytes(header[7:10], "little"), 0),)))

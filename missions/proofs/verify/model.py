@@ -200,7 +200,7 @@ def status(role: Role, responsible: bool, stamp: int, instance: int = RECEIVER_I
 
 
 def unstamped(message: Message) -> Message:
-    """Returns a message without the stamps that no machine looks at: packets that say the same are
+    """Return a message without the stamps that no machine looks at: packets that say the same are
     the same.
     """
     return (
@@ -211,7 +211,7 @@ def unstamped(message: Message) -> Message:
 
 
 def misdirected(message: Message, scope: Scope) -> tuple[Message, ...]:
-    """Returns the same word about another handoff, object, commit or receiver, and a lease that
+    """Return the same word about another handoff, object, commit or receiver, and a lease that
     nobody gives.
 
     Nothing may follow from these (S6).

@@ -68,7 +68,7 @@ class Moves:
         self._taking: dict[tuple[int, int], bool] = {}
 
     def start(self, skew: int) -> ModelWorld:
-        """Returns the world in which nothing has begun; the receiver observes."""
+        """Return the world in which nothing has begun; the receiver observes."""
         effects = self.effects
         scope = self.scope
         state = effects.senders(sender.Idle())
@@ -102,7 +102,7 @@ class Moves:
         return self._receivers[world.receiver]
 
     def names(self, state: int, held: int) -> tuple[str, str]:
-        """Returns the names of a pair of the machines' states, by their numbers."""
+        """Return the names of a pair of the machines' states, by their numbers."""
         return type(self._senders[state]).__name__, type(self._receivers[held]).__name__
 
     def __call__(self, world: ModelWorld) -> Iterator[ModelStep]:
@@ -194,14 +194,14 @@ class Moves:
         return not self.scope.stalls and self.scope.receivers == 1
 
     def _gives(self, state: int) -> bool:
-        """Returns whether a sender in this state is responsible."""
+        """Return whether a sender in this state is responsible."""
         found = self._giving.get(state)
         if found is None:
             found = self._giving[state] = responsible_sender(self._senders[state])
         return found
 
     def _takes(self, held: int, skew: int) -> bool:
-        """Returns whether a receiver in this state is responsible."""
+        """Return whether a receiver in this state is responsible."""
         found = self._taking.get((held, skew))
         if found is None:
             found = self._taking[held, skew] = responsible_receiver(self._receivers[held], skew)
@@ -213,7 +213,7 @@ class Moves:
         return second
 
     def _nobody(self, world: ModelWorld) -> bool:
-        """Returns whether nobody is responsible, though whoever would have to be runs."""
+        """Return whether nobody is responsible, though whoever would have to be runs."""
         gives = self.sender_of(world)
         takes = self.receiver_of(world)
         if isinstance(gives, Dead | sender.Idle) or sender.is_responsible(gives):
@@ -349,7 +349,7 @@ class Moves:
                     yield self._checked(world, up, f"the receiver is started again{how}{lost}", "")
 
     def _read(self, kept: int, interned: Interned[Any]) -> tuple[tuple[int, str], ...]:
-        """Returns what a program may find on its disk: its record, an earlier one, or none."""
+        """Return what a program may find on its disk: its record, an earlier one, or none."""
         if not self.scope.forgetful:
             return ((kept, ""),)
         record = interned.values[kept]

@@ -53,7 +53,7 @@ def sender_rules(
     actions: Actions,
     uncertainty: int,
 ) -> str:
-    """Returns the first rule that a sender's step breaks; "" when it breaks none.
+    """Return the first rule that a sender's step breaks; "" when it breaks none.
 
     S2: each attempt has an epoch of its own. S4: it releases before it says so, and takes back only
     after lease and uncertainty. L2: only a new mission makes nothing its own.
@@ -112,7 +112,7 @@ def receiver_rules(
     before: receiver.ReceiverState, after: receiver.ReceiverState, event: ReceiverEvent, actions: Actions, now: int,
     guard: int,
 ) -> str:  # fmt: skip
-    """Returns the first rule that a receiver's step breaks; "" when it breaks none.
+    """Return the first rule that a receiver's step breaks; "" when it breaks none.
 
     S2, S3: it takes over only on a COMMIT of an epoch it still takes, within its lease and until
     the guard before its end on any clock. ``now``: its own clock.

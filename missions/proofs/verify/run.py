@@ -89,7 +89,7 @@ class ModelMutant:
 
 
 def run(options: VerifyOptions) -> int:
-    """Returns 0 when nothing is wrong. Raises PartError.
+    """Return 0 when nothing is wrong. Raises PartError.
 
     Then every invariant holds in every world and every mutant was caught, or no forged packet was
     taken.

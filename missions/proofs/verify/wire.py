@@ -95,7 +95,7 @@ def hardened(role: Role, key: bytes, stamp: Callable[[], int]) -> Codec:
 
 
 def fuzz(packets: int, seed: int, work: Work, make: MakeCodec = hardened) -> list[Fuzzed]:
-    """Tries at least ``packets`` forged packets, towards each role in turn, on all cores."""
+    """Try at least ``packets`` forged packets, towards each role in turn, on all cores."""
     pieces = [Piece(seed, k, min(CHUNK, packets), make) for k in range(-(-packets // CHUNK))]
     return work.map("packets forged, in pieces", play, pieces)
 
@@ -160,7 +160,7 @@ class _Exchange:
         self.lost = self.believed = self.believed_early = 0
 
     def begin(self) -> None:
-        """Sends so many packets each way that the forger has something to work on."""
+        """Send so many packets each way that the forger has something to work on."""
         for _ in range(4 * len(FROM_WIRE)):
             self.go_on()
 
@@ -320,7 +320,7 @@ def _grown(fuzzed: Sequence[Fuzzed]) -> dict[int, list[float]]:
 
 
 def sound(figures: dict[str, Any]) -> bool:
-    """Returns whether nothing was taken that should not be, nothing raised, and no packet of the
+    """Return whether nothing was taken that should not be, nothing raised, and no packet of the
     true peer lost.
     """
     bad = ("accepted_or_raised", "genuine_lost", "nearly_valid_taken", "early_taken")
@@ -328,7 +328,7 @@ def sound(figures: dict[str, Any]) -> bool:
 
 
 def show(figures: dict[str, Any], stream: TextIO) -> None:
-    """Shows a person what was sent, and what stopped it."""
+    """Show a person what was sent, and what stopped it."""
     rows = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
     rows.add_column("forged")
     rows.add_column("packets", justify="right")

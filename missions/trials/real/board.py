@@ -67,7 +67,7 @@ class BoardSeen:
     spread: Array
 
     def pixels(self, points_o: Array) -> Array:
-        """Returns the pixels of points (n, 3) of the board, (n, 2)."""
+        """Return the pixels of points (n, 3) of the board, (n, 2)."""
         smooth = _powers((points_o[:, :2] - self.middle) / self.reach, self.order) @ self.bend
         return self.camera.project(self.T_c_o.apply(points_o)) + smooth
 
@@ -229,7 +229,7 @@ def _grown(corners_o: Array, side_m: float) -> Array:
 
 
 def growth(seen: Sequence[tuple[Array, BoardSeen, Array]]) -> float:
-    """Returns how much larger markers are than their corners (4 n, 3) say, relative; seen at (4 n,
+    """Return how much larger markers are than their corners (4 n, 3) say, relative; seen at (4 n,
     2) px.
     """
     errors = []

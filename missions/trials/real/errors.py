@@ -184,5 +184,5 @@ def _without_print(marker: SeenMarker, print_m: Array | None, views: int, flat: 
 
 
 def _in_plane(views: int, flat: bool) -> bool:
-    """Returns whether a marker's corners are taken to lie in the board's plane."""
+    """Return whether a marker's corners are taken to lie in the board's plane."""
     return flat or views < FEWEST_FOR_HEIGHT

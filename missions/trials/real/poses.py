@@ -219,7 +219,7 @@ def _task(
 
 
 def _print_frame(own: RealSet, measured: MethodPoses, marker_id: int) -> tuple[Pose, float]:
-    """Returns the pose of a marker on the board as printed, and its mean side: what a ruler would
+    """Return the pose of a marker on the board as printed, and its mean side: what a ruler would
     tell.
 
     Of a sheet that is not flat it lies in the plane through the corners that is nearest to them.

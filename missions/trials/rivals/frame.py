@@ -175,7 +175,7 @@ def _shoot(task: FrameTask, rng: np.random.Generator, redraws: int) -> StagePair
 
 
 def _tracked(scene: DrawnStage, shot: Shot) -> Box | None:
-    """Returns the detection of D1 nearest to the target's true projection; None when it is not the
+    """Return the detection of D1 nearest to the target's true projection; None when it is not the
     target's box.
 
     D1's tracker is not under test: it has the target, and knows from the frames before how far away

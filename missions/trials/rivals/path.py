@@ -174,7 +174,7 @@ def _attitude(
 
 
 def _marker_region(scene: DrawnStage, T_b_v: Pose, rng: np.random.Generator) -> Region:
-    """Returns where a D2 that has seen the marker before looks for it: off by some pixels, with
+    """Return where a D2 that has seen the marker before looks for it: off by some pixels, with
     room around.
     """
     T_c_v = scene.T_w_c(Role.RECEIVER).inverse() @ scene.stage.T_w_b[Role.SENDER] @ T_b_v

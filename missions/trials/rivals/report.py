@@ -95,7 +95,7 @@ def outcome_table(tallies: Mapping[str, FrameTally], rules: Mapping[str, str]) -
 
 
 def cause_table(judged: Sequence[FrameResult], rules: Mapping[str, Rule]) -> TrialTable:
-    """Returns a table of why every wrong answer was wrong."""
+    """Return a table of why every wrong answer was wrong."""
     rows: list[tuple[str, str, str, str]] = []
     for method in ("path", "path_color", *rules):
         causes: Counter[tuple[Outcome, str]] = Counter()

@@ -18,7 +18,7 @@ MAX_LEAD = 12
 
 
 def outcome(present: bool, chosen: bool, right: bool) -> Outcome:
-    """Returns the outcome by the paper: an incorrect candidate is a false positive, with the target
+    """Return the outcome by the paper: an incorrect candidate is a false positive, with the target
     present or not.
 
     Args:

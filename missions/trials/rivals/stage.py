@@ -146,7 +146,7 @@ def setup(role: Role, side: int, marker_side_m: float) -> RendererSetup:
 
 
 def as_drawn(rig: Rig, scene: DrawnStage) -> Rig:
-    """Returns the rig as it truly is on a stage: cameras, mounts and marker are the trial's."""
+    """Return the rig as it truly is on a stage: cameras, mounts and marker are the trial's."""
     mount = Mount(camera_mount(), marker_mount(scene.side))
     sender, receiver = (replace(rig.role(role), camera=CAMERAS[role], mount=mount) for role in Role)
     return replace(rig, sender=sender, receiver=receiver, layout=layout(scene.wanted.marker_side_m))
@@ -210,7 +210,7 @@ CameraPose = tuple[float, float]  # horizontal distance from the target, height
 def _eyes(
     wanted: Wanted, turn: float, rng: np.random.Generator
 ) -> tuple[CameraPose, CameraPose] | None:
-    """Returns both cameras' places, D2's turned by ``turn`` from D1's line of sight; None: too far
+    """Return both cameras' places, D2's turned by ``turn`` from D1's line of sight; None: too far
     aside to be near.
     """
     if wanted.viewpoint_rad is not None:
@@ -236,7 +236,7 @@ def _toward(azimuth: float) -> Array:
 
 
 def _height(reach: float, wanted: Wanted, rng: np.random.Generator) -> float:
-    """Returns the height from which the target's shirt at that horizontal distance is seen from
+    """Return the height from which the target's shirt at that horizontal distance is seen from
     above by some angle.
     """
     down = (
@@ -250,7 +250,7 @@ def _height(reach: float, wanted: Wanted, rng: np.random.Generator) -> float:
 def _facing(
     wanted: Wanted, nearest: float, bearing: float, rng: np.random.Generator
 ) -> list[float]:
-    """Draws where everybody looks.
+    """Draw where everybody looks.
 
     Two that stand closer than they are wide stand one behind the other; who hides the target turns
     its front or back.
@@ -306,7 +306,7 @@ def _people(
 def _aside(
     wanted: Wanted, target: Array, eye1: Array, eye2: Array, rng: np.random.Generator
 ) -> float:
-    """Returns by how much D2 does not look straight at the target, so that D1 is in its view too.
+    """Return by how much D2 does not look straight at the target, so that D1 is in its view too.
 
     Or the target is not.
     """
@@ -336,7 +336,7 @@ def _best_side(T_w_b1: Pose, T_w_b2: Pose) -> int:
 
 
 def _target_fits(scene: DrawnStage) -> bool:
-    """Returns whether D1 sees the target, D2 the marker, and D2 the target or, as wanted, not."""
+    """Return whether D1 sees the target, D2 the marker, and D2 the target or, as wanted, not."""
     target = scene.stage.things[0]
     receiver = _view(scene, Role.RECEIVER)
     sender = _view(scene, Role.SENDER)
@@ -350,7 +350,7 @@ def _target_fits(scene: DrawnStage) -> bool:
 
 
 def _crowd_fits(scene: DrawnStage) -> bool:
-    """Returns whether nobody stands where a drone is, and D2 sees look-alikes."""
+    """Return whether nobody stands where a drone is, and D2 sees look-alikes."""
     others = scene.stage.things[1:]
     eyes = [scene.T_w_c(role).t for role in Role]
     if any(
@@ -362,7 +362,7 @@ def _crowd_fits(scene: DrawnStage) -> bool:
 
 
 def _hidden_share(eye: Array, target: Array, other: Array, shoulder_m: float) -> float:
-    """Returns about the share of the target's shirt that another person hides from a camera.
+    """Return about the share of the target's shirt that another person hides from a camera.
 
     A column, and a narrow head.
     """
@@ -401,12 +401,12 @@ class StageCamera:
         return self.camera.project_point((x, y, z))
 
     def holds(self, thing: Thing) -> bool:
-        """Returns whether all of a person's shirt is in the image."""
+        """Return whether all of a person's shirt is in the image."""
         corners = self.T_w_c.inverse().apply(_room(thing))
         return all(self.camera.sees((x, y, z), MARGIN_PX) for x, y, z in corners.tolist())
 
     def touches(self, thing: Thing) -> bool:
-        """Returns whether any of the person is in the image."""
+        """Return whether any of the person is in the image."""
         low = np.array(thing.position_w_m)
         high = np.array(thing.position_w_m)
         high[2] += PERSON_HEIGHT_M

@@ -82,7 +82,7 @@ def run(request: TrialRequest) -> TrialResult:
 
 
 def _wanted(request: TrialRequest) -> list[Wanted]:
-    """Returns the conditions of the frames, in an order by chance: the first of them shall be like
+    """Return the conditions of the frames, in an order by chance: the first of them shall be like
     all of them.
     """
     frames = QUICK_FRAMES if request.quick else FRAMES

@@ -58,7 +58,7 @@ class TrueView:
         return (nearest if away[nearest] < BODY_M else None), depth
 
     def in_box(self, box: Box) -> Counter[int | None]:
-        """Returns how many of the pixels of a grid over a box show which person (None: none)."""
+        """Return how many of the pixels of a grid over a box show which person (None: none)."""
         seen: Counter[int | None] = Counter()
         for v in np.linspace(box.y + 0.06 * box.h, box.y + 0.94 * box.h, BOX_ROWS).tolist():
             for u in np.linspace(box.x + 0.08 * box.w, box.x + 0.92 * box.w, BOX_COLUMNS).tolist():
@@ -104,7 +104,7 @@ class TrueView:
 
 
 def shirt_box(scene: DrawnStage, role: Role, person: int) -> Box:
-    """Returns about the box of a person's shirt, which is what the detector finds, when nothing
+    """Return about the box of a person's shirt, which is what the detector finds, when nothing
     hides it.
     """
     thing: Thing = scene.stage.things[person]

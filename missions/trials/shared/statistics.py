@@ -122,7 +122,7 @@ def median(values: Array) -> float:
 
 
 def rms(values: Array | Sequence[float]) -> float:
-    """Returns nan without any."""
+    """Return nan without any."""
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan
 
 

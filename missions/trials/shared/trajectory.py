@@ -311,7 +311,7 @@ class _Problem:
         weights: Array,
         rng: np.random.Generator,
     ) -> list[_TrajectoryFit]:
-        """Returns where one step leads when each block of time counts as often as it is drawn.
+        """Return where one step leads when each block of time counts as often as it is drawn.
 
         How sure the solution is.
         """
@@ -357,7 +357,7 @@ def _solved(normal: Array, gradient: Array) -> Array:
 
 
 def _hats(t: Array, wander_s: float | None) -> Array:
-    """Returns each knot's share in the shift at an instant, (n, knots)."""
+    """Return each knot's share in the shift at an instant, (n, knots)."""
     if wander_s is None:
         return np.ones((len(t), 1))
     knots = max(2, 1 + round((t.max() - t.min()) / wander_s))
@@ -389,7 +389,7 @@ def _scale(residuals: Array) -> float:
 
 
 def huber(residuals: Array, scale: float) -> Array:
-    """Returns the weight of each of the residuals (n, 3), (n,), by its length over a deviation per
+    """Return the weight of each of the residuals (n, 3), (n,), by its length over a deviation per
     axis.
     """
     length = np.linalg.norm(residuals, axis=1) / (math.sqrt(3.0) * scale)

@@ -148,7 +148,7 @@ class _FitState:
     measured: Statistics | None = None  # of these residuals, once asked for
 
     def copy(self) -> _FitState:
-        """Returns a copy with unknowns of its own."""
+        """Return a copy with unknowns of its own."""
         return replace(
             self,
             theta=self.theta.copy(),
@@ -333,14 +333,14 @@ def _fit_ideal(state: _FitState, ideal: bool, few: bool = False) -> bool:
 
 
 def _misfits(state: _FitState) -> bool:
-    """Returns whether an ideal print and camera fail to explain the image: to be asked near the end
+    """Return whether an ideal print and camera fail to explain the image: to be asked near the end
     of their fit.
     """
     return not _explained(state) or state.share_used < SHARE_USED
 
 
 def _explained(state: _FitState) -> bool:
-    """Returns whether an ideal print and camera leave little of the pixels that count, whatever
+    """Return whether an ideal print and camera leave little of the pixels that count, whatever
     lies across others.
     """
     return state.misfit < MISFIT and state.correlated_misfit < CORRELATED_MISFIT
@@ -357,14 +357,14 @@ def _settled(state: _FitState) -> _FitState | None:
 
 
 def _is_wrong(state: _FitState) -> bool:
-    """Returns whether it can be told already that something other than what lies across the print
+    """Return whether it can be told already that something other than what lies across the print
     is not ideal.
     """
     return _misfits(state) and state.share_used > SHARE_USED
 
 
 def _filter_pays(state: _FitState) -> bool:
-    """Returns whether a filter betters a pose: of a large marker only where much is wrong."""
+    """Return whether a filter betters a pose: of a large marker only where much is wrong."""
     much = state.misfit > STRONG_MISFIT or state.correlated_misfit > STRONG_CORRELATED_MISFIT
     return much or state.area_px2 < LARGE_PX**2
 

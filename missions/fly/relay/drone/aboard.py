@@ -77,7 +77,7 @@ class Aboard:
     # --- sessions ---
 
     async def _open(self, stack: AsyncExitStack) -> Parts:
-        """Opens the parts once for the whole flight. To them a drone is always the one that sees
+        """Open the parts once for the whole flight. To them a drone is always the one that sees
         the other's marker.
         """
         context = self._context(Role.RECEIVER)

@@ -43,7 +43,7 @@ class DroneFlight(Aboard):
     """
 
     async def run(self) -> RoleResult:
-        """Raises PartError when a part cannot be opened."""
+        """Raise PartError when a part cannot be opened."""
         async with AsyncExitStack() as stack:
             self._parts = await self._open(stack)
             if self._parts.vehicle.state.armed:
@@ -62,7 +62,7 @@ class DroneFlight(Aboard):
         return await self._look_for(session, holder, holder.find)
 
     async def _look_for(self, session: RoleSession, holder: Holder, course: Course) -> RoleResult:
-        """Finds its target: for the first time, or once more instead of coming home, when nobody
+        """Find its target: for the first time, or once more instead of coming home, when nobody
         has it any more.
         """
         end = await run_course(session, course)
@@ -90,7 +90,7 @@ class DroneFlight(Aboard):
     async def _change_role(
         self, session: RoleSession, flown: Holder | Relief, link: AsyncExitStack | None = None
     ) -> RoleResult:
-        """Flies on as a sender: from here on this drone is responsible by its own record, follows
+        """Fly on as a sender: from here on this drone is responsible by its own record, follows
         and hands over.
         """
         try:
@@ -148,7 +148,7 @@ class DroneFlight(Aboard):
     async def _end(
         self, session: RoleSession, flown: Holder | Relief, end: MissionEnd | None
     ) -> RoleResult:
-        """Raises _TurnsBack for a drone that is not to come home."""
+        """Raise _TurnsBack for a drone that is not to come home."""
         landed = False
         flies_on = False
         try:

@@ -23,7 +23,7 @@ EPOCHS = 8
 
 
 def as_holder(kept: Kept | None) -> SenderRecord:
-    """Returns the record of a drone that is responsible from now on, and will hand over.
+    """Return the record of a drone that is responsible from now on, and will hand over.
 
     What it held, or was first to find, is its own.
 
@@ -36,7 +36,7 @@ def as_holder(kept: Kept | None) -> SenderRecord:
 
 
 def for_leg(kept: Kept | None, number: int) -> SenderRecord:
-    """Returns the record of a responsible drone whose relief has been called, before anything is
+    """Return the record of a responsible drone whose relief has been called, before anything is
     said to it.
 
     Raises ValueError for a record of a drone that has nothing to hand over.
@@ -46,7 +46,7 @@ def for_leg(kept: Kept | None, number: int) -> SenderRecord:
 
 
 def as_relief(kept: Kept | None) -> ReceiverRecord:
-    """Returns the record of a drone on the ground that is called.
+    """Return the record of a drone on the ground that is called.
 
     Nothing is its own, and of what it handed over nothing is taken back. What it held when its
     program died has long been given to another drone.
@@ -58,12 +58,12 @@ def as_relief(kept: Kept | None) -> ReceiverRecord:
 
 
 def as_first(kept: Kept | None) -> SenderRecord:
-    """Returns the record of a drone that is to find the target, which nobody has: nothing is its
+    """Return the record of a drone that is to find the target, which nobody has: nothing is its
     own yet.
     """
     return SenderRecord() if kept is None else SenderRecord(kept.record.epoch)
 
 
 async def write(store: RecordStore, record: Record) -> None:
-    """Writes a record, and returns when the disk has it. Raises StateError."""
+    """Write a record, and return when the disk has it. Raises StateError."""
     await asyncio.wrap_future(store.begin_save(record))

@@ -35,7 +35,7 @@ class Conduct(Protocol):
     def entry_m(self) -> float: ...
 
     async def watch_battery(self, holder: Holder, *, ask: bool) -> None:
-        """Watches the battery for ever. Raises MissionEnd(NO_RELIEF) when it is time to go home."""
+        """Watch the battery for ever. Raises MissionEnd(NO_RELIEF) when it is time to go home."""
         ...
 
     def clear_of_the_failed(
@@ -71,7 +71,7 @@ class Nobody:
     async def __aexit__(self, *_: object) -> None: ...
 
     def send(self, message: Message) -> None:
-        """Drops the message: there is nobody to hear it."""
+        """Drop the message: there is nobody to hear it."""
 
     async def receive(self) -> Received:
         return await asyncio.get_running_loop().create_future()
@@ -101,7 +101,7 @@ class Holder(Sender):
         return self.decided
 
     async def find(self) -> None:
-        """Flies from the ground until the target is tracked."""
+        """Fly from the ground until the target is tracked."""
         session = self._session
         await self._handover.resume()
         await check_own(session)
@@ -110,7 +110,7 @@ class Holder(Sender):
         await self.find_again()
 
     async def find_again(self) -> None:
-        """Flies from wherever it is until the target is tracked."""
+        """Fly from wherever it is until the target is tracked."""
         session = self._session
         await self._conduct.go_out(
             session, lambda: self._view_of(*self._place_to_look_at(session.now_ns()))

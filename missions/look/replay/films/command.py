@@ -28,7 +28,7 @@ KIND = RunKind(FILMS, (REPLAY,), tuple(role.value for role in Role))
 
 
 def replay_films(options: ReplayOptions, file: Path) -> int:
-    """Looks at two films; decides also with other settings, if any are asked for. Raises
+    """Look at two films; decide also with other settings, if any are asked for. Raises
     PartError.
     """
     if options.frames or options.rig is not None:

@@ -134,7 +134,7 @@ class Films:
 
 
 def read_films(file: Path) -> Films:
-    """Raises PartError naming what is missing or cannot be: keys, files, sizes, stamps that do not
+    """Raise PartError naming what is missing or cannot be: keys, files, sizes, stamps that do not
     overlap.
     """
     try:

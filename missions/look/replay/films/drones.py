@@ -79,7 +79,7 @@ class FilmedSender:
         begin(log, films, config, Role.SENDER)
 
     def look(self, view: View) -> Target | None:
-        """Returns D1's message about one frame. Raises PartError when the target is not where it
+        """Return D1's message about one frame. Raises PartError when the target is not where it
         was picked.
         """
         stamp_ns = view.stamp_ns
@@ -169,7 +169,7 @@ class FilmedReceiver:
         self._log.write("/heard_target", now_ns, heard_target_record(target, target.capture_ns))
 
     def look(self, view: View) -> Candidate | None:
-        """Returns D2's message about one frame."""
+        """Return D2's message about one frame."""
         stamp_ns = view.stamp_ns
         side = self._side
         log = self._log
@@ -197,7 +197,7 @@ class FilmedReceiver:
 
 
 def begin(log: Log, films: Films, config: MissionConfig, role: Role) -> None:
-    """Writes the records that a program's log begins with."""
+    """Write the records that a program's log begins with."""
     log.write("/setup", films.begin_ns, setup_record(films.rig, role, config))
     log.write("/attempt", films.begin_ns, attempt_record(_attempt(config)))
 
@@ -212,7 +212,7 @@ def _holds(box: Box, pixel: tuple[float, float]) -> bool:
 
 
 def _places(boxes: Sequence[Box]) -> str:
-    """Returns the places where things are seen, for whoever picks one."""
+    """Return the places where things are seen, for whoever picks one."""
     if not boxes:
         return "nothing is seen"
     return "seen at " + ", ".join(

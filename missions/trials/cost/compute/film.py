@@ -140,7 +140,7 @@ def camera_of(rig: Rig, role: Role, size: str) -> CameraModel:
 
 
 def _stage(phase: float, count: int) -> RenderedInstant:
-    """Returns the stage at a share of the period of the swaying, which has so many frames."""
+    """Return the stage at a share of the period of the swaying, which has so many frames."""
     turn = 2.0 * math.pi * phase
     sway_m = SWAY_MPS2 * (count * PERIOD_NS * 1e-9 / (2.0 * math.pi)) ** 2
     poses: dict[Role, Pose] = {}
@@ -156,7 +156,7 @@ def _stage(phase: float, count: int) -> RenderedInstant:
 
 
 def _velocity(role: Role, instant: float, count: int) -> Vec3:
-    """Returns a velocity in ``n``, m/s, at an instant in frames, of a film that repeats after
+    """Return a velocity in ``n``, m/s, at an instant in frames, of a film that repeats after
     ``count`` of them.
     """
     before, after = (

@@ -286,7 +286,7 @@ class PathPair:
 
 
 def _with_sums(us: dict[str, float]) -> dict[str, float]:
-    """Returns the times with the sums of the stages, and the rest of the marker's time by its
+    """Return the times with the sums of the stages, and the rest of the marker's time by its
     parts.
     """
     for name, stages in SUMS.items():
@@ -297,6 +297,6 @@ def _with_sums(us: dict[str, float]) -> dict[str, float]:
 
 
 def _around(box: Box) -> Region:
-    """Returns the region in which a drone that tracks a box looks for it in the next frame."""
+    """Return the region in which a drone that tracks a box looks for it in the next frame."""
     u, v = box.center
     return Region(u - box.w, v - box.w, u + box.w, v + box.w)

@@ -29,7 +29,7 @@ class Stopwatch:
     def __call__(
         self, stage: str, call: Callable[P, R], *arguments: P.args, **options: P.kwargs
     ) -> R:
-        """Returns the call's value, timed as a stage."""
+        """Return the call's value, timed as a stage."""
         begin_ns = busy_ns()
         result = call(*arguments, **options)
         self.us[stage] = max(0, busy_ns() - begin_ns - self._overhead_ns) / 1e3
@@ -37,7 +37,7 @@ class Stopwatch:
 
 
 def overhead_ns() -> int:
-    """Returns the time that asking for the time twice takes."""
+    """Return the time that asking for the time twice takes."""
     return sorted(-busy_ns() + busy_ns() for _ in range(1001))[500]
 
 

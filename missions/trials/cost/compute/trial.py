@@ -111,7 +111,7 @@ def run(request: TrialRequest) -> TrialResult:
 
 
 def _ratios(timing: Timings, rng: np.random.Generator) -> dict[str, dict[str, float]]:
-    """Returns how many times a baseline's cycle costs what PATH does: medians, interval by
+    """Return how many times a baseline's cycle costs what PATH does: medians, interval by
     resampling blocks.
     """
     found: dict[str, dict[str, float]] = {}
@@ -172,7 +172,7 @@ def _budget_findings(
 
 
 def _log_finding(timing: Timings, size: str, number: int) -> TrialFinding:
-    """Returns how much of a cycle goes into its log."""
+    """Return how much of a cycle goes into its log."""
     share = timing.median_ms(f"d{number}_log") / timing.median_ms(f"d{number}_cycle")
     return TrialFinding(
         f"log of D{number}, {size}, share of its cycle", f"{share:.3f}", "of medians", "", f"≤ {LOG_GOAL:g}",

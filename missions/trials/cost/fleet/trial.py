@@ -83,7 +83,7 @@ def check(rig: Rig) -> None:
 
 
 def run(request: TrialRequest) -> TrialResult:
-    """Raises PartError for a rig without a team."""
+    """Raise PartError for a rig without a team."""
     if not request.quick:
         _fly(request, FIRST, "first")
     sizes = request.work.steps("teams", QUICK if request.quick else SIZES)
@@ -136,7 +136,7 @@ def _fly(request: TrialRequest, size: TeamSize, name: str) -> TeamCost:
 
 
 def cost_of(summary: dict[str, Any]) -> TeamCost:
-    """Returns what a team's ``summary.json`` says of its cost."""
+    """Return what a team's ``summary.json`` says of its cost."""
     return TeamCost(
         drones=summary["drones"],
         targets=summary["targets"],
@@ -152,7 +152,7 @@ def cost_of(summary: dict[str, Any]) -> TeamCost:
 
 
 def off_the_middle(teams: Sequence[TeamCost]) -> float:
-    """Returns how far the cheapest and the dearest team are from the middle between them, as a
+    """Return how far the cheapest and the dearest team are from the middle between them, as a
     share of it.
     """
     each = [cost.cpu_s_per_drone_hour for cost in teams]

@@ -275,7 +275,7 @@ class _Side:
 
 
 def a_target(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Target:
-    """Returns a Target with everything it can carry, as in a verification two metres from the
+    """Return a Target with everything it can carry, as in a verification two metres from the
     target.
     """
     x, y, z = rng.normal((0.0, 0.0, 1.0), 0.3).tolist()
@@ -295,7 +295,7 @@ def a_target(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Target:
 
 
 def a_candidate(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Candidate:
-    """Returns a Candidate with box and pose."""
+    """Return a Candidate with box and pose."""
     w, x, y, z = rng.standard_normal(4).tolist()
     norm = float(np.linalg.norm((w, x, y, z)))
     rotation: Quat = (w / norm, x / norm, y / norm, z / norm)

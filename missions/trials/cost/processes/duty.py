@@ -75,7 +75,7 @@ class _Now:
 
 
 def read(folder: Path) -> Responsibility:
-    """Reads the responsibility of the run in a folder."""
+    """Read the responsibility of the run in a folder."""
     offsets = _offsets(folder)
     told = list[RoleEvent]()
     commits = list[int]()

@@ -126,7 +126,7 @@ def kills(
     restarts_s: Sequence[float | None],
     out: Path,
 ) -> list[ProcessRun]:
-    """Returns a kill of either side in every phase of its course, and at every record it writes
+    """Return a kill of either side in every phase of its course, and at every record it writes
     down.
 
     The phases' kills come ``phases_s`` after each began. All are without and with being started

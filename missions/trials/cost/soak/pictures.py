@@ -22,7 +22,7 @@ def draw(
     frames: Mapping[Role, Sequence[LogRecord]],
     path: Path,
 ) -> None:
-    """Raises OSError when it cannot be written."""
+    """Raise OSError when it cannot be written."""
     figure, (left, right) = panels(11.0, 4.2, columns=2)
     begin_s = min(taken[0].time_s for taken in samples.values())
     for name, taken in samples.items():

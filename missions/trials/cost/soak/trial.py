@@ -63,7 +63,7 @@ def check(rig: Rig) -> None:
 
 
 def run(request: TrialRequest) -> TrialResult:
-    """Raises PartError where the flight ended before it should."""
+    """Raise PartError where the flight ended before it should."""
     seconds = request.seconds or (QUICK_SECONDS if request.quick else SECONDS)
     rig = _endless(request.rig, seconds, request.out)
     samples, flown = _fly(rig, request, seconds)
@@ -142,7 +142,7 @@ def _fly(rig: Rig, request: TrialRequest, seconds: float) -> tuple[Samples, RunR
 
 
 def growth_mib(taken: Sequence[ProgramSample]) -> float:
-    """Returns how much more memory a program holds at the end than once it had settled."""
+    """Return how much more memory a program holds at the end than once it had settled."""
     held = np.array([sample.private_mib for sample in taken])[int(SETTLED * len(taken)) :]
     quarter = max(1, len(held) // 4)
     return round(float(np.median(held[-quarter:]) - np.median(held[:quarter])), 2)
@@ -184,7 +184,7 @@ def stages_ms(records: Records) -> dict[str, float]:
 
 
 def ages_ms(records: Records) -> dict[str, float]:
-    """Returns the age of frames when their cycle began: over all, and in the first and the last
+    """Return the age of frames when their cycle began: over all, and in the first and the last
     quarter of the time.
     """
     ages = np.array([frame.record["age_ns"] * 1e-6 for frame in _verifying(records, "/frame")])

@@ -125,7 +125,7 @@ def _private_mib(process: int) -> float:
 
 
 def _cpu(process: int) -> Iterator[tuple[str, float]]:
-    """Yields the processor time by thread name; threads of one name together."""
+    """Yield the processor time by thread name; threads of one name together."""
     spent: dict[str, float] = {}
     for task in (PROC / str(process) / "task").iterdir():
         fields = _stat(task)

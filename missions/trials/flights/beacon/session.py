@@ -87,7 +87,7 @@ def fly_session(rig: Rig, seed: int, folder: Path) -> BeaconSession:
 
 
 def _hear_afterwards(rig: Rig, seed: int, folder: Path) -> list[BeaconFix]:
-    """Makes the bytes from the flight's truth in virtual time; what takes them is what takes a
+    """Make the bytes from the flight's truth in virtual time; what takes them is what takes a
     port's.
     """
     if "beacons" not in rig.trials:
@@ -156,7 +156,7 @@ class Listener:
         trace: TracebackType | None,
         /,
     ) -> None:
-        """Raises BeaconError when not one position was heard, or the record is not whole."""
+        """Raise BeaconError when not one position was heard, or the record is not whole."""
         self._stop.set()
         if self._running is not None:
             loop, task = self._running

@@ -100,7 +100,7 @@ def _fly(order: tuple[Rig, int, Path]) -> BeaconSession:
 def _draw(
     session: BeaconSession, flown: RunRecords, measured: SessionErrors, out: Path
 ) -> float | None:
-    """Draws both pictures; returns the error of the clock's offset where it is known."""
+    """Draw both pictures; return the error of the clock's offset where it is known."""
     truth = truth_of(flown.world)
     beacons = session.truth
     if truth is None or beacons is None:

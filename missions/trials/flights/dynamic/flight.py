@@ -89,7 +89,7 @@ def fly(order: FlightOrder) -> FlownSession:
 
 
 def reference_of(rig: Rig) -> Reference:
-    """Raises PartError for a rig without beacons."""
+    """Raise PartError for a rig without beacons."""
     if rig.reference is None:
         raise PartError(
             f"{rig.where('[reference]')}: missing table",
@@ -259,7 +259,7 @@ def _instant_ns(fix: BeaconFix) -> int:
 
 
 def between(of: Trajectory, base: Trajectory) -> tuple[Trajectory, Array]:
-    """Returns the way from one beacon to another at the other's instants, and its noise.
+    """Return the way from one beacon to another at the other's instants, and its noise.
 
     The noise is in variances of one position, (n,).
     """

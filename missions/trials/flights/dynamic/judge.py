@@ -151,7 +151,7 @@ def judge(order: tuple[FlownSession, Rig]) -> HarnessVerdict:
 
 
 def offset_error_s(measured: SessionErrors, beacons: BeaconTruth, truth: Truth) -> float:
-    """Returns the error of the offset between the receiver's clock and the listener's, as the
+    """Return the error of the offset between the receiver's clock and the listener's, as the
     harness set them.
     """
     return (
@@ -253,7 +253,7 @@ def _yaw_error(frame: Alignment, beacons: BeaconTruth) -> float:
 
 
 def true_places(judged: HarnessVerdict) -> Callable[[str, Array], Array]:
-    """Returns a body's true places in the beacons' frame, (n, 3), by instants of the receiver's
+    """Return a body's true places in the beacons' frame, (n, 3), by instants of the receiver's
     clock.
     """
     truth = truth_of(load_run(judged.flown.folder).world)

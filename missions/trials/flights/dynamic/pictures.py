@@ -31,7 +31,7 @@ OF = {"d2": "receiver", "target": "target"}
 def draw_map(
     judged: SessionErrors, file: Path, true_place: Callable[[str, Array], Array] | None = None
 ) -> None:
-    """Draws from above what beacons and PATH say, in the beacons' frame and around D1.
+    """Draw from above what beacons and PATH say, in the beacons' frame and around D1.
 
     Args:
         true_place: where a body truly was in the beacons' frame, (n, 3), at instants of the

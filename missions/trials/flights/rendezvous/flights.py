@@ -113,9 +113,7 @@ def fly(asked: RendezvousOrder) -> RendezvousResult:
 
 
 def _entered(run: RunRecords, phase: Phase) -> float | None:
-    """Returns when the receiver first entered a phase, on its own clock, s; None when it did
-    not.
-    """
+    """Return when the receiver first entered a phase, on its own clock, s; None when it did not."""
     of = (
         one.stamp_ns for one in run.receiver.get("/phase", ()) if one.record["phase"] == phase.title
     )
@@ -150,7 +148,7 @@ def _in_ellipsoids(place: _Place, separation: SeparationConfig) -> float:
 
 
 def _in_cone_s(places: Sequence[_Place], separation: SeparationConfig) -> float:
-    """Returns how long one was in the downwash of the other, s."""
+    """Return how long one was in the downwash of the other, s."""
     slope = math.tan(math.radians(separation.downwash_half_angle_deg))
     cone_s = 0.0
     before_s = math.inf
@@ -165,7 +163,7 @@ def _in_cone_s(places: Sequence[_Place], separation: SeparationConfig) -> float:
 def _way(
     run: RunRecords, places: Sequence[_Place], began_s: float | None, arrived_s: float | None
 ) -> tuple[Vec3, ...]:
-    """Returns the way from the stand-off's beginning until it verifies, or for as long as both
+    """Return the way from the stand-off's beginning until it verifies, or for as long as both
     fly.
     """
     if began_s is None or not run.world.get("/scene"):
@@ -184,7 +182,7 @@ def _from_heading(place: _Place) -> Vec3:
 
 
 def separations_m(flown: Sequence[RendezvousResult]) -> list[float]:
-    """Returns the separations of the missions in which both flew."""
+    """Return the separations of the missions in which both flew."""
     return [one.separation_m for one in flown if one.separation_m is not None]
 
 

@@ -19,7 +19,7 @@ WAYS = 150  # drawn at most
 
 
 def draw(flown: Sequence[RendezvousResult], separation: SeparationConfig, path: Path) -> None:
-    """Raises OSError when it cannot be written."""
+    """Raise OSError when it cannot be written."""
     figure, (left, right) = panels(11.0, 5.0, columns=2)
     _ways(left, flown[:WAYS], separation)
     together_m = separations_m(flown)

@@ -153,7 +153,7 @@ def _times(flown: Sequence[RendezvousResult]) -> TrialTable:
 
 
 def _conditions(rig: Rig) -> tuple[tuple[str, ...], ...]:
-    """Returns the conditions in the rig's own tables."""
+    """Return the conditions in the rig's own tables."""
     world = rig.world
     mission = mission_of(rig)
     apart = world.get("position_offset", {})

@@ -68,7 +68,7 @@ def _blocks(series: Series, method: MethodConfig) -> Blocks:
 
 
 def mean_strength(series: Series, method: MethodConfig) -> float:
-    """Returns the mean strength of all pairs whose boxes were compared, as the gate takes it."""
+    """Return the mean strength of all pairs whose boxes were compared, as the gate takes it."""
     pairs = series.kind == PAIR
     if np.sum(pairs) < ENOUGH_PAIRS:
         return float("nan")

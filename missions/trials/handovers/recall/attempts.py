@@ -125,7 +125,7 @@ def judge(runner: HandoverRunner, method: MethodConfig, order: AttemptOrder) -> 
 
 
 def can_complete(gate: Gate, method: MethodConfig, series: Series, faults: FaultyFrames) -> bool:
-    """Returns whether a gate that was told a series may be complete before the attempt's limit.
+    """Return whether a gate that was told a series may be complete before the attempt's limit.
 
     The run under way may go on, or another begin with what is captured next. "count" needs a
     stretch of frames for it in which both detectors see the target and nothing else.
@@ -142,7 +142,7 @@ def can_complete(gate: Gate, method: MethodConfig, series: Series, faults: Fault
 
 
 def stays_far(series: Series) -> bool:
-    """Returns whether D2, which sees only another object, has seen it nowhere near the target for
+    """Return whether D2, which sees only another object, has seen it nowhere near the target for
     long enough.
 
     The offset of its box wavers by 0.01 m (docs/gates.md); "evidence" and "likelihood" let no mean
@@ -154,7 +154,7 @@ def stays_far(series: Series) -> bool:
 
 
 def shortest_s(method: MethodConfig) -> float:
-    """Returns from the first to the last frame of the shortest run with which the gate can be
+    """Return from the first to the last frame of the shortest run with which the gate can be
     complete.
     """
     if method.gate == "count":

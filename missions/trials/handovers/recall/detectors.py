@@ -130,7 +130,7 @@ def with_detector(series: Series, faults: FaultyFrames, method: MethodConfig) ->
 
 
 def _silent(series: Series, missed_1: Flags, before: Whole, method: MethodConfig) -> Flags:
-    """Returns where D2 has no target that is new enough to carry on."""
+    """Return where D2 has no target that is new enough to carry on."""
     seen = np.where(missed_1, -1, np.arange(len(missed_1)))
     newest = np.maximum.accumulate(seen)[before]
     period_s = float(np.median((series.own[:, 3] - series.own[:, 1])[series.kind == PAIR])) * 1e-9

@@ -92,7 +92,7 @@ def _by_opencv(
 
 @cache
 def _detector(dictionary: str, refinement: int) -> cv2.aruco.ArucoDetector:
-    """Returns a detector with the parameters that the project's own detection uses."""
+    """Return a detector with the parameters that the project's own detection uses."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = WINDOW_PX
     parameters.perspectiveRemoveIgnoredMarginPerCell = 0.25

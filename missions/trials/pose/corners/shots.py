@@ -84,7 +84,7 @@ def shoot(shooting: CornerSeries) -> list[CornerShot]:
 
 
 def _predicted(true_px: Matrix, rng: np.random.Generator) -> Region:
-    """Returns the region in which flight would look for the marker."""
+    """Return the region in which flight would look for the marker."""
     low = true_px.min(axis=0)
     high = true_px.max(axis=0)
     extent = float((high - low).max())
@@ -96,7 +96,7 @@ def _predicted(true_px: Matrix, rng: np.random.Generator) -> Region:
 
 
 def _expected(T_c_v: Pose, seed: int, number: int) -> Pose:
-    """Returns the pose that flight would expect."""
+    """Return the pose that flight would expect."""
     rng = np.random.default_rng([seed, EXPECTED_STREAM, number])
     return Pose(exp(rng.normal(0.0, OFF_RAD, 3)) @ T_c_v.R, T_c_v.t + rng.normal(0.0, OFF_M, 3))
 

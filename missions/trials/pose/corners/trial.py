@@ -145,7 +145,7 @@ def _findings(scores: Scores, camera: str) -> tuple[TrialFinding, ...]:
 
 
 def _worst(scores: Scores, camera: str) -> tuple[TrialFinding, ...]:
-    """Returns the default method's worst condition, and the honesty of its covariance where that is
+    """Return the default method's worst condition, and the honesty of its covariance where that is
     boldest.
     """
     own = {name: s for name in CONDITIONS if (s := scores[camera, name, "photometric"]) is not None}
@@ -248,7 +248,7 @@ HOW: Mapping[str, str] = {
 
 
 def _departures(condition: Condition) -> tuple[str, str]:
-    """Returns what a condition changes, and how that is applied."""
+    """Return what a condition changes, and how that is applied."""
     plain = CONDITIONS["ideal"]
     changed: list[str] = []
     for value, ideal in ((condition.imaging, plain.imaging), (condition.printing, plain.printing)):

@@ -71,7 +71,7 @@ class AtDepth:
     pose_error: float
 
     def terms(self, law: str) -> Terms:
-        """Returns the terms with the depth term of a law of the depth's error."""
+        """Return the terms with the depth term of a law of the depth's error."""
         camera = nominal_camera()
         T_c2_v = nominal_pose()
         squares = depth_error2(

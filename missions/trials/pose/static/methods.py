@@ -73,7 +73,7 @@ class MethodErrors:
 
 
 def session_seed(seed: int, session: int) -> int:
-    """Returns the seed of a session's errors, which are the same in all configurations."""
+    """Return the seed of a session's errors, which are the same in all configurations."""
     return int(np.random.SeedSequence([seed, SESSION_STREAM, session]).generate_state(1)[0])
 
 

@@ -149,7 +149,7 @@ def _intervals(
 
 
 def plain_number(value: float | Array) -> float | None:
-    """Returns a number for JSON, which knows no NaN."""
+    """Return a number for JSON, which knows no NaN."""
     return None if math.isnan(value) else float(value)
 
 

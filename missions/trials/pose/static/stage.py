@@ -100,7 +100,7 @@ class Mounts:
 
 
 def with_camera(rig: Rig, layout: MarkerLayout) -> Rig:
-    """Returns the rig as it is in the trial: both drones have its camera, and D1 its marker."""
+    """Return the rig as it is in the trial: both drones have its camera, and D1 its marker."""
     sender, receiver = (replace(rig.role(role), camera=CAMERA) for role in Role)
     return replace(rig, sender=sender, receiver=receiver, layout=layout)
 

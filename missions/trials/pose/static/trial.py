@@ -167,7 +167,7 @@ def _shoot(request: TrialRequest, mounts: Mounts, pipeline: str) -> list[StaticM
 
 
 def _table(request: TrialRequest) -> TrialErrors:
-    """Returns who draws the sessions' errors, with the trial's camera and marker."""
+    """Return who draws the sessions' errors, with the trial's camera and marker."""
     table: TrialErrors = request.part("errors")(with_camera(request.rig, LAYOUT))
     return table
 
@@ -200,7 +200,7 @@ def _judge(
 def _geometry(
     mounts: Mounts, sightings: Sequence[StaticMeasurement]
 ) -> tuple[list[float], list[float], list[float]]:
-    """Returns each configuration's geometry: D2's heading relative to D1's, mean incidence in rad,
+    """Return each configuration's geometry: D2's heading relative to D1's, mean incidence in rad,
     mean side in px.
     """
     headings = [nominal(c, mounts)[2] for c in CONFIGURATIONS]
