@@ -1,7 +1,7 @@
 """What a rig may name in ``[mission]`` and ``[method]``: what a crew measures or chooses there.
 
-Everything else in these tables follows from what was measured (``path-handoff plan`` shows it), or
-is the program's own. A rig that names it is refused, so that nobody believes in a value that says
+What follows from that (``path-handoff plan`` shows it) may be named too, and then holds. The rest is
+the program's own: a rig that names it is refused, so that nobody believes in a value that says
 nothing any more.
 """
 
@@ -32,19 +32,27 @@ MAY_NAME: Mapping[str, str] = {
     "method": "gate hold_frames hold_s target_error mount_sigma_m mount_sigma_deg",
     "method.evidence": "alpha span_m height_m offset_sigma_m",
 }
-"""By table: the keys that a rig may name."""
+"""By table: the settings of a rig."""
 SETTINGS = frozenset(f"{table}.{key}" for table, keys in MAY_NAME.items() for key in keys.split())
 
 
 def check_settings(rig: Rig) -> None:
-    """Raise RigError with every setting that a rig names and no rig may name."""
+    """Raise RigError with everything that a rig names and that is the program's own."""
     known = set(fields_of(MissionConfig, "mission.")) | set(fields_of(MethodConfig, "method."))
     problems = Problems()
     for key in rig.named:
         # What is no field at all is refused, with a suggestion, by whoever decodes the table.
-        if key in known and key not in SETTINGS:
-            problems.add(rig.where(key), _why(key))
+        if key in known and not may_name(key):
+            problems.add(rig.where(key), "no setting of a rig: the program knows it by itself")
     problems.raise_any()
+
+
+def may_name(key: str) -> bool:
+    """Return whether a rig may name a key: a setting, what is derived, or what another table says
+    too.
+    """
+    derived = any(key == each or key.startswith(f"{each}.") for each in DERIVED)
+    return key in SETTINGS or derived or key in STATED_ELSEWHERE
 
 
 def fields_of(kind: type[Any], prefix: str) -> Iterator[str]:
@@ -58,29 +66,18 @@ def fields_of(kind: type[Any], prefix: str) -> Iterator[str]:
             yield f"{prefix}{each.name}"
 
 
-def _why(key: str) -> str:
-    """Return what a crew is told that names what is no setting."""
-    if key in STATED_ELSEWHERE:
-        return f"no setting of a rig: say {STATED_ELSEWHERE[key]}"
-    follows = any(key == each or key.startswith(f"{each}.") for each in DERIVED)
-    said = (
-        "it follows from [target], [drone] and the cameras, and `path-handoff plan` shows it"
-        if follows
-        else "the program knows it by itself"
+STATED_ELSEWHERE = frozenset(
+    (
+        "mission.target.radius_m",
+        "mission.guard.corners_m",
+        "mission.guard.clear_m",
+        "mission.follow.response_s",
+        "mission.separation.horizontal_m",
+        "mission.separation.vertical_m",
+        "mission.clock_uncertainty_s",
+        "method.min_depth_m",
+        "method.max_depth_m",
+        "method.depth_sigma_at_1m_m",
     )
-    return f"no setting of a rig: {said}; leave it out"
-
-
-STATED_ELSEWHERE: Mapping[str, str] = {
-    "mission.target.radius_m": "error_m, a third of it",
-    "mission.guard.corners_m": "[site] corners_m",
-    "mission.guard.clear_m": "[drone] hold_m and [site] position_m",
-    "mission.follow.response_s": "[drone] response_s",
-    "mission.separation.horizontal_m": "[drone] diameter_m",
-    "mission.separation.vertical_m": "[drone] diameter_m",
-    "mission.clock_uncertainty_s": "[link] latency_s",
-    "method.min_depth_m": "[depth] min_m",
-    "method.max_depth_m": "[depth] max_m",
-    "method.depth_sigma_at_1m_m": "[depth] sigma_at_1m_m",
-}
-"""What a crew states in another table."""
+)
+"""Older names of what [drone], [site], [link], [depth] and ``error_m`` say."""
