@@ -47,7 +47,7 @@ class Mutation:
     """One wrong change.
 
     Attributes:
-        file: as in the repository; ``where``: the function, with its class.
+        file: as in the repository; ``where``: the function, with its class, or the constant.
         operator, what: "before -> after", and which one of those in the function when there are
             several.
         node, variant: where in the tree, and which change there.
@@ -129,6 +129,12 @@ def _places(tree: ast.Module) -> Iterator[tuple[int, str, ast.AST]]:
             yield from inside(child, name, now_within)
 
     yield from inside(tree, "", False)
+
+
+def constants(source: str) -> set[str]:
+    """Return the names that a module gives values to when it is imported."""
+    body = ast.parse(source).body
+    return {_constant(each) for each in body if isinstance(each, ast.Assign | ast.AnnAssign)}
 
 
 def _constant(statement: ast.Assign | ast.AnnAssign) -> str:

@@ -315,6 +315,18 @@ def test_what_is_noticed_only_at_import_is_tried_from_the_first_import_on(projec
         assert not came["passed"] and not came["broken"]
 
 
+def test_even_quickly_a_wrong_table_is_imported_with_what_is_made_of_it(project: Path) -> None:
+    (project / "sums.py").write_text("MOST = (1, 2)\n\n\ndef seen(a, b):\n    return a > b\n")
+    (project / "test_sums.py").write_text(
+        "import sums\n\n\ndef test_most():\n    assert sums.MOST == (1, 2)\n"
+    )
+    room = Room("sums", ("sums.py",), ("test_sums.py",))
+    table = Table((room,))
+    every = of_room(table, room, project)
+    tried = score(table, every, 1, project, io.StringIO(), quick=True)
+    assert [one.caught for one in tried] == [True, True, False]
+
+
 def test_a_wrong_kernel_is_compiled_and_tried(project: Path) -> None:
     """What numba cannot keep it does not compile: every wrong kernel would count as noticed, and no
     test be run.

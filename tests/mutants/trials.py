@@ -13,7 +13,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, TextIO
 
-from tests.mutants.operators import Mutation, mutated, rewritten
+from tests.mutants.operators import Mutation, constants, mutated, rewritten
 from tests.mutants.rooms import FileTests, Table, TableError
 
 HERE = Path(__file__).parents[2]
@@ -21,7 +21,8 @@ WITH_THIS = {
     **os.environ,
     "PYTHONPATH": os.pathsep.join([str(HERE), *filter(None, [os.environ.get("PYTHONPATH")])]),
 }
-_SLOWER, _MORE_S = 5.0, 30.0  # than the right code: then a wrong version has hung
+_SLOWER, _MORE_S = 3.0, 10.0  # than the right code: then a wrong version has hung
+_ALONE_S = 20.0  # for one test that has failed or hung
 _COLDER = 3.0  # how much longer a trial may take that imports everything anew
 _SLOW_S = 600.0  # that those may take which are run on what the others do not notice
 _LONGEST_S = 900.0
@@ -87,7 +88,8 @@ class Trials:
 
     A wrong version is put into what is imported already, which takes a moment. Only one that is not
     noticed there, or cannot be put there, is tried again from the first import on, by a server that
-    is started then; with ``quick`` it is a survivor at once, and slow tests are not asked.
+    is started then. With ``quick`` only those are that are made at import, and no slow tests are
+    asked: the others are survivors at once.
     """
 
     def __init__(self, root: Path, jobs: int, tests: Sequence[str], quick: bool = False) -> None:
@@ -111,8 +113,14 @@ class Trials:
         for server in self._servers:
             server.close()
 
-    def trial(self, suite: FileTests, source: str, bound_s: float) -> dict[str, Any]:
-        """Run a trial on the next server that is free."""
+    def trial(
+        self, suite: FileTests, source: str, bound_s: float, *, at_import: bool = False
+    ) -> dict[str, Any]:
+        """Run a trial on the next server that is free.
+
+        Args:
+            at_import: what is wrong shows in what the module makes when it is imported.
+        """
         wrong = {suite.module: source}
         tests = self._cheapest_first(suite)
         server = self._warm.get()
@@ -122,10 +130,11 @@ class Trials:
                 return believed(came, server, wrong, bound_s)
         finally:
             self._warm.put(server)
-        if self._quick and not came["broken"]:
+        if self._quick and not (came["broken"] or at_import):
             return came
-        longer_s = _COLDER * bound_s + (_SLOW_S if suite.slow else 0.0)
-        return self._from_the_first(wrong, (*tests, *suite.slow), longer_s)
+        slow = () if self._quick else suite.slow
+        longer_s = _COLDER * bound_s + (_SLOW_S if slow else 0.0)
+        return self._from_the_first(wrong, (*tests, *slow), longer_s)
 
     def _cheapest_first(self, suite: FileTests) -> list[str]:
         """Order the tests: those of the file's own name, then those that take least."""
@@ -161,7 +170,13 @@ class Trials:
             kinds.setdefault(frozenset(suite.tests), []).append(suite)
 
         def right(alike: list[FileTests]) -> float:
-            anew = {one.module: rewritten((self._root / one.file).read_text()) for one in alike}
+            sources = {one.module: (self._root / one.file).read_text() for one in alike}
+            # what numba compiles cannot be put where it is already
+            anew = {
+                module: rewritten(source)
+                for module, source in sources.items()
+                if "path.compiled" not in source
+            }
             server = self._warm.get()
             try:
                 came = server.trial(anew, alike[0].tests, _LONGEST_S)
@@ -182,8 +197,10 @@ class Trials:
     ) -> Iterator[Tried]:
         def tried(one: tuple[FileTests, Mutation]) -> Tried:
             suite, mutation = one
-            source = mutated((self._root / suite.file).read_text("utf-8"), mutation)
-            came = self.trial(suite, source, bounds_s[suite.file])
+            right = (self._root / suite.file).read_text("utf-8")
+            source = mutated(right, mutation)
+            at_import = mutation.where in constants(right)
+            came = self.trial(suite, source, bounds_s[suite.file], at_import=at_import)
             if came["broken"]:
                 raise TableError(f"the tests of {suite.file} were not run: {came['what']}")
             return Tried(mutation, not came["passed"], by=came["what"], took_s=came["took_s"])
@@ -201,8 +218,8 @@ def believed(
     test = came["what"]
     if came["passed"] or came["broken"] or "::" not in test:
         return came  # no test failed, or none could be imported
-    again = server.trial(wrong, [test], bound_s)
-    right = server.trial({}, [test], bound_s)
+    again = server.trial(wrong, [test], min(bound_s, _ALONE_S))
+    right = server.trial({}, [test], min(bound_s, _ALONE_S))
     came["took_s"] += again["took_s"] + right["took_s"]
     if right["passed"] and not again["passed"]:
         return came

@@ -218,6 +218,15 @@ def test_a_hold_and_a_landing_are_one_packet_each_to_the_autopilot(
     assert all(math.isnan(value) for value in unset) if autopilot == PX4 else unset == [0.0] * 3
 
 
+def test_what_its_port_ignores_is_told_while_it_is_open() -> None:
+    guard = Guard()
+    ignored = {"a second vehicle 7, at 127.0.0.1:2222": 5}
+    cast(Any, guard.port).ignored = ignored
+    assert guard.link.ignored == ignored
+    cast(Any, guard.link)._port = None
+    assert guard.link.ignored == {} and guard.link.view() is None
+
+
 def test_it_says_once_a_second_who_it_is() -> None:
     guard = Guard()
     guard.link.view()

@@ -347,3 +347,192 @@ def test_a_heartbeat_s_rate_can_be_left_alone() -> None:
         )
 
     with_vehicle(main, heartbeat_hz=0.0)
+
+
+# --- opening it, and what the doctor asks
+
+
+class Opened(Bench):
+    """A vehicle whose session opens, and which is asked what it is."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.happened: list[str] = []
+        self.session.open = self._open  # type: ignore[attr-defined]
+        self.session.close = self._close  # type: ignore[attr-defined]
+        self.vehicle._vision = None
+
+    async def _open(self) -> Any:
+        self.happened.append("opens")
+        return ARDUPILOT
+
+    async def _close(self) -> None:
+        self.happened.append("closes")
+
+
+def opened(main: Callable[[Opened], Coroutine[Any, Any, None]], **options: Any) -> None:
+    async def run() -> None:
+        await main(Opened(**options))
+
+    run_virtual(run())
+
+
+def test_a_vehicle_is_open_once_its_attitude_is_heard_and_is_closed_again() -> None:
+    async def main(bench: Opened) -> None:
+        bench.telemetry.attitude = object()  # type: ignore[assignment]
+        async with bench.vehicle as vehicle:
+            assert vehicle is bench.vehicle and vehicle._manoeuvres.kind is ARDUPILOT
+            assert len(bench.session.sent) == 11  # every stream was asked for
+        assert bench.happened == ["opens", "closes"]
+
+    opened(main)
+
+
+def test_a_vehicle_without_an_attitude_is_closed_and_told() -> None:
+    async def main(bench: Opened) -> None:
+        with pytest.raises(VehicleError, match=r"no attitude from vehicle 7 on udpin.* in 10 s"):
+            await bench.vehicle.__aenter__()
+        assert bench.happened == ["opens", "closes"]
+        assert asyncio.get_running_loop().time() == pytest.approx(10.0, abs=0.5)
+
+    opened(main)
+
+
+@pytest.mark.parametrize(
+    ("kind", "height_from", "flies"),
+    [(PX4, "sea_level", False), (PX4, "home", True), (ARDUPILOT, "sea_level", True)],
+)
+def test_positions_are_fed_while_it_is_open_but_not_to_a_px4_that_flies_by_altitude(
+    kind: Any, height_from: Any, flies: bool
+) -> None:
+    async def main(bench: Opened) -> None:
+        fed: list[str] = []
+
+        async def run() -> None:
+            fed.append("feeds")
+            try:
+                await asyncio.sleep(1e6)
+            finally:
+                fed.append("ends")
+
+        async def open_it() -> Any:
+            return kind
+
+        bench.session.open = open_it  # type: ignore[attr-defined]
+        bench.telemetry.attitude = object()  # type: ignore[assignment]
+        bench.vehicle._vision = SimpleNamespace(run=run)
+        if not flies:
+            with pytest.raises(VehicleError, match="without GPS knows no altitude"):
+                await bench.vehicle.__aenter__()
+            assert fed == []
+            return
+        async with bench.vehicle:
+            await asyncio.sleep(1.0)
+            assert fed == ["feeds"]
+        assert fed == ["feeds", "ends"] and bench.happened == ["closes"]
+
+    opened(main, height_from=height_from)
+
+
+@pytest.mark.parametrize("firmware", [None, "1.17.0"])
+def test_the_doctor_is_told_what_it_is_what_it_waits_for_and_what_it_says(
+    firmware: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def main(bench: Opened) -> None:
+        telemetry = bench.telemetry
+        telemetry.firmware = firmware  # type: ignore[assignment]
+        telemetry.lacking = ("home position", "arming checks")
+        telemetry.texts = ["old", "one", "two", "three"]
+        stamped = SimpleNamespace(arrival_ns=5)
+        telemetry.attitude, telemetry.position = stamped, None  # type: ignore[assignment]
+        asked: list[tuple[Any, ...]] = []
+
+        async def counted(streams: Any, rate_hz: float, fix: str) -> list[Any]:
+            asked.append(({name: look() for name, look in streams.items()}, rate_hz))
+            return []
+
+        monkeypatch.setattr("drivers.mavlink.vehicle.counted", counted)
+        first, waits, says = await bench.vehicle.examine()
+        known = f"firmware {firmware}" if firmware else "that does not tell its firmware"
+        assert (first.state, first.name) == ("ok", "autopilot")
+        assert first.detail == f"px4, {known}, system id 7"
+        assert (waits.state, waits.detail) == ("note", "home position, arming checks")
+        assert (says.state, says.detail) == ("note", "one | two | three")
+        assert asked == [({"attitude": 5, "position": None}, 40.0)]
+        assert bench.session.sent == [(512, (148,), 3)]
+        telemetry.lacking, telemetry.texts = (), []
+        assert len(await bench.vehicle.examine()) == 1
+        timeout_s = 0.0 if firmware else 2.0 * bench.vehicle._config.command_timeout_s
+        assert asyncio.get_running_loop().time() == pytest.approx(timeout_s, abs=0.2)
+
+    opened(main, telemetry_hz=40.0)
+
+
+@pytest.mark.parametrize(
+    ("heard", "below", "trouble", "wrong", "said"),
+    [
+        (False, None, "", "orientation 25", ""),
+        (True, None, "too near", "", "nothing at present: too near"),
+        (True, None, "", "", "its newest word is old"),
+        (True, SimpleNamespace(distance_m=1.234), "", "", "1.23 m above the ground"),
+    ],
+)
+def test_a_rangefinder_is_listened_for(
+    heard: bool, below: Any, trouble: str, wrong: str, said: str
+) -> None:
+    async def main(bench: Opened) -> None:
+        asked: list[int] = []
+
+        def at(now_ns: int) -> Any:
+            asked.append(now_ns)
+            return below
+
+        own: Any = SimpleNamespace(heard=heard, at=at, trouble=trouble)
+        bench.telemetry.rangefinder = own  # type: ignore[attr-defined]
+        fault, found = await bench.vehicle.rangefinder(2.0)
+        assert (wrong in fault) if wrong else fault == ""
+        assert (said in found) if said else found == ""
+        assert asked == ([bench.telemetry.clock.now_ns()] if heard else [])
+        waited_s = asyncio.get_running_loop().time()
+        assert waited_s == pytest.approx(0.0 if heard else 2.0, abs=0.1)
+
+    opened(main)
+
+
+def test_positions_are_fed_by_the_rig_s_own_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[tuple[Any, ...]] = []
+
+    def feed(*args: Any) -> str:
+        made.append(args)
+        return "a feed"
+
+    monkeypatch.setattr("drivers.mavlink.vehicle.VisionFeed", feed)
+    vision: Any = SimpleNamespace()
+    config = MavsdkVehicleConfig(url="udpin://127.0.0.1:14540", sysid=SYSID)
+    object.__setattr__(config, "vision", vision)
+    vehicle: Any = MavsdkVehicle(config, CONTEXT)
+    assert vehicle._vision == "a feed"
+    assert made == [(vision, CONTEXT, vehicle._session, vehicle._telemetry)]
+    assert vehicle._telemetry._without_gps
+
+
+def test_an_age_of_telemetry_is_the_flight_s_own_once_it_is_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[float] = []
+
+    def too_slow(_arrivals: object, _now_ns: int, oldest_s: float) -> str:
+        asked.append(oldest_s)
+        return ""
+
+    monkeypatch.setattr("drivers.mavlink.vehicle.too_slow", too_slow)
+    config = MavsdkVehicleConfig(url="udpin://127.0.0.1:14540", sysid=SYSID)
+
+    async def main() -> None:
+        vehicle: Any = MavsdkVehicle(config, CONTEXT)
+        vehicle._too_slow()
+        vehicle.expect_telemetry(0.3)
+        vehicle._too_slow()
+
+    run_virtual(main())
+    assert asked == [0.5, 0.3]

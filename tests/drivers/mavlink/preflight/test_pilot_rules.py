@@ -71,6 +71,15 @@ def test_what_keeps_a_pilot_out_of_a_vehicle(
     assert why in told
 
 
+@pytest.mark.parametrize("channel", range(5, 17))
+def test_any_channel_may_be_the_switch_that_stops_the_motors(channel: int) -> None:
+    first = {**COPTER_GOOD, "RC7_OPTION": 0.0, "FLTMODE_CH": 1.0, "FS_THR_ENABLE": 1.0}
+    assert kept_out(ARDUPILOT, {**first, f"RC{channel}_OPTION": 31.0}) == []
+    assert f"RC{channel}_OPTION" in names_of(ARDUPILOT)
+    assert len(names_of(ARDUPILOT)) == 16
+    assert kept_out(PX4, {**PX4_GOOD, "RC_MAP_FLTMODE": 1.0, "RC_MAP_KILL_SW": 1.0}) == []
+
+
 def test_no_rig_asks_for_a_value_that_keeps_a_pilot_out() -> None:
     files = sorted((Path(rig_library.__file__).parent / "rigs").glob("*.toml"))
     assert len(files) > 20
@@ -128,3 +137,56 @@ def test_the_fence_is_never_inside_the_scripts() -> None:
         plan = plan_fence(PX4, PX4_OFF, FENCE, (away_m, 0.0, 0.4))
         assert plan.set_to["GF_MAX_HOR_DIST"] >= FENCE.radius_m + away_m + 3.0
         assert plan.set_to["GF_MAX_VER_DIST"] >= math.floor(FENCE.height_m + 0.4 + 3.0)
+
+
+@pytest.mark.parametrize(
+    ("stands_n_m", "outside"),
+    [
+        ((0.0, 24.9, 0.0), False),
+        ((0.0, 25.0, 0.0), True),
+        ((-15.0, 20.0, 0.0), True),
+        ((0.0, 0.0, -5.9), False),
+        ((0.0, 0.0, -6.0), True),
+    ],
+)
+def test_it_must_stand_inside_the_script_s_fence(
+    stands_n_m: tuple[float, float, float], outside: bool
+) -> None:
+    problems = plan_fence(PX4, PX4_OFF, FENCE, stands_n_m).problems
+    assert bool(problems) is outside
+    assert all("it stands outside" in each for each in problems)
+
+
+@pytest.mark.parametrize(
+    ("radius_m", "set_to", "inside"),
+    [
+        (24.9, {}, True),
+        (25.0, {}, False),  # a crew's own, as wide as the script's
+        (31.0, {}, False),  # as wide as it would be set, and a step more
+        (31.1, {"GF_MAX_HOR_DIST": 28.0}, False),
+        (1.0, {}, True),
+    ],
+)
+def test_a_fence_is_left_as_long_as_it_is_neither_inside_the_script_s_nor_far_wider(
+    radius_m: float, set_to: dict[str, float], inside: bool
+) -> None:
+    found = {"GF_MAX_HOR_DIST": radius_m, "GF_MAX_VER_DIST": 9.0, "GF_ACTION": 2.0}
+    plan = plan_fence(PX4, found, FENCE, (0.0, 0.0, 0.0))
+    assert plan.set_to == set_to and bool(plan.problems) is inside
+
+
+@pytest.mark.parametrize(
+    ("bits", "set_to"),
+    [
+        (3.0, {}),
+        (1.0, {"FENCE_RADIUS": 28.0, "FENCE_TYPE": 3.0}),
+        (2.0, {"FENCE_ALT_MAX": 9.0, "FENCE_TYPE": 3.0}),
+        (6.0, {"FENCE_ALT_MAX": 9.0, "FENCE_TYPE": 7.0}),
+    ],
+)
+def test_a_ceiling_or_a_circle_that_is_not_switched_on_is_none(
+    bits: float, set_to: dict[str, float]
+) -> None:
+    found = {"FENCE_RADIUS": 28.0, "FENCE_ALT_MAX": 9.0, "FENCE_ACTION": 1.0, "FENCE_ENABLE": 1.0}
+    plan = plan_fence(ARDUPILOT, {**found, "FENCE_TYPE": bits}, FENCE, (0.0, 0.0, 0.0))
+    assert plan.set_to == set_to and plan.problems == ()
