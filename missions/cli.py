@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
+from dataclasses import replace
 from functools import reduce
 from io import StringIO
 from operator import or_
@@ -228,6 +229,7 @@ def run(command: object) -> int:
         lines = [f"--{name.replace('_', '-')}: {what}" for name, what in wrong]
         raise PartError("\n".join(lines), "give a number that is within these bounds")
     _refuse_endless(command)
+    command = _with_rig(command)
     have_temporary_folder()
     have_kernel_cache()
     of = {options.partition(":")[2]: module for options, module in COMMANDS.values()}
@@ -235,6 +237,39 @@ def run(command: object) -> int:
     with collector_off():
         module = importlib.import_module(f"missions.{of[type(command).__name__]}")
     return module.run(command)
+
+
+def _with_rig(command: Any) -> object:
+    """Return the command with its rig under one name, instead of a name and options beside it.
+    Raises PartError for options beside a rig's file, which says these things itself.
+
+    A name that says options is understood as before, and the options are told.
+    """
+    from missions.ground.options.words import RigChoice  # noqa: PLC0415
+
+    if not isinstance(command, RigChoice):
+        return command
+    name: str = command.rig  # type: ignore[attr-defined]
+    given = command.level or command.autopilot or command.light
+    if name.endswith(".toml") or os.sep in name:
+        if given:
+            from drivers.interfaces import PartError  # noqa: PLC0415
+
+            raise PartError(
+                f"{name} says its level, its autopilot and its pictures itself",
+                f"leave out --level, --autopilot and --light; `path-handoff rehearse {name} "
+                "--level sim` flies a rig of the field in the harness",
+            )
+        return command
+    from drivers.rig.choice import LEVELS, Choice  # noqa: PLC0415
+
+    asked = Choice.of(name)
+    if given:
+        asked = asked.but_for(command.level, command.autopilot, command.light)
+        return replace(command, rig=asked.name, level=None, autopilot=None, light=False)
+    if asked.level and asked.name not in LEVELS:
+        sys.stderr.write(f"rig {name}: it is called {asked.options} now\n")
+    return command
 
 
 def _refuse_endless(command: object) -> None:

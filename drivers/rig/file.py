@@ -23,10 +23,8 @@ factory = "drivers.mavlink.vehicle:MavsdkVehicle"
 [sender.operator]                    # may be left out: whoever says which object is meant while D1 is in the air
 [receiver. ...]                      # the same, without mount.marker
 
-``like = "sitl"`` takes all of another rig but what is written; the other one is a name, or a file
-beside this one. A table that says ``factory`` or ``calibration`` is another part and taken as it is
-written, and so is a list; of any other table only the keys that are written differ. Relative paths
-start at the folder of the file that is flown.
+``like``, ``drop`` and ``[both]`` are of ``drivers.rig.read``. Relative paths start at the folder of
+the file that is flown.
 
 A camera may be ``calibration = "d1.camera.toml"`` instead of its numbers, and so may
 ``[sender.mount.marker]``.
@@ -34,7 +32,6 @@ A camera may be ``calibration = "d1.camera.toml"`` instead of its numbers, and s
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -55,19 +52,16 @@ from drivers.rig.facts import (
     LinkFacts,
     SiteFacts,
     TargetFacts,
-    without_derived,
 )
 from drivers.rig.mounts import CalibrationName, CameraMount, MarkerPlace, Vec3, axis_turn
 from drivers.rig.parts import Level, Mount, Origin, PartSpec, Reference, Rig, RoleRig
-from drivers.rig.tables import RigError, decode_table, read_toml, suggestion
-from drivers.text_file import is_file
+from drivers.rig.read import find_rig, read_rig
+from drivers.rig.tables import RigError, decode_table
 from path.bounds import Bounds
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.geometry.transforms import Pose
 from path.marker.layout import Marker, MarkerLayout
-
-_WHOLE = frozenset(("factory", "calibration"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,74 +213,6 @@ def _check_mount(mount: MountCalibration, rig: _RigTable) -> None:
 
 def _shown(markers: Mapping[int, float]) -> str:
     return ", ".join(f"{i} ({1000.0 * side:g} mm)" for i, side in sorted(markers.items()))
-
-
-def find_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Path:
-    """The TOML file of a rig: a path, or a bare name looked up in the folders of ``search``. Raises
-    RigError.
-    """
-    path = Path(name_or_path)
-    if path.suffix == ".toml" or len(path.parts) > 1:
-        if is_file(path):
-            return path
-        raise RigError([f"{path}: no such rig file"])
-    for folder in search:
-        if is_file(folder / f"{path}.toml"):
-            return folder / f"{path}.toml"
-    names = sorted(file.stem for folder in search for file in folder.glob("*.toml"))
-    raise RigError(
-        [
-            f"no rig named '{path}'{suggestion(str(path), names)}; there are: {', '.join(names) or 'none'}"
-        ],
-        "name one of these, or the path of a rig's .toml file",
-    )
-
-
-def read_rig(path: Path, search: Sequence[Path] = ()) -> dict[str, Any]:
-    """The tables of a rig file, those of the rig that it is like among them; not checked. Raises
-    RigError.
-    """
-    return _read(path, search, ())
-
-
-def _read(path: Path, search: Sequence[Path], after: tuple[Path, ...]) -> dict[str, Any]:
-    try:
-        table = read_toml(path)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise RigError([f"{path.name}: {error}"]) from error
-    if "like" not in table:
-        return table
-    like = table.pop("like")
-    where = f"{path.name}: like"
-    if not isinstance(like, str):
-        raise RigError(
-            [f"{where} is {like!r}; expected the name of a rig, or a rig file beside this one"]
-        )
-    try:
-        other = find_rig(path.parent / like if like.endswith(".toml") else like, search)
-    except RigError as error:
-        raise RigError([f"{where}: {line}" for line in error.problems], error.remedy) from error
-    if other.resolve() in (each.resolve() for each in (*after, path)):
-        raise RigError(
-            [f"{where} = {like!r} leads back to {other.name}"], "let one of them stand on its own"
-        )
-    base = _read(other, search, (*after, path))
-    if "target" in table:
-        # another target: what the other rig says of heights and distances is of its own
-        base = without_derived(base)
-    return _but_for(base, table)
-
-
-def _but_for(base: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
-    """``base`` with what ``own`` says instead."""
-    made = dict(base)
-    for key, value in own.items():
-        before = made.get(key)
-        if isinstance(value, dict) and isinstance(before, dict) and not _WHOLE & value.keys():
-            made[key] = _but_for(before, value)
-        else:
-            made[key] = value
-    return made
 
 
 def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:

@@ -11,8 +11,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from drivers.rig.file import find_rig, read_rig, rig_of
+from drivers.rig.file import rig_of
 from drivers.rig.parts import Rig
+from drivers.rig.read import find_rig, read_rig
 from path.messages import Role
 
 UNMEASURED = "MEASURE"

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from drivers.interfaces import PartError
-from drivers.rig.file import find_rig, read_rig
 from drivers.rig.parts import Rig
+from drivers.rig.read import find_rig, read_rig
 from drivers.rig.toml_text import toml_text
 from flight.config import MissionConfig
 from flight.plan.complete import body_of, room_of

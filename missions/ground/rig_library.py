@@ -13,7 +13,9 @@ from drivers.interfaces import PartError
 from drivers.rig.check import check_rig
 from drivers.rig.file import load_rig
 from drivers.rig.parts import Rig, import_factory
+from drivers.rig.read import find_rig, read_rig
 from drivers.rig.tables import Problems, RigError, decode_table
+from drivers.rig.toml_text import toml_text
 from flight.config import MissionConfig
 from flight.plan.checks import check_plan
 from flight.plan.complete import complete
@@ -60,6 +62,12 @@ def load_unchecked(name_or_path: str) -> Rig:
     rig = load_rig(name_or_path, [FOLDER])
     check_settings(rig)
     return complete(rig)
+
+
+def whole(name_or_path: str) -> str:
+    """Return a rig as the text of one file, with all that it takes of others. Raises RigError."""
+    table = read_rig(find_rig(name_or_path, [FOLDER]), [FOLDER])
+    return toml_text(table, f"The rig {name_or_path}, whole.")
 
 
 def mission_of(rig: Rig) -> MissionConfig:

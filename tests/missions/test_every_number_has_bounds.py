@@ -24,7 +24,7 @@ from flight.harness.fleet import RelayConfig, TeamConfig
 from hil.world.config import WorldConfig
 from missions.field.calibrate.mount import MeasuredMount
 from missions.ground import rig_library
-from missions.ground.rigs import FOLDER
+from missions.ground.rigs import every_name
 from missions.trials.real.set import RealSetFile
 from path.bounds import Bounds, bounds_of, numbers, unit_of
 
@@ -102,6 +102,6 @@ def test_a_number_has_a_unit_and_bounds_that_its_default_is_within(
     assert all(bounds.holds(number) for number in numbers(default) if math.isfinite(number))
 
 
-@pytest.mark.parametrize("rig", sorted(file.stem for file in FOLDER.glob("*.toml")))
+@pytest.mark.parametrize("rig", every_name())
 def test_every_rig_that_is_shipped_passes(rig: str) -> None:
     assert rig_library.load(rig).name

@@ -8,7 +8,7 @@ import pytest
 from hil.geometric.scene import parts_of
 from hil.world.snapshot import TargetKind
 from missions.ground import rig_library
-from missions.ground.rigs import FOLDER
+from missions.ground.rigs import every_name
 from path.config import EvidenceConfig
 from path.gate.evidence import evidence_needed, evidence_of
 
@@ -32,7 +32,7 @@ def test_what_a_rig_says_is_wide_and_high_enough_and_hardly_more(
     assert np.ptp(corners[:, 2]) <= stated.height_m + 0.001 <= 1.5 * np.ptp(corners[:, 2])
 
 
-@pytest.mark.parametrize("name", sorted(file.stem for file in FOLDER.glob("*.toml")))
+@pytest.mark.parametrize("name", every_name())
 def test_a_rig_that_decides_by_evidence_states_the_size_of_its_target(name: str) -> None:
     method = rig_library.load_unchecked(name).method
     assert method.gate == "count" or (
@@ -40,7 +40,7 @@ def test_a_rig_that_decides_by_evidence_states_the_size_of_its_target(name: str)
     )
 
 
-@pytest.mark.parametrize("name", sorted(file.stem for file in FOLDER.glob("*.toml")))
+@pytest.mark.parametrize("name", every_name())
 def test_a_rig_that_takes_weaker_blocks_says_that_they_agree_by_accident_more_often(
     name: str,
 ) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from drivers.rig.file import find_rig, read_rig
+from drivers.rig.read import find_rig, read_rig
 from drivers.rig.toml_text import toml_text
 from hil.camera.shared import folder
 from missions.ground.rigs import FOLDER

@@ -9,7 +9,6 @@ import json
 import math
 from dataclasses import replace
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +57,7 @@ def fly(rig: str, out: Path, seed: int = 1, *faults: str, errors: str | None = N
 
 def rig_with(folder: Path, change: tuple[str, str]) -> str:
     """The rig ``sim`` with something else in its file."""
-    text = resources.files("missions.ground").joinpath("rigs/sim.toml").read_text("utf-8")
+    text = rig_library.whole("sim")
     assert text.count(change[0]) == 1
     (folder / "rig.toml").write_text(text.replace(*change), "utf-8")
     return str(folder / "rig.toml")
@@ -405,7 +404,7 @@ def test_a_marker_of_another_id_is_said_by_its_id(
         )
 
     monkeypatch.setattr(errors, "other_print", printed)
-    text = resources.files("missions.ground").joinpath("rigs/sim-rendered.toml").read_text("utf-8")
+    text = rig_library.whole("sim-rendered")
     assert text.count("[mission.target]") == 1
     impatient = text.replace(
         "[mission.target]", "[mission.deadlines]\nsearch_s = 2.0\n\n[mission.target]"

@@ -14,6 +14,7 @@ from missions.ground.options.words import (
     Live,
     LogFolder,
     OutFolder,
+    RigChoice,
     RigName,
     Slow,
 )
@@ -21,7 +22,7 @@ from path.bounds import Bounds
 
 
 @dataclass(frozen=True, slots=True)
-class RoleOptions:
+class RoleOptions(RigChoice):
     """One drone's side of a handoff, as in the field."""
 
     rig: AnyRig
@@ -56,7 +57,7 @@ class ReceiverOptions(RoleOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class DesignateOptions:
+class DesignateOptions(RigChoice):
     """Tell a D1 in the air which object is meant; without a statement: answer what it asks, from
     this terminal.
     """
@@ -89,7 +90,7 @@ class DesignateOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class GuardOptions:
+class GuardOptions(RigChoice):
     """Watch a vehicle on a link of its own; hold and land it when its script falls silent or a
     limit stays broken.
     """
@@ -123,7 +124,7 @@ class GuardOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class DoctorOptions:
+class DoctorOptions(RigChoice):
     """Check this machine, and a rig without moving anything."""
 
     rig: RigName = "sitl"
@@ -156,7 +157,7 @@ class DoctorOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class PrepareOptions:
+class PrepareOptions(RigChoice):
     """Compile the kernels of a rig now: for images, for services, and before the first flight of a
     day.
     """
@@ -173,6 +174,9 @@ class RigsOptions:
     flight.
     """
 
+    show: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
+    """Write this rig whole, with everything of the rigs that it is like: what to copy from."""
+
     new: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """Write a commented rig for the field into this file, and the key of its link beside it."""
 
@@ -184,7 +188,7 @@ class RigsOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class PlanOptions:
+class PlanOptions(RigChoice):
     """Show what follows from what a rig measured: heights, distances, times, what limits them, what
     to expect.
     """
@@ -198,7 +202,7 @@ class PlanOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class DetectOptions:
+class DetectOptions(RigChoice):
     """Try a detector on a recording: what it finds, and how long it takes."""
 
     frames: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|DIR")]

@@ -22,6 +22,7 @@ from missions.ground.options.words import (
     Live,
     OutFolder,
     Px4Binary,
+    RigChoice,
     RigName,
     RunFolder,
     RunSeed,
@@ -32,7 +33,7 @@ from path.bounds import Bounds
 
 
 @dataclass(frozen=True, slots=True)
-class HandoffOptions:
+class HandoffOptions(RigChoice):
     """Fly a whole handoff: both drones, and the world when the rig has a simulated one."""
 
     rig: AnyRig = "sitl"
@@ -87,7 +88,7 @@ class HandoffOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class HoursOptions:
+class HoursOptions(RigChoice):
     """The options of what many drones fly for hours."""
 
     hours: Annotated[float | None, Bounds(0.0, 1000.0, above=True)] = None
@@ -150,9 +151,9 @@ class RelayOptions(HoursOptions):
     minutes in real time.
     """
 
-    rig: RigName = "relay-sim"
-    """A rig with a [relay] table: its drones, their homes and batteries (docs/relay.md). relay-sim:
-    simulated, as fast as it computes; relay-sitl: in real time, each drone's program a process of
+    rig: RigName = "relay"
+    """A rig with a [relay] table: its drones, their homes and batteries (docs/relay.md). At level
+    sim: simulated, as fast as it computes; at sitl: in real time, each drone's program a process of
     its own."""
 
     drones: Annotated[int, Bounds(2, 100, "drones")] = 3
@@ -165,7 +166,7 @@ class TeamOptions(HoursOptions):
     run down.
     """
 
-    rig: RigName = "team-sim"
+    rig: RigName = "team"
     """A rig with [team], [[drones]] and [[targets]] (docs/team.md)."""
 
     drones: Annotated[int | None, Bounds(2, 1000, "drones")] = None
@@ -180,7 +181,7 @@ class TeamOptions(HoursOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class FlyOptions:
+class FlyOptions(RigChoice):
     """Fly a mission of your own: both drones, and the world when the rig has a simulated one."""
 
     mission: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MISSION.py")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -99,3 +100,20 @@ LegFaults = Annotated[
     ),
     tyro.conf.UseAppendAction,
 ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigChoice:
+    """What a rig that comes with PATH is flown as, beside its name; ``path-handoff rigs`` shows what
+    each comes as. ``missions.cli`` makes one name of them.
+    """
+
+    level: Literal["sim", "sim-rendered", "sitl"] | None = None
+    """Of a rig that comes with PATH: sim: observations from geometry, in virtual time; sim-rendered:
+    rendered frames; sitl: real time, MAVSDK, sockets."""
+
+    autopilot: Literal["embedded", "px4", "ardupilot", "mixed"] | None = None
+    """... and what flies both drones; mixed: PX4 flies D1, ArduPilot D2."""
+
+    light: bool = False
+    """... over a short agreement, with small pictures: for many runs, also on a busy computer."""

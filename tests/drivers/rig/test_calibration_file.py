@@ -28,7 +28,7 @@ from drivers.rig.check import check_rig
 from drivers.rig.file import load_rig
 from drivers.rig.tables import RigError
 from drivers.rig.toml_text import toml_text
-from missions.ground.rigs import FOLDER
+from missions.ground import rig_library
 
 DOUBT = (1.5, 1.4, 0.1, -0.2, 0.01, -0.05, 0.0, 0.001, 0.1)
 CAMERA = CameraCalibration(
@@ -62,17 +62,15 @@ def rig_with(
     tmp_path: Path, *, camera: str | None = None, marker: str | None = None, more: str = ""
 ) -> Path:
     """The rig sim-rendered with the sender's numbers replaced."""
-    text = (FOLDER / "sim-rendered.toml").read_text("utf-8")
+    table = tomllib.loads(rig_library.whole("sim-rendered"))
+    sender = table["sender"]
     if camera is not None:
-        begin, end = text.index("[sender.camera]"), text.index("[sender.mount.camera]")
-        text = f"{text[:begin]}[sender.camera]\n{camera}\n\n{text[end:]}"
+        sender["camera"] = tomllib.loads(camera)
     if marker is not None:
-        begin, end = text.index("[sender.mount.marker]"), text.index("# --- D2")
-        text = f"{text[:begin]}[sender.mount.marker]\n{marker}\n\n{text[end:]}"
+        sender["mount"]["marker"] = tomllib.loads(marker)
+    sender["perception"]["camera"].update(tomllib.loads(more))
     file = tmp_path / "rig.toml"
-    file.write_text(
-        text.replace("[sender.perception.camera]", f"[sender.perception.camera]\n{more}"), "utf-8"
-    )
+    file.write_text(toml_text(table), "utf-8")
     return file
 
 

@@ -18,8 +18,9 @@ import numpy as np
 import pytest
 
 from drivers.rig.check import check_rig, local_ports
-from drivers.rig.file import find_rig, load_rig
+from drivers.rig.file import load_rig
 from drivers.rig.parts import PartContext, PartSpec, create, part_context
+from drivers.rig.read import find_rig
 from drivers.rig.tables import RigError, decode_table, suggestion
 from path.messages import Role
 

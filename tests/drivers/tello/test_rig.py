@@ -12,10 +12,9 @@ from drivers.rig.check import check_rig, local_ports
 from drivers.rig.file import load_rig
 from drivers.rig.tables import RigError
 from missions.ground import rig_library
-from missions.ground.rigs import FOLDER
 from path.messages import Role
 
-TEXT = (FOLDER / "sitl-tello.toml").read_text("utf-8")
+TEXT = rig_library.whole("sitl-tello")
 
 
 def rig_with(folder: Path, *changes: tuple[str, str]) -> Path:

@@ -54,10 +54,8 @@ def field_rig(tmp_path: Path) -> Path:
     """A rig without a harness, as a crew has it."""
     file = tmp_path / "ours.toml"
     base = tmp_path / "base.toml"
-    shipped = rig_library.FOLDER / "sitl.toml"
-    lines = [
-        line for line in shipped.read_text("utf-8").splitlines() if not line.startswith("harness")
-    ]
+    shipped = rig_library.whole("sitl")
+    lines = [line for line in shipped.splitlines() if not line.startswith("harness")]
     base.write_text("\n".join(lines), "utf-8")
     own = FIELD.replace('like = "sitl"', 'like = "base.toml"').replace('harness = "none"\n', "")
     file.write_text(own, "utf-8")

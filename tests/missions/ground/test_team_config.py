@@ -11,10 +11,9 @@ import pytest
 from drivers.interfaces import PartError
 from missions.field.rig_list import check
 from missions.ground import rig_library
-from missions.ground.rigs import FOLDER
 from missions.ground.team_config import fenced, team_of
 
-WHOLE = (FOLDER / "team-sim.toml").read_text("utf-8")
+WHOLE = rig_library.whole("team-sim")
 FAULTS = [
     (WHOLE.replace("[0.0, -9.0]", "[-17.0, -9.0]"), "drones[1].home_m", "give each a home of its own"),
     (WHOLE.replace("home_m = [0.0, -9.0]", "home_m = [0.0, -900.0]"), "drones[1].home_m", "outside of"),

@@ -19,13 +19,13 @@ from missions.field import rig_list
 from missions.field.calibrate.camera import BadViews, calibrate
 from missions.field.calibrate.collect import Chooser, Collected, CollectedImage, from_recording
 from missions.field.calibrate.run import run
+from missions.ground import rig_library
 from missions.ground.options.calibrate import (
     CalibrateBoardOptions,
     CalibrateCameraOptions,
     CalibrateOptions,
 )
 from missions.ground.options.field import RigsOptions
-from missions.ground.rigs import FOLDER
 from missions.ground.work import Bars
 from missions.trials.pose.calibration import views as calibration_views
 from path.calibration.board import Board
@@ -97,7 +97,7 @@ def test_views_of_a_recording_are_chosen(folder: Path, tmp_path: Path) -> None:
 def test_a_rigs_camera_is_calibrated_as_it_runs(folder: Path, tmp_path: Path) -> None:
     """It plays a recording: it ends with it; what it gave is kept, and its serial number known."""
     film_of(folder, tmp_path / "film", 13)
-    text = (FOLDER / "sim-rendered.toml").read_text("utf-8")
+    text = rig_library.whole("sim-rendered")
     rig = tmp_path / "rig.toml"
     rig.write_text(
         text.replace(

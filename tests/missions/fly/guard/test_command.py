@@ -29,7 +29,6 @@ from missions.fly.guard import start as guard_start
 from missions.fly.guard.command import guard_of
 from missions.fly.guard.start import with_guard
 from missions.ground import rig_library
-from missions.ground.rigs import FOLDER
 from path.messages import Role
 from tests.free_ports import free_port
 from tests.guard_bench import LIMIT_S, Bench, bench, until
@@ -90,7 +89,7 @@ cli.main()
 
 def rig_file(folder: Path, own: Bench, beat_port: int) -> Path:
     """The rig ``sitl`` with the sender's guard on free ports."""
-    text = (FOLDER / "sitl.toml").read_text()
+    text = rig_library.whole("sitl")
     text = text.replace("127.0.0.1:14551", f"127.0.0.1:{own.port}").replace(
         "127.0.0.1:14561", f"127.0.0.1:{beat_port}"
     )
@@ -269,7 +268,7 @@ def test_a_second_guard_of_the_same_vehicle_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_guard_of_another_vehicle_is_refused(tmp_path: Path) -> None:
-    text = (FOLDER / "sitl.toml").read_text()
+    text = rig_library.whole("sitl")
     file = tmp_path / "rig.toml"
     file.write_text(text.replace("vehicle_sysid = 1", "vehicle_sysid = 7"))
     with pytest.raises(

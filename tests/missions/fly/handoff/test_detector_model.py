@@ -11,15 +11,20 @@ import pytest
 from drivers.detectors.yolox import MODEL_VARIABLE
 from missions import cli
 from missions.ground import rig_library
-from missions.ground.rigs import FOLDER
+from missions.ground.rigs import every_name
 
-LOOKING = sorted(
-    file.stem for file in FOLDER.glob("*.toml") if "yolox:YoloxDetector" in file.read_text("utf-8")
-)
+LOOKING = sorted(name for name in every_name() if "yolox:YoloxDetector" in rig_library.whole(name))
 
 
 def test_people_are_looked_for_with_yolox_wherever_frames_are_drawn() -> None:
-    assert LOOKING == ["sim-rendered-person", "sitl-person"]
+    assert LOOKING == [
+        "sim-rendered-person",
+        "sim-rendered-person-indoor",
+        "sitl-ardupilot-person",
+        "sitl-mixed-person",
+        "sitl-person",
+        "sitl-px4-person",
+    ]
 
 
 @pytest.mark.parametrize("name", LOOKING)
