@@ -112,7 +112,8 @@ class Statements:
             self._region = told
         else:
             places = self._places
-            if len(places) > 1 and told.stamp_ns - places[-2].stamp_ns < APART_S * 1e9:
+            # the newest one is always kept, and goes when another comes where it came too soon
+            if len(places) > 1 and places[-1].stamp_ns - places[-2].stamp_ns < APART_S * 1e9:
                 places.pop()
             places.append(told)
             self._places = [

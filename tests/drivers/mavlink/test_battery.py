@@ -1,11 +1,8 @@
-"""Which battery flies a vehicle, and what is known of it: by message, and through MAVSDK and the
-guard's own link.
-"""
+"""Which battery flies a vehicle, through MAVSDK and the guard's own link."""
 
 from __future__ import annotations
 
 import asyncio
-import math
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -16,7 +13,6 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from drivers.interfaces import VehicleError
-from drivers.mavlink.battery import FlightBattery
 from flight.config import GuardConfig
 from flight.guard.limits import check_vehicle
 from hil.vehicle import messages
@@ -25,78 +21,6 @@ from tests.drivers.mavlink.mavsdk_bench import HEIGHT_M, Bench, px4
 FLIGHT, PAYLOAD = mavlink.MAV_BATTERY_FUNCTION_ALL, mavlink.MAV_BATTERY_FUNCTION_PAYLOAD
 UNKNOWN = mavlink.MAV_BATTERY_FUNCTION_UNKNOWN
 S = 10**9
-
-Told = tuple[int, int, float]  # id, function, percent; id -1: a SYS_STATUS
-
-
-@pytest.mark.parametrize(
-    ("wanted", "told", "level"),
-    [
-        (-1, [(0, UNKNOWN, 90), (1, UNKNOWN, 8)], 0.9),
-        (-1, [(1, UNKNOWN, 8), (0, UNKNOWN, 90)], 0.9),
-        (-1, [(0, UNKNOWN, 90), (1, UNKNOWN, 8), (1, UNKNOWN, 8)], 0.9),
-        (-1, [(0, PAYLOAD, 8), (1, FLIGHT, 90)], 0.9),
-        (-1, [(1, FLIGHT, 90), (0, mavlink.MAV_BATTERY_FUNCTION_AVIONICS, 8)], 0.9),
-        (-1, [(2, UNKNOWN, 70), (5, UNKNOWN, 8)], 0.7),
-        (-1, [(0, UNKNOWN, 90), (-1, 0, 8)], 0.9),  # SYS_STATUS may be the emptiest of all
-        (-1, [(0, UNKNOWN, 90), (1, UNKNOWN, 8), (-1, 0, 8)], 0.9),
-        (-1, [(0, UNKNOWN, -1), (1, UNKNOWN, 8), (-1, 0, 8)], math.nan),
-        (-1, [(-1, 0, 60)], 0.6),
-        (-1, [(0, UNKNOWN, -1), (-1, 0, 60)], 0.6),
-        (-1, [(0, UNKNOWN, 90), (0, UNKNOWN, -1), (-1, 0, -1)], 0.9),
-        (-1, [(0, UNKNOWN, 90), (0, UNKNOWN, 255)], 0.9),
-        (-1, [(0, UNKNOWN, 255), (-1, 0, -1)], math.nan),
-        (-1, [(0, UNKNOWN, 0)], 0.0),
-        (-1, [(0, UNKNOWN, 90), (0, UNKNOWN, 0)], 0.0),
-        (1, [(0, UNKNOWN, 8), (1, PAYLOAD, 90)], 0.9),
-        (1, [(0, UNKNOWN, 8), (-1, 0, 8)], math.nan),
-    ],
-)
-def test_the_level_of_the_battery_that_flies(wanted: int, told: list[Told], level: float) -> None:
-    battery = FlightBattery(wanted)
-    for number, function, percent in told:
-        if number < 0:
-            battery.on_sys_status(percent, 1)
-        else:
-            battery.on_battery(number, function, percent, 1)
-    assert battery.level == pytest.approx(level, nan_ok=True)
-    assert battery.known is math.isfinite(level)
-
-
-def test_when_it_was_told_is_kept_while_it_tells_nothing() -> None:
-    battery = FlightBattery()
-    battery.hear(3 * S)
-    assert battery.told_ns == 3 * S
-    battery.on_battery(0, UNKNOWN, 80, 5 * S)
-    for second in range(6, 20):
-        battery.on_battery(0, UNKNOWN, -1, second * S)
-        battery.on_battery(1, UNKNOWN, 8, second * S)
-    assert (battery.level, battery.told_ns) == (0.8, 5 * S)
-
-
-@pytest.mark.parametrize(
-    ("wanted", "told", "words"),
-    [
-        (-1, [], "battery level"),
-        (-1, [(0, UNKNOWN, -1)], "battery 0: it tells no percentage"),
-        (
-            2,
-            [(0, UNKNOWN, 90), (1, UNKNOWN, 90)],
-            "battery 2, which battery_id names: it tells only of 0, 1",
-        ),
-        (2, [], "it tells only of none"),
-        (-1, [(0, UNKNOWN, 90)], ""),
-    ],
-)
-def test_why_no_level_is_known_is_said_by_name(wanted: int, told: list[Told], words: str) -> None:
-    battery = FlightBattery(wanted)
-    for number, function, percent in told:
-        battery.on_battery(number, function, percent, 1)
-    assert words in battery.trouble
-    assert bool(battery.trouble) is bool(words)
-
-
-# --- on the wire
 
 
 @dataclass

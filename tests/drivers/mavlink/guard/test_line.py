@@ -74,6 +74,13 @@ def test_what_is_nearly_a_beat_is_none() -> None:
     assert decode_beat(answer) is None
 
 
+def test_words_are_cut_where_a_packet_would_be_too_long_and_stay_apart() -> None:
+    came = decode_answer(encode_answer(GuardAnswer(True, Hand.GUARD, 500 * "r", 500 * "a")))
+    assert came == GuardAnswer(True, Hand.GUARD, 400 * "r", 400 * "a")
+    between = decode_answer(encode_answer(GuardAnswer(False, Hand.FREE, "one\0two", "why")))
+    assert between == GuardAnswer(False, Hand.FREE, "one two", "why")
+
+
 def test_the_newest_beat_counts_and_the_answer_finds_its_way() -> None:
     async def main() -> None:
         bind, clock = f"127.0.0.1:{free_port()}", WallClock()
