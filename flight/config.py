@@ -42,6 +42,8 @@ class TargetDesignation:
     # place: then what its own position is off there is taken out of the place; unstated, its
     # position is believed
     home_m: Annotated[tuple[float, float] | None, Bounds(-1000.0, 1000.0)] = None
+    # how far off the drone's own position may be in flight, besides that: one that walks
+    own_m: Annotated[float, Bounds(0.0, 50.0)] = 0.0
     # of the designation, when the drone's program starts
     age_s: Annotated[float, Bounds(0.0, 3600.0)] = 0.0
     # what it drove when it was pointed at, where that is known

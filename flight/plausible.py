@@ -103,8 +103,8 @@ def _ranges(rig: Rig, mission: MissionConfig) -> Found:
     if rig.height is None and not method.min_depth_m <= z <= method.max_depth_m:
         yield (
             "mission.follow",
-            f"the target is {z:.2f} m before the sender's camera; depth is trusted within method.min_depth_m = "
-            f"{method.min_depth_m:g} m and method.max_depth_m = {method.max_depth_m:g} m; "
+            f"the target is {z:.2f} m before the sender's camera; depth is trusted within [depth] min_m = "
+            f"{method.min_depth_m:g} m and max_m = {method.max_depth_m:g} m; "
             "beyond it a rangefinder would do, as [height] says it",
         )
 

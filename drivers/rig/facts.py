@@ -168,6 +168,7 @@ DERIVED = (
     "mission.target.height_m",
     "mission.target.half_size_m",
     "mission.target.flies",
+    "mission.target.own_m",
     "mission.target.fastest_mps",
     "mission.follow",
     "mission.separation",

@@ -18,7 +18,7 @@ from drivers.rig.parts import Rig
 from drivers.rig.tables import Problems, decode_table
 from flight.config import MissionConfig
 from flight.guidance import Vec3, from_heading
-from flight.plan.derive import GRAVITY_MPS2
+from flight.plan.derive import GRAVITY_MPS2, MOST_WAY_OUT_M, way_out_m
 from flight.plan.errors import predict
 from flight.plan.facts import Eye, Facts, facts_of
 from flight.plan.geometry import (
@@ -102,6 +102,8 @@ def problems(of: Flown) -> Iterator[Problem]:
         _offset,
         _wind,
         _speed,
+        _way_out,
+        _height,
         _rate,
         _latency,
     ):
@@ -178,10 +180,26 @@ def _depth(of: Flown) -> Problem | None:
         return None
     return Problem(
         "mission.follow",
-        f"the target is {range_m:.1f} m from D1's camera; its depth is trusted from method.min_depth_m ="
-        f" {method.min_depth_m:g} m to method.max_depth_m = {method.max_depth_m:g} m",
-        f"{min(max(range_m, method.min_depth_m), method.max_depth_m):.1f} m would do",
+        f"the target is {range_m:.1f} m from D1's camera; depth is trusted from {method.min_depth_m:g} m to"
+        f" {method.max_depth_m:g} m ([depth] min_m and max_m)",
+        _within_reach(of),
     )
+
+
+def _within_reach(of: Flown) -> str:
+    """Return what would bring a target within reach of something that tells its range."""
+    method = of.facts.method
+    range_m = of.range_m
+    nearer_m = min(max(range_m, method.min_depth_m), method.max_depth_m)
+    ways: list[str] = []
+    if _fits(_at(of.facts, of.mission, _times(of, nearer_m / range_m))) is None:
+        ways.append(f"{nearer_m:.1f} m")
+    if range_m > method.max_depth_m:
+        ways.append(f"[depth] max_m = {range_m:.1f}")
+        if not of.facts.target.flies:
+            up_m = math.ceil(1.2 * of.mission.follow.height_m)
+            ways.append(f"a rangefinder ([height] rangefinder_max_m = {up_m:d})")
+    return f"{', or '.join(ways)} would do"
 
 
 def _behind(of: Flown) -> Problem | None:
@@ -386,6 +404,33 @@ def _speed(of: Flown) -> Problem | None:
         "mission.follow.max_speed_mps",
         f"the target may move at {of.facts.target.max_speed_mps:g} m/s, D1 follows at {limit_mps:g} m/s",
         f"{needed_mps:.1f} m/s would do",
+    )
+
+
+def _way_out(of: Flown) -> Problem | None:
+    """Check that a drone that lands finds a place that the target cannot reach meanwhile."""
+    height_m = of.mission.follow.height_m
+    needed_m = way_out_m(of.facts, height_m)
+    if needed_m <= MOST_WAY_OUT_M:
+        return None
+    target = of.facts.target
+    lower_m = height_m * (MOST_WAY_OUT_M - target.span_m) / (needed_m - target.span_m)
+    return Problem(
+        "target.max_speed_mps",
+        f"while a drone lands from {height_m:.1f} m the target gets so far that it would have to go"
+        f" {needed_m:.0f} m aside first; {MOST_WAY_OUT_M:.0f} m are the most",
+        f"{lower_m:.1f} m of height would do",
+    )
+
+
+def _height(of: Flown) -> Problem | None:
+    """Check that it is said how high a target is that flies."""
+    if not of.facts.target.flies or of.mission.target.height_m > 0.0:
+        return None
+    return Problem(
+        "mission.target.height_m",
+        "the target flies, and it is not said how high",
+        "the height of its middle above the ground, when it is pointed at, would do",
     )
 
 

@@ -19,7 +19,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from drivers.rig.facts import DroneFacts
+from drivers.rig.facts import DroneFacts, SiteFacts
 from flight.config import Deadlines, GuardConfig, RendezvousConfig, SeparationConfig
 from flight.plan.errors import TILT_RAD, predict
 from flight.plan.facts import Facts
@@ -47,6 +47,7 @@ MOST_TARGET_PX = 280.0
 EDGE = 0.9  # of half the image: what a box keeps from the border
 WIDER = 1.05  # the next range to try
 MOST_WIDER = 40  # times: seven times the least range
+MOST_WAY_OUT_M = 50.0  # before a landing: nobody keeps more room than that (flight.config)
 
 # of the hand-overs: in fewer of them the usual blocks of the gate would be strong enough
 AGREEING = 0.85
@@ -87,6 +88,7 @@ def derive(facts: Facts, named: Named) -> tuple[Derived, ...]:
     found = _Found(named)
     _separation(facts.drone, found)
     _following(facts, found)
+    _positions(facts, found)
     _rendezvous(facts, found)
     _method(facts, found)
     _waits(found)
@@ -191,10 +193,38 @@ def _following(facts: Facts, found: _Found) -> None:
     found.add("mission.take_off_height_m", follow_m, "m", "as high as D1 follows")
     higher_m = follow_m + found["mission.separation.minimum_m"]
     found.add("mission.receiver_take_off_height_m", higher_m, "m", "the least separation above D1")
-    # half of how far the target gets while a drone comes down: the way out may be twice as long
-    reached_m = 0.5 * target.max_speed_mps * follow_m / LANDING_MPS
-    away_m = max(2.5 * found["mission.separation.viewpoint_m"], target.span_m + reached_m)
-    found.add("mission.depart_m", away_m, "m", "out of D2's way, and of the target's")
+    away_m = max(2.5 * found["mission.separation.viewpoint_m"], way_out_m(facts, follow_m))
+    found.add(
+        "mission.depart_m",
+        min(away_m, MOST_WAY_OUT_M),
+        "m",
+        "out of D2's way, and of the target's",
+    )
+
+
+def way_out_m(facts: Facts, height_m: float) -> float:
+    """Return how far aside a drone goes before it lands beside what moves: half of how far that
+    gets while the drone comes down, as the way out may be twice as long.
+    """
+    target = facts.target
+    return target.span_m + 0.5 * target.max_speed_mps * height_m / LANDING_MPS
+
+
+def _positions(facts: Facts, found: _Found) -> None:
+    """Derive what positions that are worse than usual are allowed: to D1 of where the target is
+    told to be, to D2 of where D1 is.
+    """
+    position_m = facts.site.position_m
+    usual = SiteFacts().position_m
+    if position_m <= usual:
+        return
+    why = "site.position_m"
+    found.add("mission.target.own_m", position_m, "m", why)
+    worse = position_m / usual
+    rendezvous = RendezvousConfig()
+    found.add(
+        "mission.rendezvous.positions_within_m", worse * rendezvous.positions_within_m, "m", why
+    )
 
 
 def _range(facts: Facts, found: _Found) -> tuple[float, str]:

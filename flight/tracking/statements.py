@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -59,6 +59,8 @@ class Motion:
     farthest_m: float
     down_m: float
     flies_to_m: float | None = None
+    # how far off the drone's own position may be by now, besides what its home tells
+    own_m: float = 0.0
 
     @classmethod
     def of(cls, mission: MissionConfig) -> Self:
@@ -72,6 +74,7 @@ class Motion:
             2.0 * guard.fence_radius_m,
             -target.height_m,
             flies_to_m,
+            target.own_m,
         )
 
 
@@ -111,6 +114,9 @@ class Statements:
         elif isinstance(told, RegionTold):
             self._region = told
         else:
+            # Whoever says a place knows nothing of where the drone takes itself to be.
+            own_m = self._motion.own_m
+            told = replace(told, error_m=math.hypot(told.error_m, own_m)) if own_m else told
             places = self._places
             # the newest one is always kept, and goes when another comes where it came too soon
             if len(places) > 1 and places[-1].stamp_ns - places[-2].stamp_ns < APART_S * 1e9:

@@ -37,6 +37,7 @@ OWN = (
     "drone",
     "depth",
     "link",
+    "height",
     "site",
 )
 """Tables of the rig itself, which say nothing of hardware."""

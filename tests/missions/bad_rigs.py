@@ -83,7 +83,7 @@ RIGS: tuple[tuple[str, str], ...] = (
     ("[mission.follow]\nheight_m = 6.5", "mission.follow.height_m: 6.5 m; mission.guard.fence_height_m is 6 m"),
     ("[mission.guard]\nfence_height_m = 2", "mission.receiver_take_off_height_m: 2.2 m; mission.guard.fence_height_m is 2 m"),
     ("[mission.guard]\nfence_radius_m = 3", "from the origin; mission.guard.fence_radius_m is 3 m"),
-    ("[mission.follow]\nbehind_m = 6.0\nheight_m = 5.9", "depth is trusted within method.min_depth_m"),
+    ("[mission.follow]\nbehind_m = 6.0\nheight_m = 5.9", "depth is trusted within [depth] min_m"),
     ("[method]\nmax_depth_m = 1.0", "max_depth_m: no setting of a rig: say [depth] max_m"),
     ("[sender.mount.camera]\npitch_down_deg = -45", "the sender's camera, mounted as sender.mount.camera says, does not see"),
     ("[sender.mount.camera]\nyaw_deg = 180", "does not see the target"),

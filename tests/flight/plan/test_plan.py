@@ -368,3 +368,30 @@ def test_a_depth_that_does_not_tell_a_person_from_who_stands_behind_is_refused(
     assert "7.2 m would do" in found.change
     lidar = rig_of(person + "sigma_at_1m_m = 0.0002\n" + far, "lidar")
     assert list(problems(of(lidar))) == []
+
+
+def test_what_flies_is_refused_until_it_is_said_how_high(rig_of: RigOf) -> None:
+    flier = CAR + "flies = true\n"
+    said = {each.where: each for each in problems(of(rig_of(flier, "flier")))}
+    assert "how high" in said["mission.target.height_m"].what
+    told = rig_of(flier + "[mission.target]\nheight_m = 0.8\n", "told")
+    assert "mission.target.height_m" not in {each.where for each in problems(of(told))}
+
+
+def test_a_truck_that_outruns_a_landing_is_refused_in_a_crews_words(rig_of: RigOf) -> None:
+    truck = "[target]\nlength_m = 5.2\nwidth_m = 2.0\nheight_m = 1.9\nmax_speed_mps = 6.0\n"
+    said = {each.where: each for each in problems(of(rig_of(truck)))}
+    assert "aside first" in said["target.max_speed_mps"].what
+    depth = said["mission.follow"]
+    assert "[depth] min_m and max_m" in depth.what
+    assert "[height] rangefinder_max_m" in depth.change
+    # nearer than depth reaches the truck would not be in the image any more
+    assert "[depth] max_m = " in depth.change
+
+
+def test_positions_that_walk_are_allowed_for_where_they_matter(rig_of: RigOf) -> None:
+    usual = mission_of(rig_of(CAR))
+    walking = mission_of(rig_of(CAR + "[site]\nposition_m = 2.0\n", "walking"))
+    assert (usual.target.own_m, usual.rendezvous.positions_within_m) == (0.0, 1.1)
+    assert walking.target.own_m == 2.0
+    assert walking.rendezvous.positions_within_m == pytest.approx(4.4)

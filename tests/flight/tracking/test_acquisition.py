@@ -337,3 +337,19 @@ def test_what_depth_errs_is_no_motion_of_what_stands() -> None:
         assert down == 0.0
         fastest.append(math.hypot(north, east))
     assert max(fastest) < 0.35
+
+
+def test_a_drone_whose_position_walks_takes_nobody_by_a_place_alone_while_another_is_near() -> None:
+    def found(own_m: float) -> Taken | None:
+        target = TargetDesignation(height_m=-PLACE[2], own_m=own_m)
+        acquisition = Acquisition(CAMERA, PERSON, MissionConfig(target=target, follow=FOLLOW))
+        acquisition.tell(PlaceTold(0, PLACE, 0.3))
+        box, z_m = box_of(PLACE, ONE_PX)
+        other = box_of((4.0, 1.4, -0.9), ONE_PX)[0]
+        last = None
+        for k in range(STEADY_FRAMES + 10):
+            last = last or acquisition.look(seen(Boxes([box, other], z_m, k * FRAME_NS)), T_N_C)
+        return last
+
+    assert found(0.0) is not None
+    assert found(2.0) is None

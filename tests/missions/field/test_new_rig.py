@@ -30,10 +30,13 @@ MEASURED = {
     "north_m": "4.0",
     "east_m": "0.0",
     "side_m": "0.0401",
-    "positions_within_m": "2.5",
-    "heights_within_m": "1.3",
-    "span_m": "0.36",
+    "length_m": "0.32",
+    "width_m": "0.22",
     "height_m": "0.16",
+    "max_speed_mps": "0.5",
+    "diameter_m": "0.6",
+    "wind_mps": "3.0",
+    "position_m": "0.5",
 }
 
 
