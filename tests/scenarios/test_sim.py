@@ -181,10 +181,7 @@ def test_a_fault_ends_in_its_outcome_and_the_sender_keeps_the_target(
         assert not last["receiver"]["in_air"]
 
 
-@pytest.mark.parametrize("seed", [2, 5])  # in which D2 has the marker in view while it falls
-def test_going_around_takes_until_the_drone_is_within_its_bounds_again(
-    tmp_path: Path, seed: int
-) -> None:
+def test_going_around_takes_until_the_drone_is_within_its_bounds_again(tmp_path: Path) -> None:
     """Its pilot stops the motors as the approach begins; it falls, and is told only with a
     heartbeat a second.
     """
@@ -192,20 +189,16 @@ def test_going_around_takes_until_the_drone_is_within_its_bounds_again(
         'name = "slow-beat"\nlike = "sim"\n[world.autopilot]\nheartbeat_hz = 1.0\n'
         "[sender.vehicle]\nheartbeat_timeout_s = 2.5\n[receiver.vehicle]\nheartbeat_timeout_s = 2.5\n"
     )
-    flown = fly(str(tmp_path / "rig.toml"), tmp_path / "run", seed, "rc_kill_receiver@search")
+    # of seed 2, in which D2 has the marker in view while it falls
+    flown = fly(str(tmp_path / "rig.toml"), tmp_path / "run", 2, "rc_kill_receiver@search")
     notes = [note.record["note"] for note in flown.run.receiver["/note"]]
     assert sum(note.startswith("goes around: closing in") for note in notes) == 1
     assert flown.facts.outcome == "pilot_override"
     assert "approach_failed" not in flown.facts.detail
 
 
-@pytest.mark.parametrize(
-    "faults", [("link_loss=0.3",), ("lookalike",), ("link_loss=0.2", "lookalike")]
-)
-def test_loss_and_look_alikes_delay_a_handoff_but_never_mislead_it(
-    tmp_path: Path, faults: tuple[str, ...]
-) -> None:
-    flown = fly("sim", tmp_path, 2, *faults)
+def test_loss_and_look_alikes_delay_a_handoff_but_never_mislead_it(tmp_path: Path) -> None:
+    flown = fly("sim", tmp_path, 2, "link_loss=0.2", "lookalike")
     assert flown.facts.outcome in ("committed", "no_agreement"), flown.facts.detail
     assert flown.facts.violations == {}
     assert flown.summary["wrong_handover"] is not True
@@ -244,8 +237,8 @@ def test_a_program_that_is_killed_and_started_again_goes_by_what_it_wrote_down(
     assert not last["sender"]["in_air"] and not last["receiver"]["in_air"]
 
 
-# the receiver is right, right, left, left of it by then
-@pytest.mark.parametrize("seed", [0, 2, 3, 8])
+# the receiver is right, left of it by then
+@pytest.mark.parametrize("seed", [0, 3])
 def test_a_sender_leaves_away_from_a_receiver_that_died_on_its_way_to_it(
     tmp_path: Path, seed: int
 ) -> None:
@@ -320,7 +313,7 @@ def test_a_plate_that_is_upside_down_is_never_flown_by_and_said_by_its_cause(
     assert sum(note.startswith("the sender's marker: gravity contradicts") for note in notes) == 1
 
 
-@pytest.mark.parametrize(("true_mm", "seed"), [(25.0, 511), (36.0, 515), (44.0, 513), (64.0, 512)])
+@pytest.mark.parametrize(("true_mm", "seed"), [(25.0, 511), (44.0, 513)])
 def test_a_marker_whose_size_contradicts_depth_ends_the_flight_before_any_hand_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, true_mm: float, seed: int
 ) -> None:
@@ -351,14 +344,9 @@ IN_VERIFY_S = 33.5  # of seed 7: the loop's time
 @pytest.mark.parametrize(
     ("who", "step_s", "at_s"),
     [
-        ("sender", 5.0, 25.0),
         ("receiver", -5.0, 25.0),
-        ("sender", 0.5, 25.0),
         ("sender", 5.0, IN_VERIFY_S),
-        ("sender", -5.0, IN_VERIFY_S),
         ("sender", -0.05, IN_VERIFY_S),
-        ("receiver", 5.0, IN_VERIFY_S),
-        ("receiver", -5.0, IN_VERIFY_S),
         ("receiver", 0.05, IN_VERIFY_S),
     ],
 )

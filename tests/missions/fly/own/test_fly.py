@@ -70,14 +70,25 @@ def landed(out: Path) -> dict[str, bool]:
     return {role.value: run.role(role)["/outcome"][-1].record["landed"] for role in Role}
 
 
-@pytest.mark.parametrize(("rig", "seed"), [("sim", 11), ("sim", 12), ("sim-rendered", 13)])
-def test_the_search_finds_what_is_there_and_both_come_home(
-    rig: str, seed: int, tmp_path: Path
-) -> None:
-    facts = fly(SEARCH, tmp_path, seed, rig=rig)
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunFacts]:
+    """The search, flown once: the run's folder, and how it ended."""
+    out = tmp_path_factory.mktemp("searched") / "run"
+    return out, fly(SEARCH, out, 11)
+
+
+def test_the_search_finds_what_is_there_and_both_come_home(searched: tuple[Path, RunFacts]) -> None:
+    found_and_came_home(*searched)
+
+
+def test_the_search_finds_it_in_rendered_frames_too(tmp_path: Path) -> None:
+    found_and_came_home(tmp_path, fly(SEARCH, tmp_path, 13, rig="sim-rendered"))
+
+
+def found_and_came_home(out: Path, facts: RunFacts) -> None:
     assert (facts.outcome, facts.exit_code, facts.violations) == ("flown", 0, {}), facts.detail
-    assert landed(tmp_path) == {"sender": True, "receiver": True}
-    run = load_run(tmp_path)
+    assert landed(out) == {"sender": True, "receiver": True}
+    run = load_run(out)
     truth = truth_of(run.world)
     assert truth is not None
     found = [(role, one) for role in Role for one in run.role(role).get("/mission/found", ())]
@@ -95,12 +106,12 @@ def test_the_search_finds_what_is_there_and_both_come_home(
 
 
 def test_its_table_and_summary_say_how_it_went(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    searched: tuple[Path, RunFacts], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    fly(SEARCH, tmp_path, 11)
-    summary = make_report(tmp_path, True, sys.stdout)
-    assert (tmp_path / "summary.json").is_file() and not (tmp_path / "run.png").exists()
-    page = (tmp_path / "run.html").read_text("utf-8")
+    out, _ = searched
+    summary = make_report(out, True, sys.stdout)
+    assert (out / "summary.json").is_file() and not (out / "run.png").exists()
+    page = (out / "run.html").read_text("utf-8")
     assert "badge good" in page and f"path-handoff fly {SEARCH} --rig sim --seed 11" in page
     assert summary["outcome"] == "flown"
     assert summary["min_separation_m"] > summary["separation_limit_m"]
@@ -117,11 +128,10 @@ def test_the_example_that_the_page_names_is_short() -> None:
     assert len(SEARCH.read_text("utf-8").splitlines()) <= 40
 
 
-def test_one_seed_is_one_run(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        fly(SEARCH, tmp_path / name, 14)
+def test_one_seed_is_one_run(searched: tuple[Path, RunFacts], tmp_path: Path) -> None:
+    fly(SEARCH, tmp_path, 11)
     for log in ("sender.mcap", "receiver.mcap", "world.mcap"):
-        assert (tmp_path / "a" / log).read_bytes() == (tmp_path / "b" / log).read_bytes(), log
+        assert (searched[0] / log).read_bytes() == (tmp_path / log).read_bytes(), log
 
 
 @pytest.mark.parametrize(
