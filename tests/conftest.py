@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+from tests.kernels import compile_kernels
 from tests.overloaded import REPEATED, Repeating, repetitions
 from tests.scheduling import Groups, be_nice
 
@@ -64,6 +65,11 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Groups:
+    """Compile what a fresh copy has not compiled yet, while workers collect: each of them would
+    compile it for itself.
+    """
+    if config.args_source is config.ArgsSource.TESTPATHS:
+        compile_kernels()
     return Groups(config, log)
 
 

@@ -12,6 +12,7 @@ import pytest
 import path.marker.warm_up
 from hil.harness import preparation
 from missions.ground import rig_library
+from tests import kernels
 
 
 def test_a_process_whose_kernels_were_not_there_prepares_for_its_first_flight_only(
@@ -39,3 +40,7 @@ def test_a_process_whose_kernels_were_not_there_prepares_for_its_first_flight_on
     # another perception has more of them
     preparation.prepare(rig_library.load("sim-rendered"), said.append)
     assert sorted(compiled[5:]) == ["depth", "marker", "renderer"]
+
+
+def test_the_tests_have_every_part_compiled_before_they_begin() -> None:
+    assert sorted(name for names in kernels.PARTS for name in names) == sorted(preparation.PARTS)
