@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import replace
 from functools import reduce
-from io import StringIO
+from io import StringIO, TextIOWrapper
 from operator import or_
 from pathlib import Path
 from typing import Annotated, Any
@@ -55,6 +55,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 EXIT_REFUSED = CommandEnd.REFUSED.exit_code
 MOST_SHOWN = 160
+LEAST_COLUMNS = 20
 EXIT_CTRL_C = CommandEnd.STOPPED.exit_code
 EXIT_BROKEN_PIPE = CommandEnd.READER_GONE.exit_code
 USUAL = {"--live": "127.0.0.1:8765", "--gcs": "127.0.0.1:14550"}
@@ -111,12 +112,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _have_streams() -> None:
-    """A program that is started with a closed stdout or stderr has none: what it says goes
-    nowhere.
+    """Have streams that take whatever is said.
+
+    A program that is started with a closed stdout or stderr has none: what it says goes nowhere.
+    One whose locale has no UTF-8 writes what it has no letter for as an escape.
     """
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:
+        stream = getattr(sys, name)
+        if stream is None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
+        elif isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    width = os.environ.get("COLUMNS", "")
+    if width.isdecimal() and int(width) < LEAST_COLUMNS:  # tyro never ends in one column
+        os.environ["COLUMNS"] = str(LEAST_COLUMNS)
 
 
 def _carry_out(arguments: Sequence[str] | None) -> int:
@@ -129,6 +138,7 @@ def _carry_out(arguments: Sequence[str] | None) -> int:
         sys.stdout.write(f"path-handoff {version('path-handoff')}\n")
         sys.exit(0)
     try:
+        _refuse_empty(sys.argv[1:] if arguments is None else arguments)
         return _run_whole(
             _understood(_spelled_out(sys.argv[1:] if arguments is None else arguments))
         )
@@ -177,6 +187,19 @@ def _run_whole(command: object) -> int:
         with suppress(OSError):
             sys.stderr.write(error_text(what, "look for it in what the rig or the mission names"))
         return Outcome.CRASHED.exit_code
+
+
+def _refuse_empty(arguments: Sequence[str]) -> None:
+    """Raise PartError for a value that is empty: as a path it would be the folder one is in."""
+    for before, word in zip(["", *arguments], arguments, strict=False):
+        if word and not (word.startswith("--") and word.endswith("=")):
+            continue
+        from drivers.interfaces import PartError  # noqa: PLC0415
+
+        raise PartError(
+            f"{word or before or 'an argument'}: its value is empty",
+            "give one, or leave it out; is a variable of the shell unset?",
+        )
 
 
 def _understood(arguments: list[str]) -> object:

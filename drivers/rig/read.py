@@ -35,7 +35,8 @@ def find_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Path:
     if path.suffix == ".toml" or len(path.parts) > 1:
         if file_of(path):
             return path
-        raise RigError([f"{path}: no such rig file"])
+        what = "a folder, and no rig file" if path.is_dir() else "no such rig file"
+        raise RigError([f"{path}: {what}"])
     for folder in search:
         if file_of(folder / f"{path}.toml"):
             return folder / f"{path}.toml"
@@ -87,7 +88,8 @@ def _read(
             raise RigError([f"{path.name}: {error}"], f"it comes as {ways}") from error
         layers = [{"name": path.stem, "level": choice.level}, *_chosen(table, choice)]
     elif file != path:
-        raise RigError([f"{path}: no such rig file"])
+        what = "a folder, and no rig file" if path.is_dir() else "no such rig file"
+        raise RigError([f"{path}: {what}"])
     else:
         choice = asked
         layers = [table]

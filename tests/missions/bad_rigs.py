@@ -148,4 +148,25 @@ RIGS: tuple[tuple[str, str], ...] = (
     ("[method]\nhold_frames = 1" + "0" * 5000, "rig.toml: "),
     ("[method]\nhold_s = 1" + "0" * 400, "hold_s: expected a finite number"),
     ("a = 1\na = 2", "rig.toml: "),
+    # TOML that others write
+    ("[mission]\nheading_deg = 1\nheading_deg = 2", "Cannot overwrite a value"),
+    ("[mission]\nheading_deg = 1\n[mission]\ncontrol_hz = 50", "Cannot declare ('mission',) twice (at line 4"),
+    ("a = " + "[" * 3000 + "]" * 3000, "maximum recursion depth exceeded"),
+    ("[mission]\nhandoff_id = " + "9" * 5000, "value has 5000 digits"),
+    ("[mission]\nhandoff_id = 0xFFFFFFFFFF", "mission.handoff_id: 1099511627775 is not within 1..65535"),
+    ("[mission]\nheading_deg = 1e400", "mission.heading_deg: expected a finite number, found inf"),
+    ("[mission]\nheading_deg = 2026-01-01", "mission.heading_deg: expected a finite number, found datetime.date"),
+    ("[mission]\nheading_deg = true", "mission.heading_deg: expected a finite number, found true"),
+    ('[mission]\nheading_deg = "90"', 'mission.heading_deg: expected a finite number, found "90"'),
+    ("mission = [1, 2]", "mission: expected a table, found [1, 2]"),
+    ("[mission.heading_deg]\nx = 1", "mission.heading_deg: expected a finite number, found a table"),
+    ("[Mission]\nheading_deg = 1", "unknown key 'Mission' (did you mean 'mission'?)"),
+    ("[mission]\nheading-deg = 1", "unknown key 'heading-deg' (did you mean 'heading_deg'?)"),
+    ("[mission]\nheading_rad = 1", "unknown key 'heading_rad' (did you mean 'heading_deg'?)"),
+    ("[mission.guard]\nheading_deg = 1", "mission.guard: unknown key 'heading_deg'; allowed: fence_radius_m"),
+    ('[mission]\n"he\u0430ding_deg" = 1', "(did you mean 'heading_deg'?)"),  # a Cyrillic a
+    ('[mission]\n"heading_deg\u200b" = 1', "(did you mean 'heading_deg'?)"),  # a letter of no width
+    ("like = 5", "like is 5; expected the name of a rig"),
+    ('like = ""', "like: no rig named '.'"),
+    ('like = "rig.toml"', "like = 'rig.toml' leads back to rig.toml"),
 )  # fmt: skip

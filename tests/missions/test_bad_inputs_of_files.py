@@ -144,3 +144,23 @@ def test_ctrl_c_while_a_command_is_loaded_ends_it_in_silence(module: str) -> Non
         check=False,
     )
     assert (ran.returncode, ran.stderr) == (130, "")
+
+
+def test_a_locale_without_the_letters_of_a_name_gets_an_escape_of_them(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = here / "said"
+    with written.open("w", encoding="ascii") as out:
+        monkeypatch.setattr(sys, "stdout", out)
+        monkeypatch.setattr(sys, "stderr", out)
+        with pytest.raises(SystemExit) as end:
+            cli.main(("rigs", "--check", "h\u0435ading.toml"))
+    assert end.value.code == REFUSED
+    assert r"error: h\u0435ading.toml: no such rig file" in written.read_text("ascii")
+
+
+def test_help_in_a_terminal_of_one_column_ends(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "1")
+    assert ended(capsys, "rigs", "--help")[0] == 0

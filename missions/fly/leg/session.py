@@ -224,16 +224,17 @@ class RoleSession:
         return (self.now_ns() - self.peer_heard_ns) * 1e-9
 
     def require_peer(self) -> None:
-        """Raise MissionEnd(PEER_LOST) when the other drone was not heard for too long; near it that
-        is sooner.
+        """Raise MissionEnd: PEER_ABORTED when the other drone's flight has ended, with what in;
+        PEER_LOST when it was not heard for too long. Near it that is sooner.
         """
+        if self.peer_left:
+            raise MissionEnd(Outcome.PEER_ABORTED, f"the other drone: {self.peer_left}")
         guard = self.config.guard
         limit_s = guard.near_silence_s if self.phase is Phase.VERIFY else guard.peer_silence_s
         silence_s = self.peer_silence_s()
         if silence_s > limit_s:
-            left = f": {self.peer_left}" if self.peer_left else ""
             raise MissionEnd(
-                Outcome.PEER_LOST, f"nothing heard from the other drone for {silence_s:.1f} s{left}"
+                Outcome.PEER_LOST, f"nothing heard from the other drone for {silence_s:.1f} s"
             )
 
     @property

@@ -246,18 +246,23 @@ def test_who_waits_for_a_drone_that_will_not_fly_is_told_why(rig: Any, outcome: 
     virtual(main())
 
 
-def test_a_silence_is_named_with_what_was_heard_before_it(rig: Any) -> None:
+@pytest.mark.parametrize("outcome", [each for each in Outcome if each.exit_code])
+def test_every_end_of_the_other_drone_ends_this_flight_by_its_name(
+    rig: Any, outcome: Outcome
+) -> None:
     async def main() -> None:
         bench = Bench(rig)
 
         async def course() -> None:
-            await bench.link.waiting.put(replace(STATUS, ended=Outcome.GUARD.exit_code))
-            await asyncio.sleep(60.0)
+            await bench.link.waiting.put(replace(STATUS, ended=outcome.exit_code))
+            await asyncio.sleep(1.0)
             bench.session.require_peer()
 
         result = await bench.fly(course)
-        assert result.outcome is Outcome.PEER_LOST
-        assert result.detail.endswith("its flight has ended: guard")
+        assert result.outcome is Outcome.PEER_ABORTED
+        assert result.detail == f"the other drone: its flight has ended: {outcome.label}"
+        notes = [record["note"] for record in bench.log.of("/note")]
+        assert notes[0] == f"the other drone: its flight has ended: {outcome.label}"
 
     virtual(main())
 
