@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-Option = Literal["xfeat", "set", "logs", "seconds"]
+Option = Literal["xfeat", "set", "logs", "seconds", "method"]
 RIG = "sim-rendered"
 """The rig whose harness knows the truth: ``--rig`` takes its place."""
 
@@ -61,7 +61,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         "flights.beacon", "dynamic", options=("logs", "seconds"), short_in_all=True
     ),
     "rendezvous": Experiment("flights.rendezvous", "sim-field", short_in_all=True),
-    "ambiguity": Experiment("rivals", options=("xfeat",), without=XFEAT),
+    "ambiguity": Experiment("rivals", options=("xfeat", "method"), without=XFEAT),
     "link": Experiment("cost.link"),
     "compute": Experiment("cost.compute", options=("xfeat",), without=XFEAT),
     "processes": Experiment("cost.processes", short_in_all=True),

@@ -185,7 +185,7 @@ def _chapter(
     """Run one experiment. What goes wrong in one of several is told, and kept for the page."""
     request = TrialRequest(
         one.rig, folder, options.seed, one.short, work, options.xfeat, options.logs, options.seconds,
-        sets_of(options), options.photographs,
+        sets_of(options), options.photographs, options.method,
     )  # fmt: skip
     begun = datetime.now()
     result: TrialResult | None = None

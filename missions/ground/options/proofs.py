@@ -73,6 +73,9 @@ class TrialOptions:
     xfeat: FileName = None
     """Weights of XFeat (ONNX), for ambiguity and compute; without them XFeat is left out."""
 
+    method: Annotated[str | None, tyro.conf.arg(metavar="FILE.py:NAME")] = None
+    """A method of your own, for ambiguity: asked on the same frames (docs/own-parts.md)."""
+
     logs: OutFolder = None
     """Folder with the logs of a session, for beacon: it is judged as if it were flown now."""
 

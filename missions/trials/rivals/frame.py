@@ -18,7 +18,8 @@ from drivers.perception.depth_mask import without_elsewhere
 from drivers.rig.parts import Rig
 from flight.harness.errors import TrialErrors
 from flight.harness.renderer import DepthNoise, FrameRenderer, Shot
-from missions.trials.rivals.path import PathAnswer, beliefs, run_path
+from missions.trials.rivals.own import Pair, View, chosen_by
+from missions.trials.rivals.path import Beliefs, PathAnswer, beliefs, run_path
 from missions.trials.rivals.score import Ballot
 from missions.trials.rivals.stage import MARKER_SIDE_M, DrawnStage, Wanted, as_drawn, draw, setup
 from missions.trials.rivals.truth import TrueView, shirt_box
@@ -53,6 +54,7 @@ class FrameTask:
         renderer: the class of the renderer. ``errors``: of the table of errors, which is ``rig``'s.
         xfeat: weights, None without XFeat.
         orb_variants, xfeat_variants: what of the baselines is tried.
+        own: a method of somebody's own, ``file.py:Name``.
     """
 
     renderer: Any
@@ -63,6 +65,7 @@ class FrameTask:
     xfeat: Path | None
     orb_variants: tuple[BaselineConfig, ...]
     xfeat_variants: tuple[BaselineConfig, ...]
+    own: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +94,7 @@ class FrameResult:
     path_color: Owned
     orb: Ballot
     xfeat: Ballot | None
+    own: Owned | None = None
 
     @property
     def present(self) -> bool:
@@ -205,27 +209,68 @@ def judge(task: FrameTask) -> FrameResult:
         path_on(task, pair, depth2=False),
         ballot(Orb(), pair, task.orb_variants),
         network,
+        None if task.own is None else own_on(task, task.own, pair),
     )
 
 
-def path_on(task: FrameTask, pair: StagePair, *, depth2: bool = True) -> Owned:
-    """PATH on a pair of frames; what the drones believe is of the task's seed.
+def believed_on(task: FrameTask, pair: StagePair) -> Beliefs:
+    """Return what the drones believe on a pair of frames, of the task's seed.
 
     Every stage draws it anew, as if it were another pair of drones: otherwise all frames would
     share one error.
     """
     rng = np.random.default_rng([*task.seed, pair.redraws, 1])
     table = task.errors(as_drawn(task.rig, pair.scene))
-    believed = beliefs(pair.scene, table.session(int(rng.integers(1 << 31))), rng)
-    answer = run_path(
-        believed, MethodConfig(), pair.shots, pair.box1, people_detector(), depth2=depth2
-    )
+    return beliefs(pair.scene, table.session(int(rng.integers(1 << 31))), rng)
+
+
+def owned(task: FrameTask, pair: StagePair, answer: PathAnswer) -> Owned:
+    """Return an answer with the person that its box really shows."""
     if answer.box is None:
         return Owned(answer, None)
     renderer = renderer_for(
         task.renderer, Role.RECEIVER, pair.scene.side, task.wanted.marker_side_m
     )
     return Owned(answer, TrueView(renderer, pair.scene, Role.RECEIVER).owner(answer.box))
+
+
+def own_on(task: FrameTask, named: str, pair: StagePair) -> Owned:
+    """Return what a method of somebody's own makes of a pair of frames, given what PATH is given."""
+    believed = believed_on(task, pair)
+    views = {
+        role: View(
+            pair.shots[role].color,
+            believed.depth[role].measured_mm(pair.shots[role].depth_mm),
+            camera,
+            gravity,
+        )
+        for role, camera, gravity in (
+            (Role.SENDER, believed.camera1, believed.gravity_v),
+            (Role.RECEIVER, believed.camera2, believed.gravity_c2),
+        )
+    }
+    given = Pair(
+        views[Role.SENDER],
+        views[Role.RECEIVER],
+        pair.box1,
+        pair.boxes2,
+        believed.layout,
+        believed.T_v_c1,
+    )
+    return owned(task, pair, PathAnswer(chosen_by(named, given), None))
+
+
+def path_on(task: FrameTask, pair: StagePair, *, depth2: bool = True) -> Owned:
+    """PATH on a pair of frames."""
+    answer = run_path(
+        believed_on(task, pair),
+        MethodConfig(),
+        pair.shots,
+        pair.box1,
+        people_detector(),
+        depth2=depth2,
+    )
+    return owned(task, pair, answer)
 
 
 def ballot(features: Features, pair: StagePair, variants: tuple[BaselineConfig, ...]) -> Ballot:

@@ -29,6 +29,7 @@ SHADES: dict[Outcome, str] = {"tp": "#2a7f5f", "tn": "#9fd0b8", "fn": "#d9d9d9",
 ORDER: tuple[Outcome, ...] = ("tp", "tn", "fn", "fp")
 METHOD_COLOURS = {"path": ROLE[Role.SENDER], "path_color": "#6ba8d8", "orb": COUNT}
 METHOD_COLOURS["xfeat"] = ROLE[Role.RECEIVER]
+METHOD_COLOURS["own"] = "#444444"
 WRONG = "#ff3030"
 RIGHT = OWN_BOX
 

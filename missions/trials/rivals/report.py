@@ -14,7 +14,13 @@ from missions.trials.shared.trial import TrialFinding, TrialTable, verdict
 from path.baselines.association import choose
 from path.observations import MissReason
 
-TITLES = {"path": "PATH", "path_color": "PATH, D2 without depth", "orb": "ORB", "xfeat": "XFeat"}
+TITLES = {
+    "path": "PATH",
+    "path_color": "PATH, D2 without depth",
+    "orb": "ORB",
+    "xfeat": "XFeat",
+    "own": "your method",
+}
 GOAL_ACCURACY = 0.99
 GOAL_FP = 0.003
 PAPER: dict[str, dict[str, str]] = {
@@ -32,7 +38,9 @@ REASONS: dict[MissReason | None, str] = {
 
 
 def of_path(judged: FrameResult, owned: Owned) -> Outcome:
-    """PATH's outcome: D2's candidate against the truth, before D1 says anything."""
+    """Return the outcome of PATH, or of a method of one's own: D2's candidate against the truth, before D1
+    says anything.
+    """
     return outcome(judged.present, owned.answer.box is not None, owned.owner == 0)
 
 

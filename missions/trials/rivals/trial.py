@@ -13,6 +13,7 @@ import numpy as np
 
 from missions.trials.rivals.examples import draw_view
 from missions.trials.rivals.frame import FrameResult, FrameTask, judge
+from missions.trials.rivals.own import method_of
 from missions.trials.rivals.pictures import SweepCurve, draw_outcomes, draw_sweeps
 from missions.trials.rivals.report import (
     TITLES,
@@ -53,6 +54,8 @@ Sweep = tuple[str, tuple[float, ...], list[dict[str, FrameTally]]]
 
 
 def run(request: TrialRequest) -> TrialResult:
+    if request.method is not None:
+        method_of(request.method)  # refused before any frame is drawn
     wanted = _wanted(request)
     judged, variants = _judged(request, wanted)
     rules = {"orb": best_rule([each.orb for each in judged], len(variants["orb"]))}
@@ -63,6 +66,7 @@ def run(request: TrialRequest) -> TrialResult:
     sentences = {
         "path": "the method's defaults",
         "path_color": "the same, from colour alone at D2",
+        "own": request.method or "",
         **{method: sentence(variants[method], rule) for method, rule in rules.items()},
     }
     return TrialResult(
@@ -105,6 +109,7 @@ def _tasks(
             request.xfeat,
             variants["orb"],
             variants["xfeat"],
+            request.method,
         )
         for number, each in enumerate(wanted)
     ]
@@ -156,6 +161,9 @@ def tallied(judged: Sequence[FrameResult], rules: Mapping[str, Rule]) -> dict[st
         "path_color": FrameTally.of(of_path(each, each.path_color) for each in judged),
         "orb": tally([each.orb for each in judged], rules["orb"]),
     }
+    own = [(each, each.own) for each in judged if each.own is not None]
+    if own:
+        found["own"] = FrameTally.of(of_path(each, answer) for each, answer in own)
     if "xfeat" in rules:
         found["xfeat"] = tally(_xfeat(judged), rules["xfeat"])
     return found

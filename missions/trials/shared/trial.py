@@ -29,6 +29,7 @@ class TrialRequest:
         seconds: how long to record where nothing is flown; 0: until Ctrl-C.
         sets: TOML files that describe sets of photographs. ``photographs``: what their paths are
             relative to, None for each file's own folder.
+        method: one of somebody's own that takes part, ``file.py:Name``.
     """
 
     rig: Rig
@@ -41,6 +42,7 @@ class TrialRequest:
     seconds: float = 0.0
     sets: tuple[Path, ...] = ()
     photographs: Path | None = None
+    method: str | None = None
 
     def part(self, name: str) -> Any:
         """The class or function that the rig's ``[trials]`` table names. Raises PartError when it
