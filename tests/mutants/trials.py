@@ -125,11 +125,11 @@ class Trials:
         tests = self._cheapest_first(suite)
         server = self._warm.get()
         try:
-            came = server.trial(wrong, tests, bound_s)
-            if not (came["passed"] or came["broken"]):
-                return believed(came, server, wrong, bound_s)
+            came = _asked(server, wrong, tests, bound_s)
         finally:
             self._warm.put(server)
+        if not (came["passed"] or came["broken"]):
+            return came
         if self._quick and not (came["broken"] or at_import):
             return came
         slow = () if self._quick else suite.slow
@@ -153,8 +153,7 @@ class Trials:
             if server is None:
                 server = Server(self._root)
                 self._servers.append(server)
-            came = server.trial(wrong, tests, bound_s)
-            return believed(came, server, wrong, bound_s)
+            return _asked(server, wrong, tests, bound_s)
         finally:
             self._cold.put(server)
 
@@ -207,6 +206,19 @@ class Trials:
 
         with ThreadPoolExecutor(self._jobs) as threads:
             yield from threads.map(tried, chosen)
+
+
+def _asked(
+    server: Server, wrong: Mapping[str, str], tests: Sequence[str], bound_s: float
+) -> dict[str, Any]:
+    """Run a trial, and once more with more time where a test failed for another reason: the others
+    may notice.
+    """
+    came = believed(server.trial(wrong, tests, bound_s), server, wrong, bound_s)
+    if came["passed"] and came["what"]:
+        bound_s *= _COLDER
+        return believed(server.trial(wrong, tests, bound_s), server, wrong, bound_s)
+    return came
 
 
 def believed(

@@ -4,6 +4,7 @@ stands in.
 
 from __future__ import annotations
 
+import asyncio
 import math
 from types import SimpleNamespace
 from typing import Any, cast
@@ -100,7 +101,8 @@ def test_the_view_is_what_the_vehicle_told() -> None:
         True,
         True,
     )
-    assert math.isnan(before.position_n_m[0]) and math.isnan(before.battery)
+    north, east, down = before.position_n_m
+    assert all(map(math.isnan, (north, east, down, before.battery)))
     assert (before.mode, before.mode_told, before.acked) == (FlightMode.OFFBOARD, 1, None)
     guard.now_ns += S
     view = guard.view(
@@ -315,3 +317,33 @@ def test_a_guard_s_table_that_cannot_be_is_refused(options: dict[str, Any], said
     usual: dict[str, Any] = {"url": "udpin://127.0.0.1:14551", "bind": "127.0.0.1:14561"}
     with pytest.raises(ValueError, match=said):
         GuardMavlinkConfig(**(usual | options))
+
+
+def test_the_guard_s_port_is_opened_for_its_vehicle_and_closed_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    opened: list[tuple[Any, ...]] = []
+    closed: list[bool] = []
+
+    def port(*args: Any) -> Any:
+        opened.append(args)
+        return SimpleNamespace(close=lambda: closed.append(True))
+
+    monkeypatch.setattr("drivers.mavlink.guard_link.MavlinkPort", port)
+    config = GuardMavlinkConfig(
+        url="udpin://127.0.0.1:14551", bind="127.0.0.1:14561", vehicle_sysid=SYSID
+    )
+
+    async def main() -> None:
+        link = GuardMavlink(config, CONTEXT)
+        async with link as same:
+            assert same is link and closed == []
+        assert closed == [True]
+        await link.__aexit__()
+        assert closed == [True]
+
+    asyncio.run(main())
+    ((url, sysid, own, wanted, now_ns, key),) = opened
+    assert (url, sysid, own, key) == (config.url, SYSID, (246, 191), None)
+    assert wanted == {0, 1, 32, 33, 77, 147, 245, 253, 436}
+    assert now_ns == CONTEXT.clock.now_ns

@@ -25,7 +25,7 @@ from drivers.mavlink.guard.line import (
     encode_beat,
     is_taken,
 )
-from drivers.mavlink.guard.seal import KeyReader, Seals, key_path
+from drivers.mavlink.guard.seal import KeyReader, Seals, key_path, make_key
 from flight.guard.rules import GuardRules
 from tests.free_ports import free_port
 from tests.guard_bench import until
@@ -201,6 +201,27 @@ def test_a_key_that_others_can_read_is_not_used() -> None:
             key_path(bind).rmdir()
 
     asyncio.run(main())
+
+
+def test_a_key_is_read_once_and_again_when_its_file_is_another_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    read: list[Path] = []
+
+    def content(path: Path) -> bytes:
+        read.append(path)
+        return path.read_bytes()
+
+    monkeypatch.setattr("drivers.mavlink.guard.seal._content", content)
+    reader = KeyReader("127.0.0.1:9")
+    assert reader.read() is None and read == []
+    key = make_key("127.0.0.1:9")
+    assert reader.read() == reader.read() == key and len(read) == 1
+    other = make_key("127.0.0.1:9")
+    assert reader.read() == other != key and len(read) == 2
+    key_path("127.0.0.1:9").unlink()
+    assert reader.read() is None
 
 
 @pytest.mark.parametrize("whole_folder", [False, True])

@@ -4,6 +4,7 @@ sends.
 
 from __future__ import annotations
 
+import os
 import socket
 from typing import Any
 
@@ -12,11 +13,14 @@ from pymavlink.dialects.v10 import common as v1
 from pymavlink.dialects.v20 import all as mavlink
 
 from drivers.interfaces import VehicleError
-from drivers.mavlink.transport import port
+from drivers.mavlink.transport import mavsdk_line, port
 from drivers.mavlink.transport.frames import Head, head_of, payload_of, take_frames, whole
+from drivers.mavlink.transport.mavsdk_line import MavsdkLine
 from drivers.mavlink.transport.port import MavlinkPort, SerialPort, UdpIn, UdpOut, open_transport
+from drivers.mavlink.transport.signing import SignatureCheck, Signer
 from tests.drivers.mavlink.transport.test_bytes import Line
 from tests.free_ports import free_port
+from tests.guard_bench import until
 
 SYSID = 3
 KEY = bytes(range(32))
@@ -34,6 +38,9 @@ NEW = bytes(
 
 def test_the_head_of_either_version_says_who_and_what() -> None:
     assert head_of(OLD) == Head(9, 7, 0, 6)
+    turned = v1.MAVLink_attitude_message(77, 0, 0, 0, 0, 0, 0)
+    packed = turned.pack(v1.MAVLink(None, srcSystem=9, srcComponent=7))
+    assert head_of(bytes(packed)) == Head(9, 7, 30, 6)
     assert head_of(NEW) == Head(9, 7, 22, 10)
     assert whole(OLD) and not whole(OLD[:-1] + bytes((OLD[-1] ^ 1,)))
     assert payload_of(OLD, 9) == OLD[6:15]
@@ -184,3 +191,133 @@ def test_datagrams_go_both_ways_and_to_nobody_where_nobody_is_known() -> None:
         other.bind(("127.0.0.1", number))
     talking.close()
     listening.close()
+
+
+def test_a_serial_port_is_read_and_written_without_waiting_and_given_back() -> None:
+    there, here = os.openpty()
+    name = os.ttyname(here)
+    device = open_transport(f"serial://{name}:57600")
+    assert isinstance(device, SerialPort)
+    assert device.read() == (b"", None)
+    device.write(b"hello", None)
+    assert os.read(there, 9) == b"hello"
+    os.write(there, b"answer")
+    assert device.read() == (b"answer", None)
+    with pytest.raises(OSError):  # it is nobody else's
+        SerialPort(name, 57600)
+    number = device.fileno()
+    device.close()
+    with pytest.raises(OSError):
+        os.fstat(number)
+    os.close(there)
+    os.close(here)
+
+
+# --- MAVSDK's line
+
+
+class Mavsdk:
+    """In the place of MAVSDK: what is handed on to it, and its way to send."""
+
+    def __init__(self) -> None:
+        self.heard: list[bytes] = []
+        self.connections: list[str] = []
+        self.send: Any = None
+
+    def subscribe_raw_bytes_to_be_sent(self, send: Any) -> None:
+        self.send = send
+
+    def add_any_connection_with_handle(self, url: str) -> None:
+        self.connections.append(url)
+
+    def pass_received_raw_bytes(self, frame: bytes) -> None:
+        self.heard.append(frame)
+
+
+def line_on(wire: Wire, monkeypatch: pytest.MonkeyPatch, key: bytes | None = None) -> MavsdkLine:
+    def opened(_url: str) -> Wire:
+        return wire
+
+    monkeypatch.setattr(mavsdk_line, "open_transport", opened)
+    return MavsdkLine("serial:///dev/ttyNone:57600", SYSID, (246, 191), key)
+
+
+def test_what_mavsdk_sends_is_signed_with_this_end_s_own_link(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    wire = Wire()
+    line = line_on(wire, monkeypatch, KEY)
+    line._send(beat(246, 191) + beat(246, 191))
+    assert [packet[2] for packet, _ in wire.written] == [1, 1]
+    assert {packet[-13] for packet, _ in wire.written} == {191}
+    check = SignatureCheck(KEY)
+    assert all(check.holds(packet) for packet, _ in wire.written)
+    line.close()
+    assert wire.closed == 1
+
+
+@pytest.mark.parametrize("pinned", [None, ("127.0.0.1", 1111)])
+def test_neighbours_are_heard_until_the_vehicle_is_known(
+    pinned: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mav = mavlink.MAVLink(None, srcSystem=SYSID + 1, srcComponent=1)
+    turned = bytes(mavlink.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0).pack(mav))
+    line, taker = line_on(Wire(shared=True), monkeypatch), Mavsdk()
+    line._mavsdk = taker
+    line._source.pinned = pinned
+    line._take(beat(SYSID + 1) + turned, ("127.0.0.1", 2222))
+    assert taker.heard == ([] if pinned else [beat(SYSID + 1)])
+    taker.heard.clear()
+    line._take(turned, pinned or ("127.0.0.1", 3333))
+    assert taker.heard == ([turned] if pinned else [])
+    line.close()
+
+
+def test_what_is_not_signed_is_counted_and_nothing_is_handed_on_after_the_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    line, taker = line_on(Wire(), monkeypatch, KEY), Mavsdk()
+    line._mavsdk = taker
+    line._take(beat(), None)
+    assert taker.heard == [] and line.ignored == {port.UNSIGNED: 1}
+    signed = Signer(KEY, 1, port.extras()).sign(beat())
+    assert signed is not None
+    line._take(signed, None)
+    assert taker.heard == [signed]
+    line.stop()
+    again = Signer(KEY, 2, port.extras()).sign(beat())
+    assert again is not None
+    line._take(again, None)
+    assert taker.heard == [signed]
+    line.close()
+
+
+def test_a_line_hands_on_what_comes_from_its_start_to_its_end() -> None:
+    number = free_port()
+    line, taker = MavsdkLine(f"udpin://127.0.0.1:{number}", SYSID, (246, 191)), Mavsdk()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        vehicle.settimeout(5.0)
+        vehicle.connect(("127.0.0.1", number))
+        line.start(taker)
+        assert taker.connections == ["raw://"]
+        vehicle.send(beat())
+        asked: Any = mavlink.MAVLink(None).decode(bytearray(vehicle.recv(500)))
+        mav = mavlink.MAVLink(None, srcSystem=SYSID, srcComponent=1)
+        vehicle.send(bytes(mavlink.MAVLink_timesync_message(5, asked.ts1).pack(mav)))
+        vehicle.send(beat())
+        until(lambda: beat() in taker.heard)
+        taker.send(beat(246, 191))  # it goes to the address that was proven
+        assert vehicle.recv(500) == beat(246, 191)
+    line.close()
+    line.close()
+    assert not line._thread.is_alive()
+
+
+@pytest.mark.parametrize(
+    ("url", "key", "needs"),
+    [("udpin://0.0.0.0:1", None, True), ("udpout://1.2.3.4:1", None, False), ("udpout://1.2.3.4:1", KEY, True)],
+)  # fmt: skip
+def test_mavsdk_has_no_port_where_others_can_send_or_what_is_said_is_signed(
+    url: str, key: bytes | None, needs: bool
+) -> None:
+    assert mavsdk_line.needs_line(url, key) is needs
