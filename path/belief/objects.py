@@ -146,8 +146,9 @@ class ObjectTrack:
         """Something else may have come to where the object was, with this probability, and the
         object be near.
         """
-        self.replaced += (1.0 - self.doubt) * share * (1.0 - HIDDEN)
-        self.hidden += (1.0 - self.doubt) * share * HIDDEN
+        added = (1.0 - self.doubt) * share
+        self.replaced += added * (1.0 - HIDDEN)
+        self.hidden += added * HIDDEN
 
     @property
     def doubt(self) -> float:

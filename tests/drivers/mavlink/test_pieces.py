@@ -24,10 +24,22 @@ def test_modes_of_both_autopilots() -> None:
     assert PX4.mode(3 << 16) is FlightMode.OTHER
     assert ARDUPILOT.mode(4) is FlightMode.OFFBOARD
     assert ARDUPILOT.mode(5) is FlightMode.OTHER  # LOITER needs a pilot's sticks
-    for kind in (PX4, ARDUPILOT):
-        for mode, (main, sub) in kind.set_mode.items():
-            custom = main << 16 | sub << 24 if kind is PX4 else main
-            assert kind.mode(custom) is mode
+    assert PX4.set_mode == {FlightMode.HOLD: (4, 3), FlightMode.OFFBOARD: (6, 0)}
+    assert ARDUPILOT.set_mode == {FlightMode.HOLD: (17, 0), FlightMode.OFFBOARD: (4, 0)}
+    names = ("TAKEOFF", "HOLD", "RETURN", "LAND", "OFFBOARD")
+    customs = ((4, 2), (4, 3), (4, 5), (4, 6), (6, 0))
+    assert PX4.modes == {
+        main << 16 | sub << 24: FlightMode[name]
+        for name, (main, sub) in zip(names, customs, strict=True)
+    }
+    copter = {4: "OFFBOARD", 6: "RETURN", 9: "LAND", 17: "HOLD"}
+    assert ARDUPILOT.modes == {custom: FlightMode[name] for custom, name in copter.items()}
+    assert (PX4.mav_autopilot, ARDUPILOT.mav_autopilot, PX4.unset, ARDUPILOT.unset) == (
+        12,
+        3,
+        None,
+        0.0,
+    )
 
 
 def ecef(

@@ -451,6 +451,14 @@ def test_the_doctor_is_told_what_it_is_what_it_waits_for_and_what_it_says(
             asked.append(({name: look() for name, look in streams.items()}, rate_hz))
             return []
 
+        said = telemetry.texts_since
+        since: list[int] = []
+
+        def texts_since(_stamp_ns: int) -> list[str]:
+            since.append(_stamp_ns)
+            return said(_stamp_ns)
+
+        telemetry.texts_since = texts_since
         monkeypatch.setattr("drivers.mavlink.vehicle.counted", counted)
         first, waits, says = await bench.vehicle.examine()
         known = f"firmware {firmware}" if firmware else "that does not tell its firmware"
@@ -459,7 +467,7 @@ def test_the_doctor_is_told_what_it_is_what_it_waits_for_and_what_it_says(
         assert (waits.state, waits.detail) == ("note", "home position, arming checks")
         assert (says.state, says.detail) == ("note", "one | two | three")
         assert asked == [({"attitude": 5, "position": None}, 40.0)]
-        assert bench.session.sent == [(512, (148,), 3)]
+        assert bench.session.sent == [(512, (148,), 3)] and since == [0]  # from the beginning
         telemetry.lacking, telemetry.texts = (), []
         assert len(await bench.vehicle.examine()) == 1
         timeout_s = 0.0 if firmware else 2.0 * bench.vehicle._config.command_timeout_s

@@ -1,0 +1,238 @@
+"""What a box says of an object whose size it has not, how surely an object exists, and what doubts
+cost: by hand.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from path.belief import objects as file
+from path.belief.motion import Motion
+from path.belief.objects import Belief, Measured, ObjectTrack
+from tests.path.belief.test_objects import AXES, EVERYWHERE, FRAME_NS, begun, box
+
+S = 1_000_000_000
+TURNED = np.array([[0.0, -0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, 0.6]])
+
+
+def track(sides_m: tuple[float, float] = (0.3, 0.4), variance: float = 0.01) -> ObjectTrack:
+    motion = Motion.at(np.array([2.0, 0.0, 0.0]), 0.01 * np.eye(3), 0.6, 0)
+    return ObjectTrack(0, motion, np.log(sides_m), variance, log_odds=5.0, seen_ns=0)
+
+
+def measured(sides_m: tuple[float, float], **changes: object) -> Measured:
+    usual = Measured(
+        np.array([2.0, 0.0, 0.0]), 1e-4 * np.eye(3), TURNED, sides_m, 0.05, (math.inf, math.inf), 1e-3, 5e-3
+    )  # fmt: skip
+    return replace(usual, **changes)
+
+
+def test_a_middle_within_half_of_what_is_too_much_along_each_side_of_the_box() -> None:
+    beyond = np.array([0.2, 0.4])
+    spread = np.diag([0.01, 0.04, 0.04])  # and ahead as far as the larger one
+    np.testing.assert_allclose(file._halves(beyond), np.diag(spread))
+    np.testing.assert_allclose(file._within(beyond, TURNED), TURNED @ spread @ TURNED.T, atol=1e-15)
+
+
+def test_a_place_is_never_known_better_by_it_than_that_however_many_frames_say_it() -> None:
+    beyond = np.array([0.2, 0.4])
+    motion = Motion.at(np.zeros(3), np.eye(3), 0.6, 0)
+    for _ in range(200):
+        motion.update(np.zeros(3), file._bounded(motion, beyond, AXES))
+    known = np.diag(AXES.T @ motion.place_covariance_m2 @ AXES)
+    np.testing.assert_allclose(known, (0.01, 0.04, 0.04), rtol=0.05)
+    better = Motion.at(np.zeros(3), np.diag([1e-6, 1e-6, 1e-6]), 0.6, 0)
+    better.update(np.array([0.05, 0.05, 0.05]), file._bounded(better, beyond, AXES))
+    np.testing.assert_allclose(better.place_m, 0.0, atol=1e-4)  # it is told nothing
+
+
+FACTOR = math.exp(2.0 * math.sqrt(0.01 + 0.05**2))
+
+
+def test_a_box_of_the_object_s_size_has_its_own_noise_alone() -> None:
+    for times in (1.0, 0.99 * FACTOR, 1.01 / FACTOR):
+        fit = file._fit(track(), measured((0.3 * times, 0.4 * times)))
+        np.testing.assert_array_equal(fit.within_m2, np.zeros((3, 3)))
+        np.testing.assert_array_equal(fit.noise_m2, 1e-4 * np.eye(3))
+        assert not fit.larger
+
+
+def test_in_a_larger_box_there_is_something_else_and_the_object_anywhere_in_it() -> None:
+    own = track()
+    seen = measured((0.9, 0.4))
+    fit = file._fit(own, seen)
+    beyond = np.array([0.9 - 0.3 / FACTOR, 0.4 - 0.4 / FACTOR])
+    assert fit.larger
+    np.testing.assert_allclose(fit.within_m2, file._within(beyond, TURNED))
+    bounded = file._bounded(own.motion, beyond, TURNED)
+    np.testing.assert_allclose(fit.noise_m2, 1e-4 * np.eye(3) + bounded)
+
+
+def test_in_a_smaller_box_a_part_of_the_object_is_hidden() -> None:
+    fit = file._fit(track(), measured((0.1, 0.4)))
+    beyond = np.array([0.3 / FACTOR - 0.1, 0.0])
+    assert not fit.larger
+    np.testing.assert_allclose(fit.within_m2, file._within(beyond, TURNED))
+
+
+def test_no_object_is_larger_than_the_target_can_be() -> None:
+    own = track((0.9, 0.4))
+    most = measured((0.5, 0.4), most_m=(0.5, 0.6))
+    assert not file._fit(own, most).larger
+    fit = file._fit(own, measured((0.6, 0.4), most_m=(0.5, 0.6)))
+    assert fit.larger
+    beyond = np.array([0.6 - 0.5 / FACTOR, 0.4 - 0.4 / FACTOR])
+    np.testing.assert_allclose(fit.within_m2, file._within(beyond, TURNED))
+    np.testing.assert_allclose(own.sides_m((0.5, 0.6)), (0.5, 0.4))
+
+
+def test_sides_are_as_likely_as_a_distribution_with_tails_has_them_against_any() -> None:
+    """Student's, of three degrees of freedom, for either side."""
+    own = track()
+    found = file._size_fits(own, measured((0.3 * math.exp(0.2), 0.4 * math.exp(-0.1))))
+    variance = 0.01 + 0.05**2
+    densities = [
+        2.0 / (math.pi * math.sqrt(3.0 * variance)) * (1.0 + off**2 / (3.0 * variance)) ** -2
+        for off in (0.2, 0.1)
+    ]
+    assert found == pytest.approx(math.prod(densities) / 0.25, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("sides_m", "right_m", "part"),
+    [
+        ((0.1, 0.1), 0.0, True),
+        ((0.1, 0.1), 0.15, True),
+        ((0.1, 0.1), 0.25, False),  # both together are wider than the object
+        ((0.3 * 0.99 * FACTOR, 0.1), 0.0, True),
+        ((0.3 * 1.01 * FACTOR, 0.1), 0.0, False),
+    ],
+)
+def test_a_box_that_is_no_more_than_the_object_together_with_its_own_is_of_it_too(
+    sides_m: tuple[float, float], right_m: float, part: bool
+) -> None:
+    own = track()
+    seen = measured(sides_m, place_m=np.array([2.0, 0.0, 0.0]) + right_m * TURNED[:, 0])
+    assert file._is_part(seen, own, None) is part
+    there = measured((0.3, 0.4), place_m=own.motion.place_m.copy())
+    own.motion.mean[:3] += 9.0  # it is where its box is
+    assert file._is_part(seen, own, there) is part
+    own.log_odds = 1.0
+    assert not file._is_part(seen, own, there)  # it may be nothing itself
+
+
+# --- existence, and what is doubted
+
+
+def test_a_new_object_exists_by_one_in_ten_and_surely_after_half_a_second() -> None:
+    belief, stamp_ns = begun()
+    belief.update([box(0.0), box(0.6)], EVERYWHERE, stamp_ns + FRAME_NS)
+    new = belief.tracks[1]
+    assert new.existence == pytest.approx(0.1) and not new.confirmed
+    for k in range(2, 60):
+        belief.update([box(0.0), box(0.6)], EVERYWHERE, stamp_ns + k * FRAME_NS)
+        odds = math.log(1.0 / 9.0) + (k - 1) * 0.02 / 0.1
+        if not new.confirmed:
+            assert new.log_odds == pytest.approx(odds)
+        assert new.confirmed is (odds + 1e-9 >= math.log(19.0))
+    kept = new.log_odds
+    belief.update([box(0.0)], EVERYWHERE, stamp_ns + 60 * FRAME_NS)
+    assert new.log_odds == kept  # once it exists it is only out of sight
+
+
+@pytest.mark.parametrize("sees", [True, False])
+def test_what_is_not_shown_where_it_can_be_seen_exists_less(sees: bool) -> None:
+    belief, stamp_ns = begun()
+    belief.update([box(0.0), box(0.6)], EVERYWHERE, stamp_ns + FRAME_NS)
+    new = belief.tracks[1]
+    belief.update([box(0.0)], lambda place: sees or place[1] < 0.3, stamp_ns + 2 * FRAME_NS)
+    lost = math.log(10.0) * 0.02 / 0.1 if sees else 0.0
+    assert new.log_odds == pytest.approx(math.log(1.0 / 9.0) - lost)
+    assert new.shown is not sees
+
+
+def test_doubts_add_up_to_no_more_than_all_and_some_of_them_are_hidden() -> None:
+    own = track()
+    own.doubted(0.4)
+    assert (own.replaced, own.hidden) == (pytest.approx(0.38), pytest.approx(0.02))
+    own.doubted(0.5)
+    assert own.doubt == pytest.approx(0.4 + 0.6 * 0.5)
+    assert own.hidden == pytest.approx(0.05 * own.doubt)
+    own.doubted(1.0)
+    assert own.doubt == pytest.approx(1.0)
+    own.replaced = 2.0
+    assert own.doubt == 1.0
+
+
+def test_a_doubt_goes_by_nine_tenths_with_each_spell_in_which_nothing_else_comes_up() -> None:
+    belief, stamp_ns = begun()
+    (own,) = belief.tracks
+    own.replaced, own.hidden = 0.5, 0.02
+    for k in range(1, 6):
+        belief.update([box(0.0)], EVERYWHERE, stamp_ns + k * FRAME_NS)
+    assert own.replaced == pytest.approx(0.5 * 0.1, abs=1e-4)
+    assert own.hidden == pytest.approx(0.02, abs=1e-4)
+
+
+def test_the_size_of_an_object_is_learnt_from_boxes_of_its_own() -> None:
+    belief, stamp_ns = begun()
+    (own,) = belief.tracks
+    before, variance = own.log_sides.copy(), own.size_variance
+    belief.update([box(0.0, wide_m=0.31)], EVERYWHERE, stamp_ns + FRAME_NS)
+    grown = variance + 0.1**2 * 0.02
+    gain = grown / (grown + 0.03**2)
+    off = np.log((0.31, 0.3)) - before
+    np.testing.assert_allclose(own.log_sides, before + gain * off)
+    assert own.size_variance == pytest.approx((1.0 - gain) * grown)
+
+
+def test_nothing_is_learnt_of_size_from_a_box_that_cannot_be_its_own() -> None:
+    belief, stamp_ns = begun()
+    (own,) = belief.tracks
+    before = own.log_sides.copy()
+    belief.update([box(0.0, wide_m=0.15)], EVERYWHERE, stamp_ns + FRAME_NS)
+    np.testing.assert_array_equal(own.log_sides, before)
+    assert own.seen_ns == stamp_ns + FRAME_NS
+
+
+def test_depth_alone_keeps_a_track_within_its_body_in_a_frame_without_a_box() -> None:
+    belief, stamp_ns = begun()
+    (own,) = belief.tracks
+    belief.carry(np.array([2.1, 0.1, 0.0]), stamp_ns)  # this frame has a box of it
+    assert own.motion.place_m[1] == pytest.approx(0.0, abs=1e-3)
+    later_ns = stamp_ns + 40 * FRAME_NS
+    belief.update([], EVERYWHERE, later_ns)
+    expected = Motion(own.motion.mean.copy(), own.motion.covariance.copy(), later_ns)
+    expected.update(np.array([2.1, 0.1, 0.0]), 0.15**2 * np.eye(3))
+    belief.carry(np.array([2.1, 0.1, 0.0]), later_ns)
+    np.testing.assert_allclose(own.motion.mean, expected.mean, rtol=0.05, atol=1e-4)
+    assert own.motion.place_m[1] > 0.01
+    assert Belief(0.6).carry(np.zeros(3), 5) is None  # there is nothing to keep
+
+
+def test_one_that_was_designated_is_known_half_as_well_as_its_box() -> None:
+    belief = Belief(0.6)
+    place = np.array([2.0, 0.1, 0.0])
+    belief.designate(place, box(0.0), 5)
+    (own,) = belief.tracks
+    np.testing.assert_array_equal(own.motion.place_m, place)
+    np.testing.assert_allclose(own.motion.place_covariance_m2, 4.0 * box(0.0).covariance_m2)
+    assert own.confirmed and own.identity == 1.0 and belief.likeliest is own
+    assert belief.probability(own.number) == 1.0 and belief.probability(99) == 0.0
+
+
+def test_what_a_new_one_is_owed_counts_as_far_as_it_exists() -> None:
+    belief, stamp_ns = begun()
+    (own,) = belief.tracks
+    belief.update([box(0.0), box(0.6)], EVERYWHERE, stamp_ns + FRAME_NS)
+    new = belief.tracks[1]
+    new.owed = {own.number: 0.4}
+    own.replaced = own.hidden = 0.0
+    assert belief.probability(new.number) == pytest.approx(own.identity * 0.4 * 0.1)
+    assert belief.probability(own.number) == pytest.approx(own.identity * (1.0 - 0.1 * 0.4))
+    own.replaced = 0.25
+    assert belief.probability(own.number) == pytest.approx(own.identity * 0.96 * 0.75)
