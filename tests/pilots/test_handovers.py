@@ -19,6 +19,8 @@ from tests.pilots.handovers import Acts, Console, shown, simpler_acts
 FOUND = {
     # its motors turned again in OFFBOARD, where nobody flew it any more: no gap of the script's
     "stopped motors for a moment": Acts(7, receiver=(Act(34.0, "kill", 0, 0.2),)),
+    # they turned again in the climb, where nobody flew it any more: its guard took and landed it
+    "stopped motors in the climb": Acts(4, receiver=(Act(18.75, "kill", 0, 0.5),)),
     # the other drone, which follows the target beside it, was not told
     "sticks on the way home, and a radio lost": Acts(
         7, sender=(Act(35.97, "sticks", 1, 1.0), Act(44.03, "lost"))

@@ -120,11 +120,13 @@ class Watched:
             and autopilot.mode in MOVING
             and now_s - self.modes[-1][0] > NOBODYS_S
         )
-        if not nobodys:
-            since_s = now_s - self.theirs_s
-            self.wrong.append(
-                f"{now_s:.2f} s: the {self.hand} sent {what}, {since_s:.1f} s after a person took over"
-            )
+        if nobodys:
+            self.theirs_s = None  # from now on it is the guard's, until it is down
+            return
+        since_s = now_s - self.theirs_s
+        self.wrong.append(
+            f"{now_s:.2f} s: the {self.hand} sent {what}, {since_s:.1f} s after a person took over"
+        )
 
     def look(self, autopilot: Autopilot, now_s: float) -> None:
         """Look at what needs no request: motors stopped, the autopilot's own hold without a radio,
