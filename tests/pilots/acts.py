@@ -89,7 +89,8 @@ def begin(act: Act, autopilot: Autopilot, now_s: float) -> None:
         case "lost":
             held.on = False
         case "mode":
-            autopilot.request_mode(now_s, MODES[act.what])
+            if autopilot.request_mode(now_s, MODES[act.what]).accepted:
+                autopilot.pilots_mode = MODES[act.what]  # a person's, whatever it was selected with
         case _:
             autopilot.request_arm(now_s, act.kind == "arm")
 
