@@ -56,12 +56,12 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """All tests on two cores: after the flights, what waits is in three workers, and two others
+    """All tests on two cores: after the flights, what waits is in four workers, and two others
     compute meanwhile.
 
     Some of the tests are run without workers, which take seconds to start and cannot show output.
     """
-    return 5 if config.args_source is config.ArgsSource.TESTPATHS else 0
+    return 6 if config.args_source is config.ArgsSource.TESTPATHS else 0
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Groups:

@@ -55,11 +55,19 @@ REAL_TIME = (
 # What of these only computes.
 COMPUTES = (
     "contracts/test_log_for_strangers",
+    "drivers/beacons/test_dashboard_log",
+    "drivers/beacons/test_frames",
+    "drivers/beacons/test_log",
     "drivers/detectors/",
     "drivers/link/test_end",
     "drivers/link/test_framing",
     "drivers/link/test_units",
     "drivers/link/test_wire",
+    "drivers/perception/test_depth",
+    "drivers/perception/test_history",
+    "drivers/realsense/test_registration",
+    "drivers/recordings/test_h264",
+    "drivers/recordings/test_recording",
     "drivers/rig/",
     "hil/autopilot/",
     "hil/camera/test_pictures",
@@ -70,6 +78,7 @@ COMPUTES = (
     "hil/render/",
     "hil/vehicle/test_busy_world",
     "hil/world/",
+    "missions/proofs/verify/test_run",
 )
 FLIGHTS, IN_REAL_TIME = "flights", "real time"
 # What of it waits most of its time, and has no port that is not its own: in workers of their own,
@@ -81,16 +90,35 @@ BESIDE = {
         "missions/fly/guard/test_command",
     ),
     "real time, contracts": ("contracts/", "drivers/tello/", "hil/vehicle/"),
+    "real time, cameras": (
+        "drivers/perception/",
+        "drivers/realsense/",
+        "drivers/recordings/",
+        "hil/camera/",
+        "missions/field/doctor/",
+        "scenarios/test_unplugged",
+    ),
 }
-APART = ("scenarios/test_sim",)  # long tests that share nothing
+# long tests that share nothing
+APART = (
+    "missions/fly/relay/test_command",
+    "missions/fly/team/test_command",
+    "mutants/test_mutants",
+    "scenarios/test_sim",
+)
 # What takes longest of what computes. A worker is given up to three groups ahead: the last ones
 # must be short.
 LONG = (
     *APART,
     "contracts/test_log_for_strangers",
+    "docs/test_systems",
+    "hil/montecarlo/",
+    "missions/field/calibrate/",
+    "missions/fly/own/",
     "missions/proofs/campaign/",
     "missions/proofs/verify/",
     "missions/trials/",
+    "outside/",
     "scenarios/",
 )
 # than the run itself: two computing workers together take less of a core than one at 10 would

@@ -7,12 +7,27 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from tests.scheduling import FLIGHTS, Groups, computes, group_of, urgency
+from tests.scheduling import (
+    APART,
+    BESIDE,
+    COMPUTES,
+    FLIGHTS,
+    FLYING,
+    LONG,
+    REAL_TIME,
+    Groups,
+    computes,
+    group_of,
+    urgency,
+)
+
+TESTS = Path(__file__).parent
 
 FLIGHT = "tests/scenarios/test_own_sitl.py::test_flies"
 OTHER_FLIGHT = "tests/scenarios/test_guard_sitl.py::test_flies_too"
@@ -134,6 +149,14 @@ def test_what_flies_waits_or_computes_is_told_apart() -> None:
     assert computes("tests/hil/render/test_looks.py::test_a") and not computes(
         "tests/hil/tello/test_video.py::test_a"
     )
+
+
+def test_every_place_that_is_named_is_there() -> None:
+    """Tests that moved would else compute beside flights, or wait their turn for nothing."""
+    beside = [place for places in BESIDE.values() for place in places]
+    for place in (*FLYING, *REAL_TIME, *COMPUTES, *beside, *APART, *LONG):
+        file = place.partition("::")[0]
+        assert list(TESTS.glob(f"{file}*")), place
 
 
 NICE_BY_TEST = """
