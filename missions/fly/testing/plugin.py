@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from drivers.rig.parts import Rig
     from missions.fly.testing.flights import PytestFlights
 
+pytest.register_assert_rewrite("missions.fly.testing.vehicle")  # its tests say what they found
+
 FLOWN = pytest.StashKey[list[Path]]()
 FAILED = pytest.StashKey[bool]()
 
