@@ -1,5 +1,7 @@
-"""One cycle of D2, the receiver: where to look, and which of the things found there is the target.
-Pure.
+"""One cycle of D2, the receiver: where to look, and which of the things there is the target.
+
+``flight.frame.receiver`` calls it for every frame of D2 and every word of D1. Like D1's cycle it is
+pure, and decides nothing about responsibility.
 """
 
 from __future__ import annotations
@@ -46,8 +48,10 @@ class ReceiverCycle:
         target_id: int,
         sender: tuple[CameraModel, Vec3] | None = None,
     ) -> None:
-        """``sender``: D1's camera and its place in the marker frame, for ``target_error =
-        "ray"``.
+        """Begin an attempt.
+
+        Args:
+            sender: D1's camera and its place in the marker frame, for ``target_error = "ray"``.
         """
         self.misses: Counter[MissReason] = Counter()
         self.found = 0
@@ -60,32 +64,31 @@ class ReceiverCycle:
         self._box_size_at_1m_px = (0.0, 0.0)
 
     def on_target(self, target: Target, capture_ns: int, now_ns: int) -> Missed | None:
-        """Take in D1's message; None when it is used, else why not (always ``ignored``).
+        """Take in D1's message, and return why it is not used; None when it is.
 
         Args:
             capture_ns: ``target.capture_ns`` converted to D2's clock.
             now_ns: D2's clock.
+
+        Returns:
+            A miss is always ``ignored``.
         """
         reason = self._unusable(target, capture_ns, now_ns)
         if reason is not None:
             self.misses[reason] += 1
             return Missed(reason, ignored=True)
         newest = self._track.newest
-        frame = (
-            target.sequence
-            if newest is None
-            else newest.frame + serial_difference(target.sequence, newest.frame)
-        )
-        self._track.add(
-            Sample(capture_ns, frame, (*target.point_v_m, *target.gravity_v, target.sigma_m))
-        )
+        frame = target.sequence
+        if newest is not None:
+            frame = newest.frame + serial_difference(target.sequence, newest.frame)
+        values = (*target.point_v_m, *target.gravity_v, target.sigma_m)
+        self._track.add(Sample(capture_ns, frame, values))
         return None
 
     def gravity_v(self, stamp_ns: int) -> Vec3 | None:
-        """D1's gravity direction in ``v`` at an instant of D2's clock, for the marker's pose; None
-        when unknown.
+        """Return D1's gravity direction in ``v`` at an instant of D2's clock; None when unknown.
 
-        Interpolated between D1's samples; beyond the newest one that one, for
+        For the marker's pose. Interpolated between D1's samples; beyond the newest one that one, for
         ``max_extrapolation_s``.
         """
         newest = self._track.newest
@@ -150,9 +153,7 @@ class ReceiverCycle:
         )
 
     def _ray(self, point_v: Vec3, moved_sigma_m: float) -> Ray | None:
-        """D1's line of sight to the target, when its errors are to be told apart along it and
-        across it.
-        """
+        """Return D1's line of sight to the target; None unless its errors differ along it."""
         if self._sender is None or self._config.target_error == "point":
             return None
         camera, eye_v = self._sender
@@ -167,8 +168,9 @@ class ReceiverCycle:
     def candidate(
         self, frame_id: int, stamp_ns: int, detections: Sequence[Detection], prior: Prior | Missed
     ) -> Candidate | Missed:
-        """The answer to send for one frame, or why there is none to send (an old or repeated frame,
-        ``ignored``).
+        """Return the answer to send for one frame.
+
+        For an old or repeated frame there is none: an ``ignored`` miss.
 
         Args:
             frame_id: strictly increasing; its low 16 bits are the message's sequence.
@@ -177,10 +179,10 @@ class ReceiverCycle:
             prior: of this frame, or why there is none (also a marker's miss): it goes out as the
                 candidate's reason.
         """
-        if self._last is not None and (frame_id <= self._last[0] or stamp_ns <= self._last[1]):
-            reason = MissReason.DUPLICATE if frame_id == self._last[0] else MissReason.STALE
-            self.misses[reason] += 1
-            return Missed(reason, ignored=True)
+        old = self._old(frame_id, stamp_ns)
+        if old is not None:
+            self.misses[old] += 1
+            return Missed(old, ignored=True)
         self._last = (frame_id, stamp_ns)
         chosen = self._choose(detections, prior)
         box = plain_box(chosen.box) if isinstance(chosen, Detection) else None
@@ -203,36 +205,47 @@ class ReceiverCycle:
             *self._identity, sequence, answered, stamp_ns, box, why, position, rotation, sigma_m
         )
 
+    def _old(self, frame_id: int, stamp_ns: int) -> MissReason | None:
+        """Return why a frame is not the next one; None when it is."""
+        if self._last is None:
+            return None
+        last_id, last_ns = self._last
+        if frame_id == last_id:
+            return MissReason.DUPLICATE
+        return MissReason.STALE if frame_id < last_id or stamp_ns <= last_ns else None
+
     def _choose(self, detections: Sequence[Detection], prior: Prior | Missed) -> Detection | Missed:
-        """The detection nearest to the prior; a miss when none is near, or a second one nearly as
-        near.
+        """Return the detection nearest to the prior.
+
+        A miss when none is near, or a second one nearly as near.
         """
         if isinstance(prior, Missed):
             return prior
-        gate = self._config.search_sigmas**2
+        farthest2 = self._config.search_sigmas**2
         near: list[tuple[float, Detection]] = []
         for detection in detections:
             distance2 = prior.distance2(*detection.box.center)
-            if distance2 <= gate and detection.box.w > 0.0 and detection.box.h > 0.0:
+            has_area = detection.box.w > 0.0 and detection.box.h > 0.0
+            if distance2 <= farthest2 and has_area:
                 near.append((distance2, detection))
         near.sort(key=itemgetter(0))
         if not near:
             return Missed(MissReason.NO_CANDIDATE)
+
         near = self._joined(near, prior)
-        nearest, best = near[0]
+        nearest2, best = near[0]
         for distance2, other in near[1:]:
-            if (
-                distance2 - nearest < self._config.ambiguity_margin
-                and iou(best.box, other.box) < SAME_OBJECT_IOU
-            ):
+            nearly_as_near = distance2 - nearest2 < self._config.ambiguity_margin
+            if nearly_as_near and iou(best.box, other.box) < SAME_OBJECT_IOU:
                 return Missed(MissReason.AMBIGUOUS_TARGET)
         return best
 
     def _joined(
         self, near: list[tuple[float, Detection]], prior: Prior
     ) -> list[tuple[float, Detection]]:
-        """The nearest one in one piece, where its detector shows it as two boxes that overlap."""
-        (_, best), others = near[0], near[1:]
+        """Return them with the nearest in one piece, where it is shown as two that overlap."""
+        _, best = near[0]
+        others = near[1:]
         w, h = self._box_size_at_1m_px
         if not w * h > 0.0:
             return near
@@ -246,15 +259,15 @@ class ReceiverCycle:
         return near
 
     def _unusable(self, target: Target, capture_ns: int, now_ns: int) -> MissReason | None:
+        """Return why D1's message is not used; None when it is."""
         if (target.handoff_id, target.epoch, target.target_id) != self._identity:
             return MissReason.STALE
-        norm = math.hypot(*target.gravity_v)
-        if not (
-            math.isfinite(sum(target.point_v_m) + target.sigma_m)
-            and 0.95 < norm < 1.05
-            and target.sigma_m >= 0.0
-        ):
+
+        is_finite = math.isfinite(sum(target.point_v_m) + target.sigma_m)
+        is_unit = 0.95 < math.hypot(*target.gravity_v) < 1.05
+        if not (is_finite and is_unit and target.sigma_m >= 0.0):
             return MissReason.NON_FINITE
+
         newest = self._track.newest
         if newest is not None:
             ahead = serial_difference(target.sequence, newest.frame)
@@ -262,6 +275,8 @@ class ReceiverCycle:
                 return MissReason.DUPLICATE
             if ahead < 0 or capture_ns <= newest.stamp_ns:
                 return MissReason.STALE
-        if capture_ns - now_ns > self._config.max_future_s * 1e9:
+
+        age_ns = now_ns - capture_ns
+        if -age_ns > self._config.max_future_s * 1e9:
             return MissReason.CLOCK
-        return MissReason.STALE if now_ns - capture_ns > self._config.max_age_s * 1e9 else None
+        return MissReason.STALE if age_ns > self._config.max_age_s * 1e9 else None

@@ -1,5 +1,8 @@
-"""One cycle of D1, the sender: say where the target is, judge what D2 answers. Pure: stamps come
-in, values go out.
+"""One cycle of D1, the sender: say where the target is, judge what D2 answers.
+
+``flight.frame.sender`` calls it for every frame of D1 and every answer of D2. It is pure: stamps and
+observations come in, messages and verdicts go out. Who is responsible is not decided here
+(``path.protocol``).
 """
 
 from __future__ import annotations
@@ -84,10 +87,13 @@ class SenderCycle:
         target_id: int,
         gate: Gate | None = None,
     ) -> None:
-        """``camera`` is D1's, ``peer_camera`` D2's; ``T_v_c1`` the calibrated mounting of D1's
-        camera.
+        """Begin an attempt.
 
-        ``gate``: what decides, when it is not to be the one that ``config`` names.
+        Args:
+            camera: D1's.
+            peer_camera: D2's.
+            T_v_c1: calibrated mounting of D1's camera, in the frame of the marker.
+            gate: what decides, when it is not to be the one that ``config`` names.
         """
         self.gate = make_gate(config) if gate is None else gate
         self.misses: Counter[MissReason] = Counter()
@@ -112,8 +118,9 @@ class SenderCycle:
         gravity_v: Vec3,
         rivals: Sequence[Rival] = (),
     ) -> Target | Missed:
-        """D1's newest frame: the message to send, or why there is none. The gate is told of a miss,
-        unless ``ignored``.
+        """Take in D1's newest frame, and return the message to send or why there is none.
+
+        The gate is told of a miss, unless it is ``ignored``.
 
         Args:
             frame_id: strictly increasing; its low 16 bits are the message's sequence.
@@ -124,27 +131,28 @@ class SenderCycle:
             rivals: the objects nearest to the target that look like it, in the same frame.
         """
         newest = self._track.newest
-        if newest is not None and (frame_id <= newest.frame or stamp_ns <= newest.stamp_ns):
-            reason = MissReason.DUPLICATE if frame_id == newest.frame else MissReason.STALE
-            return self._missed(Missed(reason, ignored=True))
+        if newest is not None:
+            if frame_id == newest.frame:
+                return self._missed(Missed(MissReason.DUPLICATE, ignored=True))
+            is_older = frame_id < newest.frame or stamp_ns <= newest.stamp_ns
+            if is_older:
+                return self._missed(Missed(MissReason.STALE, ignored=True))
+
         box = None if box is None else plain_box(box)
         point = Missed(MissReason.NO_TARGET) if box is None else self._locate(box, depth, gravity_v)
         if isinstance(point, Missed):
             self._track.add(Sample(stamp_ns, frame_id, None))
             self.gate.restart(stamp_ns)
             return self._missed(point)
+
         assert box is not None
         assert depth is not None
-        above = self._sizes.own(stamp_ns, box, depth, point.point_v_m, gravity_v)
-        place = *point.point_v_m, point.z_m
-        self._track.add(
-            Sample(
-                stamp_ns,
-                frame_id,
-                (box.x, box.y, box.w, box.h, *place, depth.sigma_m, *gravity_v, above),
-            )
-        )
+        oversize = self._sizes.own(stamp_ns, box, depth, point.point_v_m, gravity_v)
+        edges = (box.x, box.y, box.w, box.h)
+        place = (*point.point_v_m, point.z_m, depth.sigma_m)
+        self._track.add(Sample(stamp_ns, frame_id, (*edges, *place, *gravity_v, oversize)))
         self._rivals.note(stamp_ns, box, point.z_m, point.point_v_m, gravity_v, rivals)
+
         handoff_id, epoch, target_id = self._identity
         sequence = frame_id & 0xFFFF
         return Target(
@@ -159,12 +167,14 @@ class SenderCycle:
         )
 
     def offer(self, candidate: Candidate, capture_ns: int, now_ns: int) -> Missed | None:
-        """Take in a candidate; None when it will be evaluated, else why it is no evidence (always
-        ``ignored``).
+        """Take in a candidate, and return why it is no evidence; None when it will be evaluated.
 
         Args:
             capture_ns: ``candidate.capture_ns`` converted to D1's clock.
             now_ns: D1's clock.
+
+        Returns:
+            A miss is always ``ignored``.
         """
         reason = self._no_evidence(candidate, capture_ns, now_ns)
         if reason is not None:
@@ -174,29 +184,22 @@ class SenderCycle:
         return None
 
     def begin_evidence_anew(self, stamp_ns: int) -> None:
-        """D1's own reckoning was interrupted at that instant (D1's clock): nothing is added up
-        across it.
-        """
+        """Add nothing up across this instant of D1's clock: its own reckoning was interrupted."""
         self.gate.end_run(stamp_ns)
 
     def evaluate_ready(self, now_ns: int) -> list[PairVerdict]:
-        """Judge every candidate whose capture instant D1's own frames have passed, or that waited
-        too long.
-        """
+        """Judge the candidates that D1's own frames have passed, or that waited too long."""
         pairs: list[PairVerdict] = []
+        too_old_ns = now_ns - self._max_age_ns
         newest = self._track.newest
-        newest_ns = (
-            now_ns - self._max_age_ns
-            if newest is None
-            else max(newest.stamp_ns, now_ns - self._max_age_ns)
-        )
-        while self._pending and self._pending[0].capture_ns <= newest_ns:
+        ready_ns = too_old_ns if newest is None else max(newest.stamp_ns, too_old_ns)
+        while self._pending and self._pending[0].capture_ns <= ready_ns:
             pending = self._pending.pop(0)
             if self.gate.expire(pending.capture_ns):
                 pairs.append(self._silent(pending.capture_ns))
             pairs.append(self._judge(pending.candidate, pending.capture_ns))
-        # what is older than max_age_s is refused, so no pair can join the run any more
-        if not self._pending and self.gate.expire(now_ns - self._max_age_ns):
+        # What is older is refused when it comes, so no pair can join the run any more.
+        if not self._pending and self.gate.expire(too_old_ns):
             pairs.append(self._silent(now_ns))
         return pairs
 
@@ -208,24 +211,18 @@ class SenderCycle:
         if depth is None or not self._trusted(depth):
             return Missed(MissReason.NO_DEPTH)
         point = locate(self._views, box, depth, self._config)
-        norm = math.hypot(*gravity_v)
-        if not (
-            math.isfinite(sum(point.point_v_m) + point.sigma_m) and abs(norm - 1.0) < UNIT_TOLERANCE
-        ):
-            return Missed(MissReason.NON_FINITE)
-        return point
+        is_finite = math.isfinite(sum(point.point_v_m) + point.sigma_m)
+        is_unit = abs(math.hypot(*gravity_v) - 1.0) < UNIT_TOLERANCE
+        return point if is_finite and is_unit else Missed(MissReason.NON_FINITE)
 
     def _trusted(self, depth: Depth) -> bool:
-        """Return whether a range can be used: the limits of the depth camera are of what it
-        measured.
-        """
+        """Return whether a range can be used."""
         if not (depth.z_m > 0.0 and depth.sigma_m >= 0.0):
             return False
-        config = self._config
-        return (
-            depth.source is not RangeSource.DEPTH
-            or config.min_depth_m <= depth.z_m <= config.max_depth_m
-        )
+        if depth.source is not RangeSource.DEPTH:
+            return True
+        # The limits are the depth camera's.
+        return self._config.min_depth_m <= depth.z_m <= self._config.max_depth_m
 
     def _no_evidence(self, candidate: Candidate, capture_ns: int, now_ns: int) -> MissReason | None:
         if (candidate.handoff_id, candidate.epoch, candidate.target_id) != self._identity:
@@ -242,56 +239,51 @@ class SenderCycle:
         return self.gate.refusal(candidate.sequence)
 
     def _order(self, sequence: int) -> int:
-        """Unwrapped order of a u16 sequence among those pending."""
+        """Return the unwrapped order of a u16 sequence among those pending."""
         if not self._pending:
             return sequence
         first = self._pending[0]
         return first.order + serial_difference(sequence, first.candidate.sequence)
 
     def _judge(self, candidate: Candidate, capture_ns: int) -> PairVerdict:
+        """Compare D2's box with D1's at the instant of its frame, and tell the gate."""
         at = self._track.at(capture_ns)
         reason = self._incomparable(candidate, capture_ns)
         box2 = candidate.box
         if reason is not None or at is None or box2 is None:
-            missed = self._disagreed(
-                candidate.sequence, capture_ns, Missed(reason or MissReason.NO_TRACK), None
-            )
-            return PairVerdict(candidate, capture_ns, missed)
-        x, y, w, h, _, _, _, z1, z_sigma, _, _, _, oversize = at.values
+            missed = Missed(reason or MissReason.NO_TRACK)
+            verdict = self._disagreed(candidate.sequence, capture_ns, missed, None)
+            return PairVerdict(candidate, capture_ns, verdict)
+
+        x, y, w, h, _, _, _, z1_m, z_sigma_m, _, _, _, own_oversize = at.values
         own_box = Box(x, y, w, h)
         found = self._comparer.compare(at.values, candidate, box2)
         offsets = self._offsets(found.offset_m, candidate, box2, own_box, at.values)
-        sigma_m = math.hypot(candidate.sigma_m, z_sigma)
-        oversize = max(oversize, self._sizes.theirs(capture_ns, box2, sigma_m, found))
-        tau = placed_iou = None
-        if found.mapped is None:
-            verdict: Verdict = Missed(MissReason.PRIOR_OUTSIDE)
-            verdict = self._disagreed(candidate.sequence, capture_ns, verdict, None)
-        else:
-            tau = threshold(z1, self._config)
-            if offsets is not None and self._config.evidence.span_m > 0.0:
-                placed_iou = found.placed_iou
-            if found.iou >= tau:
-                own = (at.before.frame, at.before.stamp_ns), (at.after.frame, at.after.stamp_ns)
-                pair = FramePair(candidate.sequence, capture_ns, own, offsets, oversize, placed_iou)
-                verdict = self._agreed(pair, found.iou, tau)
-            else:
-                missed = Missed(MissReason.LOW_IOU, found.iou)
-                verdict = self._disagreed(
-                    candidate.sequence, capture_ns, missed, strength(found.iou, tau)
-                )
-        return PairVerdict(
+        sigma_m = math.hypot(candidate.sigma_m, z_sigma_m)
+        peer_oversize = self._sizes.theirs(capture_ns, box2, sigma_m, found)
+        outside = Missed(MissReason.PRIOR_OUTSIDE)
+        pair = PairVerdict(
             candidate,
             capture_ns,
-            verdict,
+            outside,
             own_box,
             found.mapped,
-            tau,
-            at,
-            offsets,
-            oversize,
-            placed_iou,
+            own=at,
+            offsets=offsets,
+            oversize=max(own_oversize, peer_oversize),
         )
+        if found.mapped is None:
+            verdict = self._disagreed(candidate.sequence, capture_ns, outside, None)
+            return pair._replace(verdict=verdict)
+
+        tau = threshold(z1_m, self._config)
+        knows_size = offsets is not None and self._config.evidence.span_m > 0.0
+        pair = pair._replace(tau=tau, placed_iou=found.placed_iou if knows_size else None)
+        if found.iou >= tau:
+            return pair._replace(verdict=self._agreed(pair, at, found.iou, tau))
+        missed = Missed(MissReason.LOW_IOU, found.iou)
+        by = strength(found.iou, tau)
+        return pair._replace(verdict=self._disagreed(candidate.sequence, capture_ns, missed, by))
 
     def _offsets(
         self, target_m: Offset | None, candidate: Candidate, box2: Box, own_box: Box, own: Values
@@ -304,44 +296,45 @@ class SenderCycle:
         return self._rivals.offsets(target_m, T_v_c2, box2, own_box, own)
 
     def _incomparable(self, candidate: Candidate, capture_ns: int) -> MissReason | None:
-        """Return why a fresh candidate cannot even be compared, whatever D1 saw at that instant;
-        None when it can.
-        """
+        """Return why a fresh candidate cannot be compared, whatever D1 saw then; None if it can."""
         if candidate.reason is not None:
             return candidate.reason
         if candidate.sigma_m > self._config.pose_sigma_limit_m:
             return MissReason.POSE_UNCERTAIN
         used = self._track.find(candidate.target_sequence)
-        if (
-            used is None
-            or used.values is None
-            or abs(capture_ns - used.stamp_ns) > self._max_age_ns
-        ):
+        if used is None or used.values is None:
             return MissReason.STALE
-        return None
+        apart_ns = abs(capture_ns - used.stamp_ns)
+        return MissReason.STALE if apart_ns > self._max_age_ns else None
 
-    def _agreed(self, pair: FramePair, score: float, tau: float) -> Verdict:
-        """Let the gate count a pair that agrees; what it refuses becomes a miss, mostly an
-        ``ignored`` one.
-        """
-        refusal = self.gate.agree(pair, score, tau)
+    def _agreed(self, pair: PairVerdict, at: Between, score: float, tau: float) -> Verdict:
+        """Let the gate count a pair that agrees; what it refuses becomes a miss."""
+        assert pair.candidate is not None
+        before = (at.before.frame, at.before.stamp_ns)
+        after = (at.after.frame, at.after.stamp_ns)
+        counted = FramePair(
+            pair.candidate.sequence,
+            pair.capture_ns,
+            (before, after),
+            pair.offsets,
+            pair.oversize,
+            pair.placed_iou,
+        )
+        refusal = self.gate.agree(counted, score, tau)
         if refusal is not None:
-            return self._missed(
-                Missed(refusal, score, ignored=refusal is not MissReason.AMBIGUOUS_TARGET)
-            )
+            is_old = refusal is not MissReason.AMBIGUOUS_TARGET
+            return self._missed(Missed(refusal, score, ignored=is_old))
         self.agreed += 1
         return Agreed(score, tau, self.gate.count, self.gate.evidence)
 
     def _disagreed(
         self, sequence: int, capture_ns: int, missed: Missed, by: float | None
     ) -> Missed:
-        """Tell the gate of a pair that does not agree; what is no new evidence becomes an
-        ``ignored`` miss.
-        """
+        """Tell the gate of a pair that does not agree; what is no new evidence is ``ignored``."""
         refusal = self.gate.disagree(sequence, capture_ns, by)
-        return self._missed(
-            missed if refusal is None else Missed(refusal, missed.iou, ignored=True)
-        )
+        if refusal is not None:
+            missed = Missed(refusal, missed.iou, ignored=True)
+        return self._missed(missed)
 
     def _silent(self, instant_ns: int) -> PairVerdict:
         return PairVerdict(None, instant_ns, self._missed(Missed(MissReason.LINK_SILENT)))
@@ -352,20 +345,15 @@ class SenderCycle:
 
 
 def _is_sound(candidate: Candidate) -> bool:
-    """Return whether a candidate is finite, its rotation is one, and a box is there exactly when
-    no reason is.
-    """
-    total = sum(candidate.position_v_m) + sum(candidate.rotation_v_c2) + candidate.sigma_m
+    """Return whether a candidate is finite, and has either a box or a reason for none."""
     box = candidate.box
+    if (box is None) == (candidate.reason is None):
+        return False
+    total = sum(candidate.position_v_m) + sum(candidate.rotation_v_c2) + candidate.sigma_m
     if box is not None:
         total += box.x + box.y + box.w + box.h
         if not (box.w > 0.0 and box.h > 0.0):
             return False
-    norm = math.hypot(*candidate.rotation_v_c2)
-    one_of_two = (box is None) != (candidate.reason is None)
-    return (
-        math.isfinite(total)
-        and abs(norm - 1.0) < UNIT_TOLERANCE
-        and candidate.sigma_m >= 0.0
-        and one_of_two
-    )
+    if not math.isfinite(total) or candidate.sigma_m < 0.0:
+        return False
+    return abs(math.hypot(*candidate.rotation_v_c2) - 1.0) < UNIT_TOLERANCE
