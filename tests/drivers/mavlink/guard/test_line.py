@@ -7,6 +7,8 @@ import math
 import socket
 import stat
 import time
+from functools import partialmethod
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -201,6 +203,45 @@ def test_a_key_that_others_can_read_is_not_used() -> None:
             key_path(bind).rmdir()
 
     asyncio.run(main())
+
+
+def test_a_key_that_cannot_be_put_in_its_place_leaves_nothing_and_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+
+    def refuse(made: Path, _place: Path, gone: bool) -> Path:
+        if gone:
+            made.unlink()
+        raise PermissionError(13, "not yours")
+
+    for gone in (False, True):
+        monkeypatch.setattr(Path, "replace", partialmethod(refuse, gone=gone))
+        with pytest.raises(PermissionError):
+            make_key("127.0.0.1:9")
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_a_guard_looks_for_its_key_ten_times_a_second_however_often_it_is_asked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    looked: list[int] = []
+    now_ns = 10**12
+
+    class Clock:
+        def now_ns(self) -> int:
+            return now_ns
+
+    def keep(_bind: str, _key: bytes) -> None:
+        looked.append(now_ns)
+
+    monkeypatch.setattr("drivers.mavlink.guard.line.keep_key", keep)
+    guard = UdpBeatLine("127.0.0.1:9", Clock())
+    for _ in range(100):
+        assert guard.newest() is None
+        now_ns += 10_000_001
+    gaps = [later - earlier for earlier, later in pairwise(looked)]
+    assert set(gaps) == {100_000_010}
 
 
 def test_a_key_is_read_once_and_again_when_its_file_is_another_one(

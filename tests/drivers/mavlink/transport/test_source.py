@@ -85,7 +85,8 @@ def test_each_address_is_asked_another_number() -> None:
         assert question is not None
         numbers.add(number_in(question))
     assert len(numbers) == 29 and 0 not in numbers
-    assert len(source._asked) < 10
+    assert len(source._asked) == 8  # the oldest are forgotten
+    assert ("10.0.0.1", 29) in source._asked and ("10.0.0.1", 21) not in source._asked
 
 
 def test_a_second_one_is_ignored_counted_and_not_even_asked() -> None:
