@@ -129,3 +129,22 @@ def test_a_simulator_that_no_pilot_can_take_may_wait_so_that_the_guard_is_measur
     for value in (2.1, 5.0, 10.0):
         assert refused({"COM_OF_LOSS_T": value}, radio=True, companion_id=245)
     assert refused({"COM_OF_LOSS_T": 50.0}, radio=False, companion_id=245)
+
+
+@pytest.mark.parametrize(
+    ("url", "with_key", "fits"),
+    [
+        ("udpin://127.0.0.1:14540", True, True),
+        ("tcpout://127.0.0.1:5760", True, False),  # nothing of ours signs there
+        ("tcpout://127.0.0.1:5760", False, True),
+    ],
+)
+def test_a_key_is_for_links_that_this_program_signs_itself(
+    url: str, with_key: bool, fits: bool, tmp_path: Path
+) -> None:
+    key = tmp_path / "key" if with_key else None
+    if fits:
+        assert MavsdkVehicleConfig(url, key_file=key).key_file == key
+    else:
+        with pytest.raises(ValueError, match="key_file"):
+            MavsdkVehicleConfig(url, key_file=key)
