@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 import os
 import threading
-import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
@@ -26,6 +24,7 @@ from drivers.log.mcap_log import (
     parts,
     read_log,
 )
+from tests.written_logs import until_written
 
 
 class Colour(Enum):
@@ -44,14 +43,6 @@ def written(path: Path, count: int) -> list[LogRecord]:
             log.write("/odd" if k % 2 else "/even", 1_000 * k, {"k": k})
         assert log.failed is None
     return list(read_log(path))
-
-
-def wait_for(condition: Callable[[], bool], limit_s: float = 60.0) -> None:
-    """What was logged is in the file a little later."""
-    end_s = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < end_s
-        time.sleep(0.002)
 
 
 def test_records_come_back_in_order(tmp_path: Path) -> None:
@@ -92,8 +83,9 @@ def test_a_log_is_readable_while_it_is_written_and_however_it_is_cut(tmp_path: P
     with McapLog(path) as log:
         for k in range(20):
             log.write("/state", k, {"k": k, "text": "x" * 50})
-        wait_for(lambda: len(list(read_log(path))) == 20)  # as after a kill -9
+        until_written(log)
         open_bytes = path.read_bytes()
+        assert len(list(read_log(path))) == 20  # as after a kill -9
     counts: list[int] = []
     for length in range(8, len(open_bytes), 7):
         (tmp_path / "cut.mcap").write_bytes(open_bytes[:length])
@@ -142,7 +134,8 @@ def test_a_log_with_a_bit_turned_over_is_read_up_to_there_or_refused(
         log.write("/odd" if k % 2 else "/even", k, {"k": k})
     if closed:
         log.close()
-    wait_for(lambda: len(list(read_log(tmp_path / "a.mcap"))) == 12)
+    else:
+        until_written(log)
     whole = (tmp_path / "a.mcap").read_bytes()
     log.close()
     for place in range(0, len(whole), 41):

@@ -22,6 +22,7 @@ from drivers.recordings.recording import (
     RecordingOptions,
     open_recording,
 )
+from tests.written_logs import until_written
 
 WIDTH, HEIGHT = 64, 48
 GREYS = (20, 60, 100, 140, 180)
@@ -226,6 +227,7 @@ def test_the_images_of_a_log_play_again_also_when_it_was_cut_off(tmp_path: Path)
     assert seen(frames) == list(GREYS)
     with McapLog(file) as log:
         fill_log(log, ["/image"])
+        until_written(log)
         killed = file.read_bytes()
     file.write_bytes(killed[: len(killed) * 3 // 4])
     assert 0 < len(list(open_recording(file).frames())) < 5

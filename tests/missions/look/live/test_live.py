@@ -30,6 +30,7 @@ from missions.look.live.follow import FolderFollower
 from missions.look.live.gate import LOOPBACK, TOKEN, TokenGate, knows
 from missions.look.live.start import address_of, live
 from tests.free_ports import free_port
+from tests.written_logs import until_written
 
 PROTOCOL = Subprotocol("foxglove.sdk.v1")
 SECRET = "0123456789abcdef"
@@ -248,6 +249,7 @@ def test_logs_of_an_earlier_run_are_not_told(tmp_path: Path) -> None:
     assert told == []
     with McapLog(tmp_path / "sender.mcap", "sender") as log:
         log.write("/note", 1, {"note": "of now"})
+        until_written(log)
         told += drain(follower)
     assert len([topic for topic, _, _ in told if topic == "/sender/note"]) == 1
     follower.close()
@@ -261,6 +263,7 @@ def test_what_is_no_log_ends_its_following_alone(tmp_path: Path) -> None:
     )
     with McapLog(tmp_path / "b.mcap", "b") as log:
         log.write("/note", 0, {"note": "here"})
+        until_written(log)
         told += drain(follower)
     assert ("/b/note", "path.note") in {(topic, schema) for topic, schema, _ in told}
     follower.close()

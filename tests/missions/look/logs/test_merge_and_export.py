@@ -21,6 +21,7 @@ from missions.ground.options.runs import ExportOptions, MergeOptions
 from missions.look.logs.export import run as run_export
 from missions.look.logs.merge import run as run_merge
 from missions.look.report.command import make_report
+from tests.written_logs import until_written
 
 HOUR_NS = 3_600_000_000_000
 OFFSET_NS = 7_123_456_789  # the receiver's monotonic clock minus the sender's
@@ -101,6 +102,7 @@ def test_a_log_that_was_cut_off_merges_up_to_there(tmp_path: Path) -> None:
     with McapLog(tmp_path / "sender.mcap", "sender", utc_minus_stamp_ns=0) as log:
         for k in range(30):
             log.write("/note", k, {"note": "x" * 30})
+        until_written(log)
         killed = (tmp_path / "sender.mcap").read_bytes()
     (tmp_path / "sender.mcap").write_bytes(killed[: len(killed) * 2 // 3])
     run_merge(MergeOptions((tmp_path,)))
