@@ -35,14 +35,16 @@ class ReceiverSide:
         return self._cycle.on_target(target, capture_ns, now_ns)
 
     def gravity_v(self, stamp_ns: int) -> Vec3 | None:
-        """Return gravity in the marker's frame at an instant of D2's clock, as D1 says; None when
-        it does not.
+        """Return gravity in the marker's frame at an instant of D2's clock.
+
+        As D1 says; None when it does not.
         """
         return self._cycle.gravity_v(stamp_ns)
 
     def prior(self, fix: MarkerFix | Missed, stamp_ns: int) -> Prior | Missed:
-        """Return where the target is expected in D2's frame of this stamp, by the marker's pose in
-        it.
+        """Return where the target is expected in D2's frame of this stamp.
+
+        By the marker's pose in that frame.
         """
         if isinstance(fix, Missed):
             return fix
@@ -56,8 +58,9 @@ class ReceiverSide:
     def answer(
         self, frame_id: int, stamp_ns: int, found: Sequence[Detection], prior: Prior | Missed
     ) -> Answer | None:
-        """Return the answer to send, a miss with its reason too; None for a frame that is old or
-        was answered.
+        """Return the answer to send; a miss, with its reason, is one too.
+
+        None for a frame that is old or was answered.
 
         Args:
             frame_id: strictly increasing.

@@ -36,8 +36,9 @@ class AttemptId(NamedTuple):
 
 
 class OwnFrame(NamedTuple):
-    """What one frame of D1 gave: the target as it was seen, or why not, and the message to send, or
-    why there is none.
+    """What one frame of D1 gave.
+
+    The target as it was seen and the message to send, or why there is none.
 
     ``stamp_ns``: mid-exposure, D1's clock.
     """
@@ -99,8 +100,9 @@ def box_record(box: Box | None) -> list[float] | None:
 
 
 def beside_record(beside: Sequence[Rival]) -> list[float]:
-    """Objects that D1 sees beside the target, six numbers each: box, depth and its standard
-    deviation, or 0 without.
+    """Return the objects that D1 sees beside the target, six numbers each.
+
+    Box, depth and its standard deviation, or 0 without.
     """
     numbers: list[float] = []
     for each in beside:
@@ -119,8 +121,9 @@ def beside_of(numbers: Sequence[float] | None) -> tuple[Rival, ...]:
 
 
 def target_record(frame: OwnFrame, judged_ns: int) -> dict[str, Any]:
-    """``/target``: what one frame of D1 gave; ``judged_ns``: when D2's answers were judged after
-    it, D1's clock.
+    """Return ``/target``: what one frame of D1 gave.
+
+    ``judged_ns``: when D2's answers were judged after it, D1's clock.
     """
     seen = frame.seen
     message = frame.message
@@ -148,8 +151,9 @@ def target_record(frame: OwnFrame, judged_ns: int) -> dict[str, Any]:
 
 
 def _range_fields(seen: Sighting) -> dict[str, Any]:
-    """What the range rests on, the surest first, and what contradicts it; nothing where there is
-    none.
+    """Return what the range rests on, the surest first, and what contradicts it.
+
+    Nothing where there is no range.
     """
     if seen.depth is None or seen.ranged is None:
         return {}
@@ -161,8 +165,9 @@ def _range_fields(seen: Sighting) -> dict[str, Any]:
 
 
 def sighting_of(record: Mapping[str, Any], box: Box) -> Sighting:
-    """Read what D1 saw in the frame of a ``/target``; logs from before there were several ranges
-    have depth alone.
+    """Read what D1 saw in the frame of a ``/target``.
+
+    Logs from before there were several ranges have depth alone.
     """
     beside = beside_of(record["beside"])
     if record["depth_m"] is None:
@@ -284,9 +289,7 @@ def candidate_record(answer: Answer) -> dict[str, Any]:
 
 
 def both_record(candidate: Candidate, both: ByBoth) -> dict[str, Any]:
-    """``/both_views``: D2's own reckoning of the target's place from both drones' views, for one
-    answer.
-    """
+    """Return ``/both_views``: where D2 reckons the target by both drones' views."""
     return {
         "sequence": candidate.sequence,
         "point_v_m": both.point_v_m,

@@ -19,9 +19,7 @@ from path.observations import Missed, MissReason
 
 
 class PairCameras(NamedTuple):
-    """Both drones' cameras, and the calibrated place of D1's in the frame of the marker that it
-    carries.
-    """
+    """Both drones' cameras, and the place of D1's in the frame of its marker."""
 
     sender: CameraModel
     receiver: CameraModel
@@ -75,20 +73,20 @@ class SenderSide:
         return OwnFrame(frame_id, stamp_ns, seen, message)
 
     def hear(self, candidate: Candidate, capture_ns: int, now_ns: int) -> Missed | None:
-        """Take in an answer of D2; None when it will be judged, else why not. Stamps are of D1's
-        clock.
+        """Take in an answer of D2, and return why it is not judged; None when it will be.
+
+        Stamps are of D1's clock.
         """
         return self._cycle.offer(candidate, capture_ns, now_ns)
 
     def judge(self, now_ns: int) -> list[PairVerdict]:
-        """Return the verdicts on all answers whose instant D1's frames have passed, or that waited
-        too long.
-        """
+        """Return the verdicts on answers that D1's frames have passed, or that waited too long."""
         return self._cycle.evaluate_ready(now_ns)
 
     def begin_evidence_anew(self, stamp_ns: int) -> None:
-        """Add nothing up across this instant of D1's clock: either drone's reckoning was
-        interrupted there.
+        """Add nothing up across this instant of D1's clock.
+
+        Either drone's reckoning was interrupted there.
         """
         self._cycle.begin_evidence_anew(stamp_ns)
 

@@ -44,8 +44,9 @@ def projected(
     lens: Array, T_c_v: Rigid, covariance: Array, point_v: Vec3, sigma_m: float, sigma_px: float, way_v: Vec3,
     across_m: float,
 ) -> Projected:  # fmt: skip
-    """The point in the image with all that is not known of it; NaN where the camera does not see
-    it, also its depth where an input is not a number.
+    """Return the point in the image with all that is not known of it.
+
+    NaN where the camera does not see it, also its depth where an input is not a number.
 
     Args:
         covariance: of ``T_c_v``, (6, 6), contiguous.

@@ -66,8 +66,9 @@ class Prior(NamedTuple):
 
 @value
 class Ray:
-    """D1's line of sight to the target: along it the range is uncertain, across it the target is
-    better known.
+    """D1's line of sight to the target.
+
+    Along it the range is uncertain, across it the target is better known.
 
     Attributes:
         direction_v: unit vector in the marker frame.

@@ -22,8 +22,9 @@ FRAME_NS = 20_000_000
 
 
 def warm_up_cycles() -> None:
-    """One pair of frames that agree, with something beside the target. Raises RuntimeError when
-    they do not.
+    """Run one pair of frames that agree, with something beside the target.
+
+    Raises RuntimeError when they do not.
     """
     if registered_depth(np.full((160, 160), 2000, np.uint16), BOX, MethodConfig()) is None:
         raise RuntimeError("a flat surface has no depth: reinstall numba")

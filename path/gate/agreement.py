@@ -80,8 +80,9 @@ def map_box(
 
 
 def plain_box(box: Box) -> Box:
-    """The same box in Python floats: numpy's scalars, which detectors like to give, are three times
-    slower here.
+    """Return the same box in Python floats.
+
+    numpy's scalars, which detectors like to give, are three times slower here.
     """
     if type(box.x) is type(box.y) is type(box.w) is type(box.h) is float:
         return box
@@ -99,9 +100,7 @@ def iou(a: Box, b: Box) -> float:
 
 
 def threshold(z_m: float, config: MethodConfig) -> float:
-    """IoU needed for a target at viewing distance ``z_m`` (eqs. scale_factor,
-    adaptive_threshold).
-    """
+    """Return the IoU needed for a target at ``z_m`` (eqs. scale_factor, adaptive_threshold)."""
     scale = min(1.0, (config.z0_m / z_m) ** 2)
     return config.tau_min + (config.tau_max - config.tau_min) * scale
 
@@ -139,8 +138,9 @@ class Comparer:
         self._corner = 0.0 if config.box_mapping == "center" else 1.0
 
     def compare(self, own: Values, candidate: Candidate, box2: Box) -> Comparison:
-        """Return the outcome of ``box2``, the candidate's; ``own``: D1's sample at D2's capture
-        instant.
+        """Return the outcome of ``box2``, the candidate's.
+
+        ``own``: D1's sample at D2's capture instant.
         """
         box = box2.x, box2.y, box2.w, box2.h
         mapped, score, (dx, dy), placed, range_m, (wide_m, high_m, larger) = kernels.judged(

@@ -72,16 +72,15 @@ def make_gate(config: MethodConfig) -> Gate:
 
 
 def strength(iou: float, tau: float) -> float:
-    """Return by how much a pair agrees: 0 at the threshold, 1 for equal boxes; below 0 it does not
-    agree.
+    """Return by how much a pair agrees: 0 at the threshold, 1 for equal boxes.
+
+    Below 0 it does not agree.
     """
     return (iou - tau) / (1.0 - tau) if tau < 1.0 else iou - tau
 
 
 def gain(config: EvidenceConfig) -> float:
-    """Return the factor on a run's evidence of an agreeing block after the first: all that the
-    setbacks allow.
-    """
+    """Return the factor of an agreeing block after the first: all that the setbacks allow."""
     return (1.0 - (1.0 - config.next_rate) * config.setback) / config.next_rate
 
 
@@ -102,8 +101,7 @@ def evidence_needed(run: int, config: EvidenceConfig) -> float:
 
 
 def persistent_bound(distance_m: float, reach_m: float, sigma_m: float, measured: int) -> float:
-    """Bound on the probability that a persistent error makes an object that is not the target
-    agree, 0..1.
+    """Bound the probability that a persistent error makes another object agree, 0..1.
 
     For errors that are normal about zero with an unknown standard deviation, the same along both
     axes, that was estimated from ``measured`` attempts: the tail of the ratio is heavier than that
@@ -124,8 +122,9 @@ def persistent_bound(distance_m: float, reach_m: float, sigma_m: float, measured
 
 @dataclass(slots=True)
 class BlockCounts:
-    """Numbers of blocks that a gate judged, and of those that agreed: first ones of a run, and
-    later ones.
+    """Numbers of blocks that a gate judged, and of those that agreed.
+
+    First ones of a run, and later ones.
     """
 
     first: list[int] = field(default_factory=lambda: [0, 0])
@@ -138,8 +137,9 @@ class BlockCounts:
 
 
 class EvidenceGate:
-    """Blocks of compared pairs, on top of the paper's window that says which pairs are new. One
-    instance an attempt.
+    """Blocks of compared pairs, over the paper's window that says which pairs are new.
+
+    One instance an attempt.
 
     Attributes:
         judged: of all blocks so far, those of runs that ended included.
@@ -272,8 +272,9 @@ class EvidenceGate:
 
 
 class TwoPaces:
-    """Two tests on the same pairs, in short and in long blocks; the first to be complete decides.
-    One an attempt.
+    """Two tests on the same pairs, in short and in long blocks.
+
+    The first to be complete decides. One instance an attempt.
     """
 
     def __init__(self, config: MethodConfig) -> None:

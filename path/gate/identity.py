@@ -38,8 +38,9 @@ NOTHING = 0.0
 
 
 def log_likelihood(offset_m: Offset, config: EvidenceConfig) -> float:
-    """log10 of how likely a mean offset is when the box is of the object that it is measured from,
-    0 for no offset.
+    """Return log10 of how likely a mean offset is, 0 for no offset.
+
+    When the box is of the object that it is measured from.
 
     The tail is that of errors whose size is known from ``offset_known`` measurements.
     """

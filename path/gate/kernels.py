@@ -74,8 +74,9 @@ def overlap(
 
 @kernel
 def mapped(views: Array, T_v_c2: Rigid, box2: Four, z1: float, z2: float, corner: float) -> Four:
-    """D2's box in D1's image; ``corner`` is 1 where the box's corner is mapped, 0 for its
-    centre.
+    """Return D2's box in D1's image.
+
+    ``corner`` is 1 where the box's corner is mapped, 0 for its centre.
     """
     lens1 = views[:LENS_2]
     lens2 = views[LENS_2:MOUNT]
@@ -107,8 +108,9 @@ def offset(
     point_v: Vec3,
     gravity_v: Vec3,
 ) -> Two:
-    """The distance of D2's box from where an object at a point has its own, in D1's image, m at its
-    depth.
+    """Return how far D2's box is from where an object at a point has its own, m.
+
+    In D1's image, at the point's depth.
     """
     span_m, height_m = body
     x, y, w, h = box2
@@ -144,9 +146,7 @@ def _sized(
     point_v: Vec3,
     gravity_v: Vec3,
 ) -> Vec3:
-    """Width and height in m of a box, and how many times larger one is than the stated size
-    allows.
-    """
+    """Return a box's width and height in m, and how many times too large it is."""
     wide_m = max(TINY_M, w * z / fx)
     high_m = max(TINY_M, h * z / fy)
     if not body[0] > 0.0:
@@ -157,8 +157,9 @@ def _sized(
 
 @kernel
 def located(views: Array, u: float, v: float, z: float) -> tuple[Vec3, float]:
-    """The point at a pixel of D1 at a depth, in the marker's frame, and its distance; NaN when it
-    has no ray.
+    """Return the point at a pixel of D1 at a depth, in the marker's frame, and its distance.
+
+    NaN when the pixel has no ray.
     """
     x, y = ray(views[:LENS_2], u, v)
     x = z * x
@@ -170,9 +171,7 @@ def located(views: Array, u: float, v: float, z: float) -> tuple[Vec3, float]:
 def sized(
     views: Array, body: Two, w: float, h: float, z: float, point_v: Vec3, gravity_v: Vec3
 ) -> Vec3:
-    """Width and height in m of D1's box, and how many times larger one is than the stated size
-    allows.
-    """
+    """Return the width and height in m of D1's box, and how many times too large it is."""
     return _sized(views[0], views[1], body, _mount(views), w, h, z, point_v, gravity_v)
 
 

@@ -116,8 +116,9 @@ class _Run:
         return (self.newest_ns - self.begin_ns) * 1e-9
 
     def note(self, offsets: Offsets, capture_ns: int, same_m: float) -> None:
-        """Take in the offsets of a pair. Objects beside the target are those of the pairs before,
-        by where they are.
+        """Take in the offsets of a pair.
+
+        Objects beside the target are those of the pairs before, by where they are.
         """
         self.newest_ns = capture_ns
         self.target.note(offsets.target_m)

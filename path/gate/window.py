@@ -29,8 +29,9 @@ SERIAL = 1 << 16
 
 
 def serial_difference(a: int, b: int) -> int:
-    """Return how far u16 sequence ``a`` is ahead of ``b``, in -32768..32767 (serial number
-    arithmetic).
+    """Return how far u16 sequence ``a`` is ahead of ``b``, in -32768..32767.
+
+    Serial number arithmetic.
     """
     return ((a - b + SERIAL // 2) % SERIAL) - SERIAL // 2
 
@@ -40,8 +41,10 @@ Offset = tuple[float, float]
 
 
 class Offsets(NamedTuple):
-    """D2's box, seen by D1, as distances from where each object would have it: the target, and
-    those D1 sees beside it (``path.target.rivals``)."""
+    """Where D2's box is, seen by D1, against where each object would have it.
+
+    The target, and those that D1 sees beside it (``path.target.rivals``).
+    """
 
     target_m: Offset
     rivals_m: tuple[Offset, ...] = ()
@@ -81,8 +84,9 @@ class Evidence(NamedTuple):
 
 
 class Gate(Protocol):
-    """Decides from the pairs of one attempt whether both boxes show the same thing. Pure; it never
-    looks at a clock.
+    """What decides from the pairs of one attempt whether both boxes show the same thing.
+
+    Pure; it never looks at a clock.
     """
 
     @property
@@ -92,15 +96,17 @@ class Gate(Protocol):
 
     @property
     def span_s(self) -> float:
-        """Time from the first to the last pair of the run, the shorter one of both sides'
-        stamps.
+        """Time from the first to the last pair of the run.
+
+        The shorter one of both sides' stamps.
         """
         ...
 
     @property
     def complete(self) -> bool:
-        """Return whether the target may be handed over now. It does not stay so when a pair
-        disagrees.
+        """Return whether the target may be handed over now.
+
+        It does not stay so when a pair disagrees.
         """
         ...
 
@@ -120,8 +126,9 @@ class Gate(Protocol):
     def disagree(
         self, peer_sequence: int, capture_ns: int, by: float | None = None
     ) -> MissReason | None:
-        """A D2 frame that does not agree. Returns why it is no new evidence (DUPLICATE or STALE),
-        else None.
+        """Take in a D2 frame that does not agree.
+
+        Returns why it is no new evidence (DUPLICATE or STALE), else None.
 
         ``by``: its strength, (S - tau) / (1 - tau), below 0; None when there was nothing to
         compare.
@@ -133,27 +140,28 @@ class Gate(Protocol):
         ...
 
     def end_run(self, stamp_ns: int) -> None:
-        """What was reckoned before this instant (D1's clock) does not go with what comes after:
-        begin a new run.
+        """Begin a new run at this instant of D1's clock.
+
+        What was reckoned before does not go with what comes after.
         """
         ...
 
     def expire(self, instant_ns: int) -> bool:
-        """Restart when a pair captured at ``instant_ns`` would come too late for the run; True when
-        that was so.
+        """Restart when a pair captured at ``instant_ns`` would come too late for the run.
+
+        Returns whether that was so.
         """
         ...
 
     def refusal(self, peer_sequence: int) -> MissReason | None:
-        """DUPLICATE for the newest D2 frame compared so far, STALE for an older one, None for a new
-        one.
-        """
+        """Return DUPLICATE for the newest D2 frame compared, STALE for an older one, else None."""
         ...
 
 
 class AgreementWindow:
-    """Counts consecutive agreeing pairs: the gate "count". Mutable; one instance for one
-    attempt.
+    """The gate "count": consecutive agreeing pairs.
+
+    Mutable; one instance for one attempt.
     """
 
     def __init__(self, config: MethodConfig) -> None:

@@ -48,8 +48,9 @@ class Observing:
 
 @dataclass(frozen=True, slots=True)
 class Provisional:
-    """Responsible before ``lease_end_ns`` (own clock, already reduced by uncertainty and guard);
-    ACCEPT is repeated.
+    """Responsible before ``lease_end_ns``; ACCEPT is repeated.
+
+    The end is of the own clock, already reduced by uncertainty and guard.
     """
 
     live: Handoff
@@ -69,8 +70,9 @@ class Holding:
 
 @dataclass(frozen=True, slots=True)
 class LetGo:
-    """Observing again, after it had accepted. ``settled`` once it is known, or too late to know,
-    who is responsible.
+    """Observing again, after it had accepted.
+
+    ``settled`` once it is known, or too late to know, who is responsible.
     """
 
     live: Handoff
@@ -96,9 +98,7 @@ def claim(state: ReceiverState) -> TakeResponsibility | None:
 
 
 def is_responsible(state: ReceiverState, now_ns: int) -> bool:
-    """Return whether it is responsible at this instant, even if nobody has told the machine of the
-    instant yet.
-    """
+    """Return whether it is responsible at this instant, told of the instant or not."""
     held = claim(state)
     return held is not None and held.at(now_ns)
 
@@ -172,8 +172,9 @@ def wake_ns(state: ReceiverState) -> int | None:
 
 
 def step(config: ProtocolConfig, state: ReceiverState, event: ReceiverEvent, now_ns: int) -> Step:
-    """One event at one instant (own clock, never going back). What time alone has brought about
-    comes first.
+    """Take one event at one instant of the own clock, which never goes back.
+
+    What time alone has brought about comes first.
     """
     state, due = _elapse(config, state, now_ns)
     if isinstance(event, Tick):
@@ -223,8 +224,9 @@ def _react(config: ProtocolConfig, state: ReceiverState, event: ReceiverEvent, n
 
 
 def _hear_target(config: ProtocolConfig, state: ReceiverState, target: Target, now_ns: int) -> Step:
-    """The sender's Targets name the live attempt. A higher epoch beats whatever was: nobody but it
-    can have one.
+    """Take in the sender's Target: it names the live attempt.
+
+    A higher epoch beats whatever was: nobody but the sender can have one.
     """
     live = state.live
     if live is not None and target.epoch == live.epoch and not isinstance(state, LetGo):
@@ -435,8 +437,9 @@ class ReceiverMachine:
 
     @property
     def live(self) -> Handoff | None:
-        """The attempt that Candidates are to carry; None before the first Target of a handoff, and
-        after its end.
+        """Return the attempt that Candidates are to carry.
+
+        None before the first Target of a handoff, and after its end.
         """
         return self.state.live
 

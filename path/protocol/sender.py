@@ -37,8 +37,9 @@ from path.protocol.values import (
 
 @dataclass(frozen=True, slots=True)
 class Idle:
-    """Nothing is this drone's: before its first offer, and when a new mission has begun. ``epoch``
-    is the last one.
+    """Nothing is this drone's: before its first offer, and when a new mission has begun.
+
+    ``epoch`` is the last one.
     """
 
     epoch: int = 0
@@ -46,8 +47,9 @@ class Idle:
 
 @dataclass(frozen=True, slots=True)
 class Keeping:
-    """Responsible, and no handoff: the last one ended before its COMMIT. ``epoch`` is the last one
-    used.
+    """Responsible, and no handoff: the last one ended before its COMMIT.
+
+    ``epoch`` is the last one used.
     """
 
     epoch: int
@@ -72,8 +74,9 @@ class Verifying:
 
 @dataclass(frozen=True, slots=True)
 class AwaitingAccept:
-    """Released. COMMIT is repeated until the lease ends, unless the handoff was aborted since
-    (``withdrawn``).
+    """Released. COMMIT is repeated until the lease ends.
+
+    Unless the handoff was aborted since (``withdrawn``).
     """
 
     live: Handoff
@@ -85,8 +88,9 @@ class AwaitingAccept:
 
 @dataclass(frozen=True, slots=True)
 class HandedOver:
-    """Accepted. Never takes back by itself. ``settled`` once it is known, or too late to know, what
-    became of it.
+    """Accepted. Never takes back by itself.
+
+    ``settled`` once it is known, or too late to know, what became of it.
     """
 
     live: Handoff
@@ -182,8 +186,9 @@ def wake_ns(state: SenderState) -> int | None:
 
 
 def step(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_ns: int) -> Step:
-    """One event at one instant (own clock, never going back). What time alone has brought about
-    comes first.
+    """Take one event at one instant of the own clock, which never goes back.
+
+    What time alone has brought about comes first.
     """
     state, due = _elapse(config, state, now_ns)
     if isinstance(event, Tick):
@@ -278,8 +283,9 @@ def _offer(
 def _commit(
     config: ProtocolConfig, state: Verifying, agreed: AgreementComplete, now_ns: int
 ) -> Step:
-    """S4, S5: release first, then say so; only after the full agreement on the one target of the
-    one epoch.
+    """Release first, then say so; only after the full agreement (S4, S5).
+
+    On the one target of the one epoch.
     """
     why: Refusal | None = None
     if agreed.epoch != state.live.epoch:

@@ -210,8 +210,9 @@ class VerifyAgain:
 
 @dataclass(frozen=True, slots=True)
 class NewMission:
-    """A person begins anew on the ground: what an earlier mission gave away or held is over. Epochs
-    go on.
+    """A person begins anew on the ground: what an earlier mission held is over.
+
+    Epochs go on.
     """
 
 
@@ -337,8 +338,9 @@ class Ended:
 
 @dataclass(frozen=True, slots=True)
 class Settled:
-    """The other side's half is decided, after ``Ended``. Until then a sender that handed over keeps
-    observing.
+    """The other side's half is decided, after ``Ended``.
+
+    Until then a sender that handed over keeps observing.
     """
 
     outcome: HandoffOutcome

@@ -95,8 +95,9 @@ class BothViews:
         return math.sqrt(float(np.linalg.eigvalsh(self.covariance)[-1]))
 
     def along(self, ray_c: Vec3) -> tuple[float, float]:
-        """Return its depth on a ray (per metre of depth) that passes it, and the standard deviation
-        of that, m.
+        """Return the depth on a ray that passes it, and the standard deviation of that, m.
+
+        The ray is per metre of depth.
         """
         ray = np.array(ray_c)
         unit = ray / np.linalg.norm(ray)
@@ -129,9 +130,7 @@ def triangulate(said: Sighted, ray_c: Vec3, ray_sigma_rad: float) -> BothViews:
 
 
 def with_range(both: BothViews, ray_c: Vec3, distance_m: float, sigma_m: float) -> BothViews:
-    """Add D2's own range along its line of sight, where that does not contradict; else leave it
-    out.
-    """
+    """Add D2's own range along its line of sight, unless it contradicts."""
     unit = np.array(ray_c) / np.linalg.norm(ray_c)
     off_m = distance_m - float(unit @ both.point_c)
     seen = both.covariance @ unit

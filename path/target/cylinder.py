@@ -31,8 +31,7 @@ as_it_is(transform_back)
 def reach_m(
     T_v_c: Rigid, point_v: Vec3, gravity_v: Vec3, span_m: float, height_m: float
 ) -> tuple[float, float]:
-    """Width and height in m that an upright cylinder at a point fills in an image, at the point's
-    depth.
+    """Return the width and height in m that an upright cylinder fills at a point's depth.
 
     To first order in its size over its distance.
 
@@ -87,8 +86,9 @@ def behind_m(falling: float, span_m: float, height_m: float) -> float:
 
 
 def off_middle(point_c: Vec3, gravity_c: Vec3, span_m: float, height_m: float) -> Vec3:
-    """Return from a target's middle to the point at its depth in the middle of its box, in the
-    camera's frame.
+    """Return from a target's middle to the point at its depth in the middle of its box.
+
+    In the camera's frame.
     """
     middle_c = _moved(AT_THE_CAMERA, point_c, gravity_c, span_m, height_m, -1.0)
     x, y, z = (p - m for p, m in zip(point_c, middle_c, strict=True))
@@ -107,9 +107,7 @@ def box_middle_v(
 def _moved(
     T_v_c: Rigid, point_v: Vec3, gravity_v: Vec3, span_m: float, height_m: float, way: float
 ) -> Vec3:
-    """A point moved across the line of sight by what a box's middle is off there, one way or the
-    other.
-    """
+    """Return a point moved across the line of sight by what a box's middle is off there."""
     x, y, z = transform_back(T_v_c, point_v)
     gx, gy, gz = _turned_back(T_v_c, gravity_v)
     if not z > 0.5 * (span_m + height_m):  # inside it, or behind the camera
@@ -150,8 +148,9 @@ def _reach_along(
 def _box_middle(
     g_side: float, g_ahead: float, side: float, ahead: float, span_m: float, height_m: float
 ) -> float:
-    """Tangent of the middle between the outermost of the rims' points: the near and the far one of
-    either rim.
+    """Return the tangent of the middle between the outermost points of the rims.
+
+    The near and the far point of either rim.
     """
     tangent = side / ahead
     upright, level = _upright_and_level(g_side, g_ahead, tangent)

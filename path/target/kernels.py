@@ -13,8 +13,9 @@ OUTLIER_SIGMAS = 3.0
 
 @inner
 def median(values: NDArray[np.float64], n: int) -> float:
-    """The median of the first ``n`` values, which it puts into another order (Hoare's
-    selection).
+    """Return the median of the first ``n`` values (Hoare's selection).
+
+    It puts them into another order.
     """
     k = n // 2
     low = 0
@@ -54,8 +55,9 @@ def middle(
     sigma_at_1m_m: float,
     room: NDArray[np.float64],
 ) -> tuple[int, float, float]:
-    """The number of depths within the limits, their spread, and the median of those near their
-    median, mm.
+    """Return how many depths are within the limits, their spread, and a median, mm.
+
+    The median is of those near their median.
 
     Args:
         depths_mm: shape (n,), contiguous.

@@ -53,8 +53,9 @@ def extent_at(z_m: float, focal_px: float, size: TargetSize) -> Extent:
 
 
 def monocular_range(box: Box, camera: CameraModel, size: TargetSize) -> Depth | None:
-    """Depth along the optical axis of the middle of a target of known size, and its standard
-    deviation.
+    """Return the depth of the middle of a target of known size, and its standard deviation.
+
+    Along the optical axis.
 
     Returns:
         None for a box that the image cuts or that is too small to have a size.

@@ -25,8 +25,9 @@ MEDIAN_TO_MEAN = 1.2533  # standard error of a median against that of a mean
 
 
 def depth_sigma(z_m: float, config: MethodConfig) -> float:
-    """Standard deviation in m of stereo depth at a distance: quadratic in it,
-    ``depth_sigma_at_1m_m`` at 1 m.
+    """Return the standard deviation of stereo depth at a distance, m.
+
+    Quadratic in it, ``depth_sigma_at_1m_m`` at 1 m.
     """
     return config.depth_sigma_at_1m_m * z_m * z_m
 
@@ -72,8 +73,9 @@ def registered_depth(depth_mm: NDArray[np.uint16], box: Box, config: MethodConfi
 def _central_part(
     depth_mm: NDArray[np.uint16], box: Box, fraction: float
 ) -> NDArray[np.uint16] | None:
-    """Pixels of the middle ``fraction`` of a box per side, thinned; None when the box is none or
-    outside the image.
+    """Return the pixels of the middle ``fraction`` of a box per side, thinned.
+
+    None when the box is none or outside the image.
     """
     if not (math.isfinite(box.x + box.y + box.w + box.h) and box.w > 0.0 and box.h > 0.0):
         return None
@@ -92,8 +94,10 @@ def _central_part(
 
 
 class TargetPoint(NamedTuple):
-    """The target in the marker frame (m), its distance along D1's optical axis (m), and its
-    standard deviation (m).
+    """Where the target is.
+
+    In the marker frame (m), its distance along D1's optical axis (m), and its standard
+    deviation (m).
     """
 
     point_v_m: Vec3
@@ -102,24 +106,27 @@ class TargetPoint(NamedTuple):
 
 
 def back_project(camera: CameraModel, u: float, v: float, z_m: float) -> Vec3:
-    """Point in the camera frame of a distorted pixel at depth ``z_m`` (eq. target_backprojection);
-    NaN off the lens.
+    """Return the point in the camera frame of a distorted pixel at depth ``z_m``.
+
+    Eq. target_backprojection; NaN off the lens.
     """
     x, y = camera.ray(u, v)
     return z_m * x, z_m * y, z_m
 
 
 def locate(views: TwoViews, box: Box, depth: Depth, config: MethodConfig) -> TargetPoint:
-    """The target's point in ``v`` (eq. target_virtual) from its box, of plain floats, and depth;
-    NaN off the lens.
+    """Return the target's point in ``v`` from its box and depth (eq. target_virtual).
+
+    The box is of plain floats. NaN off the lens.
     """
     point_v_m, distance_m = located(views.numbers, *box.center, depth.z_m)
     return TargetPoint(point_v_m, depth.z_m, _point_sigma(views.camera1, distance_m, depth, config))
 
 
 def across_sigma(camera: CameraModel, distance_m: float, config: MethodConfig) -> float:
-    """Standard deviation in m of a target across the line of sight: pixel noise, and the mounting's
-    angle.
+    """Return the standard deviation of a target across the line of sight, m.
+
+    Pixel noise, and the mounting's angle.
     """
     pixels = config.pixel_sigma_px / min(camera.fx, camera.fy)
     return distance_m * math.hypot(pixels, math.radians(config.mount_sigma_deg))

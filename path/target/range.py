@@ -109,8 +109,9 @@ class Ranged:
 def by_size(
     box: Box, camera: CameraModel, sight: Sight, body: Body, pixel_sigma_px: float
 ) -> Depth | None:
-    """Return the range of a body of known size; None for a box that the image cuts or that is too
-    small.
+    """Return the range of a body of known size.
+
+    None for a box that the image cuts or that is too small.
     """
     if not (body.known and tells_size(box, camera)):
         return None
@@ -141,8 +142,9 @@ def by_ground(
     body: Body,
     source: RangeSource,
 ) -> Depth | None:
-    """Return the range at which a line of sight comes down to the target's middle; None where it
-    hardly does.
+    """Return the range at which a line of sight comes down to the target's middle.
+
+    None where it hardly does.
 
     Args:
         above_m: from the target's middle up to the camera, with its standard deviation.
@@ -179,8 +181,9 @@ def together(ranges: Sequence[Depth]) -> Ranged | None:
 
 
 def _hides(one: Depth, given: Sequence[Depth]) -> bool:
-    """Return whether a size says that the target is farther off than everything else has it: a part
-    of it is hidden.
+    """Return whether size says that the target is farther off than all else has it.
+
+    Then a part of it is hidden.
     """
     others = [each for each in given if each.source is not RangeSource.SIZE]
     if one.source is not RangeSource.SIZE or not others:
@@ -203,8 +206,9 @@ def variance_of(one: Depth) -> float:
 
 
 def _consistent(given: Sequence[Depth]) -> list[tuple[int, ...]]:
-    """Return every set of ranges that do not contradict one another, by their indices; single ones
-    always.
+    """Return every set of ranges that do not contradict one another, by indices.
+
+    Single ones always.
     """
     found: list[tuple[int, ...]] = [(k,) for k in range(len(given))]
     for size in range(2, len(given) + 1):

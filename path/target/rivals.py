@@ -51,8 +51,9 @@ class Rival:
 
 @value
 class _Beside:
-    """One of them against the target in the same frame: pixels of the centre, depth and place in
-    ``v``, in m.
+    """One of them against the target in the same frame.
+
+    Pixels of the centre, depth and place in ``v``, in m.
     """
 
     stamp_ns: int
@@ -64,8 +65,9 @@ class _Beside:
 
 
 class Rivals:
-    """The objects beside the target that D1 saw in its last frames. One instance for one
-    attempt.
+    """The objects beside the target that D1 saw in its last frames.
+
+    One instance for one attempt.
     """
 
     def __init__(self, views: TwoViews, config: MethodConfig) -> None:

@@ -61,8 +61,9 @@ class RunningSize:
     def note(
         self, stamp_ns: int, sides_m: tuple[float, float], sigma: float, most_sigmas: float
     ) -> float:
-        """By how many standard deviations a box is larger than those before it; learns from it when
-        it fits.
+        """Return by how many standard deviations a box is larger than those before it.
+
+        Learns from it when it fits.
         """
         logs = math.log(sides_m[0]), math.log(sides_m[1])
         mean = self._mean
@@ -94,9 +95,7 @@ class Sizes:
         self._own, self._theirs = RunningSize(), RunningSize()
 
     def own(self, stamp_ns: int, box: Box, depth: Depth, point_v: Vec3, gravity_v: Vec3) -> float:
-        """By how many standard deviations D1's box in its newest frame is larger than the target
-        can be.
-        """
+        """Return how much too large D1's box in its newest frame is, in standard deviations."""
         wide_m, high_m, larger = sized(
             self._views, self._body, box.w, box.h, depth.z_m, point_v, gravity_v
         )
