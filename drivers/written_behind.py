@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable
 
 CLOSE_S = 30.0
 """How long what waits is waited for at the end: drones have landed by then."""
+SETTLE_S = 3.0
 
 
 class WrittenBehind:
@@ -56,6 +58,13 @@ class WrittenBehind:
         self._put_bytes += len(data)
         self._queue.put(data)
         return True
+
+    def settle(self, limit_s: float = SETTLE_S) -> bool:
+        """Wait until all that was put so far is written. Return False when that takes longer."""
+        end_s = time.monotonic() + limit_s
+        while self.waiting_bytes and time.monotonic() < end_s:
+            time.sleep(0.001)
+        return not self.waiting_bytes
 
     def close(self, limit_s: float = CLOSE_S) -> bool:
         """Wait until all is written. Return False when that takes longer, or failed."""

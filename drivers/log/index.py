@@ -131,6 +131,10 @@ class ChunkedFile:
         if len(self._chunk) >= CHUNK_BYTES:
             self._write_chunk()
 
+    def settle(self) -> bool:
+        """Return True: nothing waits but the newest chunk."""
+        return True
+
     def end_chunk(self) -> int:
         """Write what waits, and return how many bytes of the file that was."""
         at = self._file.tell()

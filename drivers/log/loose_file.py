@@ -40,6 +40,13 @@ class LooseFile:
         del channel, utc_ns
         self._put(record, always=False)
 
+    def settle(self) -> bool:
+        """Wait, for a bounded time, until the disk has all of it. Return whether it has."""
+        settled = self._behind.settle()
+        if self._behind.error is not None:
+            raise self._behind.error
+        return settled
+
     def close(self) -> None:
         """Put what was written into chunks. It waits for the disk, for a bounded time."""
         self._behind.put(built(DataEnd(0)) + built(Footer(0, 0, 0)) + MAGIC, always=True)

@@ -170,6 +170,17 @@ class McapLog:
             self._recording_told_ns = frame.stamp_ns
             self._tell_recording(frame.stamp_ns)
 
+    def settled(self) -> str | None:
+        """Return what went wrong once all that was written is on its way to the disk, as far as
+        that is soon.
+        """
+        if self._file is not None:
+            try:
+                self._file.settle()
+            except OSError as error:
+                self._fail(error)
+        return self.failed
+
     def close(self) -> None:
         """Close, and put the file into chunks with an index. Closing twice does nothing."""
         file = self._file

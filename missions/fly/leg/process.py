@@ -73,7 +73,7 @@ def run_role(
             log, to_parent if parent else emit, asyncio.Event(), None, StateFile(state, role)
         )
         result = asyncio.run(_run(rig, role, given, parent, main))
-        result = with_log(result, log.failed)
+        result = with_log(result, log.settled())
         if parent:
             to_parent(result)
         return result

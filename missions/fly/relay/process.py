@@ -149,7 +149,7 @@ def fly(flight: FarFlight, name: str, out: Path, whole: bool) -> None:
         relayed = RelayedLog(log, name, whole, say)
         result = asyncio.run(_fly(flight, name, relayed, store, say))
         lost = f"{say.lost} lines of it found no room on the way to the monitors"
-        say(encode_event(with_log(result, log.failed or (lost if say.lost else None))))
+        say(encode_event(with_log(result, log.settled() or (lost if say.lost else None))))
 
 
 def guard(rig: Rig, config: RelayConfig, name: str, out: Path) -> int:

@@ -155,6 +155,13 @@ def test_a_full_disk_is_remembered_and_stops_nothing() -> None:
     assert "No space left" in log.failed
 
 
+def test_a_disk_that_fails_at_the_last_record_is_known_before_the_flights_end_is_told() -> None:
+    log = McapLog(Path("/dev/full"))
+    log.write("/outcome", 1, {"outcome": "committed"})
+    told = log.settled()
+    assert told is not None and "No space left" in told
+
+
 def standing_disk(folder: Path) -> tuple[Path, int]:
     """A file that takes 64 kB and then stands still, until it is read from."""
     path = folder / "a.mcap"
