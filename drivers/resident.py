@@ -1,5 +1,5 @@
 """Memory that a program holds and may not need again: pages of its libraries' files that are given
-back.
+back, and read ahead, so that whoever needs one in flight has it from memory and not from a disk.
 """
 
 from __future__ import annotations
@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 MAPS = Path("/proc/self/smaps")
-_DONTNEED = 4  # of madvise(2)
+# of madvise(2)
+_WILLNEED = 3
+_DONTNEED = 4
 
 
 class Mapping(NamedTuple):
@@ -27,33 +29,35 @@ class Mapping(NamedTuple):
 
 
 def give_back(files: str = "/") -> int:
-    """Give back what is resident of the code and constants of libraries, and returns how many kB
+    """Give back what is resident of the code and constants of libraries, and return how many kB
     that was.
 
     Whoever calls them again has their pages again, out of their files: what was written to stays.
-    Does nothing where there is no Linux.
+    The kernel is asked to read all of these files into its cache, which it may use for others: a
+    page that nobody had touched yet once held a loop in flight for 0.27 s. Does nothing where there
+    is no Linux.
 
     Args:
         files: part of the paths of those that are meant; all of them.
     """
     try:
-        unchanged = [
+        own = [
             each
             for each in mappings(MAPS.read_text("utf-8", "replace"))
-            if files in each.file
-            and "w" not in each.rights
-            and "p" in each.rights
-            and not each.own_kb
+            if files in each.file and "p" in each.rights
         ]
         advise = ctypes.CDLL(None, use_errno=True).madvise
     except (OSError, AttributeError):
         return 0
     advise.argtypes = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int
-    return sum(
-        each.resident_kb
-        for each in unchanged
-        if advise(each.begin, each.end - each.begin, _DONTNEED) == 0
-    )
+    given_kb = 0
+    for each in own:
+        size = each.end - each.begin
+        unchanged = "w" not in each.rights and not each.own_kb
+        if unchanged and advise(each.begin, size, _DONTNEED) == 0:
+            given_kb += each.resident_kb
+        advise(each.begin, size, _WILLNEED)
+    return given_kb
 
 
 def mappings(text: str) -> Iterator[Mapping]:
