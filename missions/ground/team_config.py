@@ -54,7 +54,7 @@ def checked_team(rig: Rig) -> TeamConfig:
     """Raise RigError with everything that is wrong, PartError when the rig has no team."""
     if not rig.team:
         raise PartError(
-            f"rig {rig.name} has no [team]", "use --rig team-sim, or a rig like it (docs/team.md)"
+            f"rig {rig.name} has no [team]", "use --rig team, or a rig like it (docs/team.md)"
         )
     try:
         config = team_of_rig(rig)

@@ -123,7 +123,7 @@ LINES: tuple[tuple[str, int, str], ...] = (
     ("fly none.py", 3, "none.py"),
     ("fly none.py --seed -1", 3, "--seed: -1 is not within"),
     ("relay --drones 1", 3, "--drones: 1 drones is not within 2..100 drones"),
-    ("relay --drones 9", 3, "rig relay-sim names 5"),
+    ("relay --drones 9", 3, "rig relay names 5"),
     ("relay --hours -1", 3, "--hours: -1.0 h is not above 0 and at most 1000 h: a sign too many?"),
     ("relay --hours nan", 3, "--hours: nan h is not above 0"),
     ("relay --hours 28800", 3, "--hours: 28800.0 h is not above 0 and at most 1000 h: minutes?"),

@@ -14,7 +14,7 @@ def relay_of(rig: Rig, drones: int) -> RelayConfig:
     if not rig.relay:
         raise PartError(
             f"rig {rig.name} has no [relay]",
-            "use --rig relay-sim, relay-sitl, or a rig like them (docs/relay.md)",
+            "use --rig relay, or a rig like it (docs/relay.md)",
         )
     config = relay_of_rig(rig)
     if not 2 <= drones <= len(config.drones):
