@@ -30,6 +30,12 @@ _UNUSED = (
     "drones",
     "targets",
     "harness",
+    "target",
+    "drone",
+    "site",
+    "depth",
+    "link",
+    "height",
 )
 """Tables that have nothing to do with a camera or where it sits."""
 

@@ -33,9 +33,9 @@ def nobody_listens(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_flies_many_refuses_one_where_there_is_no_mavlink_of_ours() -> None:
-    with pytest.raises(PartError, match="rig team-sim has no embedded MAVLink vehicles"):
+    with pytest.raises(PartError, match="rig team has no embedded MAVLink vehicles"):
         team.run(TeamOptions(gcs=USUAL))
-    with pytest.raises(PartError, match="rig relay-sim has no embedded MAVLink vehicles"):
+    with pytest.raises(PartError, match="rig relay has no embedded MAVLink vehicles"):
         relay.run(RelayOptions(gcs=USUAL))
     for name in ("sitl-px4", "sitl-tello", "hitl"):
         with pytest.raises(PartError, match=f"rig {name} has no embedded MAVLink vehicles"):
