@@ -25,7 +25,7 @@ from tests.free_ports import free_port
 
 def rig_with_port(folder: Path, port: int) -> str:
     file = folder / "my-rig.toml"
-    text = rig_library.load_unchecked("sitl-light").file.read_text("utf-8")
+    text = rig_library.whole("sitl-light")
     assert 'bind = "127.0.0.1:47041"' in text
     file.write_text(text.replace("127.0.0.1:47041", f"127.0.0.1:{port}"), "utf-8")
     return str(file)

@@ -96,7 +96,7 @@ def test_a_port_in_use_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_row_about_room_says_what_a_rig_records(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    text = rig_library.load("sim-rendered").file.read_text("utf-8")
+    text = rig_library.whole("sim-rendered")
     for record in ("keyframes", "all"):
         (tmp_path / f"{record}.toml").write_text(
             text.replace("[mission]\n", f'[mission]\nrecord = "{record}"\n'), "utf-8"
@@ -111,7 +111,7 @@ def test_the_row_about_room_says_what_a_rig_records(
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (("side_m = 0.040", "side_m = 0.064"), "side_m (40.0 mm here, 64.0 mm there)"),
+        (("side_m = 0.04", "side_m = 0.064"), "side_m (40.0 mm here, 64.0 mm there)"),
         (("[method]", "[method]\nmount_sigma_m = 0.003"), "[method]"),
         (("[mission]", "[mission]"), ""),
     ],
@@ -119,7 +119,7 @@ def test_the_row_about_room_says_what_a_rig_records(
 def test_the_other_drone_s_rig_is_compared_where_it_is_at_hand(
     tmp_path: Path, change: tuple[str, str], said: str
 ) -> None:
-    text = rig_library.load("sim-tello").file.read_text("utf-8")
+    text = rig_library.whole("sim-tello")
     assert change[0] in text
     other = tmp_path / "other.toml"
     other.write_text(text.replace(*change, 1), "utf-8")

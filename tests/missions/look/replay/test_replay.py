@@ -55,7 +55,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
 
 def recorded_rig(folder: Path) -> Path:
     """sim-rendered with every frame recorded, slower and shorter."""
-    text = rig_library.load("sim-rendered").file.read_text("utf-8")
+    text = rig_library.whole("sim-rendered")
     for old, new in RECORDS:
         assert old in text
         text = text.replace(old, new)
@@ -125,7 +125,7 @@ def test_a_decision_that_was_another_one_is_found(flown: Callable[..., Path]) ->
 def test_other_settings_decide_as_if_they_had_been_flown_with(
     flown: Callable[..., Path], tmp_path: Path
 ) -> None:
-    text = (Path(rig_library.load("sim").file)).read_text("utf-8")
+    text = rig_library.whole("sim")
     papers = 'gate = "count"\nhold_frames = 350\nhold_s = 7.0\n'
     lines = 'gate = "count"\n' + "".join(
         f"{s.removeprefix('method.').replace('=', ' = ')}\n" for s in SETTINGS
