@@ -304,7 +304,7 @@ def _refuse_endless(command: object) -> None:
         if hasattr(given, "__dataclass_fields__"):
             _refuse_endless(given)
         for path in given if isinstance(given, tuple) else (given,):
-            if name not in WRITTEN and isinstance(path, Path) and path.exists():
+            if name not in WRITTEN and isinstance(path, Path) and _is_there(path):
                 if path.is_file() or path.is_dir():
                     continue
                 from drivers.interfaces import PartError  # noqa: PLC0415
@@ -313,6 +313,19 @@ def _refuse_endless(command: object) -> None:
                     f"{path} is neither a file nor a folder: a pipe or a device",
                     "name a file or a folder",
                 )
+
+
+def _is_there(path: Path) -> bool:
+    """Return whether there is something. Raises PartError where this user may not look."""
+    try:
+        return path.exists()
+    except PermissionError as error:
+        from drivers.interfaces import PartError  # noqa: PLC0415
+
+        raise PartError(
+            f"{path}: {error.strerror}",
+            "name something that this user may read, or change its mode",
+        ) from error
 
 
 if __name__ == "__main__":

@@ -35,8 +35,7 @@ def find_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Path:
     if path.suffix == ".toml" or len(path.parts) > 1:
         if file_of(path):
             return path
-        what = "a folder, and no rig file" if path.is_dir() else "no such rig file"
-        raise RigError([f"{path}: {what}"])
+        raise RigError([f"{path}: {_why_not(path)}"])
     for folder in search:
         if file_of(folder / f"{path}.toml"):
             return folder / f"{path}.toml"
@@ -59,6 +58,14 @@ def file_of(path: Path) -> tuple[Path, Choice] | None:
     choice = Choice.of(path.stem)
     file = path.with_name(f"{choice.rig}.toml")
     return (file, choice) if path.suffix == ".toml" and is_file(file) else None
+
+
+def _why_not(path: Path) -> str:
+    """Return why a path is no rig file."""
+    try:
+        return "a folder, and no rig file" if path.is_dir() else "no such rig file"
+    except (OSError, ValueError) as error:  # this user may not look there; no name of a file
+        return getattr(error, "strerror", None) or "no such rig file"
 
 
 def read_rig(path: Path, search: Sequence[Path] = ()) -> dict[str, Any]:
@@ -88,8 +95,7 @@ def _read(
             raise RigError([f"{path.name}: {error}"], f"it comes as {ways}") from error
         layers = [{"name": path.stem, "level": choice.level}, *_chosen(table, choice)]
     elif file != path:
-        what = "a folder, and no rig file" if path.is_dir() else "no such rig file"
-        raise RigError([f"{path}: {what}"])
+        raise RigError([f"{path}: {_why_not(path)}"])
     else:
         choice = asked
         layers = [table]

@@ -92,13 +92,13 @@ def have_temporary_folder() -> None:
 
 def can_write(folder: Path) -> bool:
     """Return whether a file can be made in a folder, or the folder itself."""
-    existing = next((path for path in (folder, *folder.parents) if path.exists()), None)
-    if existing is None or not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
-        return False
     try:
+        existing = next((path for path in (folder, *folder.parents) if path.exists()), None)
+        if existing is None or not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
+            return False
         with tempfile.TemporaryFile(dir=existing):
             return True
-    except OSError:
+    except OSError:  # also of a folder in which this user may not look: another's home
         return False
 
 

@@ -81,6 +81,8 @@ def say_unwritten(error: OSError) -> None:
     what = f"{error.filename}: " if error.filename else "the output: "
     if isinstance(error, FolderGone):
         fix = "leave the folder where it is until the command has ended; what was in it is lost"
+    elif error.errno in (errno.EACCES, errno.EPERM):
+        fix = "name a place that this user may read and write, or change its mode or its owner"
     else:
         again = "`path-handoff report DIR` makes the report of a flight again"
         fix = f"free some space, or name another folder with --out; {again}"

@@ -4,6 +4,7 @@ is told.
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -164,3 +165,20 @@ def test_help_in_a_terminal_of_one_column_ends(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "1")
     assert ended(capsys, "rigs", "--help")[0] == 0
+
+
+@pytest.mark.parametrize("line", ["rigs --check {}/r.toml", "detect {}/film.mp4", "fly {}/m.py"])
+def test_a_folder_that_another_user_keeps_to_himself_is_named(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, line: str
+) -> None:
+    looked = os.stat
+
+    def stat(path: object, *rest: object, **more: object) -> os.stat_result:
+        if "/theirs/" in str(path):
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return looked(path, *rest, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(os, "stat", stat)
+    code, said = ended(capsys, *line.format(here / "theirs").split())
+    assert code == REFUSED, said
+    assert "Permission denied" in said and "free some space" not in said

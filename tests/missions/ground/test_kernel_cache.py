@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
@@ -66,6 +67,22 @@ def test_a_named_folder_that_cannot_be_written_to_is_refused(
     monkeypatch.setenv(VARIABLE, "/proc/mine")
     with pytest.raises(PartError, match="/proc/mine cannot be written to"):
         have_kernel_cache((tmp_path,), tmp_path)
+
+
+def test_a_home_of_another_user_into_which_nobody_may_look_is_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked = Path.exists
+
+    def exists(path: Path) -> bool:
+        if "theirs" in path.parts:
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return looked(path)
+
+    monkeypatch.setattr(Path, "exists", exists)
+    assert not can_write(Path("/theirs/.cache"))
+    have_kernel_cache((Path("/theirs/.cache"),), tmp_path)
+    assert Path(os.environ[VARIABLE]).parent == tmp_path
 
 
 def test_what_can_be_written_to(tmp_path: Path) -> None:
