@@ -26,6 +26,7 @@ from drivers.interfaces import BeaconError, BeaconFix
 
 COLUMNS_READ = 7
 UNIX_MS = range(10**12, 10**13)  # 2001 to 2286: older versions wrote no Unix time
+FARTHEST_M = 1000.0  # a map of many submaps of 50 m at most each
 MARK = re.compile(r"T\d")
 BEGINS = re.compile(r"\s*(\"?T?\d|$)")
 SEPARATORS = (";", "\t")  # that a spreadsheet puts in place of the comma
@@ -92,6 +93,10 @@ def _fix(file: Path, number: int, line: str, separator: str) -> BeaconFix:
         raise _bad(file, number, line, f"has the address {address}, which is not within 0..255")
     if not math.isfinite(x + y + z):
         raise _bad(file, number, line, "has a number that is not finite")
+    if max(abs(x), abs(y), abs(z)) > FARTHEST_M:
+        raise _bad(
+            file, number, line, "has a place farther off than ultrasound is heard: millimetres?"
+        )
     return BeaconFix(1_000_000 * unix_ms, address, (x, y, z))
 
 

@@ -38,7 +38,10 @@ def module_of(file: Path, what: str) -> ModuleType:
         raise PartError(
             f"{file} cannot be loaded: it {ended_by(error)}", "mend the file"
         ) from error
-    except Exception as error:
+    except KeyboardInterrupt:
+        del sys.modules[name]
+        raise
+    except BaseException as error:  # an exception of one's own may be of any kind
         del sys.modules[name]
         raise PartError(
             f"{file} cannot be loaded: {type(error).__name__}: {error}", "mend the file"

@@ -59,7 +59,13 @@ def run(options: ExportOptions) -> int:
         raise PartError("nothing is asked for", "say --tum, --csv, or both")
     out = options.out or options.folder / "export"
     with unless_refused(out):
-        for path in _write_all(options, out):
+        written = _write_all(options, out)
+        if not written:
+            raise PartError(
+                f"{options.folder}: its logs hold nothing to be written",
+                "was anything flown and logged? name the folder of another run",
+            )
+        for path in written:
             sys.stdout.write(f"{path}\n")
     return 0
 

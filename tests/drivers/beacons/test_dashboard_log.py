@@ -64,6 +64,7 @@ def test_a_last_line_that_was_cut_is_left_out(tmp_path: Path, cut: int) -> None:
         ("63,48400,5,4,1,1,1,3.9", "line 6: .* no Unix time"),
         ("1763898305309,63,48400,300,4.1,1.7,1.5", "line 6: .* address 300"),
         ("1763898305309,63,48400,5,nan,1.7,1.5", "line 6: .* not finite"),
+        ("1763898305309,63,48400,5,4102,1733,1498", "line 6: .* millimetres"),
     ],
 )
 def test_a_line_that_is_none_is_named(tmp_path: Path, line: str, said: str) -> None:

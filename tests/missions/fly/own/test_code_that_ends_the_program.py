@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from drivers.interfaces import PartError
+from drivers.rig.own_file import module_of
 from missions import cli
 from missions.look.report.records import load_facts, load_run
 from path.messages import Role
@@ -130,3 +132,10 @@ def test_a_harness_that_ends_the_program_while_it_flies_is_no_flight(
         capsys, "handoff", "--rig", "rig.toml", "--out", "run", "--seeds", seeds, "--jobs", "1"
     )
     assert (code, "sys.exit(0)" in said) == (CRASHED, True), said
+
+
+def test_an_exception_that_is_no_exception_is_told_too(tmp_path: Path) -> None:
+    file = tmp_path / "mission.py"
+    file.write_text("class Mine(BaseException): pass\nraise Mine('x')\n", "utf-8")
+    with pytest.raises(PartError, match="cannot be loaded: Mine: x"):
+        module_of(file, "mission")

@@ -222,3 +222,15 @@ def test_a_computer_that_is_not_there_is_said_in_its_words(scp: Path) -> None:
     with pytest.raises(PartError, match="is a log on another computer"):
         run_merge(MergeOptions((Path("d1:runs/7/sender.mcap"),)))
     assert not list(Path().iterdir())
+
+
+@pytest.mark.parametrize("options", [{"csv": True}, {"tum": True}])
+def test_logs_with_nothing_in_them_are_no_export_that_went_well(
+    tmp_path: Path, options: dict[str, bool]
+) -> None:
+    for name in ("sender", "receiver"):
+        (tmp_path / f"{name}.mcap").write_bytes(b"\x89MCAP0\r\n")
+    with pytest.raises(PartError, match="hold nothing to be written") as caught:
+        run_export(ExportOptions(tmp_path, **options))
+    assert caught.value.remedy
+    assert not (tmp_path / "export").exists()
