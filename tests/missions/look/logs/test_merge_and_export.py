@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -226,7 +227,7 @@ def test_a_computer_that_is_not_there_is_said_in_its_words(scp: Path) -> None:
 
 @pytest.mark.parametrize("options", [{"csv": True}, {"tum": True}])
 def test_logs_with_nothing_in_them_are_no_export_that_went_well(
-    tmp_path: Path, options: dict[str, bool]
+    tmp_path: Path, options: dict[str, Any]
 ) -> None:
     for name in ("sender", "receiver"):
         (tmp_path / f"{name}.mcap").write_bytes(b"\x89MCAP0\r\n")
