@@ -265,6 +265,9 @@ def test_a_test_has_noticed_when_it_fails_again_alone_and_passes_without_the_cha
             return {"passed": again if sources else right, "took_s": 1.0}
 
     first = {"passed": False, "broken": False, "what": "test_a.py::test_it", "took_s": 2.0}
+    first["hung"] = False
+    over = {**first, "hung": True, "what": "{}"}
+    assert believed(over, Asked(), {"a": "wrong"}, 9.0)["passed"]
     came = believed(first, Asked(), {"a": "wrong"}, 9.0)
     assert came["passed"] is not noticed and came["took_s"] == 4.0
     assert came["what"] == f"{'' if noticed else 'not because of it: '}test_a.py::test_it"

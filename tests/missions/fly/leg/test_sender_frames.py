@@ -514,7 +514,7 @@ def test_what_it_follows_is_settled_by_how_far_off_and_how_fast_beside_it_it_is(
         off_m = math.dist(place, STATE.position_n_m)
         assert settled == [(off_m, math.dist(STATE.velocity_n_mps, moves))]
         assert setpoint.velocity_n_mps == sender._approach(place, moves, STATE).velocity_n_mps
-        assert down != 0.0
+        assert down != 0.0 and setpoint.yaw_rad == 0.4
 
     with_sender(rig, main)
 
