@@ -23,13 +23,13 @@ MAY_NAME: Mapping[str, str] = {
     " height_sigma_m level_ground",
     "mission.target": "north_m east_m height_m half_size_m flies error_m home_m age_s"
     " velocity_mps holds_s fastest_mps",
-    "mission.follow": "behind_m height_m gain_per_s max_speed_mps target_accel_mps2 look_round_s",
+    "mission.follow": "behind_m height_m max_speed_mps",
     "mission.separation": "viewpoint_m minimum_m",
     "mission.rendezvous": "positions_within_m heights_within_m home_m arrived_m arrived_speed_mps"
     " image_margin_px max_range_m",
     "mission.guard": "fence_radius_m fence_height_m min_battery telemetry_age_s",
     "mission.deadlines": "peer_s acquire_s receiver_ready_s stand_off_s search_s verify_s depart_s",
-    "method": "gate hold_frames hold_s target_error mount_sigma_m mount_sigma_deg",
+    "method": "gate tau_min tau_max z0_m hold_frames hold_s target_error mount_sigma_m mount_sigma_deg",
     "method.evidence": "alpha span_m height_m offset_sigma_m",
 }
 """By table: the settings of a rig."""

@@ -59,7 +59,7 @@ def test_what_is_derived_and_what_another_table_says_may_be_named_and_holds(
 
 
 def test_all_that_are_no_settings_are_told_at_once(tmp_path: Path) -> None:
-    text = "[mission]\ncontrol_hz = 10.0\n[method]\ntau_min = 0.3\n"
+    text = "[mission]\ncontrol_hz = 10.0\n[method]\nmax_gap_s = 0.3\n"
     with pytest.raises(RigError) as refused:
         load(rig(tmp_path, text))
     assert len(refused.value.problems) == 2
