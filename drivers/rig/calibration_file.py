@@ -11,8 +11,9 @@ import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 
@@ -63,6 +64,21 @@ class CameraTable:
                 f"the principal point ({self.cx:g}, {self.cy:g}) is outside {self.width}x{self.height}: "
                 "this calibration is of another stream size"
             )
+
+    @classmethod
+    def of(cls, camera: CameraModel) -> Self:
+        """Return the table of a camera."""
+        return cls(
+            camera.width,
+            camera.height,
+            camera.fx,
+            camera.fy,
+            camera.cx,
+            camera.cy,
+            camera.distortion,
+            camera.doubts,
+            camera.thinning,
+        )
 
     def model(self) -> CameraModel:
         """Raise ValueError for a distortion that cannot be inverted."""
@@ -119,6 +135,30 @@ class CameraCalibration:
 
     def __post_init__(self) -> None:
         _check_version(self.version)
+
+
+def made_of_no_views(
+    camera: CameraModel, serial: str, source: str, grade: Literal["fair", "weak"], weak: str
+) -> CameraCalibration:
+    """Return the calibration of a camera that somebody else calibrated: nothing is known of how.
+
+    Args:
+        serial, source: as of the file.
+        weak: what its grade is for.
+    """
+    return CameraCalibration(
+        kind="camera",
+        version=VERSION,
+        made=datetime.now(UTC).isoformat(timespec="seconds"),
+        serial=serial,
+        source=source,
+        board="",
+        camera=CameraTable.of(camera),
+        standard_errors={},
+        quality=Quality(rms_px=0.0, held_out_px=0.0, views=0, corners=0, coverage=0.0),
+        grade=grade,
+        weak=(weak,),
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,9 +13,10 @@ import numpy as np
 
 from drivers.clock import busy_ns, stopwatch_ns
 from drivers.interfaces import Detector, PartError
-from drivers.recordings.recording import RecordedFrame, Recording, RecordingOptions, open_recording
+from drivers.recordings.recording import RecordedFrame, Recording
 from drivers.rig.file import load_rig
 from drivers.rig.parts import PartContext, PartSpec, create, decode_part, part_context
+from missions.field.frames import open_frames, write_picture, write_table
 from missions.ground.options.field import DetectOptions
 from missions.ground.rigs import FOLDER
 from missions.ground.run_folder import claim_folder, unless_refused
@@ -24,8 +24,8 @@ from missions.ground.work import Bars
 from path.messages import Role
 from path.observations import Detection
 
-UNSTAMPED_HZ = 30.0
 BOXES = "boxes.csv"
+COLUMNS = ("frame", "stamp_s", "x", "y", "w", "h", "score")
 GREEN = (80, 230, 60)
 
 
@@ -57,10 +57,7 @@ def run(options: DetectOptions, out: TextIO | None = None) -> int:
     """
     stream = out or sys.stdout
     name, detector = _detector(options)
-    unstamped_hz = UNSTAMPED_HZ if options.frames.is_dir() else None
-    recording = open_recording(
-        options.frames, RecordingOptions(rate_hz=options.rate_hz or unstamped_hz)
-    )
+    recording = open_frames(options.frames, options.rate_hz)
     if options.out is None:
         return _look(name, detector, recording, None, stream)
     with unless_refused(options.out) as folder:
@@ -141,27 +138,18 @@ def _draw(file: Path, color: Any, boxes: Sequence[Detection]) -> None:
             GREEN,
             1,
         )
-    if not cv2.imwrite(str(file), picture):
-        raise PartError(f"cannot write {file}", "name another folder with --out")
+    write_picture(file, picture)
 
 
 def _write(file: Path, found: Sequence[tuple[RecordedFrame, Sequence[Detection]]]) -> None:
-    try:
-        with file.open("w", newline="", encoding="utf-8") as table:
-            rows = csv.writer(table)
-            rows.writerow(("frame", "stamp_s", "x", "y", "w", "h", "score"))
-            for frame, boxes in found:
-                for each in boxes:
-                    numbers = (each.box.x, each.box.y, each.box.w, each.box.h)
-                    rows.writerow(
-                        (
-                            frame.name,
-                            f"{frame.stamp_ns / 1e9:.6f}",
-                            *(f"{n:.2f}" for n in numbers),
-                            f"{each.score:.3f}",
-                        )
-                    )
-    except OSError as error:
-        raise PartError(
-            f"cannot write {file}: {error.strerror}", "name another folder with --out"
-        ) from error
+    rows = [
+        (
+            frame.name,
+            f"{frame.stamp_ns / 1e9:.6f}",
+            *(f"{n:.2f}" for n in (each.box.x, each.box.y, each.box.w, each.box.h)),
+            f"{each.score:.3f}",
+        )
+        for frame, boxes in found
+        for each in boxes
+    ]
+    write_table(file, COLUMNS, rows)

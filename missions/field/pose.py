@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -16,9 +15,10 @@ from numpy.typing import NDArray
 
 from drivers.clock import busy_ns
 from drivers.interfaces import PartError
-from drivers.recordings.recording import RecordedFrame, Recording, RecordingOptions, open_recording
+from drivers.recordings.recording import RecordedFrame, Recording
 from drivers.rig.calibration_file import check_size, quaternion, read_camera
 from flight.command_end import CommandEnd
+from missions.field.frames import OTHER_FOLDER, open_frames, write_picture, write_table
 from missions.ground.options.field import PoseOptions
 from missions.ground.run_folder import claim_folder, unless_refused
 from missions.ground.trajectory import write_tum
@@ -31,7 +31,6 @@ from path.marker.locate import LocatedMarker, locate_marker
 from path.marker.pose import PoseSettings
 from path.observations import Missed
 
-UNSTAMPED_HZ = 30.0
 POSES = "pose.csv"
 TRAJECTORY = "camera.tum"
 AXES_BGR = ((60, 60, 230), (60, 200, 60), (230, 120, 40))  # x red, y green, z blue
@@ -84,9 +83,7 @@ def run(options: PoseOptions, out: TextIO | None = None) -> int:
         )
     except ValueError as error:
         raise PartError(str(error), "say what is printed, and measure its black frame") from error
-    unstamped_hz = UNSTAMPED_HZ if options.frames.is_dir() else None
-    rate_hz = options.rate_hz or unstamped_hz
-    recording = open_recording(options.frames, RecordingOptions(rate_hz=rate_hz))
+    recording = open_frames(options.frames, options.rate_hz)
     if options.out is None:
         return _look(camera, layout, recording, None, stream)
     with unless_refused(options.out) as folder:
@@ -190,8 +187,7 @@ def _draw(
             AXES_BGR[0],
             2,
         )
-    if not cv2.imwrite(str(file), picture):
-        raise PartError(f"cannot write {file}", "name another folder with --out")
+    write_picture(file, picture)
 
 
 def _pixel(place: NDArray[np.float64]) -> tuple[int, int]:
@@ -209,19 +205,16 @@ def _write(folder: Path, looked: Sequence[Looked]) -> None:
     try:
         write_tum(folder / TRAJECTORY, rows)
     except OSError as error:
-        raise _unwritten(folder / TRAJECTORY, error) from error
+        what = f"cannot write {folder / TRAJECTORY}: {error.strerror}"
+        raise PartError(what, OTHER_FOLDER) from error
 
 
 def _write_poses(file: Path, looked: Sequence[Looked]) -> None:
-    try:
-        with file.open("w", newline="", encoding="utf-8") as table:
-            rows = csv.writer(table)
-            rows.writerow(COLUMNS)
-            for each in looked:
-                stamp = f"{each.frame.stamp_ns / 1e9:.6f}"
-                rows.writerow((each.frame.name, stamp, *_numbers(each.found)))
-    except OSError as error:
-        raise _unwritten(file, error) from error
+    rows = [
+        (each.frame.name, f"{each.frame.stamp_ns / 1e9:.6f}", *_numbers(each.found))
+        for each in looked
+    ]
+    write_table(file, COLUMNS, rows)
 
 
 def _numbers(found: LocatedMarker | Missed) -> tuple[Any, ...]:
@@ -241,7 +234,3 @@ def _numbers(found: LocatedMarker | Missed) -> tuple[Any, ...]:
         f"{found.side_px:.2f}",
         "",
     )
-
-
-def _unwritten(file: Path, error: OSError) -> PartError:
-    return PartError(f"cannot write {file}: {error.strerror}", "name another folder with --out")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from dataclasses import replace
 from typing import TextIO
 
 from drivers.interfaces import PartError
@@ -10,8 +10,7 @@ from drivers.rig.calibration_file import (
     MADE_BY,
     CalibrationError,
     CameraCalibration,
-    CameraTable,
-    Quality,
+    made_of_no_views,
     write_calibration,
 )
 from drivers.rig.foreign_lens import ForeignError, foreign_lenses
@@ -24,7 +23,6 @@ from path.camera.lenses import Lens, StandIn, as_brown_conrady
 
 # of a focal length whose file does not say: what weak sets of views leave, of its own length
 FOCAL_SIGMA = 0.005
-UNKNOWN = Quality(rms_px=0.0, held_out_px=0.0, views=0, corners=0, coverage=0.0)
 
 
 def import_camera(options: CalibrateImportOptions, out: TextIO) -> int:
@@ -71,29 +69,8 @@ def _file_of(options: CalibrateImportOptions, stand_in: StandIn) -> CameraCalibr
     sigma_x = FOCAL_SIGMA * camera.fx
     sigma_y = FOCAL_SIGMA * camera.fy
     focal_doubt = (sigma_x, sigma_y, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    table = CameraTable(
-        camera.width,
-        camera.height,
-        camera.fx,
-        camera.fy,
-        camera.cx,
-        camera.cy,
-        camera.distortion,
-        (focal_doubt,),
-    )
-    return CameraCalibration(
-        kind="camera",
-        version=1,
-        made=datetime.now(UTC).isoformat(timespec="seconds"),
-        serial=options.serial,
-        source=options.file.name,
-        board="",
-        camera=table,
-        standard_errors={},
-        quality=UNKNOWN,
-        grade="weak",
-        weak=("imported",),
-    )
+    doubted = replace(camera, doubts=(focal_doubt,))
+    return made_of_no_views(doubted, options.serial, options.file.name, "weak", "imported")
 
 
 def _report(

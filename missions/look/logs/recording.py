@@ -15,7 +15,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -31,12 +30,10 @@ from drivers.realsense.registration import DepthRegistration
 from drivers.recordings.ros_bag import ros_bag_at
 from drivers.recordings.ros_images import RosImages
 from drivers.rig.calibration_file import (
-    VERSION,
     CameraCalibration,
-    CameraTable,
-    Quality,
     check_serial,
     check_size,
+    made_of_no_views,
     read_camera,
     write_calibration,
 )
@@ -244,25 +241,7 @@ def _factory(film: Film, out: Path, file: Path) -> _Camera:
             "name it with --calibration, or another --out",
         )
     model = lens.camera
-    k1, k2, p1, p2, k3 = model.distortion
-    table = CameraTable(
-        model.width, model.height, model.fx, model.fy, model.cx, model.cy, (k1, k2, p1, p2, k3)
-    )  # fmt: skip
-    made = datetime.now(UTC).isoformat(timespec="seconds")
-    unknown = Quality(rms_px=0.0, held_out_px=0.0, views=0, corners=0, coverage=0.0)
-    calibration = CameraCalibration(
-        "camera",
-        VERSION,
-        made,
-        film.serial,
-        source,
-        "",
-        table,
-        {},
-        unknown,
-        "fair",
-        ("made of no views",),
-    )
+    calibration = made_of_no_views(model, film.serial, source, "fair", "made of no views")
     off = (
         f" (its lens as Brown-Conrady, off by {lens.worst_px:.3f} px at most)"
         if lens.worst_px

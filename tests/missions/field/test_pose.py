@@ -47,7 +47,7 @@ def shot(tmp_path_factory: pytest.TempPathFactory) -> PoseOptions:
         cv2.imwrite(str(folder / f"{number}.png"), drawn)
     empty = np.clip(ground, 0.0, 255.0).astype(np.uint8)
     cv2.imwrite(str(folder / f"{FRAMES}.png"), empty)
-    table = CameraTable(VGA.width, VGA.height, VGA.fx, VGA.fy, VGA.cx, VGA.cy, VGA.distortion)
+    table = CameraTable.of(VGA)
     quality = Quality(0.1, 0.1, 20, 400, 0.9)
     calibration = folder.parent / f"{folder.name}.toml"
     written = CameraCalibration("camera", 1, "2026-01-01", "", "", "", table, {}, quality)

@@ -120,9 +120,7 @@ def views(tmp_path_factory: pytest.TempPathFactory) -> Views:
         markers = detect_markers(three.color, None, rig.layout, OTHER)
         if board_1 is not None and board_3 is not None and markers:
             pairs.append(MountPair(f"{number}.png", board_1, board_3, tuple(markers)))
-    lens = CameraTable(
-        OTHER.width, OTHER.height, OTHER.fx, OTHER.fy, OTHER.cx, OTHER.cy, OTHER.distortion
-    )
+    lens = CameraTable.of(OTHER)
     file = folder / "other.toml"
     write_calibration(
         file, CameraCalibration("camera", 1, "", "", "", "", lens, {}, Quality(0.0, 0.0, 0, 0, 0.0))

@@ -142,16 +142,7 @@ def write_tum(file: Path, records: Sequence[LogRecord], mount: Mount) -> None:
 
 
 def calibrated(camera: CameraModel) -> CameraCalibration:
-    table = CameraTable(
-        camera.width,
-        camera.height,
-        camera.fx,
-        camera.fy,
-        camera.cx,
-        camera.cy,
-        camera.distortion,
-        camera.doubts,
-    )
+    table = CameraTable.of(camera)
     return CameraCalibration(
         "camera", 1, "2026-11-23", "", "", "", table, {}, Quality(0.1, 0.1, 30, 1000, 0.9)
     )
