@@ -18,6 +18,13 @@ CLOSE_S = 30.0
 SETTLE_S = 3.0
 
 
+def write_whole(write: Callable[[memoryview], int], data: bytes) -> None:
+    """Write all of it: a full disk or pipe takes a part before it takes nothing."""
+    left = memoryview(data)
+    while left:
+        left = left[write(left) :]
+
+
 class WrittenBehind:
     """Writes in the order of ``put``, with a thread of its own. What does not fit is lost, and
     counted.

@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
-import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 
@@ -20,12 +19,12 @@ from drivers.mavlink.geodesy import LocalTangent
 from drivers.rig.file import load_rig
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
+from hil.vehicle.alone import run_alone
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.world.config import WorldConfig
 from hil.world.world import World
 from path.messages import Role
 
-STEP_S = 0.005
 HOST = "127.0.0.1"
 
 
@@ -54,13 +53,7 @@ def main() -> None:
         vehicles = vehicles_of(rig, world, ports, stack)
         sys.stdout.write("switched on; Ctrl-C switches off\n")
         sys.stdout.flush()
-        start_s = time.monotonic()
-        while True:
-            now_s = time.monotonic() - start_s
-            world.advance(max(now_s, world.time_s))
-            for vehicle in vehicles:
-                vehicle.pump(world.time_s)
-            time.sleep(STEP_S)
+        run_alone(world, vehicles)
 
 
 if __name__ == "__main__":

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import errno
+from functools import partial
 from io import FileIO
 from pathlib import Path
 
 from mcap.records import DataEnd, Footer
 
 from drivers.log.index import MAGIC, built, index_log
-from drivers.written_behind import CLOSE_S, WrittenBehind
+from drivers.written_behind import CLOSE_S, WrittenBehind, write_whole
 
 MOST_WAITING_BYTES = 1 << 25
 """For the disk: minutes of a flight."""
@@ -24,7 +25,9 @@ class LooseFile:
     def __init__(self, path: Path, most_waiting_bytes: int = MOST_WAITING_BYTES) -> None:
         self._path = path
         self._raw = FileIO(path, "wb")
-        self._behind = WrittenBehind(self._write, most_waiting_bytes, "log")
+        self._behind = WrittenBehind(
+            partial(write_whole, self._raw.write), most_waiting_bytes, "log"
+        )
         self._behind.put(MAGIC)
 
     @property
@@ -63,8 +66,3 @@ class LooseFile:
         if self._behind.error is not None:
             raise self._behind.error
         self._behind.put(record, always=always)
-
-    def _write(self, data: bytes) -> None:
-        written = self._raw.write(data)
-        while written < len(data):  # a full disk takes a part of it before it takes nothing
-            written += self._raw.write(memoryview(data)[written:])

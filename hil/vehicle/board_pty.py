@@ -16,7 +16,6 @@ import contextlib
 import math
 import socket
 import sys
-import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -29,13 +28,13 @@ from drivers.rig.file import load_rig
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
 from hil.beacons.pty import SerialCable
+from hil.vehicle.alone import run_alone
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.vehicle.simulators.wire import SERIAL
 from hil.world.config import WorldConfig
 from hil.world.world import SimDrone, World
 from path.messages import Role
 
-STEP_S = 0.005
 TRUTH_S = 0.01
 
 
@@ -169,15 +168,7 @@ def main() -> None:
         boards = boards_of(rig, world, stack)
         sys.stdout.write("two boards in software are switched on; Ctrl-C switches them off\n")
         sys.stdout.flush()
-        start_s = time.monotonic()
-        steps = 0
-        while True:
-            now_s = time.monotonic() - start_s
-            world.advance(max(now_s, world.time_s))
-            for board in boards:
-                board.pump(world.time_s)
-            steps = max(steps + 1, int(now_s / STEP_S))
-            time.sleep(max(0.0, start_s + steps * STEP_S - time.monotonic()))
+        run_alone(world, boards)
 
 
 if __name__ == "__main__":

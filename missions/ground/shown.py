@@ -7,14 +7,13 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from io import FileIO
 from pathlib import Path
 from typing import Self, TextIO
 
-from drivers.written_behind import WrittenBehind
+from drivers.written_behind import WrittenBehind, write_whole
 
 
 class FolderGone(OSError):
@@ -40,7 +39,7 @@ class Said:
         with suppress(OSError, ValueError):
             stream.flush()
             write = FileIO(stream.fileno(), "wb", closefd=False).write
-            self._behind = WrittenBehind(partial(_write_whole, write), self.MOST_BYTES, "said")
+            self._behind = WrittenBehind(partial(write_whole, write), self.MOST_BYTES, "said")
 
     def __enter__(self) -> Self:
         return self
@@ -61,12 +60,6 @@ class Said:
     def lost(self) -> int:
         """How many lines found no room, as nobody took them."""
         return 0 if self._behind is None else self._behind.lost
-
-
-def _write_whole(write: Callable[[memoryview], int], data: bytes) -> None:
-    left = memoryview(data)
-    while left:
-        left = left[write(left) :]
 
 
 def tell_line(line: str) -> None:
