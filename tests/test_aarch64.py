@@ -17,7 +17,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 TIMEOUT_S = 60.0
-# docs/arm.md; the marker in pyproject.toml says the same
+# docs/companion.md; the marker in pyproject.toml says the same
 REALSENSE_WHEELS = {"3.11": False, "3.12": True}
 NO_WHEEL = re.compile(r"has no (\S+ )?wheels", re.ASCII)
 NOT_ASKED = re.compile(
@@ -79,7 +79,7 @@ def wheels_of(python: str, *what: str) -> set[str]:
             pytest.skip("this package index has no wheels for aarch64 at all")
         pytest.fail(
             f"constraints.txt does not resolve to wheels for aarch64 and Python {python}:\n{missing}\n"
-            "pin another version, mark the dependency for where it has wheels, or say so in docs/arm.md"
+            "pin another version, mark the dependency for where it has wheels, or say so in docs/companion.md"
         )
 
 

@@ -6,6 +6,7 @@ import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,7 +18,7 @@ STANDS_FOR = {"ROLE": "sender", "LEVEL": "careful"}
 UNDERSTOOD = 150
 
 
-def named(pattern: str) -> Iterator[tuple[Path, str]]:
+def named(pattern: str) -> Iterator[tuple[Path, Any]]:
     for page in (*PAGES, *(ROOT / "docs" / "decisions").glob("*.md")):
         for found in re.findall(pattern, page.read_text("utf-8")):
             yield page, found
@@ -27,6 +28,20 @@ def test_no_link_is_dead() -> None:
     links = [(page, link) for page, link in named(r"\]\(([^)\s#]+)") if not link.startswith("http")]
     assert len(links) > 200
     assert [(page.name, link) for page, link in links if not (page.parent / link).exists()] == []
+
+
+def test_every_heading_that_a_link_names_is_there() -> None:
+    links = list(named(r"\]\(([\w./-]*\.md)#([\w-]+)\)"))
+    assert len(links) > 20
+    assert [
+        (page.name, link) for page, link in links if link[1] not in anchors(page.parent / link[0])
+    ] == []
+
+
+def anchors(page: Path) -> set[str]:
+    """Return the anchors of a page's headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text("utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings}
 
 
 def test_the_tests_that_pages_name_are_there() -> None:
