@@ -48,6 +48,7 @@ from hil.world.estimator import reported
 from hil.world.faults import Fault, FaultError, parse_faults
 from hil.world.world import World
 from path.messages import Role
+from path.protocol.values import ProtocolConfig
 
 TRUTH_PERIOD_S = 0.04
 GROUND_PERIOD_S = 0.05  # while not both are in the air
@@ -108,7 +109,9 @@ class _Flight:
         built = as_built(rig, request.seed)
         self._true_rig = built.rig
         mission = mission_config(rig)
-        self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
+        protocol = ProtocolConfig.of_clocks(mission.clock_uncertainty_s)
+        least_m = mission.separation.minimum_m
+        self._monitors = Monitors(rig.method, least_m, mission.guard, protocol)
         self._monitors.stalls = isinstance(asyncio.get_running_loop(), StallingLoop)
         self._hub = MemoryHub(request.seed)
         self._drones = {role: self._new(role, built) for role in Role}

@@ -17,10 +17,6 @@ from path.protocol.values import ProtocolConfig
 
 Violated = Callable[[str, float, str], None]
 
-CONFIG = ProtocolConfig()
-DECISION_S = commit_bound_s(CONFIG)
-GAP_S = gap_bound_s(CONFIG)
-
 
 @dataclass(slots=True)
 class _Lease:
@@ -36,11 +32,13 @@ class LeaseMonitor:
     """Watches both roles' records.
 
     Attributes:
+        config: the deadlines of the roles that are watched.
         decision_s: the longest wait from a COMMIT to the sender's decision.
         gap_s: the longest time with nobody responsible that ended; an orphan's does not.
     """
 
     violated: Violated
+    config: ProtocolConfig = field(default_factory=ProtocolConfig)
     decision_s: float | None = None
     gap_s: float | None = None
     _highest: dict[Role, int] = field(default_factory=lambda: dict.fromkeys(Role, 0))
@@ -143,11 +141,12 @@ class LeaseMonitor:
         self._awaited = False
         waited_s = now_s - self._lease.given_s
         self.decision_s = max(waited_s, self.decision_s or 0.0)
-        if waited_s > DECISION_S:
+        bound_s = commit_bound_s(self.config)
+        if waited_s > bound_s:
             self.violated(
                 "L1",
                 now_s,
-                f"decided {waited_s:.2f} s after the COMMIT, the bound is {DECISION_S:.2f} s",
+                f"decided {waited_s:.2f} s after the COMMIT, the bound is {bound_s:.2f} s",
             )
 
     def _on_gap(self, role: Role, before: bool, now_s: float) -> None:
@@ -157,11 +156,12 @@ class LeaseMonitor:
                 alone_s = now_s - self._alone_s
                 self._alone_s = None
                 self.gap_s = max(alone_s, self.gap_s or 0.0)
-                if alone_s > GAP_S:
+                bound_s = gap_bound_s(self.config)
+                if alone_s > bound_s:
                     self.violated(
                         "L2",
                         now_s,
-                        f"nobody was responsible for {alone_s:.2f} s, the bound is {GAP_S:.2f} s",
+                        f"nobody was responsible for {alone_s:.2f} s, the bound is {bound_s:.2f} s",
                     )
         elif role is Role.SENDER and before:
             self._alone_s = now_s

@@ -22,6 +22,7 @@ from hil.monitors.setpoints import SetpointGap, detail_of
 from hil.world.distances import LEAST_M
 from path.config import MethodConfig
 from path.messages import Role
+from path.protocol.values import ProtocolConfig
 
 MAX_FAILSAFE_S = 1.0
 LEASES = frozenset({"/responsibility", "/commit", "/epoch", "/decision"})
@@ -48,6 +49,7 @@ class Monitors:
     method: MethodConfig
     min_separation_m: float
     guard: GuardConfig = field(default_factory=GuardConfig)
+    protocol: ProtocolConfig = field(default_factory=ProtocolConfig)
     violations: Counter[str] = field(default_factory=Counter[str])
     details: list[str] = field(default_factory=list[str])
     closest_m: float = math.inf
@@ -66,7 +68,7 @@ class Monitors:
 
     def __post_init__(self) -> None:
         self._agreed = PairsAtPaces(self.method)
-        self.leases = LeaseMonitor(self._violated)
+        self.leases = LeaseMonitor(self._violated, self.protocol)
         self.scripts = ScriptMonitor(self._violated, self.guard)
 
     def on_record(self, role: Role, topic: str, stamp_w_ns: int, record: Mapping[str, Any]) -> None:

@@ -24,7 +24,6 @@ from flight.harness.relay import FieldSample, FlightTruth
 from flight.outcome import OBJECT_MONITOR
 from hil.harness.relay_world import RelayWorld
 from hil.monitors.claims import Claims
-from hil.monitors.leases import GAP_S
 from hil.monitors.monitors import Monitors
 from hil.monitors.observed import ObservedTime
 from hil.monitors.scripts import ScriptMonitor, VehicleTruth, pixel_of, vehicle_truth
@@ -32,6 +31,8 @@ from hil.monitors.setpoints import SetpointGap
 from hil.world.fields import NUMBERS
 from hil.world.snapshot import DroneTruth, ObjectTruth
 from path.messages import Role
+from path.protocol.bounds import gap_bound_s
+from path.protocol.values import ProtocolConfig
 
 Seen = tuple[Mapping[str, DroneTruth], Sequence[ObjectTruth]]
 LOOK_S = 0.5  # at the object that the responsible drone has
@@ -110,6 +111,10 @@ class RelayMonitors:
         )
         self.observed = [ObservedTime() for _ in range(self.targets)]
 
+    @property
+    def _protocol(self) -> ProtocolConfig:
+        return ProtocolConfig.of_clocks(self.mission.clock_uncertainty_s)
+
     def violated(self, name: str, time_s: float, what: str) -> None:
         self.violations[name] += 1
         self.details.append(f"{name} at {time_s:.2f} s: {what}")
@@ -117,7 +122,9 @@ class RelayMonitors:
     # --- told by the harness ---
 
     def on_leg(self, number: int, sender: str, receiver: str) -> None:
-        monitors = Monitors(self.rig.method, self.mission.separation.minimum_m, self.mission.guard)
+        mission = self.mission
+        least_m = mission.separation.minimum_m
+        monitors = Monitors(self.rig.method, least_m, mission.guard, self._protocol)
         leg = WatchedLeg(number, {sender: Role.SENDER, receiver: Role.RECEIVER}, monitors)
         self._legs[sender] = self._legs[receiver] = leg
         self._all_legs.append(leg)
@@ -310,11 +317,12 @@ class RelayMonitors:
             self.violated("S1", now_s, f"responsible at once: {', '.join(sorted(holders))}")
         if target in self._alone_s:
             alone_s = now_s - self._alone_s.pop(target)
-            if alone_s > GAP_S:
+            bound_s = gap_bound_s(self._protocol)
+            if alone_s > bound_s:
                 self.violated(
                     "L2",
                     now_s,
-                    f"nobody was responsible for {alone_s:.2f} s, the bound is {GAP_S:.2f} s",
+                    f"nobody was responsible for {alone_s:.2f} s, the bound is {bound_s:.2f} s",
                 )
 
     def _on_box(self, name: str, now_s: float, box: list[float] | None) -> None:

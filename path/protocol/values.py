@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from enum import Enum
-from typing import Literal
+from typing import Literal, Self
 
 from path.messages import Abort, AbortReason, Accept, Candidate, Commit, Confirm, Message, Target
 from path.values import value
@@ -40,6 +40,17 @@ class ProtocolConfig:
     guard_s: float = 0.05
     settle_s: float = 3.0
     max_uncertainty_s: float = 0.1
+
+    @classmethod
+    def of_clocks(cls, max_uncertainty_s: float, **deadlines: float) -> Self:
+        """Return the deadlines for clocks that are known to within so much, s.
+
+        A lease leaves as long for COMMIT and ACCEPT as the usual one does: what is taken off for
+        clocks that are known less well is put on.
+        """
+        usual = cls()
+        more_s = max(0.0, max_uncertainty_s - usual.max_uncertainty_s)
+        return cls(lease_s=usual.lease_s + more_s, max_uncertainty_s=max_uncertainty_s, **deadlines)
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -48,6 +48,7 @@ from hil.world.errors import as_built
 from hil.world.snapshot import Snapshot
 from hil.world.world import World
 from path.messages import Role
+from path.protocol.values import ProtocolConfig
 
 
 class SitlWorld(RealTimeWorld):
@@ -61,7 +62,9 @@ class SitlWorld(RealTimeWorld):
         self._built = as_built(rig, seed)
         self._world = World(self._config, seed)
         mission = mission_config(rig)
-        self._monitors = Monitors(rig.method, mission.separation.minimum_m, mission.guard)
+        protocol = ProtocolConfig.of_clocks(mission.clock_uncertainty_s)
+        least_m = mission.separation.minimum_m
+        self._monitors = Monitors(rig.method, least_m, mission.guard, protocol)
         self._videos: dict[Role, TelloVideo] = {}
         self._person = person_on_the_wire(rig, self._built, self._config.person, seed)
 

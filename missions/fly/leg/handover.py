@@ -27,6 +27,7 @@ from path.protocol.values import (
     ProtocolConfig,
     ReceiverEvent,
     ReceiverRecord,
+    Refusal,
     SenderRecord,
     TakeResponsibility,
     VerifyAgain,
@@ -53,7 +54,8 @@ def protocol_config(session: RoleSession) -> ProtocolConfig:
     does.
     """
     deadlines = session.config.deadlines
-    return ProtocolConfig(
+    return ProtocolConfig.of_clocks(
+        session.config.clock_uncertainty_s,
         offer_s=deadlines.receiver_ready_s + deadlines.verify_s,
         handoff_s=deadlines.receiver_ready_s + 2.0 * deadlines.verify_s,
     )
@@ -76,6 +78,8 @@ class SenderHandover(MachineRun[SenderMachine]):
         # of each receiver the newest Status, and when it came
         self._words: dict[int, tuple[int, PeerStatus]] = {}
         self._warned = False
+        # when the boxes agreed and nothing could be begun: what was in the way
+        self._agreed_in_vain: tuple[Outcome, str] | None = None
         session.instance = lambda: 0 if self._machine.live is None else self._machine.live.instance
         if kept is not None:  # on the ground a new mission begins: nobody tracks its target yet
             session.set_claim(
@@ -171,6 +175,7 @@ class SenderHandover(MachineRun[SenderMachine]):
         session = self._session
         alignment = self._session.alignment
         receivers = self.receivers
+        self._agreed_in_vain = None
         if len(receivers) > 1 and not self._warned:
             self._warned = True
             session.say(
@@ -184,6 +189,12 @@ class SenderHandover(MachineRun[SenderMachine]):
                 self.epoch, target_id, session.entropy.getrandbits(32), uncertainty, instance
             )
         )
+        refused = None if self.released else self._carrier.refused
+        if refused is Refusal.NO_CLOCK:
+            self._agreed_in_vain = Outcome.CLOCK_FAULT, session.clocks_known
+        elif refused is Refusal.NOT_ONE_RECEIVER:
+            why = f"{len(receivers)} receivers are heard, and one is needed"
+            self._agreed_in_vain = Outcome.NO_AGREEMENT, why
 
     def on_message(self, received: Received) -> None:
         self._hear(lambda: Heard(received.message))
@@ -203,17 +214,28 @@ class SenderHandover(MachineRun[SenderMachine]):
         end_s = asyncio.get_running_loop().time() + timeout_s
         while True:
             if not await until(lambda: carrier.ended is not None or self.released, end_s):
-                raise MissionEnd(Outcome.NO_AGREEMENT, f"no agreement within {timeout_s:.0f} s")
+                raise self._not_agreed(f"no agreement within {timeout_s:.0f} s")
             # a commit under way is decided by its lease, not by the deadline
             await until(lambda: carrier.ended is not None, math.inf)
             assert carrier.ended is not None
             decision = carrier.ended.outcome
             if decision is Decision.HANDED_OVER:
                 return
+            if decision is Decision.TIMEOUT:
+                raise self._not_agreed(decision.value)
             if decision is not Decision.TAKEN_BACK:
                 raise MissionEnd(_ENDS.get(decision, Outcome.PEER_ABORTED), decision.value)
             self.verify_again()
             verify_again()
+
+    def _not_agreed(self, said: str) -> MissionEnd:
+        """Return the end of a time that is over: the boxes may have agreed, and something else be
+        what was in the way.
+        """
+        if self._agreed_in_vain is None:
+            return MissionEnd(Outcome.NO_AGREEMENT, said)
+        outcome, why = self._agreed_in_vain
+        return MissionEnd(outcome, f"the boxes agree, and no hand-over was begun: {why}")
 
     async def until_settled(self) -> None:
         """Wait after ``until_decided`` until the receiver is known to hold the target, or nobody

@@ -32,6 +32,7 @@ from path.protocol.values import (
     PeerStatus,
     Persist,
     ReceiverRecord,
+    Refusal,
     Refused,
     Release,
     Send,
@@ -56,6 +57,7 @@ class Carrier:
         self.session = session
         self.ended: Ended | None = None
         self.settled: Settled | None = None
+        self.refused: Refusal | None = None  # why the newest event changed nothing, if it did not
 
     def carry_out(self, action: Action) -> None:
         """A record to be written down has been."""
@@ -87,6 +89,7 @@ class Carrier:
                 self.settled = action
                 self._log("/settled", outcome=action.outcome.value)
             case Refused(why):
+                self.refused = why
                 self._log("/refused", why=why.value)
 
     def _log(self, topic: str, **record: object) -> None:

@@ -310,6 +310,17 @@ class RoleSession:
         self.show()
 
     @property
+    def clocks_known(self) -> str:
+        """Return how well the other drone's clock is known, and what would be needed, in words."""
+        alignment = self.alignment
+        needed_s = self.config.clock_uncertainty_s
+        return (
+            f"known to {alignment.uncertainty_at(self.now_ns()) * 1e-9:.3f} s by {alignment.samples} pings,"
+            f" mission.clock_uncertainty_s = {needed_s:g} s is needed; half a round trip is the bound,"
+            " so say [link] latency_s in the rig"
+        )
+
+    @property
     def responsible(self) -> bool:
         """Returns whether this drone is responsible at this very instant.
 

@@ -109,16 +109,9 @@ def _unheard(counters: LinkCounters) -> str:
 
 def _unaligned(session: RoleSession) -> str:
     """Say how well the clocks are known, and what would be needed."""
-    alignment = session.alignment
-    needed_s = session.config.clock_uncertainty_s
-    if not alignment.samples:
+    if not session.alignment.samples:
         return "the clocks were not aligned: no ping was answered"
-    known_s = alignment.uncertainty_ns * 1e-9
-    return (
-        f"the clocks were not aligned: known to {known_s:.3f} s by {alignment.samples} pings,"
-        f" mission.clock_uncertainty_s = {needed_s:g} s is needed; half a round trip is the bound, so say"
-        " [link] latency_s in the rig"
-    )
+    return f"the clocks were not aligned: {session.clocks_known}"
 
 
 def _aligned(session: RoleSession) -> bool:

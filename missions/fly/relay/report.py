@@ -18,6 +18,7 @@ from missions.fly.relay.crew import Crew
 from missions.fly.relay.ground import Event, Leg
 from missions.fly.relay.legs import Base
 from missions.ground.options.flights import HoursOptions, RelayOptions
+from missions.ground.rig_library import mission_of
 from missions.look.report.tables import counts_text, figures_grid, plain_table
 from path.protocol.bounds import gap_bound_s
 from path.protocol.values import ProtocolConfig
@@ -51,6 +52,7 @@ def summary_of(
 ) -> dict[str, Any]:
     """The figures of a relay and of a team alike."""
     done = [leg for leg in base.legs if leg.outcome == Outcome.COMMITTED.label]
+    protocol = ProtocolConfig.of_clocks(mission_of(rig).clock_uncertainty_s)
     took = [leg.held_s - leg.called_s for leg in done if leg.held_s is not None]
     return {
         "outcome": outcome.label,
@@ -72,7 +74,7 @@ def summary_of(
         "alarms": sum(event.what == "alarm" for event in base.events),
         "leg_s": spread(took),
         "gap_s": spread(list(report.gaps_s.values())),
-        "gap_bound_s": round(gap_bound_s(ProtocolConfig()), 2),
+        "gap_bound_s": round(gap_bound_s(protocol), 2),
         "reserve": base.config.reserve,
         "closest_m": None if report.closest_m != report.closest_m else round(report.closest_m, 3),
         "closest_pair": list(report.closest_pair),

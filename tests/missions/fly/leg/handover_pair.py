@@ -56,6 +56,7 @@ class FakeLink:
 
     clock: OffsetClock
     lost: Callable[[Message], bool] = lambda _: False
+    delay_s: float = 0.004
     counters: LinkCounters = field(default_factory=LinkCounters)
     sent: list[Message] = field(default_factory=list[Message])
     waiting: asyncio.Queue[Received] = field(default_factory=asyncio.Queue[Received])
@@ -66,7 +67,7 @@ class FakeLink:
         other = self.other
         assert other is not None
         if not self.lost(message):
-            asyncio.get_running_loop().call_later(0.004, other.arrive, message)
+            asyncio.get_running_loop().call_later(self.delay_s, other.arrive, message)
 
     def arrive(self, message: Message) -> None:
         self.waiting.put_nowait(Received(message, self.clock.now_ns()))
@@ -111,12 +112,15 @@ class Pair:
     other.
     """
 
-    def __init__(self, rig: Any, able: bool = True) -> None:
+    def __init__(
+        self, rig: Any, able: bool = True, delay_s: float = 0.004, clocks_s: float = 0.1
+    ) -> None:
         self.able = able
+        self.config = replace(CONFIG, clock_uncertainty_s=clocks_s)
         self.log = {role: Recorder() for role in Role}
         self.link = {
-            Role.SENDER: FakeLink(OffsetClock(1.0)),
-            Role.RECEIVER: FakeLink(OffsetClock(4.2)),
+            Role.SENDER: FakeLink(OffsetClock(1.0), delay_s=delay_s),
+            Role.RECEIVER: FakeLink(OffsetClock(4.2), delay_s=delay_s),
         }
         self.link[Role.SENDER].other, self.link[Role.RECEIVER].other = (
             self.link[Role.RECEIVER],
@@ -138,7 +142,7 @@ class Pair:
         parts = cast(Any, (link.clock, FakeVehicle(), None, link))
         entropy = random.Random(role.value)
         return RoleSession(
-            rig, role, CONFIG, self.log[role], lambda _: None, asyncio.Event(), parts, entropy
+            rig, role, self.config, self.log[role], lambda _: None, asyncio.Event(), parts, entropy
         )
 
     def on_receiver(self, received: Received) -> None:
@@ -181,7 +185,8 @@ class Pair:
         await self.sender.offer()
         self.receiver.start()
         self.session[Role.SENDER].spawn(self.offer_targets())
-        await asyncio.sleep(0.5)
+        # until a Candidate has come back
+        await asyncio.sleep(0.5 + 3.0 * self.link[Role.SENDER].delay_s)
 
     async def _sender_decides(self, timeout_s: float) -> None:
         await self.sender.until_decided(timeout_s, self.verify_again)
@@ -248,9 +253,11 @@ class Pair:
         )
 
 
-def fly(rig: Any, course: Callable[[Pair], Coroutine[Any, Any, None]], able: bool = True) -> Pair:
+def fly(
+    rig: Any, course: Callable[[Pair], Coroutine[Any, Any, None]], able: bool = True, **link: float
+) -> Pair:
     async def main() -> Pair:
-        pair = Pair(rig, able)
+        pair = Pair(rig, able, **link)
         await pair.begin()
         await course(pair)
         await pair.end()

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from flight.outcome import Outcome
+from flight.outcome import MissionEnd, Outcome
 from path.messages import Accept, Commit, Confirm, Role
 from tests.missions.fly.leg.handover_pair import Pair, fly, kinds, until
 
@@ -94,6 +94,33 @@ def test_an_attempt_taken_back_before_anybody_waited_is_verified_again(rig: Any)
         }
 
     assert fly(rig, course).verified_again == [2]
+
+
+@pytest.mark.parametrize("delay_s", [0.1, 0.15, 0.3])
+def test_a_slow_link_hands_over_when_the_rig_says_how_slow_it_is(rig: Any, delay_s: float) -> None:
+    async def course(pair: Pair) -> None:
+        ends = await pair.decide()
+        assert set(ends.values()) == {Outcome.COMMITTED}
+
+    fly(rig, course, delay_s=delay_s, clocks_s=1.5 * delay_s)
+
+
+def test_boxes_that_agree_while_the_clocks_are_unknown_end_as_a_clock_fault(rig: Any) -> None:
+    said: list[str] = []
+
+    async def course(pair: Pair) -> None:
+        session = pair.session[Role.SENDER]
+        session.alignment.reset()
+        pair.cut()
+        pair.sender.agreed(1)
+        with pytest.raises(MissionEnd) as end:
+            await pair.sender.until_decided(3.0, pair.verify_again)
+        assert end.value.outcome is Outcome.CLOCK_FAULT
+        said.append(str(end.value))
+
+    fly(rig, course)
+    assert "the boxes agree" in said[0]
+    assert "clock_uncertainty_s" in said[0]
 
 
 # --- what a link may lose
