@@ -2,22 +2,19 @@
 all.
 
 Used by ``tests/conftest.py``. A run has two phases. First flights in real time, one after another
-in one worker, while the other workers wait: what is measured then is the flight's, not that of
-whatever shared its two cores. Then everything else side by side. It is decided where tests are
+in one worker: what is measured then is the flight's, not that of whatever shared its two cores.
+Beside them two workers compute in the background (``tests/background.py``), which takes what the
+flights leave, and the others wait. Then everything else side by side. It is decided where tests are
 handed out, so that a worker that dies holds nobody up.
-
-A kernel that groups processes by session (autogroup) gives each of a flight's processes and all
-workers together equal shares of a core, whatever their nice: niceness alone never kept a computing
-worker off a flight.
 """
 
 from __future__ import annotations
 
-import contextlib
-import os
 from typing import Any
 
 from xdist.scheduler import LoadScopeScheduling
+
+from tests import background
 
 # Programs, vehicles and links in real time, judged by what happens within fractions of a second.
 FLYING = (
@@ -121,12 +118,10 @@ LONG = (
     "outside/",
     "scenarios/",
 )
-# than the run itself: two computing workers together take less of a core than one at 10 would
-NICER = 15
-
-
-MOST = 19
-BEGAN = os.getpriority(os.PRIO_PROCESS, 0)
+# What begins programs in sessions of their own, which are not in the background.
+SESSIONS = ("missions/ground/test_held", "missions/look/live/", "missions/look/view/", "mutants/")
+COMPUTING = 2
+"""Workers that compute in the background from the first flight on."""
 
 
 def group_of(nodeid: str) -> str:
@@ -159,24 +154,33 @@ def computes(nodeid: str) -> bool:
     return urgency(group_of(nodeid)) > 1
 
 
+def fits_beside_flights(group: str) -> bool:
+    """Whether flights are not disturbed by it."""
+    return (
+        background.POSSIBLE
+        and urgency(group) > 1
+        and not group.removeprefix("tests/").startswith(SESSIONS)
+    )
+
+
 def be_nice(nodeid: str) -> None:
     """Make this worker as urgent as the test that comes next.
 
     Whoever may not become more urgent again (anybody but root) stays as nice as a computing test
     was: real-time groups are handed out first.
     """
-    wanted = min(MOST, BEGAN + NICER) if computes(nodeid) else BEGAN
-    if os.getpriority(os.PRIO_PROCESS, 0) != wanted:
-        with contextlib.suppress(PermissionError):
-            os.setpriority(os.PRIO_PROCESS, 0, wanted)
+    if computes(nodeid):
+        background.go()
+    else:
+        background.come_back()
 
 
 class Groups(LoadScopeScheduling):
-    """Hands out flights first, to one worker and to nobody else anything; then the other groups, by
-    their urgency.
+    """Hands out flights first, to one worker, and beside them to two workers what computes; then the
+    other groups, by their urgency.
     """
 
-    _ordered = False
+    _computing: tuple[Any, ...] | None = None
 
     def _split_scope(self, nodeid: str) -> str:
         return group_of(nodeid)
@@ -191,25 +195,41 @@ class Groups(LoadScopeScheduling):
 
     def _assign_work_unit(self, node: Any) -> None:
         self._order()
-        if self._may_have_more(node):
+        group = self._next_for(node)
+        if group is not None:
+            self.workqueue.move_to_end(group, last=False)
             super()._assign_work_unit(node)
 
     def _order(self) -> None:
         """Once, and again when a worker that died has given its flights back."""
-        if self._ordered and FLIGHTS not in self.workqueue:
+        if self._computing is not None and FLIGHTS not in self.workqueue:
             return
-        self._ordered = True
+        if self._computing is None:
+            self._computing = tuple(self.nodes[1:][-COMPUTING:])
         for group in sorted(self.workqueue, key=urgency):
             self.workqueue.move_to_end(group)
 
-    def _may_have_more(self, node: Any) -> bool:
-        """While there are flights, only whoever has them, or may take them because nobody else has
-        anything to do.
-        """
-        if not self._flying() or FLIGHTS in self.assigned_work[node]:
-            return True
-        busy = any(self._pending_of(work) for work in self.assigned_work.values())
-        return FLIGHTS in self.workqueue and not busy
+    def _next_for(self, node: Any) -> str | None:
+        """Return the group that a worker is given next; None while it has to wait."""
+        assert self._computing is not None
+        first = next(iter(self.workqueue))
+        flying = self._flying()
+        if node in self._computing:
+            # What has limits in seconds is for workers that were never in the background.
+            fitting = (
+                group
+                for group in self.workqueue
+                if urgency(group) > 1 and (not flying or fits_beside_flights(group))
+            )
+            return next(fitting, None if flying else first)
+
+        if not flying or FLIGHTS in self.assigned_work[node]:
+            return first
+
+        # A worker that died has given its flights back: whoever has nothing else to do takes them.
+        others = (work for each, work in self.assigned_work.items() if each not in self._computing)
+        busy = any(self._pending_of(work) for work in others)
+        return FLIGHTS if FLIGHTS in self.workqueue and not busy else None
 
     def _flying(self) -> bool:
         """Whether a flight is still to come, or in the air."""

@@ -1,5 +1,5 @@
-"""Flights in real time have the machine to themselves: nobody else is given a test before the last
-of them is down.
+"""Flights in real time go first: beside them two workers compute in the background, and nobody else
+is given a test before the last of them is down.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from tests import background
 from tests.scheduling import (
     APART,
     BESIDE,
@@ -21,8 +22,10 @@ from tests.scheduling import (
     FLYING,
     LONG,
     REAL_TIME,
+    SESSIONS,
     Groups,
     computes,
+    fits_beside_flights,
     group_of,
     urgency,
 )
@@ -80,43 +83,75 @@ def workers() -> list[Worker]:
     return [Worker(f"gw{number}") for number in range(4)]
 
 
-def test_flights_are_given_to_one_worker_and_nobody_else_is_given_anything(
+@pytest.fixture(autouse=True)
+def idle_is_possible(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where the system of these tests has no background."""
+    monkeypatch.setattr(background, "POSSIBLE", True)
+
+
+def test_flights_are_given_to_one_worker_and_two_others_compute_meanwhile(
     workers: list[Worker],
 ) -> None:
     scheduled(ALL, workers)
-    first, *others = workers
+    first, second, *others = workers
     assert first.given[:2] == [FLIGHT, OTHER_FLIGHT]
-    assert [worker.given for worker in others] == [[], [], []]
+    assert second.given == []
+    assert [set(worker.given) <= set(COMPUTING) for worker in others] == [True, True]
+    assert all(len(worker.given) >= 3 for worker in others)
     assert not any(worker.shutting_down for worker in workers)
+
+
+def test_nobody_computes_beside_flights_where_it_cannot_be_in_the_background(
+    workers: list[Worker], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(background, "POSSIBLE", False)
+    scheduled(ALL, workers)
+    assert [worker.given for worker in workers[1:]] == [[], [], []]
+
+
+def test_what_begins_sessions_of_its_own_is_not_beside_flights() -> None:
+    assert not fits_beside_flights("tests/mutants/test_mutants.py::test_a")
+    assert not fits_beside_flights(group_of(WAITING[0])) and not fits_beside_flights(FLIGHTS)
+    assert fits_beside_flights(group_of(COMPUTING[0]))
 
 
 def test_everybody_gets_work_when_the_last_flight_is_down_and_not_before(
     workers: list[Worker],
 ) -> None:
     groups = scheduled(ALL, workers)
-    first, *others = workers
+    first, second, *_ = workers
     complete(groups, first, FLIGHT)
-    assert not any(worker.given for worker in others)
+    assert second.given == []
     complete(groups, first, OTHER_FLIGHT)
-    assert all(len(worker.given) >= 3 for worker in others)
+    assert len(second.given) >= 3
     # What waits goes to whoever flew and has not computed: a worker that has cannot be urgent
     # again.
     assert first.given[2:] == WAITING
+
+
+def test_workers_that_computed_beside_flights_are_not_given_what_waits_after_them(
+    workers: list[Worker],
+) -> None:
+    groups = scheduled(ALL, workers)
+    _, _, *computing = workers
+    for worker in computing:
+        for each in list(worker.given):
+            complete(groups, worker, each)
+    first = workers[0]
+    complete(groups, first, FLIGHT)
+    complete(groups, first, OTHER_FLIGHT)
+    assert not any(set(worker.given) & set(WAITING) for worker in computing)
 
 
 def test_flights_of_a_worker_that_died_are_flown_by_another_while_the_rest_waits(
     workers: list[Worker],
 ) -> None:
     groups = scheduled(ALL, workers)
-    first, second, *others = workers
+    first, second, *computing = workers
     died: Any = first
     assert groups.remove_node(died) == FLIGHT
     assert second.given[:2] == [FLIGHT, OTHER_FLIGHT]
-    assert not any(worker.given for worker in others)
-
-    complete(groups, second, FLIGHT)
-    complete(groups, second, OTHER_FLIGHT)
-    assert all(worker.given for worker in others)
+    assert not any(set(worker.given) & {FLIGHT, OTHER_FLIGHT, *WAITING} for worker in computing)
 
 
 def test_every_test_is_given_to_somebody_once(workers: list[Worker]) -> None:
@@ -154,26 +189,33 @@ def test_what_flies_waits_or_computes_is_told_apart() -> None:
 def test_every_place_that_is_named_is_there() -> None:
     """Tests that moved would else compute beside flights, or wait their turn for nothing."""
     beside = [place for places in BESIDE.values() for place in places]
-    for place in (*FLYING, *REAL_TIME, *COMPUTES, *beside, *APART, *LONG):
+    for place in (*FLYING, *REAL_TIME, *COMPUTES, *beside, *APART, *LONG, *SESSIONS):
         file = place.partition("::")[0]
         assert list(TESTS.glob(f"{file}*")), place
 
 
-NICE_BY_TEST = """
+BY_TEST = """
 import os
+from pathlib import Path
 from tests.scheduling import be_nice
+session = Path("/proc/self/autogroup")
 for nodeid in {nodeids!r}:
     be_nice(nodeid)
-    print(os.getpriority(os.PRIO_PROCESS, 0))
+    nice = session.read_text().split()[-1:] if session.exists() else []
+    print(os.getpriority(os.PRIO_PROCESS, 0), os.sched_getscheduler(0), *nice)
 """
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="the background is Linux's")
 def test_a_worker_is_as_nice_as_the_test_that_comes_next_not_as_its_first_was() -> None:
     """A worker that began with contracts computed at nice 0 beside a flight."""
-    program = NICE_BY_TEST.format(nodeids=[WAITING[0], COMPUTING[0], WAITING[0]])
-    ran = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    began, computing, again = map(int, ran.stdout.split())
-    assert computing == min(19, began + 15)
-    assert again == (began if os.geteuid() == 0 else computing)
+    program = BY_TEST.format(nodeids=[WAITING[0], COMPUTING[0], COMPUTING[1], WAITING[0]])
+    command = [sys.executable, "-c", program]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True)
+    began, *computing, again = [list(map(int, line.split())) for line in ran.stdout.splitlines()]
+    background_of_this = [min(19, began[0] + 15), os.SCHED_IDLE]
+    assert [each[:2] for each in computing] == [background_of_this] * 2
+    assert all(each[2:] in ([], [15]) for each in computing)
+    assert again[2:] in ([], [0])
+    if os.geteuid() == 0:
+        assert again[:2] == began[:2]

@@ -104,6 +104,21 @@ def test_what_was_not_heard_while_this_program_slept_is_not_held_against_the_gua
     virtual(main())
 
 
+def test_a_program_that_looks_rarely_but_did_not_sleep_misses_a_silent_guard_too() -> None:
+    """What excuses a guard's silence is a sleep of half as long as it may be silent, not less."""
+
+    async def main() -> None:
+        line = FakeLine()
+        guard = UnderGuard(line, LoopClock(), RULES)
+        line.say(WATCHED)
+        for _ in range(3):
+            guard.check()
+            await asyncio.sleep(0.4 * RULES.answer_age_s)
+        assert ended(guard.check).outcome is Outcome.GUARD_LOST
+
+    virtual(main())
+
+
 def test_what_the_guard_took_stays_taken() -> None:
     async def main() -> None:
         line = FakeLine()
