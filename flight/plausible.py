@@ -13,18 +13,21 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from drivers.rig.parts import Rig
+from drivers.rig.parts import Rig, decode_part
 from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
 from flight.harness.fleet import RelayConfig
-from flight.plan.facts import camera_rate_hz
+from flight.plan.facts import camera_rate_hz, facts_of
 from flight.rendezvous.viewpoint import NoViewpoint, ViewpointScene, plan_viewpoint
-from path.messages import Role
+from path.messages import Candidate, Message, Ping, Pong, Role, Status, Target
 
 FAST_MPS = 1.0
 """No autopilot is asked to climb or land faster: a wait that is shorter than that ends in the
 air.
 """
+
+ROUNDED_M = 1e-6
+"""Two heights of a rig are apart by what their difference is, within floating point."""
 
 Found = Iterator[tuple[str, str]]
 """Table and key, and what is wrong with it."""
@@ -37,7 +40,7 @@ def check_plausible(rig: Rig) -> None:
     mission = decode_table(rig.mission, MissionConfig, rig.where("mission"))
     problems = Problems()
     checks: tuple[Callable[[Rig, MissionConfig], Found], ...] = (
-        _fence, _ground, _ranges, _viewpoint, _distances, _waits, _ages,
+        _origin, _fence, _heights, _ground, _ranges, _viewpoint, _distances, _waits, _ages, _links,
     )  # fmt: skip
     for check in checks:
         for where, what in check(rig, mission):
@@ -51,6 +54,17 @@ def check_plausible(rig: Rig) -> None:
             for where, what in _relay(relay, mission):
                 problems.add(rig.where(where), what)
     problems.raise_any()
+
+
+def _origin(rig: Rig, mission: MissionConfig) -> Found:
+    """The origin is a place that somebody looked up."""
+    del mission
+    if rig.origin.latitude_deg == 0.0 and rig.origin.longitude_deg == 0.0:
+        yield (
+            "origin",
+            "0, 0 lies in the Gulf of Guinea and is what says that nothing was measured: "
+            "name a point near the site, also where positions do not come from GPS",
+        )
 
 
 def _fence(rig: Rig, mission: MissionConfig) -> Found:
@@ -74,6 +88,28 @@ def _fence(rig: Rig, mission: MissionConfig) -> Found:
                 f"mission.{key}",
                 f"{height_m:g} m; mission.guard.fence_height_m is {guard.fence_height_m:g} m",
             )
+
+
+def _heights(rig: Rig, mission: MissionConfig) -> Found:
+    """The drones take off to heights that are apart by more than each wanders, and from places that
+    are.
+    """
+    hold_m = facts_of(rig, mission).drone.hold_m
+    apart_m = abs(mission.receiver_take_off_height_m - mission.take_off_height_m)
+    if apart_m < hold_m - ROUNDED_M:
+        least_m = mission.take_off_height_m + mission.separation.minimum_m
+        yield (
+            "mission.receiver_take_off_height_m",
+            f"{apart_m:.2g} m from take_off_height_m, and each drone wanders by {hold_m:g} m: they would fly at one "
+            f"height; {least_m:g} m would do",
+        )
+    homes_m = mission.target.home_m, mission.rendezvous.home_m
+    if homes_m[0] and homes_m[1] and math.dist(*homes_m) < mission.separation.minimum_m:
+        yield (
+            "mission.rendezvous.home_m",
+            f"D2 stands {math.dist(*homes_m):.2g} m from D1 (mission.target.home_m); mission.separation.minimum_m is "
+            f"{mission.separation.minimum_m:g} m",
+        )
 
 
 def _ground(rig: Rig, mission: MissionConfig) -> Found:
@@ -209,6 +245,24 @@ def _ages(rig: Rig, mission: MissionConfig) -> Found:
             "mission.guard.near_silence_s",
             f"{guard.near_silence_s:g} s is above peer_silence_s = {guard.peer_silence_s:g} s",
         )
+
+
+def _links(rig: Rig, mission: MissionConfig) -> Found:
+    """A radio carries what both drones say while they verify."""
+    sender_hz = camera_rate_hz(rig.sender)
+    receiver_hz = camera_rate_hz(rig.receiver)
+    rates_hz: dict[type[Message], float] = {
+        Target: sender_hz or mission.follow_hz,
+        Candidate: receiver_hz or mission.follow_hz,
+        Status: mission.status_hz + mission.receiver_status_hz,
+        Ping: 2.0 * mission.ping_hz,
+        Pong: 2.0 * mission.ping_hz,
+    }
+    for role in Role:
+        config = decode_part(rig.role(role).link)[1]
+        what = config.shortfall(rates_hz) if hasattr(config, "shortfall") else None
+        if what is not None:
+            yield f"{role.value}.link", what
 
 
 def _relay(relay: RelayConfig, mission: MissionConfig) -> Found:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import asyncio
 import os
 import termios
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Self
@@ -18,7 +18,7 @@ from drivers.interfaces import LinkCounters, LinkError, Received
 from drivers.link.end import LinkContext, LinkEnd, Waiting, count
 from drivers.link.framing import PacketFramer
 from drivers.link.key import key_finding, signing_key, signing_time
-from drivers.link.wire import Codec
+from drivers.link.wire import Codec, longest
 from drivers.rig.part_check import Finding
 from path.bounds import Bounds, check_bounds
 from path.messages import Message
@@ -27,6 +27,7 @@ BITS_PER_BYTE = 10.0  # a start bit, eight, a stop bit
 AHEAD_S = 0.02  # of bytes given to the port before they can have left it: more would be latency
 MAX_WAITING = 16
 READ_AT_ONCE = 4096
+USUAL_BAUD = (19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 921_600)
 REOPEN_S = 0.5
 
 
@@ -36,8 +37,8 @@ class SerialLinkConfig:
     Attributes:
         port: such as ``/dev/serial/by-id/usb-...``, which stays the same when it is plugged in
             again.
-        baud: of the port and the radio; the method needs 6 kB/s each way at 60 Hz, so 115200 or
-            more.
+        baud: of the port and the radio. Both drones' messages have to fit: some 7 kB/s at 50
+            frames a second.
         key_file: 32 bytes, mode 0600; the same on both drones.
         allow_unsigned: fly without a key. Anyone with such a radio can then speak.
     """
@@ -53,6 +54,16 @@ class SerialLinkConfig:
             raise ValueError(
                 "key_file: a radio can be heard by anyone, so it needs a key (or allow_unsigned = true)"
             )
+
+    def shortfall(self, rates_hz: Mapping[type[Message], float]) -> str | None:
+        """Return what is wrong with its rate for so many messages of both drones a second, which
+        take turns in the air; None where it carries them.
+        """
+        needed = BITS_PER_BYTE * sum(rate * longest(kind) for kind, rate in rates_hz.items())
+        if self.baud >= needed:
+            return None
+        enough = next((baud for baud in USUAL_BAUD if baud >= needed), USUAL_BAUD[-1])
+        return f"baud: {self.baud} is less than the {needed:.0f} that both drones' messages take; {enough} would do"
 
 
 class SerialLink:

@@ -213,6 +213,11 @@ class Codec:
         return None
 
 
+def longest(kind: type[Message]) -> int:
+    """Return the bytes of a signed packet of a kind at the most, as a serial radio carries it."""
+    return HEADER_LENGTH + KINDS[kind].unpacker.size + _CRC + _SIGNATURE
+
+
 def expected_length(header: bytes) -> int | None:
     """Length of the packet that begins with these bytes, at least ``HEADER_LENGTH``; None when it
     is none of ours.

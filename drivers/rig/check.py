@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from drivers.interfaces import LinkError
 from drivers.rig.calibration_file import CalibrationError, check_serial
 from drivers.rig.parts import SHARED_WITH_THE_VEHICLE, PartSpec, Rig, decode_part, import_factory
 from drivers.rig.tables import Problems, RigError
@@ -24,7 +25,7 @@ def check_rig(rig: Rig, *, harness: bool = True) -> None:
     """Check all that can be checked without touching hardware. Raises RigError with every problem
     found.
 
-    Factories import and take their options, files that are named exist, no two parts share a port,
+    Factories import and take their options, files that are named exist, keys are such, no two parts share a port,
     system id, interface or device, cameras are those that their calibrations are of, the two links
     point at each other, and the harness (its ``check_rig(rig)``, when it has one) agrees, if it is
     asked.
@@ -103,6 +104,17 @@ def _check_part(spec: PartSpec, configs: dict[str, Any], problems: Problems) -> 
             _check_part(value, configs, problems)
         elif isinstance(value, Path) and not value.exists():
             problems.add(f"{spec.where}.{name}", f"{value}: no such file")
+        elif isinstance(value, Path) and name == "key_file":
+            _check_key(value, f"{spec.where}.{name}", problems)
+
+
+def _check_key(file: Path, where: str, problems: Problems) -> None:
+    from drivers.link.key import read_key  # noqa: PLC0415 (most rigs have no key, and need no dialect)
+
+    try:
+        read_key(file)
+    except LinkError as error:
+        problems.add(where, f"{error}: {error.remedy}")
 
 
 def _check_exclusive(configs: Mapping[str, Any], problems: Problems) -> None:

@@ -394,7 +394,8 @@ def test_files_are_looked_for_beside_the_rig(write: Write, tmp_path: Path) -> No
         f"bench.toml: sender.perception.inner.key_file: {tmp_path}/keys/pair.key: no such file",
     )
     (tmp_path / "keys").mkdir()
-    (tmp_path / "keys/pair.key").touch()
+    (tmp_path / "keys/pair.key").write_bytes(bytes(32))
+    (tmp_path / "keys/pair.key").chmod(0o600)
     check_rig(load_rig(path))
 
 

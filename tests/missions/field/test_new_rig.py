@@ -73,6 +73,46 @@ def test_a_new_rig_is_refused_until_it_is_measured_and_then_has_nothing_wrong(
     assert rigs(check="my-rig.toml") == (0, "my-rig.toml: level field, nothing wrong with it\n")
 
 
+RADIO = """factory = "drivers.link.serial_radio:SerialLink"
+port = "/dev/radio"
+baud = {baud}
+key_file = "rig.key"
+"""
+A_KEY = b"k" * 32
+UDP = re.compile(r'factory = "drivers.link.udp:UdpLink"\n.*\n.*\n.*\n')
+
+
+@pytest.mark.parametrize(
+    ("key", "mode", "baud", "said"),
+    [
+        (A_KEY, 0o600, 115_200, ""),
+        (A_KEY, 0o600, 57_600, ""),
+        (b"k" * 8, 0o600, 115_200, "key_file: key file rig.key has 8 bytes, not 32"),
+        (b"", 0o600, 115_200, "has 0 bytes, not 32"),
+        (A_KEY + b"\n", 0o600, 115_200, "has more than 32 bytes, not 32"),
+        (A_KEY, 0o644, 115_200, "has mode 0644: others can read it: chmod 600 rig.key"),
+        (A_KEY, 0o640, 115_200, "has mode 0640"),
+        (A_KEY, 0o600, 9_600, "sender.link: baud: 9600 is less than the "),
+        (A_KEY, 0o600, 38_400, "57600 would do"),
+    ],
+)
+def test_keys_that_protect_nothing_and_radios_that_carry_too_little_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, key: bytes, mode: int, baud: int, said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rigs(new="rig")
+    rig = tmp_path / "rig.toml"
+    fill_in(rig)
+    text, count = UDP.subn(lambda _: RADIO.format(baud=baud), rig.read_text())
+    assert count == 2
+    rig.write_text(text.replace("/dev/radio", "/dev/radio-1", 1))
+    (tmp_path / "rig.key").write_bytes(key)
+    (tmp_path / "rig.key").chmod(mode)
+    code, words = rigs(check="rig.toml")
+    assert (code == 0) == (not said)
+    assert said in words
+
+
 def test_its_key_is_its_owners_alone_and_new_each_time(tmp_path: Path) -> None:
     for name in ("a", "b"):
         rigs(new=str(tmp_path / name))
