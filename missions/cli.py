@@ -35,6 +35,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "doctor": ("field:DoctorOptions", "field.doctor.command"),
     "prepare": ("field:PrepareOptions", "field.prepare"),
     "rigs": ("field:RigsOptions", "field.rig_list"),
+    "checklist": ("field:ChecklistOptions", "field.checklist.command"),
     "plan": ("field:PlanOptions", "field.plan.command"),
     "report": ("runs:ReportOptions", "look.report.command"),
     "replay": ("runs:ReplayOptions", "look.replay.command"),
@@ -86,6 +87,7 @@ examples:
   path-handoff stand-in --port 14540          a vehicle alone, for programs of your own
   path-handoff rehearse my-rig.toml           fly a field rig in the harness, as it is
   path-handoff plan my-rig.toml               can these drones do it, and how?
+  path-handoff checklist my-rig.toml          one page of paper: what its crew does and ticks, in order
   path-handoff doctor --rig my-rig.toml       is everything there, before anything moves?
   path-handoff prepare --rig my-rig.toml      compile its kernels now, so that no later start does
   path-handoff sender --rig my-rig.toml       one drone's side, as in the field

@@ -1,1 +1,1 @@
-"""What a crew does around a flight: plan, check, calibrate, detect, prepare."""
+"""What a crew does around a flight: plan, check, tick, calibrate, detect, prepare."""

@@ -82,7 +82,7 @@ def _drawing(options: CalibrateMarkerOptions, cell_mm: float) -> str:
     page_mm = max(wide_mm, RULER_MM) + 2.0, high_mm + BELOW_MM
     parts = [f'<rect x="1" y="1" width="{wide_mm:.4f}" height="{high_mm:.4f}" class="cut"/>']
     for number, marker_id in enumerate(options.ids):
-        parts += _marker(
+        parts += black_cells(
             options.dictionary,
             marker_id,
             1.0 + border_mm + step_mm * number,
@@ -105,7 +105,7 @@ def _drawing(options: CalibrateMarkerOptions, cell_mm: float) -> str:
     )
 
 
-def _marker(
+def black_cells(
     dictionary: str, marker_id: int, left_mm: float, top_mm: float, cell_mm: float
 ) -> Sequence[str]:
     """One path of a marker's black cells, whose edges meet without a gap."""

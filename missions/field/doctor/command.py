@@ -28,6 +28,7 @@ from missions.field.doctor.vehicle import check_vehicle
 from missions.fly.leg.alike import alike_of
 from missions.ground import rig_library
 from missions.ground.computer import computer_findings
+from missions.ground.first_flights import FirstFlights
 from missions.ground.kernel_cache import VARIABLE, can_write, usual_folders
 from missions.ground.options.field import DoctorOptions
 from missions.ground.rig_library import mission_of
@@ -52,6 +53,10 @@ def run(options: DoctorOptions, out: TextIO | None = None) -> int:
             shown.add(finding)
     faults = sum(finding.state == "fault" for finding in shown.found)
     stream.write(verdict(shown.found, tested=options.role != "none") + "\n")
+    if options.role != "none" and not faults and not any(each.untested for each in shown.found):
+        record = FirstFlights(rig_library.load(options.rig))
+        record.doctor(Role(options.role))
+        stream.write(record.left())
     return EXIT_UNFIT if faults else 0
 
 

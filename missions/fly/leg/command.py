@@ -11,6 +11,7 @@ from flight.harness.flights import RoleMain
 from missions.fly.guard.start import with_guard
 from missions.fly.leg.process import fly_role, run_role
 from missions.ground import rig_library
+from missions.ground.first_flights import FirstFlights
 from missions.ground.options.field import ReceiverOptions, RoleOptions
 from missions.ground.run_folder import unless_refused
 from missions.look.live.start import live
@@ -30,15 +31,18 @@ def run(options: RoleOptions) -> int:
 def fly_from_drone(options: RoleOptions, role: Role, main: RoleMain) -> int:
     """The same with any program of a role."""
     rig = rig_library.load(options.rig, world=False)
+    record = FirstFlights(rig)
     with unless_refused(options.out, beside=True) as folder:
         rig = with_guard(rig, role, options.guard, folder)
         state = options.state or (options.out or folder.parent) / f"{role.value}.state.json"
         if options.console == "events":
-            return run_role(
-                rig, role, folder, state, lambda _: None, parent=True, main=main
-            ).outcome.exit_code
+            result = run_role(rig, role, folder, state, lambda _: None, parent=True, main=main)
+            record.flight(role, result.outcome)
+            return result.outcome.exit_code
+        sys.stdout.write(record.left())
         with live(options.live, folder), open_console(sys.stdout) as console:
             result = run_role(rig, role, folder, state, console.show, parent=False, main=main)
+    record.flight(role, result.outcome)
     sys.stdout.write(
         f"{role.value}: {result.outcome.label}: {result.detail or result.outcome.meaning}\n"
     )

@@ -202,6 +202,28 @@ class PlanOptions(RigChoice):
 
 
 @dataclass(frozen=True, slots=True)
+class ChecklistOptions(RigChoice):
+    """Write one page of paper that a rig's crew does and ticks in the field; or tick a first flight."""
+
+    rig: Annotated[AnyRig, tyro.conf.Positional]
+
+    out: FileName = None
+    """The page, HTML that prints on one sheet of A4; RIG.checklist.html by default."""
+
+    tick: (
+        Literal[
+            "doctor-d1", "doctor-d2", "switches", "blocks", "by-hand", "guard", "one-drone", "one-target", "two-drones",
+            "hand-over",
+        ]
+        | None
+    ) = None  # fmt: skip
+    """Keep that this step of the first flights was done (docs/field.md), and say what is left."""
+
+    note: str = ""
+    """With --tick: what was seen."""
+
+
+@dataclass(frozen=True, slots=True)
 class DetectOptions(RigChoice):
     """Try a detector on a recording: what it finds, and how long it takes."""
 
