@@ -103,12 +103,13 @@ def _heights(rig: Rig, mission: MissionConfig) -> Found:
             f"{apart_m:.2g} m from take_off_height_m, and each drone wanders by {hold_m:g} m: they would fly at one "
             f"height; {least_m:g} m would do",
         )
-    homes_m = mission.target.home_m, mission.rendezvous.home_m
-    if homes_m[0] and homes_m[1] and math.dist(*homes_m) < mission.separation.minimum_m:
+    sender_m = mission.target.home_m
+    receiver_m = mission.rendezvous.home_m
+    if sender_m and receiver_m and math.dist(sender_m, receiver_m) < mission.separation.minimum_m:
         yield (
             "mission.rendezvous.home_m",
-            f"D2 stands {math.dist(*homes_m):.2g} m from D1 (mission.target.home_m); mission.separation.minimum_m is "
-            f"{mission.separation.minimum_m:g} m",
+            f"D2 stands {math.dist(sender_m, receiver_m):.2g} m from D1 (mission.target.home_m); "
+            f"mission.separation.minimum_m is {mission.separation.minimum_m:g} m",
         )
 
 
