@@ -7,11 +7,13 @@ from typing import TextIO
 
 from missions.field.calibrate.board import draw_print
 from missions.field.calibrate.camera import calibrate_camera
+from missions.field.calibrate.export import export_camera
 from missions.field.calibrate.foreign import import_camera
 from missions.field.calibrate.marker_print import draw_marker
 from missions.field.calibrate.mount import calibrate_mount
 from missions.ground.options.calibrate import (
     CalibrateCameraOptions,
+    CalibrateExportOptions,
     CalibrateImportOptions,
     CalibrateMarkerOptions,
     CalibrateMountOptions,
@@ -31,6 +33,8 @@ def run(options: CalibrateOptions, out: TextIO | None = None) -> int:
         return calibrate_mount(what, stream)
     if isinstance(what, CalibrateImportOptions):
         return import_camera(what, stream)
+    if isinstance(what, CalibrateExportOptions):
+        return export_camera(what, stream)
     if isinstance(what, CalibrateMarkerOptions):
         return draw_marker(what, stream)
     return draw_print(what, stream)

@@ -166,8 +166,24 @@ class CalibrateImportOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class CalibrateExportOptions:
+    """Write a camera's calibration for another program: ROS, Kalibr, OpenCV."""
+
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """A calibration of `path-handoff calibrate camera`."""
+
+    to: Literal["ros", "kalibr", "opencv"] = "ros"
+    """Whose file it is to be: a camera_info of ROS, a camera chain of Kalibr, OpenCV's
+    FileStorage.
+    """
+
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Where to; without it, beside the calibration."""
+
+
+@dataclass(frozen=True, slots=True)
 class CalibrateOptions:
-    """Calibrate a camera, or where it sits relative to the marker; read another program's
+    """Calibrate a camera, or where it sits relative to the marker; read or write another program's
     calibration; or draw a board, or the marker, to print.
     """
 
@@ -175,6 +191,7 @@ class CalibrateOptions:
         Annotated[CalibrateCameraOptions, tyro.conf.subcommand("camera")]
         | Annotated[CalibrateMountOptions, tyro.conf.subcommand("mount")]
         | Annotated[CalibrateImportOptions, tyro.conf.subcommand("import")]
+        | Annotated[CalibrateExportOptions, tyro.conf.subcommand("export")]
         | Annotated[CalibrateBoardOptions, tyro.conf.subcommand("board")]
         | Annotated[CalibrateMarkerOptions, tyro.conf.subcommand("marker")]
     )
