@@ -108,7 +108,7 @@ class Standards:
                     break
             else:
                 return ()
-        if topic in _LINES:
+        if topic in LINES:
             return (self._line(topic, stamp_ns, {**blank(topic), **record}),)
         make = self._of.get(topic)
         return () if make is None else make(stamp_ns, {**blank(topic), **record})
@@ -134,7 +134,7 @@ class Standards:
             timestamp=draw.time_of(stamp_ns),
             level=level,
             name=self._name,
-            message=_LINES[topic](record),
+            message=LINES[topic](record),
         )
 
     # --- what does not change
@@ -362,7 +362,7 @@ class Standards:
         yield "/3d", SceneUpdate(entities=[self._entity(stamp_ns, "world", "truth", cubes=cubes)])
 
 
-_LINES: dict[str, Callable[[Record], str]] = {
+LINES: dict[str, Callable[[Record], str]] = {
     "/phase": lambda r: f"phase {r['phase']}" + (f": {r['note']}" if r["note"] else ""),
     "/note": lambda r: str(r["note"]),
     "/outcome": lambda r: f"outcome {r['outcome']}" + (f": {r['detail']}" if r["detail"] else ""),
@@ -376,6 +376,7 @@ _LINES: dict[str, Callable[[Record], str]] = {
     "/guard_alarm": lambda r: f"guard ignores {r['ignored']}",
     "/violation": lambda r: str(r["detail"]),
     "/fault": lambda r: f"fault {r['fault']}",
+    "/operator": lambda r: f"{r['act']}, {'done' if r['done'] else 'refused'}: {r['why']}",
 }
 
 

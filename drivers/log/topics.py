@@ -67,6 +67,16 @@ TOPICS: dict[str, Topic] = {
     ),
     "/guard_alarm": Topic("something came that is not believed", {"ignored": text("what")}),
     "/guard_stalled": Topic("the guard itself was not let run", {"stalled_s": number("s")}),
+    # --- the live page ---
+    "/operator": Topic(
+        "something was asked for on the live page",
+        {
+            "act": text("place, sight, choose or stop"),
+            "done": flag("it was passed on; else it was refused"),
+            "why": text("what was passed on, or why not"),
+            "who": text("address of the page's computer"),
+        },
+    ),
     # --- the world, at levels with a simulated one; frame w is ENU ---
     "/scene": Topic(
         "what does not change in the world; first",

@@ -19,15 +19,11 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from drivers.interfaces import PartError
-from drivers.link.udp import address_of
-from drivers.operator.udp import UdpOperatorConfig
 from drivers.operator.words import MOST_BYTES
-from drivers.rig.parts import Rig
-from drivers.rig.tables import decode_table
 from missions.ground import rig_library
+from missions.ground.heard_by import operator_of
 from missions.ground.options.field import DesignateOptions
 
-HEARD_BY = "drivers.operator.udp:UdpOperator"
 HELLO_S = 2.0
 ANSWERED_S = 3.0  # D1's program says something to everybody who comes in
 
@@ -50,19 +46,6 @@ def run(options: DesignateOptions) -> int:
             )
     sys.stdout.write(f"said: {json.dumps(words)}\n")
     return 0
-
-
-def operator_of(rig: Rig) -> tuple[str, int]:
-    """Return where D1's program listens. Raises PartError when its rig hears nobody."""
-    spec = rig.sender.operator
-    if spec is None or spec.factory != HEARD_BY:
-        raise PartError(
-            f"{rig.where('[sender.operator]')}: nobody is heard by UDP",
-            f'write it with factory = "{HEARD_BY}"',
-        )
-    return address_of(
-        decode_table(spec.options, UdpOperatorConfig, spec.where, spec.base).bind, "bind"
-    )
 
 
 def statement(options: DesignateOptions) -> dict[str, Any] | None:

@@ -18,7 +18,7 @@ from missions.ground.ground_station import name_ground_station
 from missions.ground.options.flights import FlyOptions, HandoffOptions
 from missions.ground.options.proofs import ConformanceOptions
 from missions.ground.run_folder import unless_refused
-from missions.look.live.start import live
+from missions.look.live.start import both, live
 from missions.look.report.command import make_report
 from missions.look.report.progress import open_console
 
@@ -47,7 +47,7 @@ def run(options: HandoffOptions) -> int:
             from missions.fly.handoff.many import fly_many  # noqa: PLC0415 (one flight needs no pool of processes)
 
             return fly_many(rig, options, folder)
-        with live(options.live, folder), open_console(sys.stdout) as console:
+        with live(options.live, folder, both(rig)), open_console(sys.stdout) as console:
             programs = HANDOFF
             if options.serve_world:
                 tell_commands(rig, folder)

@@ -14,7 +14,7 @@ from missions.ground import rig_library
 from missions.ground.first_flights import FirstFlights
 from missions.ground.options.field import ReceiverOptions, RoleOptions
 from missions.ground.run_folder import unless_refused
-from missions.look.live.start import live
+from missions.look.live.start import live, one
 from missions.look.report.progress import open_console
 from path.messages import Role
 
@@ -40,7 +40,7 @@ def fly_from_drone(options: RoleOptions, role: Role, main: RoleMain) -> int:
             record.flight(role, result.outcome)
             return result.outcome.exit_code
         sys.stdout.write(record.left())
-        with live(options.live, folder), open_console(sys.stdout) as console:
+        with live(options.live, folder, one(rig, role)), open_console(sys.stdout) as console:
             result = run_role(rig, role, folder, state, console.show, parent=False, main=main)
     record.flight(role, result.outcome)
     sys.stdout.write(

@@ -21,7 +21,7 @@ from missions.ground.ground_station import name_ground_station
 from missions.ground.options.field import RoleOptions
 from missions.ground.options.flights import FlyOptions
 from missions.ground.run_folder import unless_refused
-from missions.look.live.start import live
+from missions.look.live.start import both, live
 from missions.look.report.command import make_report
 from missions.look.report.progress import open_console
 from missions.look.report.records import RunFacts
@@ -44,7 +44,7 @@ def run(options: FlyOptions) -> int:
     name_ground_station(rig, options.gcs)
     programs = programs_of(options.mission)
     with unless_refused(options.out) as folder:
-        with live(options.live, folder), open_console(sys.stdout) as console:
+        with live(options.live, folder, both(rig)), open_console(sys.stdout) as console:
             facts = fly_once(rig, options.seed, options.fault, folder, console.show, programs)
         return reported(facts, folder, lambda: make_report(folder, True, sys.stdout))
 

@@ -65,8 +65,8 @@ Live = Annotated[
     str | None,
     tyro.conf.arg(
         metavar="HOST:PORT",
-        help="Serve what is logged, as it is logged, to Foxglove, Lichtblick and `path-handoff view`: 127.0.0.1:8765 "
-        "when no address is given. Other hosts than this one need a token (docs/view.md).",
+        help="Serve a page for the crew, for a phone or a laptop, and what is logged, as it is logged, to Foxglove and "
+        "`path-handoff view`: 127.0.0.1:8765 when no address is given. Other hosts need a token (docs/live.md).",
     ),
 ]
 GroundStation = Annotated[

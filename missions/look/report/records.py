@@ -37,7 +37,9 @@ REPLAY = "replay.png"
 MERGED = "merged.mcap"
 
 RUN = RunKind(
-    FACTS, (SUMMARY, PICTURE, PAGE, REPLAY, MERGED), ("sender", "receiver", "world", "attack")
+    FACTS,
+    (SUMMARY, PICTURE, PAGE, REPLAY, MERGED),
+    ("sender", "receiver", "world", "attack", "operator"),
 )
 
 Records = Mapping[str, Sequence[LogRecord]]
