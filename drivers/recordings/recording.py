@@ -157,7 +157,7 @@ class Video:
         self._options = options
         self._damage = Damage()
         self._stamps = None if options.stamps is None else frame_stamps(options.stamps)
-        self._depth = None if options.depth is None else _images(options.depth)
+        self._depth = None if options.depth is None else images_of(options.depth)
 
     def frames(self) -> Iterator[RecordedFrame]:
         number = 0
@@ -221,9 +221,7 @@ class Folder:
         self.name = str(folder)
         self._folder = folder
         self._depth = options.depth
-        files = sorted(
-            (f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES), key=natural
-        )
+        files = images_of(folder)
         self._stamped = (
             stamped_files(folder, files, options.stamps, options.rate_hz) if files else []
         )
@@ -341,12 +339,10 @@ def _with_depth(pixels: Callable[[], Image], depth: Path | None) -> Loaded:
     return Loaded(color, None if depth is None else _read_depth(depth, color))
 
 
-def _images(folder: Path) -> list[Path]:
+def images_of(folder: Path) -> list[Path]:
     """The images of a folder in the order of their names. Raises RecordingError."""
     if not folder.is_dir():
-        raise RecordingError(
-            f"{folder}: there is no such folder", "name the folder of the depth images"
-        )
+        raise RecordingError(f"{folder}: there is no such folder", "name the folder of the images")
     return sorted((f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES), key=natural)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,10 +14,12 @@ import numpy as np
 
 from drivers.clock import busy_ns, stopwatch_ns
 from drivers.interfaces import Detector, PartError
-from drivers.recordings.recording import RecordedFrame, Recording
+from drivers.recordings.labels import read_labels
+from drivers.recordings.recording import RecordedFrame, Recording, images_of, read_image
 from drivers.rig.file import load_rig
 from drivers.rig.parts import PartContext, PartSpec, create, decode_part, part_context
 from missions.field.frames import open_frames, write_picture, write_table
+from missions.field.measured_detector import Measured
 from missions.ground.options.field import DetectOptions
 from missions.ground.rigs import FOLDER
 from missions.ground.run_folder import claim_folder, unless_refused
@@ -25,6 +28,7 @@ from path.messages import Role
 from path.observations import Detection
 
 BOXES = "boxes.csv"
+MEASURED = "measured.json"
 COLUMNS = ("frame", "stamp_s", "x", "y", "w", "h", "score")
 GREEN = (80, 230, 60)
 
@@ -57,6 +61,8 @@ def run(options: DetectOptions, out: TextIO | None = None) -> int:
     """
     stream = out or sys.stdout
     name, detector = _detector(options)
+    if options.measure is not None:
+        return _measure(options, name, detector, options.measure, stream)
     recording = open_frames(options.frames, options.rate_hz)
     if options.out is None:
         return _look(name, detector, recording, None, stream)
@@ -98,6 +104,43 @@ def _look(
         _write(folder / BOXES, found)
         stream.write(f"{folder}: {BOXES}, and every frame with its boxes\n")
     return 0
+
+
+def _measure(
+    options: DetectOptions, name: str, detector: Detector, source: Path, stream: TextIO
+) -> int:
+    """Judge the detector by labels; return 0 when at least one picture had some."""
+    labels = read_labels(source, options.labels)
+    files = images_of(options.frames)
+    measured = Measured()
+    progress = Bars(sys.stderr if stream is sys.stdout else stream)
+    with progress.bar("pictures", len(files)) as advance:
+        for file in files:
+            told = labels.of(file.name)
+            if told is not None:
+                measured.look(read_image(file), told, detector.detect, options.regions)
+            advance()
+    if not measured.pictures:
+        raise PartError(
+            f"{source}: none of the {len(files)} pictures in {options.frames} is labelled in it",
+            "labels go with pictures by their files' names",
+        )
+    where = "each object in a region of its own" if options.regions else "whole pictures"
+    stream.write(f"{name}, {where}: {measured.pictures} pictures\n")
+    left_out = len(files) - measured.pictures
+    if left_out:
+        stream.write(f"{left_out} pictures without labels were left out\n")
+    stream.write("".join(f"{line}\n" for line in measured.lines()))
+    if options.out is not None:
+        _keep(options.out, {"detector": name, "regions": options.regions, **measured.record()})
+        stream.write(f"{options.out}: {MEASURED}\n")
+    return 0
+
+
+def _keep(out: Path, record: dict[str, Any]) -> None:
+    with unless_refused(out) as folder:
+        claim_folder(folder, MEASURED, "least_iou")
+        (folder / MEASURED).write_text(json.dumps(record, indent=2) + "\n", "utf-8")
 
 
 def _detector(options: DetectOptions) -> tuple[str, Detector]:

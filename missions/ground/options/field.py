@@ -250,9 +250,22 @@ class DetectOptions(RigChoice):
     stamps, 30 by default.
     """
 
+    measure: Annotated[Path | None, tyro.conf.arg(metavar="FILE|DIR")] = None
+    """Labels of the pictures, to measure the detector on them by size and light: COCO's JSON, or a
+    folder of YOLO's or VisDrone's text files, one a picture.
+    """
+
+    labels: tuple[str, ...] = ()
+    """With --measure: the labels' classes that count, by their names there; everything by default."""
+
+    regions: bool = False
+    """With --measure: each object in a search region of its own, as D2 looks, instead of the whole
+    picture.
+    """
+
     out: OutFolder = None
-    """Folder for boxes.csv and for the frames with their boxes drawn; nothing is written by
-    default.
+    """Folder for boxes.csv, for the frames with their boxes drawn, and for measured.json; nothing is
+    written by default.
     """
 
 
