@@ -79,7 +79,8 @@ async def rendered(folder: Path) -> AsyncGenerator[Stage]:
 async def realsense(folder: Path) -> AsyncGenerator[Stage]:
     del folder
     feed = Feed()
-    camera = RealSense(RealSenseConfig(fps=FPS, silence_s=0.1), context())
+    # It is not opened again meanwhile: a feed that a busy computer keeps waiting is no silence.
+    camera = RealSense(RealSenseConfig(fps=FPS, silence_s=PATIENCE_S), context())
     camera.source = feed
     with feed.running():
         yield Stage(camera, lambda: setattr(feed, "plugged", False))
@@ -92,7 +93,7 @@ async def shared(folder: Path) -> AsyncGenerator[Stage]:
     run, plugged, numbers = f"test-{uuid.uuid4().hex[:12]}", [True], itertools.count(1)
     source = PartSpec("hil.camera.software_d415:SoftwareD415", {"run": run}, "test: source")
     size = COLOR.width, COLOR.height
-    config = RealSenseConfig(source=source, fps=FPS, depth_size=size, silence_s=0.1)
+    config = RealSenseConfig(source=source, fps=FPS, depth_size=size, silence_s=PATIENCE_S)
     with SharedCameraWriter(run, Role.SENDER, size, size, FPS) as world:
 
         def draw() -> None:

@@ -21,6 +21,7 @@ from tests.free_ports import free_host, free_port
 
 HOST = free_host()
 STEP_S = 0.005
+PATIENCE_S = 120.0  # for an answer; its own 10 s are a drone's, and this one's time is a computer's
 
 
 class OneComputer:
@@ -50,6 +51,7 @@ def drone(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimDrone]:
     """
     state = free_port()
     monkeypatch.setattr(stranger, "STATE_UDP_PORT", state)
+    monkeypatch.setattr(stranger.Tello.send, "__defaults__", (PATIENCE_S, None))
     world = World(WorldConfig(), seed=3)
     emulator = TelloEmulator(TelloEmulatorConfig(HOST), world.drone(Role.SENDER))
     emulator._ports = (state, emulator._ports[1])
@@ -93,7 +95,7 @@ def test_tello_asyncio_flies_it(drone: SimDrone) -> None:
         await tello.disconnect()
         return state
 
-    state = asyncio.run(asyncio.wait_for(fly(), 120.0))
+    state = asyncio.run(asyncio.wait_for(fly(), 4.0 * PATIENCE_S))
     assert state.yaw == pytest.approx(90, abs=8)
     assert 0 < state.battery <= 100
     assert drone.on_ground
