@@ -200,13 +200,15 @@ def test_a_px4_s_height_does_not_step_with_its_altitude(
     assert telemetry.position.n_m[2] == pytest.approx(-shown_m)
 
 
-@pytest.mark.parametrize("without_gps", [False, True])
-def test_a_vehicle_without_gps_is_not_asked_for_the_gps_s_health(without_gps: bool) -> None:
-    telemetry = TelemetrySlots(SYSID, LoopClock(), TANGENT, without_gps=without_gps)
+@pytest.mark.parametrize("said", [{}, {"without_gps": True}])
+def test_a_vehicle_is_asked_for_the_gps_s_health_unless_it_is_said_to_have_none(
+    said: dict[str, bool],
+) -> None:
+    telemetry = TelemetrySlots(SYSID, LoopClock(), TANGENT, **said)
     telemetry.health = dict.fromkeys(
         ("is_armable", "is_local_position_ok", "is_home_position_ok"), True
     )
-    assert ("global position" in telemetry.missing()) is not without_gps
+    assert ("global position" in telemetry.missing()) is not bool(said)
     # it is to know where on earth it is all the same
     assert "position telemetry" in telemetry.missing()
 
