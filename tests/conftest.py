@@ -11,6 +11,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import tempfile
 from collections.abc import Generator
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,10 @@ from tests.scheduling import Groups, be_nice
 
 # as in missions, and before any test loads numpy
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+FLYING = pytest.StashKey[Path]()
+"""In the process that hands tests out: a file that is there while something flies."""
 
 
 # Signals that whoever began the tests ignores (nohup, a shell's `&`) would be ignored by the
@@ -56,8 +61,8 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """All tests on two cores: after the flights, what waits is in four workers, and two others
-    compute meanwhile.
+    """All tests on two cores: two workers compute in the background, beside the flights in a third
+    one, and then beside what waits, in four.
 
     Some of the tests are run without workers, which take seconds to start and cannot show output.
     """
@@ -70,13 +75,29 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Groups:
     """
     if config.args_source is config.ArgsSource.TESTPATHS:
         compile_kernels()
-    return Groups(config, log)
+    return Groups(config, log, config.stash[FLYING])
+
+
+def pytest_configure_node(node: Any) -> None:
+    """Tell each worker by which file it sees that something flies."""
+    stash = node.config.stash
+    if FLYING not in stash:
+        handle, name = tempfile.mkstemp(prefix="path-tests-flying-")
+        os.close(handle)
+        stash[FLYING] = Path(name)
+    node.workerinput["flying"] = str(stash[FLYING])
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    if FLYING in config.stash:
+        config.stash[FLYING].unlink(missing_ok=True)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """A worker lets the others go first while it only computes: their limits are in seconds."""
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        be_nice(item.nodeid)
+    given: dict[str, str] | None = getattr(item.config, "workerinput", None)
+    if given is not None:
+        be_nice(item.nodeid, Path(given["flying"]).exists())
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -10,6 +10,7 @@ handed out, so that a worker that dies holds nobody up.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from xdist.scheduler import LoadScopeScheduling
@@ -163,14 +164,15 @@ def fits_beside_flights(group: str) -> bool:
     )
 
 
-def be_nice(nodeid: str) -> None:
-    """Make this worker as urgent as the test that comes next.
+def be_nice(nodeid: str, flying: bool) -> None:
+    """Make this worker as urgent as the test that comes next, and as whether something flies asks
+    for.
 
     Whoever may not become more urgent again (anybody but root) stays as nice as a computing test
     was: real-time groups are handed out first.
     """
     if computes(nodeid):
-        background.go()
+        background.go(background.NICER if flying else background.A_LITTLE_NICER)
     else:
         background.come_back()
 
@@ -182,6 +184,16 @@ class Groups(LoadScopeScheduling):
 
     _computing: tuple[Any, ...] | None = None
 
+    def __init__(self, config: Any, log: Any, flying: Path) -> None:
+        """``flying``: a file that is there until the last flight is down, for the workers."""
+        super().__init__(config, log)
+        self._file = flying
+
+    def schedule(self) -> None:
+        super().schedule()
+        if not self._flying():
+            self._file.unlink(missing_ok=True)
+
     def _split_scope(self, nodeid: str) -> str:
         return group_of(nodeid)
 
@@ -189,6 +201,7 @@ class Groups(LoadScopeScheduling):
         flew = self._flying()
         super().mark_test_complete(node, item_index, duration)
         if flew and not self._flying():
+            self._file.unlink(missing_ok=True)
             for _ in range(2):  # a worker runs its last test only when it has one to come
                 for each in self.nodes:
                     self._reschedule(each)

@@ -56,11 +56,13 @@ class Worker:
         self.shutting_down = True
 
 
-def scheduled(collection: list[str], workers: list[Worker]) -> Groups:
+def scheduled(
+    collection: list[str], workers: list[Worker], flying: Path = TESTS / "none"
+) -> Groups:
     no_log: Any = None
     options = SimpleNamespace(loadscopereorder=True)
     config: Any = SimpleNamespace(getvalue={"tx": ["popen"] * len(workers)}.get, option=options)
-    groups = Groups(config, no_log)
+    groups = Groups(config, no_log, flying)
     add(groups, collection, workers)
     groups.schedule()
     return groups
@@ -127,6 +129,19 @@ def test_everybody_gets_work_when_the_last_flight_is_down_and_not_before(
     # What waits goes to whoever flew and has not computed: a worker that has cannot be urgent
     # again.
     assert first.given[2:] == WAITING
+
+
+def test_a_file_says_whether_something_flies(workers: list[Worker], tmp_path: Path) -> None:
+    flying = tmp_path / "flying"
+    flying.touch()
+    groups = scheduled(ALL, workers, flying)
+    complete(groups, workers[0], FLIGHT)
+    assert flying.exists()
+    complete(groups, workers[0], OTHER_FLIGHT)
+    assert not flying.exists()
+    flying.touch()
+    scheduled(COMPUTING, [Worker("gw9")], flying)
+    assert not flying.exists()
 
 
 def test_workers_that_computed_beside_flights_are_not_given_what_waits_after_them(
@@ -199,8 +214,8 @@ import os
 from pathlib import Path
 from tests.scheduling import be_nice
 session = Path("/proc/self/autogroup")
-for nodeid in {nodeids!r}:
-    be_nice(nodeid)
+for nodeid, flying in {tests!r}:
+    be_nice(nodeid, flying)
     nice = session.read_text().split()[-1:] if session.exists() else []
     print(os.getpriority(os.PRIO_PROCESS, 0), os.sched_getscheduler(0), *nice)
 """
@@ -209,13 +224,12 @@ for nodeid in {nodeids!r}:
 @pytest.mark.skipif(sys.platform != "linux", reason="the background is Linux's")
 def test_a_worker_is_as_nice_as_the_test_that_comes_next_not_as_its_first_was() -> None:
     """A worker that began with contracts computed at nice 0 beside a flight."""
-    program = BY_TEST.format(nodeids=[WAITING[0], COMPUTING[0], COMPUTING[1], WAITING[0]])
-    command = [sys.executable, "-c", program]
+    tests = [(WAITING[0], False), (COMPUTING[0], True), (COMPUTING[1], False), (WAITING[0], False)]
+    command = [sys.executable, "-c", BY_TEST.format(tests=tests)]
     ran = subprocess.run(command, capture_output=True, text=True, check=True)
-    began, *computing, again = [list(map(int, line.split())) for line in ran.stdout.splitlines()]
-    background_of_this = [min(19, began[0] + 15), os.SCHED_IDLE]
-    assert [each[:2] for each in computing] == [background_of_this] * 2
-    assert all(each[2:] in ([], [15]) for each in computing)
-    assert again[2:] in ([], [0])
+    began, beside, after, again = [list(map(int, line.split())) for line in ran.stdout.splitlines()]
+    behind = [min(19, began[0] + 15), os.SCHED_IDLE]
+    assert beside[:2] == after[:2] == behind
+    assert [beside[2:], after[2:], again[2:]] in ([[], [], []], [[15], [5], [0]])
     if os.geteuid() == 0:
         assert again[:2] == began[:2]
