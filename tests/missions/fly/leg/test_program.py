@@ -177,7 +177,7 @@ def test_a_guard_is_met_where_its_table_says_or_in_the_world() -> None:
     assert opening.guard_line_of(guard, Role.RECEIVER, Clock(), world) == "in the world"
     assert asked == [Role.RECEIVER]
     made: Any = opening.guard_line_of(guard, Role.RECEIVER, Clock(), None)
-    assert type(made).__name__ == "UdpGuardLine"
+    assert (type(made).__name__, made.name) == ("UdpGuardLine", "127.0.0.1:14561")
 
 
 @pytest.mark.parametrize("role", list(Role))
