@@ -311,12 +311,20 @@ class Told:
             self.asked.append(("run", *args, options))
             return self.result
 
+        def record(rig: object) -> object:
+            self.asked.append(("record", rig))
+            return SimpleNamespace(
+                left=lambda: "two are left\n",
+                flight=lambda *flown: self.asked.append(("kept", *flown)),
+            )
+
         monkeypatch.setattr(command.rig_library, "load", load)
         monkeypatch.setattr(command, "unless_refused", refused)
         monkeypatch.setattr(command, "open_console", console)
         monkeypatch.setattr(command, "live", live)
         monkeypatch.setattr(command, "with_guard", guarded)
         monkeypatch.setattr(command, "run_role", run)
+        monkeypatch.setattr(command, "FirstFlights", record)
         monkeypatch.setattr(command, "parts", giving(["sender.mcap", "sender.1.mcap"]))
 
     def of(self, name: str) -> list[list[Any]]:
@@ -346,7 +354,9 @@ def test_a_role_is_flown_with_its_guard_and_told_how_it_ended(
     assert run[:5] == ["a rig with its guard", role, told.folder, state, "shown"]
     assert run[5] == {"parent": False, "main": process.fly_role}
     said = capsys.readouterr().out
-    assert said == f"{role.value}: target_lost: gone\nlog: sender.1.mcap\n"
+    assert said == f"two are left\n{role.value}: target_lost: gone\nlog: sender.1.mcap\n"
+    assert told.of("record") == [["a rig"]]
+    assert told.of("kept") == [[role, Outcome.TARGET_LOST]]
 
 
 def test_an_end_without_a_detail_is_told_by_what_it_means(
@@ -368,3 +378,4 @@ def test_for_another_program_it_says_lines_of_json_alone(
     assert (first[3], second[3]) == (out / "sender.state.json", state)
     assert first[5] == {"parent": True, "main": process.fly_role}
     assert told.of("live") == [] and capsys.readouterr().out == ""
+    assert told.of("kept") == 2 * [[Role.SENDER, Outcome.COMMITTED]]
