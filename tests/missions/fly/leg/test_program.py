@@ -311,12 +311,12 @@ class Told:
             self.asked.append(("run", *args, options))
             return self.result
 
+        def kept(*flown: object) -> None:
+            self.asked.append(("kept", *flown))
+
         def record(rig: object) -> object:
             self.asked.append(("record", rig))
-            return SimpleNamespace(
-                left=lambda: "two are left\n",
-                flight=lambda *flown: self.asked.append(("kept", *flown)),
-            )
+            return SimpleNamespace(left=lambda: "two are left\n", flight=kept)
 
         monkeypatch.setattr(command.rig_library, "load", load)
         monkeypatch.setattr(command, "unless_refused", refused)
