@@ -7,13 +7,15 @@ alike, and a pair that differs is refused before anything moves. Pure.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
+
+from path.values import frozen
 
 BITS = 16
 SIDE_UNIT_M = 0.0001
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Alike:
     """Digests of 16 bits, none of them 0.
 

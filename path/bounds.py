@@ -13,9 +13,10 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+from path.values import frozen
 
 UNITS = {
     "deg": "deg", "rad": "rad", "dps": "deg/s", "radps": "rad/s", "mm": "mm", "cm": "cm", "m": "m", "ns": "ns",
@@ -38,7 +39,7 @@ is.
 """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Bounds:
     """The least and the largest plausible value.
 

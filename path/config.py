@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Annotated, Literal
 
 from path.bounds import Bounds, check_bounds
+from path.values import frozen
 
 BoxMapping = Literal["center", "corner"]
 GateKind = Literal["count", "evidence", "likelihood"]
 TargetError = Literal["point", "ray"]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class EvidenceConfig:
     """Settings of the gate "evidence" (``path.gate.evidence``, which says what they mean and what
     they promise).
@@ -129,7 +130,7 @@ class EvidenceConfig:
         return alone, patient
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MethodConfig:
     """Everything the method can be told; the same on both drones.
 

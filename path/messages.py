@@ -7,12 +7,11 @@ when it starts, or takes over from its record; never 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 
 from path.alike import Alike
 from path.observations import Box, MissReason
-from path.values import value
+from path.values import frozen, value
 
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]  # wxyz
@@ -104,7 +103,7 @@ class Pong:
     sent_ns: int
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Commit:
     """D1 -> D2: D1 has released the target; D2 may hold it provisionally until the lease ends."""
 
@@ -117,7 +116,7 @@ class Commit:
     instance: int  # of the one receiver it is for
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Accept:
     """D2 -> D1: taken provisionally; repeated until confirmed."""
 
@@ -129,7 +128,7 @@ class Accept:
     instance: int  # who took it
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Confirm:
     """D1 -> D2: D2 holds the target for good; one for every Accept."""
 
@@ -152,7 +151,7 @@ class AbortReason(Enum):
     SHUTDOWN = "shutdown"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Abort:
     """Either way: this handoff is over; nothing is transferred by it."""
 

@@ -8,9 +8,7 @@ import math
 from collections.abc import Sequence
 from enum import Enum
 
-import numpy as np
-from numpy.typing import NDArray
-
+from path.arrays import Array
 from path.values import value
 
 
@@ -121,8 +119,8 @@ class MarkerDetection:
     """
 
     marker_id: int
-    corners_px: NDArray[np.float64]
-    covariance_px2: NDArray[np.float64]
+    corners_px: Array
+    covariance_px2: Array
 
 
 class RangeSource(Enum):

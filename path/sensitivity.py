@@ -17,16 +17,14 @@ errors in px.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array
 from path.camera.model import CameraModel
 from path.geometry.rotation import exp
 from path.geometry.transforms import Pose, Vector
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 NOMINAL_SIZE = (1920, 1080)
 NOMINAL_FIELD_DEG = (69.4, 42.5)
@@ -34,7 +32,7 @@ NOMINAL_T_2V_M = (-1.0, 0.2, 1.0)
 NOMINAL_YAW_DEG = 25.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ReferenceErrors:
     """Magnitudes from the literature (paper, table reference_sensor_errors)."""
 
@@ -43,7 +41,7 @@ class ReferenceErrors:
     rotation_rad: float = math.radians(1.83)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Terms:
     """RMS displacement of the projected target, px (eq. projection_rms), by what is wrong."""
 

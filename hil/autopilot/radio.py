@@ -15,6 +15,7 @@ from typing import Annotated
 
 from drivers.interfaces import FlightMode
 from path.bounds import Bounds
+from path.values import frozen
 
 Sticks = tuple[float, float, float, float]
 
@@ -51,7 +52,7 @@ LOSS_RETURNS = 2
 LOSS_LANDS = 3
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RadioConfig:
     """The autopilot's settings for its radio control: PX4's parameters, here by their meaning.
 
@@ -100,7 +101,7 @@ class Transmitter:
     sticks: Sticks = CENTRED
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PilotInput:
     """The pilot's input as the autopilot understands its radio in one step.
 

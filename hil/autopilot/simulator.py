@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Annotated, Literal
 
 from path.bounds import AutopilotValues, Bounds, check_bounds
+from path.values import frozen
 
 Kind = Literal["px4", "ardupilot"]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SimulatorConfig:
     """``[world.sender_simulator]`` and ``[world.receiver_simulator]``: the drone is flown by a real
     autopilot.

@@ -11,7 +11,7 @@ from drivers.interfaces import FlightMode
 from hil.autopilot.radio import RadioConfig
 from path.bounds import Bounds
 from path.messages import Quat, Vec3
-from path.values import value
+from path.values import frozen, value
 
 HOLD_AT_FENCE = 2
 RETURN_AT_FENCE = 3
@@ -19,7 +19,7 @@ LAND_AT_FENCE = 5
 MAX_SETPOINT_GAP_S = 0.2  # of a script that flies (S8)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FenceConfig:
     """The autopilot's own fence, around and above its home: GF_ACTION, GF_MAX_HOR_DIST and
     GF_MAX_VER_DIST of PX4.
@@ -32,7 +32,7 @@ class FenceConfig:
     height_m: Annotated[float, Bounds(0.0, 10_000.0)] = 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AutopilotConfig:
     """Times and limits. Defaults are near PX4's, shortened where a wait would only cost simulation
     time.
@@ -105,7 +105,7 @@ class RateCommand:
     thrust_on: bool
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Ack:
     """Answer to a command. ``reason`` says why it was refused, empty when accepted."""
 
@@ -121,7 +121,7 @@ class Severity(Enum):
     INFO = 6
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class StatusText:
     time_s: float
     severity: Severity

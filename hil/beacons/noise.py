@@ -8,15 +8,14 @@ cuts and adds bytes.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from path.arrays import Array
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class BeaconConfig:
     """Standard deviations per axis where not said otherwise.
 

@@ -13,12 +13,11 @@ import tty
 from collections import deque
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.beacons.log import TRUTH_FILE, write_truth
 from drivers.beacons.marvelmind import Marvelmind, MarvelmindConfig
@@ -30,10 +29,10 @@ from hil.beacons.noise import BeaconConfig
 from hil.beacons.system import BeaconFrame, BeaconSystem, ByteChunk, truth_of
 from hil.camera.shared import RUN_VARIABLE
 from hil.world.snapshot import Snapshot
+from path.arrays import Array
 from path.geometry.rotation import R_from_rpy
 from path.messages import Role, Vec3
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 HEDGE_HZ = 16.0  # of each drone's own; PX4 wants more than 10
 APPEARS_S = 180.0  # a world that is warmed up first; the harness gives it up before
@@ -239,7 +238,7 @@ def link_of(run: str, role: Role | None = None) -> Path:
     )
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PtyBeaconsConfig:
     """The options of beacons on the run's own port: there are none."""
 

@@ -14,16 +14,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.beacons.log import BeaconTruth, Mounted
 from drivers.log.mcap_log import read_log
 from hil.beacons import marvelmind_bytes as sent
 from hil.beacons.noise import BeaconConfig, Warp
+from path.arrays import Array
 from path.geometry.rotation import R_from_quat, R_from_rpy, normalized
 from path.messages import Vec3
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 EPOCH_S = 3600.0  # of all clocks: they have been on for a while
 PORT = "modem"
@@ -38,7 +37,7 @@ class BeaconFrame(NamedTuple):
     origin_m: Array  # (3,)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ByteChunk:
     """Bytes that reach the listener together, at an instant of the world."""
 

@@ -10,63 +10,28 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from enum import Enum
-from typing import Generic, Protocol, TypeVar
+from collections.abc import Callable
+from typing import Generic, TypeVar
 
 from drivers.interfaces import CameraError, Clock
 from drivers.rig.parts import PartContext
 from flight.harness.renderer import Imaging
 from hil.world.config import SceneName, imaging_of, scene_of
 from hil.world.errors import Built, SensorErrors, StampErrors
+from hil.world.seam import Freeze, PartHarness
 from hil.world.snapshot import Snapshot
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Role
-from path.values import value
+from path.values import frozen, value
 
 T = TypeVar("T")
 
 RECEIVER_PHASE = 0.37  # of a period
 
 
-class Freeze(Enum):
-    """The failure of a camera: it gives nothing more, or its last frame again and again."""
-
-    SILENT = "silent"
-    REPEAT = "repeat"
-
-
-class SnapshotSource(Protocol):
-    """The part of a world that a camera needs."""
-
-    def snapshot(self) -> Snapshot: ...
-
-
-class SensorHarness(Protocol):
-    """The part of ``PartContext.harness`` that the cameras of the sim levels need.
-
-    ``frozen_cameras``: the cameras that fail at this moment; the harness changes it while the run
-    goes on. ``built``: how the cameras, mounts and markers truly are; None when they are as the rig
-    says.
-    """
-
-    @property
-    def seed(self) -> int: ...
-
-    @property
-    def world(self) -> SnapshotSource: ...
-
-    @property
-    def frozen_cameras(self) -> Mapping[Role, Freeze]: ...
-
-    @property
-    def built(self) -> Built | None: ...
-
-
-@dataclass(frozen=True, slots=True)
+@frozen
 class TrueCamera:
     """A role's camera and what it looks at, as they truly are. ``imaging``: None for an ideal
     sensor.
@@ -96,7 +61,7 @@ def true_camera(context: PartContext, built: Built | None) -> TrueCamera:
     )
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CaptureTiming:
     """Pictures at ``phase_s + k / rate_hz`` of the loop's time, each there ``latency_s`` later."""
 
@@ -152,7 +117,7 @@ class CaptureTicker(Generic[T]):
         timing: CaptureTiming,
         role: Role,
         clock: Clock,
-        harness: SensorHarness,
+        harness: PartHarness,
         take: Callable[[Snapshot, int], T],
     ) -> None:
         self._name = name

@@ -8,12 +8,10 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
 
-import numpy as np
-from numpy.typing import NDArray
-
 from drivers.interfaces import Frame
+from path.arrays import Depths, Image
 
-Images = tuple[NDArray[np.uint8], NDArray[np.uint16]]
+Images = tuple[Image, Depths]
 """Colour (h, w, 3) and depth (h, w) of one picture."""
 
 
@@ -69,11 +67,11 @@ class DrawnFrame(Frame):
             object.__setattr__(self, name, told)
 
     @property
-    def color(self) -> NDArray[np.uint8]:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def color(self) -> Image:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self._picture.images()[0]
 
     @property
-    def depth_mm(self) -> NDArray[np.uint16]:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def depth_mm(self) -> Depths:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self._picture.images()[1]
 
     @property

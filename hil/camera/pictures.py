@@ -10,7 +10,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flight.harness.renderer import (
     DepthNoise,
@@ -40,11 +39,10 @@ from hil.render.scene import (
     standing,
 )
 from hil.render.sensor import SensorNoise, mixed
+from path.arrays import Array, Image
 from path.geometry.transforms import Pose
 from path.marker.photometric.texture import cells
 from path.messages import Role
-
-Array = NDArray[np.float64]
 
 FARTHEST_M = 400.0  # as far as the ground is drawn
 CAR = car()
@@ -111,7 +109,7 @@ class CameraRenderer:
         if setup.printing.shadow == "none" and not setup.printing.blade:
             light = 0
         if light not in self._marked:
-            prints: tuple[NDArray[np.uint8], ...] = ()
+            prints: tuple[Image, ...] = ()
             if setup.printing != Printing():
                 prints = tuple(
                     marker_print(

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from flight.harness.renderer import Imaging
 from hil.render.mosaic import as_yuyv
+from path.arrays import Array, Image
 
 Light = NDArray[np.float32]  # (h, w, 3) in the order B, G, R
-Image = NDArray[np.uint8]  # (h, w, 3) BGR
 
 BLUR_REACH = 3.3  # standard deviations
 SLOWEST_MOTION_PX = 1e-6
@@ -34,7 +34,7 @@ def is_plain(imaging: Imaging) -> bool:
     return imaging == plain
 
 
-def develop(light: NDArray[np.uint8], imaging: Imaging, rng: np.random.Generator) -> Image:
+def develop(light: Image, imaging: Imaging, rng: np.random.Generator) -> Image:
     """Image of ``light``, shape (3, h, w) in the order B, G, R.
 
     Raises:
@@ -53,7 +53,7 @@ def through_optics(light: Light, imaging: Imaging) -> Light:
     return light if kernel.size == 1 else _filtered(light, kernel)
 
 
-def blur_kernel(sigma_px: float, motion_px: tuple[float, float]) -> NDArray[np.float64]:
+def blur_kernel(sigma_px: float, motion_px: tuple[float, float]) -> Array:
     """A Gaussian drawn out along a line of length and direction ``motion_px``, (k, k), sum 1."""
     length = float(np.hypot(*motion_px))
     if sigma_px < 0.1 and length < SLOWEST_MOTION_PX:
@@ -70,7 +70,7 @@ def blur_kernel(sigma_px: float, motion_px: tuple[float, float]) -> NDArray[np.f
     return kernel / kernel.sum()
 
 
-def _filtered(light: Light, kernel: NDArray[np.float64]) -> Light:
+def _filtered(light: Light, kernel: Array) -> Light:
     """The kernel is symmetric about its centre. A Gaussian without motion is separable, and faster
     so.
     """

@@ -9,30 +9,32 @@ at, and most of those never are. What is drawn depends on nothing but the seed.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import partial
 from threading import Lock
-from typing import Annotated, Self, cast
+from typing import Annotated, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError, Frame
 from drivers.rig.parts import PartContext
 from flight.harness.renderer import Imaging
-from hil.camera.capture import CaptureTicker, CaptureTiming, SensorHarness, timing_of, true_camera
+from hil.camera.capture import CaptureTicker, CaptureTiming, timing_of, true_camera
 from hil.camera.pending import DrawnFrame, Images, PendingPicture
 from hil.camera.pipeline import develop
 from hil.render.mosaic import is_quick
 from hil.render.renderer import Renderer
 from hil.render.sensor import SensorNoise
 from hil.render.shutter import shutter_of
+from hil.world.seam import harness_of
 from hil.world.snapshot import Snapshot
+from path.arrays import Image
 from path.bounds import Bounds
 from path.camera.model import CameraModel
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RenderedCameraConfig:
     """The timing of frames (see ``hil.camera.capture.timing_of``), and the noise of the sensor.
 
@@ -54,17 +56,12 @@ class RenderedCameraConfig:
 
 
 class RenderedCamera:
-    """Implements ``drivers.interfaces.Camera`` for a rig whose harness is a ``SensorHarness``."""
+    """Implements ``drivers.interfaces.Camera`` for a rig whose harness is a ``PartHarness``."""
 
     Config = RenderedCameraConfig
 
     def __init__(self, config: RenderedCameraConfig, context: PartContext) -> None:
-        if context.harness is None:
-            raise CameraError(
-                "a rendered camera needs a simulated world",
-                "use it with a harness such as hil.harness.sim",
-            )
-        harness = cast(SensorHarness, context.harness)
+        harness = harness_of(context.harness, "a rendered camera", CameraError)
         self._model = context.camera
         self._role = context.role
         true = true_camera(context, harness.built)
@@ -137,5 +134,5 @@ class RenderedCamera:
         return self._renderer.render(snapshot, self._role, frame_id, exposed)
 
 
-def _developed(imaging: Imaging, light: NDArray[np.uint8], key: int) -> NDArray[np.uint8]:
+def _developed(imaging: Imaging, light: Image, key: int) -> Image:
     return develop(light, imaging, np.random.default_rng(key))

@@ -11,14 +11,14 @@ import os
 import socket
 import tempfile
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError
+from path.arrays import Depths, Image, Whole
 from path.messages import Role
+from path.values import frozen
 
 MAGIC = 0x5041_5448_4652_0003  # "PATHFR", version 3
 PREFIX = "path-camera-"
@@ -70,7 +70,7 @@ def writer_lives(segment: Path) -> bool:
         os.close(handle)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Layout:
     """The places of things in a segment of ``slots`` frames; sizes are (width, height) in px.
 
@@ -121,9 +121,9 @@ class FrameSegment:
         self.layout = layout
         self._memory = memory
         self.header = np.frombuffer(memory, np.int64, 8)
-        self.slot_headers: list[NDArray[np.int64]] = []
-        self.colors: list[NDArray[np.uint8]] = []
-        self.depths: list[NDArray[np.uint16]] = []
+        self.slot_headers: list[Whole] = []
+        self.colors: list[Image] = []
+        self.depths: list[Depths] = []
         for i in range(layout.slots):
             start = HEADER_BYTES + i * layout.slot_bytes
             self.slot_headers.append(np.frombuffer(memory, np.int64, 2, start))

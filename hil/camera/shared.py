@@ -17,11 +17,9 @@ import os
 import socket
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError
 from hil.camera.segment import (
@@ -36,7 +34,9 @@ from hil.camera.segment import (
     socket_path,
     writer_lives,
 )
+from path.arrays import Depths, Image
 from path.messages import Role
+from path.values import frozen
 
 __all__ = ["RUN_VARIABLE", "SharedCameraReader", "SharedCameraWriter", "SharedFrame", "folder"]
 
@@ -103,7 +103,7 @@ class SharedCameraWriter:
         self._segment = None
         os.close(self._handle)
 
-    def write(self, stamp_ns: int, color: NDArray[np.uint8], depth_mm: NDArray[np.uint16]) -> None:
+    def write(self, stamp_ns: int, color: Image, depth_mm: Depths) -> None:
         """Publish one frame and wake the reader.
 
         Args:
@@ -129,7 +129,7 @@ class SharedCameraWriter:
             self._socket.sendto(b"\0", str(socket_path(self._path)))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SharedFrame:
     """One frame where it lies, in memory that the writer will use again: see
     ``SharedCameraReader.is_whole``.
@@ -137,8 +137,8 @@ class SharedFrame:
 
     number: int
     stamp_ns: int
-    color: NDArray[np.uint8]
-    depth_mm: NDArray[np.uint16]
+    color: Image
+    depth_mm: Depths
 
 
 class SharedCameraReader:

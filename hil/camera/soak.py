@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
+from path.values import frozen
 
 FPS = 50
 SETTLE = 0.2  # of the frames; what is allocated once is allocated by then
@@ -38,7 +39,7 @@ FLAT_MIB = 2.0
 READ_S = 5.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SoakReport:
     """Memory in MiB when it had settled, at its highest after that, and at the end; times in ms of
     CPU a frame.
@@ -58,7 +59,7 @@ class SoakReport:
         return self.peak_mib - self.settled_mib < FLAT_MIB
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class BenchDeviceConfig:
     """The options of the bench's device: there are none."""
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import threading
 import time
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from drivers.interfaces import CameraError
@@ -18,11 +17,12 @@ from hil.camera.d415 import T_COLOR_DEPTH, depth_camera
 from hil.camera.shared import RUN_VARIABLE, SharedCameraReader
 from hil.camera.software_device import DeviceClock, SoftwareDevice
 from path.bounds import Bounds
+from path.values import frozen
 
 POLL_S = 0.1
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SoftwareD415Config:
     """
     Attributes:

@@ -5,25 +5,23 @@ out.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from drivers.clock import wall_offset_ns
 from drivers.perception.stamp_clock import WRAP_NS, Domain
 from drivers.realsense.sdk import FORMATS, Kind
 from drivers.realsense.sdk_import import import_realsense
+from path.arrays import Depths, Image
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
+from path.values import frozen
 
 BYTES: dict[Kind, int] = {"color": 3, "depth": 2}
 SENSORS: dict[Kind, str] = {"depth": "Stereo Module", "color": "RGB Camera"}
 DEPTH_UNIT_M = 0.001
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DeviceClock:
     """The clock by which a device stamps its frames.
 
@@ -83,9 +81,7 @@ class SoftwareDevice:
     def readout_ns(self) -> int:
         return self._clock.readout_ns
 
-    def image(
-        self, kind: Kind, pixels: NDArray[np.uint8] | NDArray[np.uint16], stamp_ns: int, number: int
-    ) -> Any:
+    def image(self, kind: Kind, pixels: Image | Depths, stamp_ns: int, number: int) -> Any:
         """A copy of the pixels as an image that can be given out. ``stamp_ns``: mid-exposure,
         CLOCK_MONOTONIC.
         """

@@ -12,11 +12,12 @@ There are no false positives, as none was found on 1600 frames of ground.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from hil.geometric.markers import MarkerNoise
 from hil.geometric.targets import TargetNoise
 from hil.world.config import SceneName
+from path.values import frozen
 
 TARGET_NOISE = TargetNoise(
     bias_left_px=0.10,
@@ -97,7 +98,7 @@ HEADLESS: Mapping[SceneName, float] = {"plain": 0.12, "overcast": 0.115, "hall":
 """Share of the boxes of people that leave out a head, by scene."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ObservationNoise:
     """All of it.
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
-from typing import Annotated, Self, cast
+from typing import Annotated, Self
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from hil.camera.capture import (
     Capture,
     CaptureTicker,
     CaptureTiming,
-    SensorHarness,
     timing_of,
     true_camera,
 )
@@ -36,6 +35,7 @@ from hil.geometric.spells import Spells
 from hil.geometric.targets import DETECTION_COLUMNS, SHARE, DepthSettings, depth_over, detections
 from hil.world.detector import PERFECT
 from hil.world.errors import SensorErrors
+from hil.world.seam import harness_of
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.bounds import Bounds
 from path.camera.model import CameraModel
@@ -45,6 +45,7 @@ from path.marker.detect import DETECTION_PIXELS
 from path.marker.layout import single_marker
 from path.messages import Role
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
+from path.values import frozen
 
 EVERYWHERE = Region(-math.inf, -math.inf, math.inf, math.inf)
 # questions, for the random numbers
@@ -57,7 +58,7 @@ ALIKE = np.eye(8)  # covariance of corners that err alike, in squares of their e
 SLOW_FRAMES = 10  # for so many frames lasts what goes wrong for a while
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class GeometricPerceptionConfig:
     """
     Attributes:
@@ -81,7 +82,7 @@ class GeometricPerceptionConfig:
 
 class GeometricPerception:
     """Implements ``drivers.interfaces.Perception`` for a rig whose harness is a
-    ``SensorHarness``.
+    ``PartHarness``.
     """
 
     Config = GeometricPerceptionConfig
@@ -92,12 +93,7 @@ class GeometricPerception:
         context: PartContext,
         noise: ObservationNoise | None = None,
     ) -> None:
-        if context.harness is None:
-            raise CameraError(
-                "a geometric perception needs a simulated world",
-                "use it with a harness such as hil.harness.sim",
-            )
-        harness = cast(SensorHarness, context.harness)
+        harness = harness_of(context.harness, "a geometric perception", CameraError)
         true = true_camera(context, harness.built)
         setup = CameraSetup(context.role, true.camera, true.T_b_c, true.T_b_v, true.layout)
         noise = noise or noise_in(true.scene)

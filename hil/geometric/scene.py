@@ -4,11 +4,10 @@ image.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.geometric import kernels, targets
 from hil.render.bodies.kinds import BOXES
@@ -16,14 +15,14 @@ from hil.render.bodies.walking import boxes_of_a_walker
 from hil.render.scene import SOLID, Model, drone, marked_drone
 from hil.world.gait import OWN_PHASE
 from hil.world.snapshot import AS_IT_IS, ObjectTruth, Snapshot, TargetKind
+from path.arrays import Array
 from path.camera.kernels import lens_of
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Role, Vec3
-from path.values import value
+from path.values import frozen, value
 
-Array = NDArray[np.float64]
 FACES_OF_A_BOX = 6
 # of a stride, as finely as the geometry tells people's postures apart
 POSTURES = 64
@@ -69,7 +68,7 @@ def _boxes(model: Model) -> Array:
     return np.concatenate((middles.mean(axis=1), half, axes.reshape(-1, 9)), axis=1)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CameraSetup:
     """The constants of one camera between its frames."""
 

@@ -6,26 +6,16 @@ import asyncio
 import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from typing import Protocol
 
 from drivers.interfaces import Kept
 from drivers.log.state_file import MemoryStore
 from drivers.mavlink.guard.interfaces import GuardLine
-from hil.camera.capture import Freeze
-from hil.harness.guard import GuardWorld, MemoryBeatLine
+from hil.harness.guard import MemoryBeatLine
 from hil.link.faulty import MemoryHub
 from hil.world.errors import Built
-from hil.world.snapshot import Snapshot
+from hil.world.seam import Freeze, PartWorld
 from path.messages import Role
 from path.protocol.values import ReceiverRecord, SenderRecord
-
-
-class PairWorld(GuardWorld, Protocol):
-    """The world as the parts of one drone know it: their own vehicle, and what a pair of cameras
-    can see.
-    """
-
-    def snapshot(self) -> Snapshot: ...
 
 
 class Disk(MemoryStore):
@@ -88,7 +78,7 @@ class DroneHarness:
 
     def __init__(
         self,
-        view: PairWorld,
+        view: PartWorld,
         advance: Callable[[float], None],
         seed: int,
         built: Built,
@@ -106,7 +96,7 @@ class DroneHarness:
         self.cut_off_s: list[float] = []
 
     @property
-    def world(self) -> PairWorld:
+    def world(self) -> PartWorld:
         """The world at the loop's present."""
         now_s = present_s()
         if now_s != self._view.time_s:

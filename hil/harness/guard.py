@@ -6,41 +6,20 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, field, replace
-from typing import Protocol, Self, cast
+from typing import Self
 
 from drivers.interfaces import Clock, FlightMode, Log, VehicleError
 from drivers.mavlink.guard.interfaces import Beat, GuardAnswer, GuardView, Watched
 from drivers.rig.parts import PartContext, PartSpec, create
 from flight.config import MissionConfig
 from flight.guard.watch import GuardWatch, watch
-from hil.world.world import SimDrone
-from path.messages import Role
+from hil.world.seam import harness_of
+from path.values import frozen
 
 TICK_S = 0.05  # in the loop of a thousand runs; the program beside a real role ticks faster
 
 
-class GuardWorld(Protocol):
-    """The part of a world that a guard needs."""
-
-    @property
-    def time_s(self) -> float: ...
-
-    def drone(self, role: Role, /) -> SimDrone: ...
-
-
-class GuardHarness(Protocol):
-    """The part of ``PartContext.harness`` that the guard needs; ``lost_vehicles`` have lost every
-    link.
-    """
-
-    @property
-    def world(self) -> GuardWorld: ...
-
-    @property
-    def lost_vehicles(self) -> set[Role]: ...
-
-
-@dataclass(frozen=True, slots=True)
+@frozen
 class SimGuardConfig:
     """The options of the guard's vehicle: there are none, the rules are the mission's."""
 
@@ -52,12 +31,7 @@ class SimGuard:
 
     def __init__(self, config: SimGuardConfig, context: PartContext) -> None:
         del config
-        if context.harness is None:
-            raise VehicleError(
-                "hil.harness.guard:SimGuard needs the simulated world in the same process",
-                "use it in a rig of level sim or sim-rendered, with a harness",
-            )
-        self._harness = cast(GuardHarness, context.harness)
+        self._harness = harness_of(context.harness, "hil.harness.guard:SimGuard", VehicleError)
         self._role = context.role
         self._clock = context.clock
         self._seen: GuardView | None = None

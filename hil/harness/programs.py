@@ -16,9 +16,10 @@ from flight.harness.flights import RoleResult
 from hil.harness.drone import Disk, DroneHarness
 from hil.harness.stalls import PROGRAM, StallingLoop
 from hil.monitors.watched_log import WatchedLog
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Started:
     """A program that has begun."""
 

@@ -14,13 +14,14 @@ from drivers.collector import collector_off
 from drivers.stop_signals import stop_on_signals
 from flight.harness.relay import RelayReport, RelayRequest
 from hil.harness.drone import present_s, until
+from hil.harness.leg_faults import faults_of_legs
 from hil.harness.preparation import prepare, starting
 from hil.harness.relay_field import VirtualField
 from hil.harness.sim import mission_config
 from hil.harness.virtual_time import run_virtual
 from hil.world.check import refuse_slow
 from hil.world.estimator import reported
-from hil.world.faults import Fault, FaultError, parse_faults
+from hil.world.faults import Fault
 from path.messages import Role
 
 NEAR_PERIOD_S = 0.04  # looks at the truth while two are in the air
@@ -35,10 +36,7 @@ class RelaySim:
 
     def fly(self, request: RelayRequest) -> RelayReport:
         refuse_slow(request.rig)
-        faults = {
-            leg: [_parse(text, request.rig.level) for text in texts]
-            for leg, texts in request.faults.items()
-        }
+        faults = faults_of_legs(request.faults, request.rig.level, in_process=True)
         prepare(request.rig, lambda what: request.emit(starting(Role.SENDER, what)))
         start_s = time.perf_counter()
         cpu_s = time.process_time()
@@ -47,21 +45,6 @@ class RelaySim:
             findings = run_virtual(_RelayFlight(request, faults).run())
         cpu_s = time.process_time() - cpu_s
         return RelayReport(**findings, wall_s=time.perf_counter() - start_s, cpu_s=cpu_s)
-
-
-def _parse(text: str, level: str) -> Fault:
-    (fault,) = parse_faults([text], level)
-    if fault.kind.virtual:
-        raise FaultError(
-            f"fault {fault.name} is one of a single hand-over",
-            "fly it with handoff, on a rig of level sim",
-        )
-    if fault.name == "attack" or fault.kind.own:
-        raise FaultError(
-            f"fault {fault.name} needs programs of their own",
-            "fly it with handoff, on a rig of level sitl",
-        )
-    return fault
 
 
 class _RelayFlight:

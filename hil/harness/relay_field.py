@@ -8,31 +8,25 @@ take effect.
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from drivers.log.mcap_log import McapLog, virtual_log
 from drivers.rig.parts import RoleRig, part_context
-from drivers.rig.tables import decode_table
 from flight.config import MissionConfig
-from flight.harness.fleet import pair_of
 from flight.harness.flights import ProgramContext, Progress, RoleResult
-from flight.harness.relay import POINTING_M, DroneProgram, Pointed, RelayRequest
+from flight.harness.relay import DroneProgram, Pointed, RelayRequest
 from hil.harness.drone import Disk, DroneHarness, present_s
+from hil.harness.field import make_field, pointed, pointing
 from hil.harness.guard import MemoryBeatLine, keep_watch
 from hil.harness.inject import inject_at_drone, inject_on_link
 from hil.harness.leg_faults import LegFaults
 from hil.harness.programs import Programs, Started
-from hil.harness.relay_world import OTHER, OWN, PairView, RelayWorld
+from hil.harness.relay_world import OWN, PairView
 from hil.link.faulty import MemoryHub
-from hil.monitors.relay import RelayMonitors
 from hil.monitors.watched_log import WatchedLog
-from hil.world.config import WorldConfig
-from hil.world.errors import Built, as_built
+from hil.world.errors import Built
 from hil.world.faults import Fault
 from path.messages import Role
 
@@ -59,28 +53,21 @@ class VirtualField:
     def __init__(
         self, request: RelayRequest, mission: MissionConfig, faults: Mapping[int, Sequence[Fault]]
     ) -> None:
-        rig = request.rig
-        config = request.config
         self._request = request
         self._mission = mission
         self.programs = Programs(self._died)
         self.legs = LegFaults(faults, self._inject)
         self._hubs: dict[int, MemoryHub] = {}
-        self._pointing = np.random.default_rng([request.seed, 0x706F696E74])
-        world_config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
-        self.world = RelayWorld(world_config, request.seed, config.drones, request.targets)
-        self._pairs = {drone.name: pair_of(rig, drone, drone) for drone in config.drones}
-        built = {
-            name: as_built(pair, request.seed, {OTHER: 0, OWN: k})
-            for k, (name, pair) in enumerate(self._pairs.items())
-        }
-        owns = {name: each.rig.receiver for name, each in built.items()}
-        targets = max(1, len(request.targets))
-        self.monitors = RelayMonitors(rig, config, mission, self.world, owns, targets=targets)
-        if request.targets:
-            self.monitors.watched_until_s = 3600.0 * request.hours
+        self._pointing = pointing(request.seed)
+        field = make_field(
+            request.rig, request.config, request.targets, request.seed, request.hours
+        )
+        self._field = field
+        self.world = field.world
+        self.monitors = field.monitors
         self.drones = {
-            name: self._new(name, pair.receiver, built[name]) for name, pair in self._pairs.items()
+            name: self._new(name, pair.receiver, field.built[name])
+            for name, pair in field.pairs.items()
         }
 
     def close(self) -> None:
@@ -133,14 +120,8 @@ class VirtualField:
         if now_s != world.time_s:
             world.advance(now_s)
         thing = world.target(target)
-        east, north, _ = thing.position_w_m
-        off_n_m, off_e_m = (POINTING_M * self._pointing.standard_normal(2)).tolist()
-        velocity = (
-            thing.speed_mps * math.sin(thing.yaw_rad),
-            thing.speed_mps * math.cos(thing.yaw_rad),
-            0.0,
-        )
-        return Pointed((north + off_n_m, east + off_e_m, 0.0), velocity, now_s)
+        place_m = thing.position_w_m[:2]
+        return pointed(place_m, thing.yaw_rad, thing.speed_mps, now_s, self._pointing)
 
     def open_leg(self, number: int, sender: str, receiver: str) -> None:
         hub = self._hubs[number] = MemoryHub(self._request.seed * 4096 + number)
@@ -179,7 +160,7 @@ class VirtualField:
             self.world.switch_on(drone.name)
             self.monitors.on_switched_on(drone.name, present_s())
             if drone.own.guard is not None and drone.guard is None:
-                context = part_context(self._pairs[drone.name], OWN, drone.harness)
+                context = part_context(self._field.pairs[drone.name], OWN, drone.harness)
                 beats = drone.harness.beats = MemoryBeatLine(context.clock)
                 drone.guard = asyncio.create_task(
                     keep_watch(drone.own.guard, context, beats, self._mission, _NoLog())
@@ -218,12 +199,7 @@ class VirtualField:
             inject_at_drone(fault, name, self.drones[name].harness, self.programs)
 
     def _close_flight(self, drone: VirtualDrone) -> None:
-        """Close one flight: its autopilot's record goes to the monitors before it is started
-        anew.
-        """
-        self.monitors.on_offboard(drone.name, drone.harness.cut_off_s)
-        self.monitors.on_swap(drone.name, present_s())
-        drone.harness.cut_off_s = []
+        self._field.end_flight(drone.name, drone.harness.cut_off_s, present_s())
         if drone.guard is not None:
             drone.guard.cancel()
             drone.guard = None

@@ -5,12 +5,10 @@ ground.
 from __future__ import annotations
 
 import asyncio
-import math
 import time
 from itertools import combinations
 
 import msgspec
-import numpy as np
 
 from drivers.rig.check import check_rig
 from drivers.rig.parts import Rig
@@ -18,7 +16,6 @@ from drivers.rig.tables import RigError
 from flight.harness.fleet import RelayConfig, pair_of
 from flight.harness.flights import RoleResult
 from flight.harness.relay import (
-    POINTING_M,
     DroneProgram,
     FieldSample,
     FlightTruth,
@@ -28,6 +25,8 @@ from flight.harness.relay import (
     TargetWatch,
 )
 from flight.outcome import Outcome
+from hil.harness.field import pointed, pointing
+from hil.harness.leg_faults import faults_of_legs
 from hil.harness.realtime.children import run_name
 from hil.harness.realtime.orders import Command, Orders
 from hil.harness.realtime.relay_world import run_of
@@ -35,7 +34,7 @@ from hil.harness.realtime.run import Ending, RealTimeRun
 from hil.harness.realtime.world import world_command
 from hil.world.check import refuse_slow
 from hil.world.estimator import reported
-from hil.world.faults import Fault, FaultError, parse_faults
+from hil.world.faults import Fault
 from path.messages import Role
 
 LANDING_LIMIT_S = 60.0
@@ -52,10 +51,7 @@ class RelaySitl:
         """
         check_drones(request.rig, request.config)
         refuse_slow(request.rig)
-        faults = {
-            leg: [_parse(text, request.rig.level) for text in texts]
-            for leg, texts in request.faults.items()
-        }
+        faults = faults_of_legs(request.faults, request.rig.level, in_process=False)
         return asyncio.run(_fly(request, faults))
 
 
@@ -72,15 +68,6 @@ def check_drones(rig: Rig, config: RelayConfig) -> None:
             raise RigError([rig.where(f"{table}: {what}")])
     for one, other in combinations(config.drones, 2):
         check_rig(pair_of(rig, one, other))
-
-
-def _parse(text: str, level: str) -> Fault:
-    (fault,) = parse_faults([text], level)
-    if fault.name == "attack":
-        raise FaultError(
-            "fault attack needs a pair with a key", "fly it with handoff, on a rig of level sitl"
-        )
-    return fault
 
 
 async def _fly(request: RelayRequest, faults: dict[int, list[Fault]]) -> RelayReport:
@@ -121,7 +108,7 @@ class LiveField:
         self._request = request
         self._run = run
         self._pointed: dict[int, Pointed] = {}
-        self._pointing = np.random.default_rng([request.seed, 0x706F696E74])
+        self._pointing = pointing(request.seed)
 
     async def begin(self, name: str, program: DroneProgram) -> RoleResult | None:
         """Its program is a process, and knows what to fly: ``program`` is for others."""
@@ -174,18 +161,16 @@ class LiveField:
         before = self._pointed.get(target)
         if before is not None and time.monotonic() - before.time_s < POINT_AGAIN_S:
             return before
-        pointed = self._pointed[target] = self._point_at(target)
-        return pointed
+        said = self._pointed[target] = self._point_at(target)
+        return said
 
     def _point_at(self, target: int) -> Pointed:
         said = self._run.said.get("targets")
         if said is None:  # it has not begun
             east, north = self._request.targets[target].place_m
             return Pointed((north, east, 0.0), (0.0, 0.0, 0.0), time.monotonic())
-        east, north, yaw_rad, speed_mps = said["where"][target]
-        off_n_m, off_e_m = (POINTING_M * self._pointing.standard_normal(2)).tolist()
-        velocity = speed_mps * math.sin(yaw_rad), speed_mps * math.cos(yaw_rad), 0.0
-        return Pointed((north + off_n_m, east + off_e_m, 0.0), velocity, float(said["at_s"]))
+        *place_m, yaw_rad, speed_mps = said["where"][target]
+        return pointed(place_m, yaw_rad, speed_mps, float(said["at_s"]), self._pointing)
 
     def _tell(self, what: str, about: str | int) -> None:
         self._run.tell_world({what: about, "at_ns": time.monotonic_ns()})

@@ -7,14 +7,15 @@ from __future__ import annotations
 import asyncio
 import random
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass
-from typing import Any, Generic, Protocol, Self, TypeVar, cast
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 from drivers.interfaces import LinkCounters, LinkError, Received
 from drivers.link.end import LinkContext, LinkEnd
 from drivers.link.udp import Address, open_error
 from drivers.link.wire import KEY_LENGTH, Codec
+from hil.world.seam import harness_of
 from path.messages import Message, Role
+from path.values import frozen
 
 HELD_BACK_S = 0.03  # how late a reordered packet is beyond the others
 SPACING_S = 1e-6  # packets of one direction never arrive at the very same time: their order is kept
@@ -22,7 +23,7 @@ Side = TypeVar("Side", bound=Hashable)
 SHARES = ("loss", "duplicate", "corrupt", "reorder")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class LinkFaults:
     """The faults that a packet may meet; shares are 0..1 and independent of each other.
 
@@ -175,13 +176,6 @@ class MemoryHub(FaultyLink[Role]):
             end.on_packet(data)
 
 
-class HubHarness(Protocol):
-    """The part of ``PartContext.harness`` that the link needs."""
-
-    @property
-    def hub(self) -> MemoryHub: ...
-
-
 class HubContext(LinkContext, Protocol):
     """The part of ``PartContext`` that the link needs."""
 
@@ -189,7 +183,7 @@ class HubContext(LinkContext, Protocol):
     def harness(self) -> object | None: ...
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MemoryLinkConfig:
     """The faults are the harness's.
 
@@ -212,12 +206,7 @@ class MemoryLink:
     Config = MemoryLinkConfig
 
     def __init__(self, config: MemoryLinkConfig, context: HubContext) -> None:
-        if context.harness is None:
-            raise LinkError(
-                "an in-memory link needs both roles in one process",
-                "use it with a harness such as hil.harness.sim",
-            )
-        self._hub = cast("HubHarness", context.harness).hub
+        self._hub: MemoryHub = harness_of(context.harness, "an in-memory link", LinkError).hub
         self._role = context.role
         self._clock = context.clock
         self._key = bytes(KEY_LENGTH) if config.signed else None
@@ -260,7 +249,7 @@ def _signing_time() -> int:
     return round(asyncio.get_running_loop().time() * 1e5)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ProxySide:
     """One side of the proxy: where it listens, and the one end it talks to."""
 

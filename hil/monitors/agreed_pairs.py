@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.monitors.likelihood_recount import recounted
+from path.arrays import Array
 from path.config import MethodConfig
 from path.gate.likelihood import HELD_S, REACH_SIGMAS
 
@@ -116,7 +116,7 @@ class AgreedPairs:
             found = min(found, -math.log10(own.swap))
         return max(0.0, found)
 
-    def _likely(self, offsets: NDArray[np.float64]) -> float:
+    def _likely(self, offsets: Array) -> float:
         own = self.method.evidence
         off2 = float(np.sum(np.mean(offsets, axis=0) ** 2)) / own.offset_sigma_m**2
         return -own.offset_known * math.log10(1.0 + off2 / (2.0 * own.offset_known))

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array
 from path.config import EvidenceConfig
 from path.gate.likelihood import CORRELATED_S, ODD, PRIOR_PAIRS, REACH_SIGMAS
 
@@ -52,15 +52,15 @@ def recounted(offsets: Offsets, first_ns: int, odd: int, own: EvidenceConfig) ->
     return max(0.0, (reached + min(0.0, odds)) / math.log(10.0))
 
 
-def _length2(offsets: NDArray[np.float64]) -> float:
+def _length2(offsets: Array) -> float:
     return float(np.sum(np.mean(offsets, axis=0) ** 2))
 
 
-def _variance(offsets: NDArray[np.float64]) -> float:
+def _variance(offsets: Array) -> float:
     return 0.5 * max(0.0, float(np.mean(np.sum(offsets**2, axis=1))) - _length2(offsets))
 
 
-def _independent(offsets: NDArray[np.float64], span_s: float) -> float:
+def _independent(offsets: Array, span_s: float) -> float:
     """Return how many independent offsets a run is worth."""
     count = len(offsets)
     if count < 2 or not span_s > 0.0:

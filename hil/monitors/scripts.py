@@ -29,6 +29,7 @@ from hil.autopilot.autopilot import Autopilot
 from hil.world.snapshot import DroneTruth, ObjectTruth
 from hil.world.world import World
 from path.messages import Role, Vec3
+from path.values import frozen
 
 Violated = Callable[[str, float, str], None]
 
@@ -43,7 +44,7 @@ WATCHING = frozenset(
 ENDING = frozenset(phase.title for phase in (Phase.DEPART, Phase.LAND, Phase.DONE))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class VehicleTruth:
     """The truth of one vehicle at an instant.
 

@@ -9,10 +9,10 @@ loop busy, or slept, was late by its own doing.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from hil.autopilot.values import MAX_SETPOINT_GAP_S
+from path.values import frozen
 
 LATE = "/late"
 """The topic of a program's own lateness: ``drivers.lateness``."""
@@ -20,7 +20,7 @@ READ_S = 0.05
 """A thread that waits is only known to have waited once it runs again, and was looked at."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SetpointGap:
     """No setpoint of a drone arrived between two instants, s of the world's clock."""
 
@@ -33,7 +33,7 @@ class SetpointGap:
         return self.to_s - self.from_s
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Late:
     """How late a program was between two instants, s of the world's clock.
 
@@ -62,7 +62,7 @@ def late_of(record: Mapping[str, Any], to_s: float) -> Late:
     )
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class JudgedGap:
     """A gap, and what the drone's program says of that time."""
 

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.rig.parts import Mount
 from flight.frame.receiver import ReceiverSide
@@ -30,6 +29,7 @@ from hil.montecarlo.setup import (
     SENDER_FRAME,
     HandoverSetup,
 )
+from path.arrays import Array
 from path.config import BoxMapping, MethodConfig
 from path.cycle.prior import Prior
 from path.cycle.sender import PairVerdict
@@ -40,14 +40,14 @@ from path.geometry.rotation import normalized
 from path.geometry.transforms import Pose
 from path.messages import Candidate, Target, Vec3
 from path.observations import Box, MissReason
+from path.values import frozen
 
-Array = NDArray[np.float64]
 REASONS = tuple(MissReason)
 SLACK_NS = 500_000_000  # what was captured is judged later, by the link and both cycles
 BOTH: tuple[BoxMapping, BoxMapping] = ("center", "corner")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CyclesRun:
     """The entries that D1's window was given, and the time that was run.
 

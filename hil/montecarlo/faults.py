@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flight.harness.montecarlo import FaultName
+from path.arrays import Array
+from path.values import frozen
 
-Array = NDArray[np.float64]
 Generator = np.random.Generator
 
 LINK_DELAY_S = 0.004
@@ -22,7 +22,7 @@ MIXABLE: tuple[FaultName, ...] = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class HandoverFaults:
     """The faults of one hand-over: rows (from, to) in s, and how much."""
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.montecarlo.scene import Drawn
+from path.arrays import Array, Flags
 from path.compiled import kernel
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 WAVES = 4
 # Standard deviations and frequencies of what wavers; the trial prints them.
@@ -83,7 +81,7 @@ def _drawn(rng: np.random.Generator) -> Array:
     return np.stack((weight, rate, rng.uniform(0.0, 2.0 * math.pi, shape)), axis=2)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class HandoverPoses:
     """Both drones at some instants, by drone: bodies in NED ``n``; and how far off the attitude
     estimates are.
@@ -165,7 +163,7 @@ def _attitude(angles: Array, yaw_rad: float) -> Array:
     return _turned_about_down(angles[:, 2] + yaw_rad) @ exp_all(tilt)
 
 
-def within(times_s: Array, spells: Array) -> NDArray[np.bool_]:
+def within(times_s: Array, spells: Array) -> Flags:
     """Return whether each time is in one of the spells, rows (from, to)."""
     inside = (times_s[:, None] >= spells[:, 0]) & (times_s[:, None] < spells[:, 1])
     return np.any(inside, axis=1)

@@ -12,7 +12,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.camera.capture import Capture
 from hil.geometric.kernels import BOX_COLUMNS, EXTENT_COLUMNS, FRAME_COLUMNS, X0, X1, Y0, Y1, place
@@ -20,6 +19,7 @@ from hil.geometric.perception import GeometricView, Sensor
 from hil.geometric.scene import Placed, parts_of
 from hil.geometric.targets import SEEN_COLUMNS, SHARE, outlines
 from hil.world.snapshot import DroneTruth, Snapshot, TargetKind
+from path.arrays import Whole
 from path.compiled import kernel
 from path.geometry.transforms import Pose
 from path.messages import Role
@@ -34,7 +34,7 @@ class CameraPath(NamedTuple):
     (n, m, 4).
     """
 
-    frame: NDArray[np.int64]
+    frame: Whole
     R: np.ndarray
     t: np.ndarray
     other_R: np.ndarray

@@ -7,10 +7,9 @@ Every group has its own stream of random numbers, so that one fault or another c
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.rig.parts import Mount, Rig
 from drivers.rig.tables import decode_table
@@ -24,10 +23,11 @@ from hil.montecarlo.faults import HandoverFaults, direction, draw_faults
 from hil.world.errors import Built, as_built, level_of, sizes_of
 from hil.world.snapshot import TargetKind
 from hil.world.targets import CROSSING_PAST_M, LookAlikeConfig, TargetConfig
+from path.arrays import Array, Flags
 from path.geometry.rotation import R_from_yaw, exp
 from path.geometry.transforms import Pose
+from path.values import frozen
 
-Array = NDArray[np.float64]
 Generator = np.random.Generator
 
 # Ranges and standard deviations of what is drawn; the trial prints them. Beside where the mission
@@ -49,7 +49,7 @@ CROSSING_MPS = 1.0
 CROSSING_HALF_S = 3.5
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Believed:
     """The rig as Monte-Carlo hand-overs need it, and what there is in its world.
 
@@ -111,7 +111,7 @@ class Believed:
         return replace(self.rig, receiver=replace(receiver, mount=Mount(turned, mount.T_b_v)))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Place:
     """The places where the drones hold: D1 from the target, D2's body from D1's, local NED; D1
     heads north.
@@ -122,7 +122,7 @@ class Place:
     receiver_yaw_rad: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Things:
     """The target (row 0) and its look-alikes.
 
@@ -137,7 +137,7 @@ class Things:
 
     start: Array
     velocity: Array
-    attached: NDArray[np.bool_]
+    attached: Flags
     span_s: Array
     yaw_rad: Array
     speed_mps: float
@@ -162,7 +162,7 @@ class Things:
         return there, self.yaw_rad + np.where(self.attached, heading[:, None], 0.0)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class LastingErrors:
     """The differences to what is believed, for the whole attempt: the truth where it can be
     given.
@@ -175,7 +175,7 @@ class LastingErrors:
     clock_s: float  # D2's stamps as D1 converts them, minus the truth
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Drawn:
     """One attempt's circumstances. ``shift_c``, ``turn_c``: of D2's pose, m and rad in its camera's
     axes.

@@ -7,11 +7,10 @@ asked.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flight.harness.montecarlo import Attempt, Circumstances
 from flight.tracking.association import Sighting
@@ -32,13 +31,12 @@ from hil.montecarlo.perception import NOBODY, CameraPath, HandoverCamera, Handov
 from hil.montecarlo.scene import Believed, Drawn, Generator, draw
 from hil.world.errors import SensorErrors
 from hil.world.snapshot import TargetKind
+from path.arrays import Array, Whole
 from path.config import MethodConfig
 from path.geometry.transforms import Pose
 from path.messages import Role
 from path.observations import MissReason
-
-Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
+from path.values import frozen
 
 RATE_HZ = 50.0
 STATUS_HZ = 10.0
@@ -83,7 +81,7 @@ class HandoverFrames(NamedTuple):
     heard: Whole
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Timed:
     """Frames of one camera.
 

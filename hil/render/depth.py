@@ -5,12 +5,12 @@ colour.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.render import kernels, sensor
 from hil.render.ground import ground_depth, ground_plane
 from hil.render.renderer import SUN_W, Renderer, lens_of, sense_depth, set_up
 from hil.world.snapshot import Snapshot
+from path.arrays import Depths
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.messages import Role
@@ -35,7 +35,7 @@ class DepthRenderer:
         self._owner = np.empty(shape, np.int16)
         self._edges = np.empty(shape, np.uint8)
 
-    def render(self, snapshot: Snapshot, role: Role, frame_seed: int) -> NDArray[np.uint16]:
+    def render(self, snapshot: Snapshot, role: Role, frame_seed: int) -> Depths:
         """Depth, shape (h, w), z along the depth camera's axis in millimetres, 0 where there is
         none.
         """

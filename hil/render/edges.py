@@ -10,7 +10,6 @@ An edge is that of a face, or one between two cells of a marker or of another pa
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.render.kernels import (
     INTERIOR,
@@ -36,12 +35,13 @@ from hil.render.primitives import (
     SHADES,
 )
 from hil.render.scene import INK, MARKER, PAPER, PATTERN, PRINT
+from path.arrays import Array
 from path.compiled import inner, kernel
 
 MOST = 48  # primitives that are looked at in one pixel; more than any view of the scene has
 
 
-def hammersley(count: int) -> NDArray[np.float64]:
+def hammersley(count: int) -> Array:
     """Hammersley's points in a pixel, shape (2, count), within -0.5..0.5; ``count`` is a power of
     two.
     """

@@ -12,9 +12,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.render.textures import GROUND_BITS, GROUND_LEVELS, GROUND_PERIOD_M, GROUND_SIZE
+from path.arrays import Array
 from path.compiled import inner, kernel
 from path.geometry.transforms import Pose
 
@@ -33,7 +33,7 @@ HAZE_M = F(60.0)  # from here on the ground fades into the sky
 SCRATCH_ROWS = 9
 
 
-def ground_plane(T_w_c: Pose) -> NDArray[np.float64]:
+def ground_plane(T_w_c: Pose) -> Array:
     """Coefficients of u/z, v/z, 1/z of the ground, shape (3, 3); u to the east, v to the north, in
     tiles.
 

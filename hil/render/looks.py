@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flight.harness.renderer import Imaging
 from hil.render.sensor import SensorNoise
 from hil.render.shutter import Shutter
 from hil.world.config import SceneName
 from hil.world.errors import LONGEST_S
+from path.arrays import Array, Singles
+from path.values import frozen
 
 Bgr = tuple[float, float, float]
 GroundKind = Literal["soil", "grass", "gravel", "tarmac", "concrete"]
@@ -27,7 +28,7 @@ PLAIN_SUN = (0.36 / _LENGTH, -0.30 / _LENGTH, 0.88 / _LENGTH)
 Litter = Literal["none", "leaves", "stones", "lines"]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Tints:
     """The ground's colour: base + fine gain x fine grey level + rough gain x rough grey level; and
     the sky's. BGR.
@@ -39,11 +40,11 @@ class Tints:
     sky: Bgr = (206.0, 196.0, 184.0)
 
     @property
-    def rows(self) -> NDArray[np.float32]:
+    def rows(self) -> Singles:
         return np.array((self.base, self.fine, self.rough, self.sky), np.float32)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Look:
     """One scene as cameras see it.
 
@@ -82,7 +83,7 @@ class Look:
     gleam_lost: float = 0.0
 
     @property
-    def sun_w(self) -> NDArray[np.float64]:
+    def sun_w(self) -> Array:
         """(3,) towards the sun, as long as it is strong."""
         return np.array(self.sun)
 

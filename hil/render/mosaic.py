@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from flight.harness.renderer import Imaging
 from hil.render.sensor import POOL_MARGIN, POOL_UNIT, blur_row, blur_taps
 from hil.render.shutter import LONGEST_PX, blurred_px
+from path.arrays import Image
 from path.compiled import kernel
-
-Image = NDArray[np.uint8]
 
 F = np.float32
 # BT.601, for each of two pixels

@@ -8,7 +8,6 @@ camera or out of the lens is left out: they are small.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -16,10 +15,11 @@ from numpy.typing import NDArray
 
 from hil.render.looks import Look
 from hil.render.scene import ROTOR, Body
+from path.arrays import Array, Singles
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
+from path.values import frozen
 
-Array = NDArray[np.float64]
 Planes = NDArray[np.uint8]
 
 SHIFT = 4  # bits of a pixel's fraction, in OpenCV's polygons
@@ -41,7 +41,7 @@ STONES = ((118.0, 120.0, 122.0), (66.0, 70.0, 74.0), (150.0, 152.0, 150.0), (44.
 PAINT = ((188.0, 190.0, 190.0), (70.0, 170.0, 190.0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class GroundPatches:
     """Polygons on the ground: corners east and north in m, (n, 4, 2), and colours BGR, (n, 3)."""
 
@@ -86,9 +86,7 @@ def _lines() -> GroundPatches:
 class Overlay:
     """Draws one scene's overlay into the light that a camera sees of the ground."""
 
-    def __init__(
-        self, look: Look, camera: CameraModel, rays: Sequence[NDArray[np.float32]], seed: int
-    ) -> None:
+    def __init__(self, look: Look, camera: CameraModel, rays: Sequence[Singles], seed: int) -> None:
         """``rays``: x and y of each pixel's ray on z = 1, (h, w) each."""
         self._look = look
         self._camera = camera

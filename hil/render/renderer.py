@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import TypeVar
 
@@ -28,12 +28,12 @@ from hil.render.surfaces import lost_shares
 from hil.render.textures import ground_pyramid
 from hil.world.config import SceneName
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
+from path.arrays import Array, Depths, Image, Singles, Whole
 from path.camera.model import CameraModel, sensor_of
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout, single_marker
 from path.messages import Role
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 EXACT_DEPTH = DepthError()
 SUN_W = LOOKS["plain"].sun_w
@@ -41,22 +41,22 @@ SAMPLES = (edge_pass.hammersley(16), edge_pass.hammersley(64))
 STAGES = 8
 
 _Level = TypeVar("_Level", np.uint8, np.uint16)
-Exposing = Callable[[NDArray[np.uint8], int], NDArray[np.uint8]]
+Exposing = Callable[[Image, int], Image]
 """Makes an image (h, w, 3) of light (3, h, w) and the key of its noise."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Lens:
     """A camera's rays: per pixel centre, their derivatives by column and row, and bounds per column
     and row.
     """
 
-    rays: tuple[NDArray[np.float32], ...]  # x, y, dx/du, dx/dv, dy/du, dy/dv, each (h, w)
+    rays: tuple[Singles, ...]  # x, y, dx/du, dx/dv, dy/du, dy/dv, each (h, w)
     view: tuple[Array, Array, float]  # column_x (2, w), row_y (2, h), largest pixel on z = 1
     pixel: float  # mean size of a pixel on z = 1
 
 
-_Looks = tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.uint8], NDArray[np.int64]]
+_Looks = tuple[Image, Whole, Image, Whole]
 _NO_CELLS = (np.zeros((1, 1, 1), np.uint8), np.ones(1, np.int64))
 _NO_SHADES = (np.zeros(1, np.uint8), np.ones((1, 3), np.int64))
 
@@ -151,7 +151,7 @@ class Renderer:
 
     def render(
         self, snapshot: Snapshot, role: Role, frame_seed: int, exposed: Exposing | None = None
-    ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+    ) -> tuple[Image, Depths]:
         """The view of ``role``'s camera; that drone itself is not drawn.
 
         Args:
@@ -173,7 +173,7 @@ class Renderer:
         image = self.expose(light, key) if exposed is None else self.thinned(exposed(light, key))
         return image, self.thinned(depth)
 
-    def render_color(self, snapshot: Snapshot, role: Role, frame_seed: int) -> NDArray[np.uint8]:
+    def render_color(self, snapshot: Snapshot, role: Role, frame_seed: int) -> Image:
         """The colour of ``render`` alone."""
         key = self.key(role, frame_seed)
         bodies = self.bodies(snapshot, role)
@@ -212,7 +212,7 @@ class Renderer:
         *,
         depth_holes: bool = False,
         unseen: Sequence[Body] = (),
-    ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+    ) -> tuple[Image, Depths]:
         """Bodies as the camera of the drone at ``T_w_b`` sees them; at most one of them carries
         ideal markers.
 
@@ -230,7 +230,7 @@ class Renderer:
             pass
         return self._image, depth
 
-    def expose(self, light: NDArray[np.uint8], key: int) -> NDArray[np.uint8]:
+    def expose(self, light: Image, key: int) -> Image:
         """The camera's image, shape (h, w, 3), BGR, of what ``draw`` gave."""
         if self._sensor is not None:
             return self.thinned(self._sensor.image(light, key, self._smear))
@@ -257,7 +257,7 @@ class Renderer:
         seen: CameraMotion,
         bodies: Sequence[Body],
         key: int,
-        depth: NDArray[np.uint16] | None,
+        depth: Depths | None,
         depth_holes: bool,
         unseen: Sequence[Body] = (),
     ) -> Iterator[str]:
@@ -366,15 +366,15 @@ class Renderer:
 
 
 def sense_depth(
-    inverse_z: NDArray[np.float32],
+    inverse_z: Singles,
     owner: NDArray[np.int16],
-    tags: NDArray[np.int64],
-    edges: NDArray[np.uint8],
+    tags: Whole,
+    edges: Image,
     hide_targets: bool,
     noise: SensorNoise,
     pool: NDArray[np.int8],
     key: int,
-    depth: NDArray[np.uint16],
+    depth: Depths,
     error: DepthError = EXACT_DEPTH,
 ) -> None:
     """Fill ``depth`` with what a depth camera measures of 1/z: noise, limits, holes at steps, and
@@ -403,7 +403,7 @@ def set_up(
     sun_c: Array,
     view: tuple[Array, Array, float],
     sweeps: Sequence[Array] | None = None,
-) -> tuple[Array, NDArray[np.int64], int, _Looks]:
+) -> tuple[Array, Whole, int, _Looks]:
     """Primitives of the bodies, nearest body first, and the cells and shades that they show.
 
     sweeps: of each body, as ``hil.render.shutter.sweep`` gives it; nothing moves by default.
@@ -445,7 +445,7 @@ def set_up(
     return faces, tags, int(count), (cells, sides, *shades)
 
 
-def _joined(shades: Sequence[NDArray[np.uint8]]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+def _joined(shades: Sequence[Image]) -> tuple[Image, Whole]:
     """Tables of shades one after the other, flat, and for each where it begins, its rows and its
     columns.
     """

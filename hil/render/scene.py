@@ -9,20 +9,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array, Image, Whole
 from path.geometry.rotation import R_from_yaw
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.marker.photometric.texture import cells as marker_cells
+from path.values import frozen
 
-Array = NDArray[np.float64]
 Color = tuple[float, float, float]  # BGR under full light
 
 SOLID = 0
@@ -58,7 +58,7 @@ ROTOR_RADIUS_M = 0.064
 DRONE_HALF_M = (0.085, 0.048, 0.024)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Model:
     """Rectangles of one kind of body, in its frame; n of them.
 
@@ -77,11 +77,11 @@ class Model:
 
     corners: Array
     colors: Array
-    kinds: NDArray[np.int64]
-    cells: NDArray[np.uint8]
-    cells_per_side: NDArray[np.int64]
+    kinds: Whole
+    cells: Image
+    cells_per_side: Whole
     seconds: Array
-    shades: tuple[NDArray[np.uint8], ...]
+    shades: tuple[Image, ...]
 
 
 class Face(NamedTuple):
@@ -93,7 +93,7 @@ class Face(NamedTuple):
     color: Color
     kind: int = SOLID
     second: Color = (0.0, 0.0, 0.0)
-    shades: NDArray[np.uint8] | None = None
+    shades: Image | None = None
 
 
 def box(
@@ -129,7 +129,7 @@ def drone() -> Model:
 
 
 def printed_board(
-    shades: NDArray[np.uint8], side_m: float, light: tuple[float, float] = (INK[0], PAPER[0])
+    shades: Image, side_m: float, light: tuple[float, float] = (INK[0], PAPER[0])
 ) -> Model:
     """A flat print of square cells: origin at its top-left corner, x right, y down, z away from the
     viewer.
@@ -147,7 +147,7 @@ def printed_board(
 
 
 def marked_drone(
-    T_b_v: Pose, layout: MarkerLayout, *, hidden: bool, prints: Sequence[NDArray[np.uint8]] = ()
+    T_b_v: Pose, layout: MarkerLayout, *, hidden: bool, prints: Sequence[Image] = ()
 ) -> Model:
     """A quadrotor that carries the plates of a marker layout.
 
@@ -156,7 +156,7 @@ def marked_drone(
         prints: what the plates show instead of ideal markers, one each: shades of ``PAPER``.
     """
     faces = [*_airframe()]
-    cells: list[NDArray[np.uint8]] = []
+    cells: list[Image] = []
     for number, marker in enumerate(layout.markers):
         T_b_m = T_b_v @ marker.T_v_m
         kind = SOLID if hidden else PRINT if prints else MARKER
@@ -222,7 +222,7 @@ def _strut(T_b_m: Pose) -> list[Face]:
     return box(middle, (length, 0.012, 0.012), FRAME, axes)
 
 
-def model_of(faces: Sequence[Face], cells: Sequence[NDArray[np.uint8]] = ()) -> Model:
+def model_of(faces: Sequence[Face], cells: Sequence[Image] = ()) -> Model:
     """``cells``: of the MARKER faces, in their order."""
     side = max((len(cell) for cell in cells), default=1)
     table = np.zeros((max(len(cells), 1), side, side), np.uint8)
@@ -244,7 +244,7 @@ def model_of(faces: Sequence[Face], cells: Sequence[NDArray[np.uint8]] = ()) -> 
 # --- in the world
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Body:
     """A model at its pose in the world.
 

@@ -8,7 +8,7 @@ quantisation.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Annotated
 
 import cv2
@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 
 from hil.render.kernels import INTERIOR
 from hil.render.primitives import VEHICLE
+from path.arrays import Singles
 from path.bounds import Bounds
 from path.compiled import inner, kernel
+from path.values import frozen
 
 F = np.float32
 POOL_MARGIN = 256  # the noise of a frame is a window of a fixed pool; this many positions each way
@@ -28,7 +30,7 @@ JUMP = F(0.03)  # relative step in depth that a stereo camera has trouble at
 MASK = (1 << 64) - 1
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SensorNoise:
     """Noise of a synthetic camera; the defaults are those of a D415-like camera.
 
@@ -77,7 +79,7 @@ class SensorNoise:
 NOISE_FREE = SensorNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def blur_taps(sigma_px: float) -> NDArray[np.float32]:
+def blur_taps(sigma_px: float) -> Singles:
     """One side of a Gaussian kernel from its centre outwards, normalised as a whole; a single 1 for
     no blur.
     """

@@ -10,24 +10,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.render.scene import Body
 from hil.world.errors import SensorErrors
+from path.arrays import Array
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 NO_SWEEP = np.zeros(11)
 NEAREST_M = 0.05
 LONGEST_PX = 12.0  # of the motion during an exposure that is drawn
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Shutter:
     """``exposure_s``: of each row; ``readout_s``: from the first row to the last."""
 
@@ -41,7 +40,7 @@ def shutter_of(errors: SensorErrors) -> Shutter | None:
     return None if drawn == Shutter() else drawn
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class CameraMotion:
     """The pose of a camera and how it moves: (3,) m/s and rad/s, in the world. It stands still by
     default.

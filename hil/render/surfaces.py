@@ -11,13 +11,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.render.primitives import COLOR, INVERSE_Z, KIND, LIGHT, OVER_U, OVER_V, VEHICLE
 from hil.render.scene import SOLID
 from hil.render.sensor import SensorNoise
-
-Array = NDArray[np.float64]
+from path.arrays import Array, Singles, Whole
 
 # mean of B, G and R under full light up to which a surface is black: tyres, not arms or shoes
 BLACK = 50.0
@@ -26,8 +24,8 @@ GLEAM_RAD = math.radians(15.0)
 
 
 def lost_shares(
-    faces: Array, tags: NDArray[np.int64], count: int, sun_c: Array, noise: SensorNoise
-) -> NDArray[np.float32] | None:
+    faces: Array, tags: Whole, count: int, sun_c: Array, noise: SensorNoise
+) -> Singles | None:
     """Return the share of each face (count,) that has no depth; None where none loses any.
 
     Args:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.render.looks import GroundKind
+from path.arrays import Array
 
 Shades = tuple[float, float]
 
@@ -40,7 +41,7 @@ def ground_pyramid(kind: GroundKind = "soil") -> NDArray[np.int32]:
     return pyramid
 
 
-def _ground_tile() -> NDArray[np.float64]:
+def _ground_tile() -> Array:
     """Grey levels 0..255, shape (GROUND_SIZE, GROUND_SIZE): soil with a falling spectrum, strewn
     with pebbles.
     """
@@ -56,9 +57,7 @@ def _ground_tile() -> NDArray[np.float64]:
     return np.clip(tile, 0.0, 255.0)
 
 
-def _strew(
-    tile: NDArray[np.float64], rng: np.random.Generator, many: int, most: int, shades: Shades
-) -> None:
+def _strew(tile: Array, rng: np.random.Generator, many: int, most: int, shades: Shades) -> None:
     """Pebbles of radii up to ``most`` texels."""
     for _ in range(many):
         row, column = rng.integers(0, GROUND_SIZE, 2)
@@ -70,7 +69,7 @@ def _strew(
         tile[rows, columns] += np.where(inside, shade, 0.0)
 
 
-def _noise(rng: np.random.Generator, fall: float, stretch: float = 1.0) -> NDArray[np.float64]:
+def _noise(rng: np.random.Generator, fall: float, stretch: float = 1.0) -> Array:
     """Unit noise whose spectrum falls with this power; ``stretch``: longer in one direction."""
     rows, columns = np.meshgrid(
         np.fft.fftfreq(GROUND_SIZE) * stretch, np.fft.rfftfreq(GROUND_SIZE), indexing="ij"
@@ -83,14 +82,14 @@ def _noise(rng: np.random.Generator, fall: float, stretch: float = 1.0) -> NDArr
     return noise / noise.std()
 
 
-def _grass() -> NDArray[np.float64]:
+def _grass() -> Array:
     """Tufts, and blades in two directions."""
     rng = np.random.default_rng([GROUND_SEED, 1])
     blades = _noise(rng, 0.45, 3.0) + _noise(rng, 0.45, 3.0).T
     return np.clip(118.0 + 26.0 * blades + 20.0 * _noise(rng, 1.3), 0.0, 255.0)
 
 
-def _gravel() -> NDArray[np.float64]:
+def _gravel() -> Array:
     """Stones beside stones."""
     rng = np.random.default_rng([GROUND_SEED, 2])
     tile = 105.0 + 22.0 * _noise(rng, 0.6)
@@ -98,7 +97,7 @@ def _gravel() -> NDArray[np.float64]:
     return np.clip(tile, 0.0, 255.0)
 
 
-def _tarmac() -> NDArray[np.float64]:
+def _tarmac() -> Array:
     """Grain and patches."""
     rng = np.random.default_rng([GROUND_SEED, 3])
     tile = 110.0 + 20.0 * _noise(rng, 0.2) + 14.0 * _noise(rng, 1.4)
@@ -106,7 +105,7 @@ def _tarmac() -> NDArray[np.float64]:
     return np.clip(tile, 0.0, 255.0)
 
 
-def _concrete() -> NDArray[np.float64]:
+def _concrete() -> Array:
     """Smooth and cloudy, with joints along the tile's border."""
     rng = np.random.default_rng([GROUND_SEED, 4])
     tile = 140.0 + 16.0 * _noise(rng, 1.6) + 4.0 * _noise(rng, 0.2)
@@ -114,7 +113,7 @@ def _concrete() -> NDArray[np.float64]:
     return np.clip(tile, 0.0, 255.0)
 
 
-_TILES: Mapping[GroundKind, Callable[[], NDArray[np.float64]]] = {
+_TILES: Mapping[GroundKind, Callable[[], Array]] = {
     "soil": _ground_tile,
     "grass": _grass,
     "gravel": _gravel,

@@ -22,6 +22,7 @@ from hil.tello.sensors import TelloSensors
 from hil.tello.video import TelloVideo
 from hil.vehicle.arrival import Address, bound, packets
 from hil.world.world import SimDrone
+from path.values import frozen
 
 COMMAND_PORT = 8889
 STATE_PORT = 8890
@@ -30,7 +31,7 @@ STATE_PERIOD_S = 0.1
 SDK2 = ("speed", "mdirection")  # settings that an early drone knows too
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TelloEmulatorConfig:
     """
     Attributes:

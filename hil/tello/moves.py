@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from hil.autopilot.guidance import toward
 from hil.autopilot.values import Estimate
 from path.geometry.rotation import wrapped, yaw_of
 from path.messages import Vec3
+from path.values import frozen
 
 AXES: dict[str, Vec3] = {  # forward, right, down
     "up": (0.0, 0.0, -1.0), "down": (0.0, 0.0, 1.0), "left": (0.0, -1.0, 0.0), "right": (0.0, 1.0, 0.0),
@@ -32,7 +33,7 @@ MAX_RADIUS_M = 10.0
 ARC_RAD = math.radians(15.0)  # between two places on it
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TelloMove:
     """A move to a place (NED, m) and a heading. ``via``: places on the way; ``wait_s``: it takes at
     least so long.

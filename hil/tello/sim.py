@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
 from typing import Annotated, Any, cast
 
 import av
@@ -29,11 +28,12 @@ from hil.tello.video import new_encoder
 from hil.vehicle.sim_vehicle import SimVehicle, SimVehicleConfig
 from hil.world.world import VehicleTelemetry
 from path.bounds import Bounds
+from path.values import frozen
 
 BIT_RATE = 4_000_000
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SimTelloConfig(SimVehicleConfig):
     """Besides a simulated vehicle's options those of ``drivers.tello.config`` about where it was
     put down.

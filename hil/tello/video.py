@@ -11,13 +11,13 @@ import random
 import socket
 import threading
 from collections import deque
-from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Self
 
 import av
-import numpy as np
-from numpy.typing import NDArray
+
+from path.arrays import Image
+from path.values import frozen
 
 Address = tuple[str, int]
 
@@ -27,7 +27,7 @@ CORRUPT_SHARE = 0.25  # of the datagrams, while the video is corrupt
 OLDEST_S = 1.0  # what has waited longer is not sent any more
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TelloVideoConfig:
     """
     Attributes:
@@ -104,7 +104,7 @@ class TelloVideo:
         self._step = max(1, round(self._config.rate_hz / FPS[name]))
         return True
 
-    def write(self, stamp_ns: int, color: NDArray[np.uint8]) -> None:
+    def write(self, stamp_ns: int, color: Image) -> None:
         """One frame, (h, w, 3) BGR, exposed at a stamp of CLOCK_MONOTONIC."""
         self._written += 1
         with self._lock:

@@ -12,7 +12,6 @@ import math
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -38,6 +37,7 @@ from hil.vehicle.parameters import Parameters
 from hil.world.world import SimDrone
 from path.geometry.rotation import wrapped, yaw_of
 from path.messages import Vec3
+from path.values import frozen
 
 ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
 DENIED = mavlink.MAV_RESULT_DENIED
@@ -55,7 +55,7 @@ TURN_LEAD_RAD = 0.5  # how far ahead of the nose a rate commands the heading, at
 TURN_PAUSE_S = 0.5  # after so long without one a rate begins from the heading as it is
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MavlinkVehicleConfig:
     """The place of a vehicle on the wire.
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
@@ -17,6 +16,7 @@ from hil.autopilot.autopilot import Autopilot, Estimate
 from hil.world.rangefinder import SimRangefinder
 from path.geometry.rotation import rpy_from_quat, yaw_of
 from path.messages import Vec3
+from path.values import frozen
 
 # px4_custom_mode.h: main mode in bits 16-23, sub mode in bits 24-31. A pilot's mode shows as
 # POSCTL.
@@ -52,7 +52,7 @@ FULL_MV = 16_800
 EMPTY_MV = 13_200
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FlightInstant:
     """One instant of a vehicle. ``local_origin_n_m``: where its own local frame began, which is not
     the mission's.

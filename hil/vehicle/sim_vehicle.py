@@ -11,8 +11,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated, Protocol, Self, cast
+from typing import Annotated, Self
 
 from drivers.interfaces import (
     SURE,
@@ -27,9 +26,11 @@ from drivers.interfaces import (
 from drivers.perception.history import StateHistory
 from drivers.rig.parts import PartContext
 from hil.autopilot.autopilot import Ack, Autopilot
-from hil.world.world import VehicleTelemetry, World
+from hil.world.seam import harness_of
+from hil.world.world import VehicleTelemetry
 from path.bounds import Bounds, check_bounds
-from path.messages import Quat, Role
+from path.messages import Quat
+from path.values import frozen
 
 POLL_S = 0.05
 SETTLED_MPS = 0.3
@@ -37,21 +38,7 @@ SHORT_BEATS = 10  # in a row that show a hold, and not at the height: it was not
 SETPOINT_PERIOD_S = 0.05  # while the vehicle has not shown OFFBOARD yet
 
 
-class WorldHarness(Protocol):
-    """The part of ``PartContext.harness`` that the vehicle needs.
-
-    ``world`` is at the loop's present whenever it is read; the vehicles of the roles in
-    ``silent_vehicles`` have lost the link to their flight controller.
-    """
-
-    @property
-    def world(self) -> World: ...
-
-    @property
-    def silent_vehicles(self) -> set[Role]: ...
-
-
-@dataclass(frozen=True, slots=True)
+@frozen
 class SimVehicleConfig:
     """Options of the vehicle in a rig.
 
@@ -86,15 +73,12 @@ class SimVehicle:
     lacks = frozenset({Capability.GEOFENCE})
 
     def __init__(self, config: SimVehicleConfig, context: PartContext) -> None:
-        if context.harness is None:
-            raise VehicleError(
-                "hil.vehicle.sim_vehicle:SimVehicle needs the simulated world in the same process",
-                "use it in a rig of level sim or sim-rendered, with a harness",
-            )
         self._config = config
         self._role = context.role
         self._clock = context.clock
-        self._harness = cast("WorldHarness", context.harness)
+        self._harness = harness_of(
+            context.harness, "hil.vehicle.sim_vehicle:SimVehicle", VehicleError
+        )
         self._history = StateHistory()
         self._newest: VehicleTelemetry | None = None
         self._beat: VehicleTelemetry | None = None

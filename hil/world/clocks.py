@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
 from typing import Annotated
 
 from drivers.rig.parts import PartContext
 from path.bounds import Bounds
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class OffsetClockConfig:
     """``offset_s`` is added to the loop's time; not negative, as log stamps are unsigned."""
 

@@ -5,7 +5,7 @@ there is to see.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Annotated, Literal, get_args
 
 from drivers.rig.parts import Rig
@@ -22,13 +22,14 @@ from hil.world.rangefinder import RangefinderConfig
 from hil.world.targets import LookAlikeConfig, Point, TargetConfig
 from path.bounds import Bounds, check_bounds
 from path.messages import Role
+from path.values import frozen
 
 SceneName = Literal["plain", "outdoor-sun", "overcast", "low-sun", "dusk", "hall"]
 SCENES: tuple[SceneName, ...] = get_args(SceneName)
 ImagingName = Literal["measured", "ideal"]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class HomeConfig:
     """The place of a drone at the start: (E, N) in m, nose direction clockwise from north."""
 
@@ -36,7 +37,7 @@ class HomeConfig:
     heading_deg: Annotated[float, Bounds(-360.0, 360.0)] = 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PositionOffsetConfig:
     """The offset of the drones' positions from the start, besides the errors of their estimators.
 
@@ -51,7 +52,7 @@ class PositionOffsetConfig:
         check_bounds(self)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AltitudeConfig:
     """The error of the vehicles' altitude above the sea. Their local frames and barometers have
     none of it.
@@ -79,7 +80,7 @@ class AltitudeConfig:
         return sign * (self.offset_m + drift_m) + jumped_m
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SceneConfig:
     """The ``[world.scene]`` table of a rig, for levels that draw frames.
 
@@ -90,7 +91,7 @@ class SceneConfig:
     name: SceneName = "plain"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ImagingConfig:
     """The ``[world.imaging]`` table of a rig, for levels that draw frames.
 
@@ -103,7 +104,7 @@ class ImagingConfig:
     name: ImagingName | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class WorldConfig:
     """The ``[world]`` table of a rig."""
 

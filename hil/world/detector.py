@@ -5,13 +5,13 @@ inventions.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Annotated
 
 from path.bounds import Bounds
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DetectorConfig:
     """The ``[world.detector]`` table of a rig: both drones' detectors.
 

@@ -8,14 +8,12 @@ that are far apart.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
 
 from hil.world.snapshot import TargetKind
 from hil.world.world import World
+from path.arrays import Array
 from path.messages import Role
+from path.values import frozen
 
 FEW = 8  # bodies, which are compared without a tree
 # Half width, half height and height of the middle above the frame's origin, m.
@@ -51,7 +49,7 @@ def clearance(world: World) -> float:
     return nearest_m
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Nearness:
     """
     Attributes:
@@ -65,7 +63,7 @@ class Nearness:
     too_near: tuple[tuple[str, str, float], ...]
 
 
-def nearness(names: tuple[str, ...], places_m: NDArray[np.float64], within_m: float) -> Nearness:
+def nearness(names: tuple[str, ...], places_m: Array, within_m: float) -> Nearness:
     """Of bodies at places, (n, 3) in m. A pair is too near when it is nearer than ``within_m``."""
     places = [tuple(place) for place in places_m.tolist()]
     if len(names) <= FEW:

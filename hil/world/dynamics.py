@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array
 from path.bounds import Bounds, check_bounds
 from path.compiled import inner, kernel
 from path.messages import Quat
 
-Array = NDArray[np.float64]
 Parameters = tuple[float, ...]
 
 # Columns of a state row.

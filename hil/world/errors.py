@@ -11,21 +11,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field, fields, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.rig.parts import Mount, Rig, RoleRig
 from flight.harness.errors import DepthError
+from path.arrays import Depths
 from path.camera.model import CameraModel
 from path.geometry.rotation import exp
 from path.geometry.transforms import Pose
 from path.marker.layout import Marker, MarkerLayout
 from path.messages import Role
+from path.values import frozen
 
-Array = NDArray[np.float64]
 Generator = np.random.Generator
 
 ErrorLevel = Literal["exact", "careful", "careless"]
@@ -33,7 +33,7 @@ TIMES: Mapping[ErrorLevel, float] = {"exact": 0.0, "careful": 1.0, "careless": 3
 LONGEST_S = 0.02  # of an exposure and of reading a picture out: a period of 50 frames a second
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ErrorSizes:
     """Standard deviations; the defaults are what a careful crew leaves. Where they come from is in
     ``SOURCES``.
@@ -102,7 +102,7 @@ SOURCES: Mapping[str, str] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ErrorsConfig:
     """The ``[world.errors]`` table of a rig."""
 
@@ -124,7 +124,7 @@ def level_of(rig: Rig) -> ErrorLevel:
     return rig.world.get("errors", {}).get("level", ErrorsConfig().level)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SensorErrors:
     """The errors of one drone's camera for one flight; none by default.
 
@@ -149,7 +149,7 @@ class SensorErrors:
     readout_s: float = 0.0
     seed: int = 0
 
-    def measured_mm(self, depth_mm: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    def measured_mm(self, depth_mm: Depths) -> Depths:
         """A depth image with these errors; 0, where there is none, stays 0."""
         return self.depth_error.measured_mm(depth_mm)
 
@@ -158,7 +158,7 @@ class SensorErrors:
         return DepthError(self.depth, self.depth_bias_m)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Built:
     """The rig as it truly is, for one flight: its cameras, mounts and markers, and its sensors by
     role.

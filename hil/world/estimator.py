@@ -8,19 +8,18 @@ the slices below.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
 from hil.world.errors import ErrorSizes, level_of, sizes_of
+from path.arrays import Array
 from path.bounds import Bounds
 from path.compiled import kernel
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 GUST = slice(0, 3)  # NED, m/s
 WANDER = slice(3, 6)  # position, slowly, m
@@ -32,7 +31,7 @@ ESTIMATE_SIZE = 10  # position 3, velocity 3, attitude 4
 BLOCK = 256  # ticks of random numbers drawn at once
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class WindConfig:
     """Mean wind and gusts; vertical gusts are half as strong."""
 
@@ -47,7 +46,7 @@ class WindConfig:
         return -self.speed_mps * math.cos(angle), -self.speed_mps * math.sin(angle), 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class EstimatorConfig:
     """Standard deviations of a GPS-aided estimator's errors, by seed. The attitude's biases are
     constant over a run; positions wander as slowly as ``position_time_s`` says, always by as

@@ -5,7 +5,6 @@ behind the drivers.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 from drivers.interfaces import PartError
@@ -13,6 +12,7 @@ from flight.harness.flights import Progress
 from flight.phases import COURSE, Phase
 from path.messages import Role
 from path.protocol.values import ReceiverDuty, SenderDuty
+from path.values import frozen
 
 AT_COUNT = 20
 LONGEST_S = 600.0
@@ -27,7 +27,7 @@ DUTIES: dict[Role, tuple[str, ...]] = {
 FaultValue = Literal["no", "may", "must"]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FaultKind:
     """One kind of fault by name.
 
@@ -175,7 +175,7 @@ class FaultError(PartError):
     """A fault that does not exist, without its value, or at no moment of a course."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Fault:
     """
     Attributes:

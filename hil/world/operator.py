@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Protocol, Self, cast
+from typing import Annotated, Self
 
 import numpy as np
 
@@ -20,10 +19,12 @@ from drivers.interfaces import PartError
 from drivers.operator.interfaces import Chosen, PlaceTold, Question, Told
 from drivers.rig.parts import PartContext
 from hil.world.errors import Built
+from hil.world.seam import harness_of
 from hil.world.snapshot import Snapshot, TargetKind
 from path.bounds import Bounds
 from path.messages import Role, Vec3
 from path.observations import Box
+from path.values import frozen
 
 STREAM = 0x6F706572
 TARGET = 0  # of the objects of a snapshot
@@ -31,7 +32,7 @@ TARGET = 0  # of the objects of a snapshot
 MIDDLE_M: Mapping[TargetKind, float] = {"car": 0.08, "person": 0.875, "drone": 0.0}
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PersonConfig:
     """How well it knows, and how soon it says so.
 
@@ -55,7 +56,7 @@ class PersonConfig:
     silent: Annotated[float, Bounds(0.0, 1.0, "of the questions")] = 0.1
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Pointed:
     """Where it says the target is: north, east, down in m; down is None of what is on the
     ground.
@@ -66,7 +67,7 @@ class Pointed:
     error_m: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Answer:
     """Which object it says the target is."""
 
@@ -137,21 +138,6 @@ class Person:
         return number if min(away_px) == away_px[TARGET] else 0
 
 
-class _World(Protocol):
-    def snapshot(self) -> Snapshot: ...
-
-
-class _Harness(Protocol):
-    @property
-    def world(self) -> _World: ...
-
-    @property
-    def built(self) -> Built: ...
-
-    @property
-    def seed(self) -> int: ...
-
-
 class SimOperator:
     """Implements ``drivers.operator.interfaces.Operator`` for a rig whose harness is in this
     process.
@@ -160,13 +146,9 @@ class SimOperator:
     Config = PersonConfig
 
     def __init__(self, config: PersonConfig, context: PartContext) -> None:
-        if context.harness is None:
-            raise PartError(
-                "a simulated operator needs a simulated world",
-                "use it with hil.harness.sim, or the like",
-            )
-        self._harness = cast(_Harness, context.harness)
+        self._harness = harness_of(context.harness, "a simulated operator", PartError)
         self._clock = context.clock
+        assert self._harness.built is not None, "a person knows how the drones truly are"
         self._person = Person(config, self._harness.built, context.role, self._harness.seed)
 
     async def __aenter__(self) -> Self:

@@ -7,7 +7,6 @@ measured.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -15,11 +14,12 @@ import numpy as np
 from path.bounds import Bounds
 from path.geometry.rotation import R_from_quat
 from path.messages import Quat
+from path.values import frozen
 
 EVERY_S = 0.05
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RangefinderConfig:
     """The ``[world.rangefinder]`` table: taken from ``[height]`` where a rig has that.
 

@@ -13,19 +13,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.world.gait import strides_of
 from hil.world.snapshot import ObjectTruth, TargetKind, stretch_of
+from path.arrays import Array
 from path.bounds import Bounds
 from path.messages import Vec3
+from path.values import frozen
 
 Point = tuple[float, float]
-Array = NDArray[np.float64]
 
 RAMP_S = 2.0  # from parked to full speed
 FIRST_STANDS = 0.3  # share of those that stand at first
@@ -50,7 +49,7 @@ LOWEST_M = 0.5
 HIGHEST_M = 3.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TargetConfig:
     """The target waits at ``start_m`` until ``start_time_s``, then moves, never leaving
     ``radius_m`` around it.
@@ -103,7 +102,7 @@ class TargetConfig:
             raise ValueError(f"height_m and climb_m together must not be above {HIGHEST_M:g} m")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class LookAlikeConfig:
     """``count`` look-alikes, ``driving`` of them on the target's loop, the others parked beside
     it.
@@ -231,7 +230,7 @@ class Loop:
         return float(np.min(np.hypot(away[:, 0], away[:, 1])))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Crossing:
     """A straight pass, relative to the target: along ``along``, at ``beside`` from it (unit vectors
     times metres).

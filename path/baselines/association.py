@@ -5,7 +5,7 @@ it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Literal
 
 import numpy as np
@@ -13,11 +13,12 @@ import numpy as np
 from path.baselines.features import Distance, Features, FeatureSearch, Image, Keypoints, look
 from path.baselines.matching import MatchConfig, Nearest, Pairs, accepted, nearest, verify
 from path.observations import Box
+from path.values import frozen
 
 Scope = Literal["each", "all"]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class BaselineConfig:
     """Configuration of a baseline.
 
@@ -35,7 +36,7 @@ class BaselineConfig:
     min_lead: int = 1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Votes:
     """The evidence for each of D2's boxes.
 

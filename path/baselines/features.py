@@ -7,20 +7,20 @@ windows around the boxes, at full resolution, not in the whole image made small.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from path.arrays import Image, Singles
 from path.observations import Box, Region
+from path.values import frozen
 
 Distance = Literal["hamming", "cosine"]
-Image = NDArray[np.uint8]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Keypoints:
     """Local features of an image, n of them.
 
@@ -31,9 +31,9 @@ class Keypoints:
         scores: (n,) float32, larger is better.
     """
 
-    points_px: NDArray[np.float32]
+    points_px: Singles
     descriptors: NDArray[Any]
-    scores: NDArray[np.float32]
+    scores: Singles
 
     def __len__(self) -> int:
         return len(self.points_px)
@@ -65,7 +65,7 @@ class Features(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FeatureSearch:
     """The surroundings of a box in which features are searched for, and their scale.
 

@@ -4,14 +4,15 @@ does?
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from path.arrays import Depths, Flags, Image, Singles
 from path.baselines.features import Distance, Keypoints
+from path.values import frozen
 
 Model = Literal["similarity", "affine", "homography", "epipolar"]
 Pairs = NDArray[np.int64]
@@ -21,7 +22,7 @@ CONFIDENCE = 0.995
 ITERATIONS = 1000
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MatchConfig:
     """
     Attributes:
@@ -40,7 +41,7 @@ class MatchConfig:
     reach_px: float = 4.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Nearest:
     """The nearest neighbours in ``b`` of ``a``'s n features; empty when either has none.
 
@@ -53,9 +54,9 @@ class Nearest:
 
     rows: NDArray[np.int64]
     best: NDArray[np.int64]
-    mutual: NDArray[np.bool_]
-    apart: NDArray[np.float32]
-    second: NDArray[np.float32]
+    mutual: Flags
+    apart: Singles
+    second: Singles
 
 
 def nearest(a: Keypoints, b: Keypoints, distance: Distance) -> Nearest:
@@ -90,7 +91,7 @@ def accepted(found: Nearest, distance: Distance, config: MatchConfig) -> Pairs:
     return np.column_stack((found.rows[good], found.best[good]))
 
 
-def hamming(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.uint16]:
+def hamming(a: Image, b: Image) -> Depths:
     """Number of bits that differ, (n, m), of (n, bytes) and (m, bytes)."""
     words_a = a.view(np.uint64)
     words_b = b.view(np.uint64)
@@ -100,9 +101,7 @@ def hamming(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.uint16]:
     return total
 
 
-def verify(
-    a: Keypoints, b: Keypoints, pairs: Pairs, config: MatchConfig, seed: int = 0
-) -> NDArray[np.bool_]:
+def verify(a: Keypoints, b: Keypoints, pairs: Pairs, config: MatchConfig, seed: int = 0) -> Flags:
     """Return which pairs (m,) are inliers of the model that most of them agree with; none when
     there are too few.
     """
@@ -114,9 +113,7 @@ def verify(
     return nothing if mask is None or len(mask) != len(pairs) else mask.ravel() != 0
 
 
-def _inliers(
-    a: NDArray[np.float32], b: NDArray[np.float32], config: MatchConfig
-) -> NDArray[Any] | None:
+def _inliers(a: Singles, b: Singles, config: MatchConfig) -> NDArray[Any] | None:
     reach = config.reach_px
     if config.model == "similarity":
         return cv2.estimateAffinePartial2D(a, b, None, cv2.RANSAC, reach, ITERATIONS, CONFIDENCE)[1]

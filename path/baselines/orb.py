@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
 from path.baselines.features import Distance, Image, Keypoints
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class OrbConfig:
     """
     Attributes:

@@ -7,21 +7,19 @@ down, z away from who reads it. Squares are counted, not inner corners, for both
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array, Flags, Image, Whole
 from path.calibration.saddles import REACH_PX, refine_saddles
 from path.camera.thinning import Thinning
 from path.marker.layout import DICTIONARIES
 from path.marker.photometric.texture import dictionary_of
+from path.values import frozen
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 Pattern = Literal["charuco", "chessboard"]
 
 FINEST_SQUARE = 64  # cells that a square of a print may be divided into
@@ -30,7 +28,7 @@ FEWEST_CORNERS = 6  # on a board below it there is nothing to find
 LEAST_SADDLES = 0.3  # share of the corners of a line that are saddles, where it is of the print
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Board:
     """A printed board.
 
@@ -111,7 +109,7 @@ class Board:
         return f"ChArUco, {size}, {self.dictionary}{', old pattern' if self.legacy else ''}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class BoardView:
     """A board found in one image.
 
@@ -122,20 +120,20 @@ class BoardView:
             directions, median.
     """
 
-    ids: NDArray[np.int64]
+    ids: Whole
     corners_px: Array
     sigma_px: Array
     blur_px: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class FoundCorners:
     """Corners as OpenCV finds them, before refinement.
 
     ``clear_px``: (n,) how far around a corner only its four squares are.
     """
 
-    ids: NDArray[np.int64]
+    ids: Whole
     corners_px: Array
     clear_px: Array
 
@@ -233,7 +231,7 @@ def other_size(grey: Image) -> tuple[int, int] | None:
     return columns + 1, rows + 1
 
 
-def _all_print(grey: Image, found: FoundCorners, good: NDArray[np.bool_], board: Board) -> bool:
+def _all_print(grey: Image, found: FoundCorners, good: Flags, board: Board) -> bool:
     """Whether every outermost line of a chessboard is of the print. Near the image's border nothing
     can be told.
     """
@@ -243,7 +241,7 @@ def _all_print(grey: Image, found: FoundCorners, good: NDArray[np.bool_], board:
     return _within_print(grid).shape == grid.shape
 
 
-def _within_print(good: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _within_print(good: Flags) -> Flags:
     """The part of a grid of corners that is left when outermost lines of which few are good are
     taken off.
     """
@@ -305,7 +303,7 @@ def _charuco_detector(board: Board) -> cv2.aruco.CharucoDetector:
     return cv2.aruco.CharucoDetector(_charuco_board(board))
 
 
-def _spans_a_plane(ids: NDArray[np.int64], board: Board) -> bool:
+def _spans_a_plane(ids: Whole, board: Board) -> bool:
     columns = ids % (board.columns - 1)
     rows = ids // (board.columns - 1)
     return len(np.unique(columns)) >= 2 and len(np.unique(rows)) >= 2
@@ -329,7 +327,7 @@ def _edge_directions(found: FoundCorners, board: Board) -> Array | None:
     return np.stack([d / np.linalg.norm(d, axis=1, keepdims=True) for d in along], axis=1)
 
 
-def _pitch_px(points: Array, ids: NDArray[np.int64], board: Board) -> Array:
+def _pitch_px(points: Array, ids: Whole, board: Board) -> Array:
     """Distance to the nearest neighbour on the grid, per corner; the smallest one of all where it
     has none.
     """

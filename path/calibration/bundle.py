@@ -10,13 +10,12 @@ expected to be small, as far as the views do not tell.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from path.arrays import Array, Flags
+from path.values import frozen
 
 CURL_SIGMA = 0.005  # of a, b and c that is expected: 0.5 mm from the middle to the ends of 200 mm
 # unknowns
@@ -30,7 +29,7 @@ DAMPING = 1e-6
 STRONGEST = 1e6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class BundleView:
     """One view: points of the board (n, 3), as printed, and where they are seen (n, 2) px."""
 
@@ -38,7 +37,7 @@ class BundleView:
     corners_px: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Bundle:
     """A solved bundle.
 
@@ -66,7 +65,7 @@ def solve_bundle(
     size_m: tuple[float, float],
     camera: Array,
     poses: Sequence[tuple[Array, Array]],
-    free: NDArray[np.bool_],
+    free: Flags,
     curl: Array,
 ) -> Bundle:
     """Least squares by Levenberg and Marquardt; of each step the poses are eliminated.
@@ -92,14 +91,14 @@ def solve_bundle(
     return Bundle(state.camera, sigmas[:CAMERA], state.curl)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class _State:
     camera: Array
     poses: list[Array]
     curl: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class _Sums:
     """Normal equations: of the common unknowns (12), and of each view its pose's, what couples
     both, and gradients.
@@ -119,7 +118,7 @@ def _settled(
     state: _State,
     sums: _Sums,
     noise: float,
-    known: NDArray[np.bool_],
+    known: Flags,
 ) -> tuple[_State, _Sums]:
     """The state of least cost, for corners of this variance."""
     damping = DAMPING
@@ -197,9 +196,7 @@ def _reduced(sums: _Sums, noise: float, damping: float) -> tuple[Array, Array]:
     return matrix, gradient
 
 
-def _moved(
-    state: _State, sums: _Sums, noise: float, known: NDArray[np.bool_], damping: float
-) -> _State:
+def _moved(state: _State, sums: _Sums, noise: float, known: Flags, damping: float) -> _State:
     matrix, gradient = _reduced(sums, noise, damping)
     gradient[CAMERA:] -= noise / CURL_SIGMA**2 * state.curl
     matrix = matrix + damping * np.diag(np.diag(sums.common))

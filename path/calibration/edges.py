@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array, Image, Whole
 from path.calibration.board import Board, BoardView
 from path.camera.thinning import Thinning
+from path.values import frozen
 
 ENDS = 0.22  # of an edge's length that is left out at each end: corners look otherwise
 # from an edge: how far its pixels count; and from where on they show noise alone
@@ -26,10 +26,8 @@ LEAST_CONTRAST = 25.0
 PLACES = np.arange(-REACH_PX + 0.5 * BIN_PX, REACH_PX, BIN_PX)
 """Distances from an edge at which it is measured, px: the middles of bins."""
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class SeenEdge:
     """Pixels beside one straight edge of a print, in one image.
 
@@ -45,13 +43,11 @@ class SeenEdge:
     levels: Array
     black: float
     white: float
-    pixels: NDArray[np.int64]
+    pixels: Whole
     normal: Array
 
 
-def see_edge(
-    grey: NDArray[np.uint8], ends_px: Array, thinning: Thinning | None = None
-) -> SeenEdge | None:
+def see_edge(grey: Image, ends_px: Array, thinning: Thinning | None = None) -> SeenEdge | None:
     """The edge between two places (2, 2) in an image; None where it is not seen well.
 
     ``thinning``: how the camera leaves out pixels; the ends are then in its evenly spaced image.
@@ -89,7 +85,7 @@ def see_edge(
     return SeenEdge(across, along, levels, black, white, pixels, normal)
 
 
-def edges_between(grey: NDArray[np.uint8], view: BoardView, board: Board) -> Iterator[SeenEdge]:
+def edges_between(grey: Image, view: BoardView, board: Board) -> Iterator[SeenEdge]:
     """The edges of a board's squares between neighbouring corners that were found."""
     columns = board.columns - 1
     places = dict(zip(view.ids.tolist(), view.corners_px, strict=True))

@@ -8,13 +8,12 @@ what it leaves is held against that.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
 from path.calibration.board import Board
 from path.calibration.intrinsics import Intrinsics, rms
+from path.values import frozen
 
 # of Brown-Conrady's residual: what three radial terms describe as well is no fisheye for us
 CLEARLY = 0.95
@@ -24,7 +23,7 @@ LEFT = 1.05
 FEWEST = 6  # corners of a view for a fisheye's pose
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FisheyeFit:
     """What an equidistant lens leaves of the same corners, px, and its focal length. ``corners``:
     how many.

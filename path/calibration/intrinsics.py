@@ -9,19 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array, Flags, Whole
 from path.calibration.board import Board, BoardView
 from path.calibration.bundle import CURL, Bundle, BundleView, curled, solve_bundle
 from path.camera.model import CameraModel, Coefficients, Nine
 from path.camera.thinning import Thinning
 from path.geometry.transforms import Pose
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 FOLDS = 8
 RADIAL = 3  # radial terms of the distortion
@@ -38,7 +37,7 @@ class NotSolvable(Exception):
     """The views do not determine a camera."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class SolvedView:
     """One view as the solution sees it.
 
@@ -51,7 +50,7 @@ class SolvedView:
     """
 
     T_c_o: Pose
-    ids: NDArray[np.int64]
+    ids: Whole
     corners_px: Array
     errors_px: Array
     outliers: int
@@ -63,7 +62,7 @@ class SolvedView:
         return rms(self.errors_px)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Intrinsics:
     """A solved camera.
 
@@ -232,12 +231,12 @@ def _size_m(board: Board) -> tuple[float, float]:
     return board.columns * board.square_m, board.rows * board.square_m
 
 
-def _surface(board: Board, ids: NDArray[np.int64], curl: Array) -> Array:
+def _surface(board: Board, ids: Whole, curl: Array) -> Array:
     return curled(board.corners_o[ids], _size_m(board), curl)
 
 
 def _bundle(
-    ids: Sequence[NDArray[np.int64]],
+    ids: Sequence[Whole],
     corners: Sequence[Array],
     board: Board,
     radial: int,
@@ -257,7 +256,7 @@ def _bundle(
 
 
 def _solve(
-    ids: Sequence[NDArray[np.int64]],
+    ids: Sequence[Whole],
     corners: Sequence[Array],
     board: Board,
     size: tuple[int, int],
@@ -287,7 +286,7 @@ def _solve(
 
 
 def _folds(
-    ids: Sequence[NDArray[np.int64]],
+    ids: Sequence[Whole],
     corners: Sequence[Array],
     board: Board,
     radial: int,
@@ -334,9 +333,7 @@ def _fixed(radial: int) -> int:
     )
 
 
-def _near(
-    matrix: Array, lens: Array, points_o: Array, corners_px: Array, limit_px: float
-) -> NDArray[np.bool_]:
+def _near(matrix: Array, lens: Array, points_o: Array, corners_px: Array, limit_px: float) -> Flags:
     """Return which corners of a view fit it. The worst is left out, one at a time, as it pulls the
     others off.
     """

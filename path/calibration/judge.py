@@ -7,17 +7,16 @@ Some sets determine a camera badly and still leave small residuals: the residual
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array, Whole
 from path.calibration.board import BoardView
 from path.calibration.intrinsics import Intrinsics
+from path.values import frozen
 
-Array = NDArray[np.float64]
 Grade = Literal["good", "fair", "weak"]
 
 PERIODS = (2, 3, 4, 5)  # px, of a camera that leaves out pixels
@@ -48,7 +47,7 @@ class BadSet(Enum):
     OTHER_LENS = "other_lens"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SetFault:
     """One thing that is wrong with a set: what was found, and what to do."""
 
@@ -57,7 +56,7 @@ class SetFault:
     fix: str
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SetLimits:
     """Limits of a good set. A set that has less gives a calibration of a lower grade, as long as it
     says anything.
@@ -103,7 +102,7 @@ def sharp_enough(views: Sequence[BoardView], limits: SetLimits) -> list[bool]:
     return [view.blur_px <= limit for view in views]
 
 
-def coverage(views: Sequence[BoardView], size: tuple[int, int]) -> NDArray[np.int64]:
+def coverage(views: Sequence[BoardView], size: tuple[int, int]) -> Whole:
     """Corners in each cell of the image, shape (GRID[1], GRID[0])."""
     return _histogram(views, size, GRID)
 
@@ -269,9 +268,7 @@ def _judge_poses(solution: Intrinsics, limits: SetLimits) -> list[SetFault]:
     return faults
 
 
-def _histogram(
-    views: Sequence[BoardView], size: tuple[int, int], grid: tuple[int, int]
-) -> NDArray[np.int64]:
+def _histogram(views: Sequence[BoardView], size: tuple[int, int], grid: tuple[int, int]) -> Whole:
     cells = np.zeros((grid[1], grid[0]), np.int64)
     if views:
         corners = np.concatenate([view.corners_px for view in views])

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array
 from path.calibration.board import Board, BoardView
 from path.calibration.intrinsics import NotSolvable, board_pose
 from path.camera.model import CameraModel
@@ -23,8 +23,7 @@ from path.geometry.rotation import stepped
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.observations import MarkerDetection
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 # T_v_c1 and the scale of the print; two poses of the board
 GLOBAL = 7
@@ -36,7 +35,7 @@ FARTHEST_STEP = 1.0  # m or rad: from there on there is no way back
 LEAST_SIGMA_PX = 0.01
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class MountPair:
     """Two images of one moment: the board in D1's camera, the board and markers in the other
     one.
@@ -48,7 +47,7 @@ class MountPair:
     markers_3: tuple[MarkerDetection, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class PairFit:
     """The residuals of one pair in the solution: rms of the marker's corners in px, and their
     chi-square per number.
@@ -59,7 +58,7 @@ class PairFit:
     misfit: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class MountSolution:
     """
     Attributes:

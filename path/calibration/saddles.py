@@ -9,14 +9,11 @@ sharpening and tone curve do to it: none of them moves the corner.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array, Flags, Image
 from path.camera.thinning import Thinning
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 REACH_PX = (2.5, 8.0)  # radius of what is fitted
 ITERATIONS = 12
@@ -29,7 +26,7 @@ LEAST_CONTRAST = 8.0  # grey levels
 UNKNOWNS = 8  # u, v, two angles, two blurs, mean, contrast
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Saddles:
     """Refined corners, n of them; ``good``: (n,) where the fit can be trusted. The rest as in
     ``BoardView``.
@@ -38,11 +35,11 @@ class Saddles:
     corners_px: Array
     sigma_px: Array
     blur_px: Array
-    good: NDArray[np.bool_]
+    good: Flags
 
 
 def refine_saddles(
-    grey: NDArray[np.uint8],
+    grey: Image,
     corners_px: Array,
     edges: Array,
     clear_px: Array,
@@ -178,7 +175,7 @@ def _judged(
     columns: Array,
     rows: Array,
     start: Array,
-    whole: NDArray[np.bool_],
+    whole: Flags,
 ) -> Saddles:
     information, _, left = _normal_equations(state, levels, weights, columns, rows)
     diagonal = np.einsum("nii->ni", information)

@@ -11,8 +11,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array, Image
 from path.calibration.board import Board, BoardView, find_board
 from path.calibration.edges import PLACES, SeenEdge, edges_between, mean_edge
 from path.camera.thinning import Thinning
@@ -24,9 +24,6 @@ STEEP_PX = 1.3  # from an edge: where the light tells a pixel's place
 LEAST_OFF_PX = 0.04  # rms of the places of an image that is thinned out
 MOST_LEFT = 0.5  # of what the pixels are off, share that a thinning may leave unexplained
 FEWEST_PIXELS = 500
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 
 def seen_evenly(

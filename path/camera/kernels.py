@@ -11,13 +11,11 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array
 from path.camera.model import UNDISTORT_ITERATIONS, UNDISTORT_STEP, CameraModel
 from path.camera.thinning import ROUNDING
 from path.compiled import inner, kernel
-
-Array = NDArray[np.float64]
 
 
 @lru_cache(maxsize=64)

@@ -24,15 +24,14 @@ Sources: librealsense's rsutil.h; OpenCV's calib3d and fisheye documentation; Ka
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array
 from path.camera.model import CameraModel, distort
+from path.values import frozen
 
-Array = NDArray[np.float64]
 LensKind = Literal[
     "brown_conrady", "inverse_brown_conrady", "modified_brown_conrady", "rational", "equidistant"
 ]
@@ -58,7 +57,7 @@ class LensError(ValueError):
     """A lens that no Brown-Conrady lens comes near enough."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Lens:
     """A camera by its maker's or its calibration program's own lens.
 
@@ -158,7 +157,7 @@ class Lens:
         return value, slope
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class StandIn:
     """The Brown-Conrady camera that stands for another lens. ``worst_px``: how far off it is where
     it is worst.

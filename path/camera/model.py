@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array
 from path.camera.thinning import Thinning
+from path.values import frozen
 
-Array = NDArray[np.float64]
 Scalar = TypeVar("Scalar", float, Array)
 Point3 = tuple[float, float, float]
 Coefficients = tuple[float, float, float, float, float]
@@ -59,7 +59,7 @@ def distort_jacobian(
     )
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CameraModel:
     """Intrinsics of one camera stream.
 

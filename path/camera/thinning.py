@@ -8,21 +8,21 @@ and so is everything that is projected with it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from path.arrays import Array
 from path.bounds import Bounds
+from path.values import frozen
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 ROUNDING = 1e-9
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Thinning:
     """``kept`` of every ``of`` rows and columns of the sensor are in the image: those nearest to
     the image's pixels.

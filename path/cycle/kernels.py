@@ -7,16 +7,13 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from path.arrays import Array
 from path.camera.kernels import project
 from path.camera.model import distort_jacobian
 from path.compiled import as_it_is, inner, kernel
 from path.geometry.rigid import Rigid, transform
 from path.messages import Vec3
 
-Array = NDArray[np.float64]
 Six = tuple[float, float, float, float, float, float]
 Covariance2 = tuple[float, float, float]
 Projected = tuple[float, float, float, Covariance2, float, float]

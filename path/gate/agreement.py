@@ -6,7 +6,7 @@ Paper, eqs. bbox_rescaling to instant_verification.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import NamedTuple
 
 from path.camera.model import CameraModel
@@ -17,7 +17,7 @@ from path.geometry.rigid import Rigid, transform_back
 from path.messages import Candidate, Vec3
 from path.observations import Box, Missed
 from path.timeline import Values
-from path.values import value
+from path.values import frozen, value
 
 
 @value
@@ -37,7 +37,7 @@ class Agreed:
 Verdict = Agreed | Missed
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TwoViews:
     """The calibration from before take-off: both cameras, and the mounting ``T_v_c1`` of D1's.
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array
 from path.camera.kernels import lens_of, project, ray
 from path.camera.model import CameraModel
 from path.compiled import as_it_is, inner, kernel
@@ -19,7 +19,6 @@ from path.geometry.rigid import Rigid, rigid_from_quat, transform, transform_bac
 from path.messages import Quat, Vec3
 from path.target.cylinder import box_middle_v, middle_v, reach_m
 
-Array = NDArray[np.float64]
 Four = tuple[float, float, float, float]
 Two = tuple[float, float]
 Own = tuple[float, ...]

@@ -4,7 +4,7 @@ or not at all.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from path.messages import Abort, AbortReason, Accept, Confirm, Target
 from path.protocol.values import (
@@ -32,9 +32,10 @@ from path.protocol.values import (
     mismatch,
     to_ns,
 )
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Observing:
     """The receiver is not responsible.
 
@@ -46,7 +47,7 @@ class Observing:
     end_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Provisional:
     """Responsible before ``lease_end_ns``; ACCEPT is repeated.
 
@@ -60,7 +61,7 @@ class Provisional:
     sure_ns: int  # from here on the sender has taken back, or never will
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Holding:
     """Responsible for good."""
 
@@ -68,7 +69,7 @@ class Holding:
     nonce: int
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class LetGo:
     """Observing again, after it had accepted.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from path.messages import Abort, AbortReason, Accept, Candidate, Commit, Confirm
 from path.protocol.values import (
@@ -33,9 +33,10 @@ from path.protocol.values import (
     mismatch,
     to_ns,
 )
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Idle:
     """Nothing is this drone's: before its first offer, and when a new mission has begun.
 
@@ -45,7 +46,7 @@ class Idle:
     epoch: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Keeping:
     """Responsible, and no handoff: the last one ended before its COMMIT.
 
@@ -55,7 +56,7 @@ class Keeping:
     epoch: int
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Offering:
     """Responsible; nobody has answered yet."""
 
@@ -64,7 +65,7 @@ class Offering:
     end_ns: int
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Verifying:
     """Responsible; candidates come in."""
 
@@ -72,7 +73,7 @@ class Verifying:
     end_ns: int
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AwaitingAccept:
     """Released. COMMIT is repeated until the lease ends.
 
@@ -86,7 +87,7 @@ class AwaitingAccept:
     withdrawn: AbortReason | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class HandedOver:
     """Accepted. Never takes back by itself.
 
@@ -100,7 +101,7 @@ class HandedOver:
     settled: HandoffOutcome | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TakenBack:
     """Responsible again, in a new epoch. Ends here unless told to verify again."""
 

@@ -5,12 +5,12 @@ of a handoff.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from enum import Enum
 from typing import Literal, Self
 
 from path.messages import Abort, AbortReason, Accept, Candidate, Commit, Confirm, Message, Target
-from path.values import value
+from path.values import frozen, value
 
 LAST_EPOCH = 65535
 
@@ -18,7 +18,7 @@ SenderDuty = Literal["idle", "mine", "released", "handed_over"]
 ReceiverDuty = Literal["observing", "provisional", "holding", "let_go"]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ProtocolConfig:
     """Deadlines of the hand-over.
 
@@ -107,7 +107,7 @@ class Refusal(Enum):
     EPOCHS_EXHAUSTED = "epochs_exhausted"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Handoff:
     """The identity of one attempt, to which its messages are bound.
 
@@ -155,7 +155,7 @@ def is_abort_of(live: Handoff, message: Message) -> bool:
 # --- events
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Tick:
     """Time has passed. Due at ``wake_ns`` of a machine at the latest."""
 
@@ -167,7 +167,7 @@ class Heard:
     message: Message
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AbortRequested:
     """A pilot, a guard or the mission on this side ends the handoff."""
 
@@ -188,7 +188,7 @@ class PeerStatus:
     instance: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Offer:
     """Sender: begin a handoff of the object it tracks, and is responsible for from here on."""
 
@@ -196,7 +196,7 @@ class Offer:
     target_id: int
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AgreementComplete:
     """Sender: the whole window agreed, within this epoch and on this target.
 
@@ -214,12 +214,12 @@ class AgreementComplete:
     instance: int | None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class VerifyAgain:
     """Sender: after taking back, verify once more, in the new epoch."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class NewMission:
     """A person begins anew on the ground: what an earlier mission held is over.
 
@@ -227,7 +227,7 @@ class NewMission:
     """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CommitHeard:
     """Receiver: a Commit came in.
 
@@ -262,12 +262,12 @@ ReceiverEvent = Tick | Heard | AbortRequested | PeerStatus | CommitHeard | NewMi
 # --- actions: to be carried out in their order
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Send:
     message: Message
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SenderRecord:
     """The facts that a restarted sender has to know. Instants are of its own clock.
 
@@ -289,7 +289,7 @@ class SenderRecord:
     withdrawn: AbortReason | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ReceiverRecord:
     """The facts that a restarted receiver has to know. Instants are of its own clock.
 
@@ -308,7 +308,7 @@ class ReceiverRecord:
     sure_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Persist:
     """Write this down, and only then go on: after a restart the machine begins with it."""
 
@@ -334,12 +334,12 @@ class TakeResponsibility:
         return self.until_ns is None or now_ns < self.until_ns
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Release:
     """No longer responsible from now on; observing goes on."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Ended:
     """This attempt is decided, as far as this side is concerned."""
 
@@ -347,7 +347,7 @@ class Ended:
     reason: AbortReason | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Settled:
     """The other side's half is decided, after ``Ended``.
 
@@ -357,7 +357,7 @@ class Settled:
     outcome: HandoffOutcome
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Refused:
     """An event changed nothing; for counting and logging."""
 

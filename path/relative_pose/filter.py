@@ -15,7 +15,6 @@ dw), as in ``path.marker.pose``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from path.geometry.transforms import Matrix, Pose, Vector
 from path.messages import Vec3
 from path.observations import Missed, MissReason
 from path.relative_pose.kernels import Drift, Reports, State, fused, known_by, predicted, velocity
-from path.values import value
+from path.values import frozen, value
 
 # of an unreported velocity: its deviation, and its change in a second
 FREE_SPEED_MPS = 0.7
@@ -34,7 +33,7 @@ ORIGIN: Vector = np.zeros(3)
 UPRIGHT: Matrix = np.eye(3)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RelativeSettings:
     """The errors that the filter assumes, as standard deviations per axis.
 

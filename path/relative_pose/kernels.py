@@ -11,13 +11,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array, Whole
 from path.compiled import inner, kernel
 from path.marker.kernels import cholesky, exp_times
 from path.messages import Vec3
-
-Array = NDArray[np.float64]
 
 
 class Reports(NamedTuple):
@@ -28,7 +26,7 @@ class Reports(NamedTuple):
         values: (n, 6) velocity, and the way since the first report by trapezes, m/s and m in ``n``.
     """
 
-    stamps: NDArray[np.int64]
+    stamps: Whole
     values: Array
     many: int
 

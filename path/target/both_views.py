@@ -31,20 +31,20 @@ gate and the protocol may not import this module (``pyproject.toml``).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from path.geometry.transforms import Matrix, Vector
 from path.messages import Vec3
+from path.values import frozen
 
 Floats = NDArray[np.float64]
 
 CHI2_BEARING = 13.82  # one in a thousand, two degrees of freedom
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Sighted:
     """What D1 says, in D2's camera frame.
 
@@ -74,7 +74,7 @@ class Sighted:
         return own + by_pose @ self.pose @ by_pose.T
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class BothViews:
     """The target by both views.
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from path.arrays import Array, Depths
 from path.compiled import inner, kernel
 
 MAD_TO_SIGMA = 1.4826
@@ -12,7 +10,7 @@ OUTLIER_SIGMAS = 3.0
 
 
 @inner
-def median(values: NDArray[np.float64], n: int) -> float:
+def median(values: Array, n: int) -> float:
     """Return the median of the first ``n`` values (Hoare's selection).
 
     It puts them into another order.
@@ -49,11 +47,11 @@ def median(values: NDArray[np.float64], n: int) -> float:
 
 @kernel
 def middle(
-    depths_mm: NDArray[np.uint16],
+    depths_mm: Depths,
     least_mm: float,
     most_mm: float,
     sigma_at_1m_m: float,
-    room: NDArray[np.float64],
+    room: Array,
 ) -> tuple[int, float, float]:
     """Return how many depths are within the limits, their spread, and a median, mm.
 

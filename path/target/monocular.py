@@ -9,18 +9,18 @@ than on its heading (docs/decisions/0229-two-tellos.md).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Annotated
 
 from path.bounds import Bounds
 from path.camera.model import CameraModel
 from path.observations import Box, Depth, Extent, RangeSource
+from path.values import frozen
 
 _LEAST_PX = 4.0
 _MOST_SIGMAS = 2.0  # above its mean, the apparent size is rather that of several that touch
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TargetSize:
     """The apparent size of the target, and how well one number describes it.
 

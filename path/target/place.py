@@ -9,8 +9,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Depths
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.gate.agreement import TwoViews
@@ -32,7 +32,7 @@ def depth_sigma(z_m: float, config: MethodConfig) -> float:
     return config.depth_sigma_at_1m_m * z_m * z_m
 
 
-def registered_depth(depth_mm: NDArray[np.uint16], box: Box, config: MethodConfig) -> Depth | None:
+def registered_depth(depth_mm: Depths, box: Box, config: MethodConfig) -> Depth | None:
     """Robust depth of the target over the central part of its box.
 
     The median over valid pixels (not 0, within the limits), refined by the median of those near it,
@@ -70,9 +70,7 @@ def registered_depth(depth_mm: NDArray[np.uint16], box: Box, config: MethodConfi
     )
 
 
-def _central_part(
-    depth_mm: NDArray[np.uint16], box: Box, fraction: float
-) -> NDArray[np.uint16] | None:
+def _central_part(depth_mm: Depths, box: Box, fraction: float) -> Depths | None:
     """Return the pixels of the middle ``fraction`` of a box per side, thinned.
 
     None when the box is none or outside the image.

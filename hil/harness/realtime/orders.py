@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from flight.harness.flights import Emit
 from hil.harness.realtime.children import run_name
+from path.values import frozen
 
 Command = Sequence[str]
 
@@ -19,7 +19,7 @@ def no_news(name: str) -> Mapping[str, Any]:
     return {}
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Orders:
     """The commands of a run, and who hears of it.
 

@@ -25,9 +25,9 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from drivers.rig.parts import Rig
-from drivers.rig.tables import decode_table
-from flight.harness.fleet import RelayConfig, TeamConfig, pair_of, relay_of_rig, team_of_rig
+from flight.harness.fleet import RelayConfig, TeamConfig, relay_of_rig, team_of_rig
 from hil.camera.shared import RUN_VARIABLE
+from hil.harness.field import make_field
 from hil.harness.realtime.pace import frame_age_s, overload_of
 from hil.harness.realtime.parts import (
     CameraView,
@@ -38,16 +38,12 @@ from hil.harness.realtime.parts import (
     shared_camera,
 )
 from hil.harness.realtime.world import TRUTH_STEPS, RealTimeWorld, main
-from hil.harness.relay_world import OTHER, OWN, RelayWorld
-from hil.harness.sim import mission_config
+from hil.harness.relay_world import OWN, RelayWorld
 from hil.link.faulty import LinkFaults, UdpFaultProxy
 from hil.monitors.claims import in_world_time
 from hil.monitors.hindsight import HINDSIGHT_S, Hindsight
 from hil.monitors.monitors import LEASES
-from hil.monitors.relay import RelayMonitors
 from hil.monitors.setpoints import LATE, Late, all_explained, judged, late_of, told_with
-from hil.world.config import WorldConfig
-from hil.world.errors import as_built
 from hil.world.snapshot import Snapshot
 
 VEHICLES_STEPS = 200
@@ -63,26 +59,15 @@ class RelaySitlWorld(RealTimeWorld):
     """One relay's world, or a team's."""
 
     def __init__(self, rig: Rig, seed: int, drones: str, targets: str, hours: str) -> None:
-        config = self._config = field_of(rig, int(drones), int(targets))
+        config = field_of(rig, int(drones), int(targets))
         named = config.targets if isinstance(config, TeamConfig) else ()
         super().__init__(rig, [drone.name for drone in config.drones])
         self._seed = seed
-        self._world = RelayWorld(
-            decode_table(rig.world, WorldConfig, rig.where("[world]")), seed, config.drones, named
-        )
-        self._pairs = {drone.name: pair_of(rig, drone, drone) for drone in config.drones}
-        self._built = {
-            name: as_built(pair, seed, {OTHER: 0, OWN: k})
-            for k, (name, pair) in enumerate(self._pairs.items())
-        }
-        owns = {name: built.rig.receiver for name, built in self._built.items()}
-        count = max(1, len(named))
-        self._monitors = RelayMonitors(
-            rig, config, mission_config(rig), self._world, owns, targets=count
-        )
-        if named:
-            self._monitors.watched_until_s = 3600.0 * float(hours)
-        self._numbers = range(count)
+        field = self._field = make_field(rig, config, named, seed, float(hours))
+        self._world = field.world
+        self._pairs = field.pairs
+        self._monitors = field.monitors
+        self._numbers = range(len(named))
         self._hindsight = Hindsight(self._monitors)
         self._ends: dict[int, tuple[str, str]] = {}  # of the legs that have a link
         self._others: dict[str, str] = {}  # who is in whose picture: the other drone of its leg
@@ -99,7 +84,7 @@ class RelaySitlWorld(RealTimeWorld):
         del stack  # everybody is off
         self._pictures = {
             name: CameraView(built, OWN, self._seed * 64 + k, depth=True)
-            for k, (name, built) in enumerate(self._built.items())
+            for k, (name, built) in enumerate(self._field.built.items())
         }
         self.start_s = time.monotonic()
         return {}
@@ -200,13 +185,8 @@ class RelaySitlWorld(RealTimeWorld):
         self._others.pop(name, None)
 
     def _close_flight(self, name: str, now_s: float) -> None:
-        """Close one flight: its autopilot's record goes to the monitors before it is started
-        anew.
-        """
         drone = self.drones[name]
-        self._monitors.on_offboard(name, drone.cut_off_s)
-        self._monitors.on_swap(name, now_s)
-        drone.cut_off_s = []
+        self._field.end_flight(name, drone.cut_off_s, now_s)
         drone.close_vehicle()
 
     async def _open_leg(self, number: int, sender: str, receiver: str) -> None:

@@ -15,7 +15,6 @@ import asyncio
 import resource
 import time
 from collections.abc import Callable, Coroutine, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from drivers.stop_signals import leave_signals, stop_on_signals
@@ -30,9 +29,10 @@ from hil.harness.realtime.children import (
 from hil.harness.realtime.orders import no_news
 from hil.harness.realtime.programs import PROGRAM_END_S, LivePrograms
 from path.messages import Role
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Ending:
     """The world's findings, {} when it gave none; why the run failed, and whether because all was
     too slow.

@@ -38,6 +38,7 @@ from hil.vehicle.simulators.process import SimulatorBroken
 from hil.world.errors import level_of
 from hil.world.snapshot import Snapshot
 from hil.world.world import Fleet
+from path.values import frozen
 
 TRUTH_STEPS = 4
 STALL_S = 0.1  # between two steps: a hundredth of that is usual
@@ -270,7 +271,7 @@ class RealTimeWorld:
             drone.cut_off_s.append(at_s)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Scene:
     """A ``hil.harness.realtime.parts.CameraScene``: the world as one drone's camera sees it."""
 

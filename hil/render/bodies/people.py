@@ -8,13 +8,14 @@ hold on to.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.render.scene import GAP_M, PATTERN, Color, Face, Model, box, model_of
+from path.arrays import Array, Image
+from path.values import frozen
 
 HEIGHT_M = 1.75
 SEED = 20240611  # the clothes are the same in every world
@@ -30,7 +31,7 @@ SKIN: Color = (148.0, 168.0, 204.0)
 SHOES: tuple[Color, Color] = ((96.0, 94.0, 94.0), (170.0, 170.0, 172.0))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Part:
     """A box: centre and size (x forward, y left, z up) in m. A pattern has cells of ``cell_m``,
     ``share`` the first.
@@ -92,7 +93,7 @@ def person(variant: int) -> Model:
     return model_of(faces)
 
 
-def build(variant: int) -> NDArray[np.float64]:
+def build(variant: int) -> Array:
     """Return how much deeper (x), wider (y) and taller (z) a person is than ``PARTS``."""
     return _build(_own(variant))
 
@@ -101,7 +102,7 @@ def _own(variant: int) -> np.random.Generator:
     return np.random.default_rng([SEED, 1, variant])
 
 
-def _build(own: np.random.Generator) -> NDArray[np.float64]:
+def _build(own: np.random.Generator) -> Array:
     tall, wide, deep = own.uniform((0.96, 0.93, 0.95), (1.04, 1.07, 1.05))
     return np.array([deep, wide, tall])
 
@@ -127,5 +128,5 @@ def _patterned(
         )
         cells = common.random(shape) < part.share
         cells ^= own.random(shape) < INDIVIDUAL
-        shades: NDArray[np.uint8] = cells.astype(np.uint8) * np.uint8(255)
+        shades: Image = cells.astype(np.uint8) * np.uint8(255)
         yield side._replace(kind=PATTERN, second=second, shades=shades)

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from flight.harness.renderer import Printing
 from hil.render.scene import BLADE, INK, PAPER, PLATE_SCALE
-
-Array = NDArray[np.float64]
+from path.arrays import Array, Image
 
 TEXELS = 1024  # about, along a side of the plate
 SHADED = 0.45  # light in a shadow, as a share
@@ -28,12 +27,12 @@ OFF_CENTRE = 0.35  # shadows' edges and blades pass the centre within this part 
 
 
 def marker_print(
-    cells: NDArray[np.float64],
+    cells: Array,
     side_m: float,
     printing: Printing,
     print_rng: np.random.Generator,
     rng: np.random.Generator,
-) -> NDArray[np.uint8]:
+) -> Image:
     """Shades of the plate of one marker, row 0 at its top.
 
     Args:
@@ -70,7 +69,7 @@ def _shown(n: int, per_cell: int, picture_px: int) -> NDArray[np.intp]:
     return np.asarray((texels * picture_px // (n * per_cell)) * n // picture_px, np.intp)
 
 
-def _spread(white: NDArray[np.uint8], spread: float) -> Array:
+def _spread(white: Image, spread: float) -> Array:
     """Share of each texel that is black when black reaches ``spread`` texels beyond its edges.
     ``white``: 1, else 0.
     """

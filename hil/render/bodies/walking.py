@@ -10,17 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.render.bodies.people import ARM_PARTS, LEG_PARTS, PARTS, SHOE_PARTS, SWUNG_M, build, person
 from hil.render.scene import SOLID, Color, Face, Model, model_of
 from hil.world.gait import OWN_PHASE, foot_at, reach_m
-
-Array = NDArray[np.float64]
+from path.arrays import Array, Whole
+from path.values import frozen
 
 # above the ground
 HIP_M = 0.901
@@ -41,7 +40,7 @@ SIGNS = np.array(np.meshgrid(*((-1.0, 1.0),) * 3)).reshape(3, -1).T
 Vec3 = tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Walker:
     """One person's body, standing upright with its arms down, and to which limb each of its faces
     belongs.
@@ -50,7 +49,7 @@ class Walker:
     """
 
     model: Model
-    limbs: NDArray[np.int64]
+    limbs: Whole
     points: Array
     build: Array
 

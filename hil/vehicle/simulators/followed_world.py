@@ -8,7 +8,6 @@ import asyncio
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 from urllib.parse import urlsplit
@@ -33,6 +32,7 @@ from hil.vehicle.simulators.truth_follower import TruthFollower
 from hil.world.config import WorldConfig
 from hil.world.world import SimDrone, World, receiver_off
 from path.messages import Role
+from path.values import frozen
 
 POLL_S = 0.02
 # Where a board's own simulation begins, as its parameters are called; PX4's has no heading.
@@ -252,7 +252,7 @@ class FollowedWorld(World):
         return 0.0  # the rows are of ``time_s``
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Readiness:
     """The time that each simulator took until it could fly."""
 

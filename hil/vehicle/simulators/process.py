@@ -13,12 +13,12 @@ import signal
 import subprocess
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from drivers.interfaces import PartError
 from drivers.mavlink.preflight.parameters import RENAMED
 from hil.autopilot.simulator import Kind
+from path.values import frozen
 
 BINARY_VARIABLE: dict[Kind, str] = {"px4": "PATH_PX4", "ardupilot": "PATH_ARDUPILOT"}
 PROGRAM: dict[Kind, str] = {"px4": "px4", "ardupilot": "arducopter"}
@@ -63,7 +63,7 @@ class NoBinary(PartError):
     """A rig needs an autopilot that nobody has named."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Home:
     """The place where a simulated vehicle starts; altitude above mean sea level, heading from
     north.

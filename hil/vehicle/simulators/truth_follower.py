@@ -10,7 +10,6 @@ far finer, so the position is the integral of the velocity, drawn towards the re
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from hil.world.dynamics import (
 )
 from path.geometry.rotation import multiply
 from path.messages import Quat, Vec3
+from path.values import frozen
 
 TAU_S = 0.5
 JUMP_M = 1.0  # farther off than this it was moved, and is not flown there
@@ -34,7 +34,7 @@ RISEN_M = 1.0  # above the ground, from where on a barometer is wrong by all it 
 ROTOR_RADPS = 380.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TrueMotion:
     """The true motion but for the position, at ``time_s``: velocity NED, attitude body to NED, body
     rates.
@@ -46,7 +46,7 @@ class TrueMotion:
     rates_radps: Vec3
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Fix:
     """A reported position, coarse. NaN for what the message does not tell."""
 

@@ -177,7 +177,7 @@ def test_faults_may_change_and_a_role_may_fall_silent() -> None:
 
 
 def test_the_link_needs_a_harness_and_one_end_for_each_role() -> None:
-    with pytest.raises(LinkError, match="one process"):
+    with pytest.raises(LinkError, match="same process"):
         MemoryLink(MemoryLink.Config(), Context(Role.SENDER, LoopClock()))
 
     async def test() -> None:
