@@ -181,14 +181,32 @@ def together(series: Sequence[Kept]) -> Kept:
 
 
 def table() -> str:
-    """Return the table of all systems."""
+    """Return the table of the systems that were flown, and lists of those that were not."""
     every = {name: together(series) for name, series in kept().items()}
+    refused = {name: found for name in names() if (found := refusals(name))}
+    flown_ones = {name: each for name, each in every.items() if name not in refused}
     head = (
-        "| system | what it is | handed over | wrong | else | agreement, s: plan, flown | D2, mm | target, mm |\n"
-        "|---|---|---|---|---|---|---|---|\n"
+        "| system | what it is | handed over | agreement, s: plan, flown | D2, mm | target, mm |\n"
+        "|---|---|---|---|---|---|\n"
     )
-    rows = "".join(_row(name, every.get(name)) for name in names())
-    return f"{head}{rows}\n{_held(every)}\n"
+    rows = "".join(_row(name, found) for name, found in sorted(flown_ones.items()))
+    wrong = sum(found.wrong for found in every.values())
+    runs = sum(found.runs for found in every.values())
+    fixes = "".join(
+        f"- {_described(name)}: {found[0].split('; ')[-1]}\n" for name, found in refused.items()
+    )
+    waiting = [_described(name) for name in names() if name not in refused and name not in every]
+    return (
+        f"{head}{rows}\nWrong objects: {wrong} of {runs} flights. {_held(every)}\n\n"
+        f"Refused by `plan`, and what would do:\n\n{fixes}\n"
+        f"Not flown yet: {'; '.join(waiting) or 'none'}.\n"
+    )
+
+
+def _described(name: str) -> str:
+    """Return a system's link with what it is."""
+    rig = rig_library.load_unchecked(str(FOLDER / f"{name}.toml"))
+    return f"[{name}](systems/{name}.toml), {rig.description}"
 
 
 def _held(every: Mapping[str, Kept]) -> str:
@@ -216,25 +234,19 @@ def _held(every: Mapping[str, Kept]) -> str:
     return f"What the plan expects holds, of {len(flown_ones)} systems that handed over: {', '.join(said)}."
 
 
-def _row(name: str, found: Kept | None) -> str:
-    rig = rig_library.load_unchecked(str(FOLDER / f"{name}.toml"))
-    link = f"[{name}](systems/{name}.toml)"
-    refused = refusals(name)
-    if refused:
-        return f"| {link} | {rig.description} | refused by `plan` | | {refused[0]} | | | |\n"
-    if found is None:
-        return f"| {link} | {rig.description} | not flown yet | | | | | |\n"
+def _row(name: str, found: Kept) -> str:
     expected = predicted(name)
     others = {what: count for what, count in found.outcomes.items() if what != "committed"}
     others |= found.violations
-    others |= {"lost after taking over": found.lost} if found.lost else {}
-    said = ", ".join(f"{count} `{what}`" for what, count in others.items())
+    if found.lost > others.get("lost_after_taking_over", 0):
+        others["lost after taking over"] = found.lost
     agreement = _pair(expected.get("agreement_s"), found.agreement_s, 1.0, ".1f")
     receiver = _pair(expected.get("receiver_error_m"), found.receiver_m, 1e3, ".0f")
     target = _pair(expected.get("target_error_m"), found.target_m, 1e3, ".0f")
     committed = f"{found.outcomes.get('committed', 0)} of {found.runs}"
-    cells = (link, rig.description, committed, found.wrong, said, agreement, receiver, target)
-    return f"| {' | '.join(str(cell) for cell in cells)} |\n"
+    ends = "; ".join([committed, *(f"{count} `{what}`" for what, count in others.items())])
+    cells = (_described(name).replace(", ", " | ", 1), ends, agreement, receiver, target)
+    return f"| {' | '.join(cells)} |\n"
 
 
 def _pair(expected: float | None, measured: float | None, times: float, form: str) -> str:
