@@ -52,7 +52,9 @@ def run(options: DoctorOptions, out: TextIO | None = None) -> int:
         for finding in asked(options, shown.doing):
             shown.add(finding)
     faults = sum(finding.state == "fault" for finding in shown.found)
-    stream.write(verdict(shown.found, tested=options.role != "none") + "\n")
+    stream.write(verdict(shown.found, tested=options.role != "none" or options.rehearse) + "\n")
+    if options.rehearse:
+        stream.write("rehearsed with stand-ins: nothing of this was hardware\n")
     if options.role != "none" and not faults and not any(each.untested for each in shown.found):
         record = FirstFlights(rig_library.load(options.rig))
         record.doctor(Role(options.role))
@@ -94,6 +96,10 @@ def asked(options: DoctorOptions, doing: Callable[[str], None]) -> Iterator[Find
     """
     if options.slow is not None and options.role == "none":
         raise PartError("--slow: whose computer?", "add --role sender or --role receiver")
+    if options.rehearse and (options.role, options.vehicle) != ("none", "none"):
+        raise PartError(
+            "--rehearse tests stand-ins of both roles", "leave out --role and --vehicle"
+        )
     if options.set_parameters and options.vehicle == "none":
         raise PartError("whose parameters?", "add --vehicle sender or --vehicle receiver")
     readable = True
@@ -102,6 +108,10 @@ def asked(options: DoctorOptions, doing: Callable[[str], None]) -> Iterator[Find
         yield finding
     if not readable:
         return  # its parts are not known
+    if options.rehearse:
+        from missions.field.doctor.rehearse import rehearsal  # noqa: PLC0415 (it knows of flights)
+
+        yield from rehearsal(options.rig, doing)
     if options.other is not None:
         yield from check_pair(rig_library.load(options.rig), options.other)
     if options.role != "none":

@@ -145,6 +145,11 @@ class DoctorOptions(RigChoice):
     with it.
     """
 
+    rehearse: bool = False
+    """Go through the tests of both roles' parts against stand-ins, in under a minute: what it will ask
+    for, before there is hardware.
+    """
+
     slow: Slow = None
     """With --role: what this computer would hold if each role had this share of one core
     (docs/compute.md).
