@@ -37,6 +37,29 @@ class Phase(IntEnum):
         return self.name.lower().replace("_", "-")
 
 
+WORDS = {
+    "preflight": "On the ground, checks",
+    "waiting": "On the ground, waits",
+    "take-off": "Takes off",
+    "acquire": "Looks for the target",
+    "follow": "Follows the target",
+    "stand-off": "Flies to meeting place",
+    "search": "Looks for D1's marker",
+    "approach": "Closes in on the marker",
+    "verify": "Compares both views",
+    "depart": "Flies away",
+    "land": "Lands",
+    "done": "Down, at its end",
+    "mission": "Flies its own mission",
+}
+"""Each phase for somebody who has two seconds to read it."""
+
+
+def words_of(title: str) -> str:
+    """Return a phase, by its title, in words for the crew; any other state as it is."""
+    return WORDS.get(title, title)
+
+
 COURSE: dict[Role, tuple[Phase, ...]] = {
     Role.SENDER: (Phase.PREFLIGHT, Phase.TAKE_OFF, Phase.ACQUIRE, Phase.FOLLOW, Phase.VERIFY, Phase.DEPART, Phase.LAND),
     Role.RECEIVER: (

@@ -16,28 +16,7 @@ TRAIL = 240  # places of a drone's way that are kept
 STANDS = 64  # states that are kept, to find the one of an image: some seconds
 OVERLAYS = 256  # frames whose boxes are kept, until their image is written
 FRESH_NS = 1_500_000_000  # what a drone saw longer ago is not shown as seen
-WORDS = {
-    "preflight": "On the ground, checks",
-    "waiting": "On the ground, waits",
-    "take-off": "Takes off",
-    "acquire": "Looks for the target",
-    "follow": "Follows the target",
-    "stand-off": "Flies to the meeting place",
-    "search": "Looks for D1's marker",
-    "approach": "Closes in on the marker",
-    "verify": "Compares both views",
-    "depart": "Flies away",
-    "land": "Lands",
-    "done": "Down, at its end",
-    "mission": "Flies its own mission",
-}
-"""Each phase for somebody who has two seconds to read it."""
 SHORT = {"sender": "D1", "receiver": "D2"}
-
-
-def words_of(phase: str) -> str:
-    """Return a phase in words, for the crew."""
-    return WORDS.get(phase, phase)
 
 
 class Drone:

@@ -15,8 +15,9 @@ import msgspec
 
 from drivers.log.mcap_log import IMAGE_SCHEMA, image_record
 from drivers.log.topics import blank
+from flight.phases import words_of
 from missions.look.live.alarms import ALARM, TOLD, Alarms, holding
-from missions.look.live.drone import SHORT, Drone, Record, Snapshot, words_of
+from missions.look.live.drone import SHORT, Drone, Record, Snapshot
 from missions.look.live.follow import Said
 from missions.look.live.places import Stand, through
 from missions.look.live.snapshot import evidence_of, matters, separation_of, shown_of, site_of

@@ -8,9 +8,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from flight.phases import Phase
+from flight.phases import Phase, words_of
 from missions.look.live.alarms import ALARM, GOOD, WARNING
-from missions.look.live.drone import Drone, Record, Snapshot, words_of
+from missions.look.live.drone import Drone, Record, Snapshot
 from path.geometry.rotation import yaw_of
 
 SAME_PAIR_NS = 60_000_000  # a mapped box is drawn over an image that is no farther off

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Generator
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Protocol, TextIO
 
@@ -16,6 +16,7 @@ from rich.text import Text
 
 from drivers.clock import stopwatch_ns
 from flight.harness.flights import Progress
+from flight.phases import words_of
 from missions.ground.shown import Said
 from missions.look.report.tables import counts_text
 from path.messages import Role
@@ -23,6 +24,10 @@ from path.messages import Role
 LINE_PERIOD_S = 5.0
 BAR_WIDTH = 14
 REFRESH_HZ = 8
+NOTES = 5  # that are kept in sight
+NEW_NOTE = "bold"
+SHORT = {Role.SENDER: "D1", Role.RECEIVER: "D2"}
+COLORS = {Role.SENDER: "bright_blue", Role.RECEIVER: "yellow"}
 
 
 class Console(Protocol):
@@ -123,44 +128,60 @@ def _iou(progress: Progress) -> str:
 
 
 class LiveTable:
-    """One row per role, and its note below; as wide as a terminal of 80 columns."""
+    """D1 left and D2 right, what they know together, and what was said last: in 60 columns or
+    more.
+    """
 
     def __init__(self) -> None:
         self._last: dict[Role, Progress] = {}
         self._elapsed = Elapsed()
+        self._notes: deque[str] = deque(maxlen=NOTES)
 
     def show(self, progress: Progress) -> None:
-        self._elapsed.seconds(progress)
+        elapsed_s = self._elapsed.seconds(progress)
+        before = self._last.get(progress.role)
+        if progress.note and (before is None or before.note != progress.note):
+            self._notes.append(f"{elapsed_s:4.0f} s {SHORT[progress.role]} {progress.note}")
         self._last[progress.role] = progress
 
     def render(self) -> Group:
-        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), expand=False)
-        for title in ("", "time", "phase", "agreement", "", "IoU", "apart", "link"):
-            table.add_column(title, no_wrap=True, header_style="dim")
         shown = [self._last[role] for role in Role if role in self._last]
-        for progress in shown:
-            table.add_row(*self._row(progress))
-        notes = [f"{progress.role.value}: {progress.note}" for progress in shown if progress.note]
-        return Group(
-            table, *(Text(note, style="dim", no_wrap=True, overflow="ellipsis") for note in notes)
-        )
+        drones = Table.grid(padding=(0, 1), expand=True)
+        for _ in shown:
+            drones.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
+        drones.add_row(*map(_heading, shown))
+        drones.add_row(*map(self._figures, shown))
+        together = Table.grid(padding=(0, 2))
+        together.add_row(*_together(shown))
+        notes = [Text(note, style=NEW_NOTE) for note in self._notes]
+        for note in notes[:-1]:
+            note.style = "dim"
+        return Group(drones, together, *notes)
 
-    def _row(self, progress: Progress) -> list[Text | ProgressBar | str]:
-        separation = "" if progress.separation_m is None else f"{progress.separation_m:.2f} m"
-        agreeing = progress.count > 0 or progress.iou is not None
-        reached, needed = progress.evidence or (progress.count, progress.needed)
-        return [
-            Text(progress.role.value, style="bold green" if progress.responsible else "bold"),
-            f"{self._elapsed.seconds(progress):.0f} s",
-            Text(progress.phase, style="cyan"),
-            ProgressBar(total=needed, completed=min(reached, needed), width=BAR_WIDTH)
-            if agreeing
-            else "",
-            _advance(progress).removeprefix("evidence ") if agreeing else "",
-            "" if progress.iou is None else f"{progress.iou:.2f}",
-            separation,
-            f"{progress.link_bytes_per_s / 1000:.1f} kB/s",
-        ]
+    def _figures(self, progress: Progress) -> str:
+        figures = [f"{self._elapsed.seconds(progress):.0f} s"]
+        if progress.iou is not None:
+            figures.append(_iou(progress).replace(" of ", "/"))
+        figures.append(f"{progress.link_bytes_per_s / 1000:.1f} kB/s")
+        return "  ".join(figures)
+
+
+def _heading(progress: Progress) -> Text:
+    """A drone's name, whether it has the target, and its phase in words."""
+    holds = " ●" if progress.responsible else ""
+    name = (f"{SHORT[progress.role]}{holds} ", "bold")
+    return Text.assemble(name, (words_of(progress.phase), COLORS[progress.role]))
+
+
+def _together(shown: Sequence[Progress]) -> Iterator[ProgressBar | Text | str]:
+    """How far the agreement is, and how far the drones are apart, by whoever knows."""
+    agreeing = next((each for each in shown if each.count > 0 or each.iou is not None), None)
+    if agreeing is not None:
+        reached, needed = agreeing.evidence or (agreeing.count, agreeing.needed)
+        yield ProgressBar(total=needed, completed=min(reached, needed), width=BAR_WIDTH)
+        yield Text(_advance(agreeing), style="bold")
+    apart_m = next((each.separation_m for each in shown if each.separation_m is not None), None)
+    yield "" if apart_m is None else f"{apart_m:.2f} m apart"
 
 
 class SeriesProgress(Protocol):

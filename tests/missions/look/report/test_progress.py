@@ -5,9 +5,11 @@ from __future__ import annotations
 import io
 from dataclasses import replace
 
+import pytest
 from rich.console import Console as Terminal
 
 from flight.harness.flights import Progress
+from flight.phases import Phase, words_of
 from missions.ground.shown import Said
 from missions.look.report.progress import (
     Elapsed,
@@ -39,8 +41,8 @@ def at(seconds: float, **changes: object) -> Progress:
     return replace(START, stamp_ns=START.stamp_ns + round(seconds * 1e9), **changes)  # type: ignore[arg-type]
 
 
-def text_of(table: LiveTable | LiveTally) -> str:
-    terminal = Terminal(file=io.StringIO(), width=160, record=True)
+def text_of(table: LiveTable | LiveTally, columns: int = 160) -> str:
+    terminal = Terminal(file=io.StringIO(), width=columns, record=True)
     terminal.print(table.render())
     return terminal.export_text()
 
@@ -107,21 +109,47 @@ def test_a_reader_that_went_away_stops_nothing() -> None:
     console.show(START)
 
 
-def test_the_live_table_has_a_row_for_each_role_that_spoke() -> None:
+@pytest.mark.parametrize("columns", [60, 140])
+def test_a_terminal_has_d1_left_and_d2_right_and_what_was_said_below(columns: int) -> None:
     table = LiveTable()
     table.show(at(0))
-    table.show(at(12, phase="verify", count=100, iou=0.66))
-    assert "receiver" not in text_of(table)
-    table.show(replace(START, role=Role.RECEIVER, phase="search", note="looking for the marker"))
-    text = text_of(table)
-    sender, receiver = (
-        next(line for line in text.splitlines() if name in line) for name in ("sender", "receiver")
-    )
-    assert max(len(line) for line in text.splitlines()) <= 80
-    assert all(word in sender for word in ("12 s", "verify", "100/350", "0.66"))
-    assert "take-off" not in text
-    assert "/350" not in receiver
-    assert "receiver: looking for the marker" in text
+    table.show(at(12, phase="verify", count=100, iou=0.66, tau=0.35, evidence=(2.9, 3.3)))
+    alone = text_of(table, columns)
+    assert "D2" not in alone
+    other = {"link_bytes_per_s": 10_100.0, "separation_m": 1.25}
+    table.show(replace(at(1, phase="verify", **other), role=Role.RECEIVER))
+    first, figures, together, *_ = text_of(table, columns).splitlines()
+    assert first.index("D1 Compares both views") < first.index("D2 Compares both views")
+    assert "12 s  IoU 0.66/0.35  0.0 kB/s" in figures
+    assert "10.1 kB/s" in figures
+    assert "evidence 2.9/3.3" in together and "1.25 m apart" in together
+    assert max(map(len, text_of(table, columns).splitlines())) <= columns
+
+
+def test_every_phase_of_both_drones_is_in_words_and_whole_in_sixty_columns() -> None:
+    for phase in Phase:
+        table = LiveTable()
+        for role in Role:
+            table.show(replace(START, role=role, phase=phase.title, responsible=True))
+        first = text_of(table, 60).splitlines()[0]
+        assert first.count(words_of(phase.title)) == 2
+        assert words_of(phase.title) != phase.title
+
+
+def test_what_was_said_stays_in_sight_and_is_whole_though_it_is_long() -> None:
+    table = LiveTable()
+    warning = "the link loses a third of what is sent: " + "come nearer, or land " * 4
+    table.show(at(0))
+    table.show(at(1, note=warning))
+    table.show(at(2, note=warning))
+    for second in range(3, 7):
+        table.show(at(second, note=f"note {second}"))
+    text = text_of(table, 60)
+    words = " ".join(text.split())
+    assert words.count(warning.strip()) == 1
+    assert "1 s D1 the link" in words
+    table.show(at(9, note="note 9"))
+    assert "the link loses" not in text_of(table, 60)
 
 
 def test_what_is_no_terminal_gets_lines() -> None:
@@ -142,7 +170,7 @@ def test_a_terminal_gets_the_table_until_the_last_state() -> None:
     stream = FakeTerminal()
     with open_console(stream) as console:
         console.show(at(0, phase="done"))
-    assert "done" in stream.getvalue()
+    assert words_of("done") in stream.getvalue()
 
 
 def test_a_tally_counts_outcomes_and_speaks_at_each_tenth() -> None:
