@@ -4,14 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
-from drivers.rig.parts import PartContext
-
-
-@dataclass(frozen=True, slots=True)
-class SystemClockConfig:
-    """The options of the system clock: there are none."""
+from drivers.rig.parts import NoOptions, PartContext
 
 
 class SystemClock:
@@ -19,9 +13,9 @@ class SystemClock:
     drone's.
     """
 
-    Config = SystemClockConfig
+    Config = NoOptions
 
-    def __init__(self, config: SystemClockConfig, context: PartContext) -> None:
+    def __init__(self, config: NoOptions, context: PartContext) -> None:
         del config, context
 
     def now_ns(self) -> int:

@@ -11,11 +11,11 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
 from drivers.interfaces import PartError
+from path.values import frozen
 
 PREFIX = "path-handoff-share"
 SHORTEST_US = 1000  # of a quota, by the kernel
@@ -24,7 +24,7 @@ LEAST = 0.02
 _WAY_OUT = "run it as root where control groups can be written to, or leave --slow and the rig's `slow` out"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Hierarchy:
     """The control groups that limit processor time, as mounted here.
 

@@ -14,15 +14,13 @@ from enum import Enum
 from types import TracebackType
 from typing import Any, Protocol, Self, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from path.arrays import Depths, Image
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.messages import Message, Vec3
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
 from path.protocol.values import ReceiverRecord, SenderRecord
-from path.values import value
+from path.values import frozen, value
 
 
 class PartError(Exception):
@@ -107,7 +105,7 @@ class Clock(Protocol):
     def now_ns(self) -> int: ...
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Kept:
     """The record that a role had written down before it was started again.
 
@@ -273,7 +271,7 @@ class Wary(Protocol):
 # --- camera
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Frame:
     """One colour image with depth registered to it.
 
@@ -286,8 +284,8 @@ class Frame:
 
     stamp_ns: int
     frame_id: int
-    color: NDArray[np.uint8]
-    depth_mm: NDArray[np.uint16] | None
+    color: Image
+    depth_mm: Depths | None
 
     @property
     def sizes(self) -> Mapping[str, tuple[int, int]]:
@@ -347,7 +345,7 @@ class View(Protocol):
         """
         ...
 
-    def image(self) -> NDArray[np.uint8] | None:
+    def image(self) -> Image | None:
         """The colour image (BGR) for logs and pictures; None where there are no pixels."""
         ...
 
@@ -381,7 +379,7 @@ class Detector(Protocol):
     looked for.
     """
 
-    def detect(self, image: NDArray[np.uint8], region: Region | None) -> Sequence[Detection]: ...
+    def detect(self, image: Image, region: Region | None) -> Sequence[Detection]: ...
 
 
 # --- link
@@ -422,7 +420,7 @@ class Link(Part, Protocol):
 # --- beacons
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class BeaconFix:
     """One position of one mobile beacon.
 
@@ -467,7 +465,7 @@ class Log(Protocol):
         """One record: JSON-able mapping, stamp of the role clock."""
         ...
 
-    def image(self, topic: str, stamp_ns: int, image: NDArray[np.uint8]) -> None: ...
+    def image(self, topic: str, stamp_ns: int, image: Image) -> None: ...
 
 
 @runtime_checkable

@@ -11,13 +11,13 @@ estimate: an exchange outside it is no noise, it shows that a clock was stepped.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import Enum
 
 from path.messages import Ping, Pong
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ClockConfig:
     """
     Attributes:

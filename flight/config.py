@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Annotated, Literal
 
 from drivers.interfaces import Capability
@@ -11,6 +11,7 @@ from flight.fence import Fence
 from flight.guard.rules import GuardRules
 from flight.guidance import Answer, Vec3
 from path.bounds import Bounds
+from path.values import frozen
 
 
 def off_from(home_m: tuple[float, ...] | None, position_n_m: Vec3) -> tuple[float, float]:
@@ -20,7 +21,7 @@ def off_from(home_m: tuple[float, ...] | None, position_n_m: Vec3) -> tuple[floa
     return (position_n_m[0] - home_m[0], position_n_m[1] - home_m[1]) if home_m else (0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TargetDesignation:
     """The object that the sender is to track: where the operator pointed, when, and what it did, in
     the local frame.
@@ -73,7 +74,7 @@ class TargetDesignation:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FollowConfig:
     """The place of a drone relative to the target it follows, in the heading it came with."""
 
@@ -99,7 +100,7 @@ class FollowConfig:
         return Answer(self.gain_per_s, self.max_speed_mps, self.response_s, accel_mps2)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SeparationConfig:
     """The volume around D1 that D2's camera stays out of, and the downwash cone below the upper
     drone.
@@ -117,7 +118,7 @@ class SeparationConfig:
     downwash_half_angle_deg: Annotated[float, Bounds(0.0, 80.0)] = 30.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RendezvousConfig:
     """Stand-off, search and approach of the receiver."""
 
@@ -155,7 +156,7 @@ class RendezvousConfig:
             raise ValueError("home_m must be two numbers, north and east, or empty")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class GuardConfig:
     """Limits that beat every script (S8-S10)."""
 
@@ -183,7 +184,7 @@ class GuardConfig:
         return Fence(self.fence_radius_m, self.fence_height_m, self.corners_m, body_m)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Deadlines:
     """Every wait of a mission is bounded; what a deadline ends in is the outcome's name."""
 
@@ -210,7 +211,7 @@ class Deadlines:
     land_s: Annotated[float, Bounds(0.1, 3600.0)] = 40.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MissionConfig:
     """One handoff mission, both roles."""
 

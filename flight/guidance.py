@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from drivers.interfaces import VehicleState, VelocitySetpoint
-from path.values import value
+from path.values import frozen, value
 
 Vec3 = tuple[float, float, float]
 
@@ -132,7 +131,7 @@ def spare_accel(
     return max(LEAST_SPARE * accel_mps2, accel_mps2 - braked_mps2)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Anchor:
     """A place and heading to stay at."""
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+
+from path.values import frozen
 
 IN_ORDER = ("picture log", "redetection", "half the frames", "two of three frames")
 """The order in which things go. What went last comes back first."""
@@ -33,7 +34,7 @@ HOLD_S = 0.1  # that setpoints wait for a search, at most; 0.2 s are allowed bet
 QUICK_LOOKS = 8
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Shed:
     """One thing given up, or taken up again, and how busy the program was: 0 to 1."""
 

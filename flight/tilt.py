@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flight.guidance import Vec3, add, from_heading, limit, scale, subtract
+from path.arrays import Array
 from path.geometry.transforms import Matrix
 
 _SHARE = 0.03  # of each frame
@@ -45,7 +45,7 @@ class Tilt:
         return limit((farther[0], farther[1], 0.0), _FARTHEST_M)
 
 
-def tilted(down: NDArray[np.float64]) -> Matrix:
+def tilted(down: Array) -> Matrix:
     """The smallest rotation that takes the vertical, (0, 0, 1), to a drone's own z axis (of any
     length), (3, 3).
     """

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from path.messages import Vec3
+from path.values import frozen
 
 DESTINATION = 0xFF
 # packet types; the second carries way points and user data
@@ -78,7 +79,7 @@ def _table_entry(value: int) -> int:
 _TABLE = tuple(_table_entry(value) for value in range(256))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MobilePosition:
     """One position of a mobile beacon ("hedgehog").
 
@@ -98,14 +99,14 @@ class MobilePosition:
     orientation_rad: float | None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class StationaryPositions:
     """The positions of the stationary beacons, by address, in m."""
 
     positions_m: dict[int, Vec3]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Rating:
     """The system's confidence in a beacon's newest position, in percent."""
 
@@ -113,7 +114,7 @@ class Rating:
     percent: int
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Power:
     """Battery and radio of the beacon that is connected."""
 
@@ -121,7 +122,7 @@ class Power:
     rssi_dbm: int
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Other:
     """A whole frame of no use here."""
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import csv
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -21,12 +20,13 @@ import msgspec
 from drivers.interfaces import BeaconError, BeaconFix
 from path.bounds import Bounds
 from path.messages import Vec3
+from path.values import frozen
 
 TRUTH_FILE = "beacons.truth.json"
 COLUMNS = ("stamp_ns", "address", "x_m", "y_m", "z_m", "quality")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Mounted:
     """A beacon on a body: its address, and where it sits in the body's frame, as measured with a
     ruler.
@@ -36,7 +36,7 @@ class Mounted:
     lever_m: Annotated[Vec3, Bounds(-3.0, 3.0)]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class BeaconTruth:
     """The truth of a harness that makes beacons up, for judging how a trial did; no trial may
     estimate with it.

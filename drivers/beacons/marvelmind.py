@@ -17,6 +17,7 @@ from drivers.interfaces import BeaconError, BeaconFix, Clock
 from drivers.rig.part_check import Finding
 from drivers.rig.parts import PartContext
 from path.bounds import Bounds, check_bounds
+from path.values import frozen
 
 READ_AT_ONCE = 4096
 REOPEN_S = 0.25
@@ -24,7 +25,7 @@ MANY_DAMAGED = 0.02  # of the frames
 MAX_WAITING = 4096  # positions that nobody has read yet; the oldest are given up
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MarvelmindConfig:
     """
     Attributes:

@@ -9,7 +9,6 @@ was told (``latency_s``).
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
@@ -19,6 +18,7 @@ from drivers.beacons.stream import MarvelmindStream
 from drivers.interfaces import BeaconError, BeaconFix
 from drivers.log.mcap_log import McapLog, read_log, virtual_log
 from drivers.rig.parts import PartContext
+from path.values import frozen
 
 
 class BeaconRecorder:
@@ -84,7 +84,7 @@ def read_any(file: Path) -> list[BeaconFix]:
     return read_dashboard_log(file) if is_dashboard_log(file) else read_beacons(file)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RecordedBeaconsConfig:
     """``file``: a record of ports (``.mcap``), a list of positions or the Dashboard's own log
     (``.csv``).

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated
 
 import cv2
@@ -32,11 +31,12 @@ from drivers.detectors.color_patches import (
 )
 from path.bounds import Bounds
 from path.observations import UNKNOWN, Box, Detection, Extent, Region
+from path.values import frozen
 
 RAGGED = 0.25  # solidity that an outline may lose to coarse pixels, times the patch's size in them
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ColorDetectorConfig:
     """The colour, sizes and shapes that count as a vehicle.
 

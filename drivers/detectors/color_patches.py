@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from path.arrays import Flags
 from path.observations import Extent
+from path.values import frozen
 
 Image = NDArray[Any]  # uint8; OpenCV's own annotation is wider
 
@@ -28,7 +29,7 @@ WITHIN = 0.9
 CROSS = np.ones((3, 3), np.uint8)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Patch:
     """A connected patch in the coarse mask: its corner there, and its own pixels (0 or 255) from
     that corner on.
@@ -52,7 +53,7 @@ class Patch:
         return math.sqrt(cv2.countNonZero(self.mask))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Shape:
     """Share of its convex hull that a vehicle fills, length over width."""
 
@@ -240,7 +241,7 @@ def divide(patch: Patch, extent: Extent) -> list[Patch]:
     )
 
 
-def _only(patch: Patch, where: NDArray[np.bool_]) -> Patch | None:
+def _only(patch: Patch, where: Flags) -> Patch | None:
     """The pixels of a patch that are somewhere; None when there are none."""
     mask = np.where(where, patch.mask, np.uint8(0))
     x, y, w, h = cv2.boundingRect(mask)

@@ -4,17 +4,16 @@ is used.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import onnxruntime
-from numpy.typing import NDArray
 
 from drivers.interfaces import PartError
+from path.arrays import Singles
+from path.values import frozen
 
-Floats = NDArray[np.float32]
 Shape = tuple[int | str, ...]
 FLOAT = "tensor(float)"
 HALF = "tensor(float16)"
@@ -58,7 +57,7 @@ def _other_weights(file: Path) -> str | None:
     return None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Tensor:
     """An input or an output of a network. ``kind``: as onnxruntime says it, ``tensor(float)``."""
 
@@ -81,7 +80,7 @@ class OnnxModel:
         self.inputs = tuple(_tensor(node) for node in self._session.get_inputs())
         self.outputs = tuple(_tensor(node) for node in self._session.get_outputs())
 
-    def run(self, tensor: Floats) -> Floats:
+    def run(self, tensor: Singles) -> Singles:
         """Return the first output for one input, as float32."""
         only = self.inputs[0]
         given = tensor.astype(np.float16) if only.kind == HALF else tensor

@@ -13,10 +13,10 @@ from typing import Any
 import cv2
 import numpy as np
 import onnxruntime
-from numpy.typing import NDArray
 
 from drivers.detectors.onnx_model import open_session
 from drivers.interfaces import PartError
+from path.arrays import Singles
 from path.baselines.features import Distance, Image, Keypoints
 
 SIDE_PX = 640
@@ -106,7 +106,7 @@ def _told(shapes: tuple[tuple[Any, ...], ...]) -> str:
     return ", ".join("x".join(str(side) for side in shape) for shape in shapes)
 
 
-def _heatmap(logits: NDArray[np.float32]) -> NDArray[np.float32]:
+def _heatmap(logits: Singles) -> Singles:
     """Probability of a keypoint at each pixel, (640, 640), from (65, 80, 80): 64 pixels of a cell,
     and "none".
     """
@@ -117,8 +117,8 @@ def _heatmap(logits: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _keypoints(
-    heatmap: NDArray[np.float32], reliability: NDArray[np.float32], width: int, height: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    heatmap: Singles, reliability: Singles, width: int, height: int
+) -> tuple[Singles, Singles]:
     """Local maxima (n, 2) of the heatmap within ``width`` x ``height``, and their scores (n,)."""
     highest = cv2.dilate(heatmap, np.ones((NMS_SIDE_PX, NMS_SIDE_PX), np.uint8))
     peaks = (heatmap == highest) & (heatmap > THRESHOLD)
@@ -133,12 +133,12 @@ def _keypoints(
     return points, (heatmap[v, u] * reliable).astype(np.float32)
 
 
-def _on_map(points: NDArray[np.float32]) -> NDArray[np.float32]:
+def _on_map(points: Singles) -> Singles:
     """Pixels to coordinates on the maps, as the authors' sampling has them."""
     return points * np.float32(MAP / (SIDE_PX - 1.0)) - np.float32(0.5)
 
 
-def _sample(descriptors: NDArray[np.float32], points: NDArray[np.float32]) -> NDArray[np.float32]:
+def _sample(descriptors: Singles, points: Singles) -> Singles:
     """Descriptors (n, 64) at pixels: normalised map (64, 80, 80), bicubic with zeros around it,
     normalised again.
     """
@@ -159,14 +159,14 @@ def _sample(descriptors: NDArray[np.float32], points: NDArray[np.float32]) -> ND
     return sampled / np.maximum(length, 1e-12)
 
 
-def _cubic(t: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+def _cubic(t: Singles) -> tuple[Singles, ...]:
     """Weights of the taps at -1, 0, 1, 2 for a fraction 0..1."""
     a = np.float32(BICUBIC)
 
-    def near(d: NDArray[np.float32]) -> NDArray[np.float32]:
+    def near(d: Singles) -> Singles:
         return ((a + 2.0) * d - (a + 3.0)) * d * d + 1.0
 
-    def far(d: NDArray[np.float32]) -> NDArray[np.float32]:
+    def far(d: Singles) -> Singles:
         return ((a * d - 5.0 * a) * d + 8.0 * a) * d - 4.0 * a
 
     return far(t + 1.0), near(t), near(1.0 - t), far(2.0 - t)

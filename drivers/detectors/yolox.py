@@ -7,13 +7,11 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.detectors.coco import COCO
 from drivers.detectors.onnx_model import ModelError, OnnxModel
@@ -22,8 +20,10 @@ from drivers.detectors.yolox_exports import EXPORT, identify
 from drivers.interfaces import PartError
 from drivers.rig.tables import suggestion
 from drivers.text_file import read_file
+from path.arrays import Flags, Image, Singles
 from path.bounds import Bounds
 from path.observations import Box, Detection, Region
+from path.values import frozen
 
 FILL = 114.0  # grey level around an image that does not fill the input
 # the score from which on a whole object is one to the flight (``flight.tracking.objects``)
@@ -35,7 +35,7 @@ NAME_ONE = (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class YoloxDetectorConfig:
     """
     Attributes:
@@ -108,7 +108,7 @@ class YoloxDetector:
         self._scored = _scored(config, file, export.classes)
         self._power = math.log(BELIEVED) / math.log(config.min_score)
 
-    def detect(self, image: NDArray[np.uint8], region: Region | None) -> Sequence[Detection]:
+    def detect(self, image: Image, region: Region | None) -> Sequence[Detection]:
         """Boxes of the classes looked for, best score first.
 
         Args:
@@ -139,7 +139,7 @@ class YoloxDetector:
                 found.append(Detection(box, min(1.0, score) ** self._power))
         return found
 
-    def _letterboxed(self, part: NDArray[np.uint8]) -> tuple[NDArray[np.float32], float, float]:
+    def _letterboxed(self, part: Image) -> tuple[Singles, float, float]:
         """The network's input, (1, 3, h, w) BGR 0..255 with grey right and below; how much larger
         it is, each way.
         """
@@ -153,7 +153,7 @@ class YoloxDetector:
         return tensor, w / width, h / height
 
 
-def _scored(config: YoloxDetectorConfig, file: Path, count: int) -> NDArray[np.bool_]:
+def _scored(config: YoloxDetectorConfig, file: Path, count: int) -> Flags:
     """Return which of the model's classes are looked for. Raises PartError."""
     names = COCO if config.names is None else _read_names(config.names)
     if not config.classes:

@@ -7,20 +7,19 @@ Box coordinates here are of edges in the network's input: a pixel with index i c
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float32]
+from path.arrays import Flags, Singles, Whole
 
 STRIDES = (8, 16, 32)
 MOST_KEPT = 300  # boxes that suppression looks at, the best
 
 
-def grid(height: int, width: int, strides: tuple[int, ...] = STRIDES) -> tuple[Floats, Floats]:
+def grid(height: int, width: int, strides: tuple[int, ...] = STRIDES) -> tuple[Singles, Singles]:
     """Cells of all levels in the order of the output: their indices (n, 2), column first, and their
     strides (n, 1).
     """
-    cells: list[Floats] = []
-    steps: list[Floats] = []
+    cells: list[Singles] = []
+    steps: list[Singles] = []
     for stride in strides:
         columns, rows = np.meshgrid(np.arange(width // stride), np.arange(height // stride))
         cells.append(np.stack((columns.ravel(), rows.ravel()), axis=1).astype(np.float32))
@@ -29,8 +28,8 @@ def grid(height: int, width: int, strides: tuple[int, ...] = STRIDES) -> tuple[F
 
 
 def decode(
-    raw: Floats, cells: Floats, steps: Floats, scored: NDArray[np.bool_], least: float
-) -> tuple[Floats, ...]:
+    raw: Singles, cells: Singles, steps: Singles, scored: Flags, least: float
+) -> tuple[Singles, ...]:
     """Boxes that score at least ``least``, of an output in cells.
 
     Args:
@@ -48,7 +47,7 @@ def decode(
     return _finite(boxes, scores, best)
 
 
-def best_boxes(raw: Floats, scored: NDArray[np.bool_], least: float) -> tuple[Floats, ...]:
+def best_boxes(raw: Singles, scored: Flags, least: float) -> tuple[Singles, ...]:
     """Boxes that score at least ``least``, of an output in pixels.
 
     Args:
@@ -63,9 +62,7 @@ def best_boxes(raw: Floats, scored: NDArray[np.bool_], least: float) -> tuple[Fl
     return _finite(raw[keep, :4], scores, best)
 
 
-def _best(
-    raw: Floats, scored: NDArray[np.bool_], least: float
-) -> tuple[NDArray[np.int64], Floats, Floats]:
+def _best(raw: Singles, scored: Flags, least: float) -> tuple[Whole, Singles, Singles]:
     """Return the rows that score enough, best first, their scores and their classes."""
     classes = np.flatnonzero(scored)
     best = classes[np.argmax(raw[:, 5:][:, classes], axis=1)]
@@ -75,12 +72,12 @@ def _best(
     return keep, scores[keep], best[keep].astype(np.float32)
 
 
-def _finite(boxes: Floats, scores: Floats, classes: Floats) -> tuple[Floats, ...]:
+def _finite(boxes: Singles, scores: Singles, classes: Singles) -> tuple[Singles, ...]:
     finite = np.isfinite(boxes).all(axis=1)
     return boxes[finite], scores[finite], classes[finite]
 
 
-def suppress(boxes: Floats, scores: Floats, classes: Floats, most_iou: float) -> NDArray[np.int64]:
+def suppress(boxes: Singles, scores: Singles, classes: Singles, most_iou: float) -> Whole:
     """Indices of boxes (m, 4) kept, best first: none overlaps a better one of its class by more
     than ``most_iou``.
     """

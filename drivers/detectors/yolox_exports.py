@@ -11,17 +11,15 @@ So the shapes are judged first, and then what the network says to one test pictu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.detectors.onnx_model import FLOAT, HALF, ModelError, OnnxModel, Shape, Tensor, shown
 from drivers.detectors.yolox_boxes import STRIDES, grid
-
-Floats = NDArray[np.float32]
+from path.arrays import Singles
+from path.values import frozen
 
 EXPORT = (
     "export a YOLOX model to ONNX with its authors' tools/export_onnx.py, in float32 and at one size "
@@ -39,7 +37,7 @@ LITTLE = 1e-3
 SLACK = 0.01  # of float16, beyond 0..1
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class YoloxExport:
     """What a network takes and gives. ``decoded``: centre and size in px, not in cells and their
     logarithm.
@@ -77,7 +75,7 @@ def identify(model: OnnxModel, file: Path) -> YoloxExport:
     return YoloxExport(height, width, classes, decoded=_is_decoded(raw, height, width, file))
 
 
-def test_picture(height: int, width: int) -> Floats:
+def test_picture(height: int, width: int) -> Singles:
     """Return a picture for a network, (1, 3, h, w) BGR 0..255: slopes of grey with a disc and a
     plate on them.
     """
@@ -212,7 +210,7 @@ def _told(tensors: Sequence[Tensor]) -> str:
 # --- by values
 
 
-def _is_decoded(raw: Floats, height: int, width: int, file: Path) -> bool:
+def _is_decoded(raw: Singles, height: int, width: int, file: Path) -> bool:
     """Return whether an output (n, 5 + classes) on the test picture has its boxes in pixels. Raises
     ModelError.
 
@@ -249,7 +247,7 @@ def _is_decoded(raw: Floats, height: int, width: int, file: Path) -> bool:
     return True
 
 
-def _check_scores(raw: Floats, file: Path) -> None:
+def _check_scores(raw: Singles, file: Path) -> None:
     scores = raw[:, 4:]
     if float(scores.min()) < -SLACK or float(scores.max()) > 1.0 + SLACK:
         raise ModelError(
@@ -259,14 +257,14 @@ def _check_scores(raw: Floats, file: Path) -> None:
         )
 
 
-def _follows(values: Floats, places: Floats) -> bool:
+def _follows(values: Singles, places: Singles) -> bool:
     """Return whether numbers grow with their cells' places in the image."""
     if float(np.ptp(values)) <= 0.0:
         return False
     return float(np.corrcoef(values, places)[0, 1]) > FOLLOWS
 
 
-def _in_cells(raw: Floats) -> bool:
+def _in_cells(raw: Singles) -> bool:
     """Return whether centres are near their cells, and sizes are logarithms."""
     near = float(np.median(np.abs(raw[:, :2]))) < NEAR_CELLS
     return near and float(np.abs(raw[:, 2:4]).max()) < MOST_LOG

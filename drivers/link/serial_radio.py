@@ -8,7 +8,6 @@ import asyncio
 import os
 import termios
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -22,6 +21,7 @@ from drivers.link.wire import Codec, longest
 from drivers.rig.part_check import Finding
 from path.bounds import Bounds, check_bounds
 from path.messages import Message
+from path.values import frozen
 
 BITS_PER_BYTE = 10.0  # a start bit, eight, a stop bit
 AHEAD_S = 0.02  # of bytes given to the port before they can have left it: more would be latency
@@ -31,7 +31,7 @@ USUAL_BAUD = (19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 921_600)
 REOPEN_S = 0.5
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SerialLinkConfig:
     """
     Attributes:

@@ -9,7 +9,6 @@ import errno
 import ipaddress
 import socket
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
@@ -19,6 +18,7 @@ from drivers.link.key import key_finding, signing_key, signing_time
 from drivers.link.wire import UDP_IP_OVERHEAD, Codec
 from drivers.rig.part_check import Finding
 from path.messages import Message
+from path.values import frozen
 
 IPV6_EXTRA = 20  # an IPv6 header is that much longer than an IPv4 one
 # datagrams in one turn of the event loop: whatever comes in, the rest of the program has its turn
@@ -29,7 +29,7 @@ WAITING_BYTES = 1 << 20  # what the kernel keeps while this program is busy, if 
 Address = tuple[str, int]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class UdpLinkConfig:
     """Addresses are ``host:port`` with a numeric host (``[host]:port`` for IPv6).
 

@@ -30,8 +30,8 @@ from foxglove.messages import (
     Timestamp,
     Vector3,
 )
-from numpy.typing import NDArray
 
+from path.arrays import Depths
 from path.geometry.rotation import quat_from_R
 
 Record = Mapping[str, Any]
@@ -76,7 +76,7 @@ def compressed_video(stamp_ns: int, frame: str, h264: bytes) -> Message:
     return CompressedVideo(timestamp=time_of(stamp_ns), frame_id=frame, data=h264, format="h264")
 
 
-def depth_image(stamp_ns: int, frame: str, depth_mm: NDArray[np.uint16]) -> Message:
+def depth_image(stamp_ns: int, frame: str, depth_mm: Depths) -> Message:
     height, width = depth_mm.shape
     return RawImage(
         timestamp=time_of(stamp_ns),

@@ -18,18 +18,17 @@ import queue
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema
-from numpy.typing import NDArray
 
 from drivers.interfaces import Frame
 from drivers.log.index import ABOUT, OFFSET, ChunkedFile, built, message_record
+from path.arrays import Image
+from path.values import frozen
 
 VIDEO = "/video"
 DEPTH = "/depth"
@@ -52,7 +51,7 @@ _OPTIONS = {
 _MICROSECONDS = Fraction(1, 1_000_000)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RecordingCounts:
     """``taken``: frames that were asked for; ``dropped`` of them were not recorded. ``spent_ns``:
     of a processor.
@@ -218,7 +217,7 @@ class _FrameFile:
             )
             file.say(Opcode.CHANNEL, built(Channel(number, topic, "protobuf", {}, number)))
 
-    def _encoded(self, color: NDArray[np.uint8], at_us: int) -> bytes:
+    def _encoded(self, color: Image, at_us: int) -> bytes:
         import cv2  # noqa: PLC0415
 
         av: Any = importlib.import_module("av")

@@ -28,7 +28,6 @@ import msgspec
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema
-from numpy.typing import NDArray
 
 from drivers.clock import wall_offset_ns
 from drivers.log.index import ABOUT, MAGIC, OFFSET, ChunkedFile, built, message_record
@@ -36,6 +35,7 @@ from drivers.log.loose_file import LooseFile
 from drivers.log.protobuf import fields
 from drivers.log.scan import messages
 from drivers.log.topics import schema_of
+from path.arrays import Image
 
 if TYPE_CHECKING:
     from drivers.interfaces import Frame
@@ -131,7 +131,7 @@ class McapLog:
         except Exception as error:
             self._failed = self._failed or f"{topic}: {error}"
 
-    def image(self, topic: str, stamp_ns: int, image: NDArray[np.uint8]) -> None:
+    def image(self, topic: str, stamp_ns: int, image: Image) -> None:
         """One BGR image, shape (h, w, 3), as JPEG."""
         if self._file is None:
             return
@@ -257,7 +257,7 @@ def virtual_log(path: Path, name: str, clock_offset_ns: int = 0) -> McapLog:
     return McapLog(path, name, utc_minus_stamp_ns=VIRTUAL_EPOCH_NS - clock_offset_ns, buffered=True)
 
 
-def _jpeg(image: NDArray[np.uint8]) -> bytes | None:
+def _jpeg(image: Image) -> bytes | None:
     """None for what is no image of 8 bits: OpenCV would cut the bits of others off, and only print
     a warning.
     """
@@ -369,7 +369,7 @@ def image_record(data: bytes) -> dict[str, Any]:
     return record
 
 
-def decode_image(record: Mapping[str, Any]) -> NDArray[np.uint8]:
+def decode_image(record: Mapping[str, Any]) -> Image:
     """The pixels, BGR, of an image read from a log. Raises ValueError when it is none."""
     import cv2  # noqa: PLC0415
 

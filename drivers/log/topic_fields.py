@@ -4,13 +4,14 @@ topics share.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
+
+from path.values import frozen
 
 Schema = dict[str, Any]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Topic:
     """The meaning of one topic's records, and their fields as JSON Schemas."""
 

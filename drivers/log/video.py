@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 from mcap.records import Metadata
-from numpy.typing import NDArray
 
 from drivers.interfaces import Frame
 from drivers.log.frames import DEPTH_SCHEMA, VIDEO_SCHEMA
 from drivers.log.index import MAGIC, OFFSET
 from drivers.log.protobuf import fields
 from drivers.log.scan import messages
+from path.arrays import Depths, Image
 
 
 def recorded_frames(file: Path, count: int | None = None) -> Iterator[Frame]:
@@ -59,7 +59,7 @@ class VideoDecoder:
         self._codec.thread_count = 1
         self._codec.flags |= self._av.codec.context.Flags.low_delay
 
-    def decode(self, data: bytes) -> NDArray[np.uint8]:
+    def decode(self, data: bytes) -> Image:
         """The pixels, BGR (h, w, 3). Raises ValueError for what is no picture."""
         import cv2  # noqa: PLC0415
 
@@ -80,7 +80,7 @@ def video_data(message: bytes) -> bytes:
     )
 
 
-def depth_of(message: bytes) -> NDArray[np.uint16]:
+def depth_of(message: bytes) -> Depths:
     """The depth, mm, of a RawImage as it was recorded. Raises ValueError for another one."""
     values = dict(fields(message))
     width, height, encoding, data = (values.get(number) for number in (2, 3, 4, 6))

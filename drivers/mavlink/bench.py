@@ -13,9 +13,10 @@ from typing import Protocol, Self
 
 from drivers.interfaces import FlightMode, Vehicle, VehicleState
 from path.messages import Quat, Vec3
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Instant:
     """The truth at one moment, and what the driver said then.
 
@@ -33,7 +34,7 @@ class Instant:
     said: VehicleState | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class HeartbeatShown:
     """One heartbeat of the vehicle."""
 
@@ -43,7 +44,7 @@ class HeartbeatShown:
     armed: bool
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CommandAnswer:
     """A COMMAND_ACK. ``to``: the system it was sent to, 0 when it does not say; ``result`` is
     MAV_RESULT.

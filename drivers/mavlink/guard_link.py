@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -30,6 +29,7 @@ from drivers.mavlink.modes import (
 from drivers.mavlink.transport.port import URL, MavlinkPort
 from drivers.rig.parts import PartContext
 from path.bounds import Bounds, check_bounds
+from path.values import frozen
 
 HEARTBEAT = 0
 SYS_STATUS = 1
@@ -57,7 +57,7 @@ STALE_S = 1.0
 MOST_ASKED = 5  # times for BATTERY_STATUS: a vehicle may not have it
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class GuardMavlinkConfig:
     """The ``[sender.guard]`` and ``[receiver.guard]`` tables of a rig.
 

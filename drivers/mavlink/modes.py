@@ -5,9 +5,9 @@ MAV_CMD_DO_SET_MODE.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from drivers.interfaces import SURE, FlightMode
+from path.values import frozen
 
 # HEARTBEAT.base_mode (MAV_MODE_FLAG).
 CUSTOM_MODE_ENABLED = 1
@@ -37,7 +37,7 @@ def stopped_by(text: str, before: bool) -> bool:
     return text.endswith(STOPPED) if ESTOP in text else before
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AutopilotKind:
     """The differences on the wire between the two autopilots.
 

@@ -11,7 +11,6 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import wraps
 from typing import Any
 
@@ -22,6 +21,7 @@ from drivers.mavlink.geodesy import LocalTangent
 from drivers.mavlink.modes import PX4, SAFETY_ARMED, AutopilotKind, powered, stopped_by
 from drivers.mavlink.rangefinder import Rangefinder
 from drivers.perception.history import StateHistory
+from path.values import frozen
 
 Vec3 = tuple[float, float, float]
 NAN3: Vec3 = (math.nan, math.nan, math.nan)
@@ -31,7 +31,7 @@ KEPT_TEXTS = 50
 UNDISTURBED_NS = 100_000  # two readings this close had no other thread between them
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Heartbeat:
     arrival_ns: int
     autopilot: int
@@ -40,7 +40,7 @@ class Heartbeat:
     disarmed: bool = False  # which a vehicle whose motors a pilot has stopped in the air is not
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ReportedMode:
     """The mode as a heartbeat says it, or CURRENT_MODE: PX4 beats once a second whatever it is
     asked for.
@@ -51,7 +51,7 @@ class ReportedMode:
     told: int = 1  # how many in a row have said the same
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Position:
     """Global position as mission NED, the height above the vehicle's own home, and the altitude it
     says.
@@ -63,13 +63,13 @@ class Position:
     altitude_m: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Attitude:
     arrival_ns: int
     q_n_b: tuple[float, float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Text:
     """A STATUSTEXT. ``severity`` in MAVSDK's order: 3 warning, 4 error, 5 critical and up."""
 
@@ -78,7 +78,7 @@ class Text:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CommandAck:
     """A COMMAND_ACK. ``result`` is MAV_RESULT, 5 of which means: in progress."""
 
@@ -87,7 +87,7 @@ class CommandAck:
     result: int
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Parameter:
     name: str
     value: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,9 +12,10 @@ from drivers.mavlink.transport.port import URL
 from drivers.rig.parts import PartSpec
 from path.bounds import AutopilotValues, Bounds, check_bounds
 from path.messages import Vec3
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class VisionConfig:
     """
     Attributes:
@@ -35,7 +36,7 @@ class VisionConfig:
     least_quality: Annotated[float, Bounds(0.0, 100.0, "of 100")] = 50.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MavsdkVehicleConfig:
     """Options of the vehicle in a rig.
 

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from path.arrays import Depths, Singles
 from path.observations import Region
 
 GREY = 110  # neither a colour nor dark: no detector takes it for something
@@ -26,7 +27,7 @@ FAINT = 0.6  # of that: a step's end
 CUT_PX = 3  # more than a detector sees over
 REACH = 0.25  # of the image's width: what is larger than twice that is not looked for
 
-Number = TypeVar("Number", float, NDArray[np.float32])
+Number = TypeVar("Number", float, Singles)
 Image = NDArray[Any]  # OpenCV's own annotation is wider
 
 
@@ -37,7 +38,7 @@ def step_limit_m(depth_m: Number, sigma_at_1m_m: float) -> Number:
 
 def without_elsewhere(
     image: NDArray[np.uint8],
-    depth_mm: NDArray[np.uint16],
+    depth_mm: Depths,
     limits_m: tuple[float, float],
     sigma_at_1m_m: float,
     region: Region | None = None,
@@ -71,9 +72,7 @@ def without_elsewhere(
     return shown
 
 
-def _kept(
-    depth_mm: NDArray[np.uint16], limits_m: tuple[float, float], sigma_at_1m_m: float
-) -> Image:
+def _kept(depth_mm: Depths, limits_m: tuple[float, float], sigma_at_1m_m: float) -> Image:
     """Mask (h, w) of what is shown."""
     smooth = cv2.medianBlur(
         cv2.medianBlur(np.ascontiguousarray(depth_mm[::HALF, ::HALF]), MEDIAN_PX), MEDIAN_PX

@@ -8,13 +8,13 @@ one, or one in the rim that remains of what is elsewhere. Depth tells.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.perception.depth_mask import step_limit_m
 from path.observations import Box, Detection, around, common_area
+from path.values import frozen
 
 # of the smaller box lies in the other: pieces of one thing, when they are equally far away
 SAME_LAP = 0.2
@@ -25,7 +25,7 @@ RAREST_SCORE = 0.12
 EVERY_PX = 3  # so many pixels of a box's depth are looked at
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DepthSlice:
     """Depths between two limits.
 

@@ -7,12 +7,9 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from types import TracebackType
 from typing import Annotated, Literal, Self
-
-import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import Camera, CameraError, Capability, Detector, Frame, lacking
 from drivers.perception.depth_mask import without_elsewhere
@@ -22,6 +19,7 @@ from drivers.rig.calibration_file import check_serial, check_size
 from drivers.rig.part_check import Finding, examined, rate_of
 from drivers.rig.parts import PartContext, PartSpec, create
 from drivers.rig.tables import RigError
+from path.arrays import Image
 from path.bounds import Bounds
 from path.camera.model import CameraModel
 from path.config import MethodConfig
@@ -32,6 +30,7 @@ from path.marker.layout import MarkerLayout
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
 from path.target.monocular import TargetSize, extent_at, monocular_range
 from path.target.place import depth_sigma, registered_depth
+from path.values import frozen
 
 Corners = Literal["photometric", "subpix"]
 DEPTH_SIGMAS = 2.0  # of the depth camera's own noise
@@ -44,7 +43,7 @@ UNCUT_IOU = 0.85
 CUT_SCORE = 0.5
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PixelPerceptionConfig:
     """
     Attributes:
@@ -260,7 +259,7 @@ class PixelView:
             return registered_depth(depth_mm, box, self._method)
         return None if self._size is None else monocular_range(box, self._model, self._size)
 
-    def image(self) -> NDArray[np.uint8]:
+    def image(self) -> Image:
         return self._frame.color
 
     @property

@@ -10,8 +10,9 @@ then the wall clock was set.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
+
+from path.values import frozen
 
 # the counter of a D400 has 32 bits of microseconds: it begins anew every 71.6 minutes
 WRAP_NS = (1 << 32) * 1000
@@ -32,7 +33,7 @@ class StampRefused(Enum):
     CLOCK = "is not of this computer's time"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class StampConfig:
     """
     Attributes:

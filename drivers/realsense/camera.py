@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -22,13 +21,14 @@ from drivers.rig.parts import PartContext, PartSpec, create
 from drivers.wake import wake
 from path.bounds import Bounds, check_bounds
 from path.camera.model import CameraModel
+from path.values import frozen
 
 CLOSE_S = 5.0
 WARM_UP_S = 300.0  # to compile what the first frame needs, where nobody has yet
 MANY_USELESS = 0.05  # of the images
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RealSenseConfig:
     """The size of the colour stream is that of the calibration.
 

@@ -6,14 +6,15 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+
+from path.arrays import Image
 
 COLOR_FORMATS = ("bgr8", "rgb8", "bgra8", "rgba8", "yuyv", "uyvy")
 """What is taken, the first that is there. librealsense's viewer records RGB, PATH BGR."""
 YUV = {"yuyv": cv2.COLOR_YUV2BGR_YUY2, "uyvy": cv2.COLOR_YUV2BGR_UYVY}
 
 
-def bgr_of(data: Any, name: str) -> NDArray[np.uint8]:
+def bgr_of(data: Any, name: str) -> Image:
     """Return colour (h, w, 3) BGR; a view of ``data`` where nothing has to be computed.
 
     Args:

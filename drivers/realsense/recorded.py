@@ -14,12 +14,10 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError
 from drivers.perception.stamp_clock import Domain
@@ -38,16 +36,18 @@ from drivers.realsense.sdk import (
 )
 from drivers.realsense.sdk_import import import_realsense
 from drivers.realsense.stream import Pairing, Taken
+from path.arrays import Depths, Image
 from path.camera.lenses import StandIn
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
+from path.values import frozen
 
 WAITING = 8
 SILENT_S = 60.0  # without a frame before the end: the file is damaged
 POLL_S = 0.1
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RecordedPair:
     """Colour (h, w, 3) BGR and depth (h, w) in the device's unit, taken together at ``stamp_ns`` of
     its ``domain``.
@@ -55,8 +55,8 @@ class RecordedPair:
 
     stamp_ns: int
     domain: Domain
-    color: NDArray[np.uint8]
-    depth: NDArray[np.uint16]
+    color: Image
+    depth: Depths
 
 
 class RealSenseRecording:

@@ -11,8 +11,8 @@ as a square as large as its neighbours are apart, and the nearest one wins.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array, Depths, Singles
 from path.camera.model import CameraModel
 from path.compiled import inner, kernel
 from path.geometry.transforms import Pose
@@ -79,7 +79,7 @@ class DepthRegistration:
         self._columns = np.arange(depth.width, dtype=np.float32)
         self._cells = np.empty((4, depth.width), np.int32)
 
-    def register(self, depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    def register(self, depth: Depths) -> Depths:
         """Depth of the colour image's pixels, z along the colour camera's axis in mm, 0 where there
         is none.
 
@@ -109,9 +109,7 @@ class DepthRegistration:
         return out
 
 
-def _half_px(
-    depth: CameraModel, color: CameraModel, rays: NDArray[np.float64]
-) -> NDArray[np.float32]:
+def _half_px(depth: CameraModel, color: CameraModel, rays: Array) -> Singles:
     """Half the side of a depth pixel in the colour image, where it is largest there (parallax
     aside).
     """

@@ -9,20 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError
 from drivers.perception.stamp_clock import Domain
 from drivers.realsense.formats import COLOR_FORMATS, bgr_of
 from drivers.realsense.sdk_import import import_realsense
 from drivers.recordings.ros_bag import refuse_ros
+from path.arrays import Depths, Image
 from path.camera.lenses import Lens, LensKind, StandIn, as_brown_conrady
 from path.geometry.transforms import Pose
+from path.values import frozen
 
 Kind = Literal["color", "depth"]
 Filter = Literal["spatial", "temporal", "hole_filling"]
@@ -32,7 +32,7 @@ READOUT_LIMIT_US = 1_000_000
 WRAP_US = 1 << 32
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Streams:
     """The streams asked of a device.
 
@@ -50,7 +50,7 @@ class Streams:
         return self.color_size if kind == "color" else self.depth_size
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RawImage:
     """One image as the device gives it.
 
@@ -65,7 +65,7 @@ class RawImage:
     number: int
     stamp_ns: int
     domain: Domain
-    pixels: NDArray[np.uint8] | NDArray[np.uint16]
+    pixels: Image | Depths
     frame: Any
 
 
@@ -168,7 +168,7 @@ def described(device: Any) -> str:
     return f"{name} (serial {serial})"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DeviceIdentity:
     """A device's words about itself; "" for what it does not say. ``recommended``: firmware, by
     this librealsense.

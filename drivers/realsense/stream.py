@@ -32,12 +32,13 @@ from drivers.realsense.sdk import (
 )
 from drivers.realsense.sources import DeviceSource
 from path.camera.model import CameraModel
+from path.values import frozen
 
 POLL_S = 0.1  # how soon the thread sees that it should end
 PLAYBACK_AGE_NS = 50_000_000  # of a recording's frames when they come
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class StreamConfig:
     """
     Attributes:
@@ -80,7 +81,7 @@ class StreamCounters:
     register_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ImagePair:
     """Two images that were taken together; ``stamp_ns`` is that of colour, role clock."""
 
@@ -91,7 +92,7 @@ class ImagePair:
     registration: DepthRegistration
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Taken:
     """An image, its stamp in its device's clock, growing with every image of its kind, and its
     arrival, role clock.

@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -23,6 +22,7 @@ from drivers.rig.calibration_file import check_size
 from drivers.rig.parts import PartContext
 from path.bounds import Bounds, check_bounds
 from path.camera.model import CameraModel
+from path.values import frozen
 
 LOOP_GAP_NS = 33_000_000  # from the last frame to the first one again, where there is only one
 
@@ -31,7 +31,7 @@ class RecordingEnded(CameraError):
     """The recording was given to its last frame."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RecordedCameraConfig:
     """
     Attributes:
@@ -62,7 +62,7 @@ class RecordedCameraConfig:
         return RecordingOptions(self.rate_hz, self.stamps, self.depth, self.topic)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Ready:
     """A frame to give: ``at_ns`` after the first one of all."""
 
@@ -200,7 +200,7 @@ class RecordedCamera:
         return _Ready(found.number, found.at_ns, loaded)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Frame:
     recorded: RecordedFrame
     number: int

@@ -8,7 +8,6 @@ as often as it is asked. Nothing is decoded before a frame is loaded.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -16,7 +15,6 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.log.frames import is_frames
 from drivers.log.mcap_log import LogRecord, decode_image, read_log
@@ -30,8 +28,8 @@ from drivers.recordings.video_file import (
     VideoError,
     video_frames,
 )
-
-Image = NDArray[np.uint8]
+from path.arrays import Depths, Image
+from path.values import frozen
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 REALSENSE_SUFFIXES = (".db3", ".bag")
@@ -39,15 +37,15 @@ SEARCHED = 5000  # records of a log in which its kinds of images are looked for
 REMEDY = "name a video file, a folder of images, or an .mcap log with images"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Loaded:
     """Pixels of a frame: BGR, and depth in mm registered to it, if it was recorded."""
 
     color: Image
-    depth_mm: NDArray[np.uint16] | None = None
+    depth_mm: Depths | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RecordedFrame:
     """One frame, not decoded yet. ``stamp_ns``: of the recording's own clock. ``load`` raises
     RecordingError.
@@ -79,7 +77,7 @@ class Recording(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RecordingOptions:
     """
     Attributes:
@@ -346,7 +344,7 @@ def images_of(folder: Path) -> list[Path]:
     return sorted((f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES), key=natural)
 
 
-def _read_depth(file: Path, color: Image) -> NDArray[np.uint16]:
+def _read_depth(file: Path, color: Image) -> Depths:
     pixels = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise RecordingError(

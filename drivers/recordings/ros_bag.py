@@ -14,11 +14,11 @@ import sqlite3
 import struct
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 
 from drivers.log.index import MAGIC as MCAP_MAGIC
 from drivers.recordings.stamps import RecordingError
+from path.values import frozen
 
 ROS1_MAGIC = b"#ROSBAG V"
 SQLITE_MAGIC = b"SQLite format 3\x00"
@@ -28,7 +28,7 @@ SEARCHED = 1 << 20  # bytes in which connections or a profile are looked for
 SHOWN = 6
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RosBag:
     """A bag of ROS. ``kind``: in words; ``topics``: as far as they are known."""
 

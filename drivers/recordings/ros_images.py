@@ -11,7 +11,6 @@ from __future__ import annotations
 import importlib
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,9 @@ from numpy.typing import NDArray
 
 from drivers.recordings.ros_bag import ros_bag_at
 from drivers.recordings.stamps import RecordingError
+from path.arrays import Array, Depths
 from path.camera.lenses import Lens, LensKind, StandIn, as_brown_conrady
+from path.values import frozen
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
@@ -61,7 +62,7 @@ FARTHEST_M = 65.0  # what 16 bits hold in millimetres
 NS = 1_000_000_000
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RosFrame:
     """Colour (h, w, 3) BGR and depth (h, w) in mm of the colour camera's pixels, at ``stamp_ns`` of
     the bag's clock.
@@ -69,7 +70,7 @@ class RosFrame:
 
     stamp_ns: int
     color: NDArray[np.uint8]
-    depth_mm: NDArray[np.uint16] | None
+    depth_mm: Depths | None
 
 
 class TornImage(RecordingError):
@@ -333,12 +334,12 @@ def _opened(path: Path) -> Any:
     return reader
 
 
-def _of(info: Any, name: str) -> NDArray[np.float64]:
+def _of(info: Any, name: str) -> Array:
     """Return a field of a camera_info: ROS 2 writes it small, ROS 1 large."""
     return np.asarray(getattr(info, name, getattr(info, name.upper(), ())), np.float64)
 
 
-def _matrix(info: Any, name: str, columns: int) -> NDArray[np.float64]:
+def _matrix(info: Any, name: str, columns: int) -> Array:
     return _of(info, name).reshape(3, columns)
 
 
@@ -397,7 +398,7 @@ def _bgr(message: Any) -> NDArray[np.uint8]:
     return np.asarray(pixels if conversion is None else cv2.cvtColor(pixels, conversion), np.uint8)
 
 
-def _millimetres(message: Any) -> NDArray[np.uint16]:
+def _millimetres(message: Any) -> Depths:
     """Return depth in mm: of REP 118, metres as float32 or millimetres as uint16."""
     if not hasattr(message, "encoding"):
         form = str(message.format)

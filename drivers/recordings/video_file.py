@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.recordings.h264 import pictures
+from path.arrays import Image
 
 VIDEO_SUFFIXES = (
     ".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v", ".h264", ".264", ".h265", ".265", ".hevc", ".ts", ".mpg",
@@ -25,7 +25,7 @@ a guess.
 # a slice that ends early or late is torn
 STRICT = "explode+aggressive+compliant+careful+bitstream+buffer"
 NS = 1_000_000_000
-Pixels = Callable[[], NDArray[np.uint8]]
+Pixels = Callable[[], Image]
 
 
 class VideoError(Exception):

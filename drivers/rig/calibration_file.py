@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -27,6 +27,7 @@ from path.camera.model import CameraModel, Nine
 from path.camera.thinning import Thinning
 from path.geometry.rotation import R_from_quat, normalized, quat_from_R
 from path.geometry.transforms import Pose
+from path.values import frozen
 
 VERSION = 1
 CAMERA_REMEDY = "make it again with `path-handoff calibrate camera`"
@@ -39,7 +40,7 @@ class CalibrationError(CameraError):
     """A calibration cannot be read or written, or does not belong to what it is used with."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CameraTable:
     """Intrinsics at exactly this stream size; distortion is Brown–Conrady k1 k2 p1 p2 k3.
 
@@ -95,7 +96,7 @@ class CameraTable:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Quality:
     """The quality of a calibration: rms of corners in px, of the solution and of views that were
     left out.
@@ -108,7 +109,7 @@ class Quality:
     coverage: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CameraCalibration:
     """A camera's calibration as written.
 
@@ -161,7 +162,7 @@ def made_of_no_views(
     )
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MarkerPrint:
     """A marker of the layout that a mount belongs to."""
 
@@ -169,7 +170,7 @@ class MarkerPrint:
     side_m: Annotated[float, Bounds(0.005, 2.0)]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MountCalibration:
     """``T_v_c1`` as written: where D1's camera is, seen from the marker.
 

@@ -9,8 +9,10 @@ at level sitl, flown by two PX4. A name says which, its words in any order: ``si
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
+
+from path.values import frozen
 
 USUAL_RIG = "car"
 """The rig that a name means which names none, such as ``sitl-px4``."""
@@ -22,7 +24,7 @@ OTHER_NAMES = {"sim-tello": "sim-rendered-tello"}
 """Names of an earlier release that say a level wrongly."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Choice:
     """A rig with its options; None for what is not said."""
 

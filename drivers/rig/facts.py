@@ -30,13 +30,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 from path.bounds import Bounds
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TargetFacts:
     """The target's body and motion.
 
@@ -60,7 +60,7 @@ class TargetFacts:
         return math.hypot(self.length_m, self.width_m)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DroneFacts:
     """Both drones, as a data sheet and a test flight tell.
 
@@ -81,7 +81,7 @@ class DroneFacts:
     tilt_per_mps_deg: Annotated[float, Bounds(0.0, 20.0, "deg s/m")] = 1.75
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SiteFacts:
     """The place and the weather that are flown in.
 
@@ -101,7 +101,7 @@ class SiteFacts:
     position_m: Annotated[float, Bounds(0.0, 20.0)] = 0.5
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DepthFacts:
     """The depth cameras, by data sheet or a measurement against a wall.
 
@@ -115,7 +115,7 @@ class DepthFacts:
     sigma_at_1m_m: Annotated[float, Bounds(0.0, 1.0, above=True)] = 0.005
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class LinkFacts:
     """The link between the drones, as a test on the ground shows it.
 
@@ -128,7 +128,7 @@ class LinkFacts:
     loss: Annotated[float, Bounds(0.0, 0.9, "of 1")] = 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class HeightFacts:
     """How well the drones know their height over the ground that the target stands on. Level ground
     is meant.

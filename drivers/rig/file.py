@@ -33,7 +33,7 @@ A camera may be ``calibration = "d1.camera.toml"`` instead of its numbers, and s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -62,9 +62,10 @@ from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.geometry.transforms import Pose
 from path.marker.layout import Marker, MarkerLayout
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Camera:
     """Intrinsics, written out or from a file. ``serial``: of the camera they are of, "" when it is
     not known.
@@ -87,18 +88,18 @@ class _Camera:
             raise RigError([f"{where}: {error}"]) from error
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _SenderMount:
     camera: CameraMount
     marker: MarkerPlace
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _ReceiverMount:
     camera: CameraMount
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Marker:
     """One fiducial of the layout: ``roll_deg`` turns it about its own normal, pitch and yaw about
     ``v``'s x and y.
@@ -122,7 +123,7 @@ class _Marker:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _SenderTable:
     vehicle: PartSpec
     perception: PartSpec
@@ -134,7 +135,7 @@ class _SenderTable:
     operator: PartSpec | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _ReceiverTable:
     vehicle: PartSpec
     perception: PartSpec
@@ -145,7 +146,7 @@ class _ReceiverTable:
     guard: PartSpec | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _RigTable:
     name: str
     level: Level

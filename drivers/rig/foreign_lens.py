@@ -13,7 +13,6 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError
 from drivers.rig.foreign_calibration import (
@@ -27,6 +26,7 @@ from drivers.rig.foreign_calibration import (
     ROS,
     program_of,
 )
+from path.arrays import Array
 from path.camera.lenses import Lens, LensKind
 
 Size = tuple[int, int]
@@ -128,7 +128,7 @@ def _of_ros(text: str, size: Size | None) -> Lenses:
     return {str(info.get("camera_name", "camera")): _lens(own, matrix, numbers, bends)}
 
 
-def _data(info: Mapping[str, Any], *names: str) -> NDArray[np.float64]:
+def _data(info: Mapping[str, Any], *names: str) -> Array:
     """Return the numbers of a matrix by any of its names. Raises KeyError."""
     name = next((name for name in names if name in info), names[0])
     value = info[name]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,18 +16,19 @@ from drivers.rig.calibration_file import CalibrationError, MountCalibration, rea
 from drivers.rig.tables import RigError, decode_table
 from path.bounds import Bounds
 from path.geometry.transforms import Matrix, Pose
+from path.values import frozen
 
 Vec3 = tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CalibrationName:
     """Instead of numbers, the file of a calibration, relative to the rig."""
 
     calibration: Path
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CameraMount:
     """Camera looking forward along body x, turned by roll, then pitched down, then yawed."""
 
@@ -44,7 +44,7 @@ class CameraMount:
         return Pose(turn @ forward, np.array(self.position_b_m))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MarkerMount:
     """Marker plate facing backwards, turned by roll, then tilted up, then yawed."""
 
@@ -60,7 +60,7 @@ class MarkerMount:
         return Pose(turn @ backward, np.array(self.position_b_m))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MarkerPlace:
     """The marker's place on the sender: measured on the body, or calibrated against the camera."""
 

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
+
+from path.values import frozen
 
 COUNT_S = 1.5
 POLL_S = 0.002
@@ -19,7 +20,7 @@ POLL_S = 0.002
 State = Literal["ok", "note", "fault"]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Enough:
     """Shares of a rate that was asked for: below ``well`` it is a note, below ``at_all`` a
     fault.
@@ -32,7 +33,7 @@ class Enough:
 REPORTS = Enough(0.9, 0.5)  # of a state: the next one is as good
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Finding:
     """A finding about one thing. ``note``: a flight is possible, something else is not, or was not
     tested.

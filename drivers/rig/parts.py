@@ -11,7 +11,7 @@ import importlib
 import inspect
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -27,6 +27,7 @@ from path.config import MethodConfig
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Role
+from path.values import frozen
 
 _FACTORY = re.compile(r"(?:[A-Za-z_][\w.]*|[^:]+\.py):[A-Za-z_]\w*")
 GONE = {  # parts that rigs may still name: what to do instead
@@ -47,7 +48,12 @@ guard's does not.
 """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
+class NoOptions:
+    """The Config of a part that has no options."""
+
+
+@frozen
 class PartSpec:
     """A part by name: ``factory`` is ``module:Class`` or ``file.py:Class``; ``options`` are
     ``Class.Config``.
@@ -81,7 +87,7 @@ class PartSpec:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Origin:
     """The zero of the mission's local frames (NED ``n`` and ENU ``w``)."""
 
@@ -90,7 +96,7 @@ class Origin:
     altitude_m: Annotated[float, Bounds(-500.0, 9000.0)]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Mount:
     """The mounts of camera and marker on their drone.
 
@@ -108,7 +114,7 @@ class Mount:
         return self.T_b_v.inverse() @ self.T_b_c
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PartContext:
     """The facts that a part may know of its role besides its own options.
 
@@ -126,7 +132,7 @@ class PartContext:
     camera_serial: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Reference:
     """The ultrasonic system that trials in flight measure against: its beacons, and who listens to
     them.
@@ -155,7 +161,7 @@ class Reference:
         return {"sender": self.sender, "receiver": self.receiver, "target": self.target}
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RoleRig:
     """One drone of the rig. ``camera_serial``: of the camera that ``camera`` is the calibration of,
     "" if not known.
@@ -177,7 +183,7 @@ class RoleRig:
         return tuple(part for part in every if part is not None)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Rig:
     """A whole rig.
 

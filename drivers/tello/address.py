@@ -7,19 +7,19 @@ import fcntl
 import ipaddress
 import socket
 import struct
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from drivers.interfaces import VehicleError
 from path.bounds import Bounds
+from path.values import frozen
 
 STOCK_STATE_PORT = 8890
 STOCK_VIDEO_PORT = 11111
 SIOCGIFADDR = 0x8915
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TelloAddress:
     """The address of a drone, and the ports that its packets come to. Two drones on one computer:
     docs/tello.md.

@@ -12,13 +12,10 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
 import av.error
-import numpy as np
 from djitellopy.tello import BackgroundFrameRead, TelloException  # type: ignore[import-untyped]
-from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError, Capability, Frame, VehicleError
 from drivers.rig.part_check import Finding
@@ -26,8 +23,10 @@ from drivers.rig.parts import PartContext
 from drivers.tello.address import TelloAddress
 from drivers.tello.commands import TelloLink, link_to, said
 from drivers.wake import wake
+from path.arrays import Image
 from path.bounds import Bounds
 from path.camera.model import CameraModel
+from path.values import frozen
 
 FPS_NAMES: dict[int, str] = {30: "high", 15: "middle", 5: "low"}
 # for djitellopy to recognise the stream, which takes some 40 frames; its own 5 s are too few at 5
@@ -46,7 +45,7 @@ POLL_S = 0.02
 Rate = Literal[5, 15, 30]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TelloCameraConfig(TelloAddress):
     """Options of the camera in a rig, besides the drone's address, which is that of its vehicle.
 
@@ -71,7 +70,7 @@ class _Reader(BackgroundFrameRead):
     end.
     """
 
-    def __init__(self, tello: Any, address: str, take: Callable[[NDArray[np.uint8]], None]) -> None:
+    def __init__(self, tello: Any, address: str, take: Callable[[Image], None]) -> None:
         self._take = take
         self.damaged = 0
         self.failure: Exception | None = None
@@ -121,7 +120,7 @@ class TelloCamera:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._wake = asyncio.Event()
         self._lock = threading.Lock()
-        self._newest: tuple[int, int, NDArray[np.uint8]] | None = None
+        self._newest: tuple[int, int, Image] | None = None
         self._count = 0
         self._given = 0
         self._arrivals: deque[int] = deque(maxlen=128)
@@ -220,7 +219,7 @@ class TelloCamera:
             return f"the stream has ended: {reader.failure}"
         return f"{reader.damaged} damaged ones"
 
-    def _on_frame(self, image: NDArray[np.uint8]) -> None:
+    def _on_frame(self, image: Image) -> None:
         """Take a frame on the reader's thread."""
         link = self._link
         loop = self._loop

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated
 
 from drivers.tello.address import TelloAddress
 from drivers.tello.state import VelocityFrame
 from path.bounds import Bounds, check_bounds
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TelloVehicleConfig(TelloAddress):
     """Options of the vehicle in a rig, besides the drone's address.
 

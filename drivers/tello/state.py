@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Literal, TypeGuard
 
 from path.messages import Quat, Vec3
+from path.values import frozen
 
 # of each field that is needed, in its own unit: beyond is no measurement
 MOST: dict[str, tuple[float, float]] = {
@@ -31,7 +31,7 @@ LONGEST_STEP_S = 0.5
 VelocityFrame = Literal["start", "body"]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TelloReport:
     """One state packet. Angles rad, ``velocity_mps`` in the drone's axes (see the module), heights
     above the ground.
@@ -101,7 +101,7 @@ def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quat:
     )
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Placement:
     """The place of the drone when it is connected: north and east of the mission's origin in m, and
     its heading.

@@ -10,7 +10,7 @@ disarmed, or is back in a mode that only scripts fly while none does.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 from typing import Annotated
 
@@ -19,7 +19,7 @@ from drivers.mavlink.guard.interfaces import GuardView, Hand, Script, Vec3
 from flight.fence import Fence
 from flight.guard.battery import battery_trouble
 from path.bounds import Bounds
-from path.values import value
+from path.values import frozen, value
 
 _FLOWN = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF, FlightMode.HOLD})
 _MOVING = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF})
@@ -33,7 +33,7 @@ _EXPECTED = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class GuardRules:
     """The ``[mission.guard_process]`` table of a rig. Limits of place, battery and distance are
     those of the mission.
@@ -79,7 +79,7 @@ class GuardRules:
             raise ValueError("land_tries must be at least 1")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Limits:
     """The limits that the mission sets (``[mission.guard]`` and ``[mission.separation]``)."""
 

@@ -7,20 +7,20 @@ rig's level says.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.rig.parts import Rig
+from path.arrays import Depths
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Role
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DepthError:
     """The error of every depth that one camera measures: a factor, and what comes on top."""
 
@@ -30,7 +30,7 @@ class DepthError:
     def measured_m(self, depth_m: float) -> float:
         return self.factor * depth_m + self.bias_m
 
-    def measured_mm(self, depth_mm: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    def measured_mm(self, depth_mm: Depths) -> Depths:
         """A depth image with this error; 0, where there is none, stays 0."""
         if self.factor == 1.0 and self.bias_m == 0.0:
             return depth_mm
@@ -42,7 +42,7 @@ class DepthError:
         return measured
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DrawnErrors:
     """The beliefs of two drones about themselves in one session, and the errors of their sensors.
 

@@ -4,18 +4,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated
 
 from drivers.rig.calibration_file import CameraTable
 from drivers.rig.parts import Mount, PartSpec, Rig, RoleRig
 from drivers.rig.tables import decode_table
 from path.bounds import Bounds
+from path.values import frozen
 
 Point = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class NamedDrone:
     """One drone of a relay or a team. What is not said here is as in the rig's ``[sender]``.
 
@@ -37,7 +38,7 @@ class NamedDrone:
     battery: Annotated[float, Bounds(0.05, 1.0, "of 1")] = 1.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RelayConfig:
     """The ``[relay]`` table of a rig.
 
@@ -90,7 +91,7 @@ class RelayConfig:
             raise ValueError("endurance_s, swap_s and home_s must be above 0, attempts at least 1")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class NamedTarget:
     """One object that a team keeps observed.
 
@@ -106,7 +107,7 @@ class NamedTarget:
     drones: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TeamConfig(RelayConfig):
     """The ``[team]`` table of a rig with its ``[[drones]]`` and ``[[targets]]``; the rest is as in
     ``[relay]``.

@@ -17,9 +17,10 @@ from drivers.mavlink.guard.interfaces import GuardLine
 from drivers.rig.parts import Rig
 from flight.outcome import Outcome
 from path.messages import Role
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Progress:
     """A role's report to the console, a few times a second.
 
@@ -47,7 +48,7 @@ ABSENT = "absent"
 Emit = Callable[[Progress], None]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RoleResult:
     """The end of one role's program.
 
@@ -115,7 +116,7 @@ class InProcess(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ProgramContext:
     """Everything that a drone's program is given by whoever starts it.
 
@@ -138,7 +139,7 @@ PartError.
 """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FlightRequest:
     """One run.
 
@@ -161,24 +162,42 @@ class FlightRequest:
     guard_command: Callable[[Role], Sequence[str]] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class FlightReport:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report:
+    """What a harness reports of all that is flown on it.
+
+    Attributes:
+        violations: number of violations by monitor name; empty when all held.
+        simulated_s, wall_s: duration on the mission's clock and on the wall.
+        failure: why the harness itself failed; empty when it did not.
+        overload: what of a run in real time was late, and how late; empty when the computer kept
+            up.
+        explained: the monitors of which this lateness explains every violation, by its own time.
+        errors: what the world was drawn with: the level's name, and standard deviations by what
+            they are of; empty in the real one.
+    """
+
+    violations: Mapping[str, int]
+    simulated_s: float
+    wall_s: float
+    interrupted: bool = False
+    failure: str = ""
+    overload: str = ""
+    explained: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    errors: Mapping[str, str | float] = field(default_factory=dict[str, str | float])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlightReport(Report):
     """The harness's report of a run.
 
     Attributes:
         results: by role; None for a program that died.
         landed: by role, in truth.
-        violations: number of violations by monitor name; empty when all held.
-        simulated_s, wall_s: duration of the run on the mission's clock and on the wall.
-        failure: why the harness itself failed; empty when it did not.
-        overload: what of a run in real time was late, and how late; empty when the computer kept
-            up.
-        explained: the monitors of which this lateness explains every violation, by its own time.
         figures: what the monitors timed, in s by name: "commit_s", from COMMIT to the sender's
             decision, and "gap_s", the longest time with nobody responsible; without what did not
             happen.
-        errors: what the world was drawn with: the level's name, and standard deviations by what
-            they are of; empty in the real one.
         broken: the assumptions that were: "stall" (a program was made to stand still), "disk" (one
             lost a record).
         beyond: what broke after that, which the promises do not bear.
@@ -190,18 +209,9 @@ class FlightReport:
 
     results: Mapping[Role, RoleResult | None]
     landed: Mapping[Role, bool]
-    violations: Mapping[str, int]
-    simulated_s: float
-    wall_s: float
-    interrupted: bool = False
-    failure: str = ""
-    overload: str = ""
-    explained: Sequence[str] = ()
-    notes: Sequence[str] = field(default_factory=tuple)
     figures: Mapping[str, float] = field(default_factory=dict[str, float])
-    errors: Mapping[str, str | float] = field(default_factory=dict[str, str | float])
-    broken: Sequence[str] = field(default_factory=tuple)
-    beyond: Sequence[str] = field(default_factory=tuple)
+    broken: Sequence[str] = ()
+    beyond: Sequence[str] = ()
     scene: str = ""
     slow: Mapping[str, float] = field(default_factory=dict[str, float])
 

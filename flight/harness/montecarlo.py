@@ -9,17 +9,18 @@ places and verify until D1's window is complete or the time is over.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Literal, NamedTuple, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.rig.parts import Rig
+from path.arrays import Array, Flags, Whole
 from path.config import MethodConfig
 from path.gate.agreement import threshold
 from path.gate.evidence import strength
 from path.gate.window import FramePair, Gate, Offsets
+from path.values import frozen
 
 FaultName = Literal[
     "none",
@@ -48,7 +49,7 @@ miss.
 """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class WrongAssociation:
     """A wrong association that is forced: D2 answers with a look-alike all the time, the rest is as
     ever.
@@ -69,7 +70,7 @@ class WrongAssociation:
     crossing: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Attempt:
     """One hand-over to run. All that is drawn depends on ``seed`` and ``index`` alone.
 
@@ -94,7 +95,7 @@ class Attempt:
     whole: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Series:
     """The entries that D1's window was given, in order: one for every pair that was judged and
     every own miss.
@@ -121,17 +122,17 @@ class Series:
             ``PAIR``.
     """
 
-    kind: NDArray[np.int64]
-    reason: NDArray[np.int64]
-    now_ns: NDArray[np.int64]
-    sequence: NDArray[np.int64]
-    capture_ns: NDArray[np.int64]
-    own: NDArray[np.int64]
-    iou: NDArray[np.float64]
-    z_m: NDArray[np.float64]
-    pose_sigma_m: NDArray[np.float64]
-    right: NDArray[np.bool_]
-    same: NDArray[np.bool_]
+    kind: Whole
+    reason: Whole
+    now_ns: Whole
+    sequence: Whole
+    capture_ns: Whole
+    own: Whole
+    iou: Array
+    z_m: Array
+    pose_sigma_m: Array
+    right: Flags
+    same: Flags
     offsets: Mapping[int, Offsets] = field(default_factory=dict[int, Offsets])
     oversize: Mapping[int, float] = field(default_factory=dict[int, float])
     placed_iou: Mapping[int, float] = field(default_factory=dict[int, float])
@@ -149,7 +150,7 @@ class StatedIdentity(NamedTuple):
     right: bool
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Circumstances:
     """The circumstances of a hand-over at its beginning, in truth.
 
@@ -167,7 +168,7 @@ class Circumstances:
     target_mps: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MonteCarloHandover:
     """The result of an attempt. Times are since its beginning, by D1's clock.
 
@@ -204,7 +205,7 @@ class MonteCarloHandover:
         return max(self.misses, key=lambda name: self.misses[name], default="no pair")
 
 
-def agreeing(series: Series, method: MethodConfig) -> NDArray[np.bool_]:
+def agreeing(series: Series, method: MethodConfig) -> Flags:
     """(n,) which entries are pairs that overlap as much as the method's thresholds and mapping
     ask.
     """

@@ -14,7 +14,8 @@ from typing import Any, Protocol
 
 from drivers.rig.parts import Rig
 from flight.harness.fleet import NamedTarget, RelayConfig
-from flight.harness.flights import Emit, ProgramContext, RoleResult
+from flight.harness.flights import Emit, ProgramContext, Report, RoleResult
+from path.values import frozen
 
 POINTING_M = 0.1  # standard deviation, on each axis, of where a person points
 
@@ -89,7 +90,7 @@ class TeamField(RelayField, Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DroneProcesses:
     """The drones' programs as processes, and their way to those on the ground: lines of JSON,
     either way.
@@ -109,7 +110,7 @@ class DroneProcesses:
     heard: Callable[[str, Mapping[str, Any]], None]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Pointed:
     """A person's word on a target's place: NED in m and m/s, at an instant of the ground's
     clock.
@@ -128,7 +129,7 @@ class Pointed:
         return n, e, d
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RelayRequest:
     """One relay, or the flights of a team.
 
@@ -154,7 +155,7 @@ class RelayRequest:
     targets: Sequence[NamedTarget] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FlightTruth:
     """One flight in truth, from switching on to the ground."""
 
@@ -164,7 +165,7 @@ class FlightTruth:
     battery: float  # when it stood, or the smallest while it was armed
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FieldSample:
     """The truth now and then: who is responsible (by their own word), and every battery."""
 
@@ -174,7 +175,7 @@ class FieldSample:
     airborne: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TargetWatch:
     """The times for which one target was kept in view, in truth.
 
@@ -192,35 +193,25 @@ class TargetWatch:
     spells: tuple[tuple[float, float], ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class RelayReport:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RelayReport(Report):
     """The harness's report of a relay.
 
-    ``gaps_s``: by leg, the longest time with nobody responsible in its hand-over; ``errors``: as in
-    ``FlightReport``; ``watched``: by target, in their order; ``bytes_sent``, ``aloft_s``: by drone,
-    on its links and in the air; ``cpu_s``: of this process; ``overload``: what of a relay in real
-    time was late, and how late, and ``explained``, as in ``FlightReport``.
+    ``gaps_s``: by leg, the longest time with nobody responsible in its hand-over; ``watched``: by
+    target, in their order; ``bytes_sent``, ``aloft_s``: by drone, on its links and in the air;
+    ``cpu_s``: of this process.
     """
 
-    violations: Mapping[str, int]
-    notes: Sequence[str]
     gaps_s: Mapping[int, float]
     flown: Sequence[FlightTruth]
     samples: Sequence[FieldSample]
     closest_m: float
-    simulated_s: float
-    wall_s: float
-    interrupted: bool = False
-    failure: str = ""
+    closest_pair: Sequence[str] = ()
     log_failure: str = ""
-    closest_pair: Sequence[str] = field(default_factory=tuple)
-    errors: Mapping[str, str | float] = field(default_factory=dict[str, str | float])
     watched: Sequence[TargetWatch] = ()
     bytes_sent: Mapping[str, int] = field(default_factory=dict[str, int])
     aloft_s: Mapping[str, float] = field(default_factory=dict[str, float])
     cpu_s: float = 0.0
-    overload: str = ""
-    explained: Sequence[str] = ()
 
 
 class RelayHarness(Protocol):

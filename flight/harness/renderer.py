@@ -10,24 +10,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Annotated, Literal, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from path.arrays import Depths, Image
 from path.bounds import Bounds, out_of_bounds
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Role, Vec3
+from path.values import frozen
 
 Kind = Literal["car", "person"]
 
 FARTHEST_PX = 100.0  # that a camera moves during its exposure
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Thing:
     """An object on the ground. Its frame: x forward, z up, origin on the ground below its middle.
 
@@ -42,7 +41,7 @@ class Thing:
     variant: int = 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class PlacedBoard:
     """A flat printed board. Its frame: x right and y down as printed, z away from who reads it.
 
@@ -55,11 +54,11 @@ class PlacedBoard:
 
     T_w_o: Pose
     side_m: float
-    print_shades: NDArray[np.uint8]
+    print_shades: Image
     light: tuple[float, float] = (26.0, 228.0)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RenderedInstant:
     """The things that there are at one instant.
 
@@ -76,7 +75,7 @@ class RenderedInstant:
     boards: tuple[PlacedBoard, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Imaging:
     """A camera's imaging of the light it gets. The default is a sensor that is linear and
     uncompressed.
@@ -134,7 +133,7 @@ WEBCAM = replace(REALISTIC, blur_sigma_px=0.4, sharpen=1.5)
 ``REALISTIC``; on a photograph of a marker board it leaves 8 %."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Printing:
     """The imperfections of the printed marker.
 
@@ -167,7 +166,7 @@ PRINTED = Printing(ink_spread_m=0.0001, black_spread=4.0)
 """An ordinary print: ink a tenth of a millimetre over its edges, black that is not flat."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DepthNoise:
     """Noise of the depth camera; ``sigma_at_1m_m`` grows with the square of the depth."""
 
@@ -178,7 +177,7 @@ class DepthNoise:
     max_m: float = 6.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RendererSetup:
     """One drone's camera, as it truly is, and the markers on the sender, as they truly are."""
 
@@ -191,14 +190,14 @@ class RendererSetup:
     depth: DepthNoise = field(default_factory=DepthNoise)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Shot:
     """``color``: uint8 (h, w, 3) BGR. ``depth_mm``: uint16 (h, w), registered to it, 0 where there
     is none.
     """
 
-    color: NDArray[np.uint8]
-    depth_mm: NDArray[np.uint16]
+    color: Image
+    depth_mm: Depths
 
 
 class FrameRenderer(Protocol):

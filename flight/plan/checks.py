@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from flight.plan.ranging import range_of
 from flight.rendezvous.viewpoint import NoViewpoint, Viewpoint
 from flight.tracking.association import UNSEEN_S
 from path.camera.model import CameraModel
+from path.values import frozen
 
 # of a box's shorter side: detectors lose objects below it (docs/detectors.md)
 LEAST_TARGET_PX = 20.0
@@ -46,7 +47,7 @@ _HALVINGS = 24
 _FINE = 1.001
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Problem:
     """Something that this rig cannot do. ``change``: the smallest that would do, "" when none was
     found.
@@ -60,7 +61,7 @@ class Problem:
         return f"{self.what}; {self.change}" if self.change else self.what
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Flown:
     """The facts and the geometry that a mission's settings have both drones fly."""
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from drivers.rig.facts import DroneFacts, SiteFacts
@@ -36,6 +36,7 @@ from flight.plan.overlap import agreeing_share
 from flight.rendezvous.viewpoint import Viewpoint, farthest_m
 from flight.way_out import LANDING_MPS
 from path.config import MethodConfig
+from path.values import frozen
 
 GRAVITY_MPS2 = 9.81
 HARDEST = 1.1  # times what the target does: to follow it
@@ -65,7 +66,7 @@ WEAK_BLOCKS: Mapping[str, float] = {
 Named = Mapping[str, Any]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Derived:
     """One derived value. ``why``: from what it follows; ``limit``: what would break if it were
     less, or more.

@@ -22,17 +22,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flight.plan.facts import Facts
 from flight.plan.geometry import Layout
 from flight.rendezvous.viewpoint import Viewpoint
+from path.arrays import Array
 from path.geometry.transforms import Pose
-
-Floats = NDArray[np.float64]
+from path.values import frozen
 
 STEP = 1e-5  # of the differences: small against every error, large against rounding
 # What docs/errors.md has for a careful crew where the rig states nothing.
@@ -55,7 +53,7 @@ BODY_SHARE = 0.05  # of the target's diameter, by which its box's middle differs
 _LEAST_SLANT = math.radians(20.0)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Source:
     """One kind of error that lasts: its standard deviation per component, and what it adds to B,
     shape (2, 2), m^2.
@@ -63,7 +61,7 @@ class Source:
 
     name: str
     sigma: str
-    adds: Floats
+    adds: Array
 
     @property
     def sigma_m(self) -> float:
@@ -71,7 +69,7 @@ class Source:
         return math.sqrt(0.5 * float(np.trace(self.adds)))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Predicted:
     """The predicted errors of a hand-over, m."""
 
@@ -85,7 +83,7 @@ class Predicted:
         return math.sqrt(0.5 * float(np.trace(self.offset_cov_m2)))
 
     @property
-    def offset_cov_m2(self) -> Floats:
+    def offset_cov_m2(self) -> Array:
         """Return its covariance, B, shape (2, 2)."""
         return np.sum([source.adds for source in self.sources], axis=0)
 
@@ -133,7 +131,7 @@ def predict(facts: Facts, placed: Layout) -> Predicted:
     return Predicted(sources, pose.camera_m, target_m)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _PoseSigmas:
     """Of the plate in D2's camera per axis, of its turn per axis, and of D2's camera in the plate's
     frame.
@@ -170,14 +168,14 @@ def _lens_rad(focal_px: float) -> float:
     return math.hypot(CENTER_PX / focal_px, 0.2 * FOCAL_SHARE)
 
 
-def _even(sigma_m: float) -> Floats:
+def _even(sigma_m: float) -> Array:
     return sigma_m * sigma_m * np.eye(2)
 
 
 class _Chain:
     """The chain of a pair from D1's depth to D2's box in D1's image, with one error at a time."""
 
-    def __init__(self, facts: Facts, target_h: Floats, T_h_c2: Pose) -> None:
+    def __init__(self, facts: Facts, target_h: Array, T_h_c2: Pose) -> None:
         sender = facts.sender.mount
         self._T_v_c1 = sender.T_v_c
         T_h_v = sender.T_b_v
@@ -186,7 +184,7 @@ class _Chain:
         self._point_c2 = T_h_c2.inverse().apply(target_h)
 
     def source(
-        self, name: str, size: int, sigma: float, unit: str, off: Callable[[Floats], Floats]
+        self, name: str, size: int, sigma: float, unit: str, off: Callable[[Array], Array]
     ) -> Source:
         """Return what an error of ``size`` independent components adds to B."""
         jacobian = np.column_stack(
@@ -195,48 +193,48 @@ class _Chain:
         said = f"{math.degrees(sigma):.2g} deg" if unit == "rad" else f"{1e3 * sigma:.2g} mm"
         return Source(name, said, sigma * sigma * jacobian @ jacobian.T)
 
-    def by_depth(self, error: Floats) -> Floats:
+    def by_depth(self, error: Array) -> Array:
         """D1's depth is off, m."""
         z = float(self._point_c1[2])
         return self._offset(self._point_c1 * (1.0 + float(error[0]) / z))
 
-    def by_mount(self, error: Floats) -> Floats:
+    def by_mount(self, error: Array) -> Array:
         """The place of D1's camera against its plate is off, m."""
         return self._offset(self._point_c1, mount=Pose(self._T_v_c1.R, self._T_v_c1.t + error))
 
-    def by_mount_angle(self, error: Floats) -> Floats:
+    def by_mount_angle(self, error: Array) -> Array:
         """Its angle is off, rad."""
         return self._offset(
             self._point_c1, mount=Pose(_turn(error) @ self._T_v_c1.R, self._T_v_c1.t)
         )
 
-    def by_pose(self, error: Floats) -> Floats:
+    def by_pose(self, error: Array) -> Array:
         """The place of the plate, as D2 has it, is off, m."""
         return self._offset(self._point_c1, pose=Pose(self._T_c2_v.R, self._T_c2_v.t + error))
 
-    def by_pose_angle(self, error: Floats) -> Floats:
+    def by_pose_angle(self, error: Array) -> Array:
         """Its angle is off, rad."""
         return self._offset(
             self._point_c1, pose=Pose(_turn(error) @ self._T_c2_v.R, self._T_c2_v.t)
         )
 
-    def by_sight1(self, error: Floats) -> Floats:
+    def by_sight1(self, error: Array) -> Array:
         """D1's ray to the target is off, rad right and down."""
         z = float(self._point_c1[2])
         return self._offset(self._point_c1 + z * np.array([error[0], error[1], 0.0]))
 
-    def by_sight2(self, error: Floats) -> Floats:
+    def by_sight2(self, error: Array) -> Array:
         """D2's ray to the target is off, rad right and down."""
         return self._offset(self._point_c1, sight2=(float(error[0]), float(error[1])))
 
     def _offset(
         self,
-        point_c1: Floats,
+        point_c1: Array,
         *,
         mount: Pose | None = None,
         pose: Pose | None = None,
         sight2: tuple[float, float] = (0.0, 0.0),
-    ) -> Floats:
+    ) -> Array:
         """Return D2's box, mapped into D1's image, from D1's own: m at the target's depth, shape
         (2,).
         """
@@ -249,7 +247,7 @@ class _Chain:
         return point_c1[2] * (mapped_c1[:2] / mapped_c1[2] - point_c1[:2] / point_c1[2])
 
 
-def _turn(error: Floats) -> Floats:
+def _turn(error: Array) -> Array:
     """Return a small rotation, to first order."""
     x, y, z = error.tolist()
     return np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]])

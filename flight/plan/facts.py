@@ -7,7 +7,7 @@ implies, so that the same checks and predictions hold for both.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any
 
 from drivers.rig.facts import DroneFacts, HeightFacts, LinkFacts, SiteFacts, TargetFacts
@@ -15,9 +15,10 @@ from drivers.rig.parts import Mount, PartSpec, Rig, RoleRig, decode_part
 from flight.config import MissionConfig
 from path.camera.model import CameraModel
 from path.config import MethodConfig
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Eye:
     """One drone's camera: its lens, its place on the drone, and its frames a second (None: not
     stated).
@@ -28,7 +29,7 @@ class Eye:
     rate_hz: float | None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Facts:
     """Everything measured or chosen that a plan follows from.
 

@@ -10,7 +10,6 @@ above the target and R cos(angle) behind it. D2 is where ``flight.rendezvous.vie
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from flight.config import MissionConfig, RendezvousConfig, SeparationConfig
 from flight.plan.facts import Facts
 from flight.rendezvous.viewpoint import NoViewpoint, Viewpoint, ViewpointScene, plan_viewpoint
 from path.geometry.transforms import Pose
+from path.values import frozen
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 BOXED_OF_ROTORS = 0.5
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Apparent:
     """A target as it fills an image: its width and height in m at its own depth, and in px."""
 
@@ -43,7 +43,7 @@ class Apparent:
         return min(self.width_px, self.height_px)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Layout:
     """The geometry of a hand-over.
 
@@ -65,19 +65,6 @@ class Layout:
         if self.T_h_c2 is None:
             return math.nan
         return float(np.linalg.norm(self.target_h - self.T_h_c2.t))
-
-    @property
-    def between_rad(self) -> float:
-        """Return the angle at the target between both lines of sight, D1's body standing for its
-        camera.
-        """
-        if self.T_h_c2 is None:
-            return math.nan
-        to_sender = -self.target_h
-        to_receiver = self.T_h_c2.t - self.target_h
-        lengths = float(np.linalg.norm(to_sender) * np.linalg.norm(to_receiver))
-        cosine = float(to_sender @ to_receiver) / lengths
-        return math.acos(max(-1.0, min(1.0, cosine)))
 
 
 def depression_rad(facts: Facts) -> float:

@@ -17,14 +17,12 @@ import math
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flight.plan.errors import predict
 from flight.plan.facts import Facts
 from flight.plan.geometry import Layout, boxed_share
+from path.arrays import Array
 from path.gate.agreement import threshold
-
-Floats = NDArray[np.float64]
 
 HEADINGS = 8
 DRAWS = 9  # along each axis of the offset: the middles of as many equal shares
@@ -37,7 +35,7 @@ def agreeing_share(facts: Facts, placed: Layout, strength: float) -> float:
     return float(np.mean(strengths(facts, placed) >= strength))
 
 
-def strengths(facts: Facts, placed: Layout) -> Floats:
+def strengths(facts: Facts, placed: Layout) -> Array:
     """Return the strength of the agreement by heading and draw, shape (n,). Raises ValueError for a
     layout without a viewpoint.
     """
@@ -46,7 +44,7 @@ def strengths(facts: Facts, placed: Layout) -> Floats:
     tau = threshold(placed.range_m, facts.method)
     offsets_m = _offsets(predict(facts, placed).offset_cov_m2)
     eyes = (facts.sender.mount.T_b_c.t, placed.T_h_c2.t)
-    found: list[Floats] = []
+    found: list[Array] = []
     for k in range(HEADINGS):
         heading_rad = 2.0 * math.pi * (k + 0.5) / HEADINGS
         sides_m = [_sides(facts, heading_rad, placed.target_h - eye) for eye in eyes]
@@ -54,14 +52,14 @@ def strengths(facts: Facts, placed: Layout) -> Floats:
     return (np.concatenate(found) - tau) / (1.0 - tau)
 
 
-def _offsets(covariance: Floats) -> Floats:
+def _offsets(covariance: Array) -> Array:
     """Return evenly likely draws from a normal distribution about 0, shape (DRAWS ** 2, 2)."""
     quantiles = [NormalDist().inv_cdf((k + 0.5) / DRAWS) for k in range(DRAWS)]
     grid = np.stack(np.meshgrid(quantiles, quantiles), axis=-1).reshape(-1, 2)
     return np.asarray(grid @ np.linalg.cholesky(covariance).T, np.float64)
 
 
-def _sides(facts: Facts, heading_rad: float, to_target: Floats) -> tuple[float, float]:
+def _sides(facts: Facts, heading_rad: float, to_target: Array) -> tuple[float, float]:
     """Return width and height in m of the target's box, at its own depth."""
     target = facts.target
     ahead = float(to_target[0])
@@ -78,7 +76,7 @@ def _sides(facts: Facts, heading_rad: float, to_target: Floats) -> tuple[float, 
     return share * wide_m, share * high_m
 
 
-def _overlap(own_m: tuple[float, float], other_m: tuple[float, float], offsets_m: Floats) -> Floats:
+def _overlap(own_m: tuple[float, float], other_m: tuple[float, float], offsets_m: Array) -> Array:
     """Return the intersection over union of two boxes by the offset of their middles."""
     common = np.ones(len(offsets_m))
     for axis in (0, 1):

@@ -5,7 +5,6 @@ borne. Pure.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from flight.plan.checks import (
     CATCH_UP,
@@ -17,11 +16,12 @@ from flight.plan.checks import (
 from flight.plan.errors import Predicted, predict
 from flight.plan.geometry import apparent
 from flight.rendezvous.viewpoint import Viewpoint
+from path.values import frozen
 
 MEDIAN = 0.89  # of the root mean square of three equal components: how large an error usually is
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Prediction:
     """One expected figure: by key for a program, in words for a person. NaN: it cannot be told."""
 

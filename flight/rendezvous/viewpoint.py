@@ -5,15 +5,16 @@ the mission).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flight.config import RendezvousConfig, SeparationConfig
 from flight.tilt import tilted
+from path.arrays import Flags
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
+from path.values import frozen
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +29,7 @@ _YAW_SHARES = (0.35, 0.5, 0.65)
 _SAME_M = 1e-6
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ViewpointScene:
     """The planner's knowledge, in D1's heading frame ``h`` (forward, right, down), origin at the
     marker.
@@ -42,7 +43,7 @@ class ViewpointScene:
     target_radius_m: float = 0.25
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Viewpoint:
     """A place for D2's camera in ``h``, the yaw relative to D1's heading, and what it gives."""
 
@@ -53,7 +54,7 @@ class Viewpoint:
     margin_px: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class NoViewpoint:
     """No candidate survived; ``rejected`` counts them by the first rule each broke."""
 
@@ -97,7 +98,7 @@ def plan_viewpoint(
     to_target = scene.target_h_m - candidates
     target_range = np.linalg.norm(to_target, axis=1)
 
-    rules: list[tuple[str, NDArray[np.bool_]]] = [
+    rules: list[tuple[str, Flags]] = [
         (
             "separation",
             (horizontal / separation.horizontal_m) ** 2
@@ -166,7 +167,7 @@ def _candidates(separation: SeparationConfig) -> Floats:
     return places.reshape(-1, 3)
 
 
-def _clear_of_body(to_body: Floats, to_target: Floats, scene: ViewpointScene) -> NDArray[np.bool_]:
+def _clear_of_body(to_body: Floats, to_target: Floats, scene: ViewpointScene) -> Flags:
     """Return whether D1's body leaves the line of sight to the whole target free."""
     body_range = np.linalg.norm(to_body, axis=1)
     target_range = np.linalg.norm(to_target, axis=1)

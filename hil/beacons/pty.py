@@ -23,7 +23,7 @@ from drivers.beacons.log import TRUTH_FILE, write_truth
 from drivers.beacons.marvelmind import Marvelmind, MarvelmindConfig
 from drivers.interfaces import BeaconError
 from drivers.mavlink.vision import VisionConfig
-from drivers.rig.parts import PartContext, Rig
+from drivers.rig.parts import NoOptions, PartContext, Rig
 from drivers.rig.tables import RigError, decode_table
 from hil.beacons.noise import BeaconConfig
 from hil.beacons.system import BeaconFrame, BeaconSystem, ByteChunk, truth_of
@@ -32,7 +32,6 @@ from hil.world.snapshot import Snapshot
 from path.arrays import Array
 from path.geometry.rotation import R_from_rpy
 from path.messages import Role, Vec3
-from path.values import frozen
 
 HEDGE_HZ = 16.0  # of each drone's own; PX4 wants more than 10
 APPEARS_S = 180.0  # a world that is warmed up first; the harness gives it up before
@@ -238,17 +237,12 @@ def link_of(run: str, role: Role | None = None) -> Path:
     )
 
 
-@frozen
-class PtyBeaconsConfig:
-    """The options of beacons on the run's own port: there are none."""
-
-
 class PtyBeacons(Marvelmind):
     """The driver on the port that this run's world opens: it is waited for."""
 
-    Config = PtyBeaconsConfig
+    Config = NoOptions
 
-    def __init__(self, config: PtyBeaconsConfig, context: PartContext) -> None:
+    def __init__(self, config: NoOptions, context: PartContext) -> None:
         del config
         self._link = self._link_of(os.environ.get(RUN_VARIABLE) or f"run-{os.getpid()}", context)
         super().__init__(MarvelmindConfig(ports=(str(self._link),)), context)

@@ -10,26 +10,20 @@ from typing import Self
 
 from drivers.interfaces import Clock, FlightMode, Log, VehicleError
 from drivers.mavlink.guard.interfaces import Beat, GuardAnswer, GuardView, Watched
-from drivers.rig.parts import PartContext, PartSpec, create
+from drivers.rig.parts import NoOptions, PartContext, PartSpec, create
 from flight.config import MissionConfig
 from flight.guard.watch import GuardWatch, watch
 from hil.world.seam import harness_of
-from path.values import frozen
 
 TICK_S = 0.05  # in the loop of a thousand runs; the program beside a real role ticks faster
-
-
-@frozen
-class SimGuardConfig:
-    """The options of the guard's vehicle: there are none, the rules are the mission's."""
 
 
 class SimGuard:
     """A ``drivers.mavlink.guard.interfaces.Watched`` on a drone of ``hil.world.world``."""
 
-    Config = SimGuardConfig
+    Config = NoOptions
 
-    def __init__(self, config: SimGuardConfig, context: PartContext) -> None:
+    def __init__(self, config: NoOptions, context: PartContext) -> None:
         del config
         self._harness = harness_of(context.harness, "hil.harness.guard:SimGuard", VehicleError)
         self._role = context.role
@@ -88,18 +82,11 @@ class SimGuard:
 
 
 @dataclass(slots=True)
-class _Mailbox:
-    """The newest beat, its arrival and who sent it."""
-
-    beat: tuple[int, Beat, MemoryGuardLine] | None = None
-
-
-@dataclass(slots=True)
 class MemoryGuardLine:
     """The role's end; ``cut`` when its program was killed."""
 
     clock: Clock
-    _box: _Mailbox
+    _to: MemoryBeatLine
     name: str = "this process"
     cut: bool = False
     answered: tuple[int, GuardAnswer] | None = None
@@ -114,7 +101,7 @@ class MemoryGuardLine:
 
     def beat(self, beat: Beat) -> None:
         if self._open and not self.cut:
-            self._box.beat = self.clock.now_ns(), beat, self
+            self._to.newest_beat = self.clock.now_ns(), beat, self
 
     def answer(self) -> tuple[int, GuardAnswer] | None:
         return self.answered
@@ -126,7 +113,7 @@ class MemoryBeatLine:
 
     clock: Clock
     ignored: dict[str, int] = field(default_factory=dict[str, int])  # nothing else speaks here
-    _box: _Mailbox = field(default_factory=_Mailbox)
+    newest_beat: tuple[int, Beat, MemoryGuardLine] | None = None  # its arrival, and who sent it
     _newest: MemoryGuardLine | None = None
     _from: MemoryGuardLine | None = None
 
@@ -136,8 +123,8 @@ class MemoryBeatLine:
     async def __aexit__(self, *_: object) -> None: ...
 
     def newest(self) -> tuple[int, Beat] | None:
-        newest = self._box.beat
-        self._box.beat = None
+        newest = self.newest_beat
+        self.newest_beat = None
         if newest is None:
             return None
         arrival_ns, beat, self._from = newest
@@ -150,7 +137,7 @@ class MemoryBeatLine:
     def role_end(self) -> MemoryGuardLine:
         """Return the role's end of the line for a program that begins."""
         self.cut()
-        self._newest = MemoryGuardLine(self.clock, self._box)
+        self._newest = MemoryGuardLine(self.clock, self)
         return self._newest
 
     def cut(self) -> None:

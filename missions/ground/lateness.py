@@ -4,9 +4,7 @@ else.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Protocol
-
+from flight.harness.flights import Report
 from flight.outcome import OBJECT_MONITOR, Outcome
 
 OF_TIME = frozenset(Outcome) - {
@@ -21,20 +19,7 @@ S8 is none of them: a gap between setpoints has a time of its own, and so has wh
 """
 
 
-class JudgedReport(Protocol):
-    """A harness's report, as far as lateness is concerned: ``FlightReport``, ``RelayReport``."""
-
-    @property
-    def overload(self) -> str: ...
-
-    @property
-    def explained(self) -> Sequence[str]: ...
-
-    @property
-    def violations(self) -> Mapping[str, int]: ...
-
-
-def for_lateness(report: JudgedReport, outcome: Outcome, detail: str) -> tuple[Outcome, str]:
+def for_lateness(report: Report, outcome: Outcome, detail: str) -> tuple[Outcome, str]:
     """The outcome of a run: ``overloaded`` where lateness can be the cause, and what it would have
     been.
     """

@@ -13,14 +13,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.clock import busy_ns
 from drivers.interfaces import Detector, Frame
@@ -41,10 +40,12 @@ from flight.tracking.association import Sighting
 from missions.ground import rig_library
 from missions.ground.journal import frame_record
 from missions.ground.rig_library import mission_of
+from path.arrays import Image
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.messages import Candidate, Role, Target
 from path.observations import Box, MarkerDetection, Missed, Region
+from path.values import frozen
 
 STAGE_S = 0.4  # that each stage is measured for, at least
 FEWEST = 10  # times
@@ -77,7 +78,7 @@ def detector_of(perception: PartSpec) -> tuple[PartSpec, float | None] | None:
     return detector, getattr(options, "rate_hz", getattr(options, "fps", None))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Stage:
     """Processor time of one stage, ms: in the mean, and what 99 of 100 stay below."""
 
@@ -85,7 +86,7 @@ class Stage:
     p99_ms: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Pace:
     """The time of a frame of one size, by stage, and of a look at the whole image for what was
     lost.
@@ -252,7 +253,7 @@ def timed(call: Callable[[], object], most: int = 1 << 30) -> Stage:
     return Stage(float(np.mean(took)), float(np.percentile(took, 99)))
 
 
-def picture(rig: Rig, camera: CameraModel) -> tuple[NDArray[np.uint8], Box]:
+def picture(rig: Rig, camera: CameraModel) -> tuple[Image, Box]:
     """A marker of the rig in the middle of a grainy floor, (h, w, 3) BGR, and an orange car with
     its box.
     """

@@ -6,7 +6,6 @@ import json
 import re
 from collections.abc import Collection, Generator, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -15,13 +14,14 @@ from drivers.text_file import read_file
 from missions.ground.held import held_folder
 from missions.ground.kernel_cache import can_write
 from missions.ground.shown import FolderGone
+from path.values import frozen
 
 REMEDY = "name another place with --out"
 MOST_SHOWN = 160
 MOST_SEARCHED = 1 << 30
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RunKind:
     """A kind of run, by the files in its folder.
 

@@ -13,15 +13,16 @@ What it needs is looked for before anything is flown.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Literal
+
+from path.values import frozen
 
 Option = Literal["xfeat", "set", "logs", "seconds", "method"]
 RIG = "sim-rendered"
 """The rig whose harness knows the truth: ``--rig`` takes its place."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Experiment:
     """One experiment.
 

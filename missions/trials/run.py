@@ -10,7 +10,7 @@ import shlex
 import sys
 import traceback
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
 from types import ModuleType
@@ -39,12 +39,13 @@ from missions.trials.shared.trial import (
     Verdict,
     trial_part,
 )
+from path.values import frozen
 
 EXIT_FAILED = CommandEnd.FAILED.exit_code
 STYLE: dict[Verdict, str] = {"met": "green", "short": "red", "measured": ""}
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Chosen:
     """An experiment that is to be run. ``short``: in its short form, on few samples."""
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.clock import SystemClock, SystemClockConfig
+from drivers.clock import SystemClock
 from drivers.interfaces import Clock, Kept, Log, RecordStore
 from drivers.log.mcap_log import McapLog
 from drivers.log.state_file import MemoryStore, StateFile
@@ -127,7 +127,7 @@ def test_a_log_never_raises(log_of: Callable[[Path], McapLog], tmp_path: Path) -
 
 def system() -> Clock:
     none: Any = None
-    return SystemClock(SystemClockConfig(), none)
+    return SystemClock(SystemClock.Config(), none)
 
 
 def offset() -> Clock:

@@ -18,7 +18,7 @@ from drivers.interfaces import FlightMode
 from drivers.mavlink.guard.interfaces import GuardView, Watched
 from drivers.mavlink.guard_link import GuardMavlink, GuardMavlinkConfig
 from hil.autopilot.autopilot import Ack
-from hil.harness.guard import SimGuard, SimGuardConfig
+from hil.harness.guard import SimGuard
 from hil.harness.virtual_time import run_virtual
 from hil.world.config import WorldConfig
 from hil.world.world import World
@@ -67,7 +67,7 @@ def sim() -> Generator[Stage]:
         autopilot.request_takeoff(harness.truth.time_s, 1.0)
 
     yield Stage(
-        SimGuard(SimGuardConfig(), here),
+        SimGuard(SimGuard.Config(), here),
         here.clock.now_ns,
         lift,
         lambda: harness.lost_vehicles.add(Role.SENDER),

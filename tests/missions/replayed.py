@@ -12,7 +12,14 @@ from path.messages import Role
 GOOD = {
     role: RoleResult(role, Outcome.COMMITTED, "", responsible=False, landed=True) for role in Role
 }
-REPORT = FlightReport(GOOD, dict.fromkeys(Role, True), {}, 40.0, 0.5, notes=("windy",))
+REPORT = FlightReport(
+    results=GOOD,
+    landed=dict.fromkeys(Role, True),
+    violations={},
+    simulated_s=40.0,
+    wall_s=0.5,
+    notes=("windy",),
+)
 
 
 class Replayed:

@@ -24,9 +24,9 @@ from flight.harness.fleet import RelayConfig, TeamConfig
 from hil.world.config import WorldConfig
 from missions.field.calibrate.mount import MeasuredMount
 from missions.ground import rig_library
-from missions.ground.rigs import every_name
 from missions.trials.real.set import RealSetFile
 from path.bounds import Bounds, bounds_of, numbers, unit_of
+from tests.every_rig import every_name
 
 STATED = (Quality,)
 """A calibration's words on itself: nothing is computed with them."""

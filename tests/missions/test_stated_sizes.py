@@ -8,9 +8,9 @@ import pytest
 from hil.geometric.scene import parts_of
 from hil.world.snapshot import TargetKind
 from missions.ground import rig_library
-from missions.ground.rigs import every_name
 from path.config import EvidenceConfig
 from path.gate.evidence import evidence_needed, evidence_of
+from tests.every_rig import every_name
 
 
 @pytest.mark.parametrize(

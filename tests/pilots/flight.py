@@ -23,7 +23,7 @@ from flight.guidance import Anchor
 from flight.harness.flights import RoleResult
 from flight.outcome import Outcome
 from hil.autopilot.autopilot import Autopilot
-from hil.harness.guard import MemoryBeatLine, SimGuardConfig
+from hil.harness.guard import MemoryBeatLine, SimGuard
 from hil.harness.virtual_time import run_virtual
 from hil.vehicle.sim_vehicle import SimVehicle, SimVehicleConfig
 from hil.world.config import HomeConfig, WorldConfig
@@ -127,7 +127,7 @@ async def _fly(acts: tuple[Act, ...], seed: int) -> Flown:
     rig, loop = _rig(), asyncio.get_running_loop()
     context = part_context(rig, ROLE, cast(Any, harness))
     beats = MemoryBeatLine(context.clock)
-    guard = NotedGuard(SimGuardConfig(), context)
+    guard = NotedGuard(SimGuard.Config(), context)
     watching = GuardWatch(guard, beats, context.clock, CONFIG, cast(Any, NoLog()))
     vehicle = SimVehicle(SimVehicleConfig(), context)
     async with guard, vehicle:

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, cast
 
 from drivers.interfaces import FlightMode
-from drivers.rig.parts import PartContext
+from drivers.rig.parts import NoOptions, PartContext
 from flight.harness.flights import RoleResult
 from flight.outcome import Outcome
 from hil.autopilot.autopilot import Autopilot
-from hil.harness.guard import SimGuard, SimGuardConfig
+from hil.harness.guard import SimGuard
 from hil.world.world import Fleet
 from path.messages import Role
 from tests.pilots.acts import Act, begin, undo
@@ -180,7 +180,7 @@ class Watched:
 class NotedGuard(SimGuard):
     """The guard's vehicle, whose commands are known as the guard's. Its harness has ``noted``."""
 
-    def __init__(self, config: SimGuardConfig, context: PartContext) -> None:
+    def __init__(self, config: NoOptions, context: PartContext) -> None:
         super().__init__(config, context)
         self._noted: Watched = cast(Any, context.harness).noted
 

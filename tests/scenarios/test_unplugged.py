@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from drivers.clock import SystemClock, SystemClockConfig
+from drivers.clock import SystemClock
 from drivers.interfaces import Link, Perception, Vehicle
 from drivers.mavlink.vehicle import MavsdkVehicle, MavsdkVehicleConfig
 from drivers.perception.pixels import PixelPerception, PixelPerceptionConfig
@@ -47,7 +47,7 @@ from tests.missions.fly.leg.session_bench import Recorder
 from tests.pauses import undisturbed
 
 NO_CONTEXT: Any = None
-CLOCK = SystemClock(SystemClockConfig(), NO_CONTEXT)
+CLOCK = SystemClock(SystemClock.Config(), NO_CONTEXT)
 HEIGHT_M = 0.9
 VIDEO_HZ = 15
 PATIENT = {"connect_timeout_s": 60.0, "command_timeout_s": 10.0}

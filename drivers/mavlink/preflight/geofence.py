@@ -11,17 +11,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from drivers.mavlink.modes import PX4, AutopilotKind
 from drivers.mavlink.preflight.wanted import ALT_MAX, CIRCLE, wrong
+from path.values import frozen
 
 STEP_M = 3.0
 PX4_NAMES = ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST", "GF_ACTION")
 ARDUPILOT_NAMES = ("FENCE_RADIUS", "FENCE_ALT_MAX", "FENCE_ACTION", "FENCE_TYPE", "FENCE_ENABLE")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Geofence:
     """The script's: around the mission's origin, above the height that the rig's ``height_from``
     counts from.
@@ -31,7 +31,7 @@ class Geofence:
     height_m: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FencePlan:
     """The changes that an autopilot's fence needs.
 

@@ -9,12 +9,12 @@ import math
 import threading
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from mavsdk.plugins.param import Param, ParamError, ParamResult
 
 from drivers.interfaces import VehicleError
+from path.values import frozen
 
 RENAMED: Mapping[str, tuple[str, ...]] = {"MAV_GCS_SYSID": ("SYSID_MYGCS",)}  # ArduPilot before 4.7
 """The name of a parameter in older versions of its autopilot."""
@@ -27,7 +27,7 @@ OTHER_TYPE = (ParamResult.WRONG_TYPE, ParamResult.TYPE_MISMATCH)
 ABSENT = (ParamResult.DOES_NOT_EXIST, ParamResult.TIMEOUT)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Difference:
     """A parameter that is not as the rig wants it. ``found`` is None where the vehicle has no such
     parameter.

@@ -8,16 +8,16 @@ descriptions and sources.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 from drivers.mavlink.modes import PX4, AutopilotKind
+from path.values import frozen
 
 RADIO_FIRST = frozenset({0, 5, 7})
 ESTOP = 31  # of RCn_OPTION: Motor Emergency Stop
 SWITCH_CHANNELS = range(5, 17)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PilotRule:
     """A parameter by name, whether a value of it leaves the pilot in command, and what goes wrong
     with one that does not."""

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
 
 from drivers.mavlink.preflight.pilot_rules import SILENCING
+from path.values import frozen
 
 LONGEST_WITHOUT_SETPOINTS_S = 2.0
 # one that no pilot can take: its failsafe waits while what comes before it is measured
@@ -27,7 +27,7 @@ HIGHEST_CM = 12_000.0
 LEAST_CM = 100.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class WantedRule:
     """One parameter.
 

@@ -5,7 +5,8 @@ of messages.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+
+from path.values import frozen
 
 V1 = 0xFE
 V2 = 0xFD
@@ -20,7 +21,7 @@ CRC_EXTRA = {HEARTBEAT: 50, TIMESYNC: 34}  # a byte that stands for the message'
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Head:
     """The sender and the kind of a frame. ``payload_at``: where its payload begins."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,9 +9,10 @@ import tyro
 
 from missions.ground.options.words import FileName, OutFolder
 from path.bounds import Bounds
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class BoardOptions:
     """The printed board, as measured on the print."""
 
@@ -41,7 +41,7 @@ class BoardOptions:
     """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CalibrateCameraOptions(BoardOptions):
     """Calibrate a camera from views of a board: of images, a video, or a rig's camera as it
     runs.
@@ -83,7 +83,7 @@ class CalibrateCameraOptions(BoardOptions):
     """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CalibrateMountOptions(BoardOptions):
     """Find where D1's camera is, seen from its marker (T_v_c1): from views of a board, or from a
     tape measure.
@@ -112,7 +112,7 @@ class CalibrateMountOptions(BoardOptions):
     """The calibration."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CalibrateBoardOptions(BoardOptions):
     """Draw a board to print."""
 
@@ -123,7 +123,7 @@ class CalibrateBoardOptions(BoardOptions):
     """The picture, PNG."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CalibrateMarkerOptions:
     """Draw D1's marker to print, or a plate of several in a row, and what a rig says of it."""
 
@@ -143,7 +143,7 @@ class CalibrateMarkerOptions:
     """The drawing, in millimetres, SVG: a browser prints it at its size."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CalibrateImportOptions:
     """Read a camera's calibration that another program made: ROS, Kalibr, OpenCV, COLMAP,
     RealSense, DepthAI.
@@ -165,7 +165,7 @@ class CalibrateImportOptions:
     """The calibration."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CalibrateExportOptions:
     """Write a camera's calibration for another program: ROS, Kalibr, OpenCV."""
 
@@ -181,7 +181,7 @@ class CalibrateExportOptions:
     """Where to; without it, beside the calibration."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CalibrateOptions:
     """Calibrate a camera, or where it sits relative to the marker; read or write another program's
     calibration; or draw a board, or the marker, to print.

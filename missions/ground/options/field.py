@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,9 +18,10 @@ from missions.ground.options.words import (
     Slow,
 )
 from path.bounds import Bounds
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RoleOptions(RigChoice):
     """One drone's side of a handoff, as in the field."""
 
@@ -46,17 +46,17 @@ class RoleOptions(RigChoice):
     live: Live = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SenderOptions(RoleOptions):
     """Fly the sender alone, as in the field: the receiver runs on the other drone."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ReceiverOptions(RoleOptions):
     """Fly the receiver alone, as in the field: the sender runs on the other drone."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DesignateOptions(RigChoice):
     """Tell a D1 in the air which object is meant; without a statement: answer what it asks, from
     this terminal.
@@ -89,7 +89,7 @@ class DesignateOptions(RigChoice):
     """File for the picture of a question, where D1 has one."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class GuardOptions(RigChoice):
     """Watch a vehicle on a link of its own; hold and land it when its script falls silent or a
     limit stays broken.
@@ -123,7 +123,7 @@ class GuardOptions(RigChoice):
     """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DoctorOptions(RigChoice):
     """Check this machine, and a rig without moving anything."""
 
@@ -161,7 +161,7 @@ class DoctorOptions(RigChoice):
     """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PrepareOptions(RigChoice):
     """Compile the kernels of a rig now: for images, for services, and before the first flight of a
     day.
@@ -170,7 +170,7 @@ class PrepareOptions(RigChoice):
     rig: AnyRig = "sitl"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RigsOptions:
     """List the rigs that come with PATH; write one of your own, or check it."""
 
@@ -192,7 +192,7 @@ class RigsOptions:
     """With --new: what both drones see with."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PlanOptions(RigChoice):
     """Show what follows from what a rig measured: heights, distances, times, what limits them, what
     to expect.
@@ -206,7 +206,7 @@ class PlanOptions(RigChoice):
     """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ChecklistOptions(RigChoice):
     """Write one page of paper that a rig's crew does and ticks in the field; or tick a first flight."""
 
@@ -228,7 +228,7 @@ class ChecklistOptions(RigChoice):
     """With --tick: what was seen."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DetectOptions(RigChoice):
     """Try a detector on a recording: what it finds, and how long it takes."""
 
@@ -274,7 +274,7 @@ class DetectOptions(RigChoice):
     """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PoseOptions:
     """Find a printed marker in every frame of a recording: where it is, and how sure that is."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -30,9 +29,10 @@ from missions.ground.options.words import (
     Slow,
 )
 from path.bounds import Bounds
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class HandoffOptions(RigChoice):
     """Fly a whole handoff: both drones, and the world when the rig has a simulated one."""
 
@@ -87,7 +87,7 @@ class HandoffOptions(RigChoice):
     model: DetectorModel = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class HoursOptions(RigChoice):
     """The options of what many drones fly for hours."""
 
@@ -117,7 +117,7 @@ class HoursOptions(RigChoice):
     """Draw relay.png or team.png at the end."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RehearseOptions:
     """Fly a rig of the field in the harness as it is, its hardware replaced behind the drivers."""
 
@@ -145,7 +145,7 @@ class RehearseOptions:
     out: RunFolder = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RelayOptions(HoursOptions):
     """Hand one target from drone to drone as batteries run down: hours in simulated time, or
     minutes in real time.
@@ -160,7 +160,7 @@ class RelayOptions(HoursOptions):
     """The number of the rig's drones that take part, from its first one on."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TeamOptions(HoursOptions):
     """Keep many targets observed by many drones for hours, which relieve each other as batteries
     run down.
@@ -180,7 +180,7 @@ class TeamOptions(HoursOptions):
     """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FlyOptions(RigChoice):
     """Fly a mission of your own: both drones, and the world when the rig has a simulated one."""
 
@@ -224,7 +224,7 @@ class FlyOptions(RigChoice):
     model: DetectorModel = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class StandInOptions:
     """Switch on an embedded vehicle alone, for programs of others to be tried against, until
     Ctrl-C.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,6 +18,7 @@ from missions.ground.options.words import (
     Seed,
 )
 from path.bounds import Bounds
+from path.values import frozen
 
 QuestionName = Literal["pose", "handovers", "flights", "rivals", "cost"]
 ExperimentName = Literal[
@@ -31,7 +31,7 @@ ExperimentName = Literal[
 TrialName = Literal["all"] | QuestionName | ExperimentName
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TrialOptions:
     """Ask one of the evaluation's questions, or all of them, and hold what comes out against the
     paper.
@@ -94,7 +94,7 @@ class TrialOptions:
     """The folder that paths in --set's files are relative to; by default each file's own folder."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class VerifyOptions:
     """Walk through everything that loss, delay, crashes and clocks can do to a hand-over, and hold
     it to its rules.
@@ -117,7 +117,7 @@ class VerifyOptions:
     """Seed of the forged packets."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CampaignOptions:
     """Fly many hand-overs under faults, each by its own seed, and hold every one to S1-S10, L1 and
     L2.
@@ -171,7 +171,7 @@ class CampaignOptions:
     errors: Errors = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ConformanceOptions:
     """Fly the embedded vehicle, PX4 and ArduPilot through the same small checks, and show where
     they differ.

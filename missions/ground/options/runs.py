@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,9 +9,10 @@ import tyro
 
 from missions.ground.options.words import FileName, OutFolder
 from path.bounds import Bounds
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ReportOptions:
     """Make summary, table and picture of a run again from its logs."""
 
@@ -23,7 +23,7 @@ class ReportOptions:
     """Draw run.png too."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ReplayOptions:
     """Decide again, from a run's logs, what its drones decided; or what they would have, with other
     settings; or over two films that were made without PATH."""
@@ -62,7 +62,7 @@ class ReplayOptions:
     """Draw replay.png when something is decided otherwise, or films were looked at."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MergeOptions:
     """Put the logs of a run, or of two companions, into one on one clock."""
 
@@ -77,7 +77,7 @@ class MergeOptions:
     """The merged log; merged.mcap beside the first one by default."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ExportOptions:
     """Write what a run's logs hold in forms that other programs read; or a RealSense recording as
     images.
@@ -104,7 +104,7 @@ class ExportOptions:
     """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ViewOptions:
     """Look at a run in Rerun: the scene, both images, plots, words. Needs the extra `view`
     (docs/view.md).

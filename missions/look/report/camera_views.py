@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Polygon, Rectangle
-from numpy.typing import NDArray
 
 from drivers.log.mcap_log import LogRecord, decode_image
 from missions.look.report.palette import DIM, MAPPED_BOX, MARKER, OWN_BOX, PRIOR, ROLE
 from missions.look.report.records import RunRecords, judged_pairs, last
 from missions.look.report.truth import Truth
+from path.arrays import Array
 from path.camera.model import CameraModel
 from path.messages import Role
 
@@ -164,7 +164,7 @@ def _draw_objects(axes: Axes, truth: Truth, role: Role, stamp_ns: int) -> None:
         _draw_edges(axes, camera, [T_c_o.apply(edge) for edge in edges], color)
 
 
-def _edges(box: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+def _edges(box: Array) -> list[Array]:
     """The 12 edges of a box (centre, size), each as (n, 3) points along it: a lens bends them."""
     corners = [
         box[:3] + box[3:] / 2 * signs for signs in np.array(list(product((-1.0, 1.0), repeat=3)))
@@ -174,9 +174,7 @@ def _edges(box: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     return [a + shares * (b - a) for a, b in pairs]
 
 
-def _draw_edges(
-    axes: Axes, camera: CameraModel, edges: Sequence[NDArray[np.float64]], color: str
-) -> None:
+def _draw_edges(axes: Axes, camera: CameraModel, edges: Sequence[Array], color: str) -> None:
     """The edges in front of the camera, all in one line with gaps, which is drawn much faster than
     a line for each.
     """

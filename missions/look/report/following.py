@@ -6,22 +6,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.log.mcap_log import LogRecord
 from missions.look.report.records import RunRecords, first
 from missions.look.report.truth import Truth
+from path.arrays import Array, Whole
 from path.messages import Role
+from path.values import frozen
 
 FOLLOWING = ("follow", "verify")
 # across the ground, from its place: until it was so near it was still on its way there
 SETTLED_M = 0.35
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Following:
     """Rows are instants of truth.
 
@@ -31,8 +31,8 @@ class Following:
         unseen_s: the longest time without a box of the target.
     """
 
-    stamps_ns: NDArray[np.int64]
-    off_m: NDArray[np.float64]
+    stamps_ns: Whole
+    off_m: Array
     unseen_s: float
 
     @property
@@ -43,7 +43,7 @@ class Following:
         return max(0.0, float(self.off_m[:, 0].max()))
 
     @property
-    def errors_m(self) -> NDArray[np.float64]:
+    def errors_m(self) -> Array:
         """Distances from its place, once it had come there; empty when it never did."""
         distances = np.hypot(self.off_m[:, 0], self.off_m[:, 1])
         there = np.flatnonzero(distances < SETTLED_M)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from missions.look.report.records import RunRecords, judged_pairs, last
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class LongestRow:
     """The longest row of agreeing pairs without a miss of either drone, up to the commit.
 

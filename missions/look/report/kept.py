@@ -4,18 +4,17 @@ the truth.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from drivers.log.mcap_log import LogRecord
 from flight.outcome import KEPT_S
 from missions.look.report.records import RunRecords
 from missions.look.report.truth import Truth, box_center
 from path.messages import Role
+from path.values import frozen
 
 LAST_S = 2.0  # the end of what is looked at: without a box of the target in it, the target is lost
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Kept:
     """What came of the target after the hand-over.
 

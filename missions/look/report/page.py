@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
 from missions.look.report.advice import advice
 from missions.look.report.records import Records, phase_changes
 from missions.look.report.tables import counts_text
+from path.values import frozen
 
 MAX_IMAGES = 16  # of one drone: the page stays below some megabytes
 NEAR_S = 1.0  # an image is of a phase when it is no farther from its beginning
@@ -32,7 +32,7 @@ figure { margin: 0; width: 15rem } figure img { width: 100%; border-radius: .2re
 """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PageOf:
     """The facts of a run beside its drones' logs."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Protocol, TextIO
+from typing import TextIO
 
 from rich.console import Console as Terminal
 from rich.console import Group
@@ -30,16 +30,8 @@ SHORT = {Role.SENDER: "D1", Role.RECEIVER: "D2"}
 COLORS = {Role.SENDER: "bright_blue", Role.RECEIVER: "yellow"}
 
 
-class Console(Protocol):
-    def show(self, progress: Progress) -> None:
-        """Take in the newest state of a role; cheap, and never raises for a stream that went
-        away.
-        """
-        ...
-
-
 @contextmanager
-def open_console(stream: TextIO) -> Generator[Console, None, None]:
+def open_console(stream: TextIO) -> Generator[LineConsole | LiveTable]:
     """A console on a stream: live when it is a terminal, lines when it is not."""
     if not stream.isatty():
         with Said(stream) as say:
@@ -184,14 +176,8 @@ def _together(shown: Sequence[Progress]) -> Iterator[ProgressBar | Text | str]:
     yield "" if apart_m is None else f"{apart_m:.2f} m apart"
 
 
-class SeriesProgress(Protocol):
-    """Shows how far a series of runs is."""
-
-    def add(self, outcome: str) -> None: ...
-
-
 @contextmanager
-def open_tally(stream: TextIO, total: int) -> Generator[SeriesProgress, None, None]:
+def open_tally(stream: TextIO, total: int) -> Generator[LineTally | LiveTally]:
     """A tally of runs on a stream: live when it is a terminal, a line at each tenth when it is
     not.
     """

@@ -15,7 +15,7 @@ Topics and their fields: ``drivers.log.topics``; what viewers draw: ``drivers.lo
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord, parts, read_log
 from missions.ground.run_folder import RunKind
 from path.messages import Role
+from path.values import frozen
 
 SENDER_LOG = "sender.mcap"
 RECEIVER_LOG = "receiver.mcap"
@@ -50,7 +51,7 @@ class RunFolderError(PartError):
     """A folder that is not a run's."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RunFacts:
     """The facts of a run that its logs cannot tell: what was asked for, and what the harness saw.
 
@@ -81,7 +82,7 @@ class RunFacts:
     mission: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RunRecords:
     """A whole run as read back. ``facts`` is None when the run was cut off before its end."""
 

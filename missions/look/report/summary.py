@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from itertools import pairwise
 from typing import Any
 
@@ -21,6 +21,7 @@ from missions.look.report.truth import Truth, box_center, handed_over, truth_of
 from path.geometry.rotation import R_from_quat
 from path.geometry.transforms import Pose
 from path.messages import Role
+from path.values import frozen
 
 
 def summarize(run: RunRecords) -> dict[str, Any]:
@@ -57,7 +58,7 @@ def summarize(run: RunRecords) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Verification:
     """The time from the sender's entry into the verify phase to its commit, or to where its log
     ends.

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.log.mcap_log import LogRecord
 from missions.look.report.records import Records, RunRecords, first, judged_pairs, last
+from path.arrays import Array, Whole
 from path.camera.model import CameraModel
 from path.geometry.rotation import R_from_quat, R_from_yaw
 from path.geometry.transforms import Pose, Vector
 from path.messages import Role
+from path.values import frozen
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True)
+@frozen
 class TrueScene:
     """The constants of a world: see ``/scene`` in ``missions.look.report.records``."""
 
@@ -65,7 +63,7 @@ class Truth:
         apart = np.linalg.norm(self._t[Role.SENDER] - self._t[Role.RECEIVER], axis=1)
         return np.where(self._in_air[Role.SENDER] & self._in_air[Role.RECEIVER], apart, np.nan)
 
-    def way_to(self, role: Role, object_id: int) -> tuple[NDArray[np.int64], Array]:
+    def way_to(self, role: Role, object_id: int) -> tuple[Whole, Array]:
         """Return the stamps of the world's clock, and from a role's body to an object at each:
         east, north, up.
         """

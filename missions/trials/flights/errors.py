@@ -7,18 +7,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missions.trials.flights.dynamic.judge import SUBJECTS, Compared, HarnessVerdict, SessionErrors
 from missions.trials.shared.statistics import blocks_interval, rms
 from missions.trials.shared.trial import TrialTable
+from path.arrays import Array
 
 NAMES = {"d2": "D2 from D1", "target": "the target from D1"}
 OFFSET_GOAL_S = 0.010
 NOTHING = {"n": 0, "rmse_m": None, "mean_m": None, "median_m": None, "p95_m": None, "max_m": None}
 
 
-def spread(errors: NDArray[np.float64]) -> dict[str, Any]:
+def spread(errors: Array) -> dict[str, Any]:
     """Return the figures of errors (n,), m."""
     if not len(errors):
         return dict(NOTHING)

@@ -8,7 +8,7 @@ kept of it; processes run batches of them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -19,6 +19,7 @@ from flight.harness.montecarlo import HandoverRunner, Series, agreeing, tell
 from missions.ground.rig_library import trial_part
 from path.config import GateKind, MethodConfig
 from path.gate.evidence import make_gate
+from path.values import frozen
 
 # The paper's and the default. Other kinds of gate are not judged here.
 GATES: tuple[GateKind, GateKind] = ("count", "evidence")
@@ -28,7 +29,7 @@ Asked = TypeVar("Asked")
 Answer = TypeVar("Answer")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Verdict:
     """What one gate made of an attempt.
 
@@ -61,7 +62,7 @@ class Verdict:
         return self.committed and not self.same
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class JudgedAttempt:
     """One attempt by both gates; ``count`` is None where it was not run to the end of that gate."""
 
@@ -110,7 +111,7 @@ def wrongly(attempts: Attempts, gate: GateKind) -> int:
     return sum(verdict.wrong for verdict in verdicts_of(attempts, gate))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Batch(Generic[Asked, Answer]):
     """What one process runs. ``judge``: a function of a module, which is told runner, method and
     what is asked.

@@ -6,23 +6,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import PartError
 from missions.field.calibrate.camera import solve_as_told
 from missions.trials.real.corners import by_photometry, starts
 from missions.trials.real.set import REMEDY, RealSet
+from path.arrays import Array, Image
 from path.calibration.board import find_board
 from path.calibration.intrinsics import NotSolvable, matrices_of, pose_of_points
 from path.calibration.thinned import seen_evenly
 from path.camera.model import CameraModel
 from path.geometry import rotation
 from path.geometry.transforms import Matrix, Pose
+from path.values import frozen
 
 STEP_M = 1e-4  # of numerical derivatives on the board
 # of a side, in a marker's own frame
@@ -30,11 +31,8 @@ MARKER_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
 PASSES = 10
 OUTLIER_PX = 0.3  # residuals beyond it count less and less in what all views have in common
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Photograph:
     """One view: the board's reference corners found in it, (n, 3) metres and (n, 2) px."""
 
@@ -44,7 +42,7 @@ class Photograph:
     corners_px: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class BoardSeen:
     """A board's place in one photograph.
 
@@ -126,7 +124,7 @@ class BoardSeen:
         return (self.camera.project(self.T_c_o.apply(above)) - here) / STEP_M
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class SetSeen:
     """All photographs of a set that show its board.
 

@@ -10,16 +10,16 @@ each other, over the whole set, is taken off.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from missions.trials.real.board import BoardSeen, Photograph, SetSeen
 from missions.trials.real.errors import MethodPoses, printed
 from missions.trials.real.set import RealSet
 from missions.trials.shared.statistics import robust_sigma
+from path.arrays import Array, Flags, Whole
+from path.values import frozen
 
 ACROSS = np.linspace(-0.5, 0.5, 13)  # in cells, of an edge: where light is read
 ALONG = np.linspace(-0.3, 0.3, 5)
@@ -28,10 +28,8 @@ PASSES = 3  # each reads about where edges were found before
 MEDIANS = 1.25  # standard error of a median, over that of a mean
 FEWEST_READ = 3  # of an edge, for each direction of the change
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class CellEdges:
     """The edges between cells of one marker.
 
@@ -44,9 +42,9 @@ class CellEdges:
 
     n: int
     middles: Array
-    axis: NDArray[np.int64]
-    lines: NDArray[np.int64]
-    rising: NDArray[np.bool_]
+    axis: Whole
+    lines: Whole
+    rising: Flags
 
     def places(self, off: Array) -> Array:
         """Places (k, along, across, 2) of what is read, in shares of the marker, with lines off by
@@ -91,16 +89,7 @@ def inner_edges(own: RealSet, seen: SetSeen, measured: MethodPoses) -> dict[int,
     return {i: share * one.reshape(2, -1) for i, one in off.items()}
 
 
-def off_by(inner: Mapping[int, Array]) -> float:
-    """By how much inner edges are off, rms in cells; 0 without any."""
-    return (
-        float(np.sqrt(np.mean(np.concatenate([own.ravel() for own in inner.values()]) ** 2)))
-        if inner
-        else 0.0
-    )
-
-
-def _edges_of(cells: NDArray[np.bool_]) -> CellEdges:
+def _edges_of(cells: Flags) -> CellEdges:
     n = len(cells)
     found = [
         (axis, line, k, bool(those[k, line]))
@@ -153,7 +142,7 @@ def _wider(edges: Mapping[int, CellEdges], read: Mapping[int, Array]) -> float:
     return 0.5 * (rising - falling)
 
 
-def _read(rising: NDArray[np.bool_], points_o: Array, shot: Photograph, board: BoardSeen) -> Array:
+def _read(rising: Flags, points_o: Array, shot: Photograph, board: BoardSeen) -> Array:
     """By how far from its place (k, along, across, 3) each edge is in one view, in cells; nan where
     it is not seen.
     """

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missions.trials.real.board import SetSeen, growth, robust_solution
 from missions.trials.real.corners import Corners, FoundMarker
 from missions.trials.real.set import RealSet
+from path.arrays import Array
 from path.geometry.transforms import Matrix
+from path.values import frozen
 
 FEWEST_VIEWS = 3  # that tell a print from the errors of its views
 FEWEST_FOR_HEIGHT = 6  # the same of the paper's shape
@@ -25,10 +26,8 @@ FEWEST_FOR_HEIGHT = 6  # the same of the paper's shape
 HEIGHT_SIGMA_M = 3e-4
 CORNER_PX = 0.1
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class SeenMarker:
     """One marker in one view.
 
@@ -92,7 +91,7 @@ class SeenMarker:
         return float(np.mean(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class MethodPoses:
     """All markers of one method, and the print as it sees it.
 

@@ -10,32 +10,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from missions.trials.real.board import BoardSeen, SetSeen, robust_solution
 from missions.trials.real.cells import inner_edges
 from missions.trials.real.errors import FEWEST_VIEWS, MethodPoses, printed
 from missions.trials.real.set import RealSet
+from path.arrays import Array, Image, Singles
+from path.values import frozen
 
 CELL_PX = 0.3  # of the photographs: how finely ink is moved
 MOST_CELLS = 2600  # of a print, across
 NODES = 25  # each way, between which what moves the ink is smooth
 
-Array = NDArray[np.float64]
-Shades = NDArray[np.uint8]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Print:
     """A flat print of square cells: shades, the side of a cell in metres, the place of its corner
     on the board.
     """
 
-    shades: Shades
+    shades: Image
     cell_m: float
     corner_o: Array
 
@@ -51,7 +48,7 @@ class Print:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class InkMoves:
     """By how much ink lies elsewhere than it was meant to.
 
@@ -133,7 +130,7 @@ def _of_squares(squares: tuple[Array, Array], x: Array, y: Array) -> Array:
     return moved
 
 
-def _between(places: Array, nodes: Array) -> NDArray[np.float32]:
+def _between(places: Array, nodes: Array) -> Singles:
     return np.interp(places, nodes, np.arange(len(nodes))).astype(np.float32)
 
 

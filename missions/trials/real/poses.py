@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missions.trials.real.board import MARKER_CORNERS, BoardSeen, SetSeen
 from missions.trials.real.errors import MethodPoses, SeenMarker, printed
 from missions.trials.real.set import RealSet
+from path.arrays import Array
 from path.camera.model import CameraModel
 from path.geometry import rotation
 from path.geometry.transforms import Pose
@@ -20,6 +20,7 @@ from path.marker.layout import Marker, MarkerLayout
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
 from path.messages import Vec3
 from path.observations import MarkerDetection, Missed
+from path.values import frozen
 
 POSE_STREAM = 1
 NOISE_STREAM = 3
@@ -32,12 +33,11 @@ ANY_DICTIONARY = "DICT_4X4_1000"  # of layouts whose markers are found already
 TO_BOARD = np.array([1.0, 1.0, -1.0])  # heights are against the board's z
 BOARD_TO_MARKER = np.diag([1.0, -1.0, -1.0])  # the board's y is down and its z away from the viewer
 
-Array = NDArray[np.float64]
 Gravity = Literal["stated", "known", "none"]
 """The knowledge of gravity: as the set says, exact, or none at all."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PoseError:
     """One pose against the board's.
 
@@ -56,7 +56,7 @@ class PoseError:
     chi2: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Poses:
     """Errors of what was estimated, and the reasons of what was refused."""
 
@@ -64,7 +64,7 @@ class Poses:
     refused: dict[str, int]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class PoseTask:
     """Markers of one view that make up a frame ``v``: what is known of their print, and the true
     pose.

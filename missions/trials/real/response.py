@@ -11,19 +11,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import least_squares
 
 from flight.harness.renderer import Imaging
 from missions.trials.real.board import BoardSeen, Photograph, SetSeen
 from missions.trials.real.set import RealSet
+from path.arrays import Array
 from path.calibration.edges import FLAT_PX, LEAST_PIXELS, PLACES, SeenEdge, mean_edge, see_edge
 from path.target.kernels import MAD_TO_SIGMA
+from path.values import frozen
 
 FEWEST_EDGES = 12
 # of the modelled edge: places of it in a pixel; pixels each way
@@ -40,10 +41,8 @@ QUALITIES = (5, 99)
 STANDARD_FIRST = 16.0  # first entry of JPEG's luminance table at quality 50
 TOP = 255.0
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class BoardEdge:
     """An edge of the board in one photograph. ``middle_o``: (2,) m, of it on the board."""
 
@@ -51,7 +50,7 @@ class BoardEdge:
     seen: SeenEdge
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class CameraResponse:
     """The response of a camera, by a set of its photographs.
 

@@ -4,19 +4,18 @@ give them.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from missions.trials.real.response import CameraResponse
 from missions.trials.real.shutter import RowMotion
 from missions.trials.shared.statistics import Interval
+from path.arrays import Image
 from path.camera.thinning import Thinning
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Figure95:
     """A figure with its 95 % interval; views are drawn together."""
 
@@ -31,7 +30,7 @@ class Figure95:
         return f"{scale * self.value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CornerScore:
     """One method's corners: px per axis, with the print as the views show it, and with all markers
     printed alike.
@@ -66,7 +65,7 @@ class CornerScore:
         }
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PoseScore:
     """Errors of D2's place in the marker's frame, of the rotation, and what was refused."""
 
@@ -92,7 +91,7 @@ class PoseScore:
         }
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SetScore:
     """A set.
 
@@ -129,7 +128,7 @@ class SetScore:
     corners: dict[str, CornerScore]
     poses: dict[str, PoseScore]
     named: dict[str, int]
-    example: NDArray[np.uint8]
+    example: Image
     row_motion: RowMotion | None = None
     twin: TwinScore | None = None
     untwinned: str = ""
@@ -171,7 +170,7 @@ class SetScore:
         return {name: figure for name, figure in {**corners, **poses}.items() if figure is not None}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class TwinScore:
     """A set's rendered twin: the camera's response that it was drawn with, and what comes out of
     it.

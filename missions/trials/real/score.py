@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,8 @@ from missions.trials.shared.statistics import (
     robust_sigma,
     robust_sigmas,
 )
+from path.arrays import Array, Image
+from path.values import frozen
 
 SCORE_STREAM = 2
 QUICK_IMAGES = 4
@@ -54,11 +56,10 @@ KNOWN_GRAVITY = ("single", "plate", "still", "still_plate", "as_stated", "as_sta
 """Poses that are estimated once more with gravity known."""
 SHAPELY = ("perfect_corners", "as_stated")  # poses of corners whose print is known
 
-Array = NDArray[np.float64]
 Groups = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SetTask:
     """One set to measure: its file, and what its paths are relative to.
 
@@ -89,12 +90,13 @@ def score_set(task: SetTask) -> SetScore:
         )
         if twin is None:
             return replace(score, untwinned="the camera's response shows in too few straight edges")
-        again = look_at_set(own, twin.images)
+        drawn, response = twin
+        again = look_at_set(own, drawn)
     except (ValueError, PartError) as error:
         # What was measured on the photographs stands: a twin is drawn beside it.
         return replace(score, untwinned=str(error))
-    rendered = _score(own, twin.images, again, _measure(own, again), task.seed)
-    return replace(score, twin=TwinScore(twin.response, rendered))
+    rendered = _score(own, drawn, again, _measure(own, again), task.seed)
+    return replace(score, twin=TwinScore(response, rendered))
 
 
 def _measure(own: RealSet, seen: SetSeen) -> dict[str, MethodPoses]:
@@ -252,7 +254,7 @@ def _figure(
     return Figure95(figure_of(statistic, values), bootstrap(values, statistic, rng, together))
 
 
-def _thumbnail(seen: SetSeen) -> NDArray[np.uint8]:
+def _thumbnail(seen: SetSeen) -> Image:
     shot = seen.photographs[len(seen.photographs) // 2].grey
     scale = min(1.0, THUMBNAIL_PX / shot.shape[1])
     small: Sequence[Any] | Any = cv2.resize(

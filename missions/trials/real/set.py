@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import PartError
 from drivers.recordings.recording import IMAGE_SUFFIXES
@@ -20,13 +18,12 @@ from path.calibration.board import Board
 from path.geometry.transforms import Matrix
 from path.marker.layout import DICTIONARIES
 from path.marker.photometric.texture import dictionary_of
+from path.values import frozen
 
 REMEDY = "correct the set's file: docs/real.md describes it"
 FEWEST_MARKERS = 4
 # of a side, y down, as printed
 GRID_CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
-
-Image = NDArray[np.uint8]
 
 
 Focal = Annotated[float, Bounds(10.0, 100_000.0, "px")]
@@ -34,7 +31,7 @@ Centre = Annotated[float, Bounds(0.0, 100_000.0, "px")]
 Coefficients = tuple[float, float, float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SetCamera:
     """Table ``[camera]``: calibration of the photographs, px and OpenCV's Brown-Conrady
     coefficients.
@@ -47,7 +44,7 @@ class SetCamera:
     distortion: Annotated[Coefficients, Bounds(-100.0, 100.0, "of 1")] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RealSetFile:
     """The file.
 
@@ -109,7 +106,7 @@ class RealSetFile:
             raise ValueError(f"down: {self.down} is no direction of length 1")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class PrintedMarker:
     """One marker on the board.
 
@@ -123,7 +120,7 @@ class PrintedMarker:
     corners_o: Matrix
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class RealSet:
     """Photographs, the board's own corners (None of a grid) and its markers by id (none on a
     chessboard).

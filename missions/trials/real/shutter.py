@@ -8,25 +8,24 @@ is the most that knowing the motion could do.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missions.trials.real.board import BoardSeen, Photograph, SetSeen, robust_solution, see_board
 from missions.trials.real.corners import Corners, FoundMarker
 from missions.trials.real.errors import MethodPoses, measure_set
 from missions.trials.real.set import RealSet
 from missions.trials.shared.statistics import rms
+from path.arrays import Array
 from path.geometry import rotation
+from path.values import frozen
 
 STEP = 1e-6  # of numerical derivatives, metres and radians
 POSE_NUMBERS = 6
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True)
+@frozen
 class RowMotion:
     """The motion while rows are read, over all views of a set.
 

@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from flight.harness.renderer import (
     FrameRenderer,
@@ -44,12 +43,14 @@ from missions.trials.real.response import (
     with_noise,
 )
 from missions.trials.real.set import RealSet
+from path.arrays import Array, Image
 from path.calibration.board import print_cells
 from path.calibration.edges import mean_edge
 from path.camera.model import CameraModel, sensor_of
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
+from path.values import frozen
 
 GRID_CELLS = 800  # a grid's pitch: its markers' side is what it is, and fits no coarser print
 BORDER = 0.6  # of the pitch, white around a grid
@@ -63,24 +64,14 @@ ALIKE = 0.1
 NEARER = 0.8  # of what edges are off, which a pass may leave to be worth another
 LEAST_LIGHT = 0.5
 
-Array = NDArray[np.float64]
-Shades = NDArray[np.uint8]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Twin:
-    """Rendered photographs of a set: their files, and the camera that they were taken with."""
-
-    images: tuple[Path, ...]
-    response: CameraResponse
-
 
 def render_twin(
     own: RealSet, seen: SetSeen, measured: MethodPoses | None, images: Sequence[Path], renderer: type[FrameRenderer],
     seed: int, out: Path,
-) -> Twin | None:  # fmt: skip
-    """Draw every photograph of a set again, into files; None when its camera's response cannot be
-    measured.
+) -> tuple[tuple[Path, ...], CameraResponse] | None:  # fmt: skip
+    """Draw every photograph of a set again, into files, and tell with what response.
+
+    None when its camera's response cannot be measured.
 
     Args:
         measured: its markers, which tell where their ink lies. ``images``: the set's files.
@@ -103,10 +94,10 @@ def render_twin(
     for shot, image in zip(seen.photographs, drawing.images(seen, imaging), strict=True):
         files.append(out / f"{Path(shot.name).stem}.png")
         cv2.imwrite(str(files[-1]), image)
-    return Twin(tuple(files), replace(response, imaging=imaging))
+    return tuple(files), replace(response, imaging=imaging)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class _Drawing:
     """The drawing of a set's twin.
 
@@ -134,13 +125,13 @@ class _Drawing:
             shares[shot.name] = _white(got) / _white(wanted) if wanted and got else 1.0
         return shares
 
-    def images(self, seen: SetSeen, imaging: Imaging) -> list[Shades]:
+    def images(self, seen: SetSeen, imaging: Imaging) -> list[Image]:
         """Every photograph of ``seen`` again, in its own light."""
         camera, sensor_imaging = _sensor(seen.camera, imaging)
         made = self.renderer(
             RendererSetup(camera, HERE, HERE, single_marker(), imaging=sensor_imaging), self.seed
         )
-        drawn: list[Shades] = []
+        drawn: list[Image] = []
         for number, (shot, board) in enumerate(zip(seen.photographs, seen.boards, strict=True)):
             lit = _placed(board, self.prints[shot.name], self.edges[shot.name], imaging.gamma)
             share = self.turned.get(shot.name, 1.0)
@@ -166,7 +157,7 @@ def _sensor(camera: CameraModel, imaging: Imaging) -> tuple[CameraModel, Imaging
     return sensor_of(camera), coarse
 
 
-def _image_of(drawn: Shades, camera: CameraModel, imaging: Imaging) -> Shades:
+def _image_of(drawn: Image, camera: CameraModel, imaging: Imaging) -> Image:
     """The camera's image of what the renderer drew."""
     thinning = camera.thinning
     if thinning is None:

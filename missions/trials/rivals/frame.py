@@ -5,7 +5,6 @@ method.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,7 @@ from path.config import MethodConfig
 from path.gate.agreement import iou
 from path.messages import Role
 from path.observations import Box
+from path.values import frozen
 
 # of its shirt is in D2's view: the target is present; of stages with less, others are drawn
 PRESENT_SHARE = 0.5
@@ -46,7 +46,7 @@ NOISE_M = DepthNoise().sigma_at_1m_m
 REDRAWS = 200
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FrameTask:
     """A frame to make, picklable.
 
@@ -68,7 +68,7 @@ class FrameTask:
     own: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Owned:
     """An answer, and the person that its box really shows (None: no box, or nobody)."""
 
@@ -76,7 +76,7 @@ class Owned:
     owner: int | None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FrameResult:
     """The results of one frame.
 
@@ -101,7 +101,7 @@ class FrameResult:
         return self.wanted.case == "present"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class StagePair:
     """A stage that shows what was wanted, shot by both cameras."""
 

@@ -9,24 +9,22 @@ errors, and nothing of the truth.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import PartError
 from drivers.rig.parts import import_factory
+from path.arrays import Depths, Image
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Vec3
 from path.observations import Box
+from path.values import frozen
 
 OPTION = "--method"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class View:
     """One drone's frame and what it believes of its camera.
 
@@ -37,13 +35,13 @@ class View:
         gravity: unit vector down, for D1 in the marker's frame, for D2 in its camera's.
     """
 
-    color: NDArray[np.uint8]
-    depth_mm: NDArray[np.uint16]
+    color: Image
+    depth_mm: Depths
     camera: CameraModel
     gravity: Vec3
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Pair:
     """Two frames of one instant.
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,6 +32,7 @@ from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
 from path.messages import Role, Target, Vec3
 from path.observations import Box, MissReason, Region
 from path.target.monocular import TargetSize
+from path.values import frozen
 
 STAMP_NS = 1_000_000_000
 ATTEMPT = AttemptId(1, 1, 1)
@@ -42,7 +42,7 @@ REGION_ERROR_PX = 10.0
 REGION_MARGIN_PX = 60.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Beliefs:
     """The drones' beliefs."""
 
@@ -56,7 +56,7 @@ class Beliefs:
     depth: Mapping[Role, DepthError]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PathAnswer:
     """PATH's answer to a pair of frames.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -18,6 +17,7 @@ from missions.trials.shared.drawing import panels, save, sheet
 from path.baselines.features import Image
 from path.messages import Role
 from path.observations import Box, Region
+from path.values import frozen
 
 NAMES: dict[Outcome, str] = {
     "tp": "target acquired",
@@ -34,7 +34,7 @@ WRONG = "#ff3030"
 RIGHT = OWN_BOX
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SweepCurve:
     """Accuracy of one method along a sweep."""
 
@@ -43,7 +43,7 @@ class SweepCurve:
     tallies: tuple[FrameTally, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Example:
     """One pair of frames, and what a method made of it.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from typing import Any, Literal
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from missions.trials.shared.statistics import wilson
 from path.baselines.association import choose
+from path.values import frozen
 
 Outcome = Literal["tp", "tn", "fp", "fn"]
 OUTCOMES: tuple[Outcome, ...] = ("tp", "tn", "fp", "fn")
@@ -30,7 +31,7 @@ def outcome(present: bool, chosen: bool, right: bool) -> Outcome:
     return "fn" if present else "tn"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FrameTally:
     """Frames by outcome. Rates are of all frames, as the paper's are (7 of 350 = 2.0 %)."""
 
@@ -71,7 +72,7 @@ class FrameTally:
         }
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Ballot:
     """The choice that a baseline had in one frame, in each of its variants.
 
@@ -93,7 +94,7 @@ class Ballot:
         return outcome(self.present, box is not None, box is not None and self.owners[box] == 0)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Rule:
     """The decision rule of a baseline: which variant of it, and its thresholds."""
 

@@ -5,23 +5,23 @@ sees D1's marker.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.rig.parts import Mount, Rig
 from flight.harness.renderer import RenderedInstant, RendererSetup, Thing
+from path.arrays import Array
 from path.camera.model import CameraModel
 from path.geometry.rotation import R_from_rpy
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout, single_marker
 from path.messages import Role
+from path.values import frozen
 
 Case = Literal["present", "outside", "hidden"]
-Array = NDArray[np.float64]
 
 PEOPLE = 6
 # room a person takes
@@ -69,7 +69,7 @@ class NoRoomError(Exception):
     """No stage of this kind was found."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Wanted:
     """The conditions that a stage is drawn for.
 
@@ -87,7 +87,7 @@ class Wanted:
     marker_side_m: float = MARKER_SIDE_M
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DrawnStage:
     """A drawn stage. The target is ``stage.things[0]``; ``side`` of D1 carries the marker."""
 
@@ -389,7 +389,7 @@ def _view(scene: DrawnStage, role: Role) -> StageCamera:
     return StageCamera(scene.T_w_c(role), CAMERAS[role])
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class StageCamera:
     """A camera in the world."""
 

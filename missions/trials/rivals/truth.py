@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from missions.trials.rivals.stage import (
 )
 from path.messages import Role
 from path.observations import Box
+from path.values import frozen
 
 BODY_M = 0.45  # a surface this near to a person's axis, and nearest to it, is that person
 GROUND_M = 0.04
@@ -30,7 +30,7 @@ SHIRT_HALF_M = (0.17, 0.33)
 SHIRT_ENDS_M = (0.91, 1.45)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TrueView:
     """Asks the renderer what one camera really sees."""
 

@@ -7,13 +7,13 @@ from __future__ import annotations
 import base64
 import platform
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from html import escape
 from importlib.metadata import version
 from pathlib import Path
 
 from missions.trials.shared.trial import TrialFinding, TrialResult, TrialTable, Verdict
+from path.values import frozen
 
 PAGE = "index.html"
 MADE_BY = '<p class="dim">PATH '
@@ -34,7 +34,7 @@ figure { margin: 1rem 0; } img { max-width: 100%; height: auto; } div.wide { ove
 """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Chapter:
     """One trial on the page.
 

@@ -6,12 +6,11 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import betaincinv
 
+from path.arrays import Array, Whole
 from path.target.kernels import MAD_TO_SIGMA
 
-Array = NDArray[np.float64]
 Interval = tuple[float, float]
 Statistic = Callable[[Array], Array]
 """A figure of each of several samples: of (k, n, ...) it makes (k,)."""
@@ -58,7 +57,7 @@ def bootstrap(
     values: Array,
     statistic: Statistic,
     rng: np.random.Generator,
-    groups: NDArray[np.int64] | None = None,
+    groups: Whole | None = None,
 ) -> Interval:
     """95 % percentile bootstrap of a statistic of ``values``, shape (n, ...).
 
@@ -136,7 +135,7 @@ def _check(events: int, trials: int) -> None:
         raise ValueError(f"{events} of {trials} cannot be")
 
 
-def blocks_interval(values: Array, groups: NDArray[np.int64], rng: np.random.Generator) -> Interval:
+def blocks_interval(values: Array, groups: Whole, rng: np.random.Generator) -> Interval:
     """95 % interval of the mean of values (n,), whole groups (n,) drawn together; (nan, nan)
     without any.
     """

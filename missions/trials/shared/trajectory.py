@@ -10,17 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array, Flags, Whole
 from path.geometry.rotation import exp
 from path.target.kernels import MAD_TO_SIGMA
+from path.values import frozen
 
-Array = NDArray[np.float64]
 Turn = Literal["vertical", "any"]
 
 SLOPE_S = 0.06  # to either side, for the velocity of a curve
@@ -36,7 +35,7 @@ BLOCK_S = 2.0  # residuals nearer in time than this are taken together
 RESAMPLES = 200
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Trajectory:
     """Positions (n, 3) in m at increasing instants (n,) in s."""
 
@@ -58,7 +57,7 @@ class Trajectory:
         return (self.at(t + SLOPE_S) - self.at(t - SLOPE_S)) / (2.0 * SLOPE_S)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MotionPair:
     """One motion in both records.
 
@@ -71,7 +70,7 @@ class MotionPair:
     wander_s: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Alignment:
     """The alignment of samples with curves; standard deviations are from a bootstrap over blocks of
     time.
@@ -95,7 +94,7 @@ class Alignment:
     yaw_sigma_rad: float
     shift_sigma_m: tuple[float, ...]
     residuals: tuple[Array, ...]
-    used: tuple[NDArray[np.bool_], ...]
+    used: tuple[Flags, ...]
     scales_m: tuple[float, ...]
 
 
@@ -189,7 +188,7 @@ def align(
     )
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _TrajectoryFit:
     """``shifts``: (knots, 3) of each pair."""
 
@@ -256,7 +255,7 @@ class _Problem:
             ),
         )
 
-    def linearized(self, state: _TrajectoryFit) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def linearized(self, state: _TrajectoryFit) -> tuple[Array, Array, Flags]:
         """Residuals (n, 3), Jacobian (n, 3, unknowns), and which samples lie on their curve."""
         count = self.parts[-1].stop
         residuals = np.zeros((count, 3))
@@ -282,9 +281,7 @@ class _Problem:
                 part[:, i, self._columns[k].start + i : self._columns[k].stop : 3] = hats
         return residuals, jacobian, known
 
-    def weights(
-        self, residuals: Array, known: NDArray[np.bool_]
-    ) -> tuple[Array, tuple[float, ...]]:
+    def weights(self, residuals: Array, known: Flags) -> tuple[Array, tuple[float, ...]]:
         """Robust weights (n,), zero for outliers and unknown ones, and the spread of each pair."""
         weights = np.zeros(len(residuals))
         scales = list[float]()
@@ -424,6 +421,6 @@ def rpe_along(places: Array, residuals: Array, along_m: float) -> Array:
     return np.linalg.norm(residuals[after[fine]] - residuals[fine], axis=1)
 
 
-def blocks_of(t: Array, block_s: float = BLOCK_S) -> NDArray[np.int64]:
+def blocks_of(t: Array, block_s: float = BLOCK_S) -> Whole:
     """The block of time each instant is in: what is to be resampled together."""
     return ((t - t.min()) / block_s).astype(np.int64) if len(t) else np.zeros(0, np.int64)

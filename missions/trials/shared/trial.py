@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any, Literal
 
 from drivers.rig.parts import Rig
 from missions.ground.rig_library import trial_part
 from missions.ground.work import Work
+from path.values import frozen
 
 Verdict = Literal["met", "short", "measured"]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TrialRequest:
     """One trial to run.
 
@@ -51,7 +52,7 @@ class TrialRequest:
         return trial_part(self.rig, name)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TrialFinding:
     """One number held against the paper's or against a goal, as the reader sees it.
 
@@ -73,7 +74,7 @@ class TrialFinding:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TrialTable:
     """A table of the report: texts, the first column names the row."""
 
@@ -83,7 +84,7 @@ class TrialTable:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TrialPicture:
     """A PNG in the trial's folder."""
 
@@ -91,7 +92,7 @@ class TrialPicture:
     caption: str
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TrialResult:
     """The result of a trial.
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.clock import SystemClock, SystemClockConfig
+from drivers.clock import SystemClock
 from drivers.interfaces import CameraError
 from drivers.rig.parts import Mount, Origin, PartContext
 from hil.camera.d415 import T_COLOR_DEPTH
@@ -34,7 +34,7 @@ def context(camera: CameraModel = COLOR) -> PartContext:
     )
     return PartContext(
         here.role,
-        SystemClock(SystemClockConfig(), here),
+        SystemClock(SystemClock.Config(), here),
         here.camera,
         here.mount,
         here.layout,

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from drivers.clock import SystemClock, SystemClockConfig
+from drivers.clock import SystemClock
 from drivers.interfaces import CameraError, Frame
 from drivers.perception.pixels import PixelPerception, PixelPerceptionConfig
 from drivers.recordings.camera import RecordedCamera, RecordedCameraConfig, RecordingEnded
@@ -169,7 +169,7 @@ def test_videos_and_logs_play_in_real_time_too(tmp_path: Path) -> None:
 
     async def frames_of(file: Path, pace: str) -> tuple[list[Frame], float]:
         ctx = context()
-        clock = SystemClock(SystemClockConfig(), ctx)
+        clock = SystemClock(SystemClock.Config(), ctx)
         real = PartContext(ctx.role, clock, ctx.camera, ctx.mount, ctx.layout, ctx.origin)
         config = decode_table(
             {"file": str(file), "pace": pace}, RecordedCameraConfig, "rig.toml: camera"

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.clock import SystemClock, SystemClockConfig
+from drivers.clock import SystemClock
 from drivers.rig.parts import Mount, Origin, PartContext
 from hil.tello.emulator import TelloEmulator, TelloEmulatorConfig
 from hil.tello.video import TelloVideo, TelloVideoConfig
@@ -36,7 +36,7 @@ STATE_PORT = free_port()
 
 def context() -> PartContext:
     none: Any = None
-    clock = SystemClock(SystemClockConfig(), none)
+    clock = SystemClock(SystemClock.Config(), none)
     return PartContext(Role.SENDER, clock, CAMERA, LEVEL, single_marker(), Origin(47.0, 8.0, 400.0))
 
 

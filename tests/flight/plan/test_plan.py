@@ -18,7 +18,7 @@ from flight.plan.complete import derived_of
 from flight.plan.derive import derive
 from flight.plan.errors import predict
 from flight.plan.facts import Eye, Facts, facts_of
-from flight.plan.geometry import apparent
+from flight.plan.geometry import Layout, apparent
 from flight.plan.predictions import predictions
 from flight.rendezvous.viewpoint import NoViewpoint
 from hil.world.targets import LookAlikeConfig
@@ -279,7 +279,7 @@ def test_an_error_of_depth_alone_moves_the_box_by_the_angle_between_both_views(
     error_m = math.hypot(0.01 * z_m, 0.003)
     # by hand: the point slides along D1's ray, D2 sees it beside by error * sin(angle), D1 maps
     # that back
-    by_hand_m = error_m * math.sin(plain.placed.between_rad) / math.sqrt(2.0)
+    by_hand_m = error_m * math.sin(between_rad(plain.placed)) / math.sqrt(2.0)
     assert depth.sigma_m == pytest.approx(by_hand_m, rel=0.35)
 
 
@@ -395,3 +395,14 @@ def test_positions_that_walk_are_allowed_for_where_they_matter(rig_of: RigOf) ->
     assert (usual.target.own_m, usual.rendezvous.positions_within_m) == (0.0, 1.1)
     assert walking.target.own_m == 2.0
     assert walking.rendezvous.positions_within_m == pytest.approx(4.4)
+
+
+def between_rad(placed: Layout) -> float:
+    """Return the angle at the target between both lines of sight, D1's body standing for its
+    camera.
+    """
+    assert placed.T_h_c2 is not None
+    to_sender = -placed.target_h
+    to_receiver = placed.T_h_c2.t - placed.target_h
+    lengths = float(np.linalg.norm(to_sender) * np.linalg.norm(to_receiver))
+    return math.acos(float(to_sender @ to_receiver) / lengths)

@@ -12,7 +12,7 @@ import pytest
 from drivers.mavlink.vision import VisionConfig, beacon_in_n
 from drivers.rig.parts import PartSpec, Rig
 from drivers.rig.tables import RigError, decode_table
-from hil.beacons.pty import PtyBeaconsConfig, PtyHedge, frame_of, open_hedges
+from hil.beacons.pty import PtyHedge, frame_of, open_hedges
 from hil.camera.shared import RUN_VARIABLE
 from hil.world.config import WorldConfig
 from hil.world.world import World
@@ -62,7 +62,7 @@ def test_each_drone_hears_where_it_is(role: Role, monkeypatch: pytest.MonkeyPatc
 
     async def test() -> None:
         with open_hedges(rig, 3, lambda: time.monotonic() - start_s, lambda: snapshot):
-            async with PtyHedge(PtyBeaconsConfig(), context) as hedge:
+            async with PtyHedge(PtyHedge.Config(), context) as hedge:
                 fixes = [await hedge.read(60.0) for _ in range(9)]
         vision = VisionConfig(NOBODY, 5, x_heading_deg=40.0, zero_n_m=ZERO_N_M)
         places = np.array([beacon_in_n(fix.position_m, vision) for fix in fixes])

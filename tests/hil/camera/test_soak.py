@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 
-from hil.camera.soak import FLAT_MIB, soak
+from tests.hil.camera.driver_soak import FLAT_MIB, soak
 
 
 def test_a_short_soak() -> None:

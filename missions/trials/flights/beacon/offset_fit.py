@@ -26,15 +26,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from missions.trials.shared.trajectory import Alignment, MotionPair, huber
+from path.arrays import Array, Whole
 from path.geometry.rotation import exp
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 # positions within this are one mean: nothing that moves a drone is quicker, and matrices stay small
 BLOCK_S = 0.5
@@ -47,7 +45,7 @@ SEARCH_STEPS = 25
 MOST_CHANGE = 1.5  # of the logarithm of a variance in one step
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Spreads:
     """Standard deviations per axis; the module's text says of what."""
 
@@ -57,7 +55,7 @@ class Spreads:
     warp_m: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class OffsetFit:
     """``offset_sigma_s`` is for the likeliest spreads; ``yaw_rad`` turns curves to samples about
     the vertical.
@@ -109,7 +107,7 @@ def fit_offset(pairs: Sequence[MotionPair], start: Alignment, steady_s: float) -
     return OffsetFit(offset_s, sigma_s, yaw_rad, Spreads(*np.exp(0.5 * spreads).tolist()))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Means:
     """Means over blocks of time, of all pairs.
 
@@ -124,7 +122,7 @@ class _Means:
     t: Array
     place: Array
     count: Array
-    pair: NDArray[np.int64]
+    pair: Whole
     residual: Array
     jacobian: Array
 
@@ -182,7 +180,7 @@ def _kernels(means: _Means, steady_s: float) -> Array:
     ])  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Solution:
     """Generalised least squares for one set of spreads.
 

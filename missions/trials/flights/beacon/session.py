@@ -12,7 +12,7 @@ import asyncio
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
@@ -20,18 +20,19 @@ from typing import Protocol, Self, runtime_checkable
 from drivers.beacons.log import TRUTH_FILE, BeaconTruth, read_truth, write_truth
 from drivers.beacons.record import BeaconRecorder, read_any
 from drivers.beacons.stream import MarvelmindStream
-from drivers.clock import SystemClock, SystemClockConfig
+from drivers.clock import SystemClock
 from drivers.interfaces import BeaconError, BeaconFix, Beacons, PartError
 from drivers.rig.parts import PartSpec, Rig, create, import_factory, part_context
 from missions.fly.handoff.flight import fly_once
 from missions.look.report.records import RECEIVER_LOG, SENDER_LOG, WORLD_LOG, load_facts
 from missions.trials.flights.dynamic.flight import BEACON_LIST, BEACON_RECORD, reference_of
 from path.messages import Role
+from path.values import frozen
 
 SILENT_S = 2.0  # without a position before it is said
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class BeaconSession:
     """A session's folder, and the beacons as they were heard.
 
@@ -130,7 +131,7 @@ class Listener:
     def __init__(self, rig: Rig, spec: PartSpec, file: Path) -> None:
         context = replace(
             part_context(rig, Role.RECEIVER),
-            clock=SystemClock(SystemClockConfig(), None),  # type: ignore[arg-type]
+            clock=SystemClock(SystemClock.Config(), None),  # type: ignore[arg-type]
         )
         self._beacons: Beacons = create(spec, context)
         self._file = file

@@ -6,21 +6,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.rig.parts import Rig
 from missions.look.report.records import RunRecords
 from missions.look.report.truth import Truth
+from path.arrays import Array, Whole
 from path.geometry.rotation import R_from_quat, log
 from path.geometry.transforms import Matrix, Pose
 from path.messages import Vec3
 from path.relative_pose.filter import Relative, RelativeFilter, RelativeSettings
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 SEEN_S = 0.8
 HIDDEN_S = 1.05
@@ -31,7 +29,7 @@ STARTS = 6  # of the rows of gaps, in one replay each
 TRUTH_SIGMAS = np.array([3e-4] * 3 + [5e-4] * 3)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FilterInput:
     """The filter's input of one frame; ``T_c_v`` and ``covariance`` are None when no marker was
     seen.
@@ -46,7 +44,7 @@ class FilterInput:
     covariance: Matrix | None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Coasts:
     """Predictions without a marker, n of them.
 
@@ -63,7 +61,7 @@ class Coasts:
     sigma_m: Array
     sigma_rad: Array
     nees: Array
-    block: NDArray[np.int64]
+    block: Whole
 
 
 def frames_of(run: RunRecords) -> list[FilterInput]:

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.beacons.log import BeaconTruth, Mounted
 from drivers.beacons.record import BeaconRecorder
@@ -22,10 +21,10 @@ from drivers.rig.parts import Reference, Rig, import_factory
 from missions.fly.handoff.flight import fly_once
 from missions.look.report.records import WORLD_LOG, RunRecords
 from missions.trials.shared.trajectory import Trajectory
+from path.arrays import Array
 from path.geometry.rotation import R_from_quat, normalized
 from path.geometry.transforms import Pose
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 BEACON_RECORD = "beacons.mcap"
 BEACON_LIST = "beacons.csv"
@@ -40,7 +39,7 @@ MEDIAN_OVER = 5  # positions
 JUMP_M = 0.25  # from the median of its neighbours: no drone moves so between two positions
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FlightOrder:
     """One flight to fly, in a process of its own. ``rig``: with the trial's motion already in
     it.
@@ -52,7 +51,7 @@ class FlightOrder:
     folder: Path
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FlownSession:
     """The end of a flight, and the truth of its beacons."""
 
@@ -99,7 +98,7 @@ def reference_of(rig: Rig) -> Reference:
     return rig.reference
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Motions:
     """The motions that PATH and the vehicles tell, by the receiver's clock, s, in ``u``.
 
@@ -216,7 +215,7 @@ def _rms_speed(records: Mapping[str, Sequence[LogRecord]]) -> float:
     return math.sqrt(float(np.mean(np.sum(np.square(flown), axis=1)))) if flown else 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class BeaconTrace:
     """The beacons' log by body, without what is plainly wrong.
 

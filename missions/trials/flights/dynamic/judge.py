@@ -6,10 +6,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.beacons.log import BeaconTruth
 from drivers.beacons.record import read_any
@@ -40,11 +39,11 @@ from missions.trials.shared.trajectory import (
     rpe_after,
     rpe_along,
 )
+from path.arrays import Array, Whole
 from path.geometry.rotation import R_from_yaw
 from path.messages import Role
 from path.target.kernels import MAD_TO_SIGMA
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 SUBJECTS = ("d2", "target")
 LEAST_AT_REST = 3  # positions: of no more nothing is said
@@ -53,7 +52,7 @@ RPE_S = 1.0
 RPE_M = 1.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Compared:
     """One trajectory against one reference.
 
@@ -70,11 +69,11 @@ class Compared:
     expected_m: float = 0.0
 
     @property
-    def blocks(self) -> NDArray[np.int64]:
+    def blocks(self) -> Whole:
         return blocks_of(self.t)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SessionErrors:
     """A session as its records alone give it: how they lie to each other, and how far apart they
     are.
@@ -98,7 +97,7 @@ class SessionErrors:
     beacons: dict[str, Compared]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class HarnessVerdict(SessionErrors):
     """The same, judged by the harness.
 

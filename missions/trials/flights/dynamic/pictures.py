@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
 from missions.look.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE
 from missions.trials.flights.dynamic.judge import (
@@ -19,9 +18,8 @@ from missions.trials.flights.dynamic.judge import (
 )
 from missions.trials.shared.drawing import panels, save, sheet
 from missions.trials.shared.statistics import rms
+from path.arrays import Array
 from path.messages import Role
-
-Array = NDArray[np.float64]
 
 COLORS = {"sender": ROLE[Role.SENDER], "receiver": ROLE[Role.RECEIVER], "target": COUNT}
 LABELS = {"sender": "D1", "receiver": "D2", "target": "target"}

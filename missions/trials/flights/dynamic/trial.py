@@ -14,7 +14,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.rig.parts import Rig
 from missions.ground import rig_library
@@ -32,8 +31,6 @@ from missions.trials.flights.dynamic.pictures import draw_coast, draw_errors, dr
 from missions.trials.flights.errors import alignments, errors_of, spread, tilt_rad
 from missions.trials.shared.statistics import blocks_interval, rms
 from missions.trials.shared.trial import TrialPicture, TrialRequest, TrialResult
-
-Array = NDArray[np.float64]
 
 TITLE = "Dynamic: PATH's trajectories against ultrasonic beacons while everything moves"
 PAPER = "Receiver-View Projection Consistency, dynamic part"

@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +19,12 @@ from missions.look.report.records import Records, RunRecords
 from missions.trials.shared import flown
 from path.geometry.rotation import yaw_of
 from path.messages import Role, Vec3
+from path.values import frozen
 
 STEP = 5  # every so many records of the truth are kept of a way
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RendezvousOrder:
     """One mission."""
 
@@ -33,7 +33,7 @@ class RendezvousOrder:
     folder: Path
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RendezvousResult:
     """The result of a mission.
 
@@ -121,7 +121,7 @@ def _entered(run: RunRecords, phase: Phase) -> float | None:
     return None if first is None else first * 1e-9
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Place:
     """Both drones in truth, while both are in the air; ``offset_w_m`` from the sender to the
     receiver, ENU.

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flight.harness.montecarlo import PAIR, Attempt, HandoverRunner, Series, tell
 from missions.trials.handovers.judging import JudgedAttempt, verdict_of
+from path.arrays import Array
 from path.config import MethodConfig
 from path.gate.evidence import EvidenceGate
+from path.values import frozen
 
 NEVER = 1e-300
 LAGS = (1, 5, 10, 25, 50, 75)  # pairs of a 50 Hz stream
 ENOUGH_PAIRS = 100
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Blocks:
     """Blocks judged and agreeing: the first of their run, and those after agreeing ones."""
 
@@ -25,7 +26,7 @@ class Blocks:
     later: tuple[int, int]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class EvidenceAttempt(JudgedAttempt):
     """One attempt, told to both gates whatever either says.
 
@@ -39,7 +40,7 @@ class EvidenceAttempt(JudgedAttempt):
     limit_s: float
     strength: float
     blocks: tuple[Blocks, ...]
-    correlation: NDArray[np.float64]
+    correlation: Array
 
 
 def judge(runner: HandoverRunner, method: MethodConfig, attempt: Attempt) -> EvidenceAttempt:
@@ -79,7 +80,7 @@ def mean_strength(series: Series, method: MethodConfig) -> float:
     return float(np.mean((overlaps - tau) / (1.0 - tau)))
 
 
-def correlation(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def correlation(values: Array) -> Array:
     """Autocorrelation at ``LAGS``; NaN for a series that is too short or constant."""
     off = values - np.mean(values) if len(values) else values
     variance = float(np.mean(off * off)) if len(values) >= 3 * LAGS[-1] else 0.0

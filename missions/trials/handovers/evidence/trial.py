@@ -5,7 +5,7 @@ often fooled.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
@@ -182,8 +182,8 @@ def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
         "true_attempts": len(true),
         "true_wrong": wrongly(true, "evidence"),
         "alpha": own.alpha,
-        **rates[0].summary,
-        **({"patient": rates[1].summary} if rates[1:] else {}),
+        **rates[0][0],
+        **({"patient": rates[1][0]} if rates[1:] else {}),
         "accident_attempts": len(accident),
         "accident_accepted": fooled,
         "iou_correlation": {
@@ -200,7 +200,7 @@ def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
         goal=f"alpha = {own.alpha:g}",
         note="too few attempts to see alpha itself; what the bound rests on are the two rates above",
     )
-    of_rates = (finding for each in rates for finding in each.findings)
+    of_rates = (finding for _, found in rates for finding in found)
     caption = "Time to commit of true pairs by both gates; how fast blocks of wrong pairs give up."
     return TrialResult(
         summary,
@@ -232,16 +232,13 @@ def _forced_summary(told: Attempts) -> dict[str, int]:
     return {"attempts": len(told), **wrong}
 
 
-@dataclass(frozen=True, slots=True)
-class _Rates:
-    """The measured rates of the blocks of one test, against those that are set for it."""
+def _rates(
+    wrong: Sequence[EvidenceAttempt], own: EvidenceConfig, pace: int, seed: int
+) -> tuple[dict[str, Any], tuple[TrialFinding, ...]]:
+    """Return the measured rates of the blocks of one test, and the findings on them against those
+    that are set.
 
-    summary: dict[str, dict[str, float]]
-    findings: tuple[TrialFinding, TrialFinding]
-
-
-def _rates(wrong: Sequence[EvidenceAttempt], own: EvidenceConfig, pace: int, seed: int) -> _Rates:
-    """``own``: the settings of the test that is the ``pace``-th of its gate."""
+    ``own``: the settings of the test that is the ``pace``-th of its gate."""
     most = min(NEAR_ACCIDENT, max(ACCIDENT, own.strength - BELOW))
     accident, near = (
         [each for each in wrong if each.strength <= limit] for limit in (ACCIDENT, most)
@@ -275,7 +272,7 @@ def _rates(wrong: Sequence[EvidenceAttempt], own: EvidenceConfig, pace: int, see
             note=f"attempts whose mean strength is at most {most:.2g}: nearer ones than the bound is for",
         ),
     )  # fmt: skip
-    return _Rates(summary, findings)
+    return summary, findings
 
 
 def _counted(told: Sequence[EvidenceAttempt], later: bool, pace: int = 0) -> tuple[int, int]:

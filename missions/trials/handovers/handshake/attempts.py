@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import get_args
 
 from drivers.clock import busy_ns
@@ -14,12 +14,13 @@ from flight.harness.montecarlo import Attempt, FaultName, HandoverRunner, Tellin
 from missions.trials.handovers.judging import GATES, JudgedAttempt, verdict_of
 from path.config import GateKind, MethodConfig
 from path.gate.evidence import make_gate
+from path.values import frozen
 
 FAULT_NAMES: tuple[FaultName, ...] = get_args(FaultName)
 LIMIT_S = 12.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class HandshakeAttempt(JudgedAttempt):
     """One attempt with a fault.
 

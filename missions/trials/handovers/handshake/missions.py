@@ -5,7 +5,7 @@ definition.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from missions.look.report.records import RunRecords, judged_pairs, last
 from missions.look.report.summary import summarize
 from missions.trials.shared import flown
 from path.config import GateKind
+from path.values import frozen
 
 RIG = "sim"
 Errors = Mapping[str, Any] | None
@@ -25,7 +26,7 @@ FAULTS: tuple[tuple[str, ...], ...] = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MissionOrder:
     """One mission. ``errors``: of its world; None as the rig says."""
 
@@ -36,7 +37,7 @@ class MissionOrder:
     errors: Errors = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FlownMission:
     """The result of a mission.
 

@@ -5,7 +5,6 @@ hand-overs with faults.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -52,6 +51,7 @@ from missions.trials.shared.trial import (
     verdict,
 )
 from path.config import GateKind
+from path.values import frozen
 
 TITLE = "Handshake: 45 whole missions, and ten thousand Monte-Carlo hand-overs with faults, by both gates"
 PAPER = "Mutual Agreement Handshake"
@@ -201,7 +201,7 @@ def _p90s(samples: Array) -> Array:
     return percentiles(samples, 90.0)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Timed:
     """A statistic of times in s, and its bootstrap interval, as text."""
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -30,6 +30,7 @@ from missions.trials.handovers.recall.identity import NOTHING_STATED, StatedCoun
 from path.config import GateKind, MethodConfig
 from path.gate.evidence import evidence_needed, evidence_of, make_gate
 from path.gate.window import Gate
+from path.values import frozen
 
 Group = Literal["true", "look-alike", "wrong object"]
 
@@ -46,7 +47,7 @@ LOCKED_M = (0.3, 0.4, 0.6, 1.0)
 FAULT_STREAM = 0x64657465
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AttemptOrder:
     """One attempt: a hand-over of its own, through one pair of detectors. ``cell``: number of that
     pair.
@@ -58,7 +59,7 @@ class AttemptOrder:
     attempt: Attempt
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RecallAttempt(JudgedAttempt):
     """One attempt by all gates. ``identity``: what D1 stated of the object that it followed."""
 

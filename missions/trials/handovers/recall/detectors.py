@@ -9,25 +9,24 @@ with nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flight.harness.montecarlo import MISS, OWN_MISS, PAIR, Series
+from path.arrays import Flags, Whole
 from path.config import MethodConfig
 from path.observations import MissReason
+from path.values import frozen
 
 Generator = np.random.Generator
-Flags = NDArray[np.bool_]
-Whole = NDArray[np.int64]
 
 REASONS = list(MissReason)
 LINK_S = 0.02  # from D1's frame to D2's use of it, at least
 SEQUENCES = 1 << 16
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DetectorFaults:
     """The errors of both drones' detectors.
 
@@ -73,7 +72,7 @@ def unwrapped(sequence: Whole) -> Whole:
     return np.cumsum(steps)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FaultyFrames:
     """The frames of D1 and D2 in which detectors miss, and in which they invent: (n,) each, from
     the first on.

@@ -5,7 +5,6 @@ many wrongly.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -40,6 +39,7 @@ from missions.trials.shared.trial import (
     verdict,
 )
 from path.config import GateKind
+from path.values import frozen
 
 TITLE = "Recall: detectors that miss and invent, and all gates"
 PAPER = "Mutual Agreement Handshake"
@@ -65,7 +65,7 @@ HARD_RATE = 0.80
 Pair = tuple[AttemptOrder, RecallAttempt]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Cell:
     """One pair of detectors, judged by one gate. Times are of true attempts; one without a commit
     takes for ever.

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -35,6 +35,7 @@ from path.geometry.rotation import exp
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
+from path.values import frozen
 
 SAG_M = 0.0002  # of the middle of the curled print over its ends
 WITHIN = 2.0  # stated standard errors
@@ -44,7 +45,7 @@ NEAR_ONE_DISTANCE = Held(distance_m=(0.55, 0.60), tilt_deg=(0.0, 12.0), reach=0.
 FLAT_ON = Held(distance_m=(0.50, 0.70), tilt_deg=(0.0, 2.0), reach=0.1)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ViewsKind:
     """One kind of a set of views.
 
@@ -105,7 +106,7 @@ KINDS: Mapping[str, ViewsKind] = {
 QUICK = tuple(list(KINDS)[k] for k in (0, 3, 7))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class KindResult:
     """The end of one set.
 

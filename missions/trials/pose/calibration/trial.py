@@ -5,7 +5,7 @@ known.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from missions.trials.shared.trial import (
 from path.calibration.board import Board, BoardView, find_board, find_corners
 from path.calibration.intrinsics import left_by, solve_intrinsics
 from path.camera.model import CameraModel
+from path.values import frozen
 
 TITLE = "Calibration from rendered boards: the camera that comes out against the one that is there"
 PAPER = "Experimental Setup (a chessboard calibration; its accuracy is not evaluated there)"
@@ -57,7 +58,7 @@ FOCAL_GOAL = 0.001
 HELD_OUT_GOAL = 0.10
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Set:
     """One set of views to shoot and to calibrate from."""
 
@@ -69,7 +70,7 @@ class Set:
     views: int
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SetResult:
     """The result of a set: errors of the corners (n, 2) px by method, relative ones of fx and fy,
     and the residuals.

@@ -6,11 +6,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from flight.harness.renderer import (
     FrameRenderer,
@@ -19,12 +17,14 @@ from flight.harness.renderer import (
     RenderedInstant,
     RendererSetup,
 )
+from path.arrays import Image
 from path.calibration.board import Board, print_cells
 from path.camera.model import CameraModel
 from path.geometry.rotation import exp
 from path.geometry.transforms import Pose
 from path.marker.layout import single_marker
 from path.messages import Role
+from path.values import frozen
 
 MOST_ROLL_RAD = 1.0
 HERE = Pose(np.eye(3), np.zeros(3))
@@ -34,7 +34,7 @@ T_W_C = Pose(
 """The camera, 1.5 m high, level."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Held:
     """The pose of a board: distance, tilt, and how far from the image's middle its own may be
     (share of each side).
@@ -77,7 +77,7 @@ def photographs(
     where: Sequence[Pose],
     seed: int,
     imaging: Imaging | None = None,
-) -> Iterator[NDArray[np.uint8]]:
+) -> Iterator[Image]:
     """Colour images of a board at ``T_c_o``."""
     setup = RendererSetup(camera, HERE, HERE, single_marker(), imaging=imaging or Imaging())
     made = renderer(setup, seed)
@@ -86,5 +86,5 @@ def photographs(
         yield made.shoot(stage, Role.SENDER, number).color
 
 
-def grey(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def grey(color: Image) -> Image:
     return np.asarray(cv2.cvtColor(color, cv2.COLOR_BGR2GRAY), np.uint8)

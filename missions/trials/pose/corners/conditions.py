@@ -5,7 +5,7 @@ marker.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from path.geometry.rotation import R_from_yaw
 from path.geometry.transforms import Matrix, Pose, Vector
 from path.marker.layout import single_marker
 from path.messages import Role
+from path.values import frozen
 
 LAYOUT = single_marker(0.040)
 LENS = (0.06, -0.12, 0.001, -0.0008, 0.0)
@@ -49,7 +50,7 @@ FLAWLESS = Printing()
 COARSE = Printing(picture_px=26)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Condition:
     """One way in which images differ from the ideal; ``title`` is what the reader sees."""
 
@@ -90,7 +91,7 @@ CONDITIONS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ShotPose:
     """One pose of the marker before the camera: world ENU, camera with z ahead."""
 

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
 from typing import cast, get_args
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Image
 from path.camera.model import CameraModel
 from path.geometry.transforms import Matrix, Pose
 from path.marker.detect import Refine, detect_markers
 from path.marker.layout import MarkerLayout
 from path.marker.photometric.texture import dictionary_of
 from path.observations import Region
+from path.values import frozen
 
 OPENCV = {"contour": cv2.aruco.CORNER_REFINE_CONTOUR, "apriltag": cv2.aruco.CORNER_REFINE_APRILTAG}
 # AprilTag's own code puts the centre of the first pixel at 0.5
@@ -37,7 +37,7 @@ ENLARGED = 4.0
 WINDOW_PX = 23  # of the threshold, in the enlarged region
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Found:
     """Corners (4, 2) in px, in the order of the print, and their covariance (8, 8) where the method
     has one.
@@ -49,7 +49,7 @@ class Found:
 
 def find(
     method: str,
-    image: NDArray[np.uint8],
+    image: Image,
     region: Region,
     layout: MarkerLayout,
     camera: CameraModel,
@@ -68,9 +68,7 @@ def find(
     return Found(found[0].corners_px, found[0].covariance_px2) if len(found) == 1 else None
 
 
-def _by_opencv(
-    method: str, image: NDArray[np.uint8], region: Region, layout: MarkerLayout
-) -> Found | None:
+def _by_opencv(method: str, image: Image, region: Region, layout: MarkerLayout) -> Found | None:
     area = region.clipped(image.shape[1], image.shape[0])
     if area is None:
         return None

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,11 +14,12 @@ from missions.trials.pose.corners.shots import CornerShot
 from missions.trials.shared.statistics import RESAMPLES, Interval, whitened, wilson
 from path.geometry.transforms import Matrix, Vector
 from path.target.kernels import MAD_TO_SIGMA
+from path.values import frozen
 
 SCORE_STREAM = 3
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Score:
     """The score of one method, over views with one camera in one condition.
 

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
 from flight.harness.renderer import FrameRenderer, RendererSetup
 from missions.trials.pose.corners.conditions import CAMERAS, CONDITIONS, LAYOUT, view
 from missions.trials.pose.corners.methods import METHODS, Found, find
+from path.arrays import Image
 from path.geometry.rotation import exp
 from path.geometry.transforms import Matrix, Pose
 from path.messages import Role
 from path.observations import Region
+from path.values import frozen
 
 AROUND = 0.6  # of the marker's extent: how far the predicted region reaches beyond it, each way
 OFF = 0.1  # of the extent: how wrong the prediction is
@@ -24,7 +23,7 @@ REGION_STREAM = 2
 EXPECTED_STREAM = 3
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CornerSeries:
     """Some views with one camera in one condition; ``shown`` is the view whose picture is kept."""
 
@@ -37,7 +36,7 @@ class CornerSeries:
     shown: int
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CornerShot:
     """One shot.
 
@@ -53,7 +52,7 @@ class CornerShot:
     view: int
     true_px: Matrix
     found: dict[str, Found | None]
-    picture: NDArray[np.uint8] | None = None
+    picture: Image | None = None
     corner_px: tuple[int, int] = (0, 0)
 
 
@@ -101,7 +100,7 @@ def _expected(T_c_v: Pose, seed: int, number: int) -> Pose:
     return Pose(exp(rng.normal(0.0, OFF_RAD, 3)) @ T_c_v.R, T_c_v.t + rng.normal(0.0, OFF_M, 3))
 
 
-def _pictured(sample: CornerShot, image: NDArray[np.uint8]) -> CornerShot:
+def _pictured(sample: CornerShot, image: Image) -> CornerShot:
     u, v = sample.true_px.mean(axis=0)
     reach = 0.75 * float(np.ptp(sample.true_px, axis=0).max())
     u0 = max(round(u - reach), 0)

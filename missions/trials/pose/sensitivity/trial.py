@@ -5,7 +5,7 @@ geometry.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +35,7 @@ from path.sensitivity import (
     rotation_error2,
     translation_error2,
 )
+from path.values import frozen
 
 TITLE = "Sensitivity: what 5 mm of depth, 4.3 mm and 1.83° of the marker's pose do to D2's prior"
 PAPER = "Sensor Sensitivity"
@@ -59,7 +60,7 @@ TOLERANCE_PX = {"nominal": 0.01, "depth": 0.01, "term": 0.05, "range": 0.2}
 PICTURE = "sensitivity.png"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AtDepth:
     """Translation and rotation term at one depth, px RMS, and the standard error of the pose
     term.

@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from flight.harness.errors import DepthError, DrawnErrors
 from missions.trials.pose.static.shots import LAYOUT, StaticMeasurement
 from missions.trials.pose.static.stage import CAMERA, STANDS, Mounts
+from path.arrays import Array
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.gate.agreement import TwoViews
@@ -30,6 +30,7 @@ from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
 from path.messages import Role, Vec3
 from path.observations import MarkerDetection
 from path.target.place import locate
+from path.values import frozen
 
 Method = Literal["ippe", "gravity_subpix", "photometric", "gravity_photometric"]
 METHODS: tuple[Method, ...] = ("ippe", "gravity_subpix", "photometric", "gravity_photometric")
@@ -54,7 +55,7 @@ ALL: tuple[Error, ...] = ("side", "optics", "mount", "bias", "noise", "depth")
 them, for comparison: "narrow", depth from a smaller part of the target's box."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MethodErrors:
     """The drones' beliefs in one measurement, and the errors of their sensors.
 
@@ -101,7 +102,7 @@ def errors_of(
     )
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MethodResult:
     """Errors of one method in one measurement.
 
@@ -121,18 +122,18 @@ class MethodResult:
     nees: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Results:
     """One method over all measurements: each (sessions, stands), NaN where it gave no pose."""
 
-    d2_m: NDArray[np.float64]
-    rotation_rad: NDArray[np.float64]
-    target_m: NDArray[np.float64]
-    sent_m: NDArray[np.float64]
-    nees: NDArray[np.float64]
+    d2_m: Array
+    rotation_rad: Array
+    target_m: Array
+    sent_m: Array
+    nees: Array
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Judging:
     """A method, on some sightings, under some errors; ``sessions`` are those of each session."""
 

@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, Rectangle
-from numpy.typing import NDArray
 
 from missions.look.report.palette import COUNT, DIM, FAULT, MARKER, NEEDED, PRIOR, ROLE, tidy
 from missions.trials.pose.static.methods import METHODS, Method, Results
 from missions.trials.pose.static.report import GOAL_MEAN_M, HEADLINE, METHOD_TITLES, SEVEN
 from missions.trials.pose.static.stage import CONFIGURATIONS, HEIGHT_M, PLACES_M, Mounts, nominal
 from missions.trials.shared.drawing import save, sheet
+from path.arrays import Array, Image
 from path.cycle.prior import Prior
 from path.geometry.transforms import Pose
 from path.messages import Role
@@ -124,9 +124,7 @@ def draw_errors(results: Mapping[str, Mapping[Method, Results]], path: Path) -> 
     save(figure, path)
 
 
-def _shares(
-    axis: Axes, errors: NDArray[np.float64], colour: str, line: str, label: str | None
-) -> None:
+def _shares(axis: Axes, errors: Array, colour: str, line: str, label: str | None) -> None:
     """A measurement without a pose never reaches its share."""
     given = np.sort(errors[~np.isnan(errors)])
     share = np.arange(1, len(given) + 1) / errors.size
@@ -134,8 +132,8 @@ def _shares(
 
 
 def draw_view(
-    image: NDArray[np.uint8],
-    corners_px: NDArray[np.float64],
+    image: Image,
+    corners_px: Array,
     prior: Prior,
     target_px: Sequence[float],
     path: Path,
@@ -163,7 +161,7 @@ def draw_view(
     save(figure, path)
 
 
-def _inset(axes: Axes, image: NDArray[np.uint8], corners_px: NDArray[np.float64]) -> None:
+def _inset(axes: Axes, image: Image, corners_px: Array) -> None:
     """The marker enlarged."""
     u, v = corners_px.mean(axis=0)
     half = 0.9 * float(np.ptp(corners_px, axis=0).max())

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flight.harness.errors import TrialErrors
 from missions.trials.pose.static.methods import FLIPPED_RAD, METHODS, SETTINGS, Method, Results
@@ -23,8 +21,9 @@ from missions.trials.pose.static.stage import (
 )
 from missions.trials.shared.statistics import RESAMPLES, Interval, wilson
 from missions.trials.shared.trial import TrialFinding, TrialTable, verdict
+from path.arrays import Array
+from path.values import frozen
 
-Array = NDArray[np.float64]
 Statistic = Callable[[Array], Array]
 
 GOAL_MEAN_M = 0.008
@@ -75,7 +74,7 @@ def p95(values: Array) -> Array:
     return percentile(values, 95.0)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Figures:
     """One method in the seven configurations: figures by name, and their 95 % intervals."""
 

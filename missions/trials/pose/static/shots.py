@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -28,6 +27,7 @@ from path.marker.layout import single_marker
 from path.messages import Role
 from path.observations import Box, Depth, MarkerDetection, Region
 from path.target.place import back_project, registered_depth
+from path.values import frozen
 
 LAYOUT = single_marker(SIDE_M, SIDE_SIGMA_M)
 DEPTH = DepthNoise(sigma_at_1m_m=0.005, correlation_px=2.0)
@@ -39,7 +39,7 @@ NARROW = MethodConfig(depth_center_fraction=0.08)
 STREAM = 1  # first of the seeds of a stage; errors use others
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class StaticSeries:
     """Some sessions of one configuration, with one kind of cameras.
 
@@ -58,7 +58,7 @@ class StaticSeries:
     sessions: tuple[int, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SenderObservation:
     """D1's observation of the target.
 
@@ -73,7 +73,7 @@ class SenderObservation:
     point_c1_m: Vector
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class StaticMeasurement:
     """One measurement: the truth, and what both drones saw.
 

@@ -7,7 +7,7 @@ range, azimuth from straight behind D1 (positive to D1's left), elevation.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from path.geometry import rotation
 from path.geometry.transforms import Matrix, Pose, Vector
 from path.marker.layout import MarkerLayout
 from path.messages import Role
+from path.values import frozen
 
 CAMERA = CameraModel(1280, 720, 920.0, 919.0, 642.0, 358.0, (0.06, -0.12, 0.001, -0.0008, 0.0))
 """Of both drones, as it truly is: colour of a D415 at 720p."""
@@ -34,7 +35,7 @@ HOVER_YAW_RAD = math.radians(2.0)
 R_W_N = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # ENU from NED
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Configuration:
     """One place of D2.
 
@@ -70,7 +71,7 @@ hardly shows.
 STANDS = (*CONFIGURATIONS, SQUARE)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Mounts:
     """The true mounts of both drones: cameras and marker frame to body (FRD). Equal by their
     numbers.

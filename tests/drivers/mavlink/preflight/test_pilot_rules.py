@@ -14,8 +14,8 @@ from drivers.mavlink.preflight.pilot_rules import kept_out, names_of
 from drivers.mavlink.preflight.wanted import refused
 from drivers.mavlink.vehicle import MavsdkVehicleConfig
 from missions.ground import rig_library
-from missions.ground.rigs import every_name
 from path.messages import Role
+from tests.every_rig import every_name
 
 FENCE = Geofence(25.0, 6.0)
 PX4_OFF = {"GF_MAX_HOR_DIST": 0.0, "GF_MAX_VER_DIST": 0.0, "GF_ACTION": 2.0}

@@ -11,7 +11,7 @@ import pytest
 from drivers.detectors.yolox import MODEL_VARIABLE
 from missions import cli
 from missions.ground import rig_library
-from missions.ground.rigs import every_name
+from tests.every_rig import every_name
 
 LOOKING = sorted(name for name in every_name() if "yolox:YoloxDetector" in rig_library.whole(name))
 

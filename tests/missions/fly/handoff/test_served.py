@@ -126,7 +126,13 @@ def test_the_crew_is_told_what_to_type_and_when(
                 role: RoleResult(role, Outcome.COMMITTED, "", responsible=False, landed=True)
                 for role in Role
             }
-            return FlightReport(ends, dict.fromkeys(Role, True), {}, 1.0, 1.0)
+            return FlightReport(
+                results=ends,
+                landed=dict.fromkeys(Role, True),
+                violations={},
+                simulated_s=1.0,
+                wall_s=1.0,
+            )
 
     def harness_of(rig: Rig) -> Harness:
         del rig
