@@ -93,6 +93,11 @@ class ExportOptions:
     csv: bool = False
     """A table for each topic of each log."""
 
+    ros2: bool = False
+    """A bag of ROS 2 with standard messages, which `ros2 bag play` plays (docs/logs.md). Needs the
+    extra `ros`.
+    """
+
     calibration: FileName = None
     """Of a RealSense recording: the colour camera's, instead of its maker's; depth is registered by
     it.

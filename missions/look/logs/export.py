@@ -5,6 +5,7 @@
         marker.tum; and at levels with a world what was true of both: truth-DRONE.tum, the body in
         the world, and truth-marker.tum.
 --csv   one table a topic and log: utc_ns, stamp_ns, then every field; lists have a column for each number.
+--ros2  a bag of ROS 2 with standard messages (``missions.look.logs.ros2``).
 
 A RealSense recording or a bag of ROS becomes images (``missions.look.logs.recording``).
 """
@@ -14,6 +15,7 @@ from __future__ import annotations
 import csv
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord, parts
 from drivers.recordings.recording import REALSENSE_SUFFIXES
 from drivers.recordings.ros_bag import METADATA, ros_bag_at
+from drivers.recordings.ros_images import INSTALL
 from missions.ground.options.runs import ExportOptions
 from missions.ground.run_folder import unless_refused
 from missions.ground.trajectory import Row, write_tum
@@ -55,8 +58,8 @@ def run(options: ExportOptions) -> int:
             f"{options.folder} is a bag of ROS 2 that is not whole: {METADATA} or its .db3 or .mcap is missing",
             f"name the file itself, or have {METADATA} written by `ros2 bag reindex`",
         )
-    if not (options.tum or options.csv):
-        raise PartError("nothing is asked for", "say --tum, --csv, or both")
+    if not (options.tum or options.csv or options.ros2):
+        raise PartError("nothing is asked for", "say --tum, --csv or --ros2, or several")
     out = options.out or options.folder / "export"
     with unless_refused(out):
         written = _write_all(options, out)
@@ -84,7 +87,18 @@ def _write_all(options: ExportOptions, out: Path) -> list[Path]:
             for name, records in _logs(options.folder)
             for path in _write_csv(out, name, *records)
         ]
+    if options.ros2:
+        written.append(_write_ros2(options.folder, out))
     return written
+
+
+def _write_ros2(folder: Path, out: Path) -> Path:
+    missing = [name for name in ("rosbags", "mcap_protobuf") if find_spec(name) is None]
+    if missing:
+        raise PartError(f"--ros2 needs {' and '.join(missing)}, which is not installed", INSTALL)
+    from missions.look.logs.ros2 import write_ros2  # noqa: PLC0415 (an extra)
+
+    return write_ros2(folder, out)
 
 
 def trajectories(folder: Path) -> dict[str, list[Row]]:
