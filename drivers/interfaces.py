@@ -41,6 +41,16 @@ class TakenOver(VehicleError):
     """Somebody else has the vehicle: a pilot, a ground station, or the autopilot's own failsafe."""
 
 
+def too_high(reached_m: float, height_m: float) -> VehicleError:
+    """Return the error of a take-off that the vehicle ended above the height it was told: no pilot
+    was in it.
+    """
+    return VehicleError(
+        f"take-off ended at {reached_m:.1f} m, by the vehicle's own reckoning, and {height_m:g} m were asked for",
+        "its estimator stepped, or it climbs higher than it is told; it lands",
+    )
+
+
 class CameraError(PartError):
     """The camera gave no frame in time, or not what its calibration says."""
 

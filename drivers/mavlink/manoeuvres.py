@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from drivers.interfaces import SURE, FlightMode, TakenOver, VehicleError
+from drivers.interfaces import SURE, FlightMode, TakenOver, VehicleError, too_high
 from drivers.mavlink.modes import CUSTOM_MODE_ENABLED, PX4, AutopilotKind
 from drivers.mavlink.session import ACCEPTED, RESULTS, MavsdkSession
 from drivers.mavlink.telemetry import TelemetrySlots
@@ -171,10 +171,16 @@ class Manoeuvres:
             short = position is not None and height_m - position.above_home_m > STOPPED_SHORT_M
             return short and telemetry.mode is FlightMode.HOLD
 
+        def high() -> bool:
+            position = telemetry.position
+            above = position is not None and position.above_home_m - height_m > STOPPED_SHORT_M
+            settled = abs(telemetry.velocity_n_mps[2]) <= SETTLED_MPS
+            return above and settled and telemetry.mode is there
+
         def ended() -> bool:
             late = self._clock.now_ns() > grace_ns
             other = telemetry.mode not in expected and telemetry.mode_told >= SURE
-            return not self._telemetry.state().armed or (late and (held() or other))
+            return not self._telemetry.state().armed or (late and (held() or high() or other))
 
         if not await self._session.until(lambda: arrived() or ended(), timeout_s):
             raise VehicleError(
@@ -182,6 +188,9 @@ class Manoeuvres:
             )
         if ended():
             if self._telemetry.state().armed:
+                position = telemetry.position
+                if position is not None and high():
+                    raise too_high(position.above_home_m, height_m)
                 said = f"take-off ended on the way: mode {telemetry.mode.value}"
                 raise TakenOver(said, "the pilot has control, or a failsafe acted")
             heartbeat = telemetry.heartbeat

@@ -22,6 +22,7 @@ from drivers.interfaces import (
     VehicleError,
     VehicleState,
     VelocitySetpoint,
+    too_high,
 )
 from drivers.perception.history import StateHistory
 from drivers.rig.parts import PartContext
@@ -248,6 +249,9 @@ class SimVehicle:
             )
         if ended():
             if self.state.armed:
+                reached_m = home_down_m - self.state.position_n_m[2]
+                if self.state.mode is FlightMode.HOLD and reached_m > height_m:
+                    raise too_high(reached_m, height_m)
                 said = f"take-off ended on the way: mode {self.state.mode.value}"
                 raise TakenOver(said, "the pilot has control, or a failsafe acted")
             if self._killed:

@@ -41,6 +41,13 @@ def test_it_is_seen_and_the_target_is_handed_over(
     assert sum(note.startswith("ALARM: the estimator stepped") for note in notes) == 1
 
 
+def test_a_height_that_steps_in_the_climb_is_no_pilots_doing(tmp_path: Path) -> None:
+    flight = flown("sim", tmp_path, 11, "step_height_sender=2.6@preflight+3.4")
+    assert flight.facts.outcome == "vehicle_refused"
+    assert "by the vehicle's own reckoning" in flight.facts.detail
+    assert flight.facts.violations == {}
+
+
 def test_evidence_is_gathered_anew_from_the_step_on(tmp_path: Path) -> None:
     flight = flown("sim", tmp_path, 6, "step_north_sender=0.5@verify+1.2")
     (step,) = flight.run.sender["/estimator_step"]

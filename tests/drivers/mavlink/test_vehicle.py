@@ -353,6 +353,29 @@ def test_a_hold_far_below_the_height_is_somebody_elses() -> None:
         asyncio.run(fly(bench))
 
 
+def test_a_take_off_that_ends_far_above_its_height_is_told_as_that_and_no_pilots() -> None:
+    """A height that stepped, or a vehicle with a least height of its own."""
+
+    async def fly(bench: Bench) -> None:
+        asked = bench.autopilot.request_takeoff
+
+        def higher(now_s: float, height_m: float, *more: Any) -> Any:
+            return asked(now_s, height_m + 4.0, *more)
+
+        bench.autopilot.request_takeoff = higher
+        async with bench.vehicle() as vehicle:
+            await vehicle.wait_armable(LIMIT_S)
+            await vehicle.arm()
+            with pytest.raises(
+                VehicleError, match=r"ended at \d\.\d m, by the vehicle's own"
+            ) as end:
+                await vehicle.take_off(HEIGHT_M, LIMIT_S)
+            assert not isinstance(end.value, TakenOver)
+
+    with px4(FAST, SPEED) as bench:
+        asyncio.run(fly(bench))
+
+
 def test_the_mode_is_asked_for_beside_heartbeats() -> None:
     """PX4's come once a second: a pilot must not wait for them."""
 
