@@ -33,7 +33,7 @@ def vehicles_of(
 ) -> list[MavlinkVehicle]:
     """Return a vehicle for each port, which sends there from a free one, closed with the stack."""
     origin = rig.origin
-    tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+    tangent = LocalTangent.at(origin)
     vehicles: list[MavlinkVehicle] = []
     for number, (role, port) in enumerate(zip(Role, ports, strict=False)):
         config = MavlinkVehicleConfig(number + 1, (HOST, port))

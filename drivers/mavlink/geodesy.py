@@ -5,6 +5,9 @@ hundred metres.
 from __future__ import annotations
 
 import math
+from typing import Self
+
+from drivers.rig.parts import Origin
 
 # WGS 84 (NIMA TR8350.2, table 3.1).
 SEMI_MAJOR_M = 6_378_137.0
@@ -29,6 +32,11 @@ class LocalTangent:
         self._east_m_per_deg = math.radians(
             (normal_m + altitude_m) * math.cos(math.radians(latitude_deg))
         )
+
+    @classmethod
+    def at(cls, origin: Origin) -> Self:
+        """Return the map around a rig's origin."""
+        return cls(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
 
     def to_ned(
         self, latitude_deg: float, longitude_deg: float, altitude_m: float

@@ -114,7 +114,7 @@ class GuardMavlink:
         self._config = config
         self._clock = context.clock
         origin = context.origin
-        self._tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+        self._tangent = LocalTangent.at(origin)
         self._port: MavlinkPort | None = None
         self._kind: AutopilotKind | None = None
         self._heartbeat: tuple[int, Any] | None = None

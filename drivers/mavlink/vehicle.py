@@ -69,7 +69,7 @@ class MavsdkVehicle:
     def __init__(self, config: MavsdkVehicleConfig, context: PartContext) -> None:
         self._config = config
         origin = context.origin
-        tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+        tangent = LocalTangent.at(origin)
         self._telemetry = TelemetrySlots(
             config.sysid,
             context.clock,

@@ -70,7 +70,7 @@ class RealSenseRecording:
 
     def __init__(self, file: Path) -> None:
         """Raise CameraError for a file that cannot be played, or has not both streams."""
-        self._file, rs = file, import_realsense()
+        self._file = file
         self._device = load_recording(file)
         self._playback = self._device.as_playback()
         self._playback.set_real_time(False)
@@ -79,7 +79,7 @@ class RealSenseRecording:
         color = self._color_profile[1]
         self.serial = serial_of(self._device)
         self.unit_m = unit_of(depth_sensor, str(file))
-        self.depth: CameraModel = intrinsics_of(rs, depth.as_video_stream_profile(), "depth").camera
+        self.depth: CameraModel = intrinsics_of(depth.as_video_stream_profile(), "depth").camera
         self._color = color.as_video_stream_profile()
         self.color_size: tuple[int, int] = self._color.width(), self._color.height()
         self.T_color_depth: Pose = extrinsics_of(depth, color)
@@ -111,7 +111,7 @@ class RealSenseRecording:
         """The colour camera as its maker calibrated it. Raises CameraError for a lens that cannot
         be described.
         """
-        return intrinsics_of(import_realsense(), self._color, "color")
+        return intrinsics_of(self._color, "color")
 
     def pairs(self) -> Iterator[RecordedPair]:
         """Yield all pairs from where it is to the end; images without their other half are left

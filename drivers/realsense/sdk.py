@@ -19,8 +19,9 @@ from drivers.perception.stamp_clock import Domain
 from drivers.realsense.formats import COLOR_FORMATS, bgr_of
 from drivers.realsense.sdk_import import import_realsense
 from drivers.recordings.ros_bag import refuse_ros
+from drivers.rig.foreign_lens import realsense_lens
 from path.arrays import Depths, Image
-from path.camera.lenses import Lens, LensKind, StandIn, as_brown_conrady
+from path.camera.lenses import Lens, StandIn, as_brown_conrady
 from path.geometry.transforms import Pose
 from path.values import frozen
 
@@ -106,7 +107,7 @@ class RealSenseDevice:
         depth_sensor, depth = found["depth"]
         color_sensor, color = found["color"]
         self.unit_m = unit_of(depth_sensor, described(self._device))
-        self.depth = intrinsics_of(self._rs, depth, "depth").camera
+        self.depth = intrinsics_of(depth, "depth").camera
         self._color_format = color.format().name
         self.T_color_depth = extrinsics_of(depth, color)
         if self._playback is None:
@@ -285,31 +286,18 @@ def unit_of(depth_sensor: Any, whose: str) -> float:
         ) from error
 
 
-LENSES: dict[str, LensKind] = {
-    "none": "brown_conrady",
-    "brown_conrady": "brown_conrady",
-    "inverse_brown_conrady": "inverse_brown_conrady",
-    "modified_brown_conrady": "modified_brown_conrady",
-    "kannala_brandt4": "equidistant",
-}
-
-
-def intrinsics_of(rs: Any, profile: Any, kind: Kind) -> StandIn:
+def intrinsics_of(profile: Any, kind: Kind) -> StandIn:
     """Of a stream, by the device. Raises CameraError for a lens that cannot be described."""
     it = profile.get_intrinsics()
-    coefficients = tuple(float(k) for k in it.coeffs)
     remedy = "calibrate the camera with `path-handoff calibrate camera`, and name that calibration"
-    lens = LENSES.get(it.model.name)
-    if not any(coefficients) and it.model != rs.distortion.kannala_brandt4:
-        lens = "brown_conrady"
+    lens = realsense_lens(it.model.name, [float(k) for k in it.coeffs])
     if lens is None:
         raise CameraError(
             f"the {kind} stream has a lens of a kind that is not known: {it.model.name}", remedy
         )
-    wanted = coefficients[:4] if lens == "equidistant" else coefficients
     try:
         return as_brown_conrady(
-            Lens(lens, it.width, it.height, it.fx, it.fy, it.ppx, it.ppy, wanted)
+            Lens(lens[0], it.width, it.height, it.fx, it.fy, it.ppx, it.ppy, lens[1])
         )
     except ValueError as error:
         raise CameraError(f"the {kind} stream: {error}", remedy) from error

@@ -225,27 +225,29 @@ def _of_realsense(text: str, size: Size | None) -> Lenses:
         if not {"fx", "fy", "ppx", "ppy"} <= it.keys():
             continue
         model = str(it.get("model", "")).lower()
-        kind = _realsense_kind(model)
         numbers = [float(k) for k in it.get("coeffs", it.get("coefficients", ()))]
-        if not any(numbers) and kind != "equidistant":
-            kind = "brown_conrady"
-            numbers = [0.0] * 5
-        if kind is None:
+        bends = realsense_lens(model, numbers)
+        if bends is None:
             raise ForeignError(f"{name}: a lens of a kind that is not known: {model}", READ)
-        wanted = 4 if kind == "equidistant" else 5
         own = (int(it["width"]), int(it["height"])) if "width" in it else size
         if own is None:
             raise ForeignError("it does not say of what size its images are", SIZE)
         fx, fy, cx, cy = (float(it[key]) for key in ("fx", "fy", "ppx", "ppy"))
-        found[name] = Lens(kind, *own, fx, fy, cx, cy, tuple(numbers[:wanted]))
+        kind, coefficients = bends
+        found[name] = Lens(kind, *own, fx, fy, cx, cy, coefficients)
     return found
 
 
-def _realsense_kind(model: str) -> LensKind | None:
-    for word, kind in REALSENSE_LENSES:
-        if word in model:
-            return kind
-    return None
+def realsense_lens(
+    model: str, numbers: Sequence[float]
+) -> tuple[LensKind, tuple[float, ...]] | None:
+    """Return the kind of a lens and its coefficients by librealsense's name of the kind; None for
+    one that is not known.
+    """
+    kind: LensKind | None = next((kind for word, kind in REALSENSE_LENSES if word in model), None)
+    if not any(numbers) and kind != "equidistant":
+        return "brown_conrady", (0.0,) * 5
+    return None if kind is None else (kind, tuple(numbers[: 4 if kind == "equidistant" else 5]))
 
 
 def _of_depthai(text: str, size: Size | None) -> Lenses:

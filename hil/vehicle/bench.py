@@ -52,7 +52,7 @@ class EmbeddedFarSide:
         origin = rig.origin
         sysid = int(options["sysid"])
         self.relay = MavlinkRelay(self.kind, sysid, ("127.0.0.1", 0), _listener(url))
-        tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+        tangent = LocalTangent.at(origin)
         self._drone = self._world.drone(Role.SENDER)
         remote = self.relay.sockets[0].getsockname()
         self._endpoint = MavlinkVehicle(MavlinkVehicleConfig(sysid, remote), self._drone, tangent)

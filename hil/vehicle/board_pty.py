@@ -137,7 +137,7 @@ def boards_of(rig: Rig, world: World, stack: ExitStack) -> list[BoardPty]:
     Raises ValueError when it names none, OSError for a real one.
     """
     origin = rig.origin
-    tangent = LocalTangent(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+    tangent = LocalTangent.at(origin)
     boards: list[BoardPty] = []
     for role in Role:
         options = rig.role(role).vehicle.options

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -26,6 +25,7 @@ from missions.ground.run_folder import claim_folder, unless_refused
 from missions.ground.work import Bars
 from path.messages import Role
 from path.observations import Detection
+from path.values import frozen
 
 BOXES = "boxes.csv"
 MEASURED = "measured.json"
@@ -33,7 +33,7 @@ COLUMNS = ("frame", "stamp_s", "x", "y", "w", "h", "score")
 GREEN = (80, 230, 60)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Timing:
     """The time that a detector took for each frame, ms: on the wall's clock, and of this thread on
     a core.

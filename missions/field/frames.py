@@ -7,11 +7,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import PartError
 from drivers.recordings.recording import Recording, RecordingOptions, open_recording
+from path.arrays import Image
 
 UNSTAMPED_HZ = 30.0
 """Of images in a folder that have no stamps."""
@@ -26,7 +25,7 @@ def open_frames(frames: Path, rate_hz: float | None) -> Recording:
     return open_recording(frames, RecordingOptions(rate_hz=rate_hz or unstamped_hz))
 
 
-def write_picture(file: Path, picture: NDArray[np.uint8]) -> None:
+def write_picture(file: Path, picture: Image) -> None:
     """Raises PartError."""
     if not cv2.imwrite(str(file), picture):
         raise PartError(f"cannot write {file}", OTHER_FOLDER)

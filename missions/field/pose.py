@@ -5,13 +5,11 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.clock import busy_ns
 from drivers.interfaces import PartError
@@ -23,6 +21,7 @@ from missions.ground.options.field import PoseOptions
 from missions.ground.run_folder import claim_folder, unless_refused
 from missions.ground.trajectory import write_tum
 from missions.ground.work import Bars
+from path.arrays import Array, Image
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.marker.instead import grey_of, seen_instead
@@ -30,6 +29,7 @@ from path.marker.layout import MarkerLayout, single_marker
 from path.marker.locate import LocatedMarker, locate_marker
 from path.marker.pose import PoseSettings
 from path.observations import Missed
+from path.values import frozen
 
 POSES = "pose.csv"
 TRAJECTORY = "camera.tum"
@@ -59,7 +59,7 @@ COLUMNS = (
 LIKELIER = PoseSettings(max_ambiguity=1.0)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Looked:
     """One frame, and what became of it. ``busy_ms``: the time of one core that it took."""
 
@@ -126,7 +126,7 @@ def _look(
 
 def _located(
     frame: RecordedFrame,
-    image: NDArray[np.uint8],
+    image: Image,
     camera: CameraModel,
     layout: MarkerLayout,
     previous: Pose | None,
@@ -162,7 +162,7 @@ def _say(looked: Sequence[Looked], instead: str | None, damage: str, stream: Tex
 
 def _draw(
     file: Path,
-    image: NDArray[np.uint8],
+    image: Image,
     camera: CameraModel,
     layout: MarkerLayout,
     found: LocatedMarker | Missed,
@@ -190,7 +190,7 @@ def _draw(
     write_picture(file, picture)
 
 
-def _pixel(place: NDArray[np.float64]) -> tuple[int, int]:
+def _pixel(place: Array) -> tuple[int, int]:
     return round(float(place[0])), round(float(place[1]))
 
 

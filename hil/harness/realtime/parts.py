@@ -190,7 +190,7 @@ def embedded_vehicle(
     """
     ground = _listener(f"udp://{os.environ[GROUND]}") if os.environ.get(GROUND) else None
     second = None if own.guard is None else _listener(str(own.guard.options["url"]))
-    tangent = LocalTangent(rig.origin.latitude_deg, rig.origin.longitude_deg, rig.origin.altitude_m)
+    tangent = LocalTangent.at(rig.origin)
     options = own.vehicle.options
     config = MavlinkVehicleConfig(
         int(options["sysid"]), _listener(str(options["url"])), second=second, ground=ground

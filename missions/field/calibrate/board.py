@@ -9,11 +9,11 @@ from typing import TextIO
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import PartError
 from missions.ground.options.calibrate import BoardOptions, CalibrateBoardOptions
 from missions.ground.run_folder import REMEDY, check_file
+from path.arrays import Image
 from path.calibration.board import Board, print_cells
 
 INCH_M = 0.0254
@@ -52,7 +52,7 @@ def otherwise(board: Board) -> Board:
     return replace(board, columns=board.columns + 1, rows=board.rows + 1)
 
 
-def claim_same(file: Path, picture: NDArray[np.uint8]) -> None:
+def claim_same(file: Path, picture: Image) -> None:
     """Refuse to write a picture over a file that shows anything else. Raises PartError."""
     there = cv2.imread(str(file), cv2.IMREAD_UNCHANGED) if file.exists() else picture
     if there is None or not np.array_equal(there, picture):

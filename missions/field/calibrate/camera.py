@@ -8,7 +8,6 @@ import asyncio
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TextIO
@@ -67,6 +66,7 @@ from path.calibration.judge import (
 from path.calibration.thinned import seen_evenly
 from path.camera.thinning import Thinning
 from path.messages import Role
+from path.values import frozen
 
 LIMITS = SetLimits()
 LEAST_PX = 16
@@ -84,7 +84,7 @@ class BadViews(CalibrationError):
         self.faults = tuple(faults)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Calibrated:
     """A calibration. ``looks``: of ``solution.views``, in their order; ``faults``: what keeps it
     from being good.

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import Camera, CameraError, PartError
 from drivers.recordings.recording import (
@@ -20,10 +19,10 @@ from drivers.recordings.recording import (
     read_image,
 )
 from missions.ground.work import Bars
+from path.arrays import Image
 from path.calibration.board import Board, BoardView, find_board
 from path.calibration.judge import empty_places
-
-Image = NDArray[np.uint8]
+from path.values import frozen
 
 SAMPLE_NS = 200_000_000  # frames of a recording closer than this are not looked at
 # of the image's diagonal: the board moved less since the frame before, so it is held still
@@ -32,7 +31,7 @@ MOST_OTHERS = 5  # images that are no views and are kept
 DIFFERENT = 0.04  # of the diagonal: a new view differs from each other one by more
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class CollectedImage:
     """One image that was looked at. ``view`` is None where no board was found, and then the image
     is not kept.

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Image
 from path.calibration.board import Board, other_size
 from path.marker.layout import DICTIONARIES
 from path.marker.photometric.texture import dictionary_of
@@ -25,7 +25,7 @@ FEWEST = 4  # markers that are no coincidence
 LIGHT = "is the whole board in the image, lit evenly, sharp, with a white border around it?"
 
 
-def what_else(greys: Sequence[NDArray[np.uint8]], board: Board) -> tuple[str, str]:
+def what_else(greys: Sequence[Image], board: Board) -> tuple[str, str]:
     """Return what was found in place of the board in some images, and what to do. Markers: of the
     first image.
     """
@@ -59,7 +59,7 @@ def what_else(greys: Sequence[NDArray[np.uint8]], board: Board) -> tuple[str, st
     )
 
 
-def _most_seen(greys: Sequence[NDArray[np.uint8]]) -> tuple[int, int] | None:
+def _most_seen(greys: Sequence[Image]) -> tuple[int, int] | None:
     """The size that most images say a chessboard is of, the longer side first; of equals the larger
     one.
 
@@ -71,7 +71,7 @@ def _most_seen(greys: Sequence[NDArray[np.uint8]]) -> tuple[int, int] | None:
     return max(seen, key=lambda size: (seen[size], size[0] * size[1])) if seen else None
 
 
-def _markers(grey: NDArray[np.uint8]) -> tuple[str, list[int]] | None:
+def _markers(grey: Image) -> tuple[str, list[int]] | None:
     """The smallest dictionary that has the markers in an image, and their ids; None when there are
     too few.
     """

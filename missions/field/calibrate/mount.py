@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 import tomllib
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, TextIO
@@ -45,6 +44,7 @@ from path.geometry.rotation import R_from_quat, angle_between
 from path.geometry.transforms import Pose
 from path.marker.detect import detect_markers
 from path.marker.turned import OFFICIAL
+from path.values import frozen
 
 FEWEST_PAIRS = 5
 MOST_POSITION_SIGMA_M = 0.003
@@ -56,7 +56,7 @@ MOST_LEFT_OUT = 0.25  # of the pairs
 SIDE_SIGMAS = 4.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MeasuredSigma:
     """The accuracy of a tape measure and a protractor, one standard deviation per axis."""
 
@@ -64,7 +64,7 @@ class MeasuredSigma:
     angle_deg: Annotated[float, Bounds(0.0, 90.0, above=True)]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MeasuredMount:
     """The file of ``--measured``: where camera and marker sit on D1's body, as in a rig."""
 

@@ -11,7 +11,7 @@ import gc
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import AsyncExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from drivers.interfaces import Log, PartError
@@ -30,6 +30,7 @@ from missions.ground.run_folder import unless_refused
 from missions.ground.shown import Said
 from missions.look.live.start import live
 from path.messages import Role
+from path.values import frozen
 
 EXIT_GAVE_UP = CommandEnd.GAVE_UP.exit_code
 ALONE_S = 3.0  # without a beat and without anything to guard: the role's program has ended
@@ -37,7 +38,7 @@ NEVER_HEARD_S = 120.0
 _POLL_S = 0.5
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Teller:
     """The guard's decisions on the screen."""
 

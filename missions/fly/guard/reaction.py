@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from drivers.log.mcap_log import read_log
 from flight.outcome import Outcome
 from path.messages import Role
+from path.values import frozen
 
 TAKEOVER = "pilot_takeover"  # the receiver's vehicle only
 LET_GO_S = {TAKEOVER: 0.5, "rc_mode": 0.5, "rc_sticks": 0.5, "rc_kill": 1.5, "rc_lost": 1.0}
@@ -22,7 +22,7 @@ HOLD_LIMIT_S = 1.0
 RESTORED_S = 1.2  # its heartbeat, which tells that it is disarmed, comes once a second
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Reaction:
     """One flight. Times are from the signal; None: it never came.
 

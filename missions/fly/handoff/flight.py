@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from drivers.interfaces import PartError
@@ -24,6 +24,7 @@ from missions.ground.shown import FolderGone, say_unwritten
 from missions.look.report.advice import advice
 from missions.look.report.records import RUN, RunFacts, RunFolderError, write_facts
 from path.messages import Role
+from path.values import frozen
 
 IN_PROCESS = ("sim", "sim-rendered")
 """Levels at which both roles fly in this process."""
@@ -65,7 +66,7 @@ def harness_of(rig: Rig) -> Harness:
     return harness
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FlightPrograms:
     """The programs that both drones fly.
 

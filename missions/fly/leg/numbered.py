@@ -5,10 +5,9 @@ number.
 from __future__ import annotations
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
 from drivers.operator.interfaces import Question, Shown
+from path.arrays import Image
 from path.observations import Box
 
 NOTHING = Question(
@@ -20,7 +19,7 @@ _INK = (0, 0, 0)
 _PAPER = (255, 255, 255)
 
 
-def numbered(image: NDArray[np.uint8], question: Question) -> NDArray[np.uint8]:
+def numbered(image: Image, question: Question) -> Image:
     """Return the image (h, w, 3) with a frame and a number for each object."""
     drawn = image.copy()
     for each in question.shown:
@@ -37,7 +36,7 @@ def numbered(image: NDArray[np.uint8], question: Question) -> NDArray[np.uint8]:
     return drawn
 
 
-def pictured(image: NDArray[np.uint8], question: Question) -> bytes:
+def pictured(image: Image, question: Question) -> bytes:
     """Return the numbered image as JPEG."""
     _, encoded = cv2.imencode(".jpg", numbered(image, question))
     return encoded.tobytes()

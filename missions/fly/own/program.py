@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import AsyncExitStack
-from dataclasses import dataclass
 
 from drivers.rig.parts import Rig
 from flight.harness.flights import ProgramContext, RoleResult
@@ -20,9 +19,10 @@ from missions.fly.own.drone import Drone
 from missions.fly.own.load import Mission
 from missions.ground.rig_library import mission_of
 from path.messages import Role
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class OwnMission:
     """The program of either drone (``flight.harness.flights.RoleMain``)."""
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from missions.ground.shown import FolderGone, say_unwritten
 from missions.look.report.command import show
 from missions.look.report.page import PageOf, write_page
 from missions.look.report.records import RunFolderError, by_topic, drone_names
+from path.values import frozen
 
 Values = dict[str, Any]
 SUMMARY = "summary.json"
@@ -42,7 +42,7 @@ def cause_of(report: RelayReport, outcome: Outcome, detail: str) -> tuple[Outcom
     return outcome, detail
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Showing:
     """The showing of one kind of run at its end.
 

@@ -12,6 +12,7 @@ from typing import Literal, Protocol
 from flight.guidance import Vec3
 from flight.harness.relay import Pointed
 from flight.outcome import MissionEnd
+from path.values import frozen
 
 What = Literal[
     "named", "find", "call", "holds", "leg failed", "lost", "alarm", "down", "ready", "end"
@@ -40,7 +41,7 @@ class Leg:
     detail: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Event:
     """A line for the crew."""
 
@@ -80,7 +81,7 @@ class Ground(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SentTo:
     """The target that a drone of a team is sent to, where it was said to be, and the heading to
     follow it from.

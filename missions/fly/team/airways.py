@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+
+from path.values import frozen
 
 Point = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AirColumn:
     """A column in which a drone goes up or down, through the ways out (``top`` 0), or those and the
     ways back (1).
@@ -26,7 +27,7 @@ class AirColumn:
     top: int
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Airway:
     """From a home to a target's area (``level`` 0) or back (``level`` 1), with the columns at its
     ends.

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from missions.fly.team.airways import Airway, Point, in_the_way
+from path.arrays import Array
+from path.values import frozen
 
 EMPTY_S = 240.0  # what an empty battery costs more than a full one: it comes back as much sooner
 CLUTTER_S = 60.0  # another target right behind this one, in the same image
@@ -29,7 +29,7 @@ LOST_S = 500.0  # what a target that nobody has is worth, where there are fewer 
 SOON_S = 700.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ReadyDrone:
     """A drone that stands ready."""
 
@@ -38,7 +38,7 @@ class ReadyDrone:
     battery: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Need:
     """A target that needs a drone.
 
@@ -58,7 +58,7 @@ class Need:
     urgent_s: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Assignment:
     """One assignment: the drone, and the heading from which it follows."""
 
@@ -68,7 +68,7 @@ class Assignment:
     cost_s: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Airspace:
     """The ways that are flown already, and those of a pair.
 
@@ -115,7 +115,7 @@ def assign(
     ]
 
 
-def _nearest(need: Need, homes: NDArray[np.float64], may: Sequence[bool]) -> list[int]:
+def _nearest(need: Need, homes: Array, may: Sequence[bool]) -> list[int]:
     """The drones that are worth looking at: in a large field those from its other end are not."""
     away_m = np.hypot(*(homes - np.array(need.place_m)).T)
     away_m[~np.array(may)] = np.inf

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,9 +18,10 @@ from missions.fly.own.command import programs_of
 from missions.look.report.records import Records, RunFacts, last, load_run
 from missions.look.report.summary import summarize
 from path.messages import Role
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FlownDrone:
     """One drone of a run, by its own log.
 

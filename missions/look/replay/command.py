@@ -8,7 +8,7 @@ import sys
 import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +33,13 @@ from missions.look.report.records import REPLAY, drone_logs, load_facts
 from missions.look.report.tables import plain_table
 from path.config import MethodConfig
 from path.messages import Role
+from path.values import frozen
 
 EXIT_DIFFERENT = 1
 _VERDICT = "/agreement"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Replayed:
     """A drone's decisions. ``complete``: when its gate was, the first time in each attempt."""
 

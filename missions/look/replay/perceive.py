@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +25,14 @@ from missions.look.report.records import load_facts
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.messages import Role
+from path.values import frozen
 
 PIXELS = "drivers.perception.pixels:PixelPerception"
 _RECORDED = {"factory": "drivers.recordings.camera:RecordedCamera", "file": "none"}  # never opened
 _REMEDY = 'fly with `[mission] record = "all"` in the rig'
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PerceptionChange:
     """The perception to look with. ``rig``: its file or name, None: the one that was flown.
 

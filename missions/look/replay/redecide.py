@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -36,6 +35,7 @@ from missions.look.replay.perceivers import ReceiverPerceiver, SenderPerceiver
 from path.config import MethodConfig
 from path.messages import Role
 from path.observations import Box, Detection, Missed, MissReason
+from path.values import frozen
 
 Record = Mapping[str, Any]
 Answers = Mapping[tuple[int, int], Record]
@@ -45,7 +45,7 @@ Open = Callable[[Record, int, MethodConfig], Perceiver]
 """The perceiver of a session, from its ``/setup`` and that record's stamp."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DecisionPair:
     """One decision, as it was logged and as it comes out again; None: there is none."""
 
@@ -71,7 +71,7 @@ class DecisionPair:
         ]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Complete:
     """The gate is complete for the first time in an attempt: D1 commits as soon as it may."""
 

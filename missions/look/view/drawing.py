@@ -24,10 +24,10 @@ import numpy as np
 import rerun as rr
 from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory
-from numpy.typing import NDArray
 
 from drivers.log.topics import blank
 from missions.look.view.figures import PlottedValues
+from path.arrays import Array
 from path.geometry.rotation import R_from_quat
 from path.messages import Vec3
 
@@ -62,7 +62,7 @@ class Drawing:
         self._newest_boxes: dict[str, Any] = {}
         self._plots: set[str] = set()
         self._open_ns: dict[str, int] = {}  # of each line of an attempt: when its newest point was
-        self._R_world_n: NDArray[np.float64] | None = None
+        self._R_world_n: Array | None = None
         self.paths: dict[str, list[Vec3]] = {}
         self._draw: dict[str, Callable[[str, Any], None]] = {
             "foxglove.FrameTransforms": self._transforms,

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
 from path.messages import Vec3
+from path.values import frozen
 
 BESIDE_M = 1.0  # around the drones' paths, for what they look at
 SHARE = 70.0  # percent of the places that have to be seen well
@@ -18,7 +18,7 @@ FROM = (-0.55, -0.7, 0.45)  # of the direction to the eye, in the world's frame 
 AWAY = 1.4  # of what is seen, whose half is so far from its middle: Rerun's eye opens 55 degrees
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SceneEye:
     """``position`` and the point that is looked at, in the world's frame, m."""
 

@@ -14,12 +14,13 @@ import time
 from collections import Counter
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass
 
 from mcap.records import Schema
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
+
+from path.values import frozen
 
 PROTOCOL = Subprotocol("foxglove.sdk.v1")
 WAITING = 4096
@@ -32,7 +33,7 @@ ASK_AGAIN = 20
 ASK_AGAIN_S = 0.05
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class StreamMessage:
     topic: str
     schema: Schema

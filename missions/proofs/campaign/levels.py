@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from missions.ground.options.words import LevelName
+from path.values import frozen
 
 Range = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MachineLevel:
     """The ranges that a run of the machines is drawn from. Shares and chances are 0..1; ranges are
     uniform.

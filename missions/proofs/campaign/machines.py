@@ -24,6 +24,7 @@ from missions.proofs.campaign.role_programs import ReceiverProgram, SenderProgra
 from path.messages import Accept, Commit, Message, Role
 from path.protocol import receiver, sender
 from path.protocol.values import ReceiverRecord, SenderRecord
+from path.values import frozen
 
 LONGEST_S = 45.0
 QUIET_S = 0.5
@@ -42,7 +43,7 @@ OpenChannel = Callable[[str, Mapping[str, float]], CampaignChannel]
 Tell = Callable[[float, str, str], None]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ProgramRun:
     """The result of a run.
 

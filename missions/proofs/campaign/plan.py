@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import random
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 from missions.ground.options.words import LevelName
 from missions.proofs.campaign.levels import MACHINE_LEVELS, MachineLevel, Range
 from path.messages import Role
+from path.values import frozen
 
 Forgotten = Literal["nothing", "newest", "all"]
 ROLES = (Role.SENDER, Role.RECEIVER)
@@ -23,7 +24,7 @@ AROUND_S = (-0.3, 2.5)  # of what happens around the commit
 STEP_S = 30.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Outage:
     """A time in which nothing that is sent arrives; ``of``: whose packets, None for both roles'."""
 
@@ -32,7 +33,7 @@ class Outage:
     of: Role | None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Crash:
     """A program is killed between two of its effects, the ``after``-th since an instant, and
     started again.
@@ -54,7 +55,7 @@ class Crash:
     forgets: Forgotten = "nothing"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Stall:
     """A program stands still between two of its effects, the ``after``-th since an instant, and
     then goes on.
@@ -66,7 +67,7 @@ class Stall:
     for_s: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Step:
     """A clock is set, forward or back."""
 
@@ -75,7 +76,7 @@ class Step:
     by_s: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RunPlan:
     """One run. Instants are true time since its beginning, in s.
 

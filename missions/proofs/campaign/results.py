@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import tempfile
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+from dataclasses import field
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from missions.ground.resumable_lines import ResumableLines
+from path.values import frozen
 
 FILE = "runs.jsonl"
 FORMAT = "path-handoff campaign 1"
 OBSERVED_PERCENT = 99.0  # of the time, each target of a team
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RunLine:
     """One run.
 
@@ -43,3 +47,18 @@ class RunLine:
 def resumable_results(folder: Path, asked: Mapping[str, Any]) -> ResumableLines[RunLine]:
     """The file of a campaign in its folder; a folder that holds another campaign is refused."""
     return ResumableLines(folder / FILE, RunLine, {"format": FORMAT, **asked})
+
+
+@contextmanager
+def unread_folder() -> Generator[Path]:
+    """Give a run a folder for logs that nobody will read: they need no disk."""
+    memory = Path("/dev/shm")
+    with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
+        yield Path(folder)
+
+
+def story_folder(out: Path | None) -> Path:
+    """Return the folder for the logs of a run that is flown again to be looked at."""
+    folder = out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder

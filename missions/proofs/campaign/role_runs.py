@@ -6,10 +6,8 @@ from __future__ import annotations
 
 import random
 import sys
-import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,13 +23,12 @@ from missions.ground.options.words import LevelName
 from missions.ground.run_folder import claimed
 from missions.look.report.records import RUN
 from missions.proofs.campaign.plan import seed_of
-from missions.proofs.campaign.results import RunLine
+from missions.proofs.campaign.results import RunLine, story_folder, unread_folder
 from path.messages import Role
 
 if TYPE_CHECKING:
     from missions.proofs.campaign.run import RunOrder
 
-MEMORY = Path("/dev/shm")  # logs that nobody will read need no disk
 
 PHASES = {
     Role.SENDER: ("acquire", "follow", "verify"),
@@ -144,16 +141,15 @@ def fly(order: RunOrder) -> list[RunLine]:
     rig = _shorter(order)
     lines: list[RunLine] = []
     for level, number in order.runs:
-        with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as folder:
-            lines.append(_fly(rig, order.seed, level, number, Path(folder), lambda _: None))
+        with unread_folder() as folder:
+            lines.append(_fly(rig, order.seed, level, number, folder, lambda _: None))
     return lines
 
 
 def replay(order: RunOrder, out: Path | None) -> RunLine:
     """The run's story on the terminal, and its logs in a folder."""
     (level, number), *_ = order.runs
-    folder = out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign"
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = story_folder(out)
     _, faults = draw(order.seed, level, number)
     sys.stdout.write("".join(f"--fault {fault}\n" for fault in faults))
     line = _fly(_shorter(order), order.seed, level, number, folder, _Story().tell)

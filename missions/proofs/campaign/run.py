@@ -8,7 +8,6 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -28,12 +27,13 @@ from missions.proofs.campaign import machine_runs, role_runs, team_runs
 from missions.proofs.campaign.levels import LEVELS
 from missions.proofs.campaign.results import RunLine, resumable_results
 from missions.proofs.campaign.summary import BROKEN, draw_outcomes, summarize, table
+from path.values import frozen
 
 SUMMARY = "summary.json"
 PICTURE = "outcomes.png"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RunOrder:
     """Some runs of one campaign, done at a time: ``(level, number)`` each."""
 
@@ -52,7 +52,7 @@ class Workers(Protocol):
     ) -> Iterator[list[RunLine]]: ...
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Kind:
     """One program of the campaign.
 

@@ -7,10 +7,8 @@ from __future__ import annotations
 import math
 import random
 import sys
-import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from datetime import datetime
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,12 +25,12 @@ from missions.ground.options.proofs import CampaignOptions
 from missions.ground.options.words import LevelName
 from missions.ground.team_config import team_of
 from missions.proofs.campaign.plan import seed_of
-from missions.proofs.campaign.results import OBSERVED_PERCENT, RunLine
+from missions.proofs.campaign.results import OBSERVED_PERCENT, RunLine, story_folder, unread_folder
+from path.values import frozen
 
 if TYPE_CHECKING:
     from missions.proofs.campaign.run import RunOrder
 
-MEMORY = Path("/dev/shm")  # logs that nobody will read need no disk
 RIG = "team-sim"
 MOVED_M = 1.5  # of each target's place, on each axis
 LEG_S = 420.0  # about, of one target
@@ -57,7 +55,7 @@ MOMENTS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TeamPlan:
     """Everything that is drawn for one run.
 
@@ -127,8 +125,8 @@ def fly(order: RunOrder) -> list[RunLine]:
     rig, config = _team(order)
     lines: list[RunLine] = []
     for level, number in order.runs:
-        with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as folder:
-            lines.append(_fly(rig, config, order, level, number, Path(folder), lambda _: None))
+        with unread_folder() as folder:
+            lines.append(_fly(rig, config, order, level, number, folder, lambda _: None))
     return lines
 
 
@@ -136,8 +134,7 @@ def replay(order: RunOrder, out: Path | None) -> RunLine:
     """The run's story on the terminal, and its logs in a folder."""
     rig, config = _team(order)
     (level, number), *_ = order.runs
-    folder = out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign"
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = story_folder(out)
     plan = draw(config, order.seed, level, number, _hours(order, config))
     sys.stdout.write(f"{plan.drones} drones, {plan.targets} targets, seed {plan.seed}\n")
     sys.stdout.write("".join(f"--fault {fault}\n" for fault in plan.faults))

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from missions.proofs.conformance.track import (
     standing,
     when,
 )
+from path.values import frozen
 
 HEIGHT_M = 3.0
 HOLD_S = 8.0
@@ -312,7 +312,7 @@ async def battery_and_kill(stage: FlightStage) -> Values:
     return found
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SuiteFlight:
     """One of the suite's flights; ``limit_s`` of the vehicle's time."""
 

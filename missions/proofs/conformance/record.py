@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from drivers.interfaces import PartError
 from missions.proofs.conformance.stage import Values
+from path.values import frozen
 
 EMBEDDED = "embedded"
 VEHICLES = (EMBEDDED, "px4", "ardupilot")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Record:
     """``values`` by the names of ``rows``; ``failed`` by flight; ``load_*``: of this computer, over
     a minute.

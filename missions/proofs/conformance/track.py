@@ -6,23 +6,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import FlightMode
 from drivers.mavlink.bench import HeartbeatShown, Instant
+from path.arrays import Array, Flags
 from path.geometry.rotation import conjugate, multiply, wrapped, yaw_of
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 AIRBORNE_M = 0.05
 LANDED_STATES = ("undefined", "on ground", "in air", "take-off", "landing")  # MAV_LANDED_STATE
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class FlightTrack:
     """Arrays over time: ``t`` (n,), ``height`` (n,), ``position`` and ``velocity`` (n, 3) NED,
     ``yaw`` (n,).
@@ -48,7 +46,7 @@ class FlightTrack:
         )
 
 
-def first(t: Array, holds: NDArray[np.bool_], from_s: float) -> float | None:
+def first(t: Array, holds: Flags, from_s: float) -> float | None:
     """Seconds from ``from_s`` until the first sample for which it holds; None when it never
     does.
     """
@@ -66,7 +64,7 @@ def fastest_mps(t: Array, values: Array, window_s: float = 0.5) -> float | None:
     return float(np.max(rise / (t[later[whole]] - t[whole])))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Response:
     """The response to a step of a speed: seconds to 63 % of it, largest excess in percent, error
     once settled.

@@ -14,12 +14,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
 from drivers.collector import collector_off
 from missions.proofs.verify.model import UNREAD, ModelWorld, Scope
 from missions.proofs.verify.moves import TICK, ModelStep, Moves
+from path.values import frozen
 
 ANY: frozenset[str] = frozenset()
 _ONES = 24  # bits for a number of crashes, aborts, attempts or ticks
@@ -27,7 +27,7 @@ _RECORD = 16
 _COMPLEMENT = (1 << _RECORD) - 1
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Exploration:
     """The result of an exploration.
 

@@ -25,12 +25,13 @@ What the world may do at any moment:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 from path.messages import Accept, Candidate, Commit, Confirm, Message, Role, Status, Target
 from path.observations import MissReason
 from path.protocol.values import Handoff, ProtocolConfig
+from path.values import frozen
 
 TICK_S = 1e-9
 HANDOFF_ID = 1
@@ -47,7 +48,7 @@ DOWN = (0.0, 0.0, 1.0)
 Side = Literal["sender", "receiver"]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Scope:
     """The size of the world that is explored; times in ticks.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from types import ModuleType
 from typing import Any
 
@@ -17,6 +17,7 @@ from missions.proofs.verify.explore import ANY, Covering, Exploration, explore
 from missions.proofs.verify.model import Scope
 from path.protocol import receiver, sender
 from path.protocol.values import Persist, Refusal, Release, Send
+from path.values import frozen
 
 Patch = tuple[ModuleType, str, Callable[[Any], Any]]
 """Module, name of a function in it, and what makes the wrong function from the right one."""
@@ -30,7 +31,7 @@ SLEEPY = replace(SMALL, stalls=True)
 TRIO = replace(SHORT, receivers=2)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Mutant:
     """A rule that is skipped, the invariants one of which this must break, and a scope in which it
     does.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from path.messages import Commit
 from path.protocol import receiver, sender
 from path.protocol.values import (
@@ -16,9 +14,10 @@ from path.protocol.values import (
     SenderEvent,
     TakeResponsibility,
 )
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Dead:
     """A program that does not run, and what is remembered of it: its epoch (S2), and whether it
     handed over (S4).

@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import sys
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TextIO
@@ -21,13 +21,14 @@ from missions.proofs.verify import wire
 from missions.proofs.verify.explore import Covering, Exact, Exploration, explore
 from missions.proofs.verify.model import Scope
 from missions.proofs.verify.mutants import MUTANTS, SMALL, caught
+from path.values import frozen
 
 EXIT_BROKEN = CommandEnd.FAILED.exit_code
 SUMMARY = "summary.json"
 INVARIANTS = ("S1", "S2", "S3", "S4", "S5", "S6", "L1", "L2")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Job:
     """One scope. ``exact``: every world is entered by itself, and not only those that no other
     covers.
@@ -69,14 +70,14 @@ FULL = (  # the longest first, so that no core waits for it at the end
 )
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Explored:
     job: Job
     found: Exploration
     wall_s: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ModelMutant:
     """The result of a mutant: the invariant it broke, "" when it was not caught, and the worlds
     that took.

@@ -13,7 +13,6 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 from random import Random
@@ -29,6 +28,7 @@ from missions.ground.work import Work
 from missions.look.report.command import show as tell
 from missions.proofs.verify.forger import HASH, HEADER, SIGNATURE, Forger, framed, sign
 from path.messages import Candidate, Message, Ping, Pong, Role, Status, Target
+from path.values import frozen
 
 CHUNK = 20_000  # packets forged in one piece of work
 BURST = 40  # of them between two packets of the true peer
@@ -46,7 +46,7 @@ SMALL = {"role": 3, "battery": 201, "miss": 19, "reason": 9, "instance": 1 << 24
 MakeCodec = Callable[[Role, bytes, Callable[[], int]], Codec]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Piece:
     """Packets to forge in one process. ``make``: of the victim's end."""
 
@@ -56,7 +56,7 @@ class Piece:
     make: MakeCodec
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Fuzzed:
     """The result of fuzzing.
 

@@ -29,7 +29,7 @@ from tests.steady_time import SteadyTime
 SYSID = 7
 HOME = HomeConfig(position_m=(-2.0, 3.0))  # east, north: not the mission's origin
 ORIGIN = Origin(47.4, 8.5, 480.0)
-TANGENT = LocalTangent(ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.altitude_m)
+TANGENT = LocalTangent.at(ORIGIN)
 HEIGHT_M = 0.8
 STILL = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
 LIMIT_S = 60.0

@@ -56,7 +56,7 @@ def board(
 ) -> Generator[tuple[SimDrone, Callable[[], None]]]:
     """The board in a thread; gives its drone, and what pulls its cables."""
     world = exact_world(sender_home=home)
-    tangent = LocalTangent(rig.origin.latitude_deg, rig.origin.longitude_deg, rig.origin.altitude_m)
+    tangent = LocalTangent.at(rig.origin)
     drone, leg_m = world.drone(Role.SENDER), world.config.airframe.leg_m
     sysid = int(rig.sender.vehicle.options["sysid"])
     made = BoardPty(sysid, drone, leg_m, tangent, folder / "companion", folder / "truth")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from contextlib import AsyncExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from drivers.interfaces import Clock, Link, Perception, Vehicle, VehicleState, VelocitySetpoint
 from drivers.rig.parts import PartContext, Rig, create, part_context
@@ -29,12 +29,13 @@ from missions.fly.relay.drone.stages import Holder, Relief
 from missions.fly.relay.ground import Ground, Leg
 from missions.ground.rig_library import mission_of
 from path.messages import Role
+from path.values import frozen
 
 _POLL_S = 0.25
 _THERE_M = 0.5
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Parts:
     """The parts that stay open while the role changes."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
@@ -24,13 +24,14 @@ from missions.ground import rig_library
 from missions.look.replay.films.trajectory import FlownPath, read_flown_path
 from path.bounds import Bounds
 from path.messages import Role
+from path.values import frozen
 
 NS = 1_000_000_000
 HANGING_SIGMA_DEG = 3.0
 REMEDY = "correct the file (docs/films.md)"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FilmTable:
     """One drone's recording.
 
@@ -56,7 +57,7 @@ class FilmTable:
     trajectory: Path | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TargetPick:
     """The target in D1's film: what is at a pixel, ``at_s`` after both films run; None: the only
     object there is.
@@ -66,7 +67,7 @@ class TargetPick:
     at_s: Annotated[float, Bounds(0.0, 1e6)] = 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FilmsTable:
     """The whole file.
 
@@ -90,7 +91,7 @@ class FilmsTable:
     attitude_sigma_deg: Annotated[float | None, Bounds(0.01, 20.0)] = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PlayedFilm:
     """A film that can be played. ``offset_ns``: from its stamps to the clock of both."""
 
@@ -113,7 +114,7 @@ class PlayedFilm:
                 yield stamp_ns, frame
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Films:
     """Two films on one clock, and the rig with the cameras that filmed.
 

@@ -7,14 +7,13 @@ RGB-D data of others have 5000 steps a metre (TUM, BONN), 0.1 mm a step (a D405)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import Framed, View
+from path.arrays import Depths
 from path.camera.model import CameraModel
 from path.observations import Box
+from path.values import frozen
 
 # times as far: sizes are known no better, and a box may show a target's narrow side
 MOST = 2.5
@@ -22,7 +21,7 @@ LEAST = 0.3
 REMEDY = "say depth_unit_mm of the film (0.2 with 5000 steps a metre, 0.1 of a D405), or correct the rig's sizes"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DepthAgainstSize:
     """How far a target is by its depth and by its size, m."""
 
@@ -66,7 +65,7 @@ def depth_against_size(
     return DepthAgainstSize(float(np.median(measured)) / 1000.0, side_m / max(across_px, 1e-9))
 
 
-def in_millimetres(depth: NDArray[np.uint16] | None, unit_mm: float) -> NDArray[np.uint16] | None:
+def in_millimetres(depth: Depths | None, unit_mm: float) -> Depths | None:
     """Return depth in mm, 0 where there is none or where it is farther than can be said."""
     if depth is None or unit_mm == 1.0:
         return depth

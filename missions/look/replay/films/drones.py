@@ -5,7 +5,6 @@ would have left.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -41,12 +40,13 @@ from path.geometry.rotation import R_from_quat, yaw_of
 from path.geometry.transforms import Matrix, Pose
 from path.messages import Candidate, Role, Target
 from path.observations import Box
+from path.values import frozen
 
 EPOCH = 1
 PICK_S = 0.5  # within which the target has to be seen where it was picked
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FilmingBody:
     """A drone as it was while it filmed, by its trajectory if there is one."""
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 
@@ -18,9 +17,10 @@ from missions.look.replay.films.depth_unit import in_millimetres
 from missions.look.replay.films.drones import FilmedReceiver, FilmedSender
 from missions.look.replay.perceive import PerceptionChange, perception_of
 from path.messages import Candidate, Role, Target
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FilmCount:
     """The frames that were looked at."""
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from drivers.text_file import MOST_BYTES, read_file
 from flight.guidance import add, scale, subtract
 from path.geometry.rotation import IDENTITY, normalized, slerp
 from path.messages import Quat, Vec3
+from path.values import frozen
 
 NS = 1_000_000_000
 # positions of GPS are rough from one to the next, and the marker's filter goes by velocities
@@ -23,7 +23,7 @@ SLOPE_NS = 600_000_000
 REMEDY = "lines are: seconds, x y z in m (north, east, down), quaternion x y z w of the body (forward, right, down)"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class BodyState:
     """A drone at an instant: north, east, down in m and m/s, and the attitude of its body."""
 

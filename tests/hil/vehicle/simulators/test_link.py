@@ -260,7 +260,7 @@ def test_the_world_is_where_the_simulators_say(rig: Rig, tmp_path: Path) -> None
         config.sender_simulator, url="udp://127.0.0.1:0", truth_url="udp://127.0.0.1:0"
     )
     vehicles = {role: SimulatedVehicle(rig, role, external, config, tmp_path) for role in Role}
-    tangent = LocalTangent(rig.origin.latitude_deg, rig.origin.longitude_deg, rig.origin.altitude_m)
+    tangent = LocalTangent.at(rig.origin)
     try:
         for vehicle, north in zip(vehicles.values(), (1.0, 4.0), strict=True):
             place = tangent.to_global(north, 0.0, 0.0)
