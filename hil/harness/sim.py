@@ -166,6 +166,8 @@ class _Flight:
                 await asyncio.wait(flying)
             for log in self._logs:
                 log.close()  # what waits in its buffer may still fail
+            for end in ends.values():
+                end.exception()  # one is raised below; asyncio complains of what nobody looked at
             return {role: self._result(role, end) for role, end in ends.items()}
         finally:
             self._faults.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import time
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -12,8 +13,10 @@ from typing import Any
 
 import pytest
 
+from drivers.interfaces import VehicleError
 from drivers.rig.parts import create, part_context
 from hil.harness.virtual_time import run_virtual
+from missions.fly.handoff.flight import fly_once
 from missions.fly.testing.vehicle import Stage, VehicleContract
 from missions.ground import rig_library
 from path.messages import Role
@@ -25,6 +28,22 @@ name = "mine"
 
 [both.vehicle]
 factory = "{HERE / "copter.py"}:Copter"
+"""
+
+GONE = """
+from dataclasses import dataclass
+from drivers.interfaces import VehicleError
+
+@dataclass(frozen=True)
+class Config:
+    pass
+
+class Gone:
+    Config = Config
+    def __init__(self, config, context): ...
+    async def __aenter__(self):
+        raise VehicleError("it does not answer", "switch it on")
+    async def __aexit__(self, *_): ...
 """
 
 
@@ -82,3 +101,17 @@ def test_a_driver_that_forgets_to_refuse_does_not_pass(
     monkeypatch.setattr(vehicle, "fly", flies_anything)
     with pytest.raises(pytest.fail.Exception, match="DID NOT RAISE"):
         suite.test_on_the_ground_what_makes_no_sense_is_refused_and_moves_nothing()
+
+
+def test_a_vehicle_that_does_not_open_is_told_once_and_nothing_else(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "gone.py").write_text(GONE, "utf-8")
+    (tmp_path / "gone.toml").write_text(RIG.replace(f"{HERE / 'copter.py'}:Copter", "gone.py:Gone"))
+    rig = rig_library.load(str(tmp_path / "gone.toml"))
+    out = tmp_path / "run"
+    out.mkdir()
+    with pytest.raises(VehicleError, match="does not answer"):
+        fly_once(rig, 7, (), out, lambda _: None)
+    gc.collect()
+    assert "never retrieved" not in caplog.text
