@@ -21,7 +21,7 @@ from path.geometry.rigid import inverse_as_quat, rigid
 from path.geometry.rotation import IDENTITY
 from path.geometry.transforms import Matrix, Pose
 from path.messages import Candidate, Target, Vec3
-from path.observations import Detection, Missed, MissReason
+from path.observations import Box, Detection, Missed, MissReason
 from path.target.pieces import whole_of
 from path.target.place import across_sigma
 from path.timeline import Sample, Track
@@ -139,17 +139,17 @@ class ReceiverCycle:
             beyond_s = (stamp_ns - newest.stamp_ns) / 1e9
         skew_m = config.clock_sigma_s * config.relative_speed_mps
         drift_m = 0.5 * config.relative_accel_mps2 * beyond_s * beyond_s
-        point_v = values[0], values[1], values[2]
+        point_v = (values[0], values[1], values[2])
         return predict(
-            self._lens,
-            rigid(T_c2_v),
-            covariance,
-            point_v,
-            math.hypot(sigma_m, skew_m, drift_m),
-            newest.frame & 0xFFFF,
-            config,
-            self._box_size_at_1m_px,
-            self._ray(point_v, math.hypot(skew_m, drift_m)),
+            lens=self._lens,
+            T_c2_v=rigid(T_c2_v),
+            covariance=covariance,
+            point_v=point_v,
+            point_sigma_m=math.hypot(sigma_m, skew_m, drift_m),
+            target_sequence=newest.frame & 0xFFFF,
+            config=config,
+            box_size_at_1m_px=self._box_size_at_1m_px,
+            ray=self._ray(point_v, math.hypot(skew_m, drift_m)),
         )
 
     def _ray(self, point_v: Vec3, moved_sigma_m: float) -> Ray | None:
@@ -157,13 +157,16 @@ class ReceiverCycle:
         if self._sender is None or self._config.target_error == "point":
             return None
         camera, eye_v = self._sender
-        x, y, z = (p - q for p, q in zip(point_v, eye_v, strict=True))
+        x = point_v[0] - eye_v[0]
+        y = point_v[1] - eye_v[1]
+        z = point_v[2] - eye_v[2]
         distance_m = math.sqrt(x * x + y * y + z * z)
         if distance_m <= 0.0:
             return None
-        across_m = across_sigma(camera, distance_m, self._config)
-        across_m = math.hypot(across_m, self._config.mount_sigma_m, moved_sigma_m)
-        return Ray((x / distance_m, y / distance_m, z / distance_m), across_m)
+        seen_m = across_sigma(camera, distance_m, self._config)
+        across_m = math.hypot(seen_m, self._config.mount_sigma_m, moved_sigma_m)
+        direction = (x / distance_m, y / distance_m, z / distance_m)
+        return Ray(direction, across_m)
 
     def candidate(
         self, frame_id: int, stamp_ns: int, detections: Sequence[Detection], prior: Prior | Missed
@@ -184,11 +187,15 @@ class ReceiverCycle:
             self.misses[old] += 1
             return Missed(old, ignored=True)
         self._last = (frame_id, stamp_ns)
+        box: Box | None = None
+        why: MissReason | None = None
         chosen = self._choose(detections, prior)
-        box = plain_box(chosen.box) if isinstance(chosen, Detection) else None
-        why = chosen.reason if isinstance(chosen, Missed) else None
-        if why is not None:
+        if isinstance(chosen, Missed):
+            why = chosen.reason
             self.misses[why] += 1
+        else:
+            box = plain_box(chosen.box)
+
         rotation = IDENTITY
         position = NOWHERE
         sigma_m = 0.0
@@ -200,9 +207,20 @@ class ReceiverCycle:
             if box is not None:
                 self.found += 1
                 self._box_size_at_1m_px = (box.w * prior.depth_m, box.h * prior.depth_m)
-        sequence = frame_id & 0xFFFF
+
+        handoff_id, epoch, target_id = self._identity
         return Candidate(
-            *self._identity, sequence, answered, stamp_ns, box, why, position, rotation, sigma_m
+            handoff_id=handoff_id,
+            epoch=epoch,
+            target_id=target_id,
+            sequence=frame_id & 0xFFFF,
+            target_sequence=answered,
+            capture_ns=stamp_ns,
+            box=box,
+            reason=why,
+            position_v_m=position,
+            rotation_v_c2=rotation,
+            sigma_m=sigma_m,
         )
 
     def _old(self, frame_id: int, stamp_ns: int) -> MissReason | None:
@@ -212,7 +230,9 @@ class ReceiverCycle:
         last_id, last_ns = self._last
         if frame_id == last_id:
             return MissReason.DUPLICATE
-        return MissReason.STALE if frame_id < last_id or stamp_ns <= last_ns else None
+        if frame_id < last_id or stamp_ns <= last_ns:
+            return MissReason.STALE
+        return None
 
     def _choose(self, detections: Sequence[Detection], prior: Prior | Missed) -> Detection | Missed:
         """Return the detection nearest to the prior.
@@ -244,18 +264,21 @@ class ReceiverCycle:
         self, near: list[tuple[float, Detection]], prior: Prior
     ) -> list[tuple[float, Detection]]:
         """Return them with the nearest in one piece, where it is shown as two that overlap."""
-        _, best = near[0]
-        others = near[1:]
         w, h = self._box_size_at_1m_px
         if not w * h > 0.0:
             return near
+        expected_px = (w / prior.depth_m, h / prior.depth_m)
+        _, best = near[0]
+        others = near[1:]
         for other in others:
-            box = other[1].box
-            score = max(best.score, other[1].score)
-            whole = whole_of(best.box, box, (w / prior.depth_m, h / prior.depth_m))
-            if whole is not None and iou(best.box, box) > 0.0:
-                rest = [each for each in others if each is not other]
-                return [(prior.distance2(*whole.center), Detection(whole, score)), *rest]
+            _, piece = other
+            whole = whole_of(best.box, piece.box, expected_px)
+            if whole is None or not iou(best.box, piece.box) > 0.0:
+                continue
+            joined = Detection(whole, max(best.score, piece.score))
+            distance2 = prior.distance2(*whole.center)
+            rest = [each for each in others if each is not other]
+            return [(distance2, joined), *rest]
         return near
 
     def _unusable(self, target: Target, capture_ns: int, now_ns: int) -> MissReason | None:
@@ -279,4 +302,5 @@ class ReceiverCycle:
         age_ns = now_ns - capture_ns
         if -age_ns > self._config.max_future_s * 1e9:
             return MissReason.CLOCK
-        return MissReason.STALE if age_ns > self._config.max_age_s * 1e9 else None
+        is_old = age_ns > self._config.max_age_s * 1e9
+        return MissReason.STALE if is_old else None

@@ -139,7 +139,7 @@ class SenderCycle:
                 return self._missed(Missed(MissReason.STALE, ignored=True))
 
         box = None if box is None else plain_box(box)
-        point = Missed(MissReason.NO_TARGET) if box is None else self._locate(box, depth, gravity_v)
+        point = self._locate(box, depth, gravity_v)
         if isinstance(point, Missed):
             self._track.add(Sample(stamp_ns, frame_id, None))
             self.gate.restart(stamp_ns)
@@ -147,23 +147,24 @@ class SenderCycle:
 
         assert box is not None
         assert depth is not None
-        oversize = self._sizes.own(stamp_ns, box, depth, point.point_v_m, gravity_v)
+        point_v_m = point.point_v_m
+        oversize = self._sizes.own(stamp_ns, box, depth, point_v_m, gravity_v)
         edges = (box.x, box.y, box.w, box.h)
-        place = (*point.point_v_m, point.z_m, depth.sigma_m)
-        self._track.add(Sample(stamp_ns, frame_id, (*edges, *place, *gravity_v, oversize)))
-        self._rivals.note(stamp_ns, box, point.z_m, point.point_v_m, gravity_v, rivals)
+        place = (*point_v_m, point.z_m, depth.sigma_m)
+        values = (*edges, *place, *gravity_v, oversize)
+        self._track.add(Sample(stamp_ns, frame_id, values))
+        self._rivals.note(stamp_ns, box, point.z_m, point_v_m, gravity_v, rivals)
 
         handoff_id, epoch, target_id = self._identity
-        sequence = frame_id & 0xFFFF
         return Target(
-            handoff_id,
-            epoch,
-            target_id,
-            sequence,
-            stamp_ns,
-            point.point_v_m,
-            gravity_v,
-            point.sigma_m,
+            handoff_id=handoff_id,
+            epoch=epoch,
+            target_id=target_id,
+            sequence=frame_id & 0xFFFF,
+            capture_ns=stamp_ns,
+            point_v_m=point_v_m,
+            gravity_v=gravity_v,
+            sigma_m=point.sigma_m,
         )
 
     def offer(self, candidate: Candidate, capture_ns: int, now_ns: int) -> Missed | None:
@@ -192,7 +193,9 @@ class SenderCycle:
         pairs: list[PairVerdict] = []
         too_old_ns = now_ns - self._max_age_ns
         newest = self._track.newest
-        ready_ns = too_old_ns if newest is None else max(newest.stamp_ns, too_old_ns)
+        ready_ns = too_old_ns
+        if newest is not None:
+            ready_ns = max(newest.stamp_ns, too_old_ns)
         while self._pending and self._pending[0].capture_ns <= ready_ns:
             pending = self._pending.pop(0)
             if self.gate.expire(pending.capture_ns):
@@ -203,7 +206,12 @@ class SenderCycle:
             pairs.append(self._silent(now_ns))
         return pairs
 
-    def _locate(self, box: Box, depth: Depth | None, gravity_v: Vec3) -> TargetPoint | Missed:
+    def _locate(
+        self, box: Box | None, depth: Depth | None, gravity_v: Vec3
+    ) -> TargetPoint | Missed:
+        """Return the target's place, or why this frame tells none."""
+        if box is None:
+            return Missed(MissReason.NO_TARGET)
         if not math.isfinite(box.x + box.y + box.w + box.h):
             return Missed(MissReason.NON_FINITE)
         if not (box.w > 0.0 and box.h > 0.0):
@@ -213,7 +221,9 @@ class SenderCycle:
         point = locate(self._views, box, depth, self._config)
         is_finite = math.isfinite(sum(point.point_v_m) + point.sigma_m)
         is_unit = abs(math.hypot(*gravity_v) - 1.0) < UNIT_TOLERANCE
-        return point if is_finite and is_unit else Missed(MissReason.NON_FINITE)
+        if not (is_finite and is_unit):
+            return Missed(MissReason.NON_FINITE)
+        return point
 
     def _trusted(self, depth: Depth) -> bool:
         """Return whether a range can be used."""
@@ -232,9 +242,11 @@ class SenderCycle:
         for pending in self._pending:
             if pending.candidate.sequence == candidate.sequence:
                 return MissReason.DUPLICATE
-        if capture_ns - now_ns > self._max_future_ns:
+        age_ns = now_ns - capture_ns
+        if -age_ns > self._max_future_ns:
             return MissReason.CLOCK
-        if now_ns - capture_ns > self._max_age_ns or len(self._pending) >= MAX_PENDING:
+        is_full = len(self._pending) >= MAX_PENDING
+        if is_full or age_ns > self._max_age_ns:
             return MissReason.STALE
         return self.gate.refusal(candidate.sequence)
 
@@ -255,19 +267,20 @@ class SenderCycle:
             verdict = self._disagreed(candidate.sequence, capture_ns, missed, None)
             return PairVerdict(candidate, capture_ns, verdict)
 
-        x, y, w, h, _, _, _, z1_m, z_sigma_m, _, _, _, own_oversize = at.values
+        own = at.values
+        x, y, w, h, _, _, _, z1_m, z_sigma_m, _, _, _, own_oversize = own
         own_box = Box(x, y, w, h)
-        found = self._comparer.compare(at.values, candidate, box2)
-        offsets = self._offsets(found.offset_m, candidate, box2, own_box, at.values)
+        found = self._comparer.compare(own, candidate, box2)
+        offsets = self._offsets(found.offset_m, candidate, box2, own_box, own)
         sigma_m = math.hypot(candidate.sigma_m, z_sigma_m)
         peer_oversize = self._sizes.theirs(capture_ns, box2, sigma_m, found)
         outside = Missed(MissReason.PRIOR_OUTSIDE)
         pair = PairVerdict(
-            candidate,
-            capture_ns,
-            outside,
-            own_box,
-            found.mapped,
+            candidate=candidate,
+            capture_ns=capture_ns,
+            verdict=outside,
+            own_box=own_box,
+            mapped_box=found.mapped,
             own=at,
             offsets=offsets,
             oversize=max(own_oversize, peer_oversize),
@@ -277,13 +290,17 @@ class SenderCycle:
             return pair._replace(verdict=verdict)
 
         tau = threshold(z1_m, self._config)
-        knows_size = offsets is not None and self._config.evidence.span_m > 0.0
-        pair = pair._replace(tau=tau, placed_iou=found.placed_iou if knows_size else None)
+        pair = pair._replace(tau=tau)
+        knows_size = self._config.evidence.span_m > 0.0
+        if knows_size and offsets is not None:
+            pair = pair._replace(placed_iou=found.placed_iou)
         if found.iou >= tau:
-            return pair._replace(verdict=self._agreed(pair, at, found.iou, tau))
+            verdict = self._agreed(pair, at, found.iou, tau)
+            return pair._replace(verdict=verdict)
         missed = Missed(MissReason.LOW_IOU, found.iou)
         by = strength(found.iou, tau)
-        return pair._replace(verdict=self._disagreed(candidate.sequence, capture_ns, missed, by))
+        verdict = self._disagreed(candidate.sequence, capture_ns, missed, by)
+        return pair._replace(verdict=verdict)
 
     def _offsets(
         self, target_m: Offset | None, candidate: Candidate, box2: Box, own_box: Box, own: Values
@@ -305,7 +322,9 @@ class SenderCycle:
         if used is None or used.values is None:
             return MissReason.STALE
         apart_ns = abs(capture_ns - used.stamp_ns)
-        return MissReason.STALE if apart_ns > self._max_age_ns else None
+        if apart_ns > self._max_age_ns:
+            return MissReason.STALE
+        return None
 
     def _agreed(self, pair: PairVerdict, at: Between, score: float, tau: float) -> Verdict:
         """Let the gate count a pair that agrees; what it refuses becomes a miss."""
@@ -313,12 +332,12 @@ class SenderCycle:
         before = (at.before.frame, at.before.stamp_ns)
         after = (at.after.frame, at.after.stamp_ns)
         counted = FramePair(
-            pair.candidate.sequence,
-            pair.capture_ns,
-            (before, after),
-            pair.offsets,
-            pair.oversize,
-            pair.placed_iou,
+            peer_sequence=pair.candidate.sequence,
+            capture_ns=pair.capture_ns,
+            own_frames=(before, after),
+            offsets=pair.offsets,
+            oversize=pair.oversize,
+            placed_iou=pair.placed_iou,
         )
         refusal = self.gate.agree(counted, score, tau)
         if refusal is not None:
@@ -347,13 +366,17 @@ class SenderCycle:
 def _is_sound(candidate: Candidate) -> bool:
     """Return whether a candidate is finite, and has either a box or a reason for none."""
     box = candidate.box
-    if (box is None) == (candidate.reason is None):
+    rotation = candidate.rotation_v_c2
+    has_either = (box is None) != (candidate.reason is None)
+    if not has_either:
         return False
-    total = sum(candidate.position_v_m) + sum(candidate.rotation_v_c2) + candidate.sigma_m
+    total = sum(candidate.position_v_m) + sum(rotation) + candidate.sigma_m
     if box is not None:
         total += box.x + box.y + box.w + box.h
         if not (box.w > 0.0 and box.h > 0.0):
             return False
-    if not math.isfinite(total) or candidate.sigma_m < 0.0:
+    if not math.isfinite(total):
         return False
-    return abs(math.hypot(*candidate.rotation_v_c2) - 1.0) < UNIT_TOLERANCE
+    if candidate.sigma_m < 0.0:
+        return False
+    return abs(math.hypot(*rotation) - 1.0) < UNIT_TOLERANCE

@@ -76,20 +76,24 @@ def strength(iou: float, tau: float) -> float:
 
     Below 0 it does not agree.
     """
-    return (iou - tau) / (1.0 - tau) if tau < 1.0 else iou - tau
+    if tau >= 1.0:
+        return iou - tau
+    return (iou - tau) / (1.0 - tau)
 
 
 def gain(config: EvidenceConfig) -> float:
     """Return the factor of an agreeing block after the first: all that the setbacks allow."""
-    return (1.0 - (1.0 - config.next_rate) * config.setback) / config.next_rate
+    lost = (1.0 - config.next_rate) * config.setback
+    return (1.0 - lost) / config.next_rate
 
 
 def evidence_of(blocks: int, config: EvidenceConfig, setbacks: int = 0) -> float:
     """log10 of a run's evidence after so many agreeing blocks, and others that did not agree."""
     if blocks <= 0:
         return 0.0
-    later = (blocks - 1) * math.log10(gain(config)) + setbacks * math.log10(config.setback)
-    return later - math.log10(config.first_rate)
+    gained = (blocks - 1) * math.log10(gain(config))
+    taken = setbacks * math.log10(config.setback)
+    return gained + taken - math.log10(config.first_rate)
 
 
 def evidence_needed(run: int, config: EvidenceConfig) -> float:
@@ -97,7 +101,8 @@ def evidence_needed(run: int, config: EvidenceConfig) -> float:
 
     Each later one may spend less of what accidents may.
     """
-    return -math.log10(config.alpha * config.accident_share / (run * (run + 1.0)))
+    of_accidents = config.alpha * config.accident_share
+    return -math.log10(of_accidents / (run * (run + 1.0)))
 
 
 def persistent_bound(distance_m: float, reach_m: float, sigma_m: float, measured: int) -> float:
@@ -117,7 +122,8 @@ def persistent_bound(distance_m: float, reach_m: float, sigma_m: float, measured
         return 1.0
     if sigma_m <= 0.0:
         return 0.0
-    return (1.0 + 0.5 * ((distance_m - reach_m) / sigma_m) ** 2 / measured) ** -measured
+    sigmas = (distance_m - reach_m) / sigma_m
+    return (1.0 + 0.5 * sigmas**2 / measured) ** -measured
 
 
 @dataclass(slots=True)
@@ -148,13 +154,18 @@ class EvidenceGate:
     def __init__(self, config: MethodConfig) -> None:
         own = config.evidence
         self._config = own
-        self._run = AgreementWindow(
-            replace(config, hold_frames=own.min_pairs, hold_s=own.min_s, max_gap_s=own.max_gap_s)
+        window = replace(
+            config,
+            hold_frames=own.min_pairs,
+            hold_s=own.min_s,
+            max_gap_s=own.max_gap_s,
         )
+        self._run = AgreementWindow(window)
         self._block_ns = round(own.block_s * 1e9)
         self._shared = -math.log10(own.accident_share)
         self._runs = 0
-        self._blocks = self._setbacks = 0
+        self._blocks = 0
+        self._setbacks = 0
         self._agreed = False  # the newest pair that was compared
         self._begin_ns = 0  # of the block under way
         self._strengths: list[float] = []  # of its pairs
@@ -179,55 +190,63 @@ class EvidenceGate:
 
     @property
     def evidence(self) -> Evidence:
+        config = self._config
         counted = (self.blocks, self._setbacks)
-        needed = evidence_needed(1, self._config)
         if counted != self._counted:
-            self._counted, self._by_blocks = (
-                counted,
-                evidence_of(counted[0], self._config, counted[1]),
-            )
-        blocks = self._by_blocks
-        later = 0.0 if self._runs <= 1 else evidence_needed(self._runs, self._config) - needed
-        # errors that last are drawn once: another run or test is another chance for an accident,
-        # not for them
-        lasting = self._identity.reached(self._config) + later + self._shared
-        return Evidence(min(blocks, lasting), needed + later)
+            self._counted = counted
+            self._by_blocks = evidence_of(self.blocks, config, self._setbacks)
+
+        needed = evidence_needed(1, config)
+        later = 0.0
+        if self._runs > 1:
+            later = evidence_needed(self._runs, config) - needed
+        # Errors that last are drawn once: another run or test is another chance for an accident,
+        # not for them.
+        lasting = self._identity.reached(config) + later + self._shared
+        return Evidence(min(self._by_blocks, lasting), needed + later)
 
     @property
     def complete(self) -> bool:
+        if not (self._agreed and self._run.complete):
+            return False
         evidence = self.evidence
-        return self._agreed and self._run.complete and evidence.reached >= evidence.needed
+        return evidence.reached >= evidence.needed
 
     def agree(self, pair: FramePair, iou: float, tau: float) -> MissReason | None:
-        if not iou >= tau:  # no pair that agrees: whoever says so is wrong, and gains nothing
+        if not iou >= tau:
+            # No pair that agrees: whoever says so is wrong, and gains nothing.
             return self.disagree(pair.peer_sequence, pair.capture_ns, strength(iou, tau))
         if pair.oversize > self._config.size_sigmas:
-            return (
-                self.disagree(pair.peer_sequence, pair.capture_ns, -math.inf)
-                or MissReason.AMBIGUOUS_TARGET
-            )
+            # There may be two objects in the box.
+            refusal = self.disagree(pair.peer_sequence, pair.capture_ns, -math.inf)
+            return refusal or MissReason.AMBIGUOUS_TARGET
         refusal = self._run.agree(pair)
         if refusal is not None:
             return refusal
-        if self._run.count == 1:
+
+        begins = self._run.count == 1
+        if begins:
             self._runs += 1
-            self._blocks = self._setbacks = 0
+            self._blocks = 0
+            self._setbacks = 0
             self._identity = Identity()
             self._begin(pair.capture_ns)
         if pair.offsets is not None:
             self._identity.note(pair.offsets)
-        self._compared(
-            pair.capture_ns, strength(iou if pair.placed_iou is None else pair.placed_iou, tau)
-        )
+        overlap = iou if pair.placed_iou is None else pair.placed_iou
+        self._compared(pair.capture_ns, strength(overlap, tau))
         return None
 
     def disagree(
         self, peer_sequence: int, capture_ns: int, by: float | None = None
     ) -> MissReason | None:
         refusal = self._run.skip(peer_sequence, capture_ns)
-        if refusal is None and by is not None and self._run.count:
+        if refusal is not None:
+            return refusal
+        if by is not None and self._run.count:
+            # Whatever the boxes' overlap was: the pair counts as one that disagrees.
             self._compared(capture_ns, by if by < 0.0 else -math.inf)
-        return refusal
+        return None
 
     def restart(self, stamp_ns: int) -> None:
         """D1 missed the target: that costs no evidence; the pairs around it cannot be compared."""
@@ -249,22 +268,24 @@ class EvidenceGate:
     def _compared(self, capture_ns: int, by: float) -> None:
         self._agreed = by >= 0.0
         self._strengths.append(by)
-        if (
-            capture_ns - self._begin_ns >= self._block_ns
-            and len(self._strengths) >= self._config.block_pairs
-        ):
+        is_long = capture_ns - self._begin_ns >= self._block_ns
+        has_enough = len(self._strengths) >= self._config.block_pairs
+        if is_long and has_enough:
             self._judge(capture_ns)
 
     def _judge(self, capture_ns: int) -> None:
         """A block is full: it adds to the run's evidence, takes from it, or ends the run."""
         own = self._config
-        agreeing = sum(each >= 0.0 for each in self._strengths)
-        agrees = median(self._strengths) >= own.strength and agreeing >= own.block_share * len(
-            self._strengths
-        )
+        strengths = self._strengths
+        agreeing = sum(each >= 0.0 for each in strengths)
+        is_strong = median(strengths) >= own.strength
+        most_agree = agreeing >= own.block_share * len(strengths)
+        agrees = is_strong and most_agree
         self.judged.note(later=self._blocks > 0, agrees=agrees)
-        self._blocks += agrees
-        self._setbacks += not agrees
+        if agrees:
+            self._blocks += 1
+        else:
+            self._setbacks += 1
         if evidence_of(self._blocks, own, self._setbacks) > 0.0:
             self._begin(capture_ns)
         else:
@@ -304,14 +325,14 @@ class TwoPaces:
         return max(self.paces, key=lambda pace: pace.evidence.reached / pace.evidence.needed)
 
     def agree(self, pair: FramePair, iou: float, tau: float) -> MissReason | None:
-        answer, _ = (pace.agree(pair, iou, tau) for pace in self.paces)
-        return answer
+        answers = [pace.agree(pair, iou, tau) for pace in self.paces]
+        return answers[0]
 
     def disagree(
         self, peer_sequence: int, capture_ns: int, by: float | None = None
     ) -> MissReason | None:
-        answer, _ = (pace.disagree(peer_sequence, capture_ns, by) for pace in self.paces)
-        return answer
+        answers = [pace.disagree(peer_sequence, capture_ns, by) for pace in self.paces]
+        return answers[0]
 
     def restart(self, stamp_ns: int) -> None:
         """D1 missed the target: that costs no evidence."""
@@ -321,8 +342,8 @@ class TwoPaces:
             pace.end_run(stamp_ns)
 
     def expire(self, instant_ns: int) -> bool:
-        short, patient = (pace.expire(instant_ns) for pace in self.paces)
-        return short or patient
+        expired = [pace.expire(instant_ns) for pace in self.paces]  # each must be told
+        return any(expired)
 
     def refusal(self, peer_sequence: int) -> MissReason | None:
         return self.paces[0].refusal(peer_sequence)

@@ -131,14 +131,22 @@ def record(state: SenderState) -> SenderRecord:
         case Offering() | Verifying() | TakenBack():
             return SenderRecord(state.live.epoch, "mine")
         case AwaitingAccept():
-            commit = state.commit
             return SenderRecord(
-                state.live.epoch, "released", state.live, commit.nonce, commit.lease_end_ns, state.take_back_ns,
-                state.withdrawn,
-            )  # fmt: skip
+                epoch=state.live.epoch,
+                duty="released",
+                live=state.live,
+                nonce=state.commit.nonce,
+                lease_end_ns=state.commit.lease_end_ns,
+                take_back_ns=state.take_back_ns,
+                withdrawn=state.withdrawn,
+            )
         case HandedOver():
             return SenderRecord(
-                state.live.epoch, "handed_over", state.live, state.nonce, 0, state.sure_ns
+                epoch=state.live.epoch,
+                duty="handed_over",
+                live=state.live,
+                nonce=state.nonce,
+                take_back_ns=state.sure_ns,
             )
 
 
@@ -154,21 +162,29 @@ def restored(
         same_clock: the record's instants are of the clock that runs now; after a reboot they are
             not, and everything is waited for as if it had begun just now.
     """
-    if kept.live is None:
-        return Keeping(kept.epoch) if kept.duty == "mine" else Idle(kept.epoch)
-    longest_ns = now_ns + to_ns(config.lease_s) + to_ns(config.max_uncertainty_s)
-    take_back_ns = kept.take_back_ns if same_clock else longest_ns
-    if kept.duty == "handed_over":
-        return HandedOver(
-            kept.live, kept.nonce, take_back_ns, max(take_back_ns, now_ns) + to_ns(config.settle_s)
-        )
     live = kept.live
-    # never again promised: it may be over
-    lease_end_ns = kept.lease_end_ns if same_clock else now_ns
-    commit = Commit(
-        live.handoff_id, live.epoch, live.target_id, kept.nonce, lease_end_ns, now_ns, live.instance
+    if live is None:
+        return Keeping(kept.epoch) if kept.duty == "mine" else Idle(kept.epoch)
+
+    if same_clock:
+        take_back_ns = kept.take_back_ns
+        lease_end_ns = kept.lease_end_ns
+    else:
+        # As if committed just now, and never again promised: the lease may be over.
+        take_back_ns = now_ns + to_ns(config.lease_s) + to_ns(config.max_uncertainty_s)
+        lease_end_ns = now_ns
+
+    if kept.duty == "handed_over":
+        settle_end_ns = max(take_back_ns, now_ns) + to_ns(config.settle_s)
+        return HandedOver(live, kept.nonce, sure_ns=take_back_ns, settle_end_ns=settle_end_ns)
+    commit = _commit_to(live, kept.nonce, lease_end_ns, now_ns)
+    return AwaitingAccept(
+        live,
+        commit,
+        resend_ns=now_ns,
+        take_back_ns=take_back_ns,
+        withdrawn=kept.withdrawn,
     )
-    return AwaitingAccept(live, commit, now_ns, take_back_ns, kept.withdrawn)
 
 
 def wake_ns(state: SenderState) -> int | None:
@@ -176,10 +192,10 @@ def wake_ns(state: SenderState) -> int | None:
     match state:
         case Offering() | Verifying():
             return _deadline_ns(state)
+        case AwaitingAccept() if _silent(state):
+            return state.take_back_ns
         case AwaitingAccept():
-            return (
-                state.take_back_ns if _silent(state) else min(state.resend_ns, state.take_back_ns)
-            )
+            return min(state.resend_ns, state.take_back_ns)
         case HandedOver():
             return state.settle_end_ns if state.settled is None else None
         case Idle() | Keeping() | TakenBack():
@@ -199,7 +215,9 @@ def step(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_ns:
 
 
 def _deadline_ns(state: Offering | Verifying) -> int:
-    return min(state.offer_end_ns, state.end_ns) if isinstance(state, Offering) else state.end_ns
+    if isinstance(state, Offering):
+        return min(state.offer_end_ns, state.end_ns)
+    return state.end_ns
 
 
 def _silent(state: AwaitingAccept) -> bool:
@@ -211,14 +229,18 @@ def _elapse(config: ProtocolConfig, state: SenderState, now_ns: int) -> Step:
     match state:
         case Offering() | Verifying() if now_ns >= _deadline_ns(state):
             abort = _abort(state.live, AbortReason.TIMEOUT, now_ns)
-            return Keeping(state.live.epoch), (Send(abort), Ended(HandoffOutcome.TIMEOUT))
+            ended = Ended(HandoffOutcome.TIMEOUT)
+            return Keeping(state.live.epoch), (Send(abort), ended)
         case AwaitingAccept() if now_ns >= state.take_back_ns:
             return _take_back(state)
         case AwaitingAccept() if not _silent(state) and state.resend_ns <= now_ns:
-            if now_ns >= state.commit.lease_end_ns:  # noticed too late to say it once more
-                return replace(state, resend_ns=state.commit.lease_end_ns), ()
+            lease_end_ns = state.commit.lease_end_ns
+            if now_ns >= lease_end_ns:
+                # Noticed too late to say it once more.
+                return replace(state, resend_ns=lease_end_ns), ()
             again = replace(state.commit, stamp_ns=now_ns)
-            return replace(state, resend_ns=now_ns + to_ns(config.retry_s)), (Send(again),)
+            resend_ns = now_ns + to_ns(config.retry_s)
+            return replace(state, resend_ns=resend_ns), (Send(again),)
         case HandedOver() if state.settled is None and now_ns >= state.settle_end_ns:
             return _settle(state, HandoffOutcome.UNCONFIRMED)
         case _:
@@ -226,13 +248,17 @@ def _elapse(config: ProtocolConfig, state: SenderState, now_ns: int) -> Step:
 
 
 def _take_back(state: AwaitingAccept) -> Step:
-    live = replace(state.live, epoch=state.live.epoch + 1, instance=0)
+    following = state.live.epoch + 1
+    after = TakenBack(replace(state.live, epoch=following, instance=0))
     # A receiver that let go at the lease's end says so with TIMEOUT: that is no abort but the lease
     # running out.
     ran_out = state.withdrawn in (None, AbortReason.TIMEOUT)
     outcome = HandoffOutcome.TAKEN_BACK if ran_out else HandoffOutcome.ABORTED
-    after = TakenBack(live)
-    return after, (Persist(record(after)), TakeResponsibility(), Ended(outcome, state.withdrawn))
+    return after, (
+        Persist(record(after)),
+        TakeResponsibility(),
+        Ended(outcome, state.withdrawn),
+    )
 
 
 def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_ns: int) -> Step:  # noqa: PLR0911
@@ -244,25 +270,24 @@ def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_n
             before: Actions = (Release(),) if is_responsible(state) else ()
             return anew, (*before, Persist(record(anew)))
         case TakenBack(), VerifyAgain():
-            return Verifying(state.live, now_ns + to_ns(config.handoff_s)), ()
+            end_ns = now_ns + to_ns(config.handoff_s)
+            return Verifying(state.live, end_ns), ()
         case Offering() | Verifying() | AwaitingAccept() | HandedOver(), Heard():
             return _hear(config, state, event, now_ns)
         case Offering() | Verifying(), AbortRequested():
             return _give_up(state, event.reason, now_ns)
         case AwaitingAccept(), AbortRequested():
             withdrawn = replace(state, withdrawn=state.withdrawn or event.reason)
-            return withdrawn, (
-                Persist(record(withdrawn)),
-                Send(_abort(state.live, event.reason, now_ns)),
-            )
+            abort = _abort(state.live, event.reason, now_ns)
+            return withdrawn, (Persist(record(withdrawn)), Send(abort))
         case Verifying(), AgreementComplete():
             return _commit(config, state, event, now_ns)
         case HandedOver(settled=None | HandoffOutcome.UNCONFIRMED), PeerStatus() if _tells(
             state, event
         ):
-            return _settle(
-                state, HandoffOutcome.HANDED_OVER if event.responsible else HandoffOutcome.ORPHANED
-            )
+            holds = event.responsible
+            outcome = HandoffOutcome.HANDED_OVER if holds else HandoffOutcome.ORPHANED
+            return _settle(state, outcome)
         case _, PeerStatus():
             return state, ()
         case _:
@@ -273,43 +298,56 @@ def _offer(
     config: ProtocolConfig, state: Idle | Keeping | TakenBack, offer: Offer, now_ns: int
 ) -> Step:
     following = epoch(state) + 1
-    if following >= LAST_EPOCH:  # one more is kept for taking back
+    if following >= LAST_EPOCH:
+        # One more is kept for taking back.
         return state, (Refused(Refusal.EPOCHS_EXHAUSTED),)
-    live = Handoff(offer.handoff_id, following, offer.target_id)
-    offering = Offering(live, now_ns + to_ns(config.offer_s), now_ns + to_ns(config.handoff_s))
-    take: Actions = () if is_responsible(state) else (TakeResponsibility(),)
-    return offering, (Persist(record(offering)), *take)
+    offering = Offering(
+        Handoff(offer.handoff_id, following, offer.target_id),
+        offer_end_ns=now_ns + to_ns(config.offer_s),
+        end_ns=now_ns + to_ns(config.handoff_s),
+    )
+    written = Persist(record(offering))
+    if is_responsible(state):
+        return offering, (written,)
+    return offering, (written, TakeResponsibility())
 
 
-def _commit(
+def _commit(  # noqa: PLR0911
     config: ProtocolConfig, state: Verifying, agreed: AgreementComplete, now_ns: int
 ) -> Step:
     """Release first, then say so; only after the full agreement (S4, S5).
 
     On the one target of the one epoch.
     """
-    why: Refusal | None = None
-    if agreed.epoch != state.live.epoch:
-        why = Refusal.LOWER_EPOCH if agreed.epoch < state.live.epoch else Refusal.UNKNOWN_EPOCH
-    elif agreed.target_id != state.live.target_id:
-        why = Refusal.WRONG_TARGET
-    elif agreed.uncertainty_ns is None or agreed.uncertainty_ns > to_ns(config.max_uncertainty_s):
-        why = Refusal.NO_CLOCK
-    elif agreed.instance is None:
-        why = Refusal.NOT_ONE_RECEIVER
-    elif state.live.epoch >= LAST_EPOCH:
-        why = Refusal.EPOCHS_EXHAUSTED
-    if why is not None or agreed.uncertainty_ns is None or agreed.instance is None:
-        return state, (Refused(why or Refusal.NO_CLOCK),)
-    live = replace(state.live, instance=agreed.instance)
-    lease_end = now_ns + to_ns(config.lease_s)
-    commit = Commit(
-        live.handoff_id, live.epoch, live.target_id, agreed.nonce, lease_end, now_ns, live.instance
-    )
+    live = state.live
+    uncertainty_ns = agreed.uncertainty_ns
+    if agreed.epoch < live.epoch:
+        return state, (Refused(Refusal.LOWER_EPOCH),)
+    if agreed.epoch > live.epoch:
+        return state, (Refused(Refusal.UNKNOWN_EPOCH),)
+    if agreed.target_id != live.target_id:
+        return state, (Refused(Refusal.WRONG_TARGET),)
+    if uncertainty_ns is None or uncertainty_ns > to_ns(config.max_uncertainty_s):
+        return state, (Refused(Refusal.NO_CLOCK),)
+    if agreed.instance is None:
+        return state, (Refused(Refusal.NOT_ONE_RECEIVER),)
+    if live.epoch >= LAST_EPOCH:
+        return state, (Refused(Refusal.EPOCHS_EXHAUSTED),)
+
+    lease_end_ns = now_ns + to_ns(config.lease_s)
+    committed = replace(live, instance=agreed.instance)
+    commit = _commit_to(committed, agreed.nonce, lease_end_ns, now_ns)
     awaiting = AwaitingAccept(
-        live, commit, now_ns + to_ns(config.retry_s), lease_end + agreed.uncertainty_ns
+        committed,
+        commit,
+        resend_ns=now_ns + to_ns(config.retry_s),
+        take_back_ns=lease_end_ns + uncertainty_ns,
     )
-    return awaiting, (Persist(record(awaiting)), Release(), Send(commit))
+    return awaiting, (
+        Persist(record(awaiting)),
+        Release(),
+        Send(commit),
+    )
 
 
 def _give_up(state: Offering | Verifying, reason: AbortReason, now_ns: int) -> Step:
@@ -387,18 +425,50 @@ def _hear_accept(
     if state.withdrawn is not None:
         # Nothing is transferred by an aborted handoff; say so again, the first word may be lost.
         return state, (Send(_abort(state.live, state.withdrawn, now_ns)),)
-    settle_end = state.take_back_ns + to_ns(config.settle_s)
-    handed_over = HandedOver(state.live, accept.nonce, state.take_back_ns, settle_end)
-    confirm = Send(_confirm(state.live, accept.nonce, now_ns))
-    return handed_over, (Persist(record(handed_over)), confirm, Ended(HandoffOutcome.HANDED_OVER))
+    handed_over = HandedOver(
+        state.live,
+        accept.nonce,
+        sure_ns=state.take_back_ns,
+        settle_end_ns=state.take_back_ns + to_ns(config.settle_s),
+    )
+    return handed_over, (
+        Persist(record(handed_over)),
+        Send(_confirm(state.live, accept.nonce, now_ns)),
+        Ended(HandoffOutcome.HANDED_OVER),
+    )
 
 
 def _abort(live: Handoff, reason: AbortReason, now_ns: int) -> Abort:
-    return Abort(live.handoff_id, live.epoch, reason, now_ns, live.instance)
+    return Abort(
+        handoff_id=live.handoff_id,
+        epoch=live.epoch,
+        reason=reason,
+        stamp_ns=now_ns,
+        instance=live.instance,
+    )
 
 
 def _confirm(live: Handoff, nonce: int, now_ns: int) -> Confirm:
-    return Confirm(live.handoff_id, live.epoch, live.target_id, nonce, now_ns, live.instance)
+    return Confirm(
+        handoff_id=live.handoff_id,
+        epoch=live.epoch,
+        target_id=live.target_id,
+        nonce=nonce,
+        stamp_ns=now_ns,
+        instance=live.instance,
+    )
+
+
+def _commit_to(live: Handoff, nonce: int, lease_end_ns: int, now_ns: int) -> Commit:
+    return Commit(
+        handoff_id=live.handoff_id,
+        epoch=live.epoch,
+        target_id=live.target_id,
+        nonce=nonce,
+        lease_end_ns=lease_end_ns,
+        stamp_ns=now_ns,
+        instance=live.instance,
+    )
 
 
 class SenderMachine:

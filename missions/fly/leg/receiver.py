@@ -175,7 +175,7 @@ class Receiver:
         await take_off(self._session, self._config.receiver_take_off_height_m)
 
     async def _find_marker(self, near_enough: Callable[[], bool]) -> None:
-        """Flies to the stand-off, or until it is near enough, within its bounds again; then looks
+        """Fly to the stand-off, or until it is near enough, within its bounds again; then look
         for the marker.
         """
         session = self._session
@@ -206,7 +206,7 @@ class Receiver:
         return "; ".join(["the sender's marker was not seen", *self._causes.values()])
 
     async def _approach(self) -> MissionEnd | None:
-        """Flies to the planned viewpoint; returns what the mission would end with when something is
+        """Fly to the planned viewpoint; return what the mission would end with when something is
         out of its bounds.
 
         It has arrived once the camera is there, slow, for a while.
@@ -257,7 +257,7 @@ class Receiver:
         return way_out_m(self._track, state.position_n_m, back_n, self._config, now_ns, _RETREAT_M)
 
     async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
-        """Brings the vehicle down, and returns whether the script landed it."""
+        """Bring the vehicle down, and return whether the script landed it."""
         return await bring_down(self._session, end, way_out)
 
     def _peer(self) -> Status:
@@ -266,16 +266,16 @@ class Receiver:
         return self._session.here(peer)
 
     def _near(self) -> bool:
-        """Returns whether the marker is already nearer than the stand-off, which reported positions
+        """Return whether the marker is already nearer than the stand-off, which reported positions
         put farther on.
         """
         now_ns = self._session.now_ns()
-        relative = (
-            self._marker.predict(now_ns)
-            if self._marker.fixes(now_ns) >= _FIXES_TO_APPROACH
-            else None
-        )
-        return relative is not None and norm(relative.marker_n_m) < self._rendezvous.stand_off_m
+        if self._marker.fixes(now_ns) < _FIXES_TO_APPROACH:
+            return False
+        relative = self._marker.predict(now_ns)
+        if relative is None:
+            return False
+        return norm(relative.marker_n_m) < self._rendezvous.stand_off_m
 
     async def _until_planned(self, timeout_s: float) -> None:
         """Plan until there is a viewpoint: the sender may still be on its way to its place behind
@@ -289,8 +289,8 @@ class Receiver:
                 raise MissionEnd(Outcome.NO_VIEWPOINT, str(plan))
             await asyncio.sleep(_REPLAN_S)
         place = ", ".join(f"{part:+.2f}" for part in plan.camera_h_m)
-        note = f"viewpoint ({place}) m from the marker, {plan.marker_px:.0f} px, margin {plan.margin_px:.0f} px"
-        self._session.say(note)
+        seen = f"{plan.marker_px:.0f} px, margin {plan.margin_px:.0f} px"
+        self._session.say(f"viewpoint ({place}) m from the marker, {seen}")
 
     # --- guidance
 
@@ -298,16 +298,19 @@ class Receiver:
         """Keep the place relative to the target that the hand-over found this drone in."""
         assert self._track is not None
         assert self._keep_n_m is not None
+        config = self._config
+        guard = config.guard
         target, (north, east, down) = self._track.believed(self._session.now_ns())
-        moves = north, east, down if self._config.target.flies else 0.0
-        highest_m = self._config.guard.fence_height_m - BELOW_FENCE_M
+        moves = (north, east, down if config.target.flies else 0.0)
+        highest_m = guard.fence_height_m - BELOW_FENCE_M
         place = within_fence(add(target, self._keep_n_m), math.inf, highest_m)
-        place = self._config.fence.nearest(place) if self._config.guard.corners_m else place
+        if guard.corners_m:
+            place = config.fence.nearest(place)
         error = subtract(place, state.position_n_m)
-        keep = self._config.follow
-        accel_mps2 = self._config.max_accel_mps2
-        velocity = approach(error, state.velocity_n_mps, moves, keep.answer(accel_mps2))
-        return VelocitySetpoint(velocity, bearing(subtract(target, state.position_n_m)))
+        answer = config.follow.answer(config.max_accel_mps2)
+        velocity = approach(error, state.velocity_n_mps, moves, answer)
+        yaw_rad = bearing(subtract(target, state.position_n_m))
+        return VelocitySetpoint(velocity, yaw_rad)
 
     # --- what runs beside the course
 
@@ -339,7 +342,9 @@ class Receiver:
         while not self._handover.holds_for_good:
             if not self._handover.within_lease:
                 session.require_peer()
-                if session.peer is not None and Phase.DEPART.reached(session.peer.phase):
+                peer = session.peer
+                leaves = peer is not None and Phase.DEPART.reached(peer.phase)
+                if leaves:
                     raise MissionEnd(Outcome.PEER_ABORTED, "the sender is on its way down")
             await asyncio.sleep(_PEER_POLL_S)
 
@@ -364,9 +369,8 @@ class Receiver:
             self._check_size(view, fix)
         with session.stage("log"):
             session.log.write("/marker", stamp_ns, marker_record(stamp_ns, fix))
-            session.log.write(
-                "/motion", stamp_ns, motion_record(motion, T_n_c.R, self._marker.R_n_v, fix)
-            )
+            moved = motion_record(motion, T_n_c.R, self._marker.R_n_v, fix)
+            session.log.write("/motion", stamp_ns, moved)
         self._judge_marker(stamp_ns)
         with session.stage("projection"):
             prior = side.prior(fix, stamp_ns)
@@ -382,11 +386,9 @@ class Receiver:
             session.link.send(answer.candidate)
         with session.stage("log"):
             session.log.write("/candidate", stamp_ns, candidate_record(answer))
-        if (
-            answer.candidate.box is not None
-            and isinstance(prior, Prior)
-            and isinstance(fix, MarkerFix)
-        ):
+        if answer.candidate.box is None:
+            return
+        if isinstance(prior, Prior) and isinstance(fix, MarkerFix):
             with session.stage("depth"):
                 self._note_found(view, T_n_c, answer.candidate, prior, fix)
 
@@ -434,17 +436,19 @@ class Receiver:
             self._note_cause(missed)
 
     def _motion(self) -> VehicleMotions:
-        """Returns both vehicles' newest reports."""
+        """Return both vehicles' newest reports."""
         session = self._session
         peer = self._peer()
-        own = self._session.vehicle.state
-        peer_ns = (
-            session.alignment.to_own_ns(peer.stamp_ns)
-            if session.alignment.ready
-            else session.peer_heard_ns
-        )
+        own = session.vehicle.state
+        peer_ns = session.peer_heard_ns
+        if session.alignment.ready:
+            peer_ns = session.alignment.to_own_ns(peer.stamp_ns)
         return VehicleMotions(
-            own.stamp_ns, own.velocity_n_mps, peer_ns, peer.velocity_n_mps, peer.yaw_rad
+            own.stamp_ns,
+            own.velocity_n_mps,
+            peer_ns,
+            peer.velocity_n_mps,
+            peer.yaw_rad,
         )
 
     def _judge_marker(self, stamp_ns: int) -> None:
@@ -459,10 +463,8 @@ class Receiver:
             if session.phase in _RELATIVE:
                 self._rendezvous.note_seen(session.vehicle.state, relative.marker_n_m)
         unseen_s = self._marker.unseen_s(stamp_ns)
-        if (
-            session.phase is Phase.VERIFY
-            and unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s
-        ):
+        bearable_s = deadlines.marker_coast_s + deadlines.marker_regain_s
+        if session.phase is Phase.VERIFY and unseen_s > bearable_s:
             raise MissionEnd(Outcome.MARKER_LOST, f"marker not seen for {unseen_s:.1f} s")
 
     def _note_found(
@@ -473,17 +475,20 @@ class Receiver:
 
         By both views, which nothing that is sent may rest on (``path.target.both_views``).
         """
-        assert candidate.box is not None
+        box = candidate.box
+        assert box is not None
         assert self._newest is not None
-        gravity_c = gravity_in(T_n_c.R)
-        own = view.depth(candidate.box)
         both = self._by_both.place(
-            prior, self._newest.sigma_m, fix.covariance, gravity_c, candidate.box, own
+            prior,
+            self._newest.sigma_m,
+            fix.covariance,
+            gravity_in(T_n_c.R),
+            box,
+            view.depth(box),
         )
         self._session.log.write("/both_views", view.stamp_ns, both_record(candidate, both))
-        position = place(
-            candidate.box, both.depth, self._camera, T_n_c, -self._config.target.height_m
-        )
+        down_m = -self._config.target.height_m
+        position = place(box, both.depth, self._camera, T_n_c, down_m)
         if self._track is None:
             method = self._session.rig.method
             largest = LargestBox.of(self._camera, method)
@@ -493,7 +498,7 @@ class Receiver:
             self._track.update(position, view.stamp_ns)
 
     def _follow_once(self, view: View, R_n_b: Matrix) -> None:
-        """Follows the target by this drone's own track, after the hand-over."""
+        """Follow the target by this drone's own track, after the hand-over."""
         session = self._session
         track = self._track
         if track is None:
@@ -502,14 +507,13 @@ class Receiver:
         if begins and session.pilot.in_control:
             self._keep_n_m = subtract(session.vehicle.state.position_n_m, track.position_n_m)
             session.pilot.guidance = self._follow_target
-        seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
-        unseen_s = (view.stamp_ns - track.stamp_ns) * 1e-9
-        deadlines = self._config.deadlines
+        T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
+        seen = follow(view, T_n_c, self._camera, track)
         session.log.write("/track", view.stamp_ns, track_record(seen))
-        if (
-            unseen_s > deadlines.target_coast_s + deadlines.target_regain_s
-            and session.phase is Phase.FOLLOW
-        ):
+        deadlines = self._config.deadlines
+        unseen_s = (view.stamp_ns - track.stamp_ns) * 1e-9
+        bearable_s = deadlines.target_coast_s + deadlines.target_regain_s
+        if unseen_s > bearable_s and session.phase is Phase.FOLLOW:
             raise self._lost(f"target not seen for {unseen_s:.1f} s")
 
     def _lost(self, detail: str) -> MissionEnd:
@@ -526,13 +530,14 @@ class Receiver:
     def _on_message(self, received: Received) -> None:
         held = self._handover.holds
         self._handover.on_message(received)
-        if self._handover.holds and not held and self._seen is not None:
+        takes_over = self._handover.holds and not held
+        if takes_over and self._seen is not None:
             self._session.frames.log_image(self._seen, wanted=True)
         if isinstance(received.message, Target):
             self._on_target(received.message)
 
     def _on_target(self, target: Target) -> None:
-        """Takes the target's place. The protocol has seen the message first and says which attempt
+        """Take the target's place. The protocol has seen the message first and says which attempt
         is live.
         """
         session = self._session
@@ -548,19 +553,24 @@ class Receiver:
         capture_ns = session.alignment.to_own_ns(target.capture_ns)
         now_ns = session.now_ns()
         missed = self._side.hear(target, capture_ns, now_ns)
-        session.log.write("/heard_target", now_ns, heard_target_record(target, capture_ns))
+        record = heard_target_record(target, capture_ns)
+        session.log.write("/heard_target", now_ns, record)
         if missed is None:
             self._newest = target
 
     def _in_view(self) -> bool:
-        """Returns whether the target that it follows was seen within the time that may be
+        """Return whether the target that it follows was seen within the time that may be
         coasted.
         """
-        coast_s = self._config.deadlines.target_coast_s
-        track = self._track
-        return track is not None and (self._session.now_ns() - track.seen_ns) * 1e-9 <= coast_s
+        return self._unseen_s() <= self._config.deadlines.target_coast_s
 
     def _able(self) -> bool:
-        """Returns whether the target was seen lately, by this drone itself."""
+        """Return whether the target was seen lately, by this drone itself."""
+        return self._unseen_s() < _ABLE_S
+
+    def _unseen_s(self) -> float:
+        """Return for how long the target was not seen; infinite where it never was."""
         track = self._track
-        return track is not None and (self._session.now_ns() - track.seen_ns) * 1e-9 < _ABLE_S
+        if track is None:
+            return math.inf
+        return (self._session.now_ns() - track.seen_ns) * 1e-9

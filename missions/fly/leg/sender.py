@@ -106,7 +106,7 @@ class Sender:
         await self.hand_over()
 
     async def acquire(self) -> None:
-        """Finds the target from the air above the take-off place, until it is tracked."""
+        """Find the target from the air above the take-off place, until it is tracked."""
         session = self._session
         deadlines = self._config.deadlines
         session.enter(Phase.ACQUIRE)
@@ -172,27 +172,32 @@ class Sender:
         return landed
 
     async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
-        """Brings the vehicle down, and returns whether the script landed it."""
+        """Bring the vehicle down, and return whether the script landed it."""
         return await bring_down(self._session, end, way_out)
 
     def _leave(self) -> Anchor:
-        """Returns the place to go to before landing: away from the receiver, sideways, the same
+        """Return the place to go to before landing: away from the receiver, sideways, the same
         however often asked.
 
         It is so far away that the target cannot be under this drone before it is down, or twice the
         usual way.
         """
         if self._way_out is None:
-            state = self._session.vehicle.state
-            usual_m = self._config.depart_m
-            place = state.position_n_m
-            if self._track is not None:
-                aside = from_heading((0.0, -self._side_of_receiver(state), 0.0), self._heading_rad)
-                now_ns = self._session.now_ns()
-                away_m = way_out_m(self._track, place, aside, self._config, now_ns, usual_m)
-                place = add(place, scale(aside, away_m))
-            self._way_out = Anchor(place, yaw_of(state.q_n_b))
+            self._way_out = self._planned_way_out()
         return self._way_out
+
+    def _planned_way_out(self) -> Anchor:
+        state = self._session.vehicle.state
+        yaw_rad = yaw_of(state.q_n_b)
+        here = state.position_n_m
+        if self._track is None:
+            return Anchor(here, yaw_rad)
+        side = self._side_of_receiver(state)
+        aside = from_heading((0.0, -side, 0.0), self._heading_rad)
+        usual_m = self._config.depart_m
+        now_ns = self._session.now_ns()
+        away_m = way_out_m(self._track, here, aside, self._config, now_ns, usual_m)
+        return Anchor(add(here, scale(aside, away_m)), yaw_rad)
 
     def _side_of_receiver(self, state: VehicleState) -> float:
         """-1 left, 1 right; by both drones' own positions until it was measured on the marker."""
@@ -209,7 +214,7 @@ class Sender:
         return 1.0 if right_m > 0.0 else -1.0
 
     def _may_regain(self) -> bool:
-        """Returns whether there is room to back off: the receiver is not on its way to this drone
+        """Return whether there is room to back off: the receiver is not on its way to this drone
         yet.
         """
         peer = self._session.peer
@@ -221,21 +226,20 @@ class Sender:
         """
         session = self._session
         peer = self._session.peer
-        return session.phase is Phase.VERIFY or (
-            peer is not None and Phase.APPROACH.reached(peer.phase)
-        )
+        if session.phase is Phase.VERIFY:
+            return True
+        return peer is not None and Phase.APPROACH.reached(peer.phase)
 
     def _regaining(self) -> bool:
         """The target was out of sight for a while: more of the ground is seen from farther off."""
         track = self._track
         if track is None or not self._may_regain():
             return False
-        return (
-            self._session.now_ns() - track.stamp_ns
-        ) * 1e-9 > 0.5 * self._config.deadlines.target_coast_s
+        unseen_s = (self._session.now_ns() - track.stamp_ns) * 1e-9
+        return unseen_s > 0.5 * self._config.deadlines.target_coast_s
 
     def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
-        """Leads to where all the ground is in view that the target can be on, and round it where
+        """Lead to where all the ground is in view that the target can be on, and round it where
         nothing is found.
         """
         session = self._session
@@ -244,15 +248,16 @@ class Sender:
         went = look_round.going
         there, wider = self._place_to_look_at(now_ns)
         if self._track is None:
-            look_round.step(
-                now_ns, math.dist(self._view_of(there, wider), state.position_n_m), there
-            )
+            left_m = math.dist(self._view_of(there, wider), state.position_n_m)
+            look_round.step(now_ns, left_m, there)
             self._heading_rad = look_round.heading_rad
         if look_round.going and not went:
             session.say("nothing was found from here: looks from other sides")
         moves = add(self._designating.moves(now_ns), look_round.velocity_n_mps)
+        # By the heading that was just set.
         way = self._approach(self._view_of(there, wider), moves, state)
-        return replace(way, yaw_rad=look_round.yaw_rad(state.position_n_m, there))
+        yaw_rad = look_round.yaw_rad(state.position_n_m, there)
+        return replace(way, yaw_rad=yaw_rad)
 
     def _approach(
         self, place_n_m: Vec3, velocity_n_mps: Vec3, state: VehicleState
@@ -260,11 +265,14 @@ class Sender:
         """To a moving place, and to rest there: past it the target would be below the image."""
         follow = self._config.follow
         error = subtract(place_n_m, state.position_n_m)
-        accel_mps2 = self._config.max_accel_mps2
         spare_mps2 = spare_accel(
-            accel_mps2, norm(velocity_n_mps), follow.target_accel_mps2, follow.response_s
+            self._config.max_accel_mps2,
+            norm(velocity_n_mps),
+            follow.target_accel_mps2,
+            follow.response_s,
         )
-        velocity = approach(error, state.velocity_n_mps, velocity_n_mps, follow.answer(spare_mps2))
+        answer = follow.answer(spare_mps2)
+        velocity = approach(error, state.velocity_n_mps, velocity_n_mps, answer)
         return VelocitySetpoint(velocity, self._heading_rad)
 
     def _view_of(self, target_n_m: Vec3, wider: float = 1.0) -> Vec3:
@@ -275,32 +283,37 @@ class Sender:
         usual.
         """
         keep = self._config.follow
-        wider = max(wider, _WIDER if self._regaining() else 1.0)
+        guard = self._config.guard
+        heading_rad = self._heading_rad
+        if self._regaining():
+            wider = max(wider, _WIDER)
         below_m = wider * (keep.height_m - self._config.target.height_m)
-        place = add(
-            target_n_m, from_heading((-wider * keep.behind_m, 0.0, -below_m), self._heading_rad)
-        )
-        place = add(place, self._tilt.aim(self._axis_b, self._heading_rad, below_m))
-        place = within_fence(place, math.inf, self._config.guard.fence_height_m - BELOW_FENCE_M)
-        return self._config.fence.nearest(place) if self._config.guard.corners_m else place
+        behind = from_heading((-wider * keep.behind_m, 0.0, -below_m), heading_rad)
+        aside = self._tilt.aim(self._axis_b, heading_rad, below_m)
+        place = add(add(target_n_m, behind), aside)
+        place = within_fence(place, math.inf, guard.fence_height_m - BELOW_FENCE_M)
+        if guard.corners_m:
+            return self._config.fence.nearest(place)
+        return place
 
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
         """Keep the target in view from behind."""
         assert self._track is not None
         session = self._session
-        if self._comes_near() and session.peer_silence_s() > self._config.guard.near_silence_s:
-            # the receiver may hang or sink where it was last, and the target may lead there
+        is_silent = session.peer_silence_s() > self._config.guard.near_silence_s
+        if is_silent and self._comes_near():
+            # The receiver may hang or sink where it was last, and the target may lead there.
             return VelocitySetpoint((0.0, 0.0, 0.0), self._heading_rad)
+
         target, (north, east, down) = self._track.believed(session.now_ns())
-        moves = north, east, down if self._config.target.flies else 0.0
+        moves = (north, east, down if self._config.target.flies else 0.0)
         place = self._view_of(target)
-        self._look_round.settle(
-            math.dist(place, state.position_n_m), math.dist(state.velocity_n_mps, moves)
-        )
-        return replace(
-            self._approach(place, moves, state),
-            yaw_rad=self._look_round.yaw_rad(state.position_n_m, target),
-        )
+        left_m = math.dist(place, state.position_n_m)
+        slower_mps = math.dist(state.velocity_n_mps, moves)
+        self._look_round.settle(left_m, slower_mps)
+        way = self._approach(place, moves, state)
+        yaw_rad = self._look_round.yaw_rad(state.position_n_m, target)
+        return replace(way, yaw_rad=yaw_rad)
 
     def _leave_watching(self, state: VehicleState) -> VelocitySetpoint:
         """Make room, the camera still on the target: nobody has it for sure until the hand-over is
@@ -308,9 +321,9 @@ class Sender:
         """
         assert self._track is not None
         target, _ = self._track.predict(self._session.now_ns())
-        return replace(
-            self._leave().hold(state), yaw_rad=bearing(subtract(target, state.position_n_m))
-        )
+        way = self._leave().hold(state)
+        yaw_rad = bearing(subtract(target, state.position_n_m))
+        return replace(way, yaw_rad=yaw_rad)
 
     # --- what runs beside the course
 
@@ -331,8 +344,9 @@ class Sender:
                 self._try_to_acquire(view, R_n_b)
             else:
                 self._cycle_once(view, R_n_b, self._track)
-            far = session.peer is None or not Phase.SEARCH.reached(session.peer.phase)
-            if far and session.phase is not Phase.VERIFY:
+            peer = session.peer
+            is_far = peer is None or not Phase.SEARCH.reached(peer.phase)
+            if is_far and session.phase is not Phase.VERIFY:
                 await session.skip_frames()
 
     def _note_ground(self) -> None:
@@ -349,14 +363,21 @@ class Sender:
             await asyncio.sleep(_PEER_POLL_S)
 
     def _try_to_acquire(self, view: View, R_n_b: Matrix) -> None:
-        taken = self._designating.look(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b))
-        if taken is not None:
-            self._track = TargetTrack.of(
-                self._config, taken.position_n_m, view.stamp_ns, self._largest, self._ranging
-            )
-            self._track.velocity_n_mps = taken.velocity_n_mps
-            position = self._session.vehicle.state.position_n_m
-            self._heading_rad = self._look_round.found(position, taken.position_n_m)
+        T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
+        taken = self._designating.look(view, T_n_c)
+        if taken is None:
+            return
+        track = TargetTrack.of(
+            self._config,
+            taken.position_n_m,
+            view.stamp_ns,
+            self._largest,
+            self._ranging,
+        )
+        track.velocity_n_mps = taken.velocity_n_mps
+        self._track = track
+        position = self._session.vehicle.state.position_n_m
+        self._heading_rad = self._look_round.found(position, taken.position_n_m)
 
     def _place_to_look_at(self, now_ns: int) -> tuple[Vec3, float]:
         """The place to look at until there is a target, and how many times as far off as usual."""
@@ -373,11 +394,14 @@ class Sender:
         answers.
         """
         session = self._session
+        stamp_ns = view.stamp_ns
         with session.stage("target"):
-            seen = follow(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b), self._camera, track)
+            T_n_c = self._camera_pose.T_n_c(stamp_ns, R_n_b)
+            seen = follow(view, T_n_c, self._camera, track)
         if self._config.level_ground and isinstance(seen, Sighting):
             session.note_height(track.position_n_m[2] + self._config.target.height_m)
-        unseen_s = (view.stamp_ns - track.stamp_ns) * 1e-9
+
+        unseen_s = (stamp_ns - track.stamp_ns) * 1e-9
         deadlines = self._config.deadlines
         bearable_s = deadlines.target_coast_s + deadlines.target_regain_s
         if unseen_s > bearable_s and not self._handover.handed_over:
@@ -385,12 +409,12 @@ class Sender:
         side = self._side
         if side is None:
             self._log_view(view, R_n_b)
-            session.log.write("/track", view.stamp_ns, track_record(seen))
+            session.log.write("/track", stamp_ns, track_record(seen))
             return
+
         with session.stage("projection"):
-            frame = side.observe(
-                view.frame_id, view.stamp_ns, seen, self._camera_pose.gravity_v(R_n_b)
-            )
+            gravity_v = self._camera_pose.gravity_v(R_n_b)
+            frame = side.observe(view.frame_id, stamp_ns, seen, gravity_v)
         if isinstance(frame.message, Target):
             with session.stage("link"):
                 session.link.send(frame.message)
@@ -430,13 +454,15 @@ class Sender:
         capture_ns = session.alignment.to_own_ns(candidate.capture_ns)
         now_ns = session.now_ns()
         missed = side.hear(candidate, capture_ns, now_ns)
-        session.log.write("/heard_candidate", now_ns, heard_candidate_record(candidate, capture_ns))
-        if missed is None:
-            self._candidates += 1
-            if candidate.box is not None:
-                x, y, z = candidate.position_v_m
-                self._receiver_side = 1.0 if x > 0.0 else -1.0
-                session.shown.separation_m = math.sqrt(x * x + y * y + z * z)
+        record = heard_candidate_record(candidate, capture_ns)
+        session.log.write("/heard_candidate", now_ns, record)
+        if missed is not None:
+            return
+        self._candidates += 1
+        if candidate.box is not None:
+            x, y, z = candidate.position_v_m
+            self._receiver_side = 1.0 if x > 0.0 else -1.0
+            session.shown.separation_m = math.sqrt(x * x + y * y + z * z)
 
     def _note_pair(self, pair: PairVerdict, side: SenderSide) -> None:
         """Log one verdict and show it."""
@@ -448,7 +474,9 @@ class Sender:
 
     def _log_view(self, view: View, R_n_b: Matrix) -> None:
         session = self._session
-        T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b) if session.frames.recorded else None
+        T_n_c = None
+        if session.frames.recorded:
+            T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
         record = frame_record(view, session.now_ns(), T_n_c, self._ranging.ground)
         session.log.write("/frame", view.stamp_ns, record)
 
