@@ -10,13 +10,13 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol, Self
 
 from drivers.interfaces import Clock, LinkError
 from drivers.link.udp import Address, address_of
 from drivers.operator.interfaces import Chosen, Question, Told
 from drivers.operator.words import MOST_BYTES, WordsError, decode, encode_question
+from path.values import frozen
 
 ASKED_FOR_S = 10.0  # whoever was heard so lately is asked
 WAITING = 256  # statements between two turns; older ones are of no use
@@ -29,7 +29,7 @@ class OperatorContext(Protocol):
     def clock(self) -> Clock: ...
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class UdpOperatorConfig:
     """The ``[sender.operator]`` table of a rig.
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from drivers.interfaces import PartError
 from drivers.text_file import read_file
 from path.observations import Box
+from path.values import frozen
 
 MOST_BYTES = 1 << 30  # of a COCO file
 REMEDY = "labels are COCO's JSON, or a folder of YOLO's or VisDrone's text files, one a picture"
@@ -37,7 +37,7 @@ YOLO_WORDS = 5
 VISDRONE_WORDS = 8
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Label:
     """One object, in px, or (``shares``) in shares of its picture's width and height.
 

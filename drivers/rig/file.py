@@ -33,7 +33,7 @@ A camera may be ``calibration = "d1.camera.toml"`` instead of its numbers, and s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, fields
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -89,14 +89,13 @@ class _Camera:
 
 
 @frozen
-class _SenderMount:
+class _ReceiverMount:
     camera: CameraMount
-    marker: MarkerPlace
 
 
 @frozen
-class _ReceiverMount:
-    camera: CameraMount
+class _SenderMount(_ReceiverMount):
+    marker: MarkerPlace
 
 
 @frozen
@@ -124,18 +123,6 @@ class _Marker:
 
 
 @frozen
-class _SenderTable:
-    vehicle: PartSpec
-    perception: PartSpec
-    link: PartSpec
-    clock: PartSpec
-    camera: _Camera
-    mount: _SenderMount
-    guard: PartSpec | None = None
-    operator: PartSpec | None = None
-
-
-@frozen
 class _ReceiverTable:
     vehicle: PartSpec
     perception: PartSpec
@@ -144,6 +131,12 @@ class _ReceiverTable:
     camera: _Camera
     mount: _ReceiverMount
     guard: PartSpec | None = None
+
+
+@frozen
+class _SenderTable(_ReceiverTable):
+    mount: _SenderMount
+    operator: PartSpec | None = None
 
 
 @frozen
@@ -226,34 +219,21 @@ def rig_of(table: Mapping[str, Any], path: Path, search: Sequence[Path] = ()) ->
     """Decode the tables of the rig at ``path``. Raises RigError."""
     written = decode_table(table, _RigTable, path.name, path.parent)
     T_b_v = written.sender.mount.marker.pose(written.sender.mount.camera.pose())
-    return Rig(
-        name=written.name,
-        description=written.description,
-        level=written.level,
-        harness=written.harness,
-        origin=written.origin,
-        method=written.method,
-        mission=written.mission,
-        world=written.world,
-        trials=written.trials,
-        layout=written.layout(),
-        sender=_role_rig(written.sender, T_b_v),
-        receiver=_role_rig(written.receiver, T_b_v),
-        file=path,
-        reference=written.reference,
-        relay=written.relay,
-        team=written.team,
-        drones=written.drones,
-        targets=written.targets,
-        folders=tuple(search),
-        target=written.target,
-        drone=written.drone,
-        site=written.site,
-        depth=written.depth,
-        link=written.link,
-        height=written.height,
-        named=_named(table),
-    )
+    own: dict[str, Any] = {
+        "layout": written.layout(),
+        "sender": _role_rig(written.sender, T_b_v),
+        "receiver": _role_rig(written.receiver, T_b_v),
+        "file": path,
+        "folders": tuple(search),
+        "named": _named(table),
+    }
+    return Rig(**_alike(written, Rig) | own)
+
+
+def _alike(written: object, kind: type[Any]) -> dict[str, Any]:
+    """Return what was written of the fields of a dataclass that are called alike."""
+    names = (each.name for each in fields(kind) if hasattr(written, each.name))
+    return {name: getattr(written, name) for name in names}
 
 
 def _named(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -272,17 +252,8 @@ def _named(table: Mapping[str, Any]) -> dict[str, Any]:
     return named
 
 
-def _role_rig(written: _SenderTable | _ReceiverTable, T_b_v: Pose) -> RoleRig:
-    mount = Mount(written.mount.camera.pose(), T_b_v)
+def _role_rig(written: _ReceiverTable, T_b_v: Pose) -> RoleRig:
     camera = written.camera
-    return RoleRig(
-        vehicle=written.vehicle,
-        perception=written.perception,
-        link=written.link,
-        clock=written.clock,
-        camera=camera.model,
-        mount=mount,
-        camera_serial=camera.serial,
-        guard=written.guard,
-        operator=written.operator if isinstance(written, _SenderTable) else None,
-    )
+    mount = Mount(written.mount.camera.pose(), T_b_v)
+    own: dict[str, Any] = {"camera": camera.model, "camera_serial": camera.serial, "mount": mount}
+    return RoleRig(**_alike(written, RoleRig) | own)

@@ -14,11 +14,12 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from drivers.recordings.labels import Label
+from path.arrays import Image
 from path.observations import Box, Detection, Region, common_area
+from path.values import frozen
 
 LEAST_IOU = 0.5
 SIZES_PX = (0.0, 20.0, 40.0, 80.0, 160.0, 320.0, math.inf)  # of a label's larger side
@@ -26,11 +27,10 @@ LIGHT = (0.0, 50.0, 100.0, math.inf)  # mean grey of a picture, 0..255
 LIGHT_NAMES = ("dark", "dim", "bright")
 WIDER = 1.0  # of an object's larger side: how much of the picture a search region has on each side
 
-Image = NDArray[np.uint8]
 Detect = Callable[[Image, Region | None], Sequence[Detection]]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Judged:
     """What became of one label.
 

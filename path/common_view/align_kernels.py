@@ -10,11 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array, Singles, Whole
 from path.compiled import inner, kernel
-
-Array = NDArray[np.float64]
 
 
 class View(NamedTuple):
@@ -30,10 +28,10 @@ class View(NamedTuple):
 
     points: Array
     normals: Array
-    depth: NDArray[np.float32]
+    depth: Singles
     lens: Array
     R: Array
-    samples: NDArray[np.int64]
+    samples: Whole
     law: float
 
 
@@ -170,7 +168,7 @@ class Matches(NamedTuple):
 
     first: Array
     second: Array
-    corner: NDArray[np.int64]
+    corner: Whole
     gain: Array
 
 

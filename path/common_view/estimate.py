@@ -11,17 +11,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array
 from path.common_view.align_kernels import Known
 from path.common_view.keyframe import Keyframe
 from path.common_view.search import FOUR, Place, Prior, aligned, candidates, loose_matches
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 LEAST_POINTS = 50
 ERROR_OF_RANGE = 0.008
@@ -46,7 +44,7 @@ class Why(Enum):
     """What both views show does not hold all four numbers: a bare floor, a wall."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Settings:
     """When a pose is known.
 
@@ -63,7 +61,7 @@ class Settings:
     most_yaw_sigma_rad: float = math.radians(3.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class CommonView:
     """Where the second camera is.
 
@@ -91,7 +89,7 @@ class CommonView:
     evidence: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Unknown:
     """Why there is no pose. ``best``: the likeliest place all the same, to be looked at and not
     used.

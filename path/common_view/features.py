@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from path.arrays import Array, Singles
 from path.common_view.surface_kernels import planes
 
-Array = NDArray[np.float64]
 Bits = NDArray[np.uint8]
 Image = NDArray[np.uint8]
 
@@ -56,7 +56,7 @@ def corners(grey: Image, most: int) -> Array:
     return places[strongest[:most]]
 
 
-def surfaces(depth: NDArray[np.float32], lens: Array, pixels: Array) -> tuple[Array, Array]:
+def surfaces(depth: Singles, lens: Array, pixels: Array) -> tuple[Array, Array]:
     """Return corners (n, 3) on their surfaces, and normals (n, 3); z is 0 where there is no surface
     or it is seen along itself.
     """

@@ -6,14 +6,15 @@ coarse grid, both with the camera's attitude as its drone knows it: gravity well
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from path.arrays import Array
 from path.common_view.surface_kernels import planes
+from path.values import frozen
 
-Array = NDArray[np.float64]
 Bits = NDArray[np.uint8]
 Depths = NDArray[np.float32]
 
@@ -22,7 +23,7 @@ POINT_BYTES = 6
 DEPTH_BYTES = 2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class DepthGrid:
     """Depth in an even grid of directions, and the planes in it.
 
@@ -54,7 +55,7 @@ class DepthGrid:
         object.__setattr__(self, "normals", normals)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Keyframe:
     """One look of an RGB-D camera.
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from path.arrays import Array, Whole
 from path.compiled import inner, kernel
 
-Array = NDArray[np.float64]
 Bits = NDArray[np.uint8]
 Words = NDArray[np.uint64]
 Counts = NDArray[np.float32]
@@ -44,7 +44,7 @@ def distances(first: Words, second: Words) -> NDArray[np.int16]:
 
 
 @kernel
-def nearest(hamming: NDArray[np.int16], each: int, out: NDArray[np.int64]) -> None:
+def nearest(hamming: NDArray[np.int16], each: int, out: Whole) -> None:
     """Write the columns of the ``each`` smallest of every row into ``out`` (n, each)."""
     n, m = hamming.shape
     for i in range(n):
@@ -115,7 +115,7 @@ def spread(votes: Counts, out: Counts) -> None:
 
 
 @kernel
-def peaks(votes: Counts, least: float, out: NDArray[np.int64], sizes: Array) -> int:
+def peaks(votes: Counts, least: float, out: Whole, sizes: Array) -> int:
     """Write the highest cells that no neighbour exceeds into ``out`` (n, 4) and their votes into
     ``sizes`` (n,), highest first; return how many.
 

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from path.arrays import Array, Image
 from path.camera.model import CameraModel
 from path.common_view.features import corners, describe, surfaces
 from path.common_view.keyframe import DepthGrid, Keyframe
 from path.common_view.surface_kernels import registered, thinned
 from path.geometry.transforms import Pose
+from path.values import frozen
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 Depths = NDArray[np.float32]
 
 PATCH_OF_RANGE = 0.12
 """Side of a described patch as a share of the median distance."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RgbdCamera:
     """An RGB-D camera: both lenses, without distortion, and where the colour camera is.
 
@@ -38,7 +36,7 @@ class RgbdCamera:
     depth_sigma_at_1m_m: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Size:
     """How much of a look is kept.
 

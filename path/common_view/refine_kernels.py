@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array
 from path.common_view.align_kernels import (
     Known,
     Matches,
@@ -15,8 +15,6 @@ from path.common_view.align_kernels import (
 )
 from path.compiled import kernel
 from path.marker.kernels import cholesky, cholesky_solve, exp_times, inverse
-
-Array = NDArray[np.float64]
 
 
 @kernel

@@ -7,17 +7,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from path.arrays import Array
 from path.common_view.align_kernels import Known, Matches, View, corner_fit, depth_fit
 from path.common_view.keyframe import Keyframe
 from path.common_view.match_kernels import distances, nearest, peaks, spread, votes
 from path.common_view.refine_kernels import refined
-
-Array = NDArray[np.float64]
+from path.values import frozen
 
 # Log-likelihood ratio of a descriptor's distance, of the same place to another, by tens of bits
 # from 5 on: measured on a kitchen, the same from 15 to 90 degrees between the views.
@@ -54,7 +52,7 @@ FOUR = (3, 4, 5, 2)
 """Translation and yaw in a step of six."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Prior:
     """What both drones' reports say of the second levelled frame in the first.
 
@@ -68,7 +66,7 @@ class Prior:
     t_sigma_m: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Place:
     """A place of the second camera, aligned, and how well it explains both views.
 

@@ -11,9 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from path.arrays import Array
 from path.compiled import inner, kernel
 
-Array = NDArray[np.float64]
 Depths = NDArray[np.float32]
 
 PLANE_ROUNDS = 3

@@ -8,12 +8,12 @@ import asyncio
 import math
 from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import AsyncExitStack
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.interfaces import BeaconError, BeaconFix, Beacons, Clock
 from drivers.rig.part_check import Finding, examined
+from path.values import frozen
 
 FIRST_S = 3.0
 SAMPLE_S = 3.0
@@ -22,7 +22,7 @@ RARE_HZ = 2.0
 OLD_S = 1.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class BeaconReadings:
     """Positions as they were read, and how old each was by this computer's clock, s."""
 

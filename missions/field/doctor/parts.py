@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 from drivers.interfaces import PartError
@@ -20,6 +20,7 @@ from missions.field.doctor.vehicle import check_flyer, fence_of
 from missions.ground.pace import detector_of
 from missions.ground.rig_library import mission_of
 from path.messages import Role
+from path.values import frozen
 
 WAIT_S = 4.0  # for the other end of the link
 LIMIT_S = 40.0  # every driver has bounds of its own, far below; this is for what has none
@@ -27,7 +28,7 @@ LIMIT_S = 40.0  # every driver has bounds of its own, far below; this is for wha
 Findings = Callable[[], AsyncIterator[Finding]]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PartTest:
     """One part's test. ``name``: role and part; ``doing``: what a person is told meanwhile."""
 

@@ -8,14 +8,14 @@ import asyncio
 import math
 from collections import deque
 from collections.abc import AsyncIterator, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import Capability, Clock, Detector, Perception, View, lacking
 from drivers.rig.part_check import Enough, Finding, examined, rate_finding, rate_of
 from drivers.rig.parts import Rig
+from path.arrays import Image
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.geometry.transforms import Pose
@@ -25,6 +25,7 @@ from path.marker.pose import PoseSettings, estimate_pose
 from path.marker.size_check import MEASURE, SizeCheck
 from path.messages import Vec3
 from path.observations import Box, MarkerDetection, Missed, MissReason
+from path.values import frozen
 
 SETTLE_S = 0.5
 SAMPLE_S = 2.0
@@ -50,7 +51,7 @@ STREAM_FIX = (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FrameSample:
     """Frames as they came: instants and ages in ns of the role's clock, and the last few of
     them.
@@ -66,7 +67,7 @@ class FrameSample:
         return (self.stamps_ns[-1] - self.stamps_ns[0]) * 1e-9
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class WantedMarker:
     """The markers that a role must see, and down in both frames while both drones stand level."""
 
@@ -195,7 +196,7 @@ def _pictures(perception: Perception, sample: FrameSample) -> Iterator[Finding]:
         yield _range(view, perception.model)
 
 
-def brightness(image: NDArray[np.uint8]) -> Finding:
+def brightness(image: Image) -> Finding:
     """Find whether there is a picture at all, and light enough to see by. ``image``: (h, w, 3)
     BGR.
     """
@@ -229,7 +230,7 @@ def _range(view: View, model: CameraModel) -> Finding:
 def markers(
     found: Sequence[Sequence[MarkerDetection]],
     layout: MarkerLayout,
-    image: NDArray[np.uint8] | None,
+    image: Image | None,
 ) -> Finding:
     """The largest marker in each of some frames: which, and how large; else what is in the last
     image instead.

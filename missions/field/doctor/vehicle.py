@@ -8,7 +8,7 @@ import asyncio
 import json
 import math
 from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from drivers.rig.parts import Rig, create, part_context
 from flight.config import MissionConfig
 from missions.ground.rig_library import mission_of
 from path.messages import Role
+from path.values import frozen
 
 SET = "run doctor again with --vehicle ROLE --set-parameters, or set it from its ground station"
 SAMPLE_S = 2.0
@@ -33,7 +34,7 @@ OLD_S = 0.5
 SLOWEST_HEARTBEAT_S = 1.5
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class VehicleReport:
     """The messages of a vehicle while it was listened to.
 

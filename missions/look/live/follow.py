@@ -10,7 +10,6 @@ from __future__ import annotations
 import struct
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import IO
@@ -22,13 +21,14 @@ from mcap.stream_reader import breakup_chunk
 
 from drivers.log.frames import is_frames
 from drivers.log.index import MAGIC
+from path.values import frozen
 
 READ_BYTES = 1 << 20
 SLACK_S = 0.05  # stamps of files are coarser than the clock
 _HEAD = struct.Struct("<BQ")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Said:
     """A message; the log's name is before its topic."""
 

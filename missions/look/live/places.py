@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from path.camera.model import CameraModel
 from path.geometry.rotation import Quat, rotate
 from path.messages import Vec3
+from path.values import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Stand:
     """Where a drone is and how it is turned, at an instant of UTC; north, east, down in m."""
 
@@ -50,7 +50,7 @@ def along(rows: Sequence[float], direction: Sequence[float]) -> Vec3:
     return x, y, z
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Sight:
     """A line of sight through a pixel: from where, and a unit direction, north-east-down."""
 

@@ -17,7 +17,6 @@ import time
 import webbrowser
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from drivers.interfaces import PartError
@@ -26,6 +25,7 @@ from missions.ground.heard_by import is_heard, operator_of
 from missions.ground.shown import tell_line
 from missions.look.live.gate import LOOPBACK, TOKEN
 from path.messages import Role
+from path.values import frozen
 
 EXAMPLE = "127.0.0.1:8765"
 MIN_TOKEN = 16
@@ -34,7 +34,7 @@ UP_S = 120.0
 END_S = 8.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Operated:
     """What can be done about a flight from its page.
 

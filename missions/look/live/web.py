@@ -20,7 +20,6 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -29,6 +28,7 @@ import msgspec
 
 from missions.look.live.alarms import WARNING
 from missions.look.live.flight_state import FlightState
+from path.values import frozen
 
 NOW_S = 0.2
 SLOW_S = 1.0
@@ -52,7 +52,7 @@ PAGE_POLICY = (
 Act = Callable[[Mapping[str, Any], str], Awaitable[dict[str, Any]]]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Asked:
     """The head of a request."""
 

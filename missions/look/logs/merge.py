@@ -12,7 +12,7 @@ import heapq
 import sys
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from mcap.records import Metadata
@@ -34,6 +34,7 @@ from missions.ground.options.runs import MergeOptions
 from missions.ground.run_folder import REMEDY, claim_result
 from missions.look.logs.fetch import fetched
 from missions.look.report.records import MERGED
+from path.values import frozen
 
 MERGED_SIGN = "merged"  # among what the log says of itself
 GUARD = "_guard"
@@ -42,7 +43,7 @@ Clock = Sequence[tuple[int, int]]
 """From which UTC of a log on (in order) how much is added to it."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Aligned:
     """One log's clock against the first one's. ``uncertainty_ns``: None when the offset was not
     measured.

@@ -14,13 +14,11 @@ import csv
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import CameraError, PartError
 from drivers.perception.stamp_clock import Domain
@@ -39,20 +37,22 @@ from drivers.rig.calibration_file import (
 )
 from missions.ground.options.runs import ExportOptions
 from missions.ground.run_folder import unless_refused
+from path.arrays import Depths, Image
 from path.camera.lenses import StandIn
 from path.camera.model import CameraModel
+from path.values import frozen
 
 STAMPS = "stamps.csv"
 FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FilmFrame:
     """Colour (h, w, 3) BGR and depth (h, w) in mm as the colour camera sees it, if there is any."""
 
     stamp_ns: int
-    color: NDArray[np.uint8]
-    depth_mm: NDArray[np.uint16] | None
+    color: Image
+    depth_mm: Depths | None
 
 
 class Film(Protocol):
@@ -181,7 +181,7 @@ def export_recording(options: ExportOptions) -> int:
     return 0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Camera:
     """The colour camera, the file that says so, what of it is still to be written, and a word about
     it.
@@ -250,7 +250,7 @@ def _factory(film: Film, out: Path, file: Path) -> _Camera:
     return _Camera(model, written, calibration, off)
 
 
-def _write(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+def _write(path: Path, pixels: Image | Depths) -> None:
     if not cv2.imwrite(str(path), np.ascontiguousarray(pixels), FAST):
         raise PartError(
             f"{path} cannot be written", "free some disk, or name another folder with --out"
