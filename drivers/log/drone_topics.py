@@ -122,6 +122,19 @@ DRONE: dict[str, Topic] = {
             "counted": flag("the autopilot's count of its resets changed too"),
         },
     ),
+    "/peer": Topic(
+        "what the other drone said of itself last, once a second while it is heard",
+        {
+            "role": text("its role"),
+            "phase": text("its phase's name"),
+            "position_n_m": numbers("north, east, down in the mission's local frame, m"),
+            "velocity_n_mps": numbers("north, east, down in m/s"),
+            "yaw_rad": number("its heading from north, rad"),
+            "responsible": flag("for the target, as it says"),
+            "battery": number("what is left, 0 to 1"),
+            "ended": text("what its flight has ended in; empty while it goes on"),
+        },
+    ),
     "/peer_step": Topic(
         "the other drone said that its estimator stepped: evidence is gathered anew from here on",
         {"steps": whole("how often it has, modulo 64")},

@@ -27,6 +27,7 @@ from drivers.operator.interfaces import (
 )
 
 MOST_BYTES = 60_000
+PICTURE_BYTES = 40_000  # in base64, and room for a dozen objects
 _FARTHEST_M = 10_000.0
 _LONGEST_S = 3600.0
 

@@ -15,11 +15,13 @@ from drivers.rig.parts import Rig
 from flight.config import MissionConfig
 from flight.estimator_steps import Step
 from flight.frame.records import box_record, pose_rows
+from flight.outcome import name_of
+from flight.phases import Phase
 from flight.tracking.acquisition import Taken
 from flight.tracking.association import Sighting
 from flight.tracking.ranging import Ground
 from path.geometry.transforms import Pose
-from path.messages import Role
+from path.messages import Role, Status
 from path.observations import MissReason, RangeSource
 
 
@@ -55,6 +57,20 @@ def estimator_step_record(step: Step) -> dict[str, Any]:
         "shift_n_m": step.shift_n_m,
         "turn_rad": step.turn_rad,
         "counted": step.counted,
+    }
+
+
+def peer_record(status: Status) -> dict[str, Any]:
+    """``/peer``: what the other drone said of itself."""
+    return {
+        "role": status.role.value,
+        "phase": Phase(status.phase).title if status.phase in set(Phase) else "",
+        "position_n_m": status.position_n_m,
+        "velocity_n_mps": status.velocity_n_mps,
+        "yaw_rad": status.yaw_rad,
+        "responsible": status.responsible,
+        "battery": status.battery,
+        "ended": name_of(status.ended) if status.ended else "",
     }
 
 

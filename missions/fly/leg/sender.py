@@ -363,6 +363,8 @@ class Sender:
             await asyncio.sleep(_PEER_POLL_S)
 
     def _try_to_acquire(self, view: View, R_n_b: Matrix) -> None:
+        # whoever says which object is meant looks at it too
+        self._session.frames.log_image(view)
         T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
         taken = self._designating.look(view, T_n_c)
         if taken is None:

@@ -43,7 +43,7 @@ from flight.steady_vehicle import SteadyVehicle
 from missions.fly.leg.alike import alike_of
 from missions.fly.leg.frames import Frames
 from missions.fly.leg.guarding import Guarding
-from missions.ground.journal import estimator_step_record
+from missions.ground.journal import estimator_step_record, peer_record
 from path.alike import Alike
 from path.gate.window import Evidence
 from path.geometry.rotation import yaw_of
@@ -117,6 +117,7 @@ class RoleSession:
         self.shown = ConsoleLine()
         self.peer: Status | None = None
         self.peer_heard_ns = 0
+        self._peer_logged_ns = 0  # its own clock's: a status is logged once
         self.claim: TakeResponsibility | None = None
         self.instance: Callable[[], int] = int  # what a Status of this drone names
         self.alike = alike_of(rig, config.separation)
@@ -448,6 +449,9 @@ class RoleSession:
             "clock_uncertainty_ns": self.alignment.uncertainty_ns if self.alignment.ready else None,
         }
         self.log.write("/link", self.now_ns(), record)
+        if self.peer is not None and self.peer.stamp_ns != self._peer_logged_ns:
+            self._peer_logged_ns = self.peer.stamp_ns
+            self.log.write("/peer", self.now_ns(), peer_record(self.peer))
         alarm = self._link_alarm.look(counters, self.now_ns())
         if alarm:
             self.say(alarm)

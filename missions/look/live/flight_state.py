@@ -22,11 +22,13 @@ from missions.look.live.follow import Said
 from missions.look.live.places import Stand, through
 from missions.look.live.snapshot import evidence_of, matters, separation_of, shown_of, site_of
 from missions.look.replay.logged import camera_of
+from path.geometry.rotation import quat_from_rpy
 from path.messages import Vec3
 
 TRAIL_NS = 500_000_000  # between two places of a drone's way
 PHASES = 64  # of the timeline
 VIRTUAL_NS = 3_600_000_000_000  # a flight whose stamps are so far from now is none of this moment
+GROUNDED = ("preflight", "waiting", "done")
 DRONES_OWN = ("/setup", "/phase", "/state")  # whoever logs one of these is a drone
 
 
@@ -55,6 +57,7 @@ class FlightState:
             "/told": self._on_told,
             "/responsibility": self._on_responsibility,
             "/link": self._on_link,
+            "/peer": self._on_peer,
             "/outcome": self._on_outcome,
         }
 
@@ -115,7 +118,8 @@ class FlightState:
 
     def _on_note(self, drone: Drone, utc_ns: int, record: Record) -> None:
         drone.note = record["note"] or ""
-        self.alarms.say(utc_ns, TOLD, drone.short, drone.note)
+        level = ALARM if drone.note.startswith("ALARM") else TOLD
+        self.alarms.say(utc_ns, level, drone.short, drone.note)
 
     def _on_state(self, drone: Drone, utc_ns: int, record: Record) -> None:
         place = record["position_n_m"]
@@ -184,7 +188,9 @@ class FlightState:
             drone.overlays.append((at_ns, "mapped", record["mapped_box"]))
 
     def _on_question(self, drone: Drone, utc_ns: int, record: Record) -> None:
-        text = f"asks which of {len(record['shown'] or ())} objects is meant"
+        shown = record["shown"] or ()
+        drone.others = [drone.in_crews_frame(each["place_n_m"]) for each in shown]
+        text = f"asks which of {len(shown)} objects is meant"
         self.alarms.say(utc_ns, ALARM, drone.short, text)
 
     def _on_told(self, drone: Drone, utc_ns: int, record: Record) -> None:
@@ -197,6 +203,25 @@ class FlightState:
 
     def _on_link(self, drone: Drone, utc_ns: int, record: Record) -> None:
         drone.links.append((utc_ns, record))
+
+    def _on_peer(self, drone: Drone, utc_ns: int, record: Record) -> None:
+        """Show the other drone by what was heard of it, where its own log is on another computer.
+
+        It says its place in the crew's frame.
+        """
+        other = self.drones.get(record["role"])
+        if other is not None and other.setup is not None:
+            return
+        other = self._drone(record["role"], utc_ns, drone.heard_s)
+        if other.phase != record["phase"]:
+            self._on_phase(other, utc_ns, {"phase": record["phase"], "note": ""})
+        flying = record["phase"] not in GROUNDED
+        q = quat_from_rpy(0.0, 0.0, record["yaw_rad"] or 0.0)
+        heard = {"mode": f"as {drone.short} hears", "armed": flying, "q_n_b": q}
+        self._on_state(other, utc_ns, {**record, **heard})
+        other.responsible = bool(record["responsible"])
+        if record["ended"]:
+            other.outcome = {"outcome": record["ended"], "detail": ""}
 
     def _on_outcome(self, drone: Drone, utc_ns: int, record: Record) -> None:
         drone.outcome = record

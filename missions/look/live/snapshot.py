@@ -120,7 +120,9 @@ def evidence_of(shown: Sequence[Drone]) -> Snapshot | None:
     comparison.
     """
     for drone in shown:
-        pair = drone.lately("/agreement") if drone.phase == Phase.VERIFY.title else None
+        # what comes in after the commit is of no account
+        counts = drone.phase == Phase.VERIFY.title and drone.responsible
+        pair = drone.lately("/agreement") if counts else None
         if pair is not None:
             return {
                 "reached": pair["evidence"],

@@ -25,7 +25,7 @@ LINE_PERIOD_S = 5.0
 BAR_WIDTH = 14
 REFRESH_HZ = 8
 NOTES = 5  # that are kept in sight
-NEW_NOTE = "bold"
+ALARM = "ALARM"  # what a note begins with that must not be missed
 SHORT = {Role.SENDER: "D1", Role.RECEIVER: "D2"}
 COLORS = {Role.SENDER: "bright_blue", Role.RECEIVER: "yellow"}
 
@@ -128,12 +128,14 @@ class LiveTable:
         self._last: dict[Role, Progress] = {}
         self._elapsed = Elapsed()
         self._notes: deque[str] = deque(maxlen=NOTES)
+        self._alarms: deque[str] = deque(maxlen=NOTES)
 
     def show(self, progress: Progress) -> None:
         elapsed_s = self._elapsed.seconds(progress)
         before = self._last.get(progress.role)
         if progress.note and (before is None or before.note != progress.note):
-            self._notes.append(f"{elapsed_s:4.0f} s {SHORT[progress.role]} {progress.note}")
+            kept = self._alarms if progress.note.startswith(ALARM) else self._notes
+            kept.append(f"{elapsed_s:4.0f} s {SHORT[progress.role]} {progress.note}")
         self._last[progress.role] = progress
 
     def render(self) -> Group:
@@ -145,10 +147,9 @@ class LiveTable:
         drones.add_row(*map(self._figures, shown))
         together = Table.grid(padding=(0, 2))
         together.add_row(*_together(shown))
-        notes = [Text(note, style=NEW_NOTE) for note in self._notes]
-        for note in notes[:-1]:
-            note.style = "dim"
-        return Group(drones, together, *notes)
+        notes = [Text(note, style="dim") for note in self._notes]
+        alarms = [Text(alarm, style="bold red") for alarm in self._alarms]
+        return Group(drones, together, *notes, *alarms)
 
     def _figures(self, progress: Progress) -> str:
         figures = [f"{self._elapsed.seconds(progress):.0f} s"]

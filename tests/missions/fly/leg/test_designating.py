@@ -25,9 +25,10 @@ from drivers.operator.interfaces import (
     Shown,
     Told,
 )
+from drivers.operator.words import MOST_BYTES, encode_question
 from flight.config import MissionConfig
 from missions.fly.leg.designating import Designating, shifted
-from missions.fly.leg.numbered import numbered
+from missions.fly.leg.numbered import numbered, pictured
 from path.observations import Box
 from tests.missions.fly.leg.session_bench import Bench, virtual
 
@@ -263,3 +264,13 @@ def test_every_object_that_is_asked_about_is_framed_where_it_is() -> None:
     )
     # and is seen where there is no room for it
     assert (at_the_edge[4:26, 10:40] == 255).all(axis=2).any()
+
+
+@pytest.mark.parametrize("size", [(480, 640), (720, 1280)])
+def test_the_picture_of_a_question_fits_into_its_datagram_whatever_is_in_it(
+    size: tuple[int, int],
+) -> None:
+    noise = np.random.default_rng(5).integers(0, 256, (*size, 3), np.uint8)
+    line = encode_question(QUESTION, 0, pictured(noise, QUESTION))
+    assert b'"jpeg"' in line
+    assert len(line) <= MOST_BYTES

@@ -152,6 +152,8 @@ def test_what_is_surely_the_target_is_followed_as_it_moves_and_from_where_it_was
             return taken
 
         sender._designating = SimpleNamespace(look=look)
+        session: Any = bench.session
+        session.frames = Frames(session.now_ns, 0)
         view = FakeView(bench.session.now_ns())
         sender._try_to_acquire(view, LEVEL)
         assert sender._track is None
@@ -166,6 +168,8 @@ def test_what_is_surely_the_target_is_followed_as_it_moves_and_from_where_it_was
         pose = CameraPose(cast(Any, bench.session.vehicle), rig.sender.mount)
         np.testing.assert_array_equal(looked[0][1].t, pose.T_n_c(view.stamp_ns, LEVEL).t)
         assert looked[0][0] is view
+        # whoever is asked which object is meant sees what D1 sees
+        assert session.frames.logged == [view, view]
 
     with_sender(rig, main)
 

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from drivers.log.mcap_log import McapLog
+from missions.ground.journal import peer_record
 from missions.look.live.flight_state import FlightState
 from missions.look.live.follow import FolderFollower
+from path.messages import Role, Status
 from tests.missions.look.live import little_flight as flown
 from tests.missions.look.live.little_flight import LittleFlight, little_flight
 from tests.written_logs import until_written
@@ -171,6 +175,37 @@ def test_what_is_said_once_is_an_event_of_its_level(
     [event] = followed.now()["events"]
     assert (event["level"], event["of"], event["times"]) == (level, "D1", 2)
     assert text in event["text"]
+
+
+def test_a_drone_whose_log_is_on_another_computer_is_shown_as_it_is_heard(
+    tmp_path: Path,
+) -> None:
+    with McapLog(tmp_path / "sender.mcap", "sender") as sender:
+        followed = Followed(LittleFlight(sender, sender), tmp_path)
+        followed.flight.begin()
+        followed.flight.moment()
+        status = Status(
+            Role.RECEIVER, 5, (1.0, -1.5, -2.1), (0.3, 0.4, 0.0), 0.5, 7, True, True, 0.8
+        )
+        sender.write("/peer", time.monotonic_ns(), peer_record(status))
+        first, second = followed.now()["drones"]
+        assert (first["name"], second["name"]) == ("sender", "receiver")
+        assert second["words"] == "Closes in on the marker"
+        assert (second["place_m"], second["mode"]) == ([1.0, -1.5], "as D1 hears")
+        assert (second["heading_rad"], second["battery"]) == (0.5, 0.8)
+        assert second["responsible"]
+        sender.write("/peer", time.monotonic_ns(), peer_record(replace(status, ended=16)))
+        assert followed.now()["drones"][1]["outcome"] == "peer_lost"
+        followed.follower.close()
+
+
+def test_what_is_heard_of_a_drone_is_nothing_beside_its_own_log(followed: Followed) -> None:
+    followed.flight.begin()
+    followed.flight.moment()
+    status = Status(Role.RECEIVER, 5, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.5, 7, True, True, 0.1)
+    followed.flight.sender.write("/peer", time.monotonic_ns(), peer_record(status))
+    second = followed.now()["drones"][1]
+    assert (second["words"], second["battery"]) == ("Compares both views", 0.8)
 
 
 def test_the_timeline_and_the_ways_are_those_of_the_logs(followed: Followed) -> None:

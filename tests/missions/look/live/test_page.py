@@ -95,7 +95,7 @@ def test_what_is_drawn_is_what_is_logged(tmp_path: Path, monkeypatch: pytest.Mon
         for log in watched.flight.logs.values():
             until_written(log)
         watched.tab.until(
-            "drawn.matters.value === '2.5' && drawn.timeline && drawn.timeline.length"
+            "drawn.matters.value === '2.5' && drawn.timeline && drawn.timeline.length >= 4"
         )
         # until the image of that very moment has come
         images = {

@@ -152,6 +152,17 @@ def test_what_was_said_stays_in_sight_and_is_whole_though_it_is_long() -> None:
     assert "the link loses" not in text_of(table, 60)
 
 
+def test_an_alarm_stays_below_all_notes_to_the_end() -> None:
+    table = LiveTable()
+    table.show(at(0))
+    table.show(at(1, note="ALARM: the other drone's estimator stepped"))
+    for second in range(2, 12):
+        table.show(at(second, note=f"note {second}"))
+    assert text_of(table, 60).splitlines()[-1] == (
+        "   1 s D1 ALARM: the other drone's estimator stepped"
+    )
+
+
 def test_what_is_no_terminal_gets_lines() -> None:
     stream = io.StringIO()
     with open_console(stream) as console:
