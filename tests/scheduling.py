@@ -33,7 +33,6 @@ REAL_TIME = (
     "flight/test_ceiling",
     "hil/",
     "missions/proofs/conformance/",
-    "missions/test_bad_inputs.py::test_a_signal",
     "missions/test_cli",
     "missions/field/doctor/",
     "missions/fly/guard/test_command",

@@ -132,7 +132,8 @@ def _first(text: str) -> str:
 
 def main() -> None:
     sys.path.insert(0, str(Path.cwd()))
-    for name in _HEAVY:
+    whole = (Path.cwd() / "path").is_dir()  # another project imports what it needs itself
+    for name in _HEAVY if whole else ("pytest",):
         importlib.import_module(name)
     for line in sys.stdin:
         sys.stdout.write(json.dumps(trial(json.loads(line))) + "\n")

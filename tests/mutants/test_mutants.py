@@ -15,8 +15,9 @@ from typing import Any
 
 import pytest
 
+from tests.mutants import trials
 from tests.mutants.__main__ import main, show, summarize
-from tests.mutants.operators import mutated, mutations
+from tests.mutants.operators import Mutation, mutated, mutations
 from tests.mutants.rooms import (
     FileTests,
     Room,
@@ -79,24 +80,30 @@ def test_the_same_change_in_two_places_has_two_names() -> None:
     assert second.name == f"{first.name} (no. 2)" and first.where == "A.f" and first.line == 3
 
 
-def test_every_wrong_version_of_the_real_modules_is_python_and_has_a_name_of_its_own() -> None:
+@pytest.fixture(scope="module")
+def real() -> dict[str, list[Mutation]]:
+    """All wrong changes of the real modules, by room."""
     table = load_table()
-    for room in table.rooms:
-        found = [one for _, one in of_room(table, room, ROOT)]
-        assert len(found) >= 40 and len({one.name for one in found}) == len(found), room.name
+    return {room.name: [one for _, one in of_room(table, room, ROOT)] for room in table.rooms}
+
+
+def test_every_wrong_version_of_the_real_modules_is_python_and_has_a_name_of_its_own(
+    real: dict[str, list[Mutation]],
+) -> None:
+    for room, found in real.items():
+        assert len(found) >= 40 and len({one.name for one in found}) == len(found), room
         for one in found[:: len(found) // 12]:
             compile(mutated((ROOT / one.file).read_text(), one), one.file, "exec")
 
 
-def test_what_is_called_equivalent_is_a_change_that_can_be_made() -> None:
+def test_what_is_called_equivalent_is_a_change_that_can_be_made(
+    real: dict[str, list[Mutation]],
+) -> None:
     table = load_table()
-    names = {one.name for room in table.rooms for _, one in of_room(table, room, ROOT)}
-    assert set(table.equivalent) - names == set()
+    every = [one for found in real.values() for one in found]
+    assert set(table.equivalent) - {one.name for one in every} == set()
     assert all(len(why) > 20 for why in (*table.equivalent.values(), *table.arbitrary.values()))
-    places = {one.file for room in table.rooms for _, one in of_room(table, room, ROOT)}
-    places |= {
-        f"{one.file} {one.where}" for room in table.rooms for _, one in of_room(table, room, ROOT)
-    }
+    places = {one.file for one in every} | {f"{one.file} {one.where}" for one in every}
     assert set(table.arbitrary) - places == set()
 
 
@@ -142,8 +149,12 @@ def test_a_file_has_the_tests_of_its_room_or_of_its_mirror_those_of_its_own_name
 
 
 @pytest.fixture
-def project(tmp_path: Path) -> Path:
-    """A module, of which the tests notice one wrong change and not the other."""
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A module, of which the tests notice one wrong change and not the other. They need no plugins,
+    which take most of the time that pytest takes to begin.
+    """
+    without = "-p no:hypothesispytest -p no:missions.fly.testing.plugin"
+    monkeypatch.setitem(trials.WITH_THIS, "PYTEST_ADDOPTS", without)
     (tmp_path / "sums.py").write_text(
         "def unseen(a, b):\n    return a < b\n\n\ndef seen(a, b):\n    return a > b\n\n\ndef one():\n    return 1\n"
     )
@@ -242,8 +253,8 @@ def test_what_the_quick_tests_do_not_notice_the_slow_ones_are_asked(project: Pat
 def test_a_wrong_version_that_hangs_is_ended_and_noticed(project: Path) -> None:
     suite = FileTests("sums.py", ("test_sums.py",))
     endless = "def seen(a, b):\n    while True:\n        pass\n"
-    with Trials(project, 1, suite.tests) as trials:
-        came = trials.trial(suite, endless, 1.0)
+    with Trials(project, 1, suite.tests) as running:
+        came = running.trial(suite, endless, 1.0)
     assert came["hung"] and not came["passed"] and came["what"] == "test_sums.py::test_seen"
 
 
@@ -295,9 +306,9 @@ def test_the_tests_of_a_files_own_name_come_first_and_then_the_cheapest(project:
     (project / "test_short.py").write_text("def test_short():\n    pass\n")
     tests = ("test_other.py", "test_short.py", "test_sums.py")
     suite = FileTests("sums.py", tests)
-    with Trials(project, 1, tests) as trials:
-        trials.bounds_s([suite])
-        assert trials._cheapest_first(suite) == ["test_sums.py", "test_short.py", "test_other.py"]
+    with Trials(project, 1, tests) as running:
+        running.bounds_s([suite])
+        assert running._cheapest_first(suite) == ["test_sums.py", "test_short.py", "test_other.py"]
 
 
 def test_what_is_noticed_only_at_import_is_tried_from_the_first_import_on(project: Path) -> None:
@@ -309,12 +320,12 @@ def test_what_is_noticed_only_at_import_is_tried_from_the_first_import_on(projec
         "import sums\n\nMADE = sums.seen(1, 1)\n\n\ndef test_made():\n    assert not MADE\n"
     )
     right = (project / "sums.py").read_text()
-    with Trials(project, 1, suite.tests) as trials:
-        came = trials.trial(suite, right.replace("a > b", "a >= b"), 60.0)
+    with Trials(project, 1, suite.tests) as running:
+        came = running.trial(suite, right.replace("a > b", "a >= b"), 60.0)
         assert not came["passed"] and "test_made" in came["what"]
-        came = trials.trial(suite, f"{right}\n\ndef more():\n    return 1\n", 60.0)
+        came = running.trial(suite, f"{right}\n\ndef more():\n    return 1\n", 60.0)
         assert came["passed"]
-        came = trials.trial(suite, f"{right}\n\nraise ValueError\n", 60.0)
+        came = running.trial(suite, f"{right}\n\nraise ValueError\n", 60.0)
         assert not came["passed"] and not came["broken"]
 
 
@@ -343,9 +354,9 @@ def test_a_wrong_kernel_is_compiled_and_tried(project: Path) -> None:
     )
     right = (project / "sums.py").read_text()
     suite = FileTests("sums.py", ("test_sums.py",))
-    with Trials(project, 1, suite.tests) as trials:
-        assert trials.trial(suite, right.replace("a < 1", "a <= 1"), 60.0)["passed"]
-        came = trials.trial(suite, right.replace("a + 1", "a - 1"), 60.0)
+    with Trials(project, 1, suite.tests) as running:
+        assert running.trial(suite, right.replace("a < 1", "a <= 1"), 60.0)["passed"]
+        came = running.trial(suite, right.replace("a + 1", "a - 1"), 60.0)
     assert not came["passed"] and "test_more" in came["what"]
 
 
@@ -366,8 +377,8 @@ def test_a_module_that_pytest_would_load_by_itself_is_the_wrong_one_all_the_same
     suite = FileTests("sums.py", ("test_sums.py",))
     # no living function can take it
     wrong = (project / "sums.py").read_text().replace("return super().f()", "pass")
-    with Trials(project, 1, suite.tests) as trials:
-        came = trials.trial(suite, wrong, 60.0)
+    with Trials(project, 1, suite.tests) as running:
+        came = running.trial(suite, wrong, 60.0)
     assert not came["passed"] and "test_it" in came["what"]
 
 
