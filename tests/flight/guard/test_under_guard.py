@@ -175,6 +175,17 @@ def test_a_guard_that_does_not_answer_keeps_everything_on_the_ground() -> None:
     virtual(main())
 
 
+def test_an_answer_of_the_very_moment_of_the_question_is_none_to_it() -> None:
+    async def main() -> None:
+        line = FakeLine()
+        guard = UnderGuard(line, LoopClock(), RULES)
+        line.say(WATCHED)
+        with pytest.raises(MissionEnd, match="does not answer"):
+            await guard.confirm(BEAT)
+
+    virtual(main())
+
+
 def test_a_vehicle_that_refuses_because_the_guard_has_it_is_the_guard_s_doing() -> None:
     async def main() -> None:
         line = FakeLine()

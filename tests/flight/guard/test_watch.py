@@ -150,6 +150,10 @@ def test_a_program_that_hangs_is_found_in_time_and_its_vehicle_brought_down() ->
         assert hold_s - hung_s <= RULES.beat_age_s + 0.1
         assert land_s - hold_s == pytest.approx(RULES.hold_s, abs=0.1)
         assert bench.stages == ["holding", "landing"]
+        (held_after_s, _) = [
+            record["beat_age_s"] for topic, record in bench.log.records if topic == "/guard"
+        ]
+        assert held_after_s == pytest.approx(RULES.beat_age_s, abs=0.1)
         assert bench.line.answers[-1].hand is Hand.GUARD  # it waits for a role that wakes up
         bench.hung = False
         await asyncio.sleep(0.1)
@@ -157,6 +161,18 @@ def test_a_program_that_hangs_is_found_in_time_and_its_vehicle_brought_down() ->
         bench.vehicle.now = replace(bench.vehicle.now, armed=False, in_air=False)
         await asyncio.sleep(0.1)
         assert bench.line.answers[-1] == GuardAnswer(True, Hand.FREE)
+        await bench.end()
+
+    virtual(main())
+
+
+def test_the_vehicle_is_in_the_log_twice_a_second() -> None:
+    async def main() -> None:
+        bench = Bench()
+        await bench.in_control()
+        await asyncio.sleep(4.0)
+        views = [record for topic, record in bench.log.records if topic == "/guard_view"]
+        assert len(views) == pytest.approx(10, abs=1)
         await bench.end()
 
     virtual(main())

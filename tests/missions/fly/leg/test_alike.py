@@ -15,7 +15,7 @@ from flight.config import MissionConfig
 from missions.fly.leg import alike
 from missions.fly.leg.alike import alike_of
 from missions.ground import rig_library
-from path.alike import Alike, differing
+from path.alike import BITS, Alike, differing
 from path.geometry.transforms import Pose
 from path.marker.layout import Marker, MarkerLayout
 
@@ -88,6 +88,21 @@ SAME: dict[str, Callable[[Rig], Rig]] = {
 @pytest.mark.parametrize("what", SAME)
 def test_what_each_drone_has_of_its_own_may_differ(sim: Rig, what: str) -> None:
     assert of(SAME[what](sim)) == of(sim)
+
+
+def test_a_digest_fits_its_bits_and_is_never_nothing() -> None:
+    most = 2**BITS - 1
+    found = [alike._number(each.to_bytes(4, "big")) for each in (0, most - 1, most, most + 1)]
+    assert found == [1, most, 1, 2]
+
+
+def test_where_a_program_is_begun_is_no_version_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    before = alike._code.__wrapped__()
+    (tmp_path / "own.py").write_text("mine = 1\n")
+    assert alike._code.__wrapped__() == before
 
 
 def test_another_program_is_another_version(

@@ -13,7 +13,7 @@ import pytest
 
 from drivers.interfaces import Received, StateError
 from drivers.log.state_file import MemoryStore
-from flight.outcome import Outcome
+from flight.outcome import MissionEnd, Outcome
 from missions.fly.leg import machine_run
 from path.messages import AbortReason, Commit, Confirm, Message, Role
 from path.protocol.values import AbortRequested, Send
@@ -243,5 +243,23 @@ def test_what_was_let_go_of_stays_so_when_the_disk_cannot_take_the_record_of_it(
             pair.receiver._step(AbortRequested(AbortReason.SHUTDOWN))
         assert not pair.session[Role.RECEIVER].responsible
         assert not pair.receiver.holds
+
+    fly(rig, course)
+
+
+def test_an_end_that_the_disk_does_not_take_is_said_and_ends_all_the_same(
+    rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def course(pair: Pair) -> None:
+        def full(_: object) -> None:
+            raise StateError("cannot write: No space left on device", "make room")
+
+        said: list[str] = []
+        monkeypatch.setattr(pair.session[Role.SENDER], "say", said.append)
+        monkeypatch.setattr(pair.sender, "_step", full)
+        monkeypatch.setattr(pair.sender, "_machine", SimpleNamespace(live=object()))
+        pair.sender._give_up(MissionEnd(Outcome.INTERRUPTED, "Ctrl-C"))
+        assert said == ["cannot write: No space left on device"]
+        monkeypatch.undo()
 
     fly(rig, course)

@@ -23,6 +23,7 @@ from drivers.interfaces import (
     VehicleState,
     VelocitySetpoint,
 )
+from drivers.mavlink.guard.interfaces import Script
 from flight.config import Deadlines, MissionConfig
 from flight.guidance import Anchor, add, norm, scale, subtract
 from flight.harness.flights import RoleResult
@@ -435,6 +436,22 @@ def test_what_a_pilot_has_disarmed_on_the_ground_is_down(rig: Any) -> None:
         await bench.in_the_air()
         bench.vehicle.now = replace(bench.vehicle.now, armed=False, in_air=False)
         assert await bench.down(Outcome.PILOT_OVERRIDE)
+
+    virtual(main())
+
+
+def test_what_somebody_lands_already_is_left_to_it_and_the_guard_is_told(rig: Any) -> None:
+    async def main() -> None:
+        bench = Bench(rig)
+        bench.vehicle.now = replace(
+            bench.vehicle.now, armed=True, in_air=True, mode=FlightMode.LAND
+        )
+        landing = asyncio.create_task(bench.down(Outcome.VEHICLE_REFUSED))
+        await asyncio.sleep(1.0)
+        assert bench.session.guarding.beat().script is Script.LET_GO
+        bench.vehicle.now = replace(bench.vehicle.now, armed=False, in_air=False)
+        assert await landing
+        assert bench.vehicle.done == []
 
     virtual(main())
 
