@@ -27,6 +27,7 @@ from path.gate.agreement import iou
 from path.geometry.transforms import Pose
 from path.marker.detect import detect_markers
 from path.marker.layout import MarkerLayout
+from path.marker.photometric.known import Memory
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
 from path.target.monocular import TargetSize, extent_at, monocular_range
 from path.target.place import depth_sigma, registered_depth
@@ -83,6 +84,7 @@ class PixelPerception:
         self._layout = context.layout
         self._calibrated_serial = context.camera_serial
         self._freshness = Freshness(config.max_old_frames)
+        self._memory: Memory = {}
 
     @property
     def dropped(self) -> int:
@@ -171,6 +173,7 @@ class PixelPerception:
             config.method,
             config.corners,
             config.target,
+            self._memory,
         )
 
 
@@ -179,7 +182,16 @@ class PixelView:
     pixels when asked.
     """
 
-    __slots__ = ("_corners", "_detector", "_frame", "_layout", "_method", "_model", "_size")
+    __slots__ = (
+        "_corners",
+        "_detector",
+        "_frame",
+        "_layout",
+        "_memory",
+        "_method",
+        "_model",
+        "_size",
+    )
 
     def __init__(
         self,
@@ -190,6 +202,7 @@ class PixelView:
         method: MethodConfig,
         corners: Corners = "photometric",
         size: TargetSize | None = None,
+        memory: Memory | None = None,
     ) -> None:
         self._frame = frame
         self._model = model
@@ -198,6 +211,7 @@ class PixelView:
         self._method = method
         self._corners: Corners = corners
         self._size = size  # of the target, in place of a depth stream
+        self._memory = memory  # of the camera's earlier views
 
     @property
     def stamp_ns(self) -> int:
@@ -243,12 +257,16 @@ class PixelView:
         self, region: Region | None, expected: Pose | None = None
     ) -> Sequence[MarkerDetection]:
         """Markers of the layout in ``region``, looked for first where they are expected."""
-        image = self._frame.color
-        layout = self._layout
-        model = self._model
         return detect_markers(
-            image, region, layout, model, refine=self._corners, thorough=False, expected=expected
-        )  # fmt: skip
+            self._frame.color,
+            region,
+            self._layout,
+            self._model,
+            refine=self._corners,
+            thorough=False,
+            expected=expected,
+            memory=self._memory,
+        )
 
     def depth(self, box: Box) -> Depth | None:
         """Robust depth over a box (``path.target.place``); without a depth stream, by the target's

@@ -27,6 +27,7 @@ from path.geometry.transforms import Pose
 from path.marker.instead import grey_of, seen_instead
 from path.marker.layout import MarkerLayout, single_marker
 from path.marker.locate import LocatedMarker, locate_marker
+from path.marker.photometric.known import Memory
 from path.marker.pose import PoseSettings
 from path.observations import Missed
 from path.values import frozen
@@ -102,12 +103,13 @@ def _look(
     looked: list[Looked] = []
     instead: str | None = None
     previous: Pose | None = None
+    memory: Memory = {}
     progress = Bars(sys.stderr if stream is sys.stdout else stream)
     with progress.bar("frames", recording.count or 0) as advance:
         for frame in recording.frames():
             image = frame.load().color
             check_size((camera.width, camera.height), image.shape[1::-1], frame.name)
-            each = _located(frame, image, camera, layout, previous)
+            each = _located(frame, image, camera, layout, previous, memory)
             looked.append(each)
             if isinstance(each.found, LocatedMarker):
                 previous = each.found.T_c_v
@@ -130,9 +132,12 @@ def _located(
     camera: CameraModel,
     layout: MarkerLayout,
     previous: Pose | None,
+    memory: Memory,
 ) -> Looked:
     begun = busy_ns()
-    found = locate_marker(image, camera, layout, previous=previous, settings=LIKELIER)
+    found = locate_marker(
+        image, camera, layout, previous=previous, memory=memory, settings=LIKELIER
+    )
     return Looked(frame, found, (busy_ns() - begun) / 1e6)
 
 

@@ -17,6 +17,7 @@ from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.marker.detect import Refine, detect_markers
 from path.marker.layout import MarkerLayout
+from path.marker.photometric.known import Memory
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
 from path.messages import Vec3
 from path.observations import MarkerDetection, Missed, MissReason, Region
@@ -71,6 +72,7 @@ def locate_marker(
     gravity_c: Gravity | None = None,
     region: Region | None = None,
     previous: Pose | None = None,
+    memory: Memory | None = None,
     refine: Refine = "photometric",
     settings: PoseSettings | None = None,
 ) -> LocatedMarker | Missed:
@@ -85,7 +87,10 @@ def locate_marker(
             small planar marker apart, and how it is tilted; one without the other says nothing.
         region: where in the image to look; everywhere when None, which takes tens of times as long.
         previous: ``T_c_v`` in an image shortly before, instead of a region: there first, then
-            everywhere. The pose is still measured in this image alone.
+            everywhere. Where the marker is still within a cell of that place it is not decoded.
+        memory: a dictionary, empty at first, that is given with every image of a film: what
+            earlier ones told of print and camera, so that a fit takes a third of the time. The
+            pose is still measured in this image alone.
         refine: "photometric", or "subpix" for OpenCV's corners with the covariance they deserve.
         settings: limits and errors; its attitude sigmas are replaced by those of ``gravity_v`` and
             ``gravity_c``.
@@ -115,7 +120,10 @@ def locate_marker(
         down_c = gravity_c.unit
     located: LocatedMarker | Missed = Missed(MissReason.NO_MARKER)
     for area in _areas(region, previous, layout, camera):
-        detections = detect_markers(image, area, layout, camera, refine=refine)
+        expected = previous if area is not None and region is None else None
+        detections = detect_markers(
+            image, area, layout, camera, refine=refine, expected=expected, memory=memory
+        )
         pose = estimate_pose(detections, layout, camera, down_v, down_c, used)
         if isinstance(pose, MarkerPose):
             parts = {field.name: getattr(pose, field.name) for field in dataclasses.fields(pose)}

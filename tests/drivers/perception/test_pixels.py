@@ -26,6 +26,7 @@ from path.marker.layout import single_marker
 from path.messages import Role
 from path.observations import UNKNOWN, Box, Detection, Region
 from path.target.monocular import TargetSize
+from tests.path.marker.scene import Optics, render
 
 CAMERA = CameraModel(160, 120, 200.0, 200.0, 79.5, 59.5)
 LEVEL = Pose(np.eye(3), np.zeros(3))
@@ -445,3 +446,14 @@ def test_a_sight_lacks_what_its_camera_lacks_but_for_ranges_by_size(
         PixelPerception(PixelPerceptionConfig(camera, detector, target=size), CONTEXT).lacks
         == lacks
     )
+
+
+def test_views_of_one_camera_share_what_is_known_of_a_marker() -> None:
+    made, _, _ = perception()
+    still = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.2]))
+    grey = render(CAMERA, still, single_marker(), np.random.default_rng(0), Optics())
+    color = np.repeat(grey[:, :, None], 3, axis=2)
+    for number in (1, 2, 3):
+        view = made.view_of(Frame(number, number, color, None))
+        assert len(view.markers(None, still if number > 1 else None)) == 1
+    assert made._memory[0].frames == 3

@@ -120,7 +120,7 @@ def test_where_the_fit_fails_corners_are_subpixel_ones(monkeypatch: pytest.Monke
     region = region_around(true_corners(VGA, pose, LAYOUT), 60.0)
     (plain,) = detect_markers(image_of(pose), region, LAYOUT, VGA, refine="subpix")
 
-    def fails(*_: object, near: bool, border: bool) -> None:
+    def fails(*_: object, **_how: object) -> None:
         return None
 
     monkeypatch.setattr(detect, "fit", fails)

@@ -13,7 +13,7 @@ from path.geometry.transforms import Pose
 from path.marker import detect
 from path.marker.detect import detect_markers
 from path.marker.layout import Marker, MarkerLayout, single_marker
-from path.marker.photometric import corners
+from path.marker.photometric import corners, passes
 from path.marker.track import recognise
 from path.observations import Region
 from tests.path.marker.scene import (
@@ -153,7 +153,7 @@ def test_what_the_last_step_may_explain_is_asked_again_before_anything_wrong_is_
         raise AssertionError("looked for")
 
     few_then_enough = property(lambda state: 0.8 if state.passes < 3 else 0.88)
-    monkeypatch.setattr(corners._FitState, "share_used", few_then_enough)
+    monkeypatch.setattr(passes.FitState, "share_used", few_then_enough)
     monkeypatch.setattr(corners, "_fit_misfit", refuse)
     truth = true_corners(VGA, facing(0.6), LAYOUT)
     found = detect_markers(

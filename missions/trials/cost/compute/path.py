@@ -36,6 +36,7 @@ from path.cycle.sender import PairVerdict
 from path.gate.agreement import Agreed
 from path.geometry.transforms import Matrix
 from path.marker.detect import detect_markers
+from path.marker.photometric.known import Memory
 from path.marker.pose import PoseSettings, estimate_pose
 from path.marker.track import recognise
 from path.messages import Candidate, Role, Target, Vec3
@@ -100,6 +101,7 @@ class PathPair:
         key = np.random.default_rng([seed, 3]).bytes(KEY_LENGTH)
         self._codecs = {role: Codec(role, key) for role in Role}
         introduce(*self._codecs.values())
+        self._memories: dict[Role, Memory] = {role: {} for role in Role}
         self._frame = FIRST_FRAME
         self._overhead_ns = overhead_ns()
         self._seen: dict[int, _Seen] = {}  # by the moment's number: what the pixels gave
@@ -156,8 +158,14 @@ class PathPair:
     def _view(self, moment: Moment, role: Role, stamp_ns: int) -> PixelView:
         depth_mm = moment.depth_mm if role is Role.SENDER else None
         frame = Frame(stamp_ns, self._frame, moment.color[role], depth_mm)
+        rig = self._rig
         return PixelView(
-            frame, self._film.cameras[role], self._rig.layout, self._detector, self._rig.method
+            frame,
+            self._film.cameras[role],
+            rig.layout,
+            self._detector,
+            rig.method,
+            memory=self._memories[role],
         )
 
     def _own_frame(
