@@ -234,7 +234,14 @@ def test_a_relay_on_a_computer_that_is_too_slow_is_blamed_on_nobody(
     base = Base(config, lambda _: None, 0.1)
     base.outcome, base.detail = Outcome.TARGET_LOST, "nobody sees it"
     report = RelayReport(
-        {}, (), {}, (), (), 1.0, 1.0, 1.0, overload="D1's program: 90 of 100 frames were late"
+        violations={},
+        gaps_s={},
+        flown=(),
+        samples=(),
+        closest_m=1.0,
+        simulated_s=1.0,
+        wall_s=1.0,
+        overload="D1's program: 90 of 100 frames were late",
     )
     outcome, detail = judge(base, report)
     assert outcome is Outcome.OVERLOADED and outcome.exit_code == 43
