@@ -17,7 +17,7 @@ from typing import Literal
 
 from path.values import frozen
 
-Option = Literal["xfeat", "set", "logs", "seconds", "method"]
+Option = Literal["xfeat", "set", "logs", "seconds", "method", "common_view"]
 RIG = "sim-rendered"
 """The rig whose harness knows the truth: ``--rig`` takes its place."""
 
@@ -47,6 +47,7 @@ class Experiment:
 
 XFEAT = "XFeat, whose weights --xfeat names"
 SETS = "all of it: photographs, which --set names"
+SEQUENCE = "all of it: an RGB-D sequence, which --common-view names"
 
 EXPERIMENTS: Mapping[str, Experiment] = {
     "sensitivity": Experiment("pose.sensitivity"),
@@ -54,6 +55,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "corners": Experiment("pose.corners"),
     "calibration": Experiment("pose.calibration"),
     "real": Experiment("real", options=("set",), without=SETS),
+    "common-view": Experiment("pose.common_view", options=("common_view",), without=SEQUENCE),
     "handshake": Experiment("handovers.handshake"),
     "evidence": Experiment("handovers.evidence"),
     "recall": Experiment("handovers.recall", short_in_all=True),
@@ -70,7 +72,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "fleet": Experiment("cost.fleet", "team-sim", short_in_all=True),
 }
 QUESTIONS: Mapping[str, tuple[str, ...]] = {
-    "pose": ("sensitivity", "static", "corners", "calibration", "real"),
+    "pose": ("sensitivity", "static", "corners", "calibration", "real", "common-view"),
     "handovers": ("handshake", "evidence", "recall"),
     "flights": ("dynamic", "beacon", "rendezvous"),
     "rivals": ("ambiguity",),

@@ -104,7 +104,10 @@ def names_of(options: TrialOptions) -> tuple[str, ...]:
     if foreign:
         whose = f"path-handoff trial {question_of(foreign[0])} --only {foreign[0]}"
         raise PartError(f"--only {foreign[0]}: no part of {options.name}", whose)
-    return tuple(name for name in names if name in options.only) if options.only else names
+    only = options.only
+    if not only and options.common_view is not None and "common-view" in names:
+        only = ("common-view",)
+    return tuple(name for name in names if name in only) if only else names
 
 
 def choose(options: TrialOptions) -> list[Chosen]:
@@ -130,7 +133,11 @@ def needs_told(options: TrialOptions, chosen: Sequence[Chosen]) -> str:
     lines: list[str] = []
     for one in chosen:
         experiment = EXPERIMENTS[one.name]
-        given = {"xfeat": options.xfeat, "set": options.set}
+        given = {
+            "xfeat": options.xfeat,
+            "set": options.set,
+            "common_view": options.common_view,
+        }
         lacks = experiment.without and not any(given.get(option) for option in experiment.options)
         left_out = f"; without {experiment.without}" if lacks else ""
         short = "; in its short form" if one.short else ""
@@ -186,7 +193,7 @@ def _chapter(
     """Run one experiment. What goes wrong in one of several is told, and kept for the page."""
     request = TrialRequest(
         one.rig, folder, options.seed, one.short, work, options.xfeat, options.logs, options.seconds,
-        sets_of(options), options.photographs, options.method,
+        sets_of(options), options.photographs, options.method, options.common_view,
     )  # fmt: skip
     begun = datetime.now()
     result: TrialResult | None = None
@@ -263,7 +270,10 @@ def _said_of(options: TrialOptions, option: str) -> list[str]:
     value: object = getattr(options, option)
     if not value:
         return []
-    return [f"--{option}", f"{value:g}" if isinstance(value, float) else str(value)]
+    return [
+        f"--{option.replace('_', '-')}",
+        f"{value:g}" if isinstance(value, float) else str(value),
+    ]
 
 
 def sets_of(options: TrialOptions) -> tuple[Path, ...]:

@@ -22,7 +22,7 @@ from path.values import frozen
 
 QuestionName = Literal["pose", "handovers", "flights", "rivals", "cost"]
 ExperimentName = Literal[
-    "sensitivity", "static", "corners", "calibration", "real",
+    "sensitivity", "static", "corners", "calibration", "real", "common-view",
     "handshake", "evidence", "recall",
     "dynamic", "beacon", "rendezvous",
     "ambiguity",
@@ -37,7 +37,7 @@ class TrialOptions:
     paper.
 
     pose: where D2 and the target are, by single frames (sensitivity, static, corners, calibration,
-    real). handovers: how soon they agree, and whether ever wrongly (handshake, evidence, recall).
+    real, common-view). handovers: how soon they agree, and whether ever wrongly (handshake, evidence, recall).
     flights: whole missions (dynamic, beacon, rendezvous). rivals: PATH, ORB and XFeat (ambiguity).
     cost: time, bytes, memory, and what it bears (link, compute, processes, soak, fleet).
     """
@@ -92,6 +92,11 @@ class TrialOptions:
 
     photographs: OutFolder = None
     """The folder that paths in --set's files are relative to; by default each file's own folder."""
+
+    common_view: OutFolder = None
+    """Folder of an RGB-D sequence with poses, for common-view, which alone is run then
+    (docs/common-view.md).
+    """
 
 
 @frozen

@@ -31,6 +31,7 @@ class TrialRequest:
         sets: TOML files that describe sets of photographs. ``photographs``: what their paths are
             relative to, None for each file's own folder.
         method: one of somebody's own that takes part, ``file.py:Name``.
+        common_view: folder of an RGB-D sequence with poses, None when not named.
     """
 
     rig: Rig
@@ -44,6 +45,7 @@ class TrialRequest:
     sets: tuple[Path, ...] = ()
     photographs: Path | None = None
     method: str | None = None
+    common_view: Path | None = None
 
     def part(self, name: str) -> Any:
         """The class or function that the rig's ``[trials]`` table names. Raises PartError when it
