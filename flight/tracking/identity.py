@@ -46,7 +46,7 @@ for.
 """
 LEAST_IDENTITY = 0.9
 """Nothing is offered that is the designated object with a lower probability
-(docs/decisions/0130).
+(docs/decisions/0215).
 """
 
 

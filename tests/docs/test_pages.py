@@ -54,6 +54,29 @@ def test_the_tests_that_pages_name_are_there() -> None:
     assert [(page.name, test) for page, test in tests if not (ROOT / "tests" / test).exists()] == []
 
 
+def test_the_pages_that_code_names_are_there() -> None:
+    modules = [
+        file
+        for room in ("path", "drivers", "flight", "missions", "hil", "tests", "install")
+        for file in (ROOT / room).rglob("*.*")
+        if file.suffix in (".py", ".toml", ".sh")
+    ]
+    pages = [
+        (file.name, page)
+        for file in modules
+        for page in re.findall(r"docs/[\w/-]+\.md\b", file.read_text("utf-8"))
+    ]
+    numbers = {file.name[:4] for file in (ROOT / "docs" / "decisions").glob("0*.md")}
+    records = [
+        (file.name, number)
+        for file in modules
+        for number in re.findall(r"docs/decisions/(0\d{3})", file.read_text("utf-8"))
+    ]
+    assert len(pages) > 40
+    assert [(name, page) for name, page in pages if not (ROOT / page).exists()] == []
+    assert [(name, number) for name, number in records if number not in numbers] == []
+
+
 def commands() -> Iterator[tuple[str, str]]:
     """Yields page and command; of a line of the shell the first one, without placeholders for what
     is left out.
