@@ -1,59 +1,102 @@
-"""A vehicle without a flight: an embedded autopilot in a world of its own, for any program that
-speaks MAVLink.
+"""One part without a flight, for any program that speaks its language.
 
-    python -m hil.stand_in RIG_FILE SEED PORT [PORT]
+    python -m hil.stand_in vehicle RIG_FILE SEED PORT [PORT]
+    python -m hil.stand_in tello RIG_FILE SEED HOST:PORT [HOST:PORT]
+    python -m hil.stand_in camera RIG_FILE SEED PORT [PORT]
 
-flies the rig's sender, and its receiver where there is a second port, until Ctrl-C.
+is the rig's sender, and its receiver where there is a second place, until Ctrl-C.
 ``path-handoff stand-in`` starts it.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 import signal
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator
 from contextlib import ExitStack
 
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.rig.file import load_rig
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
-from hil.vehicle.alone import run_alone
+from hil.harness.realtime.parts import CameraView
+from hil.tello.emulator import TelloEmulator, TelloEmulatorConfig
+from hil.tello.video import TelloVideo, TelloVideoConfig
+from hil.vehicle.alone import Pumped, run_alone
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.world.config import WorldConfig
+from hil.world.errors import as_built
 from hil.world.world import World
 from path.messages import Role
 
 HOST = "127.0.0.1"
+FRAMES_HZ = 15.0
 
 
-def vehicles_of(
-    rig: Rig, world: World, ports: Sequence[int], stack: ExitStack
-) -> list[MavlinkVehicle]:
-    """Return a vehicle for each port, which sends there from a free one, closed with the stack."""
-    origin = rig.origin
-    tangent = LocalTangent.at(origin)
-    vehicles: list[MavlinkVehicle] = []
-    for number, (role, port) in enumerate(zip(Role, ports, strict=False)):
-        config = MavlinkVehicleConfig(number + 1, (HOST, port))
-        vehicle = MavlinkVehicle(config, world.drone(role), tangent)
-        stack.callback(vehicle.close)
-        vehicles.append(vehicle)
-    return vehicles
+class Film:
+    """What a drone's camera sees, drawn and sent while somebody wants it."""
+
+    def __init__(self, rig: Rig, role: Role, seed: int, world: World) -> None:
+        camera = rig.role(role).camera
+        self.video = TelloVideo(TelloVideoConfig(camera.width, camera.height, FRAMES_HZ), seed)
+        self._view = CameraView(as_built(rig, seed), role, seed, depth=False)
+        self._world = world
+        self._frame = 0
+        self._draw()  # kernels are loaded before anybody waits for an answer
+
+    def pump(self, now_s: float) -> None:
+        """Draw a frame that is due, and send those that are."""
+        if self.video.wanted and now_s * FRAMES_HZ >= self._frame:
+            self._frame = math.floor(now_s * FRAMES_HZ) + 1
+            self._draw()
+        self.video.pump(time.monotonic())
+
+    def _draw(self) -> None:
+        self._view.take(time.monotonic_ns(), self._world.snapshot(), self._frame, self.video)
+
+
+def parts_of(
+    kind: str, rig: Rig, seed: int, world: World, places: list[str], stack: ExitStack
+) -> Iterator[Pumped]:
+    """Yield what is pumped of each stand-in, closed with the stack. Raises OSError for a port that
+    is taken.
+    """
+    for number, (role, place) in enumerate(zip(Role, places, strict=False)):
+        drone = world.drone(role)
+        if kind == "vehicle":
+            config = MavlinkVehicleConfig(number + 1, (HOST, int(place)))
+            vehicle = MavlinkVehicle(config, drone, LocalTangent.at(rig.origin))
+            stack.callback(vehicle.close)
+            yield vehicle
+            continue
+        film = Film(rig, role, seed, world)
+        if kind == "camera":
+            film.video.start(HOST, (HOST, int(place)))
+            stack.callback(film.video.stop)
+        else:
+            host, _, port = place.partition(":")
+            heading_rad = math.radians(world.config.home(role).heading_deg)
+            own = TelloEmulatorConfig(host, int(port), home_yaw_rad=heading_rad)
+            tello = TelloEmulator(own, drone, film.video)
+            stack.callback(tello.close)
+            yield tello
+        yield film
 
 
 def main() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    rig = load_rig(sys.argv[1])
-    seed = int(sys.argv[2])
-    ports = [int(port) for port in sys.argv[3:]]
+    kind = sys.argv[1]
+    rig = load_rig(sys.argv[2])
+    seed = int(sys.argv[3])
     world = World(decode_table(rig.world, WorldConfig, rig.where("world")), seed)
     with ExitStack() as stack, contextlib.suppress(KeyboardInterrupt):
-        vehicles = vehicles_of(rig, world, ports, stack)
+        parts = list(parts_of(kind, rig, seed, world, sys.argv[4:], stack))
         sys.stdout.write("switched on; Ctrl-C switches off\n")
         sys.stdout.flush()
-        run_alone(world, vehicles)
+        run_alone(world, parts)
 
 
 if __name__ == "__main__":

@@ -84,7 +84,7 @@ examples:
   path-handoff replay runs/20261104-101500    what was decided, decided again from the logs
   path-handoff view runs/20261104-101500      the scene, both images, plots, words, in Rerun
   path-handoff fly mission.py --rig sim       a mission of your own (docs/own-missions.md)
-  path-handoff stand-in --port 14540          a vehicle alone, for programs of your own
+  path-handoff stand-in tello                 a Tello, vehicle or camera alone, for programs of your own
   path-handoff rehearse my-rig.toml           fly a field rig in the harness, as it is
   path-handoff plan my-rig.toml               can these drones do it, and how?
   path-handoff checklist my-rig.toml          one page of paper: what its crew does and ticks, in order

@@ -159,7 +159,7 @@ class Autopilot:
         self.killed = True
         self.armed = False
         self._end_session(now_s)
-        self._say(now_s, Severity.CRITICAL, "Kill switch engaged")
+        self.say(now_s, Severity.CRITICAL, "Kill switch engaged")
 
     def request_arm(self, now_s: float, arm: bool, force: bool = False) -> Ack:
         """Arm or disarm. ``force`` skips no check of arming; disarming by it stops the motors, in
@@ -215,10 +215,19 @@ class Autopilot:
         if by_pilot:
             self.pilot_in_control = True
             self.pilots_mode = mode
-            self._say(now_s, Severity.INFO, f"Pilot selected {mode.value}")
+            self.say(now_s, Severity.INFO, f"Pilot selected {mode.value}")
         if mode is not self.mode or self._offboard_lost_s is not None:
             self._enter(now_s, mode)
         return OK
+
+    def request_reposition(self, now_s: float, goal_n_m: Vec3) -> Ack:
+        """Go to a place and hold there, in the air."""
+        if self.landed or not self.armed:
+            return self._refuse(now_s, "Reposition denied: not in the air")
+        answer = self.request_mode(now_s, FlightMode.HOLD)
+        if answer.accepted:
+            self._guidance.hold_at(goal_n_m)
+        return answer
 
     def setpoint(self, now_s: float, setpoint: VelocitySetpoint) -> bool:
         """Take a setpoint; False (ignored, not counted as arrived) when it has a non-finite
@@ -257,11 +266,12 @@ class Autopilot:
 
     # --- state changes ---
 
-    def _say(self, now_s: float, severity: Severity, text: str) -> None:
+    def say(self, now_s: float, severity: Severity, text: str) -> None:
+        """A status text, which every listener is sent."""
         self.status_texts.append(StatusText(now_s, severity, text))
 
     def _refuse(self, now_s: float, reason: str) -> Ack:
-        self._say(now_s, Severity.CRITICAL, reason)
+        self.say(now_s, Severity.CRITICAL, reason)
         return Ack(False, reason)
 
     def _arm(self, now_s: float) -> None:
@@ -275,14 +285,14 @@ class Autopilot:
         self._home_error_m = self.altitude_error_m
         if self.mode is not FlightMode.OFFBOARD:
             self._enter(now_s, FlightMode.HOLD)
-        self._say(now_s, Severity.INFO, "Armed")
+        self.say(now_s, Severity.INFO, "Armed")
 
     def _disarm(self, now_s: float, why: str) -> None:
         self.armed = False
         self._landed_s = None
         self.failsafe = ""
         self._enter(now_s, FlightMode.HOLD)
-        self._say(now_s, Severity.INFO, f"Disarmed {why}")
+        self.say(now_s, Severity.INFO, f"Disarmed {why}")
 
     def _enter(self, now_s: float, mode: FlightMode) -> None:
         self._end_session(now_s, mode)
@@ -320,7 +330,7 @@ class Autopilot:
             self._killed_s = now_s
             if self.killed:
                 self._end_session(now_s)
-            self._say(
+            self.say(
                 now_s, Severity.CRITICAL, f"Kill switch {'engaged' if pilot.kill else 'disengaged'}"
             )
         if pilot.mode is not None:
@@ -355,7 +365,7 @@ class Autopilot:
             self._enter(now_s, FlightMode.HOLD)
             self._radio_lost_s = now_s
             self.failsafe = "radio lost"
-            self._say(now_s, Severity.CRITICAL, "Manual control lost, holding")
+            self.say(now_s, Severity.CRITICAL, "Manual control lost, holding")
         elif now_s - self._radio_lost_s >= config.act_after_s and config.loss_act in (
             LOSS_LANDS,
             LOSS_RETURNS,
@@ -363,7 +373,7 @@ class Autopilot:
             self._enter(
                 now_s, FlightMode.LAND if config.loss_act == LOSS_LANDS else FlightMode.RETURN
             )
-            self._say(now_s, Severity.CRITICAL, f"Manual control lost, {self.mode.value}")
+            self.say(now_s, Severity.CRITICAL, f"Manual control lost, {self.mode.value}")
 
     def _watch_fence(self, now_s: float) -> None:
         """On the way out, and once: a pilot may fly on, or come back."""
@@ -388,7 +398,7 @@ class Autopilot:
             return
         self._enter(now_s, AT_FENCE[fence.action])
         self.failsafe = "outside the autopilot's fence"
-        self._say(now_s, Severity.CRITICAL, f"Geofence breached, {self.mode.value}")
+        self.say(now_s, Severity.CRITICAL, f"Geofence breached, {self.mode.value}")
 
     # --- what happens by itself ---
 
@@ -421,7 +431,7 @@ class Autopilot:
         if not self.landed and now_s - self._contact_s >= self.config.land_detect_s:
             self.landed = True
             self._landed_s = now_s
-            self._say(now_s, Severity.INFO, "Landing detected")
+            self.say(now_s, Severity.INFO, "Landing detected")
 
     def _failsafes(self, now_s: float) -> None:
         config = self.config
@@ -433,7 +443,7 @@ class Autopilot:
             elif self._idle(now_s):
                 self._disarm(now_s, "by auto preflight disarming")
         elif self._battery_low and not self._battery_landing:
-            self._say(now_s, Severity.CRITICAL, "Low battery, landing")
+            self.say(now_s, Severity.CRITICAL, "Low battery, landing")
             self._enter(now_s, FlightMode.LAND)
         self._battery_landing = self._battery_low and not self.landed
         self._watch_setpoints(now_s)
@@ -443,7 +453,7 @@ class Autopilot:
         lost = heard_s is not None and now_s - heard_s > config.companion_loss_s
         if lost and not self.landed and self.mode is not FlightMode.LAND:
             self._enter(now_s, FlightMode.LAND)
-            self._say(now_s, Severity.CRITICAL, "No ground station, landing")
+            self.say(now_s, Severity.CRITICAL, "No ground station, landing")
 
     def _watch_setpoints(self, now_s: float) -> None:
         """OFFBOARD without setpoints holds, and lands when nobody speaks up for
@@ -454,13 +464,13 @@ class Autopilot:
         if self.mode is FlightMode.OFFBOARD and now_s - self._setpoint_s > config.offboard_loss_s:
             self._enter(now_s, FlightMode.HOLD)
             self._offboard_lost_s = now_s
-            self._say(now_s, Severity.CRITICAL, "No offboard setpoints, holding")
+            self.say(now_s, Severity.CRITICAL, "No offboard setpoints, holding")
         elif (
             self._offboard_lost_s is not None
             and now_s - self._offboard_lost_s >= config.offboard_land_s
         ):
             self._enter(now_s, FlightMode.LAND)
-            self._say(now_s, Severity.CRITICAL, "No offboard setpoints, landing")
+            self.say(now_s, Severity.CRITICAL, "No offboard setpoints, landing")
 
     def _idle(self, now_s: float) -> bool:
         """Armed on the ground for ``idle_disarm_s`` without having flown, and not about to."""

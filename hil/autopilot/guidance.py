@@ -75,6 +75,10 @@ class Guidance:
         north, east, _ = self._hold
         self._hold = (north, east, home[2] - self.climb_to_m)
 
+    def hold_at(self, goal: Vec3) -> None:
+        """Go to a place, and hold there."""
+        self._hold = goal
+
     def velocity(
         self, now_s: float, mode: FlightMode, estimate: Estimate, home: Vec3
     ) -> Vec3 | None:

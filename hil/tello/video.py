@@ -79,6 +79,11 @@ class TelloVideo:
         """The rate at which ``write`` is to be called."""
         return self._config.rate_hz
 
+    @property
+    def wanted(self) -> bool:
+        """Whether it streams: frames are of use."""
+        return self._encoder is not None
+
     def start(self, host: str, to: Address) -> None:
         """Stream from an address of this computer to another, with a key frame first."""
         with self._lock:

@@ -13,6 +13,10 @@ from hil.autopilot.radio import CHANNELS, MIDDLE_US, UNCHANGED
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 _GLOBAL_FRAMES = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
+_HOME_FRAMES = (
+    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+)
 
 OLDER_REQUESTS: Mapping[int, int] = {
     mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
@@ -55,6 +59,18 @@ def height_above_sea_m(message: Any) -> float | None:
     if message.get_type() == "COMMAND_LONG":
         return float(message.param7)
     return float(message.z) if message.frame in _GLOBAL_FRAMES else None
+
+
+def place_asked(message: Any) -> tuple[float, float, float, bool] | None:
+    """Where DO_REPOSITION asks a vehicle to go: degrees north and east, metres, NaN for as it is, and
+    whether those are above home; None: in a frame that is not understood.
+    """
+    if message.get_type() == "COMMAND_LONG":
+        return message.param5, message.param6, message.param7, False
+    if message.frame not in (*_GLOBAL_FRAMES, *_HOME_FRAMES):
+        return None
+    above_home = message.frame in _HOME_FRAMES
+    return message.x * 1e-7, message.y * 1e-7, message.z, above_home
 
 
 def sticks_of(message: Any) -> list[int]:

@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from drivers.interfaces import FlightMode, VelocitySetpoint
 from drivers.link.key import signing_time
 from drivers.mavlink.geodesy import LocalTangent
-from hil.autopilot.autopilot import Ack
+from hil.autopilot.autopilot import Ack, Severity
 from hil.vehicle.answers import (
     NOT_FOLLOWED,
     OLDER_REQUESTS,
@@ -28,11 +28,21 @@ from hil.vehicle.answers import (
     answer,
     height_above_sea_m,
     is_meant,
+    place_asked,
     sticks_of,
 )
 from hil.vehicle.arrival import Address
 from hil.vehicle.channel import UdpChannel
-from hil.vehicle.messages import AUTO, AUTO_MODES, OFFBOARD, PILOT_MODES, STREAMS, FlightInstant
+from hil.vehicle.messages import (
+    AUTO,
+    AUTO_MODES,
+    AVAILABLE_MODES,
+    OFFBOARD,
+    PILOT_MODES,
+    STREAMS,
+    FlightInstant,
+    available_modes,
+)
 from hil.vehicle.parameters import Parameters
 from hil.world.world import SimDrone
 from path.geometry.rotation import wrapped, yaw_of
@@ -151,6 +161,7 @@ class MavlinkVehicle:
                 flight, FlightMode.RETURN
             ),
             mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
+            mavlink.MAV_CMD_DO_REPOSITION: self._reposition,
         }
 
     @property
@@ -375,6 +386,13 @@ class MavlinkVehicle:
     ) -> None:
         command = message.command
         after: int | None = None
+        if command == mavlink.MAV_CMD_REQUEST_MESSAGE and message.param1 == AVAILABLE_MODES:
+            modes = available_modes(_whole(message.param2) or 0)
+            result = ACCEPTED if modes else DENIED
+            self._acknowledge(channel, message, command, result, sender)
+            for mode in modes:
+                self._send(channel, mode, sender)
+            return
         if command == mavlink.MAV_CMD_REQUEST_MESSAGE or command in OLDER_REQUESTS:
             after = OLDER_REQUESTS.get(command, _whole(message.param1))
             result = DENIED if after not in STREAMS else ACCEPTED
@@ -435,10 +453,36 @@ class MavlinkVehicle:
             return DENIED
         height_m = self._parameters.take_off_m(flight.now_s)
         if home is not None and math.isfinite(altitude_m):
-            height_m = (
+            asked_m = (
                 altitude_m - flight.autopilot.altitude_error_m - self._tangent.to_global(*home)[2]
             )
+            if asked_m > 0.0:
+                height_m = asked_m
+            else:  # a height above home where PX4 wants one above the sea: it goes as high as usual
+                flight.autopilot.say(
+                    flight.now_s,
+                    Severity.CRITICAL,
+                    f"Using minimum takeoff altitude: {height_m:.2f} m",
+                )
         return _result(flight.autopilot.request_takeoff(flight.now_s, height_m))
+
+    def _reposition(self, flight: FlightInstant, message: Any) -> int:
+        """Go to a place and hold there, as PX4 does in AUTO.LOITER."""
+        asked = place_asked(message)
+        home = flight.autopilot.home_n_m
+        if asked is None or home is None:
+            return DENIED
+        latitude_deg, longitude_deg, altitude_m, above_home = asked
+        if not all(map(math.isfinite, (latitude_deg, longitude_deg))):
+            return DENIED
+        above_sea_m = altitude_m - flight.autopilot.altitude_error_m
+        if above_home:
+            above_sea_m = altitude_m + self._tangent.to_global(*home)[2]
+        north_m, east_m, down_m = self._tangent.to_ned(latitude_deg, longitude_deg, above_sea_m)
+        if not math.isfinite(altitude_m):
+            down_m = flight.estimate.position_n_m[2]
+        goal = north_m, east_m, down_m
+        return _not_now(flight.autopilot.request_reposition(flight.now_s, goal))
 
     def _set_old_mode(
         self, flight: FlightInstant, message: Any, channel: UdpChannel, sender: Address

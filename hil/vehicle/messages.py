@@ -30,6 +30,23 @@ CUSTOM_MODES = {
     FlightMode.OTHER: 3 << 16,
 }
 
+AVAILABLE_MODES = mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES
+STANDARD_MODES = {
+    FlightMode.TAKEOFF: mavlink.MAV_STANDARD_MODE_TAKEOFF,
+    FlightMode.LAND: mavlink.MAV_STANDARD_MODE_LAND,
+    FlightMode.RETURN: mavlink.MAV_STANDARD_MODE_SAFE_RECOVERY,
+    FlightMode.OTHER: mavlink.MAV_STANDARD_MODE_POSITION_HOLD,
+}
+MODE_NAMES = {
+    FlightMode.TAKEOFF: "Takeoff",
+    FlightMode.HOLD: "Hold",
+    FlightMode.RETURN: "Return",
+    FlightMode.LAND: "Land",
+    FlightMode.OFFBOARD: "Offboard",
+    FlightMode.OTHER: "Position",
+}
+"""As PX4 calls them."""
+
 _ALWAYS_HEALTHY = (
     mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
     | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
@@ -96,10 +113,29 @@ def heartbeat(flight: FlightInstant) -> Any:
 
 
 def current_mode(flight: FlightInstant) -> Any:
-    custom_mode = CUSTOM_MODES[flight.autopilot.mode]
-    return mavlink.MAVLink_current_mode_message(
-        mavlink.MAV_STANDARD_MODE_NON_STANDARD, custom_mode, custom_mode
-    )
+    mode = flight.autopilot.mode
+    custom_mode = CUSTOM_MODES[mode]
+    standard = STANDARD_MODES.get(mode, mavlink.MAV_STANDARD_MODE_NON_STANDARD)
+    return mavlink.MAVLink_current_mode_message(standard, custom_mode, custom_mode)
+
+
+def available_modes(index: int) -> list[Any]:
+    """Return what is told of the modes that a ground station may select: of one by its number from
+    1 on, or of all by 0.
+    """
+    modes = list(CUSTOM_MODES.items())
+    told = [
+        mavlink.MAVLink_available_modes_message(
+            len(modes),
+            number,
+            STANDARD_MODES.get(mode, mavlink.MAV_STANDARD_MODE_NON_STANDARD),
+            custom_mode,
+            0,
+            MODE_NAMES[mode].encode(),
+        )
+        for number, (mode, custom_mode) in enumerate(modes, 1)
+    ]
+    return told if index == 0 else told[index - 1 : index]
 
 
 def sys_status(flight: FlightInstant) -> Any:
@@ -209,6 +245,17 @@ def global_position_int(flight: FlightInstant) -> Any | None:
     )
 
 
+def vfr_hud(flight: FlightInstant) -> Any:
+    """What a ground station shows as speed, heading, height above the sea and climb."""
+    north_mps, east_mps, down_mps = flight.estimate.velocity_n_mps
+    speed_mps = math.hypot(north_mps, east_mps)
+    heading = round(math.degrees(yaw_of(flight.estimate.q_n_b))) % 360
+    throttle = 50 if flight.autopilot.powered and not flight.autopilot.landed else 0
+    return mavlink.MAVLink_vfr_hud_message(
+        speed_mps, speed_mps, heading, throttle, _global(flight)[2], -down_mps
+    )
+
+
 def distance_sensor(flight: FlightInstant) -> Any | None:
     """Return what its rangefinder says, of one that has it; out of reach that is its limit, as
     many a sensor says.
@@ -289,6 +336,7 @@ STREAMS: dict[int, tuple[Callable[[FlightInstant], Any | None], float]] = {
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: (extended_sys_state, 5.0),
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (autopilot_version, 0.0),
     mavlink.MAVLINK_MSG_ID_CURRENT_MODE: (current_mode, 0.5),
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: (vfr_hud, 4.0),
 }
 """Message id: how it is made, and its rate in Hz until another is asked for (0: only on
 request).

@@ -1,4 +1,6 @@
-"""``path-handoff stand-in``: an embedded vehicle alone, for programs of others to be tried against."""
+"""``path-handoff stand-in``: a vehicle, a Tello or a camera alone, for programs of others to be tried
+against.
+"""
 
 from __future__ import annotations
 
@@ -13,27 +15,57 @@ from missions.ground.rig_library import load
 
 STAND_IN = "hil.stand_in"
 HIGHEST_PORT = 65535
+USUAL = {"vehicle": ("sim", 14540), "tello": ("sitl-tello", 8899), "camera": ("sitl", 5600)}
+"""The rig and the port of each kind."""
+TELLOS = ("127.0.0.2", "127.0.0.3")
+TELLO = "drivers.tello.vehicle:TelloVehicle"
 
 
 def run(options: StandInOptions, out: TextIO | None = None) -> int:
-    """Become the stand-in, until Ctrl-C. Raises PartError for a rig without a simulated vehicle, or
-    a port that cannot be.
+    """Become the stand-in, until Ctrl-C. Raises PartError for a rig without such a part, or a port
+    that cannot be.
     """
     stream = out or sys.stdout
-    rig = load(options.rig)
+    kind = options.what
+    rig = load(options.rig or USUAL[kind][0])
     if rig.level not in ("sim", "sitl"):
         raise PartError(
             f"{rig.name}: its vehicles are of level {rig.level}", "name a rig of level sim or sitl"
         )
-    ports = [options.port, options.port + 1] if options.two else [options.port]
-    if ports[-1] > HIGHEST_PORT:
-        raise PartError(f"--port {options.port}: there is no port {ports[-1]}", "name a lower one")
-    for number, port in enumerate(ports):
-        stream.write(f"vehicle {number + 1}: MAVLink 2 to UDP port {port} of this computer\n")
-        stream.write(f"{who_is_there(port)}\n")
+    if (rig.sender.vehicle.factory == TELLO) != (kind == "tello") and kind != "camera":
+        raise PartError(f"{rig.name}: its drones are no {kind}s", f"name a rig with {kind}s")
+    first = options.port or USUAL[kind][1]
+    count = 2 if options.two else 1
+    if kind == "tello":
+        places = [f"{host}:{first}" for host in TELLOS[:count]]
+    else:
+        places = [str(first + number) for number in range(count)]
+        if int(places[-1]) > HIGHEST_PORT:
+            raise PartError(f"--port {first}: there is no port {places[-1]}", "name a lower one")
+    for number, place in enumerate(places, 1):
+        stream.write(told(kind, number, place))
     stream.flush()
-    words = [str(rig.file), str(options.seed), *map(str, ports)]
+    words = [kind, str(rig.file), str(options.seed), *places]
     os.execv(sys.executable, [sys.executable, "-m", STAND_IN, *words])
+
+
+def told(kind: str, number: int, place: str) -> str:
+    """Return how a program reaches a stand-in."""
+    if kind == "tello":
+        host, _, port = place.partition(":")
+        return (
+            f"Tello {number}: listens on UDP {place}, sends state to 8890 and video to 11111\n"
+            f'  djitellopy: tello = Tello("{host}"); tello.address = ("{host}", {port})\n'
+        )
+    if kind == "camera":
+        return (
+            f"camera {number}: H.264 to UDP port {place} of this computer\n"
+            f'  OpenCV: cv2.VideoCapture("udp://127.0.0.1:{place}")   ffplay udp://127.0.0.1:{place}\n'
+        )
+    port = int(place)
+    return (
+        f"vehicle {number}: MAVLink 2 to UDP port {port} of this computer\n{who_is_there(port)}\n"
+    )
 
 
 def who_is_there(port: int) -> str:

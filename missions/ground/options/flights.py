@@ -226,17 +226,24 @@ class FlyOptions(RigChoice):
 
 @frozen
 class StandInOptions:
-    """Switch on an embedded vehicle alone, for programs of others to be tried against, until
-    Ctrl-C.
+    """Switch on one part alone, for programs of others to be tried against, until Ctrl-C."""
+
+    what: Annotated[Literal["vehicle", "tello", "camera"], tyro.conf.Positional] = "vehicle"
+    """vehicle: an embedded autopilot that speaks MAVLink; tello: with its video; camera: what the
+    rig's sees, as H.264 by UDP.
     """
 
-    rig: RigName = "sim"
-    """The rig whose simulated sender it is: its drone, world and wind."""
+    rig: RigName = ""
+    """The rig whose simulated sender it is: its drone, camera, world and wind; by default sim,
+    sitl-tello and sitl.
+    """
 
-    port: Annotated[int, Bounds(1024, 65535, "(a port)")] = 14540
-    """UDP port of this computer that the vehicle sends to, where your program listens."""
+    port: Annotated[int | None, Bounds(1024, 65535, "(a port)")] = None
+    """UDP port: of this computer, that a vehicle (14540) or camera (5600) sends to; or that a Tello
+    listens on (8899), at an address of its own.
+    """
 
     two: bool = False
-    """A second vehicle as well, the rig's receiver, on the next port."""
+    """The rig's receiver as well: on the next port, or at the next address."""
 
     seed: RunSeed = 0

@@ -109,7 +109,6 @@ def test_commands_of_nothing_but_nan_are_refused(bench: Bench, command: int) -> 
     "command",
     [
         mavlink.MAV_CMD_DO_ORBIT,
-        mavlink.MAV_CMD_DO_REPOSITION,
         mavlink.MAV_CMD_MISSION_START,
         mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN,
     ],

@@ -6,10 +6,10 @@ import math
 from typing import Any
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import all as mavlink
 
 from drivers.interfaces import FlightMode
-from tests.hil.vehicle.mavlink_bench import STEP_S, SYSID, Bench
+from tests.hil.vehicle.mavlink_bench import START, STEP_S, SYSID, TANGENT, Bench
 
 
 def test_a_ground_station_is_told_how_often_a_message_comes(bench: Bench) -> None:
@@ -145,3 +145,75 @@ def test_a_joysticks_sticks_come_as_manual_control(bench: Bench) -> None:
     bench.send(mavlink.MAVLink_manual_control_message(SYSID + 1, 0, 0, 500, 0, 0))
     bench.run(0.1)
     assert bench.drone.autopilot.radio.channels[:4] == (1000, 1750, 1500, 1625)
+
+
+def test_a_take_off_to_a_height_above_home_climbs_as_high_as_usual_and_says_so(
+    bench: Bench,
+) -> None:
+    """MAVProxy's `takeoff 3`, where PX4 wants metres above the sea: it was denied as -483 m."""
+    bench.run(3.0)
+    assert bench.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == mavlink.MAV_RESULT_ACCEPTED
+    takeoff = mavlink.MAV_CMD_NAV_TAKEOFF
+    assert bench.command(takeoff, 0, 0, 0, 0, 0, 0, 3.0) == mavlink.MAV_RESULT_ACCEPTED
+    bench.run(8.0)
+    assert any("Using minimum takeoff altitude" in text.text for text in bench.of("STATUSTEXT"))
+    height_m = bench.of("GLOBAL_POSITION_INT")[-1].relative_alt / 1e3
+    assert bench.drone.autopilot.mode is FlightMode.HOLD
+    assert 1.0 < height_m < 4.0
+
+
+def test_a_ground_station_sends_it_somewhere_and_it_holds_there(bench: Bench) -> None:
+    """MAVSDK's goto_location and QGroundControl's `Go to location`."""
+    goal_n_m = (5.0, 1.0)
+    there = TANGENT.to_global(*goal_n_m, -2.0)
+    go = mavlink.MAV_CMD_DO_REPOSITION
+
+    def asked(frame: int, z: float) -> list[int]:
+        bench.heard.clear()
+        at = round(there[0] * 1e7), round(there[1] * 1e7), z
+        bench.send(
+            mavlink.MAVLink_command_int_message(
+                SYSID, 1, frame, go, 0, 0, -1.0, 1.0, 0.0, math.nan, *at
+            )
+        )
+        bench.run(STEP_S)
+        return [ack.result for ack in bench.of("COMMAND_ACK") if ack.command == go]
+
+    bench.run(3.0)
+    assert asked(mavlink.MAV_FRAME_GLOBAL, there[2]) == [mavlink.MAV_RESULT_TEMPORARILY_REJECTED]
+    bench.fly_at(1.5)
+    assert asked(mavlink.MAV_FRAME_MISSION, there[2]) == [mavlink.MAV_RESULT_DENIED]
+    for frame, z, height_m in (
+        (mavlink.MAV_FRAME_GLOBAL, there[2], 2.0 + START[2]),
+        (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, 3.0, 3.0),
+    ):
+        assert asked(frame, z) == [mavlink.MAV_RESULT_ACCEPTED]
+        bench.run(10.0)
+        north_m, east_m, down_m = bench.drone.estimate.position_n_m
+        assert math.dist((north_m, east_m), goal_n_m) < 0.2
+        assert START[2] - down_m == pytest.approx(height_m, abs=0.2)
+        assert bench.drone.autopilot.mode is FlightMode.HOLD
+
+
+def test_modes_are_listed_by_name_all_or_one(bench: Bench) -> None:
+    bench.run(0.5)
+    listed = mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES
+    ask = mavlink.MAV_CMD_REQUEST_MESSAGE
+    assert bench.command(ask, listed, 0.0) == mavlink.MAV_RESULT_ACCEPTED
+    modes = {mode.mode_name: mode for mode in bench.of("AVAILABLE_MODES")}
+    assert set(modes) == {"Takeoff", "Hold", "Return", "Land", "Offboard", "Position"}
+    assert modes["Hold"].custom_mode == 4 << 16 | 3 << 24
+    assert {mode.number_modes for mode in modes.values()} == {len(modes)}
+    assert bench.command(ask, listed, 2.0) == mavlink.MAV_RESULT_ACCEPTED
+    assert [mode.mode_index for mode in bench.of("AVAILABLE_MODES")] == [2]
+    assert bench.command(ask, listed, 99.0) == mavlink.MAV_RESULT_DENIED
+
+
+def test_a_head_up_display_shows_heading_height_and_climb(bench: Bench) -> None:
+    bench.fly_at(1.5)
+    bench.run(1.0)
+    shown = bench.of("VFR_HUD")[-1]
+    place = bench.of("GLOBAL_POSITION_INT")[-1]
+    assert shown.alt == pytest.approx(place.alt / 1e3, abs=0.2)
+    assert shown.heading == pytest.approx(place.hdg / 100.0, abs=1.0)
+    assert abs(shown.climb) < 0.5 and shown.groundspeed < 0.5

@@ -11,8 +11,10 @@ import sys
 import time
 from collections.abc import Generator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
+import av
 import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
@@ -108,10 +110,60 @@ def test_a_program_that_is_there_already_is_told(monkeypatch: pytest.MonkeyPatch
     ("options", "what"),
     [
         (StandInOptions(port=65535, two=True), "no port 65536"),
-        (StandInOptions("sim-rendered"), "level sim-rendered"),
-        (StandInOptions("nowhere"), "nowhere"),
+        (StandInOptions(rig="sim-rendered"), "level sim-rendered"),
+        (StandInOptions(rig="nowhere"), "nowhere"),
+        (StandInOptions("tello", "sim"), "its drones are no tellos"),
+        (StandInOptions("vehicle", "sitl-tello"), "its drones are no vehicles"),
     ],
 )
 def test_what_cannot_be_stood_in_for_is_refused(options: StandInOptions, what: str) -> None:
     with pytest.raises(PartError, match=what):
         run(options, io.StringIO())
+
+
+STOCK = """
+import djitellopy
+
+djitellopy.Tello.CONTROL_UDP_PORT = {own}  # other programs of this computer may have 8889
+for host in ("127.0.0.2", "127.0.0.3"):
+    tello = djitellopy.Tello(host)
+    tello.address = (host, {port})
+    tello.connect(wait_for_state=False)
+    tello.takeoff()
+    tello.rotate_clockwise(90)
+    tello.land()
+    print(host, tello.query_battery() > 50)
+"""
+
+
+def test_a_stock_djitellopy_flies_both_tellos_beside_it() -> None:
+    port = free_port()
+    with stand_in("tello", "--two", "--port", str(port)) as program:
+        switched_on(program)
+        words = [sys.executable, "-c", STOCK.format(own=free_port(), port=port)]
+        said = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    assert said.stdout == "127.0.0.2 True\n127.0.0.3 True\n", said.stderr[-2000:]
+    assert program.returncode == 0
+
+
+def test_a_cameras_stream_is_decoded_by_anybody(tmp_path: Path) -> None:
+    port = free_port()
+    film = tmp_path / "film.h264"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", port))
+        listener.settimeout(LIMIT_S)
+        with stand_in("camera", "--port", str(port)) as program:
+            switched_on(program)
+            film.write_bytes(b"".join(listener.recv(4096) for _ in range(60)))
+    with av.open(str(film)) as container:
+        frame = next(container.decode(video=0))
+    assert (frame.width, frame.height) == (640, 480)
+    assert frame.to_ndarray(format="gray").std() > 5.0
+
+
+def switched_on(program: subprocess.Popen[str]) -> None:
+    assert program.stdout is not None
+    for line in program.stdout:
+        if line.startswith("switched on"):
+            return
+    raise AssertionError("it ended")
