@@ -122,6 +122,8 @@ def test_what_cannot_be_stood_in_for_is_refused(options: StandInOptions, what: s
 
 
 STOCK = """
+import time
+
 import djitellopy
 
 djitellopy.Tello.CONTROL_UDP_PORT = {own}  # other programs of this computer may have 8889
@@ -129,7 +131,14 @@ for host in ("127.0.0.2", "127.0.0.3"):
     tello = djitellopy.Tello(host)
     tello.address = (host, {port})
     tello.connect(wait_for_state=False)
-    tello.takeoff()
+    while True:
+        try:
+            tello.takeoff()
+            break
+        except djitellopy.tello.TelloException as error:
+            if "imu" not in str(error):  # it was switched on a moment ago
+                raise
+            time.sleep(1.0)
     tello.rotate_clockwise(90)
     tello.land()
     print(host, tello.query_battery() > 50)
