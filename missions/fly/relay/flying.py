@@ -29,7 +29,7 @@ from missions.ground.lateness import for_lateness
 from missions.ground.options.flights import HoursOptions
 from missions.ground.run_folder import RunKind, claimed, unless_refused
 from missions.ground.shown import tell_line
-from missions.look.live.start import live
+from missions.look.live.start import EVERY, live
 
 
 def hours_of(config: RelayConfig, options: HoursOptions) -> float:
@@ -70,7 +70,7 @@ def carry_out(
     """
     with unless_refused(options.out) as folder:
         tell_line(f"{size}: {folder}")
-        with live(options.live, folder):
+        with live(options.live, folder, EVERY):
             summary, record = fly(folder, tell)
         return leave(summary, record, folder, showing, options.picture)
 

@@ -108,6 +108,7 @@ def holding(now: Mapping[str, Any]) -> list[Event]:
         if drone["silent_s"] is not None and not ended:
             say(ALARM, who, f"nothing logged for {drone['silent_s']:.0f} s")
         link = drone["link"]
-        if link is not None and link["heard_per_s"] == 0.0 and drone.get("armed") and all_fly:
+        silent = link is not None and link["heard"] > 0 and link["heard_per_s"] == 0.0
+        if silent and drone.get("armed") and all_fly:
             say(ALARM, who, "hears nothing of the other drone")
     return sorted(wrong, key=lambda each: each["level"] != ALARM)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import msgspec
 
@@ -65,8 +66,12 @@ class FlightState:
 
     def take(self, said: Said, now_s: float) -> None:
         """Take up one record; ``now_s``: of a clock that only grows. Never raises for what is in
-        it.
+        it: a record that is none, of somebody's own program, is not shown.
         """
+        with suppress(LookupError, TypeError, ValueError, ArithmeticError, msgspec.MsgspecError):
+            self._take(said, now_s)
+
+    def _take(self, said: Said, now_s: float) -> None:
         name, _, own = said.topic.lstrip("/").partition("/")
         topic = f"/{own}"
         utc_ns = said.message.log_time
@@ -134,7 +139,6 @@ class FlightState:
             drone.trail.append((north, east))
 
     def _on_target(self, drone: Drone, utc_ns: int, record: Record) -> None:
-        drone.offset_ns = utc_ns - record["capture_ns"]
         self._on_seen(drone, utc_ns, record)
         point = record["point_v_m"]
         stand = drone.stand_at(utc_ns)
@@ -157,6 +161,8 @@ class FlightState:
         return places
 
     def _on_seen(self, drone: Drone, utc_ns: int, record: Record) -> None:
+        if record.get("capture_ns") is not None:
+            drone.offset_ns = utc_ns - record["capture_ns"]
         if record["box"] is not None:
             drone.overlays.append((utc_ns, "target", record["box"]))
 
@@ -210,7 +216,8 @@ class FlightState:
         It says its place in the crew's frame.
         """
         other = self.drones.get(record["role"])
-        if other is not None and other.setup is not None:
+        named_otherwise = drone.name not in SHORT  # of a relay, whose drones' logs are all here
+        if named_otherwise or (other is not None and other.setup is not None):
             return
         other = self._drone(record["role"], utc_ns, drone.heard_s)
         if other.phase != record["phase"]:

@@ -15,6 +15,7 @@ from path.geometry.rotation import yaw_of
 
 SAME_PAIR_NS = 60_000_000  # a mapped box is drawn over an image that is no farther off
 NEAR_TIMES = 1.5  # of the least separation: from there on it is what matters
+LINK_NS = 2_500_000_000  # the link's counters are logged once a second while there is a link
 SILENT_S = 3.0  # a program that flies writes ten times a second
 
 
@@ -78,12 +79,13 @@ def _late_ms(drone: Drone) -> float | None:
 
 def link_of(drone: Drone) -> Snapshot | None:
     """Return what came in over the link in the last second or two: packets and bytes a second."""
-    if len(drone.links) < 2:
+    if len(drone.links) < 2 or drone.newest_ns - drone.links[-1][0] > LINK_NS:
         return None
     (first_ns, first), (last_ns, last) = drone.links[0], drone.links[-1]
     seconds = max((last_ns - first_ns) * 1e-9, 1e-3)
     received = last["packets_received"] - first["packets_received"]
     return {
+        "heard": last["packets_received"],
         "heard_per_s": round(received / seconds, 1),
         "kb_per_s": round((last["bytes_received"] - first["bytes_received"]) / seconds / 1e3, 2),
         "sent_kb_per_s": round((last["bytes_sent"] - first["bytes_sent"]) / seconds / 1e3, 2),

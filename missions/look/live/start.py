@@ -52,6 +52,10 @@ def both(rig: Rig) -> Operated:
     return Operated(_heard(rig), "both drones end the hand-over and land")
 
 
+EVERY = Operated(None, "every drone ends what it does, and lands")
+"""A relay or a team, whose drones are told their targets otherwise."""
+
+
 def one(rig: Rig, role: Role) -> Operated:
     """One drone's side, on its own companion."""
     mine = "this drone ends the hand-over and lands; the other one hears of it"

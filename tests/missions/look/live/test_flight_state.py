@@ -126,10 +126,13 @@ def test_a_link_that_brings_nothing_is_an_alarm_until_a_drone_has_ended(
 ) -> None:
     followed.flight.begin()
     followed.flight.moment()
+    followed.flight.link(-2, 0)
+    followed.flight.link(-1, 0)
+    assert followed.now()["holds"] == []  # nobody is there yet
     followed.flight.link(0, 100)
     followed.flight.link(1, 130)
     now = followed.now()
-    assert now["drones"][0]["link"]["heard_per_s"] == pytest.approx(30.0, abs=0.5)
+    assert now["drones"][0]["link"]["heard_per_s"] == pytest.approx(65.0, abs=1.0)
     assert now["holds"] == []
     for second in (2, 3, 4):
         followed.flight.link(second, 130)
@@ -206,6 +209,50 @@ def test_what_is_heard_of_a_drone_is_nothing_beside_its_own_log(followed: Follow
     followed.flight.sender.write("/peer", time.monotonic_ns(), peer_record(status))
     second = followed.now()["drones"][1]
     assert (second["words"], second["battery"]) == ("Compares both views", 0.8)
+
+
+def test_a_relays_drones_are_known_by_their_own_names_alone(tmp_path: Path) -> None:
+    with McapLog(tmp_path / "D1.mcap", "D1") as first:
+        followed = Followed(LittleFlight(first, first), tmp_path)
+        followed.flight.begin()
+        status = Status(Role.RECEIVER, 5, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.5, 7, True, True, 0.1)
+        first.write("/peer", time.monotonic_ns(), peer_record(status))
+        assert [drone["name"] for drone in followed.now()["drones"]] == ["D1"]
+        followed.follower.close()
+
+
+def test_a_leg_that_is_over_has_no_link_to_miss(followed: Followed) -> None:
+    followed.flight.begin()
+    followed.flight.moment()
+    for second in (0, 1, 2):
+        followed.flight.link(second, 100)
+    assert followed.now()["holds"] != []
+    later_ns = time.monotonic_ns() + 8_000_000_000
+    for log in followed.flight.logs.values():
+        log.write("/note", later_ns, {"note": "on the way home"})
+    now = followed.now()
+    assert [drone["link"] for drone in now["drones"]] == [None, None]
+    assert now["holds"] == []
+
+
+def test_records_that_are_none_are_not_shown_and_end_nothing(followed: Followed) -> None:
+    followed.flight.begin()
+    followed.flight.moment()
+    before = followed.now()
+    nonsense: list[dict[str, Any]] = [
+        {},
+        {"position_n_m": "here", "point_v_m": [1.0], "phase": 5, "box": [1.0], "q_n_b": None},
+        {"position_n_m": [None, 0.0, 0.0], "corners_px": 7, "capture_ns": "x", "off_m": []},
+        {"position_v_m": "far", "mapped_box": [1.0], "outcome": None, "shown": 5},
+    ]
+    for topic in ("/target", "/track", "/home", "/question", "/taken", "/estimator_step"):
+        for record in nonsense:
+            followed.flight.sender.write(topic, time.monotonic_ns(), record)
+    after = followed.now()
+    assert [drone["place_m"] for drone in after["drones"]] == [
+        drone["place_m"] for drone in before["drones"]
+    ]
+    assert after["matters"] == before["matters"]
 
 
 def test_the_timeline_and_the_ways_are_those_of_the_logs(followed: Followed) -> None:
