@@ -203,6 +203,11 @@ def claim_folder(folder: Path, marker: str, *signs: str) -> None:
         )
 
 
+def write_json(file: Path, content: object) -> None:
+    """Write what a person may want to read too. Raises OSError."""
+    file.write_text(json.dumps(content, indent=2) + "\n", "utf-8")
+
+
 def discard(folder: Path, kind: RunKind) -> None:
     """Take away a run's files, and its folder if nothing else is in it."""
     with suppress(OSError):

@@ -6,7 +6,6 @@ The derivation itself is ``flight.plan``; here it is put into words and into a p
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,6 +21,7 @@ from flight.plan.predictions import Prediction, predictions
 from missions.ground import rig_library
 from missions.ground.options.field import PlanOptions
 from missions.ground.rig_library import mission_of
+from missions.ground.run_folder import write_json
 
 
 def run(options: PlanOptions, out: TextIO | None = None) -> int:
@@ -93,7 +93,7 @@ def _write_files(
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "plan.json").write_text(json.dumps(record, indent=2) + "\n", "utf-8")
+        write_json(folder / "plan.json", record)
         draw_plan(of, folder / "plan.png")
     except OSError as error:
         raise PartError(

@@ -11,7 +11,6 @@ guard. In virtual time (rig ``sim``) there are the pilot's cases alone.
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
@@ -27,7 +26,7 @@ from missions.fly.guard.reaction import LET_GO_S, TAKEOVER, Reaction, is_met, na
 from missions.fly.handoff.flight import fly_once
 from missions.ground import rig_library
 from missions.ground.options.field import GuardOptions
-from missions.ground.run_folder import claim_folder, new_folder, unless_refused
+from missions.ground.run_folder import claim_folder, new_folder, unless_refused, write_json
 from missions.look.report.command import show
 from missions.look.report.records import SUMMARY
 from path.messages import Role
@@ -65,7 +64,7 @@ def measure(options: GuardOptions) -> int:
 
 def _measure(options: GuardOptions, folder: Path) -> int:
     # whose folder it is, from now on
-    (folder / SUMMARY).write_text(json.dumps({"reactions": []}) + "\n", "utf-8")
+    write_json(folder / SUMMARY, {"reactions": []})
     rig = with_patient_failsafe(rig_library.load(options.rig), folder)
     reactions: list[Reaction] = []
     every = list(cases(options.role, options.case, kinds_of(rig)))
@@ -78,7 +77,7 @@ def _measure(options: GuardOptions, folder: Path) -> int:
         sys.stdout.write(f"[{number}/{len(every)}] {name}: {_words(reaction)}\n")
         sys.stdout.flush()
         records = [asdict(each) for each in reactions]
-        (folder / SUMMARY).write_text(json.dumps({"reactions": records}, indent=2) + "\n", "utf-8")
+        write_json(folder / SUMMARY, {"reactions": records})
     show(table(reactions), sys.stdout)
     sys.stdout.write(f"\n{folder}: {SUMMARY}, and a folder for each flight\n")
     return 0 if all(is_met(reaction) for reaction in reactions) else 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shlex
 import sys
@@ -18,7 +17,7 @@ from flight.outcome import exit_code_of_runs
 from missions.fly.handoff.flight import IN_PROCESS, fly_once, rig_as_asked
 from missions.ground.options.flights import HandoffOptions
 from missions.ground.options.words import MOST_SEED
-from missions.ground.run_folder import claim_result, refuse_foreign, unless_refused
+from missions.ground.run_folder import claim_result, refuse_foreign, unless_refused, write_json
 from missions.ground.shown import FolderGone
 from missions.ground.work import belong_to_parent
 from missions.look.report.command import series_table, show, summarize_many
@@ -68,7 +67,7 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
             [junit_case(options, summary) for summary in summaries],
         )
     series = summarize_many(summaries, f"{_command(options, options.seed)} --seeds {options.seeds}")
-    (folder / SUMMARY).write_text(json.dumps(series, indent=2) + "\n", "utf-8")
+    write_json(folder / SUMMARY, series)
     show(series_table(series), sys.stdout)
     sys.stdout.write(f"\n{folder}: {SUMMARY}, and a folder for each seed\n")
     return exit_code_of_runs(series["monitors"])
@@ -116,5 +115,5 @@ def _fly_seed(
             summary = summarize(load_run(own))
         except RunFolderError as error:  # what was flown there is not there
             raise FolderGone.of(own) from error
-        (own / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
+        write_json(own / SUMMARY, summary)
         return summary

@@ -14,6 +14,7 @@ from drivers.log.mcap_log import parts
 from drivers.rig.parts import import_factory
 from flight.harness.relay import RelayReport
 from flight.outcome import Outcome, violated_outcome
+from missions.ground.run_folder import write_json
 from missions.ground.shown import FolderGone, say_unwritten
 from missions.look.report.command import show
 from missions.look.report.page import PageOf, write_page
@@ -88,7 +89,7 @@ def leave(
     picture = folder / f"{showing.name}.png"
     try:
         record_file.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
-        (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
+        write_json(folder / SUMMARY, summary)
         if picture_too:
             # matplotlib takes a second
             import_factory(showing.draw, "the picture")(record, summary, picture)

@@ -4,7 +4,6 @@ page.
 
 from __future__ import annotations
 
-import json
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -20,6 +19,7 @@ from drivers.collector import collector_off
 from drivers.log.mcap_log import parts
 from flight.outcome import Outcome
 from missions.ground.options.runs import ReportOptions
+from missions.ground.run_folder import write_json
 from missions.look.report.page import PageOf, write_page
 from missions.look.report.records import (
     PAGE,
@@ -76,7 +76,7 @@ def _write_report(folder: Path, picture: bool) -> dict[str, Any]:
     own = recorded.facts is not None and recorded.facts.mission
     if own and summary["t_commit_s"] is None:
         summary = {name: summary[name] for name in OF_ANY_FLIGHT}
-    (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
+    write_json(folder / SUMMARY, summary)
     if picture and HANDED in summary:
         from missions.look.report.picture import draw_run  # noqa: PLC0415 (matplotlib takes a second to import)
 

@@ -4,7 +4,6 @@ table.
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
@@ -20,7 +19,7 @@ from flight.outcome import Outcome, exit_code_of_runs
 from missions.ground import rig_library
 from missions.ground.options.proofs import CampaignOptions
 from missions.ground.options.words import LevelName
-from missions.ground.run_folder import claim_result, unless_refused
+from missions.ground.run_folder import claim_result, unless_refused, write_json
 from missions.ground.work import open_work
 from missions.look.report.junit import JUnitCase, write_junit
 from missions.proofs.campaign import machine_runs, role_runs, team_runs
@@ -145,7 +144,7 @@ def report(options: CampaignOptions, folder: Path, lines: Sequence[RunLine]) -> 
     """Write and show what came of the runs; return the exit code."""
     command = partial(replay_command, options)
     summary = summarize(options.program, options.seed, lines, command)
-    (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
+    write_json(folder / SUMMARY, summary)
     draw_outcomes(summary, folder / PICTURE)
     if options.junit is not None:
         runs = sorted(lines, key=lambda line: line.number)

@@ -7,6 +7,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from drivers.interfaces import PartError
+from missions.ground.run_folder import write_json
 from missions.proofs.conformance.stage import Values
 from path.values import frozen
 
@@ -33,9 +34,7 @@ class Record:
 
 
 def write(folder: Path, record: Record) -> None:
-    (folder / f"{record.vehicle}.json").write_text(
-        json.dumps(asdict(record), indent=2) + "\n", "utf-8"
-    )
+    write_json(folder / f"{record.vehicle}.json", asdict(record))
 
 
 def joined(before: Record | None, now: Record) -> Record:

@@ -4,7 +4,6 @@ every wrong one.
 
 from __future__ import annotations
 
-import json
 import sys
 from collections import Counter
 from dataclasses import replace
@@ -15,7 +14,7 @@ from typing import TextIO
 from drivers.clock import stopwatch_ns
 from flight.command_end import CommandEnd
 from missions.ground.options.proofs import VerifyOptions
-from missions.ground.run_folder import claim_result, unless_refused
+from missions.ground.run_folder import claim_result, unless_refused, write_json
 from missions.ground.work import Work, open_work
 from missions.proofs.verify import wire
 from missions.proofs.verify.explore import Covering, Exact, Exploration, explore
@@ -111,7 +110,7 @@ def _run(options: VerifyOptions, folder: Path) -> int:
         explored, tried = verify(work, jobs)
     wall_s = (stopwatch_ns() - began) * 1e-9
     summary = summarize(explored, tried, wall_s)
-    (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n")
+    write_json(folder / SUMMARY, summary)
     show(explored, tried, wall_s, sys.stdout)
     sys.stdout.write(f"summary: {folder / SUMMARY}\n")
     return 0 if summary["holds"] else EXIT_BROKEN
@@ -121,7 +120,7 @@ def _run_wire(options: VerifyOptions, folder: Path) -> int:
     with open_work(options.jobs) as work:
         figures = wire.summary(wire.fuzz(options.wire, options.seed, work))
     whole = {"holds": wire.sound(figures), "seed": options.seed, **figures}
-    (folder / SUMMARY).write_text(json.dumps(whole, indent=2) + "\n")
+    write_json(folder / SUMMARY, whole)
     wire.show(figures, sys.stdout)
     sys.stdout.write(f"summary: {folder / SUMMARY}\n")
     return 0 if whole["holds"] else EXIT_BROKEN

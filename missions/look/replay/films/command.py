@@ -4,12 +4,11 @@ picture.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from drivers.interfaces import PartError
 from missions.ground.options.runs import ReplayOptions
-from missions.ground.run_folder import RunKind, claimed, unless_refused
+from missions.ground.run_folder import RunKind, claimed, unless_refused, write_json
 from missions.ground.shown import tell_line
 from missions.look.replay.command import (
     asked_of,
@@ -61,5 +60,5 @@ def replay_films(options: ReplayOptions, file: Path) -> int:
             "gate_complete_ns": complete[0] if complete else None,
             "frames": {"sender": frames.sender, "receiver": frames.receiver},
         }
-        (folder / FILMS).write_text(json.dumps(record, indent=2) + "\n", "utf-8")
+        write_json(folder / FILMS, record)
     return 0

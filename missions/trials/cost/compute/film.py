@@ -6,20 +6,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.detectors.color import ColorDetector, ColorDetectorConfig
 from drivers.rig.parts import Rig
 from flight.harness.renderer import FrameRenderer, RenderedInstant, RendererSetup, Thing
 from missions.trials.shared.trial import TrialRequest
+from path.arrays import Depths, Image
 from path.camera.model import CameraModel
 from path.geometry.rotation import R_from_rpy
 from path.geometry.transforms import Matrix, Pose
 from path.messages import Role, Vec3
 from path.observations import Box
+from path.values import frozen
 
 SIZES = {"640x480": (640, 480), "1280x720": (1280, 720)}
 PERIOD_NS = 20_000_000
@@ -43,7 +44,7 @@ class SceneError(RuntimeError):
     """The frames do not show what is to be timed."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Moment:
     """One frame of each drone.
 
@@ -55,15 +56,15 @@ class Moment:
         boxes2: everything the detector finds in D2's frame: what the baselines choose from.
     """
 
-    color: dict[Role, NDArray[np.uint8]]
-    depth_mm: NDArray[np.uint16]
+    color: dict[Role, Image]
+    depth_mm: Depths
     R_n_b: dict[Role, Matrix]
     velocity_n_mps: dict[Role, Vec3]
     box1: Box
     boxes2: tuple[Box, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Film:
     """Moments that repeat without a jump: the drones' swaying has their number of frames as its
     period.

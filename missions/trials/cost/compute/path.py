@@ -5,7 +5,6 @@ mission does.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -41,6 +40,7 @@ from path.marker.pose import PoseSettings, estimate_pose
 from path.marker.track import recognise
 from path.messages import Candidate, Role, Target, Vec3
 from path.observations import Box, Depth, Detection, Missed, Region
+from path.values import frozen
 
 GEOMETRY = ("d1_target", "d2_take", "d2_prior", "d2_candidate", "d1_judge")
 MESSAGES = ("encode_target", "decode_target", "encode_candidate", "decode_candidate")
@@ -66,7 +66,7 @@ DETECTORS = ("d1_detector", "d2_detector")
 FIRST_FRAME = 1000  # clocks do not begin at zero
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Seen:
     """The observations that a cycle took from the pixels of a moment."""
 

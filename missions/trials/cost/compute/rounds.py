@@ -7,13 +7,12 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.clock import busy_ns
 from drivers.detectors.xfeat import XFeat
@@ -22,18 +21,19 @@ from missions.ground import rig_library
 from missions.trials.cost.compute.film import Film, Moment
 from missions.trials.cost.compute.path import PathPair
 from missions.trials.shared.trial import TrialRequest
+from path.arrays import Array
 from path.baselines.association import BaselineConfig, associate
 from path.baselines.features import Features, FeatureSearch, Image
 from path.baselines.orb import Orb
 from path.messages import Role
 from path.observations import Box
+from path.values import frozen
 
-Array = NDArray[np.float64]
 HOT = "geometry_alone"
 LEAD_IN = 3  # cycles after the geometry alone, which leaves the marker unseen for a while
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ComputePlan:
     """The number of blocks, and of each method's cycles in a block; ``path`` is at least the number
     of frames.
@@ -49,7 +49,7 @@ class ComputePlan:
 QUICK = ComputePlan(frames=4, blocks=3, path=4, orb=1)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Timings:
     """The times of one image size: every cycle of a stage or method, us, by block: (blocks,
     cycles).

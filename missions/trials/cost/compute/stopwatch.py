@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import ParamSpec, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from drivers.clock import busy_ns
 from drivers.perception.pixels import PixelView
+from path.arrays import Image
 from path.geometry.transforms import Pose
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
 
@@ -71,5 +69,5 @@ class TimedView:
     def depth(self, box: Box) -> Depth | None:
         return self._view.depth(box)
 
-    def image(self) -> NDArray[np.uint8]:
+    def image(self) -> Image:
         return self._view.image()

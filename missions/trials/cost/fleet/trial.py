@@ -8,7 +8,7 @@ itself. The first one is not counted: it loads what every later one finds loaded
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from missions.trials.shared.trial import (
     verdict,
 )
 from path.messages import Role
+from path.values import frozen
 
 TITLE = "Fleet: processor time for each drone and simulated hour, by the size of the team"
 PAPER = ""
@@ -40,7 +41,7 @@ BATTERY = 0.68  # at the beginning: each target is handed over once in five minu
 FLAT = 0.20  # either way, of the middle between the cheapest and the dearest team
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TeamSize:
     """One flight that is measured. ``hours``: of simulated time until everybody is called home."""
 
@@ -55,7 +56,7 @@ QUICK = (TeamSize(2, 1, 0.004), TeamSize(3, 1, 0.004))
 FIRST = TeamSize(2, 1, 0.004)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TeamCost:
     """The measured cost of one flight of a team.
 

@@ -43,6 +43,7 @@ from path.messages import (
     Vec3,
 )
 from path.observations import Box, MissReason
+from path.values import frozen
 
 HOST = "127.0.0.1"
 HANDOFF = 1
@@ -52,7 +53,7 @@ INSTANCE = 0xA3F01C
 SETTLE_S = 0.3
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TappedPacket:
     """One datagram as the tap saw it."""
 
@@ -89,13 +90,13 @@ class LinkTraffic:
     dropped: dict[str, int] = field(default_factory=dict[str, int])
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Clock:
     def now_ns(self) -> int:
         return stopwatch_ns()
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Context:
     role: Role
     clock: _Clock

@@ -14,11 +14,12 @@ from pathlib import Path
 from drivers.log.mcap_log import parts, read_log
 from missions.look.report.records import WORLD_LOG, by_topic, first
 from path.messages import Role
+from path.values import frozen
 
 ALARMS = frozenset({"orphaned", "unconfirmed"})
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RoleEvent:
     """Something one role's log tells, at an instant; ``alive`` False: its program died then."""
 
@@ -29,7 +30,7 @@ class RoleEvent:
     duty: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Responsibility:
     """
     Attributes:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from missions.trials.cost.processes import duty as processes_duty
 from missions.trials.cost.processes.duty import Responsibility
 from missions.trials.shared import flown
 from path.messages import Role
+from path.values import frozen
 
 SIM = "sim"
 LIVE = "sitl-light"
@@ -48,7 +48,7 @@ STEPS = {
 NO_CONFIRM = "link_out=3@handed_over"  # so that a receiver lets go
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ProcessRun:
     """One run. ``what`` names it for a reader, ``where`` is the moment of a kill."""
 
@@ -62,7 +62,7 @@ class ProcessRun:
     restart_s: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Came:
     """The result of a run.
 

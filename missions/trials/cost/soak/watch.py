@@ -8,12 +8,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from path.values import frozen
+
 PROC = Path("/proc")
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _ROLES = ("sender", "receiver")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ProgramSample:
     """One program at one time.
 
