@@ -220,8 +220,8 @@ class Identity:
         side_sigma = math.hypot(2.0 * BOX_SIGMA_PX / max(1.0, min(box.w, box.h)), along_m / z_m)
         place = T_n_c.apply(np.array((x * z_m, y * z_m, z_m)))
         return Measured(
-            place_m=place, covariance_m2=covariance, axes=T_n_c.R, sides_m=(wide_m, high_m), side_sigma=side_sigma,
-            most_m=most, elsewhere_m3=share / view_m3, newcomers_m3_s=_NEWCOMERS_HZ / view_m3,
+            place_m=place, covariance_m2=covariance, eye_m=T_n_c.t, axes=T_n_c.R, sides_m=(wide_m, high_m),
+            side_sigma=side_sigma, most_m=most, elsewhere_m3=share / view_m3, newcomers_m3_s=_NEWCOMERS_HZ / view_m3,
         )  # fmt: skip
 
 

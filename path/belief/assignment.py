@@ -59,19 +59,21 @@ def associate(weights: Array) -> tuple[list[int | None], Array]:
 
 def _groups(weights: Array) -> list[tuple[list[int], list[int]]]:
     """Return rows and columns that weights connect; of a group that is too large the weakest
-    connections are cut.
+    connections are cut: those that are least against what either has beside them.
     """
-    floor = _NEGLIGIBLE
-    left = [list(range(weights.shape[0]))]
+    if not weights.size:
+        return []
+    most = np.maximum(weights.max(axis=0), weights.max(axis=1)[:, None])
+    against = weights / np.maximum(most, 1.0)
+    left = [(list(range(weights.shape[0])), _NEGLIGIBLE)]
     found = list[tuple[list[int], list[int]]]()
     while left:
-        rows = left.pop()
-        for group, columns in _connected(weights, rows, floor):
+        rows, floor = left.pop()
+        for group, columns in _connected(against, rows, floor):
             if len(columns) <= _MOST or len(group) == 1:
                 found.append((group, columns))
             else:
-                left.append(group)
-                floor *= 1e3
+                left.append((group, floor * 1e3))
     return found
 
 

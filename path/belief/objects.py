@@ -11,14 +11,19 @@ Boxes
 
     That stays off for as long as it lasts, so that many frames say no more than one: a place is
     never known better by it than to d/2, and one that is known better already is told nothing. One
-    box may so be of two objects: whoever is expected inside a box that is assigned to another is
-    held by it, and not missed.
+    box may so be of two objects: whoever is expected inside a box that is assigned to another, by
+    its direction and at any range, is held by it, and not missed.
 
 Existence
     A new track may be nothing: detectors invent, and show an object in two pieces. Its log odds
     begin at those of NEW_SHARE and rise by dt / SPELL_S with each frame that shows it, since
     inventions last SPELL_S in the mean; they fall by as much times log 1 / (1 - p) with each frame
     that does not. Once CONFIRMED it stays until it was out of sight for FORGET_S.
+
+    A box that is larger than the target can be has another one in it. If none that is known may be
+    in there, it is one whom nobody has seen: a track begins that is anywhere in the box and as
+    large as the target. Its log odds rise and fall as above with boxes that are as large and that
+    are not, and it competes for what comes out of them.
 
 Identity
     q_i is the probability that the object of track i is the designated one; what is missing from
@@ -37,7 +42,24 @@ Identity
     while the track's own object is not shown. That is a doubt: if it were so, the object would be
     around here, and be shown before long, where nothing hides it (HIDDEN). So the rest of the doubt
     goes by (1 - SHOWN) with each SPELL_S in which the track is seen and nothing else comes up; what
-    does come up is owed it.
+    does come up is owed it. What was out of sight for a time t is not shown before long: misses go
+    on so long by exp(-t / SPELL_S), and
+
+        P(hidden) = HIDDEN / (HIDDEN + (1 - HIDDEN) exp(-t / SPELL_S))
+
+    and what is hidden comes up within FORGET_S in the mean. Where both a track and a CONFIRMED one
+    that competes for its box were out of sight, neither is more likely to be shown next: the doubt
+    is the other one's identity, and stays.
+
+    Who was out of sight may be one whom no track follows. Of n others that are known, n HIDDEN more
+    are hidden, spread about a measurement z as those are: with s^2 their mean square distance level,
+    for each of two axes, and v^2 that in height,
+
+        lambda = n HIDDEN / ((2 pi)^(3/2) s^2 v)
+        P(unknown | z) = u / (u + a p(z | track)),   u = (1 - a) lambda dt / SPELL_S
+
+    where a is the probability that the frame shows the track's object again. p falls as its place
+    becomes unknown, so that seconds in a crowd leave little; alone, there is nobody else.
 
     A box around what is expected in it, and larger than that, tells nothing of which is which: it
     mixes nothing, and nothing is learnt of sizes. But places become unknown while it lasts, and
@@ -72,6 +94,7 @@ them.
 CONFIRMED = 0.95
 FORGET_S = 5.0
 _DEAD = 0.02
+_MISSED = math.log(1.0 / (1.0 - SHOWN))
 _SIZE_RATE = 0.1  # by which the logarithm of a box's side changes within a second: an object turns
 _SIZE_TAIL = 3.0
 # standard deviations of a side's logarithm: what is farther off has more in its box, or less
@@ -94,6 +117,7 @@ class Measured:
 
     Attributes:
         place_m: shape (3,). covariance_m2: (3, 3), of the frame's noise.
+        eye_m: (3,) place of the camera.
         axes: (3, 3) rotation of the camera in the local frame; columns right, down, ahead.
         sides_m: width and height of the box at its range.
         side_sigma: standard deviation of either side's logarithm.
@@ -105,6 +129,7 @@ class Measured:
 
     place_m: Array
     covariance_m2: Array
+    eye_m: Array
     axes: Array
     sides_m: tuple[float, float]
     side_sigma: float
@@ -123,6 +148,8 @@ class ObjectTrack:
             is this one's if it exists.
         shown: whether the newest frame that could have did show it, in a box of its own.
         seen_ns: when it was last shown, alone or not.
+        inferred: whether it was never shown in a box of its own: it is the other one in a box that
+            is larger than the target can be.
         identity: the probability that it is the designated object, without what new tracks are
             owed, and doubts.
         replaced: the probability that it follows something else than before, and the object is near
@@ -137,18 +164,20 @@ class ObjectTrack:
     log_odds: float
     seen_ns: int
     shown: bool = True
+    inferred: bool = False
     identity: float = 0.0
     owed: dict[int, float] = field(default_factory=dict[int, float])
     replaced: float = 0.0
     hidden: float = 0.0
 
-    def doubted(self, share: float) -> None:
+    def doubted(self, share: float, unseen_s: float = 0.0) -> None:
         """Something else may have come to where the object was, with this probability, and the
-        object be near.
+        object be near: hidden rather than missed, the longer it was not seen.
         """
         added = (1.0 - self.doubt) * share
-        self.replaced += added * (1.0 - HIDDEN)
-        self.hidden += added * HIDDEN
+        hidden = HIDDEN / (HIDDEN + (1.0 - HIDDEN) * math.exp(-unseen_s / SPELL_S))
+        self.replaced += added * (1.0 - hidden)
+        self.hidden += added * hidden
 
     @property
     def doubt(self) -> float:
@@ -229,32 +258,33 @@ class Belief:
         holders = [self._holder(track, measured) for track in self.tracks]
         weights = self._weights(measured, fits, holders, sees, dt_s)
         assigned, marginals = associate(weights)
-        self._mix(measured, fits, holders, assigned, marginals, dt_s)
-        for k, track in enumerate(self.tracks):
-            column = assigned[k]
-            if column is not None:
-                self._shown(track, measured[column], fits[k][column], stamp_ns, dt_s)
-            elif (held := holders[k]) is not None:
-                each = measured[held]
-                bounds = _bounded(track.motion, np.asarray(each.sides_m), each.axes)
-                track.motion.update(each.place_m, each.covariance_m2 + bounds)
-                track.shown = False  # one of those in a box may be hidden
-            elif sees(track.motion.place_m):
-                track.shown = False
-                track.log_odds -= (
-                    math.log(1.0 / (1.0 - SHOWN)) * dt_s / SPELL_S if not track.confirmed else 0.0
-                )
-        taken = {
-            column: self.tracks[k].number for k, column in enumerate(assigned) if column is not None
-        }
-        self._assigned = [taken.get(column) for column in range(len(measured))]
         together = {
             column
             for k, column in enumerate(assigned)
             if column is not None and fits[k][column].larger
         }
+        self._mix(measured, fits, holders, assigned, marginals, stamp_ns, dt_s)
+        for k, track in enumerate(self.tracks):
+            column = assigned[k]
+            if column is not None:
+                self._shown(track, measured[column], fits[k][column], stamp_ns, dt_s)
+            elif (held := holders[k]) is not None:
+                _hold(track.motion, measured[held])
+                track.shown = False  # one of those in a box may be hidden
+                if track.inferred and held not in together:
+                    track.log_odds -= _MISSED * dt_s / SPELL_S
+            elif sees(track.motion.place_m):
+                track.shown = False
+                if track.inferred or not track.confirmed:
+                    track.log_odds -= _MISSED * dt_s / SPELL_S
+        taken = {
+            column: self.tracks[k].number for k, column in enumerate(assigned) if column is not None
+        }
+        self._assigned = [taken.get(column) for column in range(len(measured))]
         self._alone = [column not in together for column in range(len(measured))]
+        known = list(self.tracks)
         self._open(measured, marginals, fits, holders, stamp_ns)
+        self._infer(known, measured, assigned, stamp_ns, dt_s)
         self._settle(stamp_ns)
 
     def carry(self, place_m: Array, stamp_ns: int) -> None:
@@ -324,12 +354,13 @@ class Belief:
     ) -> Array:
         weights = np.zeros((len(self.tracks), len(measured)))
         for i, track in enumerate(self.tracks):
-            again = SHOWN if track.shown else min(SHOWN, dt_s / SPELL_S)
-            likely = track.existence * again
+            likely = track.existence * _again(track, dt_s)
             unshown = 1.0 - (
                 likely if sees(track.motion.place_m) and holders[i] is None else 0.5 * likely
             )
             for j, each in enumerate(measured):
+                if track.inferred and fits[i][j].larger:
+                    continue  # that is the box of the one that it is in there with
                 off_m = each.place_m - track.motion.place_m
                 known_m2 = track.motion.place_covariance_m2
                 anywhere_m2 = known_m2 + fits[i][j].within_m2
@@ -345,11 +376,8 @@ class Belief:
         """Return the measurement whose box the track is expected inside; None when there is
         none.
         """
-        for column, each in enumerate(measured):
-            off = np.abs(each.axes.T @ (track.motion.place_m - each.place_m))
-            if 2.0 * off[0] <= each.sides_m[0] and 2.0 * off[1] <= each.sides_m[1]:
-                return column
-        return None
+        inside = (column for column, each in enumerate(measured) if _inside(track.motion, each))
+        return next(inside, None)
 
     def _mix(
         self,
@@ -358,6 +386,7 @@ class Belief:
         holders: Sequence[int | None],
         assigned: Sequence[int | None],
         marginals: Array,
+        stamp_ns: int,
         dt_s: float,
     ) -> None:
         """q <- A q for the tracks that there are. A box around more than what is expected in it
@@ -375,6 +404,11 @@ class Belief:
             of_known = float(marginals[:, column].sum() + marginals[k].sum() - marginals[k, column])
             newcomers = min(1.0, each.newcomers_m3_s * dt_s / each.elsewhere_m3)
             doubt = newcomers * max(0.0, 1.0 - of_known)
+            again = _again(follower, dt_s)
+            off_m = each.place_m - follower.motion.place_m
+            of_it = again * density(off_m, known_m2 + fit.within_m2, each.covariance_m2)
+            of_others = (1.0 - again) * self._others_m3(follower, each) * min(1.0, dt_s / SPELL_S)
+            doubt += of_others / (of_others + of_it)
             for i, track in enumerate(self.tracks):
                 share = float(marginals[i, column])
                 around = holders[i] == column and fit.larger and fits[i][column].larger
@@ -390,18 +424,43 @@ class Belief:
                 )
                 track.identity -= moved
                 follower.identity += moved
-                # what was followed before is out of sight now, as that one was
-                if assigned[i] is None:
+                if assigned[i] is not None:
+                    continue
+                if follower.shown or not track.confirmed:  # it is out of sight, as that one was
                     doubt += share
+                else:  # both were: whichever it is not stays so
+                    moved = before[k] * share * new
+                    follower.identity -= moved
+                    track.identity += moved
             if not (holders[k] == column and fit.larger):
-                follower.doubted(new * doubt)
+                unseen_s = (stamp_ns - follower.seen_ns) * 1e-9 - dt_s
+                follower.doubted(new * min(1.0, doubt), unseen_s)
+
+    def _others_m3(self, follower: ObjectTrack, measured: Measured) -> float:
+        """Return the density per m^3 of objects that no track follows, at a measurement: a share
+        HIDDEN of as many as there are others, and as far from there as those are, or a body's width.
+        """
+        off_m = [
+            measured.place_m - other.motion.place_m
+            for other in self.tracks
+            if other is not follower and other.confirmed
+        ]
+        if not off_m:
+            return 0.0
+        north, east, down = np.mean(np.square(off_m), axis=0).tolist()
+        level_m2 = max(0.5 * (north + east), math.exp(2.0 * float(follower.log_sides[0])))
+        own_m2 = follower.motion.covariance[2, 2] + measured.covariance_m2[2, 2]
+        volume_m3 = math.sqrt((2.0 * math.pi) ** 3 * (down + own_m2)) * level_m2
+        return HIDDEN * len(off_m) / volume_m3
 
     def _shown(
         self, track: ObjectTrack, measured: Measured, fit: _Fit, stamp_ns: int, dt_s: float
     ) -> None:
         track.motion.update(measured.place_m, fit.noise_m2)
         track.replaced *= (1.0 - SHOWN) ** (dt_s / SPELL_S)
+        track.hidden *= math.exp(-dt_s / FORGET_S)
         track.shown = not fit.larger
+        track.inferred = False
         track.seen_ns = stamp_ns
         if not track.confirmed:
             track.log_odds += dt_s / SPELL_S
@@ -446,6 +505,42 @@ class Belief:
                 if share > _FORGOTTEN:
                     track.owed[other.number] = share
 
+    def _infer(
+        self,
+        known: Sequence[ObjectTrack],
+        measured: Sequence[Measured],
+        assigned: Sequence[int | None],
+        stamp_ns: int,
+        dt_s: float,
+    ) -> None:
+        """Begin a track of another one that is in a box of what may be the designated object, where
+        that box is larger than the target can be and nobody known who is not shown may be in it.
+        """
+        for track, column in zip(known, assigned, strict=True):
+            if column is None or self.probability(track.number) <= _WORTH_KEEPING:
+                continue
+            each = measured[column]
+            if not np.any(np.asarray(each.sides_m) > each.most_m):
+                continue
+            inside = [
+                other
+                for other, own in zip(known, assigned, strict=True)
+                if own is None
+                and (other.confirmed or other.inferred)
+                and _inside(other.motion, each, _FITS)
+            ]
+            for other in inside:
+                if other.inferred:
+                    other.log_odds += dt_s / SPELL_S
+                    other.seen_ns = stamp_ns
+            if not inside and len(self.tracks) < _MOST_TRACKS:
+                other = self._begin(each, stamp_ns)
+                other.motion.covariance[:3, :3] += _within(np.asarray(each.sides_m), each.axes)
+                other.log_sides = track.log_sides.copy()
+                other.size_variance = track.size_variance
+                other.shown = False
+                other.inferred = True
+
     def _settle(self, stamp_ns: int) -> None:
         """New tracks that exist take what they are owed; dead and forgotten ones go."""
         by_number = {track.number: track for track in self.tracks}
@@ -456,6 +551,9 @@ class Belief:
                     if other is not None:
                         track.identity += share * other.identity
                         other.identity *= 1.0 - share
+                        left = max(0.0, 1.0 - share / max(other.doubt, _FORGOTTEN))
+                        other.replaced *= left
+                        other.hidden *= left
                 track.owed = {}
         forgotten_ns = stamp_ns - round(FORGET_S * 1e9)
         self.tracks = [
@@ -466,12 +564,50 @@ class Belief:
         ]
 
 
+def _again(track: ObjectTrack, dt_s: float) -> float:
+    """Return the probability that a frame shows an object that exists: misses last SPELL_S."""
+    return SHOWN if track.shown else min(SHOWN, dt_s / SPELL_S)
+
+
 def _halves(beyond_m: Array) -> Array:
-    """Return the variances of a middle that is within half of so much, right, down and, of the
-    larger one, ahead.
+    """Return the variances of a middle that is within half of so much, right, down and ahead: there
+    by default as much as the larger one.
     """
-    halves = 0.5 * np.array([beyond_m[0], beyond_m[1], max(beyond_m)])
+    ahead_m = beyond_m[2] if len(beyond_m) > 2 else max(beyond_m)
+    halves = 0.5 * np.array([beyond_m[0], beyond_m[1], ahead_m])
     return halves * halves
+
+
+def _times_as_far(place_m: Array, measured: Measured) -> float:
+    """Return how many times as far ahead of the camera as a box's middle a place is."""
+    ahead = measured.axes[:, 2]
+    box_m = float(ahead @ (measured.place_m - measured.eye_m))
+    return float(ahead @ (place_m - measured.eye_m)) / box_m
+
+
+def _inside(motion: Motion, measured: Measured, sigmas: float = 0.0) -> bool:
+    """Return whether an object is seen in a box, by its direction and at any range, or may be
+    within so many standard deviations.
+    """
+    times = _times_as_far(motion.place_m, measured)
+    if not times > 0.0:
+        return False
+    across = measured.axes[:, :2]
+    seen_m = measured.eye_m + (motion.place_m - measured.eye_m) / times
+    off = np.abs(across.T @ (seen_m - measured.place_m))
+    spread = np.sqrt(np.diag(across.T @ motion.place_covariance_m2 @ across)) / times
+    return bool(np.all(off <= 0.5 * np.asarray(measured.sides_m) + sigmas * spread))
+
+
+def _hold(motion: Motion, measured: Measured) -> None:
+    """Keep an object in a box that is another one's: in its direction, at any range."""
+    times = max(_times_as_far(motion.place_m, measured), 1e-9)
+    wide, high = measured.sides_m
+    ahead = measured.axes[:, 2]
+    known_m = math.sqrt(float(ahead @ motion.place_covariance_m2 @ ahead))
+    bounds = _bounded(motion, np.array([times * wide, times * high, 2.0 * known_m]), measured.axes)
+    place_m = measured.eye_m + times * (measured.place_m - measured.eye_m)
+    motion.update(place_m, measured.covariance_m2 + bounds)
 
 
 def _within(beyond_m: Array, axes: Array) -> Array:

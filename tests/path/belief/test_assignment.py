@@ -58,6 +58,17 @@ def test_a_crowd_of_which_everybody_could_be_anybody_is_no_endless_sum() -> None
     assert np.all(marginals.sum(axis=1) <= 1.0 + 1e-9)
 
 
+def test_one_of_a_crowd_whose_place_is_hardly_known_is_found_beside_those_who_are_known_well() -> (
+    None
+):
+    """It might be any of them, as far as it alone is asked: those links go, and not its own."""
+    weights = np.diag([500.0] + [1e6] * 9)
+    weights[0, 1:] = 3.0
+    assigned, marginals = associate(weights)
+    assert assigned == list(range(10))
+    assert marginals[0, 0] == pytest.approx(500.0 / 501.0, rel=1e-3)
+
+
 def test_one_that_two_could_be_is_of_the_likelier_and_the_other_is_not_shown() -> None:
     assigned, marginals = associate(np.array([[6.0], [2.0]]))
     assert assigned == [0, None]

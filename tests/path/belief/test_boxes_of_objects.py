@@ -26,7 +26,8 @@ def track(sides_m: tuple[float, float] = (0.3, 0.4), variance: float = 0.01) -> 
 
 def measured(sides_m: tuple[float, float], **changes: object) -> Measured:
     usual = Measured(
-        np.array([2.0, 0.0, 0.0]), 1e-4 * np.eye(3), TURNED, sides_m, 0.05, (math.inf, math.inf), 1e-3, 5e-3
+        np.array([2.0, 0.0, 0.0]), 1e-4 * np.eye(3), np.zeros(3), TURNED, sides_m, 0.05,
+        (math.inf, math.inf), 1e-3, 5e-3,
     )  # fmt: skip
     return replace(usual, **changes)
 
@@ -168,6 +169,43 @@ def test_doubts_add_up_to_no_more_than_all_and_some_of_them_are_hidden() -> None
     assert own.doubt == 1.0
 
 
+def test_what_was_not_seen_for_longer_than_misses_last_is_hidden() -> None:
+    own = track()
+    own.doubted(0.4, unseen_s=0.3)
+    hidden = 0.05 / (0.05 + 0.95 * math.exp(-3.0))
+    assert (own.replaced, own.hidden) == (
+        pytest.approx(0.4 * (1.0 - hidden)), pytest.approx(0.4 * hidden),
+    )  # fmt: skip
+
+
+def test_a_doubt_that_a_new_object_has_taken_is_none_any_more() -> None:
+    belief, stamp_ns = begun()
+    (own,) = belief.tracks
+    own.hidden = 0.3
+    for k in range(1, 60):
+        belief.update([box(0.0), box(0.6)], EVERYWHERE, stamp_ns + k * FRAME_NS)
+    assert own.doubt < 1e-3
+    assert belief.probability(own.number) == pytest.approx(0.7, abs=0.01)
+    assert belief.identity_of(1) == pytest.approx(0.3, abs=0.01)
+
+
+def test_one_is_held_in_the_box_of_a_nearer_one_by_its_direction_at_its_own_range() -> None:
+    """Twice as far off, and so twice as far beside the middle as one at the box's own range."""
+    around = box(0.0, wide_m=0.6)
+    far = Motion.at(np.array([4.0, 0.5, 0.0]), 0.01 * np.eye(3), 0.6, 0)
+    assert file._inside(far, around)
+    far.mean[1] = 0.7
+    assert not file._inside(far, around)
+    assert file._inside(far, around, sigmas=2.0)
+    assert not file._inside(Motion.at(np.array([-1.0, 0.0, 0.0]), np.eye(3), 0.6, 0), around)
+    far.mean[:3] = (4.0, 0.0, 0.0)
+    far.covariance[1, 1] = 4.0
+    file._hold(far, around)
+    np.testing.assert_allclose(far.mean[:3], (4.0, 0.0, 0.0), atol=1e-9)
+    assert far.covariance[1, 1] == pytest.approx(0.6**2, rel=0.05)
+    assert far.covariance[0, 0] == pytest.approx(0.01, rel=0.01)  # of how far off, nothing
+
+
 def test_a_doubt_goes_by_nine_tenths_with_each_spell_in_which_nothing_else_comes_up() -> None:
     belief, stamp_ns = begun()
     (own,) = belief.tracks
@@ -175,7 +213,7 @@ def test_a_doubt_goes_by_nine_tenths_with_each_spell_in_which_nothing_else_comes
     for k in range(1, 6):
         belief.update([box(0.0)], EVERYWHERE, stamp_ns + k * FRAME_NS)
     assert own.replaced == pytest.approx(0.5 * 0.1, abs=1e-4)
-    assert own.hidden == pytest.approx(0.02, abs=1e-4)
+    assert own.hidden == pytest.approx(0.02 * math.exp(-0.1 / 5.0), abs=1e-4)
 
 
 def test_the_size_of_an_object_is_learnt_from_boxes_of_its_own() -> None:

@@ -36,6 +36,7 @@ def box(
     return Measured(
         scale * np.array([north_m, east_m, 0.0]),
         (scale * SIGMA_M) ** 2 * np.eye(3),
+        np.zeros(3),
         AXES,
         (scale * wide_m, scale * high_m),
         0.03,
@@ -192,6 +193,100 @@ def test_one_that_comes_where_the_target_was_lost_is_no_target_for_sure() -> Non
     assert belief.identity_of(0) < 1.0 - 1e-3 / 3.0
 
 
+MOST = (0.36, 0.36)
+
+
+def out_of_one_box(together_s: float, *boxes_after: Measured) -> Belief:
+    """Return what is believed a second after the target was so long in one box with somebody whom
+    nobody had seen before, and these boxes came out of it.
+    """
+    belief = Belief(ACCEL)
+    belief.designate(box(0.0).place_m, box(0.0, most_m=MOST), 0)
+    first = round(together_s / FRAME_S)
+    for k in range(1, 100 + first):
+        boxes = [box(0.0, most_m=MOST)]
+        if k >= 50:
+            boxes = [box(0.175, wide_m=0.65, most_m=MOST)]
+        if k >= 50 + first:
+            boxes = [*boxes_after]
+        belief.update(boxes, EVERYWHERE, k * FRAME_NS)
+    return belief
+
+
+TARGET = box(0.0, most_m=MOST)
+BEHIND = box(0.5, north_m=2.8, most_m=MOST)
+
+
+def test_who_comes_out_of_a_box_of_two_alone_may_be_the_one_whom_nobody_had_seen() -> None:
+    """And no wait tells: where the other one is, neither is shown."""
+    for together_s in (0.5, 1.0, 2.0, 4.0):
+        assert out_of_one_box(together_s, BEHIND).identity_of(0) < 0.9
+
+
+def test_two_that_come_out_of_one_box_are_told_apart_as_far_as_their_places_were_known() -> None:
+    both = out_of_one_box(0.4, TARGET, BEHIND)
+    assert both.identity_of(0) > 0.95
+    longer = out_of_one_box(2.0, TARGET, BEHIND)
+    assert longer.identity_of(0) < both.identity_of(0)
+    assert longer.identity_of(0) + longer.identity_of(1) > 0.95
+
+
+def test_one_large_box_in_between_makes_no_second_object() -> None:
+    belief = out_of_one_box(2.0 * FRAME_S, TARGET)
+    assert len(belief.tracks) == 1
+    assert belief.identity_of(0) > 1.0 - 1e-3
+
+
+def test_one_that_is_known_and_goes_behind_the_target_is_the_other_one_in_its_box() -> None:
+    belief, stamp_ns = begun(others_m=[0.5])
+    for _ in range(100):
+        stamp_ns += FRAME_NS
+        belief.update([box(0.2, wide_m=0.7, most_m=MOST)], EVERYWHERE, stamp_ns)
+    assert len(belief.tracks) == 2
+
+
+def found_again(others: int, gone_s: float) -> float:
+    """Return how sure it is of one that comes up near where the target was lost so long ago among
+    so many others, one second later.
+    """
+    turns = 2.0 * math.pi * np.arange(others) / 8.0 + 0.2
+    rest = [
+        box(2.5 * math.sin(turn), north_m=2.0 + 2.5 * math.cos(turn)) for turn in turns.tolist()
+    ]
+    belief = Belief(ACCEL)
+    belief.designate(box(0.0).place_m, box(0.0), 0)
+    lost = 50 + round(gone_s / FRAME_S)
+    for k in range(1, lost + 50):
+        own = [] if 50 < k < lost else [box(0.0 if k <= 50 else 0.3)]
+        belief.update([*own, *rest], EVERYWHERE, k * FRAME_NS)
+    return belief.probability(0)
+
+
+def test_in_a_crowd_somebody_else_may_come_up_where_the_target_was_lost_seconds_ago() -> None:
+    """As many are hidden for each that is seen: alone there is nobody else."""
+    assert found_again(0, 3.0) > 0.99
+    assert found_again(8, 1.0) > 0.9
+    assert found_again(8, 3.0) < 0.9
+    assert found_again(8, 5.0) < found_again(4, 5.0) < found_again(2, 5.0) < 0.9
+
+
+def test_others_are_as_dense_as_those_that_are_seen_spread_about_there() -> None:
+    belief, _ = begun(others_m=[1.0, -2.0])
+    own = belief.tracks[0]
+    for other, place_m in zip(belief.tracks[1:], ([2.0, 1.0, 0.3], [4.0, 0.0, -0.1]), strict=True):
+        other.motion.mean[:3] = place_m
+    level_m2 = (1.0 + 4.0) / 4.0
+    high_m2 = (0.09 + 0.01) / 2.0 + own.motion.covariance[2, 2] + SIGMA_M**2
+    by_hand = 0.05 * 2.0 / ((2.0 * math.pi) ** 1.5 * level_m2 * math.sqrt(high_m2))
+    assert belief._others_m3(own, box(0.0)) == pytest.approx(by_hand)
+    belief.tracks[1].motion.mean[:3] = own.motion.place_m  # no nearer than a body is wide
+    belief.tracks[2].log_odds = 0.0  # it may be nothing
+    by_hand *= 0.5 * level_m2 / SIDE_M**2 * math.sqrt(high_m2 / (high_m2 - 0.05))
+    assert belief._others_m3(own, box(0.0)) == pytest.approx(by_hand, rel=0.01)
+    belief.tracks[1].log_odds = 0.0
+    assert belief._others_m3(own, box(0.0)) == 0.0
+
+
 def test_a_missed_frame_costs_nothing() -> None:
     belief, stamp_ns = begun()
     for _ in range(round(SHOWN * 10)):
@@ -216,7 +311,10 @@ def test_a_world_so_many_times_as_large_is_believed_the_same(scale: float) -> No
             boxes = [box(0.0, scale=factor), box(other, north_m=2.1, scale=factor)]
             if abs(other) < 0.32:
                 low, high = min(0.0, other) - 0.15, max(0.0, other) + 0.15
-                boxes = [box(0.5 * (low + high), north_m=2.05, wide_m=high - low, scale=factor)]
+                middle, wide_m = 0.5 * (low + high), high - low
+                boxes = [box(middle, north_m=2.05, wide_m=wide_m, scale=factor, most_m=MOST)]
+            if 100 < k < 115:
+                boxes = [box(0.1, wide_m=0.6, scale=factor, most_m=MOST), *boxes[1:]]
             if 90 < k < 100:
                 boxes = []
             belief.update(boxes, EVERYWHERE, stamp_ns)
