@@ -18,22 +18,17 @@ WRITTEN_BY = "Written by `path-handoff conformance`"
 
 HEAD = """# How the vehicles behave
 
-Written by `path-handoff conformance`, not by hand. Every figure was measured through MAVSDK and the
-driver that missions use ([autopilots](autopilots.md) says where to get the real ones).
+Written by `path-handoff conformance`, through MAVSDK and the driver that missions use:
 
 ```sh
 path-handoff conformance --px4 PATH --ardupilot PATH --out conformance --page docs/conformance.md
 path-handoff conformance --no-fly --out conformance --page docs/conformance.md   # the page alone, from what was flown
 ```
 
-The vehicles of the rigs `sitl`, `sitl-px4` and `sitl-ardupilot` are flown {flights} times. Heights
-and speeds are the simulations' truth, modes are what heartbeats show (a PX4 beats once a second).
-One flight each: an example, not a mean. The embedded world has wind (1.5 m/s, gusts 0.4 m/s), the
-two simulators have none.
-
-The last column says whom the embedded vehicle is like as far as a mission would notice. On the wire
-it is a PX4: what is like a PX4's is left out here and shown by the command. “Never”: not within the
-time that was waited.
+{flights} flights of each vehicle, one of a kind: examples, not means. Heights and speeds are the
+simulations' truth, modes are what heartbeats show (a PX4 beats once a second). The embedded world has
+wind (1.5 m/s, gusts 0.4 m/s). On the wire the embedded vehicle is a PX4: what is like a PX4's is left
+out. “Never”: not within the time that was waited.
 """
 AS_MEANT = ("both", NAMES["px4"])
 
