@@ -22,10 +22,10 @@ from path.common_view.search import FOUR, Place, Prior, aligned, candidates, loo
 from path.values import frozen
 
 LEAST_POINTS = 50
-ERROR_OF_RANGE = 0.008
+ERROR_OF_RANGE = 0.01
 """Standard deviation that no residual shows, as a share of the median distance: of depth that is
 bent alike over a whole image, and of what moved between the views."""
-ERROR_OF_YAW_RAD = math.radians(0.5)
+ERROR_OF_YAW_RAD = math.radians(0.6)
 ERROR_OF_GAIN = 0.05
 """Share of a log-likelihood ratio that is worth nothing when places are compared: of two that both
 explain nearly everything, it is chance which has more in view."""
@@ -55,7 +55,7 @@ class Settings:
         most_yaw_sigma_rad: of yaw.
     """
 
-    least_evidence: float = 20.0
+    least_evidence: float = 12.0
     most_conflict: float = 0.1
     most_sigma: float = 0.06
     most_yaw_sigma_rad: float = math.radians(3.0)
