@@ -21,7 +21,7 @@ from hypothesis import settings
 
 from tests.kernels import compile_kernels
 from tests.overloaded import REPEATED, Repeating, repetitions
-from tests.scheduling import Groups, be_nice
+from tests.scheduling import Groups, be_nice, told_by_group
 
 # as in missions, and before any test loads numpy
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -62,11 +62,11 @@ def pytest_collection() -> Generator[None, object, object]:
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """All tests on two cores: two workers compute in the background, beside the flights in a third
-    one, and then beside what waits, in four.
+    one, and then beside what waits, in five.
 
     Some of the tests are run without workers, which take seconds to start and cannot show output.
     """
-    return 6 if config.args_source is config.ArgsSource.TESTPATHS else 0
+    return 7 if config.args_source is config.ArgsSource.TESTPATHS else 0
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Groups:
@@ -111,6 +111,10 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         )
         for each in again:
             terminalreporter.write_line(each)
+    if terminalreporter.config.args_source is pytest.Config.ArgsSource.TESTPATHS:
+        every = (each for reports in terminalreporter.stats.values() for each in reports)
+        told = told_by_group(each for each in every if isinstance(each, pytest.TestReport))
+        terminalreporter.write_line("; ".join(told))
 
 
 @pytest.fixture

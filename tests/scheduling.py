@@ -10,6 +10,8 @@ handed out, so that a worker that dies holds nobody up.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -81,16 +83,18 @@ FLIGHTS, IN_REAL_TIME = "flights", "real time"
 # What of it waits most of its time, and has no port that is not its own: in workers of their own,
 # beside the rest. Each takes about as long as what is left.
 BESIDE = {
-    "real time, vehicles": (
-        "drivers/mavlink/",
+    "real time, flown": (
+        "drivers/mavlink/test_vehicle.py",
         "flight/test_ceiling",
         "missions/fly/guard/test_command",
     ),
-    "real time, contracts": ("contracts/", "drivers/tello/", "hil/vehicle/"),
+    "real time, vehicles": ("drivers/mavlink/",),
+    "real time, contracts": ("contracts/", "hil/vehicle/"),
     "real time, cameras": (
         "drivers/perception/",
         "drivers/realsense/",
         "drivers/recordings/",
+        "drivers/tello/",
         "hil/camera/",
         "missions/field/doctor/",
         "scenarios/test_unplugged",
@@ -174,6 +178,23 @@ def be_nice(nodeid: str, flying: bool) -> None:
         background.go(background.NICER if flying else background.A_LITTLE_NICER)
     else:
         background.come_back()
+
+
+def told_by_group(reports: Iterable[Any]) -> list[str]:
+    """Return when flights, each group in real time, and all that computes began and were over, s
+    after the first test: what is last makes a run as long as it is.
+    """
+    spans: dict[str, tuple[float, float]] = {}
+    for report in reports:
+        group = group_of(report.nodeid)
+        group = group if urgency(group) < 2 else "computes"
+        begun, over = spans.get(group, (math.inf, 0.0))
+        spans[group] = min(begun, report.start), max(over, report.stop)
+    first = min((begun for begun, _ in spans.values()), default=0.0)
+    return [
+        f"{group}: {begun - first:.0f} to {over - first:.0f} s"
+        for group, (begun, over) in sorted(spans.items(), key=lambda each: each[1])
+    ]
 
 
 class Groups(LoadScopeScheduling):

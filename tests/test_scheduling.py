@@ -27,6 +27,7 @@ from tests.scheduling import (
     computes,
     fits_beside_flights,
     group_of,
+    told_by_group,
     urgency,
 )
 
@@ -207,6 +208,25 @@ def test_every_place_that_is_named_is_there() -> None:
     for place in (*FLYING, *REAL_TIME, *COMPUTES, *beside, *APART, *LONG, *SESSIONS):
         file = place.partition("::")[0]
         assert list(TESTS.glob(f"{file}*")), place
+
+
+def test_when_each_group_was_over_is_told() -> None:
+    def report(nodeid: str, start: float, stop: float) -> SimpleNamespace:
+        return SimpleNamespace(nodeid=nodeid, start=start, stop=stop)
+
+    reports = [
+        report(COMPUTING[0], 102.0, 103.0),
+        report(FLIGHT, 100.0, 150.4),
+        report(OTHER_FLIGHT, 150.4, 190.0),
+        report(WAITING[0], 190.0, 200.0),
+        report(COMPUTING[5], 150.0, 230.0),
+    ]
+    assert told_by_group(reports) == [
+        "flights: 0 to 90 s",
+        "computes: 2 to 130 s",
+        "real time, cameras: 90 to 100 s",
+    ]
+    assert told_by_group([]) == []
 
 
 BY_TEST = """
