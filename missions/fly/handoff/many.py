@@ -20,11 +20,11 @@ from missions.ground.options.words import MOST_SEED
 from missions.ground.run_folder import claim_result, refuse_foreign, unless_refused, write_json
 from missions.ground.shown import FolderGone
 from missions.ground.work import belong_to_parent
-from missions.look.report.command import series_table, show, summarize_many
+from missions.look.report.command import series_table, show, summarize_many, write_report
 from missions.look.report.junit import JUnitCase, write_junit
 from missions.look.report.progress import open_tally
-from missions.look.report.records import RUN, SUMMARY, RunFolderError, load_run
-from missions.look.report.summary import summarize
+from missions.look.report.records import RUN, SUMMARY, RunFolderError
+from missions.look.report.series_page import SERIES_PAGE, SERIES_SIGN, write_series_page
 
 
 def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
@@ -43,6 +43,7 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
     jobs = 1 if rig.level not in IN_PROCESS else options.jobs or os.cpu_count() or 1
     seeds = range(options.seed, options.seed + options.seeds)
     claim_result(folder / SUMMARY, '"failed_seeds"')
+    claim_result(folder / SERIES_PAGE, SERIES_SIGN)
     if options.junit is not None:
         claim_result(options.junit, "<testsuites>")
     for seed in seeds:
@@ -66,10 +67,12 @@ def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
             f"handoff {rig.name}",
             [junit_case(options, summary) for summary in summaries],
         )
-    series = summarize_many(summaries, f"{_command(options, options.seed)} --seeds {options.seeds}")
+    command = f"{_command(options, options.seed)} --seeds {options.seeds}"
+    series = summarize_many(summaries, command)
     write_json(folder / SUMMARY, series)
+    write_series_page(folder / SERIES_PAGE, series, summaries, command)
     show(series_table(series), sys.stdout)
-    sys.stdout.write(f"\n{folder}: {SUMMARY}, and a folder for each seed\n")
+    sys.stdout.write(f"\n{folder}: {SERIES_PAGE}, {SUMMARY}, and a folder for each seed\n")
     return exit_code_of_runs(series["monitors"])
 
 
@@ -112,8 +115,6 @@ def _fly_seed(
     with unless_refused(_folder_of(folder, seed)) as own:
         fly_once(rig, seed, faults, own, lambda _: None)
         try:
-            summary = summarize(load_run(own))
+            return write_report(own, picture=False)
         except RunFolderError as error:  # what was flown there is not there
             raise FolderGone.of(own) from error
-        write_json(own / SUMMARY, summary)
-        return summary

@@ -63,14 +63,15 @@ def make_report(folder: Path, picture: bool, stream: TextIO) -> dict[str, Any]:
         OSError: when it cannot be written to.
     """
     with collector_off():  # of cycles: tens of thousands of records stay to the end
-        summary = _write_report(folder, picture)
+        summary = write_report(folder, picture)
     show(summary_table(summary), stream)
     written = [name for name in (SUMMARY, PICTURE, PAGE) if (folder / name).exists()]
     stream.write(f"\n{folder}: {', '.join(written)}\n")
     return summary
 
 
-def _write_report(folder: Path, picture: bool) -> dict[str, Any]:
+def write_report(folder: Path, picture: bool) -> dict[str, Any]:
+    """Write the same, and show nothing. Raises the same."""
     recorded = load_run(folder)
     summary = summarize(recorded)
     own = recorded.facts is not None and recorded.facts.mission

@@ -20,7 +20,7 @@ from path.values import frozen
 MAX_IMAGES = 16  # of one drone: the page stays below some megabytes
 NEAR_S = 1.0  # an image is of a phase when it is no farther from its beginning
 
-_STYLE = """
+STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 66rem; padding: 0 1rem; color: #222 }
 h1 { font-size: 1.4rem } h2 { font-size: 1.1rem; margin: 2rem 0 .4rem }
 .good { background: #2a9d3a } table { margin-top: .6rem }
@@ -61,7 +61,7 @@ def write_page(path: Path, run: PageOf, logs: Mapping[str, Records]) -> None:
     for name, records in logs.items():
         parts += _drone(name, records)
     title = escape(f"{run.outcome}: {path.parent.resolve().name}")
-    head = f"<meta charset='utf-8'><title>{title}</title><style>{_STYLE}</style>"
+    head = f"<meta charset='utf-8'><title>{title}</title><style>{STYLE}</style>"
     body = "\n".join(parts)
     path.write_text(
         f"<!doctype html>\n<html lang='en'><head>{head}</head><body>\n{body}\n</body></html>\n",
