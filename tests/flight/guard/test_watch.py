@@ -12,7 +12,7 @@ import pytest
 from drivers.interfaces import FlightMode
 from drivers.mavlink.guard.interfaces import Beat, GuardAnswer, GuardView, Hand, Script
 from flight.config import MissionConfig
-from flight.guard.rules import Act, GuardStage, GuardState
+from flight.guard.rules import SURE, Act, GuardStage, GuardState, ProgramBeat
 from flight.guard.watch import STALL_S, GuardWatch, watch
 from hil.harness.virtual_time import run_virtual
 
@@ -298,10 +298,16 @@ def test_whoever_started_the_guard_is_told_of_every_decision() -> None:
         await bench.in_control()
         bench.hung = True
         await asyncio.sleep(RULES.beat_age_s + RULES.hold_s + 1.0)
+        bench.vehicle.now = replace(bench.vehicle.now, armed=False, in_air=False)
+        await asyncio.sleep(1.0)
         await bench.end()
 
     virtual(main())
-    assert told == [(GuardStage.HOLDING, Act.HOLD), (GuardStage.LANDING, Act.LAND)]
+    assert told == [
+        (GuardStage.HOLDING, Act.HOLD),
+        (GuardStage.LANDING, Act.LAND),
+        (GuardStage.WATCHING, Act.NOTHING),
+    ]
 
 
 def test_a_program_that_died_has_no_part_in_the_next_flight() -> None:
@@ -435,6 +441,47 @@ def test_it_ends_only_when_nothing_is_left_to_guard() -> None:
         assert bench.guard.state.stage is GuardStage.GAVE_UP
         assert not bench.guard.needed
         assert bench._tasks[0].done()
+        await bench.end()
+
+    virtual(main())
+
+
+def test_what_a_person_flies_needs_no_guard_whether_a_script_is_there_or_not() -> None:
+    async def main() -> None:
+        bench = Bench()
+        bench.hung = True
+        bench.vehicle.fly(FlightMode.HOLD)
+        await asyncio.sleep(1.0)
+        assert not bench.guard.needed
+        bench.hung = False
+        await asyncio.sleep(0.2)
+        assert not bench.guard.needed
+        await bench.end()
+
+    virtual(main())
+
+
+def test_what_was_let_go_of_and_flies_by_script_needs_its_guard() -> None:
+    async def main() -> None:
+        bench = Bench()
+        await bench.end()
+        bench.vehicle.fly()
+        bench.vehicle.now = replace(bench.vehicle.now, mode_told=SURE)
+        bench.guard._heard = ProgramBeat(LoopClock().now_ns(), Script.LET_GO, 0)
+        assert bench.guard.needed
+        bench.vehicle.fly(FlightMode.OTHER)
+        assert not bench.guard.needed
+
+    virtual(main())
+
+
+def test_a_script_that_beats_on_the_ground_is_not_forgotten() -> None:
+    async def main() -> None:
+        bench = Bench()
+        bench.script = Script.CLIMB
+        await asyncio.sleep(2.0)
+        views = [record for topic, record in bench.log.records if topic == "/guard_view"]
+        assert views[-1]["script"] == "climb"
         await bench.end()
 
     virtual(main())
