@@ -7,9 +7,9 @@ the world.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -49,10 +49,7 @@ class Frame:
 
     def depth(self) -> Depths:
         """Return depth in metres, 0 where unknown."""
-        raw = _image(self.stem.with_name(f"{self.stem.name}.depth.png"), cv2.IMREAD_UNCHANGED)
-        depth = np.asarray(raw, np.float32) / np.float32(1000.0)
-        depth[(raw < LEAST_MM) | (raw > MOST_MM)] = 0.0
-        return depth
+        return _depth(self.stem.with_name(f"{self.stem.name}.depth.png"))
 
     def color(self) -> NDArray[np.uint8]:
         """Return the colour image, BGR."""
@@ -141,9 +138,9 @@ def common(sequence: Sequence, first: int, second: int) -> float:
     points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], -1)
     points = (one.T_w_c.inverse() @ two.T_w_c).apply(points[z > 0.0])
     pixels = camera.project(points)
-    inside = np.zeros(len(pixels), bool)
-    for k, (x, y) in enumerate(pixels.tolist()):
-        inside[k] = math.isfinite(x) and camera.contains(x, y, 1.0)
+    most = np.array([camera.width - 1.0, camera.height - 1.0])
+    with np.errstate(invalid="ignore"):  # behind the camera there is no pixel
+        inside = np.all((pixels >= 0.0) & (pixels <= most), axis=1)
     seen = np.rint(pixels[inside]).astype(np.int64)
     there = one.depth()[seen[:, 1], seen[:, 0]]
     same = (there > 0.0) & (np.abs(there - points[inside, 2]) < SAME_M)
@@ -170,6 +167,14 @@ def _numbers(file: Path, shape: tuple[int, ...]) -> Array:
         wanted = " x ".join(str(n) for n in shape)
         raise PartError(f"{file}: {error}", f"a text file of {wanted} numbers") from error
     return np.asarray(numbers, np.float64)
+
+
+@lru_cache(maxsize=128)
+def _depth(file: Path) -> Depths:
+    raw = _image(file, cv2.IMREAD_UNCHANGED)
+    depth = np.asarray(raw, np.float32) / np.float32(1000.0)
+    depth[(raw < LEAST_MM) | (raw > MOST_MM)] = 0.0
+    return depth
 
 
 def _image(file: Path, how: int) -> NDArray[Any]:
