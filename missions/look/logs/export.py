@@ -2,8 +2,8 @@
 
 --tum   trajectories for evo and its like: seconds (UTC), x y z in m, quaternion x y z w; one file a body. DRONE.tum
         is the vehicle's own place, north-east-down; D2's camera in D1's marker's frame is
-        marker.tum; and at levels with a world what was true of both: truth-DRONE.tum, the body in
-        the world, and truth-marker.tum.
+        marker.tum, and the target there, of a flight or a film, target.tum; and at levels with a
+        world what was true of both: truth-DRONE.tum, the body in the world, and truth-marker.tum.
 --csv   one table a topic and log: utc_ns, stamp_ns, then every field; lists have a column for each number.
 --ros2  a bag of ROS 2 with standard messages (``missions.look.logs.ros2``).
 
@@ -34,7 +34,7 @@ from missions.look.report.truth import Truth, truth_of
 from path.geometry.rotation import quat_from_R
 from path.messages import Role
 
-"""UTC in ns, position, quaternion wxyz."""
+NOT_TURNED = (1.0, 0.0, 0.0, 0.0)
 
 
 def run(options: ExportOptions) -> int:
@@ -110,6 +110,11 @@ def trajectories(folder: Path) -> dict[str, list[Row]]:
         found[name] = [
             (r.stamp_ns + offset_ns, r.record["position_n_m"], r.record["q_n_b"]) for r in states
         ]
+        targets = [r for r in records if r.topic == "/target" and r.record["point_v_m"]]
+        if targets:
+            found["target"] = [
+                (r.stamp_ns + offset_ns, r.record["point_v_m"], NOT_TURNED) for r in targets
+            ]
         seen = [r for r in records if r.topic == "/candidate" and r.record["region"] is not None]
         if seen:
             found["marker"] = [

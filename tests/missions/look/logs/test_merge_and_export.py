@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import csv
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,7 +18,7 @@ import pytest
 from mcap.reader import make_reader
 
 from drivers.interfaces import PartError
-from drivers.log.mcap_log import McapLog
+from drivers.log.mcap_log import McapLog, read_log
 from missions.ground.options.runs import ExportOptions, MergeOptions
 from missions.look.logs.export import run as run_export
 from missions.look.logs.merge import run as run_merge
@@ -235,3 +236,18 @@ def test_logs_with_nothing_in_them_are_no_export_that_went_well(
         run_export(ExportOptions(tmp_path, **options))
     assert caught.value.remedy
     assert not (tmp_path / "export").exists()
+
+
+def test_the_target_is_a_trajectory_in_the_markers_frame(run_folder: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "filmed"  # as of films: no world, no run.json
+    folder.mkdir()
+    shutil.copy(run_folder / "sender.mcap", folder)
+    assert run_export(ExportOptions(folder, tum=True, out=tmp_path / "out")) == 0
+    rows = np.loadtxt(tmp_path / "out" / "target.tum")
+    logged = [
+        r.record["point_v_m"]
+        for r in read_log(folder / "sender.mcap")
+        if r.topic == "/target" and r.record["point_v_m"]
+    ]
+    assert rows[:, 1:4] == pytest.approx(np.array(logged), abs=1e-8)
+    assert (rows[:, 7] == 1.0).all()
