@@ -319,6 +319,7 @@ class Told:
             return SimpleNamespace(left=lambda: "two are left\n", flight=kept)
 
         monkeypatch.setattr(command.rig_library, "load", load)
+        monkeypatch.setattr(command, "one", giving("what its page may do"))
         monkeypatch.setattr(command, "unless_refused", refused)
         monkeypatch.setattr(command, "open_console", console)
         monkeypatch.setattr(command, "live", live)
@@ -348,7 +349,7 @@ def test_a_role_is_flown_with_its_guard_and_told_how_it_ended(
     assert told.of("rig") == [["sitl", False]]
     assert told.of("folder") == [[None, {"beside": True}]]
     assert told.of("guard") == [["a rig", role, "expect", told.folder]]
-    assert told.of("live") == [[None, told.folder]]
+    assert told.of("live") == [[None, told.folder, "what its page may do"]]
     state = tmp_path / "runs" / f"{role.value}.state.json"
     (run,) = told.of("run")
     assert run[:5] == ["a rig with its guard", role, told.folder, state, "shown"]
