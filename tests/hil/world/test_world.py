@@ -5,7 +5,7 @@ faults, truth.
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -156,7 +156,7 @@ def test_estimates_are_off_by_as_much_as_the_table_says_and_positions_wander() -
 
 
 def test_a_perfect_estimator_is_the_truth() -> None:
-    names = EstimatorConfig.__slots__
+    names = [each.name for each in fields(EstimatorConfig)]
     world = World(WorldConfig(estimator=EstimatorConfig(**dict.fromkeys(names, 0.0))), 1)
     take_off(world, Role.SENDER)
     world.advance(math.ceil(world.time_s / 0.02) * 0.02)
@@ -291,7 +291,7 @@ def test_the_configuration_is_a_table_and_wrong_keys_are_named() -> None:
 
 
 def test_positions_that_are_apart_differ_by_as_much_as_is_told_and_change_nothing_else() -> None:
-    names = EstimatorConfig.__slots__
+    names = [each.name for each in fields(EstimatorConfig)]
     exact = WorldConfig(estimator=EstimatorConfig(**dict.fromkeys(names, 0.0)))
     apart = replace(exact, position_offset=PositionOffsetConfig(across_m=2.0, height_m=1.0))
     angles: set[float] = set()

@@ -313,7 +313,7 @@ def test_a_board_is_told_by_most_of_the_images_that_show_it() -> None:
         (CalibrateCameraOptions(images=Path(), squares="10"), "is no COLUMNSxROWS"),
         (CalibrateCameraOptions(images=Path(), square_m=0.01), "marker_m"),
         (CalibrateCameraOptions(rig="sim"), "it has no camera of its own"),
-        (CalibrateCameraOptions(rig="sim-rendered"), "needs a simulated world"),
+        (CalibrateCameraOptions(rig="sim-rendered"), "needs the simulated world"),
     ],
 )
 def test_what_is_asked_wrongly_is_said(options: CalibrateCameraOptions, words: str) -> None:

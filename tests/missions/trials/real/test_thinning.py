@@ -44,5 +44,6 @@ def test_a_camera_that_leaves_out_pixels_is_told_and_drawn_again(tmp_path: Path)
     assert seen.camera.fx == pytest.approx(CAMERA.fx, rel=3e-3)
     twin = render_twin(own, seen, None, own.images, CameraRenderer, 0, tmp_path / "twin")
     assert twin is not None
-    again = look_at_set(own, twin.images)
+    images, _ = twin
+    again = look_at_set(own, images)
     assert again.camera.thinning == THINNED
