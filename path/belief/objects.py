@@ -14,6 +14,10 @@ Boxes
     box may so be of two objects: whoever is expected inside a box that is assigned to another, by
     its direction and at any range, is held by it, and not missed.
 
+    A side is as uncertain as an object may have turned since it was seen. Where a box holds somebody
+    else, whom no other box shows, what it is larger by is that one's: d is all that exceeds the
+    sides that were known.
+
 Existence
     A new track may be nothing: detectors invent, and show an object in two pieces. Its log odds
     begin at those of NEW_SHARE and rise by dt / SPELL_S with each frame that shows it, since
@@ -258,6 +262,9 @@ class Belief:
         holders = [self._holder(track, measured) for track in self.tracks]
         weights = self._weights(measured, fits, holders, sees, dt_s)
         assigned, marginals = associate(weights)
+        for k, column in enumerate(assigned):
+            if column is not None and self._holds_another(k, column, holders, assigned):
+                fits[k][column] = _fit(self.tracks[k], measured[column], shared=True)
         together = {
             column
             for k, column in enumerate(assigned)
@@ -378,6 +385,15 @@ class Belief:
         """
         inside = (column for column, each in enumerate(measured) if _inside(track.motion, each))
         return next(inside, None)
+
+    def _holds_another(
+        self, k: int, column: int, holders: Sequence[int | None], assigned: Sequence[int | None]
+    ) -> bool:
+        """Return whether a track's box has another object in it, that is not shown otherwise."""
+        return any(
+            other.confirmed and i != k and holders[i] == column and assigned[i] is None
+            for i, other in enumerate(self.tracks)
+        )
 
     def _mix(
         self,
@@ -645,9 +661,14 @@ class _Fit:
     larger: bool
 
 
-def _fit(track: ObjectTrack, measured: Measured) -> _Fit:
+def _fit(track: ObjectTrack, measured: Measured, *, shared: bool = False) -> _Fit:
+    """Return how a measurement is of a track's object. ``shared``: another one that is not shown is
+    in its box too, so that what it is larger by than the object was is that one's: the object need
+    not have turned.
+    """
     sides = np.asarray(measured.sides_m)
-    factor = math.exp(_FITS * math.sqrt(track.size_variance + measured.side_sigma**2))
+    turned = 0.0 if shared else track.size_variance
+    factor = math.exp(_FITS * math.sqrt(turned + measured.side_sigma**2))
     expected = np.minimum(np.exp(track.log_sides), measured.most_m)
     more = np.maximum(sides - np.minimum(factor * expected, measured.most_m), 0.0)
     beyond = np.maximum(expected / factor - sides, more)

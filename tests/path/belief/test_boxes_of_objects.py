@@ -237,6 +237,29 @@ def test_nothing_is_learnt_of_size_from_a_box_that_cannot_be_its_own() -> None:
     assert own.seen_ns == stamp_ns + FRAME_NS
 
 
+@pytest.mark.parametrize("another", [False, True])
+def test_a_box_with_another_one_in_it_tells_less_of_its_object_than_one_that_turned(
+    another: bool,
+) -> None:
+    """Size was not seen for a while, so that an object may have turned: not if somebody else, whom
+    nothing else shows, is where the box is larger.
+    """
+    belief, stamp_ns = begun(others_m=[0.5] if another else [])
+    own = belief.tracks[0]
+    if another:
+        belief.tracks[1].motion.mean[:3] = own.motion.place_m + np.array([0.5, 0.0, -0.05])
+        belief.tracks[1].motion.mean[3:] = own.motion.mean[3:]
+    stamp_ns += S
+    for _ in range(10):
+        stamp_ns += FRAME_NS
+        belief.update([box(0.0, high_m=0.36)], EVERYWHERE, stamp_ns)
+    high_m = math.exp(float(own.log_sides[1]))
+    known_m2 = float(AXES[:, 1] @ own.motion.place_covariance_m2 @ AXES[:, 1])
+    assert own.shown is not another
+    assert high_m == pytest.approx(0.3 if another else 0.36, abs=0.02)
+    assert (math.sqrt(known_m2) > 0.03) is another
+
+
 def test_depth_alone_keeps_a_track_within_its_body_in_a_frame_without_a_box() -> None:
     belief, stamp_ns = begun()
     (own,) = belief.tracks
