@@ -28,12 +28,22 @@ class RgbdCamera:
         T_color_depth: from the depth camera's frame to the colour camera's; None: depth is
             registered to colour.
         depth_sigma_at_1m_m: standard deviation of depth at 1 m; it grows with its square.
+
+    Raises:
+        ValueError: for a lens with distortion.
     """
 
     color: CameraModel
     depth: CameraModel
     T_color_depth: Pose | None
     depth_sigma_at_1m_m: float
+
+    def __post_init__(self) -> None:
+        for name, lens in (("colour", self.color), ("depth", self.depth)):
+            if any(lens.distortion):
+                raise ValueError(
+                    f"the {name} camera's lens bends: undistort its pictures, and give the lens without"
+                )
 
 
 @frozen
