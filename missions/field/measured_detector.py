@@ -18,7 +18,9 @@ from scipy.stats import binomtest
 
 from drivers.recordings.labels import Label
 from path.arrays import Image
+from path.gate.agreement import iou
 from path.observations import Box, Detection, Region, common_area
+from path.target.kernels import MAD_TO_SIGMA
 from path.values import frozen
 
 LEAST_IOU = 0.5
@@ -144,12 +146,6 @@ class Measured:
         return rows
 
 
-def iou(a: Box, b: Box) -> float:
-    """Return the intersection over union of two boxes, 0..1."""
-    common = common_area(a, b)
-    return common / (a.area + b.area - common) if common > 0.0 else 0.0
-
-
 def _around(box: Box) -> Region:
     wider = WIDER * max(box.w, box.h)
     return Region(box.x - wider, box.y - wider, box.x + box.w + wider, box.y + box.h + wider)
@@ -176,7 +172,7 @@ def _figures(of: Sequence[Judged]) -> dict[str, Any]:
     low, high = _interval(len(edges), len(of))
     if len(edges):
         bias = np.median(edges, axis=0).round(2).tolist()
-        sigma = (1.4826 * np.median(np.abs(edges - bias), axis=0)).round(2).tolist()
+        sigma = (MAD_TO_SIGMA * np.median(np.abs(edges - bias), axis=0)).round(2).tolist()
     else:
         bias = sigma = None
     return {
