@@ -63,20 +63,18 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "beacon": Experiment(
         "flights.beacon", "dynamic", options=("logs", "seconds"), short_in_all=True
     ),
-    "rendezvous": Experiment("flights.rendezvous", "sim-field", short_in_all=True),
     "ambiguity": Experiment("rivals", options=("xfeat", "method"), without=XFEAT),
     "link": Experiment("cost.link"),
     "compute": Experiment("cost.compute", options=("xfeat",), without=XFEAT),
     "processes": Experiment("cost.processes", short_in_all=True),
     "soak": Experiment("cost.soak", "sitl", options=("seconds",), short_in_all=True),
-    "fleet": Experiment("cost.fleet", "team-sim", short_in_all=True),
 }
 QUESTIONS: Mapping[str, tuple[str, ...]] = {
     "pose": ("sensitivity", "static", "corners", "calibration", "real", "common-view"),
     "handovers": ("handshake", "evidence", "recall"),
-    "flights": ("dynamic", "beacon", "rendezvous"),
+    "flights": ("dynamic", "beacon"),
     "rivals": ("ambiguity",),
-    "cost": ("link", "compute", "processes", "soak", "fleet"),
+    "cost": ("link", "compute", "processes", "soak"),
 }
 
 

@@ -24,9 +24,9 @@ QuestionName = Literal["pose", "handovers", "flights", "rivals", "cost"]
 ExperimentName = Literal[
     "sensitivity", "static", "corners", "calibration", "real", "common-view",
     "handshake", "evidence", "recall",
-    "dynamic", "beacon", "rendezvous",
+    "dynamic", "beacon",
     "ambiguity",
-    "link", "compute", "processes", "soak", "fleet",
+    "link", "compute", "processes", "soak",
 ]  # fmt: skip
 TrialName = Literal["all"] | QuestionName | ExperimentName
 
@@ -38,8 +38,8 @@ class TrialOptions:
 
     pose: where D2 and the target are, by single frames (sensitivity, static, corners, calibration,
     real, common-view). handovers: how soon they agree, and whether ever wrongly (handshake, evidence, recall).
-    flights: whole missions (dynamic, beacon, rendezvous). rivals: PATH, ORB and XFeat (ambiguity).
-    cost: time, bytes, memory, and what it bears (link, compute, processes, soak, fleet).
+    flights: whole missions (dynamic, beacon). rivals: PATH, ORB and XFeat (ambiguity).
+    cost: time, bytes, memory, and what it bears (link, compute, processes, soak).
     """
 
     name: Annotated[TrialName, tyro.conf.Positional]
@@ -62,8 +62,8 @@ class TrialOptions:
     jobs: Jobs = 0
 
     rig: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
-    """The rig, in place of sim-rendered, whose harness knows the truth. beacon flies `dynamic`,
-    rendezvous `sim-field`, soak `sitl` and fleet `team-sim` unless they are asked for alone."""
+    """The rig, in place of sim-rendered, whose harness knows the truth. beacon flies `dynamic`
+    and soak `sitl` unless they are asked for alone."""
 
     errors: ErrorLevel = None
     """Errors of the world of flights and Monte-Carlo hand-overs against what the rig says

@@ -175,7 +175,7 @@ def test_what_each_needs_what_is_left_out_and_what_is_short_is_said_before_anyth
     assert command.run(TrialOptions("all", out=tmp_path / "all", jobs=1)) == 0
     said = capsys.readouterr().out.split("[1/")[0]
     assert "recall       rig sim-rendered; in its short form" in said
-    assert "fleet        rig team-sim; in its short form" in said
+    assert "soak         rig sitl; in its short form" in said
     assert "compute      rig sim-rendered; without XFeat, whose weights --xfeat names" in said
     assert "real         rig sim-rendered; without all of it" in said
     assert "static       rig sim-rendered\n" in said

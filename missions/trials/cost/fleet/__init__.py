@@ -1,1 +1,0 @@
-"""The cost of a team by its size."""

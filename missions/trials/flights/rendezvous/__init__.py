@@ -1,1 +1,0 @@
-"""The trial of the rendezvous from bad positions, in wind."""
