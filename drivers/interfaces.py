@@ -201,6 +201,8 @@ class VehicleState:
             one.
         below: what a rangefinder that looks down says; None where there is none, or it says nothing
             at present.
+        gps: its fix, a number of MAVLink's GPS_FIX_TYPE, and satellites; None where none is told.
+        radio: the pilot's is heard; None where that is not told.
     """
 
     stamp_ns: int
@@ -219,6 +221,8 @@ class VehicleState:
     battery_ns: int | None = None
     resets: int | None = None
     below: Below | None = None
+    gps: tuple[int, int] | None = None
+    radio: bool | None = None
 
 
 @value

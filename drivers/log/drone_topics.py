@@ -109,6 +109,9 @@ DRONE: dict[str, Topic] = {
             "mode": text("flight mode"),
             "armed": flag("motors may turn"),
             "battery": number("what is left, 0 to 1"),
+            "gps_fix": whole("of its GPS: MAVLink's GPS_FIX_TYPE, from 3 on it has a place"),
+            "satellites": whole("that its GPS uses; 255: it does not say"),
+            "radio": flag("the pilot's radio is heard"),
         },
     ),
     "/estimator_step": Topic(

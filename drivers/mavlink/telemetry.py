@@ -155,7 +155,8 @@ class TelemetrySlots:
         self.acks: dict[int, CommandAck] = {}
         self.parameter: Parameter | None = None
         self.firmware: str | None = None
-        self.radio_heard = False  # a pilot's
+        self.radio_heard: bool | None = None  # a pilot's; None: nothing is said of it yet
+        self.gps: tuple[int, int] | None = None
         # of its estimator, as it counts them where it sends ODOMETRY
         self.resets: int | None = None
         self._stopped = False  # by a pilot's switch, as a text says
@@ -165,6 +166,7 @@ class TelemetrySlots:
         direct.subscribe_message("COMMAND_ACK", self._guarded(self._on_ack))
         direct.subscribe_message("PARAM_VALUE", self._guarded(self._on_parameter))
         direct.subscribe_message("SYS_STATUS", self._guarded(self._on_sys_status))
+        direct.subscribe_message("GPS_RAW_INT", self._guarded(self._on_gps))
         direct.subscribe_message("BATTERY_STATUS", self._guarded(self._on_battery))
         direct.subscribe_message("DISTANCE_SENSOR", self._guarded(self._on_distance))
         direct.subscribe_message("ODOMETRY", self._guarded(self._on_odometry))
@@ -228,6 +230,8 @@ class TelemetrySlots:
             armed_told=heartbeat.told,
             resets=self.resets,
             below=self.rangefinder.at(self.clock.now_ns()),
+            gps=self.gps,
+            radio=self.radio_heard,
         )
 
     @property
@@ -355,6 +359,11 @@ class TelemetrySlots:
             self.radio_heard = all(
                 int(fields[f"onboard_control_sensors_{part}"]) & RC_RECEIVER for part in parts
             )
+
+    def _on_gps(self, message: Any) -> None:
+        if self._of_autopilot(message):
+            fields = json.loads(message.fields_json)
+            self.gps = int(fields["fix_type"]), int(fields["satellites_visible"])
 
     def _on_text(self, text: Any) -> None:
         self._stopped = stopped_by(str(text.text), self._stopped)

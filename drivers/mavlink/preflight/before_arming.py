@@ -59,7 +59,7 @@ class BeforeArming:
     async def _without_pilot(self) -> list[str]:
         telemetry = self._telemetry
         heard = await self._session.until(
-            lambda: telemetry.radio_heard, self._config.mode_timeout_s
+            lambda: bool(telemetry.radio_heard), self._config.mode_timeout_s
         )
         missing = [] if heard else ["no radio is heard, and the rig says that a pilot has one"]
         return missing + kept_out(

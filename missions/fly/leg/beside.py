@@ -44,7 +44,10 @@ async def log_state(session: RoleSession) -> None:
                 "mode": state.mode.value,
                 "armed": state.armed,
                 "battery": state.battery if math.isfinite(state.battery) else None,
+                "radio": state.radio,
             }
+            if state.gps is not None:
+                record["gps_fix"], record["satellites"] = state.gps
             session.log.write("/state", logged_ns, record)
         await asyncio.sleep(_STATE_PERIOD_S)
 

@@ -20,6 +20,7 @@ ALARM = "alarm"  # large, and sounds
 WARNING = "warning"  # large, and is silent
 TOLD = "told"  # a line among the others
 KEPT = 40
+FIXED = 3  # from this GPS_FIX_TYPE on it has a place and a height
 LEVEL_OF = {
     "/violation": ALARM,
     "/guard": ALARM,
@@ -105,6 +106,12 @@ def holding(now: Mapping[str, Any]) -> list[Event]:
                 say(ALARM, who, f"battery {100.0 * battery:.0f} %")
             elif battery < 1.5 * least:
                 say(WARNING, who, f"battery {100.0 * battery:.0f} %")
+        if drone.get("armed") and not ended:
+            fix = drone["gps_fix"]
+            if fix is not None and fix < FIXED:
+                say(WARNING, who, "its GPS has no place")
+            if drone["radio"] is False:
+                say(WARNING, who, "has lost the pilot's radio")
         if drone["silent_s"] is not None and not ended:
             say(ALARM, who, f"nothing logged for {drone['silent_s']:.0f} s")
         link = drone["link"]

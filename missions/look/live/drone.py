@@ -30,6 +30,7 @@ class Drone:
         self.note = ""
         self.home_off_m = (0.0, 0.0)
         self.state: Record | None = None
+        self.heard_radio = False
         self.stands: deque[Stand] = deque(maxlen=STANDS)
         self.trail: deque[tuple[float, float]] = deque(maxlen=TRAIL)
         self.trail_ns = 0

@@ -131,6 +131,7 @@ class FlightState:
         if not all(each is not None and math.isfinite(each) for each in place):
             return
         drone.state = record
+        drone.heard_radio |= bool(record.get("radio"))
         q = record["q_n_b"]
         drone.stands.append(Stand(utc_ns, (place[0], place[1], place[2]), (q[0], q[1], q[2], q[3])))
         if utc_ns - drone.trail_ns >= TRAIL_NS:

@@ -51,6 +51,10 @@ def shown_of(drone: Drone, now_s: float) -> Snapshot:
             "mode": state["mode"],
             "armed": state["armed"],
             "battery": state["battery"],
+            "gps_fix": state.get("gps_fix"),
+            "satellites": state.get("satellites"),
+            # a flight without a pilot's radio misses none
+            "radio": bool(state.get("radio")) if drone.heard_radio else None,
         }
     return shown
 
@@ -170,11 +174,14 @@ def matters(now: Snapshot) -> Snapshot:
 
 
 def site_of(setup: Record) -> Snapshot:
-    """Return the fence and the walls, m from the origin."""
+    """Return the fence and the walls, m from the origin, and what is kept out of: a strip along
+    the walls, and the place about each drone.
+    """
     guard = setup["mission"]["guard"]
     return {
         "radius_m": guard["fence_radius_m"],
         "height_m": guard["fence_height_m"],
         "corners_m": [list(corner) for corner in guard.get("corners_m") or ()],
         "clear_m": guard.get("clear_m") or 0.0,
+        "apart_m": setup["mission"]["separation"]["minimum_m"],
     }

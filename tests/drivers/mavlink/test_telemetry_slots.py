@@ -245,6 +245,12 @@ def test_a_pilot_s_radio_is_heard_when_it_is_there_and_on_and_well(lacks: str | 
     assert not slots.telemetry.radio_heard and slots.telemetry.battery.told_ns is None  # a camera's
     slots.message("sys_status", {"battery_remaining": 40, **sensors})
     assert slots.telemetry.radio_heard is (lacks is None)
+    slots.beat()
+    slots.attitude()
+    assert (slots.telemetry.state().radio, slots.telemetry.state().gps) == (lacks is None, None)
+    slots.message("gps", {"fix_type": 5, "satellites_visible": 14})
+    slots.message("gps", {"fix_type": 1, "satellites_visible": 2}, component=2)  # a beacon's
+    assert slots.telemetry.state().gps == (5, 14)
     assert slots.telemetry.battery.level == pytest.approx(0.4)
 
 

@@ -16,6 +16,7 @@ from missions.ground import rig_library
 from missions.ground.journal import setup_record
 from path.messages import Role
 
+CLEAR_M = 0.75
 LEVEL_Q = (1.0, 0.0, 0.0, 0.0)
 CORNERS = ((-8.0, -8.0), (9.0, -8.0), (9.0, 7.0))
 D1_M = (2.5, -2.0, -1.5)
@@ -37,12 +38,14 @@ class LittleFlight:
         self.sender = sender
         self.receiver = receiver
         self.frames = 0
+        # of its GPS and of the pilot's radio
+        self.told: dict[str, Any] = {"gps_fix": 6, "satellites": 17, "radio": True}
 
     def begin(self) -> None:
         """What does not change."""
         rig = rig_library.load("sim")
         config = rig_library.mission_of(rig)
-        config = replace(config, guard=replace(config.guard, corners_m=CORNERS))
+        config = replace(config, guard=replace(config.guard, corners_m=CORNERS, clear_m=CLEAR_M))
         now_ns = time.monotonic_ns()
         for role, log in self.logs.items():
             log.write("/setup", now_ns, setup_record(rig, role, config))
@@ -68,6 +71,7 @@ class LittleFlight:
         pair: dict[str, Any] = {"agreed": True, "count": 12, "needed": 30, "evidence": 2.5}
         pair |= {"evidence_needed": 3.3, "mapped_box": MAPPED_BOX, "capture_ns": now_ns}
         self.sender.write("/agreement", now_ns, pair)
+        self.sender.write("/late", now_ns, {"loop_ns": 42_000_000})
         for log in self.logs.values():
             log.image("/image", now_ns, IMAGE)
         return now_ns
@@ -75,9 +79,8 @@ class LittleFlight:
     def _states(self, now_ns: int) -> None:
         for log, place in ((self.sender, D1_M), (self.receiver, D2_M)):
             state = {"position_n_m": place, "velocity_n_mps": (0.3, 0.4, 0.0), "q_n_b": LEVEL_Q}
-            log.write(
-                "/state", now_ns, {**state, "mode": "offboard", "armed": True, "battery": 0.8}
-            )
+            state |= {"mode": "offboard", "armed": True, "battery": 0.8}
+            log.write("/state", now_ns, {**state, **self.told})
 
     def link(self, second: int, packets: int, dropped: int = 0) -> None:
         """The link's counters, once a second."""

@@ -101,6 +101,24 @@ def test_boxes_are_those_of_the_image_that_is_shown_and_of_no_other_frame(
     }
 
 
+def test_a_gps_and_a_radio_that_are_lost_are_told_and_a_radio_that_never_was_is_not_missed(
+    followed: Followed,
+) -> None:
+    followed.flight.begin()
+    followed.flight.told = {"gps_fix": 3, "satellites": 9, "radio": False}
+    followed.flight.moment()
+    now = followed.now()
+    assert now["holds"] == []
+    assert [drone["radio"] for drone in now["drones"]] == [None, None]
+    followed.flight.told |= {"radio": True}
+    followed.flight.moment()
+    assert [drone["radio"] for drone in followed.now()["drones"]] == [True, True]
+    followed.flight.told = {"gps_fix": 1, "satellites": 0, "radio": False}
+    followed.flight.moment()
+    texts = [each["text"] for each in followed.now()["holds"]]
+    assert texts == ["its GPS has no place", "has lost the pilot's radio"] * 2
+
+
 def test_the_target_has_its_place_and_three_standard_deviations_along_the_sight_and_across(
     followed: Followed,
 ) -> None:

@@ -19,6 +19,7 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.log.mcap_log import read_log
+from flight.config import SeparationConfig
 from missions.look.live.gate import LOOPBACK, TOKEN
 from missions.look.live.start import Operated, live
 from tests.free_ports import free_port
@@ -122,6 +123,14 @@ def test_what_is_drawn_is_what_is_logged(tmp_path: Path, monkeypatch: pytest.Mon
     assert d1["px"][0] - d2["px"][0] == pytest.approx(px_per_m * (flown.D1_M[1] - flown.D2_M[1]))
     assert d2["px"][1] - d1["px"][1] == pytest.approx(px_per_m * (flown.D1_M[0] - flown.D2_M[0]))
     assert drawn["site"]["corners"] == len(flown.CORNERS)
+    assert drawn["site"]["kept"]["strip_px"] == pytest.approx(px_per_m * flown.CLEAR_M)
+    about = {each["of"]: each["radius_px"] for each in drawn["site"]["kept"]["drones"]}
+    least_px = pytest.approx(px_per_m * SeparationConfig().minimum_m)
+    assert about == {"sender": least_px, "receiver": least_px}
+    numbers = {name: told for name, *told in drawn["numbers"]}
+    assert numbers["GPS"] == ["RTK, 17 satellites"] * 2
+    assert numbers["pilot's radio"] == ["heard"] * 2
+    assert numbers["late"] == ["42 ms", "–"]
     assert len(drawn["map"]["others"]) == 1
     phases = {(each["of"], each["phase"]) for each in drawn["timeline"]}
     assert phases == {
