@@ -60,10 +60,16 @@ class ReceiverCycle:
         self._sender = sender
         self._identity = (handoff_id, epoch, target_id)
         self._track = Track(config.track_length, config.max_bracket_s)
-        self._last: tuple[int, int] | None = None  # frame id and stamp of the newest answered frame
+        # frame id and stamp of the newest frame that was answered
+        self._last: tuple[int, int] | None = None
         self._box_size_at_1m_px = (0.0, 0.0)
 
-    def on_target(self, target: Target, capture_ns: int, now_ns: int) -> Missed | None:
+    def on_target(
+        self,
+        target: Target,
+        capture_ns: int,
+        now_ns: int,
+    ) -> Missed | None:
         """Take in D1's message, and return why it is not used; None when it is.
 
         Args:
@@ -80,9 +86,12 @@ class ReceiverCycle:
         newest = self._track.newest
         frame = target.sequence
         if newest is not None:
-            frame = newest.frame + serial_difference(target.sequence, newest.frame)
+            ahead = serial_difference(target.sequence, newest.frame)
+            frame = newest.frame + ahead
+        # point, gravity, sigma of the point: ``gravity_v`` and ``prior`` take them apart
         values = (*target.point_v_m, *target.gravity_v, target.sigma_m)
-        self._track.add(Sample(capture_ns, frame, values))
+        sample = Sample(capture_ns, frame, values)
+        self._track.add(sample)
         return None
 
     def gravity_v(self, stamp_ns: int) -> Vec3 | None:
@@ -99,15 +108,21 @@ class ReceiverCycle:
             if between is None:
                 return None
             values = between.values
-        elif stamp_ns - newest.stamp_ns <= self._config.max_extrapolation_s * 1e9:
-            values = newest.values
         else:
-            return None
+            beyond_ns = stamp_ns - newest.stamp_ns
+            if beyond_ns > self._config.max_extrapolation_s * 1e9:
+                return None
+            values = newest.values
         x, y, z = values[3:6]
         norm = math.hypot(x, y, z)
         return x / norm, y / norm, z / norm
 
-    def prior(self, T_c2_v: Pose, covariance: Matrix, stamp_ns: int) -> Prior | Missed:
+    def prior(
+        self,
+        T_c2_v: Pose,
+        covariance: Matrix,
+        stamp_ns: int,
+    ) -> Prior | Missed:
         """Return the expected place of the target in D2's frame of this stamp (D2's clock).
 
         The target's point is interpolated to that instant, or carried on from its newest samples
@@ -132,13 +147,18 @@ class ReceiverCycle:
             sigma_m = between.values[6]
             beyond_s = 0.0
         else:
-            values = self._track.ahead(stamp_ns, config.slope_span_s, config.max_extrapolation_s)
+            values = self._track.ahead(
+                stamp_ns,
+                config.slope_span_s,
+                config.max_extrapolation_s,
+            )
             if values is None or newest.values is None:
                 return Missed(MissReason.LINK_SILENT)
             sigma_m = newest.values[6]
             beyond_s = (stamp_ns - newest.stamp_ns) / 1e9
         skew_m = config.clock_sigma_s * config.relative_speed_mps
-        drift_m = 0.5 * config.relative_accel_mps2 * beyond_s * beyond_s
+        accel_mps2 = config.relative_accel_mps2
+        drift_m = 0.5 * accel_mps2 * beyond_s * beyond_s
         point_v = (values[0], values[1], values[2])
         return predict(
             lens=self._lens,
@@ -160,7 +180,8 @@ class ReceiverCycle:
         x = point_v[0] - eye_v[0]
         y = point_v[1] - eye_v[1]
         z = point_v[2] - eye_v[2]
-        distance_m = math.sqrt(x * x + y * y + z * z)
+        distance2 = x * x + y * y + z * z
+        distance_m = math.sqrt(distance2)
         if distance_m <= 0.0:
             return None
         seen_m = across_sigma(camera, distance_m, self._config)
@@ -169,7 +190,11 @@ class ReceiverCycle:
         return Ray(direction, across_m)
 
     def candidate(
-        self, frame_id: int, stamp_ns: int, detections: Sequence[Detection], prior: Prior | Missed
+        self,
+        frame_id: int,
+        stamp_ns: int,
+        detections: Sequence[Detection],
+        prior: Prior | Missed,
     ) -> Candidate | Missed:
         """Return the answer to send for one frame.
 
@@ -261,7 +286,9 @@ class ReceiverCycle:
         return best
 
     def _joined(
-        self, near: list[tuple[float, Detection]], prior: Prior
+        self,
+        near: list[tuple[float, Detection]],
+        prior: Prior,
     ) -> list[tuple[float, Detection]]:
         """Return them with the nearest in one piece, where it is shown as two that overlap."""
         w, h = self._box_size_at_1m_px
@@ -281,14 +308,22 @@ class ReceiverCycle:
             return [(distance2, joined), *rest]
         return near
 
-    def _unusable(self, target: Target, capture_ns: int, now_ns: int) -> MissReason | None:
+    def _unusable(  # noqa: PLR0911
+        self,
+        target: Target,
+        capture_ns: int,
+        now_ns: int,
+    ) -> MissReason | None:
         """Return why D1's message is not used; None when it is."""
         if (target.handoff_id, target.epoch, target.target_id) != self._identity:
             return MissReason.STALE
 
-        is_finite = math.isfinite(sum(target.point_v_m) + target.sigma_m)
+        total = sum(target.point_v_m) + target.sigma_m
+        is_finite = math.isfinite(total)
         is_unit = 0.95 < math.hypot(*target.gravity_v) < 1.05
-        if not (is_finite and is_unit and target.sigma_m >= 0.0):
+        if not (is_finite and is_unit):
+            return MissReason.NON_FINITE
+        if target.sigma_m < 0.0:
             return MissReason.NON_FINITE
 
         newest = self._track.newest
@@ -296,11 +331,14 @@ class ReceiverCycle:
             ahead = serial_difference(target.sequence, newest.frame)
             if ahead == 0:
                 return MissReason.DUPLICATE
-            if ahead < 0 or capture_ns <= newest.stamp_ns:
+            if ahead < 0:
+                return MissReason.STALE
+            if capture_ns <= newest.stamp_ns:
                 return MissReason.STALE
 
         age_ns = now_ns - capture_ns
         if -age_ns > self._config.max_future_s * 1e9:
             return MissReason.CLOCK
-        is_old = age_ns > self._config.max_age_s * 1e9
-        return MissReason.STALE if is_old else None
+        if age_ns > self._config.max_age_s * 1e9:
+            return MissReason.STALE
+        return None

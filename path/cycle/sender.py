@@ -133,15 +133,18 @@ class SenderCycle:
         newest = self._track.newest
         if newest is not None:
             if frame_id == newest.frame:
-                return self._missed(Missed(MissReason.DUPLICATE, ignored=True))
-            is_older = frame_id < newest.frame or stamp_ns <= newest.stamp_ns
-            if is_older:
-                return self._missed(Missed(MissReason.STALE, ignored=True))
+                return self._ignored(MissReason.DUPLICATE)
+            if frame_id < newest.frame:
+                return self._ignored(MissReason.STALE)
+            if stamp_ns <= newest.stamp_ns:
+                return self._ignored(MissReason.STALE)
 
-        box = None if box is None else plain_box(box)
+        if box is not None:
+            box = plain_box(box)
         point = self._locate(box, depth, gravity_v)
         if isinstance(point, Missed):
-            self._track.add(Sample(stamp_ns, frame_id, None))
+            unseen = Sample(stamp_ns, frame_id, None)
+            self._track.add(unseen)
             self.gate.restart(stamp_ns)
             return self._missed(point)
 
@@ -151,8 +154,10 @@ class SenderCycle:
         oversize = self._sizes.own(stamp_ns, box, depth, point_v_m, gravity_v)
         edges = (box.x, box.y, box.w, box.h)
         place = (*point_v_m, point.z_m, depth.sigma_m)
+        # in the order in which ``_judge`` takes them apart
         values = (*edges, *place, *gravity_v, oversize)
-        self._track.add(Sample(stamp_ns, frame_id, values))
+        seen = Sample(stamp_ns, frame_id, values)
+        self._track.add(seen)
         self._rivals.note(stamp_ns, box, point.z_m, point_v_m, gravity_v, rivals)
 
         handoff_id, epoch, target_id = self._identity
@@ -167,7 +172,12 @@ class SenderCycle:
             sigma_m=point.sigma_m,
         )
 
-    def offer(self, candidate: Candidate, capture_ns: int, now_ns: int) -> Missed | None:
+    def offer(
+        self,
+        candidate: Candidate,
+        capture_ns: int,
+        now_ns: int,
+    ) -> Missed | None:
         """Take in a candidate, and return why it is no evidence; None when it will be evaluated.
 
         Args:
@@ -179,8 +189,9 @@ class SenderCycle:
         """
         reason = self._no_evidence(candidate, capture_ns, now_ns)
         if reason is not None:
-            return self._missed(Missed(reason, ignored=True))
-        pending = _Pending(self._order(candidate.sequence), capture_ns, candidate)
+            return self._ignored(reason)
+        order = self._order(candidate.sequence)
+        pending = _Pending(order, capture_ns, candidate)
         insort(self._pending, pending)  # by their order, which no two of them share
         return None
 
@@ -196,46 +207,70 @@ class SenderCycle:
         ready_ns = too_old_ns
         if newest is not None:
             ready_ns = max(newest.stamp_ns, too_old_ns)
-        while self._pending and self._pending[0].capture_ns <= ready_ns:
-            pending = self._pending.pop(0)
+        while self._pending:
+            pending = self._pending[0]
+            if pending.capture_ns > ready_ns:
+                return pairs
+            self._pending.pop(0)
             if self.gate.expire(pending.capture_ns):
-                pairs.append(self._silent(pending.capture_ns))
-            pairs.append(self._judge(pending.candidate, pending.capture_ns))
+                silent = self._silent(pending.capture_ns)
+                pairs.append(silent)
+            judged = self._judge(pending.candidate, pending.capture_ns)
+            pairs.append(judged)
         # What is older is refused when it comes, so no pair can join the run any more.
-        if not self._pending and self.gate.expire(too_old_ns):
-            pairs.append(self._silent(now_ns))
+        if self.gate.expire(too_old_ns):
+            silent = self._silent(now_ns)
+            pairs.append(silent)
         return pairs
 
-    def _locate(
-        self, box: Box | None, depth: Depth | None, gravity_v: Vec3
+    def _locate(  # noqa: PLR0911
+        self,
+        box: Box | None,
+        depth: Depth | None,
+        gravity_v: Vec3,
     ) -> TargetPoint | Missed:
         """Return the target's place, or why this frame tells none."""
         if box is None:
             return Missed(MissReason.NO_TARGET)
-        if not math.isfinite(box.x + box.y + box.w + box.h):
+        total = box.x + box.y + box.w + box.h
+        if not math.isfinite(total):
             return Missed(MissReason.NON_FINITE)
         if not (box.w > 0.0 and box.h > 0.0):
             return Missed(MissReason.NO_TARGET)
         if depth is None or not self._trusted(depth):
             return Missed(MissReason.NO_DEPTH)
         point = locate(self._views, box, depth, self._config)
-        is_finite = math.isfinite(sum(point.point_v_m) + point.sigma_m)
-        is_unit = abs(math.hypot(*gravity_v) - 1.0) < UNIT_TOLERANCE
-        if not (is_finite and is_unit):
+        total = sum(point.point_v_m) + point.sigma_m
+        if not math.isfinite(total):
+            return Missed(MissReason.NON_FINITE)
+        if not _is_unit(gravity_v):
             return Missed(MissReason.NON_FINITE)
         return point
 
     def _trusted(self, depth: Depth) -> bool:
         """Return whether a range can be used."""
-        if not (depth.z_m > 0.0 and depth.sigma_m >= 0.0):
+        # So that what is no number is not trusted either.
+        is_plain = depth.z_m > 0.0 and depth.sigma_m >= 0.0
+        if not is_plain:
             return False
         if depth.source is not RangeSource.DEPTH:
             return True
         # The limits are the depth camera's.
-        return self._config.min_depth_m <= depth.z_m <= self._config.max_depth_m
+        config = self._config
+        return config.min_depth_m <= depth.z_m <= config.max_depth_m
 
-    def _no_evidence(self, candidate: Candidate, capture_ns: int, now_ns: int) -> MissReason | None:
-        if (candidate.handoff_id, candidate.epoch, candidate.target_id) != self._identity:
+    def _no_evidence(  # noqa: PLR0911
+        self,
+        candidate: Candidate,
+        capture_ns: int,
+        now_ns: int,
+    ) -> MissReason | None:
+        identity = (
+            candidate.handoff_id,
+            candidate.epoch,
+            candidate.target_id,
+        )
+        if identity != self._identity:
             return MissReason.STALE
         if not _is_sound(candidate):
             return MissReason.NON_FINITE
@@ -245,8 +280,9 @@ class SenderCycle:
         age_ns = now_ns - capture_ns
         if -age_ns > self._max_future_ns:
             return MissReason.CLOCK
-        is_full = len(self._pending) >= MAX_PENDING
-        if is_full or age_ns > self._max_age_ns:
+        if age_ns > self._max_age_ns:
+            return MissReason.STALE
+        if len(self._pending) >= MAX_PENDING:
             return MissReason.STALE
         return self.gate.refusal(candidate.sequence)
 
@@ -255,7 +291,8 @@ class SenderCycle:
         if not self._pending:
             return sequence
         first = self._pending[0]
-        return first.order + serial_difference(sequence, first.candidate.sequence)
+        ahead = serial_difference(sequence, first.candidate.sequence)
+        return first.order + ahead
 
     def _judge(self, candidate: Candidate, capture_ns: int) -> PairVerdict:
         """Compare D2's box with D1's at the instant of its frame, and tell the gate."""
@@ -264,12 +301,19 @@ class SenderCycle:
         box2 = candidate.box
         if reason is not None or at is None or box2 is None:
             missed = Missed(reason or MissReason.NO_TRACK)
-            verdict = self._disagreed(candidate.sequence, capture_ns, missed, None)
+            verdict = self._disagreed(
+                candidate.sequence,
+                capture_ns,
+                missed,
+                by=None,
+            )
             return PairVerdict(candidate, capture_ns, verdict)
 
         own = at.values
-        x, y, w, h, _, _, _, z1_m, z_sigma_m, _, _, _, own_oversize = own
-        own_box = Box(x, y, w, h)
+        own_box = Box(*own[:4])
+        z1_m = own[7]
+        z_sigma_m = own[8]
+        own_oversize = own[12]
         found = self._comparer.compare(own, candidate, box2)
         offsets = self._offsets(found.offset_m, candidate, box2, own_box, own)
         sigma_m = math.hypot(candidate.sigma_m, z_sigma_m)
@@ -286,7 +330,12 @@ class SenderCycle:
             oversize=max(own_oversize, peer_oversize),
         )
         if found.mapped is None:
-            verdict = self._disagreed(candidate.sequence, capture_ns, outside, None)
+            verdict = self._disagreed(
+                candidate.sequence,
+                capture_ns,
+                outside,
+                by=None,
+            )
             return pair._replace(verdict=verdict)
 
         tau = threshold(z1_m, self._config)
@@ -299,17 +348,28 @@ class SenderCycle:
             return pair._replace(verdict=verdict)
         missed = Missed(MissReason.LOW_IOU, found.iou)
         by = strength(found.iou, tau)
-        verdict = self._disagreed(candidate.sequence, capture_ns, missed, by)
+        verdict = self._disagreed(
+            candidate.sequence,
+            capture_ns,
+            missed,
+            by,
+        )
         return pair._replace(verdict=verdict)
 
     def _offsets(
-        self, target_m: Offset | None, candidate: Candidate, box2: Box, own_box: Box, own: Values
+        self,
+        target_m: Offset | None,
+        candidate: Candidate,
+        box2: Box,
+        own_box: Box,
+        own: Values,
     ) -> Offsets | None:
         if target_m is None:
             return None
         if not self._rivals.known:
             return Offsets(target_m)
-        T_v_c2 = rigid_from_quat(normalized(candidate.rotation_v_c2), candidate.position_v_m)
+        rotation = normalized(candidate.rotation_v_c2)
+        T_v_c2 = rigid_from_quat(rotation, candidate.position_v_m)
         return self._rivals.offsets(target_m, T_v_c2, box2, own_box, own)
 
     def _incomparable(self, candidate: Candidate, capture_ns: int) -> MissReason | None:
@@ -326,7 +386,13 @@ class SenderCycle:
             return MissReason.STALE
         return None
 
-    def _agreed(self, pair: PairVerdict, at: Between, score: float, tau: float) -> Verdict:
+    def _agreed(
+        self,
+        pair: PairVerdict,
+        at: Between,
+        score: float,
+        tau: float,
+    ) -> Verdict:
         """Let the gate count a pair that agrees; what it refuses becomes a miss."""
         assert pair.candidate is not None
         before = (at.before.frame, at.before.stamp_ns)
@@ -342,12 +408,18 @@ class SenderCycle:
         refusal = self.gate.agree(counted, score, tau)
         if refusal is not None:
             is_old = refusal is not MissReason.AMBIGUOUS_TARGET
-            return self._missed(Missed(refusal, score, ignored=is_old))
+            missed = Missed(refusal, score, ignored=is_old)
+            return self._missed(missed)
         self.agreed += 1
-        return Agreed(score, tau, self.gate.count, self.gate.evidence)
+        gate = self.gate
+        return Agreed(score, tau, gate.count, gate.evidence)
 
     def _disagreed(
-        self, sequence: int, capture_ns: int, missed: Missed, by: float | None
+        self,
+        sequence: int,
+        capture_ns: int,
+        missed: Missed,
+        by: float | None,
     ) -> Missed:
         """Tell the gate of a pair that does not agree; what is no new evidence is ``ignored``."""
         refusal = self.gate.disagree(sequence, capture_ns, by)
@@ -356,7 +428,13 @@ class SenderCycle:
         return self._missed(missed)
 
     def _silent(self, instant_ns: int) -> PairVerdict:
-        return PairVerdict(None, instant_ns, self._missed(Missed(MissReason.LINK_SILENT)))
+        missed = Missed(MissReason.LINK_SILENT)
+        verdict = self._missed(missed)
+        return PairVerdict(None, instant_ns, verdict)
+
+    def _ignored(self, reason: MissReason) -> Missed:
+        missed = Missed(reason, ignored=True)
+        return self._missed(missed)
 
     def _missed(self, missed: Missed) -> Missed:
         self.misses[missed.reason] += 1
@@ -367,16 +445,25 @@ def _is_sound(candidate: Candidate) -> bool:
     """Return whether a candidate is finite, and has either a box or a reason for none."""
     box = candidate.box
     rotation = candidate.rotation_v_c2
-    has_either = (box is None) != (candidate.reason is None)
-    if not has_either:
+    has_no_box = box is None
+    has_no_reason = candidate.reason is None
+    if has_no_box == has_no_reason:
         return False
-    total = sum(candidate.position_v_m) + sum(rotation) + candidate.sigma_m
+    total = candidate.sigma_m
+    total += sum(candidate.position_v_m)
+    total += sum(rotation)
     if box is not None:
         total += box.x + box.y + box.w + box.h
-        if not (box.w > 0.0 and box.h > 0.0):
+        has_area = box.w > 0.0 and box.h > 0.0
+        if not has_area:
             return False
     if not math.isfinite(total):
         return False
     if candidate.sigma_m < 0.0:
         return False
-    return abs(math.hypot(*rotation) - 1.0) < UNIT_TOLERANCE
+    return _is_unit(rotation)
+
+
+def _is_unit(parts: Sequence[float]) -> bool:
+    length = math.hypot(*parts)
+    return abs(length - 1.0) < UNIT_TOLERANCE

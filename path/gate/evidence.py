@@ -68,7 +68,9 @@ def make_gate(config: MethodConfig) -> Gate:
         return AgreementWindow(config)
     if config.gate == "likelihood":
         return LikelihoodGate(config)
-    return TwoPaces(config) if config.evidence.patient_block_s else EvidenceGate(config)
+    if config.evidence.patient_block_s:
+        return TwoPaces(config)
+    return EvidenceGate(config)
 
 
 def strength(iou: float, tau: float) -> float:
@@ -87,13 +89,19 @@ def gain(config: EvidenceConfig) -> float:
     return (1.0 - lost) / config.next_rate
 
 
-def evidence_of(blocks: int, config: EvidenceConfig, setbacks: int = 0) -> float:
+def evidence_of(
+    blocks: int,
+    config: EvidenceConfig,
+    setbacks: int = 0,
+) -> float:
     """log10 of a run's evidence after so many agreeing blocks, and others that did not agree."""
     if blocks <= 0:
         return 0.0
-    gained = (blocks - 1) * math.log10(gain(config))
+    by_first = -math.log10(config.first_rate)
+    later = blocks - 1
+    gained = later * math.log10(gain(config))
     taken = setbacks * math.log10(config.setback)
-    return gained + taken - math.log10(config.first_rate)
+    return gained + taken + by_first
 
 
 def evidence_needed(run: int, config: EvidenceConfig) -> float:
@@ -102,10 +110,16 @@ def evidence_needed(run: int, config: EvidenceConfig) -> float:
     Each later one may spend less of what accidents may.
     """
     of_accidents = config.alpha * config.accident_share
-    return -math.log10(of_accidents / (run * (run + 1.0)))
+    of_this_run = of_accidents / (run * (run + 1.0))
+    return -math.log10(of_this_run)
 
 
-def persistent_bound(distance_m: float, reach_m: float, sigma_m: float, measured: int) -> float:
+def persistent_bound(
+    distance_m: float,
+    reach_m: float,
+    sigma_m: float,
+    measured: int,
+) -> float:
     """Bound the probability that a persistent error makes another object agree, 0..1.
 
     For errors that are normal about zero with an unknown standard deviation, the same along both
@@ -137,7 +151,9 @@ class BlockCounts:
     later: list[int] = field(default_factory=lambda: [0, 0])
 
     def note(self, later: bool, agrees: bool) -> None:
-        counts = self.later if later else self.first
+        counts = self.first
+        if later:
+            counts = self.later
         counts[0] += 1
         counts[1] += agrees
 
@@ -194,7 +210,11 @@ class EvidenceGate:
         counted = (self.blocks, self._setbacks)
         if counted != self._counted:
             self._counted = counted
-            self._by_blocks = evidence_of(self.blocks, config, self._setbacks)
+            self._by_blocks = evidence_of(
+                self.blocks,
+                config,
+                self._setbacks,
+            )
 
         needed = evidence_needed(1, config)
         later = 0.0
@@ -202,23 +222,41 @@ class EvidenceGate:
             later = evidence_needed(self._runs, config) - needed
         # Errors that last are drawn once: another run or test is another chance for an accident,
         # not for them.
-        lasting = self._identity.reached(config) + later + self._shared
-        return Evidence(min(self._by_blocks, lasting), needed + later)
+        lasting = self._identity.reached(config)
+        lasting += later
+        lasting += self._shared
+        reached = min(self._by_blocks, lasting)
+        return Evidence(reached, needed + later)
 
     @property
     def complete(self) -> bool:
-        if not (self._agreed and self._run.complete):
+        if not self._agreed:
+            return False
+        if not self._run.complete:
             return False
         evidence = self.evidence
         return evidence.reached >= evidence.needed
 
-    def agree(self, pair: FramePair, iou: float, tau: float) -> MissReason | None:
+    def agree(
+        self,
+        pair: FramePair,
+        iou: float,
+        tau: float,
+    ) -> MissReason | None:
         if not iou >= tau:
             # No pair that agrees: whoever says so is wrong, and gains nothing.
-            return self.disagree(pair.peer_sequence, pair.capture_ns, strength(iou, tau))
+            return self.disagree(
+                pair.peer_sequence,
+                pair.capture_ns,
+                strength(iou, tau),
+            )
         if pair.oversize > self._config.size_sigmas:
             # There may be two objects in the box.
-            refusal = self.disagree(pair.peer_sequence, pair.capture_ns, -math.inf)
+            refusal = self.disagree(
+                pair.peer_sequence,
+                pair.capture_ns,
+                -math.inf,
+            )
             return refusal or MissReason.AMBIGUOUS_TARGET
         refusal = self._run.agree(pair)
         if refusal is not None:
@@ -233,19 +271,27 @@ class EvidenceGate:
             self._begin(pair.capture_ns)
         if pair.offsets is not None:
             self._identity.note(pair.offsets)
-        overlap = iou if pair.placed_iou is None else pair.placed_iou
-        self._compared(pair.capture_ns, strength(overlap, tau))
+        overlap = iou
+        if pair.placed_iou is not None:
+            overlap = pair.placed_iou
+        by = strength(overlap, tau)
+        self._compared(pair.capture_ns, by)
         return None
 
     def disagree(
-        self, peer_sequence: int, capture_ns: int, by: float | None = None
+        self,
+        peer_sequence: int,
+        capture_ns: int,
+        by: float | None = None,
     ) -> MissReason | None:
         refusal = self._run.skip(peer_sequence, capture_ns)
         if refusal is not None:
             return refusal
         if by is not None and self._run.count:
-            # Whatever the boxes' overlap was: the pair counts as one that disagrees.
-            self._compared(capture_ns, by if by < 0.0 else -math.inf)
+            if not by < 0.0:
+                # Whatever the boxes' overlap was: the pair counts as one that disagrees.
+                by = -math.inf
+            self._compared(capture_ns, by)
         return None
 
     def restart(self, stamp_ns: int) -> None:
@@ -286,7 +332,8 @@ class EvidenceGate:
             self._blocks += 1
         else:
             self._setbacks += 1
-        if evidence_of(self._blocks, own, self._setbacks) > 0.0:
+        left = evidence_of(self._blocks, own, self._setbacks)
+        if left > 0.0:
             self._begin(capture_ns)
         else:
             self._run.restart(capture_ns)
@@ -299,7 +346,10 @@ class TwoPaces:
     """
 
     def __init__(self, config: MethodConfig) -> None:
-        self.paces = [EvidenceGate(replace(config, evidence=own)) for own in config.evidence.paces]
+        self.paces: list[EvidenceGate] = []
+        for own in config.evidence.paces:
+            of_this_pace = replace(config, evidence=own)
+            self.paces.append(EvidenceGate(of_this_pace))
 
     @property
     def count(self) -> int:
@@ -322,14 +372,26 @@ class TwoPaces:
 
     @property
     def _foremost(self) -> EvidenceGate:
-        return max(self.paces, key=lambda pace: pace.evidence.reached / pace.evidence.needed)
+        def share(pace: EvidenceGate) -> float:
+            evidence = pace.evidence
+            return evidence.reached / evidence.needed
 
-    def agree(self, pair: FramePair, iou: float, tau: float) -> MissReason | None:
+        return max(self.paces, key=share)
+
+    def agree(
+        self,
+        pair: FramePair,
+        iou: float,
+        tau: float,
+    ) -> MissReason | None:
         answers = [pace.agree(pair, iou, tau) for pace in self.paces]
         return answers[0]
 
     def disagree(
-        self, peer_sequence: int, capture_ns: int, by: float | None = None
+        self,
+        peer_sequence: int,
+        capture_ns: int,
+        by: float | None = None,
     ) -> MissReason | None:
         answers = [pace.disagree(peer_sequence, capture_ns, by) for pace in self.paces]
         return answers[0]

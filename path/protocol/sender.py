@@ -151,7 +151,11 @@ def record(state: SenderState) -> SenderRecord:
 
 
 def restored(
-    config: ProtocolConfig, kept: SenderRecord, now_ns: int, *, same_clock: bool = True
+    config: ProtocolConfig,
+    kept: SenderRecord,
+    now_ns: int,
+    *,
+    same_clock: bool = True,
 ) -> SenderState:
     """The state after a restart, to be written down before anything else is done.
 
@@ -202,7 +206,12 @@ def wake_ns(state: SenderState) -> int | None:
             return None
 
 
-def step(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_ns: int) -> Step:
+def step(
+    config: ProtocolConfig,
+    state: SenderState,
+    event: SenderEvent,
+    now_ns: int,
+) -> Step:
     """Take one event at one instant of the own clock, which never goes back.
 
     What time alone has brought about comes first.
@@ -225,7 +234,11 @@ def _silent(state: AwaitingAccept) -> bool:
     return state.withdrawn is not None or state.resend_ns >= state.commit.lease_end_ns
 
 
-def _elapse(config: ProtocolConfig, state: SenderState, now_ns: int) -> Step:
+def _elapse(
+    config: ProtocolConfig,
+    state: SenderState,
+    now_ns: int,
+) -> Step:
     match state:
         case Offering() | Verifying() if now_ns >= _deadline_ns(state):
             abort = _abort(state.live, AbortReason.TIMEOUT, now_ns)
@@ -261,7 +274,12 @@ def _take_back(state: AwaitingAccept) -> Step:
     )
 
 
-def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_ns: int) -> Step:  # noqa: PLR0911
+def _react(  # noqa: PLR0911
+    config: ProtocolConfig,
+    state: SenderState,
+    event: SenderEvent,
+    now_ns: int,
+) -> Step:
     match state, event:
         case Idle() | Keeping() | TakenBack(), Offer():
             return _offer(config, state, event, now_ns)
@@ -283,7 +301,8 @@ def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_n
         case Verifying(), AgreementComplete():
             return _commit(config, state, event, now_ns)
         case HandedOver(settled=None | HandoffOutcome.UNCONFIRMED), PeerStatus() if _tells(
-            state, event
+            state,
+            event,
         ):
             holds = event.responsible
             outcome = HandoffOutcome.HANDED_OVER if holds else HandoffOutcome.ORPHANED
@@ -295,7 +314,10 @@ def _react(config: ProtocolConfig, state: SenderState, event: SenderEvent, now_n
 
 
 def _offer(
-    config: ProtocolConfig, state: Idle | Keeping | TakenBack, offer: Offer, now_ns: int
+    config: ProtocolConfig,
+    state: Idle | Keeping | TakenBack,
+    offer: Offer,
+    now_ns: int,
 ) -> Step:
     following = epoch(state) + 1
     if following >= LAST_EPOCH:
@@ -313,7 +335,10 @@ def _offer(
 
 
 def _commit(  # noqa: PLR0911
-    config: ProtocolConfig, state: Verifying, agreed: AgreementComplete, now_ns: int
+    config: ProtocolConfig,
+    state: Verifying,
+    agreed: AgreementComplete,
+    now_ns: int,
 ) -> Step:
     """Release first, then say so; only after the full agreement (S4, S5).
 
@@ -350,7 +375,11 @@ def _commit(  # noqa: PLR0911
     )
 
 
-def _give_up(state: Offering | Verifying, reason: AbortReason, now_ns: int) -> Step:
+def _give_up(
+    state: Offering | Verifying,
+    reason: AbortReason,
+    now_ns: int,
+) -> Step:
     """End an attempt before its commit: over at once, and still responsible."""
     return Keeping(state.live.epoch), (
         Send(_abort(state.live, reason, now_ns)),
@@ -418,7 +447,10 @@ def _settle(state: HandedOver, outcome: HandoffOutcome) -> Step:
 
 
 def _hear_accept(
-    config: ProtocolConfig, state: AwaitingAccept, accept: Accept, now_ns: int
+    config: ProtocolConfig,
+    state: AwaitingAccept,
+    accept: Accept,
+    now_ns: int,
 ) -> Step:
     if accept.nonce != state.commit.nonce:
         return state, (Refused(Refusal.WRONG_NONCE),)
@@ -438,7 +470,11 @@ def _hear_accept(
     )
 
 
-def _abort(live: Handoff, reason: AbortReason, now_ns: int) -> Abort:
+def _abort(
+    live: Handoff,
+    reason: AbortReason,
+    now_ns: int,
+) -> Abort:
     return Abort(
         handoff_id=live.handoff_id,
         epoch=live.epoch,
@@ -448,7 +484,11 @@ def _abort(live: Handoff, reason: AbortReason, now_ns: int) -> Abort:
     )
 
 
-def _confirm(live: Handoff, nonce: int, now_ns: int) -> Confirm:
+def _confirm(
+    live: Handoff,
+    nonce: int,
+    now_ns: int,
+) -> Confirm:
     return Confirm(
         handoff_id=live.handoff_id,
         epoch=live.epoch,
@@ -459,7 +499,12 @@ def _confirm(live: Handoff, nonce: int, now_ns: int) -> Confirm:
     )
 
 
-def _commit_to(live: Handoff, nonce: int, lease_end_ns: int, now_ns: int) -> Commit:
+def _commit_to(
+    live: Handoff,
+    nonce: int,
+    lease_end_ns: int,
+    now_ns: int,
+) -> Commit:
     return Commit(
         handoff_id=live.handoff_id,
         epoch=live.epoch,
@@ -479,7 +524,9 @@ class SenderMachine:
     """
 
     def __init__(
-        self, config: ProtocolConfig | None = None, state: SenderState | None = None
+        self,
+        config: ProtocolConfig | None = None,
+        state: SenderState | None = None,
     ) -> None:
         self.config = config or ProtocolConfig()
         self.state: SenderState = state or Idle()

@@ -67,7 +67,13 @@ _ABLE_S = 0.5
 _REPLAN_S = 0.5
 _PEER_POLL_S = 0.25
 _LOOK_S = 0.05
-_RELATIVE = (Phase.STAND_OFF, Phase.SEARCH, Phase.APPROACH, Phase.VERIFY)
+# in which it flies relative to the sender
+_RELATIVE = (
+    Phase.STAND_OFF,
+    Phase.SEARCH,
+    Phase.APPROACH,
+    Phase.VERIFY,
+)
 
 
 class Receiver:
@@ -75,13 +81,18 @@ class Receiver:
 
     def __init__(self, session: RoleSession, store: RecordStore) -> None:
         rig = session.rig
+        mount = rig.receiver.mount
         config = session.config
         self._session = session
         self._config: MissionConfig = config
         self._camera = rig.receiver.camera
-        self._camera_pose = CameraPose(session.vehicle, rig.receiver.mount)
+        self._camera_pose = CameraPose(session.vehicle, mount)
         self._marker = MarkerView(
-            rig.layout, rig.receiver.camera, rig.receiver.mount, rig.method, config
+            rig.layout,
+            rig.receiver.camera,
+            mount,
+            rig.method,
+            config,
         )
         self._size = SizeCheck(rig.layout, rig.method)
         self._handover = ReceiverHandover(session, store, self._able)
@@ -89,7 +100,7 @@ class Receiver:
         self._rendezvous = Rendezvous(
             config,
             self._camera,
-            rig.receiver.mount,
+            mount,
             rig.layout,
             self._marker,
             self._peer,
@@ -103,7 +114,10 @@ class Receiver:
         self._seen: View | None = None
         self._track: TargetTrack | None = None
         self._by_both = FromBothViews(
-            rig.method, rig.sender.camera, rig.sender.mount.T_v_c, rig.receiver.camera
+            rig.method,
+            rig.sender.camera,
+            rig.sender.mount.T_v_c,
+            rig.receiver.camera,
         )
         self._keep_n_m: Vec3 | None = None  # from the target to this drone, once it follows
         self._searched: View | None = None  # the newest view that was searched for the marker
@@ -162,10 +176,13 @@ class Receiver:
         MissionEnd when it is lost.
         """
         await asyncio.sleep(for_s)
-        wait_s = self._config.deadlines.target_regain_s
-        lost = Outcome.TARGET_LOST
         try:
-            await self._session.until(self._in_view, wait_s, lost, "the target was not seen")
+            await self._session.until(
+                self._in_view,
+                self._config.deadlines.target_regain_s,
+                Outcome.TARGET_LOST,
+                "the target was not seen",
+            )
         except MissionEnd as end:
             raise self._lost(end.detail) from end
 
@@ -181,13 +198,21 @@ class Receiver:
         session = self._session
         rendezvous = self._rendezvous
         deadlines = self._config.deadlines
+
+        def at_stand_off() -> bool:
+            is_there = rendezvous.at_stand_off(session.vehicle.state)
+            if not (is_there or near_enough()):
+                return False
+            return not rendezvous.out_of_bounds()
+
+        def sees_marker() -> bool:
+            now_ns = session.now_ns()
+            return self._marker.fixes(now_ns) >= _FIXES_TO_APPROACH
+
         session.enter(Phase.STAND_OFF)
         session.pilot.guidance = rendezvous.to_stand_off
         await session.until(
-            lambda: (
-                (rendezvous.at_stand_off(session.vehicle.state) or near_enough())
-                and not rendezvous.out_of_bounds()
-            ),
+            at_stand_off,
             deadlines.stand_off_s,
             Outcome.APPROACH_FAILED,
             "the stand-off was not reached",
@@ -196,14 +221,16 @@ class Receiver:
         rendezvous.begin_search()
         session.pilot.guidance = rendezvous.search
         await session.until(
-            lambda: self._marker.fixes(session.now_ns()) >= _FIXES_TO_APPROACH,
+            sees_marker,
             deadlines.search_s,
             Outcome.MARKER_NOT_FOUND,
             self._marker_not_seen,
         )
 
     def _marker_not_seen(self) -> str:
-        return "; ".join(["the sender's marker was not seen", *self._causes.values()])
+        said = ["the sender's marker was not seen"]
+        said += self._causes.values()
+        return "; ".join(said)
 
     async def _approach(self) -> MissionEnd | None:
         """Fly to the planned viewpoint; return what the mission would end with when something is
@@ -221,14 +248,18 @@ class Receiver:
         end_s = loop.time() + deadlines.approach_s
         steady_since_s = loop.time()
         while loop.time() - steady_since_s <= _ARRIVED_S:
-            unseen_s = self._marker.unseen_s(session.now_ns())
-            if unseen_s > deadlines.marker_coast_s + deadlines.marker_regain_s:
+            now_ns = session.now_ns()
+            unseen_s = self._marker.unseen_s(now_ns)
+            bearable_s = deadlines.marker_coast_s + deadlines.marker_regain_s
+            if unseen_s > bearable_s:
                 return MissionEnd(Outcome.MARKER_LOST, f"marker not seen for {unseen_s:.1f} s")
-            if out := rendezvous.out_of_bounds():
+            out = rendezvous.out_of_bounds()
+            if out:
                 return MissionEnd(Outcome.APPROACH_FAILED, out)
             if loop.time() > end_s:
                 return MissionEnd(
-                    Outcome.APPROACH_FAILED, f"no viewpoint reached in {deadlines.approach_s:.0f} s"
+                    Outcome.APPROACH_FAILED,
+                    f"no viewpoint reached in {deadlines.approach_s:.0f} s",
                 )
             await asyncio.sleep(_LOOK_S)
             if not rendezvous.at_viewpoint():
@@ -241,10 +272,14 @@ class Receiver:
         self._session.say_if_unfollowed(end)
         state = self._session.vehicle.state
         yaw_rad = yaw_of(state.q_n_b)
-        back = from_heading((-self._retreat_m(state, yaw_rad), 0.0, 0.0), yaw_rad)
-        landed = await self._come_down(end, Anchor(add(state.position_n_m, back), yaw_rad))
+        back_m = self._retreat_m(state, yaw_rad)
+        back = from_heading((-back_m, 0.0, 0.0), yaw_rad)
+        place = add(state.position_n_m, back)
+        way_out = Anchor(place, yaw_rad)
+        landed = await self._come_down(end, way_out)
         await self._handover.finish()
-        if landed and end is not None and end.outcome is Outcome.MARKER_NOT_FOUND:
+        outcome = None if end is None else end.outcome
+        if landed and outcome is Outcome.MARKER_NOT_FOUND:
             self._say_instead()
         return landed
 
@@ -253,10 +288,20 @@ class Receiver:
         if self._track is None:
             return _RETREAT_M
         back_n = from_heading((-1.0, 0.0, 0.0), yaw_rad)
-        now_ns = self._session.now_ns()
-        return way_out_m(self._track, state.position_n_m, back_n, self._config, now_ns, _RETREAT_M)
+        return way_out_m(
+            self._track,
+            state.position_n_m,
+            back_n,
+            self._config,
+            self._session.now_ns(),
+            _RETREAT_M,
+        )
 
-    async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
+    async def _come_down(
+        self,
+        end: MissionEnd | None,
+        way_out: Anchor,
+    ) -> bool:
         """Bring the vehicle down, and return whether the script landed it."""
         return await bring_down(self._session, end, way_out)
 
@@ -275,7 +320,8 @@ class Receiver:
         relative = self._marker.predict(now_ns)
         if relative is None:
             return False
-        return norm(relative.marker_n_m) < self._rendezvous.stand_off_m
+        distance_m = norm(relative.marker_n_m)
+        return distance_m < self._rendezvous.stand_off_m
 
     async def _until_planned(self, timeout_s: float) -> None:
         """Plan until there is a viewpoint: the sender may still be on its way to its place behind
@@ -284,10 +330,12 @@ class Receiver:
         loop = asyncio.get_running_loop()
         end_s = loop.time() + timeout_s
         assert self._newest is not None
-        while isinstance(plan := self._rendezvous.plan(self._newest), NoViewpoint):
+        plan = self._rendezvous.plan(self._newest)
+        while isinstance(plan, NoViewpoint):
             if loop.time() > end_s:
                 raise MissionEnd(Outcome.NO_VIEWPOINT, str(plan))
             await asyncio.sleep(_REPLAN_S)
+            plan = self._rendezvous.plan(self._newest)
         place = ", ".join(f"{part:+.2f}" for part in plan.camera_h_m)
         seen = f"{plan.marker_px:.0f} px, margin {plan.margin_px:.0f} px"
         self._session.say(f"viewpoint ({place}) m from the marker, {seen}")
@@ -300,17 +348,23 @@ class Receiver:
         assert self._keep_n_m is not None
         config = self._config
         guard = config.guard
-        target, (north, east, down) = self._track.believed(self._session.now_ns())
-        moves = (north, east, down if config.target.flies else 0.0)
+        now_ns = self._session.now_ns()
+        target, velocity = self._track.believed(now_ns)
+        north, east, down = velocity
+        if not config.target.flies:
+            down = 0.0
+        moves = (north, east, down)
         highest_m = guard.fence_height_m - BELOW_FENCE_M
-        place = within_fence(add(target, self._keep_n_m), math.inf, highest_m)
+        place = add(target, self._keep_n_m)
+        place = within_fence(place, math.inf, highest_m)
         if guard.corners_m:
             place = config.fence.nearest(place)
         error = subtract(place, state.position_n_m)
         answer = config.follow.answer(config.max_accel_mps2)
-        velocity = approach(error, state.velocity_n_mps, moves, answer)
-        yaw_rad = bearing(subtract(target, state.position_n_m))
-        return VelocitySetpoint(velocity, yaw_rad)
+        to_fly = approach(error, state.velocity_n_mps, moves, answer)
+        to_target = subtract(target, state.position_n_m)
+        yaw_rad = bearing(to_target)
+        return VelocitySetpoint(to_fly, yaw_rad)
 
     # --- what runs beside the course
 
@@ -322,7 +376,8 @@ class Receiver:
         guard = self._config.guard
         while self._watching:
             view = await session.frames.view(guard.frame_age_s)
-            session.log.write("/frame", view.stamp_ns, frame_record(view, session.now_ns()))
+            record = frame_record(view, session.now_ns())
+            session.log.write("/frame", view.stamp_ns, record)
             R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
             self._rendezvous.tilt.note(R_n_b)
             if self._handover.holds:
@@ -342,11 +397,15 @@ class Receiver:
         while not self._handover.holds_for_good:
             if not self._handover.within_lease:
                 session.require_peer()
-                peer = session.peer
-                leaves = peer is not None and Phase.DEPART.reached(peer.phase)
-                if leaves:
+                if self._sender_leaves():
                     raise MissionEnd(Outcome.PEER_ABORTED, "the sender is on its way down")
             await asyncio.sleep(_PEER_POLL_S)
+
+    def _sender_leaves(self) -> bool:
+        peer = self._session.peer
+        if peer is None:
+            return False
+        return Phase.DEPART.reached(peer.phase)
 
     def _cycle_once(self, view: View, R_n_b: Matrix) -> None:
         """One cycle of PATH: the marker gives the pose, the pose the prior, the detector looks
@@ -368,8 +427,14 @@ class Receiver:
         else:
             self._check_size(view, fix)
         with session.stage("log"):
-            session.log.write("/marker", stamp_ns, marker_record(stamp_ns, fix))
-            moved = motion_record(motion, T_n_c.R, self._marker.R_n_v, fix)
+            found = marker_record(stamp_ns, fix)
+            session.log.write("/marker", stamp_ns, found)
+            moved = motion_record(
+                motion,
+                T_n_c.R,
+                self._marker.R_n_v,
+                fix,
+            )
             session.log.write("/motion", stamp_ns, moved)
         self._judge_marker(stamp_ns)
         with session.stage("projection"):
@@ -385,24 +450,38 @@ class Receiver:
         with session.stage("link"):
             session.link.send(answer.candidate)
         with session.stage("log"):
-            session.log.write("/candidate", stamp_ns, candidate_record(answer))
+            record = candidate_record(answer)
+            session.log.write("/candidate", stamp_ns, record)
         if answer.candidate.box is None:
             return
         if isinstance(prior, Prior) and isinstance(fix, MarkerFix):
             with session.stage("depth"):
-                self._note_found(view, T_n_c, answer.candidate, prior, fix)
+                self._note_found(
+                    view,
+                    T_n_c,
+                    answer.candidate,
+                    prior,
+                    fix,
+                )
 
-    def _look(self, view: View, R_n_c: Matrix, gravity_v: Vec3 | None) -> MarkerFix | Missed:
+    def _look(
+        self,
+        view: View,
+        R_n_c: Matrix,
+        gravity_v: Vec3 | None,
+    ) -> MarkerFix | Missed:
         """The marker, searched for no longer than setpoints can wait."""
         session = self._session
-        shedding = self._session.frames.shedding
-        began_ns = self._session.now_ns()
+        shedding = session.frames.shedding
+        began_ns = session.now_ns()
         self._marker.search_every = shedding.search_every
         self._marker.thorough = shedding.thorough
-        fix = self._marker.look(view, R_n_c, gravity_v, gravity_in(R_n_c))
+        gravity_c = gravity_in(R_n_c)
+        fix = self._marker.look(view, R_n_c, gravity_v, gravity_c)
         if self._marker.searched(view.stamp_ns):
             self._searched = view
-            shedding.searched((session.now_ns() - began_ns) * 1e-9)
+            took_ns = session.now_ns() - began_ns
+            shedding.searched(took_ns * 1e-9)
         return fix
 
     def _check_size(self, view: View, fix: MarkerFix) -> None:
@@ -410,30 +489,41 @@ class Receiver:
         every distance to D1.
         """
         with self._session.stage("depth"):
-            self._size.look(fix.T_c_v, fix.covariance, fix.detections, view.depth)
+            self._size.look(
+                fix.T_c_v,
+                fix.covariance,
+                fix.detections,
+                view.depth,
+            )
         contradiction = self._size.contradiction()
         if contradiction is not None:
             raise MissionEnd(Outcome.MARKER_SIZE, str(contradiction))
 
     def _note_cause(self, missed: Missed) -> None:
         """Tell the crew what is likely wrong with the marker, once for each kind."""
-        if missed.cause is not None and missed.reason not in self._causes:
-            self._causes[missed.reason] = missed.cause
-            self._session.say(f"the sender's marker: {missed.cause}")
+        if missed.cause is None or missed.reason in self._causes:
+            return
+        self._causes[missed.reason] = missed.cause
+        self._session.say(f"the sender's marker: {missed.cause}")
 
     def _say_instead(self) -> None:
         """Tell what was seen in place of the marker: on the ground, since setpoints cannot wait for
         it.
         """
+        session = self._session
         view = self._searched
-        image = None if view is None else view.image()
-        if view is None or image is None:
+        if view is None:
             return
-        instead = seen_instead(grey_of(image), self._session.rig.layout)
-        if instead is not None:
-            missed = Missed(MissReason.NO_MARKER, cause=instead)
-            self._session.log.write("/marker", view.stamp_ns, marker_record(view.stamp_ns, missed))
-            self._note_cause(missed)
+        image = view.image()
+        if image is None:
+            return
+        instead = seen_instead(grey_of(image), session.rig.layout)
+        if instead is None:
+            return
+        missed = Missed(MissReason.NO_MARKER, cause=instead)
+        record = marker_record(view.stamp_ns, missed)
+        session.log.write("/marker", view.stamp_ns, record)
+        self._note_cause(missed)
 
     def _motion(self) -> VehicleMotions:
         """Return both vehicles' newest reports."""
@@ -461,14 +551,21 @@ class Receiver:
             session.note_separation(distance_m)
             check_separation(distance_m, self._config.separation.minimum_m)
             if session.phase in _RELATIVE:
-                self._rendezvous.note_seen(session.vehicle.state, relative.marker_n_m)
+                own = session.vehicle.state
+                self._rendezvous.note_seen(own, relative.marker_n_m)
         unseen_s = self._marker.unseen_s(stamp_ns)
         bearable_s = deadlines.marker_coast_s + deadlines.marker_regain_s
-        if session.phase is Phase.VERIFY and unseen_s > bearable_s:
+        is_lost = unseen_s > bearable_s
+        if is_lost and session.phase is Phase.VERIFY:
             raise MissionEnd(Outcome.MARKER_LOST, f"marker not seen for {unseen_s:.1f} s")
 
     def _note_found(
-        self, view: View, T_n_c: Pose, candidate: Candidate, prior: Prior, fix: MarkerFix
+        self,
+        view: View,
+        T_n_c: Pose,
+        candidate: Candidate,
+        prior: Prior,
+        fix: MarkerFix,
     ) -> None:
         """Keep the target's own position ready, so that following can begin in the frame that hands
         it over.
@@ -486,14 +583,21 @@ class Receiver:
             box,
             view.depth(box),
         )
-        self._session.log.write("/both_views", view.stamp_ns, both_record(candidate, both))
+        record = both_record(candidate, both)
+        self._session.log.write("/both_views", view.stamp_ns, record)
         down_m = -self._config.target.height_m
         position = place(box, both.depth, self._camera, T_n_c, down_m)
         if self._track is None:
             method = self._session.rig.method
             largest = LargestBox.of(self._camera, method)
             ranging = Ranging.of(self._config, method)
-            self._track = TargetTrack.of(self._config, position, view.stamp_ns, largest, ranging)
+            self._track = TargetTrack.of(
+                self._config,
+                position,
+                view.stamp_ns,
+                largest,
+                ranging,
+            )
         else:
             self._track.update(position, view.stamp_ns)
 
@@ -503,17 +607,21 @@ class Receiver:
         track = self._track
         if track is None:
             raise MissionEnd(Outcome.TARGET_LOST, "the target was handed over but never located")
-        begins = session.phase is Phase.FOLLOW and self._keep_n_m is None
+        follows = session.phase is Phase.FOLLOW
+        begins = follows and self._keep_n_m is None
         if begins and session.pilot.in_control:
-            self._keep_n_m = subtract(session.vehicle.state.position_n_m, track.position_n_m)
+            here = session.vehicle.state.position_n_m
+            self._keep_n_m = subtract(here, track.position_n_m)
             session.pilot.guidance = self._follow_target
         T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
         seen = follow(view, T_n_c, self._camera, track)
-        session.log.write("/track", view.stamp_ns, track_record(seen))
+        record = track_record(seen)
+        session.log.write("/track", view.stamp_ns, record)
         deadlines = self._config.deadlines
-        unseen_s = (view.stamp_ns - track.stamp_ns) * 1e-9
+        unseen_ns = view.stamp_ns - track.stamp_ns
+        unseen_s = unseen_ns * 1e-9
         bearable_s = deadlines.target_coast_s + deadlines.target_regain_s
-        if unseen_s > bearable_s and session.phase is Phase.FOLLOW:
+        if follows and unseen_s > bearable_s:
             raise self._lost(f"target not seen for {unseen_s:.1f} s")
 
     def _lost(self, detail: str) -> MissionEnd:
@@ -521,20 +629,25 @@ class Receiver:
         or later.
         """
         seen_ns = 0 if self._track is None else self._track.seen_ns
-        kept_s = (seen_ns - self._taken_ns) * 1e-9
-        soon = self._taken_ns > 0 and kept_s < KEPT_S
-        return MissionEnd(Outcome.LOST_AFTER if soon else Outcome.TARGET_LOST, detail)
+        kept_ns = seen_ns - self._taken_ns
+        was_taken = self._taken_ns > 0
+        outcome = Outcome.TARGET_LOST
+        if was_taken and kept_ns * 1e-9 < KEPT_S:
+            outcome = Outcome.LOST_AFTER
+        return MissionEnd(outcome, detail)
 
     # --- messages
 
     def _on_message(self, received: Received) -> None:
-        held = self._handover.holds
-        self._handover.on_message(received)
-        takes_over = self._handover.holds and not held
+        handover = self._handover
+        held = handover.holds
+        handover.on_message(received)
+        takes_over = handover.holds and not held
         if takes_over and self._seen is not None:
             self._session.frames.log_image(self._seen, wanted=True)
-        if isinstance(received.message, Target):
-            self._on_target(received.message)
+        message = received.message
+        if isinstance(message, Target):
+            self._on_target(message)
 
     def _on_target(self, target: Target) -> None:
         """Take the target's place. The protocol has seen the message first and says which attempt
@@ -546,9 +659,15 @@ class Receiver:
             return
         if live.follows(self._live):
             self._live = live
-            attempt = AttemptId(live.handoff_id, live.epoch, live.target_id)
-            self._side = ReceiverSide(PairCameras.of(session.rig), session.rig.method, attempt)
-            session.log.write("/attempt", session.now_ns(), attempt_record(attempt))
+            attempt = AttemptId(
+                live.handoff_id,
+                live.epoch,
+                live.target_id,
+            )
+            cameras = PairCameras.of(session.rig)
+            self._side = ReceiverSide(cameras, session.rig.method, attempt)
+            begun = attempt_record(attempt)
+            session.log.write("/attempt", session.now_ns(), begun)
         assert self._side is not None
         capture_ns = session.alignment.to_own_ns(target.capture_ns)
         now_ns = session.now_ns()
@@ -562,7 +681,8 @@ class Receiver:
         """Return whether the target that it follows was seen within the time that may be
         coasted.
         """
-        return self._unseen_s() <= self._config.deadlines.target_coast_s
+        coast_s = self._config.deadlines.target_coast_s
+        return self._unseen_s() <= coast_s
 
     def _able(self) -> bool:
         """Return whether the target was seen lately, by this drone itself."""
@@ -573,4 +693,5 @@ class Receiver:
         track = self._track
         if track is None:
             return math.inf
-        return (self._session.now_ns() - track.seen_ns) * 1e-9
+        unseen_ns = self._session.now_ns() - track.seen_ns
+        return unseen_ns * 1e-9

@@ -63,7 +63,10 @@ class Sender:
     """The sender's course and what it does with every frame and message."""
 
     def __init__(
-        self, session: RoleSession, store: RecordStore, told: PlaceTold | None = None
+        self,
+        session: RoleSession,
+        store: RecordStore,
+        told: PlaceTold | None = None,
     ) -> None:
         """``told``: where the target is; None: what the rig's mission says."""
         rig = session.rig
@@ -73,7 +76,9 @@ class Sender:
         self._camera = rig.sender.camera
         self._camera_pose = CameraPose(session.vehicle, rig.sender.mount)
         self._tilt = Tilt()
-        ahead, right, down = rig.sender.mount.T_b_c.R[:, 2].tolist()
+        # the camera's optical axis in the body frame
+        axis_b = rig.sender.mount.T_b_c.R[:, 2]
+        ahead, right, down = axis_b.tolist()
         self._axis_b: Vec3 = (ahead, right, down)
         self._heading_rad = math.radians(config.heading_deg)
         self._track: TargetTrack | None = None
@@ -81,7 +86,12 @@ class Sender:
         self._look_round = LookRound(config)
         self._ranging = Ranging.of(config, rig.method)
         self._designating = Designating(
-            session, self._camera, self._look_round, self._pointed_at, told, ranging=self._ranging
+            session,
+            self._camera,
+            self._look_round,
+            self._pointed_at,
+            told,
+            ranging=self._ranging,
         )
         self._watching = True
         self._handover = SenderHandover(session, store)
@@ -125,9 +135,8 @@ class Sender:
         end_s = loop.time() + timeout_s
         while self._track is None:
             if loop.time() > end_s:
-                raise MissionEnd(
-                    Outcome.TARGET_NOT_FOUND, f"within {timeout_s:.0f} s: {self._designating.why()}"
-                )
+                why = self._designating.why()
+                raise MissionEnd(Outcome.TARGET_NOT_FOUND, f"within {timeout_s:.0f} s: {why}")
             await asyncio.sleep(_ACQUIRED_POLL_S)
 
     async def hand_over(self) -> None:
@@ -159,19 +168,30 @@ class Sender:
         """A count of its own for every epoch."""
         session = self._session
         config = self._config
-        attempt = AttemptId(config.handoff_id, self._handover.epoch, config.target_id)
-        self._side = SenderSide(PairCameras.of(session.rig), session.rig.method, attempt)
-        session.log.write("/attempt", session.now_ns(), attempt_record(attempt))
+        attempt = AttemptId(
+            config.handoff_id,
+            self._handover.epoch,
+            config.target_id,
+        )
+        cameras = PairCameras.of(session.rig)
+        self._side = SenderSide(cameras, session.rig.method, attempt)
+        record = attempt_record(attempt)
+        session.log.write("/attempt", session.now_ns(), record)
 
     async def recover(self, end: MissionEnd | None) -> bool:
         self._watching = False
         self._handover.end(end)
         self._session.say_if_unfollowed(end)
-        landed = await self._come_down(end, self._leave())
+        way_out = self._leave()
+        landed = await self._come_down(end, way_out)
         await self._handover.finish()
         return landed
 
-    async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
+    async def _come_down(
+        self,
+        end: MissionEnd | None,
+        way_out: Anchor,
+    ) -> bool:
         """Bring the vehicle down, and return whether the script landed it."""
         return await bring_down(self._session, end, way_out)
 
@@ -193,11 +213,18 @@ class Sender:
         if self._track is None:
             return Anchor(here, yaw_rad)
         side = self._side_of_receiver(state)
-        aside = from_heading((0.0, -side, 0.0), self._heading_rad)
-        usual_m = self._config.depart_m
-        now_ns = self._session.now_ns()
-        away_m = way_out_m(self._track, here, aside, self._config, now_ns, usual_m)
-        return Anchor(add(here, scale(aside, away_m)), yaw_rad)
+        other_side_h = (0.0, -side, 0.0)  # away from the receiver
+        aside = from_heading(other_side_h, self._heading_rad)
+        away_m = way_out_m(
+            self._track,
+            here,
+            aside,
+            self._config,
+            self._session.now_ns(),
+            self._config.depart_m,
+        )
+        out = scale(aside, away_m)
+        return Anchor(add(here, out), yaw_rad)
 
     def _side_of_receiver(self, state: VehicleState) -> float:
         """-1 left, 1 right; by both drones' own positions until it was measured on the marker."""
@@ -208,9 +235,13 @@ class Sender:
         if peer is None:
             return -1.0
         # a receiver that died flew on at first, as it was flying when it was last heard
-        flown_on_s = min(session.peer_silence_s(), self._config.guard.near_silence_s)
-        receiver = add(session.here(peer).position_n_m, scale(peer.velocity_n_mps, flown_on_s))
-        _, right_m, _ = from_heading(subtract(receiver, state.position_n_m), -self._heading_rad)
+        longest_s = self._config.guard.near_silence_s
+        flown_on_s = min(session.peer_silence_s(), longest_s)
+        flown_on = scale(peer.velocity_n_mps, flown_on_s)
+        heard_at = session.here(peer).position_n_m
+        receiver = add(heard_at, flown_on)
+        offset_n = subtract(receiver, state.position_n_m)
+        _, right_m, _ = from_heading(offset_n, -self._heading_rad)
         return 1.0 if right_m > 0.0 else -1.0
 
     def _may_regain(self) -> bool:
@@ -218,25 +249,30 @@ class Sender:
         yet.
         """
         peer = self._session.peer
-        return peer is None or not Phase.STAND_OFF.reached(peer.phase)
+        if peer is None:
+            return True
+        return not Phase.STAND_OFF.reached(peer.phase)
 
     def _comes_near(self) -> bool:
         """Return whether the receiver is near this drone, or was closing in on it when it was last
         heard.
         """
         session = self._session
-        peer = self._session.peer
+        peer = session.peer
         if session.phase is Phase.VERIFY:
             return True
-        return peer is not None and Phase.APPROACH.reached(peer.phase)
+        if peer is None:
+            return False
+        return Phase.APPROACH.reached(peer.phase)
 
     def _regaining(self) -> bool:
         """The target was out of sight for a while: more of the ground is seen from farther off."""
         track = self._track
         if track is None or not self._may_regain():
             return False
-        unseen_s = (self._session.now_ns() - track.stamp_ns) * 1e-9
-        return unseen_s > 0.5 * self._config.deadlines.target_coast_s
+        unseen_ns = self._session.now_ns() - track.stamp_ns
+        coast_s = self._config.deadlines.target_coast_s
+        return unseen_ns * 1e-9 > 0.5 * coast_s
 
     def _to_first_place(self, state: VehicleState) -> VelocitySetpoint:
         """Lead to where all the ground is in view that the target can be on, and round it where
@@ -248,19 +284,25 @@ class Sender:
         went = look_round.going
         there, wider = self._place_to_look_at(now_ns)
         if self._track is None:
-            left_m = math.dist(self._view_of(there, wider), state.position_n_m)
+            viewpoint = self._view_of(there, wider)
+            left_m = math.dist(viewpoint, state.position_n_m)
             look_round.step(now_ns, left_m, there)
             self._heading_rad = look_round.heading_rad
         if look_round.going and not went:
             session.say("nothing was found from here: looks from other sides")
-        moves = add(self._designating.moves(now_ns), look_round.velocity_n_mps)
-        # By the heading that was just set.
-        way = self._approach(self._view_of(there, wider), moves, state)
+        target_moves = self._designating.moves(now_ns)
+        moves = add(target_moves, look_round.velocity_n_mps)
+        # Once more: by the heading that was just set.
+        viewpoint = self._view_of(there, wider)
+        way = self._approach(viewpoint, moves, state)
         yaw_rad = look_round.yaw_rad(state.position_n_m, there)
         return replace(way, yaw_rad=yaw_rad)
 
     def _approach(
-        self, place_n_m: Vec3, velocity_n_mps: Vec3, state: VehicleState
+        self,
+        place_n_m: Vec3,
+        velocity_n_mps: Vec3,
+        state: VehicleState,
     ) -> VelocitySetpoint:
         """To a moving place, and to rest there: past it the target would be below the image."""
         follow = self._config.follow
@@ -275,7 +317,11 @@ class Sender:
         velocity = approach(error, state.velocity_n_mps, velocity_n_mps, answer)
         return VelocitySetpoint(velocity, self._heading_rad)
 
-    def _view_of(self, target_n_m: Vec3, wider: float = 1.0) -> Vec3:
+    def _view_of(
+        self,
+        target_n_m: Vec3,
+        wider: float = 1.0,
+    ) -> Vec3:
         """Behind and above the target, in the heading it was approached with; a drone that is
         tilted stands aside.
 
@@ -287,11 +333,19 @@ class Sender:
         heading_rad = self._heading_rad
         if self._regaining():
             wider = max(wider, _WIDER)
-        below_m = wider * (keep.height_m - self._config.target.height_m)
-        behind = from_heading((-wider * keep.behind_m, 0.0, -below_m), heading_rad)
-        aside = self._tilt.aim(self._axis_b, heading_rad, below_m)
-        place = add(add(target_n_m, behind), aside)
-        place = within_fence(place, math.inf, guard.fence_height_m - BELOW_FENCE_M)
+        above_target_m = keep.height_m - self._config.target.height_m
+        below_m = wider * above_target_m
+        behind_m = wider * keep.behind_m
+        behind = from_heading((-behind_m, 0.0, -below_m), heading_rad)
+        aside = self._tilt.aim(
+            self._axis_b,
+            heading_rad,
+            below_m,
+        )
+        place = add(target_n_m, behind)
+        place = add(place, aside)
+        highest_m = guard.fence_height_m - BELOW_FENCE_M
+        place = within_fence(place, math.inf, highest_m)
         if guard.corners_m:
             return self._config.fence.nearest(place)
         return place
@@ -300,13 +354,18 @@ class Sender:
         """Keep the target in view from behind."""
         assert self._track is not None
         session = self._session
-        is_silent = session.peer_silence_s() > self._config.guard.near_silence_s
+        silence_s = session.peer_silence_s()
+        is_silent = silence_s > self._config.guard.near_silence_s
         if is_silent and self._comes_near():
             # The receiver may hang or sink where it was last, and the target may lead there.
             return VelocitySetpoint((0.0, 0.0, 0.0), self._heading_rad)
 
-        target, (north, east, down) = self._track.believed(session.now_ns())
-        moves = (north, east, down if self._config.target.flies else 0.0)
+        now_ns = session.now_ns()
+        target, velocity = self._track.believed(now_ns)
+        north, east, down = velocity
+        if not self._config.target.flies:
+            down = 0.0
+        moves = (north, east, down)
         place = self._view_of(target)
         left_m = math.dist(place, state.position_n_m)
         slower_mps = math.dist(state.velocity_n_mps, moves)
@@ -320,9 +379,12 @@ class Sender:
         settled.
         """
         assert self._track is not None
-        target, _ = self._track.predict(self._session.now_ns())
-        way = self._leave().hold(state)
-        yaw_rad = bearing(subtract(target, state.position_n_m))
+        now_ns = self._session.now_ns()
+        target, _ = self._track.predict(now_ns)
+        way_out = self._leave()
+        way = way_out.hold(state)
+        to_target = subtract(target, state.position_n_m)
+        yaw_rad = bearing(to_target)
         return replace(way, yaw_rad=yaw_rad)
 
     # --- what runs beside the course
@@ -333,7 +395,8 @@ class Sender:
         """
         session = self._session
         while self._watching:
-            view = await session.frames.view(self._config.guard.frame_age_s)
+            oldest_s = self._config.guard.frame_age_s
+            view = await session.frames.view(oldest_s)
             R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
             self._tilt.note(R_n_b)
             self._note_ground()
@@ -344,16 +407,25 @@ class Sender:
                 self._try_to_acquire(view, R_n_b)
             else:
                 self._cycle_once(view, R_n_b, self._track)
-            peer = session.peer
-            is_far = peer is None or not Phase.SEARCH.reached(peer.phase)
-            if is_far and session.phase is not Phase.VERIFY:
+            is_verifying = session.phase is Phase.VERIFY
+            if not is_verifying and not self._is_sought():
                 await session.skip_frames()
+
+    def _is_sought(self) -> bool:
+        """Return whether the receiver looks for this drone's marker already, or is nearer."""
+        peer = self._session.peer
+        if peer is None:
+            return False
+        return Phase.SEARCH.reached(peer.phase)
 
     def _note_ground(self) -> None:
         """Keep up what is known of the ground below, for ranging what stands on it."""
-        self._session.note_ground()
-        if self._session.ground is not None and not self._config.target.flies:
-            self._ranging.ground = self._session.ground.ground
+        session = self._session
+        session.note_ground()
+        if self._config.target.flies:
+            return
+        if session.ground is not None:
+            self._ranging.ground = session.ground.ground
 
     async def _watch_peer(self) -> None:
         """The receiver must be heard for as long as the hand-over is undecided."""
@@ -378,8 +450,8 @@ class Sender:
         )
         track.velocity_n_mps = taken.velocity_n_mps
         self._track = track
-        position = self._session.vehicle.state.position_n_m
-        self._heading_rad = self._look_round.found(position, taken.position_n_m)
+        here = self._session.vehicle.state.position_n_m
+        self._heading_rad = self._look_round.found(here, taken.position_n_m)
 
     def _place_to_look_at(self, now_ns: int) -> tuple[Vec3, float]:
         """The place to look at until there is a target, and how many times as far off as usual."""
@@ -391,7 +463,12 @@ class Sender:
         """
         return None
 
-    def _cycle_once(self, view: View, R_n_b: Matrix, track: TargetTrack) -> None:
+    def _cycle_once(
+        self,
+        view: View,
+        R_n_b: Matrix,
+        track: TargetTrack,
+    ) -> None:
         """One cycle of PATH: follow the box, say where the target is, judge the receiver's
         answers.
         """
@@ -399,24 +476,40 @@ class Sender:
         stamp_ns = view.stamp_ns
         with session.stage("target"):
             T_n_c = self._camera_pose.T_n_c(stamp_ns, R_n_b)
-            seen = follow(view, T_n_c, self._camera, track)
-        if self._config.level_ground and isinstance(seen, Sighting):
-            session.note_height(track.position_n_m[2] + self._config.target.height_m)
+            seen = follow(
+                view,
+                T_n_c,
+                self._camera,
+                track,
+            )
+        is_seen = isinstance(seen, Sighting)
+        if is_seen and self._config.level_ground:
+            _, _, target_down_m = track.position_n_m
+            session.note_height(target_down_m + self._config.target.height_m)
 
-        unseen_s = (stamp_ns - track.stamp_ns) * 1e-9
+        unseen_ns = stamp_ns - track.stamp_ns
+        unseen_s = unseen_ns * 1e-9
         deadlines = self._config.deadlines
         bearable_s = deadlines.target_coast_s + deadlines.target_regain_s
-        if unseen_s > bearable_s and not self._handover.handed_over:
+        is_lost = unseen_s > bearable_s
+        if is_lost and not self._handover.handed_over:
             raise MissionEnd(Outcome.TARGET_LOST, f"target not seen for {unseen_s:.1f} s")
+
         side = self._side
         if side is None:
             self._log_view(view, R_n_b)
-            session.log.write("/track", stamp_ns, track_record(seen))
+            record = track_record(seen)
+            session.log.write("/track", stamp_ns, record)
             return
 
         with session.stage("projection"):
             gravity_v = self._camera_pose.gravity_v(R_n_b)
-            frame = side.observe(view.frame_id, stamp_ns, seen, gravity_v)
+            frame = side.observe(
+                view.frame_id,
+                stamp_ns,
+                seen,
+                gravity_v,
+            )
         if isinstance(frame.message, Target):
             with session.stage("link"):
                 session.link.send(frame.message)
@@ -464,25 +557,41 @@ class Sender:
         if candidate.box is not None:
             x, y, z = candidate.position_v_m
             self._receiver_side = 1.0 if x > 0.0 else -1.0
-            session.shown.separation_m = math.sqrt(x * x + y * y + z * z)
+            separation2 = x * x + y * y + z * z
+            session.shown.separation_m = math.sqrt(separation2)
 
     def _note_pair(self, pair: PairVerdict, side: SenderSide) -> None:
         """Log one verdict and show it."""
         session = self._session
-        shown = self._session.shown
-        shown.count, shown.evidence = counted(pair, side.gate)
+        shown = session.shown
+        count, evidence = counted(pair, side.gate)
+        shown.count = count
+        shown.evidence = evidence
         shown.iou = pair.verdict.iou
-        session.log.write("/agreement", session.now_ns(), side.record(pair))
+        record = side.record(pair)
+        session.log.write("/agreement", session.now_ns(), record)
 
     def _log_view(self, view: View, R_n_b: Matrix) -> None:
         session = self._session
         T_n_c = None
         if session.frames.recorded:
             T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
-        record = frame_record(view, session.now_ns(), T_n_c, self._ranging.ground)
+        ground = self._ranging.ground
+        record = frame_record(
+            view,
+            session.now_ns(),
+            T_n_c,
+            ground,
+        )
         session.log.write("/frame", view.stamp_ns, record)
 
-    def _log_frame(self, view: View, frame: OwnFrame, now_ns: int) -> None:
+    def _log_frame(
+        self,
+        view: View,
+        frame: OwnFrame,
+        now_ns: int,
+    ) -> None:
         session = self._session
-        session.log.write("/target", view.stamp_ns, target_record(frame, now_ns))
+        record = target_record(frame, now_ns)
+        session.log.write("/target", view.stamp_ns, record)
         session.frames.log_image(view)
