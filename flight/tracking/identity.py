@@ -14,8 +14,9 @@ from flight.config import MissionConfig
 from flight.guidance import Vec3
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.objects import CUT_SCORE, MIN_SCORE
+from path.belief.boxes import Measured
 from path.belief.motion import Array, Motion
-from path.belief.objects import Belief, Measured
+from path.belief.objects import Belief
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
 from path.observations import Box, Detection, Region, common_area

@@ -10,9 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from path.belief import objects as file
+from path.belief import boxes as file
+from path.belief.boxes import Measured
 from path.belief.motion import Motion
-from path.belief.objects import Belief, Measured, ObjectTrack
+from path.belief.objects import Belief
+from path.belief.track import ObjectTrack
 from tests.path.belief.test_objects import AXES, EVERYWHERE, FRAME_NS, begun, box
 
 S = 1_000_000_000
@@ -36,7 +38,7 @@ def test_a_middle_within_half_of_what_is_too_much_along_each_side_of_the_box() -
     beyond = np.array([0.2, 0.4])
     spread = np.diag([0.01, 0.04, 0.04])  # and ahead as far as the larger one
     np.testing.assert_allclose(file._halves(beyond), np.diag(spread))
-    np.testing.assert_allclose(file._within(beyond, TURNED), TURNED @ spread @ TURNED.T, atol=1e-15)
+    np.testing.assert_allclose(file.within(beyond, TURNED), TURNED @ spread @ TURNED.T, atol=1e-15)
 
 
 def test_a_place_is_never_known_better_by_it_than_that_however_many_frames_say_it() -> None:
@@ -56,7 +58,7 @@ FACTOR = math.exp(2.0 * math.sqrt(0.01 + 0.05**2))
 
 def test_a_box_of_the_object_s_size_has_its_own_noise_alone() -> None:
     for times in (1.0, 0.99 * FACTOR, 1.01 / FACTOR):
-        fit = file._fit(track(), measured((0.3 * times, 0.4 * times)))
+        fit = file.fit_of(track(), measured((0.3 * times, 0.4 * times)))
         np.testing.assert_array_equal(fit.within_m2, np.zeros((3, 3)))
         np.testing.assert_array_equal(fit.noise_m2, 1e-4 * np.eye(3))
         assert not fit.larger
@@ -65,36 +67,36 @@ def test_a_box_of_the_object_s_size_has_its_own_noise_alone() -> None:
 def test_in_a_larger_box_there_is_something_else_and_the_object_anywhere_in_it() -> None:
     own = track()
     seen = measured((0.9, 0.4))
-    fit = file._fit(own, seen)
+    fit = file.fit_of(own, seen)
     beyond = np.array([0.9 - 0.3 / FACTOR, 0.4 - 0.4 / FACTOR])
     assert fit.larger
-    np.testing.assert_allclose(fit.within_m2, file._within(beyond, TURNED))
+    np.testing.assert_allclose(fit.within_m2, file.within(beyond, TURNED))
     bounded = file._bounded(own.motion, beyond, TURNED)
     np.testing.assert_allclose(fit.noise_m2, 1e-4 * np.eye(3) + bounded)
 
 
 def test_in_a_smaller_box_a_part_of_the_object_is_hidden() -> None:
-    fit = file._fit(track(), measured((0.1, 0.4)))
+    fit = file.fit_of(track(), measured((0.1, 0.4)))
     beyond = np.array([0.3 / FACTOR - 0.1, 0.0])
     assert not fit.larger
-    np.testing.assert_allclose(fit.within_m2, file._within(beyond, TURNED))
+    np.testing.assert_allclose(fit.within_m2, file.within(beyond, TURNED))
 
 
 def test_no_object_is_larger_than_the_target_can_be() -> None:
     own = track((0.9, 0.4))
     most = measured((0.5, 0.4), most_m=(0.5, 0.6))
-    assert not file._fit(own, most).larger
-    fit = file._fit(own, measured((0.6, 0.4), most_m=(0.5, 0.6)))
+    assert not file.fit_of(own, most).larger
+    fit = file.fit_of(own, measured((0.6, 0.4), most_m=(0.5, 0.6)))
     assert fit.larger
     beyond = np.array([0.6 - 0.5 / FACTOR, 0.4 - 0.4 / FACTOR])
-    np.testing.assert_allclose(fit.within_m2, file._within(beyond, TURNED))
+    np.testing.assert_allclose(fit.within_m2, file.within(beyond, TURNED))
     np.testing.assert_allclose(own.sides_m((0.5, 0.6)), (0.5, 0.4))
 
 
 def test_sides_are_as_likely_as_a_distribution_with_tails_has_them_against_any() -> None:
     """Student's, of three degrees of freedom, for either side."""
     own = track()
-    found = file._size_fits(own, measured((0.3 * math.exp(0.2), 0.4 * math.exp(-0.1))))
+    found = file.size_fits(own, measured((0.3 * math.exp(0.2), 0.4 * math.exp(-0.1))))
     variance = 0.01 + 0.05**2
     densities = [
         2.0 / (math.pi * math.sqrt(3.0 * variance)) * (1.0 + off**2 / (3.0 * variance)) ** -2
@@ -118,12 +120,12 @@ def test_a_box_that_is_no_more_than_the_object_together_with_its_own_is_of_it_to
 ) -> None:
     own = track()
     seen = measured(sides_m, place_m=np.array([2.0, 0.0, 0.0]) + right_m * TURNED[:, 0])
-    assert file._is_part(seen, own, None) is part
+    assert file.is_part(seen, own, None) is part
     there = measured((0.3, 0.4), place_m=own.motion.place_m.copy())
     own.motion.mean[:3] += 9.0  # it is where its box is
-    assert file._is_part(seen, own, there) is part
+    assert file.is_part(seen, own, there) is part
     own.log_odds = 1.0
-    assert not file._is_part(seen, own, there)  # it may be nothing itself
+    assert not file.is_part(seen, own, there)  # it may be nothing itself
 
 
 # --- existence, and what is doubted
@@ -193,14 +195,14 @@ def test_one_is_held_in_the_box_of_a_nearer_one_by_its_direction_at_its_own_rang
     """Twice as far off, and so twice as far beside the middle as one at the box's own range."""
     around = box(0.0, wide_m=0.6)
     far = Motion.at(np.array([4.0, 0.5, 0.0]), 0.01 * np.eye(3), 0.6, 0)
-    assert file._inside(far, around)
+    assert file.inside(far, around)
     far.mean[1] = 0.7
-    assert not file._inside(far, around)
-    assert file._inside(far, around, sigmas=2.0)
-    assert not file._inside(Motion.at(np.array([-1.0, 0.0, 0.0]), np.eye(3), 0.6, 0), around)
+    assert not file.inside(far, around)
+    assert file.inside(far, around, sigmas=2.0)
+    assert not file.inside(Motion.at(np.array([-1.0, 0.0, 0.0]), np.eye(3), 0.6, 0), around)
     far.mean[:3] = (4.0, 0.0, 0.0)
     far.covariance[1, 1] = 4.0
-    file._hold(far, around)
+    file.hold(far, around)
     np.testing.assert_allclose(far.mean[:3], (4.0, 0.0, 0.0), atol=1e-9)
     assert far.covariance[1, 1] == pytest.approx(0.6**2, rel=0.05)
     assert far.covariance[0, 0] == pytest.approx(0.01, rel=0.01)  # of how far off, nothing

@@ -9,8 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from path.belief.boxes import Measured
+from path.belief.frame import SHOWN
+from path.belief.mixing import others_m3
 from path.belief.motion import MANOEUVRE_S, Array, density
-from path.belief.objects import SHOWN, SPELL_S, Belief, Measured
+from path.belief.objects import Belief
+from path.belief.track import SPELL_S
 
 # level, to the north: right is east
 AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -278,13 +282,13 @@ def test_others_are_as_dense_as_those_that_are_seen_spread_about_there() -> None
     level_m2 = (1.0 + 4.0) / 4.0
     high_m2 = (0.09 + 0.01) / 2.0 + own.motion.covariance[2, 2] + SIGMA_M**2
     by_hand = 0.05 * 2.0 / ((2.0 * math.pi) ** 1.5 * level_m2 * math.sqrt(high_m2))
-    assert belief._others_m3(own, box(0.0)) == pytest.approx(by_hand)
+    assert others_m3(belief.tracks, own, box(0.0)) == pytest.approx(by_hand)
     belief.tracks[1].motion.mean[:3] = own.motion.place_m  # no nearer than a body is wide
     belief.tracks[2].log_odds = 0.0  # it may be nothing
     by_hand *= 0.5 * level_m2 / SIDE_M**2 * math.sqrt(high_m2 / (high_m2 - 0.05))
-    assert belief._others_m3(own, box(0.0)) == pytest.approx(by_hand, rel=0.01)
+    assert others_m3(belief.tracks, own, box(0.0)) == pytest.approx(by_hand, rel=0.01)
     belief.tracks[1].log_odds = 0.0
-    assert belief._others_m3(own, box(0.0)) == 0.0
+    assert others_m3(belief.tracks, own, box(0.0)) == 0.0
 
 
 def test_a_missed_frame_costs_nothing() -> None:
