@@ -9,8 +9,8 @@ A step is what the velocity and the heading's rate do not explain. Between two s
 vehicle moves by the mean of its two velocities, but for what an acceleration g can add (g dt²/4),
 an error of the velocity as large as the speed that is flown (v dt), and stamps that are late. What
 the estimator's noise adds besides is learned in flight. An estimator that walks a glitch off is
-slower than all that: it is followed. Where the autopilot counts its resets, half of it is enough
-for a step shortly after the count has changed.
+slower than all that: it is followed, unless it walks all the time (``flight.own_walk``). Where the
+autopilot counts its resets, half of it is enough for a step shortly after the count has changed.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from collections.abc import Sequence
 
 from drivers.interfaces import VehicleState
 from flight.guidance import Vec3, add, norm, scale, subtract
+from flight.own_walk import OwnWalk
 from path.geometry.rotation import wrapped, yaw_of
 from path.values import value
 
@@ -124,9 +125,15 @@ class StepWatch:
 
     Args:
         fastest_mps: the highest speed that is flown.
+
+    Attributes:
+        walked_n_m: what the reported place has moved by that is neither a step nor motion.
     """
 
     def __init__(self, fastest_mps: float) -> None:
+        self.walked_n_m: Vec3 = (0.0, 0.0, 0.0)
+        self._walk_across = OwnWalk(2)
+        self._walk_height = OwnWalk(1)
         self._fastest_mps = fastest_mps
         self._before: VehicleState | None = None
         self._across = _Residuals()
@@ -162,6 +169,8 @@ class StepWatch:
         self._note_count(before, state)
         shift_n_m = self._shift(before, state)
         turn_rad = self._turned(before, state)
+        if self._ready:
+            self._note_walk(subtract(self._residual(before, state), shift_n_m), before, state)
         if not self._ready or not (any(shift_n_m) or turn_rad):
             return None
         return Step(before.stamp_ns, state.stamp_ns, shift_n_m, turn_rad, self._counted(state))
@@ -182,11 +191,28 @@ class StepWatch:
         """Return whether the autopilot said lately that it reset its estimate."""
         return self._counted_ns is not None and state.stamp_ns - self._counted_ns <= COUNTED_NS
 
-    def _shift(self, before: VehicleState, state: VehicleState) -> Vec3:
+    def _residual(self, before: VehicleState, state: VehicleState) -> Vec3:
+        """What the velocity does not explain of the way between two states."""
         dt_s = (state.stamp_ns - before.stamp_ns) * 1e-9
         mean_mps = scale(add(before.velocity_n_mps, state.velocity_n_mps), 0.5)
         moved_m = subtract(state.position_n_m, before.position_n_m)
-        north, east, down = subtract(moved_m, scale(mean_mps, dt_s))
+        return subtract(moved_m, scale(mean_mps, dt_s))
+
+    def _note_walk(self, residual_n_m: Vec3, before: VehicleState, state: VehicleState) -> None:
+        dt_s = (state.stamp_ns - before.stamp_ns) * 1e-9
+        north, east, down = residual_n_m
+        out_north, out_east = self._walk_across.taken_out((north, east), dt_s)
+        (out_down,) = self._walk_height.taken_out((down,), dt_s)
+        walked_n_m = add(self.walked_n_m, (out_north, out_east, out_down))
+        if not self.counts_height:
+            # On the ground its height is counted anew, and is right.
+            walked_n_m = walked_n_m[0], walked_n_m[1], 0.0
+        self.walked_n_m = walked_n_m
+
+    def _shift(self, before: VehicleState, state: VehicleState) -> Vec3:
+        dt_s = (state.stamp_ns - before.stamp_ns) * 1e-9
+        mean_mps = scale(add(before.velocity_n_mps, state.velocity_n_mps), 0.5)
+        north, east, down = self._residual(before, state)
         explained_m = (
             0.25 * GRAVITY_MPS2 * dt_s * dt_s + self._fastest_mps * dt_s + norm(mean_mps) * LATE_S
         )

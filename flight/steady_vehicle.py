@@ -8,6 +8,8 @@ the step, and to turn it about the vehicle.
 
     place of the autopilot = place of the flight + shift,   heading of the autopilot = heading of the flight + turn
 
+A position that walks all the time (``flight.own_walk``) is a shift that grows from state to state.
+
 ``RoleSession`` wraps every vehicle so. The guard, which is a program of its own, and the
 autopilot's own fence go by what the autopilot says: ``as_reported`` is for them.
 """
@@ -108,18 +110,24 @@ class SteadyVehicle:
         _ = self.state
         return self._turn_rad
 
+    @property
+    def _off_n_m(self) -> Vec3:
+        """Return what the autopilot's place is off that of the flight: its steps, and its walk."""
+        return add(self._shift_n_m, self._watch.walked_n_m)
+
     def _without_steps(self, raw: VehicleState) -> VehicleState:
-        if not (any(self._shift_n_m) or self._turn_rad):
+        off_n_m = self._off_n_m
+        if not (any(off_n_m) or self._turn_rad):
             return raw
         return replace(
             raw,
-            position_n_m=subtract(raw.position_n_m, self._shift_n_m),
+            position_n_m=subtract(raw.position_n_m, off_n_m),
             q_n_b=_turned(raw.q_n_b, -self._turn_rad),
         )
 
     def as_reported(self, place_n_m: Vec3) -> Vec3:
         """A place as whoever goes by the autopilot's own words has it."""
-        return add(place_n_m, self._shift_n_m)
+        return add(place_n_m, self._off_n_m)
 
     # --- commands, as the autopilot has them ---
 

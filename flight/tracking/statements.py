@@ -14,16 +14,17 @@ those that it sees were. Of the time before it saw an object nothing is known bu
 thing can be; the density widens by that.
 
 Several places of one source err together (a map that is off, a person who looks along a slope), so
-their mean residual counts once, with the error of one: r ~ N(0, e^2). How the residuals scatter
-about that mean counts for each, and tells apart what moves from what stands. Of an object that is
-not seen they scatter as little as of any that is.
+their mean residual counts once, with the error of one: r ~ N(0, e^2 + s^2), where s is how far off
+the drone takes itself to be, which lasts as well. How the residuals scatter about that mean counts
+for each, and tells apart what moves from what stands. Of an object that is not seen they scatter as
+little as of any that is.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -41,6 +42,9 @@ Array = NDArray[np.float64]
 # of the objects in view: those that a detector does not show in any frame while D1 looks
 MISSED = 0.002
 KEPT_S = 15.0
+# of how far off the drone's own position is by a minute: what that walks by within KEPT_S, once
+# flight.own_walk has taken its part out
+WALKED = 0.13
 APART_S = 1.0  # places that come more often do not err independently of each other
 _CELLS = 32
 _SIGMAS = 4.0
@@ -114,9 +118,6 @@ class Statements:
         elif isinstance(told, RegionTold):
             self._region = told
         else:
-            # Whoever says a place knows nothing of where the drone takes itself to be.
-            own_m = self._motion.own_m
-            told = replace(told, error_m=math.hypot(told.error_m, own_m)) if own_m else told
             places = self._places
             # the newest one is always kept, and goes when another comes where it came too soon
             if len(places) > 1 and places[-1].stamp_ns - places[-2].stamp_ns < APART_S * 1e9:
@@ -152,7 +153,8 @@ class Statements:
             reach_m = float(np.linalg.norm(corners - middle, axis=1).max())
             gap_s = abs(stamp_ns - self._region.stamp_ns) * 1e-9
             north, east = middle.tolist()
-            return (north, east, self._motion.down_m), reach_m + self._motion.fastest_mps * gap_s
+            reach_m += self._motion.fastest_mps * gap_s + 3.0 * self._motion.own_m
+            return (north, east, self._motion.down_m), reach_m
         return None
 
     def shares(
@@ -187,7 +189,8 @@ class Statements:
         if len(tracked) < 2:
             return 0.0, 0
         off = self._residuals(one, tracked)
-        errors = np.array([told.error_m for told in tracked])
+        walked_m = WALKED * self._motion.own_m
+        errors = np.array([math.hypot(told.error_m, walked_m) for told in tracked])
         about = off - np.average(off, axis=0, weights=errors**-2)
         count = len(tracked) - 1
         return float(((about / errors[:, None]) ** 2).sum()) / count, count
@@ -218,7 +221,8 @@ class Statements:
         last = self._places[-1]
         if tracked:
             north, east = self._residuals(one, tracked).mean(axis=0).tolist()
-            sigma_m = math.sqrt(sum(told.error_m**2 for told in tracked) / len(tracked))
+            told_m = math.sqrt(sum(told.error_m**2 for told in tracked) / len(tracked))
+            sigma_m = math.hypot(told_m, self._motion.own_m)
         else:
             there = one.at(last.stamp_ns)
             known_ns = max(one.since_ns, min(last.stamp_ns, one.stamp_ns))
@@ -299,6 +303,7 @@ class Statements:
                 corners = np.array([told.from_n_m])
                 reach_m = self._motion.farthest_m
             reach_m += self._motion.fastest_mps * max(0.0, (at_ns - told.stamp_ns) * 1e-9)
+            reach_m += _SIGMAS * self._motion.own_m
             low = corners.min(axis=0) - reach_m
             high = corners.max(axis=0) + reach_m
         side = (high - low) / _CELLS
@@ -322,20 +327,24 @@ class Statements:
             east = east + v_east * gap_s
             faster_m = (self._motion.fastest_mps + math.hypot(v_north, v_east)) * free_s
             spread_m = min(0.5 * self._motion.accel_mps2 * free_s**2, faster_m)
-        return north, east, math.hypot(told.error_m, 0.5 * spread_m)  # a disc's is half its radius
+        # A disc's is half its radius.
+        return north, east, math.hypot(told.error_m, self._motion.own_m, 0.5 * spread_m)
 
     def _density(self, told: BearingTold | RegionTold, points: Array, gap_s: float) -> Array:
         """Per square metre, at points (n, 2)."""
         spread_m = self._motion.fastest_mps * gap_s
+        own_m = self._motion.own_m
         if isinstance(told, BearingTold):
             off = points - np.array(told.from_n_m)
             range_m = np.maximum(np.hypot(off[:, 0], off[:, 1]), 1e-6)
             angle = np.arctan2(off[:, 1], off[:, 0]) - told.bearing_rad
             angle = (angle + math.pi) % (2.0 * math.pi) - math.pi
-            sigma = np.hypot(told.error_rad, 0.5 * spread_m / range_m)
+            off_m = math.hypot(0.5 * spread_m, own_m)
+            sigma = np.hypot(told.error_rad, off_m / range_m)
             across = np.exp(-0.5 * (angle / sigma) ** 2) / (math.sqrt(2.0 * math.pi) * sigma)
             return across / (range_m * self._motion.farthest_m)
         corners = np.array(told.corners_n_m)
+        spread_m = math.hypot(spread_m, 2.0 * own_m)
         outside_m = outside(corners, points)
         soft = (
             outside_m <= 0.0
@@ -343,7 +352,9 @@ class Statements:
             else np.exp(-0.5 * (np.maximum(outside_m, 0.0) / spread_m * 2.0) ** 2)
         )
         around_m = float(np.hypot(*(corners - np.roll(corners, 1, axis=0)).T).sum())
-        return soft / (_area_m2(corners) + 0.63 * spread_m * around_m)
+        # along its sides, and at its corners a whole turn together
+        beside_m2 = math.sqrt(math.pi / 8.0) * spread_m * around_m + 0.5 * math.pi * spread_m**2
+        return soft / (_area_m2(corners) + beside_m2)
 
 
 def outside(corners: Array, points: Array) -> Array:

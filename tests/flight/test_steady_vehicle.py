@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import random
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
@@ -12,7 +14,7 @@ import pytest
 from drivers.interfaces import Capability, Vehicle, VehicleState, VelocitySetpoint
 from drivers.perception.history import StateHistory
 from flight.config import MissionConfig
-from flight.guidance import Vec3
+from flight.guidance import Vec3, add, scale, subtract
 from flight.steady_vehicle import SteadyVehicle
 from path.geometry.rotation import yaw_of
 from path.messages import Quat
@@ -96,6 +98,56 @@ def test_states_go_on_as_if_nothing_had_stepped_however_often_it_does() -> None:
     assert all(
         a.velocity_n_mps == b.velocity_n_mps for a, b in zip(watched.said, true, strict=True)
     )
+
+
+def walking(made: Sequence[VehicleState], sigma_m: float, time_s: float) -> list[VehicleState]:
+    """The same, but for a position that walks as an Ornstein-Uhlenbeck process."""
+    rng = random.Random(7)
+    every_s = (made[1].stamp_ns - made[0].stamp_ns) * 1e-9
+    decay = math.exp(-every_s / time_s)
+    drive_m = sigma_m * math.sqrt(1.0 - decay**2)
+    off: Vec3 = (0.0, 0.0, 0.0)
+    walked: list[VehicleState] = []
+    for each in made:
+        new = (rng.gauss(0.0, drive_m), rng.gauss(0.0, drive_m), rng.gauss(0.0, drive_m))
+        off = add(scale(off, decay), new)
+        walked.append(replace(each, position_n_m=add(each.position_n_m, off)))
+    return walked
+
+
+def unexplained_m(said: Sequence[VehicleState], true: Sequence[VehicleState]) -> float:
+    """How far what is said moves from one state to the next without the vehicle: root mean square
+    of the last half."""
+    off = [subtract(a.position_n_m, b.position_n_m) for a, b in zip(said, true, strict=True)]
+    half = off[len(off) // 2 :]
+    moves = [math.dist(a, b) for a, b in itertools.pairwise(half)]
+    return math.sqrt(sum(each**2 for each in moves) / len(moves))
+
+
+@pytest.mark.parametrize("period_ns", [PERIOD_NS, 5 * PERIOD_NS, 10 * PERIOD_NS])
+def test_a_position_that_walks_is_no_motion_of_the_vehicle(period_ns: int) -> None:
+    true = states(1000, period_ns=period_ns)
+    says = walking(true, 2.0, 60.0)
+    watched = Watched(says)
+    assert unexplained_m(watched.said, true) < 0.3 * unexplained_m(says, true)
+    for raw, said in zip(says[-3:], watched.said[-3:], strict=True):
+        assert said.velocity_n_mps == raw.velocity_n_mps
+    reported = watched.vehicle.as_reported(watched.said[-1].position_n_m)
+    assert reported == pytest.approx(says[-1].position_n_m)
+
+
+def test_a_position_that_drifts_as_usual_is_followed_as_it_is() -> None:
+    """Nothing is taken out of a GPS that walks half a metre within twenty minutes."""
+    says = walking(states(1000), 0.5, 1200.0)
+    watched = Watched(says)
+    assert all(a is b for a, b in zip(watched.said, says, strict=True))
+
+
+def test_telemetry_that_comes_late_is_no_walk() -> None:
+    """For four states it stands still, and leaps then."""
+    true = states(1000)
+    says = [replace(each, position_n_m=true[k - k % 4].position_n_m) for k, each in enumerate(true)]
+    assert apart_m(Watched(says).said, says) == 0.0
 
 
 def test_a_place_is_told_to_others_as_the_autopilot_has_it() -> None:
