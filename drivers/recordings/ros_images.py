@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from drivers.recordings.ros_bag import ros_bag_at
 from drivers.recordings.stamps import RecordingError
+from drivers.rig.foreign_lens import ForeignError, ros_lens
 from path.arrays import Array, Depths
-from path.camera.lenses import Lens, LensKind, StandIn, as_brown_conrady
+from path.camera.lenses import StandIn, as_brown_conrady
 from path.values import frozen
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -30,14 +31,6 @@ COMPRESSED = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 INSTALL = "install the extra `ros`: docs/films.md says how"
 REGISTERED = ("aligned_depth_to_color", "depth_registered", "depth_to_rgb", "depth_to_color")
-LENSES: dict[str, tuple[LensKind, int]] = {
-    "": ("brown_conrady", 5),
-    "none": ("brown_conrady", 5),
-    "plumb_bob": ("brown_conrady", 5),
-    "rational_polynomial": ("rational", 8),
-    "equidistant": ("equidistant", 4),
-    "fisheye": ("equidistant", 4),
-}
 COLORS: dict[str, tuple[int, int | None]] = {
     "bgr8": (3, None),
     "rgb8": (3, cv2.COLOR_RGB2BGR),
@@ -113,7 +106,6 @@ class RosImages:
         info = self._color_info
         if info is None:
             return None
-        model = str(info.distortion_model)
         where = self.color_topic
         said = (int(info.width), int(info.height))
         if said != self.color_size:
@@ -122,32 +114,16 @@ class RosImages:
                 f"{said[0]}x{said[1]} px",
                 "name a calibration",
             )
-        if model not in LENSES:
-            raise RecordingError(
-                f"{where}: a lens of a kind that is not known: {model}", "name a calibration"
-            )
-        kind, count = LENSES[model]
-        coefficients = [float(k) for k in _of(info, "d")]
         matrix = _matrix(info, "k", 3)
+        numbers = [float(k) for k in _of(info, "d")]
+        model = str(info.distortion_model)
         if "rect" in self.color_topic:  # its lens was taken out of it
             matrix = _matrix(info, "p", 4)
-            kind = "brown_conrady"
-            count = 5
-            coefficients = []
-        if any(coefficients[count:]):
-            raise RecordingError(
-                f"{where}: a lens of {len(coefficients)} coefficients", "name a calibration"
-            )
-        filled = tuple((coefficients + [0.0] * count)[:count])
-        if not any(filled) and kind == "rational":
-            kind = "brown_conrady"
-            filled = (0.0,) * 5
-        fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+            numbers = []
+            model = "none"
         try:
-            return as_brown_conrady(
-                Lens(kind, int(info.width), int(info.height), fx, fy, cx, cy, filled)
-            )
-        except ValueError as error:
+            return as_brown_conrady(ros_lens(model, said, matrix, numbers))
+        except (ForeignError, ValueError) as error:
             raise RecordingError(f"{where}: {error}", "name a calibration") from error
 
     def frames(self) -> Iterator[RosFrame]:

@@ -56,6 +56,15 @@ NAMES: dict[LensKind, str] = {
     "rational": "k1 k2 p1 p2 k3 k4 k5 k6",
     "equidistant": "k1 k2 k3 k4",
 }
+ROS_LENSES = {
+    "": False,
+    "none": False,
+    "plumb_bob": False,
+    "rational_polynomial": False,
+    "equidistant": True,
+    "fisheye": True,
+}
+"""ROS's models that are known here, and whether each is a fisheye's."""
 KALIBR_LENSES = ("radtan", "radtan5", "radial-tangential", "equidistant", "none")
 REALSENSE_LENSES: Sequence[tuple[str, LensKind]] = (
     ("inverse", "inverse_brown_conrady"),
@@ -116,16 +125,23 @@ def _of_ros(text: str, size: Size | None) -> Lenses:
     info = yaml.safe_load(text)
     numbers = [float(k) for k in _data(info, "distortion_coefficients", "dist_coeffs", "d", "D")]
     model = str(info.get("distortion_model", "plumb_bob")).lower()
-    if model not in ("plumb_bob", "rational_polynomial", "equidistant", "fisheye"):
-        raise ForeignError(f"a lens of a kind that is not known: {model}", READ)
-    bends = model in ("equidistant", "fisheye")
     matrix = _data(info, "camera_matrix", "k", "K").reshape(3, 3)
     width = info.get("image_width", info.get("width"))
     height = info.get("image_height", info.get("height"))
     own = size if width is None or height is None else (int(width), int(height))
     if own is None:
         raise ForeignError("it does not say of what size its images are", SIZE)
-    return {str(info.get("camera_name", "camera")): _lens(own, matrix, numbers, bends)}
+    return {str(info.get("camera_name", "camera")): ros_lens(model, own, matrix, numbers)}
+
+
+def ros_lens(model: str, size: Size, matrix: Array, numbers: Sequence[float]) -> Lens:
+    """Return the lens of a camera_info. Raises ForeignError for one that is not known."""
+    bends = ROS_LENSES.get(model)
+    if bends is None:
+        raise ForeignError(f"a lens of a kind that is not known: {model}", READ)
+    if bends and not numbers:
+        numbers = (0.0,) * 4
+    return _lens(size, matrix, numbers, bends)
 
 
 def _data(info: Mapping[str, Any], *names: str) -> Array:
