@@ -24,6 +24,7 @@ from drivers.recordings.stamps import RecordingError
 from drivers.rig.foreign_lens import ForeignError, ros_lens
 from path.arrays import Array, Depths
 from path.camera.lenses import StandIn, as_brown_conrady
+from path.camera.model import CameraModel
 from path.values import frozen
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -56,7 +57,7 @@ NS = 1_000_000_000
 
 
 @frozen
-class RosFrame:
+class FilmFrame:
     """Colour (h, w, 3) BGR and depth (h, w) in mm of the colour camera's pixels, at ``stamp_ns`` of
     the bag's clock.
     """
@@ -76,9 +77,13 @@ class RosImages:
     Attributes:
         color_topic, depth_topic: which were taken; no depth: None.
         color_size: (width, height) in px.
+        serial: of the camera, which a bag does not say.
+        clock: whose the stamps are.
         torn: so many frames of ``frames`` were not whole, and are none.
     """
 
+    serial = ""
+    clock = "the clock of who recorded it"
     torn: int = 0
 
     def __init__(self, path: Path) -> None:
@@ -97,6 +102,10 @@ class RosImages:
         except (ValueError, KeyError, RuntimeError, OSError) as error:
             raise self._damaged(error) from error
         self.color_size: tuple[int, int] = first.shape[1], first.shape[0]
+
+    @property
+    def has_depth(self) -> bool:
+        return self.depth_topic is not None
 
     def factory_color(self) -> StandIn | None:
         """The colour camera by the bag's camera_info; None when there is none.
@@ -126,10 +135,11 @@ class RosImages:
         except (ForeignError, ValueError) as error:
             raise RecordingError(f"{where}: {error}", "name a calibration") from error
 
-    def frames(self) -> Iterator[RosFrame]:
+    def frames(self, color: CameraModel | None = None) -> Iterator[FilmFrame]:
         """Yield colour and depth that were taken together. Raises RecordingError where the bag is
-        damaged.
+        damaged. ``color`` is not asked: its depth is registered already.
         """
+        del color
         try:
             colors = list(self._stamps(self.color_topic))
             back = sum(after <= before for before, after in pairwise(colors))
@@ -149,7 +159,7 @@ class RosImages:
         finally:
             self._reader.close()
 
-    def _alone(self) -> Iterator[RosFrame]:
+    def _alone(self) -> Iterator[FilmFrame]:
         """Yield colour of a bag that has no depth."""
         for _, message in self._messages(self.color_topic):
             try:
@@ -158,7 +168,7 @@ class RosImages:
                 self.torn += 1
                 continue
             self._check_size(pixels)
-            yield RosFrame(_stamp_of(message), pixels, None)
+            yield FilmFrame(_stamp_of(message), pixels, None)
 
     def _check_size(self, pixels: NDArray[np.uint8]) -> None:
         size = (pixels.shape[1], pixels.shape[0])
@@ -169,7 +179,7 @@ class RosImages:
                 "copy the images of one size into a bag of their own",
             )
 
-    def _paired(self, partner: Mapping[int, int], depth_topic: str) -> Iterator[RosFrame]:
+    def _paired(self, partner: Mapping[int, int], depth_topic: str) -> Iterator[FilmFrame]:
         """Yield pairs, by colour's stamp and its depth's. Depth often comes some messages after its
         colour.
         """
@@ -200,7 +210,7 @@ class RosImages:
                     f"{pixels.shape[1]}x{pixels.shape[0]} px: it is not registered",
                     REMEDY,
                 )
-            yield RosFrame(color_ns, pixels, depth_mm)
+            yield FilmFrame(color_ns, pixels, depth_mm)
 
     def _messages(self, *topics: str) -> Iterator[tuple[str, Any]]:
         connections = [c for c in self._reader.connections if c.topic in topics]

@@ -26,7 +26,7 @@ from drivers.realsense.camera import RealSenseConfig
 from drivers.realsense.recorded import RealSenseRecording
 from drivers.realsense.registration import DepthRegistration
 from drivers.recordings.ros_bag import ros_bag_at
-from drivers.recordings.ros_images import RosImages
+from drivers.recordings.ros_images import FilmFrame, RosImages
 from drivers.rig.calibration_file import (
     CameraCalibration,
     check_serial,
@@ -46,17 +46,10 @@ STAMPS = "stamps.csv"
 FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 
-@frozen
-class FilmFrame:
-    """Colour (h, w, 3) BGR and depth (h, w) in mm as the colour camera sees it, if there is any."""
-
-    stamp_ns: int
-    color: Image
-    depth_mm: Depths | None
-
-
 class Film(Protocol):
-    """What is written out. ``serial``: of its camera, "" when it is not known; ``clock``: whose its
+    """What is written out: a bag of ROS (``RosImages``) is one as it is.
+
+    ``serial``: of its camera, "" when it is not known; ``clock``: whose its
     stamps are; ``torn``: so many frames were not whole, and were left out.
     """
 
@@ -116,32 +109,6 @@ class RealSenseFilm:
             yield FilmFrame(pair.stamp_ns, pair.color, registration.register(pair.depth))
 
 
-class RosFilm:
-    """A bag of ROS."""
-
-    def __init__(self, path: Path) -> None:
-        self._images = RosImages(path)
-        self.serial = ""
-        self.color_size = self._images.color_size
-        self.clock = "the clock of who recorded it"
-
-    @property
-    def has_depth(self) -> bool:
-        return self._images.depth_topic is not None
-
-    @property
-    def torn(self) -> int:
-        return self._images.torn
-
-    def factory_color(self) -> StandIn | None:
-        return self._images.factory_color()
-
-    def frames(self, color: CameraModel | None) -> Iterator[FilmFrame]:
-        del color  # its depth is registered already
-        for frame in self._images.frames():
-            yield FilmFrame(frame.stamp_ns, frame.color, frame.depth_mm)
-
-
 def export_recording(options: ExportOptions) -> int:
     """Write the images, and say how many there are. Raises PartError; what was written until then
     stays.
@@ -161,7 +128,7 @@ def export_recording(options: ExportOptions) -> int:
     if out.exists() and out.is_dir() and any(out.iterdir()):
         raise PartError(f"{out} is not empty", "name another folder with --out, or remove it")
     with unless_refused(out):
-        film = RosFilm(file) if of_ros else RealSenseFilm(file)
+        film = RosImages(file) if of_ros else RealSenseFilm(file)
         camera = (
             _given(film, options.calibration, file)
             if options.calibration
