@@ -45,7 +45,7 @@ DroneProgram = Callable[[str, ProgramContext], OneFlight]
 
 
 class RelayField(Protocol):
-    """The place where a relay is flown, as those who stand there can act on it."""
+    """The place where a relay or a team is flown, as those who stand there can act on it."""
 
     def begin(self, name: str, program: DroneProgram) -> Awaitable[RoleResult | None]:
         """Start a drone's program; None when it died. The drone is switched on, if it is not."""
@@ -73,9 +73,7 @@ class RelayField(Protocol):
         """
         ...
 
-
-class TeamField(RelayField, Protocol):
-    """The place where a team flies. Targets are told apart by their number in the rig's order."""
+    # --- of a team; targets are told apart by their number in the rig's order ---
 
     def assign(self, name: str, target: int) -> None:
         """Before it is begun: a drone is sent to find a target."""
@@ -136,7 +134,7 @@ class RelayRequest:
     Attributes:
         processes: for a harness whose drones' programs are processes of their own.
         hours: how long it is to last, about.
-        main: flies it to its end, for a team on a ``TeamField``; told to stop by the event.
+        main: flies it to its end; told to stop by the event.
         faults: by the number of their leg; of 0 those of all legs.
         whole_log: everything into the logs, not only what is rare.
         targets: of a team; a relay has the one of ``[world.target]``.

@@ -1,7 +1,7 @@
 """The field of a relay or a team in virtual time: drones switched on by name, their programs, the
 links of their legs.
 
-It is what the ground of a mission acts on (``flight.harness.relay.TeamField``), and where faults
+It is what the ground of a mission acts on (``flight.harness.relay.RelayField``), and where faults
 take effect.
 """
 

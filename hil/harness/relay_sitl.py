@@ -102,7 +102,7 @@ def orders_of(request: RelayRequest) -> Orders:
 
 
 class LiveField:
-    """The field as those on the ground can act on it (``flight.harness.relay.TeamField``)."""
+    """The field as those on the ground can act on it (``flight.harness.relay.RelayField``)."""
 
     def __init__(self, request: RelayRequest, run: RealTimeRun) -> None:
         self._request = request

@@ -1,5 +1,5 @@
-"""The checked part of a rig about a team; and a field laid out for more drones and targets than it
-names.
+"""The checked part of a rig about a relay or a team; and a field laid out for more drones and targets
+than a team's rig names.
 """
 
 from __future__ import annotations
@@ -14,7 +14,15 @@ from drivers.interfaces import PartError
 from drivers.rig.parts import PartSpec, Rig
 from drivers.rig.tables import Problems, RigError, decode_table
 from flight.config import MissionConfig
-from flight.harness.fleet import NamedDrone, NamedTarget, Point, TeamConfig, team_of_rig
+from flight.harness.fleet import (
+    NamedDrone,
+    NamedTarget,
+    Point,
+    RelayConfig,
+    TeamConfig,
+    relay_of_rig,
+    team_of_rig,
+)
 
 HOMES_M = 3.0  # between two of them
 ON_THE_WIRE = ("url", "bind", "sysid", "vehicle_sysid", "host", "serial", "device", "key_file")
@@ -22,6 +30,23 @@ HOME_ROW_M = 13.0  # of a field that is laid out: the homes of a target south of
 HOME_STEP_M = 4.0
 
 Found = Iterator[tuple[str, str]]
+
+
+def relay_of(rig: Rig, drones: int) -> RelayConfig:
+    """The rig's relay with its first ``drones`` drones. Raises PartError."""
+    if not rig.relay:
+        raise PartError(
+            f"rig {rig.name} has no [relay]",
+            "use --rig relay, or a rig like it (docs/relay.md)",
+        )
+    config = relay_of_rig(rig)
+    if not 2 <= drones <= len(config.drones):
+        there = f"rig {rig.name} names {len(config.drones)}"
+        raise PartError(
+            f"--drones {drones}: {there}, and a relay takes two at least",
+            "add [[relay.drones]] to the rig",
+        )
+    return replace(config, drones=config.drones[:drones])
 
 
 def team_of(rig: Rig, drones: int | None = None, targets: int | None = None) -> TeamConfig:

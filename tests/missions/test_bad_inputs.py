@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
+import missions.fly.fleet.command
 import missions.fly.handoff.command
-import missions.fly.relay.command
 from drivers.interfaces import PartError, StateError
 from drivers.link.wire import KEY_LENGTH, Codec, Drop
 from drivers.log.state_file import StateFile
@@ -54,7 +54,7 @@ def said(
         raise AssertionError("it flies")
 
     monkeypatch.setattr(missions.fly.handoff.command, "fly_once", fly)
-    monkeypatch.setattr(missions.fly.relay.command, "fly_relay", fly)
+    monkeypatch.setattr(missions.fly.fleet.command, "fly", fly)
 
     def run(*arguments: str) -> tuple[int, str]:
         with pytest.raises(SystemExit) as ended:

@@ -1,1 +1,1 @@
-"""``path-handoff relay``: one target, handed from drone to drone."""
+"""One drone of many, and those on the ground: what a relay and a team have in common, and a relay's base."""

@@ -9,12 +9,22 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Generic, Literal, TypeVar
 
+from flight.guidance import Vec3
 from flight.harness.fleet import RelayConfig
 from flight.harness.flights import RoleResult
-from flight.harness.relay import DroneProgram, RelayField
+from flight.harness.relay import DroneProgram, Pointed, RelayField
 from flight.outcome import Outcome
 from missions.fly.leg.session import as_end
-from missions.fly.relay.ground import Event, Leg, TakeOffOrder, Tell, What
+from missions.fly.relay.ground import (
+    Custody,
+    Event,
+    Leg,
+    SentTo,
+    TakeOffOrder,
+    Tell,
+    TurnedBack,
+    What,
+)
 from path.messages import Role
 
 POLL_S = 0.5
@@ -47,15 +57,15 @@ class CalledDrone:
 
 Config = TypeVar("Config", bound=RelayConfig)
 Called = TypeVar("Called", bound=CalledDrone)
-Field = TypeVar("Field", bound=RelayField)
 
 
 @dataclass
-class Crew(ABC, Generic[Config, Called, Field]):
-    """Knows what the drones say, and acts on the field. One loop, in ``run``. Times are from its
-    beginning.
+class Crew(ABC, Generic[Config, Called]):
+    """Knows what the drones say, and acts on the field: a ``missions.fly.relay.ground.Ground``.
+    One loop, in ``run``. Times are from its beginning.
 
     Attributes:
+        spells: who had which target when, as far as it was said.
         over: the time is; nobody is called any more.
     """
 
@@ -64,26 +74,47 @@ class Crew(ABC, Generic[Config, Called, Field]):
     hours: float = 8.0
     legs: list[Leg] = field(default_factory=list[Leg])
     events: list[Event] = field(default_factory=list[Event])
+    spells: list[Custody] = field(default_factory=list[Custody])
     outcome: Outcome = Outcome.COMMITTED
     detail: str = ""
     over: bool = False
     drones: dict[str, Called] = field(init=False)
     _program: DroneProgram = field(init=False)
-    _field: Field = field(init=False)
+    _field: RelayField = field(init=False)
     _begun_s: float = 0.0
+
+    # --- what the drones' programs ask and say; what is said of targets is for a team's base ---
 
     def order_of(self, name: str) -> TakeOffOrder:
         return self.drones[name].order
 
-    async def run(self, where: Field, stop: asyncio.Event, program: DroneProgram) -> None:
+    def called_home(self, name: str) -> bool:
+        del name
+        return self.over
+
+    def sent_to(self, name: str) -> SentTo | None: ...
+
+    def pointed_at(self, name: str) -> Pointed | None: ...
+
+    def follows(self, name: str, place_n_m: Vec3) -> None: ...
+
+    def gave_up(self, name: str, why: str) -> None: ...
+
+    def may_find(self, name: str, wait_s: float) -> None: ...
+
+    def turned_back(self, name: str) -> TurnedBack:
+        del name
+        return "no"
+
+    # --- the loop ---
+
+    async def run(self, where: RelayField, stop: asyncio.Event, program: DroneProgram) -> None:
         """Runs from the first take-off until all is over and everybody is down. ``program``: of
         every drone.
         """
-        self._field, self._program, self._begun_s = (
-            where,
-            program,
-            asyncio.get_running_loop().time(),
-        )
+        self._field = where
+        self._program = program
+        self._begun_s = asyncio.get_running_loop().time()
         self._begin()
         while not stop.is_set() and not self._finished():
             self._step(self._now_s() >= 3600.0 * self.hours)
@@ -185,6 +216,16 @@ class Crew(ABC, Generic[Config, Called, Field]):
         return (
             f"the next one in {min(coming) - self._now_s():.0f} s" if coming else "and none will be"
         )
+
+    def _begin_spell(self, target: int, name: str) -> None:
+        self._end_spell(target)
+        self.spells.append(Custody(target, name, self._now_s()))
+
+    def _end_spell(self, target: int) -> None:
+        for spell in reversed(self.spells):
+            if spell.target == target:
+                spell.to_s = self._now_s() if spell.to_s is None else spell.to_s
+                return
 
     def _say(self, name: str, what: What, text: str) -> None:
         event = Event(round(self._now_s(), 2), name, what, text)

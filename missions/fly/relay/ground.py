@@ -54,12 +54,38 @@ class Event:
 Tell = Callable[[Event], None]
 
 
+@frozen
+class SentTo:
+    """The target that a drone of a team is sent to, where it was said to be, and the heading to
+    follow it from.
+    """
+
+    target: int
+    place_n_m: Vec3
+    heading_deg: float
+
+
+@dataclass(slots=True)
+class Custody:
+    """A drone had a target, from its word on until another one's, or until it was lost."""
+
+    target: int
+    drone: str
+    from_s: float
+    to_s: float | None = None
+
+
+TurnedBack = Literal["no", "wait", "go"]
+"""Of a drone on its way home: it is to fly on; to wait where it is until its way is free; to go and
+find its target.
+"""
+
+
 class Ground(Protocol):
     """The ground as a drone's program asks and tells it: the base, or the way to it."""
 
-    @property
-    def over(self) -> bool:
-        """Return whether the time is over: nobody is called any more."""
+    def called_home(self, name: str) -> bool:
+        """Return whether this drone is to come home: nobody is called any more."""
         ...
 
     def order_of(self, name: str) -> TakeOffOrder: ...
@@ -80,30 +106,13 @@ class Ground(Protocol):
         """Tell the end of a leg for the drone that goes on with the target."""
         ...
 
+    # --- of a team, whose drones speak of their targets too; None, and nothing, in a relay ---
 
-@frozen
-class SentTo:
-    """The target that a drone of a team is sent to, where it was said to be, and the heading to
-    follow it from.
-    """
+    def sent_to(self, name: str) -> SentTo | None:
+        """Return the target of a drone of a team."""
+        ...
 
-    target: int
-    place_n_m: Vec3
-    heading_deg: float
-
-
-TurnedBack = Literal["no", "wait", "go"]
-"""Of a drone on its way home: it is to fly on; to wait where it is until its way is free; to go and
-find its target.
-"""
-
-
-class TeamGround(Ground, Protocol):
-    """The ground of a team: it knows targets besides."""
-
-    def sent_to(self, name: str) -> SentTo: ...
-
-    def pointed_at(self, name: str) -> Pointed:
+    def pointed_at(self, name: str) -> Pointed | None:
         """Return the place at which a person points, whose target this drone is sent to find."""
         ...
 

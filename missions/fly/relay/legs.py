@@ -10,14 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from flight.harness.fleet import RelayConfig
-from flight.harness.relay import RelayField
 from flight.outcome import MissionEnd, Outcome
 from missions.fly.relay.crew import CalledDrone, Crew
 from missions.fly.relay.ground import Leg, TakeOffOrder
 
 
 @dataclass
-class Base(Crew[RelayConfig, CalledDrone, RelayField]):
+class Base(Crew[RelayConfig, CalledDrone]):
     """The ground of a relay: one target, one leg at a time."""
 
     holder: str | None = None
@@ -32,7 +31,7 @@ class Base(Crew[RelayConfig, CalledDrone, RelayField]):
             for k, drone in enumerate(self.config.drones)
         }
 
-    # --- what the drones' programs ask and say (``missions.fly.relay.ground.Ground``) ---
+    # --- what the drones' programs ask and say ---
 
     def leg_of(self, name: str) -> Leg | None:
         leg = self._leg
@@ -50,6 +49,7 @@ class Base(Crew[RelayConfig, CalledDrone, RelayField]):
             self._leg = None
             self._field.close_leg(leg.number)
         self.holder = name
+        self._begin_spell(0, name)
         self._asking = None
         self._alarmed = False
         self._say(

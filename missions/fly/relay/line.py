@@ -16,27 +16,26 @@ import msgspec
 from flight.guidance import Vec3
 from flight.harness.relay import Pointed
 from flight.outcome import MissionEnd, Outcome
-from missions.fly.relay.ground import Ground, Leg, SentTo, TakeOffOrder, TeamGround, TurnedBack
+from missions.fly.relay.ground import Ground, Leg, SentTo, TakeOffOrder, TurnedBack
 
 Say = Callable[[Mapping[str, Any]], None]
 
 
 def news_of(base: Ground, name: str) -> dict[str, Any]:
-    """Return what a drone's program has to know at present."""
-    leg = base.leg_of(name)
-    return {"order": base.order_of(name).value, "leg": leg and asdict(leg), "over": base.over}
-
-
-def team_news_of(ground: TeamGround, name: str) -> dict[str, Any]:
-    """Return what a drone's program of a team has to know besides: its target, and where a person
-    points at it.
+    """Return what a drone's program has to know at present: of a team also its target, and where a
+    person points at it while it is to be found.
     """
-    pointed = ground.pointed_at(name) if ground.order_of(name) is TakeOffOrder.FIND else None
+    leg = base.leg_of(name)
+    order = base.order_of(name)
+    sent = base.sent_to(name)
+    pointed = base.pointed_at(name) if order is TakeOffOrder.FIND else None
     return {
-        **news_of(ground, name),
-        "sent": asdict(ground.sent_to(name)),
+        "order": order.value,
+        "leg": leg and asdict(leg),
+        "over": base.called_home(name),
+        "sent": sent and asdict(sent),
         "pointed": pointed and asdict(pointed),
-        "turned_back": ground.turned_back(name),
+        "turned_back": base.turned_back(name),
     }
 
 
@@ -49,26 +48,19 @@ def hear(base: Ground, name: str, word: Mapping[str, Any]) -> None:
             base.holds(name)
         case {"event": "leg_failed", "outcome": str(label), "detail": str(detail)}:
             base.leg_failed(name, MissionEnd(Outcome.from_label(label), detail))
+        case {"event": "follows", "place_n_m": [float(north), float(east), float(down)]}:
+            base.follows(name, (north, east, down))
+        case {"event": "gave_up", "why": str(why)}:
+            base.gave_up(name, why)
+        case {"event": "may_find", "wait_s": float(wait_s)}:
+            base.may_find(name, wait_s)
         case _:
             pass
 
 
-def team_hear(ground: TeamGround, name: str, word: Mapping[str, Any]) -> None:
-    """The same of a team, whose drones speak of their targets too."""
-    match word:
-        case {"event": "follows", "place_n_m": [float(north), float(east), float(down)]}:
-            ground.follows(name, (north, east, down))
-        case {"event": "gave_up", "why": str(why)}:
-            ground.gave_up(name, why)
-        case {"event": "may_find", "wait_s": float(wait_s)}:
-            ground.may_find(name, wait_s)
-        case _:
-            hear(ground, name, word)
-
-
 class FarBase:
     """The base, as a drone's program in another process knows it
-    (``missions.fly.relay.legs.TeamGround``).
+    (``missions.fly.relay.ground.Ground``).
 
     A leg that is over for this drone stays over, whatever older news is still on the line.
     """
@@ -82,7 +74,7 @@ class FarBase:
         self._sent: SentTo | None = None
         self._pointed: Pointed | None = None
         self._turned_back: TurnedBack = "no"
-        self.over = False
+        self._over = False
 
     @property
     def told(self) -> bool:
@@ -90,13 +82,17 @@ class FarBase:
         return self._order is not None
 
     def on_news(self, news: Mapping[str, Any]) -> None:
-        self._order, self.over = TakeOffOrder(news["order"]), bool(news["over"])
+        self._order = TakeOffOrder(news["order"])
+        self._over = bool(news["over"])
         self._leg = None if news["leg"] is None else Leg(**news["leg"])
-        if news.get("sent") is not None:
-            self._sent = msgspec.convert(news["sent"], SentTo)
-        if news.get("pointed") is not None:
+        self._sent = msgspec.convert(news["sent"], SentTo | None)
+        if news["pointed"] is not None:
             self._pointed = msgspec.convert(news["pointed"], Pointed)
-        self._turned_back = news.get("turned_back", "no")
+        self._turned_back = news["turned_back"]
+
+    def called_home(self, name: str) -> bool:
+        assert name == self._name
+        return self._over
 
     def order_of(self, name: str) -> TakeOffOrder:
         assert name == self._name and self._order is not None, "asked before there was any news"
@@ -120,8 +116,8 @@ class FarBase:
 
     # --- of a team ---
 
-    def sent_to(self, name: str) -> SentTo:
-        assert name == self._name and self._sent is not None, "asked in a relay"
+    def sent_to(self, name: str) -> SentTo | None:
+        assert name == self._name
         return self._sent
 
     def pointed_at(self, name: str) -> Pointed:

@@ -1,1 +1,1 @@
-"""``path-handoff team``: many drones keep many targets observed."""
+"""What a team flies besides: many targets, and ways through the air that do not cross."""

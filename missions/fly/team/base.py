@@ -12,14 +12,14 @@ from dataclasses import dataclass, field
 
 from flight.guidance import Vec3
 from flight.harness.fleet import TeamConfig
-from flight.harness.relay import Pointed, TeamField
+from flight.harness.relay import Pointed
 from flight.outcome import MissionEnd, Outcome
 from missions.fly.relay.crew import Crew, end_of
 from missions.fly.relay.ground import Leg, SentTo, TakeOffOrder, TurnedBack
 from missions.fly.team.airways import Airway, in_the_way, way_back, way_out
 from missions.fly.team.assignment import Airspace, Assignment, Need, ReadyDrone, assign
 from missions.fly.team.needs import needs_of
-from missions.fly.team.roster import Custody, TeamDrone, TeamTarget
+from missions.fly.team.roster import TeamDrone, TeamTarget
 
 # of battery, at least, to find a target on the way home: until it has it, and is relieved
 _STAYS_S = 180.0
@@ -27,10 +27,9 @@ _HELD_BACK_S = 60.0  # without anybody on its way to a lost target, while drones
 
 
 @dataclass
-class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
+class TeamBase(Crew[TeamConfig, TeamDrone]):
     """The ground of a team: legs of many targets at once."""
 
-    spells: list[Custody] = field(default_factory=list[Custody])
     targets: list[TeamTarget] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -42,8 +41,10 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
             TeamTarget(number, named) for number, named in enumerate(self.config.targets)
         ]
 
-    # --- what the drones' programs ask and say (``missions.fly.relay.ground.TeamGround``, but for
-    # ``over``) ---
+    # --- what the drones' programs ask and say ---
+
+    def called_home(self, name: str) -> bool:
+        return self.drones[name].called_home
 
     def leg_of(self, name: str) -> Leg | None:
         return self.drones[name].leg
@@ -83,8 +84,7 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         target.asking = None
         target.alarmed = False
         drone.has_nothing = False
-        self._end_spell(target)
-        self.spells.append(Custody(target.number, name, self._now_s()))
+        self._begin_spell(target.number, name)
         drone.ways.clear()
         where = target.named.name
         self._say(
@@ -222,22 +222,14 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
             self._lose(target, drone.name, end_of(drone.result))
 
     def _lose(self, target: TeamTarget, name: str, why: str) -> None:
-        target.holder, target.asking, target.lost_s, target.alarmed = (
-            None,
-            None,
-            self._now_s(),
-            False,
-        )
-        self._end_spell(target)
+        target.holder = None
+        target.asking = None
+        target.lost_s = self._now_s()
+        target.alarmed = False
+        self._end_spell(target.number)
         self._field.given_up(target.number)
         if not self.over:
             self._say(name, "lost", f"{target.named.name}: {why}")
-
-    def _end_spell(self, target: TeamTarget) -> None:
-        for spell in reversed(self.spells):
-            if spell.target == target.number:
-                spell.to_s = self._now_s() if spell.to_s is None else spell.to_s
-                return
 
     # --- assignment ---
 
@@ -280,11 +272,8 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         ways = self._ways(need, ReadyDrone(drone.name, drone.home_m, drone.battery))
         if in_the_way(ways, self._flown(), self.config.clear_route_m):
             return  # another one of the same moment is in its way: a little later
-        drone.target, drone.heading_deg, target.heading_deg = (
-            target.number,
-            choice.heading_deg,
-            choice.heading_deg,
-        )
+        drone.target = target.number
+        drone.heading_deg = target.heading_deg = choice.heading_deg
         drone.ways.append(ways[0])
         if target.holder is None:
             target.finder = drone.name
@@ -345,30 +334,3 @@ class TeamBase(Crew[TeamConfig, TeamDrone, TeamField]):
         if ready:
             why = f"for {without_s:.0f} s no ready drone had a free way, or may take it"
         self._say(target.holder or "", "alarm", f"{target.named.name}: {why}{until}")
-
-
-class OwnGround:
-    """The ground as one drone's program knows it (``missions.fly.relay.ground.TeamGround``).
-
-    What the base answers and hears is as it is; whether all is over is another matter for each
-    drone.
-    """
-
-    def __init__(self, base: TeamBase, name: str) -> None:
-        self._base = base
-        self._name = name
-        self.order_of, self.leg_of, self.sent_to, self.pointed_at = (
-            base.order_of, base.leg_of, base.sent_to, base.pointed_at,
-        )  # fmt: skip
-        self.ask = base.ask
-        self.holds = base.holds
-        self.leg_failed = base.leg_failed
-        self.follows = base.follows
-        self.gave_up = base.gave_up
-        self.may_find = base.may_find
-        self.turned_back = base.turned_back
-
-    @property
-    def over(self) -> bool:
-        """True when this drone is called home."""
-        return self._base.drones[self._name].called_home

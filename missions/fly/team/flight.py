@@ -24,7 +24,7 @@ from missions.fly.relay.drone.guidance import way_home
 from missions.fly.relay.drone.life import DroneFlight
 from missions.fly.relay.drone.records import write
 from missions.fly.relay.drone.stages import Holder, Relief
-from missions.fly.relay.ground import SentTo, TeamGround
+from missions.fly.relay.ground import Ground, SentTo
 from path.protocol.values import SenderRecord
 
 _GAIN_PER_S = 0.8
@@ -39,12 +39,13 @@ class TeamFlight(DroneFlight):
     """A drone's program. ``run`` is the whole of it."""
 
     def __init__(
-        self, rig: Rig, team: TeamConfig, ground: TeamGround, name: str, given: ProgramContext
+        self, rig: Rig, team: TeamConfig, ground: Ground, name: str, given: ProgramContext
     ) -> None:
         super().__init__(rig, team, ground, name, given)
         self._team = team
-        self._ground = ground
-        self._mission = mission_on(self._mission, ground.sent_to(name))
+        sent = ground.sent_to(name)
+        assert sent is not None, f"{name} was sent to no target"
+        self._mission = mission_on(self._mission, sent)
         self._pointed: Pointed | None = None
         self._told_s = self._asked_s = -_TOLD_S
         self._has_turned = False
@@ -56,7 +57,8 @@ class TeamFlight(DroneFlight):
         """A person goes on pointing at it until this drone has it."""
         now_s = asyncio.get_running_loop().time()
         if self._pointed is None or now_s - self._pointed.time_s > _TOLD_S:
-            self._pointed = self._ground.pointed_at(self._name)
+            self._pointed = self._base.pointed_at(self._name)
+            assert self._pointed is not None, "nobody points in a relay"
         north, east, _ = add(self._pointed.at(now_s), self.off_n_m)
         return north, east, self.off_n_m[2] - self._mission.target.height_m
 
@@ -64,7 +66,7 @@ class TeamFlight(DroneFlight):
         now_s = asyncio.get_running_loop().time()
         if holder.track is not None and now_s - self._told_s >= _TOLD_S:
             self._told_s = now_s
-            self._ground.follows(self._name, subtract(holder.track.position_n_m, self.off_n_m))
+            self._base.follows(self._name, subtract(holder.track.position_n_m, self.off_n_m))
 
     async def _give_up(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd) -> None:
         """Give up what this drone was responsible for, by its record too: the target will be found
@@ -76,7 +78,7 @@ class TeamFlight(DroneFlight):
         await write(self._store, SenderRecord(0 if kept is None else kept.record.epoch))
         session.set_claim(None)
         session.say("gives the target up: it is to be pointed at again")
-        self._ground.gave_up(self._name, str(end))
+        self._base.gave_up(self._name, str(end))
 
     # --- over the ways of the team ---
 
@@ -157,8 +159,8 @@ class TeamFlight(DroneFlight):
         if now_s - self._asked_s >= _TOLD_S:
             self._asked_s = now_s
             self._gauge.note(now_s, session.vehicle.state.battery)
-            self._ground.may_find(self._name, self._gauge.left_s - self._team.home_s)
-        return self._ground.turned_back(self._name) != "no"
+            self._base.may_find(self._name, self._gauge.left_s - self._team.home_s)
+        return self._base.turned_back(self._name) != "no"
 
     async def _may_turn_back(self, session: RoleSession) -> bool:
         """Waits, high above, until its way is free; False when that took too long."""
@@ -167,13 +169,13 @@ class TeamFlight(DroneFlight):
         session.pilot.hold_here()
         loop = asyncio.get_running_loop()
         end_s = loop.time() + _WAITS_S
-        while (answer := self._ground.turned_back(self._name)) == "wait":
+        while (answer := self._base.turned_back(self._name)) == "wait":
             if not session.pilot.in_control or loop.time() > end_s:
                 break
             await asyncio.sleep(_POLL_S)
         if answer == "go" and session.pilot.in_control:
             return True
-        self._ground.may_find(self._name, 0.0)
+        self._base.may_find(self._name, 0.0)
         return False
 
 

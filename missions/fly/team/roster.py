@@ -1,4 +1,4 @@
-"""The ground's knowledge of each drone and each target of a team, and who had which target when."""
+"""The ground's knowledge of each drone and each target of a team."""
 
 from __future__ import annotations
 
@@ -9,16 +9,6 @@ from flight.harness.fleet import NamedTarget
 from missions.fly.relay.crew import CalledDrone
 from missions.fly.relay.ground import Leg, TurnedBack
 from missions.fly.team.airways import Airway, Point
-
-
-@dataclass(slots=True)
-class Custody:
-    """A drone had a target, from its word on until another one's, or until it was lost."""
-
-    target: int
-    drone: str
-    from_s: float
-    to_s: float | None = None
 
 
 @dataclass(slots=True, kw_only=True)

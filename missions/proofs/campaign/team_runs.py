@@ -16,9 +16,9 @@ from drivers.interfaces import PartError
 from drivers.rig.parts import Rig, with_errors
 from flight.harness.fleet import TeamConfig
 from flight.outcome import Outcome
-from missions.fly.relay.flying import tell
+from missions.fly.fleet.command import fly as fly_team
+from missions.fly.fleet.command import tell
 from missions.fly.relay.ground import Event
-from missions.fly.team.command import fly_team
 from missions.ground import rig_library
 from missions.ground.options.flights import TeamOptions
 from missions.ground.options.proofs import CampaignOptions

@@ -225,7 +225,7 @@ def test_a_run_without_findings_is_reported_too(rig: Rig, tmp_path: Path) -> Non
 
 
 def test_the_parent_knows_a_record_from_other_lines(capsys: pytest.CaptureFixture[str]) -> None:
-    from missions.fly.relay.process import RelayedLog  # noqa: PLC0415 (what it says is all that is asked for)
+    from missions.fly.fleet.process import RelayedLog  # noqa: PLC0415 (what it says is all that is asked for)
 
     class NoLog:
         def write(self, topic: str, stamp_ns: int, record: Any) -> None: ...

@@ -16,8 +16,7 @@ from hil.harness.realtime.parts import embedded_vehicle
 from hil.harness.realtime.relay_world import field_of
 from hil.world.config import WorldConfig
 from hil.world.world import World
-from missions.fly.relay import command as relay
-from missions.fly.team import command as team
+from missions.fly.fleet import command as fleet
 from missions.ground import rig_library
 from missions.ground.ground_station import name_ground_station
 from missions.ground.options.flights import HandoffOptions, RelayOptions, TeamOptions
@@ -34,9 +33,9 @@ def nobody_listens(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_flies_many_refuses_one_where_there_is_no_mavlink_of_ours() -> None:
     with pytest.raises(PartError, match="rig team has no embedded MAVLink vehicles"):
-        team.run(TeamOptions(gcs=USUAL))
+        fleet.run(TeamOptions(gcs=USUAL))
     with pytest.raises(PartError, match="rig relay has no embedded MAVLink vehicles"):
-        relay.run(RelayOptions(gcs=USUAL))
+        fleet.run(RelayOptions(gcs=USUAL))
     for name in ("sitl-px4", "sitl-tello", "hitl"):
         with pytest.raises(PartError, match=f"rig {name} has no embedded MAVLink vehicles"):
             name_ground_station(rig_library.load(name), USUAL)

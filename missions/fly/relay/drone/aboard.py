@@ -179,7 +179,7 @@ class Aboard:
             if ask:
                 if wait_s <= relay.attempts * self._leg_s:
                     base.ask(self._name, battery, wait_s)
-                if base.over or base.leg_of(self._name) is not None:
+                if base.called_home(self._name) or base.leg_of(self._name) is not None:
                     self._called.set()
             await asyncio.sleep(_POLL_S)
 

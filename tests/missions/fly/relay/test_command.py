@@ -18,15 +18,17 @@ from drivers.rig.parts import Rig
 from flight.harness.fleet import RelayConfig
 from flight.harness.relay import RelayReport
 from flight.outcome import Outcome
-from missions.fly.relay.command import fly_relay, relay_of
+from missions.fly.fleet.command import faults_of
+from missions.fly.fleet.command import fly as fly_relay
+from missions.fly.fleet.ending import judge
 from missions.fly.relay.drone.battery import Gauge
 from missions.fly.relay.drone.guidance import keep_clear
 from missions.fly.relay.drone.records import EPOCHS, as_first, as_holder, as_relief, for_leg
-from missions.fly.relay.flying import faults_of, judge
 from missions.fly.relay.ground import Event
 from missions.fly.relay.legs import Base
 from missions.ground import rig_library
 from missions.ground.options.flights import RelayOptions
+from missions.ground.team_config import relay_of
 from path.protocol.values import LAST_EPOCH, Handoff, ReceiverRecord, SenderRecord
 
 LIVE = Handoff(7, 7, 1)
@@ -68,7 +70,7 @@ def held(record: dict[str, Any]) -> list[tuple[str, str]]:
 
 def test_a_target_goes_round_without_a_break(rig: Rig, tmp_path: Path) -> None:
     summary, record, _ = fly(rig, tmp_path, 0.62, 0.62, 1.0, hours=0.025)
-    assert (summary["outcome"], summary["violations"]) == ("committed", {})
+    assert (summary["outcome"], summary["monitors"]) == ("committed", {})
     assert held(record) == [("D1", "D2"), ("D2", "D3")]
     assert all(leg["gap_s"] < 0.1 for leg in record["legs"])
     assert all(flight["battery"] >= record["reserve"] for flight in record["flights"])
@@ -87,7 +89,7 @@ def test_where_no_relief_is_ready_it_says_so_early_and_lands_above_the_reserve(
     rig: Rig, tmp_path: Path
 ) -> None:
     summary, record, told = fly(rig, tmp_path, 0.62, 0.36, hours=1.0, swap_s=5000.0)
-    assert (summary["outcome"], summary["violations"]) == ("no_relief", {})
+    assert (summary["outcome"], summary["monitors"]) == ("no_relief", {})
     assert summary["exit_code"] == 33
     alarm, end = (next(event for event in told if event.what == what) for what in ("alarm", "end"))
     assert alarm.drone == "D2" and end.time_s - alarm.time_s > 30.0
@@ -99,7 +101,7 @@ def test_where_no_relief_is_ready_it_says_so_early_and_lands_above_the_reserve(
 
 def test_a_relief_that_dies_on_its_way_is_replaced_by_the_next(rig: Rig, tmp_path: Path) -> None:
     summary, record, told = fly(rig, tmp_path, 0.62, 1.0, 1.0, fault=("1:kill_receiver@approach",))
-    assert (summary["outcome"], summary["violations"]) == ("committed", {})
+    assert (summary["outcome"], summary["monitors"]) == ("committed", {})
     assert [leg["outcome"] for leg in record["legs"]] == ["peer_lost", "committed"]
     assert held(record) == [("D1", "D3")]
     assert "leg failed" in [event.what for event in told]
@@ -110,7 +112,7 @@ def test_a_program_that_dies_between_holding_and_offering_finds_itself_responsib
     rig: Rig, tmp_path: Path, fault: str
 ) -> None:
     summary, record, _ = fly(rig, tmp_path, 0.62, 0.62, 1.0, hours=0.025, fault=(fault,))
-    assert (summary["outcome"], summary["violations"]) == ("restarted", {})
+    assert (summary["outcome"], summary["monitors"]) == ("restarted", {})
     assert held(record)[0] == ("D1", "D2")
     log = list(read_log(tmp_path / "D2.mcap"))
     ends = [each.record for each in log if each.topic == "/outcome"]
@@ -126,7 +128,7 @@ def test_what_an_estimator_stepped_by_in_one_role_stays_taken_out_in_the_next(
         "2:step_north_sender=-2@follow+3",
     )
     summary, record, _ = fly(rig, tmp_path, 0.62, 0.62, 1.0, hours=0.025, fault=fault)
-    assert (summary["outcome"], summary["violations"]) == ("committed", {})
+    assert (summary["outcome"], summary["monitors"]) == ("committed", {})
     assert held(record) == [("D1", "D2"), ("D2", "D3")]
     steps = [
         each.record for each in read_log(tmp_path / "D2.mcap") if each.topic == "/estimator_step"
@@ -152,7 +154,7 @@ def test_a_disk_that_fails_at_the_change_of_role_ends_the_relay_by_name(
 
     monkeypatch.setattr(MemoryStore, "save", full)
     summary, _, _ = fly(rig, tmp_path, 0.62, 1.0)
-    assert (summary["outcome"], summary["violations"]) == ("state_lost", {})
+    assert (summary["outcome"], summary["monitors"]) == ("state_lost", {})
 
 
 def test_the_same_seed_is_the_same_relay(rig: Rig, tmp_path: Path) -> None:

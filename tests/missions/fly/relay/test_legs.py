@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
 from flight.harness.flights import RoleResult
 from flight.outcome import MissionEnd, Outcome
 from hil.harness.virtual_time import run_virtual
-from missions.fly.relay.config import relay_of
 from missions.fly.relay.legs import Base
 from missions.ground import rig_library
+from missions.ground.team_config import relay_of
 from path.messages import Role
 
 
@@ -53,7 +53,8 @@ def test_the_last_one_comes_home_when_the_other_one_of_its_leg_is_down(handed_ov
     """
 
     async def main() -> None:
-        field, no_program = PlayedField(), cast("Any", None)
+        field: Any = PlayedField()
+        no_program: Any = None
         base = Base(relay_of(rig_library.load("relay-sim"), 3), hours=0.01)
         ground = asyncio.ensure_future(base.run(field, asyncio.Event(), no_program))
         await asyncio.sleep(1.0)

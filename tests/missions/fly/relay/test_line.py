@@ -13,10 +13,10 @@ import pytest
 from drivers.log.mcap_log import McapLog, read_log
 from flight.harness.fleet import NamedDrone, RelayConfig
 from flight.outcome import MissionEnd, Outcome
+from missions.fly.fleet.process import RelayedLog
 from missions.fly.relay.ground import Leg, TakeOffOrder
 from missions.fly.relay.legs import Base
 from missions.fly.relay.line import FarBase, hear, news_of
-from missions.fly.relay.process import RelayedLog
 
 CONFIG = RelayConfig("no:harness", tuple(NamedDrone(name, (0.0, 0.0)) for name in ("D1", "D2")))
 
@@ -66,7 +66,7 @@ def test_a_program_knows_what_the_base_knows(line: Line) -> None:
     assert not line.far.told
     line.far.on_news(line.news())
     assert line.far.told
-    assert (line.far.order_of("D2"), line.far.leg_of("D2"), line.far.over) == (
+    assert (line.far.order_of("D2"), line.far.leg_of("D2"), line.far.called_home("D2")) == (
         TakeOffOrder.RELIEVE,
         None,
         False,
@@ -75,7 +75,7 @@ def test_a_program_knows_what_the_base_knows(line: Line) -> None:
     line.base.over = True
     line.far.on_news(line.news())
     assert line.far.leg_of("D2") == line.base.leg_of("D2")
-    assert line.far.over
+    assert line.far.called_home("D2")
 
 
 def test_a_leg_that_is_over_for_the_drone_stays_over_whatever_was_on_its_way(line: Line) -> None:

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from drivers.rig.parts import Rig
+from missions.fly.fleet.command import fly as fly_team
 from missions.fly.relay.ground import Event
-from missions.fly.team.command import fly_team
 from missions.ground import rig_library
 from missions.ground.options.flights import TeamOptions
 from missions.ground.team_config import team_of

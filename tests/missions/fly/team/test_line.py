@@ -12,11 +12,11 @@ import pytest
 
 from drivers.rig.parts import Rig
 from flight.harness.relay import Pointed
+from missions.fly.fleet.process import processes_of
 from missions.fly.relay.ground import SentTo, TakeOffOrder
-from missions.fly.relay.line import FarBase, team_hear, team_news_of
-from missions.fly.team.base import OwnGround, TeamBase
+from missions.fly.relay.line import FarBase, hear, news_of
+from missions.fly.team.base import TeamBase
 from missions.fly.team.flight import mission_on
-from missions.fly.team.process import processes_of
 from missions.ground import rig_library
 from missions.ground.team_config import team_of
 
@@ -63,42 +63,42 @@ def base(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> TeamBase:
 
 def told(base: TeamBase) -> FarBase:
     far = FarBase("D2", lambda _: None)
-    far.on_news(json.loads(json.dumps(team_news_of(OwnGround(base, "D2"), "D2"))))
+    far.on_news(json.loads(json.dumps(news_of(base, "D2"))))
     return far
 
 
 def test_a_program_knows_its_target_and_where_it_is_pointed_at(base: TeamBase, rig: Rig) -> None:
     far = told(base)
-    assert far.sent_to("D2") == SentTo(1, (3.0, 7.0, 0.0), 45.0)
+    sent = far.sent_to("D2")
+    assert sent is not None and sent == SentTo(1, (3.0, 7.0, 0.0), 45.0)
     assert far.pointed_at("D2") == POINTED
-    mission = mission_on(rig_library.mission_of(rig), far.sent_to("D2"))
+    mission = mission_on(rig_library.mission_of(rig), sent)
     assert (mission.target_id, mission.target.east_m, mission.heading_deg) == (2, 7.0, 45.0)
 
 
 def test_only_who_is_to_find_is_pointed_at(base: TeamBase) -> None:
     base.drones["D2"].order = TakeOffOrder.RELIEVE
-    assert team_news_of(OwnGround(base, "D2"), "D2")["pointed"] is None
+    assert news_of(base, "D2")["pointed"] is None
 
 
 def test_each_drone_is_called_home_by_itself(base: TeamBase) -> None:
     base.drones["D2"].called_home = True
-    assert told(base).over
-    assert not OwnGround(base, "D1").over
+    assert told(base).called_home("D2")
+    assert not base.called_home("D1")
 
 
 def test_what_a_program_says_of_its_target_comes_to_the_ground(base: TeamBase) -> None:
     words: list[Any] = []
     far = FarBase("D2", words.append)
-    ground = OwnGround(base, "D2")
     far.holds("D2")
     far.follows("D2", (3.5, 7.5, -0.1))
     far.gave_up("D2", "battery")
     for word in words[:2]:
-        team_hear(ground, "D2", json.loads(json.dumps(word)))
+        hear(base, "D2", json.loads(json.dumps(word)))
     assert (base.targets[1].holder, base.targets[1].place_n_m) == ("D2", (3.5, 7.5, -0.1))
-    team_hear(ground, "D2", json.loads(json.dumps(words[2])))
+    hear(base, "D2", json.loads(json.dumps(words[2])))
     assert base.targets[1].holder is None
-    team_hear(ground, "D2", {"event": "something else"})
+    hear(base, "D2", {"event": "something else"})
 
 
 def test_a_drone_on_its_way_home_asks_and_is_told_to_turn_back(base: TeamBase) -> None:
@@ -106,7 +106,7 @@ def test_a_drone_on_its_way_home_asks_and_is_told_to_turn_back(base: TeamBase) -
     far = FarBase("D2", words.append)
     far.may_find("D2", 400.0)
     base.targets[1].finder = None
-    team_hear(OwnGround(base, "D2"), "D2", json.loads(json.dumps(words[0])))
+    hear(base, "D2", json.loads(json.dumps(words[0])))
     assert (base.targets[1].finder, base.drones["D2"].turned_back) == ("D2", "wait")
     assert told(base).turned_back("D2") == "go"  # nothing is in its way
 
@@ -114,9 +114,9 @@ def test_a_drone_on_its_way_home_asks_and_is_told_to_turn_back(base: TeamBase) -
 def test_a_process_is_told_how_much_of_the_rig_takes_part(
     base: TeamBase, rig: Rig, tmp_path: Any
 ) -> None:
-    config = replace(team_of(rig, 2, 1), hours=1.0)
-    processes = processes_of(rig, config, tmp_path, base, False)
+    base.config = replace(team_of(rig, 2, 1), hours=1.0)
+    processes = processes_of(rig, base, tmp_path, False)
     command = processes.command("D2")
-    assert command[2:5] == ["missions.fly.team.process", "program", str(rig.file)]
+    assert command[2:5] == ["missions.fly.fleet.process", "program", str(rig.file)]
     assert command[5:] == ["2/1", "D2", str(tmp_path), "rare"]
     assert processes.guard_command("D2")[3] == "guard"

@@ -1,11 +1,12 @@
 """One drone's program, and its guard, as processes of their own: children of ``path-handoff relay``
 and ``team``.
 
-    python -m missions.fly.relay.process program RIG DRONES NAME FOLDER whole|rare
-    python -m missions.fly.relay.process guard   RIG DRONES NAME FOLDER
+    python -m missions.fly.fleet.process program RIG DRONES/TARGETS NAME FOLDER whole|rare
+    python -m missions.fly.fleet.process guard   RIG DRONES/TARGETS NAME FOLDER
 
-What the base knows comes in on stdin as lines of JSON; what the drone says, and what the monitors
-read of its log, goes out on stdout. A closed stdin ends it, gently.
+Of a relay no TARGETS are named. What the base knows comes in on stdin as lines of JSON; what the
+drone says, and what the monitors read of its log, goes out on stdout. A closed stdin ends it,
+gently.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ import json
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,42 +29,50 @@ from drivers.log.mcap_log import McapLog, encode_other, new_part
 from drivers.log.state_file import StateFile
 from drivers.rig.parts import Rig
 from drivers.stop_signals import stop_on_signals
-from flight.harness.fleet import NamedDrone, RelayConfig, pair_of
+from flight.harness.fleet import RelayConfig, TeamConfig, pair_of
 from flight.harness.flights import ProgramContext, Progress, RoleResult, encode_event, with_log
-from flight.harness.relay import OFTEN, WATCHED, DroneProcesses
+from flight.harness.relay import OFTEN, WATCHED, DroneProcesses, DroneProgram
 from missions.fly.guard.command import watch_vehicles
-from missions.fly.relay.config import relay_of
 from missions.fly.relay.drone.life import DroneFlight
+from missions.fly.relay.ground import Ground
 from missions.fly.relay.legs import Base
 from missions.fly.relay.line import FarBase, hear, news_of
+from missions.fly.team.base import TeamBase
+from missions.fly.team.flight import TeamFlight
 from missions.ground import rig_library
 from missions.ground.shown import Said, tell_line
+from missions.ground.team_config import relay_of, team_of
 from path.messages import Role
 
 
-def processes_of(
-    rig: Rig, config: RelayConfig, out: Path, base: Base, whole_log: bool
-) -> DroneProcesses:
-    """Return how the harness starts the processes of this relay's drones."""
+def flight_of(rig: Rig, config: RelayConfig, ground: Ground) -> DroneProgram:
+    """Return the program of any drone of a relay, or of a team."""
+
+    def program(name: str, given: ProgramContext) -> DroneFlight:
+        if isinstance(config, TeamConfig):
+            return TeamFlight(rig, config, ground, name, given)
+        return DroneFlight(rig, config, ground, name, given)
+
+    return program
+
+
+def processes_of(rig: Rig, base: Base | TeamBase, out: Path, whole_log: bool) -> DroneProcesses:
+    """Return how the harness starts the processes of the drones."""
+    config = base.config
+    targets = len(config.targets) if isinstance(config, TeamConfig) else ""
+    size = f"{len(config.drones)}/{targets}"
+    logs = "whole" if whole_log else "rare"
+
+    def command(what: str, name: str, *more: str) -> Sequence[str]:
+        own = [what, str(rig.file), size, name, str(out), *more]
+        return [sys.executable, "-m", "missions.fly.fleet.process", *own]
+
     return DroneProcesses(
-        *commands("missions.fly.relay.process", rig, str(len(config.drones)), out, whole_log),
+        command=lambda name: command("program", name, logs),
+        guard_command=lambda name: command("guard", name),
         news=lambda name: news_of(base, name),
         heard=lambda name, word: hear(base, name, word),
     )
-
-
-def commands(
-    module: str, rig: Rig, size: str, out: Path, whole_log: bool
-) -> tuple[Callable[[str], Sequence[str]], Callable[[str], Sequence[str]]]:
-    """Return the commands of any drone's program, and of its guard. ``size``: how much of the rig
-    takes part.
-    """
-
-    def command(what: str, name: str, *more: str) -> Sequence[str]:
-        return [sys.executable, "-m", module, what, str(rig.file), size, name, str(out), *more]
-
-    logs = "whole" if whole_log else "rare"
-    return (lambda name: command("program", name, logs)), (lambda name: command("guard", name))
 
 
 class RelayedLog:
@@ -101,11 +109,13 @@ class RelayedLog:
             self._log.frame(frame)
 
 
-FarFlight = Callable[[FarBase, str, ProgramContext], DroneFlight]
-
-
 async def _fly(
-    flight: FarFlight, name: str, log: Log, store: StateFile, say: Callable[[str], None]
+    rig: Rig,
+    config: RelayConfig,
+    name: str,
+    log: Log,
+    store: StateFile,
+    say: Callable[[str], None],
 ) -> RoleResult:
     """Listen until there is an order, then fly it to its end."""
     base = FarBase(name, lambda word: say(json.dumps(word)))
@@ -136,25 +146,23 @@ async def _fly(
     def show(progress: Progress) -> None:
         say(encode_event(progress))
 
-    return await flight(base, name, ProgramContext(log, show, stop, None, store)).run()
+    given = ProgramContext(log, show, stop, None, store)
+    return await flight_of(rig, config, base)(name, given).run()
 
 
-def _drone(config: RelayConfig, name: str) -> NamedDrone:
-    return next(drone for drone in config.drones if drone.name == name)
-
-
-def fly(flight: FarFlight, name: str, out: Path, whole: bool) -> None:
+def fly(rig: Rig, config: RelayConfig, name: str, out: Path, whole: bool) -> None:
     with McapLog(new_part(out, name), name) as log, Said(sys.stdout) as say:
         store = StateFile(out / f"{name}.state.json", None)
         relayed = RelayedLog(log, name, whole, say)
-        result = asyncio.run(_fly(flight, name, relayed, store, say))
+        result = asyncio.run(_fly(rig, config, name, relayed, store, say))
         lost = f"{say.lost} lines of it found no room on the way to the monitors"
         say(encode_event(with_log(result, log.settled() or (lost if say.lost else None))))
 
 
 def guard(rig: Rig, config: RelayConfig, name: str, out: Path) -> int:
     """Watch the drone's vehicle until stdin is closed."""
-    own = pair_of(rig, _drone(config, name), _drone(config, name))
+    drone = next(drone for drone in config.drones if drone.name == name)
+    own = pair_of(rig, drone, drone)
     assert own.receiver.guard is not None, f"{name} has no guard"
     logs = {Role.RECEIVER: out / f"{name}.guard.mcap"}
     return asyncio.run(
@@ -165,22 +173,16 @@ def guard(rig: Rig, config: RelayConfig, name: str, out: Path) -> int:
     )  # fmt: skip
 
 
-def main(config_of: Callable[[Rig, str], tuple[RelayConfig, FarFlight]]) -> None:
-    """The program of the process. ``config_of``: what of the rig takes part, and how one of its
-    drones flies.
-    """
+def main() -> None:
+    """The program of the process."""
     what, rig_file, size, name, folder, *logs = sys.argv[1:]
     rig = rig_library.load_unchecked(rig_file)
-    config, flight = config_of(rig, size)
+    drones, _, targets = size.partition("/")
+    config = team_of(rig, int(drones), int(targets)) if targets else relay_of(rig, int(drones))
     if what == "guard":
         sys.exit(guard(rig, config, name, Path(folder)))
-    fly(flight, name, Path(folder), logs == ["whole"])
-
-
-def _of_a_relay(rig: Rig, drones: str) -> tuple[RelayConfig, FarFlight]:
-    config = relay_of(rig, int(drones))
-    return config, partial(DroneFlight, rig, config)
+    fly(rig, config, name, Path(folder), logs == ["whole"])
 
 
 if __name__ == "__main__":
-    main(_of_a_relay)
+    main()
