@@ -315,6 +315,7 @@ class LogRecord:
     topic: str
     stamp_ns: int
     record: dict[str, Any]
+    utc_ns: int = dataclasses.field(default=0, compare=False)
 
 
 def read_log(path: Path, topics: Collection[str] | None = None) -> Iterator[LogRecord]:
@@ -339,20 +340,19 @@ def read_log(path: Path, topics: Collection[str] | None = None) -> Iterator[LogR
         try:
             for found in messages(file):
                 if isinstance(found, Metadata):
-                    offset_ns = (
-                        int(found.metadata.get(OFFSET, offset_ns))
-                        if found.name == ABOUT
-                        else offset_ns
-                    )
-                elif topics is not None and found.channel.topic not in topics:
+                    if found.name == ABOUT:
+                        offset_ns = int(found.metadata.get(OFFSET, offset_ns))
                     continue
-                elif found.channel.encoding == "json":
+                if topics is not None and found.channel.topic not in topics:
+                    continue
+                if found.channel.encoding == "json":
                     record = {**found.channel.blank, **decode(found.data)}
-                    yield LogRecord(found.channel.topic, found.utc_ns - offset_ns, record)
                 elif found.channel.schema.name == IMAGE_SCHEMA:
-                    yield LogRecord(
-                        found.channel.topic, found.utc_ns - offset_ns, image_record(found.data)
-                    )
+                    record = image_record(found.data)
+                else:
+                    continue
+                stamp_ns = found.utc_ns - offset_ns
+                yield LogRecord(found.channel.topic, stamp_ns, record, found.utc_ns)
         except (UnicodeDecodeError, msgspec.DecodeError):
             return  # the process that wrote it was killed here
 

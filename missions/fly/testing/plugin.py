@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Generator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -67,8 +68,21 @@ def pytest_runtest_makereport(
     flown = item.stash.get(FLOWN, [])
     if flown and report.failed:
         item.stash[FAILED] = True
-        report.sections.append(("run folders", "\n".join(map(str, flown))))
+        report.sections.append(("run folders", "\n".join(map(_with_page, flown))))
     if call.when == "teardown" and not item.stash.get(FAILED, False):
         for folder in flown:
             shutil.rmtree(folder, ignore_errors=True)
     return report
+
+
+def _with_page(folder: Path) -> str:
+    """Return a failed test's run as it is named, with a page where there is anything to show."""
+    from drivers.interfaces import PartError  # noqa: PLC0415 (as above)
+    from missions.look.report.command import write_report  # noqa: PLC0415
+    from missions.look.report.records import PAGE  # noqa: PLC0415
+
+    page = folder / PAGE
+    with suppress(OSError, PartError):
+        if not page.exists():
+            write_report(folder, picture=False)
+    return str(page if page.exists() else folder)

@@ -68,20 +68,25 @@ class FlightState:
         """Take up one record; ``now_s``: of a clock that only grows. Never raises for what is in
         it: a record that is none, of somebody's own program, is not shown.
         """
-        with suppress(LookupError, TypeError, ValueError, ArithmeticError, msgspec.MsgspecError):
-            self._take(said, now_s)
-
-    def _take(self, said: Said, now_s: float) -> None:
         name, _, own = said.topic.lstrip("/").partition("/")
         topic = f"/{own}"
         utc_ns = said.message.log_time
-        if said.schema.name == IMAGE_SCHEMA and topic == "/image":
-            drone = self._drone(name, utc_ns, now_s)
-            drone.image = (utc_ns, bytes(image_record(said.message.data)["data"]))
-            return
-        if said.encoding != "json":
-            return
-        record = {**blank(topic), **msgspec.json.decode(said.message.data)}
+        with suppress(LookupError, TypeError, ValueError, msgspec.MsgspecError):
+            if said.schema.name == IMAGE_SCHEMA and topic == "/image":
+                drone = self._drone(name, utc_ns, now_s)
+                drone.image = (utc_ns, bytes(image_record(said.message.data)["data"]))
+            elif said.encoding == "json":
+                record = {**blank(topic), **msgspec.json.decode(said.message.data)}
+                self.take_record(name, topic, utc_ns, record, now_s)
+
+    def take_record(
+        self, name: str, topic: str, utc_ns: int, record: Record, now_s: float = 0.0
+    ) -> None:
+        """Take up one that is read already, of the log of that name. Never raises either."""
+        with suppress(LookupError, TypeError, ValueError, ArithmeticError):
+            self._take(name, topic, utc_ns, record, now_s)
+
+    def _take(self, name: str, topic: str, utc_ns: int, record: Record, now_s: float) -> None:
         of_drone, _, of_guard = name.partition("_")
         if of_guard == "guard":
             self.alarms.take(SHORT.get(of_drone, of_drone) + "'s guard", topic, utc_ns, record)

@@ -5,7 +5,7 @@ drones' logs told (``drone``). Pure.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from flight.phases import Phase, words_of
@@ -37,7 +37,7 @@ def shown_of(drone: Drone, now_s: float) -> Snapshot:
         "responsible": drone.responsible
         and (drone.responsible_until_ns is None or drone.newest_ns < drone.responsible_until_ns),
         "image_ns": None if drone.image is None else drone.image[0],
-        "overlays": _overlays(drone),
+        "overlays": [] if drone.image is None else overlays_at(drone.image[0], drone.overlays),
         "outcome": None if drone.outcome is None else drone.outcome["outcome"],
         "detail": None if drone.outcome is None else drone.outcome["detail"],
     }
@@ -59,13 +59,10 @@ def shown_of(drone: Drone, now_s: float) -> Snapshot:
     return shown
 
 
-def _overlays(drone: Drone) -> list[Snapshot]:
+def overlays_at(image_ns: int, overlays: Iterable[tuple[int, str, Any]]) -> list[Snapshot]:
     """Return what was found in the image that is shown, and of no other frame: px of it."""
-    if drone.image is None:
-        return []
-    image_ns = drone.image[0]
     found: dict[str, tuple[int, Any]] = {}
-    for utc_ns, kind, what in drone.overlays:
+    for utc_ns, kind, what in overlays:
         off_ns = abs(utc_ns - image_ns)
         most_ns = SAME_PAIR_NS if kind == "mapped" else 0
         if off_ns <= most_ns and (kind not in found or off_ns < found[kind][0]):

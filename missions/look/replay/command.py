@@ -7,7 +7,7 @@ from __future__ import annotations
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -312,11 +312,17 @@ def _same_table(replayed: Sequence[Replayed]) -> RenderableType:
 def _figures_table(columns: Mapping[str, Sequence[Replayed]]) -> RenderableType:
     first, *others = columns
     table = plain_table("", first, *("otherwise" for _ in others))
+    for row in figures_rows(columns):
+        table.add_row(*row)
+    return Group(Text(), table)
+
+
+def figures_rows(columns: Mapping[str, Sequence[Replayed]]) -> Iterator[tuple[str, ...]]:
+    """Yield a name and its values, one of each column."""
     for drones in zip(*columns.values(), strict=True):
         rows = [_figures(drone) for drone in drones]
         for name in dict.fromkeys(name for row in rows for name in row):
-            table.add_row(f"{drones[0].drone}: {name}", *(row.get(name, "-") for row in rows))
-    return Group(Text(), table)
+            yield f"{drones[0].drone}: {name}", *(row.get(name, "-") for row in rows)
 
 
 def _figures(drone: Replayed) -> dict[str, str]:

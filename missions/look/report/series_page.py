@@ -7,7 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from missions.look.report.page import STYLE
+from missions.look.report.page import whole
 from missions.look.report.records import PAGE
 from missions.look.report.tables import counts_text
 
@@ -41,14 +41,11 @@ def write_series_page(
     head = "".join(f"<th>{escape(text)}</th>" for text in ("seed", *COLUMNS.values()))
     rows = "\n".join(_row(run) for run in runs)
     title = f"{SERIES_SIGN}{escape(path.parent.resolve().name)}</title>"
-    view = "<meta name='viewport' content='width=device-width'>"
-    path.write_text(
-        f"<!doctype html>\n<html lang='en'><head><meta charset='utf-8'>{view}{title}"
-        f"<style>{STYLE}</style></head><body>\n<h1>{escape(said)}</h1>\n"
-        f"<p class='dim'>Made by <code>{escape(command)}</code></p>\n"
-        f"<table><tr>{head}</tr>\n{rows}\n</table></body></html>\n",
-        "utf-8",
+    body = (
+        f"<h1>{escape(said)}</h1>\n<p class='dim'>Made by <code>{escape(command)}</code></p>\n"
+        f"<div class='wide'><table><tr>{head}</tr>\n{rows}\n</table></div>"
     )
+    path.write_text(whole(title, body), "utf-8")
 
 
 def _row(run: Mapping[str, Any]) -> str:

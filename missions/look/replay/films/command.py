@@ -4,6 +4,7 @@ picture.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from drivers.interfaces import PartError
@@ -11,7 +12,9 @@ from missions.ground.options.runs import ReplayOptions
 from missions.ground.run_folder import RunKind, claimed, unless_refused, write_json
 from missions.ground.shown import tell_line
 from missions.look.replay.command import (
+    Replayed,
     asked_of,
+    figures_rows,
     logs_of,
     replay_changed,
     replay_logs,
@@ -19,11 +22,12 @@ from missions.look.replay.command import (
 )
 from missions.look.replay.films.config import NS, read_films
 from missions.look.replay.films.play import play
-from missions.look.report.records import REPLAY
+from missions.look.report.page import PageOf, write_page
+from missions.look.report.records import PAGE, REPLAY, by_topic
 from path.messages import Role
 
 FILMS = "films.json"
-KIND = RunKind(FILMS, (REPLAY,), tuple(role.value for role in Role))
+KIND = RunKind(FILMS, (REPLAY, PAGE), tuple(role.value for role in Role))
 
 
 def replay_films(options: ReplayOptions, file: Path) -> int:
@@ -61,4 +65,22 @@ def replay_films(options: ReplayOptions, file: Path) -> int:
             "frames": {"sender": frames.sender, "receiver": frames.receiver},
         }
         write_json(folder / FILMS, record)
+        logs = {role.value: by_topic(folder / f"{role.value}.mcap") for role in Role}
+        write_page(folder / PAGE, _page_of(columns, bool(complete), file, folder), logs)
+        tell_line(str(folder / PAGE))
     return 0
+
+
+def _page_of(
+    columns: Mapping[str, Sequence[Replayed]], agreed: bool, file: Path, folder: Path
+) -> PageOf:
+    return PageOf(
+        outcome="agreed" if agreed else "no_agreement",
+        good=agreed,
+        why=f"the two films of {file.name}, of which nobody became responsible",
+        command=f"path-handoff replay {file}",
+        figures=[(name, ", ".join(values)) for name, *values in figures_rows(columns)],
+        notes=[],
+        pictures=[folder / REPLAY],
+        advice="Look at the boxes below; --set, --gate and --detector decide with others beside them.",
+    )

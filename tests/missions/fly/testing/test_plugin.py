@@ -71,17 +71,17 @@ def test_a_monitor_fails_a_test_and_only_failed_runs_are_kept_and_named(
     )
     result.assert_outcomes(passed=2, failed=3)
     result.stdout.fnmatch_lines_random([
-        "*a safety monitor was violated*", "*S9 at * separation *", "*kept/test_field.py_test_too_near/run-1*",
+        "*a safety monitor was violated*", "*S9 at * separation *", "*kept/test_field.py_test_too_near/run-1/run.html*",
         "*kept/test_field.py_test_fails_after_a_flight/run-1*", "*no fault 'no_such'*", "*fix: one of: *",
     ])  # fmt: skip
+    too_near = suite.path / "kept" / "test_field.py_test_too_near" / "run-1"
+    assert "separation" in (too_near / "run.html").read_text("utf-8")
     kept = {folder.parent.name for folder in (suite.path / "kept").glob("*/run-1")}
     assert kept == {
         f"test_field.py_test_{name}"
         for name in ("fails_after_a_flight", "too_near", "no_such_fault")
     }
-    assert (
-        suite.path / "kept" / "test_field.py_test_too_near" / "run-1" / "sender.mcap"
-    ).stat().st_size > 0
+    assert (too_near / "sender.mcap").stat().st_size > 0
 
 
 def test_a_rig_that_is_none_is_refused_with_the_fix(suite: pytest.Pytester) -> None:

@@ -57,10 +57,12 @@ class Tab:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def until(self, script: str, seconds: float = 30.0) -> Any:
-        """Wait until an expression is true, and return what it came to."""
+    def until(self, script: str, seconds: float = 30.0, *, drawn: bool = True) -> Any:
+        """Wait until an expression is true, and return what it came to; of the live page once
+        there is anything ``drawn``.
+        """
         end_s = time.monotonic() + seconds
-        while not (value := self.value(f"window.drawn && ({script})")):
+        while not (value := self.value(f"window.drawn && ({script})" if drawn else script)):
             assert time.monotonic() < end_s, f"{script} did not come true within {seconds:.0f} s"
             time.sleep(0.05)
         return value

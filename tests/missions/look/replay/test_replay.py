@@ -21,7 +21,7 @@ from missions.look.replay import command
 from missions.look.replay.command import EXIT_DIFFERENT, change_of, replay_changed, run
 from missions.look.replay.perceive import PerceptionChange, perceiver_of
 from missions.look.replay.redecide import Complete, DecisionPair, redecide
-from missions.look.report.records import REPLAY, drone_logs
+from missions.look.report.records import PAGE, REPLAY, drone_logs
 from tests.missions.look.replay.filmed import make_films
 
 RECORDED = "sim-rendered, every frame recorded"
@@ -256,6 +256,9 @@ def test_films_decide_as_the_flight_that_they_were_made_of(
     out = tmp_path / "out"
     assert run(ReplayOptions((films,), gate="evidence", out=out)) == 0
     assert "evidence" in capsys.readouterr().out or (out / REPLAY).stat().st_size > 10_000
+    page = (out / PAGE).read_text("utf-8")
+    assert "no_agreement</span>" in page and "sender: answers that agree" in page
+    assert page.count("<svg class='seen'") >= 2 and ">marker</text>" in page
     as_flown, as_filmed = drone_logs(flown(RECORDED, 2, "kill_receiver@verify+3")), drone_logs(out)
     for drone, topic in (("sender", "/target"), ("receiver", "/candidate")):
         was = {
