@@ -24,7 +24,8 @@ class Fence:
         radius_m, height_m: of a circle around the origin, and of its ceiling.
         corners_m: (north, east) of the site's corners, in order either way; empty: the circle
             alone.
-        body_m: radius of a drone: its middle stays so far from an edge.
+        body_m: radius of a drone: its middle stays so far from an edge, and from the ceiling of a
+            site that has edges.
     """
 
     radius_m: float
@@ -47,13 +48,17 @@ class Fence:
         )
         return nearest_m if self._inside(north_m, east_m) else -nearest_m
 
+    @property
+    def highest_m(self) -> float:
+        """Return the height up to which a drone has room."""
+        return self.height_m - self.body_m if self.corners_m else self.height_m
+
     def nearest(self, place_n_m: Vec3, clear_m: float = 0.0) -> Vec3:
         """Return the nearest place that is inside, and so far from its limits as far as there is
         room.
         """
-        north, east, down = within_fence(
-            place_n_m, self.radius_m - clear_m, self.height_m - clear_m
-        )
+        height_m = self.highest_m - clear_m
+        north, east, down = within_fence(place_n_m, self.radius_m - clear_m, height_m)
         wanted_m = self.body_m + clear_m
         for _ in range(_ROUNDS if self.corners_m else 0):
             room_m = self.room_m(north, east)
@@ -65,7 +70,8 @@ class Fence:
     def stoppable(
         self, velocity_n_mps: Vec3, position_n_m: Vec3, accel_mps2: float, response_s: float
     ) -> Vec3:
-        """Return a velocity without what would take a drone to an edge faster than it can stop.
+        """Return a velocity without what would take a drone to an edge, or to the ceiling of a site
+        that has edges, faster than it can stop.
 
         Towards an edge with room d the drone may have v with d = 2 v response + v^2 / (2 accel): a
         setpoint that is slowed is answered late all the way.
@@ -73,7 +79,9 @@ class Fence:
         if not self.corners_m:
             return velocity_n_mps
         north_mps, east_mps, down_mps = velocity_n_mps
-        north_m, east_m, _ = position_n_m
+        north_m, east_m, down_m = position_n_m
+        climb_mps = _stopping_mps(self.highest_m + down_m, accel_mps2, response_s)
+        down_mps = max(down_mps, -climb_mps)
         walls: list[tuple[float, float, float]] = []
         for point in self._on_edges(north_m, east_m):
             way_m = max(math.dist((north_m, east_m), point), 1e-6)

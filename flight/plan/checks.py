@@ -100,6 +100,7 @@ def problems(of: Flown) -> Iterator[Problem]:
         _behind,
         _viewpoint,
         _site,
+        _ceiling,
         _offset,
         _wind,
         _speed,
@@ -311,6 +312,30 @@ def _site(of: Flown) -> Problem | None:
         f" it keeps {fence.body_m:.1f} m, for its radius, drone.hold_m and twice site.position_m",
         f"a target {most_m:.1f} m farther ahead, another mission.heading_deg, or a site that is {most_m:.1f} m longer"
         " would do",
+    )
+
+
+def _ceiling(of: Flown) -> Problem | None:
+    """Check that both drones have room below the ceiling of a site that has edges."""
+    fence = of.mission.fence
+    if not fence.corners_m:
+        return None
+    follow_m = of.mission.follow.height_m
+    heights = {
+        "D1": max(follow_m, of.mission.take_off_height_m),
+        "D2": of.mission.receiver_take_off_height_m,
+    }
+    if of.placed.T_h_c2 is not None:
+        heights["D2"] = max(heights["D2"], follow_m - float(of.placed.T_h_c2.t[2]))
+    name, most_m = max(heights.items(), key=lambda each: each[1])
+    missing_m = most_m - fence.highest_m
+    if missing_m <= 0.0:
+        return None
+    return Problem(
+        "site.ceiling_m",
+        f"{name} would fly {most_m:.1f} m high; below a ceiling at {fence.height_m:.1f} m there is room up to"
+        f" {fence.highest_m:.1f} m: it keeps {fence.body_m:.1f} m, as from walls",
+        f"a ceiling at {fence.height_m + missing_m:.1f} m would do",
     )
 
 

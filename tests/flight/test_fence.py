@@ -80,6 +80,26 @@ def test_a_drone_that_answers_late_stops_before_the_wall(
         assert fence.room_m(north, east) > 0.0
 
 
+def test_a_ceiling_is_a_wall_like_any_other() -> None:
+    """Of a site that has edges; a fence's own height is no body."""
+    assert HALL.nearest((0.0, 0.0, -5.0)) == (0.0, 0.0, pytest.approx(-2.7))
+    assert HALL.nearest((0.0, 0.0, -5.0), 0.5) == (0.0, 0.0, pytest.approx(-2.2))
+    assert Fence(25.0, 3.0, body_m=0.3).nearest((0.0, 0.0, -5.0)) == (0.0, 0.0, -3.0)
+    down = -1.0
+    climb_mps = 0.0
+    setpoint_mps = 0.0
+    for _ in range(300):
+        slewed_mps = min(1.5, setpoint_mps + 0.8 * 0.05)
+        setpoint = HALL.stoppable((0.0, 0.0, -slewed_mps), (0.0, 0.0, down), 0.4, 1.0)
+        setpoint_mps = -setpoint[2]
+        climb_mps += (setpoint_mps - climb_mps) * 0.05
+        down -= climb_mps * 0.05
+    assert 2.5 < -down < 3.0
+    # over it already: down is the only way
+    assert HALL.stoppable((0.0, 0.0, -1.0), (0.0, 0.0, -3.5), 0.4, 1.0) == (0.0, 0.0, 0.0)
+    assert HALL.stoppable((0.0, 0.0, 1.0), (0.0, 0.0, -3.5), 0.4, 1.0) == (0.0, 0.0, 1.0)
+
+
 def test_what_leads_away_from_a_wall_or_along_it_is_not_slowed() -> None:
     at_wall = (1.68, 0.0, -1.0)
     assert HALL.stoppable((-1.0, 0.0, 0.2), at_wall, 0.4, 1.0) == (-1.0, 0.0, 0.2)

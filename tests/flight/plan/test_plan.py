@@ -356,6 +356,20 @@ def test_walls_are_kept_from_by_what_positions_are_worth(rig_of: RigOf) -> None:
     assert [each.where for each in problems(of(satellites))] == ["site.corners_m"]
 
 
+def test_a_ceiling_too_low_for_the_upper_drone_is_refused(rig_of: RigOf) -> None:
+    drones = "[drone]\nhold_m = 0.1\n"
+    near = "position_m = 0.1\n[mission.target]\nnorth_m = 0.9\n"
+    high, low = (
+        rig_of(CAR + drones + HALL + f"ceiling_m = {ceiling_m}\n" + near, f"ceiling-{ceiling_m}")
+        for ceiling_m in (3.0, 2.4)
+    )
+    assert list(problems(of(high))) == []
+    (found,) = problems(of(low))
+    assert found.where == "site.ceiling_m"
+    assert "D2 would fly 2.2 m high" in found.what
+    assert "a ceiling at 2.8 m would do" in found.change
+
+
 def test_a_depth_that_does_not_tell_a_person_from_who_stands_behind_is_refused(
     rig_of: RigOf,
 ) -> None:

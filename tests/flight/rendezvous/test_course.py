@@ -12,7 +12,7 @@ import pytest
 
 from drivers.interfaces import FlightMode, VehicleState
 from drivers.rig.parts import Mount
-from flight.config import MissionConfig, RendezvousConfig
+from flight.config import GuardConfig, MissionConfig, RendezvousConfig
 from flight.guidance import Vec3, add, norm, scale, subtract
 from flight.rendezvous.course import Rendezvous, stand_off_m
 from missions.ground import rig_library
@@ -202,6 +202,16 @@ def test_for_a_small_marker_the_search_comes_in_along_the_axis_of_the_camera_and
             assert np.linalg.norm(way - came_in_m[-1] * axis) < 1e-6 and setpoint.yaw_rad == yaw
     assert max(np.diff(came_in_m[:60])) <= 0.1 * 0.3 + 1e-6
     assert max(came_in_m) == pytest.approx(guide.stand_off_m - 1.75, abs=0.01)
+
+
+def test_in_a_hall_the_receiver_looks_from_as_far_below_the_ceiling_as_from_its_walls() -> None:
+    """It stood off right below the ceiling, and met it."""
+    hall = ((-4.0, -4.0), (-4.0, 4.0), (4.0, 4.0), (4.0, -4.0))
+    guard = GuardConfig(fence_height_m=3.0, corners_m=hall, clear_m=0.3)
+    config = MissionConfig(rendezvous=replace(WRONG, gain_per_s=1.0), guard=guard)
+    guide = rendezvous(config, Seen(known=False), [0], "sim-field", (1.0, 0.0, -1.5))
+    place, _ = guide._facing_marker(guide.stand_off_m)
+    assert -place[2] == pytest.approx(3.0 - 0.6)
 
 
 @pytest.mark.parametrize("there", [(2.0, 0.0, -4.5), (-24.0, 5.0, -1.5)])
