@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
+from dataclasses import replace
 
 from drivers.interfaces import (
     SURE,
@@ -175,6 +176,8 @@ async def take_off(session: RoleSession, height_m: float) -> None:
 async def bring_down(session: RoleSession, end: MissionEnd | None, way_out: Anchor) -> bool:
     """Leave the other drone's way, to ``way_out``, then land. Returns whether the vehicle is down.
 
+    A way out that leads out of a site ends before its edge.
+
     A pilot who took over keeps the vehicle; a vehicle that is lost or refuses is not flown any
     farther.
     """
@@ -187,7 +190,7 @@ async def bring_down(session: RoleSession, end: MissionEnd | None, way_out: Anch
         return True
     if may_manoeuvre(session, end):
         session.enter(Phase.DEPART)
-        await _depart(session, way_out)
+        await _depart(session, _inside(session, way_out))
     pilot.let_go()
     if guard is not None and guard.taken:
         return await _leave_to_guard(session, guard)
@@ -200,6 +203,13 @@ async def bring_down(session: RoleSession, end: MissionEnd | None, way_out: Anch
         session.say("the pilot flies: the script does not land")
         return await _leave_to_pilot(session)
     return await _land(session)
+
+
+def _inside(session: RoleSession, way_out: Anchor) -> Anchor:
+    config = session.config
+    if not config.guard.corners_m:
+        return way_out
+    return replace(way_out, position_n_m=config.fence.nearest(way_out.position_n_m))
 
 
 async def _sure_state(session: RoleSession) -> VehicleState:

@@ -24,7 +24,7 @@ from drivers.interfaces import (
     VelocitySetpoint,
 )
 from drivers.mavlink.guard.interfaces import Script
-from flight.config import Deadlines, MissionConfig
+from flight.config import Deadlines, GuardConfig, MissionConfig
 from flight.guidance import Anchor, add, norm, scale, subtract
 from flight.harness.flights import RoleResult
 from flight.outcome import MissionEnd, Outcome
@@ -314,6 +314,24 @@ def test_out_of_the_others_way_then_down(rig: Any, outcome: Outcome | None) -> N
         left = subtract(bench.vehicle.now.position_n_m, WAY_OUT.position_n_m)
         assert norm(left) < 0.4
         assert not bench.session.pilot.in_control
+
+    virtual(main())
+
+
+def test_a_way_out_through_a_wall_ends_before_it(rig: Any) -> None:
+    """What was held at a place behind the wall drifted on until it touched."""
+
+    async def main() -> None:
+        bench = Bench(rig)
+        corners = ((-3.0, -1.5), (3.0, -1.5), (3.0, 3.0), (-3.0, 3.0))
+        bench.session.config = replace(CONFIG, guard=GuardConfig(corners_m=corners, clear_m=0.3))
+        await bench.in_the_air()
+        # where wind, or a velocity that is a little off, had driven it
+        bench.vehicle.now = replace(bench.vehicle.now, position_n_m=(0.0, -1.4, -1.5))
+        start_s = asyncio.get_running_loop().time()
+        assert await bench.down(None)
+        assert asyncio.get_running_loop().time() - start_s < CONFIG.deadlines.depart_s
+        assert bench.session.config.fence.room_m(0.0, bench.vehicle.now.position_n_m[1]) > 0.2
 
     virtual(main())
 
