@@ -66,7 +66,6 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "ambiguity": Experiment("rivals", options=("xfeat", "method"), without=XFEAT),
     "link": Experiment("cost.link"),
     "compute": Experiment("cost.compute", options=("xfeat",), without=XFEAT),
-    "processes": Experiment("cost.processes", short_in_all=True),
     "soak": Experiment("cost.soak", "sitl", options=("seconds",), short_in_all=True),
 }
 QUESTIONS: Mapping[str, tuple[str, ...]] = {
@@ -74,7 +73,7 @@ QUESTIONS: Mapping[str, tuple[str, ...]] = {
     "handovers": ("handshake", "evidence", "recall"),
     "flights": ("dynamic", "beacon"),
     "rivals": ("ambiguity",),
-    "cost": ("link", "compute", "processes", "soak"),
+    "cost": ("link", "compute", "soak"),
 }
 
 

@@ -26,7 +26,7 @@ ExperimentName = Literal[
     "handshake", "evidence", "recall",
     "dynamic", "beacon",
     "ambiguity",
-    "link", "compute", "processes", "soak",
+    "link", "compute", "soak",
 ]  # fmt: skip
 TrialName = Literal["all"] | QuestionName | ExperimentName
 
@@ -39,7 +39,7 @@ class TrialOptions:
     pose: where D2 and the target are, by single frames (sensitivity, static, corners, calibration,
     real, common-view). handovers: how soon they agree, and whether ever wrongly (handshake, evidence, recall).
     flights: whole missions (dynamic, beacon). rivals: PATH, ORB and XFeat (ambiguity).
-    cost: time, bytes, memory, and what it bears (link, compute, processes, soak).
+    cost: time, bytes, memory, and what it bears (link, compute, soak).
     """
 
     name: Annotated[TrialName, tyro.conf.Positional]

@@ -24,11 +24,9 @@ from missions.ground import rig_library
 from missions.ground.run_folder import new_folder
 from missions.look.report.command import make_report
 from missions.look.report.records import Records, RunRecords, load_run
-from missions.trials.cost.soak.pictures import draw
 from missions.trials.cost.soak.watch import PROC, ProgramSample, Watch
 from missions.trials.shared.trial import (
     TrialFinding,
-    TrialPicture,
     TrialRequest,
     TrialResult,
     TrialTable,
@@ -48,7 +46,6 @@ FLAT_MIB = 5.0
 NEVER = 1.0
 GOAL_MIB = 300.0
 QUEUE_MS = 5.0
-PICTURE = "soak.png"
 _QUANTILES = (("p50", 50), ("p95", 95))
 
 Samples = Mapping[str, Sequence[ProgramSample]]
@@ -67,21 +64,16 @@ def run(request: TrialRequest) -> TrialResult:
     seconds = request.seconds or (QUICK_SECONDS if request.quick else SECONDS)
     rig = _endless(request.rig, seconds, request.out)
     samples, flown = _fly(rig, request, seconds)
-    caption = "Left: memory of each program's own; right: how old a frame is when its cycle begins."
-    frames = {role: _verifying(flown.role(role), "/frame") for role in Role}
-    draw(samples, frames, request.out / PICTURE)
     return TrialResult(
         summary={
             "seconds": seconds,
             "memory_mib": {name: max(one.private_mib for one in taken) for name, taken in samples.items()},
             "growth_mib": {name: growth_mib(taken) for name, taken in samples.items()},
             "cores": {name: cpu_share(taken) for name, taken in samples.items()},
-            "stage_ms": {role.value: stages_ms(flown.role(role)) for role in Role},
             "frame_age_ms": {role.value: ages_ms(flown.role(role)) for role in Role},
         },
         findings=_findings(samples, flown, seconds),
-        tables=(_memory_table(samples), _cpu_table(samples), _stage_table(flown)),
-        pictures=(TrialPicture(PICTURE, caption),),
+        tables=(_memory_table(samples), _cpu_table(samples)),
         notes=(
             f"Rig {request.rig.name}, seed {request.seed}, {os.cpu_count()} cores. No number of agreeing frames is "
             f"enough, so that both drones verify for {seconds:.0f} s, at full rate; then they end by the deadline.",
@@ -156,30 +148,6 @@ def cpu_share(taken: Sequence[ProgramSample]) -> dict[str, float]:
     return {
         name: round((spent - first.cpu_s.get(name, 0.0)) / elapsed_s, 4)
         for name, spent in sorted(last.cpu_s.items(), key=lambda item: -item[1])
-    }
-
-
-def stages_ms(records: Records) -> dict[str, float]:
-    """Processor time of a frame's cycle by stage while the role verified; what is in no stage is
-    ``rest``.
-    """
-    cpu = _verifying(records, "/cpu")
-    frames = _verifying(records, "/frame")
-    if len(cpu) < 2:
-        return {}
-    first = cpu[0].record["spent_ns"]
-    last = cpu[-1].record["spent_ns"]
-    cycles = sum(cpu[0].stamp_ns <= frame.stamp_ns < cpu[-1].stamp_ns for frame in frames)
-    spent = {name: (of - first.get(name, 0)) * 1e-6 / max(cycles, 1) for name, of in last.items()}
-    program = spent.pop("program")
-    thread = spent.pop("thread")
-    rest = {
-        "rest of the main thread": thread - sum(spent.values()),
-        "other threads": program - thread,
-    }
-    return {
-        name: round(of, 3)
-        for name, of in (*sorted(spent.items(), key=lambda item: -item[1]), *rest.items())
     }
 
 
@@ -286,15 +254,3 @@ def _cpu_table(samples: Samples) -> TrialTable:
         )
         rows.append((name, f"{100 * sum(shares.values()):.1f}", threads))
     return TrialTable("Processor, % of a core", ("program", "all", "by thread"), tuple(rows))
-
-
-def _stage_table(run: RunRecords) -> TrialTable:
-    of = {role: stages_ms(run.role(role)) for role in Role}
-    names = list(dict.fromkeys(name for stages in of.values() for name in stages))
-    rows = tuple(
-        (name, *(f"{of[role][name]:.3f}" if name in of[role] else "" for role in Role))
-        for name in names
-    )
-    return TrialTable(
-        "Processor time of a frame, ms", ("stage", *(role.value for role in Role)), rows
-    )

@@ -36,8 +36,6 @@ def test_the_goals_of_the_link_are_met(result: TrialResult) -> None:
     assert result.summary["largest_packet_b"] <= 128
     assert result.summary["rates"]["60"]["untrimmed_bytes_per_s"] <= 12_000
     assert set(result.summary["messages"]) == set(link.KINDS)
-    assert result.summary["sign_us"] > 0.0 and result.summary["verify_us"] > 0.0
-    assert [picture.file for picture in result.pictures] == ["link.png"]
 
 
 def test_sizes_add_up(result: TrialResult) -> None:
@@ -104,7 +102,6 @@ def test_rates_count_the_headers_that_the_kernel_adds() -> None:
     assert (
         rates["sender_bytes_per_s"] == rates["receiver_bytes_per_s"] == (53 + UDP_IP_OVERHEAD) / 2
     )
-    assert rates["least_second_b"] == rates["most_second_b"] == 81
     assert rates["untrimmed_bytes_per_s"] == 100
 
 

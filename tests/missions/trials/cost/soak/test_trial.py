@@ -79,23 +79,7 @@ def records(topic: str, bodies: Sequence[tuple[int, Mapping[str, object]]]) -> l
 
 
 def logged(ages_ms: Sequence[float]) -> dict[str, list[LogRecord]]:
-    """A role that verifies from 100 ms to its end, one frame a 20 ms, whose log tells the
-    processor's time twice.
-    """
-    cpu = [
-        (100 * MS, {"spent_ns": {"marker": 5 * MS, "thread": 10 * MS, "program": 12 * MS}}),
-        (
-            300 * MS,
-            {
-                "spent_ns": {
-                    "marker": 25 * MS,
-                    "link": 10 * MS,
-                    "thread": 60 * MS,
-                    "program": 92 * MS,
-                }
-            },
-        ),
-    ]
+    """A role that verifies from 100 ms to its end, one frame a 20 ms."""
     frames = [
         (100 * MS + 20 * MS * k, {"frame_id": k, "age_ns": age * MS})
         for k, age in enumerate(ages_ms)
@@ -107,16 +91,8 @@ def logged(ages_ms: Sequence[float]) -> dict[str, list[LogRecord]]:
     ]
     return {
         "/phase": records("/phase", phases),
-        "/cpu": records("/cpu", cpu),
         "/frame": records("/frame", [(50 * MS, {"frame_id": 0, "age_ns": 900 * MS}), *frames]),
     }
-
-
-def test_stages_are_times_of_a_frame() -> None:
-    assert soak.stages_ms(logged([1.0] * 10)) == {
-        "marker": 2.0, "link": 1.0, "rest of the main thread": 2.0, "other threads": 3.0
-    }  # fmt: skip
-    assert soak.stages_ms({}) == {}
 
 
 def test_a_queue_that_grows_makes_frames_older() -> None:

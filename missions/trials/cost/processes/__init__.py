@@ -1,1 +1,0 @@
-"""Programs killed and links cut."""
