@@ -15,11 +15,12 @@ import numpy as np
 
 from drivers.rig.parts import Rig, decode_part
 from drivers.rig.tables import Problems, RigError, decode_table
+from flight.common_view import parts_hz
 from flight.config import MissionConfig
 from flight.harness.fleet import RelayConfig
 from flight.plan.facts import camera_rate_hz, facts_of
 from flight.rendezvous.viewpoint import NoViewpoint, ViewpointScene, plan_viewpoint
-from path.messages import Candidate, Message, Ping, Pong, Role, Status, Target
+from path.messages import Candidate, KeyframePart, Message, Ping, Pong, Role, Status, Target
 
 FAST_MPS = 1.0
 """No autopilot is asked to climb or land faster: a wait that is shorter than that ends in the
@@ -258,6 +259,7 @@ def _links(rig: Rig, mission: MissionConfig) -> Found:
         Status: mission.status_hz + mission.receiver_status_hz,
         Ping: 2.0 * mission.ping_hz,
         Pong: 2.0 * mission.ping_hz,
+        KeyframePart: parts_hz() if rig.method.common_view else 0.0,
     }
     for role in Role:
         config = decode_part(rig.role(role).link)[1]

@@ -184,6 +184,8 @@ class MethodConfig:
             used.
         ambiguity_margin: two candidates whose squared Mahalanobis distances from the prior differ
             by less than this are not told apart.
+        common_view: D1 sends keyframes of what its depth camera sees, and D2 takes its pose from
+            what both see of one place where it does not see the marker (docs/common-view.md).
         evidence: settings of that gate.
     """
 
@@ -222,6 +224,7 @@ class MethodConfig:
     max_search_px: Annotated[float, Bounds(0.5, 16384.0)] = 200.0
     ambiguity_margin: Annotated[float, Bounds(0.0, 1000.0, "(squared distances)", above=True)] = 6.0
     gate: GateKind = "evidence"
+    common_view: bool = False
     evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
 
     def __post_init__(self) -> None:

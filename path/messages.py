@@ -162,4 +162,25 @@ class Abort:
     instance: int = 0  # of the receiver that the attempt was committed to; 0 before a COMMIT
 
 
-Message = Target | Candidate | Status | Ping | Pong | Commit | Accept | Confirm | Abort
+PART_BYTES = 59
+"""Of a keyframe, in one packet."""
+
+
+@frozen
+class KeyframePart:
+    """D1 -> D2: a part of what D1's camera saw at an instant (``path.common_view.parts``).
+
+    Each part says all that is not in ``data``, so that any of them may be lost.
+    """
+
+    capture_ns: int  # D1's clock
+    rotation_n_c: Quat  # D1's camera, by D1's attitude
+    patch_m: float
+    corners: int  # u8, how many the whole keyframe has
+    number: int  # u8, of this part
+    data: bytes  # PART_BYTES
+
+
+Message = (
+    Target | Candidate | Status | Ping | Pong | Commit | Accept | Confirm | Abort | KeyframePart
+)

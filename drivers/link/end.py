@@ -8,7 +8,7 @@ from typing import Generic, Protocol, TypeVar
 
 from drivers.interfaces import Clock, LinkCounters, LinkError, Received
 from drivers.link.wire import UDP_IP_OVERHEAD, Codec, Drop, EncodeError
-from path.messages import Candidate, Message, Role, Status, Target
+from path.messages import Candidate, KeyframePart, Message, Role, Status, Target
 
 STREAMS = (Target, Candidate, Status)
 MAX_WAITING = 64
@@ -33,10 +33,11 @@ class Waiting(Generic[Item]):
     """A queue that keeps the newest of each stream, and every word of the rest up to a number.
 
     A Target, Candidate or Status that waits is replaced by a newer one, so that no latency builds
-    up. What the hand-over and the clocks say comes first, in its order.
+    up. What the hand-over and the clocks say comes first, in its order; parts of keyframes come
+    last.
 
     Args:
-        most: words that wait; then the oldest goes.
+        most: words that wait, and parts; then the oldest goes.
         superseded, full: what is counted when a stream's message is replaced, and when the oldest
             word goes.
     """
@@ -47,9 +48,10 @@ class Waiting(Generic[Item]):
         self._reasons = superseded, full
         self._first: deque[Item] = deque()
         self._newest: dict[type[Message], Item] = {}  # in the order of the oldest wait
+        self._parts: deque[Item] = deque()
 
     def __bool__(self) -> bool:
-        return bool(self._first or self._newest)
+        return bool(self._first or self._newest or self._parts)
 
     def put(self, kind: type[Message], item: Item) -> None:
         superseded, full = self._reasons
@@ -57,19 +59,25 @@ class Waiting(Generic[Item]):
             if kind in self._newest:
                 count(self._counters, superseded)
             self._newest[kind] = item
-        else:
-            if len(self._first) >= self._most:
-                self._first.popleft()
-                count(self._counters, full)
-            self._first.append(item)
+            return
+        queue = self._parts if kind is KeyframePart else self._first
+        if len(queue) >= self._most:
+            queue.popleft()
+            count(self._counters, full)
+        queue.append(item)
 
     def pop(self) -> Item:
         """The next one. Raises when there is none."""
-        return self._first.popleft() if self._first else self._newest.pop(next(iter(self._newest)))
+        if self._first:
+            return self._first.popleft()
+        if self._newest:
+            return self._newest.pop(next(iter(self._newest)))
+        return self._parts.popleft()
 
     def clear(self) -> None:
         self._first.clear()
         self._newest.clear()
+        self._parts.clear()
 
 
 class Inbox:

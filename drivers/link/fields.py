@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import namedtuple
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from drivers.link.dialect import path_dialect as dialect
@@ -39,6 +39,7 @@ from drivers.link.units import (
 )
 from path.alike import Alike
 from path.messages import (
+    PART_BYTES,
     STEPS,
     Abort,
     AbortReason,
@@ -46,6 +47,7 @@ from path.messages import (
     Candidate,
     Commit,
     Confirm,
+    KeyframePart,
     Message,
     Ping,
     Pong,
@@ -291,6 +293,32 @@ def _instance(p: Any) -> int:
     return int(p.instance)
 
 
+def _part_to(m: KeyframePart) -> Numbers:
+    if len(m.data) != PART_BYTES:
+        raise OutOfRange(f"data = {len(m.data)} bytes, not {PART_BYTES}")
+    low, high = instant_to("capture_ns", m.capture_ns)
+    return (
+        low,
+        *rotation_to("rotation_n_c", m.rotation_n_c),
+        sigma_to(m.patch_m),
+        high,
+        whole("corners", m.corners, U8),
+        whole("number", m.number, U8),
+        *m.data,
+    )
+
+
+def _part_from(p: Any) -> KeyframePart:
+    return KeyframePart(
+        capture_ns=instant_from(p.capture_low, p.capture_high),
+        rotation_n_c=rotation_from("rotation", (p.rotation_x, p.rotation_y, p.rotation_z)),
+        patch_m=sigma_from(p.patch),
+        corners=p.corners,
+        number=p.number,
+        data=bytes(p.data),
+    )
+
+
 TO_WIRE: dict[type[Message], Callable[[Any], Numbers]] = {
     Target: _target_to,
     Candidate: _candidate_to,
@@ -301,6 +329,7 @@ TO_WIRE: dict[type[Message], Callable[[Any], Numbers]] = {
     Accept: _answer_fields,
     Confirm: _answer_fields,
     Abort: _abort_to,
+    KeyframePart: _part_to,
 }
 """A message's numbers, in the order in which they are sent."""
 
@@ -314,10 +343,22 @@ KINDS: dict[type[Message], type[Any]] = {
     Accept: dialect.MAVLink_path_accept_message,
     Confirm: dialect.MAVLink_path_confirm_message,
     Abort: dialect.MAVLink_path_abort_message,
+    KeyframePart: dialect.MAVLink_path_keyframe_message,
 }
-NAMED: dict[type[Any], Callable[[Iterable[int]], Any]] = {
-    kind: namedtuple(kind.__name__, kind.ordered_fieldnames)._make  # pyright: ignore[reportUntypedNamedTuple]
-    for kind in KINDS.values()
+
+
+def _named(kind: type[Any]) -> Callable[[Sequence[int]], Any]:
+    """Return what names the numbers of a message; an array, which stands last, is one field."""
+    names = kind.ordered_fieldnames
+    make = namedtuple(kind.__name__, names)._make  # pyright: ignore[reportUntypedNamedTuple]
+    if kind.array_lengths[-1] == 0:
+        return make
+    single = len(names) - 1
+    return lambda numbers: make((*numbers[:single], numbers[single:]))
+
+
+NAMED: dict[type[Any], Callable[[Sequence[int]], Any]] = {
+    kind: _named(kind) for kind in KINDS.values()
 }
 """Gives numbers that came, in the order in which they were sent, the dialect's names, as
 ``FROM_WIRE`` takes them.
@@ -341,4 +382,5 @@ FROM_WIRE: dict[type[Any], Callable[[Any], Message]] = {
         p.handoff_id, p.epoch, p.target_id, p.nonce, p.stamp_ns, _instance(p)
     ),
     dialect.MAVLink_path_abort_message: _abort_from,
+    dialect.MAVLink_path_keyframe_message: _part_from,
 }

@@ -26,7 +26,7 @@ from enum import Enum
 from drivers.link.dialect import path_dialect as dialect
 from drivers.link.fields import FROM_WIRE, KINDS, NAMED, TO_WIRE
 from drivers.link.units import OutOfRange
-from path.messages import Message, Ping, Pong, Role
+from path.messages import KeyframePart, Message, Ping, Pong, Role
 
 KEY_LENGTH = 32
 UDP_IP_OVERHEAD = 28  # IPv4 header 20 B, UDP header 8 B
@@ -216,6 +216,10 @@ class Codec:
 def longest(kind: type[Message]) -> int:
     """Return the bytes of a signed packet of a kind at the most, as a serial radio carries it."""
     return HEADER_LENGTH + KINDS[kind].unpacker.size + _CRC + _SIGNATURE
+
+
+PART_WIRE_BYTES = longest(KeyframePart) + UDP_IP_OVERHEAD
+"""Of a part of a keyframe."""
 
 
 def expected_length(header: bytes) -> int | None:

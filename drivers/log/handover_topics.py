@@ -150,8 +150,26 @@ HANDOVER: dict[str, Topic] = {
             "sigma_m": number("standard deviation of the position, each axis, m"),
             "side_px": number("side of the marker in the image, px"),
             "corners_px": numbers("u, v of the four corners, px; the first marker of several"),
+            "carried_by": text('"common_view" where that carries the pose, and no marker is seen'),
             "reason": reason("there is no pose"),
             "cause": text("what is likely wrong then, for the crew, where that can be told"),
+        },
+    ),
+    "/common_view": Topic(
+        "where D1's marker is by what both cameras see: some frames of D2",
+        {
+            "capture_ns": CAPTURE,
+            "age_s": number("of D1's keyframe then, s"),
+            "why": text("why the pose is not known (docs/common-view.md); null: it is"),
+            "refused": text("why the filter did not take it; null: it did"),
+            "T_c_v": numbers(
+                "the marker's pose in the camera: three rows of its matrix, one after another, m"
+            ),
+            "sigma_m": number("standard deviation of its place, each axis, m"),
+            "corners": whole("corners that look alike where they would be the same"),
+            "evidence": number("log-likelihood ratio to any other place"),
+            "agreement": number("share of common points that agree, 0 to 1"),
+            "conflict": number("share that lies in front of what the other measured, 0 to 1"),
         },
     ),
     "/motion": Topic(

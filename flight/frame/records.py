@@ -8,9 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from flight.common_view import MeasuredPose
 from flight.rendezvous.marker_view import MarkerFix, VehicleMotions
 from flight.tracking.association import Sighting
 from flight.tracking.by_both import ByBoth
+from path.common_view.estimate import CommonView, Unknown
 from path.cycle.prior import Prior
 from path.cycle.sender import PairVerdict
 from path.gate.agreement import Agreed
@@ -243,9 +245,45 @@ def marker_record(stamp_ns: int, fix: MarkerFix | Missed) -> dict[str, Any]:
         "rotation_v_c2": rotation,
         "sigma_m": math.sqrt((xx + yy + zz) / 3.0),
         "side_px": fix.side_px,
-        "corners_px": fix.detections[0].corners_px.reshape(-1).tolist(),
+        **_carrying_fields(fix),
         "reason": None,
         "cause": None,
+    }
+
+
+def _carrying_fields(fix: MarkerFix) -> dict[str, Any]:
+    """Return the corners that a pose rests on, or that it rests on none."""
+    if not fix.detections:
+        return {"corners_px": None, "carried_by": fix.carried_by.value}
+    return {"corners_px": fix.detections[0].corners_px.reshape(-1).tolist()}
+
+
+def common_view_record(
+    stamp_ns: int,
+    age_s: float,
+    found: CommonView | Unknown,
+    measured: MeasuredPose | None,
+    refused: Missed | None,
+) -> dict[str, Any]:
+    """Return ``/common_view``: what D1's newest keyframe and a frame of D2 gave.
+
+    ``age_s``: of the keyframe.
+    """
+    best = found if isinstance(found, CommonView) else found.best
+    sigma_m = None
+    if measured is not None:
+        sigma_m = math.sqrt(float(np.trace(measured.covariance[:3, :3])) / 3.0)
+    return {
+        "capture_ns": stamp_ns,
+        "age_s": age_s,
+        "why": None if isinstance(found, CommonView) else found.why.value,
+        "refused": None if refused is None else refused.reason.value,
+        "T_c_v": None if measured is None else pose_rows(measured.T_c_v),
+        "sigma_m": sigma_m,
+        "corners": None if best is None else best.corners,
+        "evidence": None if best is None else best.evidence,
+        "agreement": None if best is None else best.agreement,
+        "conflict": None if best is None else best.conflict,
     }
 
 

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import math
 
+from drivers.link.wire import PART_WIRE_BYTES
+from flight.common_view import parts_hz
 from flight.plan.checks import (
     CATCH_UP,
     Flown,
@@ -33,7 +35,7 @@ class Prediction:
 
 def predictions(of: Flown) -> tuple[Prediction, ...]:
     """Predict all that can be told."""
-    return (*_sight(of), *_errors(of), *_limits(of))
+    return (*_sight(of), *_errors(of), *_limits(of), *_link(of))
 
 
 def _sight(of: Flown) -> list[Prediction]:
@@ -137,3 +139,12 @@ def _limits(of: Flown) -> list[Prediction]:
         ),
         Prediction("wind_mps", "wind that can be borne", wind_mps, f"{wind_mps:.1f} m/s"),
     ]
+
+
+def _link(of: Flown) -> list[Prediction]:
+    """Predict what common views take of the link, besides all else that is said on it."""
+    if not of.facts.method.common_view:
+        return []
+    rate = PART_WIRE_BYTES * parts_hz()
+    said = f"{rate:.0f} B/s from D1 to D2, at the most: common views"
+    return [Prediction("common_view_bytes_per_s", "keyframes on the link", rate, said)]

@@ -29,7 +29,8 @@ MAY_NAME: Mapping[str, str] = {
     " image_margin_px max_range_m",
     "mission.guard": "fence_radius_m fence_height_m min_battery telemetry_age_s",
     "mission.deadlines": "peer_s acquire_s receiver_ready_s stand_off_s search_s verify_s depart_s",
-    "method": "gate tau_min tau_max z0_m hold_frames hold_s target_error mount_sigma_m mount_sigma_deg",
+    "method": "gate tau_min tau_max hold_frames hold_s target_error mount_sigma_m mount_sigma_deg"
+    " common_view",
     "method.evidence": "alpha span_m height_m offset_sigma_m",
 }
 """By table: the settings of a rig."""

@@ -21,7 +21,7 @@ from path.geometry.transforms import Matrix, Pose
 from path.marker.layout import MarkerLayout
 from path.marker.pose import PoseSettings, estimate_pose
 from path.observations import MarkerDetection, Missed, MissReason, Region
-from path.relative_pose.filter import Relative, RelativeFilter, RelativeSettings
+from path.relative_pose.filter import Relative, RelativeFilter, RelativeSettings, Source
 from path.values import value
 
 # around the markers' corners; a plate that is turned by so much more
@@ -30,17 +30,28 @@ _TURN_RAD = 0.1
 _NEAREST_M = 0.1  # a corner that would be nearer is none
 _FIXED_NS = 500_000_000  # fixes older than this do not count towards "seen"
 _FIXED_FRAMES = 8
+_COMMON_NS = 2_000_000_000  # so long back common views count towards "found"
+_COMMON_VIEWS = 2  # that agree: one could be anywhere
+_FIXES = 5
+_COMMON_COAST_S = 3.0  # from a common view on: some are not known
 _EXPECTED_S = 0.15  # after a fix a marker is expected at one place; later it must be searched for
 
 
 @value
 class MarkerFix:
-    """A pose good enough to use, and the corners it came from."""
+    """A pose good enough to use, and the corners it came from; none where common views carry
+    it.
+    """
 
     T_c_v: Pose
     covariance: Matrix
     side_px: float
     detections: Sequence[MarkerDetection]
+
+    @property
+    def carried_by(self) -> Source:
+        """Return what the pose rests on."""
+        return Source.MARKER if self.detections else Source.COMMON_VIEW
 
 
 @value
@@ -79,12 +90,13 @@ class MarkerView:
             max_sigma_m=method.max_pose_sigma_m,
         )
         self._filter = RelativeFilter(
-            _relative_settings(mission),
+            _relative_settings(mission, method.common_view),
             lever_c_m=mount.T_b_c.R.T @ mount.T_b_c.t,
             lever_v_m=mount.T_b_v.R.T @ mount.T_b_v.t,
         )
         self._motion: VehicleMotions | None = None
         self._fixes: list[int] = []
+        self._common: list[int] = []
         self._looked_ns = 0
         self._frame_ns = 0  # between the two newest views
         self._searched_ns = 0
@@ -103,6 +115,33 @@ class MarkerView:
         lately_ns = max(_FIXED_NS, _FIXED_FRAMES * self._frame_ns)
         self._fixes = [stamp_ns for stamp_ns in self._fixes if now_ns - stamp_ns < lately_ns]
         return len(self._fixes)
+
+    def found(self, now_ns: int) -> bool:
+        """Return whether the marker's pose is known, by the marker or by common views."""
+        if self.fixes(now_ns) >= _FIXES:
+            return True
+        self._common = [stamp_ns for stamp_ns in self._common if now_ns - stamp_ns < _COMMON_NS]
+        return len(self._common) >= _COMMON_VIEWS
+
+    def note_common_view(
+        self, stamp_ns: int, T_c_v: Pose, covariance: Matrix, R_n_c: Matrix, R_n_v: Matrix
+    ) -> Missed | None:
+        """Take the marker's pose at an earlier instant by a common view; return why it is not
+        used.
+        """
+        refused = self._filter.update(stamp_ns, T_c_v, covariance, R_n_c, R_n_v, Source.COMMON_VIEW)
+        if refused is None:
+            self._common.append(stamp_ns)
+        return refused
+
+    def carried(self, stamp_ns: int, R_n_c: Matrix) -> MarkerFix | None:
+        """Return the pose in a frame without a marker, where common views carry it."""
+        if self._filter.source is not Source.COMMON_VIEW:
+            return None
+        relative = self._filter.predict(stamp_ns, R_n_c, self.R_n_v)
+        if relative is None:
+            return None
+        return MarkerFix(relative.T_c_v, relative.covariance, 0.0, ())
 
     def note_motion(self, motion: VehicleMotions) -> None:
         """Take both vehicles' reported motion.
@@ -183,13 +222,14 @@ class MarkerView:
         ), relative.T_c_v if known else None
 
 
-def _relative_settings(mission: MissionConfig) -> RelativeSettings:
+def _relative_settings(mission: MissionConfig, common_view: bool = False) -> RelativeSettings:
     usual = RelativeSettings()
     wander_rad = math.radians(mission.attitude_wander_deg)
     return RelativeSettings(
         tilt_wander_rad=wander_rad,
         yaw_wander_rad=max(usual.yaw_wander_rad, wander_rad),
-        coast_s=mission.deadlines.marker_coast_s,
+        coast_s=max(mission.deadlines.marker_coast_s, _COMMON_COAST_S if common_view else 0.0),
+        late=common_view,
     )
 
 

@@ -11,16 +11,13 @@ from dataclasses import field
 import numpy as np
 from numpy.typing import NDArray
 
-from path.arrays import Array
+from path.arrays import Array, Singles
 from path.common_view.surface_kernels import planes
 from path.values import frozen
 
 Bits = NDArray[np.uint8]
-Depths = NDArray[np.float32]
 
 DESCRIPTOR_BYTES = 32
-POINT_BYTES = 6
-DEPTH_BYTES = 2
 
 
 @frozen(eq=False)
@@ -35,7 +32,7 @@ class DepthGrid:
         normals: (h * w, 3) unit vectors towards the camera.
     """
 
-    depth: Depths
+    depth: Singles
     lens: Array
     points: Array = field(init=False, repr=False)
     normals: Array = field(init=False, repr=False)
@@ -77,9 +74,3 @@ class Keyframe:
     patch_m: float
     depth_sigma_at_1m_m: float
     gravity_sigma_rad: float
-
-    @property
-    def bytes(self) -> int:
-        """Return how many bytes it takes on a link, headers aside."""
-        of_points = len(self.points_c) * (DESCRIPTOR_BYTES + POINT_BYTES)
-        return of_points + self.grid.depth.size * DEPTH_BYTES

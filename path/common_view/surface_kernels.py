@@ -9,12 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from path.arrays import Array
+from path.arrays import Array, Singles
 from path.compiled import inner, kernel
-
-Depths = NDArray[np.float32]
 
 PLANE_ROUNDS = 3
 SAME_SURFACE = 0.06
@@ -24,7 +21,7 @@ ON_PLANE = 0.01
 
 
 @kernel
-def registered(depth: Depths, lens: Array, R: Array, t: Array, other: Array, out: Depths) -> None:
+def registered(depth: Singles, lens: Array, R: Array, t: Array, other: Array, out: Singles) -> None:
     """Draw a depth image as another camera sees it, the nearest surface in each pixel.
 
     Args:
@@ -55,7 +52,7 @@ def registered(depth: Depths, lens: Array, R: Array, t: Array, other: Array, out
 
 
 @kernel
-def thinned(depth: Depths, height: int, width: int) -> Depths:
+def thinned(depth: Singles, height: int, width: int) -> Singles:
     """Return the median depth of each cell of a coarser grid; 0 where less than half is known."""
     out = np.zeros((height, width), np.float32)
     high = depth.shape[0] / height
@@ -99,7 +96,7 @@ def _solve3(M: Array, b: Array, x: Array) -> bool:
 
 
 @inner
-def _nearest(depth: Depths, u: int, v: int) -> float:
+def _nearest(depth: Singles, u: int, v: int) -> float:
     """Return the least depth of a pixel and its neighbours; 0 where none is known."""
     nearest = 0.0
     for row in range(max(v - 1, 0), min(v + 2, depth.shape[0])):
@@ -112,7 +109,7 @@ def _nearest(depth: Depths, u: int, v: int) -> float:
 
 @inner
 def _add_on_plane(
-    depth: Depths, u: int, v: int, reach: int, x: Array, tolerance: float, M: Array, b: Array
+    depth: Singles, u: int, v: int, reach: int, x: Array, tolerance: float, M: Array, b: Array
 ) -> int:
     """Write the normal equations of the pixels near a plane ``x``; return how many they are."""
     M[:] = 0.0
@@ -146,7 +143,7 @@ def _add_on_plane(
 
 @kernel
 def planes(
-    depth: Depths, lens: Array, pixels: Array, reach: int, least: int
+    depth: Singles, lens: Array, pixels: Array, reach: int, least: int
 ) -> tuple[Array, Array]:
     """Fit a plane around each pixel, to what belongs to the nearest surface there.
 
@@ -154,7 +151,7 @@ def planes(
         pixels: (n, 2). ``reach``: pixels to each side that are asked. ``least``: of them on a plane.
 
     Returns:
-        Depths (n,), 0 where there is no plane, and unit normals (n, 3) towards the camera.
+        Singles (n,), 0 where there is no plane, and unit normals (n, 3) towards the camera.
     """
     depths = np.zeros(len(pixels))
     normals = np.zeros((len(pixels), 3))

@@ -8,6 +8,10 @@ Their errors have two parts: noise, and what persists from frame to frame (print
 length, biases of the attitudes that the pose rests on). The persistent part never averages out: it
 is kept out of the filter and added to what the filter says.
 
+A pose may also come late, from a common view (``path.common_view``), which takes a second to cross
+the link and to be worked out: the filter goes back to before it, takes it in, and repeats what it
+was given since.
+
 Perturbations of a pose are ``t + dt``, ``R <- exp(dw) R``; covariances are (6, 6) in the order (dt,
 dw), as in ``path.marker.pose``.
 """
@@ -15,6 +19,8 @@ dw), as in ``path.marker.pose``.
 from __future__ import annotations
 
 import math
+from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,8 +35,39 @@ FREE_SPEED_MPS = 0.7
 FREE_WALK_MPS = 1.0
 FREE_TURN_RAD = math.radians(5.0)  # of an unreported attitude, in ``wander_s``
 FLIPPED_RAD = math.radians(8.0)  # a refused attitude that is off by more has turned over
+REMEMBERED_NS = 5_000_000_000
+"""For so long back a measurement may come late."""
 ORIGIN: Vector = np.zeros(3)
 UPRIGHT: Matrix = np.eye(3)
+
+
+class Source(Enum):
+    """What a measured pose is from."""
+
+    MARKER = "marker"
+    COMMON_VIEW = "common_view"
+
+
+class _Belief(NamedTuple):
+    """What the filter has made of its measurements so far.
+
+    Attributes:
+        source: of the newest accepted one. ``refused``: a state of those in a row that were not,
+            with how many they are worth.
+    """
+
+    state: State | None = None
+    source: Source = Source.MARKER
+    refused: State | None = None
+    refusals: float = 0.0
+
+
+class _Measured(NamedTuple):
+    """One measurement, and the belief before it."""
+
+    seen: State
+    source: Source
+    before: _Belief
 
 
 @frozen
@@ -49,7 +86,9 @@ class RelativeSettings:
             errors exceed 45 once in 2e7 frames, real ones have longer tails.
         settle: this many refused measurements in a row that agree with each other replace the
             state.
+        settle_common: the same of common views, each of which rests on a keyframe of its own.
         coast_s: without a measurement for longer, there is no prediction.
+        late: measurements may come late, and are remembered for that.
     """
 
     velocity_sigma_mps: float = 0.12
@@ -61,7 +100,9 @@ class RelativeSettings:
     persistent_s: float = 10.0
     gate: float = 45.0
     settle: int = 15
+    settle_common: int = 3
     coast_s: float = 1.0
+    late: bool = False
 
 
 @value
@@ -137,9 +178,13 @@ class RelativeFilter:
             np.ascontiguousarray(lever_c_m), np.ascontiguousarray(lever_v_m),
         )  # fmt: skip
         self._own, self._peer = Travel(), Travel()
-        self._state: State | None = None
-        self._refused: State | None = None
-        self._refusals = 0
+        self._belief = _Belief()
+        self._measured: list[_Measured] = []
+
+    @property
+    def source(self) -> Source:
+        """Return what the newest accepted measurement is from."""
+        return self._belief.source
 
     def set_own_velocity(self, stamp_ns: int, velocity_n_mps: Vec3) -> None:
         self._report(self._own, self._peer, stamp_ns, velocity_n_mps)
@@ -150,7 +195,8 @@ class RelativeFilter:
 
     def unseen_s(self, stamp_ns: int) -> float:
         """Time since the newest accepted measurement; infinite before the first."""
-        return math.inf if self._state is None else (stamp_ns - self._state.stamp_ns) * 1e-9
+        state = self._belief.state
+        return math.inf if state is None else (stamp_ns - state.stamp_ns) * 1e-9
 
     def predict(
         self, stamp_ns: int, R_n_c: Matrix | None = None, R_n_v: Matrix | None = None
@@ -161,7 +207,7 @@ class RelativeFilter:
             R_n_c, R_n_v: attitudes of the camera and of the marker as reported for that instant;
                 those of the newest measurement when they are not given.
         """
-        state = self._state
+        state = self._belief.state
         if state is None or stamp_ns - state.stamp_ns > self._settings.coast_s * 1e9:
             return None
         own = self._own.reports
@@ -179,6 +225,7 @@ class RelativeFilter:
         covariance: Matrix,
         R_n_c: Matrix,
         R_n_v: Matrix | None = None,
+        source: Source = Source.MARKER,
     ) -> Missed | None:
         """Fuse a measured pose; None when it was.
 
@@ -189,44 +236,67 @@ class RelativeFilter:
 
         Returns:
             Missed MARKER_FLIPPED or POSE_UNCERTAIN when attitude or position lie outside the gate,
-            STALE when it is no newer than the newest one. It is not used then.
+            STALE when it is no newer than the newest one, and, where measurements may come late, no
+            newer than all that is remembered. It is not used then.
         """
         seen = self._seen(stamp_ns, T_c_v, covariance, np.ascontiguousarray(R_n_c), R_n_v)
-        state = self._state
-        if state is None or stamp_ns - state.stamp_ns > self._settings.coast_s * 1e9:
-            self._state = seen
-            self._refused = None
-            self._refusals = 0
-            return None
-        if stamp_ns <= state.stamp_ns:
+        since = [each for each in self._measured if each.seen.stamp_ns > stamp_ns]
+        if not since:
+            return self._take(seen, source)
+        if len(since) == len(self._measured):
             return Missed(MissReason.STALE, ignored=True)
+        # What came after it is taken in once more.
+        self._measured = self._measured[: -len(since)]
+        self._belief = since[0].before
+        missed = self._take(seen, source)
+        for each in since:
+            self._take(each.seen, each.source)
+        return missed
+
+    def _take(self, seen: State, source: Source) -> Missed | None:
+        """Fuse a measurement that is the newest."""
+        before = self._belief
+        if self._settings.late:
+            self._remember(_Measured(seen, source, before))
+        self._belief, missed = self._after(before, seen, source)
+        return missed
+
+    def _remember(self, measured: _Measured) -> None:
+        oldest_ns = measured.seen.stamp_ns - REMEMBERED_NS
+        while self._measured and self._measured[0].seen.stamp_ns < oldest_ns:
+            self._measured.pop(0)
+        self._measured.append(measured)
+
+    def _after(self, before: _Belief, seen: State, source: Source) -> tuple[_Belief, Missed | None]:
+        """Return the belief after a measurement, and why that is refused; None when it is not."""
+        its = self._settings
+        state = before.state
+        if state is None or seen.stamp_ns - state.stamp_ns > its.coast_s * 1e9:
+            return _Belief(seen, source), None
+        if seen.stamp_ns <= state.stamp_ns:
+            return before, Missed(MissReason.STALE, ignored=True)
         updated, angle = self._fused(state, seen)
         if updated is not None:
-            self._state = updated
-            self._refused = None
-            self._refusals = 0
-            return None
-        again = None if self._refused is None else self._fused(self._refused, seen)[0]
-        self._refusals = 1 if again is None else self._refusals + 1
-        self._refused = seen if again is None else again
-        if self._refusals >= self._settings.settle:
-            self._state = self._refused
-            self._refused = None
-            self._refusals = 0
-            return None
-        return Missed(
-            MissReason.MARKER_FLIPPED if angle > FLIPPED_RAD else MissReason.POSE_UNCERTAIN
-        )
+            return _Belief(updated, source), None
+        again = None if before.refused is None else self._fused(before.refused, seen)[0]
+        weight = its.settle / its.settle_common if source is Source.COMMON_VIEW else 1
+        refusals = weight if again is None else before.refusals + weight
+        refused = seen if again is None else again
+        if refusals >= its.settle:
+            return _Belief(refused, source), None
+        reason = MissReason.MARKER_FLIPPED if angle > FLIPPED_RAD else MissReason.POSE_UNCERTAIN
+        return _Belief(state, before.source, refused, refusals), Missed(reason)
 
     def _report(self, own: Travel, other: Travel, stamp_ns: int, velocity_n_mps: Vec3) -> None:
         first = not own.known
         own.add(stamp_ns, velocity_n_mps)
-        if first and other.known and self._state is not None:
+        belief = self._belief
+        if first and other.known and belief.state is not None:
             # what was taken for the whole velocity is its error from now on
             reported = np.array(
-                velocity(self._own.reports, self._peer.reports, self._state.stamp_ns)
+                velocity(self._own.reports, self._peer.reports, belief.state.stamp_ns)
             )
-            for state in (self._state, self._refused):
+            for state in (belief.state, belief.refused):
                 if state is not None:
                     state.e[:] -= reported
 

@@ -19,6 +19,7 @@ from drivers.resident import give_back
 from drivers.rig.parts import PartContext, PartSpec, Rig, RoleRig, create, ended_by, part_context
 from drivers.rig.tables import RigError
 from drivers.stages import Stages
+from flight.common_view import warm_up as warm_up_common_view
 from flight.config import MissionConfig
 from flight.guard.under_guard import UnderGuard
 from flight.harness.flights import InProcess, ProgramContext, RoleResult
@@ -41,6 +42,8 @@ async def open_session(
     # frames are small: more threads cost more than they gain, and take the other processes' cores
     cv2.setNumThreads(1)
     warm_up_for(rig.role(role), harness)
+    if rig.method.common_view:
+        warm_up_common_view()
     if harness is None:
         # what is loaded by now stays: collections in flight need not walk it, for 0.1 s each
         gc.freeze()

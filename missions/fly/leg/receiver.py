@@ -48,6 +48,7 @@ from flight.tracking.ranging import Ranging
 from flight.tracking.target_track import TargetTrack
 from flight.way_out import way_out_m
 from missions.fly.leg.handover import ReceiverHandover
+from missions.fly.leg.keyframes import CommonViews
 from missions.fly.leg.session import RoleSession
 from missions.fly.leg.steps import bring_down, preflight, take_off
 from missions.ground.journal import frame_record, track_record
@@ -56,11 +57,10 @@ from path.geometry.rotation import yaw_of
 from path.geometry.transforms import Matrix, Pose
 from path.marker.instead import grey_of, seen_instead
 from path.marker.size_check import SizeCheck
-from path.messages import Candidate, Status, Target
+from path.messages import Candidate, KeyframePart, Status, Target
 from path.observations import Missed, MissReason
 from path.protocol.values import Handoff
 
-_FIXES_TO_APPROACH = 5
 _ARRIVED_S = 0.6
 _RETREAT_M = 1.8
 _ABLE_S = 0.5
@@ -123,6 +123,9 @@ class Receiver:
         self._searched: View | None = None  # the newest view that was searched for the marker
         # of looks at the marker that gave no pose, each told once
         self._causes: dict[MissReason, str] = {}
+        self._common: CommonViews | None = None
+        if rig.method.common_view:
+            self._common = CommonViews(session, self._marker)
         session.on_message = self._on_message
         session.on_status = self._handover.on_status
 
@@ -155,6 +158,8 @@ class Receiver:
         await self._rise()
 
         session.spawn(self._watch())
+        if self._common is not None:
+            session.spawn(self._common.run())
         await self._find_marker(self._near)
         left = config.rendezvous.go_arounds
         while why := await self._approach():
@@ -206,8 +211,7 @@ class Receiver:
             return not rendezvous.out_of_bounds()
 
         def sees_marker() -> bool:
-            now_ns = session.now_ns()
-            return self._marker.fixes(now_ns) >= _FIXES_TO_APPROACH
+            return self._marker.found(session.now_ns())
 
         session.enter(Phase.STAND_OFF)
         session.pilot.guidance = rendezvous.to_stand_off
@@ -315,7 +319,7 @@ class Receiver:
         put farther on.
         """
         now_ns = self._session.now_ns()
-        if self._marker.fixes(now_ns) < _FIXES_TO_APPROACH:
+        if not self._marker.found(now_ns):
             return False
         relative = self._marker.predict(now_ns)
         if relative is None:
@@ -426,6 +430,12 @@ class Receiver:
             self._note_cause(fix)
         else:
             self._check_size(view, fix)
+        if self._common is not None:
+            peer = self._peer()
+            self._common.note_peer(motion.peer_stamp_ns, peer.position_n_m, peer.velocity_n_mps)
+            self._common.look(view, T_n_c)
+            if isinstance(fix, Missed):
+                fix = self._marker.carried(stamp_ns, T_n_c.R) or fix
         with session.stage("log"):
             found = marker_record(stamp_ns, fix)
             session.log.write("/marker", stamp_ns, found)
@@ -648,6 +658,8 @@ class Receiver:
         message = received.message
         if isinstance(message, Target):
             self._on_target(message)
+        if isinstance(message, KeyframePart) and self._common is not None:
+            self._common.hear(message)
 
     def _on_target(self, target: Target) -> None:
         """Take the target's place. The protocol has seen the message first and says which attempt

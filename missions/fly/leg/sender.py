@@ -46,6 +46,7 @@ from flight.tracking.target_track import TargetTrack
 from flight.way_out import way_out_m
 from missions.fly.leg.designating import Designating
 from missions.fly.leg.handover import SenderHandover
+from missions.fly.leg.keyframes import KeyframesOut
 from missions.fly.leg.session import RoleSession
 from missions.fly.leg.steps import bring_down, preflight, take_off
 from missions.ground.journal import frame_record, track_record
@@ -98,6 +99,7 @@ class Sender:
         self._side: SenderSide | None = None
         # as measured on the marker: -1 left of D1, 1 right
         self._receiver_side: float | None = None
+        self._keyframes = KeyframesOut(session) if rig.method.common_view else None
         self._candidates = 0
         self._way_out: Anchor | None = None
         session.on_message = self._on_message
@@ -149,6 +151,8 @@ class Sender:
         self._begin_attempt()
         session.pilot.guidance = self._follow_target
         session.spawn(self._watch_peer())
+        if self._keyframes is not None:
+            session.spawn(self._keyframes.run())
         await session.until(
             lambda: self._candidates > 0,
             deadlines.receiver_ready_s,
@@ -502,6 +506,8 @@ class Sender:
             session.log.write("/track", stamp_ns, record)
             return
 
+        if self._keyframes is not None and self._receiver_looks():
+            self._keyframes.offer(view, T_n_c.R)
         with session.stage("projection"):
             gravity_v = self._camera_pose.gravity_v(R_n_b)
             frame = side.observe(
@@ -525,6 +531,12 @@ class Sender:
         if side.gate.complete and not self._handover.released:
             session.frames.log_image(view, wanted=True)
             self._handover.agreed(self._config.target_id)
+
+    def _receiver_looks(self) -> bool:
+        """Return whether the receiver looks for this drone, or verifies with it."""
+        peer = self._session.peer
+        looks = peer is not None and Phase.STAND_OFF.reached(peer.phase)
+        return looks and not self._handover.released
 
     # --- messages and records
 

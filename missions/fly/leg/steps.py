@@ -24,6 +24,7 @@ from flight.guidance import Anchor, norm, subtract
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import DOUBT_S
+from missions.fly.leg.keyframes import check_depth
 from missions.fly.leg.session import RoleSession
 from path.alike import differing
 from path.messages import Role
@@ -53,7 +54,7 @@ async def check_own(session: RoleSession) -> None:
     session.enter(Phase.PREFLIGHT)
     check_capabilities(session)
     deadlines = session.config.deadlines
-    await session.perception.view(_FIRST_FRAME_S)
+    check_depth(session, await session.perception.view(_FIRST_FRAME_S))
     expect = getattr(session.vehicle, "expect_telemetry", None)
     if expect is not None:
         expect(session.config.guard.telemetry_age_s)

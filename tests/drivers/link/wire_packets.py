@@ -13,6 +13,7 @@ from path.messages import (
     Candidate,
     Commit,
     Confirm,
+    KeyframePart,
     Message,
     Ping,
     Pong,
@@ -47,6 +48,8 @@ STATUS = Status(
     alike=Alike(1, 2, 3, 0xFFFF, 5, 6, 7, 8, 400),
 )  # fmt: skip
 
+PART = KeyframePart(INSTANT, (1.0, 0.0, 0.0, 0.0), 0.3217, 200, 127, bytes(range(59)))
+
 FROM_SENDER: tuple[Message, ...] = (
     TARGET,
     STATUS,
@@ -55,6 +58,7 @@ FROM_SENDER: tuple[Message, ...] = (
     Commit(0xFFFF, 0xFFFE, 255, 2**32 - 1, STAMP + 9, STAMP, 2**24 - 1),
     Confirm(0xFFFF, 0xFFFE, 255, 2**32 - 1, STAMP, 2**24 - 1),
     Abort(0xFFFF, 0xFFFE, AbortReason.SHUTDOWN, STAMP, 2**24 - 1),
+    PART,
 )
 
 

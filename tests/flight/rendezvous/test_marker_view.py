@@ -193,6 +193,9 @@ def test_fixes_are_counted_for_half_a_second() -> None:
     watch.see(NEAR, 10)
     assert watch.view.fixes(watch.stamp_ns) == 10
     assert watch.view.fixes(watch.stamp_ns + 400 * MS) == 5
+    assert watch.view.found(watch.stamp_ns + 400 * MS)
+    assert watch.view.fixes(watch.stamp_ns + 420 * MS) == 4
+    assert not watch.view.found(watch.stamp_ns + 420 * MS)
     assert watch.view.fixes(watch.stamp_ns + 501 * MS) == 0
 
 

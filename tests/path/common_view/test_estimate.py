@@ -114,9 +114,3 @@ def test_without_depth_it_is_unknown_and_says_so() -> None:
     found = common_view(seen.first, seen.second, seen.prior)
     assert isinstance(found, Unknown)
     assert found.why is Why.FEW_POINTS
-
-
-def test_a_keyframe_fits_the_link() -> None:
-    seen = looks(room(1), around(0.0), around(30.0), 0)
-    assert len(seen.first.points_c) <= 200
-    assert seen.first.bytes <= 12_000

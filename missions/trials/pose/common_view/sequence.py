@@ -11,20 +11,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import PartError
+from drivers.recordings.recording import read_image
+from path.arrays import Array, Image, Singles
 from path.camera.model import CameraModel
 from path.common_view.read import RgbdCamera
 from path.geometry import rotation
 from path.geometry.transforms import Pose
-
-Array = NDArray[np.float64]
-Depths = NDArray[np.float32]
 
 KINECT_COLOR = CameraModel(640, 480, 528.5, 528.5, 320.0, 240.0)
 KINECT_COLOR_DEPTH = Pose(
@@ -47,15 +44,14 @@ class Frame:
     stem: Path
     T_w_c: Pose
 
-    def depth(self) -> Depths:
+    def depth(self) -> Singles:
         """Return depth in metres, 0 where unknown."""
         return _depth(self.stem.with_name(f"{self.stem.name}.depth.png"))
 
-    def color(self) -> NDArray[np.uint8]:
+    def color(self) -> Image:
         """Return the colour image, BGR."""
         files = [self.stem.with_name(f"{self.stem.name}.color.{end}") for end in ("jpg", "png")]
-        image = _image(files[0] if files[0].is_file() else files[1], cv2.IMREAD_COLOR)
-        return np.asarray(image, np.uint8)
+        return read_image(files[0] if files[0].is_file() else files[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,15 +166,10 @@ def _numbers(file: Path, shape: tuple[int, ...]) -> Array:
 
 
 @lru_cache(maxsize=128)
-def _depth(file: Path) -> Depths:
-    raw = _image(file, cv2.IMREAD_UNCHANGED)
+def _depth(file: Path) -> Singles:
+    raw = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    if raw is None:
+        raise PartError(f"{file}: no image that can be read", "name a folder with all its frames")
     depth = np.asarray(raw, np.float32) / np.float32(1000.0)
     depth[(raw < LEAST_MM) | (raw > MOST_MM)] = 0.0
     return depth
-
-
-def _image(file: Path, how: int) -> NDArray[Any]:
-    image = cv2.imread(str(file), how)
-    if image is None:
-        raise PartError(f"{file}: no image that can be read", "name a folder with all its frames")
-    return np.asarray(image)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drivers.link.wire import UDP_IP_OVERHEAD, longest
 from missions.trials.pose.common_view.sequence import (
     Pair,
     Sequence,
@@ -26,12 +26,14 @@ from missions.trials.shared.trial import (
     TrialTable,
     verdict,
 )
+from path.camera.model import CameraModel
 from path.common_view.estimate import CommonView, common_view
+from path.common_view.keyframe import Keyframe
+from path.common_view.parts import Gathered, KeyframeSource, parts_of
 from path.common_view.read import OWN, SENT, read_keyframe
 from path.common_view.search import Prior
 from path.geometry import rotation
-
-Array = NDArray[np.float64]
+from path.messages import KeyframePart
 
 TITLE = "Without the marker: where the other camera is, by what both see, on real pairs"
 PAPER = ""
@@ -71,7 +73,7 @@ class Answer:
         why: "" when a pose was given, else why none was.
         off_m, off_deg: error of the pose, given or not; NaN without any.
         chi2: by its stated covariance, by each of four numbers.
-        cpu_ms: without features. ``sent``: bytes of the first keyframe.
+        cpu_ms: without features. ``sent``: bytes of the first keyframe on a link, signed, over UDP.
     """
 
     why: str
@@ -147,7 +149,8 @@ def answer_pair(sequence: Sequence, pair: Pair, rng: np.random.Generator) -> Ans
     R1 = rotation.exp(rng.normal(size=3) * sigmas) @ sequence.R_l_w @ one.T_w_c.R
     R2 = rotation.exp(rng.normal(size=3) * sigmas) @ sequence.R_l_w @ two.T_w_c.R
     camera = sequence.camera
-    first = read_keyframe(one.color(), one.depth(), camera, R1, GRAVITY_SIGMA_RAD, SENT)
+    seen = read_keyframe(one.color(), one.depth(), camera, R1, GRAVITY_SIGMA_RAD, SENT)
+    first, sent = over_link(seen, camera.depth)
     second = read_keyframe(
         two.color(), two.depth(), camera, R2, GRAVITY_SIGMA_RAD, OWN, first.patch_m
     )
@@ -162,12 +165,22 @@ def answer_pair(sequence: Sequence, pair: Pair, rng: np.random.Generator) -> Ans
     why = "" if isinstance(found, CommonView) else found.why.value
     best = found if isinstance(found, CommonView) else found.best
     if best is None:
-        return Answer(why, math.nan, math.nan, math.nan, cpu_ms, first.bytes)
+        return Answer(why, math.nan, math.nan, math.nan, cpu_ms, sent)
     yaw = math.remainder(best.yaw_rad - math.atan2(R[1, 0], R[0, 0]), math.tau)
     off = np.append(best.t_m - t, yaw)
     chi2 = float(off @ np.linalg.solve(best.covariance, off)) / 4.0
     off_m = float(np.linalg.norm(off[:3]))
-    return Answer(why, off_m, abs(math.degrees(yaw)), chi2, cpu_ms, first.bytes)
+    return Answer(why, off_m, abs(math.degrees(yaw)), chi2, cpu_ms, sent)
+
+
+def over_link(seen: Keyframe, camera: CameraModel) -> tuple[Keyframe, int]:
+    """Return a keyframe as it comes over a link that loses nothing, and the bytes it takes."""
+    sigma = seen.depth_sigma_at_1m_m
+    gathered = Gathered(KeyframeSource(camera, SENT, sigma, seen.gravity_sigma_rad))
+    parts = parts_of(seen, camera, 1)
+    for part in parts:
+        gathered.add(part)
+    return gathered.keyframe(), len(parts) * (longest(KeyframePart) + UDP_IP_OVERHEAD)
 
 
 def _summary(answers: list[Answer], pairs: int) -> dict[str, Any]:

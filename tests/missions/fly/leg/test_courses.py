@@ -175,16 +175,16 @@ class Approaching:
         self.bench = Bench(rig, role=Role.RECEIVER)
         self.session = self.bench.session
         self.receiver: Any = Receiver(self.session, MemoryStore())
-        self.way, self.fixes, self.unseen_s = Way(), 0, 0.0
+        self.way, self.found, self.unseen_s = Way(), False, 0.0
         self.receiver._rendezvous = self.way
 
-        def fixes(_now_ns: int) -> int:
-            return self.fixes
+        def found(_now_ns: int) -> bool:
+            return self.found
 
         def unseen_s(_now_ns: int) -> float:
             return self.unseen_s
 
-        self.receiver._marker = SimpleNamespace(fixes=fixes, unseen_s=unseen_s)
+        self.receiver._marker = SimpleNamespace(found=found, unseen_s=unseen_s)
         self.receiver._until_planned = Steps().step("plan")
 
 
@@ -209,10 +209,10 @@ def test_the_search_begins_at_the_stand_off_or_near_enough_and_within_the_bounds
         await asyncio.sleep(0.2)
         assert there.session.phase is Phase.SEARCH and there.way.searches == 1
         assert there.session.pilot.guidance == there.way.search
-        there.fixes = 4
+        there.found = False
         await asyncio.sleep(0.2)
         assert not finding.done()
-        there.fixes = 5
+        there.found = True
         await asyncio.sleep(0.2)
         assert finding.done() and finding.exception() is None
 

@@ -52,19 +52,19 @@ def tracked(place: Vec3 = (5.0, 1.0, -0.2), moves: Vec3 = (0.4, -0.2, 0.3)) -> T
     return track
 
 
-def marker(way_n_m: Vec3 | None, fixes: int = 9, unseen_s: float = 0.0) -> Any:
+def marker(way_n_m: Vec3 | None, found: bool = True, unseen_s: float = 0.0) -> Any:
     """What the marker's view says."""
 
     def predict(_stamp_ns: int) -> object:
         return None if way_n_m is None else SimpleNamespace(marker_n_m=way_n_m)
 
-    def count(_now_ns: int) -> int:
-        return fixes
+    def is_found(_now_ns: int) -> bool:
+        return found
 
     def unseen(_stamp_ns: int) -> float:
         return unseen_s
 
-    return SimpleNamespace(predict=predict, fixes=count, unseen_s=unseen)
+    return SimpleNamespace(predict=predict, found=is_found, unseen_s=unseen)
 
 
 def ended(step: Callable[[], object]) -> MissionEnd:
@@ -212,13 +212,14 @@ def test_the_way_back_is_behind_it_in_its_own_heading(rig: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("way_m", "fixes", "near"), [(1.5, 5, True), (1.5, 4, False), (9.0, 9, False), (None, 9, False)]
+    ("way_m", "found", "near"),
+    [(1.5, True, True), (1.5, False, False), (9.0, True, False), (None, True, False)],
 )
 def test_it_is_near_enough_to_approach_once_it_has_measured_the_marker_nearer_than_the_stand_off(
-    rig: Any, way_m: float | None, fixes: int, near: bool
+    rig: Any, way_m: float | None, found: bool, near: bool
 ) -> None:
     async def main(bench: Bench, receiver: Any) -> None:
-        receiver._marker = marker(None if way_m is None else (way_m, 0.0, 0.0), fixes)
+        receiver._marker = marker(None if way_m is None else (way_m, 0.0, 0.0), found)
         assert receiver._near() is near
         assert 1.5 < receiver._rendezvous.stand_off_m < 9.0
 
