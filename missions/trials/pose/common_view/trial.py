@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.link.wire import UDP_IP_OVERHEAD, longest
+from drivers.link.wire import PART_WIRE_BYTES
+from flight.common_view import KEYFRAME_S
 from missions.trials.pose.common_view.sequence import (
     Pair,
     Sequence,
@@ -33,7 +34,6 @@ from path.common_view.parts import Gathered, KeyframeSource, parts_of
 from path.common_view.read import OWN, SENT, read_keyframe
 from path.common_view.search import Prior
 from path.geometry import rotation
-from path.messages import KeyframePart
 
 TITLE = "Without the marker: where the other camera is, by what both see, on real pairs"
 PAPER = ""
@@ -180,7 +180,7 @@ def over_link(seen: Keyframe, camera: CameraModel) -> tuple[Keyframe, int]:
     parts = parts_of(seen, camera, 1)
     for part in parts:
         gathered.add(part)
-    return gathered.keyframe(), len(parts) * (longest(KeyframePart) + UDP_IP_OVERHEAD)
+    return gathered.keyframe(), len(parts) * PART_WIRE_BYTES
 
 
 def _summary(answers: list[Answer], pairs: int) -> dict[str, Any]:
@@ -200,7 +200,7 @@ def _summary(answers: list[Answer], pairs: int) -> dict[str, Any]:
         "yaw_median_deg": _median([answer.off_deg for answer in given]),
         "chi2": float(np.mean([answer.chi2 for answer in given])) if given else math.nan,
         "cpu_ms": _median([answer.cpu_ms for answer in answers]),
-        "bytes": max((answer.sent for answer in answers), default=0),
+        "bytes_per_s": max((answer.sent for answer in answers), default=0) / KEYFRAME_S,
     }
 
 

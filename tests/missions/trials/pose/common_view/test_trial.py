@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import PartError
+from flight.common_view import KEYFRAME_S
 from missions.ground.options.proofs import TrialOptions
 from missions.trials.pose.common_view import trial
 from missions.trials.pose.common_view.sequence import levelled, pairs_between, read_sequence
@@ -85,7 +86,7 @@ def test_a_pair_of_the_drawn_room_is_answered_right(folder: Path) -> None:
     pair = trial.Pair(0, 1, 20.0)
     answer = trial.answer_pair(registered, pair, np.random.default_rng(1))
     assert answer.right
-    assert answer.sent <= 12_000
+    assert 128 < answer.sent <= 12_000 * KEYFRAME_S
 
 
 def test_naming_a_sequence_asks_for_this_alone() -> None:
