@@ -9,18 +9,18 @@ from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 
 from drivers.interfaces import Frame
 from flight.config import MissionConfig
-from path.arrays import Array, Singles
+from path.arrays import Array
 from path.camera.model import CameraModel
 from path.common_view.estimate import CommonView, common_view
 from path.common_view.keyframe import Keyframe
 from path.common_view.parts import KeyframeSource, part_count
 from path.common_view.read import SENT, RgbdCamera, Size, read_keyframe
 from path.common_view.search import Prior
+from path.common_view.straight import Straightened, straight
 from path.config import MethodConfig
 from path.geometry.transforms import Matrix, Pose
 from path.values import frozen
@@ -40,11 +40,6 @@ def parts_hz() -> float:
     return part_count(SENT.points, SENT) / KEYFRAME_S
 
 
-def straight(camera: CameraModel) -> CameraModel:
-    """Return a camera's lens without its distortion."""
-    return CameraModel(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
-
-
 def keyframe_source(
     camera: CameraModel, method: MethodConfig, mission: MissionConfig
 ) -> KeyframeSource:
@@ -60,12 +55,7 @@ class KeyframeReader:
         self._source = source
         lens = source.camera
         self._camera = RgbdCamera(lens, lens, None, source.depth_sigma_at_1m_m)
-        self._places: tuple[Singles, Singles] | None = None
-        if any(camera.distortion):
-            v, u = np.mgrid[0 : lens.height, 0 : lens.width].astype(np.float64)
-            rays = np.stack([(u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, np.ones_like(u)], -1)
-            pixels = camera.project(rays.reshape(-1, 3)).astype(np.float32)
-            self._places = (pixels[:, 0].reshape(u.shape), pixels[:, 1].reshape(u.shape))
+        self._straightened = Straightened(camera)
 
     def read(
         self, frame: Frame, R_n_c: Matrix, size: Size, patch_m: float | None = None
@@ -77,12 +67,7 @@ class KeyframeReader:
             patch_m: of the keyframe that it is to be compared with.
         """
         assert frame.depth_mm is not None, "a camera without depth is refused before"
-        color = frame.color
-        depth = frame.depth_mm
-        if self._places is not None:
-            color = np.asarray(cv2.remap(color, *self._places, cv2.INTER_LINEAR), np.uint8)
-            # Between a near and a far surface there is none.
-            depth = np.asarray(cv2.remap(depth, *self._places, cv2.INTER_NEAREST), np.uint16)
+        color, depth = self._straightened.pictures(frame.color, frame.depth_mm)
         metres = np.asarray(depth, np.float32) * np.float32(0.001)
         gravity_rad = self._source.gravity_sigma_rad
         return read_keyframe(color, metres, self._camera, R_n_c, gravity_rad, size, patch_m)
@@ -161,11 +146,12 @@ def warm_up() -> None:
     rng = np.random.default_rng(0)
     lens = CameraModel(160, 120, 150.0, 150.0, 80.0, 60.0, (0.01, 0.0, 0.0, 0.0, 0.0))
     source = KeyframeSource(straight(lens), SENT, 0.005, math.radians(0.5))
-    color = cv2.GaussianBlur(rng.integers(0, 256, (120, 160, 3)).astype(np.uint8), (0, 0), 1.5)
+    grey = np.kron(rng.integers(0, 256, (30, 40)), np.ones((4, 4)))
+    color = np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
     depth = np.full((120, 160), 2000, np.uint16)
     depth[40:80, 60:120] = 1500
     reader = KeyframeReader(source, lens)
-    frame = Frame(1, 1, np.asarray(color, np.uint8), depth)
+    frame = Frame(1, 1, color, depth)
     first = reader.read(frame, np.eye(3), SENT)
     second = reader.read(frame, np.eye(3), SENT, first.patch_m)
     common_view(first, second, prior_of(np.zeros(3), MissionConfig()))

@@ -47,7 +47,7 @@ def parts_of(keyframe: Keyframe, camera: CameraModel, capture_ns: int) -> list[K
     corners = np.empty((len(places), CORNER_BYTES), np.uint8)
     corners[:, :6] = _words(places).view(np.uint8).reshape(-1, 6)
     corners[:, 6:] = keyframe.descriptors
-    text = corners.tobytes() + _words(MM * keyframe.grid.depth).tobytes()
+    text = corners.tobytes() + _words(MM * keyframe.grid.depth.astype(np.float64)).tobytes()
     rotation = quat_from_R(keyframe.R_l_c)
     return [
         KeyframePart(

@@ -15,12 +15,12 @@ from flight.common_view import (
     keyframe_source,
     marker_pose,
     parts_hz,
-    straight,
 )
 from flight.config import MissionConfig
 from path.camera.model import CameraModel
 from path.common_view.estimate import CommonView, common_view
 from path.common_view.read import SENT
+from path.common_view.straight import straight
 from path.config import MethodConfig
 from path.geometry import rotation
 from path.geometry.transforms import Pose
@@ -63,8 +63,10 @@ def test_a_lens_that_bends_is_straightened_before_a_keyframe_is_made() -> None:
     pixels = np.column_stack([u.ravel(), v.ravel()]).astype(np.float64)
     rays = bent.rays(pixels).reshape(*u.shape, 2)
     at = (rays * [LENS.fx, LENS.fy] + [LENS.cx, LENS.cy]).astype(np.float32)
-    seen = np.asarray(cv2.remap(grey, at, None, cv2.INTER_LINEAR), np.uint8)
-    far = np.asarray(cv2.remap(depth, at, None, cv2.INTER_NEAREST), np.float32)
+    across = at[..., 0]
+    down = at[..., 1]
+    seen = np.asarray(cv2.remap(grey, across, down, cv2.INTER_LINEAR), np.uint8)
+    far = np.asarray(cv2.remap(depth, across, down, cv2.INTER_NEAREST), np.float32)
     method = MethodConfig()
     mission = MissionConfig()
     color = np.repeat(seen[..., None], 3, axis=2)

@@ -47,8 +47,8 @@ class Bench:
             config=CONFIG,
             stages=None,
             link=SimpleNamespace(send=self.sent.append),
-            log=SimpleNamespace(write=lambda topic, stamp, record: self.records.append(record)),
-            alignment=SimpleNamespace(ready=True, to_own_ns=lambda stamp_ns: stamp_ns),
+            log=SimpleNamespace(write=self._write),
+            alignment=SimpleNamespace(ready=True, to_own_ns=int),
             now_ns=lambda: round(loop.time() * 1e9),
         )
         self.marker = MarkerView(single_marker(), LENS, MOUNT, METHOD, CONFIG)
@@ -60,6 +60,9 @@ class Bench:
         north, east, down = ONE[1].tolist()
         self.views.note_peer(SECOND_NS, (north, east, down), still)
         self.out = KeyframesOut(self.session)
+
+    def _write(self, _topic: str, _stamp_ns: int, record: dict[str, Any]) -> None:
+        self.records.append(record)
 
     def seen(self, by: tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]], stamp_ns: int) -> Any:
         grey, depth = drawn(room(1), *by, np.random.default_rng(stamp_ns % 97))
@@ -139,7 +142,11 @@ def test_parts_are_spread_evenly_and_a_frame_that_comes_too_early_is_left() -> N
     async def main(bench: Bench) -> None:
         stamps: list[float] = []
         loop = asyncio.get_running_loop()
-        bench.session.link.send = lambda part: stamps.append(loop.time())
+
+        def send(_: KeyframePart) -> None:
+            stamps.append(loop.time())
+
+        bench.session.link.send = send
         sending = asyncio.create_task(bench.out.run())
         bench.out.offer(bench.seen(ONE, 1), ONE[0])
         bench.out.offer(bench.seen(ONE, 2), ONE[0])
