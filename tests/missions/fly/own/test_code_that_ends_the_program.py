@@ -94,7 +94,9 @@ def test_a_factory_that_ends_the_program_flies_nothing_and_says_so(
     bodies = {name: "sys.exit(0)" if name == where else "pass" for name in WHERE}
     (here / f"leaving_{part}_{where}.py").write_text(FACTORY.format(**bodies))
     factory = f'{{ factory = "leaving_{part}_{where}:Part" }}'
-    (here / "rig.toml").write_text(f'like = "sim"\n[sender]\n{part} = {factory}\n')
+    # the other drone waits no longer than this for one that never comes
+    waits = "[mission.deadlines]\npeer_s = 2.0\n"
+    (here / "rig.toml").write_text(f'like = "sim"\n{waits}[sender]\n{part} = {factory}\n')
     code, said = ended(capsys, "handoff", "--rig", "rig.toml", "--out", "run")
     assert (code, "sys.exit(0)" in said) == (REFUSED, True), said
 
