@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest
 
 from drivers.recordings.labels import Label
 from path.arrays import Image
@@ -187,6 +186,8 @@ def _figures(of: Sequence[Judged]) -> dict[str, Any]:
 def _interval(found: int, labelled: int) -> tuple[float, float]:
     if not labelled:
         return 0.0, 1.0
+    from scipy.stats import binomtest  # noqa: PLC0415 (a second to import)
+
     between = binomtest(found, labelled).proportion_ci(method="wilson")
     return float(between.low), float(between.high)
 

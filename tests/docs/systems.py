@@ -18,10 +18,11 @@ import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Self
 
-from flight.plan.checks import flown, problems
+from flight.plan.checks import Flown, flown, problems
 from flight.plan.facts import facts_of
 from flight.plan.predictions import predictions
 from missions.ground import rig_library
@@ -83,23 +84,26 @@ def names() -> list[str]:
     return sorted(file.stem for file in FOLDER.glob("*.toml"))
 
 
-def refusals(name: str) -> list[str]:
+@cache
+def _planned(name: str) -> Flown:
+    """Return the plan of a system: the page and its tests ask for each of them several times."""
+    rig = rig_library.load_unchecked(str(FOLDER / f"{name}.toml"))
+    mission = mission_of(rig)
+    return flown(facts_of(rig, mission), mission)
+
+
+@cache
+def refusals(name: str) -> tuple[str, ...]:
     """Return why a system is refused, each with the smallest change; empty for one that is
     flown.
     """
-    rig = rig_library.load_unchecked(str(FOLDER / f"{name}.toml"))
-    mission = mission_of(rig)
-    return [
-        f"{problem.where}: {problem}"
-        for problem in problems(flown(facts_of(rig, mission), mission))
-    ]
+    return tuple(f"{problem.where}: {problem}" for problem in problems(_planned(name)))
 
 
+@cache
 def predicted(name: str) -> Mapping[str, float]:
     """Return what the plan expects of a system's flights."""
-    rig = rig_library.load_unchecked(str(FOLDER / f"{name}.toml"))
-    mission = mission_of(rig)
-    return {each.key: each.value for each in predictions(flown(facts_of(rig, mission), mission))}
+    return {each.key: each.value for each in predictions(_planned(name))}
 
 
 def seed_of(name: str, flown_before: int) -> int:

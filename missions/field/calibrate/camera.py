@@ -34,7 +34,6 @@ from missions.field.calibrate.collect import (
     from_recording,
 )
 from missions.field.calibrate.diagnose import what_else
-from missions.field.calibrate.picture import draw_calibration
 from missions.ground.held import held_file
 from missions.ground.options.calibrate import CalibrateCameraOptions
 from missions.ground.rigs import FOLDER
@@ -104,6 +103,10 @@ def calibrate_camera(options: CalibrateCameraOptions, out: TextIO) -> int:
 
 
 def _calibrate_camera(options: CalibrateCameraOptions, board: Board, out: TextIO) -> int:
+    from missions.field.calibrate.picture import (  # noqa: PLC0415 (matplotlib takes a second)
+        draw_calibration,
+    )
+
     picture = options.out.with_suffix(".png")
     claim_result(options.out, MADE_BY)
     claim_result(picture, MADE_BY)

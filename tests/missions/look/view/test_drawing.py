@@ -12,7 +12,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-import rerun as rr
 from mcap.records import Schema
 
 from drivers.interfaces import PartError
@@ -21,7 +20,6 @@ from drivers.log.scan import LoggedMessage, messages
 from missions.ground.options.runs import ViewOptions
 from missions.look.view import command
 from missions.look.view.command import run as run_view
-from missions.look.view.drawing import Drawing
 from missions.look.view.figures import PlottedValues
 
 DRAWN = {
@@ -71,6 +69,10 @@ def test_everything_that_is_drawn_is_in_reruns_file(
 
 def test_schemas_of_a_live_stream_have_no_ids_of_their_own(run_folder: Path) -> None:
     """Each message is read by its own schema, although all are number 0."""
+    import rerun as rr  # noqa: PLC0415 (here: each worker would import it)
+
+    from missions.look.view.drawing import Drawing  # noqa: PLC0415
+
     recording = rr.RecordingStream("test")
     drawing = Drawing(recording)
     names: set[str] = set()
@@ -137,6 +139,8 @@ class Lines:
             self._now_ns = int(timestamp.astype(np.int64))
 
     def log(self, path: str, *parts: object, static: bool = False) -> None:
+        import rerun as rr  # noqa: PLC0415
+
         for part in parts:
             if not static:
                 ended = isinstance(part, rr.Clear)
@@ -150,6 +154,8 @@ MS = 1_000_000
 def drawn(*said: tuple[int, str, dict[str, object]]) -> list[tuple[int, float | None]]:
     """The line of the sender's evidence, in ms, of records at ms."""
     lines = Lines()
+    from missions.look.view.drawing import Drawing  # noqa: PLC0415
+
     drawing = Drawing(lines)  # type: ignore[arg-type]
     for at_ms, topic, record in said:
         schema = Schema(id=1, data=b"", encoding="jsonschema", name=f"path.{topic}")

@@ -14,8 +14,6 @@ from missions.ground.options.proofs import CampaignOptions
 from missions.proofs.campaign.cluster import open_cluster
 from missions.proofs.campaign.run import run
 
-distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
-
 
 def square(number: int) -> int:
     return number * number
@@ -23,6 +21,7 @@ def square(number: int) -> int:
 
 @pytest.mark.filterwarnings("default")
 def test_a_cluster_does_what_the_cores_do(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
     ) as cluster:
@@ -31,7 +30,7 @@ def test_a_cluster_does_what_the_cores_do(tmp_path: Path) -> None:
                 number * number for number in range(20)
             ]
         here, there = tmp_path / "here", tmp_path / "there"
-        told = CampaignOptions(runs=4, faults=("none",), jobs=1)
+        told = CampaignOptions(runs=2, faults=("none",), jobs=1)
         assert run(replace(told, out=here)) == 0
         assert run(replace(told, out=there, cluster=cluster.scheduler_address)) == 0
     assert (here / "runs.jsonl").read_text() == (there / "runs.jsonl").read_text()
