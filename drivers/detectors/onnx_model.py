@@ -19,16 +19,12 @@ FLOAT = "tensor(float)"
 HALF = "tensor(float16)"
 
 
-class ModelError(PartError):
-    """A model file is missing, is no network, or is one of other inputs and outputs."""
-
-
 def open_session(file: Path, threads: int, remedy: str) -> onnxruntime.InferenceSession:
-    """A network on the CPU. Raises ModelError when there is none."""
+    """A network on the CPU. Raises PartError when there is none."""
     if not file.is_file():
-        raise ModelError(f"{file}: there is no such file; expected a network in ONNX", remedy)
+        raise PartError(f"{file}: there is no such file; expected a network in ONNX", remedy)
     if (other := _other_weights(file)) is not None:
-        raise ModelError(
+        raise PartError(
             f"{file}: expected a network in ONNX, found {other}", f"export it to ONNX: {remedy}"
         )
     options = onnxruntime.SessionOptions()
@@ -39,7 +35,7 @@ def open_session(file: Path, threads: int, remedy: str) -> onnxruntime.Inference
         return onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's exceptions share no base of their own
         found = str(error).splitlines()[0]
-        raise ModelError(
+        raise PartError(
             f"{file}: expected a network in ONNX, found a file that cannot be read: {found}", remedy
         ) from error
 
@@ -75,7 +71,7 @@ class OnnxModel:
     """A network with one input. What it computes with is float32 or float16; here it is float32."""
 
     def __init__(self, file: Path, threads: int, remedy: str) -> None:
-        """Raise ModelError when the file is no network."""
+        """Raise PartError when the file is no network."""
         self._session = open_session(file, threads, remedy)
         self.inputs = tuple(_tensor(node) for node in self._session.get_inputs())
         self.outputs = tuple(_tensor(node) for node in self._session.get_outputs())

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from drivers.detectors.coco import COCO
-from drivers.detectors.onnx_model import ModelError, OnnxModel
+from drivers.detectors.onnx_model import OnnxModel
 from drivers.detectors.yolox_boxes import best_boxes, decode, grid, suppress
 from drivers.detectors.yolox_exports import EXPORT, identify
 from drivers.interfaces import PartError
@@ -70,19 +70,19 @@ class YoloxDetectorConfig:
             )
 
     def check_ready(self) -> None:
-        """Raise ModelError when no model is named, or there is no such file."""
+        """Raise PartError when no model is named, or there is no such file."""
         self.weights()
 
     def weights(self) -> Path:
-        """Return the ONNX file. Raises ModelError when none is named, or there is no such file."""
+        """Return the ONNX file. Raises PartError when none is named, or there is no such file."""
         named = os.environ.get(MODEL_VARIABLE, "")
         if self.model is None and not named:
-            raise ModelError(
+            raise PartError(
                 "YOLOX finds nothing without a model file, and none was named", NAME_ONE
             )
         file = Path(named) if self.model is None else self.model
         if not file.is_file():
-            raise ModelError(f"{file}: there is no such file; expected a network in ONNX", EXPORT)
+            raise PartError(f"{file}: there is no such file; expected a network in ONNX", EXPORT)
         return file
 
 
@@ -93,9 +93,7 @@ class YoloxDetector:
     whole_image = True  # what depth would cut off belongs to how a thing looks
 
     def __init__(self, config: YoloxDetectorConfig, context: object | None = None) -> None:
-        """Raise ModelError (a missing file, or expected and found), PartError (a class that the
-        model has not).
-        """
+        """Raise PartError: a missing file, expected and found, a class that the model has not."""
         del context  # made like every part of a rig, but needs nothing of the role
         self._config = config
         file = config.weights()

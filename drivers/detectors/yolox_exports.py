@@ -16,8 +16,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from drivers.detectors.onnx_model import FLOAT, HALF, ModelError, OnnxModel, Shape, Tensor, shown
+from drivers.detectors.onnx_model import FLOAT, HALF, OnnxModel, Shape, Tensor, shown
 from drivers.detectors.yolox_boxes import STRIDES, grid
+from drivers.interfaces import PartError
 from path.arrays import Singles
 from path.values import frozen
 
@@ -53,7 +54,7 @@ def identify(model: OnnxModel, file: Path) -> YoloxExport:
     """Return how a network's output is to be read.
 
     Raises:
-        ModelError: it is none of YOLOX, by shape or by what it says to a test picture; with which
+        PartError: it is none of YOLOX, by shape or by what it says to a test picture; with which
             export it is.
     """
     height, width, classes = _by_shape(model, file)
@@ -61,14 +62,14 @@ def identify(model: OnnxModel, file: Path) -> YoloxExport:
         raw = model.run(test_picture(height, width))[0]
     except Exception as error:  # onnxruntime's exceptions share no base of their own
         said = str(error).splitlines()[0]
-        raise ModelError(f"{file}: it fails on a test picture: {said}", EXPORT) from error
+        raise PartError(f"{file}: it fails on a test picture: {said}", EXPORT) from error
     if raw.shape != (len(grid(height, width)[0]), 5 + classes):
         found = shown(raw.shape)
-        raise ModelError(
+        raise PartError(
             f"{file}: its output is said to be of another shape than it has, {found}", EXPORT
         )
     if not np.isfinite(raw).all():
-        raise ModelError(
+        raise PartError(
             f"{file}: its output is not finite on a test picture",
             f"was it cut to float16? {EXPORT}",
         )
@@ -96,54 +97,54 @@ def test_picture(height: int, width: int) -> Singles:
 
 
 def _by_shape(model: OnnxModel, file: Path) -> tuple[int, int, int]:
-    """Return height and width of the input and the number of classes. Raises ModelError."""
+    """Return height and width of the input and the number of classes. Raises PartError."""
     found = f"found {_told(model.inputs)} -> {_told(model.outputs)}"
     if len(model.inputs) != 1:
-        raise ModelError(f"{file}: expected one input, an image, {found}", NO_YOLOX)
+        raise PartError(f"{file}: expected one input, an image, {found}", NO_YOLOX)
     height, width = _input_size(model.inputs[0], file, found)
     if len(model.outputs) != 1:
         what = _many_outputs(model.outputs)
-        raise ModelError(f"{file}: expected one output of boxes, {found}: {what}", NO_YOLOX)
+        raise PartError(f"{file}: expected one output of boxes, {found}: {what}", NO_YOLOX)
     output = model.outputs[0]
     if output.kind not in (FLOAT, HALF):
-        raise ModelError(f"{file}: expected an output of float32 or float16, {found}", EXPORT)
+        raise PartError(f"{file}: expected an output of float32 or float16, {found}", EXPORT)
     return height, width, _classes(output.shape, height, width, file, found)
 
 
 def _input_size(image: Tensor, file: Path, found: str) -> tuple[int, int]:
-    """Return height and width. A batch that may be of any size is one of 1. Raises ModelError."""
+    """Return height and width. A batch that may be of any size is one of 1. Raises PartError."""
     stride = STRIDES[-1]
     expected = f"expected an input of 1x3xHxW, H and W multiples of {stride}, {found}"
     if image.kind not in (FLOAT, HALF):
         whole = "its input is whole numbers: this is a quantised export, or one that scales the image itself"
-        raise ModelError(f"{file}: {expected}: {whole}", EXPORT)
+        raise PartError(f"{file}: {expected}: {whole}", EXPORT)
     shape = image.shape
     if len(shape) != 4:
-        raise ModelError(f"{file}: {expected}", EXPORT)
+        raise PartError(f"{file}: {expected}", EXPORT)
     if shape[3] == 3:
-        raise ModelError(
+        raise PartError(
             f"{file}: {expected}: its colours come last, as of an export for TensorFlow", EXPORT
         )
     batch, channels, height, width = shape
     if isinstance(batch, int) and batch != 1:
-        raise ModelError(
+        raise PartError(
             f"{file}: {expected}: it takes {batch} images at once",
             f"export it with a batch of 1: {EXPORT}",
         )
     if channels != 3:
-        raise ModelError(f"{file}: {expected}", EXPORT)
+        raise PartError(f"{file}: {expected}", EXPORT)
     if not isinstance(height, int) or not isinstance(width, int):
         any_size = "height and width were left open when it was exported (dynamic axes)"
-        raise ModelError(
+        raise PartError(
             f"{file}: {expected}: {any_size}", f"export it at the size it was trained for: {EXPORT}"
         )
     if height <= 0 or width <= 0 or height % stride or width % stride:
-        raise ModelError(f"{file}: {expected}", EXPORT)
+        raise PartError(f"{file}: {expected}", EXPORT)
     return height, width
 
 
 def _classes(shape: Shape, height: int, width: int, file: Path, found: str) -> int:
-    """Return the number of classes of an output of YOLOX. Raises ModelError naming what else it
+    """Return the number of classes of an output of YOLOX. Raises PartError naming what else it
     is.
     """
     cells = len(grid(height, width)[0])
@@ -156,26 +157,26 @@ def _classes(shape: Shape, height: int, width: int, file: Path, found: str) -> i
             return columns - 5
         if columns == cells and isinstance(rows, int):
             what = f"as of YOLOv8 or YOLO11: {rows} numbers for each of {cells} places, classes without an objectness"
-            raise ModelError(f"{expected}: {what}", NO_YOLOX)
+            raise PartError(f"{expected}: {what}", NO_YOLOX)
         if 3 * cells in (rows, columns):
-            raise ModelError(
+            raise PartError(
                 f"{expected}: as of YOLOv5 or YOLOv7, with three anchors a cell", NO_YOLOX
             )
         with_coarsest = cells + (height // 64) * (width // 64)
         if with_coarsest in (rows, columns) or 3 * with_coarsest in (rows, columns):
-            raise ModelError(
+            raise PartError(
                 f"{expected}: of a model with a fourth level, of stride 64 (P6)", NO_YOLOX
             )
         if columns in (6, 7):
-            raise ModelError(
+            raise PartError(
                 f"{expected}: {_SUPPRESSED}",
                 f"export it without suppression (NMS) inside; {NO_YOLOX}",
             )
     if len(shape) == 2 and shape[1] in (6, 7):
-        raise ModelError(
+        raise PartError(
             f"{expected}: {_SUPPRESSED}", f"export it without suppression (NMS) inside; {NO_YOLOX}"
         )
-    raise ModelError(expected, NO_YOLOX)
+    raise PartError(expected, NO_YOLOX)
 
 
 _SUPPRESSED = "of an export with suppression (NMS) inside, or of YOLOv10 or YOLO26: a list of boxes, scores and classes"
@@ -212,7 +213,7 @@ def _told(tensors: Sequence[Tensor]) -> str:
 
 def _is_decoded(raw: Singles, height: int, width: int, file: Path) -> bool:
     """Return whether an output (n, 5 + classes) on the test picture has its boxes in pixels. Raises
-    ModelError.
+    PartError.
 
     In pixels, a box's centre follows its cell from left to right and from top to bottom; in cells
     it does not.
@@ -223,24 +224,24 @@ def _is_decoded(raw: Singles, height: int, width: int, file: Path) -> bool:
     if not all(_follows(raw[:, axis], places[:, axis]) for axis in (0, 1)):
         if _in_cells(raw):
             return False
-        raise ModelError(
+        raise PartError(
             f"{file}: its boxes on a test picture are neither in cells nor in pixels of its grid of strides "
             f"{', '.join(map(str, STRIDES))}",
             NO_YOLOX,
         )
     if _follows(raw[:, 2], places[:, 0]) and _follows(raw[:, 3], places[:, 1]):
-        raise ModelError(f"{file}: its boxes are two corners each, not centre and size", EXPORT)
+        raise PartError(f"{file}: its boxes are two corners each, not centre and size", EXPORT)
     reach = float(np.median(raw[:, 0] / places[:, 0]))
     if not 0.5 < reach < 2.0:
-        raise ModelError(
+        raise PartError(
             f"{file}: its boxes are in fractions of the image, not in its pixels", EXPORT
         )
     if float(raw[:, 2:4].min()) <= 0.0:
-        raise ModelError(
+        raise PartError(
             f"{file}: on a test picture there are boxes in pixels without a size", EXPORT
         )
     if float(np.median(raw[:, 5:].max(axis=1))) < LITTLE:
-        raise ModelError(
+        raise PartError(
             f"{file}: {raw.shape[1]} numbers a place, as of YOLOv8 or YOLO11: classes without an objectness",
             NO_YOLOX,
         )
@@ -250,7 +251,7 @@ def _is_decoded(raw: Singles, height: int, width: int, file: Path) -> bool:
 def _check_scores(raw: Singles, file: Path) -> None:
     scores = raw[:, 4:]
     if float(scores.min()) < -SLACK or float(scores.max()) > 1.0 + SLACK:
-        raise ModelError(
+        raise PartError(
             f"{file}: its scores on a test picture are {scores.min():.3g} to {scores.max():.3g}, no probabilities: "
             "the sigmoid was left out, or they stand elsewhere",
             EXPORT,

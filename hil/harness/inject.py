@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from drivers.interfaces import FlightMode
+from drivers.interfaces import FlightMode, PartError
 from drivers.rig.parts import Rig
 from hil.autopilot.radio import STICKS_SLOT, Transmitter
 from hil.harness.drone import DroneHarness, present_s
 from hil.harness.programs import Programs
 from hil.link.faulty import FaultyLink
-from hil.world.faults import Fault, FaultError
+from hil.world.faults import Fault
 from hil.world.world import Fleet, Name
 
 SAGGED = 0.15
@@ -40,23 +40,23 @@ _OF_DETECTOR = {
 
 
 def need_own_estimators(rig: Rig, faults: Sequence[Fault]) -> None:
-    """Raise FaultError when the estimator of another program is to step."""
+    """Raise PartError when the estimator of another program is to step."""
     for fault in faults:
         if fault.name.startswith(STEP) and "sender_simulator" in rig.world:
-            raise FaultError(
+            raise PartError(
                 f"fault {fault.name}: the estimators of {rig.where('world')} are the autopilots' own",
                 "use a rig with embedded vehicles: sim, sitl",
             )
 
 
 def need_radios(rig: Rig, faults: Sequence[Fault]) -> None:
-    """Raise FaultError when a pilot without a transmitter is to use one."""
+    """Raise PartError when a pilot without a transmitter is to use one."""
     for fault in faults:
         role = fault.kind.role
         if role is None or not (fault.name.startswith(RC) or fault.name == "motor_kill"):
             continue
         if "sender_simulator" in rig.world and rig.role(role).vehicle.options.get("rc") == "none":
-            raise FaultError(
+            raise PartError(
                 f'fault {fault.name}: {rig.where(f"{role.value}.vehicle")} says rc = "none"',
                 "name a rig whose pilots have radios: sitl-px4-field, sitl-ardupilot-field",
             )

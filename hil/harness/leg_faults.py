@@ -6,15 +6,16 @@ import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 
+from drivers.interfaces import PartError
 from flight.harness.flights import Progress
-from hil.world.faults import Fault, FaultError, FaultTrigger, parse_faults
+from hil.world.faults import Fault, FaultTrigger, parse_faults
 from path.messages import Role
 
 
 def faults_of_legs(
     asked: Mapping[int, Sequence[str]], level: str, *, in_process: bool
 ) -> dict[int, list[Fault]]:
-    """Read the faults of a relay or a team, by leg. Raises FaultError for those that there are not.
+    """Read the faults of a relay or a team, by leg. Raises PartError for those that there are not.
 
     Args:
         in_process: all programs are in one process, in virtual time.
@@ -22,14 +23,14 @@ def faults_of_legs(
     faults = {leg: parse_faults(texts, level) for leg, texts in asked.items()}
     for fault in chain(*faults.values()):
         if in_process and fault.kind.virtual:
-            raise FaultError(
+            raise PartError(
                 f"fault {fault.name} is one of a single hand-over",
                 "fly it with handoff, on a rig of level sim",
             )
         attacks = fault.name == "attack"
         if attacks or (in_process and fault.kind.own):
             lacks = "programs of their own" if in_process else "a pair with a key"
-            raise FaultError(
+            raise PartError(
                 f"fault {fault.name} needs {lacks}", "fly it with handoff, on a rig of level sitl"
             )
     return faults

@@ -45,7 +45,7 @@ from hil.world.config import WorldConfig, drawn_imaging, scene_of
 from hil.world.distances import clearance
 from hil.world.errors import Built, as_built
 from hil.world.estimator import reported
-from hil.world.faults import Fault, FaultError, parse_faults
+from hil.world.faults import Fault, parse_faults
 from hil.world.world import World
 from path.messages import Role
 from path.protocol.values import ProtocolConfig
@@ -67,12 +67,12 @@ class SimHarness:
     def fly(self, request: FlightRequest) -> FlightReport:
         faults = parse_faults(request.faults, request.rig.level)
         if any(fault.name == "attack" for fault in faults):
-            raise FaultError(
+            raise PartError(
                 "fault attack needs real sockets", "fly it with --rig sitl, or a rig like it"
             )
         for fault in faults:
             if fault.kind.own and not fault.stalls:
-                raise FaultError(
+                raise PartError(
                     f"fault {fault.name} needs programs of their own", "use a rig of level sitl"
                 )
         prepare(request.rig, lambda what: show_start(request, what))

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from drivers.cpu_share import CpuShare
+from drivers.interfaces import PartError
 from drivers.log.mcap_log import LogRecord, parts, read_log
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
@@ -36,7 +37,7 @@ from hil.vehicle.simulators.process import binary_of
 from hil.world.check import check_world
 from hil.world.config import WorldConfig, drawn_imaging
 from hil.world.estimator import reported
-from hil.world.faults import Fault, FaultError, parse_faults
+from hil.world.faults import Fault, parse_faults
 from path.messages import Role
 
 RUN_LIMIT_S = 360.0  # besides what the mission allows for verifying and following
@@ -66,7 +67,7 @@ class SitlHarness:
                 and simulator.on_board
                 and "fc_link_loss" in " ".join(request.faults)
             ):
-                raise FaultError(
+                raise PartError(
                     "fault fc_link_loss: the harness has no hold of the board's cable",
                     "pull it yourself",
                 )
@@ -88,10 +89,10 @@ class SitlHarness:
 
 
 def _need_keys(rig: Rig) -> None:
-    """Raise FaultError when the drones would believe anybody."""
+    """Raise PartError when the drones would believe anybody."""
     for role in Role:
         if "key_file" not in rig.role(role).link.options:
-            raise FaultError(
+            raise PartError(
                 f"fault attack: {rig.where(f'{role.value}.link')} has no key_file, so that any packet is believed",
                 "copy the rig, make a key (head -c 32 /dev/urandom > pair.key && chmod 600 pair.key), and name it "
                 "there for both drones",

@@ -132,7 +132,7 @@ class EmbeddedBench:
 
     def __init__(self, rig: Rig, folder: Path, speed: float = 1.0, seed: int = 0) -> None:
         """``speed``: of the embedded vehicle's time; a simulator has its own. Raises PartError,
-        NoBinary.
+        PartError.
         """
         config = decode_table(rig.world, WorldConfig, rig.where("world"))
         spec = rig.sender.vehicle

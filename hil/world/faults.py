@@ -171,10 +171,6 @@ FAULTS: dict[str, FaultKind] = {
 }  # fmt: skip
 
 
-class FaultError(PartError):
-    """A fault that does not exist, without its value, or at no moment of a course."""
-
-
 @frozen
 class Fault:
     """
@@ -264,15 +260,15 @@ class FaultTrigger:
 
 
 def parse_faults(texts: Sequence[str], level: str) -> list[Fault]:
-    """The faults of a run on a rig of this level. Raises FaultError."""
+    """The faults of a run on a rig of this level. Raises PartError."""
     faults = [parse_fault(text) for text in texts]
     for fault in faults:
         if fault.kind.geometric and level != "sim":
-            raise FaultError(
+            raise PartError(
                 f"fault {fault.name}: level {level} has real detectors", "use a rig of level sim"
             )
         if fault.kind.virtual and level not in VIRTUAL:
-            raise FaultError(
+            raise PartError(
                 f"fault {fault.name} needs a disk in virtual time",
                 "use a rig of level sim or sim-rendered",
             )
@@ -280,18 +276,18 @@ def parse_faults(texts: Sequence[str], level: str) -> list[Fault]:
 
 
 def parse_fault(text: str) -> Fault:
-    """``NAME[=VALUE][@MOMENT[+SECONDS]]``. Raises FaultError."""
+    """``NAME[=VALUE][@MOMENT[+SECONDS]]``. Raises PartError."""
     what, at, when = text.partition("@")
     name, equals, written = what.partition("=")
     kind = FAULTS.get(name)
     if kind is None:
-        raise FaultError(f"there is no fault {name!r}", f"one of: {', '.join(sorted(FAULTS))}")
+        raise PartError(f"there is no fault {name!r}", f"one of: {', '.join(sorted(FAULTS))}")
     value = _value(kind, written) if equals or kind.value == "must" else None
     if not at:
         return Fault(kind, value)
     moment, plus, seconds = when.partition("+")
     if moment not in kind.moments:
-        raise FaultError(
+        raise PartError(
             f"fault {name}: {moment!r} is no moment of the {kind.followed.value}'s course",
             f"one of: {', '.join(kind.moments)}",
         )
@@ -302,11 +298,11 @@ def parse_fault(text: str) -> Fault:
 
 def _value(kind: FaultKind, written: str) -> float:
     if kind.value == "no":
-        raise FaultError(f"fault {kind.name} takes no value", f"write --fault {kind.name}")
+        raise PartError(f"fault {kind.name} takes no value", f"write --fault {kind.name}")
     example = f"{kind.name}={max(0.3, kind.least):g}"
     remedy = f"write it with a number from {kind.least:g} to {kind.most:g}, for example --fault {example}"
     if not written:
-        raise FaultError(f"fault {kind.name} needs a value", remedy)
+        raise PartError(f"fault {kind.name} needs a value", remedy)
     return _number(f"fault {kind.name}", written, kind.most, remedy, kind.least)
 
 
@@ -314,7 +310,7 @@ def _number(what: str, written: str, most: float, remedy: str, least: float = 0.
     try:
         value = float(written)
     except ValueError:
-        raise FaultError(f"{what}: {written!r} is not a number", remedy) from None
+        raise PartError(f"{what}: {written!r} is not a number", remedy) from None
     if not least <= value <= most:
-        raise FaultError(f"{what}: {written} is not from {least:g} to {most:g}", remedy)
+        raise PartError(f"{what}: {written} is not from {least:g} to {most:g}", remedy)
     return value

@@ -38,10 +38,6 @@ _BETWEEN = "\0"  # reason and alarm
 FOREIGN = "beats that are not sealed by this run's program"
 
 
-class GuardLineError(PartError):
-    """The line between a role and its guard cannot be opened."""
-
-
 def encode_beat(beat: Beat) -> bytes:
     setpoints = beat.setpoints & 0xFFFFFFFF
     return _BEAT.pack(_BEAT_MAGIC, beat.script.value, setpoints, beat.separation_m, *beat.peer_n_m)
@@ -147,7 +143,7 @@ class UdpGuardLine:
         try:
             self._socket.open(None, address_of(self.name, "bind"))
         except OSError as error:
-            raise GuardLineError(
+            raise PartError(
                 f"no way to the guard at {self.name}: {error.strerror}", "correct its bind"
             ) from error
         return self
@@ -187,7 +183,7 @@ class UdpBeatLine:
             self._socket.open(address_of(self._bind, "bind"), None)
         except OSError as error:
             remedy = "is another guard of this drone running? end it, or give each its own bind"
-            raise GuardLineError(
+            raise PartError(
                 f"the guard cannot listen on {self._bind}: {error.strerror}", remedy
             ) from error
         try:
@@ -195,7 +191,7 @@ class UdpBeatLine:
         except OSError as error:
             self._socket.close()
             remedy = "make room there, and remove what another user left under this name"
-            raise GuardLineError(
+            raise PartError(
                 f"the guard's key {key_path(self._bind)}: {error.strerror}", remedy
             ) from error
         return self

@@ -261,7 +261,7 @@ class Readiness:
 
 async def start_simulators(vehicles: Mapping[Role, SimulatedVehicle]) -> Readiness:
     """Start all of them and wait until each can be armed and knows where it is. Raises
-    SimulatorBroken, NoBinary.
+    SimulatorBroken, PartError.
     """
     start_s = time.monotonic()
     for vehicle in vehicles.values():

@@ -59,10 +59,6 @@ class SimulatorBroken(Exception):
     """
 
 
-class NoBinary(PartError):
-    """A rig needs an autopilot that nobody has named."""
-
-
 @frozen
 class Home:
     """The place where a simulated vehicle starts; altitude above mean sea level, heading from
@@ -76,7 +72,7 @@ class Home:
 
 
 def binary_of(kind: Kind) -> Path:
-    """The simulator that was named. Raises NoBinary with what to do."""
+    """The simulator that was named. Raises PartError with what to do."""
     variable = BINARY_VARIABLE[kind]
     program = PROGRAM[kind]
     written = os.environ.get(variable, "")
@@ -84,13 +80,13 @@ def binary_of(kind: Kind) -> Path:
         f"build {program} for SITL (docs/autopilots.md), then give --{kind} PATH or set {variable}"
     )
     if not written:
-        raise NoBinary(f"this rig needs {program}, and none was named", remedy)
+        raise PartError(f"this rig needs {program}, and none was named", remedy)
     try:
         path = Path(written).expanduser().resolve()
     except RuntimeError:  # ~ of nobody that is known here
         path = Path(written)
     if not path.is_file() or not os.access(path, os.X_OK):
-        raise NoBinary(f"{variable} = {written}: there is no such program", remedy)
+        raise PartError(f"{variable} = {written}: there is no such program", remedy)
     if kind == "px4":
         _px4_etc(path)
     return path
@@ -101,7 +97,7 @@ def _px4_etc(binary: Path) -> Path:
     for folder in (binary.parent.parent, binary.parent):
         if (folder / "etc" / "init.d-posix" / "rcS").is_file():
             return folder / "etc"
-    raise NoBinary(
+    raise PartError(
         f"{binary} has no etc/init.d-posix/rcS beside it",
         "name bin/px4 inside PX4's build folder, not a copy of it",
     )
@@ -142,7 +138,7 @@ class AutopilotProcess:
         return self.folder / "output.txt"
 
     def start(self) -> None:
-        """Raise NoBinary, or SimulatorBroken when the program cannot be run."""
+        """Raise PartError, or SimulatorBroken when the program cannot be run."""
         binary = binary_of(self.kind)
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir(parents=True)

@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 
 from drivers.detectors.coco import COCO
-from drivers.detectors.onnx_model import ModelError
 from drivers.detectors.yolox import BELIEVED, MODEL_VARIABLE, YoloxDetector, YoloxDetectorConfig
 from drivers.detectors.yolox_boxes import decode, grid, suppress
 from drivers.interfaces import PartError
@@ -159,23 +158,23 @@ def test_only_the_classes_asked_for_are_found(bright_cells: Path, tmp_path: Path
 def test_a_model_that_is_missing_or_of_the_wrong_shape_is_refused_with_expected_and_found(
     tmp_path: Path,
 ) -> None:
-    with pytest.raises(ModelError, match=r"gone\.onnx: there is no such file") as caught:
+    with pytest.raises(PartError, match=r"gone\.onnx: there is no such file") as caught:
         YoloxDetector(config(tmp_path / "gone.onnx"))
     assert "export_onnx.py" in caught.value.remedy
     (tmp_path / "text.onnx").write_text("no network")
     with pytest.raises(
-        ModelError, match="expected a network in ONNX, found a file that cannot be read"
+        PartError, match="expected a network in ONNX, found a file that cannot be read"
     ):
         YoloxDetector(config(tmp_path / "text.onnx"))
     (tmp_path / "other.onnx").write_bytes(identity_network((1, 3, 416, 416)))
     with pytest.raises(
-        ModelError,
+        PartError,
         match=r"expected an output of 1x3549x\(5 \+ classes\), found 1x3x416x416 -> 1x3x416",
     ):
         YoloxDetector(config(tmp_path / "other.onnx"))
     (tmp_path / "odd.onnx").write_bytes(identity_network((1, 3, 100, 416)))
     with pytest.raises(
-        ModelError,
+        PartError,
         match=r"expected an input of 1x3xHxW, H and W multiples of 32, found 1x3x100x416",
     ):
         YoloxDetector(config(tmp_path / "odd.onnx"))
@@ -223,15 +222,15 @@ def test_the_model_may_be_named_outside_the_rig(
     bright_cells: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv(MODEL_VARIABLE, raising=False)
-    with pytest.raises(ModelError, match="none was named") as none:
+    with pytest.raises(PartError, match="none was named") as none:
         YoloxDetector(YoloxDetectorConfig())
     assert "--model" in none.value.remedy
     monkeypatch.setenv(MODEL_VARIABLE, str(tmp_path / "gone.onnx"))
-    with pytest.raises(ModelError, match=r"gone\.onnx: there is no such file"):
+    with pytest.raises(PartError, match=r"gone\.onnx: there is no such file"):
         YoloxDetectorConfig().check_ready()
     monkeypatch.setenv(MODEL_VARIABLE, str(bright_cells))
     assert len(YoloxDetector(YoloxDetectorConfig()).detect(scene(64, 64, 24, 8, 8), None)) == 1
-    with pytest.raises(ModelError, match=r"own\.onnx"):  # the rig's own comes first
+    with pytest.raises(PartError, match=r"own\.onnx"):  # the rig's own comes first
         YoloxDetectorConfig(tmp_path / "own.onnx").check_ready()
 
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.detectors.onnx_model import ModelError
 from drivers.detectors.yolox import YoloxDetector, YoloxDetectorConfig
 from drivers.detectors.yolox_boxes import grid
 from drivers.interfaces import PartError
@@ -117,7 +116,7 @@ def test_an_export_of_yolox_gives_the_same_box_in_whichever_form_it_is(
 def test_values_that_do_not_fit_an_output_of_the_right_shape_are_refused_as_what_they_are(
     tmp_path: Path, rows: Floats, said: str
 ) -> None:
-    with pytest.raises(ModelError, match=said) as caught:
+    with pytest.raises(PartError, match=said) as caught:
         detector(fixed_network(tmp_path / "m.onnx", rows))
     assert "tools/export_onnx.py" in caught.value.remedy
 
@@ -141,7 +140,7 @@ N = len(CELLS)
 def test_an_output_of_another_shape_is_refused_as_what_it_is(
     tmp_path: Path, shape: tuple[int, ...], said: str
 ) -> None:
-    with pytest.raises(ModelError, match=said) as caught:
+    with pytest.raises(PartError, match=said) as caught:
         detector(fixed_network(tmp_path / "m.onnx", np.zeros(shape, np.float32)))
     assert "x".join(map(str, shape)) in str(caught.value)
     assert "export" in caught.value.remedy
@@ -176,7 +175,7 @@ def test_an_output_of_another_shape_is_refused_as_what_it_is(
 def test_a_network_of_other_inputs_or_outputs_is_refused_as_what_it_is(
     tmp_path: Path, options: dict[str, Any], said: str
 ) -> None:
-    with pytest.raises(ModelError, match=said) as caught:
+    with pytest.raises(PartError, match=said) as caught:
         detector(fixed_network(tmp_path / "m.onnx", in_cells(), **options))
     assert "export" in caught.value.remedy
 
@@ -209,6 +208,6 @@ def test_weights_of_another_program_are_refused_as_what_they_are(
 ) -> None:
     file = tmp_path / "m.onnx"
     file.write_bytes(content)
-    with pytest.raises(ModelError, match=said) as caught:
+    with pytest.raises(PartError, match=said) as caught:
         detector(file)
     assert "export" in caught.value.remedy

@@ -10,19 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.interfaces import PartError
 from flight.harness.flights import Progress
 from hil.harness.inject import inject_in_world, need_own_estimators
 from hil.link.faulty import LinkFaults
 from hil.world.config import WorldConfig
-from hil.world.faults import (
-    AT_COUNT,
-    FAULTS,
-    FaultError,
-    FaultKind,
-    FaultTrigger,
-    parse_fault,
-    parse_faults,
-)
+from hil.world.faults import AT_COUNT, FAULTS, FaultKind, FaultTrigger, parse_fault, parse_faults
 from hil.world.world import World
 from missions.ground import rig_library
 from path.geometry.rotation import yaw_of
@@ -65,12 +58,12 @@ def test_when_it_begins_is_written_behind_it(
 def test_an_estimator_steps_either_way_and_only_where_it_is_simulated() -> None:
     assert parse_fault("step_height_sender=-1.5@follow+2").value == -1.5
     assert parse_fault("step_yaw_receiver=-40").kind.role is Role.RECEIVER
-    with pytest.raises(FaultError, match="-181 is not from -180 to 180"):
+    with pytest.raises(PartError, match="-181 is not from -180 to 180"):
         parse_fault("step_yaw_sender=-181")
     faults = parse_faults(["step_north_sender=1"], "sitl")
     need_own_estimators(rig_library.load("sitl"), faults)
     with pytest.raises(
-        FaultError, match=r"step_north_sender: the estimators of .* are the autopilots' own"
+        PartError, match=r"step_north_sender: the estimators of .* are the autopilots' own"
     ):
         need_own_estimators(rig_library.load("sitl-px4"), faults)
 
@@ -106,7 +99,7 @@ def test_detectors_are_degraded_where_they_are_not_real() -> None:
     ]  # fmt: skip
     assert parse_faults(["lookalike"], "sitl")
     for level in ("sim-rendered", "sitl"):
-        with pytest.raises(FaultError, match=f"detector_false: level {level} has real detectors"):
+        with pytest.raises(PartError, match=f"detector_false: level {level} has real detectors"):
             parse_faults(["detector_false=0.1"], level)
 
 
@@ -137,7 +130,7 @@ def test_detectors_are_degraded_where_they_are_not_real() -> None:
     ],
 )
 def test_a_fault_written_wrongly_names_the_fix(text: str, complaint: str, remedy: str) -> None:
-    with pytest.raises(FaultError) as caught:
+    with pytest.raises(PartError) as caught:
         parse_fault(text)
     assert complaint in str(caught.value)
     assert remedy in caught.value.remedy
@@ -148,7 +141,7 @@ def test_what_is_taken_the_link_can_do(name: str, value: float | str) -> None:
     """A value that gets through here must not fail in the middle of a run."""
     try:
         fault = parse_fault(f"{name}={value}")
-    except FaultError:
+    except PartError:
         return
     if name == "link_loss":
         assert LinkFaults(loss=fault.value or 0.0).loss == fault.value

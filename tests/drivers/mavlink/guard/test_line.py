@@ -15,10 +15,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.interfaces import PartError
 from drivers.mavlink.guard.interfaces import Beat, GuardAnswer, Hand, Script
 from drivers.mavlink.guard.line import (
     FOREIGN,
-    GuardLineError,
     UdpBeatLine,
     UdpGuardLine,
     decode_answer,
@@ -103,7 +103,7 @@ def test_the_newest_beat_counts_and_the_answer_finds_its_way() -> None:
             assert role.answer() == role.answer()
             answer = role.answer()
             assert answer is not None and answer[1] == GuardAnswer(True, Hand.GUARD, "why")
-            with pytest.raises(GuardLineError, match="cannot listen"):
+            with pytest.raises(PartError, match="cannot listen"):
                 async with UdpBeatLine(bind, clock):
                     pass
 
@@ -196,7 +196,7 @@ def test_a_key_that_others_can_read_is_not_used() -> None:
         key_path(bind).unlink()
         key_path(bind).mkdir()
         try:
-            with pytest.raises(GuardLineError, match="key"):
+            with pytest.raises(PartError, match="key"):
                 async with UdpBeatLine(bind, clock):
                     pass
         finally:

@@ -12,13 +12,7 @@ import pytest
 
 from drivers.interfaces import PartError
 from hil.autopilot.simulator import SimulatorConfig
-from hil.vehicle.simulators.process import (
-    AutopilotProcess,
-    Home,
-    NoBinary,
-    SimulatorBroken,
-    binary_of,
-)
+from hil.vehicle.simulators.process import AutopilotProcess, Home, SimulatorBroken, binary_of
 
 HOME = Home(47.4, 8.5, 480.0, 90.0)
 LIMIT_S = 60.0
@@ -56,7 +50,7 @@ def alive(pid: int) -> bool:
 
 def test_without_a_binary_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("PATH_PX4", raising=False)
-    with pytest.raises(NoBinary, match="needs px4, and none was named") as caught:
+    with pytest.raises(PartError, match="needs px4, and none was named") as caught:
         binary_of("px4")
     assert "--px4 PATH" in caught.value.remedy
     assert "PATH_PX4" in caught.value.remedy
@@ -66,7 +60,7 @@ def test_a_binary_that_is_not_there_is_named(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("PATH_ARDUPILOT", str(tmp_path / "nowhere"))
-    with pytest.raises(NoBinary, match="nowhere: there is no such program"):
+    with pytest.raises(PartError, match="nowhere: there is no such program"):
         binary_of("ardupilot")
 
 
@@ -74,7 +68,7 @@ def test_px4_without_its_scripts_is_refused(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("PATH_PX4", str(program(tmp_path, "true", "px4")))
-    with pytest.raises(NoBinary, match="rcS"):
+    with pytest.raises(PartError, match="rcS"):
         binary_of("px4")
 
 

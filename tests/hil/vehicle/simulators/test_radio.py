@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from drivers.interfaces import PartError
 from drivers.mavlink.modes import ARDUPILOT, PX4
 from drivers.mavlink.preflight.pilot_rules import kept_out, names_of
 from drivers.mavlink.preflight.wanted import refused
@@ -29,7 +30,7 @@ from hil.vehicle.simulators.radio import (
     SimulatedRadio,
 )
 from hil.world.config import WorldConfig
-from hil.world.faults import FaultError, parse_faults
+from hil.world.faults import parse_faults
 from missions.ground import rig_library
 from path.messages import Role
 
@@ -145,5 +146,5 @@ def test_a_fault_of_a_radio_that_is_not_there_is_refused() -> None:
     faults = parse_faults(("rc_mode_sender@follow",), "sitl")
     need_radios(rig_library.load("sitl-px4-field"), faults)
     need_radios(rig_library.load("sitl"), faults)
-    with pytest.raises(FaultError, match='rc = "none"'):
+    with pytest.raises(PartError, match='rc = "none"'):
         need_radios(rig_library.load("sitl-px4"), faults)

@@ -16,12 +16,11 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.interfaces import Received
+from drivers.interfaces import PartError, Received
 from drivers.link.udp import UdpLink, UdpLinkConfig, address_of
 from hil.harness.virtual_time import run_virtual
 from hil.link.air import Air
 from hil.link.faulty import ProxySide, UdpFaultProxy
-from hil.world.faults import FaultError
 from missions.fly.handoff.flight import fly_once
 from missions.ground import rig_library
 from missions.proofs.verify.attack import RECORDING, Attacker, attack, earlier_flights
@@ -188,5 +187,5 @@ def test_what_was_heard_is_there_for_the_next_attack(
 
 @pytest.mark.parametrize(("rig", "says"), [("sim", "real sockets"), ("sitl", "no key_file")])
 def test_an_attack_that_would_show_nothing_is_refused(tmp_path: Path, rig: str, says: str) -> None:
-    with pytest.raises(FaultError, match=says):
+    with pytest.raises(PartError, match=says):
         fly_once(rig_library.load(rig), 1, ["attack=100"], tmp_path, lambda _: None)
