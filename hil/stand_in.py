@@ -3,8 +3,10 @@
     python -m hil.stand_in vehicle RIG_FILE SEED PORT [PORT]
     python -m hil.stand_in tello RIG_FILE SEED HOST:PORT [HOST:PORT]
     python -m hil.stand_in camera RIG_FILE SEED PORT [PORT]
+    python -m hil.stand_in hedgehog RIG_FILE SEED LINK [LINK]
 
-is the rig's sender, and its receiver where there is a second place, until Ctrl-C.
+is the rig's sender, and its receiver where there is a second place, until Ctrl-C; a hedgehog, a beacon
+on its target, and on the sender.
 ``path-handoff stand-in`` starts it.
 """
 
@@ -15,13 +17,20 @@ import math
 import signal
 import sys
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
 
 from drivers.mavlink.geodesy import LocalTangent
 from drivers.rig.file import load_rig
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
+from hil.beacons.noise import BeaconConfig
+from hil.beacons.pty import SerialCable
+from hil.beacons.system import BeaconFrame, BeaconSystem, ByteChunk
 from hil.harness.realtime.parts import CameraView
 from hil.tello.emulator import TelloEmulator, TelloEmulatorConfig
 from hil.tello.video import TelloVideo, TelloVideoConfig
@@ -34,6 +43,7 @@ from path.messages import Role
 
 HOST = "127.0.0.1"
 FRAMES_HZ = 15.0
+ADDRESSES = (7, 5)  # of the beacons on the target and on D1, as in the rigs
 
 
 class Film:
@@ -58,6 +68,35 @@ class Film:
         self._view.take(time.monotonic_ns(), self._world.snapshot(), self._frame, self.video)
 
 
+class Hedgehog:
+    """A beacon on the target, or on D1, behind a serial port; its frame is east, north, up."""
+
+    def __init__(self, number: int, link: Path, seed: int, world: World) -> None:
+        self.cable = SerialCable(link)
+        self.cable.plug()
+        name = "target" if number == 0 else "sender"
+        aligned = BeaconFrame(0.0, np.zeros(3))
+        addresses = {name: ADDRESSES[number]}
+        self._system = BeaconSystem(BeaconConfig(), seed, addresses, surveyed=aligned)
+        self._turns = self._system.turns(0.0)
+        self._turn_s = 0.0
+        self._world = world
+        self._due: deque[ByteChunk] = deque()
+        self._name = name
+
+    def pump(self, now_s: float) -> None:
+        """Sound, when it is its turn, and send what is due."""
+        if now_s >= self._turn_s:
+            snapshot = self._world.snapshot()
+            target_m = np.array(snapshot.objects[0].position_w_m)
+            place_m = target_m if self._name == "target" else snapshot.drones[Role.SENDER].T_w_b.t
+            self._due.append(self._system.hear(self._name, now_s, place_m))
+        while now_s >= self._turn_s:  # what a busy computer missed is left out
+            self._turn_s, _ = next(self._turns)
+        while self._due and self._due[0].arrives_s <= now_s:
+            self.cable.send(self._due.popleft().data)
+
+
 def parts_of(
     kind: str, rig: Rig, seed: int, world: World, places: list[str], stack: ExitStack
 ) -> Iterator[Pumped]:
@@ -65,6 +104,11 @@ def parts_of(
     is taken.
     """
     for number, (role, place) in enumerate(zip(Role, places, strict=False)):
+        if kind == "hedgehog":
+            hedgehog = Hedgehog(number, Path(place), seed, world)
+            stack.callback(hedgehog.cable.unplug)
+            yield hedgehog
+            continue
         drone = world.drone(role)
         if kind == "vehicle":
             config = MavlinkVehicleConfig(number + 1, (HOST, int(place)))

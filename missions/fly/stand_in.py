@@ -1,5 +1,5 @@
-"""``path-handoff stand-in``: a vehicle, a Tello or a camera alone, for programs of others to be tried
-against.
+"""``path-handoff stand-in``: a vehicle, a Tello, a camera or a beacon alone, for programs of others to
+be tried against.
 """
 
 from __future__ import annotations
@@ -7,6 +7,11 @@ from __future__ import annotations
 import os
 import socket
 import sys
+import tempfile
+from collections.abc import Iterator
+from itertools import count as count_from
+from itertools import islice
+from pathlib import Path
 from typing import TextIO
 
 from drivers.interfaces import PartError
@@ -15,7 +20,12 @@ from missions.ground.rig_library import load
 
 STAND_IN = "hil.stand_in"
 HIGHEST_PORT = 65535
-USUAL = {"vehicle": ("sim", 14540), "tello": ("sitl-tello", 8899), "camera": ("sitl", 5600)}
+USUAL = {
+    "vehicle": ("sim", 14540),
+    "tello": ("sitl-tello", 8899),
+    "camera": ("sitl", 5600),
+    "hedgehog": ("sim", 0),
+}
 """The rig and the port of each kind."""
 TELLOS = ("127.0.0.2", "127.0.0.3")
 TELLO = "drivers.tello.vehicle:TelloVehicle"
@@ -36,7 +46,11 @@ def run(options: StandInOptions, out: TextIO | None = None) -> int:
         raise PartError(f"{rig.name}: its drones are no {kind}s", f"name a rig with {kind}s")
     first = options.port or USUAL[kind][1]
     count = 2 if options.two else 1
-    if kind == "tello":
+    if kind == "hedgehog":
+        if options.port is not None:
+            raise PartError("--port: a hedgehog has a serial port", "leave it out")
+        places = list(islice(free_links(), count))
+    elif kind == "tello":
         places = [f"{host}:{first}" for host in TELLOS[:count]]
     else:
         places = [str(first + number) for number in range(count)]
@@ -57,6 +71,11 @@ def told(kind: str, number: int, place: str) -> str:
             f"Tello {number}: listens on UDP {place}, sends state to 8890 and video to 11111\n"
             f'  djitellopy: tello = Tello("{host}"); tello.address = ("{host}", {port})\n'
         )
+    if kind == "hedgehog":
+        what = f"hedgehog {number}: Marvelmind's protocol, 500000 baud, on {place}\n"
+        return (
+            f'{what}  PATH: ports = ["{place}"]   marvelmind.py: MarvelmindHedge(tty="{place}")\n'
+        )
     if kind == "camera":
         return (
             f"camera {number}: H.264 to UDP port {place} of this computer\n"
@@ -66,6 +85,14 @@ def told(kind: str, number: int, place: str) -> str:
     return (
         f"vehicle {number}: MAVLink 2 to UDP port {port} of this computer\n{who_is_there(port)}\n"
     )
+
+
+def free_links() -> Iterator[str]:
+    """Yield names for serial ports that no other stand-in has."""
+    for number in count_from(1):
+        link = Path(tempfile.gettempdir()) / f"path-hedgehog-{number}"
+        if not link.exists():  # one that was killed left a link that leads nowhere
+            yield str(link)
 
 
 def who_is_there(port: int) -> str:

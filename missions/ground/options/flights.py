@@ -228,14 +228,16 @@ class FlyOptions(RigChoice):
 class StandInOptions:
     """Switch on one part alone, for programs of others to be tried against, until Ctrl-C."""
 
-    what: Annotated[Literal["vehicle", "tello", "camera"], tyro.conf.Positional] = "vehicle"
+    what: Annotated[Literal["vehicle", "tello", "camera", "hedgehog"], tyro.conf.Positional] = (
+        "vehicle"
+    )
     """vehicle: an embedded autopilot that speaks MAVLink; tello: with its video; camera: what the
-    rig's sees, as H.264 by UDP.
+    rig's sees, as H.264 by UDP; hedgehog: a Marvelmind beacon on the target, as a serial port.
     """
 
     rig: RigName = ""
     """The rig whose simulated sender it is: its drone, camera, world and wind; by default sim,
-    sitl-tello and sitl.
+    of a Tello sitl-tello, of a camera sitl.
     """
 
     port: Annotated[int | None, Bounds(1024, 65535, "(a port)")] = None
@@ -244,6 +246,6 @@ class StandInOptions:
     """
 
     two: bool = False
-    """The rig's receiver as well: on the next port, or at the next address."""
+    """The rig's receiver as well: on the next port, or at the next address; a hedgehog on D1."""
 
     seed: RunSeed = 0

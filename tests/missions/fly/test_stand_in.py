@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
+import math
 import os
+import re
 import signal
 import socket
+import statistics
 import subprocess
 import sys
 import time
@@ -19,9 +23,12 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
 
+from drivers.beacons.marvelmind import Marvelmind, MarvelmindConfig
 from drivers.interfaces import PartError
 from missions.fly.stand_in import run
 from missions.ground.options.flights import StandInOptions
+from path.messages import Role, Vec3
+from tests.drivers.link.link_ends import Context, WallClock
 from tests.free_ports import free_port
 
 LIMIT_S = 60.0
@@ -112,6 +119,7 @@ def test_a_program_that_is_there_already_is_told(monkeypatch: pytest.MonkeyPatch
         (StandInOptions(port=65535, two=True), "no port 65536"),
         (StandInOptions(rig="sim-rendered"), "level sim-rendered"),
         (StandInOptions(rig="nowhere"), "nowhere"),
+        (StandInOptions("hedgehog", port=5000), "a hedgehog has a serial port"),
         (StandInOptions("tello", "sim"), "its drones are no tellos"),
         (StandInOptions("vehicle", "sitl-tello"), "its drones are no vehicles"),
     ],
@@ -170,9 +178,32 @@ def test_a_cameras_stream_is_decoded_by_anybody(tmp_path: Path) -> None:
     assert frame.to_ndarray(format="gray").std() > 5.0
 
 
-def switched_on(program: subprocess.Popen[str]) -> None:
+def test_the_hedgehog_on_the_target_is_read_as_a_real_one_and_moves_as_it_does() -> None:
+    with stand_in("hedgehog", "--two", "--seed", "1") as program:
+        links = [re.findall(r'ports = \["(.*?)"\]', line) for line in switched_on(program)]
+        ports = tuple(link for found in links for link in found)
+        assert len(ports) == 2
+
+        async def hear() -> list[tuple[int, Vec3]]:
+            context: Any = Context(Role.SENDER, WallClock())
+            async with Marvelmind(MarvelmindConfig(ports=ports), context) as hedge:
+                fixes = [await hedge.read(LIMIT_S) for _ in range(60)]
+            return [(fix.address, fix.position_m) for fix in fixes]
+
+        heard = asyncio.run(hear())
+    on_target, on_d1 = ([place for number, place in heard if number == own] for own in (7, 5))
+    assert min(len(on_target), len(on_d1)) > 15
+    assert math.dist(on_target[0], on_target[-1]) > 0.2  # it drives
+    assert statistics.median(abs(each[0]) + abs(each[1]) for each in on_d1) < 0.2  # it stands
+    assert not any(Path(port).is_symlink() for port in ports)
+
+
+def switched_on(program: subprocess.Popen[str]) -> list[str]:
+    """What it said until it was."""
     assert program.stdout is not None
+    said: list[str] = []
     for line in program.stdout:
+        said.append(line)
         if line.startswith("switched on"):
-            return
+            return said
     raise AssertionError("it ended")
