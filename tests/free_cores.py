@@ -11,6 +11,7 @@ import hashlib
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 CORES = 2
 """A flight's processes need these."""
@@ -20,6 +21,17 @@ IN_A_ROW = 3
 """Free for a moment is not free: so many looks have to agree."""
 WAIT_S = 300.0
 LOOK_S, BETWEEN_S = 0.5, 1.0
+
+
+@dataclass(slots=True)
+class Patience:
+    """How long all waits of one process may take together, s."""
+
+    left_s: float
+
+
+PATIENCE = Patience(300.0)
+"""A neighbour that stays would else be waited for again before each test that it disturbs."""
 _BLOCK = bytes(1 << 18)  # hashed without the interpreter's lock
 
 
@@ -46,16 +58,24 @@ def wait_until_free(
     look: Callable[[], float] = least_share,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], object] = time.sleep,
+    patience: Patience = PATIENCE,
 ) -> bool:
-    """Return True when the cores are free, False when they were not within ``limit_s``."""
-    begun_s, free = clock(), 0
-    while True:
-        free = free + 1 if look() >= FREE_SHARE else 0
-        if free == IN_A_ROW:
-            return True
-        if clock() - begun_s >= limit_s:
-            return False
-        sleep(BETWEEN_S)
+    """Return True when the cores are free, False when they were not within ``limit_s``, or when
+    there is no patience left.
+    """
+    begun_s = clock()
+    limit_s = min(limit_s, patience.left_s)
+    free = 0
+    try:
+        while True:
+            free = free + 1 if look() >= FREE_SHARE else 0
+            if free == IN_A_ROW:
+                return True
+            if clock() - begun_s >= limit_s:
+                return False
+            sleep(BETWEEN_S)
+    finally:
+        patience.left_s -= clock() - begun_s
 
 
 if __name__ == "__main__":

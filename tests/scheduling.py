@@ -145,7 +145,7 @@ def group_of(nodeid: str) -> str:
 
 
 def urgency(group: str) -> int:
-    """Returns which groups go first: the lower the sooner."""
+    """Return which groups go first: the lower the sooner."""
     if group == FLIGHTS:
         return 0
     if group == IN_REAL_TIME or group in BESIDE:
@@ -220,11 +220,41 @@ class Groups(LoadScopeScheduling):
     def mark_test_complete(self, node: Any, item_index: int, duration: float = 0) -> None:
         flew = self._flying()
         super().mark_test_complete(node, item_index, duration)
-        if flew and not self._flying():
-            self._file.unlink(missing_ok=True)
-            for _ in range(2):  # a worker runs its last test only when it has one to come
-                for each in self.nodes:
-                    self._reschedule(each)
+        if flew:
+            self._after_flights()
+
+    def remove_node(self, node: Any) -> str | None:
+        """Give others what a worker that ended has not done; return the test that it died in.
+
+        That test has failed and is not given to anybody: xdist would have one worker after the
+        other die of it.
+        """
+        flew = self._flying()
+        groups = self.assigned_work.pop(node)
+        left = [
+            (tests, test) for tests in groups.values() for test, done in tests.items() if not done
+        ]
+        if not left:
+            return None
+        tests, died_in = left[0]
+        tests[died_in] = True
+        self.workqueue.update(
+            (group, tests) for group, tests in groups.items() if not all(tests.values())
+        )
+        for each in self.nodes:
+            self._reschedule(each)
+        if flew:
+            self._after_flights()
+        return died_in
+
+    def _after_flights(self) -> None:
+        """Give everybody work as soon as the last flight is down."""
+        if self._flying():
+            return
+        self._file.unlink(missing_ok=True)
+        for _ in range(2):  # a worker runs its last test only when it has one to come
+            for each in self.nodes:
+                self._reschedule(each)
 
     def _assign_work_unit(self, node: Any) -> None:
         self._order()
@@ -234,9 +264,7 @@ class Groups(LoadScopeScheduling):
             super()._assign_work_unit(node)
 
     def _order(self) -> None:
-        """Once, and again when a worker that died has given its flights back."""
-        if self._computing is not None and FLIGHTS not in self.workqueue:
-            return
+        """Each time: a worker that died has put what it had not done at the end."""
         if self._computing is None:
             self._computing = tuple(self.nodes[1:][-COMPUTING:])
         for group in sorted(self.workqueue, key=urgency):

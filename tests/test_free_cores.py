@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.free_cores import FREE_SHARE, IN_A_ROW, least_share, wait_until_free
+from tests.free_cores import FREE_SHARE, IN_A_ROW, Patience, least_share, wait_until_free
 
 
 class Computer:
@@ -22,8 +22,10 @@ class Computer:
     def sleep(self, seconds: float) -> None:
         self.now_s += seconds
 
-    def wait(self, limit_s: float = 100.0) -> bool:
-        return wait_until_free(limit_s, self.look, lambda: self.now_s, self.sleep)
+    def wait(self, limit_s: float = 100.0, patience: Patience | None = None) -> bool:
+        return wait_until_free(
+            limit_s, self.look, lambda: self.now_s, self.sleep, patience or Patience(1000.0)
+        )
 
 
 def test_free_cores_are_not_waited_for_longer_than_it_takes_to_be_sure() -> None:
@@ -48,6 +50,19 @@ def test_a_neighbour_that_never_ends_is_not_waited_for_for_ever() -> None:
     computer = Computer(0.5)
     assert not computer.wait(100.0)
     assert 100.0 <= computer.now_s < 102.0
+
+
+def test_a_neighbour_that_stays_is_waited_for_once_not_before_each_test() -> None:
+    computer = Computer(0.5)
+    patience = Patience(150.0)
+    assert not any(computer.wait(100.0, patience) for _ in range(10))
+    assert 150.0 <= computer.now_s < 153.0
+
+
+def test_without_patience_a_busy_computer_is_looked_at_once() -> None:
+    computer = Computer(0.5)
+    assert not computer.wait(patience=Patience(0.0))
+    assert computer.looks == 1
 
 
 def test_more_threads_than_there_are_cores_do_not_find_them_free() -> None:

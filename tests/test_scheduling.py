@@ -81,6 +81,18 @@ def complete(groups: Groups, worker: Worker, nodeid: str) -> None:
     groups.mark_test_complete(done, ALL.index(nodeid))
 
 
+def fly_and_do_the_rest(groups: Groups, workers: list[Worker]) -> None:
+    done: set[str] = set()
+    while any(
+        waiting := [
+            (worker, each) for worker in workers for each in worker.given if each not in done
+        ]
+    ):
+        worker, each = waiting[0]
+        done.add(each)
+        complete(groups, worker, each)
+
+
 @pytest.fixture
 def workers() -> list[Worker]:
     return [Worker(f"gw{number}") for number in range(4)]
@@ -166,21 +178,52 @@ def test_flights_of_a_worker_that_died_are_flown_by_another_while_the_rest_waits
     first, second, *computing = workers
     died: Any = first
     assert groups.remove_node(died) == FLIGHT
-    assert second.given[:2] == [FLIGHT, OTHER_FLIGHT]
+    assert second.given[0] == OTHER_FLIGHT
     assert not any(set(worker.given) & {FLIGHT, OTHER_FLIGHT, *WAITING} for worker in computing)
+
+
+def test_a_test_that_a_worker_died_in_is_given_to_nobody_else(workers: list[Worker]) -> None:
+    groups = scheduled(ALL, workers)
+    third = workers[2]
+    died: Any = third
+    left = list(third.given)
+    complete(groups, third, left[0])
+    assert groups.remove_node(died) == left[1]
+    fly_and_do_the_rest(groups, [each for each in workers if each is not third])
+    given = [each for worker in workers if worker is not third for each in worker.given]
+    assert sorted(given) == sorted(set(ALL) - set(left[:2]))
+
+
+def test_everybody_gets_work_when_a_worker_dies_in_the_last_flight(
+    workers: list[Worker], tmp_path: Path
+) -> None:
+    flying = tmp_path / "flying"
+    flying.touch()
+    groups = scheduled(ALL, workers, flying)
+    first, second, *_ = workers
+    complete(groups, first, FLIGHT)
+    died: Any = first
+    assert groups.remove_node(died) == OTHER_FLIGHT
+    assert not flying.exists()
+    assert second.given[: len(WAITING)] == WAITING
+
+
+def test_what_the_only_worker_leaves_is_done_by_the_one_that_comes_in_its_place(
+    workers: list[Worker],
+) -> None:
+    groups = scheduled(ALL, workers[:1])
+    died: Any = workers[0]
+    assert groups.remove_node(died) == FLIGHT
+    late = workers[1]
+    add(groups, ALL, [late])
+    groups.schedule()
+    fly_and_do_the_rest(groups, [late])
+    assert sorted(late.given) == sorted(set(ALL) - {FLIGHT})
 
 
 def test_every_test_is_given_to_somebody_once(workers: list[Worker]) -> None:
     groups = scheduled(ALL, workers)
-    done: set[str] = set()
-    while any(
-        waiting := [
-            (worker, each) for worker in workers for each in worker.given if each not in done
-        ]
-    ):
-        worker, each = waiting[0]
-        done.add(each)
-        complete(groups, worker, each)
+    fly_and_do_the_rest(groups, workers)
     assert sorted(each for worker in workers for each in worker.given) == sorted(ALL)
     assert groups.tests_finished
     assert all(worker.shutting_down for worker in workers)
