@@ -20,6 +20,7 @@ import pytest
 from hypothesis import settings
 
 from tests.kernels import compile_kernels
+from tests.left_behind import end_left_behind
 from tests.overloaded import REPEATED, Repeating, repetitions
 from tests.scheduling import Groups, be_nice, told_by_group
 
@@ -86,6 +87,12 @@ def pytest_configure_node(node: Any) -> None:
         os.close(handle)
         stash[FLYING] = Path(name)
     node.workerinput["flying"] = str(stash[FLYING])
+
+
+def pytest_testnodedown(node: Any, error: object) -> None:
+    """End what a worker that died had started: its own ends were never run."""
+    if error:
+        end_left_behind(node.workerinput["workerid"], node.workerinput["testrunuid"])
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
