@@ -256,6 +256,11 @@ class Groups(LoadScopeScheduling):
             for each in self.nodes:
                 self._reschedule(each)
 
+    def _reschedule(self, node: Any) -> None:
+        """Nothing for a worker that came in the place of another and does not know its tests yet."""
+        if node in self.registered_collections:
+            super()._reschedule(node)
+
     def _assign_work_unit(self, node: Any) -> None:
         self._order()
         group = self._next_for(node)

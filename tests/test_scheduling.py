@@ -221,6 +221,24 @@ def test_what_the_only_worker_leaves_is_done_by_the_one_that_comes_in_its_place(
     assert sorted(late.given) == sorted(set(ALL) - {FLIGHT})
 
 
+def test_a_worker_that_came_in_the_place_of_another_is_given_nothing_before_it_has_collected(
+    workers: list[Worker],
+) -> None:
+    groups = scheduled(ALL, workers[:3])
+    first, second, third, late = workers
+    came: Any = late
+    groups.add_node(came)
+    for each in (third, second):
+        died: Any = each
+        groups.remove_node(died)
+    assert late.given == []
+    groups.add_node_collection(came, ALL)
+    groups.schedule()
+    fly_and_do_the_rest(groups, [first, late])
+    assert late.given
+    assert groups.tests_finished
+
+
 def test_every_test_is_given_to_somebody_once(workers: list[Worker]) -> None:
     groups = scheduled(ALL, workers)
     fly_and_do_the_rest(groups, workers)
