@@ -186,6 +186,8 @@ def told_by_group(reports: Iterable[Any]) -> list[str]:
     """
     spans: dict[str, tuple[float, float]] = {}
     for report in reports:
+        if not report.start:  # its worker died
+            continue
         group = group_of(report.nodeid)
         group = group if urgency(group) < 2 else "computes"
         begun, over = spans.get(group, (math.inf, 0.0))
@@ -257,8 +259,16 @@ class Groups(LoadScopeScheduling):
                 self._reschedule(each)
 
     def _reschedule(self, node: Any) -> None:
-        """Nothing for a worker that came in the place of another and does not know its tests yet."""
-        if node in self.registered_collections:
+        """Give a worker as much as it needs to go on; nothing while it does not know its tests.
+
+        It runs a test only when it has the next one, or the word that none comes: one that came in
+        the place of another and was given a group of one test would wait for ever.
+        """
+        if node not in self.registered_collections:
+            return
+        held = -1
+        while held < (pending := self._pending_of(self.assigned_work[node])):
+            held = pending
             super()._reschedule(node)
 
     def _assign_work_unit(self, node: Any) -> None:

@@ -47,11 +47,12 @@ class Worker:
 
     def __init__(self, name: str) -> None:
         self.gateway = SimpleNamespace(id=name)
+        self.collection: list[str] = []
         self.given: list[str] = []
         self.shutting_down = False
 
     def send_runtest_some(self, indices: list[int]) -> None:
-        self.given += [ALL[index] for index in indices]
+        self.given += [self.collection[index] for index in indices]
 
     def shutdown(self) -> None:
         self.shutting_down = True
@@ -71,6 +72,7 @@ def scheduled(
 
 def add(groups: Groups, collection: list[str], workers: list[Worker]) -> None:
     for worker in workers:
+        worker.collection = collection
         given: Any = worker
         groups.add_node(given)
         groups.add_node_collection(given, collection)
@@ -78,17 +80,19 @@ def add(groups: Groups, collection: list[str], workers: list[Worker]) -> None:
 
 def complete(groups: Groups, worker: Worker, nodeid: str) -> None:
     done: Any = worker
-    groups.mark_test_complete(done, ALL.index(nodeid))
+    groups.mark_test_complete(done, worker.collection.index(nodeid))
 
 
 def fly_and_do_the_rest(groups: Groups, workers: list[Worker]) -> None:
+    """As workers do: a test is run when the next one is there, or the word that none comes."""
     done: set[str] = set()
-    while any(
-        waiting := [
-            (worker, each) for worker in workers for each in worker.given if each not in done
-        ]
-    ):
-        worker, each = waiting[0]
+    while ready := [
+        (worker, each)
+        for worker in workers
+        for each in (worker.given if worker.shutting_down else worker.given[:-1])
+        if each not in done
+    ]:
+        worker, each = ready[0]
         done.add(each)
         complete(groups, worker, each)
 
@@ -228,6 +232,7 @@ def test_a_worker_that_came_in_the_place_of_another_is_given_nothing_before_it_h
     first, second, third, late = workers
     came: Any = late
     groups.add_node(came)
+    late.collection = ALL
     for each in (third, second):
         died: Any = each
         groups.remove_node(died)
@@ -236,6 +241,21 @@ def test_a_worker_that_came_in_the_place_of_another_is_given_nothing_before_it_h
     groups.schedule()
     fly_and_do_the_rest(groups, [first, late])
     assert late.given
+    assert groups.tests_finished
+
+
+def test_a_worker_that_comes_late_is_given_more_than_one_test_or_the_word_that_none_comes(
+    workers: list[Worker],
+) -> None:
+    alone = [f"tests/scenarios/test_sim.py::test_{number}" for number in range(6)]
+    groups = scheduled(alone, workers[:1])
+    died: Any = workers[0]
+    groups.remove_node(died)
+    late = workers[1]
+    add(groups, alone, [late])
+    groups.schedule()
+    fly_and_do_the_rest(groups, [late])
+    assert sorted(late.given) == alone[1:]
     assert groups.tests_finished
 
 
@@ -281,6 +301,7 @@ def test_when_each_group_was_over_is_told() -> None:
         report(OTHER_FLIGHT, 150.4, 190.0),
         report(WAITING[0], 190.0, 200.0),
         report(COMPUTING[5], 150.0, 230.0),
+        report(COMPUTING[8], 0.0, 0.0),
     ]
     assert told_by_group(reports) == [
         "flights: 0 to 90 s",
