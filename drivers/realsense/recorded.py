@@ -13,7 +13,6 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from drivers.realsense.sdk import (
     load_recording,
     mid_exposure_ns,
     serial_of,
+    stop,
     unit_of,
 )
 from drivers.realsense.sdk_import import import_realsense
@@ -159,11 +159,7 @@ class RealSenseRecording:
         finally:
             ending.set()
             beginning.shutdown()
-            for sensor in running:
-                with suppress(RuntimeError):
-                    sensor.stop()
-                with suppress(RuntimeError):
-                    sensor.close()
+            stop(running, self._playback)
 
     def _paired(
         self, waiting: queue.Queue[RawImage], begun: Future[None]

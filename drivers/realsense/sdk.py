@@ -150,13 +150,25 @@ class RealSenseDevice:
 
     def close(self) -> None:
         """Stop what runs. What the library says to that is of no use any more."""
-        for sensor in self._running:
-            with suppress(RuntimeError):
-                sensor.stop()
-            with suppress(RuntimeError):
-                sensor.close()
+        stop(self._running, self._playback)
         self._running = []
         self._device = self._playback = None  # a recording is complete when its recorder is gone
+
+
+def stop(running: Sequence[Any], playback: Any | None) -> None:
+    """Stop and close sensors, those of a recording once it stands still.
+
+    librealsense's thread that plays would else give a frame to a sensor whose callback is gone,
+    and take the program with it (librealsense's issue 9446).
+    """
+    if playback is not None:
+        with suppress(RuntimeError):
+            playback.pause()
+    for sensor in running:
+        with suppress(RuntimeError):
+            sensor.stop()
+        with suppress(RuntimeError):
+            sensor.close()
 
 
 def described(device: Any) -> str:

@@ -19,6 +19,7 @@ import pytest
 from drivers.interfaces import CameraError, Frame
 from drivers.perception.stamp_clock import Domain
 from drivers.realsense.camera import RealSense, RealSenseConfig
+from drivers.realsense.sdk import RealSenseDevice, Streams, load_recording
 from drivers.realsense.sources import RecordingSource, UsbSource
 from drivers.rig.tables import RigError, decode_table
 from hil.camera.software_device import DeviceClock, SoftwareDevice
@@ -477,3 +478,35 @@ def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
     file.write_bytes(b"not a recording")
     with pytest.raises(CameraError, match=r"film.db3 cannot be played"):
         RecordingSource(file).open()
+
+
+class Told:
+    """Stands before what a sensor or a recording is told, and keeps the order."""
+
+    def __init__(self, inner: Any, name: str, told: list[str]) -> None:
+        self._inner = inner
+        self._name = name
+        self._told = told
+
+    def __getattr__(self, word: str) -> Any:
+        self._told.append(f"{self._name} {word}")
+        return getattr(self._inner, word)
+
+
+def test_a_recording_stands_still_before_its_sensors_are_stopped(tmp_path: Path) -> None:
+    """librealsense's thread would else give a frame to who is gone, and end the program."""
+
+    async def record() -> None:
+        async with recording(Feed(), tmp_path) as driver:
+            await driver.read(PATIENCE_S)
+
+    asyncio.run(record())
+    (file,) = recordings(tmp_path)
+    device = RealSenseDevice(
+        load_recording(file), Streams((COLOR.width, COLOR.height), (DEPTH.width, DEPTH.height), FPS)
+    )
+    told: list[str] = []
+    device._playback = Told(device._playback, "recording", told)
+    device._running = [Told(sensor, "sensor", told) for sensor in device._running]
+    device.close()
+    assert told == ["recording pause", *["sensor stop", "sensor close"] * 2]
