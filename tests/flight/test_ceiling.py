@@ -17,6 +17,7 @@ from flight.config import GuardConfig, MissionConfig
 from flight.guard.rules import GuardStage
 from flight.guard.watch import GuardWatch, watch
 from hil.world.config import AltitudeConfig
+from tests.doubles import NoLog
 from tests.drivers.mavlink.test_guard_link import BIND, CONTEXT, seen
 from tests.guard_bench import LIMIT_S, SYSID, Bench, bench
 
@@ -52,12 +53,6 @@ class Beating:
     def answer(self, answer: GuardAnswer) -> None: ...
 
 
-class Silent:
-    def write(self, topic: str, stamp_ns: int, record: object) -> None: ...
-
-    def image(self, topic: str, stamp_ns: int, image: object) -> None: ...
-
-
 def height_m(own: Bench) -> float:
     with own.lock:
         return -own.drone.true_position_n_m[2] - 0.1
@@ -89,7 +84,7 @@ def test_a_healthy_drone_is_left_alone_and_the_ceiling_is_kept_in_truth() -> Non
         )
         line, ended = Beating(), asyncio.Event()
         async with GuardMavlink(config, CONTEXT) as vehicle:
-            guard = GuardWatch(vehicle, line, CONTEXT.clock, MISSION, Silent())
+            guard = GuardWatch(vehicle, line, CONTEXT.clock, MISSION, NoLog())
             watching = asyncio.create_task(watch((guard,), ended))
             await on_the_ground(vehicle)
             await asyncio.to_thread(own.in_air)
@@ -121,7 +116,7 @@ def test_a_dead_scripts_vehicle_is_held_where_it_truly_is() -> None:
         )
         line, ended = Beating(), asyncio.Event()
         async with GuardMavlink(config, CONTEXT) as vehicle:
-            guard = GuardWatch(vehicle, line, CONTEXT.clock, MISSION, Silent())
+            guard = GuardWatch(vehicle, line, CONTEXT.clock, MISSION, NoLog())
             watching = asyncio.create_task(watch((guard,), ended))
             await on_the_ground(vehicle)
             await asyncio.to_thread(own.in_air)

@@ -17,17 +17,12 @@ from flight.outcome import MissionEnd, Outcome
 from flight.pilot import DOUBT_S, Pilot
 from hil.autopilot.values import MAX_SETPOINT_GAP_S
 from hil.harness.virtual_time import run_virtual
+from tests.doubles import LoopClock
 
 YAW_HALF = (0.9238795325112867, 0.0, 0.0, 0.3826834323650898)  # 45 degrees to the right
 GROUND = VehicleState(
     0, 0, (0.0, 0.0, -1.5), (0.0, 0.0, 0.0), YAW_HALF, True, True, True, FlightMode.HOLD, 0.9
 )
-
-
-@dataclass
-class LoopClock:
-    def now_ns(self) -> int:
-        return round(asyncio.get_running_loop().time() * 1e9)
 
 
 @dataclass

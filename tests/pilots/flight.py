@@ -34,6 +34,7 @@ from missions.fly.leg.steps import bring_down, take_off
 from missions.ground import rig_library
 from path.geometry.rotation import yaw_of
 from path.messages import Role
+from tests.doubles import NoLog
 from tests.pilots.acts import Act
 from tests.pilots.watched import MOVING, NotedGuard, Watched, act_on, ends_badly, keep_looking
 
@@ -75,14 +76,6 @@ class NoLink:
 
     async def receive(self) -> Received:
         return await asyncio.get_running_loop().create_future()
-
-
-class NoLog:
-    """Nothing is kept."""
-
-    def write(self, topic: str, stamp_ns: int, record: Any) -> None: ...
-
-    def image(self, topic: str, stamp_ns: int, image: Any) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)

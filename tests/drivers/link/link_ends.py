@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import time
 import tty
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
@@ -17,14 +16,10 @@ from typing import Any
 from drivers.interfaces import Link
 from drivers.link.serial_radio import SerialLink
 from path.messages import Ping, Pong, Role, Status, Target
+from tests.doubles import WallClock
 
 TARGET = Target(1, 2, 3, 4, 50_000, (1.0, 2.0, 3.0), (0.0, 0.0, 1.0), 0.01)
 STATUS = Status(Role.SENDER, 50_000, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0), 0.0, 3, True, True, 0.5)
-
-
-class WallClock:
-    def now_ns(self) -> int:
-        return time.monotonic_ns()
 
 
 @dataclass(frozen=True)

@@ -28,16 +28,12 @@ from drivers.mavlink.transport.frames import take_frames
 from drivers.mavlink.transport.port import UNSIGNED
 from drivers.rig.parts import PartContext
 from hil.autopilot.values import Severity, StatusText
+from tests.doubles import WallClock
 from tests.free_ports import free_port
 from tests.guard_bench import LIMIT_S, ORIGIN, SYSID, Bench, bench
 
 BIND = f"127.0.0.1:{free_port()}"
 HOLD_OR_LAND = (176, 21)
-
-
-class WallClock:
-    def now_ns(self) -> int:
-        return time.monotonic_ns()
 
 
 CONTEXT = PartContext(cast(Any, None), WallClock(), *cast(Any, (None, None, None)), origin=ORIGIN)

@@ -13,22 +13,18 @@ import pytest
 from drivers.interfaces import FlightMode, VehicleError
 from drivers.mavlink.modes import ARDUPILOT, PX4
 from drivers.mavlink.telemetry import KEPT_TEXTS, RC_RECEIVER, TelemetrySlots
+from tests.doubles import WallClock
 from tests.drivers.mavlink.mavsdk_bench import SYSID, TANGENT
 
 ARMED, OFFBOARD = 129, 6 << 16
 PARTS = ("present", "enabled", "health")
 
 
-class MonotonicClock:
-    def now_ns(self) -> int:
-        return time.monotonic_ns()
-
-
 class Slots:
     """The slots of one vehicle, and a way to tell them things."""
 
     def __init__(self, **options: Any) -> None:
-        self.telemetry = TelemetrySlots(SYSID, MonotonicClock(), TANGENT, **options)
+        self.telemetry = TelemetrySlots(SYSID, WallClock(), TANGENT, **options)
         self.telemetry.kind = PX4
         self.telemetry.check()
 

@@ -28,6 +28,7 @@ from flight.pilot import Pilot
 from hil.autopilot.autopilot import Ack, AutopilotConfig
 from hil.autopilot.radio import RadioConfig
 from path.geometry.rotation import yaw_of
+from tests.doubles import NoLog
 from tests.drivers.mavlink.mavsdk_bench import (
     HEIGHT_M,
     LIMIT_S,
@@ -45,14 +46,6 @@ from tests.exact_world import QUICK
 from tests.free_ports import free_port
 
 SPEED = 3.0
-
-
-class Silent:
-    """A log that nobody reads."""
-
-    def write(self, topic: str, stamp_ns: int, record: Any) -> None: ...
-
-    def image(self, topic: str, stamp_ns: int, image: Any) -> None: ...
 
 
 FAST = replace(QUICK, offboard_loss_s=SPEED * QUICK.offboard_loss_s)  # as long as ever by our time
@@ -285,7 +278,7 @@ def test_one_forged_heartbeat_does_not_leave_the_vehicle_to_nobody(
         packet = forged.pack(mavlink.MAVLink(None, srcSystem=SYSID, srcComponent=1))
         async with bench.vehicle(heartbeat_hz=10.0) as vehicle:
             await into_the_air(vehicle)
-            pilot = Pilot(vehicle, LoopClock(), MissionConfig(), Silent())
+            pilot = Pilot(vehicle, LoopClock(), MissionConfig(), NoLog())
             await pilot.take_control()
             flying = asyncio.create_task(pilot.run())
             while pilot.taken_back < 2:  # which of them comes between two ticks is luck

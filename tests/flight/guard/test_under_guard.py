@@ -14,15 +14,11 @@ from flight.guard.rules import GuardRules
 from flight.guard.under_guard import UnderGuard
 from flight.outcome import MissionEnd, Outcome
 from hil.harness.virtual_time import run_virtual
+from tests.doubles import LoopClock
 
 RULES = GuardRules()
 BEAT = Beat(Script.CLIMB, 0)
 WATCHED = GuardAnswer(True, Hand.SCRIPT)
-
-
-class LoopClock:
-    def now_ns(self) -> int:
-        return 10**12 + round(asyncio.get_running_loop().time() * 1e9)
 
 
 @dataclass
@@ -38,7 +34,7 @@ class FakeLine:
             asyncio.get_running_loop().call_later(0.02, self.say, self.reply)
 
     def say(self, answer: GuardAnswer) -> None:
-        self.newest = LoopClock().now_ns(), answer
+        self.newest = LoopClock(1000.0).now_ns(), answer
 
     def answer(self) -> tuple[int, GuardAnswer] | None:
         return self.newest
@@ -62,7 +58,7 @@ def ended(check: Any) -> MissionEnd:
 def test_who_is_watched_flies() -> None:
     async def main() -> None:
         line = FakeLine()
-        guard = UnderGuard(line, LoopClock(), RULES)
+        guard = UnderGuard(line, LoopClock(1000.0), RULES)
         assert not guard.watching
         assert ended(guard.check).outcome is Outcome.GUARD_LOST
         line.say(GuardAnswer(False, Hand.FREE))
@@ -78,7 +74,7 @@ def test_who_is_watched_flies() -> None:
 def test_a_guard_that_falls_silent_is_missed_in_time() -> None:
     async def main() -> None:
         line = FakeLine()
-        guard = UnderGuard(line, LoopClock(), RULES)
+        guard = UnderGuard(line, LoopClock(1000.0), RULES)
         line.say(WATCHED)
         for _ in range(round(RULES.answer_age_s / 0.05)):
             guard.check()
@@ -95,7 +91,7 @@ def test_a_guard_that_falls_silent_is_missed_in_time() -> None:
 def test_what_was_not_heard_while_this_program_slept_is_not_held_against_the_guard() -> None:
     async def main() -> None:
         line = FakeLine()
-        guard = UnderGuard(line, LoopClock(), RULES)
+        guard = UnderGuard(line, LoopClock(1000.0), RULES)
         line.say(WATCHED)
         guard.check()
         await asyncio.sleep(30.0)
@@ -109,7 +105,7 @@ def test_a_program_that_looks_rarely_but_did_not_sleep_misses_a_silent_guard_too
 
     async def main() -> None:
         line = FakeLine()
-        guard = UnderGuard(line, LoopClock(), RULES)
+        guard = UnderGuard(line, LoopClock(1000.0), RULES)
         line.say(WATCHED)
         for _ in range(3):
             guard.check()
@@ -122,7 +118,7 @@ def test_a_program_that_looks_rarely_but_did_not_sleep_misses_a_silent_guard_too
 def test_what_the_guard_took_stays_taken() -> None:
     async def main() -> None:
         line = FakeLine()
-        guard = UnderGuard(line, LoopClock(), RULES)
+        guard = UnderGuard(line, LoopClock(1000.0), RULES)
         line.say(GuardAnswer(True, Hand.GUARD, "no setpoint for 0.5 s"))
         for answer in (None, GuardAnswer(True, Hand.FREE), WATCHED):
             end = ended(guard.check_hand)
@@ -138,7 +134,7 @@ def test_what_the_guard_took_stays_taken() -> None:
 def test_a_pilot_s_hand_is_told_too() -> None:
     async def main() -> None:
         line = FakeLine()
-        guard = UnderGuard(line, LoopClock(), RULES)
+        guard = UnderGuard(line, LoopClock(1000.0), RULES)
         line.say(GuardAnswer(True, Hand.OTHER, "a pilot changed the mode"))
         assert ended(guard.check_hand).outcome is Outcome.PILOT_OVERRIDE
         assert not guard.taken
@@ -149,7 +145,7 @@ def test_a_pilot_s_hand_is_told_too() -> None:
 def test_before_anything_moves_the_guard_is_asked_anew() -> None:
     async def main() -> None:
         line, loop = FakeLine(), asyncio.get_running_loop()
-        guard = UnderGuard(line, LoopClock(), RULES)
+        guard = UnderGuard(line, LoopClock(1000.0), RULES)
         line.say(WATCHED)
         await asyncio.sleep(20.0)  # the answer that is there says nothing any more
         line.reply = GuardAnswer(True, Hand.GUARD, "no sign of life")
@@ -165,7 +161,7 @@ def test_before_anything_moves_the_guard_is_asked_anew() -> None:
 def test_a_guard_that_does_not_answer_keeps_everything_on_the_ground() -> None:
     async def main() -> None:
         line = FakeLine()
-        guard = UnderGuard(line, LoopClock(), RULES)
+        guard = UnderGuard(line, LoopClock(1000.0), RULES)
         line.say(WATCHED)
         await asyncio.sleep(0.1)
         with pytest.raises(MissionEnd) as caught:
@@ -178,7 +174,7 @@ def test_a_guard_that_does_not_answer_keeps_everything_on_the_ground() -> None:
 def test_an_answer_of_the_very_moment_of_the_question_is_none_to_it() -> None:
     async def main() -> None:
         line = FakeLine()
-        guard = UnderGuard(line, LoopClock(), RULES)
+        guard = UnderGuard(line, LoopClock(1000.0), RULES)
         line.say(WATCHED)
         with pytest.raises(MissionEnd, match="does not answer"):
             await guard.confirm(BEAT)
@@ -189,7 +185,7 @@ def test_an_answer_of_the_very_moment_of_the_question_is_none_to_it() -> None:
 def test_a_vehicle_that_refuses_because_the_guard_has_it_is_the_guard_s_doing() -> None:
     async def main() -> None:
         line = FakeLine()
-        guard = UnderGuard(line, LoopClock(), RULES)
+        guard = UnderGuard(line, LoopClock(1000.0), RULES)
         refused, lost = (
             MissionEnd(Outcome.VEHICLE_REFUSED, "denied"),
             MissionEnd(Outcome.PEER_LOST, "silent"),

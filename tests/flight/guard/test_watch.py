@@ -15,16 +15,12 @@ from flight.config import MissionConfig
 from flight.guard.rules import SURE, Act, GuardStage, GuardState, ProgramBeat
 from flight.guard.watch import STALL_S, GuardWatch, watch
 from hil.harness.virtual_time import run_virtual
+from tests.doubles import LoopClock
 
 CONFIG = MissionConfig()
 RULES = CONFIG.guard_process
 S = 1_000_000_000
 GROUND = GuardView(0, 0, False, False, FlightMode.HOLD, (0.0, 0.0, 0.0), 0.9, None)
-
-
-class LoopClock:
-    def now_ns(self) -> int:
-        return 10**12 + round(asyncio.get_running_loop().time() * 1e9)
 
 
 @dataclass
@@ -41,7 +37,7 @@ class FakeVehicle:
 
     def view(self) -> GuardView | None:
         if not self.silent:
-            now_ns = LoopClock().now_ns()
+            now_ns = LoopClock(1000.0).now_ns()
             position_ns = self.now.position_ns if self.lost else now_ns
             self.now = replace(self.now, heartbeat_ns=now_ns, position_ns=position_ns)
         return self.now
@@ -74,7 +70,7 @@ class FakeLine:
 
     def newest(self) -> tuple[int, Beat] | None:
         beat, self.waiting = self.waiting, None
-        return None if beat is None else (LoopClock().now_ns(), beat)
+        return None if beat is None else (LoopClock(1000.0).now_ns(), beat)
 
     def answer(self, answer: GuardAnswer) -> None:
         self.answers.append(answer)
@@ -102,7 +98,7 @@ class Bench:
 
     def __init__(self, config: MissionConfig = CONFIG) -> None:
         self.vehicle, self.line, self.log = FakeVehicle(), FakeLine(), ListLog()
-        self.guard = GuardWatch(self.vehicle, self.line, LoopClock(), config, self.log)
+        self.guard = GuardWatch(self.vehicle, self.line, LoopClock(1000.0), config, self.log)
         self.script, self.hung, self.setpoints = Script.IDLE, False, 0
         self.stop = asyncio.Event()
         self._tasks = [
@@ -196,7 +192,7 @@ def test_setpoints_that_stop_while_beats_go_on() -> None:
 
 def test_the_guards_own_stall_is_no_fault_of_the_role() -> None:
     async def main() -> None:
-        bench, clock = Bench(), LoopClock()
+        bench, clock = Bench(), LoopClock(1000.0)
         await bench.in_control()
         await bench.end()
         guard = bench.guard
@@ -224,11 +220,11 @@ def test_a_stall_of_the_guards_own_makes_no_beat_younger_than_now() -> None:
         guard = bench.guard
         guard.tick()
         assert guard._heard is not None
-        just_after_ns = LoopClock().now_ns() + 1_000_000
+        just_after_ns = LoopClock(1000.0).now_ns() + 1_000_000
         guard._heard = replace(guard._heard, beat_ns=just_after_ns, setpoint_ns=just_after_ns)
         await asyncio.sleep(5.0)
-        guard._forgive_own_stall(LoopClock().now_ns())
-        assert guard._heard.beat_ns == guard._heard.setpoint_ns == LoopClock().now_ns()
+        guard._forgive_own_stall(LoopClock(1000.0).now_ns())
+        assert guard._heard.beat_ns == guard._heard.setpoint_ns == LoopClock(1000.0).now_ns()
 
     virtual(main())
 
@@ -239,7 +235,7 @@ def test_a_guard_that_ticks_in_time_forgives_nothing(ticks_apart_s: float, forgi
         bench = Bench()
         await bench.in_control()
         await bench.end()
-        now_ns = LoopClock().now_ns()
+        now_ns = LoopClock(1000.0).now_ns()
         bench.guard._forgive_own_stall(now_ns)
         bench.log.records.clear()
         bench.guard._forgive_own_stall(now_ns + round(ticks_apart_s * 1e9))
@@ -255,7 +251,7 @@ def test_a_program_is_heard_for_as_long_as_the_rules_say(more_ns: int, hears: bo
         await bench.in_control()
         await bench.end()
         assert bench.guard._heard is not None
-        beat_ns = LoopClock().now_ns() - round(RULES.beat_age_s * 1e9) - more_ns
+        beat_ns = LoopClock(1000.0).now_ns() - round(RULES.beat_age_s * 1e9) - more_ns
         bench.guard._heard = replace(bench.guard._heard, beat_ns=beat_ns)
         assert bench.guard.hears is hears
 
@@ -376,7 +372,7 @@ def test_a_distance_that_is_not_measured_any_more_is_forgotten(goes_on: bool) ->
         bench = Bench()
         await bench.in_control()
         guard = bench.guard
-        now_ns = LoopClock().now_ns()
+        now_ns = LoopClock(1000.0).now_ns()
         bench.line.waiting = Beat(Script.CONTROL, bench.setpoints, separation_m=5.0)
         guard.tick()
         bench.line.waiting = Beat(Script.CONTROL, bench.setpoints)
@@ -403,7 +399,7 @@ def test_a_near_distance_of_long_ago_does_not_take_the_vehicle() -> None:
         await bench.in_control()
         guard = bench.guard
         assert guard._heard is not None
-        old_ns = LoopClock().now_ns() - round(age_s * 1e9)
+        old_ns = LoopClock(1000.0).now_ns() - round(age_s * 1e9)
         guard._heard = replace(guard._heard, separation_m=0.1, separation_ns=old_ns)
         await asyncio.sleep(RULES.patience_s + 0.1)
         told = list(bench.vehicle.told)
@@ -467,7 +463,7 @@ def test_what_was_let_go_of_and_flies_by_script_needs_its_guard() -> None:
         await bench.end()
         bench.vehicle.fly()
         bench.vehicle.now = replace(bench.vehicle.now, mode_told=SURE)
-        bench.guard._heard = ProgramBeat(LoopClock().now_ns(), Script.LET_GO, 0)
+        bench.guard._heard = ProgramBeat(LoopClock(1000.0).now_ns(), Script.LET_GO, 0)
         assert bench.guard.needed
         bench.vehicle.fly(FlightMode.OTHER)
         assert not bench.guard.needed

@@ -4,7 +4,6 @@ one contract.
 
 from __future__ import annotations
 
-import asyncio
 import math
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -38,6 +37,7 @@ from path.marker.layout import single_marker
 from path.messages import Role
 from path.observations import Box, Region
 from path.target.place import registered_depth
+from tests.doubles import LoopClock
 
 CAMERA = CameraModel(640, 480, 615.2, 615.9, 322.1, 241.3, (0.112, -0.236, 0.0006, -0.0004, 0.095))
 NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -430,11 +430,6 @@ class StubHarness:
     seed: int = 3
     frozen_cameras: dict[Role, Freeze] = field(default_factory=dict[Role, Freeze])
     built: Built | None = None
-
-
-class LoopClock:
-    def now_ns(self) -> int:
-        return round(asyncio.get_running_loop().time() * 1e9)
 
 
 def context(harness: object | None) -> PartContext:

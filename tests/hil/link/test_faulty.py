@@ -226,15 +226,10 @@ def test_no_packet_is_early_or_later_than_the_faults_allow(
             assert len(packet) <= len(data)
 
 
-class RealClock:
-    def now_ns(self) -> int:
-        return round(asyncio.get_running_loop().time() * 1e9)
-
-
 @dataclass(frozen=True)
 class UdpContext:
     role: Role
-    clock: RealClock
+    clock: LoopClock
 
 
 class CountingProxy(UdpFaultProxy):
@@ -248,9 +243,9 @@ class CountingProxy(UdpFaultProxy):
 def through_proxy() -> tuple[CountingProxy, UdpLink, UdpLink]:
     a, b, to_b, to_a = ((LOOPBACK, port) for port in free_ports(4))
     named = {end: f"{end[0]}:{end[1]}" for end in (a, b, to_b, to_a)}
-    sender = UdpLink(UdpLink.Config(named[a], named[to_b]), UdpContext(Role.SENDER, RealClock()))
+    sender = UdpLink(UdpLink.Config(named[a], named[to_b]), UdpContext(Role.SENDER, LoopClock()))
     receiver = UdpLink(
-        UdpLink.Config(named[b], named[to_a]), UdpContext(Role.RECEIVER, RealClock())
+        UdpLink.Config(named[b], named[to_a]), UdpContext(Role.RECEIVER, LoopClock())
     )
     return CountingProxy(ProxySide(to_b, a), ProxySide(to_a, b), seed=1), sender, receiver
 
@@ -295,7 +290,7 @@ def test_the_proxy_delays() -> None:
         proxy, sender, receiver = through_proxy()
         proxy.faults = LinkFaults(delay_s=0.05)
         async with proxy, sender, receiver:
-            start_ns = RealClock().now_ns()
+            start_ns = LoopClock().now_ns()
             sender.send(TARGET)
             assert (await receiver.receive()).arrival_ns - start_ns >= 49_000_000
 

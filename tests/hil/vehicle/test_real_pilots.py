@@ -35,6 +35,7 @@ from hil.world.dynamics import POSITION
 from missions.fly.guard.command import as_flown, guard_of
 from missions.ground import rig_library
 from path.messages import Role
+from tests.doubles import NoLog
 
 LIMIT_S = 90.0
 HEIGHT_M = 2.0
@@ -201,12 +202,6 @@ class Beating:
     def answer(self, answer: GuardAnswer) -> None: ...
 
 
-class Silent:
-    def write(self, topic: str, stamp_ns: int, record: object) -> None: ...
-
-    def image(self, topic: str, stamp_ns: int, image: object) -> None: ...
-
-
 @asynccontextmanager
 async def guarded(
     kind: Kind, folder: Path, role: Role = Role.SENDER
@@ -225,7 +220,7 @@ async def guarded(
             link = await stack.enter_async_context(
                 create(as_flown(rig, role, guard_of(rig, role)), context)
             )
-            guard = GuardWatch(link, line, context.clock, mission, Silent())
+            guard = GuardWatch(link, line, context.clock, mission, NoLog())
             stack.callback(asyncio.create_task(watch((guard,), ended)).cancel)
             stack.callback(ended.set)
             await asyncio.sleep(1.0)  # what it stands on has been seen

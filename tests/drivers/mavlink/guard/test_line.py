@@ -29,14 +29,9 @@ from drivers.mavlink.guard.line import (
 )
 from drivers.mavlink.guard.seal import KeyReader, Seals, key_path, make_key
 from flight.guard.rules import GuardRules
+from tests.doubles import WallClock
 from tests.free_ports import free_port
 from tests.guard_bench import until
-
-
-class WallClock:
-    def now_ns(self) -> int:
-        return time.monotonic_ns()
-
 
 WORDS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=90)
 FLOATS = st.floats(width=32, allow_nan=False)

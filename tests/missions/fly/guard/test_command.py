@@ -11,7 +11,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,15 +29,11 @@ from missions.fly.guard.command import guard_of
 from missions.fly.guard.start import with_guard
 from missions.ground import rig_library
 from path.messages import Role
+from tests.doubles import WallClock
 from tests.free_ports import free_port
 from tests.guard_bench import LIMIT_S, Bench, bench, until
 
 HOLD_OR_LAND = (176, 21)
-
-
-class MonotonicClock:
-    def now_ns(self) -> int:
-        return time.monotonic_ns()
 
 
 class FakeRole:
@@ -46,7 +41,7 @@ class FakeRole:
 
     def __init__(self, bind: str) -> None:
         self.guard = bind
-        self._line = UdpGuardLine(bind, MonotonicClock())
+        self._line = UdpGuardLine(bind, WallClock())
         self.script = Script.IDLE
         self.stopped = False
         self.answers: list[GuardAnswer] = []
@@ -254,11 +249,11 @@ def test_a_second_guard_of_the_same_vehicle_is_refused(tmp_path: Path) -> None:
         async def occupy() -> None:
             from drivers.mavlink.guard.line import UdpBeatLine  # noqa: PLC0415
 
-            async with UdpBeatLine(f"127.0.0.1:{port}", MonotonicClock()):
+            async with UdpBeatLine(f"127.0.0.1:{port}", WallClock()):
                 # one is there: none is begun
                 assert with_guard(rig, Role.SENDER, "start", tmp_path) is rig
                 with pytest.raises(PartError, match="cannot listen"):
-                    async with UdpBeatLine(f"127.0.0.1:{port}", MonotonicClock()):
+                    async with UdpBeatLine(f"127.0.0.1:{port}", WallClock()):
                         pass
 
         asyncio.run(occupy())

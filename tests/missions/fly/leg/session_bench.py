@@ -17,6 +17,7 @@ from hil.harness.virtual_time import run_virtual
 from missions.fly.leg.course import fly_course
 from missions.fly.leg.session import RoleSession
 from path.messages import Message, Role
+from tests.doubles import LoopClock
 
 T = TypeVar("T")
 STATE = VehicleState(
@@ -31,12 +32,6 @@ STATE = VehicleState(
     FlightMode.OFFBOARD,
     0.9,
 )
-
-
-@dataclass
-class Clock:
-    def now_ns(self) -> int:
-        return round((asyncio.get_running_loop().time() + 1.0) * 1e9)
 
 
 @dataclass
@@ -55,7 +50,7 @@ class FakeLink:
         message = await self.waiting.get()
         if isinstance(message, Exception):
             raise message
-        return Received(message, Clock().now_ns())
+        return Received(message, LoopClock(1.0).now_ns())
 
     def of(self, kind: type[T]) -> list[T]:
         return [message for _, message in self.sent if isinstance(message, kind)]
@@ -96,7 +91,7 @@ class Bench:
         self.link, self.log, self.vehicle = FakeLink(), Recorder(), FakeVehicle()
         self.shown: list[Progress] = []
         self.stop = asyncio.Event()
-        parts = cast(Any, (Clock(), self.vehicle, None, self.link))
+        parts = cast(Any, (LoopClock(1.0), self.vehicle, None, self.link))
         self.session = RoleSession(
             rig,
             role,

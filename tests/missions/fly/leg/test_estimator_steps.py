@@ -19,7 +19,8 @@ from missions.fly.leg.beside import watch_estimator
 from missions.fly.leg.session import RoleSession
 from path.geometry.rotation import quat_from_rpy
 from path.messages import Role, Status
-from tests.missions.fly.leg.session_bench import STATE, Bench, Clock, virtual
+from tests.doubles import LoopClock
+from tests.missions.fly.leg.session_bench import STATE, Bench, virtual
 
 STEP_AT_S = 5.0
 SHIFT: Vec3 = (1.0, -0.5, -0.3)
@@ -36,7 +37,7 @@ class Stepping:
     @property
     def state(self) -> VehicleState:
         now_s = asyncio.get_running_loop().time()
-        stamp_ns = Clock().now_ns() // 20_000_000 * 20_000_000
+        stamp_ns = LoopClock(1.0).now_ns() // 20_000_000 * 20_000_000
         if now_s < STEP_AT_S:
             return replace(STATE, stamp_ns=stamp_ns, velocity_n_mps=(0.0, 0.0, 0.0))
         return replace(
@@ -54,7 +55,7 @@ class Stepped(Bench):
     def __init__(self, rig: Any) -> None:
         super().__init__(rig)
         session = self.session
-        parts = cast(Any, (Clock(), Stepping(), None, self.link))
+        parts = cast(Any, (LoopClock(1.0), Stepping(), None, self.link))
         self.session = RoleSession(
             rig,
             Role.SENDER,
@@ -153,7 +154,7 @@ def test_a_session_that_begins_later_does_not_tell_of_earlier_steps(rig: Any) ->
         await look(bench)
         looking.cancel()
         session, told = bench.session, len(bench.log.of("/estimator_step"))
-        parts = cast(Any, (Clock(), session.vehicle, None, bench.link))
+        parts = cast(Any, (LoopClock(1.0), session.vehicle, None, bench.link))
         later = RoleSession(
             session.rig,
             Role.SENDER,

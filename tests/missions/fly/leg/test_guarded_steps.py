@@ -17,8 +17,9 @@ from flight.guard.under_guard import UnderGuard
 from flight.outcome import MissionEnd, Outcome
 from hil.harness.virtual_time import run_virtual
 from missions.fly.leg.steps import bring_down, preflight, take_off
+from tests.doubles import LoopClock
 from tests.flight.guard.test_under_guard import FakeLine
-from tests.missions.fly.leg.test_steps import CONFIG, WAY_OUT, Bench, Clock
+from tests.missions.fly.leg.test_steps import CONFIG, WAY_OUT, Bench
 
 WATCHED, TAKEN = (
     GuardAnswer(True, Hand.SCRIPT),
@@ -30,14 +31,14 @@ class Line(FakeLine):
     """Stamps with the role's clock."""
 
     def say(self, answer: GuardAnswer) -> None:
-        self.newest = Clock().now_ns(), answer
+        self.newest = LoopClock(1.0).now_ns(), answer
 
 
 class Guarded(Bench):
     def __init__(self, rig: Any, reply: GuardAnswer | None = WATCHED) -> None:
         super().__init__(rig)
         self.line = Line(reply=reply)
-        self.session.guarding.guard = UnderGuard(self.line, Clock(), CONFIG.guard_process)
+        self.session.guarding.guard = UnderGuard(self.line, LoopClock(1.0), CONFIG.guard_process)
         self.session.pilot._guard = self.session.guarding.guard
 
     @property

@@ -22,7 +22,8 @@ from flight.outcome import Outcome
 from missions.fly.leg import command, opening, process
 from missions.ground.options.field import ReceiverOptions, SenderOptions
 from path.messages import Role
-from tests.missions.fly.leg.session_bench import Clock, FakeLink, FakeVehicle, Recorder, giving
+from tests.doubles import LoopClock
+from tests.missions.fly.leg.session_bench import FakeLink, FakeVehicle, Recorder, giving
 
 GOOD = RoleResult(Role.SENDER, Outcome.COMMITTED, "", True, True)
 
@@ -83,7 +84,7 @@ class Opening:
 
     def _context(self, *args: object) -> Any:
         self.asked.append(args)
-        self.context = SimpleNamespace(clock=Clock())
+        self.context = SimpleNamespace(clock=LoopClock(1.0))
         return self.context
 
     def _warm_up(self, *args: object) -> None:
@@ -174,9 +175,9 @@ def test_a_guard_is_met_where_its_table_says_or_in_the_world() -> None:
         return "in the world"
 
     world: Any = SimpleNamespace(guard_line=line)
-    assert opening.guard_line_of(guard, Role.RECEIVER, Clock(), world) == "in the world"
+    assert opening.guard_line_of(guard, Role.RECEIVER, LoopClock(1.0), world) == "in the world"
     assert asked == [Role.RECEIVER]
-    made: Any = opening.guard_line_of(guard, Role.RECEIVER, Clock(), None)
+    made: Any = opening.guard_line_of(guard, Role.RECEIVER, LoopClock(1.0), None)
     assert (type(made).__name__, made.name) == ("UdpGuardLine", "127.0.0.1:14561")
 
 

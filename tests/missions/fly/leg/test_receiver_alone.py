@@ -25,7 +25,8 @@ from missions.fly.leg.receiver import Receiver
 from path.messages import Pong, Role, Status, Target
 from path.observations import Missed, MissReason
 from path.protocol.values import Handoff
-from tests.missions.fly.leg.session_bench import STATE, Bench, Clock, virtual
+from tests.doubles import LoopClock
+from tests.missions.fly.leg.session_bench import STATE, Bench, virtual
 
 CONFIG = MissionConfig()
 PEER = Status(
@@ -47,7 +48,7 @@ def with_receiver(rig: Any, main: Callable[[Bench, Any], Coroutine[Any, Any, Non
 
 
 def tracked(place: Vec3 = (5.0, 1.0, -0.2), moves: Vec3 = (0.4, -0.2, 0.3)) -> TargetTrack:
-    track = TargetTrack.of(CONFIG, place, Clock().now_ns())
+    track = TargetTrack.of(CONFIG, place, LoopClock(1.0).now_ns())
     track.velocity_n_mps = moves
     return track
 

@@ -25,7 +25,8 @@ from missions.fly.leg.sender import Sender
 from path.geometry.rotation import quat_from_rpy
 from path.messages import Candidate, Pong, Role, Status
 from path.observations import Box, Missed, MissReason
-from tests.missions.fly.leg.session_bench import STATE, Bench, Clock, virtual
+from tests.doubles import LoopClock
+from tests.missions.fly.leg.session_bench import STATE, Bench, virtual
 
 CONFIG = MissionConfig()
 PEER = Status(Role.RECEIVER, 1, (1.0, 3.0, -1.5), (0.0, 0.0, 0.0), 0.0, 0, False, False, 0.8)
@@ -63,7 +64,7 @@ def align(bench: Bench, ahead_ns: int = 0) -> None:
 
 
 def tracked(place: Vec3 = (5.0, 1.0, -0.2), moves: Vec3 = (0.4, -0.2, 0.3)) -> TargetTrack:
-    track = TargetTrack.of(CONFIG, place, Clock().now_ns())
+    track = TargetTrack.of(CONFIG, place, LoopClock(1.0).now_ns())
     track.velocity_n_mps = moves
     return track
 

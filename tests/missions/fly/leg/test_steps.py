@@ -33,6 +33,7 @@ from missions.fly.leg.course import fly_course
 from missions.fly.leg.session import RoleSession
 from missions.fly.leg.steps import bring_down, check_capabilities, preflight, take_off
 from path.messages import Pong, Role, Status
+from tests.doubles import LoopClock
 
 HOME = VehicleState(
     0,
@@ -51,11 +52,6 @@ CONFIG = MissionConfig(deadlines=Deadlines(peer_s=10.0, depart_s=8.0))
 WAY_OUT = Anchor((0.0, -2.0, -1.5), 0.0)  # at the height that the tests take off to
 
 
-class Clock:
-    def now_ns(self) -> int:
-        return round((asyncio.get_running_loop().time() + 1.0) * 1e9)
-
-
 @dataclass
 class FakeVehicle:
     """Does what it is told, or what ``refuses`` says instead; moves as it is flown unless it is
@@ -70,7 +66,7 @@ class FakeVehicle:
 
     @property
     def state(self) -> VehicleState:
-        now_ns = Clock().now_ns()
+        now_ns = LoopClock(1.0).now_ns()
         return replace(self.now, stamp_ns=now_ns, heartbeat_ns=now_ns)
 
     async def _do(self, what: str, **changes: Any) -> None:
@@ -140,7 +136,7 @@ class Bench:
     def __init__(self, rig: Any) -> None:
         self.vehicle, self.perception, self.log = FakeVehicle(), FakePerception(), Recorder()
         self.link = FakeLink()
-        parts = cast(Any, (Clock(), self.vehicle, self.perception, self.link))
+        parts = cast(Any, (LoopClock(1.0), self.vehicle, self.perception, self.link))
         log = cast(Any, self.log)
         self.session = RoleSession(
             rig, Role.SENDER, CONFIG, log, lambda _: None, asyncio.Event(), parts, random.Random(1)

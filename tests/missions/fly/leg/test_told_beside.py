@@ -19,7 +19,8 @@ from flight.phases import Phase
 from missions.fly.leg.beside import BatteryNews
 from missions.fly.leg.frames import Frames
 from path.messages import Role, Status
-from tests.missions.fly.leg.session_bench import STATE, Bench, Clock, Recorder, virtual
+from tests.doubles import LoopClock
+from tests.missions.fly.leg.session_bench import STATE, Bench, Recorder, virtual
 
 PEER = Status(Role.RECEIVER, 1, (4.0, 3.0, -1.5), (0.0, 0.0, 0.0), 0.0, 3, False, True, 0.8)
 S = 1_000_000_000
@@ -143,7 +144,9 @@ def test_frames_are_recorded_where_the_rig_says_so_and_the_log_can(
             return view
 
         config = replace(MissionConfig(), record=cast(Any, record))
-        frames = Frames(cast(Any, SimpleNamespace(view=give)), Clock(), config, cast(Any, log))
+        frames = Frames(
+            cast(Any, SimpleNamespace(view=give)), LoopClock(1.0), config, cast(Any, log)
+        )
         assert frames.recorded is recorded
         assert await frames.view(0.8) is view
         if isinstance(log, Film):
@@ -160,7 +163,10 @@ def test_a_busy_computer_waits_before_it_takes_its_next_frame(rig: Any) -> None:
             return SimpleNamespace(stamp_ns=5, frame_id=1)
 
         frames = Frames(
-            cast(Any, SimpleNamespace(view=give)), Clock(), MissionConfig(), cast(Any, Recorder())
+            cast(Any, SimpleNamespace(view=give)),
+            LoopClock(1.0),
+            MissionConfig(),
+            cast(Any, Recorder()),
         )
 
         def until_next_s(_now_ns: int) -> float:
@@ -172,7 +178,7 @@ def test_a_busy_computer_waits_before_it_takes_its_next_frame(rig: Any) -> None:
         cast(Any, frames).shedding = SimpleNamespace(until_next_s=until_next_s, took=took_up)
         await frames.view(1.0)
         assert asyncio.get_running_loop().time() == pytest.approx(0.3)
-        assert took == [(1, 5, Clock().now_ns())]
+        assert took == [(1, 5, LoopClock(1.0).now_ns())]
 
     virtual(main())
 
